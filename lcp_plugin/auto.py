@@ -39,7 +39,7 @@ from numpy.typing import ArrayLike
 
 from .algorithms import create, refusal_of_engine
 from .core.algorithm import Algorithm, count_driven_sweeps
-from .core.checks import FloatVector, checked_start, read_only
+from .core.checks import Vector, checked_start, read_only
 from .core.deadline import Clock
 from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.kernels.threads import threads_for
@@ -322,7 +322,7 @@ def run_on(
     problem: LCP,
     method: Algorithm | None,
     settings: Settings,
-    start: FloatVector,
+    start: Vector,
     clock: Clock,
     callback: Callback | None = None,
     *,
@@ -360,7 +360,7 @@ def run_on(
         return result
 
 
-def _polish(problem: LCP, z: FloatVector, most: float) -> Any:
+def _polish(problem: LCP, z: Vector, most: float) -> Any:
     from .methods.newton import polish_active_set
 
     return polish_active_set(problem, z, most)

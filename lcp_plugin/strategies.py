@@ -47,7 +47,7 @@ except ImportError:
         "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
     ) from None
 
-from .core.checks import FloatVector
+from .core.checks import Vector
 from .core.errors import InvalidOption, InvalidProblem
 from .core.lcp import LCP
 from .core.settings import whole_number
@@ -122,7 +122,7 @@ def rows(n: int, row: Numbers) -> st.SearchStrategy[list[Any]]:
     return st.tuples(*[row] * max(n, LARGEST_SIZE)).map(lambda drawn: list(drawn[:n]))
 
 
-def vectors(n: int, values: Numbers) -> st.SearchStrategy[FloatVector]:
+def vectors(n: int, values: Numbers) -> st.SearchStrategy[Vector]:
     """Return a strategy for arrays of shape (n,)."""
     return rows(n, values).map(lambda drawn: np.array(drawn, dtype=np.float64))
 
@@ -624,7 +624,7 @@ def columns_of(rows: Sequence[Any]) -> NDArray[np.float64]:
     return np.array(rows, dtype=np.float64).reshape(-1, 4).T.copy()
 
 
-def exact_offset(matrix: Any, z: FloatVector, w: FloatVector) -> FloatVector:
+def exact_offset(matrix: Any, z: Vector, w: Vector) -> Vector:
     """Return q = w − M z, shape (n,); raise InvalidProblem if it is not exact in float64."""
     M = sp.csr_array(matrix)
     products = exact_slack(LCP(M, np.zeros(z.size)), z)
@@ -652,7 +652,7 @@ def fractions_of(values: Any) -> tuple[Fraction, ...]:
     return tuple(Fraction(float(value)) for value in values)
 
 
-Solver = Callable[[Any, FloatVector, FloatVector, FloatVector], Any]
+Solver = Callable[[Any, Vector, Vector, Vector], Any]
 Drawn = tuple[LCP, ExactPoint | None, Any]  # the problem, its exact solution, M in the drawn form
 
 PHASES = (Phase.generate, Phase.shrink)
@@ -836,7 +836,7 @@ def check_solution(
     return f"z is far from the exact answer: by {float(distance):g}, though its residual is small"
 
 
-def _named(problem: LCP, z: FloatVector, w: list[Fraction], i: int, allowed: Any) -> str:
+def _named(problem: LCP, z: Vector, w: list[Fraction], i: int, allowed: Any) -> str:
     """Return the name of the condition that row i violates; a z within `allowed` of a bound is at it."""
     low, high, here = problem.lower[i], problem.upper[i], z[i]
     for name, bound, excess in (("lower", low, low - here), ("upper", high, here - high)):

@@ -29,7 +29,7 @@ from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
 
 if TYPE_CHECKING:
-    from ..core.checks import FloatVector
+    from ..core.checks import Vector
     from ..core.solving.result import Sample
 
 MAX_VALUES = 20  # values of x that are printed
@@ -238,11 +238,11 @@ def moving_line(text: str) -> Iterator[Callable[[str], None] | None]:
         yield lambda text: status.update(escape(text))
 
 
-def steps_on(say: Callable[[str], None]) -> Callable[[Sample, FloatVector], bool]:
+def steps_on(say: Callable[[str], None]) -> Callable[[Sample, Vector], bool]:
     """Return a callback of `solve` that shows the progress of the run."""
     last = -UPDATE_SECONDS
 
-    def show(sample: Sample, z: FloatVector) -> bool:
+    def show(sample: Sample, z: Vector) -> bool:
         nonlocal last
         if sample.seconds >= last + UPDATE_SECONDS:
             last = sample.seconds

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from .checks import FloatVector, is_number
+from .checks import Vector, is_number
 from .errors import InvalidOption, UnsuitableMatrix, did_you_mean
 from .lcp import LCP
 from .matrix import IterationFacts, has_positive_diagonal
@@ -48,7 +48,7 @@ class Step:
         The measure of this z, if the proposal contains it already.
     """
 
-    z: FloatVector
+    z: Vector
     residual: float | None = None
     increment: float | None = None
     work: float = 1.0
@@ -115,7 +115,7 @@ class Algorithm(ABC):
     is_watched: ClassVar[bool] = False
 
     @abstractmethod
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start and then one step per iteration, without limit.
 
         Parameters
@@ -130,7 +130,7 @@ class Algorithm(ABC):
             Before the first step; the message names the unsuitable row.
         """
 
-    def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
+    def finish(self, problem: LCP, z: Vector) -> Vector:
         """Return z after a last clean-up; the driver keeps it only if its certificate is no worse."""
         return z
 
@@ -203,7 +203,7 @@ def count_driven_sweeps(problem: LCP, passes: float) -> float:
     return passes * entries / (entries + 10_000.0)
 
 
-def require_positive_diagonal(problem: LCP, name: str) -> FloatVector:
+def require_positive_diagonal(problem: LCP, name: str) -> Vector:
     """Return the diagonal, or raise naming the first entry that is not positive (or too small to invert)."""
     diagonal, usable = problem.matrix.diagonal, has_positive_diagonal(problem.matrix)
 

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import InvalidOption, InvalidProblem
 
-FloatVector = NDArray[np.float64]
+Vector = NDArray[np.float64]
 T = TypeVar("T")
 BoolVector = NDArray[np.bool_]
-Arrays = tuple[NDArray[Any], NDArray[Any], FloatVector]  # of a sparse matrix: indptr, indices, data
+Arrays = tuple[NDArray[Any], NDArray[Any], Vector]  # of a sparse matrix: indptr, indices, data
 
 DOUBLE = np.dtype(np.float64)
 DENSE_ABOVE_DENSITY = 0.25
@@ -248,7 +248,7 @@ def checked_vector(
     allow_nan: bool = False,
     may_be_number: bool = False,
     need: str = "",
-) -> FloatVector:
+) -> Vector:
     """Return a read-only copy of a real vector of that length (any length for None).
 
     Parameters
@@ -285,7 +285,7 @@ def checked_vector(
     return read_only(vector.copy())
 
 
-def _hint_at_vector(array: FloatVector, name: str, length: int | None) -> str:
+def _hint_at_vector(array: Vector, name: str, length: int | None) -> str:
     """Return the next step for a number, a row, a column, or a vector of another length."""
     if array.ndim == 2 and 1 in array.shape and length in (None, array.size):
         return f"; write np.ravel({name})"
@@ -299,14 +299,14 @@ def _hint_at_vector(array: FloatVector, name: str, length: int | None) -> str:
     return f": {abs(surplus)} too {'many' if surplus > 0 else 'few'}"
 
 
-def change_of_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> FloatVector:
+def change_of_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> Vector:
     """Return the finite change of a vector: zeros for None, n equal entries for a number where one may be given."""
     if values is None or (may_be_number and np.ndim(values) == 0):
         values = np.full(n, 0.0 if values is None else values)
     return checked_vector(values, name, n)
 
 
-def checked_answer(answer: Any, n: int) -> FloatVector:
+def checked_answer(answer: Any, n: int) -> Vector:
     """Return z, shape (n,), of a result, or of an array instead of a result.
 
     Raises
@@ -317,7 +317,7 @@ def checked_answer(answer: Any, n: int) -> FloatVector:
     return checked_vector(getattr(answer, "z", answer), "z", n)
 
 
-def checked_bound(values: Any, name: str, n: int) -> FloatVector:
+def checked_bound(values: Any, name: str, n: int) -> Vector:
     """Return a bound as a vector of length n; a number stands for all, ±∞ for none, NaN is rejected."""
     need = f"{name} must be a number or a vector of length {n}"
     array = real_array(values, need)
@@ -334,7 +334,7 @@ def checked_bound(values: Any, name: str, n: int) -> FloatVector:
 
 def checked_right_side(
     values: Any, name: str, length: int | None, *, may_be_number: bool = False
-) -> FloatVector:
+) -> Vector:
     """Return the right-hand side h of inequalities G x ≤ h; 1e20 and beyond becomes ∞: no constraint."""
     right = checked_vector(
         values, name, length, allow_plus_infinity=True, may_be_number=may_be_number
@@ -343,9 +343,7 @@ def checked_right_side(
     return right if says_something.all() else read_only(np.where(says_something, right, np.inf))
 
 
-def replace_huge_bounds_by_inf(
-    lower: FloatVector, upper: FloatVector
-) -> tuple[FloatVector, FloatVector]:
+def replace_huge_bounds_by_inf(lower: Vector, upper: Vector) -> tuple[Vector, Vector]:
     """Return bounds, of any shape, with −∞ for a lower one of −1e20 or less, and ∞ for an upper one of 1e20 or more."""
     lower = np.where(lower <= -INFINITE_LIMIT, -np.inf, lower)
     return read_only(lower), read_only(np.where(upper >= INFINITE_LIMIT, np.inf, upper))
@@ -353,7 +351,7 @@ def replace_huge_bounds_by_inf(
 
 def checked_bounds(
     lower: Any, upper: Any, n: int, *, names: tuple[str, str] = ("lower", "upper")
-) -> tuple[FloatVector, FloatVector]:
+) -> tuple[Vector, Vector]:
     """Return bounds as vectors of length n; lower ≤ −1e20 and upper ≥ 1e20 mean no bound, as in files.
 
     Raises
@@ -383,7 +381,7 @@ def checked_bounds(
     return below, above
 
 
-def vector_option(values: Any, name: str, length: int | None, **how: Any) -> FloatVector:
+def vector_option(values: Any, name: str, length: int | None, **how: Any) -> Vector:
     """Return a vector as :func:`checked_vector` does, but raise InvalidOption."""
     try:
         return checked_vector(values, name, length, **how)
@@ -402,10 +400,10 @@ def is_number(value: Any) -> bool:
     return True
 
 
-def checked_start(problem: Any, z0: ArrayLike | None) -> FloatVector:
+def checked_start(problem: Any, z0: ArrayLike | None) -> Vector:
     """Return the start within the bounds, shape (n,); InvalidOption if z0 is not a finite real vector of length n."""
     if z0 is None:
-        nearest: FloatVector = problem.nearest_to_zero
+        nearest: Vector = problem.nearest_to_zero
         return nearest
     n = problem.n
     need = f"z0 must be a finite vector of length {n} (M is {n}×{n})"

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from .checks import FloatVector, checked_bounds, checked_vector, read_only, restore_state
+from .checks import Vector, checked_bounds, checked_vector, read_only, restore_state
 from .errors import InvalidOption
 from .matrix import Matrix
 from .names import Names, checked_names
@@ -58,9 +58,9 @@ class LCP:
     if TYPE_CHECKING:
         matrix: Matrix
         n: int
-        q: FloatVector
-        lower: FloatVector
-        upper: FloatVector
+        q: Vector
+        lower: Vector
+        upper: Vector
         origin: Any
         names: Names
         _facts: dict[Any, Any]
@@ -129,22 +129,22 @@ class LCP:
         return not self.lower.any() and bool(np.all(self.upper == np.inf))
 
     @property
-    def diagonal(self) -> FloatVector:
+    def diagonal(self) -> Vector:
         """The diagonal of M, shape (n,)."""
         return self.matrix.diagonal
 
     @property
-    def residual_scale(self) -> FloatVector:
+    def residual_scale(self) -> Vector:
         """D of the scaled residual, shape (n,); see :attr:`lcp_plugin.core.matrix.Matrix.residual_scale`."""
         return self.matrix.residual_scale
 
     @cached_property
-    def nearest_to_zero(self) -> FloatVector:
+    def nearest_to_zero(self) -> Vector:
         """z°, the point of [lower, upper] nearest to 0, shape (n,)."""
         # twice as quick as clip
         return read_only(np.minimum(np.maximum(0.0, self.lower), self.upper))
 
-    def slack(self, z: ArrayLike) -> FloatVector:
+    def slack(self, z: ArrayLike) -> Vector:
         """Return w = M z + q, shape (n,).
 
         Parameters
@@ -158,7 +158,7 @@ class LCP:
         """
         matrix = self.matrix
         is_vector = type(z) is np.ndarray and z.dtype == np.float64 and z.shape == (matrix.n,)
-        w: FloatVector = matrix.array @ (
+        w: Vector = matrix.array @ (
             z if is_vector else checked_vector(z, "z", matrix.n, is_finite=False)
         )
         w += self.q

@@ -27,7 +27,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from .checks import BoolVector, FloatVector, assemble_csr, checked_matrix, freeze_csr, read_only
+from .checks import BoolVector, Vector, assemble_csr, checked_matrix, freeze_csr, read_only
 from .kernels.floats import NEGLIGIBLE_DIAGONAL
 
 P = ParamSpec("P")
@@ -115,19 +115,19 @@ class Matrix:
         """The matrix as canonical, read-only CSR, shape (n, n)."""
         return csr_of_dense(self.array) if self.is_dense else self.array
 
-    def toarray(self) -> FloatVector:
+    def toarray(self) -> Vector:
         """Return M as an ndarray, shape (n, n), not copied if it is stored as one."""
         return self.array if self.is_dense else self.array.toarray()  # type: ignore[no-any-return]
 
     @property
     @fact
-    def diagonal(self) -> FloatVector:
+    def diagonal(self) -> Vector:
         """The diagonal entries, shape (n,)."""
         return read_only(np.array(self.array.diagonal(), dtype=np.float64))
 
     @property
     @fact
-    def residual_scale(self) -> FloatVector:
+    def residual_scale(self) -> Vector:
         """D of the scaled residual, shape (n,): the diagonal where it is not negligible, else the row's largest.
 
         d_i = m_ii where m_ii ≥ 2⁻²⁰ max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
@@ -141,7 +141,7 @@ class Matrix:
 
     @property
     @fact
-    def row_largest(self) -> FloatVector:
+    def row_largest(self) -> Vector:
         """max_j |m_ij| of each row, 1 for an empty one, shape (n,)."""
         row_largest = largest_in_rows(self.array)
         return read_only(np.where(row_largest == 0.0, 1.0, row_largest))
@@ -157,7 +157,7 @@ class Matrix:
         return type(self), (self.array,)
 
 
-def csr_of_dense(dense: FloatVector) -> sp.csr_array:
+def csr_of_dense(dense: Vector) -> sp.csr_array:
     """Return a dense matrix as CSR; its entries are used without a copy if none is zero."""
     n = len(dense)
     if np.count_nonzero(dense) < dense.size or not dense.flags.c_contiguous:
@@ -169,7 +169,7 @@ def csr_of_dense(dense: FloatVector) -> sp.csr_array:
     return freeze_csr(compressed)
 
 
-def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
+def largest_in_rows(M: Any, sizes: Vector | None = None) -> Vector:
     """Return the largest |entry| of each row, 0 for an empty row.
 
     `sizes`, shape (…, entries), replaces the |entries| of a CSR array.
@@ -184,14 +184,14 @@ def largest_in_rows(M: Any, sizes: FloatVector | None = None) -> FloatVector:
     return largest
 
 
-def largest_products(sizes: Any, x: FloatVector) -> FloatVector:
+def largest_products(sizes: Any, x: Vector) -> Vector:
     """Return max_j |m_ij| x_j of each row, x ≥ 0; `sizes` is |M|, of one problem or, dense, of a stack."""
     if sp.issparse(sizes):
         return largest_in_rows(sizes, sizes.data * x[..., sizes.indices])
     return np.asarray((sizes * x[..., None, :]).max(-1, initial=0.0))
 
 
-def residual_scales(diagonal: FloatVector, largest: FloatVector) -> FloatVector:
+def residual_scales(diagonal: Vector, largest: Vector) -> Vector:
     """Return D of the scaled residual from the diagonal and the largest |entry| of each row, arrays of one shape."""
     # The product may underflow to 0, which no diagonal of 0 may pass.
     is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * largest)
@@ -269,7 +269,7 @@ def connected_components(matrix: Matrix) -> Components | None:
     return Components(read_only(labels.astype(np.int64)), int(count)) if count > 1 else None
 
 
-def mismatch(M: Any, size: FloatVector, tolerance: float) -> tuple[float, tuple[int, int] | None]:
+def mismatch(M: Any, size: Vector, tolerance: float) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the i, j where it exceeds tolerance √(size_i size_j) by most, if it does.
 
     With this measure, a block in a small unit is not compared with a block in a large unit.
@@ -317,7 +317,7 @@ def is_nearly_symmetric(matrix: Matrix) -> bool:
     return mismatch(matrix.array, matrix.residual_scale, ROUNDED)[1] is None
 
 
-def equation_signs(M: Any, is_equation: BoolVector) -> FloatVector:
+def equation_signs(M: Any, is_equation: BoolVector) -> Vector:
     """Return −1 for each equation whose negative makes M + Mᵀ smaller, else 1; only equations with m_ii = 0 change.
 
     An unknown without bounds leaves w_i = 0, an equation, of which the sign has no meaning. In the conditions of a
@@ -370,9 +370,9 @@ class IterationFacts:
     relaxation: float | None = 1.0
     acceleration: float | None = 1.0
     sweep: str = "forward"
-    scaling: FloatVector | None = field(default=None, repr=False)
+    scaling: Vector | None = field(default=None, repr=False)
     is_scaled: bool = False
-    omega: FloatVector | None = field(default=None, repr=False)
+    omega: Vector | None = field(default=None, repr=False)
     splitting: Any = field(default=None, repr=False)
     is_part_of_matrix: bool = False
     has_momentum: bool = False
@@ -382,7 +382,7 @@ BLOCK = 16_384  # rows whose temporary vectors stay in a processor's cache
 
 
 @fact
-def inverse_residual_scale(matrix: Matrix) -> FloatVector:
+def inverse_residual_scale(matrix: Matrix) -> Vector:
     """Return 1/d of the scaled residual, shape (n,), kept finite."""
     return read_only(np.minimum(1.0 / matrix.residual_scale, np.finfo(np.float64).max))
 
@@ -407,9 +407,7 @@ def split_rows(M: sp.csr_array, *, backward: bool = False) -> Any:
     return read_only((M.indptr[:-1] + before).astype(M.indptr.dtype))
 
 
-def triangle_sums(
-    matrix: Matrix, v: FloatVector, part: Any = None
-) -> tuple[FloatVector, FloatVector]:
+def triangle_sums(matrix: Matrix, v: Vector, part: Any = None) -> tuple[Vector, Vector]:
     """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (n,).
 
     If a CSR array `part`, shape (n, n), is given, its triangles replace the triangles of M.
@@ -424,12 +422,12 @@ def triangle_sums(
 
 
 @fact
-def unit_triangle_sums(matrix: Matrix) -> tuple[FloatVector, FloatVector]:
+def unit_triangle_sums(matrix: Matrix) -> tuple[Vector, Vector]:
     """Return the triangle sums of v = 1."""
     return triangle_sums(matrix, np.ones(matrix.n))
 
 
-def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVector:
+def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> Vector:
     """Return θ, shape (n,): up to 2 if every row of M is diagonally dominant, else 1 on all rows; one pass over M.
 
     Parameters
@@ -459,8 +457,8 @@ def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> FloatVecto
 
 
 def balanced_factors(
-    matrix: Matrix, coupling: float, updated: FloatVector, sums: tuple[FloatVector, FloatVector]
-) -> FloatVector:
+    matrix: Matrix, coupling: float, updated: Vector, sums: tuple[Vector, Vector]
+) -> Vector:
     """Return θ of `automatic_factors`, from g, the sums ℓ over the updated columns, and the triangle sums of v = 1."""
     factors = np.empty(matrix.n)
     is_dominant = matrix.residual_scale is matrix.diagonal or np.array_equal(
@@ -500,7 +498,7 @@ def scale_matrix(M: Any, exponents: Exponents | None) -> Any:
     return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
 
 
-def scale_by(A: Any, rows: FloatVector, columns: FloatVector) -> Any:
+def scale_by(A: Any, rows: Vector, columns: Vector) -> Any:
     """Return the array or CSR array with entries a_ij rows_i columns_j, multiplied in this order; A is canonical."""
     if not sp.issparse(A):
         return rows[:, np.newaxis] * A * columns
@@ -508,6 +506,6 @@ def scale_by(A: Any, rows: FloatVector, columns: FloatVector) -> Any:
     return assemble_csr(data, A.indices, A.indptr, A.shape)
 
 
-def times_power(x: FloatVector, exponent: IntVector | None) -> FloatVector:
+def times_power(x: Vector, exponent: IntVector | None) -> Vector:
     """Return x_i 2^exponent_i, of the shape of x."""
     return x if exponent is None else np.asarray(np.ldexp(x, exponent))

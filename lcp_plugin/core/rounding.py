@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from .checks import FloatVector
+from .checks import Vector
 from .errors import InvalidProblem
 from .kernels.floats import TINY, UNIT
 
 BLOCK = 2**15  # entries whose temporary vectors stay in a processor's cache
 MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
-Sums = tuple[FloatVector, FloatVector, FloatVector]
+Sums = tuple[Vector, Vector, Vector]
 
 
 def gamma(terms: int) -> float:
@@ -38,9 +38,7 @@ def gamma(terms: int) -> float:
     return float(np.nextafter(terms * UNIT / (1.0 - terms * UNIT), np.inf)) * (1.0 + 4.0 * UNIT)
 
 
-def compensated_product(
-    M: Any, x: FloatVector, q: FloatVector | None = None
-) -> tuple[FloatVector, FloatVector]:
+def compensated_product(M: Any, x: Vector, q: Vector | None = None) -> tuple[Vector, Vector]:
     """Return (value, radius) with |M x + q − value| ≤ radius, each of shape (m,).
 
     Parameters
@@ -73,7 +71,7 @@ def compensated_product(
     return round_sums(*compensated_pair(M, x, q))
 
 
-def compensated_pair(M: Any, x: FloatVector, q: FloatVector | None = None) -> Sums:
+def compensated_pair(M: Any, x: Vector, q: Vector | None = None) -> Sums:
     """Return (high, low, radius) with |M x + q − (high + low)| ≤ radius, the sum not evaluated.
 
     `high` is the rounded value and `low` its rounding error; the radius is of order u³. Parameters and errors as for
@@ -106,7 +104,7 @@ def compensated_pair(M: Any, x: FloatVector, q: FloatVector | None = None) -> Su
     return high, low, radius
 
 
-def _row_sums(a: FloatVector, b: FloatVector, starts: Any, offset: FloatVector) -> Any:
+def _row_sums(a: Vector, b: Vector, starts: Any, offset: Vector) -> Any:
     """Return (high, low, radius) of the sums of a_k b_k of each row with its offset; `starts` as in a CSR array."""
     # a_k b_k = h_k + e_k exactly, without underflow. With σ a power of two, σ ≥ (m + 2) max|t_k| for m terms t_k, all
     # p_k = (σ + t_k) − σ are multiples of u σ and their sums at most σ in size: Σ p_k is exact in any order, and so is
@@ -138,7 +136,7 @@ def _row_sums(a: FloatVector, b: FloatVector, starts: Any, offset: FloatVector) 
     return high, np.where(is_number, low, 0.0), np.where(is_number, radius, np.inf)
 
 
-def _split(starts: Any, counts: Any, *terms: FloatVector) -> tuple[FloatVector, list[FloatVector]]:
+def _split(starts: Any, counts: Any, *terms: Vector) -> tuple[Vector, list[Vector]]:
     """Return exact sums of leading parts of the terms of each row, and the rests of the terms."""
     top = np.maximum.reduceat(np.max(np.abs(terms), axis=0), starts)
     unit = np.ldexp(1.0, np.frexp(top)[1] + np.frexp(len(terms) * counts + 2.0)[1])
@@ -148,7 +146,7 @@ def _split(starts: Any, counts: Any, *terms: FloatVector) -> tuple[FloatVector, 
     return np.add.reduceat(sum(parts[1:], parts[0]), starts), rests
 
 
-def _products(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector, Any]:
+def _products(a: Vector, b: Vector) -> tuple[Vector, Vector, Any]:
     """Return a b rounded, its rounding errors, and bounds of the underflow in these, or None."""
     product, error = product_and_error(a, b)
     small = np.flatnonzero((np.abs(product) < MAY_UNDERFLOW) & (a != 0.0) & (b != 0.0))
@@ -163,7 +161,7 @@ def _products(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector,
     return product, error, lost
 
 
-def product_and_error(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector]:
+def product_and_error(a: Vector, b: Vector) -> tuple[Vector, Vector]:
     """Return a b rounded, and its rounding error (Dekker), if no product of halves underflows."""
     (a_high, a_low), (b_high, b_low) = _halves(a), _halves(b)
     product = a * b
@@ -172,34 +170,32 @@ def product_and_error(a: FloatVector, b: FloatVector) -> tuple[FloatVector, Floa
     )
 
 
-def _halves(a: FloatVector) -> tuple[FloatVector, FloatVector]:
+def _halves(a: Vector) -> tuple[Vector, Vector]:
     """Return two numbers of 26 digits whose sum is a."""
     bits = np.ascontiguousarray(a).view(np.int64)
     high = ((bits + 2**26) & -(2**27)).view(np.float64)
     return high, a - high
 
 
-def split_sum(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector]:
+def split_sum(a: Vector, b: Vector) -> tuple[Vector, Vector]:
     """Return a + b rounded, and its rounding error (Knuth)."""
     s = a + b
     t = s - a
     return s, (a - (s - t)) + (b - t)
 
 
-def lower_end(value: FloatVector, radius: FloatVector) -> FloatVector:
+def lower_end(value: Vector, radius: Vector) -> Vector:
     """Return a lower bound of value − radius, exact where the radius is 0, and −∞ where either is not finite."""
     return -upper_end(-value, radius)
 
 
-def upper_end(value: FloatVector, radius: FloatVector) -> FloatVector:
+def upper_end(value: Vector, radius: Vector) -> Vector:
     """Return an upper bound of value + radius, exact where the radius is 0, and ∞ where either is not finite."""
     end = np.where(radius == 0.0, value, np.nextafter(value + radius, np.inf))
     return np.where(np.isfinite(radius) & np.isfinite(value), end, np.inf)
 
 
-def round_sums(
-    high: FloatVector, low: FloatVector, radius: FloatVector
-) -> tuple[FloatVector, FloatVector]:
+def round_sums(high: Vector, low: Vector, radius: Vector) -> tuple[Vector, Vector]:
     """Return (value, radius) of sums (high, low, radius): the value is `high`, and `low` counts as an error."""
     low = np.abs(low)
     return high, np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))

@@ -50,7 +50,7 @@ from .algorithm import (
     check_positive,
     require_positive_diagonal,
 )
-from .checks import FloatVector
+from .checks import Vector
 from .errors import InvalidOption, UnsuitableMatrix
 from .lcp import LCP
 from .matrix import (
@@ -92,11 +92,11 @@ class Splitting(Algorithm):
         self,
         problem: LCP,
         kernel: Callable[..., Any],
-        rows: FloatVector,
+        rows: Vector,
         weights: tuple[Any, ...],
-        x: FloatVector,
+        x: Vector,
         *,
-        z: FloatVector | None = None,
+        z: Vector | None = None,
         points: Extrapolations | None = None,
     ) -> Iterator[Step]:
         """Yield a step for x₀, x₁, …, with the residual that the pass to the next one measures anyway.
@@ -147,9 +147,7 @@ class Splitting(Algorithm):
 
 
 #: Sent: z⁺, an array to overwrite, ‖z⁺ − y‖² in a fixed unit; received: y and the array.
-Extrapolations = Generator[
-    tuple[FloatVector, FloatVector], tuple[FloatVector, FloatVector, float], None
-]
+Extrapolations = Generator[tuple[Vector, Vector], tuple[Vector, Vector, float], None]
 SLOW_RATIO = 0.8  # of two plain steps; momentum has nothing to gain where they fall faster
 FALL = 1.0 - 1e-6  # of the steps of a cycle; without it, a cycle might never end nor converge
 GAIN = 0.99  # of the least plain step, for a cycle that pays
@@ -162,7 +160,7 @@ def step_unit(largest: float) -> float:
 
 
 def extrapolations(
-    z: FloatVector, lower: FloatVector, upper: FloatVector, total: Callable[[float], float] = float
+    z: Vector, lower: Vector, upper: Vector, total: Callable[[float], float] = float
 ) -> Extrapolations:
     """Yield the points y from which the iterations T begin: Nesterov's momentum in cycles.
 
@@ -245,11 +243,7 @@ class ScaledByRows(Algorithm):
             )
 
     def extrapolations(
-        self,
-        z: FloatVector,
-        lower: FloatVector,
-        upper: FloatVector,
-        total: Callable[[float], float] = float,
+        self, z: Vector, lower: Vector, upper: Vector, total: Callable[[float], float] = float
     ) -> Extrapolations | None:
         """Return the extrapolations of the iterates, which begin at z; None without momentum."""
         if self.momentum is None:
@@ -259,10 +253,10 @@ class ScaledByRows(Algorithm):
         return points
 
     @abstractmethod
-    def automatic_factors(self, problem: LCP) -> FloatVector | float:
+    def automatic_factors(self, problem: LCP) -> Vector | float:
         """Return the automatic θ, shape (n,) or a number."""
 
-    def row_scaling(self, problem: LCP) -> FloatVector:
+    def row_scaling(self, problem: LCP) -> Vector:
         """Return the diagonal of S, shape (n,): ones, factor/m_ii, or θ/m_ii with automatic θ; finite.
 
         The scale of the residual replaces m_ii if m_ii ≤ 0 or tiny. A diagonal that is small relative to its row is
@@ -278,7 +272,7 @@ class ScaledByRows(Algorithm):
             )
         return np.minimum(factors * inverse, np.finfo(np.float64).max)
 
-    def finish(self, problem: LCP, z: FloatVector) -> FloatVector:
+    def finish(self, problem: LCP, z: Vector) -> Vector:
         """Return z after one projected Gauss–Seidel sweep, which puts active components at their bounds."""
         from .kernels.splitting_sweeps import relaxation_sweep
 
@@ -320,7 +314,7 @@ class ProjectedType(ScaledByRows, Splitting):
         ScaledByRows.__post_init__(self)
         Splitting.__post_init__(self)
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z₀, z₁, …; each with its residual, which the pass to the next iterate measures anyway."""
         from .kernels.splitting_sweeps import splitting_sweep
 
@@ -352,16 +346,14 @@ class ProjectedType(ScaledByRows, Splitting):
             is_scaled=self.scaling is not None,
         )
 
-    def automatic_factors(self, problem: LCP) -> FloatVector:
+    def automatic_factors(self, problem: LCP) -> Vector:
         """Return θ, shape (n,)."""
         alpha, beta = self.weights()
         return automatic_factors(problem.matrix, beta / alpha, self.sweep)
 
-    def _inverse_pivot(
-        self, problem: LCP, scaled_diagonal: FloatVector, alpha: float
-    ) -> FloatVector:
+    def _inverse_pivot(self, problem: LCP, scaled_diagonal: Vector, alpha: float) -> Vector:
         pivot = scaled_diagonal / alpha + scaled_diagonal + 2.0
-        inverse: FloatVector = 1.0 / pivot
+        inverse: Vector = 1.0 / pivot
         if pivot.size and not pivot.min() > 0.0:
             i = int(np.flatnonzero(~(pivot > 0.0))[0])
             raise UnsuitableMatrix(
@@ -509,7 +501,7 @@ class _Relaxation(Splitting):
 class _InPlace(_Relaxation):
     """z_i ← mid(lower_i, upper_i, z_i − ω w_i/m_ii), w_i always current."""
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z₀, z₁, …, all in the same array; the increment shows when a residual is worth measuring."""
         from .kernels import splitting_sweeps as kernels
 
@@ -589,7 +581,7 @@ class PGS(_InPlace):
 class _Simultaneous(_Relaxation):
     """z⁺ = mid(lower, upper, z − D⁻¹(ω w + β Σ m_ij (z⁺_j − z_j))), the sum over the rows done before row i."""
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
         from .kernels.splitting_sweeps import splitting_sweep
 
@@ -659,7 +651,7 @@ class GFP(_Simultaneous):
     relaxation: float = 1.0
 
 
-def adaptive_sweeps(sweep: Callable[..., tuple[Step, float]], z: FloatVector) -> Iterator[Step]:
+def adaptive_sweeps(sweep: Callable[..., tuple[Step, float]], z: Vector) -> Iterator[Step]:
     """Yield sweeps with automatic ω by trials, measured by the increments Σ|z⁺ − z|.
 
     A phase of Gauss–Seidel sweeps measures the contraction λ. On a consistently ordered symmetric positive definite

@@ -9,7 +9,7 @@ from enum import Enum
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 
 
 class ProgramData(NamedTuple):
@@ -24,13 +24,13 @@ class ProgramData(NamedTuple):
     """
 
     P: Any
-    c: FloatVector
+    c: Vector
     G: Any
-    h: FloatVector
+    h: Vector
     A: Any
-    b: FloatVector
-    lower: FloatVector
-    upper: FloatVector
+    b: Vector
+    lower: Vector
+    upper: Vector
 
 
 class SolverLimits(NamedTuple):
@@ -64,8 +64,8 @@ class EngineAnswer(NamedTuple):
     P x + c + [Gᵀ Aᵀ] y is 0, except for unknowns at a bound; multipliers of G are ≥ 0.
     """
 
-    x: FloatVector
-    y: FloatVector
+    x: Vector
+    y: Vector
     iterations: int
     says: EngineStatus
 

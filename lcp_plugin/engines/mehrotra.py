@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from .polish import shifted_solver
 
@@ -57,8 +57,8 @@ class Mehrotra(Engine):
 
 
 def _minimize(
-    P: Any, C: Any, A: Any, c: FloatVector, d: FloatVector, b: FloatVector, until: float
-) -> tuple[FloatVector, FloatVector, FloatVector, int, float]:
+    P: Any, C: Any, A: Any, c: Vector, d: Vector, b: Vector, until: float
+) -> tuple[Vector, Vector, Vector, int, float]:
     """Return x, y, z of min ½ xᵀP x + cᵀx, C x + s = d, A x = b, s ≥ 0, the steps, and the relative residual."""
     k, has_curvature = max(d.size, 1), bool(P.nnz if sp.issparse(P) else P.any())
     x, y = _solve_reduced(P, C, A, np.ones(d.size), C.T @ d - c, b)[0]
@@ -97,21 +97,15 @@ def _minimize(
     return *kept, count, best
 
 
-def _largest_step(v: FloatVector, dv: FloatVector) -> float:
+def _largest_step(v: Vector, dv: Vector) -> float:
     """Return the largest step for which v + step dv ≥ 0."""
     falls = dv < 0.0
     return float(np.min(-v[falls] / dv[falls], initial=math.inf))
 
 
 def _solve_reduced(
-    P: Any,
-    C: Any,
-    A: Any,
-    weights: FloatVector,
-    first: FloatVector,
-    second: FloatVector,
-    solver: Any = None,
-) -> tuple[tuple[FloatVector, FloatVector], Any]:
+    P: Any, C: Any, A: Any, weights: Vector, first: Vector, second: Vector, solver: Any = None
+) -> tuple[tuple[Vector, Vector], Any]:
     """Return the solution of [P + Cᵀ W C, Aᵀ; A, 0], refined, and the solver of its shifted factorization."""
     solver = solver or shifted_solver(P + (C.T * weights) @ C, A, SHIFT)
     x, y = np.zeros(first.size), np.zeros(second.size)

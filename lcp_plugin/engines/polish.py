@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.matrix import largest_in_rows
 from ..core.rounding import compensated_product
 from .engine import EngineAnswer, ProgramData
@@ -89,7 +89,7 @@ def polish_steps(
             yield point._replace(x=np.clip(x, lower, upper), y=signed)
 
 
-def shifted_solver(P: Any, C: Any, shift: float) -> Callable[[FloatVector], FloatVector] | None:
+def shifted_solver(P: Any, C: Any, shift: float) -> Callable[[Vector], Vector] | None:
     """Return a solver with the matrix above, by LDLᵀ if it is sparse; None if it is singular or too large.
 
     δ is `shift` times the largest entry of its row.
@@ -121,7 +121,7 @@ def shifted_solver(P: Any, C: Any, shift: float) -> Callable[[FloatVector], Floa
 
         factorize, shifted = splu, shifted + sp.triu(shifted, 1).T
     try:
-        solver: Callable[[FloatVector], FloatVector] = factorize(sp.csc_matrix(shifted)).solve
+        solver: Callable[[Vector], Vector] = factorize(sp.csc_matrix(shifted)).solve
     except RuntimeError:  # a pivot of 0, or no memory
         return None
     return solver

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.matrix import largest_in_rows, scale_by
 from .engine import EngineAnswer, ProgramData
 
@@ -34,13 +34,13 @@ class ScaledProgram(NamedTuple):
     """
 
     statement: ProgramData
-    units: FloatVector
-    rows: FloatVector
+    units: Vector
+    rows: Vector
     objective: float
 
     @classmethod
     def from_units(
-        cls, given: ProgramData, units: FloatVector, rows: FloatVector, objective: float = 1.0
+        cls, given: ProgramData, units: Vector, rows: Vector, objective: float = 1.0
     ) -> ScaledProgram:
         """Return the program scaled by these powers of two."""
         of_G, of_A = np.split(rows, [given.h.size])
@@ -71,7 +71,7 @@ class ScaledProgram(NamedTuple):
         return point._replace(x=point.x * self.units, y=point.y * (self.rows / self.objective))
 
 
-def scale_program(given: ProgramData, units: FloatVector) -> ScaledProgram:
+def scale_program(given: ProgramData, units: Vector) -> ScaledProgram:
     """Return the scaled program: x in these units, largest coefficient of each row from 1 to 2, costs about 1."""
     sizes = (
         largest_in_rows(one)
@@ -150,7 +150,7 @@ def without_far_limits(given: ProgramData) -> ProgramData:
     return given._replace(h=h, lower=lower, upper=upper)
 
 
-def _typical_size(*values: FloatVector) -> float:
+def _typical_size(*values: Vector) -> float:
     """Return the power of two near the size that most of the values do not exceed; 1 if all are 0 or infinite."""
     sizes = np.abs(np.concatenate(values))
     sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 
 EQUATION = 5  # of daqp's `sense`
@@ -88,7 +88,7 @@ class DAQP(Engine):
         upper: Any,
         items: Iterable[int],
         seconds: float = 0.0,
-    ) -> Iterator[tuple[FloatVector, FloatVector, int, int]]:
+    ) -> Iterator[tuple[Vector, Vector, int, int]]:
         """Yield x, signed multipliers of bounds and rows, daqp's exit flag and number of steps, per item of a stack.
 
         NaN if daqp has no solution, because daqp then returns uninitialized arrays.
@@ -117,7 +117,7 @@ class DAQP(Engine):
 
 def _call_daqp(
     P: Any, c: Any, C: Any, above: Any, below: Any, sense: Any, settings: dict[str, Any]
-) -> tuple[FloatVector, FloatVector, int, int]:
+) -> tuple[Vector, Vector, int, int]:
     """Return x, all multipliers, daqp's exit flag and its steps."""
     import daqp
 

@@ -31,7 +31,7 @@ import numpy as np
 from ..api import solve
 from ..core.certificates.criterion import row_data, scaled_residual
 from ..core.certificates.residuals import Certificate
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
@@ -232,7 +232,7 @@ def _keeps_claim(result: Result, ours: Certificate) -> bool:
     return bool(found.passes if result.is_solved else ours.is_at_rounding_level)
 
 
-def _largest(values: FloatVector) -> float:
+def _largest(values: Vector) -> float:
     return float(np.max(np.abs(values), initial=0.0))
 
 
@@ -301,7 +301,7 @@ class ConvexForm:
     kind: str
     evidence: str
     problem: LCP = field(repr=False)
-    weight: FloatVector = field(repr=False)
+    weight: Vector = field(repr=False)
 
     @classmethod
     def of(cls, given: LCP) -> ConvexForm:
@@ -331,7 +331,7 @@ class ConvexForm:
 
     def solve_by(
         self, name: str, max_seconds: float, **options: Any
-    ) -> tuple[FloatVector | None, float, str]:
+    ) -> tuple[Vector | None, float, str]:
         """Return z or None, seconds with cvxpy's part, and cvxpy's status or the message of an exception."""
         limit = {TIME_LIMITS[name]: max_seconds} if name in TIME_LIMITS else {}
         solver = CvxpySolver(**limit | options)
@@ -363,7 +363,7 @@ class ConvexForm:
         words = "within the residuals and the conditioning of M"
         return facts, f"z differs by {facts['difference_z']:.1e}, {words}"
 
-    def _residual(self, y: FloatVector, w: FloatVector) -> float:
+    def _residual(self, y: Vector, w: Vector) -> float:
         """Return ‖r(y)‖ with d = 1, rounding included."""
         data, scale = row_data(self.problem), np.ones(y.size)
         floor = data.rounding_floor(data.rows(y).terms, scale)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.errors import InvalidOption, LCPError, UnsuitableProblem
 from ..core.representation import format_count
 from ..core.solving.result import BaseResult, Result
@@ -276,7 +276,7 @@ def _plotted(answer: Any, frame: Frame, axes: Any, new: Callable[..., Any]) -> A
     return every[0]
 
 
-def _bounds(answer: Any) -> tuple[FloatVector, FloatVector]:
+def _bounds(answer: Any) -> tuple[Vector, Vector]:
     problem: Any = getattr(answer, "problem", None)
     if problem is None:
         problem = answer.certificate.problem if isinstance(answer, Result) else answer

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from ..core.certificates.residuals import Certificate
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows
@@ -49,12 +49,12 @@ class FreeBoundary:
         Numbers of nodes in the plane; no row in one dimension.
     """
 
-    level: FloatVector
-    points: FloatVector
+    level: Vector
+    points: Vector
     triangles: np.ndarray[Any, Any]
 
     @property
-    def positions(self) -> FloatVector:
+    def positions(self) -> Vector:
         """Points in one dimension at which φ changes sign, rising, shape (k,)."""
         if self.points.ndim != 1:
             raise InvalidOption(
@@ -66,7 +66,7 @@ class FreeBoundary:
         return x[k] + (x[k + 1] - x[k]) * level[k] / (level[k] - level[k + 1])
 
     @property
-    def segments(self) -> FloatVector:
+    def segments(self) -> Vector:
         """Endpoints of the boundary's segments in the plane, one per triangle, shape (k, 2, 2)."""
         level, points = self.level[self.triangles], self.points[self.triangles]
         inside = level < 0.0
@@ -112,7 +112,7 @@ class FreeBoundary:
             axes.tricontour(*self.points.T, self.triangles, self.level, levels=[0.0], **look)
 
 
-def contact_level(problem: LCP, z: FloatVector, w: FloatVector) -> FloatVector:
+def contact_level(problem: LCP, z: Vector, w: Vector) -> Vector:
     """Return φ of the head of this module, shape (n,): of the bound that is nearest in its sense."""
     M = problem.csr
     rows = np.repeat(np.arange(problem.n), np.diff(M.indptr))
@@ -193,9 +193,7 @@ def free_boundary(
     return FreeBoundary(level, points, triangles)
 
 
-def _nodes(
-    n: int, coordinates: Any, shape: Any, mesh: Any
-) -> tuple[FloatVector, np.ndarray[Any, Any]]:
+def _nodes(n: int, coordinates: Any, shape: Any, mesh: Any) -> tuple[Vector, np.ndarray[Any, Any]]:
     """Return the points of the unknowns and the triangles between them."""
     if mesh is not None:
         points, triangles = np.asarray(mesh[0], dtype=float), np.asarray(mesh[1])

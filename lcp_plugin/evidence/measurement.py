@@ -18,7 +18,7 @@ from ..api import solve
 from ..auto import method_of
 from ..core.algorithm import Algorithm
 from ..core.certificates.residuals import Certificate
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.errors import InvalidOption, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.settings import Status
@@ -38,7 +38,7 @@ FAMILIES = {
 }
 PAPER_RELAXATION, PAPER_MSOR = 1.7, 0.85
 
-Measure = Callable[[FloatVector], tuple[float, float]]
+Measure = Callable[[Vector], tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class Measurement:
     status: str
     error_kind: str
     tolerance: float
-    points: FloatVector = field(default_factory=lambda: np.zeros((0, len(POINT))))
+    points: Vector = field(default_factory=lambda: np.zeros((0, len(POINT))))
     note: str = ""
 
     @property
@@ -100,9 +100,9 @@ class Measurement:
         """True if the tolerance was reached."""
         return self.status == "SOLVED"
 
-    def column(self, name: str) -> FloatVector:
+    def column(self, name: str) -> Vector:
         """Return a column of `points` by name, shape (k,)."""
-        column: FloatVector = self.points[:, POINT.index(name)]
+        column: Vector = self.points[:, POINT.index(name)]
         return column
 
     def last(self, name: str) -> float:
@@ -147,11 +147,7 @@ def fresh(problem: LCP) -> LCP:
 
 
 def run(
-    problem: LCP,
-    algorithm: str | Algorithm,
-    measure: Measure,
-    z0: FloatVector | None,
-    **limits: Any,
+    problem: LCP, algorithm: str | Algorithm, measure: Measure, z0: Vector | None, **limits: Any
 ) -> tuple[Result, list[tuple[float, ...]]]:
     """Return a result and its samples (iteration, work, seconds, error, residual) at geometric intervals.
 
@@ -163,7 +159,7 @@ def run(
     samples: list[tuple[float, ...]] = []
     due = 0
 
-    def record(sample: Sample, z: FloatVector) -> bool:
+    def record(sample: Sample, z: Vector) -> bool:
         nonlocal due
         if sample.iteration >= due:
             # The iterations of two samples have this ratio
@@ -182,7 +178,7 @@ def run(
 
 def measure_method(
     scene: Scene, method: Method, measure: Measure, repeats: int, **limits: Any
-) -> tuple[str, FloatVector]:
+) -> tuple[str, Vector]:
     """Return the status and the iterates of a method; a first run of three steps compiles its kernels.
 
     Errors come from the first run, seconds are the median and quartiles of all at iterations that all have reached.
@@ -206,7 +202,7 @@ def measure_method(
 
 def measure_polish(
     scene: Scene, method: Method, measure: Measure, **limits: Any
-) -> tuple[str, FloatVector] | None:
+) -> tuple[str, Vector] | None:
     """Return the status and the point of a run that ends with a polish; None if it makes none."""
     result, _ = run(scene.problem, method.algorithm, _unmeasured, scene.start, **limits)
     if not result.is_polished:
@@ -215,7 +211,7 @@ def measure_polish(
     return result.status.name, np.array([point])
 
 
-def _unmeasured(z: FloatVector) -> tuple[float, float]:
+def _unmeasured(z: Vector) -> tuple[float, float]:
     return math.nan, math.nan
 
 
@@ -230,7 +226,7 @@ def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
     solution by "auto".
     """
     problem, reason = fresh(scene.problem), ""
-    error: Callable[[FloatVector], float] | None = None
+    error: Callable[[Vector], float] | None = None
     if scene.exact is not None:
         exact = scene.exact
         kind, error = TRUE_ERROR, lambda z: float(np.abs(z - exact).max(initial=0.0))
@@ -240,7 +236,7 @@ def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
         error, reason = _error_bound(problem, scene.start, max_seconds)
         kind = RESIDUAL if error is None else BOUND
 
-    def measure(z: FloatVector) -> tuple[float, float]:
+    def measure(z: Vector) -> tuple[float, float]:
         residual = Certificate.of(problem, z).relative_residual
         return residual if error is None else error(z), residual
 
@@ -248,8 +244,8 @@ def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
 
 
 def _error_bound(
-    problem: LCP, start: FloatVector | None, max_seconds: float
-) -> tuple[Callable[[FloatVector], float] | None, str]:
+    problem: LCP, start: Vector | None, max_seconds: float
+) -> tuple[Callable[[Vector], float] | None, str]:
     from ..proofs.bounds import error_bound
 
     try:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.errors import UnsuitableProblem
 from ..core.lcp import LCP
 from ..core.matrix import scale_by
@@ -53,8 +53,8 @@ class StressCase:
 
     stress: str
     problem: LCP = field(repr=False)
-    near: Sequence[float] | FloatVector | None = field(default=None, repr=False)
-    start: FloatVector | None = field(default=None, repr=False)
+    near: Sequence[float] | Vector | None = field(default=None, repr=False)
+    start: Vector | None = field(default=None, repr=False)
     unit: Any = field(default=1.0, repr=False)
     has_line: bool = False
 
@@ -71,9 +71,7 @@ def grid(
     return stencil_matrix((size, size), centre, below, above)
 
 
-def pattern(
-    n: int, *, active: float = 0.5, degenerate: float = 0.0
-) -> tuple[FloatVector, FloatVector]:
+def pattern(n: int, *, active: float = 0.5, degenerate: float = 0.0) -> tuple[Vector, Vector]:
     """Return complementary integer vectors z, w with these shares of active and, among them, degenerate rows."""
     generator = np.random.default_rng(0)
     z, w = generator.integers(1, LARGEST_INTEGER + 1, size=(2, n)).astype(np.float64)
@@ -85,7 +83,7 @@ def pattern(
     return z, w
 
 
-def planted(stress: str, M: Any, z: FloatVector, w: FloatVector, **facts: Any) -> StressCase:
+def planted(stress: str, M: Any, z: Vector, w: Vector, **facts: Any) -> StressCase:
     """Return the case with q = w − M z, each entry rounded once; the exact answer then belongs to the rounded q."""
     unrounded = exact_slack(LCP(M, np.zeros(z.size)), z)
     q = [
@@ -362,7 +360,7 @@ def exact_answer(problem: LCP, guess: Any) -> ExactPoint:
 
 
 def relative_error(
-    z: FloatVector, exact: ExactPoint, unit: float | FloatVector, *, has_line: bool = False
+    z: Vector, exact: ExactPoint, unit: float | Vector, *, has_line: bool = False
 ) -> float:
     """Return max_i |z_i − z*_i|/unit_i over max_i |z*_i|/unit_i, exact up to the last rounding; ∞ for x/0.
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..core.executors import run_on
 from ..core.lcp import LCP
@@ -183,7 +183,7 @@ class Study:
             tables.append(Table(f"{problem}: {VALUES[value]}", heads, lines))
         return tables
 
-    def profile(self, by: str = "work") -> dict[str, FloatVector]:
+    def profile(self, by: str = "work") -> dict[str, Vector]:
         """Return Dolan and Moré's performance profile: the sorted ratios to the least "work" or "seconds" per problem.
 
         The share of problems that a method solves within a ratio is ``(ratios <= ratio).mean()``. The ratio is ∞ if the
@@ -368,7 +368,7 @@ def _draw_sizes(axes: Any, rows: Sequence[Measurement], view: str, looks: Any) -
         draw_curve(axes, n, y, method, looks[method])
 
 
-def _draw_profile(axes: Any, profile: dict[str, FloatVector], by: str, looks: Any) -> None:
+def _draw_profile(axes: Any, profile: dict[str, Vector], by: str, looks: Any) -> None:
     """Draw the share of problems that each method solves within a ratio to the least cost."""
     finite = {label: ratios[np.isfinite(ratios)] for label, ratios in profile.items()}
     end = 1.1 * max(2.0, *(ratio for ratios in finite.values() for ratio in ratios[-1:]))
@@ -611,7 +611,7 @@ def _measurements(
 
 
 def _row(
-    blank: Measurement, method: Method, status: str, points: FloatVector = NO_POINTS, note: str = ""
+    blank: Measurement, method: Method, status: str, points: Vector = NO_POINTS, note: str = ""
 ) -> Measurement:
     label, family = method.label, method.family
     return replace(blank, method=label, family=family, status=status, points=points, note=note)

@@ -23,7 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from . import functions
 from .functions import Function
 
@@ -48,7 +48,7 @@ class Rows:
     """
 
     blocks: dict[int, Block]
-    offset: FloatVector
+    offset: Vector
     shape: tuple[int, ...]
     level: int = 0
 
@@ -180,7 +180,7 @@ def stacked(parts: Sequence[Rows]) -> Rows:
 
 def assembled(
     parts: Sequence[Rows], first: Mapping[int, int], count: int
-) -> tuple[sp.csr_array, FloatVector]:
+) -> tuple[sp.csr_array, Vector]:
     """Return matrix and offset of rows one below the other, over numbered entries of the sources.
 
     Parameters
@@ -372,11 +372,11 @@ class Combination:
     """
 
     matrix: sp.csr_array
-    offset: FloatVector
+    offset: Vector
 
-    def __call__(self, quantities: FloatVector) -> FloatVector:
+    def __call__(self, quantities: Vector) -> Vector:
         """Return the combinations of these quantities."""
-        values: FloatVector = self.matrix @ quantities
+        values: Vector = self.matrix @ quantities
         values += self.offset
         return values
 
@@ -400,14 +400,14 @@ class Level:
         """The number of functions."""
         return int(self.arguments[0].offset.size)
 
-    def values(self, arguments: list[FloatVector]) -> FloatVector:
+    def values(self, arguments: list[Vector]) -> Vector:
         """Return the values of the functions at the first and the second arguments."""
         result = np.empty_like(arguments[0])
         for function, span in self.spans:
             result[span] = function.value(*(u[span] for u in arguments[: function.arguments]))
         return result
 
-    def derivatives(self, arguments: list[FloatVector]) -> list[FloatVector]:
+    def derivatives(self, arguments: list[Vector]) -> list[Vector]:
         """Return the derivatives by the first and by the second arguments."""
         found = [np.empty_like(u) for u in arguments]
         for function, span in self.spans:
@@ -475,17 +475,17 @@ class Program:
         """The number of results."""
         return int(self.result.offset.size)
 
-    def rearranged(self, places: Indices, signs: FloatVector) -> Program:
+    def rearranged(self, places: Indices, signs: Vector) -> Program:
         """Return the program whose result k is signs[k] times the result places[k] of this one."""
         matrix = sp.csr_array(sp.diags_array(signs) @ self.result.matrix[places])
         return Program(self.n, self.levels, Combination(matrix, signs * self.result.offset[places]))
 
-    def value(self, x: FloatVector) -> FloatVector:
+    def value(self, x: Vector) -> Vector:
         """Return F(x), shape (m,)."""
         with np.errstate(all="ignore"):
             return self.result(self._swept(x)[0])
 
-    def jacobian(self, x: FloatVector) -> sp.csr_array:
+    def jacobian(self, x: Vector) -> sp.csr_array:
         """Return F′(x) as CSR, shape (m, n)."""
         with np.errstate(all="ignore"):
             known = sp.eye_array(self.n, format="csr")  # of all quantities so far
@@ -496,7 +496,7 @@ class Program:
                 known = sp.vstack([known, own @ known], format="csr")
             return sp.csr_array(self.result.matrix @ known)
 
-    def gradient(self, x: FloatVector, by_result: FloatVector) -> FloatVector:
+    def gradient(self, x: Vector, by_result: Vector) -> Vector:
         """Return F′(x)ᵀ by_result without the Jacobian."""
         with np.errstate(all="ignore"):
             arguments, total = self._swept(x)[1], np.zeros(self._count)
@@ -512,7 +512,7 @@ class Program:
     def _count(self) -> int:
         return int(self.result.matrix.shape[1])
 
-    def _swept(self, x: FloatVector) -> tuple[FloatVector, list[list[FloatVector]]]:
+    def _swept(self, x: Vector) -> tuple[Vector, list[list[Vector]]]:
         """Return all quantities, and the arguments of each level."""
         quantities, arguments = np.zeros(self._count), []  # a level takes none that come after it
         quantities[: self.n] = x
@@ -545,7 +545,7 @@ def _combination(rows: Sequence[Rows], first: Mapping[int, int], count: int) -> 
 
 
 def _weighted(
-    arguments: Sequence[Combination], slopes: Sequence[FloatVector], size: int, width: int
+    arguments: Sequence[Combination], slopes: Sequence[Vector], size: int, width: int
 ) -> sp.csr_array:
     """Return Σ slope · matrix over the arguments, their first columns; 0 times an infinite slope is NaN."""
     parts = [

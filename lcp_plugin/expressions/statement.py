@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..auto import solve_lcp
 from ..core.certificates.criterion import row_data
-from ..core.checks import BoolVector, FloatVector
+from ..core.checks import BoolVector, Vector
 from ..core.errors import InvalidOption, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows
@@ -60,19 +60,19 @@ class Elimination:
 
     kept: NDArray[np.int64]
     expansion: sp.csr_array | None
-    offset: FloatVector
+    offset: Vector
     rows: NDArray[np.int64]
     columns: NDArray[np.int64]
 
-    def expand(self, z: FloatVector) -> FloatVector:
+    def expand(self, z: Vector) -> Vector:
         """Return all unknowns."""
         return z if self.expansion is None else self.expansion @ z + self.offset
 
-    def expand_change(self, dz: FloatVector) -> FloatVector:
+    def expand_change(self, dz: Vector) -> Vector:
         """Return the change of all unknowns."""
         return dz if self.expansion is None else self.expansion @ dz
 
-    def expand_slack(self, w: FloatVector) -> FloatVector:
+    def expand_slack(self, w: Vector) -> Vector:
         """Return w with 0 for the unknowns that belong to an equation."""
         whole = np.zeros(self.offset.size)
         whole[self.kept] = w
@@ -80,7 +80,7 @@ class Elimination:
 
 
 #: matrix · (all unknowns) + offset.
-Affine = tuple[sp.csr_array, FloatVector]
+Affine = tuple[sp.csr_array, Vector]
 
 
 def eliminate_definitions(
@@ -139,9 +139,7 @@ def eliminate_definitions(
     )
 
 
-def put_in(
-    matrix: sp.csr_array, offset: FloatVector, columns: Indices
-) -> tuple[sp.csr_array, FloatVector]:
+def put_in(matrix: sp.csr_array, offset: Vector, columns: Indices) -> tuple[sp.csr_array, Vector]:
     """Return R and r of the substitution z ← R z + r that solves matrix · z + offset = 0 for the columns' unknowns.
 
     Parameters
@@ -163,8 +161,8 @@ def put_in(
 
 
 def put_in_all(
-    matrix: sp.csr_array, offset: FloatVector, definitions: Indices, columns: Indices
-) -> tuple[sp.csr_array, FloatVector]:
+    matrix: sp.csr_array, offset: Vector, definitions: Indices, columns: Indices
+) -> tuple[sp.csr_array, Vector]:
     """Return rows matrix · z + offset without the unknowns in the columns; the rows `definitions` = 0 define them.
 
     Definitions may depend on each other in any order without cycles. A chain takes as many products of matrices as its
@@ -247,7 +245,7 @@ def matching(block: sp.csr_array) -> Indices:
 
 def matched_for_monotony(
     equations: sp.csr_array, pairs: sp.csr_array, paired: Indices, free: Indices
-) -> tuple[Indices, FloatVector]:
+) -> tuple[Indices, Vector]:
     """Return for each equation the place in `free` of the unknown it goes with, and the sign of its row.
 
     Parameters
@@ -276,7 +274,7 @@ def matched_for_monotony(
     return order, np.where(signs == 0.0, 1.0, signs)
 
 
-def _row_dots(first: sp.csr_array, second: sp.csr_array) -> FloatVector:
+def _row_dots(first: sp.csr_array, second: sp.csr_array) -> Vector:
     """Return the dot products of the rows of two matrices."""
     return np.asarray(first.multiply(second).sum(axis=1), dtype=np.float64).ravel()
 
@@ -314,8 +312,8 @@ class StatedRows:
     """
 
     rows: Rows
-    low: FloatVector
-    high: FloatVector
+    low: Vector
+    high: Vector
     origin: Any = None
     sign: Any = 1.0
     z: Any = None
@@ -348,13 +346,11 @@ class SquareModel:
     elimination: Elimination
     stored: tuple[sp.csr_array, sp.csr_array]
     places: Indices
-    signs: FloatVector
+    signs: Vector
     matched: Indices
     dropped: Indices
 
-    def first_mismatch(
-        self, z: FloatVector, w: FloatVector, values: FloatVector
-    ) -> tuple[int, float] | None:
+    def first_mismatch(self, z: Vector, w: Vector, values: Vector) -> tuple[int, float] | None:
         """Return the first row that the language evaluates otherwise than it was computed, and the computed value.
 
         Parameters
@@ -407,8 +403,8 @@ class Statement:
         self,
         compiler: Compiler,
         first: Mapping[int, int],
-        lower: FloatVector,
-        upper: FloatVector,
+        lower: Vector,
+        upper: Vector,
         name: Callable[[int], str],
         integers: Any = (),
     ) -> None:
@@ -441,7 +437,7 @@ class Statement:
         self.is_paired[z] = True
         self.pairs.append(StatedRows(w, zero + low, zero + high, origin, zero + sign, z, name=name))
 
-    def entries(self, rows: Rows) -> tuple[Indices, FloatVector, FloatVector] | None:
+    def entries(self, rows: Rows) -> tuple[Indices, Vector, Vector] | None:
         """Return columns, weights and constants of rows weights · distinct unknowns + constants, or None."""
         if rows.level or rows.terms != rows.size:
             return None
@@ -604,7 +600,7 @@ class Statement:
                     )
         return ""
 
-    def _bounds_of_pairs(self) -> tuple[FloatVector, FloatVector]:
+    def _bounds_of_pairs(self) -> tuple[Vector, Vector]:
         """Return the bounds of all unknowns; raise UnsupportedModel if a pair has wider ones than its unknown."""
         lower, upper = self.lower.copy(), self.upper.copy()
         for pair in self.pairs:
@@ -631,7 +627,7 @@ class Statement:
             high[columns[(sign < 0.0) & (high[columns] >= -shift / weights)]] = np.inf
         return free[np.isfinite(low[free]) | np.isfinite(high[free])]
 
-    def is_outside(self, unknowns: FloatVector, columns: Indices) -> BoolVector:
+    def is_outside(self, unknowns: Vector, columns: Indices) -> BoolVector:
         """Return True for each unknown of the columns that violates its bounds."""
         beyond = np.maximum(self.lower - unknowns, unknowns - self.upper)[columns]
         return ~(beyond <= OUTSIDE * (1.0 + np.abs(unknowns[columns])))
@@ -675,7 +671,7 @@ class Statement:
             return self.named(pair.rows, pair.origin, pair.sign)
         return found[0]
 
-    def quadratic(self, goal: Rows) -> tuple[sp.csr_array, FloatVector, float] | None:
+    def quadratic(self, goal: Rows) -> tuple[sp.csr_array, Vector, float] | None:
         """Return P, c, r where the objective is ½ xᵀP x + cᵀx + r, None if it is something else."""
         n, goal = self.lower.size, self._without_copies(goal)
         c, shift = np.zeros(n), float(goal.offset[0])
@@ -731,17 +727,17 @@ def name_of_row(
     return ""
 
 
-def _stacked(stated: list[StatedRows], *names: str) -> list[FloatVector]:
+def _stacked(stated: list[StatedRows], *names: str) -> list[Vector]:
     """Return these attributes of all rows, concatenated."""
     return [
         np.concatenate([*(getattr(one, name) for one in stated), np.zeros(0)]) for name in names
     ]
 
 
-def _generic_point(lower: FloatVector, upper: FloatVector) -> FloatVector:
+def _generic_point(lower: Vector, upper: Vector) -> Vector:
     """Return a point within the bounds, of different entries near 1, at which no slope is 0 by chance."""
     near = np.random.default_rng(0).uniform(0.9, 1.1, lower.size)
-    x: FloatVector = np.clip(near, lower, upper)
+    x: Vector = np.clip(near, lower, upper)
     return np.where(x == 0.0, -near, x)
 
 
@@ -753,13 +749,8 @@ def _filled(derivative: sp.csr_array) -> sp.csr_array:
 
 
 def _arranged(
-    M: sp.csr_array,
-    q: FloatVector,
-    E: sp.csr_array,
-    e: FloatVector,
-    places: Indices,
-    signs: FloatVector,
-) -> tuple[sp.csr_array, FloatVector]:
+    M: sp.csr_array, q: Vector, E: sp.csr_array, e: Vector, places: Indices, signs: Vector
+) -> tuple[sp.csr_array, Vector]:
     """Return the rows in order, with their signs; the user's matrix is not copied if unchanged."""
     if e.size:
         M, q = sp.csr_array(sp.vstack([M, E], format="csr")), np.append(q, e)
@@ -769,7 +760,7 @@ def _arranged(
 
 
 def solve_from(
-    problem: LCP | NonlinearProblem | Blocks, start: FloatVector | None, options: dict[str, Any]
+    problem: LCP | NonlinearProblem | Blocks, start: Vector | None, options: dict[str, Any]
 ) -> Result:
     """Return the answer to a problem that a model became.
 

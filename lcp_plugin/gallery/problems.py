@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.lcp import LCP
 from ..problems.reformulations import lcp_from_bimatrix_game
 from .scene import SYMMETRIC, Scene, require, scene_builder
@@ -137,7 +137,7 @@ def pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0, **facts: Any
     axis = nodes(0.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
     force: Field = 10.0 * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
-    q: FloatVector = (-scale / (size + 1) ** 2 * force).ravel()
+    q: Vector = (-scale / (size + 1) ** 2 * force).ravel()
     return Scene(
         problem=LCP(M, q),
         coordinates=(axis, axis),
@@ -305,11 +305,11 @@ def bimatrix_game(*, game: str = "battle_of_the_sexes") -> Scene:
     return Scene(problem=problem, exact=exact, is_symmetric=np.array_equal(M, M.T))
 
 
-def _scaled(M: NDArray[np.float64], row: list[float], column: list[float]) -> FloatVector:
+def _scaled(M: NDArray[np.float64], row: list[float], column: list[float]) -> Vector:
     """Return (x, y) with the smallest cost of either player scaled to 1."""
     m = len(row)
     x, y = np.array(row, dtype=np.float64), np.array(column, dtype=np.float64)
-    answer: FloatVector = np.concatenate([x / np.min(M[m:, :m] @ x), y / np.min(M[:m, m:] @ y)])
+    answer: Vector = np.concatenate([x / np.min(M[m:, :m] @ x), y / np.min(M[:m, m:] @ y)])
     return answer
 
 
@@ -436,7 +436,7 @@ def binomial_put(
     volatility: float,
     maturity: float,
     steps: int = 1000,
-) -> FloatVector:
+) -> Vector:
     """Return American put prices from a binomial tree.
 
     Parameters
@@ -666,14 +666,14 @@ def _random_dominant(generator: Any, n: int, entries_per_row: int) -> sp.csr_arr
     columns = (rows + generator.integers(1, n, size=count)) % n
     signs, sizes = generator.choice([-1.0, 1.0], count), generator.integers(1, 10, count)
     others = sp.csr_array((signs * sizes, (rows, columns)), shape=(n, n))
-    row_sums: FloatVector = np.asarray(abs(others).sum(axis=1), dtype=np.float64)
+    row_sums: Vector = np.asarray(abs(others).sum(axis=1), dtype=np.float64)
     diagonal = row_sums + generator.integers(1, LARGEST_ENTRY + 1, size=n)
     matrix = (others + sp.diags_array(diagonal)).tocsr()
     matrix.eliminate_zeros()
     return matrix
 
 
-def _random_answer(generator: Any, n: int, active_share: float) -> tuple[FloatVector, FloatVector]:
+def _random_answer(generator: Any, n: int, active_share: float) -> tuple[Vector, Vector]:
     """Return complementary integer vectors ẑ, ŵ; a tenth of the zeros of ẑ are zeros of ŵ."""
     order = generator.permutation(n)
     active = order[: round(active_share * n)]

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import FloatVector, read_only
+from ..core.checks import Vector, read_only
 from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
 from ..core.settings import parse_options
@@ -79,20 +79,20 @@ class Scene:
     name: str = ""
     description: str = ""
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    exact: FloatVector | None = None
-    continuum: FloatVector | None = None
-    start: FloatVector | None = None
+    exact: Vector | None = None
+    continuum: Vector | None = None
+    start: Vector | None = None
     is_symmetric: bool = False
     is_h_plus: bool = False
     is_declared: bool = True
     active_share: float | None = None
     grid: tuple[int, ...] | None = None
-    coordinates: tuple[FloatVector, ...] | None = None
+    coordinates: tuple[Vector, ...] | None = None
     axis_labels: tuple[str, ...] = ()
     unknown: str = "z"
     active_means: str = "at a bound"
     steps: int = 1
-    advance: Callable[[FloatVector], FloatVector] | None = None
+    advance: Callable[[Vector], Vector] | None = None
 
     def __post_init__(self) -> None:
         for fact in ("exact", "continuum", "start"):

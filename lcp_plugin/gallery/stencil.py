@@ -9,14 +9,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 
 Field = NDArray[np.float64]
 Coefficient = float | Field
 Legs = tuple[list[Coefficient], list[Coefficient]]  # below and above, one coefficient per axis
 
 
-def nodes(low: float, high: float, size: int) -> FloatVector:
+def nodes(low: float, high: float, size: int) -> Vector:
     """Return `size` equidistant nodes inside [low, high] and its endpoints, shape (size + 2,)."""
     return np.linspace(low, high, size + 2)
 
@@ -101,7 +101,7 @@ def upwind(diffusion: float, wind: Sequence[Coefficient]) -> Legs:
 
 def dirichlet_terms(
     field: Field, below: Sequence[Coefficient], above: Sequence[Coefficient]
-) -> FloatVector:
+) -> Vector:
     """Return the terms that known values on the boundary layer add to each row of the stencil, shape (n,).
 
     Parameters

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.errors import InvalidOption, LCPError, UnreadableFile
 
 if TYPE_CHECKING:
@@ -393,7 +393,7 @@ def _archive(source: Path) -> Iterator[Any]:
             ) from error
 
 
-def flat(values: Any) -> FloatVector:
+def flat(values: Any) -> Vector:
     """Return a row or a column as a vector."""
-    dense: FloatVector = np.asarray(values.toarray() if sp.issparse(values) else values)
+    dense: Vector = np.asarray(values.toarray() if sp.issparse(values) else values)
     return dense.reshape(-1) if 1 in dense.shape else dense

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.deadline import seconds_left
 from ..core.errors import UnsupportedModel
 from ..core.matrix import entries_of_row
@@ -68,7 +68,7 @@ class ScipAnswer(NamedTuple):
     """
 
     status: str
-    x: FloatVector | None
+    x: Vector | None
     value: float
     bound: float
     nodes: int
@@ -311,7 +311,7 @@ class _Model:
         for i, cases in enumerate(self.problem.all_cases.tolist()):
             self._pair(i, cases)
 
-    def _constrain(self, terms: list[Any], low: FloatVector, high: FloatVector) -> None:
+    def _constrain(self, terms: list[Any], low: Vector, high: Vector) -> None:
         for term, least, most in zip(terms, low.tolist(), high.tolist(), strict=True):
             if least == most:
                 self.model.addCons(term == most)
@@ -340,7 +340,7 @@ class _Model:
 
     # --- expressions ---
 
-    def _sums(self, matrix: Any, quantities: list[Any], offset: FloatVector) -> list[Any]:
+    def _sums(self, matrix: Any, quantities: list[Any], offset: Vector) -> list[Any]:
         """Return each row times the quantities, plus the offset."""
         rows, found = sp.csr_array(matrix), []
         for k, shift in enumerate(offset.tolist()):

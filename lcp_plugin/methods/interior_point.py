@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm, Step
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.deadline import require_seconds, seconds_left
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, equation_signs, fact, is_nearly_symmetric, row_numbers
@@ -69,7 +69,7 @@ class InteriorPoint(Algorithm):
     is_monotone: ClassVar[bool] = False
     ends_on_active_set: ClassVar[bool] = True
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, and the point of PIQP after the solution of the system of its active set."""
         z = np.clip(z0, problem.lower, problem.upper)
         yield Step(z, work=1.0)
@@ -102,7 +102,7 @@ class InteriorPoint(Algorithm):
                 return
 
 
-def _cases(problem: LCP, z: FloatVector, most: int) -> Iterator[Step]:
+def _cases(problem: LCP, z: Vector, most: int) -> Iterator[Step]:
     """Yield the solution for the active set of z, then for the active set of this solution, while they are new."""
     system, tried = None, set[bytes]()
     for _ in range(most):
@@ -140,7 +140,7 @@ class MonotoneProgram:
     size: float
     unknowns: Any
     multipliers: Any
-    anchor: FloatVector
+    anchor: Vector
 
     @classmethod
     def of(cls, problem: LCP) -> MonotoneProgram:
@@ -173,7 +173,7 @@ class MonotoneProgram:
         }
         return cls(problem, statement._replace(**vectors), size, kept[x], multipliers, anchor)
 
-    def answer(self, engine: Engine) -> tuple[FloatVector, int]:
+    def answer(self, engine: Engine) -> tuple[Vector, int]:
         """Return z within its bounds, NaN if the engine found none, and its steps.
 
         The engine sees x in a unit in which costs are as large as coefficients.
@@ -193,7 +193,7 @@ class MonotoneProgram:
             z[self.multipliers] = self.anchor[self.multipliers] + self._signed(point.y) * self.size
         return np.clip(z, self.problem.lower, self.problem.upper), point.iterations
 
-    def _signed(self, of_rows: FloatVector) -> FloatVector:
+    def _signed(self, of_rows: Vector) -> Vector:
         lower, upper = self.problem.lower[self.multipliers], self.problem.upper[self.multipliers]
         is_equation, y = ~np.isfinite(lower) & ~np.isfinite(upper), np.empty(lower.size)
         y[is_equation] = of_rows[self.statement.h.size :]
@@ -218,9 +218,9 @@ class ZeroSumGame(NamedTuple):
     """
 
     is_row: Any
-    K: FloatVector
-    L: FloatVector
-    losses: FloatVector
+    K: Vector
+    L: Vector
+    losses: Vector
 
     @classmethod
     def of(cls, problem: LCP) -> ZeroSumGame | None:
@@ -249,7 +249,7 @@ class ZeroSumGame(NamedTuple):
         losses -= losses.mean()
         return cls(is_row, K, L, losses / np.abs(losses).max())
 
-    def answer(self, engine: Engine) -> tuple[FloatVector, int]:
+    def answer(self, engine: Engine) -> tuple[Vector, int]:
         """Return z, NaN if the engine found none, and its steps."""
         m, k = self.losses.shape
         statement = ProgramData(
@@ -275,14 +275,7 @@ def _largest(*parts: Any) -> float:
 
 
 def _stated(
-    P: Any,
-    c: FloatVector,
-    R: Any,
-    q: FloatVector,
-    low: FloatVector,
-    high: FloatVector,
-    lower: FloatVector,
-    upper: FloatVector,
+    P: Any, c: Vector, R: Any, q: Vector, low: Vector, high: Vector, lower: Vector, upper: Vector
 ) -> ProgramData:
     """Return the statement with lower ≤ x ≤ upper, of rows whose multipliers are between `low` and `high`."""
     below, above = np.isfinite(low), np.isfinite(high)
@@ -327,7 +320,7 @@ def with_signed_equations(problem: LCP) -> LCP:
 
 
 @fact
-def signs_of(matrix: Matrix) -> FloatVector | None:
+def signs_of(matrix: Matrix) -> Vector | None:
     """Return signs s, shape (n,), with diag(s) M symmetric to rounding and 0 between negative signs, or None.
 
     Examples
@@ -371,7 +364,7 @@ def signs_of(matrix: Matrix) -> FloatVector | None:
     return np.where(one | (~other & (part[:n] <= part[n:])), 1.0, -1.0)
 
 
-def _may_have_signs(M: FloatVector) -> bool:
+def _may_have_signs(M: Vector) -> bool:
     """Return False if two entries of a dense M have no common signs, or two rows with positive signs are opposite."""
     size = SAME * np.abs(M)
     is_same, is_opposite = np.abs(M - M.T) <= size, np.abs(M + M.T) <= size

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.algorithm import Step, check_positive, require_positive_diagonal
-from ..core.checks import FloatVector, is_number, vector_option
+from ..core.checks import Vector, is_number, vector_option
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.lcp import LCP
 from ..core.matrix import MODULUS, IterationFacts, inverse_residual_scale
@@ -72,7 +72,7 @@ class ModulusBased(Splitting):
             omega=self._omega(problem, diagonal),
         )
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""
         from ..core.kernels.splitting_sweeps import modulus_sweep
 
@@ -86,7 +86,7 @@ class ModulusBased(Splitting):
         rows = np.column_stack([q, problem.lower, inverse_scale, omega, inverse_pivot])
         yield from self.swept(problem, modulus_sweep, rows, weights, z0 - problem.lower, z=z0)
 
-    def _omega(self, problem: LCP, diagonal: FloatVector) -> FloatVector:
+    def _omega(self, problem: LCP, diagonal: Vector) -> Vector:
         if self._has_one_omega:
             return float(self.omega) * diagonal  # type: ignore[arg-type]
         need = f"{self.name}: omega must be a positive multiple of the diagonal, or a vector of length {problem.n}"

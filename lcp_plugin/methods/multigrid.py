@@ -60,7 +60,7 @@ from ..core.algorithm import (
     check_positive,
     require_positive_diagonal,
 )
-from ..core.checks import FloatVector, read_only
+from ..core.checks import Vector, read_only
 from ..core.errors import InvalidOption
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
@@ -173,7 +173,7 @@ class Multigrid(Algorithm):
             return None
         return "M is symmetric positive definite: the safeguard lets no energy rise for good (Gräser, Kornhuber 2009)"
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, then z after each sweep that follows a correction on the finest grid."""
         require_positive_diagonal(problem, self.name)
 
@@ -197,14 +197,14 @@ class Safeguard:
         Largest scaled residual of the iterate.
     """
 
-    def __init__(self, problem: LCP, is_symmetric: bool, z: FloatVector, residual: float) -> None:
+    def __init__(self, problem: LCP, is_symmetric: bool, z: Vector, residual: float) -> None:
         self.problem, self.is_symmetric = problem, is_symmetric
         self.z, self.residual, self.least = z.copy(), residual, residual
         self.idle, self.failed_rounds, self._least_of_round = 0, 0, np.inf
-        self._slack: FloatVector | None = None
+        self._slack: Vector | None = None
         self._products = 0
 
-    def is_out_of_hand(self, z: FloatVector, residual: float) -> bool:
+    def is_out_of_hand(self, z: Vector, residual: float) -> bool:
         """Return whether z is not finite, or its residual is much larger and its energy has not fallen."""
         if not np.isfinite(z).all():  # a NaN is left out of the largest residual
             return True
@@ -212,7 +212,7 @@ class Safeguard:
             return False
         return not (self.is_symmetric and np.isfinite(residual) and self._energy_change(z)[0] < 0.0)
 
-    def lets_pass(self, z: FloatVector, residual: float) -> bool:
+    def lets_pass(self, z: Vector, residual: float) -> bool:
         """Return whether the run may continue from z, which is accepted if it has gained enough."""
         self.idle += 1
         if residual < (0.9 * self.least if self.is_symmetric else self.least):
@@ -226,12 +226,12 @@ class Safeguard:
                 self._accept(z, residual, slack)
         return self.idle < 12  # cycles that may pass without an accepted one
 
-    def restore(self, z: FloatVector) -> None:
+    def restore(self, z: Vector) -> None:
         """Overwrite z by the accepted iterate, from which other corrections are tried."""
         np.copyto(z, self.z)
         self.idle = 0
 
-    def lets_sweeps_pass(self, z: FloatVector, residual: float, *, hands_over: bool) -> bool:
+    def lets_sweeps_pass(self, z: Vector, residual: float, *, hands_over: bool) -> bool:
         """Accept the result of sweeps from the accepted iterate; return False if another method should take over.
 
         Another method should take over if cycles and sweeps have barely reduced the least residual three times and the
@@ -253,7 +253,7 @@ class Safeguard:
         products, self._products = self._products, 0
         return products
 
-    def _accept(self, z: FloatVector, residual: float, slack: FloatVector | None = None) -> None:
+    def _accept(self, z: Vector, residual: float, slack: Vector | None = None) -> None:
         np.copyto(self.z, z)
         self.residual, self.least, self.idle, self._slack = (
             residual,
@@ -262,7 +262,7 @@ class Safeguard:
             slack,
         )
 
-    def _energy_change(self, z: FloatVector) -> tuple[float, float, FloatVector]:
+    def _energy_change(self, z: Vector) -> tuple[float, float, Vector]:
         """Return J(z) − J(accepted) = ½ dᵀ(w + w_accepted), its rounding error bound, and w."""
         problem, accepted = self.problem, self.z
         if self._slack is None:
@@ -283,12 +283,7 @@ class GridProblem:
     """The complementarity problem of one grid, with its projected sweep."""
 
     def __init__(
-        self,
-        algorithm: Multigrid,
-        grid: Grid,
-        q: FloatVector,
-        lower: FloatVector,
-        upper: FloatVector,
+        self, algorithm: Multigrid, grid: Grid, q: Vector, lower: Vector, upper: Vector
     ) -> None:
         self.grid, self.entries = grid, grid.matrix.data.size
         # All read-only, so that every kernel is compiled once.
@@ -299,13 +294,13 @@ class GridProblem:
         self.residual = np.zeros(grid.n)
         self.relaxation = algorithm.relaxation if algorithm.smoother == "psor" else 1.0
 
-    def sweep(self, z: FloatVector, backward: bool) -> None:
+    def sweep(self, z: Vector, backward: bool) -> None:
         """Overwrite z by one projected sweep."""
         kernels.projected_sweep(
             self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z
         )
 
-    def gauss_seidel(self, z: FloatVector) -> float:
+    def gauss_seidel(self, z: Vector) -> float:
         """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
         before = z.copy()
         kernels.projected_sweep(self.grid.rows, self.grid.blocks, self.vectors, 1.0, False, z)
@@ -373,7 +368,7 @@ class MultigridRun:
         self.size = finest.n
         self.entries = max(finest.matrix.data.size, 1.0)
 
-    def iterates(self, z: FloatVector) -> Iterator[Step]:
+    def iterates(self, z: Vector) -> Iterator[Step]:
         """Yield the start, then the iterates of the finest grid; end when no correction makes progress."""
         is_cold = np.array_equal(z, self.problem.nearest_to_zero)
         begun = self._residual(z)
@@ -388,7 +383,7 @@ class MultigridRun:
             self._nested_start(z, is_cold)
         yield from self._cycles(z, begun, start)
 
-    def _residual(self, z: FloatVector) -> float:
+    def _residual(self, z: Vector) -> float:
         """Return the largest scaled residual of z without a change of the free set."""
         fine = self.problems[0]
         free, changed = np.ones(z.size, np.bool_), np.empty(z.size, np.bool_)
@@ -399,7 +394,7 @@ class MultigridRun:
 
     # --- nested iteration -------------------------------------------------------------------------------
 
-    def _nested_start(self, z: FloatVector, is_cold: bool) -> None:
+    def _nested_start(self, z: Vector, is_cold: bool) -> None:
         """Add to z the solution of the coarse problems, each of which starts the next finer problem.
 
         From a warm start, the coarse problems determine only the increment. This can move the free set by more rows
@@ -426,7 +421,7 @@ class MultigridRun:
         self._interpolated(0, answer, z)
         del self.problems[1:]
 
-    def _add_coarse_problems(self, q: FloatVector, lower: FloatVector, upper: FloatVector) -> None:
+    def _add_coarse_problems(self, q: Vector, lower: Vector, upper: Vector) -> None:
         for coarser, transfer in zip(
             self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True
         ):
@@ -436,7 +431,7 @@ class MultigridRun:
             lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
             self.problems.append(GridProblem(self.algorithm, coarser, q, lower, upper))
 
-    def _interpolated(self, k: int, coarse: FloatVector, z: FloatVector) -> FloatVector:
+    def _interpolated(self, k: int, coarse: Vector, z: Vector) -> Vector:
         """Return z with P coarse added, within the bounds of grid k."""
         fine, transfer = self.problems[k], self.hierarchy.transfers[k]
         everywhere = np.ones(z.size, np.bool_)
@@ -444,7 +439,7 @@ class MultigridRun:
         self.work += transfer.prolongation.data.size
         return z
 
-    def _cycle_on(self, k: int, z: FloatVector) -> None:
+    def _cycle_on(self, k: int, z: Vector) -> None:
         fine = self.problems[k]
         self.truncation.start_at(k)
         # Unknowns that may still change sides when the finer grid takes over.
@@ -462,7 +457,7 @@ class MultigridRun:
 
     # --- the finest grid --------------------------------------------------------------------------------
 
-    def _cycles(self, z: FloatVector, begun: float, start: FloatVector) -> Iterator[Step]:
+    def _cycles(self, z: Vector, begun: float, start: Vector) -> Iterator[Step]:
         """Yield cycles from z; after failures return to the accepted iterate, at first `start` of residual `begun`."""
         self.truncation.start_at(0)
         fine, guard = self.problems[0], Safeguard(self.problem, self.is_symmetric, start, begun)
@@ -494,7 +489,7 @@ class MultigridRun:
             fine.sweep(z, backward=True)
             self.work += self.entries
 
-    def _tries_again(self, z: FloatVector, guard: Safeguard) -> Generator[Step, None, bool]:
+    def _tries_again(self, z: Vector, guard: Safeguard) -> Generator[Step, None, bool]:
         """Continue from the accepted iterate after failed corrections; return False if no method remains.
 
         The methods are a sequence of free sets by Krylov steps, and then sweeps.
@@ -509,7 +504,7 @@ class MultigridRun:
         yield from self._fall_back(z)
         return guard.lets_sweeps_pass(z, self._residual(z), hands_over=self.algorithm.hands_over)
 
-    def _look(self, k: int, z: FloatVector) -> tuple[float, float]:
+    def _look(self, k: int, z: Vector) -> tuple[float, float]:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
         top, fine = self.truncation.grids[k], self.problems[k]
         largest, changed = kernels.free_rows(
@@ -520,7 +515,7 @@ class MultigridRun:
             self.truncation.update()
         return largest, changed
 
-    def _correct(self, k: int, z: FloatVector) -> None:
+    def _correct(self, k: int, z: Vector) -> None:
         """Add to z on the free rows the correction of one V-cycle, clipped to the bounds."""
         fine, top = self.problems[k], self.truncation.grids[k]
         if k == len(self.hierarchy.transfers):
@@ -544,7 +539,7 @@ class MultigridRun:
             self._shorten(before, z)
         self.truncation.spare.append(before)
 
-    def _shorten(self, before: FloatVector, z: FloatVector) -> None:
+    def _shorten(self, before: Vector, z: Vector) -> None:
         """Halve the step from `before` to z until the energy does not rise; undo the step if halving fails."""
         fine = self.problems[0]
         product, step = self.truncation.vector(), z - before
@@ -566,7 +561,7 @@ class MultigridRun:
             np.copyto(z, before + size * unit * step)
         self.truncation.spare.append(product)
 
-    def _krylov(self, z: FloatVector, *, is_settled: bool) -> Iterator[Step]:
+    def _krylov(self, z: Vector, *, is_settled: bool) -> Iterator[Step]:
         """Add to z the correction of the free rows by Krylov steps, one V-cycle each.
 
         The result, clipped to the bounds, determines the next free rows, until no row changes (primal–dual active
@@ -608,7 +603,7 @@ class MultigridRun:
 
     # --- without coarser grids --------------------------------------------------------------------------
 
-    def _sweeps_alone(self, z: FloatVector) -> Iterator[Step]:
+    def _sweeps_alone(self, z: Vector) -> Iterator[Step]:
         """Yield sweeps if multigrid does not help for this matrix; without a theorem, as long as they contract."""
         goes_on = self.is_symmetric and not self.algorithm.hands_over
         before = np.inf
@@ -618,7 +613,7 @@ class MultigridRun:
                 return
             before = change
 
-    def _fall_back(self, z: FloatVector) -> Generator[Step, None, float]:
+    def _fall_back(self, z: Vector) -> Generator[Step, None, float]:
         """Yield projected Gauss–Seidel sweeps; return the change of the last sweep."""
         for _ in range(20):
             change = self.problems[0].gauss_seidel(z)

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm, Step
 from ..core.certificates.criterion import measured_residual, scaled_residual
-from ..core.checks import BoolVector, FloatVector
+from ..core.checks import BoolVector, Vector
 from ..core.lcp import LCP
 from ..systems.factors import factor_operations, factorise
 from ..systems.free_systems import FreeSystem
@@ -40,7 +40,7 @@ class ActiveSetSolution(NamedTuple):
         Matrix entries touched, including the factorization, divided by the nonzeros of M.
     """
 
-    z: FloatVector
+    z: Vector
     system: FreeSystem
     work: float
 
@@ -50,7 +50,7 @@ class ActiveSetSolution(NamedTuple):
         return self.system.is_singular
 
 
-def classify(problem: LCP, z: FloatVector, w: FloatVector) -> tuple[BoolVector, BoolVector]:
+def classify(problem: LCP, z: Vector, w: Vector) -> tuple[BoolVector, BoolVector]:
     """Return (at_lower, at_upper), the bounds that z − w/d reaches or passes, d the residual scale, shape (n,) each.
 
     Parameters
@@ -73,7 +73,7 @@ def classify(problem: LCP, z: FloatVector, w: FloatVector) -> tuple[BoolVector, 
     return at_lower | is_fixed, at_upper & ~is_fixed
 
 
-def is_near(problem: LCP, z: FloatVector) -> bool:
+def is_near(problem: LCP, z: Vector) -> bool:
     """Return whether the residual of z is at most a tenth of the residual of the default start."""
     # The active set of such a near start is likely the active set of the solution.
     return bool(
@@ -92,7 +92,7 @@ def solve_active_set(
     at_lower: BoolVector,
     at_upper: BoolVector,
     *,
-    near: FloatVector | None = None,
+    near: Vector | None = None,
     system: FreeSystem | None = None,
 ) -> ActiveSetSolution | None:
     """Return z with z at its bounds on the active rows and w = 0 on the free rows; None if the solve overflows.
@@ -128,7 +128,7 @@ def solve_active_set(
     return ActiveSetSolution(z + x, system, 1.0 + (system.work - before) / max(problem.nonzeros, 1))
 
 
-def polish_active_set(problem: LCP, z: FloatVector, most_work: float) -> ActiveSetSolution | None:
+def polish_active_set(problem: LCP, z: Vector, most_work: float) -> ActiveSetSolution | None:
     """Return the solution of the linear system of the active set of z.
 
     The result is None if the block is singular, so that z is not unique, or if a factorization would take more passes
@@ -160,7 +160,7 @@ class NewtonState:
         The best of the iterates projected onto the bounds, and its ‖r‖∞: the data of a step.
     """
 
-    def __init__(self, problem: LCP, z: FloatVector) -> None:
+    def __init__(self, problem: LCP, z: Vector) -> None:
         self.problem = problem
         self.scale = problem.residual_scale
         self.entries = max(problem.nonzeros, 1)
@@ -171,10 +171,10 @@ class NewtonState:
         self._system: FreeSystem | None = None
         self.move(z)
 
-    def move(self, z: FloatVector) -> None:
+    def move(self, z: Vector) -> None:
         """Move to z; store z or its projection if the residual is the best so far."""
         self.z, self.w = z, self.slack(z)
-        self.residual: FloatVector = np.abs(scaled_residual(self.problem, z, self.w))
+        self.residual: Vector = np.abs(scaled_residual(self.problem, z, self.w))
         size = float(np.max(self.residual, initial=0.0))
         if size < self.best or not self._solved:
             self.best, self.best_z = size, z
@@ -191,7 +191,7 @@ class NewtonState:
         # Steps that gain little are given up early: each costs a factorization.
         return self.problem.n > 3000
 
-    def slack(self, z: FloatVector) -> FloatVector:
+    def slack(self, z: Vector) -> Vector:
         """Return M z + q, counted as work."""
         self.work += 1.0
         return self.problem.slack(z)
@@ -267,7 +267,7 @@ class Newton(Algorithm):
             return None
         return "M is an M-matrix and bounded on one side: monotone and finite (Hintermüller, Ito, Kunisch 2002)"
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the best z so far after each factorization; end if no further step is possible."""
         start = np.clip(z0, problem.lower, problem.upper)
         # A second start of a small problem is the point of the bounds nearest to 0.
@@ -328,9 +328,9 @@ def full_steps(state: NewtonState) -> Generator[Step, None, bool]:
 class LinearizedPhi(NamedTuple):
     """Φ(z) and the diagonals of its Jacobian diag(by_z) + diag(by_w/d) M, shape (n,) each."""
 
-    value: FloatVector
-    by_z: FloatVector
-    by_w: FloatVector
+    value: Vector
+    by_z: Vector
+    by_w: Vector
 
     @property
     def norm(self) -> float:
@@ -339,7 +339,7 @@ class LinearizedPhi(NamedTuple):
 
 
 def fischer_burmeister(
-    problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
+    problem: LCP, z: Vector, w: Vector, scale: Vector | None = None
 ) -> LinearizedPhi:
     """Return Φ, zero exactly at solutions: φ(z − lower, −φ(upper − z, −w/d)), φ(a, b) = a + b − √(a² + b²).
 
@@ -367,7 +367,7 @@ def fischer_burmeister(
     )
 
 
-def _phi(a: FloatVector, b: FloatVector) -> tuple[FloatVector, FloatVector, FloatVector]:
+def _phi(a: Vector, b: Vector) -> tuple[Vector, Vector, Vector]:
     """Return φ(a, b) and an element of its generalized derivative."""
     root = np.hypot(a, b)
     # a + b − root cancels if a and b are positive.
@@ -449,7 +449,7 @@ def _searched(state: NewtonState, phi: LinearizedPhi, reference: float) -> Linea
     return None
 
 
-def _newton_direction(state: NewtonState, phi: LinearizedPhi) -> FloatVector | None:
+def _newton_direction(state: NewtonState, phi: LinearizedPhi) -> Vector | None:
     largest = float(np.max(np.abs(phi.value), initial=0.0))
     shift = SHIFT * largest / (largest + float(np.max(np.abs(state.z), initial=0.0)) + 1e-300)
     jacobian = phi_jacobian(state.problem, phi, min(shift, SHIFT))

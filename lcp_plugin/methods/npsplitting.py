@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ..core.algorithm import Step, check_choice
 from ..core.certificates.criterion import scaled_residual
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.matrix import (
@@ -58,7 +58,7 @@ class NPSplitting(ScaledByRows):
             check_choice(self, "splitting", ("diagonal", "tridiagonal", "lower"))
         super().__post_init__()
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
         while not problem.n:  # SuperLU rejects a matrix without rows
             yield Step(z0, 0.0, work=0.0)
@@ -96,7 +96,7 @@ class NPSplitting(ScaledByRows):
             is_part_of_matrix=isinstance(self.splitting, str),
         )
 
-    def automatic_factors(self, problem: LCP) -> FloatVector | float:
+    def automatic_factors(self, problem: LCP) -> Vector | float:
         """Return θ, shape (n,), or 1 for a splitting of the user."""
         if not isinstance(self.splitting, str):
             return 1.0
@@ -134,7 +134,7 @@ def part_of(matrix: Matrix, splitting: str) -> sp.csr_array:
 
 
 @fact
-def split_factors(matrix: Matrix, splitting: str) -> FloatVector:
+def split_factors(matrix: Matrix, splitting: str) -> Vector:
     """Return θ for a splitting that is a part of M, shape (n,); see `automatic_factors`."""
     taken = np.add(*triangle_sums(matrix, np.ones(matrix.n), part_of(matrix, splitting)))
     return balanced_factors(matrix, 1.0, taken, unit_triangle_sums(matrix))

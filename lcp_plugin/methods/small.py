@@ -28,7 +28,7 @@ from numpy.linalg import LinAlgError
 from ..core.algorithm import Algorithm, Step
 from ..core.certificates.criterion import RowData, row_data, times
 from ..core.certificates.measured import Measured
-from ..core.checks import BoolVector, FloatVector, read_only
+from ..core.checks import BoolVector, Vector, read_only
 from ..core.kernels.floats import FREE, HIGH, LOW, PERTURBED, SMALLEST, SMALLEST_PIVOT
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, residual_scales
@@ -56,7 +56,7 @@ class Rounds(Algorithm):
     is_monotone: ClassVar[bool] = False
     ends_on_active_set: ClassVar[bool] = True
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, the point at which the rounds end, and the ends of the paths."""
         yield Step(z0, work=0.0)
         data, unit = dense_data(problem), max(problem.nonzeros, 1)
@@ -66,7 +66,7 @@ class Rounds(Algorithm):
 
 
 def first_candidate(
-    problem: LCP, z0: FloatVector, tolerance: float
+    problem: LCP, z0: Vector, tolerance: float
 ) -> tuple[Measured, str, float] | None:
     """Return the first point of :func:`candidates`, its method and its work; None unless the point is a solution.
 
@@ -98,7 +98,7 @@ def dense_data(problem: LCP) -> RowData:
 # --- stacks --------------------------------------------------------------------------------------------------
 
 
-def stack_of(M: Any, q: FloatVector, lower: FloatVector, upper: FloatVector) -> RowData:
+def stack_of(M: Any, q: Vector, lower: Vector, upper: Vector) -> RowData:
     """Return problems of one size as data of the criterion; an axis of length 1 means shared data.
 
     One matrix for all stays one matrix, M of shape (1, n, n).
@@ -114,7 +114,7 @@ def stack_of(M: Any, q: FloatVector, lower: FloatVector, upper: FloatVector) -> 
     return RowData(M, sizes, q, lower, upper, scale, labels)
 
 
-def _components(sizes: FloatVector) -> Any:
+def _components(sizes: Vector) -> Any:
     """Return the component of each row, numbered through the stack; None if each M is connected."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -133,14 +133,14 @@ def _components(sizes: FloatVector) -> Any:
     return None if (labels == labels[:, :1]).all() else labels
 
 
-def normal(data: RowData, z: FloatVector) -> FloatVector:
+def normal(data: RowData, z: Vector) -> Vector:
     """Return points at the ends of linear solves, within their bounds, without values whose products underflow."""
     size = np.abs(z)
     least = SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0)
     return np.minimum(np.maximum(np.where(size > least, z, 0.0), data.lower), data.upper)
 
 
-def measure(data: RowData, z: FloatVector, tolerance: float) -> Measured:
+def measure(data: RowData, z: Vector, tolerance: float) -> Measured:
     """Measure points at the ends of linear solves."""
     return data.measure_at(*data.snap(normal(data, z)), tolerance, power=1.0)
 
@@ -151,15 +151,15 @@ def suits_loop(count: int, n: int) -> bool:
 
 
 def solve_stack(
-    M: FloatVector,
-    q: FloatVector,
-    lower: FloatVector,
-    upper: FloatVector,
-    starts: FloatVector | None = None,
+    M: Vector,
+    q: Vector,
+    lower: Vector,
+    upper: Vector,
+    starts: Vector | None = None,
     *,
     tolerance: float,
     is_compiled: bool,
-) -> tuple[FloatVector, FloatVector, Any, BoolVector]:
+) -> tuple[Vector, Vector, Any, BoolVector]:
     """Return points of problems (B, n) by the compiled loop or, one problem after another, by numpy.
 
     Returns
@@ -175,8 +175,8 @@ def solve_stack(
 
 
 def _solve_in_loop(
-    M: FloatVector, q: FloatVector, lower: Any, upper: Any, starts: Any, tolerance: float
-) -> tuple[FloatVector, FloatVector, BoolVector]:
+    M: Vector, q: Vector, lower: Any, upper: Any, starts: Any, tolerance: float
+) -> tuple[Vector, Vector, BoolVector]:
     """Return z, residual and is_solved of the compiled loop.
 
     A start names an active set, from which active-set iterations begin; a path follows if they end at no solution. The
@@ -219,7 +219,7 @@ def _select(arrays: Any, items: Any) -> list[Any]:
     return [read_only(np.ascontiguousarray(one)) for one in own]
 
 
-def _ends_of_paths(M: FloatVector, q: FloatVector, lower: FloatVector, upper: FloatVector) -> Any:
+def _ends_of_paths(M: Vector, q: Vector, lower: Vector, upper: Vector) -> Any:
     """Return the active sets at the ends of Lemke's paths; unknowns free on both sides are eliminated before."""
     from ..core.kernels.small_lcps import LOST, follow_paths
 
@@ -248,14 +248,14 @@ def _ends_of_paths(M: FloatVector, q: FloatVector, lower: FloatVector, upper: Fl
 
 
 @cache
-def _tilts(n: int) -> FloatVector:
+def _tilts(n: int) -> Vector:
     """Return the perturbations of q on a path, in units of PERTURBED times the largest |q_i|."""
     return read_only(np.random.default_rng(1).uniform(1.0, 2.0, n))
 
 
 def _solve_each(
-    M: FloatVector, q: FloatVector, lower: Any, upper: Any, starts: Any, tolerance: float
-) -> tuple[FloatVector, FloatVector, BoolVector]:
+    M: Vector, q: Vector, lower: Any, upper: Any, starts: Any, tolerance: float
+) -> tuple[Vector, Vector, BoolVector]:
     """Return z, residual and is_solved of the first candidate of each problem."""
     z, residual, is_solved = np.empty(q.shape), np.empty(len(q)), np.zeros(len(q), bool)
     for k in range(len(q)):
@@ -275,8 +275,8 @@ def first_of(stack: RowData) -> RowData:
 
 
 def active_set_points(
-    M: FloatVector, q: FloatVector, lower: Any, upper: Any, sides: Any, is_compiled: bool
-) -> FloatVector:
+    M: Vector, q: Vector, lower: Any, upper: Any, sides: Any, is_compiled: bool
+) -> Vector:
     """Return z_i at the bound that `sides` names, w_i = 0 if FREE, shape (B, n); NaN if its system is singular."""
     if not is_compiled:
         return np.array(
@@ -293,7 +293,7 @@ def active_set_points(
 # --- one problem ---------------------------------------------------------------------------------------------
 
 
-def guess(data: RowData) -> FloatVector | None:
+def guess(data: RowData) -> Vector | None:
     """Return z after sweeps of NPSOR from z°: (D/α + D + 2S⁻¹ − L)(z⁺ − z) = −2 S⁻¹ r_S(z), S = D⁻¹.
 
     L is the block of M below its first half of rows and columns: every choice of L has the paper's theorem. The result
@@ -314,12 +314,10 @@ def guess(data: RowData) -> FloatVector | None:
     return z
 
 
-def solve_active_set(
-    M: FloatVector, q: FloatVector, lower: Any, upper: FloatVector, side: Any
-) -> FloatVector:
+def solve_active_set(M: Vector, q: Vector, lower: Any, upper: Vector, side: Any) -> Vector:
     """Return z, z_i at the bound that `side` names, w_i = 0 if FREE; NaN if the linear system is singular."""
     free = (side == FREE).nonzero()[0]
-    z: FloatVector = np.where(side == HIGH, upper, lower)
+    z: Vector = np.where(side == HIGH, upper, lower)
     if free.size:
         z[free] = 0.0
         right = -(M @ z + q)[free]
@@ -330,7 +328,7 @@ def solve_active_set(
     return z
 
 
-COVERINGS: dict[str, Callable[[FloatVector], FloatVector]] = {
+COVERINGS: dict[str, Callable[[Vector], Vector]] = {
     "path": lambda q: np.ones(q.size),
     "path, r = |q|": lambda q: np.maximum(np.abs(q), 2.0**-10 * np.abs(q).max()),
     "path, random r": lambda q: np.random.default_rng(0).uniform(0.25, 1.0, q.size),
@@ -338,8 +336,8 @@ COVERINGS: dict[str, Callable[[FloatVector], FloatVector]] = {
 
 
 def candidates(
-    data: RowData, z0: FloatVector, *, restarts: bool = True
-) -> Iterator[tuple[str, FloatVector, float]]:
+    data: RowData, z0: Vector, *, restarts: bool = True
+) -> Iterator[tuple[str, Vector, float]]:
     """Yield candidate solutions of one problem, each with its method and the number of entries touched."""
     entries = float(z0.size**3)
     is_cold = z0 is data.start or bool((z0 == data.start).all())
@@ -361,7 +359,7 @@ def candidates(
         yield "rounds", rounds(data, data.start), entries
 
 
-def rounds(data: RowData, z: FloatVector) -> FloatVector:
+def rounds(data: RowData, z: Vector) -> Vector:
     """Return the final point of active-set iterations ."""
     M, q, lower, upper, scale = data.M, data.q, data.lower, data.upper, data.scale
     before, fewest, idle = None, z.size + 1, 0
@@ -377,7 +375,7 @@ def rounds(data: RowData, z: FloatVector) -> FloatVector:
     return z
 
 
-def _exchange(T: FloatVector, factor: FloatVector, row: int, column: int) -> None:
+def _exchange(T: Vector, factor: Vector, row: int, column: int) -> None:
     """Exchange the basic variable of a row and the nonbasic one of a column with the entries `factor`, in place."""
     pivot = factor[row]
     held = T[row] / -pivot
@@ -387,8 +385,8 @@ def _exchange(T: FloatVector, factor: FloatVector, row: int, column: int) -> Non
 
 
 def path(  # noqa: PLR0912, PLR0915 - one loop
-    M: FloatVector, q: FloatVector, width: FloatVector, r: Any = None, game: Any = None
-) -> FloatVector:
+    M: Vector, q: Vector, width: Vector, r: Any = None, game: Any = None
+) -> Vector:
     """Return x, 0 ≤ x ≤ width, at the end of Lemke's path w = M x + q + t r, NaN if the path is lost.
 
     The path belongs to a perturbed q, for which no two rows block at once. x is the solution for the unperturbed q in
@@ -474,8 +472,8 @@ def path(  # noqa: PLR0912, PLR0915 - one loop
 
 
 def _canonical(
-    M: FloatVector, q: FloatVector, lower: FloatVector, upper: FloatVector
-) -> tuple[FloatVector, FloatVector, FloatVector, Callable[[FloatVector], FloatVector]]:
+    M: Vector, q: Vector, lower: Vector, upper: Vector
+) -> tuple[Vector, Vector, Vector, Callable[[Vector], Vector]]:
     """Return (M, q, width, back) of the problem in the form 0 ≤ x ≤ width; free rows are eliminated, or split."""
     free = (lower == -np.inf) & (upper == np.inf)
     flips = (lower == -np.inf) & ~free
@@ -493,7 +491,7 @@ def _canonical(
         is_regular = False
     if is_regular:
 
-        def back(x: FloatVector) -> FloatVector:
+        def back(x: Vector) -> Vector:
             z = np.empty(n)
             z[R], z[E] = x, S[:, :-1] @ x + S[:, -1]
             return base + sign * z
@@ -503,7 +501,7 @@ def _canonical(
     A = np.block([[A, -A[:, E]], [-A[E], block]])
     width = np.concatenate([upper - lower, np.full(E.size, np.inf)])
 
-    def join(x: FloatVector) -> FloatVector:
+    def join(x: Vector) -> Vector:
         z = x[:n].copy()
         z[E] -= x[n:]
         return base + sign * z
@@ -511,7 +509,7 @@ def _canonical(
     return A, np.concatenate([b, -b[E]]), width, join
 
 
-def _rows_of_first_player(M: FloatVector, q: FloatVector) -> Any:
+def _rows_of_first_player(M: Vector, q: Vector) -> Any:
     """Return the rows of the first player of a bimatrix game, bool, or None."""
     first = M[0] == 0.0
     same = first[:, None] == first

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from cvxpy.atoms.affine.add_expr import AddExpression
 from cvxpy.atoms.elementwise.power import Power
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.errors import UnsupportedModel
 from ..expressions import functions
 from ..expressions.rows import Indices, Rows, as_matrix, assembled, is_definition
@@ -96,7 +96,7 @@ class SimpleBound(NamedTuple):
 
     origin: Any
     places: Indices
-    weights: FloatVector
+    weights: Vector
     bound: Any
 
 
@@ -290,7 +290,7 @@ class AgentProgram:
             if not domain.is_steep or self._simple(one, rows) is not None:
                 yield one, rows
 
-    def _range(self, key: int) -> list[FloatVector]:
+    def _range(self, key: int) -> list[Vector]:
         """Return bounds of the entries of a source, from numbers and signs, for all values of parameters."""
         source = self._source(key)
         ends = 0.0 if source.is_nonneg() else -NO_BOUND, 0.0 if source.is_nonpos() else NO_BOUND

@@ -21,7 +21,7 @@ from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.errors import ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..expressions.rows import Indices, Rows, as_matrix, is_definition
@@ -64,9 +64,9 @@ class ConePair:
 
     columns: NDArray[np.int64]
     rows: int
-    friction: FloatVector | None
+    friction: Vector | None
 
-    def blocks(self, M: Any, q: FloatVector) -> Blocks:
+    def blocks(self, M: Any, q: Vector) -> Blocks:
         """Return the problem of M and q, shape (d k,), over these cones alone."""
         if self.friction is None:
             return ConeProblem(
@@ -160,8 +160,8 @@ class ReadSide(NamedTuple):
     columns: Any
     weights: Any
     shift: Any
-    low: FloatVector
-    high: FloatVector
+    low: Vector
+    high: Vector
 
 
 class Model:
@@ -450,7 +450,7 @@ class Model:
             )
         return problem
 
-    def refuse_violated_bounds(self, z: FloatVector) -> None:
+    def refuse_violated_bounds(self, z: Vector) -> None:
         """Raise NotSquare if a solution violates bounds that no pair states."""
         unknowns, dropped = self.square.elimination.expand(z), self.square.dropped
         for column in dropped[self.statement.is_outside(unknowns, dropped)][:1].tolist():
@@ -462,18 +462,18 @@ class Model:
 
     # --- from the solution to cvxpy ---
 
-    def values(self, z: FloatVector) -> dict[int, Any]:
+    def values(self, z: Vector) -> dict[int, Any]:
         """Return the value of each variable by its id, in its own shape."""
         return self.split(self.square.elimination.expand(z))
 
-    def split(self, unknowns: FloatVector) -> dict[int, Any]:
+    def split(self, unknowns: Vector) -> dict[int, Any]:
         """Return a value for each variable, by id, in the variable's shape."""
         return {
             one.id: unknowns[self.spans[one.id]].reshape(one.shape, order="F")
             for one in self.variables
         }
 
-    def present(self) -> FloatVector | None:
+    def present(self) -> Vector | None:
         """Return the present values of all unknowns; None if a variable has no value."""
         values = {one.id: one.value for one in self.variables}
         with np.errstate(all="ignore"):  # outside of a domain
@@ -510,7 +510,7 @@ class Model:
         if variable.size != one.rows.size or not is_definition(block) or not block.data.all():
             return False
 
-        def at(value: FloatVector) -> FloatVector:
+        def at(value: Vector) -> Vector:
             values[variable.id] = value.reshape(variable.shape, order="F")
             put = partial(_with_value, values=values)
             return np.asarray(by_columns(rewritten(one.origin, put).value) - one.low)
@@ -524,7 +524,7 @@ class Model:
         return is_defined
 
     def write_back(
-        self, problem: Any, result: Any, found: tuple[FloatVector, FloatVector, float] | None
+        self, problem: Any, result: Any, found: tuple[Vector, Vector, float] | None
     ) -> None:
         """Give a cvxpy problem its status, values, dual values and statistics.
 
@@ -557,7 +557,7 @@ class Model:
             vars(result)["agents"] = tuple(self.agents)
         problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
 
-    def consistency_error(self, z: FloatVector, w: FloatVector) -> str | None:
+    def consistency_error(self, z: Vector, w: Vector) -> str | None:
         """Compare w with the expressions, evaluated by cvxpy; return the mismatch, or None.
 
         Parameters
@@ -604,7 +604,7 @@ def _name_of(variables: list[Any], spans: dict[int, slice], column: int) -> str:
     return ""
 
 
-def friction_of(side: Side) -> FloatVector | None:
+def friction_of(side: Side) -> Vector | None:
     """Return the coefficients of the contacts of a side, None of one without friction."""
     if side.friction is None:
         return None
@@ -612,7 +612,7 @@ def friction_of(side: Side) -> FloatVector | None:
     return np.asarray(contacts + bound_value(side.friction, side))
 
 
-def sign_of_inequality(pair: Complements, low: FloatVector, high: FloatVector) -> FloatVector:
+def sign_of_inequality(pair: Complements, low: Vector, high: Vector) -> Vector:
     """Return the sign of w for a stated G ≥ 0: w = G at a lower bound, −G at an upper one; nothing else agrees."""
     has_low, has_high = np.isfinite(low), np.isfinite(high)
     if (has_low == has_high).any():
@@ -643,7 +643,7 @@ def of_equality_between_bounds(pair: Complements, side: Side) -> str:
     )
 
 
-def pair_residual(pair: Complements) -> FloatVector | None:
+def pair_residual(pair: Complements) -> Vector | None:
     """Return the natural residual of each row of a pair at the present values, or None."""
     model = Model([pair], takes_integers=True)
     side, other = model.sides(pair)
@@ -662,7 +662,7 @@ def pair_residual(pair: Complements) -> FloatVector | None:
         w = np.where(np.isfinite(high) & ~np.isfinite(low), -w, w)
     elif other.kind == "value" and side.kind == "nonnegative":
         w = np.sign(weights) * w
-    residual: FloatVector = np.abs(np.minimum(np.maximum(w, z - high), z - low))
+    residual: Vector = np.abs(np.minimum(np.maximum(w, z - high), z - low))
     return residual
 
 

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.linalg import splu
 
-from ..core.checks import FloatVector, derived_property
+from ..core.checks import Vector, derived_property
 from ..core.errors import InvalidOption, UnsuitableProblem, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.solving.result import Result
@@ -74,12 +74,12 @@ class ParametricRows:
             {key: known.get(key, _compat.leaf_value(p)) for key, p in self._parameters.items()}
         )
 
-    def change(self, changes: Changes) -> FloatVector:
+    def change(self, changes: Changes) -> Vector:
         """Return the change of the expressions by changes of parameters; missing ones are 0."""
-        moved: FloatVector = self._finite(self._program.jacobian(self._at) @ self._vector(changes))
+        moved: Vector = self._finite(self._program.jacobian(self._at) @ self._vector(changes))
         return moved
 
-    def gradient(self, gradient: FloatVector) -> Changes:
+    def gradient(self, gradient: Vector) -> Changes:
         """Return the gradients by parameters, by id, from the gradient by the expressions."""
         found = self._finite(self._program.gradient(self._at, gradient))
         return {
@@ -87,7 +87,7 @@ class ParametricRows:
             for key, p in self._parameters.items()
         }
 
-    def _vector(self, values: Changes) -> FloatVector:
+    def _vector(self, values: Changes) -> Vector:
         parts = [values.get(key, np.zeros(one.size)) for key, one in self._parameters.items()]
         return np.concatenate([*map(_compat.by_columns, parts), np.zeros(0)])
 
@@ -258,7 +258,7 @@ class ModelDerivative:
     @derived_property
     def _definitions(
         self,
-    ) -> tuple[sp.csr_array, NDArray[np.int64], Callable[[FloatVector, str], FloatVector]] | None:
+    ) -> tuple[sp.csr_array, NDArray[np.int64], Callable[[Vector, str], Vector]] | None:
         """Rows of the model, including definitions, and solves with these and their transpose."""
         elimination, (first, second) = self._model.square.elimination, self._model.square.stored
         if elimination.expansion is None:
@@ -377,7 +377,7 @@ BETWEEN = 0.3819660112501051  # position of the test point between start and sto
 VECTORS = {LCP: ("q", "lower", "upper"), QuadraticProgram: ("c", "h", "b", "lower", "upper")}
 MATRICES = {LCP: ("M",), QuadraticProgram: ("P", "G", "A")}
 Back = Callable[[Any], dict[int, Any]]
-Lines = dict[cp.Parameter, tuple[FloatVector, FloatVector]]
+Lines = dict[cp.Parameter, tuple[Vector, Vector]]
 
 
 class ModelPath(Path):
@@ -406,7 +406,7 @@ class ModelPath(Path):
             )
         return np.reshape([one[variable.id] for one in found], (*np.shape(theta), *variable.shape))
 
-    def objective(self, thetas: ArrayLike) -> FloatVector:
+    def objective(self, thetas: ArrayLike) -> Vector:
         """Return the value of the user's objective at many θ, shape (k,)."""
         variables = self._problem.variables()
         before, found = [one.value for one in variables], []
@@ -517,7 +517,7 @@ def _program(problem: Any) -> tuple[QuadraticProgram, Back]:
 
 def _line(
     first: Any, last: Any, middle: Any, values: tuple[float, float, float]
-) -> tuple[Any, dict[str, FloatVector]]:
+) -> tuple[Any, dict[str, Vector]]:
     """Return the problem at θ = 0 and its vectors' directions; raise if they are not affine."""
     kind = type(first)
     for name in MATRICES[kind]:

@@ -22,7 +22,7 @@ from cvxpy.reductions.solution import Solution, failure_solution
 from cvxpy.reductions.solvers import utilities
 from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..core.names import Names
 from ..expressions.rows import Indices
@@ -192,7 +192,7 @@ class Entries(NamedTuple):
     """
 
     places: Indices
-    signs: FloatVector
+    signs: Vector
     shape: tuple[int, ...]
 
     @classmethod
@@ -221,11 +221,11 @@ class Entries(NamedTuple):
         places = np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + columns.get(leaf.id, 0)
         return cls(places, np.sign(flat), variable.shape)
 
-    def taken(self, unknowns: FloatVector) -> Any:
+    def taken(self, unknowns: Vector) -> Any:
         """Return the value that the unknowns give."""
         return (self.signs * unknowns[self.places]).reshape(self.shape, order="F")
 
-    def put_into(self, unknowns: FloatVector, value: Any) -> None:
+    def put_into(self, unknowns: Vector, value: Any) -> None:
         """Set the unknowns so that they give the value."""
         is_used = self.signs != 0.0
         flat = self.signs * np.ravel(dense_value(value), order="F")
@@ -267,7 +267,7 @@ class CompiledProblem:
         program = program.with_vectors(constant=float(inverse[-1][settings.OFFSET]))
         return cls(program, entries)
 
-    def values(self, x: FloatVector) -> dict[int, Any]:
+    def values(self, x: Vector) -> dict[int, Any]:
         """Return the value of each variable by its id."""
         return {key: one.taken(x) for key, one in self.entries.items()}
 
@@ -381,7 +381,7 @@ def _check(problem: Any) -> None:
             )
 
 
-def _point(problem: Any, compiled: CompiledProblem) -> FloatVector:
+def _point(problem: Any, compiled: CompiledProblem) -> Vector:
     """Return the program's x of the user's values; auxiliary variables are optimized with these fixed."""
     x, entries = np.zeros(compiled.program.n), compiled.entries.values()
     for variable in problem.variables():
@@ -393,7 +393,7 @@ def _point(problem: Any, compiled: CompiledProblem) -> FloatVector:
     return x
 
 
-def _disagreement(problem: Any, compiled: CompiledProblem, x: FloatVector, tolerance: float) -> str:
+def _disagreement(problem: Any, compiled: CompiledProblem, x: Vector, tolerance: float) -> str:
     """Compare cvxpy's values of the problem with the program at x; return a mismatch, or ""."""
     program, own = compiled.program, np.abs(x)
     with np.errstate(all="ignore"):
@@ -417,7 +417,7 @@ def _disagreement(problem: Any, compiled: CompiledProblem, x: FloatVector, toler
     return ""
 
 
-def _rest(program: QuadraticProgram, x: FloatVector, columns: Indices) -> QuadraticProgram:
+def _rest(program: QuadraticProgram, x: Vector, columns: Indices) -> QuadraticProgram:
     """Return the program of some columns, the others being as in x; without the rows that hold only these."""
     P, G, A = (sp.csr_array(matrix) for matrix in (program.P, program.G, program.A))
     upper, equal = (

@@ -31,7 +31,7 @@ from ..auto import parse_call, plan, run_on, solve_lcp
 from ..core.algorithm import Algorithm
 from ..core.certificates.criterion import RowData
 from ..core.checks import (
-    FloatVector,
+    Vector,
     change_of_vector,
     checked_start,
     checked_vector,
@@ -60,10 +60,10 @@ if TYPE_CHECKING:
     from .sensitivity import Derivative
 
 
-def propagation(C: sp.csr_array) -> Callable[[FloatVector], FloatVector]:
+def propagation(C: sp.csr_array) -> Callable[[Vector], Vector]:
     """Return the function C z, for each row of z; if C is diagonal, a product of vectors."""
     if np.array_equal(C.indices, row_numbers(C)):
-        diagonal: FloatVector = C.diagonal()
+        diagonal: Vector = C.diagonal()
         return lambda z: diagonal * z
     return lambda z: np.asarray((C @ z.T).T)
 
@@ -87,13 +87,13 @@ class BandSteps:
         self.problem, self.band, self.propagate = problem, band, propagation(propagator)
         self.tolerance, self.absolute = settings.tolerance, abs(problem.csr)
         self.most = settings.max_iterations
-        self.of_nearest: FloatVector = problem.csr @ problem.nearest_to_zero
+        self.of_nearest: Vector = problem.csr @ problem.nearest_to_zero
         #: 1 if a step is one pass from the lower bounds, −1 from the upper ones, else 0.
         self.side, self.none = 0, read_only(np.zeros(problem.n, np.bool_))
         if band.is_tridiagonal_z:
             self.side = int(np.isinf(problem.upper).all()) or -int(np.isinf(problem.lower).all())
 
-    def solve(self, forcing: FloatVector, state: FloatVector) -> tuple[FloatVector, FloatVector]:
+    def solve(self, forcing: Vector, state: Vector) -> tuple[Vector, Vector]:
         """Return q and z of the first steps that meet the criterion from this state, shapes (k, n).
 
         Parameters
@@ -117,7 +117,7 @@ class BandSteps:
             count = int(np.argmax(moves)) + 1
         return Q[:count], read_only(measured.z)[:count]
 
-    def _step(self, q: FloatVector, state: FloatVector) -> FloatVector | None:
+    def _step(self, q: Vector, state: Vector) -> Vector | None:
         """Return the solution of one step, or None if none was found."""
         problem = self.problem
         if self.side:
@@ -134,7 +134,7 @@ class BandSteps:
         rounds = active_sets(problem, self.band, q, np.clip(state, problem.lower, problem.upper))
         return next((z for z, residual in islice(rounds, self.most) if residual <= goal), None)
 
-    def _data(self, q: FloatVector) -> RowData:
+    def _data(self, q: Vector) -> RowData:
         """Return the data of the criterion of one step, q of shape (n,), or of several."""
         problem = self.problem
         vectors = q, problem.lower, problem.upper, problem.residual_scale
@@ -172,19 +172,14 @@ class March(AnswerSequence[Result]):
     all_solved = True
 
     def __init__(
-        self,
-        problem: Any,
-        forcing: FloatVector,
-        propagator: sp.csr_array,
-        z0: FloatVector,
-        keep: int = 1,
+        self, problem: Any, forcing: Vector, propagator: sp.csr_array, z0: Vector, keep: int = 1
     ) -> None:
         self.problem, self.forcing, self.propagator, self.z0 = problem, forcing, propagator, z0
         self.keep, self.steps, self.taken = keep, list[int](), 0
         self.seconds = 0.0
         self.error: LCPError | None = None
         self.is_interrupted = False
-        self.z: list[FloatVector] = []
+        self.z: list[Vector] = []
         self._results: list[Result | Callable[[], Result]] = []
 
     def at(self, k: int) -> Result:
@@ -225,7 +220,7 @@ class March(AnswerSequence[Result]):
         """Build the results that were not read yet, because their builders cannot be pickled."""
         return {**self.__dict__, "_results": [self.at(k) for k in range(len(self))]}
 
-    def take(self, z: FloatVector, result: Result | Callable[[], Result]) -> None:
+    def take(self, z: Vector, result: Result | Callable[[], Result]) -> None:
         """Add one step; the step before it is dropped if it is not one of every `keep`."""
         if self.taken and (self.taken % self.keep if self.keep else True):
             del self.steps[-1], self.z[-1], self._results[-1]
@@ -266,7 +261,7 @@ def take_steps_on_band(
             break
 
 
-def _result_at(problem: LCP, q: FloatVector, z: FloatVector, settings: Settings) -> Result:
+def _result_at(problem: LCP, q: Vector, z: Vector, settings: Settings) -> Result:
     """Return the result of a step on a band, which is measured already."""
     stage = StageRecord(Banded.name, "M is a narrow band: many steps in one loop", 1, 1.0)
     return Result.at(problem.with_q(q), z, stage, settings)
@@ -319,7 +314,7 @@ def beginning_of_next(found: Result, step: int) -> str | None:
 
 def checked_rows(
     name: str, given: Any, shape: str, fits: Callable[[tuple[int, ...]], bool]
-) -> FloatVector:
+) -> Vector:
     """Return a finite array with a fitting shape."""
     need = f"{name} must be a finite array of shape {shape}"
     rows = real_array(given.toarray() if sp.issparse(given) else given, need)
@@ -540,7 +535,7 @@ class Band(NamedTuple):
     M: sp.csr_array
     size: sp.csr_array
     entries: Bands
-    propagate: Callable[[FloatVector], FloatVector]
+    propagate: Callable[[Vector], Vector]
 
     @classmethod
     def of(cls, matrix: Matrix, propagator: sp.csr_array) -> Band | None:
@@ -551,8 +546,8 @@ class Band(NamedTuple):
         return cls(matrix.csr, abs(matrix.csr), entries, propagation(propagator))
 
     def follow(
-        self, state: NDArray[np.int8], value: FloatVector, right: FloatVector, before: FloatVector
-    ) -> tuple[FloatVector, FloatVector, FloatVector]:
+        self, state: NDArray[np.int8], value: Vector, right: Vector, before: Vector
+    ) -> tuple[Vector, Vector, Vector]:
         """Return x, w = M x + r and the rounding error of w of the first of consecutive steps, r = right + C before.
 
         `before` is the x of the step before. x is `value` on rows with a state; the other rows are free and satisfy
@@ -591,13 +586,13 @@ class Band(NamedTuple):
         return x[:count], w[:count], EPSILON * terms[:count]
 
 
-def _outer_on(A: sp.csr_array, left: FloatVector, right: FloatVector) -> FloatVector:
+def _outer_on(A: sp.csr_array, left: Vector, right: Vector) -> Vector:
     """Return Σ_k left_ki right_kj at the entries of A."""
-    sums: FloatVector = np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
+    sums: Vector = np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
     return sums
 
 
-def _solve_each(entries: FloatVector, below: int, right: FloatVector) -> FloatVector:
+def _solve_each(entries: Vector, below: int, right: Vector) -> Vector:
     """Return the solutions of banded systems, shape (k, n), as one system; NaN for a singular one."""
     together = solve_held(np.concatenate([*entries], axis=1), below, right.ravel())
     if together is not None:
@@ -623,7 +618,7 @@ class Steps:
     """
 
     @np.errstate(all="ignore")
-    def __init__(self, whole: MarchDerivative, first: int, states: FloatVector) -> None:
+    def __init__(self, whole: MarchDerivative, first: int, states: Vector) -> None:
         self.whole, self.march, self.states = whole, whole.march, states
         march, count = whole.march, len(states) - 1
         self.here = slice(first, first + count)
@@ -636,7 +631,7 @@ class Steps:
     def __len__(self) -> int:
         return len(self.states) - 1
 
-    def _settle(self, band: Band | None) -> tuple[FloatVector, NDArray[np.int8], NDArray[np.bool_]]:
+    def _settle(self, band: Band | None) -> tuple[Vector, NDArray[np.int8], NDArray[np.bool_]]:
         """Solve each step on its free rows once; return the solutions, the states of rows, and which active sets stay.
 
         Without a band, none stays.
@@ -685,12 +680,12 @@ class Steps:
     def jvp(
         self,
         dM: sp.csr_array,
-        dforcing: FloatVector,
+        dforcing: Vector,
         dpropagator: sp.csr_array,
-        dlower: FloatVector,
-        dupper: FloatVector,
-        before: FloatVector,
-    ) -> FloatVector:
+        dlower: Vector,
+        dupper: Vector,
+        before: Vector,
+    ) -> Vector:
         """Return the changes of the solutions, and write the last change to `before`.
 
         At the call, `before` is the change of the state before the first step.
@@ -698,7 +693,7 @@ class Steps:
         given = np.broadcast_to(dforcing, self.z.shape) + (dpropagator @ self.states[:-1].T).T
         value = np.where(self.sides < 0, dlower, np.where(self.sides > 0, dupper, 0.0))
 
-        def solve_alone(k: int, before: FloatVector) -> FloatVector:
+        def solve_alone(k: int, before: Vector) -> Vector:
             alone = self.at(k)
             dq = given[k] + self.march.propagator @ before + dM @ alone.z
             return alone.jvp(dq=dq, dlower=dlower, dupper=dupper)
@@ -708,14 +703,14 @@ class Steps:
         before[:] = dz[-1]
         return dz
 
-    def vjp(self, g: FloatVector, after: FloatVector, of_bounds: FloatVector) -> FloatVector:
+    def vjp(self, g: Vector, after: Vector, of_bounds: Vector) -> Vector:
         """Return the gradients by q, and add the gradients by the bounds to `of_bounds`.
 
         `after` is the gradient by q of the next step (0 if there is none), and is overwritten by the gradient of
         the first of these steps.
         """
 
-        def solve_alone(k: int, after: FloatVector) -> FloatVector:
+        def solve_alone(k: int, after: Vector) -> Vector:
             alone = self.at(k)
             gradient = alone.vjp(g[k] + self.march.propagator.T @ after)
             self.z[k] = alone.z
@@ -733,11 +728,11 @@ class Steps:
         self,
         band: Band | None,
         order: NDArray[np.intp],
-        value: FloatVector,
-        right: FloatVector,
-        before: FloatVector,
-        solve_alone: Callable[[int, FloatVector], FloatVector],
-    ) -> tuple[FloatVector, FloatVector]:
+        value: Vector,
+        right: Vector,
+        before: Vector,
+        solve_alone: Callable[[int, Vector], Vector],
+    ) -> tuple[Vector, Vector]:
         """Return x and w of the steps in this order, on the band if that decides; w is 0 for the other steps.
 
         Forwards, a degenerate row stays at its bound if its slack agrees; backwards, any piece is a gradient.
@@ -779,12 +774,12 @@ class MarchGradient(NamedTuple):
     forcing : array, shape (k, n)
     """
 
-    z0: FloatVector
-    lower: FloatVector
-    upper: FloatVector
+    z0: Vector
+    lower: Vector
+    upper: Vector
     M: sp.csr_array
     propagator: sp.csr_array
-    forcing: FloatVector
+    forcing: Vector
 
 
 class MarchDerivative:
@@ -815,7 +810,7 @@ class MarchDerivative:
         self.march, self._derivative_at = march, each
         self._before: Derivative | None = None  # its factorization may be used again
         # By the first step of a block: as much memory as the march, a quarter of the time of further directions.
-        self.settled: dict[int, tuple[FloatVector, NDArray[np.int8], NDArray[np.bool_]]] = {}
+        self.settled: dict[int, tuple[Vector, NDArray[np.int8], NDArray[np.bool_]]] = {}
 
     def __len__(self) -> int:
         return len(self.march)
@@ -824,7 +819,7 @@ class MarchDerivative:
         result = self.march[k]
         return self._derivative_at(result.certificate.problem, result.z, result.w)
 
-    def next_at(self, problem: LCP, z: FloatVector, w: FloatVector) -> Derivative:
+    def next_at(self, problem: LCP, z: Vector, w: Vector) -> Derivative:
         """Return the derivative of the next step, with the last factorization if it fits."""
         self._before = self._derivative_at(problem, z, w, before=self._before)
         return self._before
@@ -863,7 +858,7 @@ class MarchDerivative:
         dupper: Any = None,
         only_last: bool = False,
         **unknown: Any,
-    ) -> FloatVector:
+    ) -> Vector:
         """Return the changes dz of the solutions for changes of the data; one-sided at a kink.
 
         Parameters
@@ -992,7 +987,7 @@ class MarchDerivative:
         )
 
 
-def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> FloatVector:
+def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> Vector:
     """Return a row per step, or one row if one vector is passed."""
     shapes = (steps, n), (n,)
     return checked_rows(name, given, f"({steps}, {n}), or ({n},) for {one}", shapes.__contains__)

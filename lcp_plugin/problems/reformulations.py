@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector, checked_answer, rectangular_matrix
+from ..core.checks import Vector, checked_answer, rectangular_matrix
 from ..core.errors import InvalidProblem, NotConverged
 from ..core.lcp import LCP
 
@@ -36,8 +36,8 @@ class Equilibrium:
 
     A: FloatMatrix = field(repr=False)
     B: FloatMatrix = field(repr=False)
-    row_strategy: FloatVector
-    column_strategy: FloatVector
+    row_strategy: Vector
+    column_strategy: Vector
 
     @cached_property
     def payoffs(self) -> tuple[float, float]:

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..auto import solve_lcp
 from ..core.checks import (
     BoolVector,
-    FloatVector,
+    Vector,
     change_of_vector,
     checked_vector,
     derived_property,
@@ -684,7 +684,7 @@ def words_on_singular(system: FreeSystem) -> str:
     )
 
 
-def solution(system: FreeSystem, right: FloatVector, *, transposed: bool = False) -> FloatVector:
+def solution(system: FreeSystem, right: Vector, *, transposed: bool = False) -> Vector:
     """Return the solution, with least norm if the block is singular."""
     x = system.solve(right, transposed=transposed)
     if x is not None:
@@ -707,7 +707,7 @@ def solution(system: FreeSystem, right: FloatVector, *, transposed: bool = False
     return x
 
 
-def one_sided(problem: LCP, rows: ActiveRows, h: FloatVector, moved: FloatVector) -> FloatVector:
+def one_sided(problem: LCP, rows: ActiveRows, h: Vector, moved: Vector) -> Vector:
     """Return the one-sided derivative: the solution of an LCP on the free and the degenerate rows.
 
     Rows fixed at a bound have d = db, which is `moved`, and free rows have (M d + h)_i = 0. Degenerate rows at a lower
@@ -742,9 +742,9 @@ class Gradient(NamedTuple):
         Gradient with respect to the entries of M, on the sparsity pattern of M.
     """
 
-    q: FloatVector
-    lower: FloatVector
-    upper: FloatVector
+    q: Vector
+    lower: Vector
+    upper: Vector
     M: sp.csr_array
 
 
@@ -849,7 +849,7 @@ class Derivative(LinearizedSystem):
     """
 
     def __init__(
-        self, problem: LCP, z: FloatVector, w: FloatVector, *, before: Derivative | None = None
+        self, problem: LCP, z: Vector, w: Vector, *, before: Derivative | None = None
     ) -> None:
         self.problem = problem
         self._found = z, w, None if before is None else before._rows.system
@@ -859,7 +859,7 @@ class Derivative(LinearizedSystem):
         return settled_rows(self.problem, *self._found)
 
     @property
-    def z(self) -> FloatVector:
+    def z(self) -> Vector:
         """The solution at which the derivative is evaluated, shape (n,)."""
         return self._rows.z
 
@@ -922,7 +922,7 @@ class Derivative(LinearizedSystem):
     @np.errstate(all="ignore")
     def jvp(
         self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None
-    ) -> FloatVector:
+    ) -> Vector:
         """Return the change dz of z for changes of the data; one-sided if rows are degenerate.
 
         Parameters
@@ -956,10 +956,10 @@ class Derivative(LinearizedSystem):
         h, moved = self._change(dM, dq), self._moved(dlower, dupper)
         if self._rows.degenerate.any():
             return one_sided(self.problem, self._rows, h, moved)
-        dz: FloatVector = self.tangent(h, np.where(self._rows.free, 0.0, moved))
+        dz: Vector = self.tangent(h, np.where(self._rows.free, 0.0, moved))
         return dz
 
-    def dw(self, dz: ArrayLike, *, dM: Any = None, dq: Any = None) -> FloatVector:
+    def dw(self, dz: ArrayLike, *, dM: Any = None, dq: Any = None) -> Vector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
         dz = checked_vector(dz, "dz", self.problem.n)
         return self._product(dz) + self._change(dM, dq)
@@ -996,23 +996,23 @@ class Derivative(LinearizedSystem):
         )
         return Gradient(by_q, lower, upper, outer_on_pattern(problem.matrix, by_q, self.z))
 
-    def _change(self, dM: Any, dq: ArrayLike | None) -> FloatVector:
+    def _change(self, dM: Any, dq: ArrayLike | None) -> Vector:
         """Return dM z + dq."""
         n = self.problem.n
         h = change_of_vector(dq, "dq", n)
         return h if dM is None else h + rectangular_matrix(dM, "dM", n, n) @ self.z
 
-    def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> FloatVector:
+    def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> Vector:
         """Return the change of the active or, for free rows, the nearer bound."""
         n = self.problem.n
         lower = change_of_vector(dlower, "dlower", n, may_be_number=True)
         upper = change_of_vector(dupper, "dupper", n, may_be_number=True)
         return np.where(self._rows.is_upper, upper, lower)
 
-    def _product(self, x: FloatVector, *, transposed: bool = False) -> FloatVector:
+    def _product(self, x: Vector, *, transposed: bool = False) -> Vector:
         M = self.problem.matrix.array
-        product: FloatVector = (M.T if transposed else M) @ x
+        product: Vector = (M.T if transposed else M) @ x
         return product
 
-    def _solve_free(self, right: FloatVector, *, transposed: bool = False) -> FloatVector:
+    def _solve_free(self, right: Vector, *, transposed: bool = False) -> Vector:
         return solution(self._system, right, transposed=transposed)

@@ -63,7 +63,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csgraph
 
 from ..core.certificates.criterion import row_data, scaled_residual
-from ..core.checks import BoolVector, FloatVector, checked_vector
+from ..core.checks import BoolVector, Vector, checked_vector
 from ..core.deadline import is_over
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.kernels.floats import TINY, UNIT
@@ -101,17 +101,17 @@ class RowInequality:
     """
 
     problem: LCP
-    high: FloatVector
-    low: FloatVector
-    above: FloatVector
-    below: FloatVector
-    over: FloatVector
-    under: FloatVector
-    slack: FloatVector
-    negative_slack: FloatVector
+    high: Vector
+    low: Vector
+    above: Vector
+    below: Vector
+    over: Vector
+    under: Vector
+    slack: Vector
+    negative_slack: Vector
 
     @classmethod
-    def at(cls, problem: LCP, high: FloatVector, low: FloatVector | None = None) -> RowInequality:
+    def at(cls, problem: LCP, high: Vector, low: Vector | None = None) -> RowInequality:
         """Return the inequality at the finite point high + low, each of shape (n,)."""
         if low is None:
             matrix = problem.matrix
@@ -132,17 +132,17 @@ class RowInequality:
             negative_slack=negative,
         )
 
-    def inflation(self, certificate: HCertificate) -> FloatVector:
+    def inflation(self, certificate: HCertificate) -> Vector:
         """Return t ≥ 0, one number per component, with Φ(t v) ≤ t v.
 
         The result has one entry per row, shape (n,), or (1,) if there is a single component.
         """
 
-        def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
+        def side(outside: Vector, direct: Vector, w: Vector) -> Vector:
             within = np.minimum(
                 quotient_above(direct, certificate.v), quotient_above(w, certificate.margin)
             )
-            largest: FloatVector = np.maximum(quotient_above(outside, certificate.v), within)
+            largest: Vector = np.maximum(quotient_above(outside, certificate.v), within)
             return largest
 
         sides = (
@@ -152,11 +152,11 @@ class RowInequality:
         largest = row_data(self.problem).largest(np.maximum(np.maximum(*sides), 0.0))
         return np.where(np.isnan(largest), np.inf, largest)
 
-    def image(self, y: FloatVector) -> FloatVector:
+    def image(self, y: Vector) -> Vector:
         """Return Φ(y), shape (n,)."""
         minus_product = _minus_comparison(self.problem, y)
 
-        def side(outside: FloatVector, direct: FloatVector, w: FloatVector) -> FloatVector:
+        def side(outside: Vector, direct: Vector, w: Vector) -> Vector:
             """Return Φ(y) for one sign of e; (w + |B|y)/d as y + (w − ⟨M⟩y)/d."""
             solved = sum_above(
                 y, quotient_above(sum_above(w, minus_product), self.problem.diagonal)
@@ -169,7 +169,7 @@ class RowInequality:
         )
         return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
 
-    def classified(self, y: FloatVector) -> tuple[BoolVector, BoolVector]:
+    def classified(self, y: Vector) -> tuple[BoolVector, BoolVector]:
         """Return the rows proved by |e| ≤ y to be active (z*_i at a bound), and to be inactive.
 
         Were z*_i > lower_i, then w*_i ≤ 0 and e_i < z_i − lower_i, so w_i ≤ d_i min(y_i, z_i − lower_i) + (|B|y)_i.
@@ -181,12 +181,12 @@ class RowInequality:
         )
         return self.held(y) | at_bound, inactive
 
-    def held(self, y: FloatVector) -> BoolVector:
+    def held(self, y: Vector) -> BoolVector:
         """Return the rows at a bound: |e| ≤ y proves that w*_i ≠ 0, or both bounds are equal."""
         problem = self.problem
         coupling = sum_above(product_above(problem.diagonal, y), _minus_comparison(problem, y))
 
-        def forced(direct: FloatVector, negative_slack: FloatVector) -> BoolVector:
+        def forced(direct: Vector, negative_slack: Vector) -> BoolVector:
             direct_part = product_above(problem.diagonal, np.maximum(np.minimum(y, direct), 0.0))
             return sum_above(negative_slack, sum_above(direct_part, coupling)) < 0.0
 
@@ -195,32 +195,30 @@ class RowInequality:
         return held
 
 
-def distance_above(high: FloatVector, low: FloatVector, z: FloatVector) -> FloatVector:
+def distance_above(high: Vector, low: Vector, z: Vector) -> Vector:
     """Return an upper bound of |z − (high + low)|, shape (n,)."""
     forward = sum_above(sum_above(z, -high), -low)
     return np.maximum(forward, sum_above(sum_above(-z, high), low))
 
 
-def _minus_comparison(problem: LCP, y: FloatVector) -> FloatVector:
+def _minus_comparison(problem: LCP, y: Vector) -> Vector:
     """Return an upper bound of −⟨M⟩y."""
     value, radius = comparison_product(problem.matrix.csr, y)
     return sum_above(-value, radius)
 
 
-def _pair_above(high: FloatVector, low: FloatVector, bound: FloatVector) -> FloatVector:
+def _pair_above(high: Vector, low: Vector, bound: Vector) -> Vector:
     return sum_above(sum_above(high, bound), low)
 
 
-def _slack_of_pair(
-    problem: LCP, high: FloatVector, low: FloatVector
-) -> tuple[FloatVector, FloatVector]:
+def _slack_of_pair(problem: LCP, high: Vector, low: Vector) -> tuple[Vector, Vector]:
     """Return upper bounds of w and −w at high + low; w is small relative to its terms."""
     matrix = problem.matrix
     first, rest, radius = compensated_pair(matrix.csr, high, problem.q)
     second, second_radius = compensated_product(matrix.csr, low)
     total_radius = sum_above(radius, second_radius)
 
-    def end(sign: float) -> FloatVector:
+    def end(sign: float) -> Vector:
         return sum_above(
             sum_above(sum_above(sign * first, sign * second), sign * rest), total_radius
         )
@@ -231,11 +229,11 @@ def _slack_of_pair(
 class NearPoint(NamedTuple):
     """A point ẑ = high + low near the solution, and a bound y of its own error; each of shape (n,)."""
 
-    high: FloatVector
-    low: FloatVector
-    y: FloatVector
+    high: Vector
+    low: Vector
+    y: Vector
 
-    def bound(self, z: FloatVector) -> FloatVector:
+    def bound(self, z: Vector) -> Vector:
         """Return |z − ẑ| + y ≥ |z − z*|; ∞ if z is not finite."""
         bound = sum_above(distance_above(self.high, self.low, z), self.y)
         return np.where(np.isnan(bound), np.inf, bound)
@@ -253,7 +251,7 @@ class ActiveSetSteps:
     def __init__(
         self,
         problem: LCP,
-        scale: FloatVector,
+        scale: Vector,
         *,
         goal: float = KRYLOV_GOAL,
         system: FreeSystem | None = None,
@@ -284,7 +282,7 @@ class ActiveSetSteps:
         """Return whether the point of the last step has the free rows of this step."""
         return np.array_equal(self._sides(at)[2], self.system.free)
 
-    def _sides(self, at: RowInequality) -> tuple[FloatVector, BoolVector, BoolVector]:
+    def _sides(self, at: RowInequality) -> tuple[Vector, BoolVector, BoolVector]:
         """Return w, the rows at their lower bounds by the sign of w, and the free rows."""
         w = 0.5 * (at.slack - at.negative_slack)
         step = self.scale * w  # next to a large z its digits would be lost
@@ -318,13 +316,13 @@ class ActiveRows(NamedTuple):
     at_upper: BoolVector
     degenerate: BoolVector
     is_upper: BoolVector
-    z: FloatVector
+    z: Vector
     system: FreeSystem | None
 
 
 @np.errstate(all="ignore")
 def settled_rows(
-    problem: LCP, z: FloatVector, w: FloatVector, system: FreeSystem | None = None
+    problem: LCP, z: Vector, w: Vector, system: FreeSystem | None = None
 ) -> ActiveRows:
     """Return the classification of the rows, after steps of the active-set method in twice the working precision.
 
@@ -354,8 +352,8 @@ def settled_rows(
 
 
 def _settled(
-    problem: LCP, z: FloatVector, system: FreeSystem | None
-) -> tuple[RowInequality, FreeSystem, FloatVector] | None:
+    problem: LCP, z: Vector, system: FreeSystem | None
+) -> tuple[RowInequality, FreeSystem, Vector] | None:
     """Return a point whose rows solve their equations, the system, and an error estimate.
 
     The result is None if the steps do not converge. Rows that are exactly degenerate may change sides indefinitely,
@@ -376,12 +374,12 @@ def _settled(
 
 def _judged(
     problem: LCP,
-    z: FloatVector,
-    w: FloatVector,
-    above: FloatVector,
-    below: FloatVector,
+    z: Vector,
+    w: Vector,
+    above: Vector,
+    below: Vector,
     system: FreeSystem | None,
-    left: FloatVector | None = None,
+    left: Vector | None = None,
 ) -> ActiveRows:
     """Return the classification of the rows by z and w, if `left` bounds the distance of z from the solution."""
     scale, data = problem.residual_scale, row_data(problem)
@@ -404,13 +402,13 @@ def _judged(
     )
 
 
-def free_rows(problem: LCP, z: FloatVector, w: FloatVector) -> BoolVector:
+def free_rows(problem: LCP, z: Vector, w: Vector) -> BoolVector:
     """Return the mask of rows between their bounds according to z and its slack w, shape (n,)."""
     target = z - w / problem.residual_scale
     return (target > problem.lower) & (target < problem.upper)
 
 
-def estimated_error(problem: LCP, z: FloatVector, w: FloatVector, residual: float) -> float | None:
+def estimated_error(problem: LCP, z: Vector, w: Vector, residual: float) -> float | None:
     """Return an estimate of the largest ‖z − z*‖∞ that goes with a scaled residual, or None if it is too costly.
 
     Parameters
@@ -459,7 +457,7 @@ class EigenvalueBound(NamedTuple):
     """λ ≤ the smallest eigenvalue of C (M + Mᵀ)/2 C, C = diag(scale), powers of two."""
 
     value: float
-    scale: FloatVector
+    scale: Vector
 
 
 #: Proof behind an error bound: v with ⟨M⟩v > 0 of an M with a positive diagonal, or λ.
@@ -473,7 +471,7 @@ def bounds_of(matrix: Matrix) -> Family | None:
     return smallest_eigenvalue_bound(matrix) if found is None else found
 
 
-def bound_of_error(at: RowInequality, family: Family) -> FloatVector:
+def bound_of_error(at: RowInequality, family: Family) -> Vector:
     """Return a bound of |z − z*|, shape (n,), by the least t v or by the 2-norm."""
     if isinstance(family, HCertificate):
         return product_above(at.inflation(family), family.v)
@@ -522,7 +520,7 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
     return None if value is None else EigenvalueBound(value, scale)
 
 
-def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound) -> FloatVector:
+def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound) -> Vector:
     """Return y with |z − z*| ≤ y, shape (n,), if `eigenvalue` holds."""
     inverse_step = np.exp2(np.clip(np.round(np.log2(problem.diagonal)), -1000.0, 1000.0))
     # Both bounds of each r_i; at a bound, with w_i of the right sign, they are equal for any rounding of w_i.
@@ -545,12 +543,12 @@ def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound)
     return np.where(np.isnan(bound), np.inf, bound)
 
 
-def norm_above(x: FloatVector) -> np.float64:
+def norm_above(x: Vector) -> np.float64:
     """Return a double above ‖x‖₂ for x ≥ 0, also with underflow."""
     return np.float64(norms_above(x, np.zeros(x.size, np.int64)).max(initial=0.0))
 
 
-def norms_above(x: FloatVector, labels: Any) -> FloatVector:
+def norms_above(x: Vector, labels: Any) -> Vector:
     """Return a double above ‖x_P‖₂, x ≥ 0, for each set P of entries with one label; also with underflow."""
     largest = np.zeros(int(labels.max(initial=-1)) + 1)
     np.maximum.at(largest, labels, x)
@@ -558,7 +556,7 @@ def norms_above(x: FloatVector, labels: Any) -> FloatVector:
     unit = np.exp2(np.floor(np.log2(np.where(is_usual, largest, 1.0))))
     squares = np.bincount(labels, (x / unit[labels]) ** 2, largest.size) * OUTWARD
     squares += x.size * UNDERFLOW
-    norms: FloatVector = np.where(is_usual, unit * np.sqrt(squares) * OUTWARD, largest)
+    norms: Vector = np.where(is_usual, unit * np.sqrt(squares) * OUTWARD, largest)
     return norms
 
 
@@ -660,7 +658,7 @@ class ErrorBound:
         Seconds that it took to compute.
     """
 
-    componentwise: FloatVector = field(repr=False)
+    componentwise: Vector = field(repr=False)
     infinity: float
     relative: float
     method: str
@@ -675,7 +673,7 @@ class ErrorBound:
         """Numbers of rows that are proven active, and inactive."""
         return int(self.proven_active.sum()), int(self.proven_inactive.sum())
 
-    def carried_to(self, z: FloatVector) -> FloatVector:
+    def carried_to(self, z: Vector) -> Vector:
         """Return a bound of |z − z*|, componentwise, for any z of shape (n,): by its distance to `near`, in O(n).
 
         Examples
@@ -746,7 +744,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     return replace(found, seconds=time.perf_counter() - began)
 
 
-def _bound(problem: LCP, z: FloatVector, family: Family, *, sharp: bool) -> ErrorBound:
+def _bound(problem: LCP, z: Vector, family: Family, *, sharp: bool) -> ErrorBound:
     method = "2-norm, λ_min" if isinstance(family, EigenvalueBound) else "v-certificate"
     if not np.isfinite(z).all():
         is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
@@ -762,11 +760,11 @@ def _bound(problem: LCP, z: FloatVector, family: Family, *, sharp: bool) -> Erro
 class BestBound:
     """The best bound so far, and the point near z at which most is known of z*."""
 
-    def __init__(self, z: FloatVector, at: RowInequality, y: FloatVector, method: str) -> None:
+    def __init__(self, z: Vector, at: RowInequality, y: Vector, method: str) -> None:
         self.z, self.at, self.y, self.method = z, at, y, method
         self.near, self.near_y = at, y
 
-    def go_to(self, near: RowInequality, y: FloatVector) -> None:
+    def go_to(self, near: RowInequality, y: Vector) -> None:
         """Set the reference point and the bound y of its error; keep the least bound per row."""
         self.near, self.near_y = near, y
         by_way_of_it = sum_above(distance_above(near.high, near.low, self.z), y)
@@ -847,7 +845,7 @@ class Curvature:
         ρ: the weights are a lower bound of xᵀP x + ρ‖A x‖² for every x.
     """
 
-    weights: FloatVector
+    weights: Vector
     indefinite: str = ""
     penalty: float = 0.0
 
@@ -945,7 +943,7 @@ def constrained_curvature(P: Any, A: Any) -> Curvature:
     return Curvature(weights * (1.0 - 2.0**-50), penalty=penalty) if (weights > 0.0).all() else own
 
 
-def _weights(P: sp.csr_array) -> FloatVector | None:
+def _weights(P: sp.csr_array) -> Vector | None:
     """Return the weights of a block that does not fall apart; None if it is proved to be indefinite."""
     bound = smallest_eigenvalue_bound(Matrix(P))
     if bound is not None:

@@ -23,8 +23,8 @@ from ..core.deadline import is_over, time_limit
 from ..core.names import listed
 from .exact import (
     ZERO,
+    Fractions,
     Row,
-    Vector,
     common_denominator,
     products,
     rank_profile,
@@ -80,7 +80,7 @@ class Conflict:
         """Names of the members, each once, in order."""
         return [*dict.fromkeys(map(self.name, self.members))]
 
-    def point(self, k: int) -> Vector | None:
+    def point(self, k: int) -> Fractions | None:
         """Return a point, exact, that satisfies all members but ``members[k]``; None if it takes too long.
 
         The other members hold with equality there, and ``members[k]`` is violated by as little as possible.
@@ -169,7 +169,7 @@ def _rank(rows: list[Row]) -> int:
 
 
 def _without_a_member(
-    rows: LinearConstraints, y: Mapping[int, Fraction], members: list[int], v: Vector
+    rows: LinearConstraints, y: Mapping[int, Fraction], members: list[int], v: Fractions
 ) -> dict[int, Fraction] | None:
     """Return a Farkas vector of fewer members, a combination of y and another solution v; None if v is none."""
     limits = {i: Fraction(float(rows.q[i])) for i in members}

@@ -34,7 +34,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.deadline import is_over
 from ..core.errors import InvalidProblem
 from ..core.kernels.floats import EPSILON, LARGEST, TINY
@@ -43,12 +43,12 @@ from ..core.matrix import Matrix, fact
 
 Rational = int | float | Fraction
 Row = dict[int, Fraction]
-Vector = list[Fraction]
+Fractions = list[Fraction]
 
 ZERO = Fraction(0)
 
 
-def integers(values: FloatVector) -> tuple[list[int], int]:
+def integers(values: Vector) -> tuple[list[int], int]:
     """Return integers and one exponent e with values_i = integer_i · 2^e, exactly; the values are finite.
 
     Examples
@@ -117,7 +117,7 @@ def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
     ], denominator
 
 
-def like(values: FloatVector, z: Any) -> Any:
+def like(values: Vector, z: Any) -> Any:
     """Return floats unchanged, or as Fractions if z has Fractions."""
     return (
         np.array([Fraction(value) for value in values.tolist()], dtype=object)
@@ -152,7 +152,7 @@ def rounded_down(value: Fraction | None) -> float:
     return math.inf if value is None else _ends(value)[0]
 
 
-def enclosures(values: Sequence[Fraction]) -> tuple[FloatVector, FloatVector]:
+def enclosures(values: Sequence[Fraction]) -> tuple[Vector, Vector]:
     """Return the nearest float64 numbers not above and not below the values, ∞ beyond the range.
 
     Examples
@@ -178,7 +178,7 @@ def _ends(value: Fraction) -> tuple[float, float]:
     )
 
 
-def rational(values: Iterable[float]) -> Vector:
+def rational(values: Iterable[float]) -> Fractions:
     """Return finite doubles as the rationals that they are."""
     return [Fraction(float(value)) for value in values]
 
@@ -205,7 +205,7 @@ def products(rows: Sequence[Row], vector: Sequence[Fraction]) -> Iterator[Fracti
         yield Fraction(total, common * denominator) if total else ZERO
 
 
-def short(values: FloatVector, denominator: int = 1 << 30) -> Vector:
+def short(values: Vector, denominator: int = 1 << 30) -> Fractions:
     """Return values near the given ones, exact and with few digits; zeros stay zeros."""
     largest = float(np.abs(values).max(initial=0.0))
     if largest == 0.0 or not np.isfinite(largest):
@@ -240,9 +240,7 @@ def exact_slack(problem: LCP, z: ArrayLike | Sequence[Rational]) -> list[Fractio
     return [Fraction(q) + unit * total for q, total in zip(problem.q.tolist(), sums, strict=True)]
 
 
-def exact_residuals(
-    problem: LCP, z: FloatVector, scale: FloatVector | None = None
-) -> list[Fraction]:
+def exact_residuals(problem: LCP, z: Vector, scale: Vector | None = None) -> list[Fraction]:
     """Return |z − mid(lower, upper, z − w/d)| of every row without any rounding, for a finite z; d is the scale."""
     scale = problem.residual_scale if scale is None else scale
     rows = zip(
@@ -287,7 +285,7 @@ def is_exact_solution(problem: LCP, z: ArrayLike | Sequence[Rational]) -> bool:
     )
 
 
-def slack_bounds(problem: LCP) -> tuple[FloatVector, FloatVector]:
+def slack_bounds(problem: LCP) -> tuple[Vector, Vector]:
     """Return the signs of w that the bounds of z permit, as bounds of w, each of shape (n,).
 
     0 ≤ w_i if z_i has no upper bound, w_i ≤ 0 if z_i has no lower bound; a box permits both signs.
@@ -551,8 +549,8 @@ def _small_fraction(value: int, modulus: int, bound: int) -> tuple[int, int]:
 
 
 def solved_nearby(
-    rows: list[Row], right: Vector, guess: Vector, is_movable: Sequence[bool]
-) -> Vector | None:
+    rows: list[Row], right: Fractions, guess: Fractions, is_movable: Sequence[bool]
+) -> Fractions | None:
     """Return an exact solution y of rows · y = right near the guess; only movable entries change.
 
     Parameters
@@ -612,7 +610,7 @@ def independent_rows(rows: list[Row]) -> list[list[int]]:
     return list(lots.values())
 
 
-def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | None:
+def _by_largest_block(rows: list[Row], right: Fractions, guess: Fractions) -> Row | None:
     """Return the entries of a solution that are not 0: the unknowns of one nonsingular block."""
     columns = sorted({j for row in rows for j in row}, key=lambda j: (-abs(guess[j]), j))
     if min(len(rows), len(columns)) > MOST_UNKNOWNS or len(rows) * len(columns) > MOST_ENTRIES:
@@ -646,7 +644,7 @@ def _by_largest_block(rows: list[Row], right: Vector, guess: Vector) -> Row | No
 LEAST = -LARGEST
 
 
-def sum_above(a: Any, b: Any) -> FloatVector:
+def sum_above(a: Any, b: Any) -> Vector:
     """Return a float64 ≥ a + b, equal to it if a + b is a float64."""
     total = np.add(a, b)
     part = total - a
@@ -654,23 +652,23 @@ def sum_above(a: Any, b: Any) -> FloatVector:
     return _choice(error <= 0.0, total, _above(total))
 
 
-def product_above(a: Any, b: Any) -> FloatVector:
+def product_above(a: Any, b: Any) -> Vector:
     """Return a float64 ≥ a b, and 0 if a or b is 0."""
     return _choice(np.equal(a, 0.0) | np.equal(b, 0.0), 0.0, _above(np.multiply(a, b)))
 
 
-def quotient_above(a: Any, b: Any) -> FloatVector:
+def quotient_above(a: Any, b: Any) -> Vector:
     """Return a float64 ≥ a/b for b > 0, and 0 if a is 0."""
     return _choice(np.equal(a, 0.0), 0.0, _above(np.divide(a, b)))
 
 
-def _above(value: Any) -> FloatVector:
+def _above(value: Any) -> Vector:
     """Return a float64 above the value, by one or two steps; the least finite number for −∞."""
     # In [1, 2) ulps; the product underflows only if TINY is the ulp.
     return _choice(value < LEAST, LEAST, value + np.maximum(np.abs(value) * EPSILON, TINY))
 
 
-def _choice(which: Any, one: Any, other: Any) -> FloatVector:
+def _choice(which: Any, one: Any, other: Any) -> Vector:
     """Return ``numpy.where(which, one, other)``, a number of numbers."""
-    chosen: FloatVector = np.where(which, one, other)[()]
+    chosen: Vector = np.where(which, one, other)[()]
     return chosen

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.deadline import is_over, seconds_left
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.matrix import row_numbers, scale_matrix
@@ -68,13 +68,13 @@ class LinearConstraints:
     """
 
     matrix: sp.csr_array
-    q: FloatVector
+    q: Vector
     needs_rise: BoolVector
     needs_fall: BoolVector
-    lower: FloatVector
-    upper: FloatVector
-    weights: FloatVector
-    bound_weights: tuple[FloatVector, FloatVector]
+    lower: Vector
+    upper: Vector
+    weights: Vector
+    bound_weights: tuple[Vector, Vector]
     reference: float = 1.0
 
     def signs(self, row: int) -> tuple[bool, bool]:
@@ -86,7 +86,7 @@ class LinearConstraints:
         return float(self.lower[column]), float(self.upper[column])
 
     @property
-    def missing(self) -> FloatVector:
+    def missing(self) -> Vector:
         """Least violations of w_i ≥ 0, w_i ≤ 0 by x within the bounds, to rounding, shape (2, m).
 
         Positive if no such x gives the row its required sign.
@@ -107,9 +107,7 @@ class LinearConstraints:
             yield i, 1 if missing[0, i] > 0.0 else -1
 
 
-def activity(
-    matrix: sp.csr_array, lower: FloatVector, upper: FloatVector
-) -> tuple[FloatVector, FloatVector]:
+def activity(matrix: sp.csr_array, lower: Vector, upper: Vector) -> tuple[Vector, Vector]:
     """Return the least and the largest value of each row of matrix · x within the bounds, to rounding."""
     rows, m = row_numbers(matrix), matrix.shape[0]
     with np.errstate(all="ignore"):
@@ -206,7 +204,7 @@ class FarkasCertificate:
         return self.has_signs and not self.left and self.plain > 0
 
     @cached_property
-    def sizes(self) -> tuple[Fraction, FloatVector, FloatVector]:
+    def sizes(self) -> tuple[Fraction, Vector, Vector]:
         """The largest |y_i|, the |y_i| divided by it, and Σ|y_i m_ij| of each column in this unit."""
         largest = max(map(abs, self.y.values()))
         y = np.array([float(abs(value) / largest) for value in self.y.values()])
@@ -241,7 +239,7 @@ class FarkasCertificate:
             for j, value in left.items()
         )
 
-    def miss(self, weights: FloatVector) -> float:
+    def miss(self, weights: Vector) -> float:
         """Return the least violation, by any x, in these units, rounded down; 0 after overflow."""
         used = [float(weights[i]) for i in self.y]
         if not all(map(math.isfinite, used)):
@@ -268,7 +266,7 @@ ENOUGH = 1e-6  # a tolerance: a proof that excludes it ends the search
 KEPT = 0.55  # share of the optimum kept in the search for slack: enough in spite of rounding
 
 
-Multipliers = FloatVector | Sequence[Rational]
+Multipliers = Vector | Sequence[Rational]
 
 
 @dataclass(eq=False)
@@ -342,7 +340,7 @@ class FarkasProgram:
                 break
         return max(found, key=lambda one: (one.radius == math.inf, one.margin), default=None)
 
-    def polished(self, answer: Any) -> FloatVector:
+    def polished(self, answer: Any) -> Vector:
         """Return the answer's y, shape (m,), with the equalities that a proof needs met to rounding."""
         y = self._form.vector(answer.x)
         return self._polished(y / (np.abs(y).max(initial=0.0) or 1.0))
@@ -359,7 +357,7 @@ class FarkasProgram:
             if moved is not None:
                 yield from self.candidates(form.vector(moved))
 
-    def _with_slack(self, answer: Any, slacks: sp.csr_array) -> FloatVector | None:
+    def _with_slack(self, answer: Any, slacks: sp.csr_array) -> Vector | None:
         """Return v ≥ slacks · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
 
         A vertex has as few positive multipliers as it can: if the coefficients carry rounding errors, those may
@@ -416,7 +414,7 @@ class FarkasProgram:
         cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST, MOST))
         return _StandardForm(m, place, signed, cost, equations, norm)
 
-    def candidates(self, y: FloatVector) -> Iterator[Multipliers]:
+    def candidates(self, y: Vector) -> Iterator[Multipliers]:
         """Yield vectors near a y in the scale of the program that may be Farkas vectors of the constraints themselves.
 
         First with corrected signs and without negligible entries, then rounded to few digits, then from a linear solve.
@@ -445,7 +443,7 @@ class FarkasProgram:
                 yield self._unscaled(repaired)
         yield self._polished(y)
 
-    def _polished(self, y: FloatVector) -> FloatVector:
+    def _polished(self, y: Vector) -> Vector:
         """Return a vector near y that satisfies to rounding the equalities which y satisfies without slack.
 
         Dependent equalities become independent by rounding: singular values at rounding level count as 0.
@@ -456,7 +454,7 @@ class FarkasProgram:
             for _ in range(2):  # the second removes the rounding of the first
                 y = y.copy()
                 y[support] -= np.linalg.lstsq(rows, rows @ y[support], rcond=NEGLIGIBLE)[0]
-        unscaled: FloatVector = y * self.rows
+        unscaled: Vector = y * self.rows
         return unscaled
 
     def _unscaled(self, entries: dict[int, Fraction]) -> list[Fraction]:
@@ -465,7 +463,7 @@ class FarkasProgram:
             y[i] = value * Fraction(float(self.rows[i]))
         return y
 
-    def _repaired(self, y: FloatVector, tight: float) -> dict[int, Fraction] | None:
+    def _repaired(self, y: Vector, tight: float) -> dict[int, Fraction] | None:
         """Return a vector near y that satisfies exactly the (in)equalities which y satisfies without slack."""
         support, equalities = self._tight(y, tight)
         if min(support.size, equalities.size) > MOST_UNKNOWNS:
@@ -477,7 +475,7 @@ class FarkasProgram:
         )
         return None if exact is None else dict(zip(support.tolist(), exact, strict=True))
 
-    def _tight(self, y: FloatVector, tight: float) -> tuple[Any, Any]:
+    def _tight(self, y: Vector, tight: float) -> tuple[Any, Any]:
         """Return the indices of nonzero y, and the open columns at which Mᵀy has no slack."""
         size = abs(self.matrix).T @ np.abs(y)
         is_unbounded = np.isinf(self.constraints.lower) | np.isinf(self.constraints.upper)
@@ -501,16 +499,14 @@ class _StandardForm:
 
     m: int
     place: Any
-    signed: FloatVector
-    cost: FloatVector
+    signed: Vector
+    cost: Vector
     equations: Any
-    norm: FloatVector
+    norm: Vector
 
-    def vector(self, v: FloatVector) -> FloatVector:
+    def vector(self, v: Vector) -> Vector:
         """Return y, shape (m,)."""
-        y: FloatVector = np.bincount(self.place, self.signed * v, self.m)[: self.m].astype(
-            np.float64
-        )
+        y: Vector = np.bincount(self.place, self.signed * v, self.m)[: self.m].astype(np.float64)
         return y
 
 
@@ -554,9 +550,9 @@ def best_proof(
 
 
 def linear_program(
-    cost: FloatVector,
+    cost: Vector,
     equations: Any,
-    right: FloatVector | float,
+    right: Vector | float,
     bounds: Any,
     at_most: tuple[Any, Any],
     pivots: int | None = None,

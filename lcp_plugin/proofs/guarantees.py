@@ -60,7 +60,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm
-from ..core.checks import FloatVector, read_only
+from ..core.checks import Vector, read_only
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, TINY
 from ..core.lcp import LCP
@@ -81,9 +81,9 @@ from ..systems.comparison import jacobi_radius, nonnegative_radius
 from .verdicts import analyze, comparison_certificate, h_verdict
 
 NEGLIGIBLE = 1e-280  # below, products may have underflowed
-Weights = FloatVector | float
+Weights = Vector | float
 
-Sums = tuple[FloatVector, FloatVector]
+Sums = tuple[Vector, Vector]
 
 
 class RowCase(NamedTuple):
@@ -154,7 +154,7 @@ def _projected_type(facts: IterationFacts, problem: LCP) -> RowBound:
     return RowBound(theta / alpha + theta + 2.0, abs(g) * weight, (zero, one))
 
 
-def scaled(facts: IterationFacts, problem: LCP) -> tuple[FloatVector, FloatVector]:
+def scaled(facts: IterationFacts, problem: LCP) -> tuple[Vector, Vector]:
     """Return (θ, s divided by the row scaling of the triangle sums), one entry per row."""
     scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
     return scaling * problem.diagonal, scaling / inverse_residual_scale(problem.matrix)
@@ -168,7 +168,7 @@ def numbers(facts: IterationFacts) -> tuple[float, float]:
     )
 
 
-def sums_for(facts: IterationFacts, problem: LCP, v: FloatVector) -> Sums:
+def sums_for(facts: IterationFacts, problem: LCP, v: Vector) -> Sums:
     """Return the triangle sums of v that the row bound of a forward sweep requires."""
     if facts.family != PROJECTED_SPLITTING:
         return triangle_sums(problem.matrix, v)
@@ -180,10 +180,10 @@ def sums_for(facts: IterationFacts, problem: LCP, v: FloatVector) -> Sums:
 
 
 #: A rate, None if it rounds to 1, and the weights v of ‖·‖_v, None without a rate.
-Contraction = tuple[float | None, FloatVector | None]
+Contraction = tuple[float | None, Vector | None]
 
 
-def contraction(facts: IterationFacts, problem: LCP, v: FloatVector) -> Contraction | None:
+def contraction(facts: IterationFacts, problem: LCP, v: Vector) -> Contraction | None:
     """Return the proof with these weights, or None if they prove nothing.
 
     Parameters
@@ -217,14 +217,12 @@ def contraction(facts: IterationFacts, problem: LCP, v: FloatVector) -> Contract
 # --- gaps of a row bound, evaluated so that rounding cannot flatter them ----------------------------------
 
 
-def underflow(v: FloatVector, terms: int) -> float:
+def underflow(v: Vector, terms: int) -> float:
     """Return a bound of the underflow in a difference of two triangle sums of v, `terms` entries per row."""
     return 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
 
 
-def gaps(
-    bound: RowBound, v: FloatVector, sums: tuple[FloatVector, FloatVector], terms: int
-) -> FloatVector:
+def gaps(bound: RowBound, v: Vector, sums: tuple[Vector, Vector], terms: int) -> Vector:
     """Return lower bounds of 1 − c_i, shape (n,), −∞ if no bound exists.
 
     Parameters
@@ -383,7 +381,7 @@ class Guarantee:
     verdict: str
     theorem: str
     rate: float | None = None
-    v: FloatVector | None = field(default=None, repr=False)
+    v: Vector | None = field(default=None, repr=False)
     remedy: str = ""
     paper: str = ""
     speaks_of: str = "z"
@@ -509,7 +507,7 @@ def theorem_4_2(
     )
 
 
-def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVector] | None:
+def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, Vector] | None:
     """Return (c, v) with T v ≤ c v, c < 1, v > 0 for the T of Method 3.1, or None if no such v was found.
 
     Parameters
@@ -568,11 +566,11 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, FloatVec
 
 
 def _inverse_bound(
-    size_of_inverse: FloatMatrix, error: FloatMatrix, spread: float, b: FloatVector
-) -> FloatVector:
+    size_of_inverse: FloatMatrix, error: FloatMatrix, spread: float, b: Vector
+) -> Vector:
     """Return |X|(b + |E|b + …), the tail of the series bounded by its norm."""
     tail = spread * spread / (1.0 - spread) * b.max(initial=0.0)
-    bound: FloatVector = size_of_inverse @ (b + error @ b + tail)
+    bound: Vector = size_of_inverse @ (b + error @ b + tail)
     return bound
 
 

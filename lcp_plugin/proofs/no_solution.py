@@ -26,7 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.certificates.criterion import reference_residual, rounding_of_data, row_data
-from ..core.checks import FloatVector, derived_property
+from ..core.checks import Vector, derived_property
 from ..core.kernels.floats import DATA_ROUNDING, EPSILON
 from ..core.lcp import LCP
 from ..core.matrix import is_nearly_symmetric
@@ -44,7 +44,7 @@ NAMED = 4
 NAMELESS = Names()
 
 
-def _left(P: Any, d: FloatVector) -> float:
+def _left(P: Any, d: Vector) -> float:
     """Return Σ_i |(P d)_i| / Σ_i (|P||d|)_i."""
     terms = float((abs(P) @ np.abs(d)).sum())
     return float(np.abs(P @ d).sum()) / terms if terms > 0.0 else 0.0
@@ -68,7 +68,7 @@ def moved_unknowns(d: Any, names: Names = NAMELESS) -> str:
     return f"unknown{'s' * (len(moving) != 1)} {named}"
 
 
-def is_minimizer_beyond_radius(P: Any, c: FloatVector, direction: Any, left: Any) -> bool:
+def is_minimizer_beyond_radius(P: Any, c: Vector, direction: Any, left: Any) -> bool:
     """Return whether a load c moves the zero-energy mode much farther than the softest part of the structure.
 
     t = Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves, is how far the softest part gives
@@ -217,7 +217,7 @@ class Choices(NamedTuple):
         return self.problem.csr
 
     @property
-    def q(self) -> FloatVector:
+    def q(self) -> Vector:
         """The offset of w = M z + q."""
         return self.problem.q
 
@@ -335,7 +335,7 @@ class Infeasibility(NoSolutionProof):
         return {i: value for i, value in enumerate(self.exact_y) if value}
 
     @cached_property
-    def y(self) -> FloatVector:
+    def y(self) -> Vector:
         """The vector rounded, shape (n,)."""
         y = np.zeros(self.problem.n)
         y[list(self._used)] = [float(value) for value in self._used.values()]
@@ -453,7 +453,7 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
 
 
 @np.errstate(all="ignore")
-def has_solution_near(problem: LCP, z: FloatVector) -> bool:
+def has_solution_near(problem: LCP, z: Vector) -> bool:
     """Return whether the linear system of the active rows has a solution near z, with violations at rounding level."""
     data = row_data(problem)
     at = data.rows(z)

@@ -41,7 +41,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector, read_only
+from ..core.checks import Vector, read_only
 from ..core.errors import InvalidProblem
 from ..core.kernels.floats import TINY, UNIT
 from ..core.matrix import Matrix, fact, row_numbers, triangular_form
@@ -96,8 +96,8 @@ class HCertificate:
     `margin` is a lower bound of the exact product of the stored doubles.
     """
 
-    v: FloatVector
-    margin: FloatVector
+    v: Vector
+    margin: Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ class HVerdict:
     is_h: bool | None
     evidence: str
     certificate: HCertificate | None = None
-    not_h_vector: FloatVector | None = None
+    not_h_vector: Vector | None = None
 
 
 def comparison_certificate(matrix: Matrix) -> HCertificate | None:
@@ -139,7 +139,7 @@ def h_verdict(matrix: Matrix) -> HVerdict:
     return decide(matrix.csr)
 
 
-def positive_margin(M: Any, v: FloatVector) -> FloatVector | None:
+def positive_margin(M: Any, v: Vector) -> Vector | None:
     """Return a rigorous lower bound of ⟨M⟩v if it is positive on every row and v > 0, else None."""
     if not ((v > 0.0) & np.isfinite(v)).all():
         return None
@@ -156,7 +156,7 @@ def positive_margin(M: Any, v: FloatVector) -> FloatVector | None:
     return margin
 
 
-def is_nonpositive(M: Any, y: FloatVector) -> bool:
+def is_nonpositive(M: Any, y: Vector) -> bool:
     """Return whether ⟨M⟩y ≤ 0 is proven on every row, for y ≥ 0, y ≠ 0."""
     if not (np.isfinite(y).all() and (y >= 0.0).all() and y.any()):
         return False
@@ -204,7 +204,7 @@ def decide(M: Any) -> HVerdict:
     return HVerdict(None, "solutions of ⟨M⟩v = |diag(M)| pass neither check: ρ is 1 up to rounding")
 
 
-def _centred(v: FloatVector) -> FloatVector:
+def _centred(v: Vector) -> Vector:
     """Return v ≥ 0 times a power of two that keeps products with it away from the ends of the range."""
     positive = v[v > 0.0]
     if positive.size == 0 or not np.isfinite(positive).all():
@@ -246,7 +246,7 @@ def nonpositive_pair(M: Any) -> tuple[int, int] | None:
     M : CSR array, shape (n, n)
         With a positive diagonal.
     """
-    diagonal: FloatVector = M.diagonal()
+    diagonal: Vector = M.diagonal()
     even = sp.csr_array((M.data / diagonal[row_numbers(M)], M.indices, M.indptr), shape=M.shape)
     ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
     suspicious = np.flatnonzero(ratios.data > 1.0 - 8.0 * UNIT)

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import Arrays, FloatVector, freeze_csr
+from ..core.checks import Arrays, Vector, freeze_csr
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnreadableFile
 
 try:
@@ -38,7 +38,7 @@ class Ranks:
             )
         self.size, self.rank = self.comm.size, self.comm.rank
 
-    def table(self, *numbers: float) -> FloatVector:
+    def table(self, *numbers: float) -> Vector:
         """Return the numbers of all ranks, shape (ranks, how many)."""
         own = np.array(numbers, dtype=np.float64)
         of_all = np.empty((self.size, own.size))
@@ -165,7 +165,7 @@ class ForeignRows(NamedTuple):
 
     counts: Integers
     columns: Integers
-    values: FloatVector
+    values: Vector
     places: Integers
 
 
@@ -189,7 +189,7 @@ class Exchange:
         wanted = comm.alltoall(asked)
         self._sent, self._which = np.array([one.size for one in wanted]), np.concatenate(wanted)
 
-    def __call__(self, values: FloatVector) -> None:
+    def __call__(self, values: Vector) -> None:
         """Overwrite the copies, which follow the local values."""
         copies = np.empty(self._order.size)
         self._comm.Alltoallv([values[self._which], self._sent], [copies, self._received])
@@ -251,19 +251,19 @@ class Halo(Ranks):
 
     # --- values ------------------------------------------------------------------------------------------
 
-    def fetch(self, x: FloatVector) -> None:
+    def fetch(self, x: Vector) -> None:
         """Overwrite the ghost values, which follow the local ones in x, shape (own + foreign,)."""
         if not self.is_empty:
             self._values(x)
 
-    def whole(self, own: FloatVector) -> FloatVector:
+    def whole(self, own: Vector) -> Vector:
         """Return a copy of the local values and the ghost values, shape (own + foreign,)."""
         x = np.zeros(self.own + self.foreign)
         x[: self.own] = own
         self.fetch(x)
         return x
 
-    def fetch_entries(self, data: FloatVector) -> None:
+    def fetch_entries(self, data: Vector) -> None:
         """Overwrite the entries of the ghosts' rows, which follow the entries of the local rows."""
         if not self.is_empty and self._entries is not None:
             self._entries(data)
@@ -360,7 +360,7 @@ class Halo(Ranks):
         self,
         wanted: Integers,
         indptr: Integers,
-        data: FloatVector,
+        data: Vector,
         columns: Callable[[Integers], Integers],
     ) -> ForeignRows:
         """Return the rows `wanted`, global indices in any order; all ranks call.
@@ -401,7 +401,7 @@ class Halo(Ranks):
         return np.concatenate(self.comm.alltoall(sent))
 
 
-def _appended(rows: Arrays, counts: Integers, columns: Integers, values: FloatVector) -> Arrays:
+def _appended(rows: Arrays, counts: Integers, columns: Integers, values: Vector) -> Arrays:
     indptr, indices, data = rows
     return (
         np.concatenate([indptr, indptr[-1] + np.cumsum(counts, dtype=indptr.dtype)]),

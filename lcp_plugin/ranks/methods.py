@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import Arrays, FloatVector, read_only
+from ..core.checks import Arrays, Vector, read_only
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
 from ..core.matrix import split_rows
@@ -51,7 +51,7 @@ class GridOnRanks(Grid):
     """Local rows of one grid, then rows of adjacent ghosts, and the pivots of a sweep; n counts local unknowns."""
 
     halo: Halo
-    weight: FloatVector
+    weight: Vector
 
     @property
     def width(self) -> int:
@@ -117,7 +117,7 @@ def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyO
     return HierarchyOnRanks(tuple(grids), tuple(transfers))
 
 
-def pivot_weight(rows: Any, halo: Halo, relaxation: float) -> FloatVector:
+def pivot_weight(rows: Any, halo: Halo, relaxation: float) -> Vector:
     """Return the weights added to the pivots d_i of a sweep on all ranks at once, shape (own,).
 
     Notes
@@ -223,11 +223,11 @@ class TruncatedGridOnRanks(TruncatedGrid):
         """Return None: no rank has all rows."""
         return None, 0.0
 
-    def fetch(self, x: FloatVector) -> None:
+    def fetch(self, x: Vector) -> None:
         """Fetch the values of ghosts."""
         self.halo.fetch(x)
 
-    def add_pivot_weights(self, residual: FloatVector) -> None:
+    def add_pivot_weights(self, residual: Vector) -> None:
         """Add the weights of the pivots times x to the residual after the first sweep.
 
         All ranks sweep at once. The sweep adds a weight to the pivot of each row that is coupled to a ghost, because
@@ -277,7 +277,7 @@ class TruncationOnRanks(Truncation):
         return self.halo.largest(number)
 
 
-Iterates = Iterator[tuple[FloatVector, float]]  # z, shape (own,), and passes over M since the last
+Iterates = Iterator[tuple[Vector, float]]  # z, shape (own,), and passes over M since the last
 OUT_OF_HAND = 100.0  # times the least residual
 SHRUNK = 0.9  # of the least residual: a cycle that gains less is idle
 PATIENCE = 12  # idle cycles
@@ -288,7 +288,7 @@ COARSE_CYCLES, MOST_COARSE_CYCLES, COARSE_CHANGES = 2, 10, 5e-4  # of nested ite
 COARSEST_SWEEPS = 50
 
 
-def sweep(problem: RowsOnRanks, z: FloatVector, relaxation: float = 1.0) -> Iterates:
+def sweep(problem: RowsOnRanks, z: Vector, relaxation: float = 1.0) -> Iterates:
     """Yield iterates of projected relaxation, z_i ← mid(l_i, u_i, z_i − ω w_i/d_i)."""
     halo, M = problem.halo, problem.rows
     pivots = _positive_diagonal(problem)
@@ -303,7 +303,7 @@ def sweep(problem: RowsOnRanks, z: FloatVector, relaxation: float = 1.0) -> Iter
         yield x[: problem.own], 1.0
 
 
-def projected_type(problem: RowsOnRanks, z: FloatVector, algorithm: ProjectedType) -> Iterates:
+def projected_type(problem: RowsOnRanks, z: Vector, algorithm: ProjectedType) -> Iterates:
     """Yield iterates of NPAOR, (D/α + D + 2S⁻¹ − (β/α) L)(z⁺ − z) = −2 S⁻¹ r(z), with S = 1/d."""
     alpha, beta = algorithm.weights()
     halo, M, d = problem.halo, problem.rows, problem.residual_scale
@@ -328,7 +328,7 @@ def projected_type(problem: RowsOnRanks, z: FloatVector, algorithm: ProjectedTyp
         yield x[: problem.own], 1.0
 
 
-def multigrid(problem: RowsOnRanks, z: FloatVector) -> Iterates:
+def multigrid(problem: RowsOnRanks, z: Vector) -> Iterates:
     """Yield z after each sweep and correction: truncated V-cycles, or Krylov steps if those are slow.
 
     A cold start comes from the coarser grids (nested iteration). The run ends after idle cycles.
@@ -366,12 +366,7 @@ class GridProblemOnRanks:
     """The LCP of a grid, with the coarser ones below: projected sweeps, and corrections of its free unknowns."""
 
     def __init__(
-        self,
-        hierarchy: HierarchyOnRanks,
-        q: FloatVector,
-        lower: FloatVector,
-        upper: FloatVector,
-        symmetric: bool,
+        self, hierarchy: HierarchyOnRanks, q: Vector, lower: Vector, upper: Vector, symmetric: bool
     ) -> None:
         self.hierarchy, self.truncation, self.symmetric = (
             hierarchy,
@@ -390,7 +385,7 @@ class GridProblemOnRanks:
         self.work = self.truncation.work = 0.0
         return work / self.entries
 
-    def start_from_coarser(self, z: FloatVector) -> None:
+    def start_from_coarser(self, z: Vector) -> None:
         """Add the solution of the coarser grid's LCP to z, within the bounds."""
         transfer = self.hierarchy.transfers[0]
         _, q, lower, upper = self.vectors
@@ -405,7 +400,7 @@ class GridProblemOnRanks:
         prolong(transfer, answer, everywhere, lower, upper, z)
         self.work += below.work + below.truncation.work
 
-    def answer(self) -> FloatVector:
+    def answer(self) -> Vector:
         """Return an approximate solution with space for ghost values, shape (width,)."""
         z = np.zeros(self.grid.width)
         if not self.hierarchy.transfers:
@@ -424,14 +419,14 @@ class GridProblemOnRanks:
                 break
         return z
 
-    def sweep(self, z: FloatVector, *, backward: bool = False) -> None:
+    def sweep(self, z: Vector, *, backward: bool = False) -> None:
         """Overwrite z by one projected Gauss–Seidel sweep."""
         self.halo.fetch(z)
         rows = self.grid.rows
         kernels.projected_sweep(rows, self.grid.blocks, self.vectors, 1.0, backward, z)
         self.work += self.grid.matrix.data.size
 
-    def look(self, z: FloatVector) -> tuple[float, float]:
+    def look(self, z: Vector) -> tuple[float, float]:
         """Find the free rows and truncate to them; return the largest scaled residual and the rows changed."""
         top, residual = self.truncation.grids[0], self.residual[: self.n]
         self.halo.fetch(z)
@@ -444,7 +439,7 @@ class GridProblemOnRanks:
         self.work += self.grid.matrix.data.size
         return self.halo.largest(largest), changed_rows
 
-    def add_cycle(self, z: FloatVector) -> None:
+    def add_cycle(self, z: Vector) -> None:
         """Add one V-cycle's answer to the residual on the free rows, cut off at the bounds."""
         truncation, (_, _, lower, upper) = self.truncation, self.vectors
         top, below = truncation.grids[:2]
@@ -453,7 +448,7 @@ class GridProblemOnRanks:
         below.fetch(below.x)
         prolong(truncation.transfers[0], below.x, top.is_interpolated, lower, upper, z)
 
-    def add_krylov_steps(self, z: FloatVector) -> None:
+    def add_krylov_steps(self, z: Vector) -> None:
         """Add Krylov steps' answer, cut off at the bounds."""
         residual = self.residual[: self.n].copy()
         correction = KrylovCorrection(self.truncation, residual, self.symmetric)
@@ -467,7 +462,7 @@ class GridProblemOnRanks:
         correction.give_back()
 
 
-def _positive_diagonal(problem: RowsOnRanks) -> FloatVector:
+def _positive_diagonal(problem: RowsOnRanks) -> Vector:
     if not problem.halo.everywhere(problem.diagonal > 0.0):
         raise UnsuitableMatrix('the algorithm needs a positive diagonal; try algorithm="npsor"')
     return problem.diagonal
@@ -503,7 +498,7 @@ def chain(
         )
     method = METHODS[algorithm]
 
-    def with_options(problem: RowsOnRanks, z: FloatVector) -> Iterates:
+    def with_options(problem: RowsOnRanks, z: Vector) -> Iterates:
         try:
             return method(problem, z, **options)
         except InvalidOption:

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..core.checks import (
-    FloatVector,
+    Vector,
     canonical_csr,
     check_kind,
     checked_bounds,
@@ -141,16 +141,16 @@ class RowsOnRanks:
             lambda: RowsOnRanks(self.rows, self.halo, q, self.lower, self.upper)
         )
 
-    def own_part(self, z: ArrayLike, name: str = "z") -> FloatVector:
+    def own_part(self, z: ArrayLike, name: str = "z") -> Vector:
         """Return a checked vector, shape (own,); all ranks reject a wrong part of one of them."""
         return self.halo.together(lambda: checked_vector(z, name, self.own, is_finite=False))
 
-    def slack(self, z: FloatVector) -> FloatVector:
+    def slack(self, z: Vector) -> Vector:
         """Return the local part of w = M z + q."""
-        w: FloatVector = self.rows @ self.halo.whole(self.own_part(z)) + self.q
+        w: Vector = self.rows @ self.halo.whole(self.own_part(z)) + self.q
         return w
 
-    def gathered(self, z: ArrayLike) -> FloatVector | None:
+    def gathered(self, z: ArrayLike) -> Vector | None:
         """Return the parts of all ranks as one vector on rank 0, None on the others."""
         own = np.ascontiguousarray(self.own_part(z))
         whole = np.empty(self.n) if self.halo.rank == 0 else None

@@ -14,7 +14,7 @@ from scipy.sparse import csgraph
 from ..core.algorithm import Step
 from ..core.certificates.criterion import RowData, VectorEnds, divide_nonnegative
 from ..core.certificates.measured import Measured
-from ..core.checks import FloatVector, read_only
+from ..core.checks import Vector, read_only
 from ..core.deadline import Clock
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, TINY
@@ -57,13 +57,13 @@ class ComponentsOnRanks:
         # Several ranks share few components; only those are compared.
         self._shared = np.unique(joined[pairs[pairs[:, 0] != pairs[:, 1]].ravel()])
 
-    def largest(self, values: FloatVector) -> FloatVector:
+    def largest(self, values: Vector) -> Vector:
         """Return, per local row, the largest value ≥ 0 of its component's rows; a NaN stays."""
         found = np.zeros(self.count)
         np.maximum.at(found, self.labels, values)
         if self._shared.size:
             found[self._shared] = self.halo.all_largest(*found[self._shared].tolist())
-        of_rows: FloatVector = found[self.labels]
+        of_rows: Vector = found[self.labels]
         return of_rows
 
 
@@ -83,8 +83,8 @@ class CertificateOnRanks:
         The least tolerance at which every row passes the componentwise test.
     """
 
-    z: FloatVector = field(repr=False)
-    w: FloatVector = field(repr=False)
+    z: Vector = field(repr=False)
+    w: Vector = field(repr=False)
     scaled_residual: float
     relative_residual: float
     term_residual: float
@@ -96,8 +96,8 @@ class ProductOnRanks:
     def __init__(self, rows: sp.csr_array, halo: Halo) -> None:
         self.rows, self.halo, self.indptr = rows, halo, rows.indptr
 
-    def __matmul__(self, x: FloatVector) -> FloatVector:
-        product: FloatVector = self.rows @ self.halo.whole(x.astype(np.float64, copy=False))
+    def __matmul__(self, x: Vector) -> Vector:
+        product: Vector = self.rows @ self.halo.whole(x.astype(np.float64, copy=False))
         return product
 
 
@@ -115,15 +115,15 @@ class RowDataOnRanks(RowData):
         """Return whether the mask is True in any row of any rank."""
         return self.problem.halo.anywhere(mask)
 
-    def worst(self, values: FloatVector) -> float:
+    def worst(self, values: Vector) -> float:
         """Return the largest of the values ≥ 0 of all ranks."""
         return self.problem.halo.largest(values)
 
-    def largest(self, values: FloatVector) -> FloatVector:
+    def largest(self, values: Vector) -> Vector:
         """Return the largest of the values ≥ 0 in the component of each row; a NaN stays."""
         return self.components.largest(values)
 
-    def follow_chains(self, is_led: Any, is_small: Any, z: FloatVector) -> Any:
+    def follow_chains(self, is_led: Any, is_small: Any, z: Vector) -> Any:
         """Return all small rows of a component with one in `is_led`: a chain over ranks is not followed."""
         return is_small & (self.largest(is_led.astype(np.float64)) > 0.0)
 
@@ -131,22 +131,22 @@ class RowDataOnRanks(RowData):
         """Return False, because no rank has all rows."""
         return False
 
-    def carried_errors(self, d: FloatVector, v: FloatVector) -> FloatVector:
+    def carried_errors(self, d: Vector, v: Vector) -> Vector:
         """Return ∞, because no rank has all rows."""
         return np.full(v.shape, np.inf)
 
-    def sharp_product(self, z: FloatVector) -> VectorEnds:
+    def sharp_product(self, z: Vector) -> VectorEnds:
         """Return M z + q by sums in twice the precision, and bounds of their errors."""
         problem = self.problem
         return compensated_product(problem.rows, problem.halo.whole(z), problem.q)
 
-    def largest_products(self, x: FloatVector) -> FloatVector:
+    def largest_products(self, x: Vector) -> Vector:
         """Return max_j |m_ij| x_j of each row, x ≥ 0."""
         return largest_products(self.absolute.rows, self.problem.halo.whole(x))
 
 
 @np.errstate(all="ignore")
-def error_bound(data: RowDataOnRanks, z: FloatVector) -> float:
+def error_bound(data: RowDataOnRanks, z: Vector) -> float:
     """Return a proved bound of ‖z − z*‖∞ for an H₊-matrix; ∞ if M is not proved to be one.
 
     z − r(z) solves the problem with q + (M − D) r in place of q, because mid(l, u, ·) sees the same w. With ⟨M⟩v > 0
@@ -240,8 +240,8 @@ class ResultOnRanks(BaseResult):
         A proved bound of ‖z − z*‖∞ if it was requested; ∞ if M is not proved to be an H₊-matrix.
     """
 
-    z: FloatVector
-    w: FloatVector
+    z: Vector
+    w: Vector
     n: int
     certificate: CertificateOnRanks
     work: float
@@ -249,7 +249,7 @@ class ResultOnRanks(BaseResult):
     error_bound: float | None = None
 
     @property
-    def x(self) -> FloatVector:
+    def x(self) -> Vector:
         """The local part of the best iterate, z."""
         return self.z
 
@@ -296,7 +296,7 @@ def solve_on_ranks(
     algorithm: str = "auto",
     *,
     z0: Any = None,
-    callback: Callable[[Sample, FloatVector], Any] | None = None,
+    callback: Callable[[Sample, Vector], Any] | None = None,
     **options: Any,
 ) -> ResultOnRanks:
     """Return the solution; parameters as in :func:`lcp_plugin.solve`, equal on every rank.
@@ -383,7 +383,7 @@ class RunOnRanks(Run):
         super().__init__(progress)
         self.problem, self.data, self.next_check = problem, RowDataOnRanks(problem), 0
 
-    def plan(self, methods: Any, z: FloatVector) -> Iterator[Stage]:
+    def plan(self, methods: Any, z: Vector) -> Iterator[Stage]:
         """Yield the methods one after the other, each from the best point."""
         for name, iterates in methods:
             points = iterates(self.problem, (z if self.best is None else self.best.z).copy())

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.matrix import ROUNDED, Exponents, Matrix, fact, mismatch, scale_matrix, times_power
 from ..core.rounding import compensated_product, lower_end, upper_end
 from .equilibration import scaling_exponents
@@ -23,7 +23,7 @@ from .graph import comparison_of, strong_blocks, within_blocks
 if TYPE_CHECKING:
     from .hierarchy.grids import Hierarchy
 
-Solver = Callable[[FloatVector], FloatVector]
+Solver = Callable[[Vector], Vector]
 
 
 class ComparisonMatrix:
@@ -48,7 +48,7 @@ class ComparisonMatrix:
         self.is_symmetric = mismatch(M, np.abs(M.diagonal()), ROUNDED)[1] is None
         self.exponents: Exponents | None = scaling_exponents(M, self.is_symmetric)
         self.matrix = scale_matrix(comparison_of(M), self.exponents)
-        self.diagonal: FloatVector = self.matrix.diagonal()
+        self.diagonal: Vector = self.matrix.diagonal()
         self._multigrid_failed = False
 
     @cached_property
@@ -68,7 +68,7 @@ class ComparisonMatrix:
         factor = dense_lu(self.matrix.toarray()) if is_small else diagonal_pivot_factor(self.matrix)
         return None if factor is None else factor.solve
 
-    def solve(self, rhs: FloatVector, tolerance: float = 0.1) -> FloatVector | None:
+    def solve(self, rhs: Vector, tolerance: float = 0.1) -> Vector | None:
         """Return an approximate solution, shape (n,), or None if no method applies.
 
         The matrix is then singular, or too large for a factorization if multigrid fails. `tolerance` bounds
@@ -82,7 +82,7 @@ class ComparisonMatrix:
             self._multigrid_failed = True
         return None if self.direct_solver is None else _finite(np.asarray(self.direct_solver(rhs)))
 
-    def iterated(self, rhs: FloatVector, tolerance: float) -> FloatVector | None:
+    def iterated(self, rhs: Vector, tolerance: float) -> Vector | None:
         """Return x with ‖rhs − matrix x‖₂ ≤ tolerance ‖rhs‖₂ by Krylov steps, or None within a number of them."""
         from .hierarchy.truncation import KrylovCorrection, Truncation
 
@@ -97,12 +97,12 @@ class ComparisonMatrix:
         correction.apply_to(np.zeros(rhs.size), x)
         return _finite(x)
 
-    def to_caller(self, x: FloatVector) -> FloatVector:
+    def to_caller(self, x: Vector) -> Vector:
         """Return the unscaled vector for a vector x of the scaled matrix, shape (n,)."""
         return times_power(x, None if self.exponents is None else self.exponents.column)
 
 
-def _finite(x: FloatVector) -> FloatVector | None:
+def _finite(x: Vector) -> Vector | None:
     return x if np.isfinite(x).all() else None
 
 
@@ -161,7 +161,7 @@ class _IrreducibleBlocks:
         self.starts = np.flatnonzero(np.diff(labels[self.order], prepend=-1))
         self.sizes = np.diff(self.starts, append=labels.size)
 
-    def power_steps(self, x: FloatVector) -> FloatVector:
+    def power_steps(self, x: Vector) -> Vector:
         """Return x after some steps of B plus a shift, which keeps bipartite graphs from swinging."""
         for _ in range(30):
             product = self.B @ x
@@ -173,7 +173,7 @@ class _IrreducibleBlocks:
             x = new
         return x
 
-    def noda_steps(self, x: FloatVector) -> Iterator[FloatVector]:
+    def noda_steps(self, x: Vector) -> Iterator[Vector]:
         """Yield x after each step of Noda's iteration, all blocks at once, until a shifted matrix is singular."""
         for _ in range(40):
             ratio = (self.B @ x) / x
@@ -190,7 +190,7 @@ class _IrreducibleBlocks:
                 return
             yield x
 
-    def bounds(self, x: FloatVector) -> tuple[float, float]:
+    def bounds(self, x: Vector) -> tuple[float, float]:
         """Return the two bounds for x > 0, over all blocks."""
         value, radius = compensated_product(self.B, x)
         low = np.nextafter(lower_end(value, radius) / x, -np.inf)

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.kernels.floats import EPSILON
 from ..core.matrix import row_numbers, scale_by
 from ..core.tuning import FULL_CHOLESKY_UP_TO
@@ -50,7 +50,7 @@ def positive_definite_solver(P: Any) -> Solver | None:
     >>> positive_definite_solver(np.array([[1.0, 1.0], [1.0, 1.0]])) is None
     True
     """
-    diagonal: FloatVector = np.array(P.diagonal())
+    diagonal: Vector = np.array(P.diagonal())
     if not (diagonal > 0.0).all():
         return None
     if is_diagonal(P):
@@ -88,7 +88,7 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
     >>> is_semidefinite_to_rounding(np.array([[0.0, 1e-9], [1e-9, 1.0]]))
     False
     """
-    diagonal: FloatVector = P.diagonal()
+    diagonal: Vector = P.diagonal()
     if not (diagonal >= 0.0).all():
         return False
     if sp.issparse(P):
@@ -145,7 +145,7 @@ def is_positive_definite(P: Any) -> bool | None:
     >>> is_positive_definite(np.array([[1.0, 2.0], [2.0, 1.0]]))
     False
     """
-    diagonal: FloatVector = np.array(P.diagonal())
+    diagonal: Vector = np.array(P.diagonal())
     if not (diagonal > 0.0).all():
         return False
     if is_diagonal(P):
@@ -180,7 +180,7 @@ def symmetric_part(M: Any) -> Any:
 
 def semidefinite_margin(P: Any) -> float:
     """Return δ of λ_min(P) ≥ −δ, which :func:`is_semidefinite_to_rounding` proves, in the unit of P."""
-    diagonal: FloatVector = np.array(P.diagonal())
+    diagonal: Vector = np.array(P.diagonal())
     return 2.0 * _margin(diagonal.size, diagonal.size) * float(diagonal.max(initial=0.0))
 
 
@@ -194,7 +194,7 @@ def _margin(n: int, terms: int) -> float:
     return n * (terms + 4) * EPSILON
 
 
-def scaled_to(P: Any, scale: FloatVector) -> Any:
+def scaled_to(P: Any, scale: Vector) -> Any:
     """Return P with scaled rows and columns; None if P overflows or is too large to be factorized."""
     if not sp.issparse(P):
         dense = scale_by(P, scale, scale)
@@ -205,7 +205,7 @@ def scaled_to(P: Any, scale: FloatVector) -> Any:
     return scaled if np.isfinite(scaled.data).all() else None
 
 
-def _column_like(scale: FloatVector, rhs: FloatArray) -> FloatArray:
+def _column_like(scale: Vector, rhs: FloatArray) -> FloatArray:
     return scale if rhs.ndim == 1 else scale[:, None]
 
 

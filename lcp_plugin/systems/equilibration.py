@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import FloatVector
+from ..core.checks import Vector
 from ..core.matrix import Exponents, row_numbers
 
 LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
@@ -46,7 +46,7 @@ def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
     smallest, largest = np.log2(pivots.min()), np.log2(pivots.max())
     if largest - smallest <= DIAGONAL_SPREAD and np.log2(largest_entry) - smallest <= LARGEST_RATIO:
         return None
-    diagonal: FloatVector = np.log2(pivots)
+    diagonal: Vector = np.log2(pivots)
     ratios = np.log2(np.abs(M.data)) - diagonal[row_numbers(M)]
     if np.ptp(diagonal) <= DIAGONAL_SPREAD and ratios.max() <= LARGEST_RATIO:
         return None
@@ -56,7 +56,7 @@ def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
     return Exponents(-column - np.rint(diagonal).astype(np.int64), column)
 
 
-def unit_diagonal(diagonal: FloatVector) -> Exponents:
+def unit_diagonal(diagonal: Vector) -> Exponents:
     """Return the powers of two, alike for rows and columns, that bring a positive diagonal near 1."""
     half = -np.rint(np.log2(diagonal) / 2.0).astype(np.int64)
     return Exponents(half, half)

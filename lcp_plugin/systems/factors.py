@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector, read_only
+from ..core.checks import Vector, read_only
 from ..core.deadline import enforced_seconds_left, require_seconds
 from ..core.matrix import Matrix, fact, largest_in_rows, row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
@@ -111,7 +111,7 @@ def lapack() -> Any:
     return found
 
 
-def positive_triangle(matrix: FloatVector) -> FloatVector | None:
+def positive_triangle(matrix: Vector) -> Vector | None:
     """Return the triangle of Cholesky's factor, as LAPACK has it; None if the matrix is not positive definite."""
     require_seconds(matrix.shape[0] ** 3 / 3.0 / DENSE_OPERATIONS)
     # A row-major upper triangle is LAPACK's lower one: no copy is transposed.
@@ -119,7 +119,7 @@ def positive_triangle(matrix: FloatVector) -> FloatVector | None:
     return factor if info == 0 else None
 
 
-def cholesky(matrix: FloatVector) -> Factor | None:
+def cholesky(matrix: Vector) -> Factor | None:
     """Return A = UᵀU of a dense matrix, whose upper triangle is read, or None if A is not positive definite."""
     factor, n = positive_triangle(matrix), matrix.shape[0]
     if factor is None:
@@ -131,7 +131,7 @@ def cholesky(matrix: FloatVector) -> Factor | None:
     return Factor("Cholesky", solve, solve, n**3 / 6.0, float(n * n))
 
 
-def dense_lu(matrix: FloatVector) -> Factor | None:
+def dense_lu(matrix: Vector) -> Factor | None:
     """Return the LU factor of a dense matrix with partial pivoting, or None if a pivot is zero.
 
     LAPACK factorizes Aᵀ, which needs no transposed copy. An empty matrix is regular, for example on the coarsest grid
@@ -326,9 +326,9 @@ class Bands(NamedTuple):
         At most one diagonal on either side, without positive entries, and a positive main diagonal.
     """
 
-    entries: FloatVector
+    entries: Vector
     below: int
-    weights: FloatVector
+    weights: Vector
     is_tridiagonal_z: bool
 
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import BoolVector, FloatVector
+from ..core.checks import BoolVector, Vector
 from ..core.matrix import Exponents, Matrix, fact, is_nearly_symmetric, scale_matrix, times_power
 from ..core.tuning import DIRECT_UP_TO
 from .equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, unit_diagonal
@@ -259,8 +259,8 @@ class FreeSystem:
         return self.matrix if self.rows.size == self.matrix.n else Matrix(self.block)
 
     def solve(
-        self, right: FloatVector, *, transposed: bool = False, goal: float = KRYLOV_GOAL
-    ) -> FloatVector | None:
+        self, right: Vector, *, transposed: bool = False, goal: float = KRYLOV_GOAL
+    ) -> Vector | None:
         """Return x with M_FF x_F = right_F, or M_FFᵀ x_F = right_F, 0 elsewhere; None if the solver fails.
 
         It fails if the block is singular to working precision, or if Krylov steps fail on a block too large to factor.
@@ -281,7 +281,7 @@ class FreeSystem:
             return None
         return self._extended(self._solved(factor, right[self.rows], REFINEMENTS, transposed))
 
-    def solve_near(self, right: FloatVector, start: FloatVector) -> FloatVector | None:
+    def solve_near(self, right: Vector, start: Vector) -> Vector | None:
         """Return x with the smallest residual in M_FF x_F = right_F, 0 elsewhere; None if no attempt is finite.
 
         If the block is singular, a ridge is added to its diagonal and taken out again by proximal steps from
@@ -354,7 +354,7 @@ class FreeSystem:
         determined: BoolVector = np.abs(left).max(axis=1) <= CONSISTENT
         return determined
 
-    def _extended(self, x: FloatVector) -> FloatVector | None:
+    def _extended(self, x: Vector) -> Vector | None:
         if not np.isfinite(x).all():
             return None
         whole = np.zeros(self.free.size)
@@ -395,7 +395,7 @@ class FreeSystem:
         return self._even_factor(sp.csr_array(block) if sp.issparse(block) else block)
 
     @cached_property
-    def _scale(self) -> FloatVector:
+    def _scale(self) -> Vector:
         return self.matrix.residual_scale[self.rows]
 
     @property
@@ -451,7 +451,7 @@ class FreeSystem:
         rows = self._exponents(self.block)[0].row
         return self._cancels_beside(np.exp2(-rows.astype(np.float64)), factor)
 
-    def _cancels_beside(self, scale: FloatVector, factor: Factor) -> bool:
+    def _cancels_beside(self, scale: Vector, factor: Factor) -> bool:
         """Return whether terms cancel for a random right-hand side of this size, shape (|F|,)."""
         # a random vector is not in the range of a singular block
         x = factor.solve(np.random.default_rng(0).standard_normal(scale.size) * scale)
@@ -466,25 +466,25 @@ class FreeSystem:
     def _solved(
         self,
         factor: Factor,
-        right: FloatVector,
+        right: Vector,
         steps: int,
         transposed: bool = False,
-        scale: FloatVector | None = None,
-    ) -> FloatVector:
+        scale: Vector | None = None,
+    ) -> Vector:
         """Return the refined solution by a factorization."""
         self.work += factor.solve_work
-        x: FloatVector = (factor.solve_transposed if transposed else factor.solve)(right)
+        x: Vector = (factor.solve_transposed if transposed else factor.solve)(right)
         return self._refined(factor, x, right, steps, scale, transposed)
 
     def _refined(
         self,
         factor: Factor,
-        x: FloatVector,
-        right: FloatVector,
+        x: Vector,
+        right: Vector,
         steps: int,
-        scale: FloatVector | None,
+        scale: Vector | None,
         transposed: bool = False,
-    ) -> FloatVector:
+    ) -> Vector:
         """Return the best x of steps x ← x + A⁻¹(right − M_FF x), as long as each halves its error.
 
         The error is the largest |right − M_FF x|/scale, or the backward error if scale is None.
@@ -514,20 +514,20 @@ class FreeSystem:
         return best
 
     def _backward_error(
-        self, left: FloatVector, x: FloatVector, right: FloatVector, transposed: bool = False
+        self, left: Vector, x: Vector, right: Vector, transposed: bool = False
     ) -> float:
         """Return the largest |left|/(|M_FF||x| + |right|), 0/0 = 0."""
         size = (self._sizes.T if transposed else self._sizes) @ np.abs(x) + np.abs(right)
         return _largest(np.divide(left, size, out=np.zeros(left.size), where=left != 0.0))
 
-    def _least_squares(self, right: FloatVector, start: FloatVector) -> FloatVector:
+    def _least_squares(self, right: Vector, start: Vector) -> Vector:
         """Return the point closest to start that makes the row-scaled system's error least, NaN if there is none."""
         from scipy.linalg import LinAlgError, lstsq
 
         even = self._dense_block / self._scale[:, None]
         self.work += 4.0 * self.rows.size**3
         try:
-            step: FloatVector = lstsq(
+            step: Vector = lstsq(
                 even, right / self._scale - even @ start, cond=1e-12, check_finite=False
             )[0]
         except LinAlgError:
@@ -547,7 +547,7 @@ class FreeSystem:
         truncation.update()
         return truncation
 
-    def _iterated(self, right: FloatVector, transposed: bool, goal: float) -> FloatVector | None:
+    def _iterated(self, right: Vector, transposed: bool, goal: float) -> Vector | None:
         """Return the solution by Krylov steps, one V-cycle each, None if they do not converge."""
         from .hierarchy.kernels import dot
         from .hierarchy.truncation import KrylovCorrection
@@ -558,7 +558,7 @@ class FreeSystem:
         if transposed and not is_symmetric:
             return FreeSystem(_transposed(matrix), self.free)._iterated(right, False, goal)
 
-        def size(vector: FloatVector) -> float:
+        def size(vector: Vector) -> float:
             return float(np.sqrt(dot(vector, vector)))
 
         unit = 1.0 if is_symmetric else 1.0 / matrix.residual_scale
@@ -589,5 +589,5 @@ def _transposed(matrix: Matrix) -> Matrix:
     return Matrix(matrix.array.T)
 
 
-def _largest(values: FloatVector) -> float:
+def _largest(values: Vector) -> float:
     return float(np.max(np.abs(values), initial=0.0))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import FloatVector, read_only
+from ..core.checks import Vector, read_only
 from ..core.matrix import (
     IntVector,
     Matrix,
@@ -34,7 +34,7 @@ def comparison_of(M: Any) -> sp.csr_array:
     return sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
 
 
-def comparison_product(M: Any, v: FloatVector) -> tuple[FloatVector, FloatVector]:
+def comparison_product(M: Any, v: Vector) -> tuple[Vector, Vector]:
     """Return (value, radius) with |⟨M⟩v − value| ≤ radius; ⟨M⟩ has |m_ii| on, −|m_ij| off the diagonal.
 
     Parameters
@@ -63,7 +63,7 @@ def comparison_product(M: Any, v: FloatVector) -> tuple[FloatVector, FloatVector
     return compensated_product(comparison_of(M), v)
 
 
-def exact_comparison_row(M: Any, v: FloatVector, row: int) -> Fraction:
+def exact_comparison_row(M: Any, v: Vector, row: int) -> Fraction:
     """Return (⟨M⟩v)_row without any rounding; M a CSR array, v finite."""
     total = Fraction(0)
     for k in range(M.indptr[row], M.indptr[row + 1]):
@@ -74,7 +74,7 @@ def exact_comparison_row(M: Any, v: FloatVector, row: int) -> Fraction:
 
 
 @np.errstate(all="ignore")
-def outer_on_pattern(matrix: Matrix, left: FloatVector, right: FloatVector) -> sp.csr_array:
+def outer_on_pattern(matrix: Matrix, left: Vector, right: Vector) -> sp.csr_array:
     """Return left_i right_j on the sparsity pattern of M.
 
     Parameters
@@ -157,7 +157,7 @@ def scale_spread(matrix: Matrix) -> Mapping[str, float]:
     return MappingProxyType({name: _decades(values) for name, values in sizes.items()})
 
 
-def _decades(values: FloatVector) -> float:
+def _decades(values: Vector) -> float:
     nonzero = values[values > 0.0]
     return float(np.log10(nonzero.max()) - np.log10(nonzero.min())) if nonzero.size else 0.0
 

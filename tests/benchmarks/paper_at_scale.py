@@ -17,7 +17,7 @@ from paper_tables import TOLERANCE, iterated
 from scipy.sparse.linalg import splu, spsolve_triangular
 
 from lcp_plugin.algorithms import create, paper_options
-from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.checks import Vector
 from lcp_plugin.core.lcp import LCP
 from lcp_plugin.gallery import build
 
@@ -33,7 +33,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
     scene = build("paper_example_1", n=10_000 if quick else 1_000_000)
     M, q, start = scene.problem.csr, np.array(scene.problem.q), np.array(scene.start)
 
-    def ours() -> tuple[FloatVector, int]:
+    def ours() -> tuple[Vector, int]:
         algorithm = create("npsor", paper_options("npsor", RELAXATION))
         z, count, _, _ = iterated(LCP(M, q), start, algorithm)
         return z, count
@@ -65,9 +65,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
             yield f"{name} ÷ ours: {value / seconds['lcp_plugin']:.1f}{target}"
 
 
-def scipy_npsor(
-    M: sp.csr_array, q: FloatVector, start: FloatVector, prepare: Prepare
-) -> tuple[FloatVector, int]:
+def scipy_npsor(M: sp.csr_array, q: Vector, start: Vector, prepare: Prepare) -> tuple[Vector, int]:
     """Return (z, iterations) of NPSOR written with scipy: the factor made once, work arrays reused where scipy can."""
     diagonal = M.diagonal()
     lower = sp.csr_array(sp.tril(M, -1) + sp.diags_array(diagonal / RELAXATION + diagonal + 2.0))

@@ -44,7 +44,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import BoolVector, FloatVector
+from ..checks import BoolVector, Vector
 from ..kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE, NORMAL, TINY
 from ..lcp import LCP
 from ..matrix import BLOCK, IntVector, Matrix, connected_components, fact, largest_products
@@ -52,7 +52,7 @@ from ..names import Names
 from ..rounding import compensated_product
 from .measured import Measured, RowResiduals
 
-VectorEnds = tuple[FloatVector, FloatVector]  # lower and upper bounds
+VectorEnds = tuple[Vector, Vector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
 DEMAND_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
 ROUNDING = 2.0**-50  # a violation so small next to the component is rounding
@@ -82,10 +82,10 @@ class RowsAtPoint(NamedTuple):
         The rows that count: z_i strictly between its bounds, or the row is violated.
     """
 
-    w: FloatVector
-    terms: FloatVector
-    rounding: FloatVector
-    violation: FloatVector
+    w: Vector
+    terms: Vector
+    rounding: Vector
+    violation: Vector
     is_active: Any
 
 
@@ -116,12 +116,12 @@ class RowData:
         self,
         M: Any,
         absolute: Any,
-        q: FloatVector,
-        lower: FloatVector,
-        upper: FloatVector,
-        scale: FloatVector,
+        q: Vector,
+        lower: Vector,
+        upper: Vector,
+        scale: Vector,
         labels: Any = None,
-        start: FloatVector | None = None,
+        start: Vector | None = None,
         origin: Any = None,
     ) -> None:
         self.origin = origin
@@ -176,11 +176,11 @@ class RowData:
         """Return whether the mask is True in any row."""
         return bool(mask.any())
 
-    def worst(self, values: FloatVector) -> Any:
+    def worst(self, values: Vector) -> Any:
         """Return the largest of the values ≥ 0 of each problem; a NaN stays."""
         return values.max(-1, initial=0.0)
 
-    def estimate(self, z: FloatVector) -> float:
+    def estimate(self, z: Vector) -> float:
         """Return the relative residual of z as computed in double precision, of components that z° does not solve."""
         w = times(self.M, z) + self.q
         residual = np.where(np.isinf(w), np.inf, np.abs(self.residual(z, w)))
@@ -190,7 +190,7 @@ class RowData:
         return float(np.where(self.is_at_start, 0.0, relative).max(initial=0.0))
 
     def measure(
-        self, z: FloatVector, tolerance: float, power: float = POWER, absolute: float = 0.0
+        self, z: Vector, tolerance: float, power: float = POWER, absolute: float = 0.0
     ) -> Measured:
         """Move z to near bounds, and measure the moved point; its residual is of components that z° does not solve.
 
@@ -205,7 +205,7 @@ class RowData:
         return found._replace(residual=self.worst(relative))
 
     def measure_at(
-        self, z: FloatVector, w: Any, tolerance: float, power: float = POWER, absolute: float = 0.0
+        self, z: Vector, w: Any, tolerance: float, power: float = POWER, absolute: float = 0.0
     ) -> Measured:
         """Measure z by the stopping criterion.
 
@@ -243,7 +243,7 @@ class RowData:
 
     def residuals_at(
         self,
-        z: FloatVector,
+        z: Vector,
         at: RowsAtPoint,
         tolerance: float,
         power: float = POWER,
@@ -273,7 +273,7 @@ class RowData:
             terms = np.where(high <= absolute, 0.0, terms)
         return RowResiduals(low, high, reference, relative, terms, worst)
 
-    def sharp_product(self, z: FloatVector) -> VectorEnds | None:
+    def sharp_product(self, z: Vector) -> VectorEnds | None:
         """Return M z + q by sums in twice the precision, and bounds of their errors; None for several problems."""
         if z.size > z.shape[-1]:
             return None
@@ -284,7 +284,7 @@ class RowData:
         w, radius = compensated_product(M, np.ascontiguousarray(z).ravel(), q)
         return w.reshape(z.shape), radius.reshape(z.shape)
 
-    def rows(self, z: FloatVector, w: Any = None) -> RowsAtPoint:
+    def rows(self, z: Vector, w: Any = None) -> RowsAtPoint:
         """Return the values of all rows at z, with its slack w if that is known."""
         w = times(self.M, z) + self.q if w is None else w
         products = times(self.absolute, np.abs(z))
@@ -296,7 +296,7 @@ class RowData:
         is_active = (violation > 0.0) | (is_above & is_below)
         return RowsAtPoint(w, terms, rounding, violation, is_active)
 
-    def largest(self, values: FloatVector) -> Any:
+    def largest(self, values: Vector) -> Any:
         """Return the largest of the values ≥ 0 in the component of each row; shape (…, 1) if there is one.
 
         A NaN stays.
@@ -307,9 +307,7 @@ class RowData:
         np.maximum.at(found, self.labels, values)
         return found[self.labels]
 
-    def residual(
-        self, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
-    ) -> FloatVector:
+    def residual(self, z: Vector, w: Vector, scale: Vector | None = None) -> Vector:
         """Return r(z), by mid(z − upper, z − lower, w/d): a small step is not lost next to a large z.
 
         Intermediate arrays are so short that they stay in the cache.
@@ -326,11 +324,7 @@ class RowData:
         return residual
 
     def residual_ends(
-        self,
-        z: FloatVector,
-        w: FloatVector,
-        rounding: FloatVector | None = None,
-        scale: FloatVector | None = None,
+        self, z: Vector, w: Vector, rounding: Vector | None = None, scale: Vector | None = None
     ) -> VectorEnds:
         """Return bounds of every |r_i(z)| for slacks within w ± rounding; 0 and ∞ for numbers that are not finite."""
         if rounding is None:
@@ -345,20 +339,20 @@ class RowData:
         return low, high
 
     @cached_property
-    def demand(self) -> FloatVector:
+    def demand(self) -> Vector:
         """Demand of each row: a_i in the docstring of this module."""
         at = self.rows(self.start)
         w = np.abs(at.w)
         w = np.where(w > NEGLIGIBLE * at.terms, w, 0.0)
         return np.maximum(w, self.largest_products(w / self.scale))
 
-    def largest_products(self, x: FloatVector) -> FloatVector:
+    def largest_products(self, x: Vector) -> Vector:
         """Return max_j |m_ij| x_j of each row, x ≥ 0."""
         return largest_products(self.absolute, x)
 
     def term_residuals(
-        self, z: FloatVector, at: RowsAtPoint, power: float = POWER, goal: float = np.inf
-    ) -> FloatVector:
+        self, z: Vector, at: RowsAtPoint, power: float = POWER, goal: float = np.inf
+    ) -> Vector:
         """Return the least tolerance at which each row passes the componentwise test; ∞ and NaN pass at none.
 
         Parameters
@@ -388,7 +382,7 @@ class RowData:
         return found
 
     def are_refuted(
-        self, z: FloatVector, at: RowsAtPoint, tolerance: float, passes: Any, is_open: Any = True
+        self, z: Vector, at: RowsAtPoint, tolerance: float, passes: Any, is_open: Any = True
     ) -> Any:
         """Return a mask of the problems that pass only by the rounding level of a row, but not near a solution.
 
@@ -414,7 +408,7 @@ class RowData:
             found[k] = any(self.is_wrong(k, z[k], rows) for rows in parts)
         return found
 
-    def is_rejected(self, z: FloatVector, tolerance: float) -> bool:
+    def is_rejected(self, z: Vector, tolerance: float) -> bool:
         """Return whether the problem's origin rejects z, as a program does if the duality gap is large."""
         rejects = getattr(self.origin, "rejects", None)
         if rejects is None:
@@ -423,7 +417,7 @@ class RowData:
             self._latest = tolerance, z.tobytes(), bool(rejects(z, tolerance))
         return self._latest[2]
 
-    def is_wrong(self, k: tuple[int, ...], z: FloatVector, rows: IntVector) -> bool:
+    def is_wrong(self, k: tuple[int, ...], z: Vector, rows: IntVector) -> bool:
         """Return whether neither a linear solve nor a search finds a solution near z in these rows of problem k."""
         from ...methods.search import is_near_solution
         from ...proofs.no_solution import has_solution_near
@@ -440,7 +434,7 @@ class RowData:
             self._refuted[key] = not (is_near or is_near_solution(part, z[rows]))
         return self._refuted[key]
 
-    def _is_excused(self, z: FloatVector, at: RowsAtPoint) -> Any:
+    def _is_excused(self, z: Vector, at: RowsAtPoint) -> Any:
         """Return the rows with q_i = 0 that are at the rounding level of their component, bool."""
         is_candidate = self.q == 0.0
         if not self.anywhere(is_candidate):
@@ -455,7 +449,7 @@ class RowData:
         is_led = self.follow_chains(leads, is_small, z)
         return is_candidate & ~is_led & (is_small | (at.violation <= ROUNDING * unit))
 
-    def _is_harmful(self, z: FloatVector, at: RowsAtPoint, is_open: BoolVector) -> Any:
+    def _is_harmful(self, z: Vector, at: RowsAtPoint, is_open: BoolVector) -> Any:
         """Return the rows of the components in which errors of the open rows are not harmless, bool."""
         size = np.abs(self.diagonal)
         d = np.where(self.diagonal > 0.0, self.diagonal, self.scale)
@@ -473,7 +467,7 @@ class RowData:
         errors = self.carried_errors(z, np.where(is_open & ~is_harmful, at.w, 0.0))
         return is_harmful | (self.largest(~(errors <= limit) * 1.0) > 0.0)
 
-    def carried_errors(self, z: FloatVector, w: FloatVector) -> FloatVector:
+    def carried_errors(self, z: Vector, w: Vector) -> Vector:
         """Return |e| with M e = w in the rows with w_i ≠ 0 or z_i off its bounds, e_i = 0 elsewhere.
 
         ∞ if this system is singular, or too large for a factorization.
@@ -498,16 +492,16 @@ class RowData:
                     e[k] = splu(csc_array(part)).solve(w[k])
         except (np.linalg.LinAlgError, RuntimeError):  # singular
             return np.full(w.shape, np.inf)
-        sizes: FloatVector = np.abs(e)
+        sizes: Vector = np.abs(e)
         return sizes
 
     @cached_property
-    def diagonal(self) -> FloatVector:
+    def diagonal(self) -> Vector:
         """The diagonal of M, shape (…, n)."""
         is_stack = isinstance(self.M, np.ndarray)
         return np.diagonal(self.M, axis1=-2, axis2=-1) if is_stack else self.M.diagonal()
 
-    def follow_chains(self, is_led: Any, is_small: Any, z: FloatVector) -> Any:
+    def follow_chains(self, is_led: Any, is_small: Any, z: Vector) -> Any:
         """Return the small rows to which a chain of small rows leads from the rows `is_led`, bool."""
         if not is_led.any():
             return is_led
@@ -520,36 +514,36 @@ class RowData:
                 return is_led
             is_led = after
 
-    def rounding_floor(self, terms: FloatVector, scale: FloatVector | None = None) -> Any:
+    def rounding_floor(self, terms: Vector, scale: Vector | None = None) -> Any:
         """Return the rounding level of each residual: k_i ε T_i / d_i with k_i = nonzeros of row i + 2."""
         rounding = (self._counts + 2) * (EPSILON * terms + TINY)
         return rounding / (self.scale if scale is None else scale)
 
-    def underflow(self, z: FloatVector) -> Any:
+    def underflow(self, z: Vector) -> Any:
         """Return the part of each w_i that underflow explains: a subnormal z_j cannot be more accurate."""
         grid = np.where((z != 0.0) & (np.abs(z) < NORMAL), TINY, 0.0)
         if not self.anywhere(grid > 0.0):
             return 0.0
         return times(self.absolute, grid) + (self._counts + 2) * TINY
 
-    def snap(self, z: FloatVector) -> tuple[FloatVector, FloatVector | None]:
+    def snap(self, z: Vector) -> tuple[Vector, Vector | None]:
         """Return z, moved to near bounds, or to z° in components that it solves; and its slack if it did not move."""
         z = np.where(self.is_at_start, self.start, z)
         w = times(self.M, z) + self.q
         moved = self.snap_to_bounds(z, w)
         return moved, None if self.anywhere(moved != z) else w
 
-    def snap_to_bounds(self, z: FloatVector, w: FloatVector) -> FloatVector:
+    def snap_to_bounds(self, z: Vector, w: Vector) -> Vector:
         """Return z with z_i projected onto a bound whose distance is at most the step −w_i/d_i."""
         step = w / self.scale
         moved = np.where(-step >= self.upper - z, self.upper, z)
         return np.where(step >= z - self.lower, self.lower, moved)
 
 
-def times(M: Any, x: FloatVector) -> FloatVector:
+def times(M: Any, x: Vector) -> Vector:
     """Return M x for one problem, or for each problem of a stack, which may share one M."""
     if x.ndim == 1:
-        product: FloatVector = M @ x
+        product: Vector = M @ x
     elif M.ndim == 2:
         product = (M @ x.T).T
     elif M.shape[0] == 1 < x.shape[0]:
@@ -593,14 +587,12 @@ def absolute(matrix: Matrix) -> Any:
     return abs(matrix.array)
 
 
-def criterion_at(problem: LCP, z: FloatVector) -> tuple[RowData, FloatVector, None, Names]:
+def criterion_at(problem: LCP, z: Vector) -> tuple[RowData, Vector, None, Names]:
     """Return the data of the criterion, with z, no slack, and the names."""
     return row_data(problem), z, None, problem.names
 
 
-def scaled_residual(
-    problem: LCP, z: FloatVector, w: FloatVector, scale: FloatVector | None = None
-) -> FloatVector:
+def scaled_residual(problem: LCP, z: Vector, w: Vector, scale: Vector | None = None) -> Vector:
     """Return r(z), shape (n,); ∞ where w_i is not finite, because its sign is then unknown."""
     residual = row_data(problem).residual(z, w, scale)
     if not np.isfinite(w.sum()):
@@ -608,7 +600,7 @@ def scaled_residual(
     return residual
 
 
-def measured_residual(problem: LCP, z: FloatVector) -> float:
+def measured_residual(problem: LCP, z: Vector) -> float:
     """Return ‖r(z)‖∞ as computed in double precision, without a bound of its rounding error."""
     return float(np.abs(scaled_residual(problem, z, problem.slack(z))).max(initial=0.0))
 
@@ -627,7 +619,7 @@ def rounding_of_data(problem: LCP) -> float:
     return DATA_ROUNDING * min(float(sizes.max(initial=0.0)), LARGEST)
 
 
-def find_rounding_rows(ends: VectorEnds, floor: FloatVector) -> BoolVector:
+def find_rounding_rows(ends: VectorEnds, floor: Vector) -> BoolVector:
     """Return the rows whose residual, within its ends, may be at most four times its rounding level."""
     return (ends[0] <= 4.0 * floor) & np.isfinite(floor + ends[1])
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import FloatVector, checked_vector, derived_property, read_only, restore_state
+from ..checks import Vector, checked_vector, derived_property, read_only, restore_state
 from ..errors import InvalidProblem
 from ..lcp import LCP
 from ..problem_classes import refusal
@@ -67,7 +67,7 @@ class Certificate:
     """
 
     problem: LCP = field(repr=False)
-    z: FloatVector = field(repr=False)
+    z: Vector = field(repr=False)
 
     is_linearised: ClassVar[bool] = (
         False  # whether `problem` is the linearization of a nonlinear problem at z
@@ -93,7 +93,7 @@ class Certificate:
         return cls(problem, z)
 
     @classmethod
-    def at(cls, problem: LCP, z: FloatVector, rows: RowsAtPoint | None = None) -> Certificate:
+    def at(cls, problem: LCP, z: Vector, rows: RowsAtPoint | None = None) -> Certificate:
         """Return the certificate of z, a read-only array, with the values of its rows if they are known."""
         certificate = cls(problem, z)
         if rows is not None:
@@ -115,7 +115,7 @@ class Certificate:
         return self.criterion.residuals_at(self.z, self._rows, PRECISE)
 
     @derived_property
-    def w(self) -> FloatVector:
+    def w(self) -> Vector:
         """The slack M z + q in double precision, shape (n,), read-only."""
         return read_only(self._rows.w)
 
@@ -139,7 +139,7 @@ class Certificate:
         return float(self.by_row.relative.max(initial=0.0))
 
     @derived_property
-    def term_residuals(self) -> FloatVector:
+    def term_residuals(self) -> Vector:
         """The least tolerance at which each row passes the componentwise test, shape (n,)."""
         return self.criterion.term_residuals(self.z, self._rows)
 
@@ -149,7 +149,7 @@ class Certificate:
         return float(self.term_residuals.max(initial=0.0))
 
     @derived_property
-    def _natural(self) -> FloatVector:
+    def _natural(self) -> Vector:
         """An upper bound of every |z − mid(lower, upper, z − w)|."""
         at = self._rows
         return self.criterion.residual_ends(self.z, at.w, at.rounding, np.ones(self.z.size))[1]
@@ -189,12 +189,12 @@ class Certificate:
         return float(np.abs(np.maximum(*self.products)).max(initial=0.0))
 
     @derived_property
-    def rounding_floor(self) -> FloatVector:
+    def rounding_floor(self) -> Vector:
         """Rounding bound of each residual: k_i ε (|M||z| + |q|)_i / d_i, shape (n,).
 
         k_i = nonzeros of row i + 2; a residual in double precision below this level is meaningless.
         """
-        floor: FloatVector = self.criterion.rounding_floor(self._rows.terms)
+        floor: Vector = self.criterion.rounding_floor(self._rows.terms)
         return floor
 
     @derived_property

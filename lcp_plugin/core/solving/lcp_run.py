@@ -20,7 +20,7 @@ from ..certificates.criterion import (
 )
 from ..certificates.measured import Measured
 from ..certificates.residuals import Certificate
-from ..checks import FloatVector, read_only
+from ..checks import Vector, read_only
 from ..deadline import Clock
 from ..errors import UnsuitableMatrix, UnsuitableProblem
 from ..kernels.floats import DATA_ROUNDING
@@ -34,7 +34,7 @@ from .run_log import Header, RunLog
 from .stage import Stage
 from .termination import FAILED, TerminationReason
 
-Polish = Callable[[LCP, FloatVector, float], Any]
+Polish = Callable[[LCP, Vector, float], Any]
 
 
 class LCPRun(Run):
@@ -75,7 +75,7 @@ class LCPRun(Run):
         settings: Settings,
         callback: Callback | None,
         clock: Clock,
-        start: FloatVector,
+        start: Vector,
         header: Header | None = None,
         polish: Polish | None = None,
         is_guaranteed: Callable[[], bool] = bool,
@@ -96,12 +96,12 @@ class LCPRun(Run):
         self.goal = float(max(settings.goal, settings.absolute_tolerance / smallest))
         # No point but z° can be measured in components that z° solves.
         self.start, self.start_residual = np.where(is_open, start, data.start), math.inf
-        self.unmeasured: FloatVector | None = None  # the latest iterate
+        self.unmeasured: Vector | None = None  # the latest iterate
         self.is_polished = False
         self._failed_at, self._next_test = math.inf, 0  # residual and iteration
 
     @property
-    def z(self) -> FloatVector:
+    def z(self) -> Vector:
         """The best point so far, or the start."""
         return self.start if self.best is None else self.best.z
 
@@ -143,7 +143,7 @@ class LCPRun(Run):
             self.start_residual = found.residual
         return found
 
-    def measured(self, z: FloatVector, power: float = POWER) -> Measured:
+    def measured(self, z: Vector, power: float = POWER) -> Measured:
         """Return the measure of z, moved to near bounds."""
         settings = self.settings
         found = self.data.measure(z, settings.goal, power, settings.absolute_tolerance)
@@ -242,7 +242,7 @@ class LCPRun(Run):
             said[Status.MAX_ITERATIONS] = end.replace(begin, why)
         return said
 
-    def _final(self, z: FloatVector, end: TerminationReason) -> Measured:
+    def _final(self, z: Vector, end: TerminationReason) -> Measured:
         """Return the measure of z, or of z after a last step of the method or on its active set if no worse."""
         settings, stages = self.settings, self.progress.stages
         found = self.best if self.best is not None and self.best.passes else self.measured(z)
@@ -288,7 +288,7 @@ class LCPRun(Run):
         """Return whether only rounding, or only the rounding of the data, keeps the best point from passing."""
         return bool(best.is_limited) or self._is_within_rounding_of_data(best.z)
 
-    def _is_within_rounding_of_data(self, z: FloatVector) -> bool:
+    def _is_within_rounding_of_data(self, z: Vector) -> bool:
         """Return whether no z is a solution, but the violation at this z is at most the rounding of the data."""
         if self.proof is None or not self.proof.is_rounding:
             return False

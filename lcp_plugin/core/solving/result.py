@@ -14,7 +14,7 @@ import numpy as np
 from ..certificates.criterion import RowsAtPoint
 from ..certificates.residuals import Certificate
 from ..certificates.worst import SHOWN, WorstRows, worst_pairs
-from ..checks import FloatVector, restore_state
+from ..checks import Vector, restore_state
 from ..errors import NotConverged, UnsuitableMatrix
 from ..lcp import LCP
 from ..representation import format_count
@@ -312,8 +312,8 @@ class Result(BaseResult):
         the margin exceeds the tolerance. With another status the margin is smaller: `advice` reports it.
     """
 
-    z: FloatVector
-    w: FloatVector
+    z: Vector
+    w: Vector
     certificate: Certificate
     work: float
     setup_seconds: float
@@ -336,7 +336,7 @@ class Result(BaseResult):
     def at(
         cls,
         problem: LCP,
-        z: FloatVector,
+        z: Vector,
         stage: StageRecord,
         settings: Settings,
         seconds: float = 0.0,
@@ -408,7 +408,7 @@ class Result(BaseResult):
         return convergence_guarantee(self.certificate.problem, self._asked)
 
     @property
-    def x(self) -> FloatVector:
+    def x(self) -> Vector:
         """The best iterate, z."""
         return self.z
 

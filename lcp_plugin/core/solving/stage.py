@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ..algorithm import Step
-from ..checks import FloatVector
+from ..checks import Vector
 from .result import StageRecord
 
 FIRST_CHECK = 10  # iteration of the first residual that the method does not report
@@ -55,7 +55,7 @@ class Stage:
     steps: Iterable[Step] = ()
     iterations: int = 0
     work: float = 0.0
-    z: FloatVector | None = None
+    z: Vector | None = None
     residuals: list[tuple[int, float]] = field(default_factory=list)
     rises: int = 0
     parts: list[tuple[str, int, float]] = field(default_factory=list)

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector
+from ...core.checks import Vector
 from ...core.errors import UnsupportedModel
 from ...core.matrix import entries_of_row
 from ...expressions import functions
@@ -343,7 +343,7 @@ class Expressions:
     offset : ndarray
     """
 
-    def __init__(self, content: NLContent, known: FloatVector) -> None:
+    def __init__(self, content: NLContent, known: Vector) -> None:
         is_known = ~np.isnan(known)
         values = [
             value if one else None for value, one in zip(known.tolist(), is_known, strict=True)

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ... import __version__
-from ...core.checks import BoolVector, FloatVector
+from ...core.checks import BoolVector, Vector
 from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.lcp import LCP
 from ...core.representation import format_count
@@ -34,9 +34,7 @@ from .reading import Indices, NLContent, Token, read_content
 FEASIBLE = 1e-6  # by which a side condition may be violated, or ten times the tolerance
 
 
-def values_and_slopes(
-    content: NLContent, x: FloatVector, rows: Indices
-) -> tuple[FloatVector, sp.csr_array]:
+def values_and_slopes(content: NLContent, x: Vector, rows: Indices) -> tuple[Vector, sp.csr_array]:
     """Return the values of rows, then objectives, with these numbers, and their derivatives by all variables."""
     found = Expressions(content, np.full(x.size, np.nan))
     program = Program.of(found.compiler, [found.rows(rows)], {UNKNOWNS: 0}, x.size)
@@ -44,18 +42,16 @@ def values_and_slopes(
         return program.value(x), program.jacobian(x)
 
 
-def sizes_of(content: NLContent, x: FloatVector, rows: Indices) -> FloatVector:
+def sizes_of(content: NLContent, x: Vector, rows: Indices) -> Vector:
     """Return the sizes |J| |x| of the terms of rows, then objectives; 0 if a derivative is not finite."""
-    sizes: FloatVector = abs(values_and_slopes(content, x, rows)[1]) @ np.abs(x)
+    sizes: Vector = abs(values_and_slopes(content, x, rows)[1]) @ np.abs(x)
     return np.where(np.isfinite(sizes), sizes, 0.0)
 
 
 # --- Side conditions -----------------------------------------------------------------------------------------------
 
 
-def pair_bounds(
-    content: NLContent, rows: Indices, *, as_stated: bool
-) -> tuple[FloatVector, FloatVector]:
+def pair_bounds(content: NLContent, rows: Indices, *, as_stated: bool) -> tuple[Vector, Vector]:
     """Return the bounds that complementarity rows state, or all of their variables; else ∓∞."""
     columns, bits = content.partners[rows], content.partner_bounds[rows]
     lower, upper = content.lower[columns], content.upper[columns]
@@ -87,7 +83,7 @@ class SideConditions:
         rows, variables = self.inequalities.tolist(), self.bounded.tolist()
         return [*map(content.row, rows), *map(content.variable, variables)]
 
-    def violated(self, x: FloatVector, tolerance: float) -> str:
+    def violated(self, x: Vector, tolerance: float) -> str:
         """Return the names of what is violated at x by more than the run's tolerance; else ""."""
         content, inner = self.content, self.inequalities
         if not (names := self.names()):
@@ -151,8 +147,8 @@ class NLAnswer(Outcome):
         AMPL's number for the status.
     """
 
-    x: FloatVector | None
-    duals: FloatVector | None
+    x: Vector | None
+    duals: Vector | None
     status: Status
     message: str
     result: Any = field(repr=False)
@@ -177,7 +173,7 @@ class NLModel(ABC):
     content: NLContent
     problem: Any
     unknowns: Indices
-    known: FloatVector
+    known: Vector
 
     @abstractmethod
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
@@ -190,13 +186,13 @@ class NLModel(ABC):
             model.
         """
 
-    def variables(self, values: FloatVector) -> FloatVector:
+    def variables(self, values: Vector) -> Vector:
         """Return all variables, shape (n,), from the values of the unknowns."""
         x = self.known.copy()
         x[self.unknowns] = values
         return x
 
-    def objective(self, x: FloatVector) -> float:
+    def objective(self, x: Vector) -> float:
         """Return the objective as the file states it: expanded, (x - 10⁶)² loses ten digits."""
         if not self.content.is_maximized.size:
             return 0.0
@@ -237,7 +233,7 @@ class ComplementarityModel(NLModel):
     search: Callable[[], NLModel]
 
     @property
-    def start(self) -> FloatVector:
+    def start(self) -> Vector:
         """The start in the unknowns of the problem; the value nearest to 0 for unknowns without a start in the file."""
         content = self.content
         start = np.clip(content.start, content.lower, content.upper)
@@ -272,7 +268,7 @@ class ComplementarityModel(NLModel):
             return None
         return other if other.is_solved or other.result.has_no_solution else None
 
-    def _remark(self, x: FloatVector) -> str:
+    def _remark(self, x: Vector) -> str:
         """Return the name of a variable at a bound that its pair does not state; else ""."""
         content, at = self.content, x[self.content.partners[self.pairs]]
         both = (pair_bounds(content, self.pairs, as_stated=one) for one in (False, True))
@@ -286,7 +282,7 @@ class ComplementarityModel(NLModel):
                 )
         return ""
 
-    def values(self, z: FloatVector, w: FloatVector) -> tuple[FloatVector, FloatVector]:
+    def values(self, z: Vector, w: Vector) -> tuple[Vector, Vector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
         elimination = self.arrangement.elimination
         n, duals = self.known.size, np.zeros(self.content.row_lower.size)
@@ -351,7 +347,7 @@ class EquilibriumModel(NLModel):
     pairs: Indices
     columns: Indices
 
-    def start_or_none(self) -> FloatVector | None:
+    def start_or_none(self) -> Vector | None:
         """Return the start in the unknowns of the problem; None if the file names none, or a row has no value."""
         x = np.zeros(self.problem.program.n)
         x[: self.unknowns.size] = self.content.start[self.unknowns]
@@ -509,9 +505,7 @@ class FileStatement:
                 'SolverFactory("scip"), or give it a continuous domain'
             )
 
-    def _check_crossed(
-        self, call: Callable[[int], str], low: FloatVector, high: FloatVector
-    ) -> None:
+    def _check_crossed(self, call: Callable[[int], str], low: Vector, high: Vector) -> None:
         """Raise if a lower bound is above an upper bound."""
         crossed = np.flatnonzero(low > high)
         if crossed.size:
@@ -521,7 +515,7 @@ class FileStatement:
                 "model; correct one of them"
             )
 
-    def _known(self, leaves_out: BoolVector) -> FloatVector:
+    def _known(self, leaves_out: BoolVector) -> Vector:
         """Return the values of fixed variables and of variables that occur in no remaining row."""
         content, occurs = self.content, self.is_paired.copy()
         objectives, defined = content.objective_trees, content.defined_trees
@@ -655,7 +649,7 @@ class FileStatement:
             lambda column: content.variable(int(found.unknowns[column])),
         )
 
-    def _without_empty(self, equations: Indices, right: FloatVector) -> Indices:
+    def _without_empty(self, equations: Indices, right: Vector) -> Indices:
         """Leave out the equations that have no unknown; raise if they are violated."""
         content, found = self.content, self.expressions
         is_empty = np.diff(found.matrix.indptr)[equations] == 0

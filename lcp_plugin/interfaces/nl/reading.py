@@ -23,7 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import INFINITE_LIMIT, FloatVector
+from ...core.checks import INFINITE_LIMIT, Vector
 from ...core.errors import UnreadableFile, UnsupportedModel
 from ...core.names import Names
 from ..files import checked_path, opened
@@ -210,12 +210,12 @@ class Trees:
     """
 
     kinds: NDArray[np.uint8]
-    values: FloatVector
+    values: Vector
     counts: Indices
     starts: Indices
 
     @classmethod
-    def of_numbers(cls, values: FloatVector) -> Trees:
+    def of_numbers(cls, values: Vector) -> Trees:
         """Return a tree a number."""
         k = values.size
         return cls(
@@ -225,7 +225,7 @@ class Trees:
             np.arange(k + 1),
         )
 
-    def plus(self, constants: FloatVector) -> Trees:
+    def plus(self, constants: Vector) -> Trees:
         """Return the trees with a number added to each, shape (k,)."""
         is_added = constants != 0.0
         at, k = np.repeat(self.starts[:-1][is_added], 2), int(is_added.sum())
@@ -281,10 +281,10 @@ class NLContent:
         Tolerance, which some writers add to the first line.
     """
 
-    lower: FloatVector
-    upper: FloatVector
-    row_lower: FloatVector
-    row_upper: FloatVector
+    lower: Vector
+    upper: Vector
+    row_lower: Vector
+    row_upper: Vector
     partners: Indices
     partner_bounds: Indices
     linear: sp.csr_array
@@ -295,7 +295,7 @@ class NLContent:
     defined_linear: sp.csr_array
     defined_trees: Trees
     is_integer: NDArray[np.bool_]
-    start: FloatVector
+    start: Vector
     has_start: NDArray[np.bool_]
     names: list[str] | None = None
     row_names: list[str] | None = None
@@ -305,11 +305,11 @@ class NLContent:
     @classmethod
     def of_rows(
         cls,
-        lower: FloatVector,
-        upper: FloatVector,
+        lower: Vector,
+        upper: Vector,
         linear: sp.csr_array,
         trees: Trees,
-        limits: tuple[FloatVector, FloatVector],
+        limits: tuple[Vector, Vector],
         partners: Indices,
         partner_bounds: Indices,
         objective: Trees | None = None,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from ...core.algorithm import Algorithm, Step
-from ...core.checks import FloatVector
+from ...core.checks import Vector
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix import Matrix, fact
@@ -77,7 +77,7 @@ class Banded(Algorithm):
         what = "bounded on one side" if is_one_sided else "tridiagonal"
         return f"M is an M-matrix, {what}: the changes are monotone and finite (Chandrasekaran 1970, Cryer 1983)"
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, then z of each active set; end if no active set remains to be tried."""
         if (band := bands(problem.matrix)) is None:
             raise UnsuitableMatrix(
@@ -107,9 +107,7 @@ def banded_passes(matrix: Matrix) -> float:
     return rounds * cost * (below + above + 1.0) * matrix.n / max(matrix.nonzeros, 1)
 
 
-def active_sets(
-    problem: LCP, band: Bands, q: FloatVector, z0: FloatVector
-) -> Iterator[tuple[FloatVector, float]]:
+def active_sets(problem: LCP, band: Bands, q: Vector, z0: Vector) -> Iterator[tuple[Vector, float]]:
     """Yield z, shape (n,), and its ‖r(z)‖∞: the start, then the z of one active set per round.
 
     An iteration solves w = 0 on the free rows, with all other rows at their bounds, and clips z to the bounds. Then
@@ -132,7 +130,7 @@ def active_sets(
     is_fixed = lower == upper
 
     # at the edge of the number range ‖r(z)‖ is infinite
-    def measured(z: FloatVector) -> tuple[FloatVector, NDArray[np.int8], float]:
+    def measured(z: Vector) -> tuple[Vector, NDArray[np.int8], float]:
         """Return w, the bounds that z − w/d reaches (−1, 0, 1) and ‖r(z)‖∞."""
         w = problem.matrix.array @ z + q
         step, above, beyond = w / scale, z - lower, z - upper
@@ -178,8 +176,8 @@ def active_sets(
 
 
 def _contacts(
-    problem: LCP, band: Bands, q: FloatVector, target: NDArray[np.int8], side: int
-) -> tuple[NDArray[np.int8], FloatVector | None]:
+    problem: LCP, band: Bands, q: Vector, target: NDArray[np.int8], side: int
+) -> tuple[NDArray[np.int8], Vector | None]:
     """Return the active set with directly found rows at the bound of side −side, and its z; None if this fails."""
     near, far = (problem.lower, problem.upper)[::side]
     is_held = (problem.lower == problem.upper) | (target == side)
@@ -191,8 +189,8 @@ def _contacts(
 
 
 def solve_one_sided(
-    entries: FloatVector, q: FloatVector, side: int, value: FloatVector, is_held: NDArray[np.bool_]
-) -> tuple[FloatVector | None, NDArray[np.bool_]]:
+    entries: Vector, q: Vector, side: int, value: Vector, is_held: NDArray[np.bool_]
+) -> tuple[Vector | None, NDArray[np.bool_]]:
     """Return z and the free rows of a tridiagonal problem with bounds on one side; None on failure.
 
     Parameters
@@ -218,9 +216,7 @@ def solve_one_sided(
     return z if is_found else None, is_free
 
 
-def solve_on_band(
-    band: Bands, state: NDArray[np.int8], value: FloatVector, q: FloatVector
-) -> FloatVector | None:
+def solve_on_band(band: Bands, state: NDArray[np.int8], value: Vector, q: Vector) -> Vector | None:
     """Return x with M x + q = 0 on rows of state 0 and x = value on all other rows; None if the block is singular.
 
     Parameters
@@ -235,7 +231,7 @@ def solve_on_band(
     return x if x is not None and np.isfinite(x).all() else None
 
 
-def held_entries(band: Bands, state: NDArray[np.int8]) -> FloatVector:
+def held_entries(band: Bands, state: NDArray[np.int8]) -> Vector:
     """Return the bands of rows of size 1, for each active set: rows of the identity where the state is not 0.
 
     Parameters
@@ -253,7 +249,7 @@ def held_entries(band: Bands, state: NDArray[np.int8]) -> FloatVector:
     return entries
 
 
-def solve_held(entries: FloatVector, below: int, right: FloatVector) -> FloatVector | None:
+def solve_held(entries: Vector, below: int, right: Vector) -> Vector | None:
     """Return the solution of a banded system, None if it is singular.
 
     Parameters

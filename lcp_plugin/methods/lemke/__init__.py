@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...core.algorithm import Algorithm, Step
 from ...core.certificates.residuals import Certificate
-from ...core.checks import FloatVector
+from ...core.checks import Vector
 from ...core.deadline import is_over
 from ...core.errors import UnsuitableProblem
 from ...core.lcp import LCP
@@ -77,7 +77,7 @@ class Lemke(Algorithm):
             if value is not None:
                 whole_number(value, f"lemke: {option}", 0)
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, then the z of the path after each block of pivots, last the solution if one was found.
 
         Raises
@@ -112,7 +112,7 @@ class Lemke(Algorithm):
         limit = "100 (n + 10)" if self.max_pivots is None else str(self.max_pivots)
         return f"{reason}: no path ends on a ray (Lemke 1965), if {limit} pivots suffice"
 
-    def _paths(self, component: LCP, guess: FloatVector) -> Iterator[tuple[FloatVector, float]]:
+    def _paths(self, component: LCP, guess: Vector) -> Iterator[tuple[Vector, float]]:
         """Yield (z, entries touched) along successive paths until a path ends in a solution."""
         from .pivoting_path import LemkePath, starts
 
@@ -229,7 +229,7 @@ def has_components_that_fit(problem: LCP) -> bool:
     return problem.n <= PIVOTED_UP_TO or max(map(len, rows_of_components(problem))) <= PIVOTED_UP_TO
 
 
-def _is_good(problem: LCP, z: FloatVector) -> bool:
+def _is_good(problem: LCP, z: Vector) -> bool:
     certificate = Certificate.of(problem, z)
     relative = certificate.relative_residual
     return relative <= 1e-10 or (relative <= 1e-4 and certificate.is_at_rounding_level)

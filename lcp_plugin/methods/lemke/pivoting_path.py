@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.checks import FloatVector
+from ...core.checks import Vector
 from ...core.deadline import is_over
 from ...core.lcp import LCP
 from ...core.matrix import equation_signs, fact
@@ -70,11 +70,11 @@ class CanonicalBox:
     """
 
     M: FloatMatrix
-    q: FloatVector
-    upper: FloatVector
-    offset: FloatVector
+    q: Vector
+    upper: Vector
+    offset: Vector
     rows: IndexVector
-    step: FloatVector
+    step: Vector
     eliminated: IndexVector
     elimination: FloatMatrix
 
@@ -92,7 +92,7 @@ class CanonicalBox:
             for part in (self.M, self.q, self.step, self.elimination, self.offset)
         )
 
-    def recover(self, z: FloatVector) -> FloatVector:
+    def recover(self, z: Vector) -> Vector:
         """Return the z of the problem, shape (n,), for one of the canonical problem, shape (k,)."""
         result = np.array(self.offset)
         np.add.at(result, self.rows, self.step * z)
@@ -147,10 +147,10 @@ def _equilibrated(M: FloatMatrix) -> tuple[FloatMatrix, IndexVector, IndexVector
 
 def _without_free_rows(
     M: FloatMatrix,
-    q: FloatVector,
-    upper: FloatVector,
-    unit: FloatVector,
-    base: FloatVector,
+    q: Vector,
+    upper: Vector,
+    unit: Vector,
+    base: Vector,
     keep: IndexVector,
     is_free: NDArray[np.bool_],
 ) -> CanonicalBox:
@@ -187,9 +187,7 @@ def _independent(M: FloatMatrix, free: IndexVector) -> IndexVector:
     return np.asarray(free[pivots > 1e-8 * pivots.max()])
 
 
-def _solved(
-    M: FloatMatrix, q: FloatVector, free: IndexVector, stays: IndexVector
-) -> FloatMatrix | None:
+def _solved(M: FloatMatrix, q: Vector, free: IndexVector, stays: IndexVector) -> FloatMatrix | None:
     """Return the free variables as −M_FF⁻¹ (M_FR, q_F), shape (f, r + 1); None if that block is ill-conditioned."""
     if not free.size:
         return np.empty((0, stays.size + 1))
@@ -217,7 +215,7 @@ def is_game(problem: LCP) -> bool:
     return is_cone and bimatrix_players(problem.matrix.toarray(), problem.q) is not None
 
 
-def bimatrix_players(M: NDArray[np.float64], q: FloatVector) -> NDArray[np.bool_] | None:
+def bimatrix_players(M: NDArray[np.float64], q: Vector) -> NDArray[np.bool_] | None:
     """Return the mask of the first player's rows if the problem is a game of costs, else None.
 
     A game: M = [[0, A], [Bᵀ, 0]] up to order, A, B ≥ 0 and q < 0. Every covering vector r > 0 ends such a path on
@@ -259,7 +257,7 @@ class LemkePath:
         `upper` is positive, ∞ allowed.
     """
 
-    def __init__(self, M: FloatMatrix, q: FloatVector, upper: FloatVector) -> None:
+    def __init__(self, M: FloatMatrix, q: Vector, upper: Vector) -> None:
         self.M, self.q, self.upper = M, q, upper
         self.n = n = q.size
         self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
@@ -284,7 +282,7 @@ class LemkePath:
 
     # --- starts -----------------------------------------------------------------------------------------
 
-    def start_along(self, covering: FloatVector) -> bool:
+    def start_along(self, covering: Vector) -> bool:
         """Start at z = 0 with the smallest t for which q + t r ≥ 0; return False if no such t exists.
 
         `covering` is r ≥ 0, shape (n,), with r_i > 0 if q_i < 0.
@@ -298,7 +296,7 @@ class LemkePath:
             covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max()))
         )
 
-    def start_in_cell(self, side: Any, z: FloatVector, w: FloatVector) -> bool:
+    def start_in_cell(self, side: Any, z: Vector, w: Vector) -> bool:
         """Start at t = 1 from a complementary pair with the r that makes it exact; return False if it is singular."""
         n = self.n
         basis = np.where(side == BETWEEN, np.arange(n), n + np.arange(n))
@@ -309,7 +307,7 @@ class LemkePath:
 
     def start_at_vertex(
         self,
-        covering: FloatVector,
+        covering: Vector,
         basis: Any,
         side: Any,
         driven: int,
@@ -436,7 +434,7 @@ class LemkePath:
         is_slack = (self.others >= n) & (self.others < 2 * n)
         return np.flatnonzero(~is_w), np.flatnonzero(is_w), is_slack, self.others[is_slack] - n
 
-    def _right_hand_side(self) -> FloatVector:
+    def _right_hand_side(self) -> Vector:
         b = self.q.copy()
         at_upper = self.side == AT_UPPER
         if at_upper.any():
@@ -466,7 +464,7 @@ class LemkePath:
     # --- reading ----------------------------------------------------------------------------------------
 
     @property
-    def z(self) -> FloatVector:
+    def z(self) -> Vector:
         """Current z, shape (n,)."""
         z = np.where(self.side == AT_UPPER, self.upper, 0.0)
         is_z = self.basis < self.n

@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from ...core.algorithm import Algorithm, Step
-from ...core.checks import FloatVector
+from ...core.checks import Vector
 from ...core.errors import InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal
@@ -79,18 +79,18 @@ class Solution:
         return tuple(sorted(extreme_points(self.problem, self.pattern)))
 
     @property
-    def vertices(self) -> FloatVector:
+    def vertices(self) -> Vector:
         """The vertices of the face in double precision, shape (number of vertices, n)."""
         rounded = [_in_doubles(vertex, "z") for vertex in self.exact_vertices]
         return np.array(rounded).reshape(len(rounded), self.problem.n)
 
     @property
-    def z(self) -> FloatVector:
+    def z(self) -> Vector:
         """The solution in double precision, shape (n,)."""
         return _in_doubles(self.exact_z, "z")
 
     @property
-    def w(self) -> FloatVector:
+    def w(self) -> Vector:
         """Slack in double precision, shape (n,)."""
         return _in_doubles(self.exact_w, "w")
 
@@ -281,7 +281,7 @@ def _in_fractions(point: Sequence[Fraction]) -> str:
     return f"({', '.join(map(str, point))})"
 
 
-def _in_doubles(values: Sequence[Fraction], name: str) -> FloatVector:
+def _in_doubles(values: Sequence[Fraction], name: str) -> Vector:
     """Return the values rounded one by one; raise an error that names the first value beyond the largest double."""
     rounded = np.zeros(len(values))
     for i, value in enumerate(values):
@@ -296,7 +296,7 @@ def _in_doubles(values: Sequence[Fraction], name: str) -> FloatVector:
     return rounded
 
 
-def is_near_solution(problem: LCP, z: FloatVector) -> bool | None:
+def is_near_solution(problem: LCP, z: Vector) -> bool | None:
     """Return whether a solution is near z, shape (n,), to 1e-4 of the largest unknown.
 
     None if the problem is too large, if a search of 500 pieces does not decide it, or if solutions are not isolated.
@@ -355,7 +355,7 @@ class FeasibilityCheck(Algorithm):
     name: ClassVar[str] = "feasibility"
     is_monotone: ClassVar[bool] = False
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, then the start again with each new proof."""
         yield Step(z0, work=0.0)
         effort = None if problem.n <= LINEAR_PROGRAM_UP_TO else 0
@@ -374,7 +374,7 @@ class ExhaustiveSearch(Algorithm):
     name: ClassVar[str] = "search"
     is_monotone: ClassVar[bool] = False
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z0 during the search, then the solution, or z0 with the proof; end if that takes too much."""
         yield Step(z0, work=0.0)
         effort, reported = Effort(), Effort()

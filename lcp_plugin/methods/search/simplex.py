@@ -10,11 +10,11 @@ from itertools import compress
 
 import numpy as np
 
-from ...core.checks import FloatVector
+from ...core.checks import Vector
 from ...proofs.exact import IntegerMatrix, exact_power_of_two, integers
 
 Bound = int | None  # None: no bound
-Sides = tuple[FloatVector, FloatVector]  # lower, upper
+Sides = tuple[Vector, Vector]  # lower, upper
 
 QUANTUM = 5_000_000  # products of digits between two yields: tens of milliseconds
 
@@ -90,12 +90,7 @@ class ExactSimplex:
     """
 
     def __init__(
-        self,
-        matrix: IntegerMatrix,
-        q: FloatVector,
-        bounds: Sides,
-        slack_bounds: Sides,
-        effort: Effort,
+        self, matrix: IntegerMatrix, q: Vector, bounds: Sides, slack_bounds: Sides, effort: Effort
     ) -> None:
         n = self.n = q.size
         self.effort = effort
@@ -372,7 +367,7 @@ def _integer_bounds(sides: Sides) -> tuple[Fraction, list[list[Bound]]]:
 
 
 def _integer_rows(
-    matrix: IntegerMatrix, offset: FloatVector, unit: Fraction
+    matrix: IntegerMatrix, offset: Vector, unit: Fraction
 ) -> tuple[list[list[int]], list[int]]:
     """Return the rows of (M, q/unit) as integers without a common factor, and the integer multiplier of each row.
 

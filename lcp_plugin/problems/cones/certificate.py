@@ -43,7 +43,7 @@ import scipy.sparse as sp
 from ...core.certificates.criterion import RowData, RowsAtPoint, VectorEnds, divide_nonnegative
 from ...core.certificates.measured import Measured
 from ...core.certificates.worst import WorstRows, worst_pairs
-from ...core.checks import FloatVector, derived_property, read_only
+from ...core.checks import Vector, derived_property, read_only
 from ...core.kernels.floats import EPSILON, NORMAL
 from ...core.matrix import is_nearly_symmetric
 from ...core.names import Names
@@ -122,10 +122,10 @@ class ConeRows(RowData):
         return np.maximum.reduceat(values[None] if values.ndim == 1 else values, starts, -1)
 
     @derived_property
-    def demand(self) -> FloatVector:
+    def demand(self) -> Vector:
         """Demand of each law; of contacts the largest of the component, because b may be rounding error in a pile."""
-        demand: FloatVector = super().demand
-        found: FloatVector = self.largest(demand) if self.stack.has_friction else self._norm(demand)
+        demand: Vector = super().demand
+        found: Vector = self.largest(demand) if self.stack.has_friction else self._norm(demand)
         return found
 
     def is_wrong(self, *component: Any) -> bool:
@@ -133,7 +133,7 @@ class ConeRows(RowData):
         is_lcp = not (self.has_cones or self.stack.has_friction)
         return is_lcp and super().is_wrong(*component)
 
-    def rows(self, z: FloatVector, w: Any = None) -> RowsAtPoint:
+    def rows(self, z: Vector, w: Any = None) -> RowsAtPoint:
         """Return the values of all laws at z, with its slack w if that is known."""
         at = super().rows(z, w)
         if not self.has_cones:
@@ -163,7 +163,7 @@ class ConeRows(RowData):
         return at._replace(terms=self._norm(at.terms), violation=violation, is_active=is_active)
 
     def residual_ends(
-        self, z: FloatVector, w: FloatVector, rounding: Any = None, scale: Any = None
+        self, z: Vector, w: Vector, rounding: Any = None, scale: Any = None
     ) -> VectorEnds:
         """Return bounds of the residual of each law for slacks within w ± rounding."""
         low, high = super().residual_ends(z, w, rounding, scale)
@@ -181,7 +181,7 @@ class ConeRows(RowData):
         low = self._with_laws(low, np.where(is_known, np.maximum(size - error, 0.0), 0.0))
         return low, self._with_laws(high, np.where(is_known, size + error, np.inf))
 
-    def snap_to_bounds(self, z: FloatVector, w: FloatVector) -> FloatVector:
+    def snap_to_bounds(self, z: Vector, w: Vector) -> Vector:
         """Return z, rows projected onto bounds as in an LCP, and cones onto the apex or boundary that they reach."""
         z = super().snap_to_bounds(z, w)
         if not self.is_cone.any():
@@ -232,7 +232,7 @@ def _of_cones(stack: ConeStack, z: Array, w: Array, error: Array) -> tuple[Array
     return size, np.where(is_open, 0.0, total)
 
 
-def criterion_at(problem: Blocks, x: FloatVector) -> tuple[ConeRows, FloatVector, None, Names]:
+def criterion_at(problem: Blocks, x: Vector) -> tuple[ConeRows, Vector, None, Names]:
     """Return the data of the criterion, with x in their shape, no slack, and the names."""
     rows = ConeRows(ConeStack.of(problem))
     return rows, x if rows.stack.pattern.is_sparse else x[None], None, problem.rows.names
@@ -337,7 +337,7 @@ class ContactInfeasibility:
     is_rounding: ClassVar[bool] = False
 
     problem: Blocks
-    y: FloatVector
+    y: Vector
 
     @derived_property
     def _found(self) -> FarkasCertificate:
@@ -463,7 +463,7 @@ def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
     return None
 
 
-def without_pull(problem: Blocks, y: FloatVector) -> FloatVector:
+def without_pull(problem: Blocks, y: Vector) -> Vector:
     """Return y near a given one with Mᵀy = 0 to rounding, without its entries at rounding level."""
     used = np.flatnonzero(np.abs(y) > UNUSED)
     columns = problem.rows.csr[used].toarray().T if used.size <= FEW_ROWS else np.zeros((0, 0))

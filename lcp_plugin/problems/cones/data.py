@@ -19,14 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import (
-    FloatVector,
-    checked_bounds,
-    checked_vector,
-    is_number,
-    read_only,
-    real_array,
-)
+from ...core.checks import Vector, checked_bounds, checked_vector, is_number, read_only, real_array
 from ...core.deadline import seconds_left
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.lcp import LCP
@@ -60,9 +53,7 @@ class Blocks:
     origin: Any = None
     bodies: Any = None  # Bodies, if contacts are defined by bodies
 
-    def __init__(
-        self, rows: LCP, starts: Starts, slope: FloatVector, *, has_friction: bool
-    ) -> None:
+    def __init__(self, rows: LCP, starts: Starts, slope: Vector, *, has_friction: bool) -> None:
         self.rows, self.has_friction = rows, has_friction
         self.starts, self.slope = read_only(starts), read_only(slope)
         self._facts: dict[Any, Any] = {}  # properties of M: problems that differ in q share them
@@ -73,17 +64,17 @@ class Blocks:
         return self.rows.n
 
     @property
-    def q(self) -> FloatVector:
+    def q(self) -> Vector:
         """The offset, shape (n,)."""
         return self.rows.q
 
     @property
-    def lower(self) -> FloatVector:
+    def lower(self) -> Vector:
         """Lower bounds, shape (n,): −∞ in cones."""
         return self.rows.lower
 
     @property
-    def upper(self) -> FloatVector:
+    def upper(self) -> Vector:
         """Upper bounds, shape (n,): ∞ in cones."""
         return self.rows.upper
 
@@ -93,11 +84,11 @@ class Blocks:
         return self.rows.nonzeros
 
     @property
-    def nearest_to_zero(self) -> FloatVector:
+    def nearest_to_zero(self) -> Vector:
         """The point of K nearest to 0, shape (n,)."""
         return self.rows.nearest_to_zero
 
-    def slack(self, z: ArrayLike) -> FloatVector:
+    def slack(self, z: ArrayLike) -> Vector:
         """Return w = M z + q, shape (n,): velocities, of impulses."""
         return self.rows.slack(z)
 
@@ -111,18 +102,18 @@ class Blocks:
         """The block of each row, shape (n,)."""
         return np.repeat(np.arange(self.slope.size), self.sizes)
 
-    def residual(self, z: FloatVector, w: FloatVector) -> FloatVector:
+    def residual(self, z: Vector, w: Vector) -> Vector:
         """Return R = z − P_K(z − ŵ/d), shape (n,)."""
         stack = ConeStack.of(self)
         wide, flat = stack.pattern.wide, stack.pattern.flat
-        R: FloatVector = flat(stack.residual(wide(z[None]), wide(w[None]))[0])[0]
+        R: Vector = flat(stack.residual(wide(z[None]), wide(w[None]))[0])[0]
         return R
 
-    def project(self, z: FloatVector) -> FloatVector:
+    def project(self, z: Vector) -> Vector:
         """Return the point of K nearest to z, shape (n,)."""
         stack = ConeStack.of(self)
         with np.errstate(all="ignore"):
-            found: FloatVector = stack.pattern.flat(stack.project(stack.pattern.wide(z[None])))[0]
+            found: Vector = stack.pattern.flat(stack.project(stack.pattern.wide(z[None])))[0]
         return found
 
     def part(self, blocks: NDArray[np.bool_]) -> Blocks:
@@ -240,7 +231,7 @@ class ConeProblem(Blocks):
         return f"n={self.n}, {format_count(int((self.sizes > 1).sum()), 'second-order cone')}"
 
 
-def _box(bounds: Sequence[Any], name: str) -> tuple[FloatVector, FloatVector]:
+def _box(bounds: Sequence[Any], name: str) -> tuple[Vector, Vector]:
     """Return lower and upper bounds of each row of a box; raise InvalidProblem for other shapes."""
     need = f"lower and upper of {name} must be real numbers or vectors of the box's rows"
     low, high = (np.atleast_1d(real_array(bound, need)) for bound in bounds)
@@ -252,7 +243,7 @@ def _box(bounds: Sequence[Any], name: str) -> tuple[FloatVector, FloatVector]:
     return checked_bounds(low, high, low.size, names=(f"lower of {name}", f"upper of {name}"))
 
 
-def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tuple[Any, ...]]:
+def _blocks(cones: Any, n: int) -> tuple[list[int], Vector, Vector, tuple[Any, ...]]:
     """Return the rows of each block, the bounds of the rows, and the cones in the caller's form."""
     if isinstance(cones, (str, bytes)) or not isinstance(cones, Sequence):
         raise InvalidProblem(f"{NEED_CONES}, got {cones!r}")
@@ -297,7 +288,7 @@ def _blocks(cones: Any, n: int) -> tuple[list[int], FloatVector, FloatVector, tu
     return sizes, np.concatenate(lower), np.concatenate(upper), tuple(tuple(cone) for cone in cones)
 
 
-def minimizers(problem: Blocks, z: FloatVector) -> Iterator[FloatVector]:
+def minimizers(problem: Blocks, z: Vector) -> Iterator[Vector]:
     """Yield the minimizers of convex programs, each with the terms that depend on z fixed at the last one.
 
     None if Clarabel is not installed.
@@ -324,7 +315,7 @@ def minimizers(problem: Blocks, z: FloatVector) -> Iterator[FloatVector]:
             return
 
 
-def solve_conic(P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]) -> Any:
+def solve_conic(P: Any, c: Vector, A: Any, b: Vector, cones: list[Any]) -> Any:
     """Return Clarabel's solution of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""
     import clarabel  # not for problems that other methods solve
 
@@ -335,12 +326,12 @@ def solve_conic(P: Any, c: FloatVector, A: Any, b: FloatVector, cones: list[Any]
     return clarabel.DefaultSolver(P, c, A, b, cones, settings).solve()
 
 
-def conic_rows(problem: Blocks) -> tuple[Any, FloatVector, list[Any]]:
+def conic_rows(problem: Blocks) -> tuple[Any, Vector, list[Any]]:
     """Return A, b and cones such that z ∈ K is equivalent to b − A z ∈ cones."""
     import clarabel  # not for problems that other methods solve
 
     rows: list[Any] = []
-    limits: list[FloatVector] = []
+    limits: list[Vector] = []
     cones: list[Any] = []
     identity, is_cone = sp.eye_array(problem.n, format="csr"), problem.sizes > 1
     first = problem.starts[:-1]

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import (
-    FloatVector,
+    Vector,
     change_of_vector,
     checked_vector,
     derived_property,
@@ -39,11 +39,11 @@ PIECES, ALIKE = 20, 1e-12  # at most, for one direction, and the change of dz at
 class ConeGradient(NamedTuple):
     """Gradients of a function by q and bounds, (n,), M on its pattern, and friction, (k,)."""
 
-    q: FloatVector
+    q: Vector
     M: sp.csr_array
-    friction: FloatVector
-    lower: FloatVector
-    upper: FloatVector
+    friction: Vector
+    lower: Vector
+    upper: Vector
 
 
 class StackDerivative(LinearizedSystem):
@@ -155,7 +155,7 @@ class StackDerivative(LinearizedSystem):
             x[0, rows] = self._solved(right[0, rows], transposed=transposed)
         return x
 
-    def _solved(self, right: FloatVector, *, transposed: bool) -> Any:
+    def _solved(self, right: Vector, *, transposed: bool) -> Any:
         x = self.system.solve(right, transposed=transposed)
         if x is not None:
             return x
@@ -178,7 +178,7 @@ class ConeDerivative:
         Solution of the problem, which is refined first.
     """
 
-    def __init__(self, problem: Blocks, z: FloatVector) -> None:
+    def __init__(self, problem: Blocks, z: Vector) -> None:
         stack = ConeStack.of(problem)
         self.problem = problem
         self._of = StackDerivative(stack, stack.pattern.wide(np.array(z)[None]))
@@ -212,7 +212,7 @@ class ConeDerivative:
         dfriction: Any = None,
         dlower: Any = None,
         dupper: Any = None,
-    ) -> FloatVector:
+    ) -> Vector:
         """Return the change dz, shape (n,), for changes of the data; one-sided at a kink.
 
         Parameters
@@ -248,7 +248,7 @@ class ConeDerivative:
 
     def _change(
         self, of: StackDerivative, dq: Any, dM: Any, dfriction: Any, dlower: Any, dupper: Any
-    ) -> FloatVector:
+    ) -> Vector:
         """Return dz with the selected generalised derivative."""
         problem, n = self.problem, self.problem.n
         held, more = np.zeros((1, n)), np.zeros(())
@@ -264,15 +264,15 @@ class ConeDerivative:
             dfriction = np.full(k, dfriction) if is_number(dfriction) else dfriction
             slopes = checked_vector(dfriction, "dfriction", k)
             more = of.by_friction * slopes[problem.block_of_row]
-        dz: FloatVector = of.tangent(self._moved(dq, dM)[None], held, more)[0]
+        dz: Vector = of.tangent(self._moved(dq, dM)[None], held, more)[0]
         return dz
 
-    def dw(self, dz: ArrayLike, *, dq: Any = None, dM: Any = None) -> FloatVector:
+    def dw(self, dz: ArrayLike, *, dq: Any = None, dM: Any = None) -> Vector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
-        change: FloatVector = self.problem.rows.csr @ np.asarray(dz) + self._moved(dq, dM)
+        change: Vector = self.problem.rows.csr @ np.asarray(dz) + self._moved(dq, dM)
         return change
 
-    def _moved(self, dq: ArrayLike | None, dM: Any) -> FloatVector:
+    def _moved(self, dq: ArrayLike | None, dM: Any) -> Vector:
         """Return dM z + dq."""
         n = self.problem.n
         change = change_of_vector(dq, "dq", n)

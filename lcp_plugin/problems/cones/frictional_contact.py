@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import (
-    FloatVector,
+    Vector,
     checked_vector,
     read_only,
     real_array,
@@ -177,12 +177,12 @@ class FrictionalContact(Blocks):
         return self.rows.M
 
     @property
-    def b(self) -> FloatVector:
+    def b(self) -> Vector:
         """Velocities without impulses, shape (d k,)."""
         return self.q
 
     @property
-    def friction(self) -> FloatVector:
+    def friction(self) -> Vector:
         """Coefficients, shape (k,)."""
         return self.slope
 

@@ -29,7 +29,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.algorithm import Step
-from ...core.checks import FloatVector
+from ...core.checks import Vector
 from ...core.errors import UnsuitableProblem
 from ...core.settings import whole_number
 from ...systems.free_systems import solved
@@ -275,10 +275,10 @@ def apply(blocks: NDArray[np.float64], x: Cones) -> Cones:
     return found
 
 
-def determinant(x: Cones) -> FloatVector:
+def determinant(x: Cones) -> Vector:
     """Return x_N² − ‖x_T‖², shape (k,)."""
     tangent = np.linalg.norm(x[:, 1:], axis=1)
-    found: FloatVector = (x[:, 0] - tangent) * (x[:, 0] + tangent)
+    found: Vector = (x[:, 0] - tangent) * (x[:, 0] + tangent)
     return found
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ...core.algorithm import Step
 from ...core.certificates.measured import Measured
 from ...core.certificates.worst import WorstRows
-from ...core.checks import FloatVector, checked_start, derived_property, read_only
+from ...core.checks import Vector, checked_start, derived_property, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
@@ -193,7 +193,7 @@ class ConeRun(Run):
         self,
         problem: Blocks,
         progress: Progress,
-        z: FloatVector | None,
+        z: Vector | None,
         chosen: str | ConeAlgorithm = "auto",
         whole: ConeRun | None = None,
         rows: Any = slice(None),
@@ -202,7 +202,7 @@ class ConeRun(Run):
         self.problem, self.chosen, self.stack = problem, chosen, ConeStack.of(problem)
         self.rows, stack = ConeRows(self.stack), self.stack
         values = np.empty(problem.n) if whole is None else whole.place[0]
-        self.place: tuple[FloatVector, Any] = values, rows
+        self.place: tuple[Vector, Any] = values, rows
         self.share = 1.0 if whole is None else problem.nonzeros / max(whole.problem.nonzeros, 1)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
         reached = self.tolerance
@@ -221,7 +221,7 @@ class ConeRun(Run):
             return None
         return Measured(step.z, step.residual, passes=False)
 
-    def shown(self, step: Step) -> FloatVector:
+    def shown(self, step: Step) -> Vector:
         """Return the point of the entire problem."""
         whole, rows = self.place
         whole[rows] = self.stack.pattern.flat(self.stack.snap(step.z))[0]

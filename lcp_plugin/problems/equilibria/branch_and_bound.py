@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.checks import FloatVector, is_number, vector_option
+from ...core.checks import Vector, is_number, vector_option
 from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.settings import Status, checked_tolerance
@@ -65,7 +65,7 @@ class LocalSearch:
         """Objective of the best point; ∞ before the first point."""
         return math.inf if self.best is None else self.best.value
 
-    def offer(self, cases: Cases, near: FloatVector | None = None) -> Node:
+    def offer(self, cases: Cases, near: Vector | None = None) -> Node:
         """Solve the piece with one branch per pair, keep it if it is the best, and return it.
 
         A piece that is not convex, or has integers, is solved near a point.
@@ -82,7 +82,7 @@ class LocalSearch:
                 self.best = piece
         return self._known[key]
 
-    def descend(self, cases: Cases, near: FloatVector) -> None:
+    def descend(self, cases: Cases, near: Vector) -> None:
         """Descend from these branches near a point, each step to a piece of smaller value.
 
         Each step takes other branches for pairs that are degenerate (z at a bound and w = 0) at the solution of the
@@ -92,7 +92,7 @@ class LocalSearch:
         while piece is not None:
             piece = self._better_neighbour(piece)
 
-    def from_point(self, x: FloatVector, cases: Cases | None = None) -> None:
+    def from_point(self, x: Vector, cases: Cases | None = None) -> None:
         """Descend from the branches nearest to x."""
         self.descend(self.problem.nearest(x, self.problem.all_cases if cases is None else cases), x)
 
@@ -114,7 +114,7 @@ class LocalSearch:
                 return neighbour
         return None
 
-    def _other_cases(self, x: FloatVector, cases: Cases) -> list[tuple[int, int]]:
+    def _other_cases(self, x: Vector, cases: Cases) -> list[tuple[int, int]]:
         """Return (pair, branch) of all further branches to which x belongs."""
         meets = self.problem.distances(x) <= MEETS * (1.0 + float(np.abs(x).max(initial=0.0)))
         rows, pairs = np.nonzero(meets)
@@ -243,7 +243,7 @@ class BranchAndBound:
         self.problem, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
         self.relaxations = Relaxations(problem, tolerance)
         self.local = LocalSearch(self.relaxations)
-        self.start: FloatVector | None = None
+        self.start: Vector | None = None
         self.outside: ExternalBound | None = None
         self._outside_value = math.inf  # of SCIP's point, until it is confirmed
         self.descent: tuple[Cases, QPUnboundedness] | None = None

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import FloatVector, checked_bounds, checked_vector, rectangular_matrix
+from ...core.checks import Vector, checked_bounds, checked_vector, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsupportedModel
 from ...core.matrix import largest_in_rows
 from ...proofs.exact import MOST_ENTRIES, exact_rows, rank_profile
@@ -50,8 +50,8 @@ class SmoothPart:
     """
 
     map: Any
-    lower: FloatVector
-    upper: FloatVector
+    lower: Vector
+    upper: Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +181,7 @@ class EquilibriumProgram:
         cases: Cases = (BETWEEN + LOWER * lower + UPPER * upper).astype(np.uint8)
         return cases
 
-    def bounds(self, cases: Cases) -> tuple[FloatVector, FloatVector]:
+    def bounds(self, cases: Cases) -> tuple[Vector, Vector]:
         """Return the bounds of x common to all open branches; infeasible if some lower > upper."""
         lower, upper = np.array(self.program.lower), np.array(self.program.upper)
         z, w = self.first, self.second
@@ -242,7 +242,7 @@ class EquilibriumProgram:
             return free[:0]
         return np.delete(free, rank_profile(exact_rows(columns))[0])
 
-    def answer(self, x: FloatVector) -> FloatVector | None:
+    def answer(self, x: Vector) -> Vector | None:
         """Return x with the pairs solved, nearly at least, while all other variables keep their values.
 
         None unless each w is the only one in some affine or smooth equality, which then defines it.
@@ -252,12 +252,12 @@ class EquilibriumProgram:
             return None
         rows, unit = definitions
 
-        def F(values: FloatVector) -> FloatVector:
+        def F(values: Vector) -> Vector:
             held[z] = values
-            slack: FloatVector = self._equalities(held)[0][rows] / unit
+            slack: Vector = self._equalities(held)[0][rows] / unit
             return slack
 
-        def jacobian(values: FloatVector) -> sp.csr_array:
+        def jacobian(values: Vector) -> sp.csr_array:
             held[z] = values
             return sp.csr_array(sp.diags_array(1.0 / unit) @ self._equalities(held)[1][rows][:, z])
 
@@ -271,7 +271,7 @@ class EquilibriumProgram:
         held[z], held[w] = answer.z, answer.w
         return held
 
-    def with_slacks(self, x: FloatVector) -> FloatVector:
+    def with_slacks(self, x: Vector) -> Vector:
         """Return x with the w that equalities define."""
         found = np.array(x)
         if (definitions := self._definitions(found)) is not None:
@@ -279,7 +279,7 @@ class EquilibriumProgram:
             found[self.second] = self._equalities(found)[0][rows] / unit
         return found
 
-    def _definitions(self, x: FloatVector) -> tuple[Indices, FloatVector] | None:
+    def _definitions(self, x: Vector) -> tuple[Indices, Vector] | None:
         """Set w to 0 in x; return the equality that defines each w, and minus its coefficient; None if one has none."""
         x[self.second] = 0.0
         entries = sp.csr_array(self._equalities(x)[1][:, self.second])
@@ -291,7 +291,7 @@ class EquilibriumProgram:
         first = alone.indptr[:-1]
         return alone.indices[first].astype(np.int64), -alone.data[first]
 
-    def _equalities(self, x: FloatVector) -> tuple[FloatVector, sp.csr_array]:
+    def _equalities(self, x: Vector) -> tuple[Vector, sp.csr_array]:
         """Return the residuals of the equalities, affine and smooth ones, and their derivatives."""
         A, b, smooth = sp.csr_array(self.program.A), self.program.b, self.smooth
         if smooth is None:
@@ -302,10 +302,10 @@ class EquilibriumProgram:
             sp.vstack([A, sp.csr_array(smooth.map.jacobian(x))[1:][is_equality]])
         )
 
-    def distances(self, x: FloatVector) -> FloatVector:
+    def distances(self, x: Vector) -> Vector:
         """Return the distance of x from the three branches of each pair, shape (3, k); ∞ for a missing branch."""
         z, w = x[self.first], x[self.second]
-        found: FloatVector = np.array(
+        found: Vector = np.array(
             [
                 np.maximum(np.abs(z - self.lower), -w),
                 np.maximum(np.abs(w), np.maximum(self.lower - z, z - self.upper)),
@@ -314,29 +314,29 @@ class EquilibriumProgram:
         )
         return found
 
-    def violations(self, x: FloatVector) -> FloatVector:
+    def violations(self, x: Vector) -> Vector:
         """Return the complementarity violation of each pair at x, shape (k,)."""
-        nearest: FloatVector = self.distances(x).min(axis=0)
+        nearest: Vector = self.distances(x).min(axis=0)
         return nearest
 
-    def nearest(self, x: FloatVector, cases: Cases) -> Cases:
+    def nearest(self, x: Vector, cases: Cases) -> Cases:
         """Return the open branch of each pair that is nearest to x, shape (k,)."""
         choices = np.array(CASES, dtype=np.uint8)
         is_closed = (cases & choices[:, None]) == 0
         nearest: Cases = choices[np.argmin(np.where(is_closed, np.inf, self.distances(x)), axis=0)]
         return nearest
 
-    def objective(self, x: FloatVector) -> float:
+    def objective(self, x: Vector) -> float:
         """Return ½ xᵀP x + cᵀx + constant, plus f(x) if there is a smooth part."""
         smooth = 0.0 if self.smooth is None else float(self.smooth.map.value(x)[0])
         return self.program.objective(x) + smooth
 
-    def objective_size(self, x: FloatVector) -> float:
+    def objective_size(self, x: Vector) -> float:
         """Return Σ |c_j x_j| + ½ |xᵀP x| + |constant| + |objective|, the reference of a gap."""
         parts = (0.5 * (x @ (self.program.P @ x)), self.program.constant, self.objective(x))
         return float(np.abs(self.program.c * x).sum()) + sum(abs(float(part)) for part in parts)
 
-    def excess(self, x: FloatVector) -> float:
+    def excess(self, x: Vector) -> float:
         """Return the largest violation at x: rows relative to their terms, pairs and integers absolute."""
         found = [self.excess_of_rows(x), self.violations(x), np.abs(x - np.rint(x))[self.integers]]
         if self.smooth is not None:
@@ -354,14 +354,12 @@ class EquilibriumProgram:
         worst = max(float(one.max(initial=0.0)) for one in found)
         return math.inf if math.isnan(worst) else worst
 
-    def excess_of_rows(self, x: FloatVector) -> FloatVector:
+    def excess_of_rows(self, x: Vector) -> Vector:
         """Return the violation of each row at x relative to its terms d_i and c_ij x_j."""
         rows = self.program.constraints
         own, missed = largest_in_rows(sp.csr_array(rows.matrix.multiply(np.abs(x)))), rows.excess(x)
         terms = np.maximum(np.nan_to_num(np.abs(rows.limit), posinf=0.0), own)
-        excess: FloatVector = np.where(
-            missed > 0.0, missed / np.where(terms > 0.0, terms, 1.0), 0.0
-        )
+        excess: Vector = np.where(missed > 0.0, missed / np.where(terms > 0.0, terms, 1.0), 0.0)
         return excess
 
     def __repr__(self) -> str:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector
+from ...core.checks import Vector
 from ...core.settings import Status
 from ...core.solving.result import BaseResult
 from ...engines import installed_engine
@@ -62,8 +62,8 @@ class Node:
     parent: Node | None = None
     pair: int = -1
     bound: float = -math.inf
-    point: FloatVector | None = None
-    dual: tuple[FloatVector, FloatVector] | None = field(default=None, repr=False)
+    point: Vector | None = None
+    dual: tuple[Vector, Vector] | None = field(default=None, repr=False)
     proof: QPInfeasibility | None = field(default=None, repr=False)
     value: float = math.inf
 
@@ -91,7 +91,7 @@ class Relaxations:
         return constrained_curvature(self.problem.program.P, self.problem.program.A)
 
     @cached_property
-    def _box(self) -> tuple[FloatVector, FloatVector]:
+    def _box(self) -> tuple[Vector, Vector]:
         return implied_box(self.problem.program)
 
     def program(self, cases: Cases) -> QuadraticProgram | None:
@@ -149,7 +149,7 @@ class Relaxations:
                 node.dual = x, np.concatenate([solution.inequality, solution.equality])
         return node
 
-    def _round_small(self, x: FloatVector, program: QuadraticProgram) -> FloatVector:
+    def _round_small(self, x: Vector, program: QuadraticProgram) -> Vector:
         """Return x with components below 1e-9 ‖x‖∞ set to 0 if this reduces violations."""
         is_tiny = np.abs(x) <= TINY * np.abs(x).max(initial=0.0)
         other = np.clip(np.where(is_tiny, 0.0, x), program.lower, program.upper)
@@ -160,9 +160,7 @@ class Relaxations:
         )
         return other if misses_less < misses else x
 
-    def bound(
-        self, program: QuadraticProgram, dual: tuple[FloatVector, FloatVector], enough: float
-    ) -> float:
+    def bound(self, program: QuadraticProgram, dual: tuple[Vector, Vector], enough: float) -> float:
         """Return a lower bound of the program's objective that the point and the multipliers prove."""
         box = np.maximum(self._box[0], program.lower), np.minimum(self._box[1], program.upper)
         if (box[0] > box[1]).any():
@@ -171,7 +169,7 @@ class Relaxations:
         found = DualBounds(program, self._curvature, box).best(*dual, enough - offset)
         return math.nextafter(found + offset, -math.inf) if offset else found
 
-    def local_node(self, cases: Cases, near: FloatVector) -> Node:
+    def local_node(self, cases: Cases, near: Vector) -> Node:
         """Return the node of one piece, integers rounded from a point; its value is ∞ if no solution was found.
 
         A convex piece is solved. Otherwise x is projected onto the linearized rows, and the objective is minimized over
@@ -205,7 +203,7 @@ class Relaxations:
         return node
 
     def _linearized(
-        self, x: FloatVector, lower: FloatVector, upper: FloatVector, *, is_feasible: bool
+        self, x: Vector, lower: Vector, upper: Vector, *, is_feasible: bool
     ) -> QuadraticProgram | None:
         """Return the program over the rows linearized at x: of the point nearest to x, or of the least objective.
 
@@ -240,7 +238,7 @@ class Relaxations:
             upper,
         )
 
-    def projected(self, x: FloatVector) -> FloatVector:
+    def projected(self, x: Vector) -> Vector:
         """Return the point nearest to x that satisfies the affine rows and bounds, complementary or not."""
         own, n = self.problem.program, x.size
         near = QuadraticProgram(
@@ -346,7 +344,7 @@ class EquilibriumResult(BaseResult):
     _advice = ADVICE
 
     problem: EquilibriumProgram
-    x: FloatVector | None
+    x: Vector | None
     value: float
     lower_bound: float
     bound_by: str | None

@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import BoolVector, FloatVector, derived_property
+from ...core.checks import BoolVector, Vector, derived_property
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.rounding import compensated_product
@@ -80,14 +80,14 @@ class Optimality:
     """
 
     enclosures: Enclosures
-    x: FloatVector
+    x: Vector
     misfit: Ball
     residual: float
-    dual: FloatVector
+    dual: Vector
     passes: bool = False
 
     @classmethod
-    def of(cls, enclosures: Enclosures, x: FloatVector, *, tolerance: float = np.inf) -> Optimality:
+    def of(cls, enclosures: Enclosures, x: Vector, *, tolerance: float = np.inf) -> Optimality:
         """Return the optimality of x on the unscaled data; dual points are tried until one meets the tolerance."""
         misfit = enclosures.residual(x)
         judged = cls(enclosures, x, misfit, 1.0, misfit[0])
@@ -121,7 +121,7 @@ class Optimality:
 
     @property
     @np.errstate(all="ignore")
-    def sharp_residual(self) -> FloatVector:
+    def sharp_residual(self) -> Vector:
         """A x − b, computed by compensated sums if rounding is more than 1e-9 of the cost."""
         problem, (r, slip) = self.enclosures.problem, self.misfit
         if not problem.has_entries or not problem.apply_weights(slip) @ np.abs(
@@ -153,7 +153,7 @@ class Optimality:
         return OUTWARD * float(size), bool((residual <= 2.0 * radius).all())
 
 
-def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, FloatVector]:
+def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, Vector]:
     """Return the gap relative to its cost, apart from rounding, at most 1, and its y."""
     enclosures, x, residual = judged.enclosures, judged.x, judged.misfit
     problem, duals = enclosures.problem, _dual_points(judged)
@@ -168,14 +168,14 @@ def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, FloatVec
 
 
 def _gap_of_cost(
-    problem: BoundedLeastSquares, x: FloatVector, residual: Ball, y: FloatVector, slope: Ball
+    problem: BoundedLeastSquares, x: Vector, residual: Ball, y: Vector, slope: Ball
 ) -> Any:
     """Return the gap apart from rounding, relative to its cost; ∞ if that is 0."""
     gap, cost = _gap(problem, x, residual, y, slope, rounding=-1.0)
     return np.where(gap == 0.0, 0.0, OUTWARD * gap / cost)
 
 
-def _may_be_rounding(problem: BoundedLeastSquares, cost: Any, slip: FloatVector, tol: float) -> Any:
+def _may_be_rounding(problem: BoundedLeastSquares, cost: Any, slip: Vector, tol: float) -> Any:
     """Return whether rounding of A x − b, known up to slip, exceeds the tolerance, of a small A."""
     return problem.is_small & (0.5 * np.vecdot(problem.apply_weights(slip), slip) > tol * cost)
 
@@ -187,10 +187,10 @@ def _exceeds(cost: Any, known: Any, tolerance: float) -> Any:
 
 def measure_stack(
     problem: BoundedLeastSquares,
-    x: FloatVector,
+    x: Vector,
     tolerance: float,
-    newton_step: Callable[[FloatVector], FloatVector],
-) -> tuple[FloatVector, BoolVector]:
+    newton_step: Callable[[Vector], Vector],
+) -> tuple[Vector, BoolVector]:
     """Return the relative gap of each point of a stack, and whether it proves that the point is SOLVED.
 
     y = r, then y = r + A d for the Newton step d of the free columns, as the docstring of this module allows. Other y
@@ -224,7 +224,7 @@ def measure_stack(
     return value, is_solved & ~_may_be_rounding(problem, cost, residual[1], tolerance)
 
 
-def _dual_points(judged: Optimality) -> Iterator[tuple[FloatVector, Ball]]:
+def _dual_points(judged: Optimality) -> Iterator[tuple[Vector, Ball]]:
     """Yield dual points y with their s, the cheapest first."""
     enclosures, x, (r, slip) = judged.enclosures, judged.x, judged.misfit
     problem, at_r = enclosures.problem, enclosures.gradient_at(x, r)
@@ -239,8 +239,8 @@ def _dual_points(judged: Optimality) -> Iterator[tuple[FloatVector, Ball]]:
 
 
 def _with_zeros(
-    enclosures: Enclosures, x: FloatVector, y: FloatVector, slip: FloatVector
-) -> Iterator[tuple[FloatVector, Ball]]:
+    enclosures: Enclosures, x: Vector, y: Vector, slip: Vector
+) -> Iterator[tuple[Vector, Ball]]:
     """Yield y with its entries at rounding level set to 0, if there are any: their multipliers are exactly 0."""
     if (np.abs(y) <= slip).any():
         zeroed = np.where(np.abs(y) > slip, y, 0.0)
@@ -248,8 +248,8 @@ def _with_zeros(
 
 
 def _with_shrunk(
-    enclosures: Enclosures, x: FloatVector, duals: Iterator[tuple[FloatVector, Ball]]
-) -> Iterator[tuple[FloatVector, Ball]]:
+    enclosures: Enclosures, x: Vector, duals: Iterator[tuple[Vector, Ball]]
+) -> Iterator[tuple[Vector, Ball]]:
     """Yield each y, and then the shrunk y."""
     for y, slope in duals:
         yield y, slope
@@ -258,8 +258,8 @@ def _with_shrunk(
 
 
 def _shrunk(
-    enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball
-) -> tuple[FloatVector, Ball] | None:
+    enclosures: Enclosures, x: Vector, y: Vector, slope: Ball
+) -> tuple[Vector, Ball] | None:
     """Return θ y, θ ≤ 1, with |s_j| ≤ l1_j in penalized columns without a bound, and its s; None if y satisfies it."""
     problem = enclosures.problem
     of_y, margin = slope[0] - problem.ridge * x, 2.0 * slope[1]
@@ -278,9 +278,7 @@ def _shrunk(
     return share * y, enclosures.gradient_at(x, share * y)
 
 
-def duality_gap(
-    problem: BoundedLeastSquares, x: FloatVector, y: FloatVector | None = None
-) -> float:
+def duality_gap(problem: BoundedLeastSquares, x: Vector, y: Vector | None = None) -> float:
     """Return an upper bound of f(x) − min f, for x within the bounds; an estimate for a LinearOperator.
 
     Parameters
@@ -317,11 +315,11 @@ def duality_gap(
 
 def _gap(
     problem: BoundedLeastSquares,
-    x: FloatVector,
+    x: Vector,
     residual: Ball,
-    y: FloatVector,
+    y: Vector,
     slope: Ball,
-    convexity: FloatVector = NOTHING,
+    convexity: Vector = NOTHING,
     *,
     rounding: float = 1.0,
 ) -> tuple[Any, Any]:
@@ -357,15 +355,15 @@ def _gap(
     return gap, 0.5 * squares + np.vecdot(l1, distance)
 
 
-def _fall(slant: FloatVector, slack: FloatVector, off: FloatVector) -> FloatVector:
+def _fall(slant: Vector, slack: Vector, off: Vector) -> Vector:
     """Return by how much the cost falls at most over the slack, at a slant known up to `off`."""
     steep = slant + off
     return np.where((steep > 0.0) & (slack > 0.0), steep * slack + TINY, 0.0)
 
 
 def _repair(
-    enclosures: Enclosures, x: FloatVector, y: FloatVector, slope: Ball
-) -> Iterator[tuple[FloatVector, Ball]]:
+    enclosures: Enclosures, x: Vector, y: Vector, slope: Ball
+) -> Iterator[tuple[Vector, Ball]]:
     """Yield y + δp with the least δ that gives all columns the required sign, and its s, if δ is found.
 
     p is to push the columns whose sign is in doubt, or else all of them.
@@ -392,7 +390,7 @@ def _repair(
             share *= 2.0
 
 
-def _pushes(problem: BoundedLeastSquares, *wanted: FloatVector) -> Iterator[FloatVector]:
+def _pushes(problem: BoundedLeastSquares, *wanted: Vector) -> Iterator[Vector]:
     """Yield candidates for p: A times the first wanted signs, which suits entries ≥ 0; then the shortest p."""
     yield problem.product(wanted[0] / problem.column_scales)
     for signs in wanted:
@@ -402,8 +400,8 @@ def _pushes(problem: BoundedLeastSquares, *wanted: FloatVector) -> Iterator[Floa
 
 
 def _push(
-    problem: BoundedLeastSquares, wanted: FloatVector, chosen: BoolVector, accuracy: float
-) -> FloatVector:
+    problem: BoundedLeastSquares, wanted: Vector, chosen: BoolVector, accuracy: float
+) -> Vector:
     """Return the shortest p with (AᵀWp)_j about wanted_j times the length of column j, for the chosen j.
 
     The caller checks the signs.
@@ -421,14 +419,14 @@ def _push(
 
 
 def _push_by_products(
-    problem: BoundedLeastSquares, wanted: FloatVector, columns: Any, accuracy: float
-) -> FloatVector:
+    problem: BoundedLeastSquares, wanted: Vector, columns: Any, accuracy: float
+) -> Vector:
     """Return the shortest p of the scaled problem by lsmr, by a sparse factorization if lsmr does not converge."""
     from scipy.sparse.linalg import LinearOperator, lsmr
 
     scaled, (m, n) = problem.scaled, problem.shape
 
-    def back(pull: FloatVector) -> FloatVector:
+    def back(pull: Vector) -> Vector:
         if enforced_seconds_left() < 0.0:
             raise OutOfTimeError
         full = np.zeros(n)
@@ -445,7 +443,7 @@ def _push_by_products(
     return np.asarray(push)
 
 
-def _push_by_factorization(A: Any, wanted: FloatVector, otherwise: FloatVector) -> FloatVector:
+def _push_by_factorization(A: Any, wanted: Vector, otherwise: Vector) -> Vector:
     """Return the shortest p with Aᵀp = wanted, of p + A u = 0, with one refinement; `otherwise` if A is singular."""
     from scipy.sparse.linalg import splu
 

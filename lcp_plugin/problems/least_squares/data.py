@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from ...core.checks import (
     BoolVector,
-    FloatVector,
+    Vector,
     check_kind,
     checked_bound,
     checked_bounds,
@@ -130,7 +130,7 @@ class BoundedLeastSquares:
                 f"{what} by a number that brings it near 1"
             )
 
-    def is_in_range(self, entries: FloatVector) -> Any:
+    def is_in_range(self, entries: Vector) -> Any:
         """Return whether squares of the largest entry, or of √weights, of each row are in the range of doubles."""
         largest = np.abs(entries).max(-1, initial=0.0) * self._largest_root
         least, most = SQUARED_RANGE
@@ -173,9 +173,7 @@ class BoundedLeastSquares:
         )
         return self.stack(b, *bounds, self.l1 if l1 is None else _checked_penalty(l1, n))
 
-    def stack(
-        self, b: FloatVector, lower: FloatVector, upper: FloatVector, l1: FloatVector
-    ) -> BoundedLeastSquares:
+    def stack(self, b: Vector, lower: Vector, upper: Vector, l1: Vector) -> BoundedLeastSquares:
         """Return the problem with other, checked vectors; an axis in front, shapes (B, m) and (B, n), makes a stack."""
         _ = self.column_scales, self.root_weights  # shared from now on
         made = copy(self)
@@ -197,7 +195,7 @@ class BoundedLeastSquares:
         return np.asarray(np.diff(self.A.indptr) > 0 if self.is_sparse else self.A.any(axis=1))
 
     @cached_property
-    def nearest_to_zero(self) -> FloatVector:
+    def nearest_to_zero(self) -> Vector:
         """The point of [lower, upper] nearest to 0, shape (n,)."""
         return read_only(np.clip(0.0, self.lower, self.upper))
 
@@ -206,24 +204,24 @@ class BoundedLeastSquares:
         """Number of finite bounds of each column, shape (n,)."""
         return np.isfinite(self.lower).astype(int) + np.isfinite(self.upper)
 
-    def checked_start(self, x0: ArrayLike) -> FloatVector:
+    def checked_start(self, x0: ArrayLike) -> Vector:
         """Return the start within the bounds, shape (n,); raise InvalidOption if x0 is not a finite vector."""
         start = vector_option(x0, "x0", self.shape[1], may_be_number=True)
         return np.clip(start, self.lower, self.upper)
 
-    def product(self, x: FloatVector) -> FloatVector:
+    def product(self, x: Vector) -> Vector:
         """Return A x."""
         return _vector(self.A @ x)
 
-    def apply_transpose(self, y: FloatVector) -> FloatVector:
+    def apply_transpose(self, y: Vector) -> Vector:
         """Return Aᵀy."""
         return _vector(self._transpose @ y)
 
-    def apply_weights(self, y: FloatVector) -> FloatVector:
+    def apply_weights(self, y: Vector) -> Vector:
         """Return weights · y."""
         return y if self.weights is None else self.weights * y
 
-    def cost(self, x: FloatVector, residual: FloatVector) -> Any:
+    def cost(self, x: Vector, residual: Vector) -> Any:
         """Return the objective value at x, given its residual A x − b; shape (B,) for a stack."""
         with np.errstate(all="ignore"):  # of an x too large to be squared
             penalty = self.ridge * np.vecdot(x, x) if self.ridge > 0.0 else 0.0
@@ -240,7 +238,7 @@ class BoundedLeastSquares:
         return self.root_weights[:, None] * self.A
 
     @cached_property
-    def column_scales(self) -> FloatVector:
+    def column_scales(self) -> Vector:
         """Powers of two near the lengths of the columns of (√weights A; √ridge I), 1 for an empty column, shape (n,).
 
         For a LinearOperator they are estimates: the mean square of aᵀs for random signs s is ‖a‖².
@@ -248,7 +246,7 @@ class BoundedLeastSquares:
         lengths = self._lengths() if self.has_entries else self._estimated_lengths()
         return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_SCALE))
 
-    def _lengths(self) -> FloatVector:
+    def _lengths(self) -> Vector:
         if not self.shape[0]:
             return np.zeros(self.shape[1])
         sizes = abs(self.weighted_matrix)
@@ -257,7 +255,7 @@ class BoundedLeastSquares:
         squares = (sizes * (1.0 / unit)) ** 2  # which do not vanish
         return np.asarray(unit * np.sqrt(squares.sum(axis=0)))
 
-    def _estimated_lengths(self) -> FloatVector:
+    def _estimated_lengths(self) -> Vector:
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (PROBES, self.shape[0]))
         seen = np.array([self.apply_transpose(self.root_weights * row) for row in signs])
         unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0), LARGEST_SCALE)
@@ -266,7 +264,7 @@ class BoundedLeastSquares:
         return np.where((lengths > 0.25 * typical) & (lengths < 4.0 * typical), typical, lengths)
 
     @cached_property
-    def normal_equations(self) -> tuple[FloatVector, FloatVector]:
+    def normal_equations(self) -> tuple[Vector, Vector]:
         """√W A by columns of about unit length, dense, shape (m, n), and AᵀWA + ridge in these units, shape (n, n)."""
         A = self.weighted_matrix
         A = (A.toarray() if self.is_sparse else A) / self.column_scales
@@ -280,7 +278,7 @@ class BoundedLeastSquares:
         return ScaledLeastSquares(self)
 
     @cached_property
-    def root_weights(self) -> FloatVector:
+    def root_weights(self) -> Vector:
         """√weights, shape (m,)."""
         return np.ones(self.shape[0]) if self.weights is None else np.sqrt(self.weights)
 
@@ -327,7 +325,7 @@ class ScaledLeastSquares:
         self.whole = self
         self.nearest_to_zero = np.clip(np.zeros(self.n), self.lower, self.upper)
 
-    def orthant(self, x: FloatVector, slope: FloatVector) -> ScaledLeastSquares:
+    def orthant(self, x: Vector, slope: Vector) -> ScaledLeastSquares:
         """Return the orthant problem: each column on the side of 0 of x, or in the descent direction if x is 0."""
         if not self.has_kink.any():
             return self
@@ -338,22 +336,22 @@ class ScaledLeastSquares:
         part.linear = np.where(falls, -self.l1, self.linear)
         return part
 
-    def from_caller(self, x: FloatVector) -> FloatVector:
+    def from_caller(self, x: Vector) -> Vector:
         """Return x scaled."""
         return x * (self.columns / self.size)
 
-    def to_caller(self, x: FloatVector) -> FloatVector:
+    def to_caller(self, x: Vector) -> Vector:
         """Return the unscaled x, exactly at a bound if the scaled x is at this bound."""
         lower = np.where(self.has_kink & (self.lower == 0.0), 0.0, self.problem.lower)
         upper = np.where(self.has_kink & (self.upper == 0.0), 0.0, self.problem.upper)
         there = np.clip(x * (self.size / self.columns), lower, upper)
         return np.where(x <= self.lower, lower, np.where(x >= self.upper, upper, there))
 
-    def product(self, x: FloatVector) -> FloatVector:
+    def product(self, x: Vector) -> Vector:
         """Return A x."""
         return self._root * self.problem.product(x / self.columns)
 
-    def apply_transpose(self, y: FloatVector) -> FloatVector:
+    def apply_transpose(self, y: Vector) -> Vector:
         """Return Aᵀy."""
         return self.problem.apply_transpose(self._root * y) / self.columns
 
@@ -365,7 +363,7 @@ class ScaledLeastSquares:
         A = sp.csr_array(A @ sp.diags_array(1.0 / self.columns))
         return A.toarray() if is_dense else A
 
-    def rows(self, *, is_dense: bool) -> tuple[Any, FloatVector]:
+    def rows(self, *, is_dense: bool) -> tuple[Any, Vector]:
         """Return A and b with a row √ridge_j x_j = 0 per column with a ridge."""
         A = self.matrix(is_dense=is_dense)
         if not self.ridge.any():
@@ -377,7 +375,7 @@ class ScaledLeastSquares:
         return sp.csr_array(sp.vstack([A, sp.diags_array(root)])), b
 
 
-def _checked_penalty(l1: ArrayLike, n: int) -> FloatVector:
+def _checked_penalty(l1: ArrayLike, n: int) -> Vector:
     penalty = checked_bound(l1, "l1", n)
     is_one = (penalty >= 0.0) & (penalty < np.inf)
     if not is_one.all():
@@ -415,11 +413,11 @@ def _checked_operator(A: Any) -> Any:
     return operator
 
 
-def _vector(values: Any) -> FloatVector:
+def _vector(values: Any) -> Vector:
     return np.asarray(values, dtype=np.float64).reshape(-1)
 
 
-Ball = tuple[FloatVector, FloatVector]
+Ball = tuple[Vector, Vector]
 """Values and radii: the exact values lie within."""
 
 # more than the rounding of a sum of 2²⁰ terms of one sign, or of a few operations
@@ -449,26 +447,26 @@ class Enclosures:
     def __init__(self, problem: BoundedLeastSquares) -> None:
         self.problem, self.known = problem, [problem.nearest_to_zero]
 
-    def cost_above(self, x: FloatVector) -> Any:
+    def cost_above(self, x: Vector) -> Any:
         """Return an upper bound of the cost of x."""
         value, radius = self.residual(x)
         return self.problem.cost(x, np.abs(value) + radius)
 
     @cached_property
-    def unbounded_solution(self) -> FloatVector:
+    def unbounded_solution(self) -> Vector:
         """Shortest solution without bounds and l1, projected onto the bounds; A must have entries."""
         scaled = self.problem.scaled
         x = shortest_solution(*scaled.rows(is_dense=True))
         return scaled.to_caller(clip(x, scaled.lower, scaled.upper))
 
-    def residual(self, x: FloatVector) -> Ball:
+    def residual(self, x: Vector) -> Ball:
         """Return A x − b."""
         problem = self.problem
         if not problem.has_entries:
             return problem.product(x) - problem.b, np.zeros(problem.shape[0])
         return self._product(problem.A, self._sizes, x, NOTHING, problem.b, self._terms[0])
 
-    def gradient(self, x: FloatVector, residual: Ball) -> Ball:
+    def gradient(self, x: Vector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""
         value, radius = self.apply_transpose(*residual)
         if not self.problem.ridge > 0.0:
@@ -478,11 +476,11 @@ class Enclosures:
         rounding = 4.0 * EPSILON * (np.abs(value) + np.abs(added))
         return value, OUTWARD * (radius + rounding + TINY * (x != 0.0))
 
-    def gradient_at(self, x: FloatVector, y: FloatVector) -> Ball:
+    def gradient_at(self, x: Vector, y: Vector) -> Ball:
         """Return AᵀWy + ridge x."""
         return self.gradient(x, (y, NOTHING))
 
-    def apply_transpose(self, y: FloatVector, slip: FloatVector) -> Ball:
+    def apply_transpose(self, y: Vector, slip: Vector) -> Ball:
         """Return AᵀWy for a y known up to slip; an empty slip means that y is exact."""
         problem = self.problem
         weighted, slip = (
@@ -493,9 +491,7 @@ class Enclosures:
             return problem.apply_transpose(weighted), np.zeros(problem.shape[1])
         return self._product(problem.A.T, self._sizes.T, weighted, slip, 0.0, self._terms[1])
 
-    def _product(
-        self, B: Any, sizes: Any, v: FloatVector, slip: FloatVector, less: Any, terms: int
-    ) -> Ball:
+    def _product(self, B: Any, sizes: Any, v: Vector, slip: Vector, less: Any, terms: int) -> Ball:
         """Return B v − less for a v known up to slip, with |B| = sizes and so many terms in a row of B."""
         size = times(sizes, np.abs(v)) + np.abs(less)
         unsure = times(sizes, slip) if slip.size else 0.0
@@ -514,7 +510,7 @@ class Enclosures:
         return float(least.max(initial=0.0))
 
     @cached_property
-    def convexity(self) -> FloatVector | None:
+    def convexity(self) -> Vector | None:
         """A d > 0, shape (n,), with AᵀWA + ridge − diag(d) proved positive semidefinite, or None."""
         from ...proofs.bounds import smallest_eigenvalue_bound
 
@@ -555,22 +551,20 @@ class Enclosures:
         return int(np.diff(A.indptr).max(initial=0)), int(of_columns.max())
 
 
-def shortest_solution(A: FloatVector, b: FloatVector) -> FloatVector:
+def shortest_solution(A: Vector, b: Vector) -> Vector:
     """Return the shortest x of least ‖A x − b‖; singular values below max(m, n) ε of the largest are 0."""
     from scipy.linalg import lstsq
 
-    x: FloatVector = lstsq(A, b, max(A.shape) * EPSILON, check_finite=False, lapack_driver="gelsy")[
-        0
-    ]
+    x: Vector = lstsq(A, b, max(A.shape) * EPSILON, check_finite=False, lapack_driver="gelsy")[0]
     return x
 
 
-def times(B: Any, v: FloatVector) -> FloatVector:
+def times(B: Any, v: Vector) -> Vector:
     """Return B v, for each row of v if v has two axes."""
-    product: FloatVector = B @ v if v.ndim == 1 else v @ B.T
+    product: Vector = B @ v if v.ndim == 1 else v @ B.T
     return product
 
 
-def clip(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
+def clip(x: Vector, lower: Vector, upper: Vector) -> Vector:
     """Return mid(lower, upper, x), sooner than numpy does for short vectors."""
     return np.minimum(np.maximum(x, lower), upper)

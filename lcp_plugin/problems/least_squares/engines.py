@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import BoolVector, FloatVector
+from ...core.checks import BoolVector, Vector
 from ...core.deadline import seconds_left
 from ...core.kernels.floats import EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
@@ -68,7 +68,7 @@ class FacePoint:
     """
 
     def __init__(
-        self, problem: ScaledLeastSquares, x: FloatVector, residual: FloatVector | None = None
+        self, problem: ScaledLeastSquares, x: Vector, residual: Vector | None = None
     ) -> None:
         self.problem, self.x = problem, x
         self.residual = problem.product(x) - problem.b if residual is None else residual
@@ -87,12 +87,12 @@ class FacePoint:
         return (self.x > self.problem.lower) & (self.x < self.problem.upper)
 
     @cached_property
-    def free_gradient(self) -> FloatVector:
+    def free_gradient(self) -> Vector:
         """The gradient on the free columns, 0 elsewhere."""
         return np.where(self.is_free, self.gradient, 0.0)
 
     @cached_property
-    def pull(self) -> FloatVector:
+    def pull(self) -> Vector:
         """Gradient of the columns that it pulls away from their bounds into the box, 0 elsewhere."""
         may_rise, may_fall = self.x < self.problem.upper, self.x > self.problem.lower
         rising, falling = np.minimum(self.gradient, 0.0), np.maximum(self.gradient, 0.0)
@@ -100,7 +100,7 @@ class FacePoint:
         return np.where(self.is_free, 0.0, inward)
 
     @cached_property
-    def natural_residual(self) -> FloatVector:
+    def natural_residual(self) -> Vector:
         """Difference x − mid(lower, upper, x − gradient): 0 exactly at the minimum."""
         return clip(self.gradient, self.x - self.problem.upper, self.x - self.problem.lower)
 
@@ -125,16 +125,16 @@ class FacePoint:
         )
         return ROUNDING * float(sizes)
 
-    def curvature(self, direction: FloatVector, product: FloatVector) -> float:
+    def curvature(self, direction: Vector, product: Vector) -> float:
         """Return dᵀ(AᵀA + ridge)d for a direction d and A d."""
         return float(product @ product + (self.problem.ridge * direction) @ direction)
 
-    def move(self, direction: FloatVector, product: FloatVector, length: float) -> FacePoint:
+    def move(self, direction: Vector, product: Vector, length: float) -> FacePoint:
         """Return the point at x + length · direction, which is within the bounds except for rounding."""
         x = clip(self.x + length * direction, self.problem.lower, self.problem.upper)
         return FacePoint(self.problem, x, self.residual + length * product)
 
-    def farthest(self, direction: FloatVector) -> float:
+    def farthest(self, direction: Vector) -> float:
         """Return the largest step length along the direction within the bounds."""
         slack = (
             np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x)
@@ -142,11 +142,11 @@ class FacePoint:
         )
         return float(np.min(slack, initial=np.inf, where=direction != 0.0))
 
-    def rise(self, direction: FloatVector, product: FloatVector) -> float:
+    def rise(self, direction: Vector, product: Vector) -> float:
         """Return by how much the cost rises at x + d, of d and A d; costs themselves would cancel."""
         return float(self.gradient @ direction) + 0.5 * self.curvature(direction, product)
 
-    def project(self, direction: FloatVector, product: FloatVector) -> FacePoint:
+    def project(self, direction: Vector, product: Vector) -> FacePoint:
         """Return the better of x + direction, projected onto the bounds, and the first bound on the way there."""
         length = min(self.farthest(direction), 1.0)
         bent = clip(self.x + direction, self.problem.lower, self.problem.upper) - self.x
@@ -280,7 +280,7 @@ def is_within_reach(problem: ScaledLeastSquares) -> bool:
     return bool(factor_sizes(both, LARGEST_FILL, most)[0] < np.inf)
 
 
-def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, FloatVector]]:
+def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, Vector]]:
     """Yield points x within the bounds by the solvers that suit the problem, with the name of the solver."""
     is_dense = problem.problem.is_dense or problem.problem.is_small
     if is_dense and problem.ridge.all() and problem.has_no_corner:
@@ -296,8 +296,8 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, FloatVecto
 
 
 def _dense_solutions(
-    problem: ScaledLeastSquares, A: FloatVector, b: FloatVector
-) -> Iterator[tuple[str, FloatVector]]:
+    problem: ScaledLeastSquares, A: Vector, b: Vector
+) -> Iterator[tuple[str, Vector]]:
     """Yield solutions x, the cheapest first, with the name of the solver."""
     bounds = problem.problem.bounds_per_column
     if problem.has_no_corner:
@@ -312,7 +312,7 @@ def _dense_solutions(
     yield "lstsq", shortest_solution(A, b)  # bounds may be far, and PIQP's point between them, too
 
 
-def ridge_solution(problem: ScaledLeastSquares) -> FloatVector:
+def ridge_solution(problem: ScaledLeastSquares) -> Vector:
     """Return x without bounds and penalty, by the smaller of (AᵀA + D) and (A D⁻¹Aᵀ + I), D the ridge; NaN at failure.
 
     A second solve with the remaining gradient refines it.
@@ -343,7 +343,7 @@ def is_for_nnls(problem: BoundedLeastSquares) -> bool:
     return bool(is_small and (problem.bounds_per_column == 1).all() and not problem.l1.any())
 
 
-def nnls_point(problem: BoundedLeastSquares) -> FloatVector:
+def nnls_point(problem: BoundedLeastSquares) -> Vector:
     """Return the solution by nnls, without weights in the user's own scaling; NaN if nnls fails."""
     if problem.weights is not None:
         scaled = problem.scaled
@@ -355,7 +355,7 @@ def nnls_point(problem: BoundedLeastSquares) -> FloatVector:
     return _solve_by_nnls(problem, A, b)
 
 
-def _solve_by_nnls(problem: Any, A: FloatVector, b: FloatVector) -> FloatVector:
+def _solve_by_nnls(problem: Any, A: Vector, b: Vector) -> Vector:
     """Return the solution within one bound per column, NaN if nnls fails."""
     from scipy.optimize import nnls
 
@@ -376,9 +376,9 @@ class Split(NamedTuple):
     """The problem of z; see the module."""
 
     E: Any
-    slopes: FloatVector
-    lower: FloatVector
-    upper: FloatVector
+    slopes: Vector
+    lower: Vector
+    upper: Vector
     kink: Any
 
     @classmethod
@@ -397,14 +397,14 @@ class Split(NamedTuple):
             kink,
         )
 
-    def join_parts(self, z: FloatVector) -> FloatVector:
+    def join_parts(self, z: Vector) -> Vector:
         """Return x."""
         z = clip(z, self.lower, self.upper)
         x = z[: z.size - self.kink.size].copy()
         x[self.kink] -= z[x.size :]
         return x
 
-    def solve_normal_equations(self, b: FloatVector) -> FloatVector:
+    def solve_normal_equations(self, b: Vector) -> Vector:
         """Return PIQP's x for min ½ zᵀEᵀE z + (slopes − Eᵀb)ᵀz, at bounds if multipliers say so."""
         E, k = self.E, self.slopes.size
         none = np.zeros((0, k)), np.zeros(0)
@@ -414,7 +414,7 @@ class Split(NamedTuple):
         z = np.where(slope > z - self.lower, self.lower, z)
         return self.join_parts(np.where(-slope > self.upper - z, self.upper, z))
 
-    def solve_residual_form(self, b: FloatVector) -> Iterator[FloatVector]:
+    def solve_residual_form(self, b: Vector) -> Iterator[Vector]:
         """Yield PIQP's x for min ½‖r‖² + slopesᵀz with E z − r = b, polished and as returned."""
         m, k = self.E.shape
         E = sp.csr_array(sp.hstack([self.E, -sp.eye_array(m)]))
@@ -432,7 +432,7 @@ class Split(NamedTuple):
             for found in (*polish_steps(program, answer), answer):
                 yield self.join_parts(found.x[:k])
 
-    def solve_dual(self, b: FloatVector) -> FloatVector:
+    def solve_dual(self, b: Vector) -> Vector:
         """Return x of the multipliers z of PIQP's y; no column may have two bounds."""
         has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
         is_bounded = has_lower | has_upper
@@ -460,7 +460,7 @@ def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
     return program, engine.answer(program, SolverLimits(seconds_left()))
 
 
-def minimize_on_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePoint:
+def minimize_on_face(point: FacePoint, A: Vector, b: Vector) -> FacePoint:
     """Return the minimum on the face of the point, or on a nearby face of lower cost.
 
     A step leads towards the minimum on a face, by an orthogonal factorization, up to the bounds. Columns that the
@@ -489,7 +489,7 @@ def minimize_on_face(point: FacePoint, A: FloatVector, b: FloatVector) -> FacePo
     return point
 
 
-def _step_to_minimum(point: FacePoint, free: Any, A: FloatVector, b: FloatVector) -> FacePoint:
+def _step_to_minimum(point: FacePoint, free: Any, A: Vector, b: Vector) -> FacePoint:
     """Return the point after a step of the free columns; columns that depend on earlier columns are unchanged.
 
     The rows of A are sorted by size: Householder's factor with column pivots is stable row by row then (Cox and Higham

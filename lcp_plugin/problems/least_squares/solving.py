@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.algorithm import Step
-from ...core.checks import BoolVector, FloatVector, derived_property, read_only
+from ...core.checks import BoolVector, Vector, derived_property, read_only
 from ...core.deadline import Clock, OutOfTimeError, is_over
 from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import Settings, Status, checked_callback
@@ -118,7 +118,7 @@ class LeastSquaresRun(Run):
     """
 
     def __init__(
-        self, problem: BoundedLeastSquares, progress: Progress, start: FloatVector | None
+        self, problem: BoundedLeastSquares, progress: Progress, start: Vector | None
     ) -> None:
         super().__init__(progress)
         self.problem, self.start = problem, start
@@ -128,7 +128,7 @@ class LeastSquaresRun(Run):
         self.aim = self.settings.tolerance
 
     @derived_property
-    def nearest(self) -> FloatVector:
+    def nearest(self) -> Vector:
         """The scaled point that is best so far; at first the start."""
         scaled = self.problem.scaled
         begin = scaled.nearest_to_zero if self.start is None else scaled.from_caller(self.start)
@@ -158,11 +158,11 @@ class LeastSquaresRun(Run):
             self.aim = NARROWER * step.residual
         return self.certify(self._scaled_x(step))
 
-    def certify(self, x: FloatVector, tolerance: float | None = None) -> Optimality:
+    def certify(self, x: Vector, tolerance: float | None = None) -> Optimality:
         """Return the certified point of a scaled x."""
         return self.judge(self.problem.scaled.to_caller(x), tolerance)
 
-    def judge(self, x: FloatVector, tolerance: float | None = None) -> Optimality:
+    def judge(self, x: Vector, tolerance: float | None = None) -> Optimality:
         """Return the certified point of an x within the bounds; dual points are tried until one meets the tolerance."""
         goal = self.settings.tolerance
         enough = goal if tolerance is None else tolerance
@@ -185,10 +185,10 @@ class LeastSquaresRun(Run):
         return TerminationReason.CONVERGED if is_solved else end
 
     @staticmethod
-    def _scaled_x(step: Step) -> FloatVector:
+    def _scaled_x(step: Step) -> Vector:
         return step.z.x if isinstance(step.z, FacePoint) else step.z
 
-    def shown(self, step: Step) -> FloatVector:
+    def shown(self, step: Step) -> Vector:
         """Return the x of a step."""
         if step.measured is not None or step.residual == math.inf:
             return read_only(step.z)
@@ -352,14 +352,14 @@ class LeastSquaresResult(BaseResult):
 
     _advice = ADVICE
 
-    x: FloatVector
+    x: Vector
     cost: float
-    fun: FloatVector
+    fun: Vector
     optimality: float
     active_mask: NDArray[np.int_]
     is_proved: bool
     problem: BoundedLeastSquares
-    _dual: FloatVector
+    _dual: Vector
 
     @classmethod
     def at(cls, judged: Optimality, **run: Any) -> LeastSquaresResult:
@@ -437,7 +437,7 @@ def length_of_stack(problem: BoundedLeastSquares) -> int:
 
 def solve_least_squares_stack(
     problem: BoundedLeastSquares, tolerance: float, is_compiled: bool
-) -> tuple[FloatVector, FloatVector, Any, BoolVector]:
+) -> tuple[Vector, Vector, Any, BoolVector]:
     """Return points of a stack of problems, one step of refinement after the LCPs of their normal equations.
 
     The step solves the normal equations on the same active sets for the gradient AᵀW(A x − b) of the data. So the
@@ -460,7 +460,7 @@ def solve_least_squares_stack(
     )
     side = np.where(z <= lower, LOW, np.where(z >= upper, HIGH, FREE))
 
-    def newton_step(slope: FloatVector) -> FloatVector:
+    def newton_step(slope: Vector) -> Vector:
         gradient = slope / columns + linear
         to_bounds = lower - z, upper - z
         return active_set_points(gram[None], gradient, *to_bounds, side, is_compiled) / columns

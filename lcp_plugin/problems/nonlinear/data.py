@@ -47,7 +47,7 @@ from ...core.certificates.measured import Measured
 from ...core.certificates.residuals import Certificate
 from ...core.checks import (
     BoolVector,
-    FloatVector,
+    Vector,
     checked_bounds,
     checked_vector,
     derived_property,
@@ -110,12 +110,7 @@ class Differences:
         return cls(pattern, groups)
 
     def at(
-        self,
-        F: Callable[[FloatVector], FloatVector],
-        x: FloatVector,
-        value: FloatVector,
-        lower: FloatVector,
-        upper: FloatVector,
+        self, F: Callable[[Vector], Vector], x: Vector, value: Vector, lower: Vector, upper: Vector
     ) -> Any:
         """Return the derivative at x, dense if the pattern is full, given F(x), by steps within the bounds.
 
@@ -138,13 +133,13 @@ class Differences:
         return found.toarray() if is_full else sp.csr_array(found)
 
 
-def _steps(x: FloatVector, lower: FloatVector, upper: FloatVector) -> FloatVector:
+def _steps(x: Vector, lower: Vector, upper: Vector) -> Vector:
     """Return the step of each unknown: away from 0, or to the farther bound if a bound is close."""
     length = STEP * np.maximum(np.abs(x), 1.0)
     above, below = upper - x, x - lower
     sign = np.where(x < 0.0, -1.0, 1.0)
     ahead, behind = np.where(sign > 0.0, above, below), np.where(sign > 0.0, below, above)
-    steps: FloatVector = np.where((ahead < length) & (behind > ahead), -sign, sign) * length
+    steps: Vector = np.where((ahead < length) & (behind > ahead), -sign, sign) * length
     return steps
 
 
@@ -194,8 +189,8 @@ class NonlinearProblem:
 
     def __init__(
         self,
-        F: Callable[[FloatVector], ArrayLike],
-        jacobian: Callable[[FloatVector], Any] | None = None,
+        F: Callable[[Vector], ArrayLike],
+        jacobian: Callable[[Vector], Any] | None = None,
         lower: ArrayLike = 0.0,
         upper: ArrayLike = np.inf,
         pattern: Any = None,
@@ -240,7 +235,7 @@ class NonlinearProblem:
         sized._set_bounds(n)
         return sized
 
-    def value(self, x: ArrayLike) -> FloatVector:
+    def value(self, x: ArrayLike) -> Vector:
         """Return F(x), shape (n,), a read-only copy; NaN and infinities mean that F is undefined at x.
 
         Parameters
@@ -261,7 +256,7 @@ class NonlinearProblem:
             raise InvalidProblem(f"{need}, got shape {value.shape}; return one number a row")
         return read_only(value.copy())
 
-    def derivative(self, x: ArrayLike, value: FloatVector | None = None) -> Any:
+    def derivative(self, x: ArrayLike, value: Vector | None = None) -> Any:
         """Return F′(x), a CSR array or an ndarray, shape (n, n).
 
         Parameters
@@ -278,7 +273,7 @@ class NonlinearProblem:
         returned, name = self.call_jacobian(self._point(x), value)
         return _finite(returned, name, np.size(x))
 
-    def call_jacobian(self, x: FloatVector, value: FloatVector | None) -> tuple[Any, str]:
+    def call_jacobian(self, x: Vector, value: Vector | None) -> tuple[Any, str]:
         """Return F′(x), unchecked, and its name in errors."""
         if self.jacobian is not None:
             with np.errstate(all="ignore"):
@@ -291,7 +286,7 @@ class NonlinearProblem:
         derivative = problem._differences.at(self.value, x, value, problem.lower, problem.upper)
         return derivative, "the derivative of F by differences"
 
-    def linearize(self, x: ArrayLike, value: FloatVector | None = None) -> LCP:
+    def linearize(self, x: ArrayLike, value: Vector | None = None) -> LCP:
         """Return the LCP with M = F′(x), q = F(x) − F′(x) x and the same bounds, which is the problem near x.
 
         A row with an infinite slope, as √x has at 0, gets a slope in x_i and 0 in all other unknowns: the least
@@ -322,7 +317,7 @@ class NonlinearProblem:
                 )
             return LCP(M, q, lower=problem.lower, upper=problem.upper, names=problem.names)
 
-    def _point(self, x: ArrayLike) -> FloatVector:
+    def _point(self, x: ArrayLike) -> Vector:
         return checked_vector(x, "x", self.n, allow_plus_infinity=True, allow_nan=True)
 
     def __repr__(self) -> str:
@@ -347,7 +342,7 @@ def _finite(derivative: Any, name: str, n: int) -> Any:
 
 
 def _replace_infinite_rows(
-    problem: NonlinearProblem, x: FloatVector, value: FloatVector, derivative: Any
+    problem: NonlinearProblem, x: Vector, value: Vector, derivative: Any
 ) -> Any:
     """Return the derivative with diagonal rows for rows with an infinite entry."""
     n, entries = x.size, derivative.data if sp.issparse(derivative) else np.asarray(derivative)
@@ -415,12 +410,7 @@ class LinearizedRows(RowData):
     """
 
     def __init__(
-        self,
-        problem: NonlinearProblem,
-        lcp: LCP,
-        x: FloatVector,
-        value: FloatVector,
-        origin_value: FloatVector,
+        self, problem: NonlinearProblem, lcp: LCP, x: Vector, value: Vector, origin_value: Vector
     ) -> None:
         self.__dict__.update(row_data(lcp).__dict__)
         self.problem, self.lcp, self.x, self.value = problem, lcp, x, value
@@ -433,12 +423,12 @@ class LinearizedRows(RowData):
         )
         self.references = least, most
 
-    def rows(self, z: FloatVector, w: Any = None) -> RowsAtPoint:
+    def rows(self, z: Vector, w: Any = None) -> RowsAtPoint:
         """Return the values of all rows at z; a slack w that is known is F(x), without a bound of its rounding."""
         at = super().rows(z, w)
         return at if w is None else at._replace(rounding=np.zeros(z.size))
 
-    def sharp_product(self, z: FloatVector) -> None:
+    def sharp_product(self, z: Vector) -> None:
         """Return None: F is not a sum."""
 
     def measure_at(self, *given: Any, **how: Any) -> Measured:
@@ -467,7 +457,7 @@ class LinearizedRows(RowData):
         return np.asarray(is_free & (step * np.sign(x) > 2.0**-6 * size))
 
     @derived_property
-    def noise(self) -> FloatVector:
+    def noise(self) -> Vector:
         """Estimate of the rounding error inside each F_i/d_i, shape (n,); NaN if F is not defined near x.
 
         The estimate is the largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i, for δ a few fractions of 1/64 of the step to
@@ -483,7 +473,7 @@ class LinearizedRows(RowData):
             errors.append(np.abs(self.problem.value(near) - self.value - self.M @ (near - x)))
         return np.asarray(np.max(errors, 0) / self.scale)
 
-    def rounding_floor(self, terms: FloatVector, scale: FloatVector | None = None) -> Any:
+    def rounding_floor(self, terms: Vector, scale: Vector | None = None) -> Any:
         """Return the rounding level of each residual, with the rounding error inside F."""
         return super().rounding_floor(terms, scale) + self.noise
 
@@ -509,7 +499,7 @@ class NonlinearCertificate(Certificate):
         return self.criterion.rows(self.z, self.criterion.value)
 
     @property
-    def violation(self) -> FloatVector:
+    def violation(self) -> Vector:
         """The part of each F_i(x) with the wrong sign, |F_i(x)| off the bounds, shape (n,)."""
         return self._rows.violation
 
@@ -530,7 +520,7 @@ class Linearization:
         A copy is kept.
     """
 
-    def __init__(self, points: Linearizations, x: FloatVector) -> None:
+    def __init__(self, points: Linearizations, x: Vector) -> None:
         self.points, self.problem, self.x = points, points.problem, read_only(x.copy())
         self.value = self.problem.value(self.x)
 
@@ -593,7 +583,7 @@ class Linearizations:
         """The linearization at z°, the point of the bounds nearest to 0; F need not be defined there."""
         return self.at(np.clip(0.0, self.problem.lower, self.problem.upper))
 
-    def at(self, x: FloatVector) -> Linearization:
+    def at(self, x: Vector) -> Linearization:
         """Return the linearization at x, shape (n,)."""
         for known in self._latest:
             if np.array_equal(known.x, x):
@@ -606,9 +596,7 @@ class Linearizations:
         self._latest = [linearisation, *self._latest[: self.REMEMBERED - 1]]
 
 
-def criterion_at(
-    problem: NonlinearProblem, x: FloatVector
-) -> tuple[RowData, FloatVector, FloatVector, Names]:
+def criterion_at(problem: NonlinearProblem, x: Vector) -> tuple[RowData, Vector, Vector, Names]:
     """Return the data of the criterion at x, with x, F(x) and the names.
 
     Raises

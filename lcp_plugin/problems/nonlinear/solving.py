@@ -19,7 +19,7 @@ from ...auto import method_of, plan
 from ...core.algorithm import Algorithm, Step
 from ...core.certificates.criterion import POWER, row_data
 from ...core.certificates.measured import Measured
-from ...core.checks import FloatVector, read_only, vector_option
+from ...core.checks import Vector, read_only, vector_option
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.kernels.threads import threads_for
@@ -78,7 +78,7 @@ class JosephyNewton(Algorithm):
     linear: str | Algorithm = "auto"
     tolerance: float = 0.0
 
-    def iterates(self, problem: LCP, z0: FloatVector) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, then the point of each step, until no step or restart helps."""
         run = _NewtonRun(self, self.points.at(z0))
         yield run.step()
@@ -176,7 +176,7 @@ class _NewtonRun:
                 return found
         return None
 
-    def _search(self, target: FloatVector, *, is_newton: bool) -> Linearization | None:
+    def _search(self, target: Vector, *, is_newton: bool) -> Linearization | None:
         """Return the first point on the way to the target that is better."""
         here, allowed = self.here, 10.0 * min(point.residual for point in self.recent)
         worst = max(map(self._merit, self.recent)) if is_newton else self._merit(here)
@@ -192,7 +192,7 @@ class _NewtonRun:
                 return point
         return None
 
-    def _at(self, x: FloatVector) -> Linearization:
+    def _at(self, x: Vector) -> Linearization:
         self.work += 1.0
         return Linearization(self.options.points, x)
 
@@ -221,7 +221,7 @@ class _NewtonRun:
         is_small = point.residual <= max(self.options.tolerance, SMALLEST_TOLERANCE)
         return size * min(1.0, certificate.term_residual) if is_small else size
 
-    def _solution(self, shift: float) -> FloatVector | None:
+    def _solution(self, shift: float) -> Vector | None:
         """Return a solution of (M + shift D)(x⁺ − x) + F(x) on the bounds, or None.
 
         The tolerance is tied to the relative residual at x. The unknown is x⁺ − x, because the residual at x is
@@ -258,7 +258,7 @@ class _NewtonRun:
         return np.where(result.z >= step.upper, lcp.upper, target)
 
 
-def _weights(problem: LCP) -> FloatVector:
+def _weights(problem: LCP) -> Vector:
     """Return 1/reference of each row's component, shape (n,), or shape (1,) for one component."""
     unit = row_data(problem).references[1]
     if unit.size == 1:
@@ -404,7 +404,7 @@ def solve_nonlinear(
         return replace(run.result(end), begun=begun)
 
 
-def begun_at(points: Linearizations, start: FloatVector) -> tuple[FloatVector, str]:
+def begun_at(points: Linearizations, start: Vector) -> tuple[Vector, str]:
     """Return the start and a note: x0, or the point nearest to 0 or 1 where F is defined.
 
     If F is defined at none of these points, x0 is returned and raises an error later.
@@ -429,7 +429,7 @@ def _check_start(start: Linearization) -> None:
         )
 
 
-def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> FloatVector:
+def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> Vector:
     if x0 is None:
         if problem.n is None:
             raise InvalidOption(

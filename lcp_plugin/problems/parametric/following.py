@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import lapack
 
-from ...core.checks import FloatVector
+from ...core.checks import Vector
 from ...core.matrix import IntVector, largest_in_rows, scale_matrix
 from ...systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents
 from ..least_squares.data import BoundedLeastSquares
@@ -56,22 +56,22 @@ class MonotoneGraphs:
         +∞, v₁, v₂, −∞ of each row; v₂ = −∞ if a row has two corners.
     """
 
-    columns: Callable[[IntVector], FloatVector]
-    sizes: FloatVector
-    units: FloatVector
-    q: FloatVector
-    corners: FloatVector
-    levels: FloatVector
+    columns: Callable[[IntVector], Vector]
+    sizes: Vector
+    units: Vector
+    q: Vector
+    corners: Vector
+    levels: Vector
 
     @classmethod
-    def of_matrix(cls, M: Any, q: FloatVector, lower: FloatVector, upper: FloatVector) -> Self:
+    def of_matrix(cls, M: Any, q: Vector, lower: Vector, upper: Vector) -> Self:
         """Return the graphs of an LCP, M a CSR array, the vectors of shape (2, n)."""
         exponents = equilibrating_exponents(M, EQUILIBRATING_PASSES, 500)
         rows, units = (np.ldexp(1.0, part) for part in exponents)
         scaled = scale_matrix(M, exponents)
         by_columns = scaled.tocsc()
 
-        def columns(numbers: IntVector) -> FloatVector:
+        def columns(numbers: IntVector) -> Vector:
             return np.asarray(by_columns[:, numbers].T.toarray())
 
         parts = q * rows, lower / units, upper / units, np.zeros_like(q)
@@ -79,12 +79,7 @@ class MonotoneGraphs:
 
     @classmethod
     def of_least_squares(
-        cls,
-        problem: BoundedLeastSquares,
-        q: FloatVector,
-        lower: FloatVector,
-        upper: FloatVector,
-        penalty: FloatVector,
+        cls, problem: BoundedLeastSquares, q: Vector, lower: Vector, upper: Vector, penalty: Vector
     ) -> Self:
         """Return the graphs of the normal equations with penalty · |z|, whose matrix is not computed."""
         units = 1.0 / problem.column_scales
@@ -92,7 +87,7 @@ class MonotoneGraphs:
         A, transpose = (sp.csr_array(A), sp.csr_array(A.T)) if sp.issparse(A) else (A, A.T.copy())
         ridge = problem.ridge * units * units
 
-        def columns(numbers: IntVector) -> FloatVector:
+        def columns(numbers: IntVector) -> Vector:
             chosen = transpose[numbers]
             made = (chosen @ A).toarray() if sp.issparse(chosen) else chosen @ A
             made[np.arange(len(numbers)), numbers] += ridge[numbers]
@@ -106,12 +101,12 @@ class MonotoneGraphs:
     def _of_staircases(
         cls,
         columns: Any,
-        sizes: FloatVector,
-        units: FloatVector,
-        q: FloatVector,
-        lower: FloatVector,
-        upper: FloatVector,
-        penalty: FloatVector,
+        sizes: Vector,
+        units: Vector,
+        q: Vector,
+        lower: Vector,
+        upper: Vector,
+        penalty: Vector,
     ) -> Self:
         """Return the graphs of bounds, and of a penalty in rows whose penalty is not 0 at all t."""
         has_kink, none = penalty.any(axis=0), np.array([[np.inf], [0.0]])
@@ -126,7 +121,7 @@ class MonotoneGraphs:
         """The number of rows."""
         return self.sizes.size
 
-    def at(self, t: float) -> list[FloatVector]:
+    def at(self, t: float) -> list[Vector]:
         """Return q, corners and levels as values at t and slopes."""
         parts = self.q, self.corners, self.levels
         return [np.stack([part[0] + t * part[1], part[1]]) for part in parts]
@@ -136,7 +131,7 @@ class MonotoneGraphs:
         has_kink = np.isfinite(self.levels[0, 2])
         return np.where(has_kink, np.array([-1, 0, 2, 0, 1])[steps], steps - 1)
 
-    def steps_of(self, t: float, z: FloatVector, w: FloatVector) -> IntVector:
+    def steps_of(self, t: float, z: Vector, w: Vector) -> IntVector:
         """Return the step of each row closest to (z, w) at t; corners are on even steps."""
         (_, corners, levels), size = self.at(t), self.sizes
         corners, levels, scaled = corners[0], levels[0] / size, w / size
@@ -162,7 +157,7 @@ class Segment:
 
     begin: float
     end: float
-    z: FloatVector
+    z: Vector
     steps: IntVector
 
 
@@ -178,16 +173,16 @@ class Motion(NamedTuple):
         Rounding errors of distances and of rates.
     """
 
-    z: FloatVector
-    low: FloatVector
-    high: FloatVector
-    blur: FloatVector
-    slow: FloatVector
+    z: Vector
+    low: Vector
+    high: Vector
+    blur: Vector
+    slow: Vector
 
     @property
-    def outside(self) -> FloatVector:
+    def outside(self) -> Vector:
         """Violation of its step by each row, relative to the rounding error, shape (n,)."""
-        off: FloatVector = np.maximum(-self.low[0], -self.high[0]) / self.blur
+        off: Vector = np.maximum(-self.low[0], -self.high[0]) / self.blur
         return off
 
     def first_end(self, sign: float = 1.0) -> tuple[float, Change | None]:
@@ -232,10 +227,10 @@ class Follower:
         None if no steps near the solution are consistent.
     """
 
-    def __init__(self, problem: MonotoneGraphs, t: float, z: FloatVector, w: FloatVector) -> None:
+    def __init__(self, problem: MonotoneGraphs, t: float, z: Vector, w: Vector) -> None:
         self.problem, self.t, self.begin, self.n = problem, t, t, problem.n
         self.steps = problem.steps_of(t, z, w)
-        self._columns: dict[int, FloatVector] = {}
+        self._columns: dict[int, Vector] = {}
         motion = self._settle(z)
         is_off = motion is None or bool((motion.outside > 1e3).any())
         self.motion = None if is_off else motion
@@ -276,13 +271,13 @@ class Follower:
             self.steps[row] += way
             self.motion = self._settle(motion.z[0] + length * motion.z[1])
 
-    def _block(self, rows: IntVector) -> FloatVector:
+    def _block(self, rows: IntVector) -> Vector:
         """Return the columns of M that belong to some rows, shape (k, n)."""
         if new := [int(j) for j in rows if int(j) not in self._columns]:
             self._columns.update(zip(new, self.problem.columns(np.array(new)), strict=True))
         return np.array([self._columns[int(j)] for j in rows]).reshape(rows.size, self.n)
 
-    def _settle(self, near: FloatVector) -> Motion | None:
+    def _settle(self, near: Vector) -> Motion | None:
         """Return the motion of the steps through a point near `near`; None if infeasible."""
         q, corners, levels = self.problem.at(self.t)
         every, sizes, k = np.arange(self.n), self.problem.sizes, self.steps // 2
@@ -311,9 +306,7 @@ class Follower:
         return Motion(z, low, high, *known_to)
 
 
-def _solve_block(
-    block: FloatVector, right: FloatVector, sizes: FloatVector, near: FloatVector
-) -> FloatVector | None:
+def _solve_block(block: Vector, right: Vector, sizes: Vector, near: Vector) -> Vector | None:
     """Return values and rates of block · z = right, shape (2, k); None if no z is a solution.
 
     If the block is singular, the values are the solution nearest to a point, the rates the least.

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...core.certificates.criterion import row_data
 from ...core.certificates.residuals import Certificate
-from ...core.checks import FloatVector, derived_property, is_number, read_only
+from ...core.checks import Vector, derived_property, is_number, read_only
 from ...core.errors import InvalidOption, NotConverged
 from ...core.lcp import LCP
 from ...core.representation import format_count
@@ -45,17 +45,17 @@ class Piece:
 
     begin: float
     end: float
-    x0: FloatVector = field(repr=False)
-    x1: FloatVector = field(repr=False)
+    x0: Vector = field(repr=False)
+    x1: Vector = field(repr=False)
     case: Any = field(repr=False)
-    z0: FloatVector = field(repr=False)
-    z1: FloatVector = field(repr=False)
+    z0: Vector = field(repr=False)
+    z1: Vector = field(repr=False)
 
-    def z_at(self, theta: float) -> FloatVector:
+    def z_at(self, theta: float) -> Vector:
         """Return x with the multipliers of rows at θ."""
         return self.z0 + (theta - self.begin) * self.z1
 
-    def x_at(self, theta: float) -> FloatVector:
+    def x_at(self, theta: float) -> Vector:
         """Return x at θ."""
         return self.x0 + (theta - self.begin) * self.x1
 
@@ -84,17 +84,17 @@ class PathPoint(Outcome):
 
     parameter: float
     problem: Any = field(repr=False)
-    x: FloatVector
+    x: Vector
     _tolerance: float = field(repr=False)
     solution: QPSolution | None = field(default=None, repr=False)
 
     @property
-    def z(self) -> FloatVector:
+    def z(self) -> Vector:
         """X, by the name that it has in an LCP."""
         return self.x
 
     @cached_property
-    def w(self) -> FloatVector | None:
+    def w(self) -> Vector | None:
         """M z + q of an LCP."""
         return read_only(self.problem.slack(self.x)) if isinstance(self.problem, LCP) else None
 
@@ -148,8 +148,8 @@ class Slope:
         Rates of the multipliers of the rows of G and A of a program.
     """
 
-    x: FloatVector
-    multipliers: FloatVector | None = None
+    x: Vector
+    multipliers: Vector | None = None
 
 
 class Path(Outcome):
@@ -194,7 +194,7 @@ class Path(Outcome):
         return self.line.problem
 
     @derived_property
-    def breakpoints(self) -> FloatVector:
+    def breakpoints(self) -> Vector:
         """Values of θ at which segments begin and end, from start to `reached`, both included."""
         if not self.pieces:
             return np.zeros(0)
@@ -248,10 +248,10 @@ class Path(Outcome):
         found: PathPoint = self.line.point(float(theta), piece.z_at(float(theta)))
         return found
 
-    def x(self, thetas: ArrayLike) -> FloatVector:
+    def x(self, thetas: ArrayLike) -> Vector:
         """Return x at many values, shape (k, n)."""
         values = np.atleast_1d(np.asarray(thetas, dtype=np.float64))
-        made: FloatVector = np.empty((values.size, self.pieces[0].x0.size if self.pieces else 0))
+        made: Vector = np.empty((values.size, self.pieces[0].x0.size if self.pieces else 0))
         for k, theta in enumerate(values):
             made[k] = self.piece_at(theta).x_at(theta)
         return made

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...api import solve
-from ...core.checks import FloatVector, checked_vector, is_number, read_only
+from ...core.checks import Vector, checked_vector, is_number, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
@@ -152,7 +152,7 @@ class Line:
             str(name): self._check_change(name, change) for name, change in along.items()
         }
 
-    def _check_change(self, name: str, change: Any) -> FloatVector:
+    def _check_change(self, name: str, change: Any) -> Vector:
         """Return the change of a vector for θ + 1, shape (size,)."""
         kind, names = type(self.problem).__name__, self.family.vectors
         if name in self.family.fixed:
@@ -164,7 +164,7 @@ class Line:
                 f"along={{{name!r}: …}} is not a vector of {kind}{did_you_mean(name, names)}; "
                 f"{', '.join(names)} may move"
             )
-        now: FloatVector = getattr(self.problem, name)
+        now: Vector = getattr(self.problem, name)
         if is_number(change):  # it moves all bounds that there are
             return read_only(np.where(np.isfinite(now), float(change), 0.0))
         step = checked_vector(change, name, now.size)
@@ -175,15 +175,15 @@ class Line:
             )
         return read_only(step)
 
-    def slope(self, name: str) -> FloatVector:
+    def slope(self, name: str) -> Vector:
         """Return the change of a vector for θ + 1, shape (size,)."""
         return self.directions.get(name, np.zeros(getattr(self.problem, name).size))
 
-    def pair(self, value: FloatVector, slope: FloatVector) -> FloatVector:
+    def pair(self, value: Vector, slope: Vector) -> Vector:
         """Return a vector at start and its change per unit of |θ − start|, shape (2, size)."""
         return np.array([value + self.start * slope, self.toward * slope])
 
-    def ends(self, name: str) -> list[FloatVector]:
+    def ends(self, name: str) -> list[Vector]:
         """Return a vector at start and at stop."""
         now, step = getattr(self.problem, name), self.slope(name)
         return [now + theta * step for theta in (self.start, self.stop)]
@@ -199,7 +199,7 @@ class Line:
             return 1.0, ""
         return float(share[row]), f"lower[{row}] exceeds upper[{row}]"
 
-    def _room(self, low: FloatVector, high: FloatVector) -> FloatVector:
+    def _room(self, low: Vector, high: Vector) -> Vector:
         size = np.nan_to_num(np.abs(low), posinf=0.0) + np.nan_to_num(np.abs(high), posinf=0.0)
         # Rounding error by which equal bounds may cross
         return np.where(np.abs(high - low) <= 1e-12 * size, 0.0, high - low)
@@ -220,7 +220,7 @@ class Line:
             return self.problem.with_q(moved.pop("q", self.problem.q), **moved)
         return self.problem.with_vectors(**moved)
 
-    def point(self, theta: float, z: FloatVector) -> PathPoint:
+    def point(self, theta: float, z: Vector) -> PathPoint:
         """Return the solution at θ from the unknowns of the complementarity problem."""
         problem = self.at(theta)
         x = read_only(np.clip(z[: problem.lower.size], problem.lower, problem.upper))

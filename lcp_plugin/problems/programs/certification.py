@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.certificates.worst import WorstRows, worst_pairs
-from ...core.checks import FloatVector, checked_vector, derived_property, is_number, restore_state
+from ...core.checks import Vector, checked_vector, derived_property, is_number, restore_state
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import EPSILON, LARGEST
@@ -211,9 +211,7 @@ def _certify_pairs(
     )
 
 
-def _answer(
-    program: QuadraticProgram, x: Any, multipliers: Any
-) -> tuple[FloatVector, FloatVector | None]:
+def _answer(program: QuadraticProgram, x: Any, multipliers: Any) -> tuple[Vector, Vector | None]:
     """Return x, and multipliers of all constraints; for a pair, bounds get the remaining gradient."""
     if x is None:
         raise InvalidProblem(
@@ -340,9 +338,9 @@ class ProgramProofs:
 
     def lower(
         self,
-        x: FloatVector,
-        inequality: FloatVector,
-        equality: FloatVector,
+        x: Vector,
+        inequality: Vector,
+        equality: Vector,
         value: float,
         allowed: float | None = None,
     ) -> float:
@@ -357,7 +355,7 @@ class ProgramProofs:
         return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
 
     def upper(
-        self, *near: FloatVector, exactly: bool = True, by_own: bool = True
+        self, *near: Vector, exactly: bool = True, by_own: bool = True
     ) -> list[FeasiblePoint]:
         """Return points that are proved feasible: near the given points and our solution, or else any point.
 
@@ -414,9 +412,7 @@ class ProgramProofs:
             )
         return unproved
 
-    def prove_answer(
-        self, x: FloatVector, given: FloatVector | None, tolerance: float
-    ) -> Certification:
+    def prove_answer(self, x: Vector, given: Vector | None, tolerance: float) -> Certification:
         """Return the verdict on a point and its multipliers of all constraints."""
         program, value = self.program, objective_bounds(self.program, x)
         violation, size = Violation.of(program, x, tolerance), size_of_objective(program, x)
@@ -449,7 +445,7 @@ class ProgramProofs:
         return found.certification(self, x, complaint)
 
 
-def size_of_objective(program: QuadraticProgram, x: FloatVector) -> tuple[float, float]:
+def size_of_objective(program: QuadraticProgram, x: Vector) -> tuple[float, float]:
     """Return doubles below and above Σ|c_j x_j| + |xᵀP x|; both are 0 if all terms are 0."""
     linear = float(np.abs(program.c * x).sum())
     below, above = (2.0 * value for value in objective_bounds(program, x, linear=0.0))
@@ -475,7 +471,7 @@ class Violation:
     is_missed: bool
 
     @classmethod
-    def of(cls, program: QuadraticProgram, x: FloatVector, tolerance: float) -> Violation:
+    def of(cls, program: QuadraticProgram, x: Vector, tolerance: float) -> Violation:
         """Return the violation at x, relative to the terms of each row; rounding is tolerated as in the criterion."""
         rows = program.constraints
         finite = rows.finite
@@ -499,7 +495,7 @@ class Violation:
         )
 
 
-def largest_terms(rows: Any, limit: FloatVector, x: FloatVector) -> FloatVector:
+def largest_terms(rows: Any, limit: Vector, x: Vector) -> Vector:
     """Return the largest of |limit_i| and |rows_ij x_j| of each row; an infinite limit is none."""
     own = np.where(np.isfinite(limit), np.abs(limit), 0.0)
     return np.maximum(largest_products(abs(rows), np.abs(x)), own)
@@ -576,7 +572,7 @@ class ProvenBounds:
             and self.upper > self.value[1] + self.tolerance * self.size[0]
         )
 
-    def certification(self, proofs: ProgramProofs, x: FloatVector, complaint: str) -> Certification:
+    def certification(self, proofs: ProgramProofs, x: Vector, complaint: str) -> Certification:
         """Return the verdict and its numbers."""
         disproof, is_proved = self.disproof() or self._no_minimum(proofs), self.is_proved()
         verdict = "disproved" if disproof else "proved" if is_proved else "unproved"
@@ -623,7 +619,7 @@ class ProvenBounds:
 
 
 def distance(
-    proofs: ProgramProofs, x: FloatVector, points: Sequence[FeasiblePoint], lower: float
+    proofs: ProgramProofs, x: Vector, points: Sequence[FeasiblePoint], lower: float
 ) -> float:
     """Return an upper bound of ‖x − x*‖₂; ∞ if the optimal x* is not proved to be unique.
 
@@ -648,7 +644,7 @@ def _if_finite(value: float) -> float | None:
 
 
 def multiplier_error(
-    program: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float, size: float
+    program: QuadraticProgram, x: Vector, y: Vector, tolerance: float, size: float
 ) -> str:
     """Return the condition that the multipliers y violate by more than 10 · tolerance, as text; empty if none.
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import FloatVector, checked_answer
+from ...core.checks import Vector, checked_answer
 from ...core.errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
@@ -202,7 +202,7 @@ class QPOrigin:
         """Return "direct" if only bounds remain, else "kkt"."""
         return "kkt" if self.rows else "direct"
 
-    def rejects(self, z: FloatVector, tolerance: float) -> bool:
+    def rejects(self, z: Vector, tolerance: float) -> bool:
         """Return whether the duality gap of z, shape (n + rows,), exceeds the larger of both tolerances.
 
         With bounds only it returns False: the gap assumes moves of 10⁴ times x, for which sweeps take a third longer.

@@ -49,7 +49,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.certificates.worst import WorstRow, WorstRows
-from ...core.checks import FloatVector, checked_vector, derived_property, read_only
+from ...core.checks import Vector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from ...core.matrix import largest_products
 from ...core.rounding import compensated_pair
@@ -92,11 +92,7 @@ class KKTErrors(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        program: QuadraticProgram,
-        x: FloatVector,
-        y: FloatVector,
-        tolerance: float = PROGRAM_TOLERANCE,
+        cls, program: QuadraticProgram, x: Vector, y: Vector, tolerance: float = PROGRAM_TOLERANCE
     ) -> KKTErrors:
         """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
         if not (np.isfinite(x).all() and np.isfinite(y).all()):
@@ -116,9 +112,7 @@ class KKTErrors(NamedTuple):
         return cls(float(worst[0]), float(worst[1]), tolerated)
 
 
-def worst_constraints(
-    program: QuadraticProgram, x: FloatVector, y: FloatVector, count: int
-) -> WorstRows:
+def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: int) -> WorstRows:
     """Return the constraints that x violates by most, relative to their terms; y are multipliers of G and A."""
     point, rows = PrimalDualPoint(program, x, y, is_exact=True), program.constraints
     errors, m = point.row_errors(), rows.rows
@@ -141,9 +135,7 @@ def worst_constraints(
     return WorstRows(found)
 
 
-def errors_of_each(
-    together: QuadraticProgram, x: FloatVector, y: FloatVector, tolerance: float
-) -> KKTErrors:
+def errors_of_each(together: QuadraticProgram, x: Vector, y: Vector, tolerance: float) -> KKTErrors:
     """Return bounds of the errors, shape (B,), of B programs joined into one, at the rows of x, shape (B, n).
 
     Sums are plain. If they do not decide a program, test this program on its own.
@@ -184,9 +176,7 @@ class PrimalDualPoint:
         |xᵀP x| of each component, and Σ |c_j x_j| + |xᵀP x|.
     """
 
-    def __init__(
-        self, program: QuadraticProgram, x: FloatVector, y: FloatVector, *, is_exact: bool
-    ) -> None:
+    def __init__(self, program: QuadraticProgram, x: Vector, y: Vector, *, is_exact: bool) -> None:
         self.program, self.matrices, self.is_exact = program, program.matrices, is_exact
         m = self.matrices.sizes[0]
         d, lower, upper = np.concatenate([program.h, program.b]), program.lower, program.upper
@@ -235,7 +225,7 @@ class PrimalDualPoint:
 
     # --- Rows --------------------------------------------------------------------------------------------------------
 
-    def row_errors(self) -> FloatVector:
+    def row_errors(self) -> Vector:
         """Return the error of each row and of each bound; rounding in rows is tolerated if sums are exact."""
         own, of_bounds = self.own, self.outside
         if self.is_exact and (self.over > ROWS * own).any():
@@ -252,7 +242,7 @@ class PrimalDualPoint:
         return float((over * (self.matrices.fit[1] / EXCUSED)).max(initial=0.0))
 
     @cached_property
-    def reached(self) -> FloatVector:
+    def reached(self) -> Vector:
         """Size of the unknowns that matter in each row: the minimum over the user's units and fitted units."""
         units, of_row = self.matrices.fit[0], self.matrices.components.of_row
         of_C = self.matrices.measured[3]
@@ -264,7 +254,7 @@ class PrimalDualPoint:
         )
 
     @cached_property
-    def price(self) -> FloatVector | None:
+    def price(self) -> Vector | None:
         """Price of repairing each tolerated row; None without such a row.
 
         Unknowns move in the direction that repairs the row, up to their bounds, the cheapest first. The price of a move
@@ -292,7 +282,7 @@ class PrimalDualPoint:
 
     # --- The gap -----------------------------------------------------------------------------------------------------
 
-    def gaps(self, has_units: bool, of_y: FloatVector | None = None) -> FloatVector:
+    def gaps(self, has_units: bool, of_y: Vector | None = None) -> Vector:
         """Return the gap of each component.
 
         Parameters
@@ -328,7 +318,7 @@ class PrimalDualPoint:
             self._sums(shakes, held), np.maximum(size, least)
         )
 
-    def gaps_without_rounding(self, tolerance: float) -> FloatVector:
+    def gaps_without_rounding(self, tolerance: float) -> Vector:
         """Return the gaps; multipliers of least norm are computed if the sizes that bound theirs do not decide."""
         gap = self.gaps(has_units=True, of_y=self.of_y)
         if (gap <= max(tolerance, PROGRAM_TOLERANCE)).all():
@@ -339,7 +329,7 @@ class PrimalDualPoint:
         return gap
 
     @cached_property
-    def size_of_gradient(self) -> FloatVector:
+    def size_of_gradient(self) -> Vector:
         """Largest term of each unknown's gradient."""
         of_P, _, of_columns = self.matrices.measured[2:]
         return np.maximum(
@@ -348,13 +338,13 @@ class PrimalDualPoint:
         )
 
     @cached_property
-    def matters(self) -> FloatVector:
+    def matters(self) -> Vector:
         """Sizes of unknowns whose terms are a relevant part of the objective's terms; 0 for the remaining unknowns."""
         part = self.objective[self.matrices.components.of_unknown]
         # Unknowns with smaller terms do not matter
         return np.where(self.size_of_gradient * self.of_x >= 1e-6 * part, self.of_x, 0.0)
 
-    def _size(self, of_y: FloatVector | None) -> tuple[FloatVector, Any]:
+    def _size(self, of_y: Vector | None) -> tuple[Vector, Any]:
         """Return the size of the gap of each component, and the least size for its terms at rounding level.
 
         The first is the smaller of the objective's terms and of its dual's, both at least |cᵀx + xᵀP x|. The second is
@@ -375,7 +365,7 @@ class PrimalDualPoint:
             own = own + np.where(has_costs, 0.0, self._sums(self.of_x * self.bend))
         return np.maximum(np.minimum(self.objective, dual), LEAST_SIZE * own), least
 
-    def _is_rounding(self, of_y: FloatVector) -> Any:
+    def _is_rounding(self, of_y: Vector) -> Any:
         """Return the unknowns whose gradient is the rounding error of a cost and multipliers, or of x where P x = 0."""
         y_alone = np.concatenate([np.zeros(self.x.size), self.y])
         pull, _, doubt = compensated_pair(self.matrices.gradient, y_alone, self.program.c)
@@ -385,7 +375,7 @@ class PrimalDualPoint:
         return most <= BLUR * (self.cost + self.matrices.measured[4] @ of_y)
 
     @property
-    def _least_norm(self) -> FloatVector:
+    def _least_norm(self) -> Vector:
         """The sizes of the multipliers of least norm that balance P x + c at the unknowns that have room.
 
         An unknown has none if its distance to a bound is at rounding level of the unknowns of its component: a cost of
@@ -411,7 +401,7 @@ class PrimalDualPoint:
         least[on] = np.abs(row_units[on] * found * part[of_row])
         return least
 
-    def _sums(self, of_unknowns: FloatVector, of_rows: FloatVector | None = None) -> FloatVector:
+    def _sums(self, of_unknowns: Vector, of_rows: Vector | None = None) -> Vector:
         """Return the sums over each component."""
         parts = self.matrices.components
         if parts.number == 1:
@@ -422,7 +412,7 @@ class PrimalDualPoint:
             sums += np.bincount(parts.of_row, of_rows, parts.number)
         return np.asarray(sums)
 
-    def _largest_by_component(self, sizes: FloatVector) -> FloatVector:
+    def _largest_by_component(self, sizes: Vector) -> Vector:
         """Return the largest size in each component."""
         parts = self.matrices.components
         if parts.number == 1:
@@ -432,14 +422,14 @@ class PrimalDualPoint:
         return most
 
 
-def least_size(program: QuadraticProgram, x: FloatVector, y: FloatVector) -> float:
+def least_size(program: QuadraticProgram, x: Vector, y: Vector) -> float:
     """Return the size that a value at x has at least, 1e-8 of the rows' terms with the multipliers y."""
     point = PrimalDualPoint(program, x, y, is_exact=True)
     of_y = np.minimum(point.of_y, point._least_norm)
     return LEAST_SIZE * float(of_y @ point.terms_of_rows)
 
 
-def excused_rows(program: QuadraticProgram, x: FloatVector) -> FloatVector:
+def excused_rows(program: QuadraticProgram, x: Vector) -> Vector:
     """Return the violation of each row that counts as rounding at x."""
     point = PrimalDualPoint(program, x, np.zeros(program.constraints.right.size), is_exact=True)
     return EXCUSED * point.reached
@@ -453,7 +443,7 @@ class ProgramComponents(NamedTuple):
     number: int
 
 
-def ratio(errors: FloatVector, sizes: FloatVector) -> FloatVector:
+def ratio(errors: Vector, sizes: Vector) -> Vector:
     """Return the quotients, 0 / 0 = 0."""
     return np.where(errors > 0.0, errors / np.maximum(sizes, TINY), errors)
 
@@ -496,11 +486,11 @@ class QPSolution:
     """
 
     program: QuadraticProgram = field(repr=False)
-    x: FloatVector
-    inequality: FloatVector
-    equality: FloatVector
-    lower: FloatVector
-    upper: FloatVector
+    x: Vector
+    inequality: Vector
+    equality: Vector
+    lower: Vector
+    upper: Vector
 
     def __post_init__(self) -> None:
         """Keep read-only copies: the residuals are computed once."""
@@ -517,9 +507,7 @@ class QPSolution:
             object.__setattr__(self, name, vector)
 
     @classmethod
-    def of_rows(
-        cls, program: QuadraticProgram, x: FloatVector, multipliers: FloatVector
-    ) -> QPSolution:
+    def of_rows(cls, program: QuadraticProgram, x: Vector, multipliers: Vector) -> QPSolution:
         """Return the solution with finite x and all multipliers of ``program.constraints`` in one array, not copied."""
         m, p, n, _ = program.matrices.sizes
         made, every = object.__new__(cls), read_only(multipliers)
@@ -535,7 +523,7 @@ class QPSolution:
         return made
 
     @classmethod
-    def from_reduced(cls, program: QuadraticProgram, x: FloatVector, y: FloatVector) -> QPSolution:
+    def from_reduced(cls, program: QuadraticProgram, x: Vector, y: Vector) -> QPSolution:
         """Return the solution from x and multipliers of the rows of `FoldedRows`; bounds get the remaining gradient.
 
         Wrong signs of multipliers become 0.
@@ -557,7 +545,7 @@ class QPSolution:
         return cls.of_rows(program, x, every)
 
     @classmethod
-    def without_multipliers(cls, program: QuadraticProgram, x: FloatVector) -> QPSolution:
+    def without_multipliers(cls, program: QuadraticProgram, x: Vector) -> QPSolution:
         """Return a solution with NaN multipliers, for a result with a proof."""
         return cls.of_rows(program, x, np.full(program.constraints.limit.size, np.nan))
 
@@ -572,7 +560,7 @@ class QPSolution:
         return float(self.errors.primal)
 
     @derived_property
-    def multipliers(self) -> FloatVector:
+    def multipliers(self) -> Vector:
         """Multipliers of all rows of ``program.constraints``."""
         return np.concatenate([self.inequality, self.equality, self.lower, self.upper])
 
@@ -582,7 +570,7 @@ class QPSolution:
         return float(self.errors.largest)
 
     @property
-    def row_multipliers(self) -> FloatVector:
+    def row_multipliers(self) -> Vector:
         """Multipliers y of the rows that `QuadraticProgram.from_ranges` was given, P x + c + Aᵀy − lower + upper = 0.
 
         Positive at a row's upper limit, negative at its lower one.
@@ -597,7 +585,7 @@ class QPSolution:
                 "the program has no ranges; use inequality and equality, or from_ranges to make it"
             )
         order, signs, count = self.program.ranges
-        y: FloatVector = np.zeros(count)
+        y: Vector = np.zeros(count)
         np.add.at(y, order, signs * np.concatenate([self.inequality, self.equality]))
         return y
 
@@ -627,7 +615,7 @@ class QPSolution:
         return KKTErrors.of(self.program.folded.reduced, self.x, self.reduced_y, tolerance)
 
     @property
-    def reduced_y(self) -> FloatVector:
+    def reduced_y(self) -> Vector:
         """Multipliers of the rows that remain in `FoldedRows`."""
         rows = self.program.h.size + self.program.b.size
         return self.multipliers[:rows][self.program.folded.left]
@@ -642,7 +630,7 @@ class QPSolution:
         return "\n".join(lines)
 
 
-def _refuse_infinite(program: QuadraticProgram, multipliers: FloatVector) -> None:
+def _refuse_infinite(program: QuadraticProgram, multipliers: Vector) -> None:
     """Raise InvalidProblem if the multiplier of a constraint is beyond the range of doubles."""
     if np.isfinite(multipliers).all():
         return

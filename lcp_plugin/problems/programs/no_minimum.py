@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import FloatVector, derived_property
+from ...core.checks import Vector, derived_property
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ...core.matrix import largest_products
@@ -28,7 +28,7 @@ from ...engines.polish import shifted_solver
 from ...proofs.conflict import Conflict, find_conflict
 from ...proofs.exact import (
     ZERO,
-    Vector,
+    Fractions,
     common_denominator,
     products,
     rational,
@@ -333,7 +333,7 @@ def _describe_check(radius: float, what: str) -> str:
     return f"checked for {points}" if points else "checked exactly"
 
 
-def losses(rows: Constraints, x: Sequence[Fraction]) -> Vector:
+def losses(rows: Constraints, x: Sequence[Fraction]) -> Fractions:
     """Return the exact violation of each constraint at x, 0 if x satisfies the constraint."""
     missed = [
         value - Fraction(most) if most != np.inf else ZERO
@@ -345,7 +345,7 @@ def losses(rows: Constraints, x: Sequence[Fraction]) -> Vector:
     ]
 
 
-def numbers(fractions: Any) -> FloatVector:
+def numbers(fractions: Any) -> Vector:
     """Return the doubles nearest to some fractions."""
     return np.array([float(value) for value in fractions], dtype=np.float64)
 
@@ -443,7 +443,7 @@ def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasib
     return QPInfeasibility(program, tuple(multipliers))
 
 
-def balance_multipliers(program: QuadraticProgram, y: FloatVector) -> FloatVector:
+def balance_multipliers(program: QuadraticProgram, y: Vector) -> Vector:
     """Return multipliers of the rows, without noise, moved so that the sums which a bound does not take up cancel."""
     y = np.where(np.abs(y) > 1e-9 * np.abs(y).max(initial=0.0), y, 0.0)
     used, rows = np.flatnonzero(y), program.matrices.rows
@@ -486,7 +486,7 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
     P = sp.csr_array(program.P)
     if (P.diagonal() > 0.0).all() and positive_definite_solver(program.P) is not None:
         return None
-    points: list[tuple[Vector, ...]] = []
+    points: list[tuple[Fractions, ...]] = []
 
     def proven(d: Multipliers) -> QPUnboundedness | None:
         if not points:
@@ -562,18 +562,18 @@ def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
     return np.asarray(filled[order[:rank]], dtype=np.intp)
 
 
-def feasible_point(program: QuadraticProgram) -> Vector | None:
+def feasible_point(program: QuadraticProgram) -> Fractions | None:
     """Return a point that satisfies all constraints exactly, as far inside as a linear program finds."""
     _, *exact = points_inside(program) or (None,)
     return exact[0] if exact else None
 
 
-def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
+def points_inside(program: QuadraticProgram) -> tuple[Fractions, ...]:
     """Return a point that satisfies all constraints to rounding, and an exactly feasible point, as far as found.
 
     Unknowns are measured in the user's units, then in fitted units.
     """
-    found: tuple[Vector, ...] = ()
+    found: tuple[Fractions, ...] = ()
     for unit in (np.ones(program.n), program.matrices.fit[0]):
         found = _points_inside(program, unit) or found
         if len(found) > 1:
@@ -581,7 +581,7 @@ def points_inside(program: QuadraticProgram) -> tuple[Vector, ...]:
     return found
 
 
-def _points_inside(program: QuadraticProgram, unit: FloatVector) -> tuple[Vector, ...]:
+def _points_inside(program: QuadraticProgram, unit: Vector) -> tuple[Fractions, ...]:
     constraints, n = program.constraints, program.n
     limit, finite = constraints.limit, constraints.finite
     is_row, is_equality = np.arange(limit.size) < constraints.rows, constraints.is_equality

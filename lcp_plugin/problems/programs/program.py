@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.checks import (
-    FloatVector,
+    Vector,
     checked_bounds,
     checked_right_side,
     checked_vector,
@@ -90,13 +90,13 @@ class QuadraticProgram:
     """
 
     P: Any
-    c: FloatVector
+    c: Vector
     G: Any
-    h: FloatVector
+    h: Vector
     A: Any
-    b: FloatVector
-    lower: FloatVector
-    upper: FloatVector
+    b: Vector
+    lower: Vector
+    upper: Vector
     constant: float = 0.0
     asymmetry: float = field(default=0.0)
     ranges: Any = field(default=None, repr=False)
@@ -283,13 +283,13 @@ class QuadraticProgram:
         return words[part].format(k - starts[part])
 
     @classmethod
-    def with_matrices(cls, matrices: ProgramMatrices, *vectors: FloatVector) -> QuadraticProgram:
+    def with_matrices(cls, matrices: ProgramMatrices, *vectors: Vector) -> QuadraticProgram:
         """Return the program of these matrices and of c, h, b, lower and upper, which are not checked."""
         made = object.__new__(cls)
         made._keep(matrices, *vectors)
         return made
 
-    def _keep(self, matrices: ProgramMatrices, *vectors: FloatVector) -> None:
+    def _keep(self, matrices: ProgramMatrices, *vectors: Vector) -> None:
         self.__dict__.update(zip(VECTORS, vectors, strict=True))
         self.__dict__.update(P=matrices.P, G=matrices.G, A=matrices.A, matrices=matrices)
 
@@ -393,7 +393,7 @@ def _checked_rows(
     right_name: str,
     n: int,
     check: Callable[[Any, str, int], Any],
-) -> tuple[Any, FloatVector]:
+) -> tuple[Any, Vector]:
     """Return the checked matrix and right-hand side; None for both means zero rows."""
     check_pair(matrix, right, name, right_name)
     if matrix is None:

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, FloatVector
+from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector
 from ...core.errors import UnsupportedModel
 from ...core.matrix import Matrix, largest_in_rows, largest_products, row_numbers
 from ...core.rounding import compensated_product, upper_end
@@ -94,19 +94,17 @@ class ProgramMatrices:
         return P, G, A
 
     @cached_property
-    def engine_units(self) -> tuple[FloatVector, FloatVector]:
+    def engine_units(self) -> tuple[Vector, Vector]:
         """Units of unknowns and of rows, from the fit, in which the largest entries of P, G and A are about 1."""
         return self._equilibrate(*self.fit, 3)
 
     @cached_property
-    def largest_units(self) -> tuple[FloatVector, FloatVector]:
+    def largest_units(self) -> tuple[Vector, Vector]:
         """Units in which the largest entries are about 1, without a fit, so that tiny entries have no influence."""
         n, m = self.P.shape[0], self.rows.shape[0]
         return self._equilibrate(np.ones(n), np.ones(m), 10)
 
-    def _equilibrate(
-        self, units: FloatVector, rows: FloatVector, passes: int
-    ) -> tuple[FloatVector, FloatVector]:
+    def _equilibrate(self, units: Vector, rows: Vector, passes: int) -> tuple[Vector, Vector]:
         of_P, of_C, of_columns = self.measured[2:]
         for _ in range(passes):
             most = units * np.maximum(
@@ -155,7 +153,7 @@ class ProgramMatrices:
         return in_rows, in_P, np.bincount(C.indices, minlength=n)
 
     @cached_property
-    def fit(self) -> tuple[FloatVector, FloatVector]:
+    def fit(self) -> tuple[Vector, Vector]:
         """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
         P, C = self.measured[:2]
         if sp.issparse(P) or sum(C.shape) > 150:  # unknowns and rows whose fit is a dense system
@@ -178,7 +176,7 @@ class ProgramMatrices:
         return sp.csr_array(sp.hstack([self.sparse_P, sp.csr_array(self.rows.T)], format="csr"))
 
     @cached_property
-    def row_sizes(self) -> FloatVector:
+    def row_sizes(self) -> Vector:
         """Largest |entry| of each constraint; 1 for a row without entries."""
         return or_one(np.concatenate([largest_in_rows(self.rows), np.ones(2 * self.P.shape[0])]))
 
@@ -198,7 +196,7 @@ class ProgramMatrices:
         return bool(np.count_nonzero(self.P) if isinstance(self.P, np.ndarray) else self.P.nnz)
 
     @cached_property
-    def singletons(self) -> tuple[Indices, Indices, FloatVector]:
+    def singletons(self) -> tuple[Indices, Indices, Vector]:
         """Rows of [G; A] with one entry, their columns, and for all rows this entry, or 1."""
         stacked = self.rows
         rows, coefficient = np.flatnonzero(np.diff(stacked.indptr) == 1), np.ones(stacked.shape[0])
@@ -259,7 +257,7 @@ class ProgramMatrices:
         return {"P": self.P, "G": self.G, "A": self.A, "_of_rows": {}}
 
 
-def fitted_units(above: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, FloatVector]:
+def fitted_units(above: sp.csr_array, C: sp.csr_array) -> tuple[Vector, Vector]:
     """Return u and v, powers of two: least squares of the logarithms of |p_jk| u_j u_k and |c_ij| v_i u_j.
 
     `above` is [P Cᵀ].
@@ -286,7 +284,7 @@ def fitted_units(above: sp.csr_array, C: sp.csr_array) -> tuple[FloatVector, Flo
     return units[:n], units[n:]
 
 
-def _conjugate_gradients(A: sp.csr_array, d: Any, b: Any) -> FloatVector:
+def _conjugate_gradients(A: sp.csr_array, d: Any, b: Any) -> Vector:
     """Return about (A + diag(d))⁻¹b; scipy's loop takes ten times as long for 100 to 1000 unknowns."""
     x, rest, inverse = np.zeros(b.size), b, 1.0 / (A.diagonal() + d)
     direction = inverse * rest
@@ -303,7 +301,7 @@ def _conjugate_gradients(A: sp.csr_array, d: Any, b: Any) -> FloatVector:
     return x
 
 
-def fit_units_of(P: FloatVector, C: FloatVector) -> tuple[FloatVector, FloatVector]:
+def fit_units_of(P: Vector, C: Vector) -> tuple[Vector, Vector]:
     """Return the units of `fitted_units` for ndarrays or stacks of ndarrays, shapes (…, n, n) and (…, m, n).
 
     If no entry is 0, the sums of the logarithms solve the normal equations.
@@ -331,12 +329,12 @@ def fit_units_of(P: FloatVector, C: FloatVector) -> tuple[FloatVector, FloatVect
     return units[..., :n], units[..., n:]
 
 
-def _root(sizes: FloatVector) -> FloatVector:
+def _root(sizes: Vector) -> Vector:
     """Return powers of two near the square roots, 1 of 0."""
     return np.asarray(np.exp2(np.round(0.5 * np.log2(np.where(sizes > 0.0, sizes, 1.0)))))
 
 
-def _powers(exponents: FloatVector) -> FloatVector:
+def _powers(exponents: Vector) -> Vector:
     """Return 2 to the rounded exponents, within the range of doubles; 1 for NaN."""
     known = np.where(np.isnan(exponents), 0.0, exponents)
     return np.ldexp(1.0, np.rint(np.minimum(np.maximum(known, -1000.0), 1000.0)).astype(np.intc))
@@ -355,17 +353,17 @@ def is_full(n: int, m: int, entries: Iterable[int]) -> bool:
     return 0 < n + m <= FULL_UP_TO and sum(entries) >= 0.3 * n * (n + m)
 
 
-def as_array(matrix: Any) -> FloatVector:
+def as_array(matrix: Any) -> Vector:
     """Return a matrix as an ndarray."""
     return np.asarray(matrix.toarray() if sp.issparse(matrix) else matrix)
 
 
-def or_one(sizes: FloatVector) -> FloatVector:
+def or_one(sizes: Vector) -> Vector:
     """Return the sizes with 1 instead of 0."""
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
-def sums_and_terms(rows: sp.csr_array, y: FloatVector) -> tuple[FloatVector, FloatVector]:
+def sums_and_terms(rows: sp.csr_array, y: Vector) -> tuple[Vector, Vector]:
     """Return yᵀM and |y|ᵀ|M| of a CSR array, which is not transposed.
 
     Examples
@@ -373,7 +371,7 @@ def sums_and_terms(rows: sp.csr_array, y: FloatVector) -> tuple[FloatVector, Flo
     >>> sums_and_terms(sp.csr_array([[1.0, -2.0], [0.0, 3.0]]), np.array([1.0, 1.0]))
     (array([1., 1.]), array([1., 5.]))
     """
-    terms: FloatVector = np.repeat(y, np.diff(rows.indptr)) * rows.data
+    terms: Vector = np.repeat(y, np.diff(rows.indptr)) * rows.data
     sums, sizes = np.zeros(rows.shape[1]), np.zeros(rows.shape[1])
     sums += np.bincount(rows.indices, terms, rows.shape[1])
     sizes += np.bincount(rows.indices, np.abs(terms), rows.shape[1])
@@ -395,7 +393,7 @@ class Constraints:
     """
 
     matrices: ProgramMatrices
-    limit: FloatVector
+    limit: Vector
 
     @classmethod
     def of(cls, program: QuadraticProgram) -> Constraints:
@@ -424,7 +422,7 @@ class Constraints:
         return self.sizes[0] + self.sizes[1]
 
     @property
-    def right(self) -> FloatVector:
+    def right(self) -> Vector:
         """[h; b]: the limits of the rows of G and A."""
         return self.limit[: self.rows]
 
@@ -439,7 +437,7 @@ class Constraints:
         return [values[end - size : end] for end, size in zip(ends, self.sizes, strict=True)]
 
     @cached_property
-    def own_sizes(self) -> FloatVector:
+    def own_sizes(self) -> Vector:
         """Size of each row: |right-hand side|, or 1e-5 of its smallest coefficient if larger; 1 without coefficients.
 
         An inconsistency at rounding level, relative to all unscaled coefficients, is attributed to rounded data.
@@ -449,7 +447,7 @@ class Constraints:
         return np.maximum(right, NOISE / np.where(inverse > 0.0, inverse, NOISE))
 
     @cached_property
-    def unit(self) -> FloatVector:
+    def unit(self) -> Vector:
         """Largest |coefficient| of each row plus its |right-hand side|: weight in searches for a certificate."""
         right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
         return np.asarray(self.matrices.row_sizes + right)
@@ -490,7 +488,7 @@ class Constraints:
         """The rows of C in fractions."""
         return rational_rows(self.matrix)
 
-    def excess(self, x: FloatVector) -> FloatVector:
+    def excess(self, x: Vector) -> Vector:
         """Return proved upper bounds of the violation of each row: −∞ to 0 if satisfied, ∞ if a sum overflows."""
         is_finite = np.isfinite(self.limit)
         value, radius = compensated_product(self.matrix, x, np.where(is_finite, -self.limit, 0.0))
@@ -598,7 +596,7 @@ class FoldedRows:
     left: Indices
     lower_row: Indices
     upper_row: Indices
-    coefficient: FloatVector
+    coefficient: Vector
 
     @classmethod
     def of(cls, program: QuadraticProgram) -> FoldedRows:
@@ -676,8 +674,8 @@ class FoldedRows:
 
 
 def _tightest(
-    own: FloatVector, limits: FloatVector, columns: Indices, rows: Indices
-) -> tuple[FloatVector, Indices]:
+    own: Vector, limits: Vector, columns: Indices, rows: Indices
+) -> tuple[Vector, Indices]:
     """Return the smallest upper bound of each variable and its row; the variable's bound wins a tie."""
     tightest, owner = own.copy(), np.full(own.size, OWN)
     np.minimum.at(tightest, columns, limits)

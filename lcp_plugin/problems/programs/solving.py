@@ -19,7 +19,7 @@ import numpy as np
 from ...auto import parse_call, solve_lcp
 from ...core.algorithm import Step
 from ...core.certificates.worst import WorstRows
-from ...core.checks import FloatVector, vector_option
+from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import (
     InvalidOption,
@@ -202,7 +202,7 @@ def run_engine(
     return ProgramPoint(solution, errors, passes, says, engine.name, iterations)
 
 
-def nearest(program: QuadraticProgram) -> tuple[FloatVector, FloatVector]:
+def nearest(program: QuadraticProgram) -> tuple[Vector, Vector]:
     """Return x nearest to 0 within the bounds, without multipliers; in a linear program, x moved by its costs."""
     reduced = program.folded.reduced
     x = np.clip(0.0, reduced.lower, reduced.upper)
@@ -226,7 +226,7 @@ def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iter
             yield one._replace(x=x, y=y)
 
 
-def _with_zero(values: FloatVector) -> tuple[FloatVector, ...]:
+def _with_zero(values: Vector) -> tuple[Vector, ...]:
     """Return the values and, if all are tiny, zeros: in the units of an engine, its noise is below 2⁻²⁰."""
     return (values, np.zeros_like(values)) if np.abs(values).max(initial=0.0) <= TINY else (values,)
 
@@ -339,12 +339,12 @@ class QuadraticProgramResult(BaseResult):
         return self.solution.program
 
     @property
-    def x(self) -> FloatVector:
+    def x(self) -> Vector:
         """Minimizer, or the best point found, shape (n,)."""
         return self.solution.x
 
     @property
-    def z(self) -> FloatVector | None:
+    def z(self) -> Vector | None:
         """X and the multipliers of the rows that are not bounds: a start for a further run; None with a proof."""
         return None if self.proof is not None else np.concatenate([self.x, self.solution.reduced_y])
 
@@ -354,7 +354,7 @@ class QuadraticProgramResult(BaseResult):
         return None if self.has_no_solution else self.solution.objective
 
     @property
-    def duals(self) -> dict[str, FloatVector]:
+    def duals(self) -> dict[str, Vector]:
         """The multipliers ``inequality``, ``equality``, ``lower``, ``upper``, with cvxpy's signs."""
         return {
             name: getattr(self.solution, name)
@@ -525,14 +525,14 @@ class ProgramRun(Run):
         wishes: dict[str, Any],
         callback: Any,
         clock: Clock,
-        start: FloatVector | None,
+        start: Vector | None,
     ) -> None:
         log = RunLog(program) if settings.verbose else None
         super().__init__(ProgramProgress(settings, callback, clock, log))
         self.program, self.name, self.wishes, self.start = program, name, wishes, start
         self.latest: ProgramPoint | None = None
         self.doubtful: QPInfeasibility | QPUnboundedness | None = None
-        self.passing: FloatVector | None = None  # z of a run on the LCP whose x passes
+        self.passing: Vector | None = None  # z of a run on the LCP whose x passes
 
     # --- The plan ----------------------------------------------------------------------------------------------------
 
@@ -644,7 +644,7 @@ class ProgramRun(Run):
         yield Step(solution.x, iterations=result.iterations, measured=found, label=result.algorithm)
         progress.is_watched = is_watched
 
-    def _ends_run(self, ends_before: str, sample: Sample, z: FloatVector) -> bool:
+    def _ends_run(self, ends_before: str, sample: Sample, z: Vector) -> bool:
         """Return whether a run on the complementarity problem ends: x passes the test, or the callback stops it."""
         progress = self.progress
         if progress.callback is not None and progress.callback(sample, z):
@@ -688,7 +688,7 @@ class ProgramRun(Run):
         elif found is not None and found.doubt:
             self.doubtful = found
 
-    def _is_far(self, x: FloatVector) -> bool:
+    def _is_far(self, x: Vector) -> bool:
         """Return whether x is so large that a test in double precision may accept a descent as a minimum."""
         size = np.abs(x).max(initial=0.0)
         if size <= FAR:

@@ -29,14 +29,14 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import BoolVector, FloatVector
+from ...core.checks import BoolVector, Vector
 from ...core.deadline import is_over
 from ...core.matrix import largest_in_rows, row_numbers
 from ...core.rounding import compensated_pair, compensated_product, gamma, lower_end, upper_end
 from ...proofs.bounds import Curvature
 from ...proofs.exact import (
+    Fractions,
     Row,
-    Vector,
     enclosures,
     independent_rows,
     product_above,
@@ -56,14 +56,14 @@ SLACKS = (2.0**-46, 2.0**-36)
 ROUNDS = (
     4  # of least squares: a repair of some components may break components that were correct before
 )
-Box = tuple[FloatVector, FloatVector]
+Box = tuple[Vector, Vector]
 
 
 class DualPoint(NamedTuple):
     """Point x̂, which may be infeasible, and multipliers of G (not negative) and of A."""
 
-    x: FloatVector
-    y: FloatVector
+    x: Vector
+    y: Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class DualBounds:
     curvature: Curvature
     box: Box
 
-    def best(self, x: FloatVector, y: FloatVector, enough: float = np.inf) -> float:
+    def best(self, x: Vector, y: Vector, enough: float = np.inf) -> float:
         """Return the largest lower bound that the point and the multipliers, or their repairs, prove; −∞ for none.
 
         Repairs end once a bound reaches `enough`.
@@ -113,7 +113,7 @@ class DualBounds:
             found = max(found, self._exact_value(given, is_fixed=True))
         return found
 
-    def admit(self, x: FloatVector, y: FloatVector) -> DualPoint:
+    def admit(self, x: Vector, y: Vector) -> DualPoint:
         """Return the point with admissible multipliers: not negative, and 0 for rows that the box contains."""
         m = self.program.h.size
         allowed = np.where(np.isfinite(y), y, 0.0)
@@ -141,13 +141,11 @@ class DualBounds:
         found = -float(sum_above(loss, half_above(-lower_end(twice, error)[0])))
         return found if not math.isnan(found) else -np.inf
 
-    def _distances(self, low: FloatVector, high: FloatVector) -> Box:
+    def _distances(self, low: Vector, high: Vector) -> Box:
         """Return x̂ − l and u − x̂, rounded up, of x̂ between two vectors."""
         return sum_above(high, -self.box[0]), sum_above(self.box[1], -low)
 
-    def _loss(
-        self, s_low: FloatVector, s_high: FloatVector, below: FloatVector, above: FloatVector
-    ) -> float:
+    def _loss(self, s_low: Vector, s_high: Vector, below: Vector, above: Vector) -> float:
         """Return Σ sup over −below ≤ t ≤ above of −s t − ½ μ t², rounded up."""
         weights = self.curvature.weights
         corners = np.max(
@@ -220,7 +218,7 @@ class DualBounds:
             return -np.inf
         return self._value_of(exact[:n], exact[n:])
 
-    def _value_of(self, x: Vector, y: Vector) -> float:
+    def _value_of(self, x: Fractions, y: Fractions) -> float:
         """Return `value` of rational numbers."""
         c = rational(self.program.c)
         curved = products(rational_rows(self.program.P), x)
@@ -258,11 +256,11 @@ class DualBounds:
         return self.program.matrices.rows
 
     @cached_property
-    def _limit(self) -> FloatVector:
+    def _limit(self) -> Vector:
         return np.where(np.isfinite(self._limit_of_rows), self._limit_of_rows, 0.0)
 
     @cached_property
-    def _limit_of_rows(self) -> FloatVector:
+    def _limit_of_rows(self) -> Vector:
         return np.concatenate([self.program.h, self.program.b])
 
     @cached_property
@@ -279,7 +277,7 @@ class DualBounds:
         return rational_rows(self._stacked)
 
 
-def _ends(high: FloatVector, low: FloatVector, radius: FloatVector) -> Box:
+def _ends(high: Vector, low: Vector, radius: Vector) -> Box:
     """Return doubles below and above every value that a compensated pair stands for."""
     spread = sum_above(low, radius), sum_above(-low, radius)
     return -sum_above(-high, spread[1]), sum_above(high, spread[0])
@@ -291,7 +289,7 @@ def half_above(value: float) -> float:
     return half if 2.0 * half == value else math.nextafter(half, math.inf)
 
 
-def _sum_above(values: FloatVector) -> float:
+def _sum_above(values: Vector) -> float:
     """Return a double above the sum of the values; 0 if all values are 0."""
     if not np.isfinite(values).all():
         return float(np.inf)
@@ -301,7 +299,7 @@ def _sum_above(values: FloatVector) -> float:
         return math.inf
 
 
-def least_squares(matrix: sp.csr_array, right: FloatVector) -> FloatVector:
+def least_squares(matrix: sp.csr_array, right: Vector) -> Vector:
     """Return the shortest least squares solution, accurate to rounding for a small matrix; 0 if it overflows."""
     if matrix.shape[0] * matrix.shape[1] <= 1_000_000:  # entries of a least squares problem; .1 s
         try:
@@ -348,9 +346,7 @@ def implied_box(program: QuadraticProgram) -> Box:
     return lower, upper
 
 
-def _tighten(
-    rows: sp.csr_array, limit: FloatVector, lower: FloatVector, upper: FloatVector
-) -> None:
+def _tighten(rows: sp.csr_array, limit: Vector, lower: Vector, upper: Vector) -> None:
     """Replace bounds by tighter bounds that single rows imply."""
     entry, column, owner, m = rows.data, rows.indices, row_numbers(rows), limit.size
     # The largest value of −a x, the least of a x with its sign turned.
@@ -392,12 +388,12 @@ class FeasiblePoint:
         A double above its objective.
     """
 
-    near: FloatVector
-    radius: FloatVector
+    near: Vector
+    radius: Vector
     value: float
 
     @classmethod
-    def of(cls, program: QuadraticProgram, low: FloatVector, high: FloatVector) -> FeasiblePoint:
+    def of(cls, program: QuadraticProgram, low: Vector, high: Vector) -> FeasiblePoint:
         """Return the point that lies between two vectors of doubles."""
         radius = np.maximum(sum_above(high, -low), 0.0)
         return cls(low, radius, objective_bounds(program, low, radius)[1])
@@ -409,7 +405,7 @@ class FeasiblePoints:
 
     program: QuadraticProgram = field(repr=False)
 
-    def find_near(self, x: FloatVector) -> FeasiblePoint | None:
+    def find_near(self, x: Vector) -> FeasiblePoint | None:
         """Return a feasible point near x (x itself if feasible); None if floating point proves no point."""
         if not (self.program.constraints.excess(x) > 0.0).any():
             return FeasiblePoint.of(self.program, x, x)
@@ -417,7 +413,7 @@ class FeasiblePoints:
         return next((point for point in points if point is not None), None)
 
     @cached_property
-    def inside(self) -> Vector | None:
+    def inside(self) -> Fractions | None:
         """Feasible point in rational numbers, as far inside as a linear program finds; None for a large program."""
         program = self.program
         # 100 equations take .4 s, 200 take 1.7 s; the points of 2000 rows are checked in a second
@@ -425,7 +421,7 @@ class FeasiblePoints:
             return None
         return feasible_point(program)
 
-    def _move_off(self, x: FloatVector, slack: float) -> FloatVector:
+    def _move_off(self, x: Vector, slack: float) -> Vector:
         """Return the nearest point that satisfies the equalities to rounding, with some slack in tight inequalities."""
         rows, x = self.program.constraints, np.clip(x, self.program.lower, self.program.upper)
         is_row = np.arange(rows.limit.size) < rows.rows
@@ -438,7 +434,7 @@ class FeasiblePoints:
         moved[free] += least_squares(rows.matrix[tight][:, free], right)
         return np.clip(moved, self.program.lower, self.program.upper)
 
-    def _enclose(self, x: FloatVector) -> FeasiblePoint | None:
+    def _enclose(self, x: Vector) -> FeasiblePoint | None:
         """Return the point near x that satisfies the equalities; None if inequalities at x have too little slack."""
         program, rows = self.program, self.program.constraints
         excess = rows.excess(x)
@@ -457,16 +453,14 @@ class FeasiblePoints:
         return FeasiblePoint(x, radius, objective_bounds(program, x, radius)[1])
 
 
-def _sizes(program: QuadraticProgram, x: FloatVector) -> FloatVector:
+def _sizes(program: QuadraticProgram, x: Vector) -> Vector:
     """Return estimates of the largest term of each row near x; they only guide the search for a point."""
     rows = program.constraints
     limit = np.where(np.isfinite(rows.limit), np.abs(rows.limit), 0.0)
     return np.asarray(limit + largest_in_rows(rows.matrix) * np.abs(x).max(initial=0.0))
 
 
-def distance_of_equations(
-    program: QuadraticProgram, x: FloatVector, excess: FloatVector
-) -> FloatVector | None:
+def distance_of_equations(program: QuadraticProgram, x: Vector, excess: Vector) -> Vector | None:
     """Return a componentwise bound of the distance from x to a solution of A x = b; None if none is proved.
 
     Only variables between their bounds move.
@@ -508,11 +502,7 @@ def distance_of_equations(
 
 
 def objective_bounds(
-    program: QuadraticProgram,
-    x: FloatVector,
-    radius: FloatVector | None = None,
-    *,
-    linear: float = 1.0,
+    program: QuadraticProgram, x: Vector, radius: Vector | None = None, *, linear: float = 1.0
 ) -> tuple[float, float]:
     """Return doubles below and above ½ xᵀP x + linear · cᵀx, and above it for all points within the radius of x."""
     high, low, blur = compensated_pair(program.matrices.sparse_P, x)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.checks import Arrays, FloatVector
+from ...core.checks import Arrays, Vector
 from ...core.tuning import SHARED_FROM
 
 
@@ -23,7 +23,7 @@ class Operator:
 
     indptr: NDArray[Any]
     indices: NDArray[Any]
-    data: FloatVector
+    data: Vector
 
     def __post_init__(self) -> None:
         # One signature for every kernel: the caller's matrix is read-only as well.
@@ -33,7 +33,7 @@ class Operator:
             object.__setattr__(self, name, view)
 
     @property
-    def arrays(self) -> tuple[NDArray[Any], NDArray[Any], FloatVector]:
+    def arrays(self) -> tuple[NDArray[Any], NDArray[Any], Vector]:
         """The three arrays, in the order the kernels take them."""
         return self.indptr, self.indices, self.data
 
@@ -54,7 +54,7 @@ class Grid:
     matrix: Operator
     split: NDArray[Any]
     blocks: RowBlocks
-    inverse: FloatVector
+    inverse: Vector
 
     @property
     def n(self) -> int:
@@ -76,11 +76,11 @@ class Grid:
         return largest / least if 0.0 < least < np.inf else np.inf
 
     @property
-    def rows(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector]:
+    def rows(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], Vector]:
         """The matrix as sweeps take it."""
         return self.matrix.indptr, self.split, self.matrix.indices, self.matrix.data
 
-    def dense(self, values: FloatVector) -> NDArray[np.float64]:
+    def dense(self, values: Vector) -> NDArray[np.float64]:
         """Return the dense matrix with these values on the pattern of the grid's matrix."""
         indptr, indices, _ = self.matrix.arrays
         dense = np.zeros((self.n, self.n))
@@ -153,7 +153,7 @@ def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:
     return RowBlocks(edges, reach)
 
 
-def pivots(matrix: Operator, smallest: float) -> tuple[NDArray[Any], FloatVector]:
+def pivots(matrix: Operator, smallest: float) -> tuple[NDArray[Any], Vector]:
     """Return the positions of the diagonal entries and their inverses: 0 for an entry not above `smallest`."""
     indptr, indices, data = matrix.arrays
     row = np.repeat(np.arange(indptr.size - 1, dtype=indices.dtype), np.diff(indptr))

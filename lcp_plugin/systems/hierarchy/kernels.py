@@ -31,7 +31,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import BoolVector, FloatVector, read_only
+from ...core.checks import BoolVector, Vector, read_only
 from ...core.kernels.compilation import inline, kernel, uintp
 from ...core.kernels.rows import clamp
 from ...core.kernels.threads import share
@@ -182,13 +182,11 @@ def _update_rows(matrix, flags, prolongation, restriction, coarse, space, first,
 
 
 # CSR arrays and the positions of the diagonal
-Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], FloatVector]
+Matrix = tuple[NDArray[Any], NDArray[Any], NDArray[Any], Vector]
 NO_BOUNDS = (read_only(np.zeros(0)),) * 2
 
 
-def first_sweep(
-    rows: Matrix, blocks: RowBlocks, inverse: FloatVector, b: FloatVector, x: FloatVector
-) -> None:
+def first_sweep(rows: Matrix, blocks: RowBlocks, inverse: Vector, b: Vector, x: Vector) -> None:
     """Overwrite x by one forward Gauss–Seidel sweep for M x = b from x = 0.
 
     Cost: a pass over the lower triangle, and over full rows by which an odd block is coupled to the next even block.
@@ -200,12 +198,7 @@ def first_sweep(
 
 
 def residual_after_first_sweep(
-    rows: Matrix,
-    blocks: RowBlocks,
-    inverse: FloatVector,
-    b: FloatVector,
-    x: FloatVector,
-    residual: FloatVector,
+    rows: Matrix, blocks: RowBlocks, inverse: Vector, b: Vector, x: Vector, residual: Vector
 ) -> None:
     """Write b − M x after `first_sweep` into `residual`: row i was exact until later rows changed."""
     split, reach = rows[1], blocks.reach
@@ -216,7 +209,7 @@ def residual_after_first_sweep(
         whole(edge - reach, edge + reach)
 
 
-def free_product(rows: Matrix, inverse: FloatVector, x: FloatVector, product: FloatVector) -> None:
+def free_product(rows: Matrix, inverse: Vector, x: Vector, product: Vector) -> None:
     """Product ← M x on the free rows, 0 elsewhere."""
     operands = 1.0, read_only(inverse), 0.0, x, product
     shared(_product_of(rows, rows[0], 0, inverse, *operands), inverse.size)
@@ -229,12 +222,7 @@ def _product_of(rows: Matrix, begins: Any, further: int, inverse: Any, *operands
 
 
 def sweep(
-    rows: Matrix,
-    blocks: RowBlocks,
-    inverse: FloatVector,
-    backward: bool,
-    b: FloatVector,
-    x: FloatVector,
+    rows: Matrix, blocks: RowBlocks, inverse: Vector, backward: bool, b: Vector, x: Vector
 ) -> None:
     """Overwrite x by one Gauss–Seidel sweep for M x = b."""
     vectors = read_only(inverse), read_only(b), *NO_BOUNDS
@@ -244,10 +232,10 @@ def sweep(
 def projected_sweep(
     rows: Matrix,
     blocks: RowBlocks,
-    vectors: tuple[FloatVector, ...],
+    vectors: tuple[Vector, ...],
     relaxation: float,
     backward: bool,
-    z: FloatVector,
+    z: Vector,
 ) -> None:
     """Overwrite z row by row, z_i ← mid(l_i, u_i, z_i − relaxation inverse_i w_i) with w_i from the current z.
 
@@ -258,11 +246,11 @@ def projected_sweep(
 
 def free_rows(
     rows: Matrix,
-    vectors: tuple[FloatVector, ...],
-    z: FloatVector,
+    vectors: tuple[Vector, ...],
+    z: Vector,
     is_free: BoolVector,
     is_changed: BoolVector,
-    residual: FloatVector,
+    residual: Vector,
 ) -> tuple[float, int]:
     """Find the free rows of z: those strictly between their bounds, or pushed off the bound by w.
 
@@ -285,12 +273,12 @@ def _swept(
     rows: Matrix,
     ends: Any,
     blocks: RowBlocks,
-    vectors: tuple[FloatVector, ...],
+    vectors: tuple[Vector, ...],
     sign: float,
     relaxation: float,
     is_first: bool,
     backward: bool,
-    x: FloatVector,
+    x: Vector,
 ) -> None:
     """Sweep the blocks of one color and then the blocks of the other color; the entries of row i end before ends[i]."""
     indptr, *rest = rows
@@ -395,7 +383,7 @@ T = TypeVar("T")
 AT_ONCE = 8192  # terms that are summed in one piece, too few for BLAS to share; they stay in the fastest cache
 
 
-def dot(one: FloatVector, other: FloatVector) -> float:
+def dot(one: Vector, other: Vector) -> float:
     """Return Σ one_i other_i."""
     sums = np.zeros(-(-one.size // AT_ONCE))
 
@@ -408,7 +396,7 @@ def dot(one: FloatVector, other: FloatVector) -> float:
     return float(sums.sum())
 
 
-def add_to(to: FloatVector, factor: float, vector: FloatVector) -> None:
+def add_to(to: Vector, factor: float, vector: Vector) -> None:
     """Add factor · vector to the first vector."""
 
     def add(part: slice) -> None:
@@ -418,12 +406,7 @@ def add_to(to: FloatVector, factor: float, vector: FloatVector) -> None:
 
 
 def add_within(
-    origin: FloatVector,
-    factor: float,
-    vector: FloatVector,
-    lower: FloatVector,
-    upper: FloatVector,
-    z: FloatVector,
+    origin: Vector, factor: float, vector: Vector, lower: Vector, upper: Vector, z: Vector
 ) -> None:
     """Overwrite z by mid(lower, upper, origin + factor · vector)."""
 
@@ -433,7 +416,7 @@ def add_within(
     _by_parts(add, vector.size)
 
 
-def largest_product(one: FloatVector, other: FloatVector) -> float:
+def largest_product(one: Vector, other: Vector) -> float:
     """Return the largest |one_i other_i|: NaN if a product is NaN, 0 for empty vectors."""
     return float(
         np.max(_by_parts(lambda part: span(one[part] * other[part]), one.size), initial=0.0)
@@ -451,7 +434,7 @@ def _by_parts(work: Callable[[slice], T], size: int) -> list[T]:
     return [one for piece_of in share(piece, size, SHARED_FROM) for one in piece_of]
 
 
-def span(vector: FloatVector) -> float:
+def span(vector: Vector) -> float:
     """Return the largest entry in absolute value; 0 of no entry."""
     return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
 
@@ -462,28 +445,21 @@ HELD = (
 NO_FLAGS = np.zeros(0, np.bool_)
 
 
-def restrict(transfer: Transfer, fine: FloatVector, coarse: FloatVector) -> None:
+def restrict(transfer: Transfer, fine: Vector, coarse: Vector) -> None:
     """Coarse ← R fine."""
     operands = *transfer.restriction.arrays, read_only(fine), False, NO_FLAGS, *NO_BOUNDS, coarse
     shared(partial(_interpolate, *operands), coarse.size)
 
 
 def prolong(
-    transfer: Transfer,
-    coarse: FloatVector,
-    flags: BoolVector,
-    lower: FloatVector,
-    upper: FloatVector,
-    z: FloatVector,
+    transfer: Transfer, coarse: Vector, flags: BoolVector, lower: Vector, upper: Vector, z: Vector
 ) -> int:
     """Overwrite z by mid(lower, upper, z + P coarse) in flagged rows; return the number of clipped values."""
     operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, lower, upper, z
     return sum(shared(partial(_interpolate, *operands), lower.size))
 
 
-def add_prolonged(
-    transfer: Transfer, coarse: FloatVector, flags: BoolVector, x: FloatVector
-) -> None:
+def add_prolonged(transfer: Transfer, coarse: Vector, flags: BoolVector, x: Vector) -> None:
     """Add P coarse to x in the rows with set `flags`, which cover at least the local rows."""
     operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, *NO_BOUNDS, x
     shared(partial(_interpolate, *operands), transfer.is_coarse.size)

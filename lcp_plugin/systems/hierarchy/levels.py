@@ -23,7 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import Arrays, FloatVector, read_only
+from ...core.checks import Arrays, Vector, read_only
 from ...core.deadline import require_seconds
 from ...core.matrix import Matrix, fact, is_nearly_symmetric, largest_in_rows
 from . import kernels
@@ -117,7 +117,7 @@ def grid_of(matrix: Operator, *, may_cut: bool = False) -> Grid:
     return Grid(matrix, split, blocks, inverse)
 
 
-def positive_shares(matrix: Operator, split: NDArray[Any]) -> FloatVector:
+def positive_shares(matrix: Operator, split: NDArray[Any]) -> Vector:
     """Return the share of the positive couplings in each row, shape (n,)."""
     couplings = matrix.data.copy()
     couplings[split] = 0.0

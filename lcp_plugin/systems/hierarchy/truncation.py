@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.checks import BoolVector, FloatVector, read_only
+from ...core.checks import BoolVector, Vector, read_only
 from ..equilibration import power_of_two
 from ..factors import Factor, dense_lu
 from . import kernels
@@ -112,10 +112,10 @@ class TruncatedGrid:
         operands = values, flags, transfer.prolongation.arrays, transfer.restriction.arrays
         return kernels.update_product(*operands, (*coarse, *state))
 
-    def fetch(self, x: FloatVector) -> None:
+    def fetch(self, x: Vector) -> None:
         """Fetch the values of ghosts; only grids on ranks have any."""
 
-    def add_pivot_weights(self, residual: FloatVector) -> None:
+    def add_pivot_weights(self, residual: Vector) -> None:
         """Add the weights of the pivots times x to the residual after the first sweep; only ranks have weights."""
 
 
@@ -130,9 +130,9 @@ class Truncation:
         self.top = 0
         self.work = 0.0
         # the first access to new memory costs more than the arithmetic
-        self.spare: list[FloatVector] = []
+        self.spare: list[Vector] = []
 
-    def vector(self) -> FloatVector:
+    def vector(self) -> Vector:
         """Return an uninitialized vector for the local values of the finest grid, shape (n,)."""
         return self.spare.pop() if self.spare else np.empty(self.grids[0].grid.n)
 
@@ -183,7 +183,7 @@ class Truncation:
         """Return the largest of a number of each rank."""
         return number
 
-    def direction(self, b: FloatVector) -> tuple[FloatVector, FloatVector]:
+    def direction(self, b: Vector) -> tuple[Vector, Vector]:
         """Return p of a V-cycle for M p = b on the finest grid, and M p on its free rows; local values on ranks.
 
         Both vectors come from :meth:`vector`. The caller owns them, and appends them to `spare` after their last use.
@@ -223,7 +223,7 @@ class Truncation:
         kernels.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
-    def restrict(self, k: int, residual: FloatVector) -> None:
+    def restrict(self, k: int, residual: Vector) -> None:
         """Write the restricted residual into b of grid k + 1."""
         level, held = self.grids[k], self.grids[k].held
         kept = residual[held]
@@ -268,7 +268,7 @@ class KrylovCorrection:
     is_symmetric : bool
     """
 
-    def __init__(self, truncation: Truncation, residual: FloatVector, is_symmetric: bool) -> None:
+    def __init__(self, truncation: Truncation, residual: Vector, is_symmetric: bool) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
         # Squares of very large or small numbers leave the range of a double.
         self.unit: float = power_of_two(truncation.largest(span(residual)))
@@ -278,20 +278,18 @@ class KrylovCorrection:
         self._weight = None if is_symmetric else (inverse / unit) ** 2
         self._sum = truncation.vector()
         self._sum[:] = 0.0
-        self.directions: list[tuple[FloatVector, FloatVector, float]] = []
+        self.directions: list[tuple[Vector, Vector, float]] = []
 
     def give_back(self) -> None:
         """Return the workspace for the next correction, at the end of this correction."""
         self.truncation.spare.append(self._sum)
         self._forget_directions()
 
-    def apply_within(
-        self, origin: FloatVector, lower: FloatVector, upper: FloatVector, z: FloatVector
-    ) -> None:
+    def apply_within(self, origin: Vector, lower: Vector, upper: Vector, z: Vector) -> None:
         """Overwrite z by mid(lower, upper, origin + c)."""
         add_within(origin, self.unit, self._sum, read_only(lower), read_only(upper), z)
 
-    def apply_to(self, origin: FloatVector, z: FloatVector) -> None:
+    def apply_to(self, origin: Vector, z: Vector) -> None:
         """Overwrite z by origin + c."""
         np.multiply(self._sum, self.unit, out=z)
         z += origin
@@ -321,7 +319,7 @@ class KrylovCorrection:
         self.directions.append((p, product, scale))
         return True
 
-    def _dot(self, one: FloatVector, other: FloatVector) -> float:
+    def _dot(self, one: Vector, other: Vector) -> float:
         return self.truncation.total(dot(one, other))
 
     def _forget_directions(self) -> None:
@@ -329,5 +327,5 @@ class KrylovCorrection:
             self.truncation.spare += [p, product]
         self.directions.clear()
 
-    def _against(self, p: FloatVector, product: FloatVector) -> FloatVector:
+    def _against(self, p: Vector, product: Vector) -> Vector:
         return p if self._weight is None else product * self._weight

@@ -8,16 +8,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin import LCP
-from lcp_plugin.core.checks import FloatVector
+from lcp_plugin.core.checks import Vector
 
 
 class Steps(NamedTuple):
     """What ``march(problem, forcing, propagator, z0=z0)`` takes."""
 
     problem: LCP
-    forcing: FloatVector
+    forcing: Vector
     propagator: sp.csr_array
-    z0: FloatVector
+    z0: Vector
 
 
 # Clarke and Parrott 1999, doi:10.1080/135048699334528; the values are those that later papers agree upon.
@@ -34,7 +34,7 @@ HESTON_SPOTS, HESTON_VARIANCE = (8.0, 9.0, 10.0, 11.0, 12.0), 0.0625
 HESTON_VALUES = (2.0000, 1.107641, 0.520030, 0.213668, 0.082036)
 
 
-def _line(n: int, below: FloatVector, centre: FloatVector, above: FloatVector) -> sp.csr_array:
+def _line(n: int, below: Vector, centre: Vector, above: Vector) -> sp.csr_array:
     """Return the tridiagonal matrix of these rows, shape (n,) each."""
     return sp.csr_array(
         sp.diags_array([below[1:], centre, above[:-1]], offsets=[-1, 0, 1], shape=(n, n))
@@ -48,7 +48,7 @@ def _central(n: int, h: float) -> sp.csr_array:
 
 def heston(
     prices: int = 400, variances: int = 150, steps: int = 20
-) -> tuple[Steps, FloatVector, FloatVector]:
+) -> tuple[Steps, Vector, Vector]:
     """Return an American put under stochastic variance, and its prices and variances, the fastest index that of price.
 
     Upwind where central differences would give a positive neighbor; the cross derivative by nine points. Dirichlet at
@@ -63,7 +63,7 @@ def heston(
     rows, columns, values = [], [], []
     index = np.arange(prices * variances).reshape(variances, prices)
 
-    def add(where: FloatVector, j: int, i: int, value: FloatVector) -> None:
+    def add(where: Vector, j: int, i: int, value: Vector) -> None:
         """Add entries that couple rows to the neighbor j variances and i prices away."""
         jj, ii = np.nonzero(where)
         j_to, i_to = jj + j, ii + i

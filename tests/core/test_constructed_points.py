@@ -138,7 +138,7 @@ AT_ROUNDING_LEVEL = (
 )
 
 
-@pytest.mark.few(24)
+@pytest.mark.few(16)
 @pytest.mark.parametrize("case", CONSTRUCTED)
 @pytest.mark.parametrize("problem_class", CLASSES)
 def test_no_class_calls_a_wrong_point_solved(problem_class: str, case: str) -> None:

@@ -285,6 +285,7 @@ def test_a_component_without_solution_is_refuted_after_a_call_on_another_compone
     assert not solve(problem).is_solved
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("as_stored", [np.asarray, sp.csr_array])
 def test_every_component_without_solution_is_refuted_whatever_their_number(as_stored: Any) -> None:
     """The limit of rows for a proof before SOLVED holds for each component, not for all of them."""
@@ -654,7 +655,7 @@ def drawn_in_units(rng: np.random.Generator) -> tuple[LCP, LCP]:
     return one, other
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(20))
 def test_tolerated_rows_in_random_units_result_is_right(
     seed: int, draws: Callable[[int], range]

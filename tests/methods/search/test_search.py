@@ -28,7 +28,7 @@ from lcp_plugin.proofs.exact import is_exact_solution
 from lcp_plugin.proofs.no_solution import Case, NoSolution
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("block", range(8))
 def test_random_problems_agree_with_an_enumeration(block: int) -> None:
     """Verdicts, solutions, faces, flags and proofs agree with Fourier–Motzkin over all patterns."""

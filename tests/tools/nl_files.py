@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,16 +11,21 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.interfaces.nl.expressions import OPERATORS, evaluated_tree, value_of
+from lcp_plugin.interfaces.nl.expressions import NAMES, OPERATORS, evaluated_tree
 from lcp_plugin.interfaces.nl.reading import WITH_TOLERANCE, NLContent, Token, Trees
 from lcp_plugin.interfaces.nl.writing import OPTIONS
+
+SUMS: dict[str, Any] = {"+": lambda *a: sum(a), "-": operator.sub, "unary -": operator.neg}
 
 
 def content_of(M: Any, q: Any, **changes: Any) -> NLContent:
     """Rows M x + q complementary to x ≥ 0."""
     n, goal = len(q), changes.pop("objective", None)
     free = np.full(n, np.inf)
-    own = None if goal is None else sp.csr_array([goal])
+    own: dict[str, Any] = {}
+    if goal is not None:
+        own = {"objective_trees": Trees.of_numbers(np.zeros(1)), "is_maximized": np.zeros(1, bool)}
+        own["objective_linear"] = sp.csr_array([goal])
     content = NLContent.of_rows(
         np.zeros(n),
         free,
@@ -28,10 +34,8 @@ def content_of(M: Any, q: Any, **changes: Any) -> NLContent:
         (-free, free),
         np.arange(n),
         np.ones(n, dtype=np.int64),
-        None if goal is None else Trees.of_numbers(np.zeros(1)),
-        own,
     )
-    return replace(content, **changes)
+    return replace(content, **own | changes)
 
 
 @np.errstate(all="ignore")
@@ -43,7 +47,10 @@ def evaluated(content: NLContent, x: Any) -> tuple[Any, Any]:
         return value if kind == Token.NUMBER else values[int(value)]
 
     def operation(number: int, operands: list[float]) -> float:
-        found = float(value_of(OPERATORS[number], operands))
+        rule = SUMS.get(NAMES[number]) or getattr(
+            OPERATORS.get(number), "value", lambda *_: math.nan
+        )
+        found = float(rule(*map(np.float64, operands)))
         return found if math.isfinite(found) else math.nan
 
     def value(matrix: Any, trees: Trees, k: int) -> float:

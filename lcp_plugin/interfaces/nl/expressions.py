@@ -9,7 +9,6 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import cached_property, reduce
 from itertools import chain, pairwise
 from typing import Any, TypeVar
@@ -35,37 +34,6 @@ REMEDIES = {
 }
 
 
-class Arithmetic(Enum):
-    """Operators that are affine, or become another function, if operands are constants."""
-
-    SUM = "+"
-    DIFFERENCE = "-"
-    NEGATION = "unary -"
-    PRODUCT = "*"
-    QUOTIENT = "/"
-    POWER = "^"
-    SQUARE = "square"
-
-
-#: What is taken; nothing else is smooth everywhere.
-RULES: dict[str, Arithmetic | Function] = {
-    **{one.value: one for one in Arithmetic},
-    "sqrt": functions.power(0.5),
-    **{name: one for name, one in functions.FUNCTIONS.items() if one.arguments == 1},
-}
-NAMES = {number: name for names in OPERATOR_NAMES.values() for number, name in names.items()}
-OPERATORS = {number: RULES[name] for number, name in NAMES.items() if name in RULES}
-FOLDED: dict[Arithmetic, Any] = {
-    Arithmetic.SUM: lambda *a: sum(a),
-    Arithmetic.DIFFERENCE: lambda a, b: a - b,
-    Arithmetic.NEGATION: lambda a: -a,
-    Arithmetic.PRODUCT: lambda a, b: a * b,
-    Arithmetic.QUOTIENT: lambda a, b: np.float64(a) / b,
-    Arithmetic.POWER: lambda a, b: np.float64(a) ** b,
-    Arithmetic.SQUARE: lambda a: a * a,
-}
-
-
 def evaluated_tree(
     trees: Trees, k: int, leaf: Callable[[int, float], T], operation: Callable[[int, list[T]], T]
 ) -> T:
@@ -83,43 +51,8 @@ def evaluated_tree(
     return stack.pop()
 
 
-def check_operators(content: NLContent) -> None:
-    """Raise UnsupportedModel for an expression without a rule, naming the row and the operator."""
-    for trees, called in (
-        (content.trees, content.row),
-        (content.objective_trees, "objective {}".format),
-        (content.defined_trees, "defined variable {}".format),
-    ):
-        is_operator = trees.kinds == OPERATOR
-        is_known = np.isin(trees.values, list(OPERATORS))
-        is_taken = np.where(is_operator, is_known, np.isfinite(trees.values))
-        for place in np.flatnonzero(~is_taken)[:1]:
-            tree = int(np.searchsorted(trees.starts, place, side="right")) - 1
-            reason = _refusal(trees.kinds[place], trees.values[place])
-            raise UnsupportedModel(f"{called(tree)} {reason}")
-
-
-def _refusal(kind: int, value: float) -> str:
-    """Return the description of a part of an expression that is not supported."""
-    if kind == NUMBER:
-        return f"holds the number {value}; constants must be finite"
-    name = NAMES.get(int(value), f"number {value:g}")
-    remedy = REMEDIES.get(name, "state it by sums, products, powers and smooth functions")
-    return f"holds the operator {name}, which is not smooth or not known here; {remedy}"
-
-
-def value_of(rule: Arithmetic | Function, operands: list[Any]) -> Any:
-    """Return the value of an operator; not finite, with numpy's warning, if it is undefined."""
-    return (
-        rule.value(*map(np.float64, operands))
-        if isinstance(rule, Function)
-        else FOLDED[rule](*operands)
-    )
-
-
 UNKNOWNS = 0  # the key of the only source that is not a function
 MOST_NESTED = 1000  # functions in one another: derivatives go through every level
-SUMS = (Arithmetic.SUM, Arithmetic.DIFFERENCE, Arithmetic.NEGATION)
 
 
 @dataclass
@@ -154,6 +87,22 @@ class Sum:
         return large
 
 
+#: The operators on sums, and the functions; nothing else is smooth everywhere.
+RULES: dict[str, Callable[..., Sum] | Function] = {
+    "+": lambda *parts: reduce(Sum.add, parts),
+    "-": lambda first, second: first.add(second.scaled(-1.0)),
+    "unary -": lambda one: one.scaled(-1.0),
+    "*": functions.PRODUCT,
+    "/": functions.QUOTIENT,
+    "^": functions.POWER,
+    "square": functions.SQUARE,
+    "sqrt": functions.power(0.5),
+    **{name: one for name, one in functions.FUNCTIONS.items() if one.arguments == 1},
+}
+NAMES = {number: name for names in OPERATOR_NAMES.values() for number, name in names.items()}
+OPERATORS = {number: RULES[name] for number, name in NAMES.items() if name in RULES}
+
+
 class _ExpressionReader:
     """The rows, objectives and defined variables of a file as sums over variables and functions.
 
@@ -176,7 +125,6 @@ class _ExpressionReader:
     """
 
     def __init__(self, content: NLContent, known: list[float | None]) -> None:
-        check_operators(content)
         self.content, self.n, self._known = content, content.lower.size, known
         self.functions: list[Function] = []
         self.arguments: list[tuple[Sum, ...]] = []
@@ -239,25 +187,32 @@ class _ExpressionReader:
         return Sum({column: 1.0}, 0.0) if known is None else Sum({}, known)
 
     def _operation(self, number: int, operands: list[Sum]) -> Sum:
-        rule = OPERATORS[number]
-        if all(one.is_constant for one in operands):
-            return Sum({}, self._folded(rule, [one.constant for one in operands]))
-        first, second = operands[0], operands[-1]
-        if rule in SUMS:
-            if rule is Arithmetic.NEGATION:
-                return first.scaled(-1.0)
-            if rule is Arithmetic.DIFFERENCE:
-                operands = [first, second.scaled(-1.0)]
-            return reduce(Sum.add, operands)
-        if isinstance(rule, Function):
-            return self._new(rule, first)
-        if rule is Arithmetic.SQUARE:
-            return self._new(functions.SQUARE, first)
-        if rule is Arithmetic.PRODUCT:
-            return self._product(first, second)
-        if rule is Arithmetic.QUOTIENT:
-            return self._quotient(first, second)
-        return self._power(first, second)
+        if (rule := OPERATORS.get(number)) is None:
+            name = NAMES[number]
+            remedy = REMEDIES.get(name, "state it by sums, products, powers and smooth functions")
+            raise UnsupportedModel(
+                f"{self._name} holds the operator {name}, which is not smooth or not known here; {remedy}"
+            )
+        constants = [one.constant for one in operands]
+        if not isinstance(rule, Function):
+            found = rule(*operands)
+        elif all(one.is_constant for one in operands):
+            with np.errstate(all="ignore"):
+                found = Sum({}, float(rule.value(*map(np.float64, constants))))
+        elif rule is functions.PRODUCT:
+            return self._product(*operands)
+        elif rule is functions.QUOTIENT:
+            return self._quotient(*operands)
+        elif rule is functions.POWER:
+            return self._power(*operands)
+        else:
+            return self._new(rule, *operands)
+        if not np.isfinite(found.constant):
+            raise UnsupportedModel(
+                f"{self._name} holds {NAMES[number]} of {', '.join(f'{one:g}' for one in constants)}, which is no "
+                "finite number; correct it"
+            )
+        return found
 
     def _product(self, first: Sum, second: Sum) -> Sum:
         if first.is_constant:
@@ -297,17 +252,6 @@ class _ExpressionReader:
         self.arguments.append(arguments)
         self.levels.append(below + 1)
         return Sum({self.n + len(self._uses) + len(self.functions) - 1: 1.0}, 0.0, below + 1)
-
-    def _folded(self, rule: Any, constants: list[float]) -> float:
-        with np.errstate(all="ignore"):
-            value = value_of(rule, constants)
-        if not np.isfinite(value):
-            name = rule.value if isinstance(rule, Arithmetic) else rule.name
-            raise UnsupportedModel(
-                f"{self._name} holds {name} of {', '.join(f'{one:g}' for one in constants)}, which is no "
-                "finite number; correct it"
-            )
-        return float(value)
 
 
 def _counted_uses(content: NLContent) -> list[int]:

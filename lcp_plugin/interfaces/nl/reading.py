@@ -312,12 +312,9 @@ class NLContent:
         limits: tuple[Vector, Vector],
         partners: Indices,
         partner_bounds: Indices,
-        objective: Trees | None = None,
-        objective_linear: sp.csr_array | None = None,
     ) -> NLContent:
-        """Return the content of rows with limits, and of an objective to minimize, if any."""
-        n, count = lower.size, 0 if objective is None else 1
-        none = Trees.of_numbers(np.zeros(0))
+        """Return the content of rows with limits, without an objective."""
+        n, none = lower.size, Trees.of_numbers(np.zeros(0))
         return cls(
             lower=lower,
             upper=upper,
@@ -327,11 +324,9 @@ class NLContent:
             partner_bounds=partner_bounds,
             linear=linear,
             trees=trees,
-            is_maximized=np.zeros(count, dtype=bool),
-            objective_linear=sp.csr_array((count, n))
-            if objective_linear is None
-            else objective_linear,
-            objective_trees=objective or none,
+            is_maximized=np.zeros(0, dtype=bool),
+            objective_linear=sp.csr_array((0, n)),
+            objective_trees=none,
             defined_linear=sp.csr_array((0, n)),
             defined_trees=none,
             is_integer=np.zeros(n, dtype=bool),

@@ -11,28 +11,25 @@ import scipy.sparse as sp
 
 from ...core.errors import InvalidProblem
 from ...core.lcp import LCP
-from ...problems.programs.program import QuadraticProgram
 from ..files import checked_path, write_whole
-from .reading import ARITY, NARY, PARTNER, PIECEWISE, PLUS, WITH_TOLERANCE, NLContent, Token, Trees
+from .reading import ARITY, NARY, PARTNER, PIECEWISE, WITH_TOLERANCE, NLContent, Token, Trees
 
 LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o"}
-TIMES, SUM = 2, 54  # numbers of operators
 
 
 def write_nl(problem: Any, path: str | PathLike[str]) -> None:
-    """Write a problem or model as a text ``.nl`` file, its names as ``.col`` and ``.row``.
+    """Write an LCP or model as a text ``.nl`` file, its names as ``.col`` and ``.row``.
 
     Parameters
     ----------
-    problem : LCP, QuadraticProgram, NLContent, NLModel, or a Pyomo model
-        A Pyomo model may hold complementarities, which ``model.write`` rejects. The file states the solved problem:
-        conditions that are only checked afterwards are not in it, and a ``ModelWarning`` names them.
+    problem : LCP, NLContent, or a Pyomo model
+        A Pyomo model may hold complementarities, which ``model.write`` rejects.
     path : str or Path
 
     Raises
     ------
     InvalidProblem
-        If the format cannot state it, for example a function written in Python or integer variables.
+        If the format cannot state it, for example a function written in Python.
     UnsupportedModel
         Names the component of a Pyomo model that is not supported.
 
@@ -56,81 +53,22 @@ def write_nl(problem: Any, path: str | PathLike[str]) -> None:
 
 
 def _content_of(problem: Any) -> NLContent:
-    """Return the content of a file of the problem."""
+    """Return the content of a file of the problem; of an LCP rows M z + q, each complementary to its own z."""
     if hasattr(problem, "component_data_objects"):
         from ..pyomo import content_of
 
         return content_of(problem)
     if isinstance(problem, LCP):
-        return _content_of_lcp(problem)
-    if isinstance(problem, QuadraticProgram):
-        return _content_of_program(problem)
-    content = getattr(problem, "content", problem)
-    if not isinstance(content, NLContent):
-        why = (
-            ", whose F is written in Python" if type(problem).__name__ == "NonlinearProblem" else ""
-        )
+        free, own = np.full(problem.n, np.inf), (problem.lower, problem.upper)
+        bits = np.isfinite(problem.lower) + 2 * np.isfinite(problem.upper)
+        terms, pairs = (problem.csr, Trees.of_numbers(problem.q)), (np.arange(problem.n), bits)
+        return NLContent.of_rows(*own, *terms, (-free, free), *pairs)
+    if not isinstance(problem, NLContent):
         raise InvalidProblem(
-            "an .nl file can be written of an LCP, a QuadraticProgram, a Pyomo model, or a result of read_content or "
-            f"read_nl, got {type(problem).__name__}{why}"
+            "an .nl file can be written of an LCP, a Pyomo model, or a result of read_content, got "
+            f"{type(problem).__name__}"
         )
-    return content
-
-
-def _content_of_lcp(problem: LCP) -> NLContent:
-    """Return rows M z + q, each complementary to its own z."""
-    n = problem.n
-    free = np.full(n, np.inf)
-    bits = np.isfinite(problem.lower) + 2 * np.isfinite(problem.upper)
-    return NLContent.of_rows(
-        problem.lower,
-        problem.upper,
-        problem.csr,
-        Trees.of_numbers(problem.q),
-        (-free, free),
-        np.arange(n),
-        bits,
-    )
-
-
-def _content_of_program(program: QuadraticProgram) -> NLContent:
-    """Return ½ xᵀP x + cᵀx, the sum of its products as a tree, and the rows G x ≤ h, A x = b."""
-    n, m = program.n, program.h.size + program.b.size
-    P = sp.triu(sp.coo_array(program.P), format="coo")
-    columns = np.flatnonzero((program.c != 0.0) | np.isin(np.arange(n), np.append(P.row, P.col)))
-    slopes = sp.csr_array((program.c[columns], columns, [0, columns.size]), shape=(1, n))
-    limits = (
-        np.append(np.full(program.h.size, -np.inf), program.b),
-        np.append(program.h, program.b),
-    )
-    rows = sp.csr_array(sp.vstack([sp.csr_array(program.G), sp.csr_array(program.A)]))
-    return NLContent.of_rows(
-        program.lower,
-        program.upper,
-        rows,
-        Trees.of_numbers(np.zeros(m)),
-        limits,
-        np.full(m, -1),
-        np.zeros(m, dtype=np.int64),
-        _sum_of_products(np.where(P.row == P.col, 0.5, 1.0) * P.data, P.row, P.col),
-        slopes,
-    )
-
-
-def _sum_of_products(factors: Any, first: Any, second: Any) -> Trees:
-    """Return Σ factor · (x_first · x_second) as a tree."""
-    k = factors.size
-    if not k:
-        return Trees.of_numbers(np.zeros(1))
-    heads = [k] if k > 2 else [2] * (k - 1)  # AMPL's sum has three terms or more
-    kinds = [Token.OPERATOR, Token.NUMBER, Token.OPERATOR, Token.VARIABLE, Token.VARIABLE]
-    products = np.column_stack([np.full(k, TIMES), factors, np.full(k, TIMES), first, second])
-    return Trees(
-        np.array([Token.OPERATOR] * len(heads) + kinds * k, dtype=np.uint8),
-        np.append([SUM if k > 2 else PLUS] * len(heads), products),
-        np.array(heads + [2, 0, 2, 0, 0] * k, dtype=np.int64),
-        np.array([0, len(heads) + 5 * k]),
-    )
+    return problem
 
 
 class TextWriter:

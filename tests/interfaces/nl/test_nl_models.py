@@ -101,9 +101,9 @@ def content_of(
             (np.zeros(m), np.zeros(m)),
             np.full(m, -1),
             np.zeros(m, dtype=np.int64),
-            trees_of(objectives) if objectives else None,
-            matrix(objective_linear, len(objectives)),
         ),
+        objective_trees=trees_of(objectives),
+        objective_linear=matrix(objective_linear, len(objectives)),
         is_maximized=np.array([is_maximized] * len(objectives), dtype=bool),
         defined_trees=trees_of(defined),
         defined_linear=matrix(defined_linear, d, n + d),
@@ -403,7 +403,7 @@ def refusals() -> Iterator[tuple[str, NLContent, str]]:
     yield "unknown operator", content_of(1, [(99, x)]), "operator number 99"
     yield "logarithm of −1", content_of(1, [("*", ("log", -1.0), x)]), "log of -1"
     yield "division by 0", content_of(1, [("/", x, 0.0)]), "row 0 divides by zero"
-    yield "an infinite number", content_of(1, [("*", INFINITY, x)]), "constants must be finite"
+    yield "an infinite number", content_of(1, [("+", INFINITY, x)]), "no finite number"
     yield (
         "nonlinear rows",
         content_of(1, [("exp", x)], row_upper=[1.0], row_lower=[-INFINITY]),

@@ -1,7 +1,7 @@
 """Plots: style and files of all of them, curves that can be read in grey, results of `solve`, and paths.
 
-`answer.plot()` draws the unknowns by index or on their grid, contacts in their cones, and how the residual fell. Colors
-of families are Okabe and Ito's colors. matplotlib loads with the first figure.
+`answer.plot()` draws the unknowns by index or on their grid, contacts in their cones, and how the residual fell.
+matplotlib loads with the first figure.
 """
 
 from __future__ import annotations
@@ -28,36 +28,12 @@ if TYPE_CHECKING:
     from ..problems.parametric.path import Path as ParametricPath
 
 FORMATS = (".png", ".pdf", ".svg")
-COLORS = {
-    "projected-type (NP)": "#0072B2",
-    "projected relaxation (P)": "#D55E00",
-    "modulus (M)": "#009E73",
-    "general fixed point (GFP)": "#CC79A7",
-    "multigrid": "#B07D00",
-    "factorizing and pivoting": "#6A4C93",
-    "auto": "#222222",
-    "reference": "#56B4E9",
-    "polish": "#777777",
-    "other": "#8C1D40",
-}
 STYLE: Any = {
-    "font.size": 9.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#999999",
-    "axes.labelcolor": "#333333",
-    "xtick.color": "#555555",
-    "ytick.color": "#555555",
-    "axes.grid": True,
-    "grid.color": "#e9e9e9",
-    "grid.linewidth": 0.7,
-    "axes.axisbelow": True,
-    "svg.fonttype": "path",
-    "pdf.fonttype": 42,
-    "ps.fonttype": 42,
-    "axes.titlesize": 10,
-    "axes.titlelocation": "left",
-    "legend.frameon": False,
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
+    **dict.fromkeys(("axes.grid", "axes.axisbelow"), True),
+    **dict.fromkeys(("pdf.fonttype", "ps.fonttype"), 42),
+    **{"font.size": 9.5, "axes.titlesize": 10, "axes.titlelocation": "left"},
+    **{"grid.color": "#e9e9e9", "svg.fonttype": "path"},
 }
 HEIGHTS = "cividis"
 LABEL_SIZE = 7.0
@@ -103,17 +79,10 @@ def styled(more: Mapping[str, Any] | None = None) -> Any:
     return rc_context(STYLE | dict(more or {}))
 
 
-def look_of(family: str, k: int) -> dict[str, Any]:
+def look_of(k: int) -> dict[str, Any]:
     """Return color, dashes and marker of the k-th curve."""
-    return {
-        "color": COLORS[family],
-        "linestyle": DASHES[k % len(DASHES)],
-        "marker": MARKERS[k % len(MARKERS)],
-        "linewidth": 1.1,
-        "markersize": 3.5,
-        "markerfacecolor": "white",
-        "markeredgewidth": 0.9,
-    }
+    look = {"color": f"C{k % 10}", "linestyle": DASHES[k % len(DASHES)], "linewidth": 1.1}
+    return look | {"marker": MARKERS[k % len(MARKERS)], "markersize": 3.5, "markerfacecolor": "w"}
 
 
 @contextmanager
@@ -132,16 +101,13 @@ def panels(titles: Sequence[str], width: float | None = None) -> Iterator[list[A
             axes.set_axis_off()
         yield [*every[: len(titles)]]
         named: dict[str, Any] = {}
-        for k, axes in enumerate(every):
+        for axes in every:
             handles, labels = axes.get_legend_handles_labels()
             named |= dict(zip(labels, handles, strict=True))
-            if k % columns and axes.get_ylabel() == every[k - 1].get_ylabel():
-                axes.yaxis.label.set_visible(False)
-        longest = max(map(len, named))
         # Inches of a line and its space, and of a letter
-        count = max(1, min(len(named), int(width / (0.5 + 0.055 * longest))))
-        look = {"fontsize": LABEL_SIZE, "handlelength": 2.4, "columnspacing": 1.0}
-        figure.legend([*named.values()], [*named], loc="outside lower center", ncols=count, **look)
+        count = max(1, min(len(named), int(width / (0.5 + 0.055 * max(map(len, named))))))
+        place = {"loc": "outside lower center", "ncols": count, "fontsize": LABEL_SIZE}
+        figure.legend([*named.values()], [*named], **place)
         figure.set_size_inches(width, height + math.ceil(len(named) / count) * 0.17)
 
 
@@ -166,14 +132,14 @@ def draw_tolerance(axes: Any, tolerance: float) -> None:
 
 
 class Frame(NamedTuple):
-    """Shape, node positions and labels of the unknowns, and their descriptions."""
+    """Facts of a test problem that a plot shows, as in a `Scene`."""
 
     grid: tuple[int, ...] | None = None
-    coordinates: Sequence[Any] | None = None
-    labels: tuple[str, ...] = ()
+    axis_labels: tuple[str, ...] = ()
     unknown: str = "x"
+    coordinates: Sequence[Any] | None = None
     active_means: str = "at a bound"
-    title: str = ""
+    description: str = ""
 
 
 def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = None) -> Any:
@@ -210,12 +176,9 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
         raise InvalidOption(f"plot_answer needs an answer of solve, got {type(answer).__name__}")
     if answer.x is None:
         raise UnsuitableProblem(f"the result has no x to draw: {answer.status.name}")
-    frame = Frame(unknown="z" if isinstance(answer, Result) else "x")
-    if shape is not None:
-        frame = frame._replace(**_grid(shape, len(answer.x)))
     from matplotlib import pyplot
 
-    return _plotted(answer, frame, axes, pyplot.figure)
+    return _plotted(answer, _frame(answer, shape), axes, pyplot.figure)
 
 
 def draw(answer: Any, path: Path, test_problem: Scene | None = None) -> None:
@@ -229,16 +192,15 @@ def draw(answer: Any, path: Path, test_problem: Scene | None = None) -> None:
     test_problem : Scene, optional
     """
     check_format(path)
-    frame = Frame(unknown="z" if isinstance(answer, Result) else "x")
-    if test_problem is not None:
-        one = test_problem
-        frame = Frame(one.grid, one.coordinates, one.axis_labels, one.unknown, one.active_means)
-        frame = frame._replace(title=one.description + "\n")
+    frame = _frame(answer, None) if test_problem is None else test_problem
     save(_plotted(answer, frame, None, require_matplotlib()).figure, path)
 
 
-def checked_shape(shape: Any, n: int) -> tuple[int, ...]:
-    """Return the shape of a grid of n unknowns, or raise InvalidOption."""
+def _frame(answer: Any, shape: Any) -> Frame:
+    """Return the letter of the unknowns, and the grid of that shape; raise InvalidOption if it does not fit."""
+    unknown, n = "z" if isinstance(answer, Result) else "x", len(answer.x)
+    if shape is None:
+        return Frame(unknown=unknown)
     sizes = tuple(shape) if isinstance(shape, Iterable) else ()
     if not sizes or not all(isinstance(one, int | np.integer) and one > 0 for one in sizes):
         raise InvalidOption(f"shape must hold integers > 0, as (rows, columns), got {shape!r}")
@@ -246,16 +208,11 @@ def checked_shape(shape: Any, n: int) -> tuple[int, ...]:
         raise InvalidOption(
             f"shape {sizes} has {count} unknowns, and the problem has {n}; pass the shape of its grid"
         )
-    return sizes
+    more = (f"axis {k}" for k in range(len(sizes) - len(LABELS)))
+    return Frame(sizes, (*more, *LABELS[-len(sizes) :]), unknown)
 
 
-def _grid(shape: Any, n: int) -> dict[str, Any]:
-    sizes = checked_shape(shape, n)
-    more = [f"axis {k}" for k in range(len(sizes) - len(LABELS))]
-    return {"grid": sizes, "labels": (*more, *LABELS[-len(sizes) :])}
-
-
-def _plotted(answer: Any, frame: Frame, axes: Any, new: Callable[..., Any]) -> Any:
+def _plotted(answer: Any, frame: Frame | Scene, axes: Any, new: Callable[..., Any]) -> Any:
     """Draw into the given axes, or into a new figure with a panel for the residual of a recorded run."""
     run = answer if getattr(answer, "history", ()) else None
     is_contact = isinstance(getattr(answer, "problem", None), FrictionalContact)
@@ -271,8 +228,8 @@ def _plotted(answer: Any, frame: Frame, axes: Any, new: Callable[..., Any]) -> A
         if run is not None:
             _draw_residuals(every[1], run)
         steps = format_count(answer.iterations, "iteration")
-        said = f"n = {len(answer.x)}: {answer.status.name} by {answer.algorithm} in {steps}"
-        figure.suptitle(frame.title + said, fontsize=10, x=0.01, ha="left")
+        words = f"n = {len(answer.x)}: {answer.status.name} by {answer.algorithm} in {steps}"
+        figure.suptitle(f"{frame.description}\n{words}".strip(), fontsize=10, x=0.01, ha="left")
     return every[0]
 
 
@@ -284,7 +241,7 @@ def _bounds(answer: Any) -> tuple[Vector, Vector]:
     return problem.lower, problem.upper
 
 
-def _draw_unknowns(axes: Any, answer: Any, frame: Frame) -> None:
+def _draw_unknowns(axes: Any, answer: Any, frame: Frame | Scene) -> None:
     x, (lower, upper) = np.asarray(answer.x), _bounds(answer)
     active = (x <= lower) | (x >= upper)
     grid = frame.grid
@@ -297,9 +254,6 @@ def _draw_unknowns(axes: Any, answer: Any, frame: Frame) -> None:
     nodes = frame.coordinates[0] if frame.coordinates and len(frame.coordinates) == 1 else None
     where = np.arange(x.size) if nodes is None else nodes
     if nodes is not None:
-        for bound, end in ((lower, min), (upper, max)):
-            if np.isfinite(bound).all():
-                axes.fill_between(where, bound, end(*bound, *x), color="#eeeeee", linewidth=0)
         axes.plot(where, x, color=FREE, linewidth=1.6)
         axes.plot(where, np.where(active, x, np.nan), color=ACTIVE, linewidth=3.0)
     else:
@@ -309,11 +263,11 @@ def _draw_unknowns(axes: Any, answer: Any, frame: Frame) -> None:
             axes.plot(where[chosen], x[chosen], ".", color=color, markersize=size, rasterized=True)
     if active.any():
         axes.set_title(f"orange: {frame.active_means}", color=ACTIVE, fontsize=8.5)
-    label = "index" if nodes is None else frame.labels[0]
+    label = "index" if nodes is None else frame.axis_labels[0]
     axes.set(xlabel=label, ylabel=frame.unknown)
 
 
-def _draw_map(axes: Any, x: Any, active: Any, level: Any, frame: Frame) -> None:
+def _draw_map(axes: Any, x: Any, active: Any, level: Any, frame: Frame | Scene) -> None:
     """Draw values over a grid as colors, with the free boundary as a line and the active set dotted."""
     nodes = [*(frame.coordinates or [np.arange(size, dtype=float) for size in x.shape])]
     while x.ndim > 2:
@@ -321,77 +275,54 @@ def _draw_map(axes: Any, x: Any, active: Any, level: Any, frame: Frame) -> None:
         x, active, level = x[middle], active[middle], level[middle]
     down, across = nodes[-2:]
     image = axes.pcolormesh(across, down, x, shading="nearest", cmap=HEIGHTS, rasterized=True)
-    bar = axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, label=frame.unknown)
-    bar.outline.set_visible(False)
+    axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, label=frame.unknown)
     if 0.0 < active.mean() < 1.0:
         ends = [min(level.min(), -1.0), 0.0]
         axes.contourf(across, down, level, levels=ends, colors="none", hatches=["....."])
-        for shade, width in (("#ffffff", 2.4), (ACTIVE, 1.3)):
-            axes.contour(across, down, level, levels=[0.0], colors=shade, linewidths=width)
+        axes.contour(across, down, level, levels=[0.0], colors=ACTIVE, linewidths=1.3)
         axes.set_title(f"dotted: {frame.active_means}", color=ACTIVE, fontsize=8.5)
     axes.grid(visible=False)
     is_square = 0.5 * np.ptp(across) <= np.ptp(down) <= 2.0 * np.ptp(across)
-    y_label, x_label = frame.labels[-2:]
+    y_label, x_label = frame.axis_labels[-2:]
     axes.set(xlabel=x_label, ylabel=y_label, aspect="equal" if is_square else "auto")
 
 
-def _draw_cones(axes: Any, answer: Any, frame: Frame) -> None:
+def _draw_cones(axes: Any, answer: Any, frame: Frame | Scene) -> None:
     """Draw the tangential impulse of each closed contact relative to the largest that its friction allows."""
     motion = answer.motion
     limit = answer.problem.friction * motion.normal
     shares = motion.tangential / np.where(limit > 0.0, limit, 1.0)[:, None]
-    slides, count = motion.touches & ~motion.sticks, len(shares)
-    is_plane = shares.shape[1] == 1
-    across = np.arange(count) if is_plane else shares[:, 1]
-    if is_plane:
+    if is_plane := shares.shape[1] == 1:
+        shares = np.column_stack([shares, np.arange(len(shares))])
         for end in (-1.0, 1.0):
-            axes.axvline(end, color="#7A7A7A", linewidth=1.0)
-        axes.set(xlim=(-1.25, 1.25), ylim=(-0.5, max(1.2 * count, 1.0)), ylabel="contact")
+            axes.axvline(end, color="#7A7A7A")
         axes.yaxis.get_major_locator().set_params(integer=True)
     else:
         angle = np.linspace(0.0, 2.0 * np.pi, 200)
         axes.plot(np.cos(angle), np.sin(angle), color="#7A7A7A", linewidth=1.0)
-        axes.set(aspect="equal", xlim=(-1.25, 1.25), ylim=(-1.15, 1.45))
-        axes.set_ylabel("second tangential impulse ÷ $\\mu\\,r_N$")
-    look = {"s": float(np.clip(3000.0 / max(count, 1), 6.0, 24.0))}
+        axes.set_aspect("equal")
+    slides = motion.touches & ~motion.sticks
     for chosen, color, marker, word in (
         (motion.sticks, FREE, "o", "stick"),
         (slides, ACTIVE, "^", "slide"),
     ):
         label = f"{np.count_nonzero(chosen)} {word}"
-        axes.scatter(
-            shares[chosen, 0], across[chosen], color=color, marker=marker, label=label, **look
-        )
-    axes.scatter(
-        [],
-        [],
-        facecolors="none",
-        edgecolors="#7A7A7A",
-        label=f"{(~motion.touches).sum()} open",
-        **look,
-    )
-    axes.legend(loc="upper center", ncols=3, columnspacing=1.0, handletextpad=0.2)
-    first = "tangential" if is_plane else "first tangential"
-    axes.set(xlabel=f"{first} impulse ÷ $\\mu\\,r_N$", title="Impulses in their cones")
+        axes.scatter(*shares[chosen].T, s=12.0, color=color, marker=marker, label=label)
+    axes.scatter([], [], label=f"{(~motion.touches).sum()} open")
+    axes.legend(loc="upper center", ncols=3)
+    axes.set(xlabel="tangential impulse ÷ $\\mu\\,r_N$", title="Impulses in their cones")
+    axes.set_ylabel("contact" if is_plane else "second tangential impulse ÷ $\\mu\\,r_N$")
 
 
 def _draw_residuals(axes: Any, result: Any) -> None:
     """Draw how the residual of a recorded run fell with time."""
-    samples = np.array(
-        [(one.seconds, one.residual) for one in result.history if one.residual is not None]
-    ).reshape(-1, 2)
-    seconds, residuals = samples.T
-    positive = [*residuals[residuals > 0.0], result.tolerance or 1.0]
+    samples = [(one.seconds, one.residual) for one in result.history if one.residual is not None]
+    seconds, residuals = np.reshape(samples, (-1, 2)).T
     # A residual of 0 is drawn at a tenth of the least number on its logarithmic axis
-    edge = 0.1 * min(positive)
+    edge = 0.1 * min([*residuals[residuals > 0.0], result.tolerance or 1.0])
     axes.semilogy(seconds, np.maximum(residuals, edge), ".-", markersize=4, color=FREE)
-    if (residuals == 0.0).any():
-        last = seconds[residuals == 0.0][0]
-        axes.plot([last], [edge], "v", color=FREE, markersize=6)
-        axes.text(last, edge, "exactly 0 ", ha="right", va="center", color=FREE, fontsize=8)
     if result.tolerance > 0.0:
         draw_tolerance(axes, result.tolerance)
-    axes.locator_params(axis="x", nbins=5)
     axes.set(xlabel="seconds", ylabel="relative residual", title="residual against time")
 
 

@@ -235,8 +235,8 @@ class Study:
             raise InvalidOption(
                 "nothing to draw: no run has a result; print() lists how each run ended"
             )
-        families = {row.method: row.family for row in shown}
-        looks = {label: look_of(family, k) for k, (label, family) in enumerate(families.items())}
+        labels = dict.fromkeys(row.method for row in shown)
+        looks = {label: look_of(k) for k, label in enumerate(labels)}
         if view == "profile":
             with panels([f"performance profile by {against}"], width) as (axes,):
                 _draw_profile(axes, self.profile(against), against, looks)

@@ -98,10 +98,12 @@ def plan(
     if begin is None:
         is_program = getattr(problem.origin, "form", "") == "kkt"
         if not is_program and takes_rounds(problem):
-            from .methods.search import has_few_active_sets
+            from .methods.search import has_few_active_sets, has_no_point_nearby
 
-            yield Stage(Rounds(restarts=not has_few_active_sets(problem)), GUESSED)
-            yield from direct()
+            is_few = has_few_active_sets(problem)
+            yield Stage(Rounds(restarts=not is_few), GUESSED)
+            if prove_infeasibility or not (is_few and has_no_point_nearby(problem)):
+                yield from direct()
             return
         if is_program or is_game(problem):
             yield from direct()

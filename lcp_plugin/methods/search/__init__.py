@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import islice
+from itertools import compress, islice, product
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector
 from ...core.errors import InvalidProblem, UnsuitableProblem
+from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal
 from ...core.settings import whole_number
@@ -327,6 +328,32 @@ def has_few_active_sets(problem: LCP) -> bool:
     count = np.prod(np.where(problem.lower < problem.upper, bounds, 1), dtype=np.float64)
     # The search takes milliseconds, at most a quarter of a second
     return problem.n <= 24 and bool(count <= 4096)
+
+
+@np.errstate(all="ignore")
+def has_no_point_nearby(problem: LCP) -> bool:
+    """Return whether no active set has a point within 1e-6 of its size of a solution, and no system is near singular.
+
+    All systems are solved at once in double precision; the result True is strong evidence, and proves nothing.
+    """
+    d, lower, upper = problem.residual_scale, problem.lower, problem.upper
+    is_open = lower < upper
+    exists = zip(lower > -np.inf, is_open & (upper < np.inf), is_open, strict=True)
+    side = np.array(list(product(*(compress((LOW, HIGH, FREE), one) for one in exists))))
+    at_bound = np.where(side == LOW, lower, np.where(side == HIGH, upper, 0.0))
+    M = (problem.M if problem.is_dense else problem.M.toarray()) / d[:, None]
+    systems = np.where((side == FREE)[:, None, :], M, -np.eye(problem.n))
+    try:
+        inverses = np.linalg.inv(systems)
+    except np.linalg.LinAlgError:
+        return False
+    # z of the free unknowns, w/d of the others
+    x = -(inverses @ (at_bound @ M.T + problem.q / d)[..., None])[..., 0]
+    slip = 1e-6 * np.abs(x).max(1, keepdims=True)
+    low = np.where(side == FREE, lower, np.where((side == LOW) & is_open, 0.0, -np.inf))
+    high = np.where(side == FREE, upper, np.where(side == HIGH, 0.0, np.inf))
+    is_near = ((low - slip <= x) & (x <= high + slip)).all(1)
+    return bool(np.abs(inverses).max() < 1e8) and not is_near.any()
 
 
 def _choices(problem: LCP) -> int:

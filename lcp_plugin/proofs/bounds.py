@@ -75,7 +75,7 @@ from ..systems.definiteness import is_semidefinite_to_rounding, semidefinite_mar
 from ..systems.equilibration import unit_diagonal
 from ..systems.factors import PositiveFactor, factor_fits, positive_factor
 from ..systems.free_systems import KRYLOV_GOAL, FreeSystem
-from ..systems.graph import comparison_product
+from ..systems.graph import block_rows, comparison_product
 from .exact import (
     exact_symmetric_part,
     has_nonnegative_pivots,
@@ -464,13 +464,6 @@ class EigenvalueBound(NamedTuple):
 Family = HCertificate | EigenvalueBound
 
 
-def bounds_of(matrix: Matrix) -> Family | None:
-    """Return the proof behind error bounds for this M; None if M is neither proven H₊ nor positive definite."""
-    is_positive = bool(np.all(matrix.diagonal > 0.0))
-    found = comparison_certificate(matrix) if is_positive else None
-    return smallest_eigenvalue_bound(matrix) if found is None else found
-
-
 def bound_of_error(at: RowInequality, family: Family) -> Vector:
     """Return a bound of |z − z*|, shape (n,), by the least t v or by the 2-norm."""
     if isinstance(family, HCertificate):
@@ -591,24 +584,15 @@ def _proven_bound(part: Any, blur: float) -> float | None:
 
 def _rounding(matrix: Any, factor: PositiveFactor) -> float:
     """Return a bound of the distance of a factorized matrix from a semidefinite one: Cholesky's bound, or measured."""
-    if factor.superlu is not None:
-        return _factor_error(factor.superlu)
     n = matrix.shape[0]
-    trace = float(np.sum(np.abs(matrix.diagonal()))) * OUTWARD
-    return float(1.01 * gamma(n + 3) * trace + n * n * UNDERFLOW)
-
-
-def _factor_error(factor: Any) -> float:
-    """Return a bound of ‖A − L D Lᵀ‖₂, D = diag(U) > 0: A is that near to a semidefinite matrix.
-
-    |A − L U| ≤ γ_k |L||U| for k terms a row, and U − D Lᵀ, rounding only, is measured.
-    """
-    L, U = abs(factor.L), abs(factor.U)
-    n = L.shape[0]
+    if factor.superlu is None:
+        trace = float(np.sum(np.abs(matrix.diagonal()))) * OUTWARD
+        return float(1.01 * gamma(n + 3) * trace + n * n * UNDERFLOW)
+    # |A − L U| ≤ γ_k |L||U| for k terms a row, and U − D Lᵀ, rounding only, is measured; D = diag(U) > 0
+    superlu, ones = factor.superlu, np.ones(n)
+    L, U, product = abs(superlu.L), abs(superlu.U), superlu.L @ sp.diags_array(superlu.U.diagonal())
+    asymmetry = abs(superlu.U - product.T) + 2.0 * UNIT * (U + abs(product.T))
     terms = int(max(np.diff(L.tocsr().indptr).max(), np.diff(U.tocsc().indptr).max())) + 2
-    product = factor.L @ sp.diags_array(factor.U.diagonal())
-    asymmetry = abs(factor.U - product.T) + 2.0 * UNIT * (U + abs(product.T))
-    ones = np.ones(n)
     by_row = gamma(terms) * (L @ (U @ ones)) + L @ (asymmetry @ ones)
     return float(float(by_row.max()) * OUTWARD + n * UNDERFLOW)
 
@@ -737,8 +721,9 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     if not isinstance(sharp, bool | np.bool_):
         raise InvalidOption(f"sharp must be True or False, got {sharp!r}")
     z, began = checked_vector(z, "z", problem.n, is_finite=False), time.perf_counter()
-    family = bounds_of(problem.matrix)
-    if family is None:
+    is_positive = bool(np.all(problem.diagonal > 0.0))
+    family: Family | None = comparison_certificate(problem.matrix) if is_positive else None
+    if family is None and (family := smallest_eigenvalue_bound(problem.matrix)) is None:
         raise UnsuitableMatrix(NO_PROOF)
     found = _bound(problem, z, family, sharp=sharp)
     return replace(found, seconds=time.perf_counter() - began)
@@ -887,18 +872,12 @@ def curvature(P: Any) -> Curvature:
     if (weights < 0.0).any():
         i = int(weights.argmin())
         return Curvature(np.full(weights.size, -np.inf), f"P[{i}, {i}] = {weights[i]:g}")
-    count, label = csgraph.connected_components(rows, directed=False)
-    sizes = np.bincount(label, minlength=count)
-    order = np.argsort(label, kind="stable")
-    ends = np.cumsum(sizes)
-    for k in np.flatnonzero(sizes > 1).tolist():
-        block = np.sort(order[ends[k] - sizes[k] : ends[k]])
-        found = (
-            _weights(sp.csr_array(rows[block][:, block]))
-            if not is_over()
-            else np.full(block.size, -np.inf)
-        )
-        if found is None:
+    count, labels = csgraph.connected_components(rows, directed=False)
+    for block in block_rows(labels, count):
+        found: Any = -np.inf
+        if block.size == 1:
+            continue
+        if not is_over() and (found := _weights(sp.csr_array(rows[block][:, block]))) is None:
             return Curvature(np.full(weights.size, -np.inf), "P has a negative eigenvalue")
         weights[block] = found
     return Curvature(weights)

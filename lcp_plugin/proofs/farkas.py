@@ -20,9 +20,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from ..core.checks import Vector
+from ..core.checks import BoolVector, Vector
 from ..core.deadline import is_over, seconds_left
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.matrix import row_numbers, scale_matrix
@@ -40,8 +39,6 @@ from .exact import (
     short,
     solved_nearby,
 )
-
-BoolVector = NDArray[np.bool_]
 
 DECISIVE = 1e-3  # no tolerance in use is as large: the search ends if one row has this margin
 WIDE = 1e8  # times the size of the data: a proof within a smaller radius does not count
@@ -318,9 +315,39 @@ class FarkasProgram:
 
     def solve(self) -> Any:
         """Return HiGHS's result with the optimum, or None if it took more pivots or time than there is."""
-        form, bound = self._form, (0.0, None)
-        norm = form.norm[None, :], [1.0]
-        return linear_program(form.cost, form.equations, 0.0, bound, norm, self.pivots)
+        given, unit, n = self.constraints, self._scaled_unit, self.columns.size
+        q, weights = self.rows * given.q, self.rows * given.weights
+        of_lower, of_upper = (weight / self.columns for weight in given.bound_weights)
+        parts = (  # nonnegative parts of y, and multipliers of finite bounds
+            (1.0, given.needs_rise, q, weights),
+            (-1.0, given.needs_fall, q, weights),
+            (1.0, np.isfinite(given.upper), given.upper / self.columns, of_upper),
+            (-1.0, np.isfinite(given.lower), given.lower / self.columns, of_lower),
+        )
+        signs, kinds, costs, norms = zip(*parts, strict=True)
+        cost, norm = (
+            np.concatenate([v[k] for v, k in zip(side, kinds, strict=True)])
+            for side in (costs, norms)
+        )
+        places = np.arange(q.size), np.arange(q.size), *[np.arange(q.size, q.size + n)] * 2
+        self.place = np.concatenate([p[k] for p, k in zip(places, kinds, strict=True)])
+        # HiGHS drops coefficients below 1e-9
+        scale = 2.0 / power_of_two(np.clip(norm, 1.0, 2.0**20))
+        self.signed = np.repeat(signs, [np.count_nonzero(kind) for kind in kinds]) * scale
+        both = sp.hstack([self.matrix.T, -sp.eye_array(n)], format="csc")
+        self.equations = sp.csc_array(both[:, self.place])
+        self.equations.data *= np.repeat(self.signed, np.diff(self.equations.indptr))
+        self.norm = np.where(norm > 0.0, np.clip(scale * norm, *NORMS), 0.0)
+        cost = self.signed * cost
+        self.cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST, MOST))
+        norm = self.norm[None, :], [1.0]
+        return linear_program(self.cost, self.equations, 0.0, (0.0, None), norm, self.pivots)
+
+    def _vector(self, v: Vector) -> Vector:
+        """Return y, shape (m,), of a solution of the linear program."""
+        m = self.rows.size
+        y: Vector = np.bincount(self.place, self.signed * v, m)[:m].astype(np.float64)
+        return y
 
     def proof(self, answer: Any, proven: Callable[[Multipliers], Any]) -> Any:
         """Return the first proof of all x with half the predicted margin, else one with the largest margin, or None.
@@ -342,20 +369,19 @@ class FarkasProgram:
 
     def polished(self, answer: Any) -> Vector:
         """Return the answer's y, shape (m,), with the equalities that a proof needs met to rounding."""
-        y = self._form.vector(answer.x)
+        y = self._vector(answer.x)
         return self._polished(y / (np.abs(y).max(initial=0.0) or 1.0))
 
     def _tried(self, answer: Any) -> Iterator[Multipliers]:
         """Yield vectors near the answer, then near others that leave slack: in all one-sided bounds, then in each."""
-        form = self._form
-        yield from self.candidates(form.vector(answer.x))
+        yield from self.candidates(self._vector(answer.x))
         is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
-        shares = np.append(np.zeros(form.m), is_open)[form.place]
-        own = sp.eye_array(form.cost.size, format="csr")
+        shares = np.append(np.zeros(self.rows.size), is_open)[self.place]
+        own = sp.eye_array(self.cost.size, format="csr")
         for slacks in (sp.csr_array(shares[:, None]), own) if shares.any() else (own,):
             moved = self._with_slack(answer, slacks)
             if moved is not None:
-                yield from self.candidates(form.vector(moved))
+                yield from self.candidates(self._vector(moved))
 
     def _with_slack(self, answer: Any, slacks: sp.csr_array) -> Vector | None:
         """Return v ≥ slacks · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
@@ -363,56 +389,18 @@ class FarkasProgram:
         A vertex has as few positive multipliers as it can: if the coefficients carry rounding errors, those may
         vanish only together, and proofs with rounding margins require slack in all inequalities.
         """
-        form = self._form
         size, count = slacks.shape
         both = sp.hstack([sp.eye_array(size), slacks], format="csc")  # v = the rest + slacks · t
-        largest = 0.1 * size / (count * form.norm.sum())
+        largest = 0.1 * size / (count * self.norm.sum())
         result = linear_program(
             np.repeat([0.0, -1.0], [size, count]),
-            form.equations @ both,
+            self.equations @ both,
             0.0,
             np.repeat([[0.0, np.inf], [0.0, largest]], [size, count], axis=0),
-            (np.stack([form.norm, form.cost]) @ both, [1.0, KEPT * answer.fun]),
+            (np.stack([self.norm, self.cost]) @ both, [1.0, KEPT * answer.fun]),
             self.pivots,
         )
         return None if result is None or result.fun > -LP_TOLERANCE else np.asarray(both @ result.x)
-
-    @cached_property
-    def _form(self) -> _StandardForm:
-        """The program in nonnegative parts of y and multipliers of finite bounds."""
-        asked, unit, (m, n) = self.constraints, self._scaled_unit, self.matrix.shape
-        kinds = [
-            np.flatnonzero(kind)
-            for kind in (
-                asked.needs_rise,
-                asked.needs_fall,
-                np.isfinite(asked.upper),
-                np.isfinite(asked.lower),
-            )
-        ]
-        q, weights = self.rows * asked.q, self.rows * asked.weights
-        values = q, q, asked.upper / self.columns, asked.lower / self.columns
-        units = (
-            weights,
-            weights,
-            *(weight / self.columns for weight in reversed(asked.bound_weights)),
-        )
-        cost, norm = (
-            np.concatenate([v[k] for v, k in zip(side, kinds, strict=True)])
-            for side in (values, units)
-        )
-        place = np.concatenate([*kinds[:2], m + kinds[2], m + kinds[3]])
-        # HiGHS drops coefficients below 1e-9
-        scale = 2.0 / power_of_two(np.clip(norm, 1.0, 2.0**20))
-        signed = np.repeat([1.0, -1.0, 1.0, -1.0], [kind.size for kind in kinds]) * scale
-        equations = sp.csc_array(
-            sp.hstack([self.matrix.T, -sp.eye_array(n)], format="csc")[:, place]
-        )
-        equations.data *= np.repeat(signed, np.diff(equations.indptr))
-        norm = np.where(norm > 0.0, np.clip(scale * norm, *NORMS), 0.0)
-        cost = signed * cost
-        cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST, MOST))
-        return _StandardForm(m, place, signed, cost, equations, norm)
 
     def candidates(self, y: Vector) -> Iterator[Multipliers]:
         """Yield vectors near a y in the scale of the program that may be Farkas vectors of the constraints themselves.
@@ -481,33 +469,6 @@ class FarkasProgram:
         is_unbounded = np.isinf(self.constraints.lower) | np.isinf(self.constraints.upper)
         is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= tight * size) & (size > 0.0)
         return np.flatnonzero(np.abs(y) > tight), np.flatnonzero(is_tight)
-
-
-@dataclass(frozen=True)
-class _StandardForm:
-    """min costᵀv, equations · v = 0, norm · v ≤ 1, v ≥ 0.
-
-    Attributes
-    ----------
-    m : int
-        Number of requested rows.
-    place : array of int
-        The row that each entry of v is a part of the multiplier of, or m + the unknown with that bound.
-    signed : array
-        Factor of v in each part.
-    """
-
-    m: int
-    place: Any
-    signed: Vector
-    cost: Vector
-    equations: Any
-    norm: Vector
-
-    def vector(self, v: Vector) -> Vector:
-        """Return y, shape (m,)."""
-        y: Vector = np.bincount(self.place, self.signed * v, self.m)[: self.m].astype(np.float64)
-        return y
 
 
 def best_proof(

@@ -277,27 +277,6 @@ DENSE_UP_TO = (
 )
 
 
-def spectral_radius(problem: LCP, facts: IterationFacts) -> float | None:
-    """Return the radius of an iteration; None of a symmetric sweep, and of more than 1000 unknowns."""
-    if problem.n > DENSE_UP_TO or (
-        facts.sweep == "symmetric" and facts.family != PROJECTED_SPLITTING
-    ):
-        return None
-    T = bound_of_errors(problem, facts)
-    if T is None or not np.isfinite(T).all():
-        return None
-    return float(np.abs(np.linalg.eigvals(T)).max(initial=0.0))
-
-
-def jacobi_spectral_radius(problem: LCP) -> float:
-    """Return ρ(|J|), J = D⁻¹(L + U) the Jacobi iteration matrix; ∞ if a diagonal entry is 0."""
-    if not problem.diagonal.all():
-        return np.inf
-    unit = abs(sp.diags_array(1.0 / problem.diagonal) @ problem.csr)
-    unit.setdiag(0.0)
-    return float(np.mean(nonnegative_radius(sp.csr_array(unit))))
-
-
 def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
     """Return |P⁻¹| R with the rows of R whose radius is the largest, shape (n, n), dense; None if P is singular."""
     (alpha, beta), eye = numbers(facts), np.eye(problem.n)
@@ -396,14 +375,23 @@ class Guarantee:
         iteration matrix itself may be less. None if the method is not a splitting, for a symmetric sweep, and for more
         than 1000 unknowns. Computed on first access.
         """
-        if self.facts is None or self.problem is None:
+        if (facts := self.facts) is None or self.problem is None or self.problem.n > DENSE_UP_TO:
             return None
-        return spectral_radius(self.problem, self.facts)
+        if facts.sweep == "symmetric" and facts.family != PROJECTED_SPLITTING:
+            return None
+        T = bound_of_errors(self.problem, facts)
+        if T is None or not np.isfinite(T).all():
+            return None
+        return float(np.abs(np.linalg.eigvals(T)).max(initial=0.0))
 
     @cached_property
     def jacobi_radius(self) -> float | None:
-        """ρ(|J|), J = D⁻¹(L + U); below 1 only on H₊-matrices."""
-        return None if self.problem is None else jacobi_spectral_radius(self.problem)
+        """ρ(|J|), J = D⁻¹(L + U); below 1 only on H₊-matrices, ∞ if a diagonal entry is 0."""
+        if (problem := self.problem) is None or not problem.diagonal.all():
+            return None if problem is None else np.inf
+        unit = abs(sp.diags_array(1.0 / problem.diagonal) @ problem.csr)
+        unit.setdiag(0.0)
+        return float(np.mean(nonnegative_radius(sp.csr_array(unit))))
 
     @property
     def is_guaranteed(self) -> bool:
@@ -558,20 +546,12 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, Vector] 
     for _ in range(60):
         grown = np.abs(X) @ (right @ v)
         v = 0.5 * (v + grown / grown.max(initial=1e-300)) if np.isfinite(grown).all() else v
-    bounded = _inverse_bound(np.abs(X), error, spread, (right @ v) * (1.0 + unit)) * (
-        1.0 + 4.0 * unit
-    )
+    # |X|(b + |E|b + …), the tail of the series bounded by its norm
+    b = (right @ v) * (1.0 + unit)
+    tail = spread * spread / (1.0 - spread) * b.max(initial=0.0)
+    bounded = np.abs(X) @ (b + error @ b + tail) * (1.0 + 4.0 * unit)
     rate = float(np.max(bounded / v, initial=0.0))
     return (float(np.nextafter(rate, 2.0)), v) if rate < 1.0 - EPSILON else None
-
-
-def _inverse_bound(
-    size_of_inverse: FloatMatrix, error: FloatMatrix, spread: float, b: Vector
-) -> Vector:
-    """Return |X|(b + |E|b + …), the tail of the series bounded by its norm."""
-    tail = spread * spread / (1.0 - spread) * b.max(initial=0.0)
-    bound: Vector = size_of_inverse @ (b + error @ b + tail)
-    return bound
 
 
 @np.errstate(all="ignore")
@@ -623,7 +603,11 @@ def convergence_guarantee(
     method = method_of(algorithm, options)
     if method is not None:
         return _of_one(problem, method)
-    return _of_auto(problem, last_resort(problem))
+    # auto ends with this method, which runs to its end if the methods before it fail
+    last = _of_one(problem, method := last_resort(problem))
+    if not last.is_guaranteed:
+        return Guarantee(NOT_COVERED, last.theorem)
+    return Guarantee(GUARANTEED, f"after any other methods it runs {method.name}: {last.theorem}")
 
 
 def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
@@ -645,16 +629,11 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
     return Guarantee(NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem")
 
 
-def _of_auto(problem: LCP, method: Algorithm) -> Guarantee:
-    """Return the guarantee of the last method of auto, which runs to its end if the methods before it fail."""
-    last = _of_one(problem, method)
-    if not last.is_guaranteed:
-        return Guarantee(NOT_COVERED, last.theorem)
-    return Guarantee(GUARANTEED, f"after any other methods it runs {method.name}: {last.theorem}")
-
-
 def _full(problem: LCP, facts: IterationFacts, options: Container[str]) -> Guarantee:
-    paper = _paper_says(problem, facts)
+    paper = ""
+    if facts.family == PROJECTED_TYPE and not facts.is_scaled:
+        bounds = jacobi_radius(problem.matrix)
+        paper = theorem_4_2(facts, problem, bounds, _is_h_plus(problem))
     proof = _row_proof(problem, facts)
     if proof is not None:
         is_automatic = facts.relaxation is None and facts.family == PROJECTED_RELAXATION
@@ -662,9 +641,12 @@ def _full(problem: LCP, facts: IterationFacts, options: Container[str]) -> Guara
         speaks_of = "x" if facts.family == MODULUS else "z"
         return Guarantee(GUARANTEED, theorem_of(facts), rate, v, paper=paper, speaks_of=speaks_of)
     if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_UP_TO:
-        found = _by_theorem_4_1(problem, facts)
+        scaling: Any = 1.0 if facts.scaling is None else facts.scaling[:, None]
+        splitting: Any = facts.splitting
+        found = theorem_4_1(scaling * problem.csr.toarray(), scaling * splitting.toarray())
         if found is not None:
-            return found
+            known = f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {PAPER})"
+            return Guarantee(GUARANTEED, known, *found)
     theorem = _positive_definite(problem, facts)
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
@@ -687,19 +669,6 @@ def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
     )
 
 
-def _by_theorem_4_1(problem: LCP, facts: IterationFacts) -> Guarantee | None:
-    scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
-    splitting: Any = facts.splitting
-    found = theorem_4_1(
-        scaling[:, None] * problem.csr.toarray(), scaling[:, None] * splitting.toarray()
-    )
-    if found is None:
-        return None
-    return Guarantee(
-        GUARANTEED, f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {PAPER})", *found
-    )
-
-
 def _is_h_plus(problem: LCP) -> bool:
     return bool(np.all(problem.diagonal > 0.0)) and h_verdict(problem.matrix).is_h is True
 
@@ -715,12 +684,6 @@ def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
         return None
     report = analyze(problem)
     return theorem if report.is_symmetric and report.is_positive_definite else None
-
-
-def _paper_says(problem: LCP, facts: IterationFacts) -> str:
-    if facts.family != PROJECTED_TYPE or facts.is_scaled:
-        return ""
-    return theorem_4_2(facts, problem, jacobi_radius(problem.matrix), _is_h_plus(problem))
 
 
 def _nothing_known(problem: LCP, facts: IterationFacts) -> str:

@@ -248,11 +248,6 @@ class Choices(NamedTuple):
             self, {i: Fraction(value) for i, value in y.items() if value}, rows
         )
 
-    def closed_by(self, y: Mapping[int, Rational]) -> Margins | None:
-        """Return the margins of the piece by a Farkas vector; None if it does not prove that the piece is empty."""
-        found = self.contradiction(y)
-        return self.margins_of(found) if found.holds else None
-
     def margins_of(self, found: FarkasCertificate) -> Margins:
         """Return the margins of the piece by a certificate.
 
@@ -280,7 +275,7 @@ class Choices(NamedTuple):
         return next(margins), next(margins)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Infeasibility(NoSolutionProof):
     """A Farkas vector y: for no z within its bounds has w = M z + q only signs that the bounds permit.
 
@@ -416,9 +411,6 @@ class Infeasibility(NoSolutionProof):
             combined = f"{name(rows[0])} contradicts its bounds"
         return f"no z within its bounds gives w the signs it needs: {combined}; {how}"
 
-    def __repr__(self) -> str:
-        return f"Infeasibility({self})"
-
 
 def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infeasibility | None:
     """Return the proof that the linear constraints cannot be satisfied; None if they can be, or none was found.
@@ -533,7 +525,7 @@ class Case:
     y: Sequence[Rational] | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NoSolution(NoSolutionProof):
     """Proof that no z solves the problem: every leaf of a complete tree is exactly infeasible.
 
@@ -576,15 +568,15 @@ class NoSolution(NoSolutionProof):
             elif case.y is None or case.branches:
                 yield None
             else:
-                yield Choices(self.problem, path).closed_by(dict(enumerate(case.y)))
+                found = (piece := Choices(self.problem, path)).contradiction(
+                    dict(enumerate(case.y))
+                )
+                yield piece.margins_of(found) if found.holds else None
 
     def __str__(self) -> str:
         leaves = self.leaves
         cases = "the only case" if leaves == 1 else f"each of the {leaves} cases"
         return f"no solution: {cases} of an exhaustive search contradicts, exactly"
-
-    def __repr__(self) -> str:
-        return f"NoSolution({self})"
 
     def _cases(self) -> Iterator[tuple[Case, dict[int, str]]]:
         stack: list[tuple[Case, dict[int, str]]] = [(self.tree, {})]

@@ -135,43 +135,11 @@ def comparison_certificate(matrix: Matrix) -> HCertificate | None:
 
 @fact
 def h_verdict(matrix: Matrix) -> HVerdict:
-    """Return whether M is an H-matrix, with its proof."""
-    return decide(matrix.csr)
-
-
-def positive_margin(M: Any, v: Vector) -> Vector | None:
-    """Return a rigorous lower bound of ⟨M⟩v if it is positive on every row and v > 0, else None."""
-    if not ((v > 0.0) & np.isfinite(v)).all():
-        return None
-    value, radius = comparison_product(M, v)
-    margin = lower_end(value, radius)
-    doubtful = np.flatnonzero(~(margin > 0.0))
-    if doubtful.size > EXACT_ROWS:
-        return None
-    for row in doubtful:
-        exact = exact_comparison_row(M, v, int(row))
-        margin[row] = rounded_down(exact) if exact > 0 else 0.0
-        if not margin[row] > 0.0:
-            return None
-    return margin
-
-
-def is_nonpositive(M: Any, y: Vector) -> bool:
-    """Return whether ⟨M⟩y ≤ 0 is proven on every row, for y ≥ 0, y ≠ 0."""
-    if not (np.isfinite(y).all() and (y >= 0.0).all() and y.any()):
-        return False
-    value, radius = comparison_product(M, y)
-    doubtful = np.flatnonzero(~(upper_end(value, radius) <= 0.0))
-    return doubtful.size <= EXACT_ROWS and all(
-        exact_comparison_row(M, y, int(row)) <= 0 for row in doubtful
-    )
-
-
-def decide(M: Any) -> HVerdict:
     """Return whether ⟨M⟩ is a nonsingular M-matrix: v = 1, then solutions of ⟨M⟩v = |diag(M)| w for w = 1, then |v|.
 
     Weights |v| make the margin of every row relative to its own v.
     """
+    M = matrix.csr
     n = M.shape[0]
     zeros = np.flatnonzero(M.diagonal() == 0.0)
     if zeros.size:
@@ -202,6 +170,34 @@ def decide(M: Any) -> HVerdict:
             )
         weights = np.maximum(np.abs(x) / np.abs(x).max(), 1e-30)
     return HVerdict(None, "solutions of ⟨M⟩v = |diag(M)| pass neither check: ρ is 1 up to rounding")
+
+
+def positive_margin(M: Any, v: Vector) -> Vector | None:
+    """Return a rigorous lower bound of ⟨M⟩v if it is positive on every row and v > 0, else None."""
+    if not ((v > 0.0) & np.isfinite(v)).all():
+        return None
+    value, radius = comparison_product(M, v)
+    margin = lower_end(value, radius)
+    doubtful = np.flatnonzero(~(margin > 0.0))
+    if doubtful.size > EXACT_ROWS:
+        return None
+    for row in doubtful:
+        exact = exact_comparison_row(M, v, int(row))
+        margin[row] = rounded_down(exact) if exact > 0 else 0.0
+        if not margin[row] > 0.0:
+            return None
+    return margin
+
+
+def is_nonpositive(M: Any, y: Vector) -> bool:
+    """Return whether ⟨M⟩y ≤ 0 is proven on every row, for y ≥ 0, y ≠ 0."""
+    if not (np.isfinite(y).all() and (y >= 0.0).all() and y.any()):
+        return False
+    value, radius = comparison_product(M, y)
+    doubtful = np.flatnonzero(~(upper_end(value, radius) <= 0.0))
+    return doubtful.size <= EXACT_ROWS and all(
+        exact_comparison_row(M, y, int(row)) <= 0 for row in doubtful
+    )
 
 
 def _centred(v: Vector) -> Vector:

@@ -145,13 +145,11 @@ def is_positive_definite(P: Any) -> bool | None:
     >>> is_positive_definite(np.array([[1.0, 2.0], [2.0, 1.0]]))
     False
     """
+    if positive_definite_solver(P) is not None:
+        return True
     diagonal: Vector = np.array(P.diagonal())
     if not (diagonal > 0.0).all():
         return False
-    if is_diagonal(P):
-        return True
-    if positive_definite_solver(P) is not None:
-        return True
     unit, shift = scaled_to(P, 1.0 / np.sqrt(diagonal)), _margin(diagonal.size, diagonal.size)
     return (
         False

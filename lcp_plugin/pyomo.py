@@ -41,6 +41,11 @@ convex or not: SCIP searches if it is installed (``pip install '.[global]'``). W
   pairs. If one is violated, another solution of the pairs is searched, as with an objective. If none is found, the
   message names the violated condition.
 - A pair whose variable is fixed, for example the price of a numeraire, is checked in the same way.
+- **Square models**: ``solve(model, pairs="match")`` reads constraints and bounded variables as GAMS reads the pairs
+  ``market.price``, without ``Complementarity``. Constraints belong to the variables with the same indices, and
+  ``pairs=ComponentMap({m.market: m.price})`` states pairs that indices leave open. An equation is body − right-hand
+  side ≥ 0 at a lower bound, ≤ 0 at an upper bound, and 0 between. An inequality is its slack, ≥ 0 if the variable is at
+  its lower bound, as in ``pyomo.mpec``. Equations of variables without bounds need no pair. ``dual`` gets these rows.
 - Rejected with an error: disjunctions, functions that are not smooth or that SCIP does not have; without
   complementarities also integers, nonlinear rows if there is an objective, objectives that are not convex.
 - Pyomo's own ``mpec.nl`` is not used: in 6.10 it fails on the pair of a range and an expression, states another problem
@@ -163,6 +168,7 @@ class LCPPlugin:
         load_solutions: bool = True,
         timelimit: float | None = None,
         options: dict[str, Any] | None = None,
+        pairs: Any = None,
         keepfiles: bool = False,
         symbolic_solver_labels: bool = False,
         warmstart: bool = True,
@@ -182,6 +188,8 @@ class LCPPlugin:
             Limit in seconds.
         options : dict, optional
             Options of this solve, in addition to ``self.options``.
+        pairs : "match" or ComponentMap, optional
+            Read a square model as a mixed complementarity problem; see **Square models** above.
         keepfiles : bool
             Keep the ``.nl`` file of the solved problem, in a new folder, and print its path.
         symbolic_solver_labels : bool
@@ -200,7 +208,7 @@ class LCPPlugin:
         chosen = {**self.options, **(options or {}), "verbose": bool(tee)}
         if timelimit is not None:
             chosen["max_seconds"] = timelimit
-        answer = answered(model, chosen)
+        answer = answered(model, chosen, pairs)
         if keepfiles:
             path = Path(mkdtemp(prefix=f"{NAME}_", dir=Path.cwd())) / "model.nl"
             has_names, content = symbolic_solver_labels, answer.statement.in_a_file

@@ -27,6 +27,7 @@ from ..core.representation import format_count
 from ..core.settings import Status
 from .nl.model import ComplementarityModel, NLAnswer, ProgramModel, model_of, values_and_slopes
 from .nl.reading import NLContent, read_content
+from .pyomo_pairs import square_pairs
 
 KINDS = "Block Constraint Expression ExternalFunction Objective Param RangeSet Set Suffix Var"
 KNOWN = {Complementarity, Port} | {getattr(core, kind) for kind in KINDS.split()}
@@ -83,7 +84,7 @@ class Pair(NamedTuple):
 
     Attributes
     ----------
-    stated : ComplementarityData
+    stated : ComplementarityData or ConstraintData
     held : PairSide
     row : expression
         ≥ 0 if the held body is at its lower bound, ≤ 0 at its upper bound, 0 between.
@@ -175,6 +176,27 @@ def paired(stated: Any, sides: Sequence[PairSide], is_taken: Callable[[Any], boo
     return Pair(stated, held, slack if math.isfinite(held.lower) else -slack)
 
 
+def pair_of(row: Any, variable: Any) -> Pair:
+    """Return the pair of a constraint and a variable: an equation F = 0 gives F, an inequality its slack, as in mpec.
+
+    Raises
+    ------
+    UnsupportedModel
+        If the constraint is a range, or an inequality whose variable has no bounds.
+    """
+    lower, upper = _own_bounds(variable)
+    low, high = _own_bounds(row)
+    held, side = PairSide(lower, variable, upper), PairSide(low, row.body, high)
+    if side.is_equation:
+        return Pair(row, held, difference(row.body, row.lb) if row.lb else row.body)
+    if side.bounds != 1 or not (held.bounds or variable.fixed):
+        raise UnsupportedModel(
+            f"{row.name} cannot be the row of {variable.name}: a range has no pair, and an inequality needs a "
+            "variable with bounds; write an equation, or give the variable its bound"
+        )
+    return Pair(row, held, side.slack if math.isfinite(lower) or not held.bounds else -side.slack)
+
+
 # --- Models ------------------------------------------------------------------------------------------------------
 
 
@@ -210,8 +232,14 @@ class PyomoStatement:
         return replace(content, partner_bounds=bits)
 
 
-def stated(model: Any) -> PyomoStatement:
+def stated(model: Any, pairs: Any = None) -> PyomoStatement:
     """Return the content of a Pyomo model or of one of its blocks, without changing the model.
+
+    Parameters
+    ----------
+    model : ConcreteModel or Block
+    pairs : "match" or mapping, optional
+        Of :func:`lcp_plugin.interfaces.pyomo_pairs.square_pairs`.
 
     Raises
     ------
@@ -231,8 +259,11 @@ def stated(model: Any) -> PyomoStatement:
     conditions, constraints = [*active(Complementarity)], [*active(core.Constraint)]
     objectives = [*active(core.Objective)]
     sides = [sides_of(condition) for condition in conditions]
+    matched = [] if pairs is None else square_pairs(constraints, pairs)
+    own = {id(row) for row, _ in matched}
+    constraints = [row for row in constraints if id(row) not in own]
     has_pairs = any(not any(side.is_equation for side in pair) for pair in sides)
-    has_pairs |= any(hasattr(row, "_complementarity") for row in constraints)
+    has_pairs |= bool(matched) or any(hasattr(row, "_complementarity") for row in constraints)
     if has_pairs:
         objectives = [one for one in objectives if not cannot_vary(one.expr)]
     if len(objectives) > 1:
@@ -242,6 +273,8 @@ def stated(model: Any) -> PyomoStatement:
     is_whole = any(not one.is_continuous() for one in active(core.Var))
     draft = _Draft(constraints, objectives, is_search=bool(objectives) or is_whole)
     draft.pair(conditions, sides)
+    for row, variable in matched:
+        draft.hold(pair_of(row, variable))
     return draft.written(has_pairs)
 
 
@@ -409,8 +442,9 @@ class _Draft:
         return max(lower, held.lower) <= min(upper, held.upper)
 
 
-def _own_bounds(variable: Any) -> tuple[float, float]:
-    lower, upper = variable.bounds
+def _own_bounds(component: Any) -> tuple[float, float]:
+    """Return the bounds of a variable or constraint."""
+    lower, upper = component.lb, component.ub
     return -math.inf if lower is None else lower, math.inf if upper is None else upper
 
 
@@ -495,9 +529,9 @@ def problem_and_point(model: Any) -> tuple[Any, Any]:
     return found.problem, content.start[found.unknowns]
 
 
-def answered(model: Any, options: dict[str, Any]) -> PyomoAnswer:
+def answered(model: Any, options: dict[str, Any], pairs: Any = None) -> PyomoAnswer:
     """Return the solution of a Pyomo model, which is not changed, by options of :func:`lcp_plugin.solve`."""
-    statement = stated(model)
+    statement = stated(model, pairs)
     content, added = statement.content, sorted(statement.added)[:SOME]
     try:
         problem = model_of(content)

@@ -25,21 +25,6 @@ EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 
 
-def scene_names(incomplete: str) -> list[str]:
-    """Return the test problems that begin so; the shell completes files."""
-    from .. import gallery
-
-    return [name for name in gallery.names() if name.startswith(incomplete)]
-
-
-def algorithm_names(incomplete: str) -> list[str]:
-    """Return the algorithms that begin so."""
-    from ..algorithms import REGISTRY
-    from ..engines import ENGINES
-
-    return [name for name in ("auto", *REGISTRY, *ENGINES) if name.startswith(incomplete)]
-
-
 def _ending(exit_codes: str, *examples: str) -> str:
     """Return the text below a help page."""
     lines = [f"  lcp-plugin {words}" for words in examples]
@@ -66,18 +51,11 @@ Target = Annotated[
     typer.Argument(
         help="A file, a folder with M.mtx and q.mtx, or a test problem: name:key=value,…. A file is an .npz or .mat "
         "with M, q (an LCP), with P, q, A, l, u or the like (a program), with A, b (least squares), with W, q, mu "
-        "(contacts with friction), an .nl, .qps, .mps, .lp, or an .h5 of fclib.",
-        autocompletion=scene_names,
+        "(contacts with friction), an .nl, .qps, .mps, .lp, or an .h5 of fclib."
     ),
 ]
 AlgorithmName = Annotated[
-    str,
-    typer.Option(
-        "--algorithm",
-        "-a",
-        help="A name that `lcp-plugin list` shows, or auto.",
-        autocompletion=algorithm_names,
-    ),
+    str, typer.Option("--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.")
 ]
 
 
@@ -271,10 +249,7 @@ def compare(
     algorithm: Annotated[
         list[str] | None,
         typer.Option(
-            "--algorithm",
-            "-a",
-            help="A name that `lcp-plugin list` shows; again for another.",
-            autocompletion=algorithm_names,
+            "--algorithm", "-a", help="A name that `lcp-plugin list` shows; again for another."
         ),
     ] = None,
     reference: Annotated[
@@ -289,20 +264,13 @@ def compare(
 ) -> bool:
     """Measure error against run time of several algorithms on one problem."""
     from ..evidence.study import error_against_time
-    from .solving import check_outputs, moving_line, read_lcp
+    from .solving import check_outputs, read_lcp
 
     check_outputs(target, plot, out, ".csv")
     given = read_lcp(target, "lcp-plugin compare", size)
     limits = _given(tolerance=tolerance, max_seconds=max_seconds)
-    with moving_line(target) as say:
-        found = error_against_time(
-            given.test_problem or given.problem,
-            algorithm,
-            reference or (),
-            repeats=repeats,
-            progress=say,
-            **limits,
-        )
+    problem = given.test_problem or given.problem
+    found = error_against_time(problem, algorithm, reference or (), repeats=repeats, **limits)
     typer.echo(found.explain())
     for path in filter(None, (plot, out)):
         found.save(path)

@@ -6,10 +6,8 @@ A target is a file, a folder, or the name of a test problem.
 from __future__ import annotations
 
 import json
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,11 +27,9 @@ from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
 
 if TYPE_CHECKING:
-    from ..core.checks import Vector
-    from ..core.solving.result import Sample
+    pass
 
 MAX_VALUES = 20  # values of x that are printed
-UPDATE_SECONDS = 0.1
 
 
 class Target(NamedTuple):
@@ -170,13 +166,10 @@ def _steps(
     if isinstance(problem, ConeProblem | FrictionalContact) and algorithm in METHODS:
         chosen, options = made(METHODS[algorithm], algorithm, options), {}
     options = options | settings
-    with moving_line("") as say:
-        if say is not None and isinstance(problem, LCP):
-            options = options | {"callback": steps_on(say)}
-        answers = [solve(problem, chosen, **start, **options)]
-        while answers[-1].is_solved and scene is not None and len(answers) < scene.steps:
-            problem = problem.with_q(scene.advance(answers[-1].z))
-            answers.append(solve(problem, chosen, z0=answers[-1].z, **options))
+    answers = [solve(problem, chosen, **start, **options)]
+    while answers[-1].is_solved and scene is not None and len(answers) < scene.steps:
+        problem = problem.with_q(scene.advance(answers[-1].z))
+        answers.append(solve(problem, chosen, z0=answers[-1].z, **options))
     return answers
 
 
@@ -220,40 +213,6 @@ def _values(given: Target, answer: Any, x: Any) -> list[str]:
     values = zip(names[:MAX_VALUES], x[:MAX_VALUES], strict=True)
     lines = [f"{name:<{width}}  {value:.9g}" for name, value in values]
     return lines + ([f"and {rest} more values; --out saves them"] if rest > 0 else [])
-
-
-# --- The terminal --------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def moving_line(text: str) -> Iterator[Callable[[str], None] | None]:
-    """Show a line on stderr while something runs, and yield the function that changes it; None without a terminal."""
-    if not (sys.stderr and sys.stderr.isatty()):
-        yield None
-        return
-    from rich.console import Console
-    from rich.markup import escape
-
-    with Console(stderr=True).status(escape(text)) as status:
-        yield lambda text: status.update(escape(text))
-
-
-def steps_on(say: Callable[[str], None]) -> Callable[[Sample, Vector], bool]:
-    """Return a callback of `solve` that shows the progress of the run."""
-    last = -UPDATE_SECONDS
-
-    def show(sample: Sample, z: Vector) -> bool:
-        nonlocal last
-        if sample.seconds >= last + UPDATE_SECONDS:
-            last = sample.seconds
-            residual = "" if sample.residual is None else f", residual {sample.residual:.2e}"
-            keys = "(Ctrl-C stops and keeps the best)"
-            say(
-                f"{sample.label}: iteration {sample.iteration}{residual}, {sample.seconds:.1f} s  {keys}"
-            )
-        return False
-
-    return show
 
 
 # --- Options --------------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..algorithms import REGISTRY, create, paper_options
+from ..algorithms import create, paper_options
 from ..api import solve
 from ..auto import method_of
 from ..core.algorithm import Algorithm
@@ -28,14 +28,6 @@ from ..gallery.scene import Scene
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 POINT = ("iteration", "work", "seconds", "seconds_low", "seconds_high", "error", "residual")
 SINGLE_POINTS = ("reference", "polish")  # families
-FAMILIES = {
-    **dict.fromkeys(("npj", "npgs", "npsor", "npaor", "npsplitting"), "projected-type (NP)"),
-    **dict.fromkeys(("pj", "pgs", "psor", "paor"), "projected relaxation (P)"),
-    **dict.fromkeys(("mj", "mgs", "msor", "maor"), "modulus (M)"),
-    "gfp": "general fixed point (GFP)",
-    "multigrid": "multigrid",
-    "auto": "auto",
-}
 PAPER_RELAXATION, PAPER_MSOR = 1.7, 0.85
 
 Measure = Callable[[Vector], tuple[float, float]]
@@ -54,8 +46,8 @@ class Measurement:
     n, nonzeros : int
         0 if the problem could not be built.
     method, family : str
-        Label of the method, and the family of algorithms it belongs to; "reference" for a convex solver; "polish" for
-        the linear solve on the active set that `solve` makes after the last iterate of the method.
+        Label of the method, and "method"; "reference" for a convex solver; "polish" for the linear solve on the active
+        set that `solve` makes after the last iterate of the method.
     status : str
         Name of a :class:`lcp_plugin.Status`, or cvxpy's status of a reference. REFUSED if the method rejects the
         problem; ERROR if it raised another error.
@@ -269,24 +261,12 @@ def _error_bound(
 
 @dataclass(frozen=True)
 class Method:
-    """A label, the algorithm ("auto" or an object), its family, and the choice of its options."""
+    """A label, the algorithm ("auto" or an object), its role in a study, and the choice of its options."""
 
     label: str
     algorithm: str | Algorithm
-    family: str
+    family: str = "method"
     note: str = ""
-
-
-def family_of(algorithm: str | Algorithm) -> str:
-    """Return the family of an algorithm.
-
-    Examples
-    --------
-    >>> family_of("npsor"), family_of("psor"), family_of("newton")
-    ('projected-type (NP)', 'projected relaxation (P)', 'factorizing and pivoting')
-    """
-    name = algorithm if isinstance(algorithm, str) else algorithm.name
-    return FAMILIES.get(name, "factorizing and pivoting" if name in REGISTRY else "other")
 
 
 def methods_of(given: Any) -> list[Method]:
@@ -342,7 +322,7 @@ def _method(label: Any, one: Any) -> Method:
             'a method is a name, an Algorithm object or a pair as ("npsor", {"relaxation": 1.5}), '
             f"got {one!r}"
         )
-    return Method(str(label) if label else _label(one), one, family_of(one))
+    return Method(str(label) if label else _label(one), one)
 
 
 def _label(algorithm: str | Algorithm) -> str:
@@ -362,11 +342,11 @@ def _paper_settings() -> Iterator[Method]:
         ("msor", PAPER_MSOR),
     ):
         algorithm = create(name, paper_options(name, relaxation))
-        yield Method(f"{name.upper()} paper", algorithm, family_of(name), "the paper's settings")
+        yield Method(f"{name.upper()} paper", algorithm, note="the paper's settings")
 
 
 def _own_settings() -> Iterator[Method]:
     for name in ("npgs", "npsor", "npaor", "gfp", "pgs", "psor", "multigrid"):
         label = name if name == "multigrid" else name.upper()
-        yield Method(label, create(name, {}), family_of(name))
-    yield Method("auto", "auto", family_of("auto"))
+        yield Method(label, create(name, {}))
+    yield Method("auto", "auto")

@@ -141,11 +141,6 @@ class Study:
     notes: tuple[str, ...] = ()
     is_complete: bool = True
 
-    @property
-    def methods(self) -> dict[str, str]:
-        """The family of each method by its label."""
-        return {row.method: row.family for row in self.rows}
-
     def row(self, method: str, problem: str | None = None, size: int | None = None) -> Measurement:
         """Return the first row of a method, of a problem and a size if they are given.
 
@@ -157,7 +152,9 @@ class Study:
         for row in self.rows:
             if row.method == method and problem in (None, row.problem) and size in (None, row.size):
                 return row
-        raise InvalidOption(f"no row of {method!r}{did_you_mean(method, self.methods)}")
+        raise InvalidOption(
+            f"no row of {method!r}{did_you_mean(method, [row.method for row in self.rows])}"
+        )
 
     def _groups(self, key: Callable[[Measurement], Any]) -> dict[Any, list[Measurement]]:
         groups: dict[Any, list[Measurement]] = {}
@@ -485,7 +482,7 @@ def study(
         max_seconds=max_seconds,
     )
     work = partial(_measured_job, measure)
-    here = ((k, measure(*job, progress or _say_nothing)) for k, job in enumerate(jobs))
+    here = ((k, measure(*job, progress or str)) for k, job in enumerate(jobs))
     rows: list[list[Measurement]] = [[] for _ in jobs]
     notes: dict[str, None] = {}
     is_complete = False
@@ -508,13 +505,9 @@ def study(
     return Study(tuple(chain(*rows)), tuple(notes), is_complete)
 
 
-def _say_nothing(_: str) -> None:
-    """Print nothing."""
-
-
 def _measured_job(measure: Any, job: Any) -> list[Measurement | str]:
     """Return the rows and notes of one problem of one size, on a worker."""
-    return [*measure(*job, _say_nothing)]
+    return [*measure(*job, str)]
 
 
 def error_against_time(

@@ -222,8 +222,6 @@ def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
     if scene.exact is not None:
         exact = scene.exact
         kind, error = TRUE_ERROR, lambda z: float(np.abs(z - exact).max(initial=0.0))
-    elif scene.is_declared and not scene.is_h_plus:
-        kind, reason = RESIDUAL, "no bound of the error: M is not declared to be an H₊-matrix"
     else:
         error, reason = _error_bound(problem, scene.start, max_seconds)
         kind = RESIDUAL if error is None else BOUND

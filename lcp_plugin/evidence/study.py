@@ -670,7 +670,7 @@ def _build_problem(given: Any, label: str, size: int | None) -> Scene:
     if isinstance(given, tuple) and 2 <= len(given) <= 4:
         given = LCP(given[0], given[1], **dict(zip(("lower", "upper"), given[2:], strict=False)))
     if isinstance(given, LCP):
-        return Scene(problem=given, name=label, is_declared=False)
+        return Scene(problem=given, name=label)
     if isinstance(given, Scene):
         return given
     raise InvalidOption(

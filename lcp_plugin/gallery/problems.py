@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.checks import Vector
 from ..core.lcp import LCP
 from ..problems.reformulations import lcp_from_bimatrix_game
-from .scene import SYMMETRIC, Scene, require, scene_builder
+from .scene import Scene, require, scene_builder
 from .stencil import (
     Field,
     balanced_matrix,
@@ -77,12 +77,10 @@ def obstacle_2d(*, size: int = 100, shifted: bool = False) -> Scene:
     return Scene(
         problem=LCP(M, q, lower=lower),
         continuum=continuum,
-        active_share=float(np.mean(radius < CONTACT_RADIUS)),
         coordinates=(axis[1:-1], axis[1:-1]),
         axis_labels=("x", "y"),
         unknown="height",
         active_means="on the obstacle",
-        **SYMMETRIC,
     )
 
 
@@ -129,10 +127,10 @@ def convection_diffusion(
     M = balanced_matrix(
         (size, size), ([scale * leg for leg in below], [scale * leg for leg in above])
     )
-    return pulled_membrane(M, size, scale, is_symmetric=size == 1, is_h_plus=True)
+    return pulled_membrane(M, size, scale)
 
 
-def pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0, **facts: Any) -> Scene:
+def pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0) -> Scene:
     """Return the test problem of a membrane above the ground that the force f pulls up and down."""
     axis = nodes(0.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
@@ -144,7 +142,6 @@ def pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0, **facts: Any
         axis_labels=("x", "y"),
         unknown="height",
         active_means="on the ground",
-        **facts,
     )
 
 
@@ -191,7 +188,6 @@ def journal_bearing(
     source = eccentricity * np.sin(angle[1:-1]) * (step * depth)
     return Scene(
         problem=LCP(M, -np.repeat(source, size)),
-        **SYMMETRIC,
         coordinates=(angle[1:-1], width[1:-1]),
         axis_labels=("angle", "width"),
         unknown="pressure",
@@ -254,8 +250,6 @@ def elastic_plastic_torsion(
             upper=bound,
         ),
         continuum=continuum,
-        **SYMMETRIC,
-        active_share=None if continuum is None else float(np.mean(np.abs(continuum) == bound)),
         unknown="stress function",
         active_means="plastic",
         coordinates=(axis, axis),
@@ -302,7 +296,7 @@ def bimatrix_game(*, game: str = "battle_of_the_sexes") -> Scene:
     problem = lcp_from_bimatrix_game(row_payoffs, column_payoffs)
     M = problem.csr.toarray()
     exact = None if unique is None else _scaled(M, *unique)
-    return Scene(problem=problem, exact=exact, is_symmetric=np.array_equal(M, M.T))
+    return Scene(problem=problem, exact=exact)
 
 
 def _scaled(M: NDArray[np.float64], row: list[float], column: list[float]) -> Vector:
@@ -405,8 +399,6 @@ def american_put_march(
     inside = payoff[1:-1]
     return Scene(
         problem=LCP(M, advance(inside), lower=inside),
-        is_symmetric=below == above,
-        is_h_plus=True,
         coordinates=(strike * np.exp(log_price[1:-1]),),
         axis_labels=("spot price",),
         unknown="option price",
@@ -550,8 +542,6 @@ def _paper_scene(n: int, delta: float, below: float, above: float) -> Scene:
         problem=LCP(M, -(M @ exact)),
         exact=exact,
         start=np.resize([1.0, 0.0], n),
-        is_symmetric=below == above,
-        is_h_plus=True,
         grid=(side, side),
         axis_labels=("row", "column"),
     )
@@ -594,7 +584,6 @@ def half_active(
         exact=exact,
         grid=(side, side),
         axis_labels=("row", "column"),
-        **SYMMETRIC,
     )
 
 
@@ -655,7 +644,7 @@ def random_h_plus(
 
     q = row_power * (w - A @ z)
     A.data *= np.repeat(row_power, np.diff(A.indptr)) * column_power[A.indices]
-    return Scene(problem=LCP(A, q), exact=z / column_power, is_h_plus=True)
+    return Scene(problem=LCP(A, q), exact=z / column_power)
 
 
 def _random_dominant(generator: Any, n: int, entries_per_row: int) -> sp.csr_array:

@@ -19,7 +19,6 @@ from ..core.lcp import LCP
 from ..core.settings import parse_options
 
 SIZES = {"n", "size", "block", "bumps", "goods", "steps"}  # parameters that are at least 1
-SYMMETRIC: dict[str, Any] = {"is_symmetric": True, "is_h_plus": True}
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -40,12 +39,6 @@ class Scene:
         The solution of the differential problem at the nodes; it differs from z* by the discretization error.
     start : shape (n,), optional
         Start vector prescribed by the source.
-    is_symmetric, is_h_plus : bool
-        True if M is known to be so.
-    is_declared : bool
-        False if nothing is known of M, as in a user's own problem; its properties are then computed.
-    active_share : float, optional
-        Share of components at a bound, in [0, 1]: of `exact` if it is known, or of `continuum`.
     grid : optional
         Shape in which z can be plotted, C order; the shape of the coordinates if there are any.
     coordinates : optional
@@ -82,10 +75,6 @@ class Scene:
     exact: Vector | None = None
     continuum: Vector | None = None
     start: Vector | None = None
-    is_symmetric: bool = False
-    is_h_plus: bool = False
-    is_declared: bool = True
-    active_share: float | None = None
     grid: tuple[int, ...] | None = None
     coordinates: tuple[Vector, ...] | None = None
     axis_labels: tuple[str, ...] = ()
@@ -103,10 +92,6 @@ class Scene:
                         f"{fact} must have shape ({self.n},) like z, got {values.shape}"
                     )
                 object.__setattr__(self, fact, read_only(values))
-        if self.exact is not None and self.active_share is None and self.n:
-            lower, upper = self.problem.lower, self.problem.upper
-            share = float(np.mean((self.exact <= lower) | (self.exact >= upper)))
-            object.__setattr__(self, "active_share", share)
         if self.coordinates is not None and self.grid is None:
             object.__setattr__(self, "grid", tuple(axis.size for axis in self.coordinates))
         if self.grid is not None and math.prod(self.grid) != self.n:

@@ -69,6 +69,6 @@ def linear_solve(scene: Scene, hierarchy: str) -> str:
     """Solve M x = −q by a Ruge–Stüben hierarchy of pyamg's with CG (BiCGStab where M is not symmetric) to 1e-8."""
     problem, residuals = scene.problem, list[float]()
     built = pyamg.ruge_stuben_solver(sp.csr_matrix(problem.csr), **PYAMG[hierarchy])
-    accelerator = "cg" if scene.is_symmetric else "bicgstab"
+    accelerator = "cg" if abs(problem.csr - problem.csr.T).nnz == 0 else "bicgstab"
     built.solve(-problem.q, tol=TOLERANCE, accel=accelerator, maxiter=200, residuals=residuals)
     return f"pyamg {hierarchy}, {accelerator}, {len(residuals) - 1} iterations"

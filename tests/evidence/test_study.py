@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg
-from inputs import membranes
 from legends import hides_nothing
 
 from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnknownAlgorithm, gallery, solve
@@ -195,9 +194,6 @@ def test_the_error_is_the_true_one_then_a_bound_then_the_residual() -> None:
     assert all(bound >= found[int(k)] - 1e-12 for k, bound in bounds.items())
     assert bounds[5.0] < (1.0 + 1e-9) * found[5]
     assert measured(scene(), "pgs").error_kind == "true error"
-    other = error_against_time(membranes.build("rotated_anisotropy", size=8), ["pgs"], repeats=1)
-    assert other.rows[0].error_kind == "residual"
-    assert "M is not declared to be an H₊-matrix" in other.notes[0]
 
 
 def convection(size: int) -> LCP:

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from lcp_plugin import LCP, gallery
 from lcp_plugin.core.settings import parse_options
 from lcp_plugin.gallery.problems import CONE_BEGINS, pulled_membrane, sphere_obstacle
-from lcp_plugin.gallery.scene import SYMMETRIC, Scene
+from lcp_plugin.gallery.scene import Scene
 from lcp_plugin.gallery.stencil import (
     Field,
     balanced_matrix,
@@ -55,10 +55,9 @@ def obstacle_3d(*, size: int = 30, shifted: bool = False) -> Scene:
     return Scene(
         problem=LCP(M, q, lower=lower),
         continuum=continuum,
-        active_share=float(np.mean(radius < CONTACT_RADIUS)),
         coordinates=(axis[1:-1],) * 3,
         axis_labels=("x", "y", "z"),
-        **SYMMETRIC | MEMBRANE,
+        **MEMBRANE,
     )
 
 
@@ -94,7 +93,7 @@ def coefficient_jumps(*, size: int = 100, contrast: float = 1e6, seed: int = 0) 
     block = np.minimum(np.arange(size + 1) * BLOCKS // (size + 1), BLOCKS - 1)
     cells = stiffness[np.ix_(block, block)]
     M = balanced_matrix((size, size), stiff_cells(cells))
-    return pulled_membrane(M, size, **SYMMETRIC)
+    return pulled_membrane(M, size)
 
 
 def rotated_anisotropy(*, size: int = 100, ratio: float = 1e-4, degrees: float = 30.0) -> Scene:
@@ -127,7 +126,7 @@ def rotated_anisotropy(*, size: int = 100, ratio: float = 1e-4, degrees: float =
         - 2.0 * mixed * sp.kron(slope, slope)
     )
     M.eliminate_zeros()
-    return pulled_membrane(M, size, is_symmetric=True, is_h_plus=size == 1)
+    return pulled_membrane(M, size)
 
 
 BUILDERS: dict[str, Callable[..., Scene]] = {

@@ -32,7 +32,7 @@ def murty(*, n: int = 50, orientation: str = "upper") -> Scene:
     M = np.eye(n) + (np.triu(twos, 1) if orientation == "upper" else np.tril(twos, -1))
     exact = np.zeros(n)
     exact[-1 if orientation == "upper" else 0] = 1.0
-    return Scene(problem=LCP(M, np.full(n, -1.0)), exact=exact, is_symmetric=n == 1, is_h_plus=True)
+    return Scene(problem=LCP(M, np.full(n, -1.0)), exact=exact)
 
 
 def scaling_trap() -> Scene:
@@ -49,5 +49,4 @@ def scaling_trap() -> Scene:
         problem=LCP(M, [-210.0, -110.0, 150.0]),
         exact=np.array([1.0, 1.0, 0.0]),
         start=np.array([1.0, 1.0, 0.001]),
-        is_h_plus=True,
     )

@@ -227,7 +227,7 @@ def _ends_of_paths(M: Vector, q: Vector, lower: Vector, upper: Vector) -> Any:
     free = (lower == -np.inf) & (upper == np.inf)
     if not free.any():
         table, numbers = np.empty((n + 9, n + 1)), np.empty((2, 2 * n + 1), np.int64)
-        follow_paths(M, q, lower, upper, _tilts(n), table, numbers, sides)
+        follow_paths(M, q, lower, upper, tilts(n), table, numbers, sides)
         return sides
     for pattern in np.unique(free, axis=0):
         items = np.flatnonzero((free == pattern).all(1))
@@ -248,7 +248,7 @@ def _ends_of_paths(M: Vector, q: Vector, lower: Vector, upper: Vector) -> Any:
 
 
 @cache
-def _tilts(n: int) -> Vector:
+def tilts(n: int) -> Vector:
     """Return the perturbations of q on a path, in units of PERTURBED times the largest |q_i|."""
     return read_only(np.random.default_rng(1).uniform(1.0, 2.0, n))
 

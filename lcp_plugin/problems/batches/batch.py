@@ -29,6 +29,7 @@ from ..programs.program_matrices import refuse_nonconvex
 from ..programs.solving import programs_for
 from .batch_run import BatchAnswers, BatchRun
 from .instances import Listed, RightSides, Stacked, Worlds
+from .on_device import DeviceAnswers, is_on_gpu
 from .program_batch import ProgramBatch
 
 P = TypeVar("P", LCP, QuadraticProgram)
@@ -107,6 +108,8 @@ def solve_batch(
         At least 32 LCPs of one size with at most 128 unknowns are solved in a compiled loop; small problems over the
         same cones and programs of one shape are solved as stacks; others are solved one by one. Arrays of shape
         (B, n, n) are not copied: do not change their entries while you use the result.
+        Arrays of PyTorch, CuPy or JAX on a GPU of NVIDIA stay there: M and q, n at most 70, and bounds. Each thread of
+        the GPU solves one problem; problems whose points a sufficient test does not accept are solved on the host.
     q : array, shape (B, n) or (n,)
         For one QuadraticProgram the vectors c, shape (B, n), or the mappings; for one BoundedLeastSquares the vectors
         b, shape (B, m).
@@ -132,12 +135,12 @@ def solve_batch(
 
     Returns
     -------
-    BatchAnswers
+    BatchAnswers or DeviceAnswers
         Arrays x, status, objective and iterations with one row per problem, and ``explain()``; a sequence of the
         results of :func:`lcp_plugin.solve`. Accessing an invalid problem raises its error. Each problem has its own
         certificate; a program is tested as in
         :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`. A NaN or an infeasible problem does not
-        affect the others. After Ctrl-C the remaining problems are INTERRUPTED.
+        affect the others. After Ctrl-C the remaining problems are INTERRUPTED. For arrays on a GPU, x and w are there.
 
     Raises
     ------
@@ -187,6 +190,15 @@ def solve_batch(
     for name in ("absolute_tolerance", "prove_infeasibility"):  # which some classes lack
         if name in given and given[name] == DEFAULTS[name]:
             del given[name]
+    if any(map(is_on_gpu, (M, q, lower, upper))):
+        if not (z0 is callback is executor is None and algorithm == "auto"):
+            raise InvalidOption(
+                "arrays on a GPU take no z0, callback, executor or algorithm; leave them out, or copy the arrays to "
+                "the host"
+            )
+        bounds = 0.0 if lower is None else lower, np.inf if upper is None else upper
+        answers: Any = DeviceAnswers(M, q, *bounds, given)
+        return answers
     programs = _programs_of(M, q, lower, upper, z0)
     if programs is not None:
         if z0 is not None or "absolute_tolerance" in given:

@@ -1,0 +1,223 @@
+"""Small LCPs in arrays on a GPU (PyTorch, CuPy, JAX): solved there, with results in the library of the arrays.
+
+The kernels of the compiled loop solve the problems, one thread per problem, and test the points. A problem whose point
+the sufficient test does not accept is copied to the host, and solved there as in arrays of numpy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...core.checks import INFINITE_LIMIT, read_only
+from ...core.deadline import Clock, pause_for_compilation
+from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
+from ...core.lcp import LCP
+from ...core.settings import Settings, Status
+from ...core.solving.result import Result, StageRecord
+from ...methods.small import tilts
+from ..many import AnswerSequence
+from .batch_run import BatchRun
+from .instances import Stacked
+
+MAX_UNKNOWNS = 70
+MAX_SCRATCH = 2**30  # bytes of the tables of one launch
+THREADS = 32  # per block: one warp, so that a small batch occupies many processors
+ON_GPU = 2, 13  # device types of DLPack: memory of CUDA, managed memory of CUDA
+
+
+def is_on_gpu(array: Any) -> bool:
+    """Return whether an array is in the memory of a GPU, by its array protocols."""
+    if hasattr(array, "__cuda_array_interface__"):
+        return True
+    return hasattr(array, "__dlpack_device__") and array.__dlpack_device__()[0] in ON_GPU
+
+
+def _modules() -> tuple[Any, Any]:
+    """Return CuPy and the kernels."""
+    try:
+        return import_module("cupy"), import_module("lcp_plugin.core.kernels.small_lcps_on_gpu")
+    except ImportError as error:
+        raise ImportError(
+            f"arrays on a GPU need numba-cuda and CuPy ({error}): pip install 'numba-cuda[cu13]' cupy-cuda13x (or "
+            "lcp_plugin[gpu]), with CUDA 12 'numba-cuda[cu12]' cupy-cuda12x; or copy the arrays to the host"
+        ) from error
+
+
+def _library(array: Any) -> Callable[[Any], Any]:
+    """Return the function that passes an array of CuPy to the library of `array`, without a copy."""
+    has_namespace = hasattr(array, "__array_namespace__")
+    name = type(array).__module__.partition(".")[0]
+    space = array.__array_namespace__() if has_namespace else import_module(name)
+    return getattr(space, "from_dlpack", lambda own: own)  # type: ignore[no-any-return]
+
+
+class DeviceData(NamedTuple):
+    """Arrays of CuPy: M of shape (B or 1, n, n), and vectors of shape (B, n)."""
+
+    M: Any
+    q: Any
+    lower: Any
+    upper: Any
+
+    @classmethod
+    def of(cls, xp: Any, **given: Any) -> DeviceData:
+        """Return checked arrays; a number is a bound of all rows."""
+        for name, one in given.items():
+            if not (is_on_gpu(one) or (name in ("lower", "upper") and np.ndim(one) == 0)):
+                raise InvalidProblem(
+                    f"{name} must be an array on the GPU, as others of this batch are, got {type(one).__name__}; copy "
+                    "it there, or the others to the host"
+                )
+        arrays = [xp.asarray(one) for one in given.values()]
+        shapes = [one.shape for one in arrays]
+        n = shapes[0][-1] if len(shapes[0]) in (2, 3) else 0
+        try:
+            shape = np.broadcast_shapes((1, n), (*shapes[0][:-2], n), *shapes[1:])
+        except ValueError:
+            shape = ()
+        is_real = all(one.dtype.kind in "biuf" for one in arrays)
+        if not is_real or len(shape) != 2 or shape[1] != n or shapes[0][-2] != n:
+            raise InvalidProblem(
+                "M must have shape (B, n, n) or (n, n), q and bounds (B, n) or (n,), all with real entries; got "
+                + ", ".join(
+                    f"{name} {one.shape} {one.dtype}"
+                    for name, one in zip(given, arrays, strict=True)
+                )
+            )
+        if not 0 < n <= MAX_UNKNOWNS:
+            raise UnsuitableProblem(
+                f"a GPU solves LCPs of 1 to {MAX_UNKNOWNS} unknowns, got n = {n}; copy the arrays to the host"
+            )
+        M, *vectors = (one.astype(float) for one in arrays)
+        q, low, high = (xp.broadcast_to(one, shape) for one in vectors)
+        low = xp.where(low <= -INFINITE_LIMIT, -np.inf, low)
+        return cls(M.reshape(-1, n, n), q, low, xp.where(high >= INFINITE_LIMIT, np.inf, high))
+
+    def slacks(self, z: Any) -> Any:
+        """Return M z + q of each problem, shape (B, n)."""
+        return (self.M @ z[:, :, None])[:, :, 0] + self.q
+
+    def on_host(self, xp: Any, k: Any) -> list[Any]:
+        """Return M, q, lower and upper of problems in arrays of numpy; one matrix for all without its first axis."""
+        M = self.M[0] if len(self.M) == 1 else self.M[k]
+        return [xp.asnumpy(one) for one in (M, *(one[k] for one in self[1:]))]
+
+
+def _launch(
+    gpu: tuple[Any, Any],
+    name: str,
+    arrays: Any,
+    shared: Any,
+    found: Any,
+    has_time: Callable[[], bool] = bool,
+) -> None:
+    """Call a kernel for all problems, a thread for each, in parts whose tables fit into MAX_SCRATCH.
+
+    Parameters
+    ----------
+    gpu : pair
+        CuPy and the kernels.
+    name : str
+        The kernel.
+    arrays, found : sequences of arrays, shape (B, …)
+        Arguments that the kernel reads and writes; M may have shape (1, n, n).
+    shared : tuple
+        Arguments that apply to all problems.
+    has_time : callable
+        Called before each part; if it returns False, the remaining rows of `found` are unchanged.
+    """
+    (xp, kernels), (count, n) = gpu, arrays[1].shape
+    size = min(count, MAX_SCRATCH // (8 * (n + 9) * (n + 1)))
+    tables = xp.empty((n + 9, n + 1, size)), xp.empty((2, 2 * n + 1, size), np.int64)
+    for first in range(0, count, size):
+        if not has_time():
+            break
+        part = slice(first, min(first + size, count))
+        own = [xp.array(one if len(one) == 1 else one[part], order="F") for one in arrays]
+        values = [xp.array(one[part], order="F") for one in found]
+        blocks = -(-len(values[-1]) // THREADS)
+        with pause_for_compilation():  # the launch itself returns at once
+            getattr(kernels, name)[blocks, THREADS](*own, *shared, *tables, *values)
+        kernels.cuda.synchronize()
+        for one, value in zip(found, values, strict=True):
+            one[part] = value
+
+
+class DeviceAnswers(AnswerSequence[Any]):
+    """The results of a batch in arrays on a GPU; ``answers[k]`` is the result of :func:`lcp_plugin.solve`.
+
+    Attributes
+    ----------
+    x, z : array, shape (B, n)
+        On the GPU, in the library of q; NaN if the data are invalid.
+    status : array of Status, shape (B,)
+        On the host, as the next two; None if the data are invalid.
+    relative_residual : array, shape (B,)
+        Upper bound of the residual of the stopping criterion.
+    iterations : array of int, shape (B,)
+    errors : dict
+        The error of each problem k with invalid data; ``answers[k]`` raises it.
+    seconds : float
+        Seconds of the entire batch, compilation excluded.
+    """
+
+    def __init__(self, M: Any, q: Any, lower: Any, upper: Any, options: dict[str, Any]) -> None:
+        self.gpu, self.library, self.settings = _modules(), _library(q), Settings(**options)
+        (xp, _), clock, limit = self.gpu, Clock(), self.settings.max_seconds
+        self.data = data = DeviceData.of(xp, M=M, q=q, lower=lower, upper=upper)
+        (low, high), (count, n) = data[2:], data.q.shape
+        start = xp.minimum(xp.maximum(low, 0.0), high)
+        sides, z = xp.zeros((count, n), np.int64), xp.array(start)
+        bound, shared = (
+            xp.full(count, np.inf),
+            (xp.asarray(tilts(n)), float(self.settings.tolerance)),
+        )
+        _launch(
+            self.gpu,
+            "solve_each",
+            (*data, start),
+            shared,
+            (sides, z, bound),
+            lambda: clock.read() <= limit,
+        )
+        is_valid = ((low <= high) & (low < np.inf) & (high > -np.inf)).all(axis=1)
+        residual = xp.asnumpy(xp.where(is_valid, bound, np.inf))
+        self.status, self.errors = np.full(count, Status.SOLVED), dict[int, LCPError]()
+        self._others: tuple[dict[int, int], Any] = {}, ()
+        self.iterations = xp.asnumpy((z != start).any(axis=1)).astype(int)
+        rest = np.flatnonzero(residual == np.inf)
+        if rest.size:
+            left = options.copy()
+            if limit < np.inf:
+                left["max_seconds"] = max(limit - clock.read(), 0.0)
+            found = BatchRun(Stacked(*data.on_host(xp, xp.asarray(rest)), None), "auto", left).run()
+            z[xp.asarray(rest)] = xp.asarray(found.z)
+            self.status[rest], residual[rest] = found.status, found.relative_residual
+            self.iterations[rest] = found.iterations
+            self.errors = {int(rest[k]): error for k, error in found.errors.items()}
+            self._others = dict(zip(rest.tolist(), range(rest.size), strict=True)), found
+        self.relative_residual, self.points, self.seconds = residual, z, clock.read()
+        self.x = self.z = self.library(z)
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def at(self, k: int) -> Any:
+        """Return result k, or raise the error of its problem."""
+        places, found = self._others
+        if k in places:
+            return found[places[k]]
+        M, q, lower, upper = self.data.on_host(self.gpu[0], k)
+        stage = StageRecord("rounds", "one of a batch on a GPU", int(self.iterations[k]), 0.0)
+        z = read_only(self.gpu[0].asnumpy(self.points[k]))
+        share = self.seconds / len(self)
+        return Result.at(LCP(M, q, lower=lower, upper=upper), z, stage, self.settings, share)
+
+    @property
+    def w(self) -> Any:
+        """M z + q of each problem, shape (B, n), on the GPU."""
+        return self.library(self.data.slacks(self.points))

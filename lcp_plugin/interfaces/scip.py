@@ -24,7 +24,9 @@ S. Bolusani et al., *The SCIP Optimization Suite 9.0* (2024), arXiv:2402.17702.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +47,7 @@ BOX, BOX_MARGIN = 1e6, 1e-3  # a box for unbounded relaxations, and what is near
 FEASIBLE = (
     1e-7  # SCIP tightens it to 1e-10; of less, a build without GMP prints a line per linear program
 )
+STDERR = 2
 FAILED = "SCIP:"  # start of SCIP's error messages
 
 Watcher = Callable[[float, float, int], bool]
@@ -136,6 +139,33 @@ def minimize(
     return within
 
 
+class _SilentTerminal:
+    """Context in which nothing printed to stderr reaches the terminal, where SCIP and SoPlex print errors."""
+
+    def __enter__(self) -> None:
+        self.own = self.nowhere = -1
+        with suppress(OSError):  # a window without a console has no stderr
+            self.own, self.nowhere = os.dup(STDERR), os.open(os.devnull, os.O_WRONLY)
+            os.dup2(self.nowhere, STDERR)
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(OSError):
+            os.dup2(self.own, STDERR)
+            os.close(self.own)
+            os.close(self.nowhere)
+
+    @contextmanager
+    def given_back(self) -> Iterator[None]:
+        """Return a context in which a callback can print."""
+        with suppress(OSError):
+            os.dup2(self.own, STDERR)
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                os.dup2(self.nowhere, STDERR)
+
+
 class _Model:
     """An equilibrium program as a model of SCIP.
 
@@ -154,6 +184,7 @@ class _Model:
 
         self.scip, self.problem, self.model, self.ends = pyscipopt, problem, pyscipopt.Model(), ends
         self.error: BaseException | None = None
+        self.terminal = _SilentTerminal()
         self.unit = 1.0 if problem.smooth is not None else _power_below(problem.program)
         self.model.hideOutput()
         lower, upper = problem.bounds(problem.all_cases)
@@ -196,7 +227,8 @@ class _Model:
         self._watch_nodes()
         try:
             self._state()
-            model.optimize()
+            with self.terminal:
+                model.optimize()
         except (MemoryError, UnsupportedModel):
             raise
         except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
@@ -231,9 +263,10 @@ class _Model:
 
             def eventexec(self, _: Any) -> None:
                 try:
-                    is_over = (
-                        own.error is None and own.ends is not None and own.ends(*own._reached())
-                    )
+                    with own.terminal.given_back():
+                        is_over = (
+                            own.error is None and own.ends is not None and own.ends(*own._reached())
+                        )
                 except BaseException as error:
                     own.error, is_over = error, True
                 if is_over:

@@ -6,8 +6,10 @@ A target is a file, a folder, or the name of a test problem.
 from __future__ import annotations
 
 import json
+import sys
 import time
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -27,9 +29,11 @@ from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
 
 if TYPE_CHECKING:
-    pass
+    from ..core.checks import Vector
+    from ..core.solving.result import Sample
 
 MAX_VALUES = 20  # values of x that are printed
+UPDATE_SECONDS = 0.1
 
 
 class Target(NamedTuple):
@@ -166,11 +170,36 @@ def _steps(
     if isinstance(problem, ConeProblem | FrictionalContact) and algorithm in METHODS:
         chosen, options = made(METHODS[algorithm], algorithm, options), {}
     options = options | settings
-    answers = [solve(problem, chosen, **start, **options)]
-    while answers[-1].is_solved and scene is not None and len(answers) < scene.steps:
-        problem = problem.with_q(scene.advance(answers[-1].z))
-        answers.append(solve(problem, chosen, z0=answers[-1].z, **options))
+    with progress_on_terminal() as show:
+        if show is not None and isinstance(problem, LCP):
+            options |= {"callback": show}
+        answers = [solve(problem, chosen, **start, **options)]
+        while answers[-1].is_solved and scene is not None and len(answers) < scene.steps:
+            problem = problem.with_q(scene.advance(answers[-1].z))
+            answers.append(solve(problem, chosen, z0=answers[-1].z, **options))
     return answers
+
+
+@contextmanager
+def progress_on_terminal() -> Iterator[Callable[[Sample, Vector], bool] | None]:
+    """Show the progress of a run on a terminal, and yield the callback that does it; None without a terminal."""
+    if not (sys.stderr and sys.stderr.isatty()):
+        yield None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("") as line:
+        last = -UPDATE_SECONDS
+
+        def show(sample: Sample, z: Vector) -> bool:
+            nonlocal last
+            if sample.seconds >= last + UPDATE_SECONDS:
+                last = sample.seconds
+                words = f"{sample.label}: iteration {sample.iteration}, {sample.seconds:.1f} s"
+                line.update(f"{words} (Ctrl-C stops and keeps the best)")
+            return False
+
+        yield show
 
 
 def _march_lines(given: Target, answers: list[Any]) -> list[str]:

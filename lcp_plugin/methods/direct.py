@@ -80,12 +80,12 @@ def direct_methods(
     interior = Stage(InteriorPoint(), "steps strictly between the bounds; M is or may be monotone")
     game = is_game(problem)
     if game:
-        yield from _game_methods(problem)
-    unfit = _too_large(problem)
-    if not prove_infeasibility:
-        unfit.add("feasibility")
-    if game:
-        unfit.add("lemke")
+        if ZeroSumGame.of(problem) is not None:
+            yield Stage(InteriorPoint(), "a zero-sum game: a linear program")
+        paths = partial(_exceeds_pivots, problem=problem, most=GAME_PIVOTS)
+        yield Stage(Lemke(), "a game: Lemke and Howson's paths, one a label", paths)
+    unfit = _too_large(problem) | ({"lemke"} if game else set())
+    unfit |= set() if prove_infeasibility else {"feasibility"}
     row = contradictory_row(problem) if prove_infeasibility else None
     if row is not None and row.excludes(EPSILON):
         yield Stage(FeasibilityCheck(), "one row is inconsistent with its bounds")
@@ -111,14 +111,6 @@ def direct_methods(
         yield Stage(ExhaustiveSearch(), SEARCHED)
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
         yield Stage(last_resort(problem), "the direct methods failed: sweeps to the end")
-
-
-def _game_methods(problem: LCP) -> Iterator[Stage]:
-    """Yield a linear program if the game is a zero-sum game, then paths."""
-    if ZeroSumGame.of(problem) is not None:
-        yield Stage(InteriorPoint(), "a zero-sum game: a linear program")
-    paths = partial(_exceeds_pivots, problem=problem, most=GAME_PIVOTS)
-    yield Stage(Lemke(), "a game: Lemke and Howson's paths, one a label", paths)
 
 
 def _is_unfinished(stage: Stage) -> bool:

@@ -48,7 +48,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -71,9 +71,6 @@ from ..systems.hierarchy.grids import Grid
 from ..systems.hierarchy.kernels import dot, span
 from ..systems.hierarchy.levels import hierarchy_of
 from ..systems.hierarchy.truncation import KrylovCorrection, Truncation
-
-if TYPE_CHECKING:
-    from ..core.lcp import LCP
 
 SMOOTHERS = ("pgs", "psor")
 
@@ -202,7 +199,7 @@ class Safeguard:
         self.z, self.residual, self.least = z.copy(), residual, residual
         self.idle, self.failed_rounds, self._least_of_round = 0, 0, np.inf
         self._slack: Vector | None = None
-        self._products = 0
+        self.products = 0
 
     def is_out_of_hand(self, z: Vector, residual: float) -> bool:
         """Return whether z is not finite, or its residual is much larger and its energy has not fallen."""
@@ -248,11 +245,6 @@ class Safeguard:
             self.least = residual
         return self.failed_rounds < 3
 
-    def take_products(self) -> int:
-        """Return the products with M since the last call."""
-        products, self._products = self._products, 0
-        return products
-
     def _accept(self, z: Vector, residual: float, slack: Vector | None = None) -> None:
         np.copyto(self.z, z)
         self.residual, self.least, self.idle, self._slack = (
@@ -267,9 +259,9 @@ class Safeguard:
         problem, accepted = self.problem, self.z
         if self._slack is None:
             self._slack = problem.slack(accepted)
-            self._products += 1
+            self.products += 1
         slack = problem.slack(z)
-        self._products += 1
+        self.products += 1
         step = z - accepted
         terms = problem.diagonal * np.maximum(np.abs(z), np.abs(accepted)) + np.abs(problem.q)
         return (
@@ -299,43 +291,6 @@ class GridProblem:
         kernels.projected_sweep(
             self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z
         )
-
-    def gauss_seidel(self, z: Vector) -> float:
-        """Overwrite z by one forward projected Gauss–Seidel sweep; return the largest change."""
-        before = z.copy()
-        kernels.projected_sweep(self.grid.rows, self.grid.blocks, self.vectors, 1.0, False, z)
-        before -= z
-        return span(before)
-
-
-@dataclass
-class Advance:
-    """Progress of cycles: last residual, number of rows that changed sides, and duration of slow front movement."""
-
-    may_nest: bool
-    residual: float = np.inf
-    changed: float = 0.0
-    crept: int = 0  # cycles in a row
-    nested_at: float = np.inf  # the residual at a nested start one cycle ago
-    is_slow: bool = False
-
-    def take(self, residual: float, changed: float) -> None:
-        """Record a cycle."""
-        # Krylov steps pay from this contraction on.
-        self.is_slow = residual > 0.1 * self.residual
-        # Nearly as many rows change sides as a cycle ago: the free set moves layer by layer.
-        self.crept = self.crept + 1 if changed > 0.6 * self.changed else 0
-        self.may_nest = self.may_nest and residual <= GAINED * self.nested_at
-        self.residual, self.changed, self.nested_at = residual, changed, np.inf
-
-    @property
-    def is_creeping(self) -> bool:
-        """True if the free set moves layer by layer, and no nested start has failed to help."""
-        return self.is_slow and bool(self.changed) and self.crept > 2 and self.may_nest
-
-    def start_nested(self, size: float) -> None:
-        """Record that coarser grids determine the free set again, so that `size` rows may change."""
-        self.changed, self.crept, self.nested_at = size, 0, self.residual
 
 
 COARSEST_SWEEPS = 50
@@ -461,7 +416,10 @@ class MultigridRun:
         """Yield cycles from z; after failures return to the accepted iterate, at first `start` of residual `begun`."""
         self.truncation.start_at(0)
         fine, guard = self.problems[0], Safeguard(self.problem, self.is_symmetric, start, begun)
-        advance = Advance(may_nest=self.algorithm.nested and len(self.hierarchy.grids) > 1)
+        may_nest = self.algorithm.nested and len(self.hierarchy.grids) > 1
+        # Of the last cycle: the residual and the rows that changed; cycles in a row in which the free set moves layer
+        # by layer; the residual at a nested start one cycle ago
+        before, changed_before, crept, nested_at = np.inf, 0.0, 0, np.inf
         while True:
             fine.sweep(z, backward=False)
             largest, changed = self._look(0, z)
@@ -471,18 +429,23 @@ class MultigridRun:
                 largest = guard.residual
             yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
             is_lost = is_lost or not guard.lets_pass(z, largest)
-            self.work += guard.take_products() * self.entries
+            self.work, guard.products = self.work + guard.products * self.entries, 0
             if is_lost:
-                advance.residual = np.inf
+                before = np.inf
                 if not (yield from self._tries_again(z, guard)):
                     return
                 continue
-            advance.take(largest, changed)
-            if advance.is_creeping:
+            # Krylov steps pay from this contraction on.
+            is_slow = largest > 0.1 * before
+            # Nearly as many rows change sides as a cycle ago: the free set moves layer by layer.
+            crept = crept + 1 if changed > 0.6 * changed_before else 0
+            may_nest = may_nest and largest <= GAINED * nested_at
+            before, changed_before, nested_at = largest, changed, np.inf
+            if is_slow and changed and crept > 2 and may_nest:
                 self._nested_start(z, is_cold=False)
                 self.truncation.start_at(0)
-                advance.start_nested(self.size)
-            elif advance.is_slow and changed <= max(SETTLED * self.size, 1):
+                changed_before, crept, nested_at = self.size, 0, largest
+            elif is_slow and changed <= max(SETTLED * self.size, 1):
                 yield from self._krylov(z, is_settled=not changed)
             else:
                 self._correct(0, z)
@@ -615,9 +578,12 @@ class MultigridRun:
 
     def _fall_back(self, z: Vector) -> Generator[Step, None, float]:
         """Yield projected Gauss–Seidel sweeps; return the change of the last sweep."""
+        fine = self.problems[0]
         for _ in range(20):
-            change = self.problems[0].gauss_seidel(z)
-            self.work += self.problems[0].entries
+            before = z.copy()
+            kernels.projected_sweep(fine.grid.rows, fine.grid.blocks, fine.vectors, 1.0, False, z)
+            change = span(before - z)
+            self.work += fine.entries
             yield Step(z, increment=change, work=self._spent())
         return change
 

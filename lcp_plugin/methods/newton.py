@@ -44,11 +44,6 @@ class ActiveSetSolution(NamedTuple):
     system: FreeSystem
     work: float
 
-    @property
-    def is_singular(self) -> bool:
-        """True if the free block is singular to working precision: z is one of many solutions, or not a solution."""
-        return self.system.is_singular
-
 
 def classify(problem: LCP, z: Vector, w: Vector) -> tuple[BoolVector, BoolVector]:
     """Return (at_lower, at_upper), the bounds that z − w/d reaches or passes, d the residual scale, shape (n,) each.
@@ -314,7 +309,7 @@ def full_steps(state: NewtonState) -> Generator[Step, None, bool]:
         present = classify(problem, state.z, state.w)
         changes = int(np.count_nonzero((present[0] != previous[0]) | (present[1] != previous[1])))
         if changes == 0:
-            return not solution.is_singular
+            return not solution.system.is_singular
         size = float(np.sum(state.residual))
         idle = 0 if size < lowest or changes < fewest else idle + 1
         lowest, fewest = min(lowest, size), min(fewest, changes)
@@ -425,7 +420,7 @@ def _full_step(state: NewtonState, phi: LinearizedPhi) -> tuple[LinearizedPhi, b
     state.move(solution.z)
     again = classify(state.problem, state.z, state.w)
     is_same = np.array_equal(again[0], at_lower) and np.array_equal(again[1], at_upper)
-    return found, is_same and not solution.is_singular
+    return found, is_same and not solution.system.is_singular
 
 
 def _searched(state: NewtonState, phi: LinearizedPhi, reference: float) -> LinearizedPhi | None:

@@ -100,7 +100,9 @@ class NPSplitting(ScaledByRows):
         """Return θ, shape (n,), or 1 for a splitting of the user."""
         if not isinstance(self.splitting, str):
             return 1.0
-        return split_factors(problem.matrix, self.splitting)
+        matrix, part = problem.matrix, part_of(problem.matrix, self.splitting)
+        taken = np.add(*triangle_sums(matrix, np.ones(matrix.n), part))
+        return balanced_factors(matrix, 1.0, taken, unit_triangle_sums(matrix))
 
     def _matrix(self, problem: LCP) -> sp.csr_array:
         M = problem.csr
@@ -131,10 +133,3 @@ def part_of(matrix: Matrix, splitting: str) -> sp.csr_array:
     reach = {"diagonal": 0, "tridiagonal": 1, "lower": matrix.n}[splitting]
     upper_reach = 0 if splitting == "lower" else reach
     return sp.csr_array(sp.tril(sp.triu(matrix.csr, -reach), upper_reach))
-
-
-@fact
-def split_factors(matrix: Matrix, splitting: str) -> Vector:
-    """Return θ for a splitting that is a part of M, shape (n,); see `automatic_factors`."""
-    taken = np.add(*triangle_sums(matrix, np.ones(matrix.n), part_of(matrix, splitting)))
-    return balanced_factors(matrix, 1.0, taken, unit_triangle_sums(matrix))

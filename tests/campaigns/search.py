@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 
 from lcp_plugin import LCP
-from lcp_plugin.methods.search import NoSolution, Solution, Solutions, search
+from lcp_plugin.methods.search import NoSolution, Solution, search
 from lcp_plugin.proofs.no_solution import find_infeasibility
 
 from . import small_lcps
@@ -156,14 +156,12 @@ def violations(problem: LCP) -> list[str]:
             bad.append(f"{type(outcome).__name__}, but {len(patterns)} patterns have solutions")
         if isinstance(outcome, NoSolution) and not outcome.verify():
             bad.append("proof of no solution does not verify")
-        if isinstance(outcome, Solutions):
+        if isinstance(outcome, list):
             bad += [
-                complaint
-                for s in outcome.solutions
-                for complaint in wrong_with(truth, s, outcome is every)
+                complaint for s in outcome for complaint in wrong_with(truth, s, outcome is every)
             ]
-    if isinstance(every, Solutions):
-        listed = [s.pattern for s in every.solutions]
+    if isinstance(every, list):
+        listed = [s.pattern for s in every]
         bad += [
             f"{p} is not covered"
             for p in patterns

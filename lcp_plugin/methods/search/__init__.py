@@ -31,9 +31,7 @@ from .simplex import QUANTUM, Effort
 __all__ = [
     "Effort",
     "NoSolution",
-    "SearchLimitReached",
     "Solution",
-    "Solutions",
     "all_solutions",
     "explore",
     "is_near_solution",
@@ -118,25 +116,10 @@ class Solution:
         return f"z = {_in_fractions(self.exact_z)}, a vertex of a face of dimension {self.dimension}{rest}"
 
 
-@dataclass(frozen=True, eq=False)
-class Solutions:
-    """The search found solutions: the first, or all of them."""
-
-    solutions: tuple[Solution, ...]
-    nodes: int
-
-
-@dataclass(frozen=True)
-class SearchLimitReached:
-    """The search ended at its limit of nodes without a decision."""
-
-    nodes: int
-
-
 def search(
     problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NODES, most: float = math.inf
-) -> Solutions | NoSolution | SearchLimitReached:
-    """Return a solution (or all), the proof that there is none, or that the limit was too low.
+) -> list[Solution] | NoSolution | None:
+    """Return a solution (or all), the proof that there is none, or None if the limit was too low.
 
     Parameters
     ----------
@@ -169,12 +152,12 @@ def search(
             return outcome
         if effort.cases > limit:
             break
-    return SearchLimitReached(limit)
+    return None
 
 
 def explore(
     problem: LCP, effort: Effort, *, first_only: bool = True, most: float = math.inf
-) -> Iterator[Solutions | NoSolution | None]:
+) -> Iterator[list[Solution] | NoSolution | None]:
     """Yield None after each case and within long ones, then the result of `search`; `effort` counts the work.
 
     The search ends at `most` solutions.
@@ -191,9 +174,7 @@ def explore(
             break
         yield None
     if explorer.faces:
-        yield Solutions(
-            tuple(_solution(problem, face) for face in _maximal(explorer.faces)), explorer.nodes
-        )
+        yield [_solution(problem, face) for face in _maximal(explorer.faces)]
     elif not first_only:
         # A search for all solutions skips pieces contained in others; the proof must not.
         yield from explore(problem, effort)
@@ -250,13 +231,12 @@ def all_solutions(
     """
     most = math.inf if limit is None else whole_number(limit, "limit", 1)
     outcome = search(problem, first_only=False, max_nodes=max_nodes, most=most)
-    if isinstance(outcome, SearchLimitReached):
+    if outcome is None:
         raise UnsuitableProblem(
             f"the search did not end within max_nodes={max_nodes} pieces; raise max_nodes, or compute one "
             "solution with solve(problem)"
         )
-    found = outcome.solutions if isinstance(outcome, Solutions) else ()
-    return list(found if limit is None else found[:limit])
+    return [] if isinstance(outcome, NoSolution) else outcome[:limit]
 
 
 def _maximal(faces: Sequence[Face]) -> list[Face]:
@@ -307,13 +287,13 @@ def is_near_solution(problem: LCP, z: Vector) -> bool | None:
     outcome = search(problem, first_only=False, max_nodes=500, most=50)
     if isinstance(outcome, NoSolution):
         return False
-    if isinstance(outcome, SearchLimitReached):
+    if outcome is None:
         return None
-    distances = [float(np.abs(one.z - z).max()) for one in outcome.solutions]
+    distances = [float(np.abs(one.z - z).max()) for one in outcome]
     # A point so near to a solution is one up to rounding
     if min(distances) <= 1e-4 * np.abs(z).max():
         return True
-    is_known = len(distances) < 50 and all(one.is_isolated for one in outcome.solutions)
+    is_known = len(distances) < 50 and all(one.is_isolated for one in outcome)
     return False if is_known else None
 
 
@@ -414,9 +394,9 @@ class ExhaustiveSearch(Algorithm):
                 continue
             step = Step(z0, work=(effort.entries - reported.entries) / max(problem.nonzeros, 1))
             reported = replace(effort)
-            if isinstance(outcome, Solutions):
+            if isinstance(outcome, list):
                 try:
-                    step.z = np.clip(outcome.solutions[0].z, problem.lower, problem.upper)
+                    step.z = np.clip(outcome[0].z, problem.lower, problem.upper)
                 except UnsuitableProblem as error:
                     step.remark = f"an enumeration of all active sets found a solution, but {error}"
             elif isinstance(outcome, NoSolution):

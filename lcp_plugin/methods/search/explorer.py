@@ -66,7 +66,10 @@ class Explorer:
         stack = [(len(self.path), -1, "", self.tree)]
         while stack:
             depth, row, choice, case = stack.pop()
-            self._return_to(depth)
+            while len(self.path) > depth:
+                i, _ = self.path.pop()
+                for x in (i, self.n + i):
+                    self.simplex.set_bounds(x, *self.root_bounds[x])
             if row >= 0:
                 self.choose(row, choice)
             branches = yield from self._examined(case)
@@ -168,12 +171,6 @@ class Explorer:
         gap = abs(z - bound * d) if bound is not None else 0
         return gap * abs(w) // self.weights[i] + (gap != 0 and w != 0)
 
-    def _return_to(self, depth: int) -> None:
-        while len(self.path) > depth:
-            i, _ = self.path.pop()
-            for x in (i, self.n + i):
-                self.simplex.set_bounds(x, *self.root_bounds[x])
-
     def choose(self, i: int, choice: str) -> None:
         """Fix a choice of row i, one level deeper in the tree."""
         self.path.append((i, choice))
@@ -190,7 +187,8 @@ class Explorer:
     def _record(self, undecided: list[int]) -> Iterator[None]:
         """Add the face of the present pattern; undecided rows take the choices that the point satisfies."""
         for i in undecided:
-            self.choose(i, self._choice_at_point(i))
+            w = self.simplex.numerators()[self.n + i]
+            self.choose(i, SLACKLESS if w == 0 else LOWER if w > 0 else UPPER)
         simplex = self.simplex
         yield from simplex.infeasibility_proof()
         yield from simplex.go_to_vertex()
@@ -206,12 +204,6 @@ class Explorer:
         for x, bounds in enumerate(before):
             simplex.set_bounds(x, *bounds)
         self.faces.append(Face(complete, tuple(tight), point, dimension))
-
-    def _choice_at_point(self, i: int) -> str:
-        values = self.simplex.numerators()
-        if values[self.n + i] == 0:
-            return SLACKLESS
-        return LOWER if values[self.n + i] > 0 else UPPER
 
     def _tight(self, i: int, choice: str, is_point: bool) -> Generator[None, None, frozenset[str]]:
         """Return the choices of row i that hold at every point of the face, and fix their variables."""

@@ -141,7 +141,6 @@ class BandSteps:
         return RowData(problem.csr, self.absolute, *vectors, start=problem.nearest_to_zero)
 
 
-ITERATIVE = ("npsor", "psor", "multigrid")
 BLOCK = 64  # steps between two checks for Ctrl-C; results of earlier blocks are kept
 
 
@@ -294,22 +293,15 @@ def take_steps(
             done.all_solved = found.is_solved
             done.is_interrupted = found.status is Status.INTERRUPTED
             if is_lcp and algorithm == "auto" and found.is_solved and found.iterations:
-                begin = beginning_of_next(found, step)
+                # The first step does not count, because it may start far from its solution.
+                last = found.stages[-1].name
+                begin = last if step and last in ("npsor", "psor", "multigrid") else None
             done.take(found.z, found)
             state = found.z
         except InvalidProblem as error:
             if not done:
                 raise
             done.error, done.all_solved = error, False
-
-
-def beginning_of_next(found: Result, step: int) -> str | None:
-    """Return the algorithm that finished this step and starts the next, or None for auto.
-
-    The first step does not count, because it may start far from its solution.
-    """
-    last = found.stages[-1].name
-    return last if step and last in ITERATIVE else None
 
 
 def checked_rows(
@@ -668,7 +660,9 @@ class Steps:
         """Return the derivative of a step by the data of the step."""
         if self._of_step is None or self._of_step[0] != k:
             problem, z = self.march.problem.with_q(self.q[k]), self.states[k + 1]
-            self._of_step = k, self.whole.next_at(problem, z, problem.slack(z))
+            # The last factorization is used again if it fits
+            found = self.whole.derivative_at(problem, z, problem.slack(z), before=self.whole.before)
+            self.whole.before, self._of_step = found, (k, found)
         return self._of_step[1]
 
     def degenerate(self, k: int) -> NDArray[np.intp]:
@@ -806,9 +800,24 @@ class MarchDerivative:
     """
 
     def __init__(self, march: March, each: Callable[..., Derivative]) -> None:
-        _require_all_steps(march)
-        self.march, self._derivative_at = march, each
-        self._before: Derivative | None = None  # its factorization may be used again
+        if march.keep != 1:
+            raise UnsuitableProblem(
+                f"the derivative of a march needs all its steps, and keep={march.keep or 'last'} dropped some; "
+                "leave out keep"
+            )
+        if not (march.all_solved and len(march) == len(march.forcing)):
+            last = len(march) - 1
+            why = march.error or (
+                "was the last one taken"
+                if march[last].is_solved
+                else f"ended {march[last].status.name}"
+            )
+            raise UnsuitableProblem(
+                f"only a march solved to its end has a derivative; it took {len(march)} of {len(march.forcing)} steps, "
+                f"and step {last} {why}; take derivative(march[k]) of single steps, or march along fewer of them"
+            )
+        self.march, self.derivative_at = march, each
+        self.before: Derivative | None = None  # of the last step
         # By the first step of a block: as much memory as the march, a quarter of the time of further directions.
         self.settled: dict[int, tuple[Vector, NDArray[np.int8], NDArray[np.bool_]]] = {}
 
@@ -817,12 +826,7 @@ class MarchDerivative:
 
     def __getitem__(self, k: int) -> Derivative:
         result = self.march[k]
-        return self._derivative_at(result.certificate.problem, result.z, result.w)
-
-    def next_at(self, problem: LCP, z: Vector, w: Vector) -> Derivative:
-        """Return the derivative of the next step, with the last factorization if it fits."""
-        self._before = self._derivative_at(problem, z, w, before=self._before)
-        return self._before
+        return self.derivative_at(result.certificate.problem, result.z, result.w)
 
     @derived_property
     def degenerate(self) -> NDArray[np.intp]:
@@ -991,24 +995,3 @@ def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> Vector:
     """Return a row per step, or one row if one vector is passed."""
     shapes = (steps, n), (n,)
     return checked_rows(name, given, f"({steps}, {n}), or ({n},) for {one}", shapes.__contains__)
-
-
-def _require_all_steps(march: March) -> None:
-    """Raise UnsuitableProblem for a march that was not solved to its last step, or did not keep all steps."""
-    if march.keep != 1:
-        raise UnsuitableProblem(
-            f"the derivative of a march needs all its steps, and keep={march.keep or 'last'} dropped some; "
-            "leave out keep"
-        )
-    if march.all_solved and len(march) == len(march.forcing):
-        return
-    last = len(march) - 1
-    why = march.error or (
-        f"ended {march[last].status.name}"
-        if not march[last].is_solved
-        else "was the last one taken"
-    )
-    raise UnsuitableProblem(
-        f"only a march solved to its end has a derivative; it took {len(march)} of {len(march.forcing)} steps, "
-        f"and step {last} {why}; take derivative(march[k]) of single steps, or march along fewer of them"
-    )

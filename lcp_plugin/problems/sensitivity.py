@@ -575,9 +575,10 @@ class ContactBatchDerivative(ManyDerivatives):
             "no derivative: see errors": ~self._is_solved,
         }
         return "; ".join(
-            f"{which.sum()} of {len(self)} worlds ({_named_instances(which)}) have {words}"
+            f"{len(rows)} of {len(self)} worlds ({', '.join(map(str, rows[:NAMED]))}"
+            f"{', …' * (len(rows) > NAMED)}) have {words}"
             for words, which in named.items()
-            if which.any()
+            if (rows := np.flatnonzero(which).tolist())
         )
 
     def jvp(self, *, dq: Any = None, dM: Any = None, dfriction: Any = None) -> Any:
@@ -656,11 +657,6 @@ class ContactBatchDerivative(ManyDerivatives):
         d = 1 if name == "dfriction" else self.worlds.dimension
         counts = np.where(self._is_solved, d * self.worlds.contacts, 0)
         return np.arange(d * self._pieces) < counts[:, np.newaxis]
-
-
-def _named_instances(which: BoolVector) -> str:
-    rows = np.flatnonzero(which).tolist()
-    return ", ".join(map(str, rows[:NAMED])) + (", …" if len(rows) > NAMED else "")
 
 
 SINGULAR = (
@@ -911,7 +907,7 @@ class Derivative(LinearizedSystem):
         """Warning that the derivative is not unique, as text; "" if it is unique."""
         system, rows = self._system, self.degenerate
         if rows.size:
-            named = ", ".join(map(str, rows[:5].tolist())) + (", …" if rows.size > 5 else "")
+            named = ", ".join(map(str, rows[:NAMED].tolist())) + ", …" * (rows.size > NAMED)
             kink = (
                 f"{rows.size} rows ({named}) are at a bound with w = 0: jvp is one-sided, and vjp the gradient of one "
                 "of the pieces that meet there"

@@ -37,10 +37,6 @@ from ..programs.no_minimum import QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .relaxations import ENDS, EquilibriumResult, ExternalBound, Node, Relaxations
 
-MEETS = 1e-7  # relative to 1 + ‖x‖∞: distance up to which x belongs to a branch
-DESCENT = 1e-9  # of 1 + |f|
-MOST_NEIGHBOURS = 50
-
 
 class LocalSearch:
     """The best point found so far.
@@ -82,56 +78,45 @@ class LocalSearch:
                 self.best = piece
         return self._known[key]
 
-    def descend(self, cases: Cases, near: Vector) -> None:
-        """Descend from these branches near a point, each step to a piece of smaller value.
+    def from_point(self, x: Vector, cases: Cases | None = None) -> None:
+        """Descend from the branches nearest to x, each step to a piece of smaller value.
 
         Each step takes other branches for pairs that are degenerate (z at a bound and w = 0) at the solution of the
         piece. It first changes all these pairs, and then one pair after the other.
         """
-        piece: Node | None = self.offer(cases, near)
+        cases = self.problem.all_cases if cases is None else cases
+        piece: Node | None = self.offer(self.problem.nearest(x, cases), x)
         while piece is not None:
             piece = self._better_neighbour(piece)
-
-    def from_point(self, x: Vector, cases: Cases | None = None) -> None:
-        """Descend from the branches nearest to x."""
-        self.descend(self.problem.nearest(x, self.problem.all_cases if cases is None else cases), x)
 
     def _better_neighbour(self, piece: Node) -> Node | None:
         if piece.value == math.inf:
             return None
         assert piece.point is not None
-        promising = self._other_cases(piece.point, piece.cases)
-        for chosen in ([promising] if len(promising) > 1 else []) + [
-            [one] for one in promising[:MOST_NEIGHBOURS]
-        ]:
+        # All further branches to which the point belongs
+        size = 1.0 + float(np.abs(piece.point).max(initial=0.0))
+        rows, pairs = np.nonzero(self.problem.distances(piece.point) <= 1e-7 * size)
+        promising = [
+            (int(i), CASES[k])
+            for k, i in zip(rows, pairs, strict=True)
+            if CASES[k] != piece.cases[i] and CASES[k] & self.problem.all_cases[i]
+        ]
+        for chosen in [promising] * (len(promising) > 1) + [[one] for one in promising[:50]]:
             if is_over():
                 return None
             cases = piece.cases.copy()
             for i, case in chosen:
                 cases[i] = case
             neighbour = self.offer(cases, piece.point)
-            if neighbour.value < piece.value - DESCENT * (1.0 + abs(piece.value)):
+            if neighbour.value < piece.value - 1e-9 * (1.0 + abs(piece.value)):
                 return neighbour
         return None
-
-    def _other_cases(self, x: Vector, cases: Cases) -> list[tuple[int, int]]:
-        """Return (pair, branch) of all further branches to which x belongs."""
-        meets = self.problem.distances(x) <= MEETS * (1.0 + float(np.abs(x).max(initial=0.0)))
-        rows, pairs = np.nonzero(meets)
-        return [
-            (int(i), CASES[k])
-            for k, i in zip(rows, pairs, strict=True)
-            if CASES[k] != cases[i] and CASES[k] & self.problem.all_cases[i]
-        ]
 
 
 MET = 1e-9  # of 1 + |z|: largest violation of a pair that counts as complementary
 SHARE = 0.5  # of the tolerance: a node is closed if its bound is this close to the best value
 OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0", "prove")
 GROWTH = 1.5  # of the nodes from one line of the log to the next
-SECONDS_OF_START = 1.0  # least limit of the descent from a start
-FIRST = 300  # nodes · pairs before SCIP: 9 nodes close 30 pairs that take SCIP 5 s
-MOST_UNASKED = 2000  # nodes if prove is False: a proof of SCIP's status may be too expensive
 
 
 @np.errstate(all="ignore")
@@ -211,7 +196,7 @@ def minimize_over_solutions(
     limit = math.inf if max_seconds is None else float(max_seconds)
     if start is not None:  # the result is not worse than the start
         search.start = start
-        with time_limit(max(limit, SECONDS_OF_START)):
+        with time_limit(max(limit, 1.0)):  # seconds, for the descent
             search.local.from_point(start)
     with time_limit(limit):
         log = _Log() if verbose else None
@@ -281,7 +266,6 @@ class BranchAndBound:
 
     def run(self, ends: Callable[[], bool], prove: bool) -> EquilibriumResult:
         """Run the search until the gap is closed or a limit is reached, and return the result."""
-        ended: Status | None = None
         try:
             ended = self._run(ends, prove)
         except KeyboardInterrupt:
@@ -293,7 +277,8 @@ class BranchAndBound:
 
         engine, is_provable = minimize_or_none(), self.problem.is_provable
         if is_provable:
-            most = math.inf if engine is None else FIRST // max(1, self.problem.pairs)
+            # Nodes before SCIP: 9 nodes close 30 pairs that take SCIP 5 s
+            most = math.inf if engine is None else 300 // max(1, self.problem.pairs)
             ended = self._search(ends, most)
             is_done = self.descent is not None or (self._next() is None and not self._is_stuck)
             if ended is not None or is_done:
@@ -307,7 +292,8 @@ class BranchAndBound:
             return ended
         is_said_infeasible = self.outside is not None and self.outside.status == "infeasible"
         if is_provable or (self.problem.is_convex and is_said_infeasible):  # integers or not
-            return self._search(ends, math.inf if prove else MOST_UNASKED)
+            # A proof of SCIP's status may be too expensive
+            return self._search(ends, math.inf if prove else 2000)
         # SCIP's bound of an objective of 0 has a rounding error.
         if self.problem.has_convex_relaxation and not self.tree:
             self._root()
@@ -371,18 +357,14 @@ class BranchAndBound:
             self._root()
         last = self.nodes + most
         while self.nodes < last and self.descent is None and self._next() is not None:
-            if (ended := self._limit(ends)) is not None:
-                return ended
+            if self.nodes >= self.max_nodes:
+                return Status.MAX_ITERATIONS
+            if is_over():
+                return Status.MAX_SECONDS
+            if ends():
+                return Status.INTERRUPTED
             self._branch()
         return None
-
-    def _limit(self, ends: Callable[[], bool]) -> Status | None:
-        """Return the status of a limit that is now reached, or None."""
-        if self.nodes >= self.max_nodes:
-            return Status.MAX_ITERATIONS
-        if is_over():
-            return Status.MAX_SECONDS
-        return Status.INTERRUPTED if ends() else None
 
     def _next(self) -> Node | None:
         """Return the node to continue with; close nodes whose bounds exclude a better solution."""

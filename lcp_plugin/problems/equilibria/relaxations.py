@@ -34,7 +34,6 @@ TINY = 1e-9  # of ‖x‖∞
 FEASIBLE = 1e-7  # largest violation of a row by a solution, relative to its terms
 ENOUGH = 0.1  # of the tolerance: a bound this close to the value is not repaired
 FAR = 1e4  # times the size of x in the data: a point of larger norm counts as unbounded
-MOST_PROJECTIONS = 4  # onto the linearized rows of a piece
 
 
 @dataclass(eq=False)
@@ -87,12 +86,10 @@ class Relaxations:
         self.problem, self.tolerance, self.solved = problem, tolerance, 0
 
     @cached_property
-    def _curvature(self) -> Curvature:
-        return constrained_curvature(self.problem.program.P, self.problem.program.A)
-
-    @cached_property
-    def _box(self) -> tuple[Vector, Vector]:
-        return implied_box(self.problem.program)
+    def _facts(self) -> tuple[Curvature, tuple[Vector, Vector]]:
+        """The curvature on the equalities, and the bounds that the constraints imply."""
+        own = self.problem.program
+        return constrained_curvature(own.P, own.A), implied_box(own)
 
     def program(self, cases: Cases) -> QuadraticProgram | None:
         """Return the program of the open branches; None if some lower > upper."""
@@ -162,11 +159,12 @@ class Relaxations:
 
     def bound(self, program: QuadraticProgram, dual: tuple[Vector, Vector], enough: float) -> float:
         """Return a lower bound of the program's objective that the point and the multipliers prove."""
-        box = np.maximum(self._box[0], program.lower), np.minimum(self._box[1], program.upper)
+        curvature, (low, high) = self._facts
+        box = np.maximum(low, program.lower), np.minimum(high, program.upper)
         if (box[0] > box[1]).any():
             box = program.lower, program.upper
         offset = self.problem.program.constant
-        found = DualBounds(program, self._curvature, box).best(*dual, enough - offset)
+        found = DualBounds(program, curvature, box).best(*dual, enough - offset)
         return math.nextafter(found + offset, -math.inf) if offset else found
 
     def local_node(self, cases: Cases, near: Vector) -> Node:
@@ -182,7 +180,7 @@ class Relaxations:
         if (lower > upper).any():
             return node
         x = np.clip(near, lower, upper)
-        for _ in range(MOST_PROJECTIONS):
+        for _ in range(4):  # projections onto the linearized rows
             program = self._linearized(x, lower, upper, is_feasible=node.point is not None)
             if program is None:
                 return node
@@ -273,7 +271,6 @@ ENDS = {  # SCIP's names
     "userinterrupt": Status.INTERRUPTED,
 }
 BY_SCIP = "bound by SCIP, in floating point"
-GLOBAL = "pip install pyscipopt (or lcp_plugin[global])"
 ADVICE = {
     Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
     Status.INFEASIBLE: "the linear constraints are inconsistent; next: check the data (proof: result.proof)",
@@ -289,11 +286,6 @@ ADVICE = {
     ),
     Status.INTERRUPTED: "stopped by Ctrl-C or the callback",
 }
-LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.INTERRUPTED)
-UNCONFIRMED = (
-    "SCIP, in floating point, reports {}, which could not be confirmed, so that nothing is proved; "
-    "next: bound the variables, or rescale the data"
-)
 
 
 class ExternalBound(NamedTuple):
@@ -465,17 +457,21 @@ class EquilibriumResult(BaseResult):
             proof = "; prove=True asks for a proof" if self.problem.is_provable else ""
             return f"x is a solution, measured here; no better one by more than the tolerance: {BY_SCIP}{proof}"
         if self.status is Status.STALLED and self.outside is not None:
-            return UNCONFIRMED.format(self.outside.status)
+            return (
+                f"SCIP, in floating point, reports {self.outside.status}, which could not be confirmed, so that "
+                "nothing is proved; next: bound the variables, or rescale the data"
+            )
         if self.status is Status.STALLED and not self.problem.is_provable:
             return (
                 "an objective that is not convex, smooth rows and integers are minimised by SCIP, which is not "
-                f"installed, or does not load; next: {GLOBAL}; for a local way leave out the objective and "
-                "differentiate the followers: derivative(problem) in cvxpy, derivative(result)"
+                "installed, or does not load; next: pip install pyscipopt (or lcp_plugin[global]); for a local way "
+                "leave out the objective and differentiate the followers: derivative(problem) in cvxpy, "
+                "derivative(result)"
             )
         return super()._advice_of_status()
 
     def _clauses(self) -> list[str]:
-        if self.status not in (*LIMITS, Status.STALLED):
+        if self.is_solved or self.has_no_solution:
             return []
         found = "no solution was found" if self.x is None else "x is the best solution found"
         return [f"{found} so far"]

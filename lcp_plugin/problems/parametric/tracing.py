@@ -155,9 +155,10 @@ class Line:
     def _check_change(self, name: str, change: Any) -> Vector:
         """Return the change of a vector for θ + 1, shape (size,)."""
         kind, names = type(self.problem).__name__, self.family.vectors
-        if name in self.family.fixed:
+        if name in self.family.matrices:
             raise InvalidOption(
-                f"vectors of {kind} may move, not {name}: {self.family.fixed[name]}"
+                f"vectors of {kind} may move, not {name}: the solution is not piecewise affine in {name}; solve_batch "
+                "takes a list of problems. Where θ multiplies P, divide the objective by it and move c"
             )
         if name not in names:
             raise InvalidOption(
@@ -191,18 +192,17 @@ class Line:
     def find_crossing(self) -> tuple[float, str]:
         """Return the share of the way at which bounds cross (−1: at start), and a message."""
         lower, upper = map(self.ends, BOUNDS)
-        room = [self._room(*ends) for ends in zip(lower, upper, strict=True)]
+        room = []
+        for low, high in zip(lower, upper, strict=True):
+            size = sum(np.nan_to_num(np.abs(end), posinf=0.0) for end in (low, high))
+            # Rounding error by which equal bounds may cross
+            room.append(np.where(np.abs(high - low) <= 1e-12 * size, 0.0, high - low))
         share = np.where(room[1] < 0.0, room[0] / (room[0] - room[1]), 1.0)
         share = np.where(room[0] < 0.0, -1.0, share)
         row = int(np.argmin(share)) if share.size else 0
         if not share.size or (share[row] == 1.0 and not room[1][row] < 0.0):
             return 1.0, ""
         return float(share[row]), f"lower[{row}] exceeds upper[{row}]"
-
-    def _room(self, low: Vector, high: Vector) -> Vector:
-        size = np.nan_to_num(np.abs(low), posinf=0.0) + np.nan_to_num(np.abs(high), posinf=0.0)
-        # Rounding error by which equal bounds may cross
-        return np.where(np.abs(high - low) <= 1e-12 * size, 0.0, high - low)
 
     def at(self, theta: float) -> Any:
         """Return the problem at θ."""
@@ -253,14 +253,14 @@ class Family(NamedTuple):
     ----------
     vectors : tuple of str
         The bounds are the last two.
-    fixed : dict
-        Advice for each name that may not move.
+    matrices : tuple of str
+        Data that may not move.
     conditions : callable
         ``conditions(line)``: the complementarity problem from start to stop.
     """
 
     vectors: tuple[str, ...]
-    fixed: dict[str, str]
+    matrices: tuple[str, ...]
     conditions: Callable[[Line], MonotoneGraphs]
 
 
@@ -312,28 +312,10 @@ def _penalty_conditions(line: Line) -> MonotoneGraphs:
 
 
 FAMILIES = {
-    "LCP": Family(
-        ("q", *BOUNDS),
-        {"M": "z is not piecewise affine in M; solve_batch takes a list of problems"},
-        _matrix_conditions,
-    ),
-    "QuadraticProgram": Family(
-        ("c", "h", "b", *BOUNDS),
-        {
-            "P": "x is not piecewise affine in P; where θ multiplies the whole quadratic term, divide the objective "
-            "by it and move c",
-            "G": "x is not piecewise affine in G; solve_batch takes a list of programs",
-            "A": "x is not piecewise affine in A; solve_batch takes a list of programs",
-        },
-        _matrix_conditions,
-    ),
+    "LCP": Family(("q", *BOUNDS), ("M",), _matrix_conditions),
+    "QuadraticProgram": Family(("c", "h", "b", *BOUNDS), ("P", "G", "A"), _matrix_conditions),
     "BoundedLeastSquares": Family(
-        ("b", "l1", *BOUNDS),
-        {
-            name: f"x is not piecewise affine in {name}; solve_batch takes a list of problems"
-            for name in ("A", "weights", "ridge")
-        },
-        _penalty_conditions,
+        ("b", "l1", *BOUNDS), ("A", "weights", "ridge"), _penalty_conditions
     ),
 }
 

@@ -226,7 +226,7 @@ TWO, FIT = LCP(np.eye(2), [1, 1]), BoundedLeastSquares([[1.0]], [1])
 HELD = BoundedLeastSquares([[1.0]], [1], lower=-1, l1=1)
 BENT = QuadraticProgram([[-1]], [1], lower=0, upper=1)
 REFUSED = [
-    (TWO, {"M": 1}, 1, InvalidOption, "not M: z is not piecewise affine in M"),
+    (TWO, {"M": 1}, 1, InvalidOption, "not M: the solution is not piecewise affine in M"),
     (TWO, {"Q": 1}, 1, InvalidOption, "did you mean 'q'"),
     (TWO, {}, 1, InvalidOption, "along must name the data that move"),
     (TWO, {"q": 1}, INF, InvalidOption, "stop must be a finite number, got inf"),

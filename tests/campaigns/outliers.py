@@ -28,12 +28,9 @@ import numpy as np
 import scipy.sparse as sp
 from inputs.cone_families import violation as violation_in_digits
 from oracles.exact import exact_rows, solve_fractions
-from oracles.exact_derivatives import Change, piece_at
 from scipy.linalg import block_diag
 
 import lcp_plugin as lp
-
-from .planted_nonlinear import planted as planted_nonlinear
 
 Generator = np.random.Generator
 RIGHT, REFUSED, FALSE, OPEN = "right", "refused", "FALSE", "open"
@@ -763,96 +760,6 @@ def march_case(rng: Generator) -> Outcome:
     return Outcome(RIGHT)
 
 
-def derivative_case(rng: Generator) -> Outcome:
-    """The derivative by q of the only solution, where no z_i and w_i vanish together."""
-    M, q, lower, upper, words = odd_lcp(rng, 4)
-    result = lp.solve(lp.LCP(M, q, lower=lower, upper=upper), max_seconds=SECONDS)
-    if result.status.name != "SOLVED":
-        return Outcome(OPEN)
-    problem, dq, zero = ExactLCP(M, q, lower, upper), integers(rng, len(q)), np.zeros(len(q))
-    solutions = [*itertools.islice(problem.solutions(), 2)]
-    if len(solutions) != 1 or not problem.is_near(result.z):
-        return Outcome(OPEN)
-    (z,), found = solutions, lp.derivative(result)
-    free = [a < v < b for a, v, b in zip(problem.lower, z, problem.upper, strict=True)]
-    piece = piece_at(found.problem, np.array([*map(float, z)]), np.array(free))
-    if not piece.is_strict:
-        return Outcome(OPEN)
-    text = f"dq = {dq.tolist()}, z = {result.z.tolist()}, {lcp_text(M, q, lower, upper, words)}"
-    if len(found.degenerate):
-        return Outcome(REFUSED, f"degenerate {found.degenerate}: {text}")
-    dz, part = found.jvp(dq=dq), problem.parts()
-    right = np.array([*map(float, piece.jvp(Change(np.zeros_like(M), dq, zero, zero)))])
-    is_near = all(
-        abs(dz - right)[part == k].max() <= NEAR * abs(right)[part == k].max()
-        for k in range(part.max() + 1)
-    )
-    return Outcome(RIGHT if is_near else FALSE, f"{dz.tolist()}, right {right.tolist()}: {text}")
-
-
-def equilibrium_case(rng: Generator) -> Outcome:
-    """The least cᵀz over the solutions of an LCP: the best vertex of all its cases in fractions."""
-    n = int(rng.integers(1, 4))
-    M, q, lower, upper, words = odd_lcp(rng, n)
-    n, c = len(q), integers(rng, len(q))
-    if not n <= 3:
-        return Outcome(OPEN)
-    c = c * np.where(rng.random(n) < 0.2, rng.choice((1e-9, 1e9), n), 1)
-    lower, upper = np.zeros(n), limits(upper)
-    everything = np.hstack([M, -np.eye(n)])
-    program = lp.QuadraticProgram(
-        None, np.append(c, np.zeros(n)), A=everything, b=-q, lower=np.append(lower, np.full(n, -np.inf)),
-        upper=np.append(upper, np.full(n, np.inf)),
-    )  # fmt: skip
-    problem = lp.EquilibriumProgram(program, list(range(n)), list(range(n, 2 * n)))
-    result = lp.solve(problem, max_seconds=SECONDS)
-    text = f"min {c.tolist()} z over {lcp_text(M, q, lower, upper, words)}"
-    values = []
-    for case in itertools.product((-1, 0, 1), repeat=n):
-        rows, right, equal, of, low, high = [], [], [], [], lower.copy(), upper.copy()
-        if any(side == 1 and np.isinf(upper[i]) for i, side in enumerate(case)):
-            continue
-        for i, side in enumerate(case):
-            if side == 0:
-                equal.append(M[i])
-                of.append(-q[i])
-            else:
-                low[i] = high[i] = lower[i] if side < 0 else upper[i]
-                rows.append(side * M[i])
-                right.append(-side * q[i])
-        of_case = ExactProgram(
-            None, c, np.reshape(rows, (-1, n)), right, np.reshape(equal, (-1, n)), of, low, high
-        )  # fmt: skip
-        x = of_case.optimum()
-        if x is not None:
-            values.append(np.array([float(value) for value in x]))
-    if not values:
-        if result.has_no_solution or result.status.name != "SOLVED":
-            return Outcome(OPEN)
-        wrong = ExactLCP(M, q, lower, upper).wrong(result.x[:n], leaves_negligible=True)
-        return Outcome(OPEN if wrong <= 1e-6 else FALSE, f"SOLVED {result.x[:n].tolist()}: {text}")
-    best = min(values, key=lambda z: float(c @ z))
-    if result.status.name == "SOLVED":
-        z = result.x[:n]
-        wrong = ExactLCP(M, q, lower, upper).wrong(z)
-        size = abs(c * z).sum() + abs(c * best).sum()
-        is_off = float(c @ z - c @ best) > 1e-4 * size
-        if ExactLCP(M, q, lower, upper).wrong(z, leaves_negligible=True) <= 1e-6 < wrong:
-            return Outcome(OPEN)
-        if wrong > 1e-6 and not ExactLCP(M, q, lower, upper).is_near(z):
-            return Outcome(FALSE, f"SOLVED {z.tolist()}, wrong by {wrong:.1e}: {text}")
-        return Outcome(
-            FALSE if is_off else RIGHT, f"SOLVED {z.tolist()}, better {best.tolist()}: {text}"
-        )
-    if result.has_no_solution and result.status.name != "UNBOUNDED":
-        radius = float(getattr(result.proof, "radius", np.inf) or np.inf)
-        what = FALSE if abs(best).max() <= min(radius, 1e20) else OPEN
-        return Outcome(what, f"{result.status.name}, but {best.tolist()}: {text}")
-    return Outcome(
-        REFUSED if result.status.name != "UNBOUNDED" else OPEN, f"{result.status.name}: {text}"
-    )
-
-
 # --- Least squares, cones, contacts, nonlinear ----------------------------------------------------------------------
 
 
@@ -968,30 +875,13 @@ def contact_case(rng: Generator) -> Outcome:
     return Outcome(FALSE, f"SOLVED {x.tolist()}: {text}")
 
 
-def nonlinear_case(rng: Generator) -> Outcome:
-    """Draw F with a known solution, with and without its derivative and with bounds that are none."""
-    target = planted_nonlinear(rng)
-    problem = target.problem
-    upper = np.where(rng.random(problem.lower.size) < 0.3, rng.choice(NONE), np.inf)
-    upper = np.where(upper > 2.0 * target.right, upper, np.inf)
-    jacobian = problem.jacobian if rng.random() < 0.5 else None
-    problem = lp.NonlinearProblem(problem.F, jacobian, problem.lower, upper)
-    result = lp.solve(problem, x0=np.zeros(upper.size), max_seconds=SECONDS)
-    text = f"{result.status.name}: {target.text(result.x)}"
-    if result.status.name != "SOLVED":
-        return Outcome(FALSE if result.has_no_solution else REFUSED, text)
-    is_right = target.error(result.x) <= NEAR or target.is_hopeless(result.x)
-    return Outcome(RIGHT if is_right else FALSE, text)
-
-
 def tiny_case(rng: Generator) -> Outcome:
     return lcp_case(rng, tiny_diagonal)
 
 
 KINDS: dict[str, Callable[[Generator], Outcome]] = {
     "lcp": lcp_case, "program": program_case, "linear": linear_case,
-    "cones": cone_case, "contacts": contact_case, "nonlinear": nonlinear_case, "equilibrium": equilibrium_case,
-    "batch": batch_case, "march": march_case, "derivative": derivative_case,
+    "cones": cone_case, "contacts": contact_case, "batch": batch_case, "march": march_case,
     "tiny diagonal": tiny_case,
 }  # fmt: skip
 

@@ -11,8 +11,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns import odd_least_squares
-from campaigns.least_squares import bounded_least_squares
+from campaigns.least_squares import Case, Exact, bounded_least_squares
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
@@ -69,7 +68,11 @@ def planted(
 
 
 def exact_cost(A: Any, b: Any, x: Any, **rest: Any) -> Fraction:
-    return odd_least_squares.cost({"A": A, "b": b, **rest}, odd_least_squares.fractions(x))
+    """Return the cost in fractions: the squares by campaigns.least_squares, and the penalty."""
+    squares = (np.asarray(rest.get("weights", np.ones(len(b)))), float(rest.get("ridge", 0.0)))
+    x = [Fraction(float(value)) for value in x]
+    penalty = sum((Fraction(float(one)) * abs(v) for one, v in zip(rest["l1"], x, strict=True)))
+    return Exact(Case("", np.asarray(A), b, x, x, *squares)).cost(x) + penalty
 
 
 @given(st.integers(2, 9), st.integers(1, 9), st.integers(0, 10**6), st.sampled_from([0.0, 1.0]))

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import least_squares as campaign
-from campaigns import odd_least_squares
 from campaigns.kinds import least_cost
 from campaigns.least_squares import Case, Exact, bounded_least_squares, complaint
 from hypothesis import given
@@ -543,23 +542,6 @@ def test_a_bound_of_1e20_is_none(far: float) -> None:
     assert np.isinf(found.problem.lower).all()
     assert found.status is Status.SOLVED
     np.testing.assert_allclose(found.x, np.linalg.lstsq(A, b, rcond=None)[0], atol=1e-13)
-
-
-@pytest.mark.few(3)
-@pytest.mark.parametrize("kind", odd_least_squares.LEAST_SQUARES)
-def test_one_odd_number_leaves_the_least_cost(kind: str) -> None:
-    """Entries, rows, weights, ridges, penalties, bounds of 1e-17 … 1e19: what is SOLVED has the exact least cost."""
-    rng = np.random.default_rng([69, odd_least_squares.LEAST_SQUARES.index(kind)])
-    solved = 0
-    for _ in range(25):
-        case = odd_least_squares.least_squares(kind, rng)
-        found = bounded_least_squares(**case)
-        solved += found.status is Status.SOLVED
-        assert (
-            found.status is not Status.SOLVED
-            or odd_least_squares.excess(case, found.x) <= odd_least_squares.MOST
-        )
-    assert solved >= 24
 
 
 @pytest.mark.parametrize("small", [1e-120, 1e-100])

@@ -417,8 +417,8 @@ class MultigridRun:
         self.truncation.start_at(0)
         fine, guard = self.problems[0], Safeguard(self.problem, self.is_symmetric, start, begun)
         may_nest = self.algorithm.nested and len(self.hierarchy.grids) > 1
-        # Of the last cycle: the residual and the rows that changed; cycles in a row in which the free set moves layer
-        # by layer; the residual at a nested start one cycle ago
+        # The residual and the changed rows of the last cycle; cycles in a row in which the free set moves layer by
+        # layer; the residual at a nested start one cycle ago
         before, changed_before, crept, nested_at = np.inf, 0.0, 0, np.inf
         while True:
             fine.sweep(z, backward=False)

@@ -463,7 +463,7 @@ class EquilibriumResult(BaseResult):
             )
         if self.status is Status.STALLED and not self.problem.is_provable:
             return (
-                "an objective that is not convex, smooth rows and integers are minimised by SCIP, which is not "
+                "an objective that is not convex, smooth rows and integers are minimized by SCIP, which is not "
                 "installed, or does not load; next: pip install pyscipopt (or lcp_plugin[global]); for a local way "
                 "leave out the objective and differentiate the followers: derivative(problem) in cvxpy, "
                 "derivative(result)"

@@ -158,7 +158,7 @@ class Line:
         if name in self.family.matrices:
             raise InvalidOption(
                 f"vectors of {kind} may move, not {name}: the solution is not piecewise affine in {name}; solve_batch "
-                "takes a list of problems. Where θ multiplies P, divide the objective by it and move c"
+                "takes a list of problems. If θ multiplies P, divide the objective by it and move c"
             )
         if name not in names:
             raise InvalidOption(

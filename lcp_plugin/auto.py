@@ -45,7 +45,7 @@ from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.kernels.threads import threads_for
 from .core.lcp import LCP
 from .core.matrix import Matrix, fact, has_positive_diagonal, is_nearly_symmetric
-from .core.settings import BESIDE, OF_SOLVE, Settings, checked_callback
+from .core.settings import BESIDE, OF_SOLVE, Settings
 from .core.solving.lcp_run import LCPRun
 from .core.solving.progress import Callback
 from .core.solving.result import Result, StageRecord
@@ -303,7 +303,6 @@ def solve_lcp(
     """
     clock = Clock()
     method, settings = parse_call(algorithm, options)
-    callback = None if callback is None else checked_callback(callback)
     start = problem.nearest_to_zero if z0 is None else checked_start(problem, z0)
     is_watched = settings.record or settings.error_bound or settings.verbose
     is_limited = settings.max_seconds < math.inf or not settings.max_iterations

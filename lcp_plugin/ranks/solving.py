@@ -15,7 +15,6 @@ from ..core.algorithm import Step
 from ..core.certificates.criterion import RowData, VectorEnds, divide_nonnegative
 from ..core.certificates.measured import Measured
 from ..core.checks import Vector, read_only
-from ..core.deadline import Clock
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, TINY
 from ..core.kernels.threads import threads_for
@@ -25,7 +24,6 @@ from ..core.settings import Settings, checked_callback
 from ..core.solving.progress import Progress
 from ..core.solving.result import BaseResult, Sample
 from ..core.solving.run import Run
-from ..core.solving.run_log import RunLog
 from ..core.solving.stage import Named, Stage
 from ..core.solving.termination import TerminationReason
 from ..systems.graph import comparison_product
@@ -349,9 +347,8 @@ class ProgressOnRanks(Progress):
         self, problem: RowsOnRanks, settings: Settings, callback: Any, is_interrupted: Any
     ) -> None:
         # The time limit of the loop is a limit of one rank: all ranks decide in `count`.
-        log = RunLog(problem) if settings.verbose and not problem.halo.rank else None
-        super().__init__(replace(settings, max_seconds=None), callback, Clock(), log)
-        halo = problem.halo
+        halo, shows = problem.halo, settings.verbose and not problem.halo.rank
+        super().__init__(problem, replace(settings, max_seconds=None, verbose=shows), callback)
         self.halo, self.max_seconds = halo, settings.max_seconds
         self.is_interrupted = is_interrupted
         self.is_watched = halo.anywhere(callback is not None) or settings.verbose
@@ -417,6 +414,7 @@ class RunOnRanks(Run):
     def result(self, end: TerminationReason) -> ResultOnRanks:
         """Return the result, the same on all ranks except z and w."""
         found, progress, data = self.best, self.progress, self.data
+        common = self.common_fields(self.status(end))
         rows, worst = found.by_row, data.worst
         relative = worst(divide_nonnegative(rows.high, rows.reference))
         sizes = worst(rows.high), relative, worst(rows.terms)
@@ -425,13 +423,10 @@ class RunOnRanks(Run):
             z=read_only(found.z),
             w=read_only(found.rows.w),
             n=self.problem.n,
-            status=self.status(end),
             certificate=CertificateOnRanks(found.z, found.rows.w, *sizes),
             algorithm=" → ".join(stage.algorithm.name for stage in progress.stages),
-            iterations=progress.iteration,
             work=progress.work,
-            seconds=progress.halo.largest(progress.clock.read()),
-            tolerance=self.settings.tolerance,
             absolute_tolerance=self.settings.absolute_tolerance,
             error_bound=bound,
+            **{**common, "seconds": progress.halo.largest(common["seconds"])},
         )

@@ -455,7 +455,7 @@ def test_a_callback_ends_the_run_at_a_step_that_ends_its_stage() -> None:
             return TerminationReason.STALLED
 
     seen: list[str] = []
-    progress = Progress(Settings(), lambda sample, z: seen.append(sample.label) or True, Clock())
+    progress = Progress(None, Settings(), lambda sample, z: seen.append(sample.label) or True)
     stages = [Stage(SimpleNamespace(name=name), steps=[Step(np.zeros(1))]) for name in ("a", "b")]
     end = Stalling(progress).follow_all(stages)
     assert (end, seen) == (TerminationReason.INTERRUPTED, ["a"])

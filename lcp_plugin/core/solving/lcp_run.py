@@ -30,7 +30,7 @@ from .advice import WITHOUT_END, advice_of_run
 from .progress import Callback, Progress
 from .result import Result
 from .run import Run
-from .run_log import Header, RunLog
+from .run_log import Header
 from .stage import Stage
 from .termination import FAILED, TerminationReason
 
@@ -82,9 +82,7 @@ class LCPRun(Run):
     ) -> None:
         self.problem, self.chosen, self.polish = problem, chosen, polish
         self.is_guaranteed = cache(is_guaranteed)
-        with clock.pause():
-            log = RunLog(problem, header) if settings.verbose else None
-        super().__init__(Progress(settings, callback, clock, log))
+        super().__init__(Progress(problem, settings, callback, clock, header))
         self.data = data = row_data(problem)
         references = np.broadcast_to(data.references[1], (problem.n,))
         is_open = np.broadcast_to(~data.is_at_start, (problem.n,))

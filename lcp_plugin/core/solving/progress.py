@@ -8,9 +8,9 @@ from typing import Any
 
 from ..algorithm import Step
 from ..deadline import Clock
-from ..settings import Settings
+from ..settings import Settings, checked_callback
 from .result import Sample, StageRecord
-from .run_log import RunLog
+from .run_log import Header, RunLog
 from .stage import Stage
 from .termination import TerminationReason
 
@@ -22,12 +22,13 @@ class Progress:
 
     Parameters
     ----------
+    problem : object
     settings : Settings
     callback : callable or None
-    clock : Clock
+    clock : Clock, optional
         Running.
-    log : RunLog or None
-        Prints the run if ``verbose=True``.
+    header : callable, optional
+        The lines on M that ``verbose=True`` prints.
 
     Attributes
     ----------
@@ -42,10 +43,18 @@ class Progress:
     """
 
     def __init__(
-        self, settings: Settings, callback: Callback | None, clock: Clock, log: RunLog | None = None
+        self,
+        problem: Any,
+        settings: Settings,
+        callback: Callback | None = None,
+        clock: Clock | None = None,
+        header: Header | None = None,
     ) -> None:
-        self.settings, self.callback, self.clock, self.log = settings, callback, clock, log
-        self.is_watched = settings.record or log is not None or callback is not None
+        self.settings, self.callback = settings, checked_callback(callback)
+        self.clock = Clock() if clock is None else clock
+        with self.clock.pause():
+            self.log = RunLog(problem, header) if settings.verbose else None
+        self.is_watched = settings.record or settings.verbose or callback is not None
         self.stages: list[Stage] = []
         self.samples: list[Sample] = []
         self.iteration, self.work, self.seconds, self.setup_seconds = -1, 0.0, 0.0, 0.0

@@ -54,6 +54,7 @@ class Run:
     def __init__(self, progress: Progress) -> None:
         self.progress, self.settings = progress, progress.settings
         self.best: Any = None
+        self.latest: Any = None  # measured point of the last step, or None
         self.residual = math.inf  # of the best point
         self.proof: Any = None
 
@@ -90,26 +91,34 @@ class Run:
         """Return the result of the run."""
         raise NotImplementedError
 
+    def common_fields(self, status: Status) -> dict[str, Any]:
+        """Return the fields of the result of every problem class, except `algorithm`."""
+        progress = self.progress
+        return {
+            "status": status,
+            "iterations": max(progress.iteration, 0),
+            "seconds": progress.clock.read(),
+            "tolerance": self.settings.tolerance,
+            "history": tuple(progress.samples),
+            "stages": progress.records(),
+        }
+
     def result_at(
         self, certificate: Any, status: Status, kind: type[Result] = Result, **others: Any
     ) -> Result:
         """Return the result of a run that ends with this certificate; `others` are further fields of its class."""
-        progress, settings, stages = self.progress, self.settings, self.progress.records()
+        progress, common = self.progress, self.common_fields(status)
         if status is Status.SOLVED and progress.iteration <= 0 and self.best is not None:
-            stages = tuple(stage._replace(because=NOTHING_TO_DO) for stage in stages)
+            stages = (stage._replace(because=NOTHING_TO_DO) for stage in common["stages"])
+            common["stages"] = tuple(stages)
         result = kind(
             z=certificate.z,
             w=certificate.w,
-            status=status,
             certificate=certificate,
-            tolerance=settings.tolerance,
-            absolute_tolerance=settings.absolute_tolerance,
-            iterations=max(progress.iteration, 0),
+            absolute_tolerance=self.settings.absolute_tolerance,
             work=progress.work,
-            seconds=progress.clock.read(),
             setup_seconds=progress.setup_seconds,
-            history=tuple(progress.samples),
-            stages=stages,
+            **common,
             **others,
         )
         if progress.log is not None:
@@ -176,7 +185,7 @@ class Run:
                 f"{stage.algorithm.name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`"
             )
         progress.count(stage, step)
-        found = self.measure(stage, step)
+        found = self.latest = self.measure(stage, step)
         if found is not None:
             self.keep(found)
         end: TerminationReason | None

@@ -13,15 +13,13 @@ from ...core.algorithm import Step
 from ...core.certificates.measured import Measured
 from ...core.certificates.worst import WorstRows
 from ...core.checks import Vector, checked_start, derived_property, read_only
-from ...core.deadline import Clock
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.representation import format_count
-from ...core.settings import Settings, Status, checked_callback
+from ...core.settings import Settings, Status
 from ...core.solving.progress import Callback, Progress
 from ...core.solving.result import Result
 from ...core.solving.run import Run
-from ...core.solving.run_log import RunLog
 from ...core.solving.stage import Stage
 from ...core.solving.termination import FAILED, TerminationReason
 from ...methods.search import ExhaustiveSearch, is_searchable
@@ -104,10 +102,8 @@ def solve_cones(
     InvalidOption, UnknownAlgorithm
         For a wrong option.
     """
-    settings = Settings(**options)
-    chosen, clock = _checked_algorithm(algorithm), Clock()
-    log = RunLog(problem) if settings.verbose else None
-    progress = Progress(settings, checked_callback(callback), clock, log)
+    settings, chosen = Settings(**options), _checked_algorithm(algorithm)
+    progress = Progress(problem, settings, callback)
     with threads_for(settings.threads):
         run = ConeRun(problem, progress, None if z0 is None else checked_start(problem, z0), chosen)
         result: ConeResult = run.solve(run.plan())

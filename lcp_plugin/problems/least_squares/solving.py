@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.algorithm import Step
 from ...core.checks import BoolVector, Vector, derived_property, read_only
-from ...core.deadline import Clock, OutOfTimeError, is_over
+from ...core.deadline import OutOfTimeError, is_over
 from ...core.kernels.floats import FREE, HIGH, LOW
-from ...core.settings import Settings, Status, checked_callback
+from ...core.settings import Settings, Status
 from ...core.solving.progress import Progress
 from ...core.solving.result import BaseResult
 from ...core.solving.run import STATUS_OF, Callback, Run
-from ...core.solving.run_log import RunLog, say
+from ...core.solving.run_log import say
 from ...core.solving.stage import Named, Stage
 from ...core.solving.termination import FAILED, TerminationReason
 from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
@@ -100,8 +100,7 @@ def solve_least_squares(
     (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
     """
     settings = Settings(**options)
-    log = RunLog(problem) if settings.verbose else None
-    progress = Progress(settings, checked_callback(callback), Clock(), log)
+    progress = Progress(problem, settings, callback)
     start = None if x0 is None else problem.checked_start(x0)
     run = LeastSquaresRun(problem, progress, start)
     result: LeastSquaresResult = run.solve(run.plan())
@@ -113,8 +112,8 @@ def solve_least_squares(
 class LeastSquaresRun(Run):
     """Run that certifies points of external solvers, and the projected steps that may be optimal.
 
-    z of a step is the scaled x, or the FacePoint of a projected step, whose residual is the measure of the step; z is
-    not scaled at the start of the run, whose residual is ∞, and if the step is measured.
+    z of a step is the scaled x; it is not scaled at the start of the run, whose residual is ∞, and if the step is
+    measured. The residual of a projected step is the measure of the step.
     """
 
     def __init__(
@@ -156,13 +155,9 @@ class LeastSquaresRun(Run):
             if not step.residual <= self.aim:
                 return None
             self.aim = NARROWER * step.residual
-        return self.certify(self._scaled_x(step))
+        return self.certify(self.problem.scaled.to_caller(step.z))
 
     def certify(self, x: Vector, tolerance: float | None = None) -> Optimality:
-        """Return the certified point of a scaled x."""
-        return self.judge(self.problem.scaled.to_caller(x), tolerance)
-
-    def judge(self, x: Vector, tolerance: float | None = None) -> Optimality:
         """Return the certified point of an x within the bounds; dual points are tried until one meets the tolerance."""
         goal = self.settings.tolerance
         enough = goal if tolerance is None else tolerance
@@ -184,15 +179,11 @@ class LeastSquaresRun(Run):
         is_solved = end in FAILED and self.best is not None and self.best.passes
         return TerminationReason.CONVERGED if is_solved else end
 
-    @staticmethod
-    def _scaled_x(step: Step) -> Vector:
-        return step.z.x if isinstance(step.z, FacePoint) else step.z
-
     def shown(self, step: Step) -> Vector:
         """Return the x of a step."""
         if step.measured is not None or step.residual == math.inf:
             return read_only(step.z)
-        return read_only(self.problem.scaled.to_caller(self._scaled_x(step)))
+        return read_only(self.problem.scaled.to_caller(step.z))
 
     def status(self, end: TerminationReason) -> Status:
         """Return the status; a limit precedes the rounding level, because further steps may improve the point."""
@@ -204,27 +195,19 @@ class LeastSquaresRun(Run):
         """Return the result of the run with its best point."""
         is_short = end in (TerminationReason.TIME_LIMIT, TerminationReason.INTERRUPTED)
         if self.best is None or (not self.best.passes and end in STATUS_OF):
-            self.keep(self.certify(self.nearest, math.inf if is_short else None))
-        progress = self.progress
-        ran = [stage for stage in progress.records() if stage.iterations]
-        name = ", ".join(dict.fromkeys(stage.name for stage in ran)) or START
-        return LeastSquaresResult.at(
-            self.best,
-            status=self.status(end),
-            algorithm=name,
-            iterations=max(progress.iteration, 0),
-            seconds=progress.clock.read(),
-            tolerance=self.settings.tolerance,
-            history=tuple(progress.samples),
-            stages=tuple(ran),
-        )
+            x = self.problem.scaled.to_caller(self.nearest)
+            self.keep(self.certify(x, math.inf if is_short else None))
+        common = self.common_fields(self.status(end))
+        common["stages"] = tuple(stage for stage in common["stages"] if stage.iterations)
+        name = ", ".join(dict.fromkeys(stage.name for stage in common["stages"])) or START
+        return LeastSquaresResult.at(self.best, algorithm=name, **common)
 
     # --- the plan -----------------------------------------------------------------------------------------
 
     def plan(self) -> Iterator[Stage]:
         """Yield nnls for plain data; for a large A projected steps that cost about as much as PIQP; then engines."""
         problem, most = self.problem, self.settings.max_iterations
-        if self._may_begin_with_nnls:
+        if self.start is None and is_for_nnls(problem):
             yield Stage(Named("nnls"), "one bound per column", steps=self._nnls_step())
         is_at_rest = not FacePoint(problem.scaled, self.nearest).natural_residual.any()
         if self.start is not None or is_at_rest:
@@ -236,23 +219,15 @@ class LeastSquaresRun(Run):
         if not problem.has_entries:
             return
         if is_within_reach(problem.scaled):
-            yield Stage(Named("external solvers"), "A is factorized", steps=self._engine_steps())
+            points = engine_points(problem.scaled)
+            steps = (Step(x, label=name, iterations=1) for name, x in points)
+            yield Stage(Named("external solvers"), "A is factorized", steps=steps)
         else:
             yield self._projected(most)
 
-    @property
-    def _may_begin_with_nnls(self) -> bool:
-        """Whether nnls may solve the problem; with weights, units of rows and columns must not matter."""
-        return self.start is None and is_for_nnls(self.problem)
-
     def _nnls_step(self) -> Iterator[Step]:
-        found = self.judge(nnls_point(self.problem))
+        found = self.certify(nnls_point(self.problem))
         yield Step(found.x, iterations=1, measured=found)
-
-    def _engine_steps(self) -> Iterator[Step]:
-        """Yield points by normal equations, lstsq, nnls and PIQP; a point is an iteration."""
-        for name, x in engine_points(self.problem.scaled):
-            yield Step(x, label=name, iterations=1)
 
     def _size_at(self, point: FacePoint) -> float:
         """Return the measure of a projected step, relative to the gradient of the data."""
@@ -277,8 +252,7 @@ class LeastSquaresRun(Run):
             size = self._size_at(point)
             if not smallest <= size:
                 self.nearest, smallest = point.x, size
-            at: Any = point
-            yield Step(at, size, work=2.0, iterations=min(k, 1))
+            yield Step(point.x, size, work=2.0, iterations=min(k, 1))
             if k >= most:
                 break
             if k - since >= max(WINDOW, since // 2):

@@ -24,12 +24,11 @@ from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.kernels.threads import threads_for
 from ...core.lcp import LCP
-from ...core.settings import Settings, Status, checked_callback
+from ...core.settings import Settings, Status
 from ...core.solving.lcp_run import LCPRun
 from ...core.solving.progress import Callback, Progress
 from ...core.solving.result import Result
 from ...core.solving.run import Run
-from ...core.solving.run_log import RunLog
 from ...core.solving.stage import Stage
 from ...core.solving.termination import TerminationReason
 from ...methods.lemke import Lemke
@@ -379,10 +378,9 @@ def solve_nonlinear(
         )
     settings = Settings(**options)
     method_of(algorithm, {})
-    checked_callback(callback)
     start = _checked_start(problem, x0)
     problem = problem.with_size(start.size)
-    clock = Clock()
+    progress = Progress(problem, settings, callback)
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with threads_for(settings.threads):
         points = Linearizations(problem)
@@ -390,10 +388,7 @@ def solve_nonlinear(
         first = points.at(start)
         _check_start(first)
         newton = JosephyNewton(points=points, linear=algorithm, tolerance=settings.goal)
-        with clock.pause():
-            log = RunLog(problem) if settings.verbose else None
         has_doubts = check_jacobian and problem.jacobian is not None
-        progress = Progress(settings, callback, clock, log)
         run = NonlinearRun(points, newton, first, progress, has_doubts=has_doubts)
         try:
             if has_doubts:

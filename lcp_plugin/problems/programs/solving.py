@@ -9,7 +9,6 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain, islice, product
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -30,11 +29,11 @@ from ...core.errors import (
     UnsupportedModel,
 )
 from ...core.representation import describe_radius, three_digits_below
-from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status, checked_callback
+from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
 from ...core.solving.progress import Progress
 from ...core.solving.result import NEXT, BaseResult, Sample
 from ...core.solving.run import Run
-from ...core.solving.run_log import RunLog, say
+from ...core.solving.run_log import say
 from ...core.solving.stage import Named, Stage
 from ...core.solving.termination import TerminationReason
 from ...engines import (
@@ -442,7 +441,7 @@ def solve_program(
         if name in wishes and wishes.pop(name) not in (None, DEFAULTS[name]):
             raise InvalidOption(f"solve takes no {name} for a QuadraticProgram")
     wishes = {name: wish for name, wish in wishes.items() if wish is not None}
-    callback, start = checked_callback(wishes.pop("callback", None)), wishes.pop("z0", None)
+    callback, start = wishes.pop("callback", None), wishes.pop("z0", None)
     if start is not None:
         start = vector_option(start, "z0", None)
     is_point = isinstance(algorithm, InteriorPoint)
@@ -509,8 +508,6 @@ class ProgramRun(Run):
     Attributes
     ----------
     best : ProgramPoint or None
-    latest : ProgramPoint or None
-        The point of the present stage.
     doubtful : QPInfeasibility or QPUnboundedness or None
         A proof that excludes no solution.
     """
@@ -527,12 +524,9 @@ class ProgramRun(Run):
         clock: Clock,
         start: Vector | None,
     ) -> None:
-        log = RunLog(program) if settings.verbose else None
-        super().__init__(ProgramProgress(settings, callback, clock, log))
+        super().__init__(ProgramProgress(program, settings, callback, clock))
         self.program, self.name, self.wishes, self.start = program, name, wishes, start
-        self.latest: ProgramPoint | None = None
         self.doubtful: QPInfeasibility | QPUnboundedness | None = None
-        self.passing: Vector | None = None  # z of a run on the LCP whose x passes
 
     # --- The plan ----------------------------------------------------------------------------------------------------
 
@@ -611,31 +605,39 @@ class ProgramRun(Run):
         self, algorithm: Any, options: dict[str, Any], ends_before: str
     ) -> Iterator[Step]:
         """Yield the point of a run on the complementarity problem, which shows its own steps."""
-        progress, n = self.progress, self.program.n
-        problem = optimality_conditions(self.program, self.settings.tolerance)
-        wishes = {**options, **self.wishes, "max_seconds": seconds_left()}
+        progress, n, left = self.progress, self.program.n, seconds_left()
+        tolerance = self.settings.tolerance
+        problem = optimality_conditions(self.program, tolerance)
+        wishes = {**options, **self.wishes, "max_seconds": None if left == math.inf else left}
         if self.start is not None and self.start.size == problem.n:
             wishes["z0"] = self.start
-        if wishes["max_seconds"] == math.inf:
-            del wishes["max_seconds"]
+        passing: Vector | None = None
+
+        def ends_run(sample: Sample, z: Vector) -> bool:
+            """Return whether the run ends: x passes the test, or the callback stops it."""
+            nonlocal passing
+            if progress.callback is not None and progress.callback(sample, z):
+                progress.end = TerminationReason.INTERRUPTED
+                return True
+            if sample.label == ends_before:
+                return True
+            # x is tested below that residual of the LCP
+            if sample.residual is not None and sample.residual <= 1e-4:
+                solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
+                if solution.errors_for(tolerance).meet(tolerance):
+                    passing = z.copy()
+            return passing is not None
+
         try:
             # So small a tolerance that x nearly always passes the program's own test
-            result = solve_lcp(
-                problem,
-                algorithm,
-                tolerance=1e-12,
-                callback=partial(self._ends_run, ends_before),
-                **wishes,
-            )
+            result = solve_lcp(problem, algorithm, tolerance=1e-12, callback=ends_run, **wishes)
         except (UnsuitableMatrix, UnsuitableProblem) as refusal:
             stated = "a program's conditions of optimality, whose M has a zero on the diagonal for each of its rows"
             raise UnsupportedModel(f"{refusal} (M is that of {stated})") from refusal
         progress.samples += result.history
-        z = result.z if self.passing is None else self.passing
+        z = result.z if passing is None else passing
         solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
-        found = ProgramPoint.of(
-            solution, self.settings.tolerance, result.algorithm, result.iterations
-        )
+        found = ProgramPoint.of(solution, tolerance, result.algorithm, result.iterations)
         if result.status is Status.MAX_ITERATIONS and "max_iterations" in self.wishes:
             progress.end = progress.end or TerminationReason.STEP_LIMIT
         elif result.status is Status.MAX_SECONDS:
@@ -644,29 +646,7 @@ class ProgramRun(Run):
         yield Step(solution.x, iterations=result.iterations, measured=found, label=result.algorithm)
         progress.is_watched = is_watched
 
-    def _ends_run(self, ends_before: str, sample: Sample, z: Vector) -> bool:
-        """Return whether a run on the complementarity problem ends: x passes the test, or the callback stops it."""
-        progress = self.progress
-        if progress.callback is not None and progress.callback(sample, z):
-            progress.end = TerminationReason.INTERRUPTED
-            return True
-        if sample.label == ends_before:
-            return True
-        # x is tested below that residual of the LCP
-        if sample.residual is None or sample.residual > 1e-4:
-            return False
-        n, tolerance = self.program.n, self.settings.tolerance
-        solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
-        if solution.errors_for(tolerance).meet(tolerance):
-            self.passing = z.copy()
-        return self.passing is not None
-
     # --- Selection of the result -------------------------------------------------------------------------------------
-
-    def measure(self, stage: Stage, step: Step) -> ProgramPoint | None:
-        """Return the point of a step; None at the start of a stage."""
-        self.latest = step.measured
-        return self.latest
 
     def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
         """Return the reason, or NO_SOLUTION if a proof is found; some points start a search."""
@@ -744,18 +724,8 @@ class ProgramRun(Run):
         by = self.name
         if by == "auto" and best.name:
             by = f"auto: {best.name.removeprefix('auto: ')}"
-        return QuadraticProgramResult(
-            solution,
-            self.proof,
-            status=status,
-            algorithm=by,
-            iterations=best.iterations,
-            seconds=self.progress.clock.read(),
-            tolerance=self.settings.tolerance,
-            stages=self.progress.records(),
-            history=tuple(self.progress.samples),
-            doubtful=self.doubtful,
-        )
+        fields = {**self.common_fields(status), "iterations": best.iterations, "algorithm": by}
+        return QuadraticProgramResult(solution, self.proof, doubtful=self.doubtful, **fields)
 
 
 def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgram | LCPError]:

@@ -60,6 +60,7 @@ from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors, QPSolution, worst_con
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers
 from .program import VECTORS, QuadraticProgram
 from .program_matrices import refuse_nonconvex
+from .regression import Regression
 
 NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
 NOISE = 2.0**-40  # of the largest: an interior point reaches 0 only to this
@@ -416,9 +417,9 @@ def solve_program(
     program : QuadraticProgram
         Convex program, including merely convex and linear programs.
     algorithm : str or Algorithm or Engine
-        "auto" uses external solvers (`engine_calls.ATTEMPTS`), and runs on the complementarity problem if all
-        constraints are bounds, or if the program is small and no other point passes. If you name a solver, only this
-        solver runs; "interior_point" is "piqp" here.
+        "auto" solves a least squares problem if the program states one (`Regression`). Then it uses external solvers
+        (`ATTEMPTS`), and runs on the complementarity problem if all constraints are bounds, or if the program is small
+        and no other point passes. If you name a solver, only this solver runs; "interior_point" is "piqp" here.
     tolerance : float
         Tolerance of the duality gap; rows are tested to 1e-9 at every tolerance.
     **options
@@ -540,6 +541,12 @@ class ProgramRun(Run):
         if is_lcp_first:
             # Pivots on thousands of rows take minutes; external solvers are next.
             yield self.lcp_stage("auto", {}, ends_before="lemke")
+        if (regression := Regression.of(reduced)) is not None:
+            yield Stage(
+                Named("least squares"),
+                "sums of squares with a penalty",
+                steps=self._regression_steps(regression),
+            )
         yield from self.engine_stages(None)
         # The LCP of a small program is tried if no external solver has a solution
         if not is_lcp_first and reduced.n + rows <= 300:
@@ -582,6 +589,15 @@ class ProgramRun(Run):
             self.program, engine, self.settings.tolerance, units, is_verbose=self.settings.verbose
         )
         yield Step(found.solution.x, iterations=found.iterations, measured=found)
+
+    def _regression_steps(self, regression: Regression) -> Iterator[Step]:
+        """Yield the start and the points of the least squares problem."""
+        yield Step(nearest(self.program)[0], iterations=0)
+        steps = {key: self.wishes[key] for key in ("max_iterations",) if key in self.wishes}
+        for x, y, name, iterations in regression.points(steps):
+            solution = QPSolution.from_reduced(self.program, x, y)
+            found = ProgramPoint.of(solution, self.settings.tolerance, name, iterations)
+            yield Step(x, iterations=iterations, measured=found)
 
     def _vertex_by_costs(self) -> Stage:
         """Return a stage with the vertex of a box that the costs push to."""

@@ -78,7 +78,7 @@ def _pickled(function: Callable[[Any], Any], job: Any) -> bytes:
 
 def _run_job(pickled: bytes) -> tuple[Any, Exception | None]:
     """Return the value of the job, or its error: an exception of the future means that the worker was lost."""
-    with _one_blas_thread():
+    with one_blas_thread():
         try:
             return pickle.loads(pickled)(), None
         except Exception as error:
@@ -94,7 +94,7 @@ def _picklable(error: Exception) -> Exception:
     return error
 
 
-def _one_blas_thread() -> AbstractContextManager[Any]:
+def one_blas_thread() -> AbstractContextManager[Any]:
     """Return a context in which BLAS has one thread, as far as threadpoolctl is installed."""
     try:
         from threadpoolctl import threadpool_limits

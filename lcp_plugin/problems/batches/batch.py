@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from typing import Any, TypeVar, Unpack
+from typing import Any, TypeVar, Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -197,8 +197,7 @@ def solve_batch(
                 "the host"
             )
         bounds = 0.0 if lower is None else lower, np.inf if upper is None else upper
-        answers: Any = DeviceAnswers(M, q, *bounds, given)
-        return answers
+        return cast(BatchAnswers, DeviceAnswers(M, q, *bounds, given))
     programs = _programs_of(M, q, lower, upper, z0)
     if programs is not None:
         if z0 is not None or "absolute_tolerance" in given:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cached_property, partial
 from threading import Lock
@@ -16,10 +17,11 @@ from ...api import solve
 from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
-from ...core.executors import run_on
+from ...core.executors import one_blas_thread, run_on
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_callback, checked_threads
 from ...core.solving.result import BaseResult, Result, StageRecord
+from ...methods.small import LOOP_UP_TO
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..least_squares.solving import LeastSquaresResult
@@ -129,7 +131,10 @@ class BatchRun:
                     self._take(items, *solve_stack())
                     self.report()
 
-        run_in_chunks(solve_some, len(stacks), self.threads)
+        is_table = isinstance(self.z, np.ndarray)
+        n = self.z.shape[1] if is_table else max(map(len, self.z), default=0)
+        with one_blas_thread() if stacks and n > LOOP_UP_TO else nullcontext():
+            run_in_chunks(solve_some, len(stacks), self.threads)
 
     def _take(self, items: Any, z: Any, residual: Any, iterations: Any, is_solved: Any) -> None:
         """Keep the solved problems of a stack."""

@@ -52,7 +52,7 @@ def _library(array: Any) -> Callable[[Any], Any]:
     has_namespace = hasattr(array, "__array_namespace__")
     name = type(array).__module__.partition(".")[0]
     space = array.__array_namespace__() if has_namespace else import_module(name)
-    return getattr(space, "from_dlpack", lambda own: own)  # type: ignore[no-any-return]
+    return getattr(space, "from_dlpack", lambda own: own)
 
 
 class DeviceData(NamedTuple):
@@ -165,6 +165,8 @@ class DeviceAnswers(AnswerSequence[Any]):
         Seconds of the entire batch, compilation excluded.
     """
 
+    status: Any
+
     def __init__(self, M: Any, q: Any, lower: Any, upper: Any, options: dict[str, Any]) -> None:
         self.gpu, self.library, self.settings = _modules(), _library(q), Settings(**options)
         (xp, _), clock, limit = self.gpu, Clock(), self.settings.max_seconds
@@ -194,7 +196,8 @@ class DeviceAnswers(AnswerSequence[Any]):
             left = options.copy()
             if limit < np.inf:
                 left["max_seconds"] = max(limit - clock.read(), 0.0)
-            found = BatchRun(Stacked(*data.on_host(xp, xp.asarray(rest)), None), "auto", left).run()
+            A, b, *bounds = data.on_host(xp, xp.asarray(rest))
+            found = BatchRun(Stacked(A, b, *bounds, z0=None), "auto", left).run()
             z[xp.asarray(rest)] = xp.asarray(found.z)
             self.status[rest], residual[rest] = found.status, found.relative_residual
             self.iterations[rest] = found.iterations

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ sys.path[:0] = [str(Path(__file__).parent.parent), str(Path(__file__).parent)]
 
 import numpy as np  # noqa: E402
 
-from lcp_plugin import Status, solve_batch  # noqa: E402
+from lcp_plugin import Status, derivative, solve_batch  # noqa: E402
 
 INF = np.inf
 SIZES = [(1, 5), (3, 12), (6, 12)] if IS_SIMULATED else [(1, 100), (8, 500), (30, 500), (70, 200)]
@@ -93,6 +94,15 @@ def compare(put: Any, data: tuple[Any, ...]) -> int:
     np.testing.assert_allclose(w, here.w, rtol=1e-9, atol=1e-8)
     again = solve_batch(given[0], given[1], lower=given[2], upper=given[3])
     assert on_host(again.z).tobytes() == z.tobytes()
+    g = np.random.default_rng(1).normal(size=z.shape)
+    found, expected = derivative(there), derivative(here)
+    by, of_cpu = found.vjp(put(g)), expected.vjp(g)
+    for name in ("q", "lower", "upper", "M"):
+        assert type(getattr(by, name)) is type(given[1])
+        np.testing.assert_allclose(
+            on_host(getattr(by, name)), getattr(of_cpu, name), rtol=1e-7, atol=1e-9, err_msg=name
+        )
+    assert found.errors.keys() == expected.errors.keys()
     for k in (0, len(there) - 1):
         if there.status[k] is Status.SOLVED:
             assert there[k].is_solved
@@ -113,5 +123,55 @@ def check_all() -> None:
             print(f"{name}, one M, n = {n}: {compare(put, (M[0], *vectors))} of {count} on the GPU")
 
 
+def seconds(work: Any) -> float:
+    """Return the least time of three calls."""
+    times = []
+    for _ in range(3):
+        began = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+ROWS = (8, 65_536), (10, 65_536), (16, 4_096), (16, 65_536), (30, 4_096), (30, 65_536), (64, 4_096)
+
+
+def row_of_times(put: Any, n: int, count: int) -> str:
+    """Return a row of the table: milliseconds for a batch on the CPU and on the GPU, with gradients."""
+    M, q, lower, upper = definite(n, count)
+    own = [put(one) for one in (M, q, lower, upper)]
+    answers = solve_batch(own[0], own[1], lower=own[2], upper=own[3])
+    found = derivative(answers)
+    on_host(found.vjp(own[1]).q)  # compiles
+    times = (
+        seconds(lambda: solve_batch(M, q, lower=lower, upper=upper)),
+        seconds(lambda: solve_batch(own[0], own[1], lower=own[2], upper=own[3])),
+        seconds(lambda: on_host(found.vjp(own[1]).q[:1])),
+    )
+    share = 1.0 - len(answers._others[0]) / count
+    return f"| {n} | {count} | {' | '.join(f'{1e3 * one:.2f}' for one in times)} | {share:.2%} |"
+
+
+def missing() -> str:
+    """Return the reason why no run on a GPU is possible here, or an empty text."""
+    try:
+        import cupy
+        from numba import cuda
+    except ImportError as error:
+        return f"{error}: pip install 'lcp_plugin[gpu]'"
+    if not cuda.is_available():
+        return "numba finds no GPU"
+    name = cupy.cuda.runtime.getDeviceProperties(0)["name"].decode()
+    print(f"{name}, {len(os.sched_getaffinity(0))} processors, CuPy {cupy.__version__}")
+    return ""
+
+
 if __name__ == "__main__":
+    if not IS_SIMULATED and (lack := missing()):
+        sys.exit(f"no run on a GPU here: {lack}; python tests/on_a_gpu.py --simulated runs without")
     check_all()
+    if not IS_SIMULATED:
+        print("| n | problems | CPU, ms | GPU, ms | gradient on the GPU, ms | solved on the GPU |")
+        print("|---|---|---|---|---|---|")
+        for size in ROWS:
+            print(row_of_times(libraries()["cupy"], *size), flush=True)

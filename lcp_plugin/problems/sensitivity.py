@@ -36,7 +36,7 @@ from ..core.checks import (
     require_finite,
 )
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
-from ..core.kernels.floats import EPSILON
+from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
 from ..core.matrix import residual_scales
 from ..core.problem_classes import refusal
@@ -47,6 +47,7 @@ from ..systems.free_systems import CONSISTENT, FreeBlocks, FreeSystem, Linearize
 from ..systems.graph import outer_on_pattern
 from .batches.batch_run import BatchAnswers
 from .batches.instances import Group, Listed, Stacked, Worlds, stack_of_worlds
+from .batches.on_device import DeviceAnswers, launch
 from .cones.derivative import ConeDerivative, StackDerivative
 from .cones.methods import whole_systems
 from .cones.solving import ConeResult
@@ -198,7 +199,7 @@ class ManyDerivatives:
         Error of each item without a derivative.
     """
 
-    def __init__(self, batch: BatchAnswers, each: Callable[[Any], Any]) -> None:
+    def __init__(self, batch: Any, each: Callable[[Any], Any]) -> None:
         self.batch, self._derivative_of = batch, each
         self._each: dict[int, Any] = {}
         self.errors: dict[int, LCPError] = {**batch.errors}
@@ -454,6 +455,68 @@ class BatchDerivative(ManyDerivatives):
 
     def _table(self, value: Any) -> Any:
         return np.full(self.batch.z.shape, value)
+
+
+class DeviceDerivative(ManyDerivatives):
+    """The gradients of a batch in arrays on a GPU, computed there; ``found[k]`` is the derivative of result k.
+
+    Parameters
+    ----------
+    batch : DeviceAnswers
+    each : callable
+        Returns the Derivative of a Result.
+
+    Attributes
+    ----------
+    errors : dict
+        Error of each problem without a derivative; its rows are NaN.
+    """
+
+    def vjp(self, g: Any) -> BatchGradient:
+        """Return the gradients of functions L_k(z_k) by q, lower, upper and M, in the library of q.
+
+        One thread solves the adjoint system of one problem. A problem near a kink, or whose system may be singular, is
+        passed to its Derivative on the host.
+
+        Parameters
+        ----------
+        g : array, shape (B, n) or (n,)
+            ∂L/∂z, on the GPU.
+        """
+        batch, z = self.batch, self.batch.points
+        (xp, _), (M, q, lower, upper), sizes = batch.gpu, batch.data, abs(batch.data.M)
+        rows = xp.broadcast_to(xp.asarray(g).astype(float), z.shape)
+        w, terms = batch.data.slacks(z), (sizes @ abs(z)[:, :, None])[:, :, 0] + abs(q)
+        diagonal, largest = M.diagonal(axis1=1, axis2=2), sizes.max(axis=2)
+        is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * largest)
+        scale = xp.where(is_usable, diagonal, largest)
+        free, is_fixed = (z > lower) & (z < upper), lower == upper
+        distance = xp.where(free, xp.minimum(z - lower, upper - z) * scale, abs(w))
+        by_q, zeros, sides = xp.zeros(z.shape), xp.zeros(z.shape), xp.where(free, FREE, LOW)
+        arrays = M.swapaxes(1, 2), rows, zeros, sides
+        launch(batch.gpu, "solve_free_rows", arrays, (), (by_q,))
+        is_clear = (is_fixed | (distance > HALF * terms)).all(axis=1)
+        is_clear &= HALF * abs(by_q).max(axis=1) * largest.max(axis=1) <= abs(rows).max(axis=1)
+        by_bound = xp.where(free, 0.0, rows + (by_q[:, None] @ M)[:, 0])
+        is_upper = xp.where(is_fixed, w < 0.0, z == upper)
+        tables = by_q, xp.where(is_upper, 0.0, by_bound), xp.where(is_upper, by_bound, 0.0)
+        for k in np.flatnonzero(~(xp.asnumpy(is_clear) & self._is_solved)).tolist():
+            own, of_host = xp.asnumpy(rows[k]), np.full((3, z.shape[1]), np.nan)
+            try:
+                if own.any():
+                    of_host[:] = [*self[k].vjp(own)][:3]
+                else:
+                    of_host[:] = 0.0
+            except LCPError as error:
+                self.errors[k] = error
+            for table, row in zip(tables, of_host, strict=True):
+                table[k] = xp.asarray(row)
+        names = dict(zip(("q", "lower", "upper"), map(batch.library, tables), strict=True))
+        is_shared = len(M) == 1
+        return BatchGradient(
+            lambda: batch.library(by_q.T @ z if is_shared else by_q[:, :, None] * z[:, None]),
+            **names,
+        )
 
 
 NAMED = 5  # instances in a message
@@ -761,7 +824,7 @@ def derivative(result: Any) -> Any:
 
     Returns
     -------
-    Derivative or BatchDerivative or ContactBatchDerivative or MarchDerivative
+    Derivative or BatchDerivative or DeviceDerivative or ContactBatchDerivative or MarchDerivative
         All quantities are computed on first access. ``errors`` of a batch derivative lists the problems without one.
 
     Raises
@@ -787,6 +850,8 @@ def derivative(result: Any) -> Any:
     """
     if isinstance(result, BatchAnswers):
         return _derivative_of_batch(result)
+    if isinstance(result, DeviceAnswers):
+        return DeviceDerivative(result, derivative)
     if isinstance(result, March):
         if not isinstance(result.problem, LCP):
             raise InvalidOption(

@@ -22,6 +22,8 @@ class ndarray(np.ndarray):  # noqa: N801 - the name in CuPy
         raise AttributeError("CuPy has none")
 
     def __array_ufunc__(self, ufunc: Any, method: str, *given: Any, **options: Any) -> Any:
+        if "out" in options:
+            options["out"] = tuple(map(_plain, options["out"]))
         found = getattr(ufunc, method)(*map(_plain, given), **options)
         return _on_gpu(found)
 

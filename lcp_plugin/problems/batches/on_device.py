@@ -107,13 +107,13 @@ class DeviceData(NamedTuple):
         return [xp.asnumpy(one) for one in (M, *(one[k] for one in self[1:]))]
 
 
-def _launch(
+def launch(
     gpu: tuple[Any, Any],
     name: str,
     arrays: Any,
     shared: Any,
     found: Any,
-    has_time: Callable[[], bool] = bool,
+    has_time: Callable[[], bool] = lambda: True,
 ) -> None:
     """Call a kernel for all problems, a thread for each, in parts whose tables fit into MAX_SCRATCH.
 
@@ -178,7 +178,7 @@ class DeviceAnswers(AnswerSequence[Any]):
             xp.full(count, np.inf),
             (xp.asarray(tilts(n)), float(self.settings.tolerance)),
         )
-        _launch(
+        launch(
             self.gpu,
             "solve_each",
             (*data, start),
@@ -196,8 +196,8 @@ class DeviceAnswers(AnswerSequence[Any]):
             left = options.copy()
             if limit < np.inf:
                 left["max_seconds"] = max(limit - clock.read(), 0.0)
-            A, b, *bounds = data.on_host(xp, xp.asarray(rest))
-            found = BatchRun(Stacked(A, b, *bounds, z0=None), "auto", left).run()
+            A, b, below, above = data.on_host(xp, xp.asarray(rest))
+            found = BatchRun(Stacked(A, b, below, above, None), "auto", left).run()
             z[xp.asarray(rest)] = xp.asarray(found.z)
             self.status[rest], residual[rest] = found.status, found.relative_residual
             self.iterations[rest] = found.iterations

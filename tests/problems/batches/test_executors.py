@@ -120,13 +120,13 @@ def test_processes_solve_a_batch_and_use_one_thread(pool: ProcessPoolExecutor) -
 
 def blas_threads() -> list[int]:
     """Return the numbers of BLAS threads inside a job, without repetition."""
-    from lcp_plugin.core.executors import _one_blas_thread
+    from lcp_plugin.core.executors import one_blas_thread
 
     try:
         from threadpoolctl import threadpool_info
     except ImportError:
         return []
-    with _one_blas_thread():
+    with one_blas_thread():
         return sorted({one["num_threads"] for one in threadpool_info()})
 
 

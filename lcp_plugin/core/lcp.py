@@ -216,6 +216,22 @@ class LCP:
 
         return RowsOnRanks.from_rows(comm, rows, q, **given)
 
+    @classmethod
+    def from_petsc(cls, A: Any, q: Any, **given: Any) -> Any:
+        """Return the problem of a PETSc matrix on its communicator; see :mod:`lcp_plugin.ranks`.
+
+        Parameters
+        ----------
+        A : petsc4py.PETSc.Mat
+            Square, with equal parts of rows and columns. It must not change as long as the problem is in use.
+        q : petsc4py.PETSc.Vec
+        **given
+            lower, upper : number or petsc4py.PETSc.Vec.
+        """
+        from ..ranks.petsc import RowsOnPETSc
+
+        return RowsOnPETSc.from_petsc(A, q, **given)
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write the problem to ``path``: one ``.npz`` or ``.nl`` file, or a folder of Matrix Market files.
 

@@ -484,19 +484,24 @@ METHODS: dict[str, Callable[..., Iterates]] = {
 
 
 def chain(
-    algorithm: str, options: dict[str, Any], *, is_positive: bool
+    algorithm: str,
+    options: dict[str, Any],
+    more: dict[str, Callable[..., Iterates]],
+    *,
+    is_positive: bool,
 ) -> list[tuple[str, Callable[..., Iterates]]]:
-    """Return the methods that a name means, in order: multigrid and then sweeps for "auto"."""
+    """Return the methods that a name means, in order: multigrid, `more`, and then sweeps for "auto"."""
+    methods = METHODS | more
     if algorithm == "auto":
         if options:
             raise InvalidOption(f'algorithm="auto" has no options, got {sorted(options)}')
-        names = ("multigrid", "pgs") if is_positive else ("npsor",)
-        return [(name, METHODS[name]) for name in names]
-    if not isinstance(algorithm, str) or algorithm not in METHODS:
+        names = ("multigrid", *more, "pgs") if is_positive else (*more, "npsor")
+        return [(name, methods[name]) for name in names]
+    if not isinstance(algorithm, str) or algorithm not in methods:
         raise UnknownAlgorithm(
-            f"{algorithm!r} does not run on several ranks; auto does, and {', '.join(METHODS)}"
+            f"{algorithm!r} does not run on several ranks; auto does, and {', '.join(methods)}"
         )
-    method = METHODS[algorithm]
+    method = methods[algorithm]
 
     def with_options(problem: RowsOnRanks, z: Vector) -> Iterates:
         try:

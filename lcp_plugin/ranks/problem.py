@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import re
 import secrets
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 from zlib import crc32
 
 import numpy as np
@@ -40,7 +40,7 @@ from ..interfaces.files import (
     write_whole,
 )
 from .halo import Halo, Ranks, numbered_over_all, own_rows
-from .solving import ResultOnRanks, solve_on_ranks
+from .solving import ResultOnRanks, RowDataOnRanks, solve_on_ranks
 
 WIDEST = 2**31 - 1  # columns that 32 bits count
 UNLIKELY = 1e-10  # relative difference of xᵀM y and yᵀM x beyond which M is not symmetric
@@ -64,7 +64,11 @@ class RowsOnRanks:
     q, lower, upper : array, shape (own,)
     diagonal, residual_scale : array, shape (own,)
         m_ii, and d_i of the residual.
+    methods : dict
+        Further algorithms of this class, by name.
     """
+
+    methods: ClassVar[dict[str, Callable[..., Any]]] = {}
 
     def __init__(
         self, rows: sp.csr_array, halo: Halo, q: ArrayLike, lower: ArrayLike, upper: ArrayLike
@@ -79,7 +83,7 @@ class RowsOnRanks:
     @classmethod
     def from_rows(
         cls, comm: Any, rows: Any, q: ArrayLike, lower: ArrayLike = 0.0, upper: ArrayLike = np.inf
-    ) -> RowsOnRanks:
+    ) -> Self:
         """Return the problem of the rows that each rank passes, in the order of the ranks.
 
         Parameters
@@ -175,6 +179,12 @@ class RowsOnRanks:
     def solve(self, algorithm: str = "auto", **options: Any) -> ResultOnRanks:
         """Return the solution; see :func:`lcp_plugin.ranks.solving.solve_on_ranks`."""
         return solve_on_ranks(self, algorithm, **options)
+
+    def measured(self, x: Any, tolerance: float) -> tuple[bool, float, float]:
+        """Return, for `certify`, whether the stopping criterion holds at x, the largest violation, and the residual."""
+        found = RowDataOnRanks(self).measure(self.own_part(x, "x"), tolerance)
+        sizes = self.halo.largest(found.rows.violation), self.halo.largest(found.by_row.relative)
+        return bool(found.passes), *sizes
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write one chunk per rank into a folder that all ranks see, in place of older chunks.

@@ -316,7 +316,7 @@ def solve_on_ranks(
     settings, methods, callback = ranks.together(
         lambda: (
             Settings(**{"threads": 1, **of_run}),
-            chain(algorithm, options, is_positive=is_positive),
+            chain(algorithm, options, problem.methods, is_positive=is_positive),
             checked_callback(callback),
         )
     )
@@ -394,7 +394,8 @@ class RunOnRanks(Run):
         """Return the measure of a step; None if no measurement is due."""
         progress, settings = self.progress, self.settings
         is_due = progress.iteration >= self.next_check or progress.end is not None
-        if not (is_due or progress.is_watched):
+        is_costly = stage.algorithm.name in self.problem.methods  # a step of linear solves
+        if not (is_due or is_costly or progress.is_watched):
             return None
         is_sweep = stage.algorithm.name != "multigrid"
         self.next_check = math.ceil(progress.iteration * GROWTH) + is_sweep

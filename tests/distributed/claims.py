@@ -10,6 +10,7 @@ import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import scipy.sparse as sp
@@ -96,6 +97,14 @@ def multigrid_takes_few_cycles() -> None:
     result = RowsOnRanks.from_problem(problem).solve("multigrid")
     assert result.is_solved
     assert result.iterations <= 22
+
+
+@claim
+def multigrid_needs_no_pyamg() -> None:
+    hidden = dict.fromkeys(("pyamg", "pyamg.strength", "pyamg.classical.interpolate"))
+    with patch.dict(sys.modules, hidden):
+        problem = gallery.build("obstacle_2d", size=80).problem
+        assert RowsOnRanks.from_problem(problem).solve("multigrid").is_solved
 
 
 @claim

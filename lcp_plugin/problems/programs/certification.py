@@ -138,7 +138,8 @@ def certify(
         if isinstance(x, QuadraticProgramResult) and claim is None and x.has_no_solution:
             claim = str(x.status.name).lower()
         if not isinstance(problem, QuadraticProgram):
-            if (kind := class_of(problem)) is not None and CLASSES[kind].criterion:
+            kind = class_of(problem)
+            if hasattr(problem, "measured") or (kind is not None and CLASSES[kind].criterion):
                 return _certify_pairs(problem, x, (multipliers, claim), float(tolerance))
             if kind is not None or isinstance(problem, (BaseResult, QPSolution)):
                 raise InvalidProblem(refusal("certify", problem))
@@ -193,22 +194,31 @@ def _certify_pairs(
         raise InvalidOption(
             f"certify needs a point of the {type(problem).__name__}; give certify(problem, x)"
         )
-    z = checked_vector(getattr(x, "x", x) if isinstance(x, BaseResult) else x, "x", problem.n)
+    x = getattr(x, "x", x) if isinstance(x, BaseResult) else x
+    if hasattr(problem, "measured"):  # its rows are spread over MPI ranks
+        return _certification(*problem.measured(x, tolerance), tolerance=tolerance)
+    z = checked_vector(x, "x", problem.n)
     criterion = resolve_name(f"lcp_plugin.{CLASSES[str(class_of(problem))].criterion}")
     data, z, w, names = criterion(problem, z)
     found = data.measure_at(z, w, tolerance)
     is_near = found.by_row.relative <= tolerance
     if w is None and not found.passes.all() and is_near.any():  # a run moves these to their bounds
         found = data.measure_at(np.where(is_near, data.snap(z)[0], z), None, tolerance)
-    passes = bool(np.all(found.passes))
+    violation = float(np.max(found.rows.violation, initial=0.0))
     residual = float(np.max(found.by_row.relative, initial=0.0))
-    return Certification(
-        "proved" if passes else "disproved",
-        "solved",
-        max(0.0, float(np.max(found.rows.violation, initial=0.0))),
-        reason=f"relative residual {residual:.3g}, tolerance {tolerance:g}",
-        rows=partial(worst_pairs, data, found, names, tolerance),
+    rows = partial(worst_pairs, data, found, names, tolerance)
+    return _certification(
+        bool(np.all(found.passes)), violation, residual, tolerance=tolerance, rows=rows
     )
+
+
+def _certification(
+    passes: bool, violation: float, residual: float, *, tolerance: float, rows: Any = None
+) -> Certification:
+    """Return the verdict on a point of complementarity conditions."""
+    reason = f"relative residual {residual:.3g}, tolerance {tolerance:g}"
+    verdict = "proved" if passes else "disproved"
+    return Certification(verdict, "solved", max(0.0, violation), reason=reason, rows=rows)
 
 
 def _answer(program: QuadraticProgram, x: Any, multipliers: Any) -> tuple[Vector, Vector | None]:

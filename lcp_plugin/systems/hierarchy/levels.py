@@ -196,4 +196,4 @@ def _interpolation_in_numpy(
     P = sp.csr_array(P)
     P.eliminate_zeros()
     is_lonely = (np.diff(P.indptr) == 0) & (np.diff(strong.indptr) > 0)
-    return read_only(is_coarse), P, int(np.count_nonzero(is_lonely))
+    return read_only(choice), P, int(np.count_nonzero(is_lonely))

@@ -36,6 +36,11 @@ class Names(NamedTuple):
         """Return the name of unknown i, by default "z[3]"."""
         return _name(self.unknowns, i) or otherwise.format(i)
 
+    def pair(self, i: int) -> tuple[str, str]:
+        """Return the names of row and unknown i, which are "w[name]" and "z[name]" if both have one name."""
+        row, unknown = self.row(i), self.unknown(i)
+        return (row, unknown) if row != unknown else (f"w[{row}]", f"z[{row}]")
+
 
 def listed(names: Iterable[str], most: int = 4, between: str = ", ") -> str:
     """Return different names as text: the first ones, and the number of the others.

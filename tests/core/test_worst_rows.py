@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -108,3 +109,25 @@ def test_a_run_that_fails_ends_with_its_worst_rows() -> None:
         NonlinearProblem(lambda x: x**2 + 1, lower=-np.inf, names=["F"]), x0=[1.0]
     ).explain()
     assert said.splitlines()[-1].startswith("  F = 1, and must be 0")
+
+
+@pytest.mark.parametrize(
+    ("F", "line"),
+    [
+        (lambda x: [x[0] - 3, x[1] ** 2 - 4, x[1] ** 2 - 12], "and z[c] has no effect on it; see"),
+        (
+            lambda x: [x[0] + 1e13 * x[1], x[0] ** 2 + 1, x[2]],
+            "the coefficients of a differ by a factor of 1e+13",
+        ),
+        (
+            lambda x: [x[0] / x[1] - 2, x[1] / x[0] - 2, x[2]],
+            "the rows a, b are dependent at this point",
+        ),
+    ],
+)
+def test_the_mistake_of_a_model_that_fails_is_below_its_worst_rows(F: Any, line: str) -> None:
+    """A missing term, two units in a row, and rows without a numeraire."""
+    problem = NonlinearProblem(lambda x: np.array(F(x)), lower=-np.inf, names=["a", "b", "c"])
+    result = solve(problem, x0=[1.0, 1.5, 1.0], max_iterations=20)
+    assert not result.is_solved
+    assert line in result.explain().splitlines()[-1]

@@ -90,9 +90,7 @@ def worst_pairs(
 
 def _sides(names: Names, i: int, z: float, w: float, lower: float, upper: float) -> str:
     """Return both sides of a pair with their values: the row, and the unknown next to the bound that it is off."""
-    row, unknown = names.row(i), names.unknown(i)
-    if row == unknown:  # a square problem has one name for both
-        row, unknown = f"w[{row}]", f"z[{unknown}]"
+    row, unknown = names.pair(i)
     if not math.isfinite(w):
         return f"{row} is {w} while {unknown} = {z:.6g}"
     if math.isnan(lower):

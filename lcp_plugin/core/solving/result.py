@@ -186,14 +186,17 @@ class BaseResult(Outcome):
         course = [self._effort(), *filter(None, [self.begun]), *gains, *stage_lines(self.stages)]
         is_decided = self.is_solved or self.has_no_solution
         worst = () if is_decided else self._worst(SHOWN)
-        rows = (
-            ["the worst rows:", *(f"  {line}" for line in str(worst).splitlines())] if worst else []
-        )
+        lines = [*str(worst).splitlines(), self._mistake()] if worst else []
+        rows = ["the worst rows:", *(f"  {line}" for line in lines if line)] if worst else []
         return "\n".join([*self._verdict(), *course, *self._remarks(), *rows])
 
     def _worst(self, count: int) -> WorstRows:
         """Return the rows that fail the criterion by most; none by default."""
         return WorstRows()
+
+    def _mistake(self) -> str:
+        """Return the likely mistake of the model, below the worst rows; none by default."""
+        return ""
 
     def _remarks(self) -> list[str]:
         """Return the last lines of the explanation."""
@@ -460,6 +463,11 @@ class Result(BaseResult):
         data = self.certificate.criterion
         found = data.measure_at(self.z, self.w, self.tolerance)
         return worst_pairs(data, found, self.certificate.problem.names, self.tolerance, count)
+
+    def _mistake(self) -> str:
+        from ...proofs.mistakes import likely_mistake
+
+        return likely_mistake(self.certificate.problem, self.z, self.w)
 
     @property
     def _or_absolute(self) -> str:

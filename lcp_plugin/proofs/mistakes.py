@@ -1,0 +1,51 @@
+"""The likely mistake of a model without a solution, by name: a fact of M, or F′, at the last point."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from ..core.checks import Vector
+from ..core.lcp import LCP
+from ..core.names import listed
+from .bounds import free_rows
+
+UNITS = 1e12  # quotient of two coefficients of a row that suggests two units
+MOST_ROWS = 400  # of a matrix whose singular vectors are computed: 0.1 s
+DEPENDENT = 1e-6  # quotient of singular values that counts as 0: derivatives may be differences
+PART = 0.1  # of the largest entry of a singular vector: rows with less are not named
+
+
+def likely_mistake(problem: LCP, z: Vector, w: Vector) -> str:
+    """Return a row that its unknown cannot correct, a row of two units, or dependent rows: the first of them, or ""."""
+    M, names = problem.matrix.csr, problem.names
+    # w_i depends on z_i, also through other pairs, only if both are on a cycle of the pattern.
+    component = connected_components(M, connection="strong")[1]
+    is_apart = (np.bincount(component)[component] == 1) & (M.diagonal() == 0.0)
+    is_wrong = np.where(w < 0.0, problem.upper == np.inf, problem.lower == -np.inf)
+    wrong = np.abs(w) / problem.residual_scale * (is_apart & is_wrong)
+    if wrong.max(initial=0.0) > 0.0:
+        i = int(np.argmax(wrong))
+        row, unknown = names.pair(i)
+        return (
+            f"{row} is {w[i]:.6g}, and {unknown} has no effect on it; see whether a term is missing"
+        )
+    inverse = abs(M)
+    inverse.data = 1.0 / inverse.data
+    ratio = problem.matrix.row_largest * inverse.max(axis=1).toarray().ravel()
+    if ratio.max(initial=1.0) >= UNITS:
+        i = int(np.argmax(ratio))
+        return f"the coefficients of {names.row(i)} differ by a factor of {ratio[i]:.0e}; see its units"
+    free = np.flatnonzero(free_rows(problem, z, w))
+    if not 1 < free.size <= MOST_ROWS:
+        return ""
+    block = M[free][:, free].toarray()
+    lengths = np.linalg.norm(block, axis=1, keepdims=True)
+    left, values, _ = np.linalg.svd(block / np.where(lengths > 0.0, lengths, 1.0))
+    part = np.abs(left[:, -1]) >= PART * np.abs(left[:, -1]).max()
+    if values[-1] > DEPENDENT * values[0] or part.sum() == 1:
+        return ""
+    return (
+        f"the rows {listed(map(names.row, free[part]))} are dependent at this point; if they are everywhere, fix an "
+        "unknown, as the price of a numeraire"
+    )

@@ -36,8 +36,6 @@ from ..problems.programs.program import QuadraticProgram
 from . import functions
 from .rows import Compiler, Indices, Program, Rows, added, as_matrix, assembled, is_definition
 
-Mask = NDArray[np.bool_]
-
 SMALLEST_PIVOT = 1e-8  # relative to the largest entry of its row
 MOST_FILL = 4  # times the entries there were
 MOST_DEFINITIONS = 500
@@ -84,7 +82,7 @@ Affine = tuple[sp.csr_array, Vector]
 
 
 def eliminate_definitions(
-    equations: Affine, functions: Affine, owner: Indices, is_free: Mask, variable_of: Indices
+    equations: Affine, functions: Affine, owner: Indices, is_free: BoolVector, variable_of: Indices
 ) -> tuple[Elimination, Affine, Affine]:
     """Return the elimination of all unknowns that are only defined, the equations left and the functions.
 
@@ -196,7 +194,7 @@ def put_in_all(
 
 
 def _pivots(
-    equations: sp.csr_array, rows: Indices, is_open: Mask, variable_of: Indices
+    equations: sp.csr_array, rows: Indices, is_open: BoolVector, variable_of: Indices
 ) -> tuple[Indices, Indices]:
     """Return rows of one constraint and the unknown that each defines, of the variable with most unknowns."""
     part = sp.csr_array(equations[rows])
@@ -365,19 +363,14 @@ class SquareModel:
         left = left[self.places]
         expected[left] = self.signs * w
         if isinstance(self.problem, NonlinearProblem):
-            with np.errstate(all="ignore"):
-                terms[left] = row_data(self.problem.linearize(z)).rows(z).terms
+            terms[left] = row_data(self.problem.linearize(z)).rows(z).terms
         else:
             unknowns = np.abs(self.elimination.expand(z))
             terms = np.concatenate([abs(matrix) @ unknowns for matrix in self.stored])
-        wrong = mismatches(values, expected, terms)
+        allowed = DISAGREEMENT * (terms + np.abs(values) + np.abs(expected))
+        is_wrong = np.isfinite(expected) & ~(np.abs(values - expected) <= allowed)
+        wrong = np.flatnonzero(is_wrong)
         return (int(wrong[0]), float(expected[wrong[0]])) if wrong.size else None
-
-
-def mismatches(values: Any, expected: Any, terms: Any) -> Indices:
-    """Return the rows whose values differ from the finite expected ones by more than rounding of terms of that size."""
-    allowed = DISAGREEMENT * (terms + np.abs(values) + np.abs(expected))
-    return np.flatnonzero(np.isfinite(expected) & ~(np.abs(values - expected) <= allowed))
 
 
 class Statement:

@@ -277,17 +277,12 @@ class _Model:
     # --- the statement ---
 
     def _state(self) -> None:
-        program, smooth, nothing = (
-            self.problem.program,
-            self.problem.smooth,
-            np.zeros(self.problem.program.h.size),
-        )
-        self._constrain(
-            self._sums(program.G, self.x, nothing), np.full(nothing.size, -np.inf), program.h
-        )
-        self._constrain(
-            self._sums(program.A, self.x, np.zeros(program.b.size)), program.b, program.b
-        )
+        program, smooth = self.problem.program, self.problem.smooth
+        for matrix, low, high in (
+            (program.G, np.full(program.h.size, -np.inf), program.h),
+            (program.A, program.b, program.b),
+        ):
+            self._constrain(self._sums(matrix, self.x, np.zeros(low.size)), low, high)
         goal = self._sums(
             program.c[None] / self.unit, self.x, np.array([program.constant / self.unit])
         )[0]

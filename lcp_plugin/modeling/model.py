@@ -473,20 +473,19 @@ class Model:
             for one in self.variables
         }
 
+    @np.errstate(all="ignore")  # outside of a domain
     def present(self) -> Vector | None:
         """Return the present values of all unknowns; None if a variable has no value."""
         values = {one.id: one.value for one in self.variables}
-        with np.errstate(all="ignore"):  # outside of a domain
-            self._define(values)
+        self._define(values)
         if any(value is None for value in values.values()):
             return None
         z = np.zeros(self.statement.lower.size)
         for key, value in values.items():
             z[self.spans[key]] = by_columns(value)
-        with np.errstate(all="ignore"):
-            for one in self.statement.rows:
-                if one.slacks is not None:
-                    z[one.slacks] = one.sign * by_columns(one.origin.value)
+        for one in self.statement.rows:
+            if one.slacks is not None:
+                z[one.slacks] = one.sign * by_columns(one.origin.value)
         return z
 
     def _define(self, values: dict[int, Any]) -> None:
@@ -567,9 +566,8 @@ class Model:
         """
         square, stated = self.square, [*self.statement.pairs, *self.statement.rows]
         unknowns = square.elimination.expand(z)
-        with np.errstate(all="ignore"):
-            below = values_below([one.origin for one in stated])
-            values = [np.ravel(dense_value(below[id(one.origin)]), order="F") for one in stated]
+        below = values_below([one.origin for one in stated])
+        values = [np.ravel(dense_value(below[id(one.origin)]), order="F") for one in stated]
         for k, one in enumerate(stated):
             if one.slacks is not None:
                 values[k] = values[k] - unknowns[one.slacks]

@@ -38,14 +38,7 @@ def values_and_slopes(content: NLContent, x: Vector, rows: Indices) -> tuple[Vec
     """Return the values of rows, then objectives, with these numbers, and their derivatives by all variables."""
     found = Expressions(content, np.full(x.size, np.nan))
     program = Program.of(found.compiler, [found.rows(rows)], {UNKNOWNS: 0}, x.size)
-    with np.errstate(all="ignore"):
-        return program.value(x), program.jacobian(x)
-
-
-def sizes_of(content: NLContent, x: Vector, rows: Indices) -> Vector:
-    """Return the sizes |J| |x| of the terms of rows, then objectives; 0 if a derivative is not finite."""
-    sizes: Vector = abs(values_and_slopes(content, x, rows)[1]) @ np.abs(x)
-    return np.where(np.isfinite(sizes), sizes, 0.0)
+    return program.value(x), program.jacobian(x)
 
 
 # --- Side conditions -----------------------------------------------------------------------------------------------
@@ -655,7 +648,9 @@ class FileStatement:
         is_empty = np.diff(found.matrix.indptr)[equations] == 0
         empty: Indices = equations[is_empty]
         if empty.size:
-            sizes = sizes_of(content, np.nan_to_num(self.known), empty)
+            known = np.nan_to_num(self.known)
+            sizes = abs(values_and_slopes(content, known, empty)[1]) @ np.abs(known)
+            sizes = np.where(np.isfinite(sizes), sizes, 0.0)
             off = found.offset[empty] - right[empty]
             wrong = np.abs(off) > 2.0**-40 * (sizes + np.abs(right[empty]))
             for k in np.flatnonzero(wrong)[:1]:

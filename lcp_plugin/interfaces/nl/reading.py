@@ -314,25 +314,10 @@ class NLContent:
         partner_bounds: Indices,
     ) -> NLContent:
         """Return the content of rows with limits, without an objective."""
-        n, none = lower.size, Trees.of_numbers(np.zeros(0))
-        return cls(
-            lower=lower,
-            upper=upper,
-            row_lower=limits[0],
-            row_upper=limits[1],
-            partners=partners,
-            partner_bounds=partner_bounds,
-            linear=linear,
-            trees=trees,
-            is_maximized=np.zeros(0, dtype=bool),
-            objective_linear=sp.csr_array((0, n)),
-            objective_trees=none,
-            defined_linear=sp.csr_array((0, n)),
-            defined_trees=none,
-            is_integer=np.zeros(n, dtype=bool),
-            start=np.zeros(n),
-            has_start=np.zeros(n, dtype=bool),
-        )
+        none, no = Trees.of_numbers(np.zeros(0)), np.zeros(lower.size, dtype=bool)
+        nothing = sp.csr_array((0, no.size)), none
+        rows = lower, upper, *limits, partners, partner_bounds, linear, trees
+        return cls(*rows, no[:0], *nothing, *nothing, no, np.zeros(no.size), no)
 
     def variable(self, column: int) -> str:
         """Return the name of a variable, or its number; behind the last one come the defined variables."""
@@ -525,8 +510,7 @@ class _Reader:
 
     def read_segments(self) -> None:
         """Read all segments, in any order."""
-        header, source = self.header, self.source
-        n, d = header.variables, header.defined
+        header, source, n = self.header, self.source, self.header.variables
         while letter := source.letter():
             if letter not in HEADS:
                 source.fail(NO_SEGMENT)
@@ -536,24 +520,20 @@ class _Reader:
                 )
             numbers = source.behind("i" * HEADS[letter], has_name=letter == "S")
             owner = self._owner(letter, numbers)
-            if letter in "CO":
-                if letter == "O":
-                    if numbers[1] not in (0, 1):
-                        source.fail("the sense of an objective is 0 or 1")
-                    self.is_maximized[owner] = numbers[1] == 1
-                self._read_tree(letter, owner, n + d)
-            elif letter in "JGV":
-                reach = n + owner if letter == "V" else n
-                self._read_pairs(letter, owner, numbers[1], reach)
-                if letter == "V":
-                    self._read_tree(letter, owner, reach)
-            elif letter == "x":
-                self._read_pairs(letter, owner, numbers[0], n)
-            elif letter in "br":
+            reach = n + owner if letter == "V" else n
+            if letter in "JGVx":
+                self._read_pairs(letter, owner, numbers[letter != "x"], reach)
+            if letter == "O":
+                if numbers[1] not in (0, 1):
+                    source.fail("the sense of an objective is 0 or 1")
+                self.is_maximized[owner] = numbers[1] == 1
+            if letter in self.trees:
+                self._read_tree(letter, owner, reach if letter == "V" else n + header.defined)
+            if letter in self.bounds:
                 self._read_bounds(letter)
-            elif letter in SKIPPED:
+            if letter in SKIPPED:
                 self._skip(SKIPPED[letter], numbers[0])
-            else:  # a suffix; text has real numbers for whole ones too
+            if letter == "S":  # text has real numbers for whole ones also
                 is_real = numbers[0] & SUFFIX_IS_REAL or not header.is_binary
                 self._skip("id" if is_real else "ii", numbers[1])
 

@@ -4,7 +4,7 @@ A journal bearing with cavitation, and the elastic-plastic torsion of a bar.
 
 Games and options: Nash equilibria, the American put and the tree that checks it.
 
-Problems with a solution chosen first: the paper's examples, one with active constraints, and a random H₊-matrix.
+Problems with a solution chosen first: the paper's examples, and one with active constraints.
 """
 
 from __future__ import annotations
@@ -592,83 +592,3 @@ def _side(n: int) -> int:
     side = math.isqrt(n)
     require(side**2 == n, f"n must be a perfect square, got {n}")
     return side
-
-
-# --- A random matrix --------------------------------------------------------------------------------------
-
-
-LARGEST_ENTRY = 9
-
-
-@scene_builder
-def random_h_plus(
-    *,
-    n: int = 2000,
-    entries_per_row: int = 5,
-    row_scale: int = 20,
-    column_scale: int = 10,
-    active_share: float = 0.5,
-    seed: int = 0,
-) -> Scene:
-    """Random sparse H+-matrix, rows and columns wildly scaled, with a planted answer exact to the last bit.
-
-    Parameters
-    ----------
-    n
-        Number of unknowns, at least 2.
-    entries_per_row
-        Off-diagonal entries drawn per row; those that fall on the same place are added.
-    row_scale, column_scale
-        Rows and columns are multiplied by powers of two with random exponents from −scale to scale.
-    active_share
-        Share of components with z* = 0, in [0, 1], rounded to whole components. One in ten of them is
-        degenerate: w* = 0 too.
-    seed
-        Seed of the generator that draws all data.
-
-    Notes
-    -----
-    M = R A C with A an integer matrix of strictly dominant rows and R, C diagonal powers of two. Thus
-    ⟨M⟩ C⁻¹1 > 0 and M is H+, though usually neither rows nor columns of M are dominant. z* = C⁻¹ẑ, w* = R ŵ
-    with small integers ẑ, ŵ, and q = w* − M z* = R (ŵ − A ẑ): integers far below 2⁵³ times powers of two, so
-    that no rounding happens anywhere and z* is the exact solution for the stored data.
-    """
-    require(n > 1, f"n must be an integer ≥ 2, got {n}")
-    require(0.0 <= active_share <= 1.0, f"active_share must lie in [0, 1], got {active_share}")
-    require(max(row_scale, column_scale) <= 100, "row_scale and column_scale must be at most 100")
-    generator = np.random.default_rng(seed)
-    A = _random_dominant(generator, n, entries_per_row)
-    z, w = _random_answer(generator, n, active_share)
-    row_power = np.exp2(generator.integers(-row_scale, row_scale + 1, size=n))
-    column_power = np.exp2(generator.integers(-column_scale, column_scale + 1, size=n))
-
-    q = row_power * (w - A @ z)
-    A.data *= np.repeat(row_power, np.diff(A.indptr)) * column_power[A.indices]
-    return Scene(problem=LCP(A, q), exact=z / column_power)
-
-
-def _random_dominant(generator: Any, n: int, entries_per_row: int) -> sp.csr_array:
-    """Return an integer matrix whose diagonal exceeds the row sum of the absolute other entries by 1 … 9."""
-    count = n * entries_per_row
-    rows = np.repeat(np.arange(n), entries_per_row)
-    # A step of 1 … n − 1 around the circle never lands on the diagonal.
-    columns = (rows + generator.integers(1, n, size=count)) % n
-    signs, sizes = generator.choice([-1.0, 1.0], count), generator.integers(1, 10, count)
-    others = sp.csr_array((signs * sizes, (rows, columns)), shape=(n, n))
-    row_sums: Vector = np.asarray(abs(others).sum(axis=1), dtype=np.float64)
-    diagonal = row_sums + generator.integers(1, LARGEST_ENTRY + 1, size=n)
-    matrix = (others + sp.diags_array(diagonal)).tocsr()
-    matrix.eliminate_zeros()
-    return matrix
-
-
-def _random_answer(generator: Any, n: int, active_share: float) -> tuple[Vector, Vector]:
-    """Return complementary integer vectors ẑ, ŵ; a tenth of the zeros of ẑ are zeros of ŵ."""
-    order = generator.permutation(n)
-    active = order[: round(active_share * n)]
-    z = generator.integers(1, LARGEST_ENTRY + 1, size=n).astype(np.float64)
-    w = np.zeros(n)
-    w[active] = z[active]
-    z[active] = 0.0
-    w[active[: len(active) // 10]] = 0.0
-    return z, w

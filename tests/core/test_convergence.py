@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from inputs import membranes
 from inputs.families import BOUNDED, SWEEPERS
 from inputs.textbook_scenes import scaling_trap
 
@@ -46,7 +47,7 @@ def positive_definite(n: int, seed: int) -> np.ndarray:
 
 
 def scene(text: str) -> Solved:
-    found = gallery.parse(text)
+    found = membranes.parse(text)
     assert found.exact is not None
     return Solved(found.problem, found.exact)
 
@@ -180,7 +181,7 @@ def test_a_warm_start_at_the_answer_is_recognised(name: str, kind: str) -> None:
 def boxed(seed: int = 0) -> Solved:
     """Symmetric boxes [−c, c], some rows free, on an H₊-matrix: rows at either bound, inside, and degenerate."""
     generator = np.random.default_rng(seed)
-    M = gallery.random_h_plus(n=200, row_scale=0, column_scale=0).problem.csr
+    M = membranes.random_h_plus(n=200, row_scale=0, column_scale=0).problem.csr
     n = M.shape[0]
     half_width = generator.integers(1, 6, size=n).astype(float)
     place = generator.choice([-1.0, 0.0, 1.0], size=n)

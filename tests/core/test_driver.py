@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from inputs import membranes
 from inputs.families import BOUNDED, DIRECT
 
 from lcp_plugin import LCP, NotConverged, QuadraticProgram, Result, Status, gallery, solve
@@ -260,7 +261,7 @@ def test_callback_stops_the_run_and_cannot_write() -> None:
 @pytest.mark.parametrize("name", DIRECT)
 def test_iterates_of_direct_methods_are_within_the_bounds(name: str) -> None:
     """Every step, also on the way, is a point of the box, although Newton and interior point methods leave it."""
-    problem = gallery.build("random_h_plus", n=40).problem
+    problem = membranes.build("random_h_plus", n=40).problem
     boxed = problem.with_q(problem.q, lower=-0.01, upper=0.01)
     for each in (problem, boxed, LCP([[1.0, -9.0], [-9.0, 1.0]], [-1.0, -1.0])):
         for step in create(name, {}).iterates(each, each.nearest_to_zero.copy()):

@@ -8,10 +8,11 @@ from itertools import islice
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from inputs import membranes
 from inputs.families import BOUNDED, SWEEPERS
 from numpy.testing import assert_allclose
 
-from lcp_plugin import LCP, Certificate, gallery
+from lcp_plugin import LCP, Certificate
 from lcp_plugin.algorithms import REGISTRY, Algorithm, create
 from lcp_plugin.core.splittings import GFP, NPAOR, NPGS, NPJ, NPSOR, PAOR, PGS, PJ, PSOR
 from lcp_plugin.methods.modulus import MAOR, MGS, MJ, MSOR
@@ -197,7 +198,7 @@ def test_psor_is_its_formula_row_by_row(kind: str, bounds: bool) -> None:
 @pytest.mark.parametrize("name", REGISTRY)
 def test_the_residual_of_a_step_is_the_residual_of_its_certificate(name: str) -> None:
     """If a step has a residual, it is the scaled residual of the certificate of its z."""
-    problem = gallery.parse("random_h_plus:n=60,row_scale=10,column_scale=3").problem
+    problem = membranes.parse("random_h_plus:n=60,row_scale=10,column_scale=3").problem
     for step in islice(create(name, {}).iterates(problem, np.ones(problem.n)), 8):
         if step.residual is not None:
             exact = Certificate.of(problem, step.z).scaled_residual

@@ -12,6 +12,7 @@ from shutil import copytree, ignore_patterns
 
 import numpy as np
 import pytest
+from inputs import membranes
 
 from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.algorithms import Step
@@ -111,7 +112,7 @@ def test_a_method_of_the_chain_that_breaks_is_replaced(
         while True:
             yield Step(np.full(problem.n, fault))
 
-    problem = gallery.build("random_h_plus", n=400).problem
+    problem = membranes.build("random_h_plus", n=400).problem
     monkeypatch.setattr(NPSOR, "iterates", broken)
     result = solve(problem)
     assert result.status is Status.SOLVED

@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from inputs import membranes
 
-from lcp_plugin import LCP, InvalidOption, NonlinearProblem, gallery, prepare, solve
+from lcp_plugin import LCP, InvalidOption, NonlinearProblem, prepare, solve
 from lcp_plugin.algorithms import NPGS
 from lcp_plugin.core.kernels.threads import share, threads_for, threads_now
 from lcp_plugin.core.settings import checked_threads
@@ -104,7 +105,7 @@ def test_the_number_of_threads_changes_no_bit(
     """“Results do not depend on the number of threads”: z, w, residuals and counts, with 1 to 4 threads of a solve."""
     told = []
     for threads in (1, 2, 3, 4):
-        result = solve(gallery.build(name, **size).problem, algorithm, threads=threads)
+        result = solve(membranes.build(name, **size).problem, algorithm, threads=threads)
         certificate = result.certificate
         numbers = (
             certificate.relative_residual,

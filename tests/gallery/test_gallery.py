@@ -42,9 +42,6 @@ SMALL = [
     "obstacle_2d:size=12,shifted=true",
     "paper_example_1:n=49,delta=0",
     "paper_example_2:n=49",
-    "random_h_plus:n=40",
-    "random_h_plus:n=40,entries_per_row=60,row_scale=100,column_scale=100,active_share=0.8,seed=3",
-    "random_h_plus:n=2,active_share=0",
 ]
 
 PLANTED = [
@@ -147,8 +144,6 @@ def test_description_is_one_line_and_every_parameter_is_documented() -> None:
             {"delta": float("nan")},
             "delta must be a finite number, as 4.0, got nan",
         ),
-        ("random_h_plus", {"active_share": 1.5}, r"active_share must lie in \[0, 1\], got 1.5"),
-        ("random_h_plus", {"row_scale": 101}, "row_scale and column_scale must be at most 100"),
         (
             "bimatrix_game",
             {"game": "poker"},

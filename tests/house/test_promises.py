@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 import scipy.sparse as sp
+from inputs import membranes
 from inputs.families import BOUNDED
 from oracles.exact import exact_solution
 from oracles.relations import bits, data_of, surroundings
@@ -180,7 +181,7 @@ def all_bits():
         result = solve(problem, name, max_iterations=100, record=True)
         samples = [(s.iteration, s.work, s.residual) for s in result.history]
         found[name] = [bits(result.z), result.status.name, result.iterations, result.work, repr(samples)]
-    scene = gallery.build("random_h_plus", n=60).problem
+    scene = gallery.build("paper_example_2", n=64).problem
     found["bound"] = [bits(error_bound(scene, solve(scene).z).componentwise)]
     found["analyze"] = [bits(analyze(scene.M).v)]
     return found
@@ -212,7 +213,7 @@ def test_processes_agree(own_bits: dict[str, Any]) -> None:
 @EVERY_ALGORITHM
 def test_runs_agree(name: str) -> None:
     """“Results are bit-reproducible”: prepared, in a batch, recorded, or after other runs."""
-    problem = gallery.build("random_h_plus", n=20).problem
+    problem = membranes.build("random_h_plus", n=20).problem
     if name not in ("auto", *BOUNDED):
         problem = problem.with_q(problem.q, lower=0.0, upper=np.inf)
     first = bits(solve(problem, name).z)
@@ -277,7 +278,7 @@ def test_nothing_global_changes(name: str) -> None:
     surroundings()  # loads numba's threads, which the next line lists
     threads = blas_threads()  # sets a variable of the environment where threadpoolctl is loaded
     before = surroundings()
-    problem = gallery.build("random_h_plus", n=20).problem
+    problem = membranes.build("random_h_plus", n=20).problem
     for call in (
         lambda: solve(problem, name, max_iterations=30),
         lambda: solve(problem, name, callback=raises),

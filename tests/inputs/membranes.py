@@ -1,4 +1,4 @@
-"""Membranes that only tests use; `build` and `parse` also take the test problems of the gallery."""
+"""Membranes and a random matrix that only tests use; `build` and `parse` also take the test problems of the gallery."""
 
 from __future__ import annotations
 
@@ -129,8 +129,44 @@ def rotated_anisotropy(*, size: int = 100, ratio: float = 1e-4, degrees: float =
     return pulled_membrane(M, size)
 
 
+def random_h_plus(
+    *,
+    n: int = 2000,
+    entries_per_row: int = 5,
+    row_scale: int = 20,
+    column_scale: int = 10,
+    active_share: float = 0.5,
+    seed: int = 0,
+) -> Scene:
+    """Random sparse H₊-matrix, rows and columns scaled by 2^±scale, with a solution exact to the last bit.
+
+    Notes
+    -----
+    M = R A C with A an integer matrix of strictly dominant rows and R, C diagonal powers of two. z* = C⁻¹ẑ, w* = R ŵ
+    with small integers ẑ, ŵ, one in ten of the zeros of ẑ degenerate, and q = R (ŵ − A ẑ), without rounding.
+    """
+    rng, rows = np.random.default_rng(seed), np.repeat(np.arange(n), entries_per_row)
+    # A step of 1 … n − 1 around the circle never lands on the diagonal.
+    columns = (rows + rng.integers(1, n, size=rows.size)) % n
+    signs, sizes = rng.choice([-1.0, 1.0], rows.size), rng.integers(1, 10, rows.size)
+    others = sp.csr_array((signs * sizes, (rows, columns)), shape=(n, n))
+    diagonal = np.asarray(abs(others).sum(axis=1)).ravel() + rng.integers(1, 10, size=n)
+    A = (others + sp.diags_array(diagonal)).tocsr()
+    A.eliminate_zeros()
+    active = rng.permutation(n)[: round(active_share * n)]
+    z, w = rng.integers(1, 10, size=n).astype(np.float64), np.zeros(n)
+    w[active], z[active] = z[active], 0.0
+    w[active[: len(active) // 10]] = 0.0
+    row_power = np.exp2(rng.integers(-row_scale, row_scale + 1, size=n))
+    column_power = np.exp2(rng.integers(-column_scale, column_scale + 1, size=n))
+    q = row_power * (w - A @ z)
+    A.data *= np.repeat(row_power, np.diff(A.indptr)) * column_power[A.indices]
+    return Scene(problem=LCP(A, q), exact=z / column_power)
+
+
 BUILDERS: dict[str, Callable[..., Scene]] = {
-    builder.__name__: builder for builder in (obstacle_3d, coefficient_jumps, rotated_anisotropy)
+    builder.__name__: builder
+    for builder in (obstacle_3d, coefficient_jumps, rotated_anisotropy, random_h_plus)
 }
 
 

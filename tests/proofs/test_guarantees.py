@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from campaigns.guarantees import run_case
 from hypothesis import given
 from hypothesis import strategies as st
-from inputs import textbook_scenes
+from inputs import membranes, textbook_scenes
 from inputs.drawn_scaling import scaled_matrices
 from inputs.families import UNPROVEN
 from inputs.planted import planted_lcp
@@ -133,7 +133,7 @@ def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
 )
 def test_every_default_is_guaranteed_on_h_plus_matrices(name: str, text: str) -> None:
     """Every registered algorithm at its default options is proved to converge on the gallery's H₊-matrices."""
-    guarantee = convergence_guarantee(gallery.parse(text).problem, name)
+    guarantee = convergence_guarantee(membranes.parse(text).problem, name)
     assert guarantee.is_guaranteed, str(guarantee)
 
 

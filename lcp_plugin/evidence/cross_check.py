@@ -50,7 +50,6 @@ Verdict = Literal["agree", "mismatch", "not comparable"]
 PLAIN, GAP, SADDLE = "quadratic program", "gap quadratic program", "quadratic program with rows"
 ACCURATE_TOLERANCE = 1e-7  # of our criterion, for a point to be compared
 POLISH_ROUNDS = 3
-DIFFERENCE_RATIO = 1e-6
 CLARABEL_OPTIONS = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-11)
 TIME_LIMITS = {
     **dict.fromkeys(("CLARABEL", "HIGHS", "OSQP"), "time_limit"),
@@ -201,7 +200,7 @@ def cross_validate(
     if z is None:
         return found("not comparable", f"{name} gave no point: {told}")
     theirs = polish(Certificate.of(problem, z))
-    facts, agreement = convex.compare(ours, theirs)
+    facts = convex.compare(ours, theirs)
     found = partial(found, theirs=theirs, reference_seconds=took, **facts)
     residuals = (
         f"relative residuals {ours.relative_residual:.1e} and {theirs.relative_residual:.1e}"
@@ -221,7 +220,7 @@ def cross_validate(
             f"the residuals explain {facts['allowance']:.1e} of a disagreement of {facts['disagreement']:.1e}: one of "
             "them is wrong, or the two sides solved different problems",
         )
-    return found("agree", agreement)
+    return found("agree", "the residuals and the conditioning of M explain every difference")
 
 
 def _keeps_claim(result: Result, ours: Certificate) -> bool:
@@ -340,28 +339,22 @@ class ConvexForm:
         z = y / self.weight if np.isfinite(y).all() else None
         return z, time.perf_counter() - began, solver.status
 
-    def compare(self, ours: Certificate, theirs: Certificate) -> tuple[dict[str, float], str]:
-        """Return the differences as fields of a CrossCheck, and the words of an agreement."""
+    def compare(self, ours: Certificate, theirs: Certificate) -> dict[str, float]:
+        """Return the differences as fields of a CrossCheck."""
         ys = [self.weight * side.z for side in (ours, theirs)]
         ws = [self.problem.slack(y) for y in ys]
         step, rise = ys[0] - ys[1], ws[0] - ws[1]
-        length, slope, *sizes = (float(np.linalg.norm(one)) for one in (step, rise, *ys))
+        sizes = float(np.linalg.norm(step) + np.linalg.norm(rise))
         gap = float(np.sum(ours.products) - np.sum(theirs.products))
         if self.kind == PLAIN:  # a difference of squares, without cancellation
             gap = float(0.5 * (ours.z - theirs.z) @ (ours.w + theirs.w))
-        facts = {
+        return {
             "difference_z": _largest(ours.z - theirs.z),
             "difference_w": _largest(ours.w - theirs.w),
             "objective_gap": gap,
-            "disagreement": max(float(step @ rise), 0.0) / ((length + slope) or 1.0),
+            "disagreement": max(float(step @ rise), 0.0) / (sizes or 1.0),
             "allowance": sum(map(self._residual, ys, ws)),
         }
-        if not length > DIFFERENCE_RATIO * max(sizes):
-            return facts, "same solution within both residuals"
-        if slope <= DIFFERENCE_RATIO * length:
-            return facts, "same w and objective; z is not unique"
-        words = "within the residuals and the conditioning of M"
-        return facts, f"z differs by {facts['difference_z']:.1e}, {words}"
 
     def _residual(self, y: Vector, w: Vector) -> float:
         """Return ‖r(y)‖ with d = 1, rounding included."""

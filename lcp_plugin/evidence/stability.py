@@ -40,7 +40,7 @@ class Cell:
     residual : float
         Relative residual of z; NaN if z does not exist.
     true_error : float
-        ‖z − z*‖∞ / ‖z*‖∞ in the units of the problem, z* exact; NaN if z* or z does not exist.
+        ‖z − z*‖∞ / ‖z*‖∞ in the units of the problem, z* exact; NaN if z or a unique z* does not exist.
     note : str
         Message of the error.
     """
@@ -181,5 +181,5 @@ def _cell(family: str, case: StressCase, one: Method, limit: int) -> Cell:
         return Cell(*head, "ERROR", note=f"{type(failure).__name__}: {failure}")
     error = math.nan
     if case.exact is not None and np.isfinite(result.z).all():
-        error = relative_error(result.z, case.exact, case.unit, has_line=case.has_line)
+        error = relative_error(result.z, case.exact, case.unit)
     return Cell(*head, result.status.name, result.certificate.relative_residual, error)

@@ -54,11 +54,10 @@ def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any
 def test_every_case_has_a_verified_answer_or_none(family: str, case: StressCase) -> None:
     """The answers of all cases solve their problems without rounding."""
     assert (case.exact is None) == (
-        case.stress in ("singular M, no solution", "the answer overflows")
+        (case.stress.startswith("singular M, ") and "one" not in case.stress)
+        or case.stress == "the answer overflows"
     )
     assert case.exact is None or is_exact_solution(case.problem, case.exact)
-    if case.has_line:
-        assert is_exact_solution(case.problem, [value + Fraction(7, 3) for value in case.exact])
 
 
 def test_a_wrong_guess_far_from_any_answer_is_refused() -> None:
@@ -68,14 +67,10 @@ def test_a_wrong_guess_far_from_any_answer_is_refused() -> None:
 
 
 def test_errors_are_exact() -> None:
-    """Errors of one ulp are exact, segments of solutions use the nearest point, and x/0 is ∞."""
+    """Errors of one ulp are exact, and x/0 is ∞."""
     third = (Fraction(1, 3), Fraction(0))
     assert relative_error(np.array([1.0 / 3.0, 0.0]), third, np.ones(2)) == pytest.approx(
         2.0**-54, rel=1e-12
-    )
-    assert (
-        relative_error(np.array([3.0, 5.0]), (Fraction(0), Fraction(1)), np.ones(2), has_line=True)
-        == 0.5
     )
     assert relative_error(np.ones(1), (Fraction(0),), np.ones(1)) == math.inf
     assert relative_error(np.zeros(1), (Fraction(0),), np.ones(1)) == 0.0

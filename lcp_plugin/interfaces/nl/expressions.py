@@ -188,7 +188,7 @@ class _ExpressionReader:
 
     def _operation(self, number: int, operands: list[Sum]) -> Sum:
         if (rule := OPERATORS.get(number)) is None:
-            name = NAMES[number]
+            name = NAMES.get(number, f"number {number}")
             remedy = REMEDIES.get(name, "state it by sums, products, powers and smooth functions")
             raise UnsupportedModel(
                 f"{self._name} holds the operator {name}, which is not smooth or not known here; {remedy}"

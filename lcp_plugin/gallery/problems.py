@@ -381,13 +381,8 @@ def american_put_march(
     -----
     The matrix is the same in every step, only q changes: ``problem = problem.with_q(scene.advance(z))``.
     """
-    values = {
-        "strike": strike,
-        "volatility": volatility,
-        "maturity": maturity,
-        "log_range": log_range,
-    }
-    for name, value in values.items():
+    names = ("strike", "volatility", "maturity", "log_range")
+    for name, value in zip(names, (strike, volatility, maturity, log_range), strict=True):
         require(value > 0.0, f"{name} must be a number > 0, got {value}")
     time_step = maturity / steps
     log_price = nodes(-log_range, log_range, size)

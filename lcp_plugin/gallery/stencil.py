@@ -76,12 +76,10 @@ def stencil_matrix(
     return sp.csr_array((entries[present], columns[present], row_ends), shape=(n, n))
 
 
-def balanced_matrix(
-    shape: tuple[int, ...], legs: Legs, reaction: Coefficient = 0.0
-) -> sp.csr_array:
-    """Return the stencil whose centre exceeds its legs by exactly the reaction: −∇·(k∇u) + b·∇u + reaction u."""
+def balanced_matrix(shape: tuple[int, ...], legs: Legs) -> sp.csr_array:
+    """Return the stencil whose centre balances its legs exactly: −∇·(k∇u) + b·∇u."""
     below, above = legs
-    return stencil_matrix(shape, -sum(below) - sum(above) + reaction, below, above)
+    return stencil_matrix(shape, -sum(below) - sum(above), below, above)
 
 
 def stiff_cells(cells: Field) -> Legs:

@@ -23,7 +23,7 @@ from ..problems.programs.program import QuadraticProgram
 from .fclib import SUFFIXES as HDF5
 from .fclib import load_fclib
 from .files import PARTS, arrays_in, checked_path, folder_arrays, in_folder, names_in
-from .nl.model import lcp_in_nl, program_in_nl
+from .nl.model import lcp_in_nl
 
 Lines = list[list[str]]  # the words of each line
 Entries = dict[tuple[int, int], float]
@@ -440,11 +440,7 @@ def _read(source: Path, needed: type | None = None) -> Any:
     """Return the problem of a file, a program as a LoadedProgram."""
     layout, suffix = layout_of(source), source.suffix.lower()
     if suffix == NL:
-        return (
-            LoadedProgram(program_in_nl(source))
-            if needed is QuadraticProgram
-            else lcp_in_nl(source)
-        )
+        return lcp_in_nl(source)
     is_folder = suffix not in (*ARRAYS, *MPS, *HDF5) or (suffix == ".mat" and source.is_dir())
     source, found = folder_arrays(source, OF_LCP) if is_folder else (source, {})
     kind = LAYOUTS[layout].kind

@@ -19,6 +19,7 @@ from ... import __version__
 from ...core.checks import BoolVector, Vector
 from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.lcp import LCP
+from ...core.problem_classes import with_article
 from ...core.representation import format_count
 from ...core.settings import Settings, Status
 from ...core.solving.result import Outcome, Result
@@ -400,12 +401,6 @@ def _of_search(options: dict[str, Any]) -> dict[str, Any]:
     return wishes
 
 
-KINDS = {
-    "QuadraticProgram": "a quadratic program",
-    "EquilibriumProgram": "an objective with complementarities",
-}
-
-
 def read_nl(path: str | PathLike[str]) -> NLModel:
     """Return the model that an ``.nl`` file states, text or binary.
 
@@ -443,22 +438,11 @@ def lcp_in_nl(path: str | PathLike[str]) -> LCP:
     beside = model.beside.names() if isinstance(model, ComplementarityModel) else []
     if isinstance(model.problem, LCP) and not beside:
         return model.problem
-    kind = KINDS.get(type(model.problem).__name__, "a nonlinear complementarity problem")
-    kind = f"{kind}, not a linear complementarity problem"
+    kind = f"{with_article(type(model.problem).__name__)}, not an LCP"
     if beside:
         kind = f"more than a complementarity problem: {beside[0]} is a condition next to it"
     raise UnsupportedModel(
         f"{path} states {kind}; lcp_plugin.interfaces.nl.read_nl(path).solve() and `lcp-plugin solve` take it"
-    )
-
-
-def program_in_nl(path: str | PathLike[str]) -> QuadraticProgram:
-    """Return the program of an ``.nl`` file, to be minimized; else raise."""
-    model = read_nl(path)
-    if isinstance(model, ProgramModel):
-        return model.problem
-    raise UnsupportedModel(
-        f"{path} states complementarities or equations, not a program; `lcp-plugin solve` takes it"
     )
 
 

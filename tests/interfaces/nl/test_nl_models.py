@@ -584,10 +584,10 @@ def test_lcp_load_reads_the_affine_ones(tmp_path: Path) -> None:
     write_nl(paired(content_of(6, list(q), linear=M)), tmp_path / "m.nl")
     np.testing.assert_array_equal(LCP.load(tmp_path / "m.nl").csr.toarray(), M)
     write_nl(program("products"), tmp_path / "p.nl")
-    with pytest.raises(UnsupportedModel, match=r"p\.nl states a quadratic program, not .*read_nl"):
+    with pytest.raises(UnsupportedModel, match=r"p\.nl states a QuadraticProgram, not .*read_nl"):
         LCP.load(tmp_path / "p.nl")
     write_nl(best(), tmp_path / "b.nl")
-    with pytest.raises(UnsupportedModel, match=r"b\.nl states an objective with complementarities"):
+    with pytest.raises(UnsupportedModel, match=r"b\.nl states an EquilibriumProgram, not an LCP"):
         LCP.load(tmp_path / "b.nl")
 
 

@@ -91,19 +91,22 @@ def plan(
             yield Stage(FeasibilityCheck(), f"{method.name} found no solution: is there one?")
         return
     from .methods.banded import Banded, banded_passes
-    from .methods.direct import direct_methods
+    from .methods.direct import SEARCHED, direct_methods
     from .methods.lemke.pivoting_path import is_game
 
     direct = partial(direct_methods, problem, goal, prove_infeasibility=prove_infeasibility)
     if begin is None:
         is_program = getattr(problem.origin, "form", "") == "kkt"
         if not is_program and takes_rounds(problem):
-            from .methods.search import has_few_active_sets, has_no_point_nearby
+            from .methods.search import NearbyPoints, has_few_active_sets, points_nearby
 
             is_few = has_few_active_sets(problem)
             yield Stage(Rounds(restarts=not is_few), GUESSED)
-            if prove_infeasibility or not (is_few and has_no_point_nearby(problem)):
-                yield from direct()
+            if is_few and not prove_infeasibility and (near := points_nearby(problem)) is not None:
+                if not near.size:
+                    return
+                yield Stage(NearbyPoints(), SEARCHED)
+            yield from direct()
             return
         if is_program or is_game(problem):
             yield from direct()

@@ -20,6 +20,7 @@ from ...core.checks import Vector
 from ...core.errors import InvalidProblem, UnsuitableProblem
 from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.lcp import LCP
+from ...core.matrix import fact
 from ...core.problem_classes import refusal
 from ...core.settings import whole_number
 from ...core.tuning import LINEAR_PROGRAM_UP_TO
@@ -310,30 +311,32 @@ def has_few_active_sets(problem: LCP) -> bool:
     return problem.n <= 24 and bool(count <= 4096)
 
 
-@np.errstate(all="ignore")
-def has_no_point_nearby(problem: LCP) -> bool:
-    """Return whether no active set has a point within 1e-6 of its size of a solution, and no system is near singular.
+@fact
+def points_nearby(problem: LCP) -> Vector | None:
+    """Return the points of all active sets within 1e-6 of their size of a solution; None if a system is near singular.
 
-    All systems are solved at once in double precision; the result True is strong evidence, and proves nothing.
+    All systems are solved at once in double precision. No point at all is strong evidence, and proves nothing.
     """
     d, lower, upper = problem.residual_scale, problem.lower, problem.upper
     is_open = lower < upper
     exists = zip(lower > -np.inf, is_open & (upper < np.inf), is_open, strict=True)
     side = np.array(list(product(*(compress((LOW, HIGH, FREE), one) for one in exists))))
-    at_bound = np.where(side == LOW, lower, np.where(side == HIGH, upper, 0.0))
-    M = (problem.M if problem.is_dense else problem.M.toarray()) / d[:, None]
-    systems = np.where((side == FREE)[:, None, :], M, -np.eye(problem.n))
+    is_free, is_low, is_high = side == FREE, (side == LOW) & is_open, side == HIGH
+    at_bound = np.where(is_free, 0.0, np.where(is_high, upper, lower))
+    M = problem.matrix.toarray() / d[:, None]
     try:
-        inverses = np.linalg.inv(systems)
+        inverses = np.linalg.inv(np.where(is_free[:, None, :], M, -np.eye(problem.n)))
     except np.linalg.LinAlgError:
-        return False
+        return None
+    if not np.abs(inverses).max() < 1e8:
+        return None
     # z of the free unknowns, w/d of the others
     x = -(inverses @ (at_bound @ M.T + problem.q / d)[..., None])[..., 0]
     slip = 1e-6 * np.abs(x).max(1, keepdims=True)
-    low = np.where(side == FREE, lower, np.where((side == LOW) & is_open, 0.0, -np.inf))
-    high = np.where(side == FREE, upper, np.where(side == HIGH, 0.0, np.inf))
+    low = np.where(is_free, lower, np.where(is_low, 0.0, -np.inf))
+    high = np.where(is_free, upper, np.where(is_high, 0.0, np.inf))
     is_near = ((low - slip <= x) & (x <= high + slip)).all(1)
-    return bool(np.abs(inverses).max() < 1e8) and not is_near.any()
+    return np.clip(np.where(is_free, x, at_bound)[is_near], lower, upper)
 
 
 def _choices(problem: LCP) -> int:
@@ -350,6 +353,22 @@ def _require_small(problem: LCP) -> None:
             f"the exhaustive search takes at most {LARGEST_CHOICES} rows that leave a choice and n ≤ {LARGEST_SIZE}, "
             f"got {_choices(problem)} and n = {problem.n}; solve(problem) looks for one solution"
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class NearbyPoints(Algorithm):
+    """The points of all active sets of a small problem that are near a solution, in double precision."""
+
+    name: ClassVar[str] = "search"
+    is_monotone: ClassVar[bool] = False
+    ends_on_active_set: ClassVar[bool] = True
+
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
+        """Yield the start, then the points."""
+        yield Step(z0, work=0.0)
+        points = points_nearby(problem)
+        for z in () if points is None else points:
+            yield Step(z, work=float(problem.n))
 
 
 MOST_PRODUCTS = 300 * QUANTUM  # some seconds

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...auto import method_of, plan
+from ...auto import method_of, plan, takes_rounds
 from ...core.algorithm import Algorithm, Step
 from ...core.certificates.criterion import POWER, row_data
 from ...core.certificates.measured import Measured
@@ -32,7 +32,7 @@ from ...core.solving.run import Run
 from ...core.solving.stage import Stage
 from ...core.solving.termination import TerminationReason
 from ...methods.lemke import Lemke
-from ...methods.newton import fischer_burmeister
+from ...methods.newton import Newton, fischer_burmeister
 from .data import DENSE_PATTERN_UP_TO, Linearization, Linearizations, NonlinearProblem
 
 MEMORY = 4  # the line search compares with the worst of so many points
@@ -268,6 +268,9 @@ def _weights(problem: LCP) -> Vector:
 def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iterator[Stage]:
     """Yield the stages of a linearization: no proofs, pivots last, and no method twice."""
     tried: list[Algorithm] = []
+    has_bounds = np.isfinite(problem.lower).any() or np.isfinite(problem.upper).any()
+    if method is None and not (has_bounds or takes_rounds(problem)):
+        yield Stage(Newton(), "no bounds: a linear system")
     for stage in plan(problem, method, goal, prove_infeasibility=False):
         if stage.algorithm in tried:
             return

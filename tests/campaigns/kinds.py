@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from collection.judgement import false_claim, shortfall
-from oracles.exact import Exact
+from oracles.exact import Exact, bound_violations
 from oracles.relations import EXACT, bits, scaled
 from oracles.truth import SOLVABLE, ExactData, decide
 
@@ -29,7 +29,7 @@ from lcp_plugin.core.algorithm import SWEEPS
 from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
-from . import convex_programs, error_bounds, guarantees, least_squares, search, small_lcps
+from . import convex_programs, guarantees, least_squares, search, small_lcps
 
 Generator = np.random.Generator
 
@@ -90,7 +90,7 @@ def is_within(problem: LCP, z: np.ndarray, tolerance: float) -> bool:
 def violated(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: Any) -> bool:
     """Return whether a bound of the error of z fails, or a row is classified wrongly."""
     solution = Exact(exact, tuple(ExactData(problem).slack(exact)))
-    return error_bounds.violations(problem, z, solution, bound) != (0, 0)
+    return bound_violations(problem, z, solution, bound) != (0, 0)
 
 
 def claims(problem: LCP, truth: str, algorithms: tuple[str, ...]) -> Found:
@@ -268,15 +268,6 @@ def large(rng: Generator, kind: str) -> Found:
             yield Finding(BOUND, f"of {n} rows, or a row is classified wrongly")
 
 
-def bounds(rng: Generator, kind: float | str) -> Found:
-    """Bounds of eight points, sharp and not, against the exact distance."""
-    for found in error_bounds.judged(kind, rng):
-        if found is None:
-            yield Finding(OPEN, "a bound is refused")
-        elif any(found):
-            yield Finding(BOUND, f"violated {found[0]}, classified wrongly {found[1]}")
-
-
 def searched(rng: Generator, kind: str) -> Found:
     """Check all solutions, feasibility and proofs of a problem against enumeration."""
     with np.errstate(all="ignore"):  # inner functions leave NumPy's state to public ones
@@ -314,14 +305,6 @@ def outlier(rng: Generator, kind: str) -> Found:
         yield Finding(CLAIM, outcome.text)
     elif outcome.what != judge.RIGHT:
         yield Finding(OPEN, outcome.text)
-
-
-def scaling(rng: Generator, kind: str) -> Found:
-    """Check equivalent scaled problems."""
-    judge = module("scaling")
-    draw = judge.KINDS[int(rng.integers(len(judge.KINDS)))]
-    for text in judge.judged(draw, int(rng.integers(10**6)), kind):
-        yield Finding(CLAIM, f"{draw.__name__}: {text}")
 
 
 def game(rng: Generator, kind: str) -> Found:
@@ -452,12 +435,10 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "optional": (optional, ("auto", *REGISTRY), 57),
     "planted": (planted, tuple(small_lcps.KINDS), 18),
     "large": (large, ("plain", "symmetric", "scaled"), 6),
-    "bound": (bounds, error_bounds.CLASSES, 25),
     "search": (searched, ("any",), 6),
     "guarantee": (guaranteed, ("any",), 10),
     "program": (programs, tuple(convex_programs.FAMILIES), 38),
     "outlier": (outlier, OUTLIERS, 33),
-    "scaling": (scaling, ("mixed", "smooth"), 6),
     "game": (game, ("integers", "odd", "shifted"), 9),
     "margin": (margin, ("any",), 12),
     "path": (path, ("any",), 4),

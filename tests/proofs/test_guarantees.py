@@ -535,8 +535,8 @@ def test_errors_stay_below_the_matrix_of_which_it_is_the_radius(
     )
 
 
-def test_it_is_no_larger_than_a_proved_rate() -> None:
-    """The radius ρ(T) ≤ c of a projected relaxation is Jacobi's or Gauss–Seidel's if known."""
+def test_it_is_jacobis_or_gauss_seidels() -> None:
+    """The radius ρ(T) of a projected relaxation of a tridiagonal matrix is the known one."""
     n = 40
     M = sp.diags_array([-np.ones(n - 1), 2.5 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
     problem = LCP(M, -np.ones(n))
@@ -545,10 +545,6 @@ def test_it_is_no_larger_than_a_proved_rate() -> None:
     assert jacobi.jacobi_radius == pytest.approx(cosine)
     assert jacobi.spectral_radius == pytest.approx(cosine)
     assert seidel.spectral_radius == pytest.approx(cosine**2)
-    for name, options in METHODS:
-        found = convergence_guarantee(problem, name, **options)
-        if name in ("pj", "pgs", "psor", "paor") and found.rate is not None:
-            assert found.spectral_radius <= found.rate * (1 + 1e-9), name
 
 
 @pytest.mark.few(2)

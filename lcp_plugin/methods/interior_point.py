@@ -26,9 +26,6 @@ from .newton import classify, is_near, signature, solve_active_set
 SAME = 1e-12  # entries that differ by less, relatively, are equal up to rounding
 CASES = 5  # that follow from a point of an engine; from a start, one
 STEPS = 60  # of PIQP: 10 to 30 if M is monotone by more than rounding
-ZERO_SUM = (
-    1e-11  # of the largest cost: rounding errors of a zero-sum game in the units of its players
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,17 +187,15 @@ class MonotoneProgram:
         point = prepared.outward(engine.answer(prepared.statement, SolverLimits(seconds_left())))
         z[self.unknowns] = point.x[: self.unknowns.size] * self.size
         if self.multipliers.size:
-            z[self.multipliers] = self.anchor[self.multipliers] + self._signed(point.y) * self.size
+            lower, upper = (
+                getattr(self.problem, name)[self.multipliers] for name in ("lower", "upper")
+            )
+            is_equation, y = ~np.isfinite(lower) & ~np.isfinite(upper), np.empty(lower.size)
+            y[is_equation] = point.y[given.h.size :]
+            sign = np.where(np.isfinite(lower), 1.0, -1.0)[~is_equation]
+            y[~is_equation] = sign * point.y[: given.h.size]
+            z[self.multipliers] = self.anchor[self.multipliers] + y * self.size
         return np.clip(z, self.problem.lower, self.problem.upper), point.iterations
-
-    def _signed(self, of_rows: Vector) -> Vector:
-        lower, upper = self.problem.lower[self.multipliers], self.problem.upper[self.multipliers]
-        is_equation, y = ~np.isfinite(lower) & ~np.isfinite(upper), np.empty(lower.size)
-        y[is_equation] = of_rows[self.statement.h.size :]
-        y[~is_equation] = (
-            np.where(np.isfinite(lower), 1.0, -1.0)[~is_equation] * of_rows[: self.statement.h.size]
-        )
-        return y
 
 
 class ZeroSumGame(NamedTuple):
@@ -243,7 +238,9 @@ class ZeroSumGame(NamedTuple):
         of_K, of_L = (C - C.mean(0) - C.mean(1)[:, np.newaxis] + C.mean() for C in (K, L))
         ratio = -np.vdot(of_K, of_L) / np.vdot(of_L, of_L)
         both, sizes = K + ratio * L, (np.abs(K).max(), ratio * np.abs(L).max())
-        if not (ratio > 0.0 and np.abs(of_K + ratio * of_L).max() <= ZERO_SUM * max(sizes)):
+        if not (
+            ratio > 0.0 and np.abs(of_K + ratio * of_L).max() <= 1e-11 * max(sizes)
+        ):  # rounding of a game
             return None
         losses = K - (both.mean(0) - both.mean())
         losses -= losses.mean()

@@ -390,7 +390,7 @@ class MultigridRun:
         """Return z with P coarse added, within the bounds of grid k."""
         fine, transfer = self.problems[k], self.hierarchy.transfers[k]
         everywhere = np.ones(z.size, np.bool_)
-        kernels.prolong(transfer, coarse, everywhere, fine.lower, fine.upper, z)
+        kernels.prolong(transfer, coarse, everywhere, z, (fine.lower, fine.upper))
         self.work += transfer.prolongation.data.size
         return z
 
@@ -493,7 +493,7 @@ class MultigridRun:
         if k == 0 and self.is_symmetric:
             before = self.truncation.vector()
             np.copyto(before, z)
-        cut = kernels.prolong(transfer, below.x, top.is_interpolated, fine.lower, fine.upper, z)
+        cut = kernels.prolong(transfer, below.x, top.is_interpolated, z, (fine.lower, fine.upper))
         self.work += 2.0 * transfer.prolongation.data.size
         if before is None:
             return

@@ -324,8 +324,6 @@ def checked_propagator(propagator: Any, n: int, name: str = "propagator") -> sp.
 
 
 BOUNDS = "lower", "upper"
-# options of `march`, not of `solve`
-OF_MARCH = "problem", "forcing", "propagator", *BOUNDS, "algorithm", "keep"
 
 
 @np.errstate(all="ignore")
@@ -474,9 +472,10 @@ def _begin(
                 f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; "
                 "call march once per size"
             )
+    own = "problem", "forcing", "propagator", *BOUNDS, "algorithm", "keep"  # no options of solve
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         raise InvalidOption(
-            f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], (*OF_MARCH, *OF_SOLVE))}"
+            f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], (*own, *OF_SOLVE))}"
         )
     shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row a step"
     axes = (2, 3) if are_many else (2,)
@@ -515,7 +514,6 @@ def _is_one_a_march(propagator: Any) -> bool:
 
 LEFT = 2.0**-20  # relative to the last change: bound of the remaining error
 CLEAR = 64.0  # times the rounding error
-BACKWARD = 2.0**-40  # relative residual of a stable solution
 CANCELLED = 2.0**40  # terms relative to their sum: the block is nearly singular
 KINK = 2  # times the side of a row at this bound with w = 0
 NEGLIGIBLE = 2.0**-960  # below, a row's distance and slack have underflown: it is at its bound
@@ -573,7 +571,7 @@ class Band(NamedTuple):
             np.max(one, axis=1, initial=0.0, where=is_free)
             for one in (size, given, np.abs(w) * unit)
         )
-        is_regular = (left <= BACKWARD * terms) & (terms <= CANCELLED * given)
+        is_regular = (left <= 2.0**-40 * terms) & (terms <= CANCELLED * given)
         count = count if is_regular.all() else int(np.argmin(is_regular))
         return x[:count], w[:count], EPSILON * terms[:count]
 

@@ -56,8 +56,6 @@ from .many import run_in_chunks
 from .march import March, MarchDerivative
 
 STEPS = 6  # active-set iterations; from a solved problem one or two classify all rows
-NOT_SMALL = 2.0**-10  # of a diagonal entry relative to its row
-HALF = 2.0**-26  # half of the digits of double precision
 NUMBERS = "dlower", "dupper", "dfriction"  # data whose change may be one number
 
 
@@ -108,9 +106,10 @@ class BatchPart(LinearizedSystem):
         self.is_upper = np.where(
             lower == upper, w < 0.0, at_upper | (free & (upper - z < z - lower))
         )
-        is_sized = diagonal >= NOT_SMALL * largest
+        is_sized = diagonal >= 2.0**-10 * largest
         kink = (slack <= terms * size) & (distance <= terms * size) & is_sized & (lower < upper)
-        is_clear = kink | (lower == upper) | (np.where(free, distance, slack) > HALF * size)
+        # By half of the digits of double precision
+        is_clear = kink | (lower == upper) | (np.where(free, distance, slack) > 2.0**-26 * size)
         self.degenerate, self.free = kink, free & ~kink
         self.blocks = FreeBlocks(M, self.free)
         freed = np.flatnonzero(kink.any(axis=1) & ~self.blocks.is_regular)

@@ -233,11 +233,6 @@ class NearPoint(NamedTuple):
     low: Vector
     y: Vector
 
-    def bound(self, z: Vector) -> Vector:
-        """Return |z − ẑ| + y ≥ |z − z*|; ∞ if z is not finite."""
-        bound = sum_above(distance_above(self.high, self.low, z), self.y)
-        return np.where(np.isnan(bound), np.inf, bound)
-
 
 class ActiveSetSteps:
     """Steps of the active-set method on one problem; a factorization serves as long as the free set stays.
@@ -667,7 +662,10 @@ class ErrorBound:
         >>> bool(0.999e-3 <= bound.carried_to(np.array([2.5 + 1e-3, 0.0])).max() <= 1.001e-3)
         True
         """
-        return np.full(z.shape, np.inf) if self.near is None else self.near.bound(z)
+        if (near := self.near) is None:
+            return np.full(z.shape, np.inf)
+        bound = sum_above(distance_above(near.high, near.low, z), near.y)
+        return np.where(np.isnan(bound), np.inf, bound)
 
     def __str__(self) -> str:
         n, (active, inactive) = self.componentwise.size, self.counts

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.checks import BoolVector
 from ..core.errors import UnsuitableMatrix
 from ..core.settings import Status
 from ..systems.free_systems import FreeSystem
@@ -77,7 +76,12 @@ def _nearness_to_singular(result: Result) -> str:
         return ""
     system = FreeSystem(problem.matrix, free_rows(problem, result.z, result.w))
     if system.is_singular and (same := system.determined_slack) is not None:
-        return _of_several(same, ~system.determined)
+        rows = "" if same.all() else f" in {int(same.sum())} of {same.size} rows"
+        known = f"; w is the same for all of them{rows}" if same.any() else ""
+        return (
+            f"z is one of several answers: {int((~system.determined).sum())} entries of z are not determined, as the "
+            f"shares of contacts in a load, or of paths in a flow{known}"
+        )
     known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
     wrong = ": z may be wrong in every digit" if error > size else ""
     return (
@@ -85,13 +89,6 @@ def _nearness_to_singular(result: Result) -> str:
         f"residual of {residual:.0e} goes with an error of z {known}, while the largest |z_i| is {size:.0e}{wrong}"
         f"{_advised(result)}"
     )
-
-
-def _of_several(same: BoolVector, loose: BoolVector) -> str:
-    what = "as the shares of contacts in a load, or of paths in a flow"
-    rows = "" if same.all() else f" in {int(same.sum())} of {same.size} rows"
-    known = f"; w is the same for all of them{rows}" if same.any() else ""
-    return f"z is one of several answers: {int(loose.sum())} entries of z are not determined, {what}{known}"
 
 
 def _advised(result: Result) -> str:

@@ -315,15 +315,11 @@ class Infeasibility(NoSolutionProof):
 
     def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:
         """Return whether no z could be SOLVED; empty rows fail the componentwise test unless q_i is rounding."""
-        return super().excludes(tolerance, absolute_tolerance) or (
-            not absolute_tolerance and self._rests_on_empty_rows and self.exact
-        )
-
-    @cached_property
-    def _rests_on_empty_rows(self) -> bool:
+        if super().excludes(tolerance, absolute_tolerance) or absolute_tolerance:
+            return super().excludes(tolerance, absolute_tolerance)
         used, sizes = list(self._used), np.abs(self.problem.q)
         is_empty = not np.diff(self.problem.csr.indptr)[used].any()
-        return is_empty and bool((sizes[used] > DATA_ROUNDING * sizes.max()).all())
+        return is_empty and bool((sizes[used] > DATA_ROUNDING * sizes.max()).all()) and self.exact
 
     @cached_property
     def _used(self) -> dict[int, Fraction]:

@@ -397,7 +397,7 @@ class GridProblemOnRanks:
         answer = below.answer()
         below.halo.fetch(answer)
         everywhere = np.ones(z.size, np.bool_)
-        prolong(transfer, answer, everywhere, lower, upper, z)
+        prolong(transfer, answer, everywhere, z, (lower, upper))
         self.work += below.work + below.truncation.work
 
     def answer(self) -> Vector:
@@ -446,7 +446,7 @@ class GridProblemOnRanks:
         truncation.restrict(0, self.residual)
         truncation.correct(1)
         below.fetch(below.x)
-        prolong(truncation.transfers[0], below.x, top.is_interpolated, lower, upper, z)
+        prolong(truncation.transfers[0], below.x, top.is_interpolated, z, (lower, upper))
 
     def add_krylov_steps(self, z: Vector) -> None:
         """Add Krylov steps' answer, cut off at the bounds."""

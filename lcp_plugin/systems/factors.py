@@ -231,16 +231,11 @@ def sparse_lu(matrix: Any, **options: Any) -> Any:
     matrix = sp.csc_array(matrix)
     if not (matrix.diagonal() != 0.0).all() and not _is_structurally_regular(matrix):
         raise RuntimeError("no order of the rows puts a nonzero on each place of the diagonal")
-    require_time_for_factor(matrix)
-    return splu(matrix, **options)
-
-
-def require_time_for_factor(matrix: Any) -> None:
-    """Raise OutOfTimeError if a factor of a CSR or CSC array is predicted to end after an enforced limit."""
     if enforced_seconds_left() < matrix.shape[0] ** 3 / SPARSE_OPERATIONS:
         from .minimum_degree import factor_sizes
 
         require_seconds(factor_sizes(matrix, LARGEST_FILL, np.inf)[1] / SPARSE_OPERATIONS)
+    return splu(matrix, **options)
 
 
 def _is_structurally_regular(matrix: Any) -> bool:

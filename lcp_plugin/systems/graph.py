@@ -154,12 +154,11 @@ def scale_spread(matrix: Matrix) -> Mapping[str, float]:
         "columns": column_largest,
         "diagonal": np.abs(M.diagonal()),
     }
-    return MappingProxyType({name: _decades(values) for name, values in sizes.items()})
-
-
-def _decades(values: Vector) -> float:
-    nonzero = values[values > 0.0]
-    return float(np.log10(nonzero.max()) - np.log10(nonzero.min())) if nonzero.size else 0.0
+    decades = dict.fromkeys(sizes, 0.0)
+    for name, values in sizes.items():
+        if (nonzero := values[values > 0.0]).size:
+            decades[name] = float(np.log10(nonzero.max()) - np.log10(nonzero.min()))
+    return MappingProxyType(decades)
 
 
 @fact

@@ -126,11 +126,6 @@ class MonotoneGraphs:
         parts = self.q, self.corners, self.levels
         return [np.stack([part[0] + t * part[1], part[1]]) for part in parts]
 
-    def active_set_of(self, steps: IntVector) -> IntVector:
-        """Return −1 at the lower bound, 0 between, 1 at the upper bound, 2 at 0 because of a penalty."""
-        has_kink = np.isfinite(self.levels[0, 2])
-        return np.where(has_kink, np.array([-1, 0, 2, 0, 1])[steps], steps - 1)
-
     def steps_of(self, t: float, z: Vector, w: Vector) -> IntVector:
         """Return the step of each row closest to (z, w) at t; corners are on even steps."""
         (_, corners, levels), size = self.at(t), self.sizes

@@ -412,5 +412,6 @@ class _Trace:
         z, rate = self.problem.units * line.z
         z += (toward * (begin - self.line.start) - line.begin) * rate
         slope, n = toward * rate, self.line.problem.lower.size
-        case = self.problem.active_set_of(line.steps)
+        has_kink = np.isfinite(self.problem.levels[0, 2])
+        case = np.where(has_kink, np.array([-1, 0, 2, 0, 1])[line.steps], line.steps - 1)
         return Piece(begin, self.theta(line.end), z[:n], slope[:n], case, z, slope)

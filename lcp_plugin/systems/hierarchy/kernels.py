@@ -81,13 +81,8 @@ def _pattern(operator: Operator, columns: int) -> sp.csr_array:
     return sp.csr_array((ones, operator.indices, operator.indptr), shape=shape)
 
 
-def mark_rows(*operands: Any) -> None:
-    """Mark the rows whose contribution to the coarse matrix changed; same operands as `_mark_rows`."""
-    share(partial(_mark_rows, *operands), operands[0].size - 1, SHARED_FROM)
-
-
 @kernel
-def _mark_rows(indptr, indices, is_free_changed, is_row_changed, touched, first, end):  # type: ignore[no-untyped-def]
+def mark_rows(indptr, indices, is_free_changed, is_row_changed, touched, first, end):  # type: ignore[no-untyped-def]
     """Mark rows; all three flags are bytes."""
     one = uintp(1)
     for i in range(uintp(first), uintp(end)):
@@ -452,17 +447,15 @@ def restrict(transfer: Transfer, fine: Vector, coarse: Vector) -> None:
 
 
 def prolong(
-    transfer: Transfer, coarse: Vector, flags: BoolVector, lower: Vector, upper: Vector, z: Vector
+    transfer: Transfer,
+    coarse: Vector,
+    flags: BoolVector,
+    z: Vector,
+    bounds: tuple[Vector, Vector] = NO_BOUNDS,
 ) -> int:
     """Overwrite z by mid(lower, upper, z + P coarse) in flagged rows; return the number of clipped values."""
-    operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, lower, upper, z
-    return sum(shared(partial(_interpolate, *operands), lower.size))
-
-
-def add_prolonged(transfer: Transfer, coarse: Vector, flags: BoolVector, x: Vector) -> None:
-    """Add P coarse to x in the rows with set `flags`, which cover at least the local rows."""
-    operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, *NO_BOUNDS, x
-    shared(partial(_interpolate, *operands), transfer.is_coarse.size)
+    operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, *bounds, z
+    return sum(shared(partial(_interpolate, *operands), transfer.is_coarse.size))
 
 
 @kernel
@@ -495,13 +488,8 @@ def _interpolate(  # type: ignore[no-untyped-def]
     return cut
 
 
-def find_held(*operands: Any) -> int:
-    """Find the held rows among the touched rows; same operands as `_find_held`, whose counts are summed."""
-    return sum(share(partial(_find_held, *operands), operands[-1].size, SHARED_FROM))
-
-
 @kernel
-def _find_held(  # type: ignore[no-untyped-def]
+def find_held(  # type: ignore[no-untyped-def]
     matrix, values, is_free, touched, is_interpolated, is_changed, is_coarse, first, end
 ):
     """Set which touched rows are interpolated; return the number of rows that are held or change with neighbors.

@@ -5,6 +5,7 @@ A V-cycle preconditions Krylov steps on the free rows.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -85,19 +86,14 @@ class TruncatedGrid:
     def mark_rows(self, more: BoolVector) -> None:
         """Mark the rows in `more`, and those that meet an unknown in `free_changed`, as touched."""
         flags = (flag.view(np.uint8) for flag in (self.free_changed, more, self.touched))
-        kernels.mark_rows(*self.grid.matrix.arrays[:2], *flags)
+        operands = *self.grid.matrix.arrays[:2], *flags
+        kernels.shared(partial(kernels.mark_rows, *operands), operands[0].size - 1)
 
     def find_held(self, transfer: Transfer) -> None:
         """Find the held unknowns among the touched rows: they are free, but not interpolated."""
-        if kernels.find_held(
-            self.grid.matrix.arrays,
-            self.values,
-            self.is_free,
-            self.touched,
-            self.is_interpolated,
-            self.free_changed,
-            transfer.is_coarse,
-        ):
+        flags = self.is_free, self.touched, self.is_interpolated, self.free_changed
+        operands = self.grid.matrix.arrays, self.values, *flags, transfer.is_coarse
+        if any(kernels.shared(partial(kernels.find_held, *operands), transfer.is_coarse.size)):
             own = slice(self.grid.n)
             self.held = np.flatnonzero(self.is_free[own] & ~self.is_interpolated[own])
 
@@ -218,7 +214,7 @@ class Truncation:
         self.correct(k + 1)
         below, transfer = self.grids[k + 1], self.transfers[k]
         below.fetch(below.x)
-        kernels.add_prolonged(transfer, below.x, level.is_interpolated, level.x)
+        kernels.prolong(transfer, below.x, level.is_interpolated, level.x)
         level.fetch(level.x)
         kernels.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size

@@ -55,6 +55,7 @@ from .cones.stack import ConeStack
 from .many import run_in_chunks
 from .march import March, MarchDerivative
 
+HALF = 2.0**-26  # half of the digits of double precision
 STEPS = 6  # active-set iterations; from a solved problem one or two classify all rows
 NUMBERS = "dlower", "dupper", "dfriction"  # data whose change may be one number
 
@@ -108,8 +109,7 @@ class BatchPart(LinearizedSystem):
         )
         is_sized = diagonal >= 2.0**-10 * largest
         kink = (slack <= terms * size) & (distance <= terms * size) & is_sized & (lower < upper)
-        # By half of the digits of double precision
-        is_clear = kink | (lower == upper) | (np.where(free, distance, slack) > 2.0**-26 * size)
+        is_clear = kink | (lower == upper) | (np.where(free, distance, slack) > HALF * size)
         self.degenerate, self.free = kink, free & ~kink
         self.blocks = FreeBlocks(M, self.free)
         freed = np.flatnonzero(kink.any(axis=1) & ~self.blocks.is_regular)

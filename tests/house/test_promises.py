@@ -21,6 +21,7 @@ import scipy.optimize
 import scipy.sparse as sp
 from inputs import membranes
 from inputs.families import BOUNDED
+from oracles.exact import bound_violations, exact_solution
 from oracles.relations import bits, data_of, surroundings
 
 from lcp_plugin import (
@@ -120,6 +121,14 @@ def test_rounding_hides_no_residual() -> None:
     right = solve(nearly_singular, "newton")
     assert right.is_solved
     assert right.z.tolist() == [2.0**50, 2.0**50]
+
+
+@pytest.mark.parametrize("z", [0.0, 0.3, 0.3 + 2.0**-53, 1e6])
+def test_bounds_hold_exactly(z: float) -> None:
+    """“A rigorous bound holds for the exact solution”: in fractions, for near and far points, the last bit included."""
+    problem, point = LCP([[3.0, -1.0], [-1.0, 3.0]], [-0.7, 0.1]), np.full(2, z)
+    bound = error_bound(problem, point)
+    assert bound_violations(problem, point, exact_solution(problem), bound) == (0, 0)
 
 
 @pytest.mark.parametrize("last", [0.0, 2.0**-52, -(2.0**-52)])

@@ -1,28 +1,399 @@
-"""stability_atlas(): each algorithm on stiff and extreme problems, compared with exact solutions."""
+"""stability_atlas(): each algorithm on stiff, badly scaled, nearly singular or extreme problems with exact solutions."""
 
 from __future__ import annotations
 
 import math
+import sys
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from fractions import Fraction
+from functools import cached_property
 from itertools import product
 from os import PathLike
 from typing import Any
 
 import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
 
 from ..algorithms import REGISTRY
 from ..api import solve
 from ..core.algorithm import Algorithm
+from ..core.checks import Vector
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, did_you_mean
+from ..core.lcp import LCP
+from ..core.matrix import scale_by
+from ..gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
 from ..interfaces.files import checked_path, write_whole
+from ..proofs.exact import (
+    exact_power_of_two,
+    exact_slack,
+    is_exact_solution,
+    rational_rows,
+    solved_nearby,
+)
+from ..systems.equilibration import equilibrating_exponents
 from .measurement import Method, methods_of
-from .stresses import FAMILIES, StressCase, relative_error
 from .study import csv_text
 
 Progress = Callable[[int, int, str], Any]
+ExactPoint = tuple[Fraction, ...]
+
+LARGEST_INTEGER = 9
+ALIKE = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries near 1
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StressCase:
+    """A problem under one stress.
+
+    Parameters
+    ----------
+    stress : str
+        Extreme property, with its number.
+    problem : LCP
+    near : sequence of float, shape (n,), optional
+        A point on the right bounds, from which the exact answer is found; None if there is none, or a line of them.
+    start : ndarray, shape (n,), optional
+        z0 of the runs.
+    unit : number or ndarray, shape (n,)
+        Unit of each component of z.
+    """
+
+    stress: str
+    problem: LCP = field(repr=False)
+    near: Sequence[float] | Vector | None = field(default=None, repr=False)
+    start: Vector | None = field(default=None, repr=False)
+    unit: Any = field(default=1.0, repr=False)
+
+    @cached_property
+    def exact(self) -> ExactPoint | None:
+        """z* in fractions, verified exactly; None without `near`."""
+        return None if self.near is None else exact_answer(self.problem, self.near)
+
+
+def grid(
+    size: int, centre: Any = 4.0, below: Any = (-1.0, -1.0), above: Any = (-1.0, -1.0)
+) -> sp.csr_array:
+    """Return a five-point matrix on size × size nodes, −Δ by default."""
+    return stencil_matrix((size, size), centre, below, above)
+
+
+def pattern(n: int, *, active: float = 0.5, degenerate: float = 0.0) -> tuple[Vector, Vector]:
+    """Return complementary integer vectors z, w with these shares of active and, among them, degenerate rows."""
+    generator = np.random.default_rng(0)
+    z, w = generator.integers(1, LARGEST_INTEGER + 1, size=(2, n)).astype(np.float64)
+    order = generator.permutation(n)
+    count = round(active * n)
+    z[order[:count]] = 0.0
+    w[order[count:]] = 0.0
+    w[order[: round(degenerate * count)]] = 0.0
+    return z, w
+
+
+def planted(stress: str, M: Any, z: Vector, w: Vector, **facts: Any) -> StressCase:
+    """Return the case with q = w − M z, each entry rounded once; the exact answer then belongs to the rounded q."""
+    unrounded = exact_slack(LCP(M, np.zeros(z.size)), z)
+    q = [
+        float(Fraction(value) - product)
+        for value, product in zip(w.tolist(), unrounded, strict=True)
+    ]
+    return StressCase(stress=stress, problem=LCP(M, q), near=z, **facts)
+
+
+def half_active(stress: str, M: Any, *, degenerate: float = 0.0, **facts: Any) -> StressCase:
+    """Return a case with this matrix and an answer of small integers, half of it active, here and there.
+
+    On the active rows w is a small integer times the diagonal.
+    """
+    z, w = pattern(M.shape[0], degenerate=degenerate)
+    return planted(stress, M, z, w * np.abs(M.diagonal()), **facts)
+
+
+def mostly_free(stress: str, M: Any, **facts: Any) -> StressCase:
+    """Return a case with this matrix and a solution of small integers whose first fifth is active.
+
+    The coupling of distant rows then matters, because the free rows are consecutive.
+    """
+    n = M.shape[0]
+    z, w = np.random.default_rng(0).integers(1, LARGEST_INTEGER + 1, size=(2, n)).astype(np.float64)
+    is_active = np.arange(n) < n // 5
+    return planted(stress, M, z * ~is_active, w * is_active * np.abs(M.diagonal()), **facts)
+
+
+def rescaled(stress: str, case: StressCase, row: Any, column: Any) -> StressCase:
+    """Return the case with rows multiplied by `row` and z measured in units of 1/`column`."""
+    problem = case.problem
+    row, column = (
+        np.broadcast_to(np.asarray(factor, dtype=np.float64), problem.n) for factor in (row, column)
+    )
+    # One multiplication after another: the product of the two factors may overflow although the entry does not.
+    scaled = LCP(scale_by(problem.csr, row, column), problem.q * row)
+    unit = 1.0 / column
+    return replace(
+        case, stress=stress, problem=scaled, near=np.asarray(case.near) * unit, unit=unit
+    )
+
+
+SIDE = 10
+
+
+def stiffness() -> Iterator[StressCase]:
+    """Yield δ → 0, anisotropy, contrast, Péclet number and time scales, each towards its extreme."""
+    for delta in (1e-4, 1e-12, 0.0):
+        yield mostly_free(f"delta={delta:g}", grid(SIDE, 4.0 + delta))
+    for ratio in (1e-3, 1e-6, 1e-12):
+        yield mostly_free(
+            f"anisotropy={ratio:g}", grid(SIDE, 2.0 + 2.0 * ratio, (-1.0, -ratio), (-1.0, -ratio))
+        )
+    for contrast in (1e4, 1e12):
+        yield mostly_free(f"contrast={contrast:g}", _island(contrast))
+        yield mostly_free(f"contrast={1 / contrast:g}", _island(1.0 / contrast))
+    for peclet in (1e2, 1e6, 1e12):
+        yield mostly_free(f"peclet={peclet:g}", _windy(peclet, 0.6))
+    yield mostly_free("peclet=1e+12, against the sweep", _windy(1e12, 0.6 + np.pi))
+    for span in (1e4, 1e8, 1e12):
+        yield mostly_free(f"time scales={span:g}", _time_scales(span))
+
+
+def _island(contrast: float) -> sp.csr_array:
+    """Return −∇·(k∇u) with k = contrast on a square in the middle and 1 around it."""
+    cells = np.ones((SIDE + 1, SIDE + 1))
+    cells[3:-3, 3:-3] = contrast
+    return balanced_matrix((SIDE, SIDE), stiff_cells(cells))
+
+
+def _windy(peclet: float, angle: float) -> sp.csr_array:
+    """Return upwind convection by a unit wind with diffusion 1/peclet a mesh width."""
+    return balanced_matrix((SIDE, SIDE), upwind(1.0 / peclet, (np.cos(angle), np.sin(angle))))
+
+
+def _time_scales(span: float) -> sp.csr_array:
+    """Return an implicit Euler step of reactions with rates from 1 to `span` that feed one another in a chain."""
+    rates = np.geomspace(1.0, span, SIDE * SIDE)
+    return sp.csr_array(sp.diags_array([1.0 + rates, -rates[:-1]], offsets=[0, -1]))
+
+
+def scaling() -> Iterator[StressCase]:
+    """Yield M and q in units of 1e±150, and rows and columns from 1e±8 to 1e±100."""
+    base = half_active("", grid(4, 5.0))
+    for of_M in (1e-150, 1.0, 1e150):
+        for of_q in (1e-150, 1.0, 1e150):
+            if of_M != 1.0 or of_q != 1.0:
+                yield rescaled(f"M × {of_M:g}, q × {of_q:g}", base, of_q, of_M / of_q)
+    n = base.problem.n
+    for power in (8, 30, 100):
+        up_and_down = 10.0 ** np.resize([power, -power, 0, power / 2], n)
+        yield rescaled(f"rows × 1e±{power}", base, up_and_down, 1.0)
+        yield rescaled(f"columns × 1e±{power}", base, 1.0, np.roll(up_and_down, 1))
+        yield rescaled(f"rows and columns × 1e±{power}", base, up_and_down, np.roll(up_and_down, 1))
+    for k in (-900, -300, 300, 900):
+        yield rescaled(f"M, q × 2^{k}", base, np.ldexp(1.0, k), 1.0)
+
+
+def singularity() -> Iterator[StressCase]:
+    """Yield nearly singular and singular matrices, with one solution, with many, with none."""
+    for bits in (10, 20, 30, 40):
+        rho = 1.0 - 2.0**-bits
+        M, z = np.array([[1.0, -rho], [-rho, 1.0]]), np.array([1.0, 2.0])
+        yield planted(f"H+ with 1 - rho = 2^-{bits}", M, z, np.zeros(2))
+    for n in (3, 5, 8):
+        yield mostly_free(f"Hilbert matrix, n={n}", scipy.linalg.hilbert(n))
+    ring = _ring(12)
+    yield mostly_free("singular M, one solution", ring)
+    z = pattern(12, active=0.0)[0]
+    yield StressCase(stress="singular M, a line of solutions", problem=LCP(ring, -(ring @ z)))
+    yield StressCase(stress="singular M, no solution", problem=LCP(ring, np.full(12, -1.0)))
+    for tiny in (1e-8, 1e-14):
+        yield mostly_free(f"singular M + {tiny:g}", sp.csr_array(ring + tiny * sp.eye_array(12)))
+
+
+def _ring(n: int) -> sp.csr_array:
+    """Return −u'' on a circle: singular, M 1 = 0."""
+    eye = np.eye(n)
+    return sp.csr_array(2.0 * eye - np.roll(eye, 1, axis=1) - np.roll(eye, -1, axis=1))
+
+
+def degeneracy() -> Iterator[StressCase]:
+    """Yield answers with z = w = 0 in some rows, in all active ones, in all."""
+    M = grid(SIDE)
+    yield half_active("half of the active rows degenerate", M, degenerate=0.5)
+    yield half_active("all active rows degenerate", M, degenerate=1.0)
+    z, w = pattern(M.shape[0])
+    yield planted(
+        "every row degenerate",
+        M,
+        np.zeros(z.size),
+        np.zeros(z.size),
+        start=np.arange(float(z.size)),
+    )
+    yield planted("nearly degenerate, w = 1e-14", M, z, 1e-14 * w)
+    yield planted(
+        "nearly degenerate, z = 1e-14", M, np.where(np.arange(z.size) % 5 == 0, 1e-14 * z, z), w
+    )
+    square = LCP(M, half_active("", M, degenerate=1.0).problem.q, upper=z.max())
+    yield StressCase(stress="degenerate at both bounds of a box", problem=square, near=z)
+
+
+def far_starts() -> Iterator[StressCase]:
+    """Yield starts far beyond the answer."""
+    for power in (10, 100, 300):
+        M = grid(SIDE)
+        yield half_active(f"z0 = 1e{power}", M, start=np.full(SIDE * SIDE, 10.0**power))
+
+
+def sizes() -> Iterator[StressCase]:
+    """Yield n = 1 and 2, and a large n."""
+    yield planted("n = 1", np.array([[3.0]]), np.array([1.0]), np.zeros(1))
+    yield planted("n = 1, active", np.array([[3.0]]), np.zeros(1), np.ones(1))
+    yield planted(
+        "n = 2", np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([5.0, 0.0]), np.array([0.0, 3.0])
+    )
+    yield half_active("n = 2500", grid(50, 8.0))
+    yield half_active("n = 10000", grid(100, 8.0))
+
+
+def number_range() -> Iterator[StressCase]:
+    """Yield subnormal data, data next to the largest double, and answers beyond it."""
+    base = half_active("", grid(3, 5.0))
+    M, q, z = base.problem.csr, base.problem.q, np.asarray(base.near)
+    tiny, huge = 1e-310, 1e306
+    for stress, of_M, of_q, near in (
+        ("q and z subnormal, 1e-310", 1.0, tiny, z * tiny),
+        ("q a few times 5e-324", 1.0, 5e-324, np.ceil(z) * 5e-324),
+        ("M subnormal, 1e-310", tiny, 1e-300, z * 1e10),
+        ("M and q subnormal, 1e-310", tiny, tiny, z),
+        ("q and z huge, 1e306", 1.0, huge, z * huge),
+        ("M huge, 1e306", huge, 1.0, z / huge),
+        ("M and q huge, 1e306", huge, huge, z),
+        ("the answer overflows", 1e-200, 1e200, None),
+    ):
+        yield StressCase(stress=stress, problem=LCP(M * of_M, q * of_q), near=near)
+    start = np.full(M.shape[0], 1e200)
+    yield StressCase(
+        stress="w overflows at the start", problem=LCP(M * 1e200, q * 1e200), near=z, start=start
+    )
+
+
+def cancellation() -> Iterator[StressCase]:
+    """Yield problems with a q from cancellation, or with components of very different size."""
+    M = grid(SIDE)
+    z, w = pattern(SIDE * SIDE)
+    for power in (6, 12):
+        yield planted(f"z = 1e{power} + digits", M, z + 10.0**power, np.zeros(z.size))
+        mixed = np.where(np.arange(z.size) % 7 == 0, 10.0**power * z, z)
+        yield planted(f"some z 1e{power} times the others", M, mixed, w)
+        yield planted(
+            f"some w 1e{power} times the others",
+            M,
+            z,
+            np.where(np.arange(z.size) % 2, 10.0**power * w, w),
+        )
+    nearly_singular = sp.csr_array(_ring(12) + 2.0**-40 * sp.eye_array(12))
+    yield planted(
+        "q is 1e-12 of its terms",
+        nearly_singular,
+        2.0**40 + pattern(12, active=0.0)[0],
+        np.zeros(12),
+    )
+    for power in (4, 12):
+        large = 10.0**power
+        cyclic = np.array([[1.0, large, -large], [0.0, 1.0, large], [0.0, 0.0, 1.0]])
+        yield planted(
+            f"terms of 1e{power} cancel in M z", cyclic, np.array([1.0, 2.0, 2.0]), np.zeros(3)
+        )
+
+
+FAMILIES: dict[str, Callable[[], Iterator[StressCase]]] = {
+    family.__name__.replace("_", " "): family
+    for family in (
+        stiffness,
+        scaling,
+        singularity,
+        degeneracy,
+        far_starts,
+        sizes,
+        number_range,
+        cancellation,
+    )
+}
+
+
+# --- Exact answers ----------------------------------------------------------------------------------------------
+
+
+def exact_answer(problem: LCP, guess: Any) -> ExactPoint:
+    """Return z* in fractions, verified without rounding, from the active set of a guess.
+
+    Parameters
+    ----------
+    problem : LCP
+    guess : array_like, shape (n,)
+        A point on the right bounds; unknowns strictly between their bounds are taken as free.
+
+    Raises
+    ------
+    UnsuitableProblem
+        If its free block is singular, or gives no solution.
+
+    Examples
+    --------
+    >>> exact_answer(LCP([[3, 0], [0, 1]], [-1, 1]), [0.33, 0])
+    (Fraction(1, 3), Fraction(0, 1))
+    """
+    z = [Fraction(value) for value in guess]
+    if is_exact_solution(problem, z):
+        return tuple(z)
+    lower, upper = (np.asarray(bound) for bound in (problem.lower, problem.upper))
+    at_lower, at_upper = guess <= lower, guess >= upper
+    is_free = ~(at_lower | at_upper)
+    ends = np.where(at_lower, lower, np.where(at_upper, upper, 0.0))
+    z = [Fraction(end) for end in ends.tolist()]
+    right = [-w for w, free in zip(exact_slack(problem, z), is_free, strict=True) if free]
+    column = equilibrating_exponents(problem.csr, ALIKE).column
+    units = [exact_power_of_two(int(one)) for one in column]
+    rows = [
+        {j: entry * units[j] for j, entry in row.items() if is_free[j]}
+        for row, free in zip(rational_rows(problem.csr), is_free, strict=True)
+        if free
+    ]
+    change = solved_nearby(rows, right, [Fraction(0)] * problem.n, is_free.tolist())
+    if change is not None:
+        z = [value + by * unit for value, by, unit in zip(z, change, units, strict=True)]
+    if change is None or not is_exact_solution(problem, z):
+        raise UnsuitableProblem(
+            f"no exact answer of {problem!r} found near the guess; give one on the right bounds"
+        )
+    return tuple(z)
+
+
+def relative_error(z: Vector, exact: ExactPoint, unit: float | Vector) -> float:
+    """Return max_i |z_i − z*_i|/unit_i over max_i |z*_i|/unit_i, exact up to the last rounding; ∞ for x/0.
+
+    Parameters
+    ----------
+    z : ndarray, shape (n,)
+        Finite.
+    exact : sequence of Fraction, shape (n,)
+    unit : number or ndarray, shape (n,)
+
+    Examples
+    --------
+    >>> relative_error(np.array([1.0, 0.5]), (Fraction(1), Fraction(0)), np.ones(2))
+    0.5
+    """
+    units = [Fraction(value) for value in np.broadcast_to(unit, z.shape).tolist()]
+    rows = [*zip(z.tolist(), exact, units, strict=True)]
+    error = max((abs(Fraction(value) - right) / u for value, right, u in rows), default=Fraction(0))
+    largest = max((abs(right) / u for _, right, u in rows), default=Fraction(0))
+    if error >= largest * Fraction(sys.float_info.max):
+        return np.inf if error else 0.0
+    return float(error / largest)
+
+
+# --- The atlas --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,7 @@ from lcp_plugin import LCP, InvalidOption, UnknownAlgorithm, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence import stability as atlas
-from lcp_plugin.evidence.stability import stability_atlas
-from lcp_plugin.evidence.stresses import (
+from lcp_plugin.evidence.stability import (
     FAMILIES,
     StressCase,
     exact_answer,
@@ -29,6 +28,7 @@ from lcp_plugin.evidence.stresses import (
     half_active,
     mostly_free,
     relative_error,
+    stability_atlas,
 )
 from lcp_plugin.proofs.exact import is_exact_solution
 from lcp_plugin.strategies import solved_lcps

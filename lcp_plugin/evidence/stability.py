@@ -1,4 +1,4 @@
-"""stability_atlas(): each algorithm on stiff, badly scaled, nearly singular or extreme problems with exact solutions."""
+"""stability_atlas(): each algorithm on stiff, badly scaled, nearly singular or extreme problems of exact solutions."""
 
 from __future__ import annotations
 

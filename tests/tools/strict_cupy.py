@@ -17,6 +17,9 @@ class ndarray(np.ndarray):  # noqa: N801 - the name in CuPy
     def __cuda_array_interface__(self) -> Any:
         return self.__array_interface__
 
+    def __dlpack_device__(self) -> Any:
+        return 2, 0
+
     @property
     def __array_namespace__(self) -> Any:
         raise AttributeError("CuPy has none")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple
+from warnings import catch_warnings
 
 import numpy as np
 
@@ -31,9 +32,9 @@ ON_GPU = 2, 13  # device types of DLPack: memory of CUDA, managed memory of CUDA
 
 def is_on_gpu(array: Any) -> bool:
     """Return whether an array is in the memory of a GPU, by its array protocols."""
-    if hasattr(array, "__cuda_array_interface__"):
-        return True
-    return hasattr(array, "__dlpack_device__") and array.__dlpack_device__()[0] in ON_GPU
+    if hasattr(array, "__dlpack_device__"):
+        return array.__dlpack_device__()[0] in ON_GPU
+    return hasattr(array, "__cuda_array_interface__")
 
 
 def _modules() -> tuple[Any, Any]:
@@ -140,7 +141,8 @@ def launch(
         own = [xp.array(one if len(one) == 1 else one[part], order="F") for one in arrays]
         values = [xp.array(one[part], order="F") for one in found]
         blocks = -(-len(values[-1]) // THREADS)
-        with pause_for_compilation():  # the launch itself returns at once
+        # The launch itself returns at once; numba warns of few blocks.
+        with pause_for_compilation(), catch_warnings(action="ignore"):
             getattr(kernels, name)[blocks, THREADS](*own, *shared, *tables, *values)
         kernels.cuda.synchronize()
         for one, value in zip(found, values, strict=True):
@@ -173,7 +175,7 @@ class DeviceAnswers(AnswerSequence[Any]):
         self.data = data = DeviceData.of(xp, M=M, q=q, lower=lower, upper=upper)
         (low, high), (count, n) = data[2:], data.q.shape
         start = xp.minimum(xp.maximum(low, 0.0), high)
-        sides, z = xp.zeros((count, n), np.int64), xp.array(start)
+        sides, z = xp.zeros((count, n), np.int64), xp.array(start, order="C")
         bound, shared = (
             xp.full(count, np.inf),
             (xp.asarray(tilts(n)), float(self.settings.tolerance)),

@@ -1,6 +1,6 @@
 """LCPs of PETSc's matrices and vectors: the data of the ranks, and Newton steps by PETSc's linear solvers.
 
-The caller imports petsc4py, before the first step of a linear solver does.
+Only a Newton step imports petsc4py, which the matrix of the caller has loaded already.
 """
 
 from __future__ import annotations

@@ -89,11 +89,12 @@ def another_matrix_is_refused() -> None:
         LCP.from_petsc(np.eye(3), np.zeros(3))
 
 
-for claim in (
-    the_obstacle_is_solved_as_without_petsc,
-    random_positive_definite_matrices_are_solved,
-    a_saddle_point_and_cyclic_matrices_are_solved,
-    another_matrix_is_refused,
-):
-    claim()
-    PETSc.Sys.Print(claim.__name__)
+if __name__ == "__main__":
+    for claim in (
+        the_obstacle_is_solved_as_without_petsc,
+        random_positive_definite_matrices_are_solved,
+        a_saddle_point_and_cyclic_matrices_are_solved,
+        another_matrix_is_refused,
+    ):
+        claim()
+        PETSc.Sys.Print(claim.__name__)

@@ -536,7 +536,12 @@ class ProgramRun(Run):
         reduced = self.program.folded.reduced
         rows, matrices = reduced.h.size + reduced.b.size, reduced.matrices
         if not rows and not matrices.has_curvature:
-            yield self._vertex_by_costs()
+            solution = QPSolution.from_reduced(self.program, *nearest(self.program))
+            found = ProgramPoint.of(solution, self.settings.tolerance, "costs")
+            if not found.passes:
+                found = found._replace(says=EngineStatus.UNBOUNDED)
+            vertex = Step(solution.x, iterations=0, measured=found)
+            yield Stage(Named("costs"), "boxes", steps=[vertex])
         is_lcp_first = not rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
             # Pivots on thousands of rows take minutes; external solvers are next.
@@ -598,16 +603,6 @@ class ProgramRun(Run):
             solution = QPSolution.from_reduced(self.program, x, y)
             found = ProgramPoint.of(solution, self.settings.tolerance, name, iterations)
             yield Step(x, iterations=iterations, measured=found)
-
-    def _vertex_by_costs(self) -> Stage:
-        """Return a stage with the vertex of a box that the costs push to."""
-        solution = QPSolution.from_reduced(self.program, *nearest(self.program))
-        found = ProgramPoint.of(solution, self.settings.tolerance, "costs")
-        if not found.passes:
-            found = found._replace(says=EngineStatus.UNBOUNDED)
-        return Stage(
-            Named("costs"), "boxes", steps=[Step(solution.x, iterations=0, measured=found)]
-        )
 
     def lcp_stage(self, algorithm: Any, options: dict[str, Any], ends_before: str = "") -> Stage:
         """Return a stage with a run on the complementarity problem of the program; `ends_before` may end it."""

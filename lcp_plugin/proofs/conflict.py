@@ -2,9 +2,9 @@
 
 A Farkas vector y of rows w = M x + q ≥ 0, Mᵀy = 0 and qᵀy < 0, proves that its rows S conflict. S is irreducible if y
 is the only solution of M_Sᵀy = 0, up to its scale: then any proper subset of the rows is independent, so a point
-satisfies them with equality. Otherwise another solution v of these equations exists, and on the line y + t v an entry
-vanishes that leaves a proof. So members are removed by linear algebra in rational numbers, without linear programs. The
-rank of M_S modulo a prime is at most its rank: if it is |S| − 1, no other solution exists.
+satisfies them with equality. A vertex of Mᵀy = 0, qᵀy = −1, y ≥ 0 is such a y. A linear program gives its members, and
+rational numbers its entries. The rank of M_S modulo a prime is at most its rank: if it is |S| − 1, no other solution
+exists.
 
 References
 ----------
@@ -14,10 +14,12 @@ doi:10.1287/ijoc.2.1.61.
 
 from __future__ import annotations
 
-import random
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+
+import numpy as np
+import scipy.sparse as sp
 
 from ..core.deadline import is_over, time_limit
 from ..core.names import listed
@@ -31,10 +33,14 @@ from .exact import (
     rational_rows,
     solved_nearby,
 )
-from .farkas import FarkasCertificate, LinearConstraints
+from .farkas import FarkasCertificate, LinearConstraints, linear_program
 
 MOST_NAMED = 12  # members in the text
 MOST_ENTRIES = 4_000_000  # of the dense matrix whose rank is computed: some seconds
+MOST_IN_PROGRAM = (
+    200_000  # entries of a matrix all of whose rows are in the linear program: some seconds
+)
+ENTRY = 1e-9  # of the largest multiplier of a vertex, below which an entry is 0
 SECONDS = 60.0  # of a search without another limit
 
 
@@ -124,7 +130,7 @@ def find_conflict(
     multipliers: Mapping[int, Fraction],
     max_seconds: float = SECONDS,
 ) -> Conflict:
-    """Return an irreducible set of constraints that conflict, some of those with a multiplier.
+    """Return an irreducible set of constraints that conflict.
 
     Parameters
     ----------
@@ -133,71 +139,53 @@ def find_conflict(
     max_seconds : float
         Limit of the search; at the limit the smallest set found so far is returned, not proved irreducible.
     """
-    y, numbers = {i: value for i, value in multipliers.items() if value}, random.Random(0)
+    y = {i: value for i, value in multipliers.items() if value}
     if not FarkasCertificate(rows, y).holds:
         return Conflict(rows, name, y)
     with time_limit(max_seconds):
-        while not is_over():
-            members = sorted(y)
-            own = rational_rows(rows.matrix[members])
-            if _rank(own) == len(members) - 1:
-                return Conflict(rows, name, y, is_irreducible=True)
-            columns: dict[int, Row] = {}
-            for k, row in enumerate(own):
-                for j, entry in row.items():
-                    columns.setdefault(j, {})[k] = entry
-            guess = [Fraction(numbers.randint(1, 1 << 20)) for _ in members]
-            equations = [*columns.values()]
-            v = solved_nearby(equations, [ZERO] * len(equations), guess, [True] * len(members))
-            smaller = None if v is None else _without_a_member(rows, y, members, v)
-            if smaller is None:
-                break
-            y = smaller
-    return Conflict(rows, name, y)
+        is_irreducible = _is_irreducible(rows, y)
+        vertex = y if is_irreducible or is_over() else _at_vertex(rows, y)
+        if len(vertex) < len(y) and FarkasCertificate(rows, vertex).holds:
+            y, is_irreducible = vertex, _is_irreducible(rows, vertex)
+    return Conflict(rows, name, y, is_irreducible)
 
 
-def _rank(rows: list[Row]) -> int:
-    """Return a number that is at most the rank of some rows, −1 if they are too many for it."""
-    place = {j: k for k, j in enumerate(sorted({j for row in rows for j in row}))}
-    if len(rows) * len(place) > MOST_ENTRIES:
-        return -1
-    whole = [[0] * len(place) for _ in rows]
-    for entries, row in zip(whole, rows, strict=True):
+def _at_vertex(rows: LinearConstraints, y: Mapping[int, Fraction]) -> Mapping[int, Fraction]:
+    """Return the multipliers of a vertex of Mᵀy = 0, qᵀy = −1, whose members are irreducible; y if a solver fails.
+
+    The least Σ |y_i| prefers few members. A large matrix has only the rows of y.
+    """
+    has_sign = rows.needs_rise | rows.needs_fall
+    chosen = np.flatnonzero(has_sign) if rows.matrix.nnz <= MOST_IN_PROGRAM else np.array(sorted(y))
+    rise, fall = chosen[rows.needs_rise[chosen]], chosen[rows.needs_fall[chosen]]
+    place, signs = np.append(rise, fall), np.repeat([1.0, -1.0], [rise.size, fall.size])
+    equations = sp.hstack([rows.matrix, sp.csr_array(rows.q[:, None])]).tocsr()[place].T.tocsc()
+    equations.data *= np.repeat(signs, np.diff(equations.indptr))
+    sizes = np.sqrt(equations.multiply(equations).sum(axis=0))
+    equations.data /= np.repeat(sizes, np.diff(equations.indptr))
+    right = np.append(np.zeros(rows.matrix.shape[1]), -1.0)
+    found = linear_program(np.ones(place.size), equations, right, (0.0, None), (None, None))
+    if found is None:
+        return y
+    support = np.flatnonzero(found.x > ENTRY * found.x.max())
+    members = place[support].tolist()
+    guess = [Fraction(float(one)) for one in (signs * found.x / sizes)[support]]
+    columns: dict[int, Row] = {}
+    for k, row in enumerate(rational_rows(rows.matrix[members])):
+        for j, entry in row.items():
+            columns.setdefault(j, {})[k] = entry
+    v = solved_nearby([*columns.values()], [ZERO] * len(columns), guess, [True] * len(members))
+    return y if v is None else {i: one for i, one in zip(members, v, strict=True) if one}
+
+
+def _is_irreducible(rows: LinearConstraints, y: Mapping[int, Fraction]) -> bool:
+    """Return whether it is proved that the rows of y have only y as a dependence: by their rank modulo a prime."""
+    own = rational_rows(rows.matrix[sorted(y)])
+    place = {j: k for k, j in enumerate(sorted({j for row in own for j in row}))}
+    if is_over() or len(own) * len(place) > MOST_ENTRIES:
+        return False
+    whole = [[0] * len(place) for _ in own]
+    for entries, row in zip(whole, own, strict=True):
         for (j, _), entry in zip(row.items(), common_denominator([*row.values()])[0], strict=True):
             entries[place[j]] = entry
-    return len(rank_profile(whole)[0])
-
-
-def _without_a_member(
-    rows: LinearConstraints, y: Mapping[int, Fraction], members: list[int], v: Fractions
-) -> dict[int, Fraction] | None:
-    """Return a Farkas vector of fewer members, a combination of y and another solution v; None if v is none."""
-    limits = {i: Fraction(float(rows.q[i])) for i in members}
-    free = {i for i in members if rows.needs_fall[i]}
-    other = dict(zip(members, v, strict=True))
-    for found in _combinations(y, other, free):
-        kept = {i: value for i, value in found.items() if value}
-        if not kept or len(kept) == len(members):
-            continue
-        sign = -1 if kept.keys() <= free else 1
-        size = sum((limits[i] * value for i, value in kept.items()), ZERO)
-        if size > 0 and sign < 0:
-            kept, size = {i: -value for i, value in kept.items()}, -size
-        if size < 0 and all(i in free or value > 0 for i, value in kept.items()):
-            return kept
-    return None
-
-
-def _combinations(
-    y: Mapping[int, Fraction], v: Mapping[int, Fraction], free: set[int]
-) -> Iterator[dict[int, Fraction]]:
-    """Yield combinations of y and v in which an entry vanishes, of an inequality if v has some."""
-    bound = [i for i in y if i not in free and v[i]]
-    ratios = {-y[i] / v[i] for i in bound or y if v[i]}
-    forward, back = (t for t in ratios if t > 0), (t for t in ratios if t < 0)
-    ends = {min(forward, default=None), max(back, default=None)} if bound else ratios
-    yield from ({i: y[i] + t * v[i] for i in y} for t in ends if t is not None)
-    for sign in (1, -1):
-        if bound and all(sign * v[i] >= 0 for i in y if i not in free):
-            r = min(sign * v[i] / y[i] for i in y if i not in free)
-            yield {i: sign * v[i] - r * y[i] for i in y}
+    return len(rank_profile(whole)[0]) == len(own) - 1

@@ -53,10 +53,10 @@ def assert_irreducible(program: QuadraticProgram, conflict: Any) -> None:
     assert all(is_feasible(program, [i for i in members if i != k]) for k in members)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(30))
 def test_a_planted_conflict_is_found(seed: int) -> None:
-    """Conflicts of 2 to 6 rows among 20 to 200, with equalities and bounds or without."""
-    program, count = planted(seed, 20 + 8 * seed, 4 + seed)
+    """Conflicts of 2 to 6 rows among 50 to 2000, with equalities and bounds or without."""
+    program, count = planted(seed, int(50 * 40 ** (seed / 29)), 4 + seed)
     conflict = solve(program).conflict
     assert_irreducible(program, conflict)
     assert len(conflict.members) <= max(count, program.n + 1)
@@ -80,7 +80,7 @@ def test_a_large_program_takes_a_second() -> None:
     result = solve(program)
     began = time.thread_time()
     conflict = result.conflict
-    assert time.thread_time() - began < 5.0
+    assert time.thread_time() - began < 1.0
     assert_irreducible(program, conflict)
 
 

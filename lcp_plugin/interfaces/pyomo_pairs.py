@@ -54,6 +54,7 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
     while choices := [*_choices(rows, variables)]:
         family, matches = min(choices, key=lambda choice: len(choice[1]) != 1)
         if len(matches) != 1:
+            _require_row_of_each(variables, rows)
             raise UnsupportedModel(_why_open(family, matches))
         own_rows, own = matches[0]
         found += [(row, own[key]) for key, row in own_rows.items()]
@@ -119,6 +120,15 @@ def _choices(rows: list[Family], variables: list[Family]) -> Iterator[tuple[Fami
             yield variable, [(row, variable) for row in rows if _may_belong(row, variable)]
 
 
+def _require_row_of_each(variables: list[Family], rows: list[Family]) -> None:
+    """Raise UnsupportedModel if no constraints have the indices of a variable with bounds."""
+    for key, one in (pair for family in variables for pair in family.items()):
+        if _has_bounds(one) and not any(key in row for row in rows):
+            raise UnsupportedModel(
+                f"{one.name} has bounds, and no other constraint has its indices; write its row, or state its pair"
+            )
+
+
 def _why_open(family: Family, matches: list[tuple[Family, Family]]) -> str:
     """Return why a family has no match of its own, and what to do."""
     name, others = _name(family), [_name(two if two is not family else one) for one, two in matches]
@@ -127,10 +137,7 @@ def _why_open(family: Family, matches: list[tuple[Family, Family]]) -> str:
             f"{name} may belong to {listed(others)}; state which: pairs=ComponentMap({{model.market: "
             "model.price}), with the constraint first"
         )
-    is_row = hasattr(next(iter(family.values())), "equality")
-    reason = "is an inequality, and no other variables with bounds have its indices"
-    reason = reason if is_row else "has bounds, and no other constraints have its indices"
-    return f"{name} {reason}; state its pairs, or write it over the index set of its partner"
+    return f"{name} has no partner with its indices, of which one with bounds is needed; state its pairs"
 
 
 def _name(family: Family) -> str:

@@ -169,7 +169,7 @@ def _at_vertex(rows: LinearConstraints, y: Mapping[int, Fraction]) -> Mapping[in
         return y
     support = np.flatnonzero(found.x > ENTRY * found.x.max())
     members = place[support].tolist()
-    guess = [Fraction(float(one)) for one in (signs * found.x / sizes)[support]]
+    guess = [Fraction(float(one)) for one in signs[support] * found.x[support] / sizes[support]]
     columns: dict[int, Row] = {}
     for k, row in enumerate(rational_rows(rows.matrix[members])):
         for j, entry in row.items():

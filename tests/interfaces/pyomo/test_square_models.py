@@ -184,6 +184,16 @@ def test_a_row_without_its_variable_is_not_matched_by_the_pattern() -> None:
     assert (m.x.value, m.p.value) == pytest.approx((3, 1))
 
 
+def test_a_market_that_is_missing_is_named() -> None:
+    """A row is written for one of two prices."""
+    m = two((0, None))
+    m.row[1].deactivate()
+    m.last.deactivate()
+    m.more = pe.Constraint(expr=m.x[1] + m.y == 0)
+    with pytest.raises(LCPError, match=r"x\[1\] has bounds, and no other constraint"):
+        solve(m, "match")
+
+
 def two(bounds: Any = (None, None)) -> Any:
     m = pe.ConcreteModel()
     m.x, m.y = pe.Var(range(2), bounds=bounds), pe.Var()
@@ -197,7 +207,10 @@ WRONG: dict[str, tuple[Callable[[Any], Any], str]] = {
     "twice": (lambda m: {m.row[0]: m.y, m.row[1]: m.y}, "y is paired with row[0] and with row[1]"),
     "no bounds": (lambda m: {m.last: m.y}, "last cannot be the row of y"),
     "no index": (lambda m: {m.last: m.x}, "pairs gives last no variable: x has no index None"),
-    "unmatched": (lambda m: "match", "last is an inequality, and no other variables with bounds"),
+    "unmatched": (
+        lambda m: "match",
+        "last has no partner with its indices, of which one with bounds",
+    ),
 }
 
 

@@ -60,7 +60,7 @@ from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors, QPSolution, worst_con
 from .no_minimum import QPInfeasibility, QPUnboundedness, numbers
 from .program import VECTORS, QuadraticProgram
 from .program_matrices import refuse_nonconvex
-from .regression import Regression
+from .regression import Outward, regression_of, solutions
 
 NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
 NOISE = 2.0**-40  # of the largest: an interior point reaches 0 only to this
@@ -417,7 +417,7 @@ def solve_program(
     program : QuadraticProgram
         Convex program, including merely convex and linear programs.
     algorithm : str or Algorithm or Engine
-        "auto" solves a least squares problem if the program states one (`Regression`). Then it uses external solvers
+        "auto" solves a least squares problem if the program states one (`regression_of`). Then it uses external solvers
         (`ATTEMPTS`), and runs on the complementarity problem if all constraints are bounds, or if the program is small
         and no other point passes. If you name a solver, only this solver runs; "interior_point" is "piqp" here.
     tolerance : float
@@ -546,12 +546,9 @@ class ProgramRun(Run):
         if is_lcp_first:
             # Pivots on thousands of rows take minutes; external solvers are next.
             yield self.lcp_stage("auto", {}, ends_before="lemke")
-        if (regression := Regression.of(reduced)) is not None:
-            yield Stage(
-                Named("least squares"),
-                "sums of squares with a penalty",
-                steps=self._regression_steps(regression),
-            )
+        if (form := regression_of(reduced)) is not None:
+            because = "sums of squares with a penalty"
+            yield Stage(Named("least squares"), because, steps=self._regression_steps(*form))
         yield from self.engine_stages(None)
         # The LCP of a small program is tried if no external solver has a solution
         if not is_lcp_first and reduced.n + rows <= 300:
@@ -595,14 +592,14 @@ class ProgramRun(Run):
         )
         yield Step(found.solution.x, iterations=found.iterations, measured=found)
 
-    def _regression_steps(self, regression: Regression) -> Iterator[Step]:
+    def _regression_steps(self, problem: Any, outward: Outward) -> Iterator[Step]:
         """Yield the start and the points of the least squares problem."""
         yield Step(nearest(self.program)[0], iterations=0)
         steps = {key: self.wishes[key] for key in ("max_iterations",) if key in self.wishes}
-        for x, y, name, iterations in regression.points(steps):
-            solution = QPSolution.from_reduced(self.program, x, y)
-            found = ProgramPoint.of(solution, self.settings.tolerance, name, iterations)
-            yield Step(x, iterations=iterations, measured=found)
+        for z, by in solutions(problem, steps):
+            solution = QPSolution.from_reduced(self.program, *outward(z))
+            found = ProgramPoint.of(solution, self.settings.tolerance, by.algorithm, by.iterations)
+            yield Step(solution.x, iterations=by.iterations, measured=found)
 
     def lcp_stage(self, algorithm: Any, options: dict[str, Any], ends_before: str = "") -> Stage:
         """Return a stage with a run on the complementarity problem of the program; `ends_before` may end it."""

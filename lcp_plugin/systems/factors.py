@@ -229,22 +229,18 @@ def sparse_lu(matrix: Any, **options: Any) -> Any:
     from scipy.sparse.linalg import splu
 
     matrix = sp.csc_array(matrix)
-    if not (matrix.diagonal() != 0.0).all() and not _is_structurally_regular(matrix):
-        raise RuntimeError("no order of the rows puts a nonzero on each place of the diagonal")
+    if not (matrix.diagonal() != 0.0).all():
+        from scipy.sparse.csgraph import structural_rank
+
+        pattern = sp.csr_array(matrix, copy=True)  # zeros are taken out in place
+        pattern.eliminate_zeros()
+        if not np.diff(pattern.indptr).all() or structural_rank(pattern) < matrix.shape[0]:
+            raise RuntimeError("no order of the rows puts a nonzero on each place of the diagonal")
     if enforced_seconds_left() < matrix.shape[0] ** 3 / SPARSE_OPERATIONS:
         from .minimum_degree import factor_sizes
 
         require_seconds(factor_sizes(matrix, LARGEST_FILL, np.inf)[1] / SPARSE_OPERATIONS)
     return splu(matrix, **options)
-
-
-def _is_structurally_regular(matrix: Any) -> bool:
-    from scipy.sparse.csgraph import structural_rank
-
-    pattern = sp.csr_array(matrix, copy=True)  # zeros are taken out in place
-    pattern.eliminate_zeros()
-    row_lengths = np.diff(pattern.indptr)
-    return bool(row_lengths.all() and structural_rank(pattern) == row_lengths.size)
 
 
 def diagonal_pivot_factor(matrix: Any) -> Any | None:

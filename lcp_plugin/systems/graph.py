@@ -182,19 +182,3 @@ def asymmetry(matrix: Matrix) -> float:
     ours, theirs = (np.asarray(M[places]).ravel() for places in (at, at[::-1]))
     larger = np.maximum(np.abs(ours), np.abs(theirs))
     return float(np.abs(ours / larger - theirs / larger).max())
-
-
-@fact
-def asymmetry_of_rows(matrix: Matrix) -> float:
-    """Largest |m_ij − m_ji|/√(s_i s_j), s_i the largest magnitude in row and column i: noise of an assembly is small.
-
-    Examples
-    --------
-    >>> asymmetry_of_rows(Matrix(sp.csr_array([[1e11, 1e-7], [0.0, 1e11]])))
-    1e-18
-    """
-    M = matrix.csr
-    root = np.sqrt(np.maximum(largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))))
-    difference = sp.coo_array(M - M.T)
-    beside = np.abs(difference.data) / root[difference.row] / root[difference.col]
-    return float(beside.max(initial=0.0))

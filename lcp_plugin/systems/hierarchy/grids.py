@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import Arrays, Vector
-from ...core.tuning import SHARED_FROM
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,11 +124,6 @@ class RowBlocks(NamedTuple):
     def count(self, colour: int) -> int:
         """Return the number of even (0) or odd (1) blocks."""
         return (self.edges.size - colour) // 2
-
-    @property
-    def smallest_share(self) -> int:
-        """Least number of blocks of a color that justifies a thread; a sweep starts threads twice."""
-        return max(SHARED_FROM // max(2 * int(self.edges[1]), 1), 1)
 
 
 def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:

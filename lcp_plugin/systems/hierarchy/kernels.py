@@ -44,12 +44,6 @@ if TYPE_CHECKING:
 SMALLEST_PIVOT = 1e-300  # its inverse is finite
 
 
-def count_products(matrix: Operator, prolongation: Operator) -> float:
-    """Return the number of products of three entries in PᵀMP."""
-    sizes = np.diff(prolongation.indptr).astype(np.float64)  # integers could overflow
-    return float(sizes @ (_pattern(matrix, sizes.size) @ sizes))
-
-
 def product(
     matrix: Operator, prolongation: Operator, restriction: Operator, columns: int
 ) -> Operator:
@@ -59,9 +53,9 @@ def product(
     """
     width = prolongation.indptr.size - 1
     pattern = (
-        _pattern(restriction, matrix.indptr.size - 1)
-        @ _pattern(matrix, width)
-        @ _pattern(prolongation, columns)
+        pattern_of(restriction, matrix.indptr.size - 1)
+        @ pattern_of(matrix, width)
+        @ pattern_of(prolongation, columns)
     )
     pattern.sort_indices()
     entries = Operator(pattern.indptr, pattern.indices, np.zeros(pattern.nnz))
@@ -74,7 +68,7 @@ def product(
     return Operator(pattern.indptr, pattern.indices, values)
 
 
-def _pattern(operator: Operator, columns: int) -> sp.csr_array:
+def pattern_of(operator: Operator, columns: int) -> sp.csr_array:
     """Return the pattern of a matrix, bool: its products do not cancel."""
     ones = np.ones(operator.indices.size, np.bool_)
     shape = operator.indptr.size - 1, columns
@@ -290,7 +284,9 @@ def _swept(
 
     for colour in (1, 0) if backward else (0, 1):
         if count := blocks.count(colour):
-            share(partial(piece, colour), count, blocks.smallest_share)
+            # Fewer blocks do not justify a thread; a sweep starts threads twice.
+            fewest = max(SHARED_FROM // max(2 * int(edges[1]), 1), 1)
+            share(partial(piece, colour), count, fewest)
 
 
 @inline

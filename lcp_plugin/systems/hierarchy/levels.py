@@ -90,7 +90,9 @@ def build_hierarchy(
         if not (is_coarse.any() and np.isfinite(P.data).all() and np.isfinite(R.data).all()):
             break
         prolongation, restriction = (Operator(X.indptr, X.indices, X.data) for X in (P, R))
-        products += kernels.count_products(grid.matrix, prolongation)
+        # Products of three entries in PᵀMP; integers could overflow
+        sizes = np.diff(prolongation.indptr).astype(np.float64)
+        products += float(sizes @ (kernels.pattern_of(grid.matrix, sizes.size) @ sizes))
         if P.shape[1] > LARGEST_GRID_SHARE * grid.n or products > MOST_PRODUCTS * entries:
             return Hierarchy(alone, (), work, is_helpful=False)
         require_seconds(0.0)

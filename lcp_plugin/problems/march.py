@@ -472,10 +472,10 @@ def _begin(
                 f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; "
                 "call march once per size"
             )
-    own = "problem", "forcing", "propagator", *BOUNDS, "algorithm", "keep"  # no options of solve
+    others = "problem", "forcing", "propagator", *BOUNDS, "algorithm", "keep"  # no options of solve
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         raise InvalidOption(
-            f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], (*own, *OF_SOLVE))}"
+            f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], (*others, *OF_SOLVE))}"
         )
     shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row a step"
     axes = (2, 3) if are_many else (2,)

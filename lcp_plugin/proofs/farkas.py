@@ -318,7 +318,7 @@ class FarkasProgram:
         given, unit, n = self.constraints, self._scaled_unit, self.columns.size
         q, weights = self.rows * given.q, self.rows * given.weights
         of_lower, of_upper = (weight / self.columns for weight in given.bound_weights)
-        parts = (  # nonnegative parts of y, and multipliers of finite bounds
+        parts: Sequence[tuple[Any, ...]] = (  # parts of y, and multipliers of finite bounds
             (1.0, given.needs_rise, q, weights),
             (-1.0, given.needs_fall, q, weights),
             (1.0, np.isfinite(given.upper), given.upper / self.columns, of_upper),
@@ -340,8 +340,8 @@ class FarkasProgram:
         self.norm = np.where(norm > 0.0, np.clip(scale * norm, *NORMS), 0.0)
         cost = self.signed * cost
         self.cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST, MOST))
-        norm = self.norm[None, :], [1.0]
-        return linear_program(self.cost, self.equations, 0.0, (0.0, None), norm, self.pivots)
+        at_most = self.norm[None, :], [1.0]
+        return linear_program(self.cost, self.equations, 0.0, (0.0, None), at_most, self.pivots)
 
     def _vector(self, v: Vector) -> Vector:
         """Return y, shape (m,), of a solution of the linear program."""

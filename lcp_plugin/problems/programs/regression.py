@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 NOISE = 2.0**-40  # of b: residuals that are all rounding errors
+SMALLEST_PENALTY = (
+    1e-6  # of AᵀWb: below it residuals, hence multipliers, are differences of rounded numbers
+)
 Outward = Callable[[Vector], tuple[Vector, Vector]]
 
 
@@ -36,11 +39,12 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     Examples
     --------
     >>> from lcp_plugin import QuadraticProgram
-    >>> A = sp.csr_array([[3.0, 1.0, -1.0, 0.0], [1.0, 2.0, 0.0, -1.0]])
-    >>> program = QuadraticProgram(sp.diags_array([0.0, 0.0, 2.0, 2.0]), np.zeros(4), A=A, b=[1.0, 2.0])
+    >>> P, G = sp.diags_array([0.0, 0.0, 1.0]), [[1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]]
+    >>> program = QuadraticProgram(P, [0, 1, 0], G, [0, 0], [[2, 0, -1]], [3])  # ½ (2 x − 3)² + |x|
     >>> problem, outward = regression_of(program)
-    >>> problem, outward(np.array([1.0, 1.0]))[0]
-    (BoundedLeastSquares(2 rows, 2 columns, dense), array([1., 1., 3., 1.]))
+    >>> x, multipliers = outward(np.array([1.25]))
+    >>> x, multipliers
+    (array([ 1.25,  1.25, -0.5 ]), array([ 1. ,  0. , -0.5]))
     """
     c, b, n, p = program.c, program.b, program.n, program.b.size
     if not (sp.issparse(program.P) and 0 < p <= program.P.nnz <= n):
@@ -54,6 +58,7 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     own, at = (np.flatnonzero(mask[one.indices]) for mask, one in ((is_residual, A), (is_size, G)))
     if (
         not columns.size
+        or (not at.size and program.matrices.is_small)  # daqp is as quick
         or np.count_nonzero(d) < program.P.nnz
         or not np.array_equal(row_numbers(A)[own], np.arange(p))
         or A.nnz - p < 0.3 * p * columns.size
@@ -79,6 +84,8 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     place, rows = np.cumsum(~(is_residual | is_size)) - 1, np.zeros((p, columns.size))
     inner = ~is_residual[A.indices]
     rows[row_numbers(A)[inner], place[A.indices[inner]]] = A.data[inner]
+    if l1.any() and l1.max() < SMALLEST_PENALTY * unit * np.abs(rows.T @ b).max(initial=0.0):
+        return None
     bounds = program.lower[columns], program.upper[columns]
     penalties: dict[str, Any] = {"ridge": d[columns[0]] / unit, "l1": l1[columns] / unit}
     try:
@@ -102,11 +109,11 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     return problem, outward
 
 
-def solutions(problem: BoundedLeastSquares, steps: dict[str, Any]) -> Iterator[tuple[Vector, Any]]:
-    """Yield x of a solution, then the minimum on its face, with the result of the run; `steps` are its limits."""
+def solutions(problem: BoundedLeastSquares, wishes: dict[str, Any]) -> Iterator[tuple[Vector, Any]]:
+    """Yield x of a solution, then the minimum on its face, with the result of a run with these options."""
     if np.isfinite(left := seconds_left()):
-        steps = {**steps, "max_seconds": left}
-    found = solve_least_squares(problem, **steps)
+        wishes = {**wishes, "max_seconds": left}
+    found = solve_least_squares(problem, **wishes)
     if found.status is Status.INTERRUPTED:  # it also ends the run around this one
         raise KeyboardInterrupt
     yield found.x, found

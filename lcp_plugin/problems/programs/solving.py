@@ -595,8 +595,9 @@ class ProgramRun(Run):
     def _regression_steps(self, problem: Any, outward: Outward) -> Iterator[Step]:
         """Yield the start and the points of the least squares problem."""
         yield Step(nearest(self.program)[0], iterations=0)
-        steps = {key: self.wishes[key] for key in ("max_iterations",) if key in self.wishes}
-        for z, by in solutions(problem, steps):
+        wishes = {"tolerance": self.settings.tolerance}
+        wishes |= {key: self.wishes[key] for key in ("max_iterations",) if key in self.wishes}
+        for z, by in solutions(problem, wishes):
             solution = QPSolution.from_reduced(self.program, *outward(z))
             found = ProgramPoint.of(solution, self.settings.tolerance, by.algorithm, by.iterations)
             yield Step(solution.x, iterations=by.iterations, measured=found)

@@ -46,6 +46,18 @@ def test_a_batch_is_what_solve_gives_one_by_one(algorithm: str, shared: bool) ->
     assert listed.z.tobytes() == batch.z.tobytes()
 
 
+def test_solve_batch_of_large_problems_gives_blas_one_thread() -> None:
+    """BLAS has one thread in a batch of problems with more than 128 unknowns, if threadpoolctl is installed."""
+    tools, seen = pytest.importorskip("threadpoolctl"), list[int]()
+    with tools.threadpool_limits(2):
+        solve_batch(
+            np.stack([np.eye(129)] * 2),
+            -np.ones(129),
+            callback=lambda *_: seen.extend(one["num_threads"] for one in tools.threadpool_info()),
+        )
+    assert set(seen) == {1}
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_batch_of_any_sizes_and_kinds(family: str, draws: Callable[..., range]) -> None:
     """A list of LCPs of different sizes: each has the status of its own run, solvable or not."""

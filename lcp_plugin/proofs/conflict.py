@@ -139,7 +139,7 @@ def find_conflict(
     max_seconds : float
         Limit of the search; at the limit the smallest set found so far is returned, not proved irreducible.
     """
-    y = {i: value for i, value in multipliers.items() if value}
+    y: Mapping[int, Fraction] = {i: value for i, value in multipliers.items() if value}
     if not FarkasCertificate(rows, y).holds:
         return Conflict(rows, name, y)
     with time_limit(max_seconds):

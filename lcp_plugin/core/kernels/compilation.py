@@ -58,8 +58,8 @@ def kernel(function: Any) -> Any:
         return np.errstate(all="ignore")(function)
     with suppress(RuntimeError):  # no directory for a cache
         compiled = njit(cache=True, **OPTIONS)(function)
-        cache = compiled._cache
-        cache.save_overload = partial(_save, cache.save_overload)
+        if (cache := getattr(compiled, "_cache", None)) is not None:  # NUMBA_DISABLE_JIT: none
+            cache.save_overload = partial(_save, cache.save_overload)
         return compiled
     return njit(**OPTIONS)(function)
 

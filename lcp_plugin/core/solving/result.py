@@ -467,7 +467,8 @@ class Result(BaseResult):
     def _mistake(self) -> str:
         from ...proofs.mistakes import likely_mistake
 
-        return likely_mistake(self.certificate.problem, self.z, self.w)
+        problem = self.certificate.problem
+        return likely_mistake(problem, self.z, self.w) if isinstance(problem, LCP) else ""
 
     @property
     def _or_absolute(self) -> str:

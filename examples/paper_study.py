@@ -83,7 +83,7 @@ def main(out: Path = Path()) -> None:
     )  # out="results.csv" would keep the rows
     for table in results.table("iterations"):
         print(table)
-    for method in [label for label, family in results.methods.items() if family != "polish"]:
+    for method in dict.fromkeys(row.method for row in results.rows if row.family != "polish"):
         work = [results.row(method, "chain", n).work for n in SIZES]
         power = np.polyfit(np.log(SIZES), np.log(work), 1)[0]
         print(f"{method:<12} the work on a chain grows like n^{power:.2f}")

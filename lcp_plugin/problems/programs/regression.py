@@ -103,7 +103,11 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
         every[t] = np.abs(g * every[x]) / k
         equality = weights * residual
         gradient[columns] = problem.apply_transpose(equality) + d[columns] * point
-        inequality = np.clip(0.5 * (c[t] / k - gradient[x] / g), 0.0, c[t] / k)
+        most, at = c[t] / k, g * every[x]
+        inequality = np.clip(0.5 * (most - gradient[x] / g), 0.0, most)
+        # The slope at a bound includes the multiplier of the bound: the sign of x decides which row is active.
+        at_bound = (at != 0.0) & ((every[x] == program.lower[x]) | (every[x] == program.upper[x]))
+        inequality = np.where(at_bound, np.where(at > 0.0, most, 0.0), inequality)
         return every, np.concatenate([inequality, equality])
 
     return problem, outward

@@ -27,6 +27,7 @@ from lcp_plugin import (
 )
 from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.problems.least_squares.certificate import duality_gap
+from lcp_plugin.problems.programs.regression import regression_of
 
 INF = np.inf
 
@@ -224,3 +225,17 @@ def test_trend_of_changing_slopes_is_solved_next_to_the_whole_objective(weight: 
     huber = 0.5 * weight * cp.sum_squares(D @ x - r) + 50.0 * cp.norm1(r)
     least = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(x - b) + huber)).solve(solver=cp.CLARABEL)
     assert result.cost == pytest.approx(least, rel=1e-6)
+
+
+@pytest.mark.parametrize(("lower", "upper", "active"), [(2.0, INF, 0), (-INF, -0.5, 1)])
+def test_a_bound_that_is_not_zero_leaves_the_rows_of_a_penalty_their_multipliers(
+    lower: float, upper: float, active: int
+) -> None:
+    """½ (2 x − 3)² + |x| at a bound of x: the active row of |x| has the penalty, the other 0, and the bound the rest."""
+    P, G = sp.diags_array([0.0, 0.0, 1.0]), [[1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]]
+    bounds = {"lower": [lower, -INF, -INF], "upper": [upper, INF, INF]}
+    form = regression_of(QuadraticProgram(P, [0, 1, 0], G, [0, 0], [[2, 0, -1]], [3], **bounds))
+    assert form is not None
+    problem, outward = form
+    multipliers = outward(solve(problem).x)[1]
+    assert multipliers[:2].tolist() == [float(active == 0), float(active == 1)]

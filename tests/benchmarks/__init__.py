@@ -17,7 +17,6 @@ BENCHMARKS = {
     "piles": "a step of spheres poured into a box, next to MuJoCo, Drake and Siconos: its time and its residual",
     "programs": "quadratic programs against PIQP and Clarabel, to 2000 rows and above",
     "public": "published problems by several packages: solved, wrong, unsolved, time; FILE gets all outcomes as JSON",
-    "cvxpy-models": "27 models of cvxpy's users, each stated anew, against Clarabel and OSQP",
     "waits": "models on which users have waited, against the solvers that they would take instead",
 }
 

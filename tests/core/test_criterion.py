@@ -332,50 +332,6 @@ def test_infeasible_is_infeasible_whatever_stands_beside() -> None:
     assert result.infeasibility.verify()
 
 
-# --- All interfaces
-# -------------------------------------------------------------------------------------------------
-
-
-def batch_of_components() -> tuple[Any, ...]:
-    rng = np.random.default_rng(0)
-    M, q = (
-        np.zeros((40, 6, 6)),
-        rng.normal(size=(40, 6)) * 10.0 ** rng.integers(-12, 13, (40, 2)).repeat(3, axis=1),
-    )
-    for k in range(40):
-        for block in (slice(3), slice(3, 6)):
-            B = rng.normal(size=(3, 3))
-            M[k, block, block] = B @ B.T + np.eye(3)
-    M[::7] += 0.1  # one component
-    return M, q
-
-
-def test_batches_have_the_answers_of_single_solves() -> None:
-    """Stacked and listed problems have the solution and status of single solves."""
-    M, q = batch_of_components()
-    problems = [LCP(*one) for one in zip(M, q, strict=True)]
-    alone = [solve(problem) for problem in problems]
-    for batch in (solve_batch(M, q), solve_batch(problems)):
-        assert batch.all_solved
-        for k, one in enumerate(alone):
-            assert batch.status[k] is one.status
-            np.testing.assert_allclose(batch.z[k], one.z, rtol=1e-9, atol=1e-300)
-            assert not is_lie(problems[k], batch.z[k])
-
-
-def test_marches_take_each_step_in_units_of_its_own() -> None:
-    """Two rods in units 1e9 apart, on narrow bands: every step is SOLVED in both rods."""
-    T = 3.0 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1)
-    rods = LCP(sp.block_diag([sp.csr_array(T)] * 2, format="csr"), np.zeros(40))
-    forcing = np.broadcast_to(np.repeat([-1e9, -1.0], 20), (5, 40))
-    steps = march(rods, forcing)
-    assert steps.all_solved
-    before = np.zeros(40)
-    for step in steps:
-        assert not is_lie(rods.with_q(forcing[0] - before), step.z)
-        before = step.z
-
-
 # --- The componentwise test of the criterion ---
 
 

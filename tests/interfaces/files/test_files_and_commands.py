@@ -250,23 +250,6 @@ def test_mistakes_cost_one_line(command: str) -> None:
         assert len(done.stderr) < 600, done.stderr
 
 
-def test_what_cannot_be_written_is_refused_before_the_run() -> None:
-    """--out into a folder that is not there, onto a folder, onto the problem, or with another ending."""
-    np.savez("qp.npz", **PROGRAM)
-    Path("taken.npz").mkdir()
-    before = Path("qp.npz").read_bytes()
-    for out, words in (
-        ("no/x.npz", "the folder no does not exist"),
-        ("taken.npz", "it is a folder"),
-        ("qp.npz", "it is the problem itself"),
-        ("x.csv", r"--out writes a \.npz file"),
-    ):
-        done = lcp_plugin("solve", "qp.npz", "--out", out)
-        assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
-        assert re.match(rf"lcp-plugin: .*{words}", done.stderr), done.stderr
-    assert Path("qp.npz").read_bytes() == before
-
-
 OF_OTHERS = [
     ("solve qp.npz --size 3", "--size 3 is for a test problem"),
     ("solve qp.npz --relaxation 1.5", r"auto.*\['relaxation'\]"),

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import scipy.sparse as sp
+from pyomo.core import Constraint, Var
 from pyomo.core.expr import identify_variables
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
@@ -42,7 +43,12 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
         )
     found = [] if pairs == "match" else [*_stated(pairs)]
     owners: dict[int, Any] = {}
+    partners: dict[int, Any] = {}
     for row, variable in found:
+        if (other := partners.setdefault(id(row), variable)) is not variable:
+            raise UnsupportedModel(
+                f"{row.name} is paired with {other.name} and with {variable.name}; a row has one variable"
+            )
         if (other := owners.setdefault(id(variable), row)) is not row:
             raise UnsupportedModel(
                 f"{variable.name} is paired with {other.name} and with {row.name}; a variable has one row"
@@ -67,6 +73,12 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
 def _stated(pairs: Mapping[Any, Any]) -> Iterator[tuple[Any, Any]]:
     """Yield the pairs of single constraints and variables."""
     for rows, variables in pairs.items():
+        for one, kind in ((rows, Constraint), (variables, Var)):
+            if getattr(one, "ctype", None) is not kind:
+                raise InvalidOption(
+                    f"pairs has {getattr(one, 'name', repr(one))} in the place of a {kind.__name__}; state "
+                    "ComponentMap([(model.market, model.price)]), with the constraint first"
+                )
         for index in rows if rows.is_indexed() else (None,):
             row = rows[index] if rows.is_indexed() else rows
             if variables.is_indexed() and index not in variables:

@@ -205,6 +205,16 @@ def two(bounds: Any = (None, None)) -> Any:
 WRONG: dict[str, tuple[Callable[[Any], Any], str]] = {
     "a word": (lambda m: "all", "pairs must be 'match' or a ComponentMap"),
     "twice": (lambda m: {m.row[0]: m.y, m.row[1]: m.y}, "y is paired with row[0] and with row[1]"),
+    "two variables": (
+        lambda m: ComponentMap([(m.row, m.x), (m.row[0], m.y)]),
+        "row[0] is paired with x[0] and with y; a row has one variable",
+    ),
+    "variable first": (
+        lambda m: ComponentMap([(m.y, m.last)]),
+        "pairs has y in the place of a Constraint; state",
+    ),
+    "names": (lambda m: {"last": "y"}, "pairs has 'last' in the place of a Constraint; state"),
+    "no variable": (lambda m: {m.last: None}, "pairs has None in the place of a Var; state"),
     "no bounds": (lambda m: {m.last: m.y}, "last cannot be the row of y"),
     "no index": (lambda m: {m.last: m.x}, "pairs gives last no variable: x has no index None"),
     "unmatched": (

@@ -231,7 +231,7 @@ def test_trend_of_changing_slopes_is_solved_next_to_the_whole_objective(weight: 
 def test_a_bound_that_is_not_zero_leaves_the_rows_of_a_penalty_their_multipliers(
     lower: float, upper: float, active: int
 ) -> None:
-    """½ (2 x − 3)² + |x| at a bound of x: the active row of |x| has the penalty, the other 0, and the bound the rest."""
+    """½ (2 x − 3)² + |x| at a bound of x: the active row of |x| has the penalty, the bound has the rest."""
     P, G = sp.diags_array([0.0, 0.0, 1.0]), [[1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]]
     bounds = {"lower": [lower, -INF, -INF], "upper": [upper, INF, INF]}
     form = regression_of(QuadraticProgram(P, [0, 1, 0], G, [0, 0], [[2, 0, -1]], [3], **bounds))

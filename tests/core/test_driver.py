@@ -8,7 +8,7 @@ import pickle
 import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -20,9 +20,7 @@ from inputs.families import BOUNDED, DIRECT
 
 from lcp_plugin import LCP, NotConverged, QuadraticProgram, Result, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
-from lcp_plugin.core.deadline import Clock
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.core.solving.lcp_run import LCPRun
 from lcp_plugin.core.solving.progress import Progress
 from lcp_plugin.core.solving.result import Sample
 from lcp_plugin.core.solving.run import Run
@@ -460,12 +458,3 @@ def test_a_callback_ends_the_run_at_a_step_that_ends_its_stage() -> None:
     stages = [Stage(SimpleNamespace(name=name), steps=[Step(np.zeros(1))]) for name in ("a", "b")]
     end = Stalling(progress).follow_all(stages)
     assert (end, seen) == (TerminationReason.INTERRUPTED, ["a"])
-
-
-def test_a_stage_over_its_budget_hands_over_the_latest_point() -> None:
-    """The next method starts from the last sweep, although no measurement of it was due."""
-    problem, psor = OBSTACLE.problem, create("psor", {})
-    points = [step.z.copy() for step in islice(psor.iterates(problem, np.zeros(problem.n)), 8)]
-    run = LCPRun(problem, "auto", Settings(), None, Clock(), np.zeros(problem.n))
-    run.follow(Stage(psor, is_over=lambda stage: stage.iterations >= 7))
-    np.testing.assert_array_equal(run.z, points[7])

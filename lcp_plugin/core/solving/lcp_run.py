@@ -191,8 +191,7 @@ class LCPRun(Run):
     def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
         """Return the reason, or AT_FLOOR if rounding explains the residual of the best point."""
         self._measure_last()
-        may_end = end in FAILED and end is not TerminationReason.OVER_BUDGET
-        is_at_floor = may_end and self.best is not None and self._is_at_floor()
+        is_at_floor = end in FAILED and self.best is not None and self._is_at_floor()
         return TerminationReason.AT_FLOOR if is_at_floor else end
 
     def _is_at_floor(self) -> bool:

@@ -168,8 +168,7 @@ class Run:
             if (end := self._take(stage, step)) is not None:
                 break
             if stage.is_over is not None and stage.is_over(stage):
-                end = TerminationReason.OVER_BUDGET
-                break
+                return TerminationReason.OVER_BUDGET
         else:
             progress.clock.read()  # steps may end by themselves because time is over
             end = TerminationReason.NOTHING_LEFT

@@ -25,6 +25,21 @@ EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 
 
+def scene_names(incomplete: str) -> list[str]:
+    """Return the test problems that begin so; the shell completes files."""
+    from .. import gallery
+
+    return [name for name in gallery.names() if name.startswith(incomplete)]
+
+
+def algorithm_names(incomplete: str) -> list[str]:
+    """Return the algorithms that begin so."""
+    from ..algorithms import REGISTRY
+    from ..engines import ENGINES
+
+    return [name for name in ("auto", *REGISTRY, *ENGINES) if name.startswith(incomplete)]
+
+
 def _ending(exit_codes: str, *examples: str) -> str:
     """Return the text below a help page."""
     lines = [f"  lcp-plugin {words}" for words in examples]
@@ -51,11 +66,18 @@ Target = Annotated[
     typer.Argument(
         help="A file, a folder with M.mtx and q.mtx, or a test problem: name:key=value,…. A file is an .npz or .mat "
         "with M, q (an LCP), with P, q, A, l, u or the like (a program), with A, b (least squares), with W, q, mu "
-        "(contacts with friction), an .nl, .qps, .mps, .lp, or an .h5 of fclib."
+        "(contacts with friction), an .nl, .qps, .mps, .lp, or an .h5 of fclib.",
+        autocompletion=scene_names,
     ),
 ]
 AlgorithmName = Annotated[
-    str, typer.Option("--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.")
+    str,
+    typer.Option(
+        "--algorithm",
+        "-a",
+        help="A name that `lcp-plugin list` shows, or auto.",
+        autocompletion=algorithm_names,
+    ),
 ]
 
 
@@ -249,7 +271,10 @@ def compare(
     algorithm: Annotated[
         list[str] | None,
         typer.Option(
-            "--algorithm", "-a", help="A name that `lcp-plugin list` shows; again for another."
+            "--algorithm",
+            "-a",
+            help="A name that `lcp-plugin list` shows; again for another.",
+            autocompletion=algorithm_names,
         ),
     ] = None,
     reference: Annotated[

@@ -118,7 +118,10 @@ class RowsOnPETSc(RowsOnRanks):
     @classmethod
     def from_petsc(cls, A: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf) -> RowsOnPETSc:
         """Return the problem of a matrix; see :meth:`lcp_plugin.LCP.from_petsc`."""
-        if not hasattr(A, "getValuesCSR") or A.getOwnershipRange() != A.getOwnershipRangeColumn():
+        # The ranges of all ranks: each rank refuses the same matrices.
+        if not hasattr(A, "getValuesCSR") or not np.array_equal(
+            A.getOwnershipRanges(), A.getOwnershipRangesColumn()
+        ):
             raise InvalidProblem(
                 f"A must be a square Mat of petsc4py with equal parts of rows and columns, got {type(A).__name__}"
             )

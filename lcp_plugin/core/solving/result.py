@@ -19,6 +19,7 @@ from ..errors import NotConverged, UnsuitableMatrix
 from ..lcp import LCP
 from ..representation import format_count
 from ..settings import PROVEN, Settings, Status
+from .advice import LIMITS
 
 if TYPE_CHECKING:
     from ...proofs.bounds import ErrorBound
@@ -468,7 +469,9 @@ class Result(BaseResult):
         from ...proofs.mistakes import likely_mistake
 
         problem = self.certificate.problem
-        return likely_mistake(problem, self.z, self.w) if isinstance(problem, LCP) else ""
+        if self.status in (*LIMITS, Status.INTERRUPTED) or not isinstance(problem, LCP):
+            return ""  # of a right model too the last point may look wrong
+        return likely_mistake(problem, self.z, self.w)
 
     @property
     def _or_absolute(self) -> str:

@@ -81,7 +81,7 @@ class DeviceData(NamedTuple):
         except ValueError:
             shape = ()
         is_real = all(one.dtype.kind in "biuf" for one in arrays)
-        if not is_real or len(shape) != 2 or shape[1] != n or shapes[0][-2] != n:
+        if not is_real or len(shape) != 2 or shape[1] != n or shapes[0][-2:] != (n, n):
             raise InvalidProblem(
                 "M must have shape (B, n, n) or (n, n), q and bounds (B, n) or (n,), all with real entries; got "
                 + ", ".join(

@@ -132,3 +132,22 @@ def test_the_mistake_of_a_model_that_fails_is_below_its_worst_rows(F: Any, line:
     assert not result.is_solved
     assert line in result.explain().splitlines()[-1]
     assert line not in solve(problem, x0=[1.0, 1.5, 1.0], max_iterations=1).explain()
+
+
+@pytest.mark.parametrize(
+    ("row", "x", "lines"),
+    [
+        (
+            [1, 1],
+            [-5, 2],
+            ["lower[0] is violated: -5 < 0", "row 0 of G is violated with x on its bounds: 2 > 1"],
+        ),
+        ([1, -1], [1, -5], ["lower[1] is violated: -5 < 0"]),
+    ],
+)
+def test_rows_of_a_program_are_measured_with_x_on_its_bounds(
+    row: Any, x: Any, lines: list[str]
+) -> None:
+    """The values in the text are those that the criterion compares."""
+    program = QuadraticProgram(np.eye(2), [0, 0], [row], [1], lower=0)
+    assert [one.text for one in certify(program, x).worst(5)] == lines

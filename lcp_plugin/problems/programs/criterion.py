@@ -113,11 +113,17 @@ class KKTErrors(NamedTuple):
 
 
 def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: int) -> WorstRows:
-    """Return the constraints that x violates by most, relative to their terms; y are multipliers of G and A."""
+    """Return the constraints that x violates by most, relative to their terms; y are multipliers of G and A.
+
+    Rows of G and A are measured, as by the criterion, with each x_j outside its bounds put on the nearer bound.
+    """
     point, rows = PrimalDualPoint(program, x, y, is_exact=True), program.constraints
     errors, m = point.row_errors(), rows.rows
     with np.errstate(all="ignore"):
-        excess, terms = rows.matrix @ x - rows.limit, largest_products(abs(rows.matrix), np.abs(x))
+        within, given = (rows.matrix @ at - rows.limit for at in (point.x, x))
+        excess = np.append(within[:m], given[m:])
+        terms = largest_products(abs(rows.matrix), np.abs(x))
+    where = " with x on its bounds" if point.outside.any() else ""
     # row_errors has one entry per unknown for both of its bounds
     sides = np.append(excess[m : m + x.size] > 0.0, excess[m + x.size :] > 0.0)
     errors = np.concatenate([errors[:m], np.where(sides, np.tile(errors[m:], 2), 0.0)])
@@ -127,7 +133,8 @@ def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: in
             value, limit = float(excess[k] + rows.limit[k]), float(rows.limit[k])
             sign = -1.0 if m <= k < m + x.size else 1.0
             beyond = "≠" if rows.is_equality[k] else ">" if sign > 0.0 else "<"
-            text = f"{program.name(k)} is violated: {sign * value:.6g} {beyond} {sign * limit:.6g}"
+            text = f"{program.name(k)} is violated{where if k < m else ''}: "
+            text += f"{sign * value:.6g} {beyond} {sign * limit:.6g}"
             size = max(float(terms[k]), abs(limit))
             found.append(
                 WorstRow(program.name(k), float(errors[k]), abs(float(excess[k])), size, text)

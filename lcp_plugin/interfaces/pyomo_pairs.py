@@ -149,7 +149,7 @@ def _why_open(family: Family, matches: list[tuple[Family, Family]]) -> str:
             f"{name} may belong to {listed(others)}; state which: pairs=ComponentMap({{model.market: "
             "model.price}), with the constraint first"
         )
-    return f"{name} has no partner with its indices, of which one with bounds is needed; state its pairs"
+    return f"{name} has no partner with the same indices (for an inequality, a variable with bounds); state its pairs"
 
 
 def _name(family: Family) -> str:

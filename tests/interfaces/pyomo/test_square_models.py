@@ -219,7 +219,7 @@ WRONG: dict[str, tuple[Callable[[Any], Any], str]] = {
     "no index": (lambda m: {m.last: m.x}, "pairs gives last no variable: x has no index None"),
     "unmatched": (
         lambda m: "match",
-        "last has no partner with its indices, of which one with bounds",
+        "last has no partner with the same indices (for an inequality, a variable with bounds)",
     ),
 }
 

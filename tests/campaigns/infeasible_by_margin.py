@@ -1,4 +1,4 @@
-"""Problems and programs that are infeasible or feasible by margins of 1e-16 … 1e-1.
+"""Problems that are infeasible or feasible by margins of 1e-16 … 1e-1.
 
 The margin is known by construction: a Farkas vector y and a z̄ that attains its violation. Independent rational
 arithmetic bounds the smallest residual of any z from below (by y) and from above (by z̄). The campaign checks these
@@ -26,11 +26,8 @@ from oracles.truth import ExactData, references_of_rows
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
-from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
-from lcp_plugin.problems.programs.solving import solve_program
 
 TOLERANCE = 1e-8  # of a run
-CONSTRAINTS = 1e-9  # of a row's terms, in a program that is SOLVED
 PROVED = (Status.INFEASIBLE, Status.NO_SOLUTION)
 DIRECT = ("newton", "interior_point", "lemke")
 ALL_METHODS_EVERY = 10  # the others: auto in both measures, and a direct method in one
@@ -198,67 +195,6 @@ def contradiction(problem: LCP, y: list[Fraction]) -> Fraction:
     return -total
 
 
-# --- programs ----------------------------------------------------------------------------------------------------
-
-
-class PlantedProgram(NamedTuple):
-    """A program, and an upper bound of its margin in units of its data."""
-
-    program: QuadraticProgram
-    margin: float
-
-
-def planted_program(rng: np.random.Generator) -> PlantedProgram:
-    """A convex program, bounded below, whose constraints miss each other by a known margin."""
-    n, m, p = int(rng.integers(1, 6)), int(rng.integers(1, 5)), int(rng.integers(0, 3))
-    C = rng.integers(-3, 4, (m + p, n)) * (rng.random((m + p, n)) < 0.8) + 0.0
-    y = np.concatenate([rng.integers(0, 3, m), rng.integers(-2, 3, p)]) + 0.0
-    y[0] = 1.0
-    has_bounds = rng.random(n) < 0.5
-    push = np.where(has_bounds, rng.integers(-2, 3, n), 0.0)  # the multipliers of the bounds
-    C[0] = push - y[1:] @ C[1:]
-    x = rng.integers(-2, 3, n) + 0.0
-    lower = np.where(has_bounds & (push >= 0.0), x, -np.inf)
-    upper = np.where(has_bounds & (push < 0.0), x, np.inf)
-    if rng.random() < 0.3:
-        C = 10.0 ** rng.integers(-4, 5, (m + p, 1)) * C
-        y = np.zeros(m + p)  # rounded: the margin is bounded from above only
-    unit = np.abs(C).max(axis=1)
-    unit[unit == 0.0] = 1.0
-    loose = (y == 0.0) & (np.arange(m + p) < m)
-    sign = rng.choice([1.0, 1.0, 1.0, -1.0])
-    t = 10.0 ** rng.uniform(-16, -1)
-    gap = np.where(
-        loose,
-        -rng.integers(0, 2, m + p),
-        np.where(y == 0.0, 0.0, np.where(y < 0.0, -1.0, 1.0) * t * sign),
-    )
-    right = C @ x - gap * (unit + np.abs(C @ x))
-    B = rng.integers(-2, 3, (int(rng.integers(0, n + 1)), n)) + 0.0
-    P = B.T @ B + (np.eye(n) if rng.random() < 0.4 else 0.0)
-    multipliers = np.concatenate([rng.integers(0, 3, m), rng.integers(-2, 3, p)])
-    c = (
-        -P @ rng.integers(-2, 3, n)
-        - C.T @ multipliers
-        + np.where(has_bounds, np.where(push >= 0.0, 1.0, -1.0), 0.0)
-    )
-    program = QuadraticProgram(P, c, C[:m], right[:m], C[m:], right[m:], lower, upper)
-    return PlantedProgram(program, program_margin(program, x))
-
-
-def program_margin(program: QuadraticProgram, x: Any) -> float:
-    """Return the exact violation of x̄, relative to the sizes of the program."""
-    rows = np.vstack([np.asarray(program.G), np.asarray(program.A)]).tolist()
-    right, units = np.concatenate([program.h, program.b]), program.constraints.own_sizes
-    high = Fraction(0)
-    for i, (row, limit) in enumerate(zip(rows, right.tolist(), strict=True)):
-        terms = (Fraction(a) * Fraction(v) for a, v in zip(row, x.tolist(), strict=True))
-        miss = sum(terms, -Fraction(limit))
-        miss = miss if i < program.h.size else abs(miss)
-        high = max(high, miss / Fraction(float(units[i])))
-    return float(high)
-
-
 # --- judging -----------------------------------------------------------------------------------------------------
 
 
@@ -309,34 +245,9 @@ def rests_on_zeros(proof: Any) -> bool:
     return y is not None and not np.diff(proof.problem.csr.indptr)[y != 0.0].any()
 
 
-def program_violations(case: PlantedProgram) -> list[str]:
-    """Return complaints about a program and its LCP."""
-    program, bad = case.program, []
-    result = solve_program(program)
-    told = {"the program": result.status}
-    rows = np.vstack([np.asarray(program.G), np.asarray(program.A)])
-    if rows.any(
-        axis=1
-    ).all():  # a row of zeros is a component of the problem, and relative to itself there
-        told["the problem"] = solve(lcp_from_qp(program)).status
-    if result.status is Status.INFEASIBLE and not result.proof.verify():
-        bad.append("infeasible without a proof")
-    for name, status in told.items():
-        is_denied = status in PROVED and result.status is not Status.UNBOUNDED
-        if is_denied and case.margin <= CONSTRAINTS:
-            bad.append(f"{name} {status.name} at a margin of {case.margin:.3e}")
-    proof = program.facts.proof_of_no_minimum
-    is_claimed = proof is not None and proof.verdict == "infeasible"
-    if is_claimed and proof.margin > case.margin * (1.0 + 1e-12):
-        bad.append(f"margin {proof.margin:.3e} claimed of {case.margin:.3e}")
-    return bad
-
-
 def one(seed: int, case: int) -> tuple[list[str], bool]:
     """Return the errors of a case, and whether auto left a clear contradiction of an LCP unproved."""
     rng = np.random.default_rng([seed, case])
-    if case % 3 == 2:
-        return program_violations(planted_program(rng)), False
     planted = forced(rng) if case % 12 == 0 else planted_lcp(rng)
     bad, told = violations(planted, case)
     is_clear = planted.is_data and planted.relative.low >= 10.0 * TOLERANCE

@@ -27,7 +27,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from inputs.cone_families import violation as violation_in_digits
-from oracles.exact import exact_rows, solve_fractions
+from oracles.exact import FREE, LOWER, UPPER, exact_rows, solve_fractions, verified
+from oracles.truth import ExactData
 from scipy.linalg import block_diag
 
 import lcp_plugin as lp
@@ -68,20 +69,12 @@ def limits(values: Any) -> np.ndarray:
 
 
 class ExactLCP:
-    """An LCP of doubles in fractions, with all solutions whose case is regular."""
+    """An LCP in fractions, with all solutions whose case is regular."""
 
-    def __init__(self, M: np.ndarray, q: np.ndarray, lower: Any = 0.0, upper: Any = np.inf) -> None:
-        self.n = len(q)
-        self.M, self.q = exact_rows(np.asarray(M, float)), exact(q)
-        self.lower, self.upper = (
-            exact(limits(np.broadcast_to(bound, self.n))) for bound in (lower, upper)
-        )
-
-    def w(self, z: list[Fraction]) -> list[Fraction]:
-        return [
-            sum((m * x for m, x in zip(row, z, strict=True)), q)
-            for row, q in zip(self.M, self.q, strict=True)
-        ]
+    def __init__(self, problem: lp.LCP) -> None:
+        self.problem, self.data = problem, ExactData(problem)
+        self.M = exact_rows(problem.csr)
+        self.lower, self.upper = exact(problem.lower), exact(problem.upper)
 
     def wrong(self, z: np.ndarray, *, leaves_negligible: bool = False) -> float:
         """Return the largest violation of w_i relative to its terms, and of z_i relative to z_i.
@@ -96,19 +89,16 @@ class ExactLCP:
             if inner != value:
                 outside = max(outside, abs(inner - value) / abs(value) if value else Fraction(1))
                 values[i] = inner
-        w = self.w(values)
+        w = self.data.slack(values)
         for i, value in enumerate(values):
             reach = 1e-9 * abs(w[i]) / max(max(map(abs, self.M[i])), Fraction(1, 10**300))
             if w[i] > 0 and value - self.lower[i] <= reach:
                 values[i] = self.lower[i]
             elif w[i] < 0 and self.upper[i] - value <= reach:
                 values[i] = self.upper[i]
-        sizes = [
-            abs(self.q[i]) + sum(abs(m * x) for m, x in zip(self.M[i], values, strict=True))
-            for i in range(self.n)
-        ]
+        sizes = self.data.terms(values)
         largest = float(outside)
-        for i, slack in enumerate(self.w(values)):
+        for i, slack in enumerate(self.data.slack(values)):
             is_low, is_high = values[i] <= self.lower[i], values[i] >= self.upper[i]
             wrong = (
                 0 if is_low and is_high else -slack if is_low else slack if is_high else abs(slack)
@@ -119,52 +109,28 @@ class ExactLCP:
 
     def _is_negligible(self, i: int, z: list[Fraction], sizes: list[Fraction]) -> bool:
         """Return whether row i has q_i = 0 and is negligible in its component."""
-        if self.q[i]:
+        if self.data.q[i]:
             return False
-        part = self.parts()
-        mine = [j for j in range(self.n) if part[j] == part[i]]
+        part = self.data.components
+        mine = [j for j in range(len(z)) if part[j] == part[i]]
         across = max(abs(self.M[j][i]) for j in mine)
         largest = max(abs(z[j]) for j in mine)
         return sizes[i] * 10**12 <= min(across * largest, max(sizes[j] for j in mine))
 
     def solutions(self) -> Iterator[list[Fraction]]:
         """Every solution of a regular case."""
-        sides = [
-            [
-                side
-                for side in (self.lower[i], None, self.upper[i])
-                if side is None or abs(side) < np.inf
-            ]
-            for i in range(self.n)
+        ends = zip(self.problem.lower.tolist(), self.problem.upper.tolist(), strict=True)
+        states = [
+            (LOWER,) * (low > -np.inf) + (FREE,) + (UPPER,) * (high < np.inf) for low, high in ends
         ]
-        for case in itertools.product(*sides):
-            free = [i for i, side in enumerate(case) if side is None]
-            z = [Fraction(0) if side is None else side for side in case]
-            if free:
-                w = self.w(z)
-                found = solve_fractions(
-                    [[self.M[i][j] for j in free] for i in free], [-w[i] for i in free]
-                )
-                if found is None:
-                    continue
-                for i, value in zip(free, found, strict=True):
-                    z[i] = value
-            w = self.w(z)
-            if all(self._fits(case[i], z[i], w[i], i) for i in range(self.n)):
-                yield z
-
-    def _fits(self, side: Any, z: Fraction, w: Fraction, i: int) -> bool:
-        if side is None:
-            return self.lower[i] <= z <= self.upper[i]
-        return (side == self.lower[i] and w >= 0) or (side == self.upper[i] and w <= 0)
-
-    def parts(self) -> np.ndarray:
-        pattern = np.array([[entry != 0 for entry in row] for row in self.M])
-        return sp.csgraph.connected_components(sp.csr_array(pattern), directed=False)[1]
+        for case in itertools.product(*states):
+            found = verified(self.problem, self.M, self.data.q, case)
+            if found is not None:
+                yield list(found[0])
 
     def is_near(self, z: np.ndarray) -> bool | None:
         """Return whether a solution is within .1 % in every component; None if none is known."""
-        part, some = self.parts(), None
+        part, some = np.array(self.data.components), None
         for solution in self.solutions():
             some, right = False, np.array([float(value) for value in solution])
             if all(
@@ -704,9 +670,10 @@ def lcp_case(rng: Generator, draw: Callable[[Generator], Any] = odd_lcp) -> Outc
     M, q, lower, upper, words = draw(rng)
     name = str(rng.choice(ALGORITHMS))
     text = f"{name}, {lcp_text(M, q, lower, upper, words)}"
-    result = lp.solve(lp.LCP(M, q, lower=lower, upper=upper), name, max_seconds=SECONDS)
+    problem = lp.LCP(M, q, lower=lower, upper=upper)
+    result = lp.solve(problem, name, max_seconds=SECONDS)
     radius = float(getattr(result.proof, "radius", np.inf) or np.inf)
-    return judged_lcp(ExactLCP(M, q, lower, upper), result.status, result.z, radius, text)
+    return judged_lcp(ExactLCP(problem), result.status, result.z, radius, text)
 
 
 def batch_case(rng: Generator) -> Outcome:
@@ -738,7 +705,9 @@ def batch_case(rng: Generator) -> Outcome:
     item = found[k]  # raises for bounds without a number, as LCP does
     proof = item.proof if item.status.name in ("INFEASIBLE", "NO_SOLUTION") else None
     radius = float(getattr(proof, "radius", np.inf) or np.inf)
-    return judged_lcp(ExactLCP(M, qs[k], lower, upper), item.status, found.z[k], radius, text)
+    return judged_lcp(
+        ExactLCP(lp.LCP(M, qs[k], lower=lower, upper=upper)), item.status, found.z[k], radius, text
+    )
 
 
 def march_case(rng: Generator) -> Outcome:
@@ -747,13 +716,14 @@ def march_case(rng: Generator) -> Outcome:
     B = rng.choice([-1.0, 0.0, 0.5, 1.0])
     forcing = np.array([q, integers(rng, len(q)), q])
     z0 = np.minimum(np.maximum(integers(rng, len(q)), limits(lower)), limits(upper))
-    done = lp.march(lp.LCP(M, q, lower=lower, upper=upper), forcing, B, z0=z0, max_seconds=SECONDS)
+    problem = lp.LCP(M, q, lower=lower, upper=upper)
+    done = lp.march(problem, forcing, B, z0=z0, max_seconds=SECONDS)
     last = z0
     for step, result in enumerate(done):
         now = forcing[step] + B * last
         text = f"step {step} after {last.tolist()}, {lcp_text(M, now, lower, upper, words)}"
         radius = float(getattr(result.proof, "radius", np.inf) or np.inf)
-        outcome = judged_lcp(ExactLCP(M, now, lower, upper), result.status, result.z, radius, text)
+        outcome = judged_lcp(ExactLCP(problem.with_q(now)), result.status, result.z, radius, text)
         if outcome.what != RIGHT or result.status.name != "SOLVED":
             return outcome
         last = result.z

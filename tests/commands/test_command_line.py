@@ -253,6 +253,8 @@ def write_inputs() -> None:
     """Write the files of the table below."""
     BOX.save("box.npz")
     np.savez("qp.npz", P_data=np.ones(1), q=np.ones(1), A_data=np.ones(1))
+    np.savez("ok.npz", P=np.eye(2), c=np.ones(2))
+    np.savez("fit.npz", A=np.eye(2), b=np.ones(2))
     Path("empty").mkdir()
     Path("taken.png").mkdir()
     Path("taken.npz").mkdir()
@@ -275,6 +277,10 @@ BAD_INPUT = [
     ("solve half_active:n=4,n=9", r"the option n is given twice"),
     ("solve half_active:n=four", r"n must be an integer .*got 'four'"),
     ("solve box.npz --size 4", r"--size 4 is for a test problem"),
+    ("solve ok.npz --size 3", "--size 3 is for a test problem"),
+    ("solve ok.npz --error-bound", "error_bound"),
+    ("solve ok.npz -a psorr", "'psor'"),
+    ("solve fit.npz -a psor", "no algorithm for a BoundedLeastSquares"),
     ("check obstacle_2d:size=4 --reference nobody", r"cvxpy has no solver 'nobody'"),
     ("compare obstacle_2d:size=4 -a psr", r"unknown algorithm 'psr'; did you mean 'psor'\?"),
     ("compare obstacle_2d:size=4 -a psor --plot out.txt", r"must end in \.png"),

@@ -36,7 +36,7 @@ def exact_solution(problem: LCP) -> Exact:
     M = exact_rows(problem.csr)
     q = [Fraction(float(entry)) for entry in problem.q]
     for states in _guesses(problem):
-        solved = _verified(problem, M, q, states)
+        solved = verified(problem, M, q, states)
         if solved is not None:
             return Exact(*solved)
     z = decide(problem).z
@@ -130,9 +130,10 @@ def _guesses(problem: LCP) -> Iterator[States]:
     yield from reversed(seen)
 
 
-def _verified(
+def verified(
     problem: LCP, M: list[list[Fraction]], q: list[Fraction], states: States
 ) -> tuple[tuple[Fraction, ...], tuple[Fraction, ...]] | None:
+    """Return z and w of a case in which the equations determine z, if all rows are complementary."""
     n = problem.n
     ends = {LOWER: problem.lower, UPPER: problem.upper}
     z = [

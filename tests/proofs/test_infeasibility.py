@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles.truth import is_farkas
 
-from lcp_plugin import LCP, Certificate, Status, solve
+from lcp_plugin import LCP, Certificate, QuadraticProgram, Status, solve
 from lcp_plugin.core.certificates.criterion import row_data
 from lcp_plugin.methods.search import NoSolution, search
 from lcp_plugin.proofs.exact import exact_residuals, rank_profile, solve_exactly
@@ -255,7 +255,11 @@ def test_the_reference_is_bounded_from_above(seed: int) -> None:
 
 def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> None:
     """Where rounding is all that acts in the optimality conditions of a consistent program, nothing is infeasible."""
-    assert infeasible_by_margin.one(16, 1685)[0] == []
+    P, G = [[2.0, -2.0], [-2.0, 5.0]], [[-0.05, 0.06], [3.0, 1.0], [0.0, 0.01]]
+    h, bounds = [0.17 - 2.0**-55, 3.0, 0.05], {"lower": [-np.inf, 2.0], "upper": [-1.0, np.inf]}
+    data = (P, [-10.9, 2.87], G, h, [[0.0, 0.003]], [0.006])
+    assert solve(QuadraticProgram(*data, **bounds)).is_solved
+    assert not solve(LCP.from_qp(*data, **bounds)).has_no_solution
 
 
 def test_a_contradiction_between_numbers_of_many_sizes_is_found() -> None:

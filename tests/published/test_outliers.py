@@ -19,6 +19,8 @@ from campaigns.outliers import (
 )
 from inputs.constructed_points import CONSTRUCTED
 
+from lcp_plugin import LCP
+
 NO_BOUNDS = np.full(2, -np.inf), np.full(2, np.inf)
 HALF_SPACES = [
     np.diag([2.0, 2.0]),
@@ -43,7 +45,7 @@ def test_no_answer_is_false(kind: str, draws: Callable[[int], range]) -> None:
 def test_the_judge_separates_a_solution_from_a_wrong_point(name: str) -> None:
     """A wrong SOLVED and a wrong INFEASIBLE are FALSE, the solution is RIGHT, and no status at all is REFUSED."""
     case = CONSTRUCTED[name]
-    problem = ExactLCP(case.M, case.q)
+    problem = ExactLCP(LCP(case.M, case.q))
     for z, status, expected in (
         (case.right, "SOLVED", RIGHT),
         (case.wrong, "SOLVED", FALSE),

@@ -123,37 +123,6 @@ def test_each_cell_works_or_names_what_the_command_needs(name: str, command: str
     assert re.match(f"lcp-plugin: .*(?:{expected})", done.stderr), done.stderr
 
 
-SOLUTIONS = {
-    "lcp": [2.5, 0.0],
-    "saved": [2.5, 0.0],
-    "folder": [2.5, 0.0],
-    "qp": [2.0, 0.0],
-    "fit": [1.5, 0.0],
-}
-
-
-@pytest.mark.parametrize(
-    "name",
-    [name for name in FILES if name not in ("qp.qps", "lp.mps", "lp.lp", "qp.nl", "folder/M.mtx")],
-)
-def test_solve_saves_and_tells_the_answer(name: str) -> None:
-    """Option --out stores z or x, --json prints one object, and the text shows the first x_i."""
-    kind, write = FILES[name]
-    write(name)
-    done = lcp_plugin("solve", name, "--out", "out.npz", "--json")
-    told = json.loads(done.stdout, parse_constant=pytest.fail)
-    assert (done.exit_code, told["status"]) == (0, "SOLVED")
-    with np.load("out.npz") as saved:
-        assert str(saved["status"]) == "SOLVED"
-        x = saved["x" if kind != "LCP" or name.endswith(NL) else "z"]
-        assert (kind == "program") <= (
-            {"inequality", "equality", "lower", "upper"} <= {*saved.files}
-        )
-    np.testing.assert_allclose(x, SOLUTIONS[name.partition(".")[0]], atol=1e-7)
-    if kind != "LCP":
-        assert f"x[0]  {x[0]:.9g}"[:8] in lcp_plugin("solve", name).stdout
-
-
 def test_files_of_mps_are_answered_in_their_own_terms() -> None:
     """The output uses the names of variables, and the objective of the file with its constant."""
     pytest.importorskip("highspy")
@@ -248,27 +217,6 @@ def test_mistakes_cost_one_line(command: str) -> None:
         assert re.match(rf"lcp-plugin: .*({words})", done.stderr), (name, done.stderr)
         assert Path(name).stem in done.stderr
         assert len(done.stderr) < 600, done.stderr
-
-
-OF_OTHERS = [
-    ("solve qp.npz --size 3", "--size 3 is for a test problem"),
-    ("solve qp.npz --relaxation 1.5", r"auto.*\['relaxation'\]"),
-    ("solve qp.npz --error-bound", "error_bound"),
-    ("solve fit.npz -a psor", "no algorithm for a BoundedLeastSquares"),
-    ("solve qp.npz -a psorr", "'psor'"),
-]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"), OF_OTHERS, ids=[arguments for arguments, _ in OF_OTHERS]
-)
-def test_options_of_other_kinds_are_refused(arguments: str, words: str) -> None:
-    """An option that does not go with the kind in the file is named in one line."""
-    np.savez("qp.npz", **PROGRAM)
-    np.savez("fit.npz", **FIT)
-    done = lcp_plugin(*arguments.split())
-    assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
-    assert re.match(f"lcp-plugin: .*{words}", done.stderr), done.stderr
 
 
 def test_each_example_in_a_help_page_is_a_command() -> None:

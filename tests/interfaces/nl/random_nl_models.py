@@ -7,7 +7,6 @@ kinds whose bounds are those of the variable or not, fixed and integer variables
 
 from __future__ import annotations
 
-import itertools
 import traceback
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from binary_nl import write_form
-from scipy.optimize import linprog
 from tools.nl_files import evaluated, read_sol
 
 from lcp_plugin import LCPError
@@ -26,7 +24,6 @@ from lcp_plugin.interfaces.nl.reading import NLContent, Token, Trees
 
 INF = np.inf
 MET = 1e-5  # of the size of a row or a variable
-MOST_PIECES = 30
 FAILURE, TOO_LATE = 500, 401
 WORDS = (
     "", "", "", "tolerance=1e-10", "tolerance=1e-4", "max_iterations=1", "max_seconds=1e-9", "threads=1",
@@ -189,10 +186,10 @@ def judged(content: NLContent, words: list[str], stub: Path) -> str:
     if same.code != found.code and TOO_LATE not in (same.code, found.code):
         return f"CODE {found.code} BUT {same.code}: {found.message}"
     if found.code:
-        return contradicted(content, found.code) or str(found.code)
+        return str(found.code)
     if found.values is None or not np.isfinite(found.values).all():
         return f"SOLVED WITHOUT VALUES: {found.message}"
-    return missed(content, found.values) or better(content, found.values) or "0"
+    return missed(content, found.values) or "0"
 
 
 def missed(content: NLContent, x: np.ndarray) -> str:
@@ -225,76 +222,6 @@ def missed(content: NLContent, x: np.ndarray) -> str:
     high = np.where(told & 2, content.upper[content.partners[pairs]], INF)
     residual = np.abs(z - np.clip(z - rows[pairs] / sizes[pairs], low, high)) / (1.0 + np.abs(z))
     return "" if (residual <= MET).all() else f"PAIRS MISSED BY {residual.max():.1e}"
-
-
-def better(content: NLContent, x: np.ndarray) -> str:
-    """Return that some piece has a better point, where objective and rows are linear."""
-    least = least_of(content)
-    if least is None or not content.is_maximized.size:
-        return ""
-    sign = -1.0 if content.is_maximized[0] else 1.0
-    value = sign * float((content.objective_linear[[0]] @ x)[0])
-    return (
-        ""
-        if value <= least + MET * (1.0 + abs(least))
-        else f"NOT THE BEST: {value} where {least} is possible"
-    )
-
-
-def contradicted(content: NLContent, code: int) -> str:
-    """Return that a linear model is not infeasible, or not unbounded."""
-    least = least_of(content) if code in (200, 300) else None
-    if code == 200 and least is not None and least < INF:
-        return f"INFEASIBLE, BUT {least} IS REACHED"
-    return (
-        f"UNBOUNDED, BUT {least} IS THE LEAST"
-        if code == 300 and least is not None and least > -INF
-        else ""
-    )
-
-
-def least_of(content: NLContent) -> float | None:
-    """Return the least objective over all pieces by HiGHS, ∞ where none has a point; None where it is not linear."""
-    n, o = content.lower.size, content.is_maximized.size
-    trees, others = content.trees, content.objective_trees
-    is_linear = trees.kinds.size == trees.size and content.defined_trees.size == 0
-    if not is_linear or others.kinds[: int(others.starts[min(o, 1)])].size > 1:
-        return None
-    A, constants = content.linear.toarray(), trees.values
-    sign = -1.0 if o and content.is_maximized[0] else 1.0
-    c = sign * content.objective_linear[[0]].toarray()[0] if o else np.zeros(n)
-    is_pair = content.partners >= 0
-    pairs, columns = np.flatnonzero(is_pair), content.partners[is_pair]
-    told = content.partner_bounds[pairs]
-    choices = [
-        ["between", *(["lower"] if kind & 1 and np.isfinite(content.lower[j]) else []),
-         *(["upper"] if kind & 2 and np.isfinite(content.upper[j]) else [])]
-        for kind, j in zip(told.tolist(), columns.tolist(), strict=True)
-    ]  # fmt: skip
-    if np.prod([len(one) for one in choices]) > MOST_PIECES:
-        return None
-    best = INF
-    for piece in itertools.product(*choices):
-        low, high = content.lower.copy(), content.upper.copy()
-        row_low, row_high = content.row_lower - constants, content.row_upper - constants
-        for i, j, case in zip(pairs.tolist(), columns.tolist(), piece, strict=True):
-            row_low[i], row_high[i] = -constants[i], -constants[i]
-            if case == "lower":
-                row_high[i], high[j] = INF, low[j]
-            elif case == "upper":
-                row_low[i], low[j] = -INF, high[j]
-        up, down = np.isfinite(row_high), np.isfinite(row_low)
-        found = linprog(
-            c, A_ub=np.vstack([A[up], -A[down]]), b_ub=np.append(row_high[up], -row_low[down]),
-            bounds=np.column_stack([low, high]), method="highs", options={"presolve": False},
-        )  # fmt: skip
-        if found.status == 3:
-            return -INF
-        if found.status == 0:
-            best = min(best, float(found.fun))
-        elif found.status != 2:
-            return None
-    return best
 
 
 def drawn_words(rng: Any) -> list[str]:

@@ -94,6 +94,17 @@ BATCHES: dict[str, tuple[tuple[Any, ...], dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("name", BATCHES)
+def test_a_batch_without_time_loses_no_problem(name: str) -> None:
+    """With no time at all each problem ends with MAX_SECONDS or is solved."""
+    given, options = BATCHES[name]
+    for where in ({}, {"executor": Here()}):
+        late = solve_batch(*given, max_seconds=0.0, **options, **where)
+        assert {*late.status} <= {Status.SOLVED, Status.MAX_SECONDS}
+        assert len(late) == len(late.status) == len(late.x)
+        assert late[0].status is late.status[0]
+
+
+@pytest.mark.parametrize("name", BATCHES)
 def test_a_batch_on_an_executor_has_the_results_of_one_process(name: str) -> None:
     """Points, statuses, objectives and single results have the bits of the batch without an executor."""
     given, options = BATCHES[name]
@@ -231,10 +242,8 @@ def test_a_wrong_option_and_an_error_of_the_solver_are_raised_as_without_an_exec
         solve_batch([FIT, FIT], algorithm="npgs", executor=Here())
 
 
-def test_a_time_limit_and_a_callback_end_a_batch_on_an_executor() -> None:
-    """Problems without a result are MAX_SECONDS, or INTERRUPTED after the callback."""
-    late = solve_batch(M, Q, max_seconds=0.0, executor=Here())
-    assert {*late.status} <= {Status.MAX_SECONDS, Status.SOLVED}
+def test_a_callback_ends_a_batch_on_an_executor() -> None:
+    """Problems without a result are INTERRUPTED after the callback."""
     named: dict[str, Any] = {"algorithm": "lemke", "executor": Here()}
     ended = solve_batch(M, Q, callback=lambda *_: True, **named)
     assert {*ended.status} == {Status.INTERRUPTED, Status.SOLVED}

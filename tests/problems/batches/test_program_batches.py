@@ -202,14 +202,6 @@ def test_empty_batches_and_programs_without_rows_or_variables() -> None:
 ONE = (np.eye(2), [1.0, 2.0])
 
 
-def test_one_program_is_no_batch() -> None:
-    """The message names the call for many programs."""
-    with pytest.raises(
-        InvalidProblem, match="needs many problems, got one QuadraticProgram; write"
-    ):
-        solve_batch(QuadraticProgram(*ONE))
-
-
 def test_an_error_of_all_programs_is_raised_before_the_first() -> None:
     """Options that a batch of programs does not take, unknown algorithms, a P for all that is not convex."""
     ask: Any = partial(solve_batch, QuadraticProgram(*ONE), [[1.0, 2.0]])

@@ -140,10 +140,3 @@ def test_a_default_that_is_stated_is_no_other_way() -> None:
     batch = FrictionalContact.worlds(*arrays(10))
     stated = solve_batch(batch, absolute_tolerance=0.0, algorithm="".join(["au", "to"]))
     assert stated.z.tobytes() == solve_batch(batch).z.tobytes()
-
-
-def test_a_batch_may_have_one_item() -> None:
-    """The impulse stops the fall and holds a push within friction."""
-    batch = solve_batch(FrictionalContact.worlds(np.eye(3)[None], [[-1.0, 0.25, 0.0]], 0.5))
-    assert batch.z.shape == (1, 3)
-    np.testing.assert_allclose(batch[0].require_solved().z, [1.0, -0.25, 0.0], atol=1e-7)

@@ -938,11 +938,3 @@ def convex_qps(
         return program, QPAnswer._make([*map(fractions_of, answers), least])
 
     return convex()
-
-
-try:
-    import hypothesis  # noqa: F401 - to say what is missing before the modules below do
-except ImportError:
-    raise ImportError(
-        "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
-    ) from None

@@ -119,23 +119,14 @@ def rectangular_matrix(
     if is_sparse:
         check_kind(values.dtype, need)
     matrix = values if is_sparse else real_array(values, need)
-    if (
-        matrix.ndim != 2
-        or rows not in (None, matrix.shape[0])
-        or columns not in (None, matrix.shape[1])
-    ):
-        fits = (
-            matrix.ndim == 2
-            and rows in (None, matrix.shape[1])
-            and columns in (None, matrix.shape[0])
-        )
-        hint = (
-            f"; did you mean {name}.T?"
-            if fits
-            else "; write a single row as [[…]]"
-            if matrix.ndim == 1
-            else ""
-        )
+    fits, fits_turned = (
+        matrix.ndim == 2
+        and all(one in (None, of) for one, of in zip((rows, columns), shape, strict=True))
+        for shape in (matrix.shape, matrix.shape[::-1])
+    )
+    if not fits:
+        hint = "; write a single row as [[…]]" if matrix.ndim == 1 else ""
+        hint = f"; did you mean {name}.T?" if fits_turned else hint
         raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
     if is_sparse:
         return canonical_csr(matrix, name, is_copied=is_copied)
@@ -198,14 +189,7 @@ def _canonical(M: Any, is_copied: bool) -> sp.csr_array:
 def check_kind(dtype: np.dtype[Any], need: str) -> None:
     """Raise InvalidProblem, with the text `need`, unless the dtype holds real numbers."""
     if dtype.kind not in "fiub":
-        what = {
-            "c": "complex",
-            "O": "object",
-            "U": "text",
-            "S": "bytes",
-            "M": "dates",
-            "m": "durations",
-        }
+        what = dict(c="complex", O="object", U="text", S="bytes", M="dates", m="durations")
         raise InvalidProblem(
             f"{need}, got {what.get(dtype.kind, dtype.name)} entries (dtype {dtype}); convert them first"
         )

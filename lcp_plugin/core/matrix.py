@@ -460,24 +460,13 @@ def balanced_factors(
     matrix: Matrix, coupling: float, updated: Vector, sums: tuple[Vector, Vector]
 ) -> Vector:
     """Return θ of `automatic_factors`, from g, the sums ℓ over the updated columns, and the triangle sums of v = 1."""
-    factors = np.empty(matrix.n)
-    is_dominant = matrix.residual_scale is matrix.diagonal or np.array_equal(
-        matrix.residual_scale, matrix.diagonal
-    )
-    for first in range(0, matrix.n, BLOCK):
-        rows = slice(first, first + BLOCK)
-        total = sums[0][rows] + sums[1][rows]
-        # False if it is not a number
-        is_dominant = is_dominant and bool(total.max() <= 1.0 + ROUNDED)
-        if not is_dominant:
-            break
-        quick = np.minimum(2.0, 1.0 / np.maximum(1.0 - total, 0.0))  # a factor is at most 2
-        # g θ ℓ stays below 1.
-        np.minimum(quick, 0.9 / (coupling * updated[rows]), out=factors[rows])
-    if not is_dominant:
-        factors.fill(1.0)
-    factors.flags.writeable = False
-    return factors
+    total = sums[0] + sums[1]
+    is_scaled = np.array_equal(matrix.residual_scale, matrix.diagonal)
+    if not (is_scaled and total.max(initial=0.0) <= 1.0 + ROUNDED):  # nor is a NaN
+        return read_only(np.ones(matrix.n))
+    quick = np.minimum(2.0, 1.0 / np.maximum(1.0 - total, 0.0))  # a factor is at most 2
+    # g θ ℓ stays below 1.
+    return read_only(np.minimum(quick, 0.9 / (coupling * updated)))
 
 
 class Exponents(NamedTuple):

@@ -199,11 +199,3 @@ def round_sums(high: Vector, low: Vector, radius: Vector) -> tuple[Vector, Vecto
     """Return (value, radius) of sums (high, low, radius): the value is `high`, and `low` counts as an error."""
     low = np.abs(low)
     return high, np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))
-
-
-def read_only_views(*arrays: Any) -> list[Any]:
-    """Return a view of each array that is read-only: one compiled signature for both kinds."""
-    views = [array.view() for array in arrays]
-    for view in views:
-        view.flags.writeable = False
-    return views

@@ -26,7 +26,7 @@ from .errors import InvalidOption
 from .kernels.threads import usable_threads
 
 CONSTANTS = {"true": "True", "false": "False", "none": "None", "inf": "1e999"}
-NOTHING, BELOW, LARGEST = 2.0**-200, 1.0 - 2.0**-50, 2.0**900  # instead of 0; for rounding; for ∞
+NOTHING = 2.0**-200  # a tolerance instead of 0
 
 
 class Status(Enum):
@@ -115,17 +115,8 @@ class Settings:
 
     @property
     def goal(self) -> float:
-        """Required ratio of residual to reference; references are at least `least_reference`."""
+        """Required ratio of residual to reference."""
         return float(self.tolerance or (NOTHING if self.absolute_tolerance else 0.0))
-
-    @property
-    def least_reference(self) -> float:
-        """Smallest reference: `goal` times it is the absolute tolerance."""
-        return (
-            min(self.absolute_tolerance / self.goal * BELOW, LARGEST)
-            if self.absolute_tolerance
-            else 0.0
-        )
 
 
 DEFAULTS = {setting.name: setting.default for setting in fields(Settings)}

@@ -61,10 +61,10 @@ from ..core.algorithm import (
     require_positive_diagonal,
 )
 from ..core.checks import Vector, read_only
-from ..core.errors import InvalidOption
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix import is_nearly_symmetric
+from ..core.settings import whole_number
 from ..systems.equilibration import power_of_two
 from ..systems.hierarchy import kernels
 from ..systems.hierarchy.grids import Grid
@@ -155,13 +155,7 @@ class Multigrid(Algorithm):
         check_positive(self, "relaxation", below=2.0)
         for option in ("nested", "hands_over"):
             check_flag(self, option)
-        is_count = isinstance(self.coarsest, (int, np.integer)) and not isinstance(
-            self.coarsest, bool
-        )
-        if not is_count or self.coarsest < 1:
-            raise InvalidOption(
-                f"multigrid: coarsest must be an integer ≥ 1, got {self.coarsest!r}"
-            )
+        whole_number(self.coarsest, "multigrid: coarsest", 1)
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return the theorem on symmetric positive definite matrices; None if the run may hand over."""

@@ -259,19 +259,10 @@ def _solve_each(
     """Return z, residual and is_solved of the first candidate of each problem."""
     z, residual, is_solved = np.empty(q.shape), np.empty(len(q)), np.zeros(len(q), bool)
     for k in range(len(q)):
-        data = first_of(stack_of(M[k % len(M)][None], q[k], lower[k], upper[k]))
+        data = dense_data(LCP(M[k % len(M)], q[k], lower=lower[k], upper=upper[k]))
         _, point, _ = next(candidates(data, data.start if starts is None else starts[k]))
         z[k], residual[k], is_solved[k] = measure(data, point, tolerance)[:3]
     return z, residual, is_solved
-
-
-def first_of(stack: RowData) -> RowData:
-    """Return the first problem of a stack, without the axis that counts problems."""
-    bounds, labels = (
-        (stack.lower[0], stack.upper[0]),
-        None if stack.labels is None else stack.labels[0],
-    )
-    return RowData(stack.M[0], stack.absolute[0], stack.q[0], *bounds, stack.scale[0], labels)
 
 
 def active_set_points(

@@ -24,7 +24,6 @@ from ..core.checks import Arrays, Vector, read_only
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
 from ..core.matrix import split_rows
-from ..core.rounding import read_only_views
 from ..core.splittings import NPAOR, NPGS, NPJ, NPSOR, ProjectedType, step_unit
 from ..systems.hierarchy import kernels
 from ..systems.hierarchy.grids import Grid, Operator, Transfer, blocks_of, pivots
@@ -315,7 +314,7 @@ def projected_type(problem: RowsOnRanks, z: Vector, algorithm: ProjectedType) ->
     rows = np.column_stack([problem.q, *bounds, step, step, 1.0 / pivot])
     split, x = split_rows(M), halo.whole(z)
     yield x[: problem.own], 0.0
-    lower, upper = read_only_views(*bounds)
+    lower, upper = map(read_only, bounds)
     unit = step_unit(halo.largest(float(np.abs(problem.q * step).max(initial=0.0))))
     new, points = x.copy(), algorithm.extrapolations(x, lower, upper, halo.total)
     while True:
@@ -375,7 +374,7 @@ class GridProblemOnRanks:
         )
         self.grid = grid = hierarchy.grids[0]
         self.halo, self.n, self.work = grid.halo, grid.n, 0.0
-        self.vectors = tuple(read_only_views(grid.inverse, q, lower, upper))
+        self.vectors = tuple(map(read_only, (grid.inverse, q, lower, upper)))
         self.residual = np.zeros(grid.width)
         self.entries = max(self.halo.total(grid.matrix.data.size), 1.0)
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.kernels.compilation import helper, kernel
+from ..core.kernels.compilation import kernel
 
 
 def factor_sizes(
@@ -56,7 +56,9 @@ def factor_sizes(
         others, last = np.flatnonzero(~is_full), int(np.count_nonzero(is_full))
         left = sp.csr_array(pattern[others][:, others]) if last else pattern
         begins, lists = left.indptr.astype(np.int64), left.indices.astype(np.int64)
-        workspace = np.empty(lists.size + 2 * others.size + 1, np.int64)
+        # Lists stay where they are; memory that no list reaches is never touched.
+        size = lists.size + others.size + min(most_touched, others.size**2) + 1
+        workspace = np.empty(size, np.int64)
         workspace[: lists.size] = lists
         counts = minimum_degree(
             begins, workspace, float(last), most_entries, most_operations, most_touched
@@ -106,9 +108,6 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
         head[least] = after[p]
         if after[p] >= 0:
             before[after[p]] = -1
-        # Compact the lists if there is no space for another list.
-        if free + left > workspace.size:
-            free = _together(begin, size, weight, elements, is_gone, workspace, free)
         # The neighbors of p make a new element of it.
         tag += 1
         together, reached, start = weight[p], 0, free
@@ -227,27 +226,3 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
         if entries > most_entries or operations > most_operations or touched > most_touched:
             return np.inf, np.inf, touched
     return entries, operations, touched
-
-
-@helper
-def _together(begin, size, weight, elements, is_gone, workspace, end):  # type: ignore[no-untyped-def]
-    """Move the lists in use, before `end`, to the front; return the first index of the free space behind them.
-
-    The first entry of a list meanwhile contains a negative number that identifies the list.
-    """
-    for i in range(begin.size):
-        is_used = weight[i] != 0 or not (is_gone[i] or elements[i] != 0)
-        if is_used and size[i] > 0:
-            first = begin[i]
-            begin[i], workspace[first] = workspace[first], -1 - i
-    at = free = 0
-    while at < end:
-        i = -1 - workspace[at]
-        if i < 0:
-            at += 1
-            continue
-        workspace[free], begin[i] = begin[i], free
-        for k in range(1, size[i]):
-            workspace[free + k] = workspace[at + k]
-        free, at = free + size[i], at + size[i]
-    return free

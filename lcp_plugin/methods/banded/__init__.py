@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from ...core.algorithm import Algorithm, Step
-from ...core.checks import Vector
+from ...core.checks import Vector, read_only
 from ...core.errors import UnsuitableMatrix
 from ...core.lcp import LCP
 from ...core.matrix import Matrix, fact
-from ...core.rounding import read_only_views
 from ...core.tuning import BANDED_PASSES
 from ...systems.factors import Bands, bands
 from ...systems.graph import bandwidth
@@ -181,8 +180,8 @@ def _contacts(
     """Return the active set with directly found rows at the bound of side −side, and its z; None if this fails."""
     near, far = (problem.lower, problem.upper)[::side]
     is_held = (problem.lower == problem.upper) | (target == side)
-    fixed = read_only_views(q, np.where(is_held, far, near), is_held)
-    z, is_free = solve_one_sided(band.entries, fixed[0], side, *fixed[1:])
+    fixed, value, held = map(read_only, (q, np.where(is_held, far, near), is_held))
+    z, is_free = solve_one_sided(band.entries, fixed, side, value, held)
     if z is None:
         return target, None
     return np.where(is_free, 0, np.where(is_held, side, -side)).astype(np.int8), z

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...core.checks import read_only
 from ...core.kernels.compilation import helper, kernel
-from ...core.rounding import read_only_views
 from .stack import Array, ConeStack
 
 LOCAL_STEPS = 30  # of Newton's method on the angle of sliding, or of projections
@@ -136,7 +136,7 @@ def sweep_blocks(stack: ConeStack, z: Array, count: int, stop: float) -> Array:
     inverses = pattern.inverses if stack.has_friction else pattern.own
     blocks = pattern.own, inverses, stack.d
     arrays = stack.mu, stack.low, stack.high, *pattern.entries, pattern.flat(stack.q), *blocks
-    starts, *given = read_only_views(*map(np.ascontiguousarray, (pattern.starts, *arrays)))
+    starts, *given = map(read_only, map(np.ascontiguousarray, (pattern.starts, *arrays)))
     z = np.array(pattern.flat(z), order="C")
     sweep(starts, stack.has_friction, *given, z, count, stop)
     return pattern.wide(z)

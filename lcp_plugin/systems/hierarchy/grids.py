@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.checks import Arrays, Vector
+from ...core.checks import Arrays, Vector, read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +27,7 @@ class Operator:
     def __post_init__(self) -> None:
         # One signature for every kernel: the caller's matrix is read-only as well.
         for name in ("indptr", "indices", "data"):
-            view = getattr(self, name).view()
-            view.flags.writeable = False
-            object.__setattr__(self, name, view)
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def arrays(self) -> tuple[NDArray[Any], NDArray[Any], Vector]:

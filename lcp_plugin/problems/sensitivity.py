@@ -46,7 +46,7 @@ from ..proofs.bounds import ActiveRows, settled_rows
 from ..systems.free_systems import CONSISTENT, FreeBlocks, FreeSystem, LinearizedSystem, products
 from ..systems.graph import outer_on_pattern
 from .batches.batch_run import BatchAnswers
-from .batches.instances import Group, Listed, Stacked, Worlds, stack_of_worlds
+from .batches.instances import Group, Listed, Stacked, Worlds, stack_of
 from .batches.on_device import DeviceAnswers, launch
 from .cones.derivative import ConeDerivative, StackDerivative
 from .cones.methods import whole_systems
@@ -189,8 +189,6 @@ class ManyDerivatives:
     Parameters
     ----------
     batch : BatchAnswers
-    each : callable
-        Returns the derivative of one result.
 
     Attributes
     ----------
@@ -198,8 +196,10 @@ class ManyDerivatives:
         Error of each item without a derivative.
     """
 
-    def __init__(self, batch: Any, each: Callable[[Any], Any]) -> None:
-        self.batch, self._derivative_of = batch, each
+    names: tuple[str, ...]  # of the data other than M
+
+    def __init__(self, batch: Any) -> None:
+        self.batch = batch
         self._each: dict[int, Any] = {}
         self.errors: dict[int, LCPError] = {**batch.errors}
         self._is_solved = np.asarray(batch.status == Status.SOLVED, np.bool_)
@@ -215,7 +215,7 @@ class ManyDerivatives:
     def __getitem__(self, k: int) -> Any:
         k = range(len(self))[k]
         if k not in self._each:
-            self._each[k] = self._derivative_of(self.batch[k])
+            self._each[k] = derivative(self.batch[k])
         return self._each[k]
 
     @derived_property
@@ -303,6 +303,72 @@ class ManyDerivatives:
         is_there = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
         return products(self._given(dM, "dM", is_there), z) + change
 
+    def _jvp(self, dM: Any, dq: Any, **others: Any) -> Any:
+        """Return the changes dz for changes of the data, shape (B, n)."""
+        given = {"dq": self._changed(dM, dq)}
+        given |= {name: self._rows(values, name) for name, values in others.items()}
+        there = {name: self._is_there(name) for name in given}
+        dz = np.full(given["dq"].shape, np.nan)
+        self._fill(
+            [dz],
+            lambda part: part.changes(*(rows[part.items] for rows in given.values())),
+            lambda k: [
+                self[k].jvp(**{name: one[k, there[name][k]] for name, one in given.items()})
+            ],
+        )
+        return dz
+
+    def vjp(self, g: Any, gw: Any = None) -> BatchGradient:
+        """Return the gradients of functions L_k(z_k, w_k) of each solution by the data.
+
+        Parameters
+        ----------
+        g : array, shape (B, n) or (n,)
+            ∂L/∂z.
+        gw : array, shape (B, n) or (n,), optional
+            ∂L/∂w; w are the velocities of contacts.
+
+        Returns
+        -------
+        BatchGradient
+
+        Raises
+        ------
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+
+        Examples
+        --------
+        >>> from lcp_plugin import derivative, solve_batch
+        >>> gradient = derivative(solve_batch([[2, 1], [1, 2]], [[-5, 1], [1, -4]])).vjp([1, 1])
+        >>> gradient.q, gradient.M
+        (array([[-0.5,  0. ],
+               [ 0. , -0.5]]), array([[-1.25,  0.  ],
+               [ 0.  , -1.  ]]))
+        """
+        by_z, by_w, there = self._rows(g, "g"), self._rows(gw, "gw"), self._is_there("g")
+        tables = [np.full(self._is_there(name).shape, np.nan) for name in self.names]
+
+        def alone(k: int) -> list[Any]:
+            found = self[k].vjp(by_z[k, there[k]], by_w[k, there[k]])  # its M comes later
+            return [getattr(found, name) for name in self.names]
+
+        left = self._fill(
+            tables, lambda part: part.gradients(by_z[part.items], by_w[part.items]), alone
+        )
+        self._forget_unasked(tables, g, gw)
+        by = dict(zip(self.names, tables, strict=True))
+        return BatchGradient(lambda: self._by_M(tables[0], left), **by)
+
+    def _by_M(self, by_q: Any, left: Sequence[int]) -> Any:
+        z = self.z.copy()
+        for k in left:
+            z[k, : self[k].z.size] = self[k].z
+        for k in self.errors:
+            if not np.any(by_q[k]):  # the function does not depend on this problem
+                z[k] = 0.0
+        return self.batch.problems.outer(by_q, z)
+
     def _forget_unasked(self, tables: Sequence[Any], *given: Any) -> None:
         """Write 0 for items without a derivative whose functions have zero gradients."""
         for k in self.errors:
@@ -334,8 +400,6 @@ class BatchDerivative(ManyDerivatives):
     Parameters
     ----------
     batch : BatchAnswers
-    each : callable
-        Returns the Derivative of a Result.
 
     Attributes
     ----------
@@ -352,10 +416,12 @@ class BatchDerivative(ManyDerivatives):
     several sizes has no derivative: write ``[derivative(answer) for answer in batch]``.
     """
 
+    names = "q", "lower", "upper"
+
     @derived_property
     def free(self) -> Any:
         """Rows that `vjp` treats as free, bool, shape (B, n)."""
-        free = self._table(False)
+        free = np.zeros(self.batch.z.shape, np.bool_)
         self._fill([free], lambda part: [part.free], lambda k: [self[k].free])
         return free
 
@@ -387,62 +453,7 @@ class BatchDerivative(ManyDerivatives):
         array([[-0.75,  0.5 ],
                [ 0.5 , -0.25]])
         """
-        h, low, high = self._changed(dM, dq), *map(self._rows, (dlower, dupper), NUMBERS[:2])
-        dz = self._table(np.nan)
-        self._fill(
-            [dz],
-            lambda part: part.changes(*(rows[part.items] for rows in (h, low, high))),
-            lambda k: [self[k].jvp(dq=h[k], dlower=low[k], dupper=high[k])],
-        )
-        return dz
-
-    def vjp(self, g: Any, gw: Any = None) -> BatchGradient:
-        """Return the gradients of functions L_k(z_k, w_k) of each solution by q, the bounds and the entries of M.
-
-        Parameters
-        ----------
-        g : array, shape (B, n) or (n,)
-            ∂L/∂z.
-        gw : array, shape (B, n) or (n,), optional
-            ∂L/∂w.
-
-        Returns
-        -------
-        BatchGradient
-
-        Raises
-        ------
-        InvalidProblem
-            For another shape, or numbers that are not finite.
-
-        Examples
-        --------
-        >>> from lcp_plugin import derivative, solve_batch
-        >>> gradient = derivative(solve_batch([[2, 1], [1, 2]], [[-5, 1], [1, -4]])).vjp([1, 1])
-        >>> gradient.q, gradient.M
-        (array([[-0.5,  0. ],
-               [ 0. , -0.5]]), array([[-1.25,  0.  ],
-               [ 0.  , -1.  ]]))
-        """
-        rows, by_w = self._rows(g, "g"), self._rows(gw, "gw")
-        tables = [self._table(np.nan) for _ in range(3)]
-        left = self._fill(
-            tables,
-            lambda part: part.gradients(rows[part.items], by_w[part.items]),
-            lambda k: [*self[k].vjp(rows[k], by_w[k])][:3],  # its M comes later
-        )
-        self._forget_unasked(tables, g, gw)
-        names = dict(zip(("q", "lower", "upper"), tables, strict=True))
-        return BatchGradient(lambda: self._by_M(tables[0], left), **names)
-
-    def _by_M(self, by_q: Any, left: Sequence[int]) -> Any:
-        z = self.z.copy()
-        for k in left:
-            z[k] = self[k].z
-        for k in self.errors:
-            if not np.any(by_q[k]):  # the function does not depend on this problem
-                z[k] = np.zeros_like(z[k])
-        return self.batch.problems.outer(by_q, z)
+        return self._jvp(dM, dq, dlower=dlower, dupper=dupper)
 
     @derived_property
     def _parts(self) -> list[BatchPart]:
@@ -452,9 +463,6 @@ class BatchDerivative(ManyDerivatives):
             for group in self.batch.problems.groups()
         ]
 
-    def _table(self, value: Any) -> Any:
-        return np.full(self.batch.z.shape, value)
-
 
 class DeviceDerivative(ManyDerivatives):
     """The gradients of a batch in arrays on a GPU, computed there; ``found[k]`` is the derivative of result k.
@@ -462,8 +470,6 @@ class DeviceDerivative(ManyDerivatives):
     Parameters
     ----------
     batch : DeviceAnswers
-    each : callable
-        Returns the Derivative of a Result.
 
     Attributes
     ----------
@@ -471,7 +477,7 @@ class DeviceDerivative(ManyDerivatives):
         Error of each problem without a derivative; its rows are NaN.
     """
 
-    def vjp(self, g: Any) -> BatchGradient:
+    def vjp(self, g: Any) -> BatchGradient:  # type: ignore[override]
         """Return the gradients of functions L_k(z_k) by q, lower, upper and M, in the library of q.
 
         One thread solves the adjoint system of one problem. A problem near a kink, or whose system may be singular, is
@@ -548,6 +554,10 @@ class _Together(StackDerivative):
         dz[self.degenerate.any(axis=1)] = np.nan
         return [dz]
 
+    def gradients(self, g: Any, by_w: Any) -> Any:
+        """Return the gradients by q and friction."""
+        return super().gradients(g, by_w)[::2]
+
     def _solve_free(self, right: Any, *, transposed: bool = False) -> Any:
         return self.system.solve(right, transposed=transposed)
 
@@ -561,8 +571,6 @@ class ContactBatchDerivative(ManyDerivatives):
     Parameters
     ----------
     batch : BatchAnswers
-    each : callable
-        Returns the ConeDerivative of a ConeResult.
 
     Attributes
     ----------
@@ -590,6 +598,8 @@ class ContactBatchDerivative(ManyDerivatives):
     ([[-1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], [[0.0], [0.0]], (2, 3, 3))
     """
 
+    names = "q", "friction"
+
     @property
     def worlds(self) -> Any:
         """The FrictionalContactBatch."""
@@ -609,7 +619,7 @@ class ContactBatchDerivative(ManyDerivatives):
                     np.where(is_solved[own], one[own], 0.0)
                     for one in (worlds.b, z, worlds.friction)
                 )
-                stack = stack_of_worlds(W, b, mu, worlds.dimension)
+                stack = stack_of(*self.batch.problems.data(W, b, mu))
                 parts[k] = _Together(stack, at, np.arange(len(self))[own], self._is_solved[own])
 
         run_in_chunks(derive, len(parts), self.batch.threads)
@@ -659,55 +669,13 @@ class ContactBatchDerivative(ManyDerivatives):
         InvalidProblem
             For another shape, or numbers that are not finite.
         """
-        change, slopes = self._changed(dM, dq), self._rows(dfriction, "dfriction")
-        dz, counts = np.full(change.shape, np.nan), self.worlds.contacts
-
-        def alone(k: int) -> list[Any]:
-            own = slopes[k, : counts[k]]
-            return [self[k].jvp(dq=change[k, : self[k].z.size], dfriction=own)]
-
-        self._fill([dz], lambda part: part.changes(change[part.items], slopes[part.items]), alone)
-        return dz
+        return self._jvp(dM, dq, dfriction=dfriction)
 
     def dw(self, dz: ArrayLike, *, dq: Any = None, dM: Any = None) -> Any:
         """Return the changes of the velocities w = W z + b for changes dz of z, shape (B, n)."""
         dw = products(self.worlds.W, self._rows(dz, "dz")) + self._changed(dM, dq)
         dw[[*self.errors]] = np.nan
         return dw
-
-    def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> BatchGradient:
-        """Return the gradients of a function L_k(z_k, w_k) of each instance by b, W and friction.
-
-        Parameters
-        ----------
-        g : array, shape (B, n) or (n,)
-            ∂L/∂z.
-        gw : array, shape (B, n) or (n,), optional
-            ∂L/∂w, w the velocities.
-
-        Raises
-        ------
-        InvalidProblem
-            For another shape, or numbers that are not finite.
-        """
-        by_z, by_w = self._rows(g, "g"), self._rows(gw, "gw")
-        tables = np.full(by_z.shape, np.nan), np.full(self.worlds.friction.shape, np.nan)
-
-        def alone(k: int) -> Any:
-            own = slice(self[k].z.size)
-            gradient = self[k].vjp(by_z[k, own], by_w[k, own])
-            return gradient.q, gradient.friction
-
-        def together(part: _Together) -> Any:
-            by_q, _, by_friction = part.gradients(by_z[part.items], by_w[part.items])
-            return by_q, by_friction
-
-        self._fill(tables, together, alone)
-        self._forget_unasked(tables, g, gw)
-        z, by_b = np.where(self._is_solved[:, np.newaxis], self.z, 0.0), tables[0]
-        return BatchGradient(
-            lambda: by_b[:, :, np.newaxis] * z[:, np.newaxis], q=by_b, friction=tables[1]
-        )
 
     @property
     def _pieces(self) -> int:
@@ -716,7 +684,7 @@ class ContactBatchDerivative(ManyDerivatives):
 
     def _is_there(self, name: str) -> Any:
         """Return the mask of the rows, or contacts, of solved instances."""
-        d = 1 if name == "dfriction" else self.worlds.dimension
+        d = 1 if name.endswith("friction") else self.worlds.dimension
         counts = np.where(self._is_solved, d * self.worlds.contacts, 0)
         return np.arange(d * self._pieces) < counts[:, np.newaxis]
 
@@ -850,7 +818,7 @@ def derivative(result: Any) -> Any:
     if isinstance(result, BatchAnswers):
         return _derivative_of_batch(result)
     if isinstance(result, DeviceAnswers):
-        return DeviceDerivative(result, derivative)
+        return DeviceDerivative(result)
     if isinstance(result, March):
         if not isinstance(result.problem, LCP):
             raise InvalidOption(
@@ -876,10 +844,10 @@ def derivative(result: Any) -> Any:
 def _derivative_of_batch(batch: BatchAnswers) -> BatchDerivative | ContactBatchDerivative:
     problems = batch.problems
     if isinstance(problems, Worlds):
-        return ContactBatchDerivative(batch, derivative)
+        return ContactBatchDerivative(batch)
     are_lcps = isinstance(problems, Stacked) or (isinstance(problems, Listed) and problems.are_lcps)
     if are_lcps and isinstance(batch.z, np.ndarray):
-        return BatchDerivative(batch, derivative)
+        return BatchDerivative(batch)
     of_one_size = "the derivative of a batch takes problems of one size"
     need = of_one_size if are_lcps else refusal("derivative", batch)
     raise InvalidOption(f"{need}; write [derivative(answer) for answer in batch]")

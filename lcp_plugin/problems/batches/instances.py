@@ -164,7 +164,11 @@ class Listed(Instances):
                 alike.setdefault((one.has_friction, one.starts.tobytes()), []).append(k)
         for items in alike.values():
             chosen = [self.problems[k] for k in items]
-            yield np.array(items), partial(_solve_cones, chosen, tolerance, has_time)
+            M = np.stack([one.rows.matrix.toarray() for one in chosen])
+            names = ("q", "slope", "lower", "upper")
+            vectors = (np.stack([getattr(one, name) for one in chosen]) for name in names)
+            data = chosen[0].has_friction, chosen[0].starts, M, *vectors
+            yield np.array(items), partial(_solve_cones, data, None, tolerance, has_time)
         yield from self._least_squares_stacks(tolerance)
         for group in self.groups(takes_rounds):
             yield from group.stacks(tolerance)
@@ -196,15 +200,17 @@ class Listed(Instances):
         )
 
 
-def _solve_cones(problems: list[Blocks], tolerance: float, has_time: Any) -> Any:
-    """Solve problems over the same cones as a stack."""
-    matrices = [one.rows.M for one in problems]
-    M = np.stack([one if isinstance(one, np.ndarray) else one.toarray() for one in matrices])
-    names = ("q", "slope", "lower", "upper")
-    arrays = (np.stack([getattr(one, name) for one in problems]) for name in names)
-    pattern = Pattern(M, problems[0].starts)
-    stack = ConeStack(pattern, *arrays, has_friction=problems[0].has_friction)
-    z, *others = solve_cone_stack(stack, stack.origin, tolerance, has_time, is_warm=False)
+def stack_of(has_friction: bool, starts: Any, M: Any, *vectors: Any) -> ConeStack:
+    """Return problems over the same cones, given M, q, slope and bounds with an axis for them, as a stack."""
+    return ConeStack(Pattern(M, starts), *vectors, has_friction=has_friction)
+
+
+def _solve_cones(data: Any, start: Any, tolerance: float, has_time: Any) -> Any:
+    """Solve problems over the same cones as a stack, from the rows of `start` or from z°."""
+    stack = stack_of(*data)
+    pattern, is_warm = stack.pattern, start is not None
+    begun = pattern.wide(start) if is_warm else stack.origin
+    z, *others = solve_cone_stack(stack, begun, tolerance, has_time, is_warm=is_warm)
     return pattern.flat(z), *others
 
 
@@ -388,13 +394,6 @@ class RightSides(Rows):
         return values
 
 
-def stack_of_worlds(W: Any, b: Any, friction: Any, dimension: int) -> ConeStack:
-    """Return instances with the same number of contacts, shapes (B, n, n), (B, n) and (B, k), as a stack."""
-    starts = np.arange(0, b.shape[1] + 1, dimension, dtype=np.int64)
-    none = np.zeros((1, b.shape[1]))
-    return ConeStack(Pattern(W, starts), b, friction, none, none, has_friction=True)
-
-
 class Worlds(Instances):
     """Contact problems in arrays, and their starts.
 
@@ -436,6 +435,18 @@ class Worlds(Instances):
         """Return velocities after the impulses, shape (B, n)."""
         return np.einsum("bij,bj->bi", self.worlds.W, z) + self.worlds.b
 
+    def outer(self, left: Any, right: Any) -> Any:
+        """Return products of shape (B, n, n)."""
+        return left[:, :, np.newaxis] * right[:, np.newaxis]
+
+    def data(self, W: Any, b: Any, friction: Any) -> tuple[Any, ...]:
+        """Return the arguments of `stack_of` for instances with these data."""
+        starts, none = (
+            np.arange(0, self.worlds.n + 1, self.worlds.dimension),
+            np.zeros((1, b.shape[1])),
+        )
+        return True, starts, W, b, friction, none, none
+
     def motion(self, z: Any, w: Any) -> Any:
         """Return impulses and velocities contact by contact."""
         shape = len(self), -1, self.worlds.dimension
@@ -446,17 +457,7 @@ class Worlds(Instances):
         worlds = self.worlds
         for first in range(0, len(self) if 0 < worlds.n <= CONES_UP_TO else 0, TOGETHER):
             own = slice(first, first + TOGETHER)
-            data = worlds.W[own], worlds.b[own], worlds.friction[own], worlds.dimension
-            given = tolerance, has_time, self.is_warm
-            yield np.arange(len(self))[own], partial(_solve_worlds, *data, self.starts[own], *given)
-
-
-def _solve_worlds(
-    W: Any, b: Any, mu: Any, dimension: int, start: Any, tolerance: float, has_time: Any, warm: bool
-) -> Any:
-    """Solve instances of contact as a stack."""
-    stack = stack_of_worlds(W, b, mu, dimension)
-    z, *others = solve_cone_stack(
-        stack, stack.pattern.wide(start), tolerance, has_time, is_warm=warm
-    )
-    return stack.pattern.flat(z), *others
+            data = self.data(worlds.W[own], worlds.b[own], worlds.friction[own])
+            start = self.starts[own] if self.is_warm else None
+            solve_some = partial(_solve_cones, data, start, tolerance, has_time)
+            yield np.arange(len(self))[own], solve_some

@@ -48,8 +48,7 @@ class JosephyNewton(Algorithm):
 
     Parameters
     ----------
-    points : Linearizations
-        Linearizations of the nonlinear problem.
+    start : Linearization
     linear : str or Algorithm
         Algorithm for the linearizations.
     tolerance : float
@@ -73,35 +72,38 @@ class JosephyNewton(Algorithm):
     name: ClassVar[str] = "josephy_newton"
     is_monotone: ClassVar[bool] = False
 
-    points: Linearizations = field(repr=False)
+    start: Linearization = field(repr=False)
     linear: str | Algorithm = "auto"
     tolerance: float = 0.0
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, then the point of each step, until no step or restart helps."""
-        run = _NewtonRun(self, self.points.at(z0))
-        yield run.step()
-        # Beyond 1000 unknowns a new start is too expensive
-        for _ in range(RESTARTS if problem.n <= 1000 else 0):
-            yield from run.steps()
-            if not run.start_elsewhere(problem):
-                return
-            yield run.step()
-        yield from run.steps()
+        return _NewtonRun(self.start, self.linear, self.tolerance).all_steps()
 
 
 class _NewtonRun:
     """State of a run: the current point, the last points, and the work since the last step."""
 
-    def __init__(self, options: JosephyNewton, start: Linearization) -> None:
-        self.options, self.first, self.here = options, start, start
+    def __init__(self, start: Linearization, linear: str | Algorithm, tolerance: float) -> None:
+        self.first = self.here = start
+        self.points, self.linear, self.tolerance = start.points, linear, tolerance
         self.recent: deque[Linearization] = deque([start], maxlen=MEMORY)
         self.work, self.starts = 1.0, 0
-        self.failures = self.waits = (
-            0  # of linearizations without a solution; steps until the next one is tried
-        )
+        # of linearizations without a solution; steps until the next one is tried
+        self.failures = self.waits = 0
         self.weights = _weights(start.lcp)
         self.random = np.random.default_rng(0)
+
+    def all_steps(self) -> Iterator[Step]:
+        """Yield the start, then the point of each step, until no step or restart helps."""
+        yield self.step()
+        # Beyond 1000 unknowns a new start is too expensive
+        for _ in range(RESTARTS if self.first.x.size <= 1000 else 0):
+            yield from self.steps()
+            if not self.start_elsewhere():
+                return
+            yield self.step()
+        yield from self.steps()
 
     def step(self) -> Step:
         """Return the point here as a step, with the work since the last one."""
@@ -116,7 +118,7 @@ class _NewtonRun:
         while since < 25 and (following := self._next_point()) is not None:
             self.here = following = self._snap(following)
             self.recent.append(following)
-            self.options.points.keep(following)
+            self.points.keep(following)
             yield self.step()
             size = self._progress(following)
             # A jump of the residual may start a long decrease
@@ -124,16 +126,16 @@ class _NewtonRun:
             latest.append(size)
             if since and self._is_at_floor():
                 return
-            is_small = following.residual <= self.options.tolerance
+            is_small = following.residual <= self.tolerance
             grown = grown + 1 if is_small and following.certificate.growing.any() else 0
             if grown == 3:  # steps with small residuals from which an unknown grows
                 end = np.where(following.certificate.growing, np.abs(following.x), np.inf)
-                self.options.points.limit = np.minimum(self.options.points.limit, end)
+                self.points.limit = np.minimum(self.points.limit, end)
                 return
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the point with x° in the components that F(x°) solves, and that x has come near."""
-        origin, data = self.options.points.origin, row_data(point.lcp)
+        origin, data = self.points.origin, row_data(point.lcp)
         errors = np.abs(data.residual(origin.x, origin.value))
         left, way = (data.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
         is_reached = (data.largest(errors) == 0.0) & (left <= 1e-4 * way)
@@ -141,20 +143,20 @@ class _NewtonRun:
         there = point if np.array_equal(x, point.x) else self._at(x)
         return there if there.is_defined and there.residual <= point.residual else point
 
-    def start_elsewhere(self, problem: LCP) -> bool:
+    def start_elsewhere(self) -> bool:
         """Go to another point of the bounds where F is defined; return whether there is one."""
-        size = np.maximum(1.0, np.abs(self.first.x))
+        problem, size = self.points.problem, np.maximum(1.0, np.abs(self.first.x))
         for _ in range(RESTARTS):
             self.starts += 1
             if self.starts == 1:
                 x = np.clip(1.0, problem.lower, problem.upper)
             else:
-                x = self.first.x + size * self.random.standard_normal(problem.n) * 0.5 * self.starts
+                x = self.first.x + size * self.random.standard_normal(size.size) * 0.5 * self.starts
             point = self._at(np.clip(x, problem.lower, problem.upper))
             if point.is_defined:
                 self.here = point
                 self.recent = deque([point], maxlen=MEMORY)
-                self.options.points.keep(point)
+                self.points.keep(point)
                 return True
         return False
 
@@ -193,7 +195,7 @@ class _NewtonRun:
 
     def _at(self, x: Vector) -> Linearization:
         self.work += 1.0
-        return Linearization(self.options.points, x)
+        return Linearization(self.points, x)
 
     # --- what is measured ----------------------------------------------------------------------------------
 
@@ -206,7 +208,7 @@ class _NewtonRun:
         return float(np.linalg.norm(self.weights * phi.value))
 
     def _is_at_floor(self) -> bool:
-        return self.here.is_limited(Settings(self.options.tolerance))
+        return self.here.is_limited(Settings(self.tolerance))
 
     def _progress(self, point: Linearization) -> float:
         """Return the measure that must fall: residuals and violations, and then the componentwise test.
@@ -217,7 +219,7 @@ class _NewtonRun:
         certificate, scale = point.certificate, self.first.lcp.residual_scale
         sizes = np.maximum(certificate.by_row.high, certificate.violation / scale)
         size = float((self.weights * sizes).max(initial=0.0))
-        is_small = point.residual <= max(self.options.tolerance, SMALLEST_TOLERANCE)
+        is_small = point.residual <= max(self.tolerance, SMALLEST_TOLERANCE)
         return size * min(1.0, certificate.term_residual) if is_small else size
 
     def _solution(self, shift: float) -> Vector | None:
@@ -236,16 +238,13 @@ class _NewtonRun:
         relative = self.here.residual
         # A linearization needs no smaller residual than a tenth of the tolerance
         enough = (
-            max(0.1 * self.options.tolerance / relative, SMALLEST_TOLERANCE)
-            if relative > 0.0
-            else FORCING
+            max(0.1 * self.tolerance / relative, SMALLEST_TOLERANCE) if relative > 0.0 else FORCING
         )
         tolerance = min(max(relative, enough), FORCING)
-        algorithm = self.options.linear
         try:
-            result = solve_within(step, algorithm, tolerance)
+            result = solve_within(step, self.linear, tolerance)
         except (UnsuitableMatrix, UnsuitableProblem):  # the algorithm does not take this one
-            if algorithm == "auto":
+            if self.linear == "auto":
                 raise
             result = solve_within(step, "auto", tolerance)
         self.work += result.work
@@ -387,44 +386,41 @@ def solve_nonlinear(
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with threads_for(settings.threads):
         points = Linearizations(problem)
-        start, begun = begun_at(points, start)
-        first = points.at(start)
-        _check_start(first)
-        newton = JosephyNewton(points=points, linear=algorithm, tolerance=settings.goal)
+        first, begun = begin_at(points, start)
+        newton = JosephyNewton(start=first, linear=algorithm, tolerance=settings.goal)
         has_doubts = check_jacobian and problem.jacobian is not None
-        run = NonlinearRun(points, newton, first, progress, has_doubts=has_doubts)
+        run = NonlinearRun(newton, progress, has_doubts=has_doubts)
         try:
             if has_doubts:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
-            end = run.follow_all([Stage(newton, TANGENTS, steps=newton.iterates(first.lcp, start))])
+            end = run.follow_all(
+                [Stage(newton, TANGENTS, steps=newton.iterates(first.lcp, first.x))]
+            )
         except KeyboardInterrupt:
             end = TerminationReason.INTERRUPTED
         return replace(run.result(end), begun=begun)
 
 
-def begun_at(points: Linearizations, start: Vector) -> tuple[Vector, str]:
-    """Return the start and a note: x0, or the point nearest to 0 or 1 where F is defined.
+def begin_at(points: Linearizations, start: Vector) -> tuple[Linearization, str]:
+    """Return the linearization at the start and a note: x0, or the point nearest to 0 or 1 where F is defined.
 
-    If F is defined at none of these points, x0 is returned and raises an error later.
+    Raises
+    ------
+    InvalidProblem
+        If F is defined at none of these points.
     """
-    lower, upper = points.problem.lower, points.problem.upper
-    if points.at(start).is_defined:
-        return start, ""
-    for near in (0.0, 1.0):
-        point = read_only(np.clip(np.full(start.size, near), lower, upper))
-        if points.at(point).is_defined:
+    first, lower, upper = points.at(start), points.problem.lower, points.problem.upper
+    for near in () if first.is_defined else (0.0, 1.0):
+        point = points.at(np.clip(np.full(start.size, near), lower, upper))
+        if point.is_defined:
             return point, f"started at the point of the bounds nearest to {near:g}: {ELSEWHERE}"
-    return start, ""
-
-
-def _check_start(start: Linearization) -> None:
-    """Raise InvalidProblem if F is not defined at the start."""
-    i = int(np.argmin(np.isfinite(start.value))) if start.value.size else -1
-    if i >= 0 and not np.isfinite(start.value[i]):
+    if not (is_finite := np.isfinite(first.value)).all():
+        i = int(np.argmin(is_finite))
         raise InvalidProblem(
-            f"F must be finite at the start, but F(x0)[{i}] = {start.value[i]} with x0[{i}] = {start.x[i]} after "
+            f"F must be finite at the start, but F(x0)[{i}] = {first.value[i]} with x0[{i}] = {start[i]} after "
             "projection onto the bounds; start where F is defined, or tighten the bounds"
         )
+    return first, ""
 
 
 def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> Vector:
@@ -466,27 +462,15 @@ class NonlinearRun(Run):
 
     Parameters
     ----------
-    points : Linearizations
     newton : JosephyNewton
-    first : Linearization
-        At the start.
     progress : Progress
     has_doubts : bool
         Whether a jacobian is compared with differences where a point passes.
     """
 
-    def __init__(
-        self,
-        points: Linearizations,
-        newton: JosephyNewton,
-        first: Linearization,
-        progress: Progress,
-        *,
-        has_doubts: bool = False,
-    ) -> None:
+    def __init__(self, newton: JosephyNewton, progress: Progress, *, has_doubts: bool) -> None:
         super().__init__(progress)
-        self.has_doubts = has_doubts
-        self.points, self.newton, self.first = points, newton, first
+        self.newton, self.points, self.has_doubts = newton, newton.start.points, has_doubts
 
     def measure(self, stage: Stage, step: Step) -> Measured:
         """Return the linearization at the point of a step; if its residual is small, at bounds that are near."""
@@ -528,7 +512,7 @@ class NonlinearRun(Run):
 
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
-        point: Linearization = self.first if self.best is None else self.best.z
+        point: Linearization = self.newton.start if self.best is None else self.best.z
         is_interrupted = end is TerminationReason.INTERRUPTED
         if not is_interrupted:
             point = self._snap(point)

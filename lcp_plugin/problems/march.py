@@ -28,20 +28,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..api import solve
 from ..auto import parse_call, plan, run_on, solve_lcp
+from ..core import checks
 from ..core.algorithm import Algorithm
 from ..core.certificates.criterion import RowData
-from ..core.checks import (
-    Vector,
-    change_of_vector,
-    checked_start,
-    checked_vector,
-    derived_property,
-    is_number,
-    read_only,
-    real_array,
-    rectangular_matrix,
-    require_finite,
-)
+from ..core.checks import Vector, derived_property, read_only
 from ..core.deadline import Clock
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem, did_you_mean
 from ..core.kernels.floats import EPSILON
@@ -281,7 +271,7 @@ def take_steps(
             left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
             if is_lcp and begin is not None:
                 within = parse_call("auto", {**wishes, **left})[1]
-                near = checked_start(stated, state)
+                near = checks.checked_start(stated, state)
                 found = run_on(
                     stated, None, within, near, Clock(), wishes.get("callback"), begin=begin
                 )
@@ -309,18 +299,18 @@ def checked_rows(
 ) -> Vector:
     """Return a finite array with a fitting shape."""
     need = f"{name} must be a finite array of shape {shape}"
-    rows = real_array(given.toarray() if sp.issparse(given) else given, need)
+    rows = checks.real_array(given.toarray() if sp.issparse(given) else given, need)
     if not fits(rows.shape):
         raise InvalidProblem(f"{need}, got shape {rows.shape}")
-    require_finite(rows, name)
+    checks.require_finite(rows, name)
     return rows
 
 
 def checked_propagator(propagator: Any, n: int, name: str = "propagator") -> sp.csr_array:
     """Return the propagator as a finite matrix by rows; a number stands for a multiple of the identity."""
-    if is_number(propagator):
+    if checks.is_number(propagator):
         propagator = float(propagator) * sp.eye_array(n)
-    return sp.csr_array(rectangular_matrix(propagator, name, n, n))
+    return sp.csr_array(checks.rectangular_matrix(propagator, name, n, n))
 
 
 BOUNDS = "lower", "upper"
@@ -498,14 +488,14 @@ def _begin(
         own = {name: one[min(j, len(one) - 1)] for name, one in several.items()}
         stated, bounds = own["problem"], {name: own[name] for name in BOUNDS if name in own}
         stated = stated.with_q(stated.q, **bounds) if bounds else stated
-        state = checked_vector(own["z0"], "z0", n) if "z0" in own else stated.nearest_to_zero
+        state = checks.checked_vector(own["z0"], "z0", n) if "z0" in own else stated.nearest_to_zero
         marches.append(March(stated, own["forcing"], own["propagator"], state))
     return marches
 
 
 def _is_one_a_march(propagator: Any) -> bool:
     """Return whether the argument is a sequence of propagators: sparse arrays, or a batch axis."""
-    if sp.issparse(propagator) or is_number(propagator):
+    if sp.issparse(propagator) or checks.is_number(propagator):
         return False
     if isinstance(propagator, (list, tuple)) and any(map(sp.issparse, propagator)):
         return True
@@ -907,11 +897,11 @@ class MarchDerivative:
             np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"
         )
         none = sp.csr_array((n, n))
-        dM = none if dM is None else sp.csr_array(rectangular_matrix(dM, "dM", n, n))
+        dM = none if dM is None else sp.csr_array(checks.rectangular_matrix(dM, "dM", n, n))
         dC = none if dpropagator is None else checked_propagator(dpropagator, n, "dpropagator")
-        low = change_of_vector(dlower, "dlower", n, may_be_number=True)
-        high = change_of_vector(dupper, "dupper", n, may_be_number=True)
-        before = change_of_vector(dz0, "dz0", n).copy()
+        low = checks.change_of_vector(dlower, "dlower", n, may_be_number=True)
+        high = checks.change_of_vector(dupper, "dupper", n, may_be_number=True)
+        before = checks.change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():
             changes = part.jvp(

@@ -24,17 +24,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..auto import solve_lcp
-from ..core.checks import (
-    BoolVector,
-    Vector,
-    change_of_vector,
-    checked_vector,
-    derived_property,
-    read_only,
-    real_array,
-    rectangular_matrix,
-    require_finite,
-)
+from ..core import checks
+from ..core.checks import BoolVector, Vector, derived_property
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
@@ -263,7 +254,7 @@ class ManyDerivatives:
         """Solutions at which the derivatives are evaluated, shape (B, n); NaN if missing."""
         z = np.full(self.batch.z.shape, np.nan)
         self._fill([z], lambda part: [part.points], lambda k: [self[k].z])
-        return read_only(z)
+        return checks.read_only(z)
 
     @derived_property
     def degenerate(self) -> Any:
@@ -298,7 +289,7 @@ class ManyDerivatives:
         n, z = change.shape[1], np.where(self._is_solved[:, np.newaxis], self.z, 0.0)
         is_row = self._is_there("dM")
         if sp.issparse(dM) or np.ndim(dM) == 2:
-            moved = (rectangular_matrix(dM, "dM", n, n) @ z.T).T
+            moved = (checks.rectangular_matrix(dM, "dM", n, n) @ z.T).T
             return np.where(is_row, moved, 0.0) + change
         is_there = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
         return products(self._given(dM, "dM", is_there), z) + change
@@ -383,11 +374,11 @@ class ManyDerivatives:
         letters = {"dM": "n, n", "dfriction": "k"}.get(name, "n")
         one = f"({letters})" if len(own) > 1 else f"({letters},)"
         need = f"{name} must have shape (B, {letters}) or {one}, here {shape} or {own}"
-        given = real_array(values, need)
+        given = checks.real_array(values, need)
         if given.shape not in (shape, own, () if name in NUMBERS else own):
             raise InvalidProblem(f"{need}, got shape {given.shape}")
         given = np.broadcast_to(given, shape) if is_there.all() else np.where(is_there, given, 0.0)
-        require_finite(given, name)
+        checks.require_finite(given, name)
         return given
 
 
@@ -989,7 +980,7 @@ class Derivative(LinearizedSystem):
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: Any = None) -> Vector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
-        dz = checked_vector(dz, "dz", self.problem.n)
+        dz = checks.checked_vector(dz, "dz", self.problem.n)
         return self._product(dz) + self._change(dM, dq)
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
@@ -1013,7 +1004,7 @@ class Derivative(LinearizedSystem):
             If the block of M on more than 500 free rows is singular.
         """
         problem, n = self.problem, self.problem.n
-        g, by_w = checked_vector(g, "g", n), change_of_vector(gw, "gw", n)
+        g, by_w = checks.checked_vector(g, "g", n), checks.change_of_vector(gw, "gw", n)
         rows, free = self._rows, self.free
         # w stays 0 in free rows, and its part would cancel only up to rounding
         by_w = np.where(free, 0.0, by_w)
@@ -1027,14 +1018,14 @@ class Derivative(LinearizedSystem):
     def _change(self, dM: Any, dq: ArrayLike | None) -> Vector:
         """Return dM z + dq."""
         n = self.problem.n
-        h = change_of_vector(dq, "dq", n)
-        return h if dM is None else h + rectangular_matrix(dM, "dM", n, n) @ self.z
+        h = checks.change_of_vector(dq, "dq", n)
+        return h if dM is None else h + checks.rectangular_matrix(dM, "dM", n, n) @ self.z
 
     def _moved(self, dlower: ArrayLike | None, dupper: ArrayLike | None) -> Vector:
         """Return the change of the active or, for free rows, the nearer bound."""
         n = self.problem.n
-        lower = change_of_vector(dlower, "dlower", n, may_be_number=True)
-        upper = change_of_vector(dupper, "dupper", n, may_be_number=True)
+        lower = checks.change_of_vector(dlower, "dlower", n, may_be_number=True)
+        upper = checks.change_of_vector(dupper, "dupper", n, may_be_number=True)
         return np.where(self._rows.is_upper, upper, lower)
 
     def _product(self, x: Vector, *, transposed: bool = False) -> Vector:

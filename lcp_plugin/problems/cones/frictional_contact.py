@@ -11,26 +11,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import (
-    Vector,
-    checked_vector,
-    read_only,
-    real_array,
-    rectangular_matrix,
-    restore_state,
-)
+from ...core import checks
+from ...core.checks import Vector, real_array
 from ...core.errors import InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...core.representation import format_count
-from ..contact import (
-    Bodies,
-    check_symmetric,
-    checked_friction,
-    closing_speeds,
-    contacts_of_bodies,
-    is_of_bodies,
-    warn_of_much_friction,
-)
+from .. import contact
+from ..contact import Bodies
 from .data import Blocks
 
 NEARLY_SYMMETRIC = 1e-2  # of the largest entry: few-digit contact data differ by up to 2.5e-3
@@ -104,9 +91,9 @@ class FrictionalContact(Blocks):
             "b must be a finite array of shape (d k,) or (k, d), d = 3 in space and 2 in the plane"
         )
         velocities = real_array(b, need)
-        if is_of_bodies(W):
+        if contact.is_of_bodies(W):
             is_sparse = any(map(sp.issparse, W))
-            W, velocities, self.bodies = contacts_of_bodies(W, velocities)
+            W, velocities, self.bodies = contact.contacts_of_bodies(W, velocities)
             W = W if is_sparse or not sp.issparse(W) else W.toarray()
         if velocities.ndim not in (1, 2):
             raise InvalidProblem(
@@ -118,16 +105,16 @@ class FrictionalContact(Blocks):
                     f"b has {velocities.shape[1]} columns and dimension is {dimension}; leave one out"
                 )
             dimension = velocities.shape[1]
-        offset = checked_vector(velocities.ravel(), "b", None)
+        offset = checks.checked_vector(velocities.ravel(), "b", None)
         friction = real_array(friction, "friction must be a number, or one per contact")
         d = dimension_of(dimension, friction.shape, offset.size)
         k = offset.size // d
         offset = offset.copy()
-        offset[::d] += closing_speeds(gaps, time_step, k)
-        mu = checked_friction(friction, k, f"one per contact of {d} rows")
-        warn_of_much_friction(mu, 3)
-        W = rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
-        check_symmetric(W, "W", NEARLY_SYMMETRIC)
+        offset[::d] += contact.closing_speeds(gaps, time_step, k)
+        mu = contact.checked_friction(friction, k, f"one per contact of {d} rows")
+        contact.warn_of_much_friction(mu, 3)
+        W = checks.rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
+        contact.check_symmetric(W, "W", NEARLY_SYMMETRIC)
         rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
         super().__init__(
             rows, np.arange(0, offset.size + 1, d, dtype=np.int64), mu, has_friction=True
@@ -243,8 +230,8 @@ class FrictionalContactBatch:
             is_entry = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
             absent: Any = ((is_entry, np.eye(n)), (is_row, 1.0), (is_there, 0.0))
             own = [np.where(has, one, other) for one, (has, other) in zip(own, absent, strict=True)]
-        self.W, self.b, self.friction = map(read_only, own)
-        warn_of_much_friction(np.where(np.isfinite(self.friction), self.friction, 0.0), 4)
+        self.W, self.b, self.friction = map(checks.read_only, own)
+        contact.warn_of_much_friction(np.where(np.isfinite(self.friction), self.friction, 0.0), 4)
         with np.errstate(all="ignore"):
             difference = np.abs(self.W - self.W.swapaxes(1, 2)).max((1, 2), initial=0.0)
             largest = np.abs(self.W).max((1, 2), initial=0.0)
@@ -283,7 +270,7 @@ class FrictionalContactBatch:
             path, {**arrays, "dimension": np.array(self.dimension)}, "a batch of contact problems"
         )
 
-    __setstate__ = restore_state
+    __setstate__ = checks.restore_state
 
     def __len__(self) -> int:
         return len(self.b)

@@ -24,34 +24,17 @@ from ...core.solving.stage import Stage
 from ...core.solving.termination import FAILED, TerminationReason
 from ...methods.search import ExhaustiveSearch, is_searchable
 from ..contact import ContactMotion, motion_of
+from . import methods
 from .certificate import ConeCertificate, ConeRows, ContactInfeasibility, infeasibility_proof
 from .data import Blocks
 from .frictional_contact import FrictionalContact
-from .methods import (
-    EXACT,
-    METHODS,
-    NEWTON_STEPS,
-    STOP,
-    SWEEPS_PER_STEP,
-    ConeAlgorithm,
-    ConeInteriorPoint,
-    ConeNewton,
-    ConeNSGS,
-    FixedPoint,
-    Points,
-    move_at_random,
-    newton_points,
-    newton_steps,
-    path_points,
-    polish_points,
-    sweep_points,
-)
+from .methods import METHODS, ConeAlgorithm
 from .stack import Array, ConeStack
 from .sweeps import sweep_blocks
 
 CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals exclude rounding errors
 SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's method
-LONG_SCHEDULE = tuple((count, NEWTON_STEPS) for count in (2500, 7500, 10000))
+LONG_SCHEDULE = tuple((count, methods.NEWTON_STEPS) for count in (2500, 7500, 10000))
 SHARES = (0.01, 0.1, 0.001)  # of the largest velocity: distance of a path's start from a point
 ROUNDING = 2.0**-44  # of the largest entry of W: tolerated difference from its transpose
 WORDS = {
@@ -140,11 +123,11 @@ def solve_cone_stack(
         if not left.size or not has_time():
             break
         here = stack.take(~is_solved)
-        swept[left] = sweep_blocks(here, swept[left], count, STOP * tolerance)
-        iterations[left] += count // SWEEPS_PER_STEP
+        swept[left] = sweep_blocks(here, swept[left], count, methods.STOP * tolerance)
+        iterations[left] += count // methods.SWEEPS_PER_STEP
         best, least = swept[left], np.full(left.size, np.inf)
         goal = CLOSER * tolerance
-        for number, step in enumerate(newton_steps(here, best, steps, goal)):
+        for number, step in enumerate(methods.newton_steps(here, best, steps, goal)):
             open_ones, at, sizes, _ = step
             is_better = sizes < least[open_ones]
             best[open_ones[is_better]] = at[is_better]
@@ -153,7 +136,7 @@ def solve_cone_stack(
             if not has_time():
                 break
         done = least <= goal
-        best[done] = polish_points(here.take(done), best[done])[0]
+        best[done] = methods.polish_points(here.take(done), best[done])[0]
         found = ConeRows(here).measure_blocks(here.snap(best), tolerance)
         is_better = found.passes | (found.residual < residual[left])
         z[left[is_better]] = found.z[is_better]
@@ -213,7 +196,7 @@ class ConeRun(Run):
 
     def measure(self, stage: Stage, step: Step) -> Measured | None:
         """Return a point with the residual of its method; None if the best one is at rounding level."""
-        if step.residual is None or self.residual <= EXACT:
+        if step.residual is None or self.residual <= methods.EXACT:
             return None
         return Measured(step.z, step.residual, passes=False)
 
@@ -225,7 +208,7 @@ class ConeRun(Run):
 
     def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
         """Measure the best point, except after sweeps that leave a residual."""
-        is_swept = isinstance(stage.algorithm, ConeNSGS) and end in FAILED
+        is_swept = isinstance(stage.algorithm, methods.ConeNSGS) and end in FAILED
         if is_swept and self.goal < self.residual < np.inf:
             return end
         self.measure_best()
@@ -235,8 +218,8 @@ class ConeRun(Run):
         """Measure the best point, after the linear system of its active set if it may pass."""
         z = self.best.z
         if self.best.rows is None:
-            if EXACT < self.residual <= self.goal:
-                z, residual = polish_points(self.stack, z)
+            if methods.EXACT < self.residual <= self.goal:
+                z, residual = methods.polish_points(self.stack, z)
                 self.residual = float(residual[0])
             z = self.stack.snap(z)
             self.best = self.rows.measure_blocks(z, self.tolerance, self.absolute)
@@ -268,7 +251,7 @@ class ConeRun(Run):
 
     # --- the plan -----------------------------------------------------------------------------------------
 
-    def stage(self, algorithm: Any, because: str, points: Points) -> Stage:
+    def stage(self, algorithm: Any, because: str, points: methods.Points) -> Stage:
         """Return the stage of this method and reason, a new one or the earlier one, with further points."""
         for stage in self.progress.stages:
             if (stage.algorithm.name, stage.because) == (algorithm.name, because):
@@ -297,7 +280,7 @@ class ConeRun(Run):
         if self.is_warm or stack.is_answered.all():
             residual = stack.relative_residual(self.start)
             if residual <= self.tolerance:
-                yield self.stage(ConeNSGS(), SWEPT, iter(()))
+                yield self.stage(methods.ConeNSGS(), SWEPT, iter(()))
             self.residual = residual
         z = yield from self._sweeps_and_newton(self.start, SCHEDULE[:1])
         if self._solve_components():
@@ -309,8 +292,8 @@ class ConeRun(Run):
         yield from self._sweeps_and_newton(z, SCHEDULE[1:])
         if not has_friction:
             because = "for a symmetric M a convex program has the same solution"
-            points = FixedPoint().points(problem, stack, stack.origin, goal)
-            yield self.stage(FixedPoint(), because, points)
+            points = methods.FixedPoint().points(problem, stack, stack.origin, goal)
+            yield self.stage(methods.FixedPoint(), because, points)
         elif not self.is_warm:
             yield self._path(None)
         if self.settings.prove_infeasibility:
@@ -334,30 +317,32 @@ class ConeRun(Run):
         is_near = stack.relative_residual(z) < 1.0
         z = z if is_near else stack.snap(self.best.z)
         for seed in range(17):
-            yield self._newton(move_at_random(stack, z, seed), "from a point nearby")
+            yield self._newton(methods.move_at_random(stack, z, seed), "from a point nearby")
 
     def _sweeps_and_newton(
         self, z: Array, schedule: Any, because: str = SWEPT
     ) -> Generator[Stage, None, Array]:
         """Yield stages of sweeps, each from the end of the last, and of Newton's steps; return the last swept point."""
         for count, steps in schedule:
-            points = sweep_points(self.stack, z, count, self.goal)
-            yield (sweeps := self.stage(ConeNSGS(), because, points))
+            points = methods.sweep_points(self.stack, z, count, self.goal)
+            yield (sweeps := self.stage(methods.ConeNSGS(), because, points))
             z = z if sweeps.z is None else sweeps.z
             yield self._newton(
                 z, "Newton's steps solve for the active set that the sweeps found", steps
             )
         return z
 
-    def _newton(self, z: Array, because: str, steps: int = NEWTON_STEPS) -> Stage:
-        return self.stage(ConeNewton(), because, newton_points(self.stack, z, steps, self.goal))
+    def _newton(self, z: Array, because: str, steps: int = methods.NEWTON_STEPS) -> Stage:
+        return self.stage(
+            methods.ConeNewton(), because, methods.newton_points(self.stack, z, steps, self.goal)
+        )
 
     def _path(self, share: float | None) -> Stage:
         """Return the central path from a cold start, or from near the best point."""
         z = self.stack.origin if share is None else self.stack.snap(self.best.z)
         because = "from the middle of the impulses that make the same motion Newton converges"
-        points = path_points(self.stack, z, share or 1.0, self.goal)
-        return self.stage(ConeInteriorPoint(), because, points)
+        points = methods.path_points(self.stack, z, share or 1.0, self.goal)
+        return self.stage(methods.ConeInteriorPoint(), because, points)
 
     def _solve_components(self) -> bool:
         """Return whether there are several components; solve each that does not pass, and combine the points."""

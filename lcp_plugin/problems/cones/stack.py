@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ...systems.factors import factorise
 from ...systems.free_systems import solved
 
 ACCURATE = 1e-4  # of the right-hand side: a larger residual means that the matrix is singular
@@ -33,37 +34,28 @@ class Factors(NamedTuple):
 
 
 def factorize_matrix(J: Any) -> Factors:
-    """Return a solver for J, by LAPACK or SuperLU.
+    """Return a solver for J, dense or CSR.
 
     Raises
     ------
     LinAlgError
         For a singular matrix; raised by the solver if only its solutions reveal this.
     """
-    from scipy.linalg.lapack import dgetrf, dgetrs
-
-    if not J.shape[0]:  # LAPACK prints a complaint
-        return Factors(lambda right: right, 0.0)
-    if not sp.issparse(J) or J.shape[0] <= DENSE_SYSTEMS_UP_TO:
-        factors, pivots, failed = dgetrf(J.toarray() if sp.issparse(J) else J)
-        if failed:
-            raise np.linalg.LinAlgError
-        return Factors(lambda right: dgetrs(factors, pivots, right)[0], J.shape[0] ** 3 / 3.0)
-    J = sp.csc_array(J)
-    try:
-        options = {"SymmetricMode": True}
-        lu = sp.linalg.splu(J, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.1, options=options)
-    except RuntimeError as error:
-        raise np.linalg.LinAlgError from error
+    if sp.issparse(J) and J.shape[0] <= DENSE_SYSTEMS_UP_TO:
+        J = J.toarray()
+    if (factor := factorise(J)) is None:
+        raise np.linalg.LinAlgError
 
     def solve(right: Any) -> Any:
-        found = lu.solve(right)
-        most = ACCURATE * np.abs(right).max(initial=0.0)
-        if not np.abs(J @ found - right).max(initial=0.0) <= most:
-            raise np.linalg.LinAlgError
+        found = factor.solve(right)
+        if sp.issparse(J):
+            found = found + factor.solve(right - J @ found)
+            most = ACCURATE * np.abs(right).max(initial=0.0)
+            if not np.abs(J @ found - right).max(initial=0.0) <= most:
+                raise np.linalg.LinAlgError
         return found
 
-    return Factors(solve, 2.0 * lu.nnz)
+    return Factors(solve, factor.work)
 
 
 class Arms:
@@ -157,13 +149,9 @@ class Pattern:
         Row and column of each entry of the diagonal blocks.
     own : array, shape (B, k, m, m)
         The diagonal blocks.
-    blocks : tuple of three arrays
-        Numbers i k + row and i k + column of the nonzero blocks of problem i, and Σ |m_ij| of each.
     d : array, shape (B, k)
         Divisor of w. It is ‖M_kk‖/√m for a block of m rows, and the diagonal entry for one row. If this is less than
         2⁻²⁰ of the largest block of its row, d is the size of that block; 1 for an empty row.
-    most_terms : int
-        The largest number of entries of a row.
     labels : array of int, shape (B, k), or None
         The connected component of each block; None if every problem is connected.
     """
@@ -204,12 +192,14 @@ class Pattern:
             (row, column), values = self.inner, M[:, self.inner[0], self.inner[1]]
         blocks, sums = blocks[sums != 0.0], sums[sums != 0.0]
         of_block = blocks // k, blocks // k**2 * k + blocks % k
-        self.blocks = *of_block, sums
         self.own = np.zeros((B, k, self.m, self.m))
         self.own[self.entry(row, column)] = values
         own = length(self.own.reshape(B, k, self.m**2)) / np.sqrt(self.sizes)
         own = np.where(self.is_row, self.own[:, :, 0, 0], own)
-        most = self.neighbors(np.ones((B, k)))
+        # Σ |m_ij| / √(rows · columns), at most the Frobenius norm, of the largest block of each row
+        root, most = np.tile(np.sqrt(self.sizes), B), np.zeros(B * k)
+        np.maximum.at(most, of_block[0], sums * (1.0 / root)[of_block[1]])
+        most = (most / root).reshape(B, k)
         usable = (own > 0.0) & (own >= LEAST_DIAGONAL * most)
         self.d = np.where(usable, own, np.where(most > 0.0, most, 1.0))
         self.labels = None
@@ -267,16 +257,6 @@ class Pattern:
         most = np.zeros(int(self.labels.max()) + 1)
         np.maximum.at(most, self.labels.ravel(), values.ravel())
         return most[self.labels]
-
-    def neighbors(self, values: Array) -> Array:
-        """Return the largest ‖M_kl‖ · values_l over all blocks l of each block's row, shape (B, k).
-
-        The norm is Σ |m_ij| / √(rows · columns), at most the Frobenius norm.
-        """
-        root, (row, column, sums) = np.sqrt(self.sizes), self.blocks
-        found = np.zeros(values.size)
-        np.maximum.at(found, row, sums * (values / root).ravel()[column])
-        return found.reshape(values.shape) / root
 
     def take(self, some: Array) -> Pattern:
         """Return the pattern of the selected problems."""

@@ -18,20 +18,18 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..auto import solve_lcp
+from ..api import solve
 from ..core.certificates.criterion import row_data
 from ..core.checks import BoolVector, Vector
-from ..core.errors import InvalidOption, NotSquare, UnsupportedModel
+from ..core.errors import NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows
 from ..core.names import Names
 from ..core.representation import format_count
-from ..core.settings import ConeOptions, NonlinearOptions
 from ..core.solving.result import Result
 from ..problems.cones.data import Blocks
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram, SmoothPart
 from ..problems.nonlinear.data import NonlinearProblem
-from ..problems.nonlinear.solving import solve_nonlinear
 from ..problems.programs.program import QuadraticProgram
 from . import functions
 from .rows import Compiler, Indices, Program, Rows, added, as_matrix, assembled, is_definition
@@ -763,30 +761,11 @@ def solve_from(
     start : array, shape (n,), or None
         Present values of the unknowns, ignored unless all are finite; ``z0`` in the options has priority.
     options : dict
-        Options of `solve`, `solve_nonlinear` or `solve_cones`.
+        Options of `solve`.
     """
-    is_given = "z0" in options or start is None or not np.isfinite(start).all()
-    run: Any = solve_lcp
-    if isinstance(problem, Blocks):
-        from ..problems.cones.solving import solve_cones as run  # compiled loops, not for a model
-
-        _refuse_unknown(options, "a model with cones", ["algorithm", *ConeOptions.__annotations__])
+    is_given = bool(options.keys() & {"z0", "x0"}) or start is None or not np.isfinite(start).all()
     if isinstance(problem, NonlinearProblem):
-        known = [name for name in NonlinearOptions.__annotations__ if name != "x0"]
-        _refuse_unknown(options, "a nonlinear model", ["algorithm", *known])
-        z0: Any = options.get("z0", np.zeros_like(problem.lower)) if is_given else start
         # The derivative is ours; the result is compared with the language's own evaluation at the end.
-        own = {
-            "check_jacobian": False,
-            **{name: value for name, value in options.items() if name != "z0"},
-        }
-        result = solve_nonlinear(problem, z0, **own)
-    else:
-        result = run(problem, **(options if is_given else {"z0": start, **options}))
+        options = {"check_jacobian": False, "x0": np.zeros_like(problem.lower), **options}
+    result = solve(problem, **(options if is_given else {**options, "z0": start}))
     return result if is_given else replace(result, begun=result.begun or BEGUN)
-
-
-def _refuse_unknown(options: dict[str, Any], what: str, known: list[str]) -> None:
-    for name in options:
-        if name not in known:
-            raise InvalidOption(f"{what} has no option {name!r}; it has {', '.join(known)}")

@@ -18,12 +18,11 @@ from cvxpy.constraints import NonNeg
 from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 
+from ..api import solve
 from ..core.errors import ModelWarning, UnsupportedModel
 from ..core.settings import Status
 from ..expressions.rows import Indices, Program
-from ..problems.equilibria.branch_and_bound import OPTIONS, minimize_over_solutions
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
-from ..problems.programs.solving import solve_program
 from ._compat import (
     CVXPY_STATUS,
     EQUATIONS,
@@ -108,18 +107,13 @@ def solve_for_the_best(
     problem: Any, stated: tuple[list[Any], list[Any]], warm_start: bool, options: dict[str, Any]
 ) -> Any:
     """Solve a cvxpy problem, given its constraints without agents and its agents; return its value."""
-    for name in options:
-        if name not in OPTIONS:
-            raise UnsupportedModel(
-                f"the search for the best of all solutions has no option {name!r}; it has {', '.join(OPTIONS)}"
-            )
     program, model = stated_program(problem, stated[0])
     model.agents = stated[1]
     if warm_start and "x0" not in options:
         start = model.present()
         is_start = start is not None and np.isfinite(start).all()
         options = {**options, "x0": _with_multipliers(program, model, start) if is_start else None}
-    result = minimize_over_solutions(program, **options)
+    result = solve(program, **options)
     if options["verbose"]:
         settings.LOGGER.info(result.explain())
     if result.x is None and not result.has_no_solution:  # nothing was found, and nothing is proved
@@ -242,10 +236,10 @@ def _best_value(problem: Any) -> tuple[float, str]:
             for variable, value in before:
                 variable.save_value(value)
     if is_quadratic:
-        result: Any = solve_program(program.program, max_seconds=MAX_SECONDS)
+        result: Any = solve(program.program, max_seconds=MAX_SECONDS)
         value = result.objective
     else:
-        result = minimize_over_solutions(program, max_seconds=MAX_SECONDS)
+        result = solve(program, max_seconds=MAX_SECONDS)
         value = result.value
         if result.status is Status.STALLED and np.isfinite(result.lower_bound):
             return result.lower_bound, ""  # the gain is not larger

@@ -18,6 +18,7 @@ from ..expressions.statement import solve_from
 from ..problems.programs.certification import Certification, certify
 from ._compat import CVXPY_STATUS, name_of, refusal, solver_errors
 from .agents import without_agents
+from .best_equilibrium import solve_for_the_best
 from .constraint import Complements, Condition, box, complements
 from .model import Model
 from .qp_solver import QPSolver, certify_problem, name_rows
@@ -160,15 +161,18 @@ def solve_model(
         if not is_complementarity_problem(problem):
             options["algorithm"] = algorithm
             return _program(problem, warm_start, bool(verbose), options)
-        options["verbose"] = bool(verbose)
+        options |= {"algorithm": algorithm, "verbose": bool(verbose)}
         if not problem.objective.args[0].is_constant():
-            return _best(problem, algorithm, warm_start, options)
+            return _best(problem, warm_start, options)
         try:
-            return _square(problem, warm_start, {"algorithm": algorithm, **options})
-        except NotSquare as error:
-            if algorithm != "auto":
+            return _square(problem, warm_start, options)
+        except NotSquare as error:  # the best of all solutions has any rows and bounds
+            if algorithm != "auto" or _has_cones(problem):
                 raise
-            return _any(problem, error, warm_start, options)
+            try:
+                return _best(problem, warm_start, options)
+            except UnsupportedModel:
+                raise error from None
 
 
 def certify_model(problem: Any, tolerance: float) -> Certification:
@@ -212,30 +216,12 @@ def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
     return problem.value
 
 
-def _any(problem: Any, refusal: NotSquare, warm_start: bool, options: dict[str, Any]) -> Any:
-    """Find any solution of a model with more rows and bounds than an LCP has, by a search for the best; or raise."""
-    from .best_equilibrium import solve_for_the_best
-
-    if _has_cones(problem):
-        raise refusal
-    try:
-        return solve_for_the_best(problem, without_agents(problem.constraints), warm_start, options)
-    except UnsupportedModel as error:
-        raise refusal from error
-
-
-def _best(problem: Any, algorithm: Any, warm_start: bool, options: dict[str, Any]) -> Any:
+def _best(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
     """Find the best of all solutions."""
-    from .best_equilibrium import solve_for_the_best
-
     if _has_cones(problem):
         raise UnsupportedModel(
             f"the objective {name_of(problem.objective.args[0])} occurs with a complementarity over cones, and "
             "the best of its solutions cannot be computed; write cp.Minimize(0) for any of them"
-        )
-    if algorithm != "auto":
-        raise UnsupportedModel(
-            f"algorithm={algorithm!r} cannot be combined with an objective and complementarity; leave it out"
         )
     return solve_for_the_best(problem, without_agents(problem.constraints), warm_start, options)
 

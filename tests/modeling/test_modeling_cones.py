@@ -167,7 +167,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         "takes no cones",
     ),
     "an option": (
-        lambda: solved(complements(friction_cone(y, 1.0), y - 1), relaxation=1), "has no option"
+        lambda: solved(complements(friction_cone(y, 1.0), y - 1), relaxation=1), "takes no relaxation"
     ),
 }  # fmt: skip
 

@@ -16,8 +16,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ... import __version__
+from ...api import solve
 from ...core.checks import BoolVector, Vector
-from ...core.errors import InvalidOption, UnsupportedModel
+from ...core.errors import UnsupportedModel
 from ...core.lcp import LCP
 from ...core.problem_classes import with_article
 from ...core.representation import format_count
@@ -365,11 +366,10 @@ class EquilibriumModel(NLModel):
         InvalidOption
             For any other.
         """
-        # which loads more
-        from ...problems.equilibria.branch_and_bound import minimize_over_solutions
-
-        wishes = _of_search({**options, "algorithm": algorithm})
-        result = minimize_over_solutions(self.problem, **{"x0": self.start_or_none(), **wishes})
+        options.pop("threads", None)
+        if "max_iterations" in options:
+            options["max_nodes"] = options.pop("max_iterations")
+        result = solve(self.problem, algorithm, **{"x0": self.start_or_none(), **options})
         x, duals, objective, status = None, None, None, result.status
         if result.x is not None:
             x = self.variables(result.x[: self.unknowns.size])
@@ -383,22 +383,6 @@ class EquilibriumModel(NLModel):
         advice = "" if result.is_solved or result.has_no_solution else f"; {result.advice}"
         message = f"lcp_plugin {__version__}: {words}; {reached}{nodes}{advice}"
         return NLAnswer(x, duals, status, message, result, objective, CODES[status])
-
-
-def _of_search(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options that a search takes; raise InvalidOption for others."""
-    from ...problems.equilibria.branch_and_bound import OPTIONS
-
-    taken = {name: wish for name, wish in options.items() if name != "threads"}
-    wishes = {name: wish for name, wish in taken.items() if (name, wish) != ("algorithm", "auto")}
-    if "max_iterations" in wishes:
-        wishes["max_nodes"] = wishes.pop("max_iterations")
-    for name in wishes.keys() - {*OPTIONS}:
-        raise InvalidOption(
-            f"an objective with complementarities is minimized by SCIP or branch and bound, which has no option "
-            f"{name}, got {wishes[name]!r}; leave it out; the options are {', '.join(OPTIONS)}"
-        )
-    return wishes
 
 
 def read_nl(path: str | PathLike[str]) -> NLModel:

@@ -156,41 +156,6 @@ def put_in(matrix: sp.csr_array, offset: Vector, columns: Indices) -> tuple[sp.c
     return substitution, shift
 
 
-def put_in_all(
-    matrix: sp.csr_array, offset: Vector, definitions: Indices, columns: Indices
-) -> tuple[sp.csr_array, Vector]:
-    """Return rows matrix · z + offset without the unknowns in the columns; the rows `definitions` = 0 define them.
-
-    Definitions may depend on each other in any order without cycles. A chain takes as many products of matrices as its
-    length has binary digits.
-
-    Parameters
-    ----------
-    matrix : CSR array
-        All rows, the definitions among them, which become 0.
-    offset : array
-    definitions, columns : array of int, shape (k,)
-        Rows, and the unknown that each defines.
-
-    Notes
-    -----
-    With z_d = H z_d + g, H strictly triangular in some order, z_d = … (I + H⁴)(I + H²)(I + H) g.
-    """
-    own = sp.csr_array(matrix[definitions])
-    scale = sp.diags_array(-1.0 / np.asarray(own[np.arange(columns.size), columns]).ravel())
-    own, shift = sp.csr_array(scale @ own), scale @ offset[definitions]
-    held = sp.csr_array(own[:, columns] + sp.eye_array(columns.size))
-    held.eliminate_zeros()
-    while held.nnz:
-        own, shift, held = (
-            sp.csr_array(own + held @ own),
-            shift + held @ shift,
-            sp.csr_array(held @ held),
-        )
-    substitution, added = put_in(own, shift, columns)
-    return sp.csr_array(matrix @ substitution), offset + matrix @ added
-
-
 def _pivots(
     equations: sp.csr_array, rows: Indices, is_open: BoolVector, variable_of: Indices
 ) -> tuple[Indices, Indices]:

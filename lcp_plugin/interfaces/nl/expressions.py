@@ -22,7 +22,6 @@ from ...core.matrix import entries_of_row
 from ...expressions import functions
 from ...expressions.functions import Function
 from ...expressions.rows import Compiler, Rows
-from ...expressions.statement import put_in_all
 from .reading import OPERATOR_NAMES, Indices, NLContent, Token, Trees
 
 T = TypeVar("T")
@@ -113,6 +112,7 @@ class _ExpressionReader:
     content : NLContent
     known : list of float or None
         The values of the variables that have one.
+    adds_unknowns : bool
 
     Attributes
     ----------
@@ -124,8 +124,9 @@ class _ExpressionReader:
         For each function: its operator, its arguments, and its nesting level.
     """
 
-    def __init__(self, content: NLContent, known: list[float | None]) -> None:
+    def __init__(self, content: NLContent, known: list[float | None], adds_unknowns: bool) -> None:
         self.content, self.n, self._known = content, content.lower.size, known
+        self._adds_unknowns = adds_unknowns
         self.functions: list[Function] = []
         self.arguments: list[tuple[Sum, ...]] = []
         self.levels: list[int] = []
@@ -167,7 +168,7 @@ class _ExpressionReader:
         added = (self._uses[number] - 1) * len(found.terms)
         if added <= self._capacity and (found.level == 0 or len(found.terms) <= 1):
             self._capacity -= added
-        elif added and found.level:
+        elif added and (found.level or not self._adds_unknowns):
             found = self._new(functions.SAME, found)
         elif added:
             found.terms[n + number] = -1.0
@@ -275,6 +276,8 @@ class Expressions:
     content : NLContent
     known : ndarray, shape (n,)
         The values of the variables that have one, NaN for the unknowns.
+    adds_unknowns : bool
+        Whether a defined variable may be an unknown; otherwise it is a function.
 
     Attributes
     ----------
@@ -287,12 +290,12 @@ class Expressions:
     offset : ndarray
     """
 
-    def __init__(self, content: NLContent, known: Vector) -> None:
+    def __init__(self, content: NLContent, known: Vector, *, adds_unknowns: bool = True) -> None:
         is_known = ~np.isnan(known)
         values = [
             value if one else None for value, one in zip(known.tolist(), is_known, strict=True)
         ]
-        found = _ExpressionReader(content, values)
+        found = _ExpressionReader(content, values, adds_unknowns)
         n, d, count = (content.lower.size, content.defined_trees.size, len(found.functions))
         keys = list(zip(found.levels, (one.name for one in found.functions), strict=True))
         order = np.array(sorted(range(count), key=keys.__getitem__), dtype=np.int64)
@@ -338,23 +341,6 @@ class Expressions:
             ]
             compiler.emit(function, *own)
         return compiler
-
-    def put_in(self, definitions: Indices, columns: Indices) -> None:
-        """Substitute unknowns by the combinations that are 0 and define them.
-
-        Parameters
-        ----------
-        definitions : ndarray of int, shape (k,)
-            Combinations.
-        columns : ndarray of int, shape (k,)
-            Columns of the unknowns.
-        """
-        whole, self.offset = put_in_all(self.matrix, self.offset, definitions, columns)
-        keep = np.delete(np.arange(whole.shape[1]), columns)
-        self.matrix = sp.csr_array(whole[:, keep])
-        self.matrix.eliminate_zeros()
-        self.unknowns = np.delete(self.unknowns, columns)
-        self._starts[1:] -= columns.size
 
     def is_affine(self) -> Any:
         """Return the mask of combinations that hold no function."""

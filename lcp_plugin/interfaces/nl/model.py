@@ -38,7 +38,7 @@ FEASIBLE = 1e-6  # by which a side condition may be violated, or ten times the t
 
 def values_and_slopes(content: NLContent, x: Vector, rows: Indices) -> tuple[Vector, sp.csr_array]:
     """Return the values of rows, then objectives, with these numbers, and their derivatives by all variables."""
-    found = Expressions(content, np.full(x.size, np.nan))
+    found = Expressions(content, np.full(x.size, np.nan), adds_unknowns=False)
     program = Program.of(found.compiler, [found.rows(rows)], {UNKNOWNS: 0}, x.size)
     return program.value(x), program.jacobian(x)
 
@@ -183,9 +183,9 @@ class NLModel(ABC):
 
     def variables(self, values: Vector) -> Vector:
         """Return all variables, shape (n,), from the values of the unknowns."""
-        x = self.known.copy()
+        x = np.append(self.known, np.zeros(self.content.defined_trees.size))
         x[self.unknowns] = values
-        return x
+        return x[: self.known.size]
 
     def objective(self, x: Vector) -> float:
         """Return the objective as the file states it: expanded, (x - 10⁶)² loses ten digits."""
@@ -280,16 +280,11 @@ class ComplementarityModel(NLModel):
     def values(self, z: Vector, w: Vector) -> tuple[Vector, Vector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""
         elimination = self.arrangement.elimination
-        n, duals = self.known.size, np.zeros(self.content.row_lower.size)
-        x, slack = np.append(self.known, np.zeros(self._size - n)), np.zeros(self._size)
-        x[self.unknowns] = elimination.expand(z)
+        slack = np.zeros(self.known.size + self.content.defined_trees.size)
         slack[self.unknowns] = elimination.expand_slack(w)
+        duals = np.zeros(self.content.row_lower.size)
         duals[self.pairs] = slack[self.content.partners[self.pairs]]
-        return x[:n], duals
-
-    @property
-    def _size(self) -> int:
-        return self.known.size + self.content.defined_trees.size
+        return self.variables(elimination.expand(z)), duals
 
 
 @dataclass(eq=False, repr=False)
@@ -320,7 +315,7 @@ class ProgramModel(NLModel):
         # The residuals of the program, on which the status relies, not the residuals of its optimality conditions.
         message = self._message(words, found.solution.error, found.iterations)
         duals = np.zeros(self.content.row_lower.size)
-        duals[self.rows] = -self.sign * found.solution.row_multipliers + 0.0
+        duals[self.rows] = -self.sign * found.solution.row_multipliers[: self.rows.size] + 0.0
         told = objective if has_objective else None
         return NLAnswer(x, duals, status, message, found, told, CODES[status])
 
@@ -345,7 +340,8 @@ class EquilibriumModel(NLModel):
     def start_or_none(self) -> Vector | None:
         """Return the start in the unknowns of the problem; None if the file names none, or a row has no value."""
         x = np.zeros(self.problem.program.n)
-        x[: self.unknowns.size] = self.content.start[self.unknowns]
+        start = np.append(self.content.start, np.zeros(self.content.defined_trees.size))
+        x[: self.unknowns.size] = start[self.unknowns]
         own = self.variables(x[: self.unknowns.size])
         x[self.columns] = values_and_slopes(self.content, own, self.pairs)[0]
         return x if self.content.has_start.any() and np.isfinite(x).all() else None
@@ -515,16 +511,17 @@ class FileStatement:
 
     def best(self) -> ProgramModel | EquilibriumModel:
         """Return the program, with complementarity constraints if there are pairs."""
-        self._put_in_definitions()
         content, found, m = self.content, self.expressions, self.m
-        own, place = found.unknowns, np.full(self.n, -1)
+        own, place = found.unknowns, np.full(self.n + content.defined_trees.size, -1)
         place[own] = np.arange(own.size)
         others = np.flatnonzero((content.partners < 0) & ~self.says_nothing)
         stated = self._statement()
-        stated.integers = np.flatnonzero(content.is_integer[own])
+        stated.integers = np.flatnonzero(content.is_integer[own[own < self.n]])
         for part in self._parts(others):
             ends, name = (content.row_lower[part], content.row_upper[part]), content.rows_of(part)
             stated.constrain(found.rows(part), *ends, name=name)
+        if found.definitions.size:
+            stated.constrain(found.rows(found.definitions))
         as_stated = bool(self.has_objective() or content.is_integer.any())
         for part in (pairs := self._parts(self.pairs)):
             bounds = pair_bounds(content, part, as_stated=as_stated)
@@ -553,12 +550,6 @@ class FileStatement:
         """Return the affine rows, then the others; no empty part."""
         is_affine = self.expressions.is_affine()[rows]
         return [part for part in (rows[is_affine], rows[~is_affine]) if part.size]
-
-    def _put_in_definitions(self) -> None:
-        """Let no defined variable be an unknown."""
-        found = self.expressions
-        if found.definitions.size:
-            found.put_in(found.definitions, np.flatnonzero(found.unknowns >= self.n))
 
     def complementarities(self) -> ComplementarityModel:
         """Return the complementarity problem."""

@@ -513,6 +513,17 @@ def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
     np.testing.assert_allclose(answer.x, [3.0, 2.0, 5.0], rtol=1e-12)
 
 
+def test_a_long_defined_variable_that_many_rows_share_is_taken_in_a_program() -> None:
+    """The least S = Σ x with S + x_i ≥ 1 for 80 rows is 80/81; S is a defined variable, too long to be put in."""
+    rows, ones = [("x", 80)] * 80, np.ones((1, 80))
+    defined = {"defined": [0.0], "defined_linear": np.append(ones, [[0.0]], axis=1)}
+    goal = {"objective": 0.0, "objective_linear": ones, "lower": np.zeros(80)}
+    limits = {"row_lower": np.ones(80), "row_upper": np.full(80, INFINITY)}
+    answer = model_of(content_of(80, rows, linear=np.eye(80), **defined, **goal, **limits)).solve()
+    assert abs(answer.objective - 80 / 81) < 1e-8
+    np.testing.assert_allclose(answer.duals, 1 / 81, atol=1e-8)
+
+
 def test_a_fixed_variable_in_a_defined_one_is_its_value() -> None:
     """With v = 3 x₁ + x₀, x₁ = 2 and v = 10, x₀ is 4."""
     content = content_of(

@@ -369,7 +369,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"timelimt": 1},
         "lcp_plugin takes no keyword 'timelimt' in Pyomo; did you mean 'timelimit'?",
     ),
-    "option": ({"options": {"tol": 1e-9}}, "no option 'tol'"),
+    "option": ({"options": {"tol": 1e-9}}, "takes no tol"),
 }
 
 

@@ -89,24 +89,13 @@ except ImportError as error:
 
 from . import __version__
 from .core.errors import InvalidOption, did_you_mean
-from .core.settings import Status, parse_options
+from .core.settings import parse_options
+from .expressions.statement import STATUS_ELSEWHERE
 from .interfaces.nl.writing import write_nl
 from .interfaces.pyomo import PyomoAnswer, answered, imported
 
 NAME, HYPHENATED = "lcp_plugin", "lcp-plugin"  # by another name Pyomo looks for an executable
 DOC = "Complementarity problems and convex quadratic programs, by lcp_plugin"
-ENDS = {
-    Status.SOLVED: TerminationCondition.optimal,
-    Status.UNBOUNDED: TerminationCondition.unbounded,
-    Status.MAX_ITERATIONS: TerminationCondition.maxIterations,
-    Status.MAX_SECONDS: TerminationCondition.maxTimeLimit,
-    Status.INTERRUPTED: TerminationCondition.userInterrupt,
-    Status.PRECISION_LIMIT: TerminationCondition.other,
-    Status.STALLED: TerminationCondition.noSolution,
-    Status.DIVERGED: TerminationCondition.noSolution,
-    Status.INFEASIBLE: TerminationCondition.infeasible,
-    Status.NO_SOLUTION: TerminationCondition.infeasible,
-}
 STATES = {
     TerminationCondition.optimal: SolverStatus.ok,
     TerminationCondition.userInterrupt: SolverStatus.aborted,
@@ -238,7 +227,8 @@ def _results_of(answer: PyomoAnswer) -> Any:
     """Return Pyomo's account of an answer."""
     found, content = answer.found, answer.statement.content
     results = SolverResults()
-    condition = TerminationCondition.other if answer.is_violated else ENDS[found.status]
+    word = "other" if answer.is_violated else STATUS_ELSEWHERE[found.status][2]
+    condition = TerminationCondition(word)
     results.solver.name, results.solver.message = NAME, found.message
     if hasattr(type(found.result.proof), "conflict"):
         results.solver.message += (

@@ -26,6 +26,7 @@ from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows
 from ..core.names import Names
 from ..core.representation import format_count
+from ..core.settings import Status
 from ..core.solving.result import Result
 from ..problems.cones.data import Blocks
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram, SmoothPart
@@ -247,6 +248,19 @@ BEGUN = (
 MOST_NAMES = 5
 DISAGREEMENT = 1e-9  # relative to the terms of a row
 OUTSIDE = 1e-8  # of 1 + |x|: a bound that no pair states is violated beyond
+#: What AMPL, cvxpy and Pyomo call a status.
+STATUS_ELSEWHERE = {
+    Status.SOLVED: (0, "optimal", "optimal"),
+    Status.PRECISION_LIMIT: (100, "optimal_inaccurate", "other"),
+    Status.INFEASIBLE: (200, "infeasible", "infeasible"),
+    Status.NO_SOLUTION: (200, "infeasible", "infeasible"),
+    Status.UNBOUNDED: (300, "unbounded", "unbounded"),
+    Status.MAX_ITERATIONS: (400, "user_limit", "maxIterations"),
+    Status.MAX_SECONDS: (401, "user_limit", "maxTimeLimit"),
+    Status.INTERRUPTED: (402, "user_limit", "userInterrupt"),
+    Status.STALLED: (500, "user_limit", "noSolution"),
+    Status.DIVERGED: (501, "solver_error", "noSolution"),
+}
 UNCERTAIN = (
     1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
 )

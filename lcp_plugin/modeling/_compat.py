@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 
 from ..core.checks import replace_huge_bounds_by_inf
 from ..core.errors import UnsupportedModel
-from ..core.settings import Status
 from ..expressions.rows import uniform
+from ..expressions.statement import STATUS_ELSEWHERE
 
 LONGEST_NAME = 80
 WHOLE_SUM = re.compile(r"Sum\(([^(),]*), None, False\)")  # cvxpy's text of sum(x)
@@ -227,18 +227,7 @@ def bound_value(bound: Any, owner: Any) -> Any:
 
 
 #: cvxpy's word for a status.
-CVXPY_STATUS = {
-    Status.SOLVED: settings.OPTIMAL,
-    Status.PRECISION_LIMIT: settings.OPTIMAL_INACCURATE,
-    Status.INFEASIBLE: settings.INFEASIBLE,
-    Status.NO_SOLUTION: settings.INFEASIBLE,
-    Status.UNBOUNDED: settings.UNBOUNDED,
-    Status.DIVERGED: settings.SOLVER_ERROR,
-    **dict.fromkeys(
-        (Status.MAX_ITERATIONS, Status.MAX_SECONDS, Status.STALLED, Status.INTERRUPTED),
-        settings.USER_LIMIT,
-    ),
-}
+CVXPY_STATUS = {status: words[1] for status, words in STATUS_ELSEWHERE.items()}
 
 
 def statistics(result: Any) -> dict[str, Any]:

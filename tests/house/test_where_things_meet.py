@@ -52,8 +52,8 @@ from lcp_plugin.core.settings import OF_SOLVE
 from lcp_plugin.core.solving.result import BaseResult
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.study import error_against_time, study
+from lcp_plugin.expressions.statement import STATUS_ELSEWHERE
 from lcp_plugin.interfaces.nl import read_nl, write_nl
-from lcp_plugin.interfaces.nl.model import CODES
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 from lcp_plugin.proofs.guarantees import convergence_guarantee
@@ -339,7 +339,7 @@ def by_ampl(sample: Sample, folder: Path) -> None:
     path = nl_of(sample, folder)
     assert ampl.main([str(path), "-AMPL"]) == 0
     found = read_sol(path.with_suffix(".sol"))
-    assert found.code in {CODES[status] for status in sample.ends}, found.message
+    assert found.code in {STATUS_ELSEWHERE[status][0] for status in sample.ends}, found.message
     assert found.message
 
 

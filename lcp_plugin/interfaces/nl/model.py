@@ -25,7 +25,7 @@ from ...core.representation import format_count
 from ...core.settings import Settings, Status
 from ...core.solving.result import Outcome, Result
 from ...expressions.rows import Program, Rows
-from ...expressions.statement import SquareModel, Statement, solve_from
+from ...expressions.statement import STATUS_ELSEWHERE, SquareModel, Statement, solve_from
 from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.program import QuadraticProgram
@@ -107,21 +107,6 @@ def excess(body: Any, lower: Any, upper: Any, units: Any) -> Any:
     )
 
 
-#: AMPL's numbers for the ways a run may end.
-CODES = {
-    Status.SOLVED: 0,
-    Status.PRECISION_LIMIT: 100,
-    Status.INFEASIBLE: 200,
-    Status.NO_SOLUTION: 200,
-    Status.UNBOUNDED: 300,
-    Status.MAX_ITERATIONS: 400,
-    Status.MAX_SECONDS: 401,
-    Status.INTERRUPTED: 402,
-    Status.STALLED: 500,
-    Status.DIVERGED: 501,
-}
-
-
 @dataclass(frozen=True, eq=False)
 class NLAnswer(Outcome):
     """Result of a run, in the variables and rows of the file.
@@ -138,8 +123,6 @@ class NLAnswer(Outcome):
         One line: outcome, residual, iterations.
     result : Result, QuadraticProgramResult or EquilibriumResult
     objective : float or None
-    code : int
-        AMPL's number for the status.
     """
 
     x: Vector | None
@@ -148,7 +131,11 @@ class NLAnswer(Outcome):
     message: str
     result: Any = field(repr=False)
     objective: float | None
-    code: int
+
+    @property
+    def code(self) -> int:
+        """AMPL's number for the status."""
+        return STATUS_ELSEWHERE[self.status][0]
 
 
 @dataclass(eq=False, repr=False)
@@ -251,7 +238,7 @@ class ComplementarityModel(NLModel):
                 wrong += ", and no other solution was found"
             status, words = (Status.STALLED, wrong) if wrong else (status, words + self._remark(x))
         message = self._message(words, found.residual, found.iterations)
-        return NLAnswer(x, duals, status, message, found, None, CODES[status])
+        return NLAnswer(x, duals, status, message, found, None)
 
     def _another(self, options: dict[str, Any], found: Result) -> NLAnswer | None:
         """Return a solution of the pairs that meets all conditions, or a proof that there is none; else None."""
@@ -317,7 +304,7 @@ class ProgramModel(NLModel):
         duals = np.zeros(self.content.row_lower.size)
         duals[self.rows] = -self.sign * found.solution.row_multipliers[: self.rows.size] + 0.0
         told = objective if has_objective else None
-        return NLAnswer(x, duals, status, message, found, told, CODES[status])
+        return NLAnswer(x, duals, status, message, found, told)
 
 
 @dataclass(eq=False, repr=False)
@@ -378,7 +365,7 @@ class EquilibriumModel(NLModel):
         nodes = f"{result.nodes} node{'s' * (result.nodes != 1)}"
         advice = "" if result.is_solved or result.has_no_solution else f"; {result.advice}"
         message = f"lcp_plugin {__version__}: {words}; {reached}{nodes}{advice}"
-        return NLAnswer(x, duals, status, message, result, objective, CODES[status])
+        return NLAnswer(x, duals, status, message, result, objective)
 
 
 def read_nl(path: str | PathLike[str]) -> NLModel:

@@ -18,8 +18,8 @@ from tools.nl_files import evaluated, read_sol
 
 from lcp_plugin import LCPError
 from lcp_plugin.commands import ampl
+from lcp_plugin.expressions.statement import STATUS_ELSEWHERE
 from lcp_plugin.interfaces.nl import read_nl
-from lcp_plugin.interfaces.nl.model import CODES
 from lcp_plugin.interfaces.nl.reading import NLContent, Token, Trees
 
 INF = np.inf
@@ -173,7 +173,7 @@ def judged(content: NLContent, words: list[str], stub: Path) -> str:
     if ended or not answer.exists():
         return f"NO ANSWER, exit code {ended}"
     found = read_sol(answer)
-    if found.code not in {*CODES.values(), FAILURE}:
+    if found.code not in {*(one[0] for one in STATUS_ELSEWHERE.values()), FAILURE}:
         return f"UNKNOWN CODE {found.code}"
     settings = ampl.assigned(" ".join(call))
     try:

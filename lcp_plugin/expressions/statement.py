@@ -248,7 +248,7 @@ BEGUN = (
 MOST_NAMES = 5
 DISAGREEMENT = 1e-9  # relative to the terms of a row
 OUTSIDE = 1e-8  # of 1 + |x|: a bound that no pair states is violated beyond
-#: What AMPL, cvxpy and Pyomo call a status.
+#: The names of a status in AMPL, cvxpy and Pyomo.
 STATUS_ELSEWHERE = {
     Status.SOLVED: (0, "optimal", "optimal"),
     Status.PRECISION_LIMIT: (100, "optimal_inaccurate", "other"),

@@ -68,7 +68,7 @@ from ..core.deadline import is_over
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.kernels.floats import TINY, UNIT
 from ..core.lcp import LCP
-from ..core.matrix import Exponents, Matrix, connected_components, fact, scale_matrix
+from ..core.matrix import Matrix, connected_components, fact, scale_matrix
 from ..core.problem_classes import refusal
 from ..core.rounding import compensated_pair, compensated_product, gamma, lower_end
 from ..systems.definiteness import is_semidefinite_to_rounding, semidefinite_margin
@@ -85,6 +85,8 @@ from .exact import (
 )
 from .verdicts import HCertificate, comparison_certificate
 
+SIGNS = np.array([[1.0], [-1.0]])
+
 
 @dataclass(frozen=True, eq=False)
 class RowInequality:
@@ -92,81 +94,61 @@ class RowInequality:
 
     Attributes
     ----------
-    above, below : ndarray, shape (n,)
+    within : ndarray, shape (2, n)
         z − lower and upper − z.
-    over, under : ndarray, shape (n,)
+    beyond : ndarray, shape (2, n)
         z − upper and lower − z.
-    slack, negative_slack : ndarray, shape (n,)
+    slack : ndarray, shape (2, n)
         w and −w.
     """
 
     problem: LCP
     high: Vector
     low: Vector
-    above: Vector
-    below: Vector
-    over: Vector
-    under: Vector
+    within: Vector
+    beyond: Vector
     slack: Vector
-    negative_slack: Vector
 
     @classmethod
     def at(cls, problem: LCP, high: Vector, low: Vector | None = None) -> RowInequality:
         """Return the inequality at the finite point high + low, each of shape (n,)."""
         if low is None:
-            matrix = problem.matrix
-            value, radius = compensated_product(matrix.csr, high, problem.q)
-            slack, negative = sum_above(value, radius), sum_above(-value, radius)
-            low = np.zeros(problem.q.size)
-        else:
-            slack, negative = _slack_of_pair(problem, high, low)
-        return cls(
-            problem,
-            high,
-            low,
-            above=_pair_above(high, low, -problem.lower),
-            below=_pair_above(-high, -low, problem.upper),
-            over=_pair_above(high, low, -problem.upper),
-            under=_pair_above(-high, -low, problem.lower),
-            slack=slack,
-            negative_slack=negative,
-        )
+            value, radius = compensated_product(problem.csr, high, problem.q)
+            slack, low = SIGNS * value, np.zeros(problem.n)
+        else:  # w is small relative to its terms
+            first, rest, radius = compensated_pair(problem.csr, high, problem.q)
+            second, second_radius = compensated_product(problem.csr, low)
+            radius = sum_above(radius, second_radius)
+            slack = sum_above(sum_above(SIGNS * first, SIGNS * second), SIGNS * rest)
+
+        def distance(*bounds: Vector) -> Vector:
+            return sum_above(sum_above(SIGNS * high, np.stack(bounds)), SIGNS * low)
+
+        lower, upper = problem.lower, problem.upper
+        within, beyond = distance(-lower, upper), distance(-upper, lower)
+        return cls(problem, high, low, within, beyond, sum_above(slack, radius))
+
+    @property
+    def w(self) -> Vector:
+        """The middle of the bounds of w, shape (n,)."""
+        return np.asarray(0.5 * (self.slack[0] - self.slack[1]))
 
     def inflation(self, certificate: HCertificate) -> Vector:
         """Return t ≥ 0, one number per component, with Φ(t v) ≤ t v.
 
         The result has one entry per row, shape (n,), or (1,) if there is a single component.
         """
-
-        def side(outside: Vector, direct: Vector, w: Vector) -> Vector:
-            within = np.minimum(
-                quotient_above(direct, certificate.v), quotient_above(w, certificate.margin)
-            )
-            largest: Vector = np.maximum(quotient_above(outside, certificate.v), within)
-            return largest
-
-        sides = (
-            side(self.over, self.above, self.slack),
-            side(self.under, self.below, self.negative_slack),
-        )
-        largest = row_data(self.problem).largest(np.maximum(np.maximum(*sides), 0.0))
+        v, margin = certificate.v, certificate.margin
+        direct = np.minimum(quotient_above(self.within, v), quotient_above(self.slack, margin))
+        sides = np.maximum(quotient_above(self.beyond, v), direct)
+        largest = row_data(self.problem).largest(np.maximum(sides.max(axis=0), 0.0))
         return np.where(np.isnan(largest), np.inf, largest)
 
     def image(self, y: Vector) -> Vector:
-        """Return Φ(y), shape (n,)."""
-        minus_product = _minus_comparison(self.problem, y)
-
-        def side(outside: Vector, direct: Vector, w: Vector) -> Vector:
-            """Return Φ(y) for one sign of e; (w + |B|y)/d as y + (w − ⟨M⟩y)/d."""
-            solved = sum_above(
-                y, quotient_above(sum_above(w, minus_product), self.problem.diagonal)
-            )
-            return np.asarray(np.maximum(outside, np.minimum(direct, solved)))
-
-        image = np.maximum(
-            side(self.over, self.above, self.slack),
-            side(self.under, self.below, self.negative_slack),
-        )
+        """Return Φ(y), shape (n,); (w + |B|y)/d as y + (w − ⟨M⟩y)/d."""
+        moved = sum_above(self.slack, _minus_comparison(self.problem, y))
+        solved = sum_above(y, quotient_above(moved, self.problem.diagonal))
+        image = np.maximum(self.beyond, np.minimum(self.within, solved)).max(axis=0)
         return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
 
     def classified(self, y: Vector) -> tuple[BoolVector, BoolVector]:
@@ -174,56 +156,24 @@ class RowInequality:
 
         Were z*_i > lower_i, then w*_i ≤ 0 and e_i < z_i − lower_i, so w_i ≤ d_i min(y_i, z_i − lower_i) + (|B|y)_i.
         """
-        inactive = (sum_above(self.under, y) < 0.0) & (sum_above(self.over, y) < 0.0)
-        is_exact = (y == 0.0) & (self.low == 0.0)
-        at_bound = is_exact & (
-            (self.high == self.problem.lower) | (self.high == self.problem.upper)
-        )
-        return self.held(y) | at_bound, inactive
-
-    def held(self, y: Vector) -> BoolVector:
-        """Return the rows at a bound: |e| ≤ y proves that w*_i ≠ 0, or both bounds are equal."""
         problem = self.problem
         coupling = sum_above(product_above(problem.diagonal, y), _minus_comparison(problem, y))
-
-        def forced(direct: Vector, negative_slack: Vector) -> BoolVector:
-            direct_part = product_above(problem.diagonal, np.maximum(np.minimum(y, direct), 0.0))
-            return sum_above(negative_slack, sum_above(direct_part, coupling)) < 0.0
-
-        is_forced = forced(self.above, self.negative_slack) | forced(self.below, self.slack)
-        held: BoolVector = is_forced | (problem.lower == problem.upper)
-        return held
+        direct = product_above(problem.diagonal, np.maximum(np.minimum(y, self.within), 0.0))
+        active = (sum_above(self.slack[::-1], sum_above(direct, coupling)) < 0.0).any(axis=0)
+        ends = (self.high == problem.lower) | (self.high == problem.upper)
+        active |= (problem.lower == problem.upper) | (ends & (y == 0.0) & (self.low == 0.0))
+        return active, (sum_above(self.beyond, y) < 0.0).all(axis=0)
 
 
 def distance_above(high: Vector, low: Vector, z: Vector) -> Vector:
     """Return an upper bound of |z − (high + low)|, shape (n,)."""
-    forward = sum_above(sum_above(z, -high), -low)
-    return np.maximum(forward, sum_above(sum_above(-z, high), low))
+    return np.asarray(sum_above(sum_above(SIGNS * z, -SIGNS * high), -SIGNS * low).max(axis=0))
 
 
 def _minus_comparison(problem: LCP, y: Vector) -> Vector:
     """Return an upper bound of −⟨M⟩y."""
     value, radius = comparison_product(problem.matrix.csr, y)
     return sum_above(-value, radius)
-
-
-def _pair_above(high: Vector, low: Vector, bound: Vector) -> Vector:
-    return sum_above(sum_above(high, bound), low)
-
-
-def _slack_of_pair(problem: LCP, high: Vector, low: Vector) -> tuple[Vector, Vector]:
-    """Return upper bounds of w and −w at high + low; w is small relative to its terms."""
-    matrix = problem.matrix
-    first, rest, radius = compensated_pair(matrix.csr, high, problem.q)
-    second, second_radius = compensated_product(matrix.csr, low)
-    total_radius = sum_above(radius, second_radius)
-
-    def end(sign: float) -> Vector:
-        return sum_above(
-            sum_above(sum_above(sign * first, sign * second), sign * rest), total_radius
-        )
-
-    return end(1.0), end(-1.0)
 
 
 class NearPoint(NamedTuple):
@@ -244,29 +194,21 @@ class ActiveSetSteps:
     """
 
     def __init__(
-        self,
-        problem: LCP,
-        scale: Vector,
-        *,
-        goal: float = KRYLOV_GOAL,
-        system: FreeSystem | None = None,
+        self, problem: LCP, *, goal: float = KRYLOV_GOAL, system: FreeSystem | None = None
     ) -> None:
-        self.problem, self.scale, self.goal = problem, scale, goal
+        self.problem, self.goal = problem, goal
         self.system = system or FreeSystem(problem.matrix, np.zeros(problem.n, np.bool_))
 
     def next_point(self, at: RowInequality) -> RowInequality | None:
         """Return the inequality at the next point, or None if the step is not finite."""
         problem = self.problem
-        w, on_lower, free = self._sides(at)
+        on_lower, free = self._sides(at)
         bound = np.where(on_lower, problem.lower, problem.upper)
         delta = np.where(free, 0.0, (bound - at.high) - at.low)
         if not np.array_equal(free, self.system.free):
             self.system = FreeSystem(problem.matrix, free)
-        solution = self.system.solve(-(w + problem.csr @ delta), goal=self.goal)
-        if solution is None:
-            return None
-        delta += solution
-        if not np.isfinite(delta).all():
+        solution = self.system.solve(-(at.w + problem.csr @ delta), goal=self.goal)
+        if solution is None or not np.isfinite(delta := delta + solution).all():
             return None
         high = at.high + delta
         part = high - at.high
@@ -275,14 +217,15 @@ class ActiveSetSteps:
 
     def is_settled(self, at: RowInequality) -> bool:
         """Return whether the point of the last step has the free rows of this step."""
-        return np.array_equal(self._sides(at)[2], self.system.free)
+        return np.array_equal(self._sides(at)[1], self.system.free)
 
-    def _sides(self, at: RowInequality) -> tuple[Vector, BoolVector, BoolVector]:
-        """Return w, the rows at their lower bounds by the sign of w, and the free rows."""
-        w = 0.5 * (at.slack - at.negative_slack)
-        step = self.scale * w  # next to a large z its digits would be lost
-        on_lower = (at.above <= step) | (self.problem.lower == self.problem.upper)
-        return w, on_lower, ~(on_lower | (at.below <= -step))
+    def _sides(self, at: RowInequality) -> tuple[BoolVector, BoolVector]:
+        """Return the rows at their lower bounds by the sign of w, and the free rows."""
+        step = (
+            1.0 / self.problem.residual_scale * at.w
+        )  # next to a large z its digits would be lost
+        on_lower = (at.within[0] <= step) | (self.problem.lower == self.problem.upper)
+        return on_lower, ~(on_lower | (at.within[1] <= -step))
 
 
 GOAL = 1e-6  # of a linear solve in such a step, if it is iterative
@@ -338,11 +281,26 @@ def settled_rows(
     (array([ True, False]), array([False,  True]), array([2.5, 0. ]))
     """
     settled = _settled(problem, z, system)
+    within, error = np.stack([z - problem.lower, problem.upper - z]), np.zeros(problem.n)
     if settled is None:
-        return _judged(problem, z, w, z - problem.lower, problem.upper - z, None)
-    at, system, left = settled
-    return _judged(
-        problem, at.high, 0.5 * (at.slack - at.negative_slack), at.above, at.below, system, left
+        system = None
+    else:
+        at, system, error = settled
+        z, w, within = at.high, at.w, at.within
+    scale, data = problem.residual_scale, row_data(problem)
+    floor = data.rounding_floor(data.rows(z).terms)
+    # by a tiny diagonal entry no row moves z_i
+    near = floor * np.minimum(scale / problem.matrix.row_largest, 1.0) + error
+    slight = floor + abs(problem.matrix.array) @ error / scale
+    is_fixed, step = problem.lower == problem.upper, w / scale
+    degenerate = (within.min(axis=0) <= ROUNDING * near) & (np.abs(step) <= ROUNDING * slight)
+    degenerate &= ~is_fixed
+    above, below = within
+    is_upper = np.where(is_fixed, w < 0.0, below < above)
+    reaches = np.where(is_upper, below <= -step, above <= step)
+    held = is_fixed | (reaches & ~degenerate)
+    return ActiveRows(
+        ~(held | degenerate), held & ~is_upper, held & is_upper, degenerate, is_upper, z, system
     )
 
 
@@ -354,7 +312,7 @@ def _settled(
     The result is None if the steps do not converge. Rows that are exactly degenerate may change sides indefinitely,
     by the rounding of other rows; the point then does not change with their side.
     """
-    steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale, goal=GOAL, system=system)
+    steps = ActiveSetSteps(problem, goal=GOAL, system=system)
     at, change, allowed = RowInequality.at(problem, z), np.zeros(0), 0.0
     for _ in range(8):  # from a solved problem one settles all rows, or two
         following = steps.next_point(at)
@@ -365,36 +323,6 @@ def _settled(
         if steps.is_settled(at) and GOAL * change.max(initial=0.0) <= allowed:
             return at, steps.system, GOAL * change
     return (at, steps.system, GOAL * change) if change.max(initial=0.0) <= allowed else None
-
-
-def _judged(
-    problem: LCP,
-    z: Vector,
-    w: Vector,
-    above: Vector,
-    below: Vector,
-    system: FreeSystem | None,
-    left: Vector | None = None,
-) -> ActiveRows:
-    """Return the classification of the rows by z and w, if `left` bounds the distance of z from the solution."""
-    scale, data = problem.residual_scale, row_data(problem)
-    floor = data.rounding_floor(data.rows(z).terms)
-    # by a tiny diagonal entry no row moves z_i
-    beside_largest = np.minimum(scale / problem.matrix.row_largest, 1.0)
-    near, slight = floor * beside_largest, floor
-    if left is not None:
-        size = abs(problem.matrix.array)
-        near, slight = floor * beside_largest + left, floor + size @ left / scale
-    is_fixed = problem.lower == problem.upper
-    step = w / scale
-    is_small = (np.minimum(above, below) <= ROUNDING * near) & (np.abs(step) <= ROUNDING * slight)
-    degenerate = is_small & ~is_fixed
-    is_upper = np.where(is_fixed, w < 0.0, below < above)
-    reaches = np.where(is_upper, below <= -step, above <= step)
-    held = is_fixed | (reaches & ~degenerate)
-    return ActiveRows(
-        ~(held | degenerate), held & ~is_upper, held & is_upper, degenerate, is_upper, z, system
-    )
 
 
 def free_rows(problem: LCP, z: Vector, w: Vector) -> BoolVector:
@@ -421,18 +349,12 @@ def estimated_error(problem: LCP, z: Vector, w: Vector, residual: float) -> floa
     >>> round(estimated_error(problem, z, problem.slack(z), 1e-8), 6)
     10.737418
     """
-    free = np.flatnonzero(free_rows(problem, z, w))
-    if not free.size or not residual > 0.0 or not np.isfinite(residual):
-        return 0.0 if residual == 0.0 or not free.size else None
-    norm = _norm_of_inverse(problem, free)
-    return None if norm is None else residual * norm
-
-
-def _norm_of_inverse(problem: LCP, free: Any) -> float | None:
-    """Return LAPACK's estimate of ‖(S M_FF)⁻¹‖∞, ∞ if that is singular, None beyond 500 rows."""
     from scipy.linalg import lapack
 
-    if free.size > 500:  # free rows: a few milliseconds
+    free = np.flatnonzero(free_rows(problem, z, w))
+    if residual == 0.0 or not free.size:
+        return 0.0
+    if not 0.0 < residual < np.inf or free.size > 500:  # free rows: a few milliseconds
         return None
     block = problem.M[free][:, free]
     block = (block.toarray() if sp.issparse(block) else block) / problem.residual_scale[free, None]
@@ -440,7 +362,7 @@ def _norm_of_inverse(problem: LCP, free: Any) -> float | None:
         return None
     norm = float(np.abs(block).sum(axis=1).max())
     reciprocal = norm * lapack.dgecon(lapack.dgetrf(block)[0], norm, norm="I")[0]
-    return 1.0 / reciprocal if reciprocal > 0.0 else np.inf
+    return residual / reciprocal if reciprocal > 0.0 else np.inf
 
 
 SPARSE_UP_TO = 30_000
@@ -463,7 +385,7 @@ def bound_of_error(at: RowInequality, family: Family) -> Vector:
     """Return a bound of |z − z*|, shape (n,), by the least t v or by the 2-norm."""
     if isinstance(family, HCertificate):
         return product_above(at.inflation(family), family.v)
-    y = two_norm_bound(at.problem, at, family)
+    y = two_norm_bound(at, family)
     return np.minimum(y, at.image(y))
 
 
@@ -497,25 +419,20 @@ def smallest_eigenvalue_bound(matrix: Matrix) -> EigenvalueBound | None:
         return None
     exponents = unit_diagonal(diagonal)
     scale = np.ldexp(1.0, exponents.row)
-    is_dense = matrix.is_dense or matrix.n <= 200
-    is_dense = is_dense and matrix.n <= 3000
-    part, blur = _symmetric_part(matrix.csr.toarray() if is_dense else matrix.csr, exponents)
-    if not np.isfinite(blur):
+    is_dense = matrix.n <= (3000 if matrix.is_dense else 200)
+    if not is_dense and matrix.n > SPARSE_UP_TO:
         return None
-    if not is_dense and not (matrix.n <= SPARSE_UP_TO and factor_fits(part)):
-        return None
-    value = _proven_bound(part, blur)
+    value = _proven_bound(scale_matrix(matrix.csr.toarray() if is_dense else matrix.csr, exponents))
     return None if value is None else EigenvalueBound(value, scale)
 
 
-def two_norm_bound(problem: LCP, at: RowInequality, eigenvalue: EigenvalueBound) -> Vector:
+def two_norm_bound(at: RowInequality, eigenvalue: EigenvalueBound) -> Vector:
     """Return y with |z − z*| ≤ y, shape (n,), if `eigenvalue` holds."""
+    problem = at.problem
     inverse_step = np.exp2(np.clip(np.round(np.log2(problem.diagonal)), -1000.0, 1000.0))
     # Both bounds of each r_i; at a bound, with w_i of the right sign, they are equal for any rounding of w_i.
-    residual = np.minimum(np.maximum(quotient_above(at.slack, inverse_step), at.over), at.above)
-    negative = np.maximum(
-        np.minimum(quotient_above(at.negative_slack, inverse_step), at.below), at.under
-    )
+    steps = np.minimum(quotient_above(at.slack, inverse_step), at.within)
+    residual, negative = np.maximum(steps, at.beyond)
     blur = np.maximum(sum_above(residual, negative), 0.0)
     if not (residual.any() or blur.any()):
         return np.zeros(problem.n)
@@ -548,20 +465,21 @@ def norms_above(x: Vector, labels: Any) -> Vector:
     return norms
 
 
-def _symmetric_part(M: Any, exponents: Exponents) -> tuple[Any, float]:
-    """Return C (M + Mᵀ)/2 C and a bound of the rounding of its eigenvalues, ∞ after overflow."""
-    even = scale_matrix(M, exponents)
+def _proven_bound(even: Any) -> float | None:
+    """Return a share of the smallest eigenvalue of (A + Aᵀ)/2 that is proven to be below it, or None."""
     part = 0.5 * (even + even.T)
-    size = float(abs(part).sum(axis=1).max())
-    return part, 2.0 * UNIT * size + part.shape[0] * UNDERFLOW
-
-
-def _proven_bound(part: Any, blur: float) -> float | None:
-    """Return a share of the smallest eigenvalue that is proven to be below it, the largest of some, or None."""
+    # of its eigenvalues' rounding, ∞ after overflow
+    blur = 2.0 * UNIT * float(abs(part).sum(axis=1).max()) + part.shape[0] * UNDERFLOW
+    if not np.isfinite(blur) or (sp.issparse(part) and not factor_fits(part)):
+        return None
     factor = positive_factor(part)
     if factor is None:
         return None
-    estimate = _inverse_iteration(factor.solve, part)
+    # The Rayleigh quotient of a vector near the lowest eigenvector, an upper bound except for rounding
+    x = np.random.default_rng(0).standard_normal(part.shape[0])
+    for _ in range(30):  # an estimate, which is proved afterwards
+        x = factor.solve(x / np.linalg.norm(x))
+    estimate = float(x @ (part @ x) / (x @ x))
     identity = (sp.eye_array if sp.issparse(part) else np.eye)(part.shape[0])
     for share in (0.95, 0.5, 0.1):  # the first shift that a factorization proves
         shift = share * estimate
@@ -590,15 +508,6 @@ def _rounding(matrix: Any, factor: PositiveFactor) -> float:
     terms = int(max(np.diff(L.tocsr().indptr).max(), np.diff(U.tocsc().indptr).max())) + 2
     by_row = gamma(terms) * (L @ (U @ ones)) + L @ (asymmetry @ ones)
     return float(float(by_row.max()) * OUTWARD + n * UNDERFLOW)
-
-
-def _inverse_iteration(solve: Any, part: Any) -> float:
-    """Return the Rayleigh quotient of a vector near the lowest eigenvector; an upper bound except for rounding."""
-    x = np.random.default_rng(0).standard_normal(part.shape[0])
-    for _ in range(30):  # an estimate, which is proved afterwards
-        x /= np.linalg.norm(x)
-        x = solve(x)
-    return float(x @ (part @ x) / (x @ x))
 
 
 SMALL = 1000  # up to here every stage is cheap
@@ -723,21 +632,18 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     family: Family | None = comparison_certificate(problem.matrix) if is_positive else None
     if family is None and (family := smallest_eigenvalue_bound(problem.matrix)) is None:
         raise UnsuitableMatrix(NO_PROOF)
-    found = _bound(problem, z, family, sharp=sharp)
-    return replace(found, seconds=time.perf_counter() - began)
-
-
-def _bound(problem: LCP, z: Vector, family: Family, *, sharp: bool) -> ErrorBound:
     method = "2-norm, λ_min" if isinstance(family, EigenvalueBound) else "v-certificate"
-    if not np.isfinite(z).all():
+    if np.isfinite(z).all():
+        at = RowInequality.at(problem, z)
+        best = BestBound(z, at, bound_of_error(at, family), method)
+        if sharp:
+            _sharpen(best, family)
+        found = best.result()
+    else:
         is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
-        y = np.full(problem.n, np.inf)
-        return ErrorBound(y, np.inf, np.inf, method, problem.lower == problem.upper, is_free)
-    at = RowInequality.at(problem, z)
-    found = BestBound(z, at, bound_of_error(at, family), method)
-    if sharp:
-        _sharpen(found, family)
-    return found.result()
+        y, is_fixed = np.full(problem.n, np.inf), problem.lower == problem.upper
+        found = ErrorBound(y, np.inf, np.inf, method, is_fixed, is_free)
+    return replace(found, seconds=time.perf_counter() - began)
 
 
 class BestBound:
@@ -771,21 +677,18 @@ class BestBound:
         if self.near is not self.at and not (active | inactive).all():
             more_active, more_inactive = self.at.classified(y)
             active, inactive = active | more_active, inactive | more_inactive
-        w = 0.5 * (self.at.slack - self.at.negative_slack)
-        residuals = scaled_residual(problem, self.at.high, w)
+        residuals = scaled_residual(problem, self.at.high, self.at.w)
         infinity, residual = (float(np.abs(one).max(initial=0.0)) for one in (y, residuals))
         largest = row_data(problem).largest
-        errors, sizes = (largest(np.abs(one)).tolist() for one in (y, self.z))
-        relative = max(relative_to(*one) for one in {*zip(errors, sizes, strict=True)})
-        is_active = active | (problem.lower == problem.upper)
+        relative = float(quotient_above(largest(y), largest(np.abs(self.z))).max())
         near = NearPoint(self.near.high, self.near.low, self.near_y)
-        return ErrorBound(y, infinity, relative, self.method, is_active, inactive, residual, near)
+        return ErrorBound(y, infinity, relative, self.method, active, inactive, residual, near)
 
 
 def _sharpen(found: BestBound, family: Family) -> None:
     """Go to points nearer to the solution as long as that lowers the bound."""
     problem = found.at.problem
-    steps = ActiveSetSteps(problem, 1.0 / problem.residual_scale)
+    steps = ActiveSetSteps(problem)
     point = found.at
     for _ in range(REFINEMENT_STEPS):
         following = steps.next_point(point)
@@ -802,13 +705,6 @@ def _sharpen(found: BestBound, family: Family) -> None:
         found.go_to(point, y)
         if found.is_sharp and problem.n > SMALL:
             return
-
-
-def relative_to(infinity: float, size: float) -> float:
-    """Return infinity/size, rounded up: 0 for 0/0, else ∞ if the size is 0."""
-    if infinity == 0.0:
-        return 0.0
-    return float(quotient_above(np.float64(infinity), np.float64(size))) if size > 0.0 else np.inf
 
 
 UNKNOWN = "P could not be shown to be positive semidefinite"
@@ -897,9 +793,8 @@ def constrained_curvature(P: Any, A: Any) -> Curvature:
     own, rows = curvature(P), sp.csr_array(A)
     if own.indefinite or (own.weights > 0.0).all() or not rows.nnz or is_over():
         return own
-    if (
-        np.count_nonzero(np.diff(sp.csr_array(P).indptr)) + rows.shape[0] < own.weights.size
-    ):  # ranks add to less than n
+    rank = np.count_nonzero(np.diff(sp.csr_array(P).indptr))  # at most, without A
+    if rank + rows.shape[0] < own.weights.size:
         return own
     square = sp.csr_array(rows.T @ rows)
     bent, held = (

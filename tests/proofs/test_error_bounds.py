@@ -19,6 +19,7 @@ from oracles.exact import Exact, bound_violations, exact_solution, has_positive_
 from oracles.truth import ExactData
 
 from lcp_plugin import LCP, UnsuitableMatrix, gallery
+from lcp_plugin.core.matrix import scale_matrix
 from lcp_plugin.proofs import bounds
 from lcp_plugin.proofs.bounds import ErrorBound, error_bound, smallest_eigenvalue_bound
 from lcp_plugin.proofs.exact import product_above, quotient_above, sum_above
@@ -198,8 +199,8 @@ def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None
     problem = LCP(M, np.zeros(M.shape[0]))
     if by_sparse_factor:
         exponents = unit_diagonal(problem.diagonal)
-        part, radius = bounds._symmetric_part(problem.csr, exponents)
-        value, scale = bounds._proven_bound(part, radius), np.exp2(exponents.row)
+        value = bounds._proven_bound(scale_matrix(problem.csr, exponents))
+        scale = np.exp2(exponents.row)
     else:
         bound = smallest_eigenvalue_bound(problem.matrix)
         value, scale = (None, None) if bound is None else (bound.value, bound.scale)

@@ -27,7 +27,7 @@ from .exact import (
     ZERO,
     Fractions,
     Row,
-    common_denominator,
+    integer_rows,
     products,
     rank_profile,
     rational_rows,
@@ -184,8 +184,4 @@ def _is_irreducible(rows: LinearConstraints, y: Mapping[int, Fraction]) -> bool:
     place = {j: k for k, j in enumerate(sorted({j for row in own for j in row}))}
     if is_over() or len(own) * len(place) > MOST_ENTRIES:
         return False
-    whole = [[0] * len(place) for _ in own]
-    for entries, row in zip(whole, own, strict=True):
-        for (j, _), entry in zip(row.items(), common_denominator([*row.values()])[0], strict=True):
-            entries[place[j]] = entry
-    return len(rank_profile(whole)[0]) == len(own) - 1
+    return len(rank_profile(integer_rows(own, place)[0])[0]) == len(own) - 1

@@ -240,21 +240,16 @@ def exact_slack(problem: LCP, z: ArrayLike | Sequence[Rational]) -> list[Fractio
     return [Fraction(q) + unit * total for q, total in zip(problem.q.tolist(), sums, strict=True)]
 
 
-def exact_residuals(problem: LCP, z: Vector, scale: Vector | None = None) -> list[Fraction]:
-    """Return |z − mid(lower, upper, z − w/d)| of every row without any rounding, for a finite z; d is the scale."""
-    scale = problem.residual_scale if scale is None else scale
-    rows = zip(
-        map(Fraction, z.tolist()),
-        exact_slack(problem, z),
-        scale.tolist(),
-        problem.lower.tolist(),
-        problem.upper.tolist(),
-        strict=True,
-    )
+def exact_residuals(problem: LCP, z: ArrayLike | Sequence[Rational]) -> list[Fraction]:
+    """Return |z − mid(lower, upper, z − w/d)| of every row without any rounding, for a finite z."""
+    exact, units = exact_vector(z, problem.n), problem.residual_scale.tolist()
+    bounds = problem.lower.tolist(), problem.upper.tolist()
     # The comparison of a fraction with ±∞ is exact as well.
     return [
         abs(x - Fraction(min(max(x - w / Fraction(d), lower), upper)))
-        for x, w, d, lower, upper in rows
+        for x, w, d, lower, upper in zip(
+            exact, exact_slack(problem, exact), units, *bounds, strict=True
+        )
     ]
 
 
@@ -271,18 +266,7 @@ def is_exact_solution(problem: LCP, z: ArrayLike | Sequence[Rational]) -> bool:
     >>> is_exact_solution(LCP([[3]], [-1]), [Fraction(1, 3)]), is_exact_solution(LCP([[3]], [-1]), [1 / 3])
     (True, False)
     """
-    exact = exact_vector(z, problem.n)
-    rows = zip(
-        exact,
-        exact_slack(problem, exact),
-        problem.lower.tolist(),
-        problem.upper.tolist(),
-        strict=True,
-    )
-    return all(
-        lower <= z <= upper and (w >= 0 or z == upper) and (w <= 0 or z == lower)
-        for z, w, lower, upper in rows
-    )
+    return not any(exact_residuals(problem, z))
 
 
 def slack_bounds(problem: LCP) -> tuple[Vector, Vector]:
@@ -337,26 +321,15 @@ def shortened(row: Sequence[int]) -> list[int]:
     return [entry >> zeros for entry in row]
 
 
-def has_positive_pivots(matrix: Rows) -> bool:
-    """Return whether elimination without exchanges meets positive pivots only.
+def has_nonnegative_pivots(matrix: Rows, *, is_strict: bool = False) -> bool:
+    """Return whether a symmetric matrix is positive semidefinite; rows of zero pivots are zero.
 
-    For a symmetric matrix that means positive definite, for a Z-matrix a nonsingular M-matrix.
+    A strict test lets only positive pivots pass: of a definite matrix, or a Z-matrix that is a nonsingular M-matrix.
     """
     before = 1
     while matrix:
         pivot = matrix[0][0]
-        if pivot <= 0:
-            return False
-        matrix, before = eliminated(matrix, before), pivot
-    return True
-
-
-def has_nonnegative_pivots(matrix: Rows) -> bool:
-    """Return whether a symmetric matrix is positive semidefinite; rows of zero pivots are zero."""
-    before = 1
-    while matrix:
-        pivot = matrix[0][0]
-        if pivot < 0 or (pivot == 0 and any(matrix[0])):
+        if pivot < 0 or (pivot == 0 and (is_strict or any(matrix[0]))):
             return False
         matrix, before = (
             (eliminated(matrix, before), pivot) if pivot else (_without_first(matrix), before)
@@ -610,18 +583,25 @@ def independent_rows(rows: list[Row]) -> list[list[int]]:
     return list(lots.values())
 
 
+def integer_rows(rows: list[Row], place: Mapping[int, int]) -> tuple[Rows, list[int]]:
+    """Return the rows as lists of integers, column j at its place, and their common denominators."""
+    whole, denominators = [[0] * len(place) for _ in rows], list[int]()
+    for entries, row in zip(whole, rows, strict=True):
+        integral, denominator = common_denominator([*row.values()])
+        denominators.append(denominator)
+        for j, entry in zip(row, integral, strict=True):
+            entries[place[j]] = entry
+    return whole, denominators
+
+
 def _by_largest_block(rows: list[Row], right: Fractions, guess: Fractions) -> Row | None:
     """Return the entries of a solution that are not 0: the unknowns of one nonsingular block."""
     columns = sorted({j for row in rows for j in row}, key=lambda j: (-abs(guess[j]), j))
     if min(len(rows), len(columns)) > MOST_UNKNOWNS or len(rows) * len(columns) > MOST_ENTRIES:
         return None
     place = {j: k for k, j in enumerate(columns)}
-    whole, common = [], math.lcm(*(value.denominator for value in right))
-    scales = [math.lcm(*(entry.denominator for entry in row.values())) for row in rows]
-    for row, scale in zip(rows, scales, strict=True):
-        whole.append([0] * len(columns))
-        for j, entry in row.items():
-            whole[-1][place[j]] = int(entry * scale)
+    common = math.lcm(*(value.denominator for value in right))
+    whole, scales = integer_rows(rows, place)
     if is_over():
         return None
     at, chosen = rank_profile(whole)

@@ -74,14 +74,6 @@ class LinearConstraints:
     bound_weights: tuple[Vector, Vector]
     reference: float = 1.0
 
-    def signs(self, row: int) -> tuple[bool, bool]:
-        """Return whether w_i ≥ 0 and w_i ≤ 0 is required."""
-        return bool(self.needs_rise[row]), bool(self.needs_fall[row])
-
-    def bounds(self, column: int) -> tuple[float, float]:
-        """Return the bounds of an unknown."""
-        return float(self.lower[column]), float(self.upper[column])
-
     @property
     def missing(self) -> Vector:
         """Least violations of w_i ≥ 0, w_i ≤ 0 by x within the bounds, to rounding, shape (2, m).
@@ -141,7 +133,7 @@ class FarkasCertificate:
 
     Attributes
     ----------
-    sides : LinearConstraints or Choices
+    sides : LinearConstraints
         Signs of rows, bounds of unknowns, the matrix and q.
     y : mapping of int to Fraction
         Entries by row, none of them 0.
@@ -154,7 +146,7 @@ class FarkasCertificate:
     """
 
     def __init__(
-        self, sides: Any, y: Mapping[int, Fraction], rows: IntegerMatrix | None = None
+        self, sides: LinearConstraints, y: Mapping[int, Fraction], rows: IntegerMatrix | None = None
     ) -> None:
         self.sides, self.y = sides, y
         self.plain, self.left = ZERO, dict[int, Fraction]()
@@ -173,7 +165,8 @@ class FarkasCertificate:
         matrix = rows or IntegerMatrix.of(self.sides.matrix, numbers)
         unit = self._unit = exact_power_of_two(matrix.exponent) / denominator
         product = self._integers = matrix.combination(dict(zip(numbers, whole, strict=True)))
-        bounds = {j: self.sides.bounds(j)[value > 0] for j, value in product.items()}
+        ends = self.sides.lower, self.sides.upper
+        bounds = {j: float(ends[value > 0][j]) for j, value in product.items()}
         closed = [j for j, bound in bounds.items() if math.isfinite(bound)]
         highest = unit * exact_dot([product[j] for j in closed], [bounds[j] for j in closed])
         self.plain = -exact_dot(whole, self.sides.q[numbers].tolist()) / denominator - highest
@@ -193,7 +186,8 @@ class FarkasCertificate:
     @property
     def has_signs(self) -> bool:
         """True if each y_i has the sign required by its row."""
-        return all(self.sides.signs(i)[value < 0] for i, value in self.y.items())
+        permitted = self.sides.needs_rise, self.sides.needs_fall
+        return all(permitted[value < 0][i] for i, value in self.y.items())
 
     @property
     def holds(self) -> bool:

@@ -51,7 +51,7 @@ iteration matrix itself may be less. The radius is a float, not a proof; the pro
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Sequence
+from collections.abc import Container
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -78,12 +78,10 @@ from ..core.matrix import (
 )
 from ..core.problem_classes import refusal
 from ..systems.comparison import jacobi_radius, nonnegative_radius
-from .verdicts import analyze, comparison_certificate, h_verdict
+from .verdicts import analyze, comparison_certificate, h_plus
 
 NEGLIGIBLE = 1e-280  # below, products may have underflowed
 Weights = Vector | float
-
-Sums = tuple[Vector, Vector]
 
 
 class RowCase(NamedTuple):
@@ -94,16 +92,8 @@ class RowCase(NamedTuple):
     upper: Weights
 
 
-@dataclass(frozen=True)
-class RowBound:
-    """Effect of one sweep on an error; every case must hold, because a row may be in any of them.
-
-    Attributes
-    ----------
-    pivot, feedback : array, shape (n,), or float
-        p and f.
-    cases : tuple of RowCase
-    """
+class RowBound(NamedTuple):
+    """Effect of one sweep on an error: p and f, shape (n,) or numbers; a row may be in any of the cases."""
 
     pivot: Weights
     feedback: Weights
@@ -115,43 +105,28 @@ class RowBound:
 
 def row_bound(facts: IterationFacts, problem: LCP) -> RowBound:
     """Return the bound of one sweep; L is the already updated part (for 𝓜: its entries)."""
-    if facts.family == PROJECTED_TYPE:
-        return _projected_type(facts, problem)
+    (alpha, beta), (theta, weight) = numbers(facts), scaled(facts, problem)
     if facts.family == PROJECTED_SPLITTING:
-        theta, weight = scaled(facts, problem)
-        zero_case = RowCase(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
-        return RowBound(
-            2.0 * theta + 2.0, weight, (zero_case, RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight))
-        )
-    alpha, beta = numbers(facts)
+        zero = RowCase(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
+        one = RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight)
+        return RowBound(2.0 * theta + 2.0, weight, (zero, one))
+    if facts.family == PROJECTED_TYPE:
+        g, over = beta / alpha, theta / alpha
+        zero = RowCase(np.minimum(2.0, 2.0 * over + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0)
+        free, lower = np.minimum(2.0 * theta, 2.0 * over + 4.0), (abs(2.0 - g) + abs(g)) * weight
+        one = RowCase(free, lower, 2.0 * weight)
+        return RowBound(over + theta + 2.0, abs(g) * weight, (zero, one))
     diagonal = problem.diagonal
     per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix))
+    free, feedback = min(alpha, 2.0 - alpha), abs(beta) * per_diagonal
     if facts.family == PROJECTED_RELAXATION:
-        free = min(alpha, 2.0 - alpha)
         lower = (abs(alpha - beta) + abs(beta)) * per_diagonal
-        return RowBound(
-            1.0, abs(beta) * per_diagonal, (RowCase(free, lower, alpha * per_diagonal),)
-        )
+        return RowBound(1.0, feedback, (RowCase(free, lower, alpha * per_diagonal),))
     omega = np.ones(diagonal.size) if facts.omega is None else facts.omega / diagonal
-    kept = min(alpha, 2.0 - alpha) + alpha * np.minimum(1.0, 2.0 * omega - 1.0)
     lower = (abs(alpha - beta) + alpha + abs(beta)) * per_diagonal
+    kept = free + alpha * np.minimum(1.0, 2.0 * omega - 1.0)
     case = RowCase(kept, lower, 2.0 * alpha * per_diagonal)
-    return RowBound(alpha * omega + 1.0, abs(beta) * per_diagonal, (case,))
-
-
-def _projected_type(facts: IterationFacts, problem: LCP) -> RowBound:
-    alpha, beta = numbers(facts)
-    g = beta / alpha
-    theta, weight = scaled(facts, problem)
-    zero = RowCase(
-        np.minimum(2.0, 2.0 * theta / alpha + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0
-    )
-    one = RowCase(
-        np.minimum(2.0 * theta, 2.0 * theta / alpha + 4.0),
-        (abs(2.0 - g) + abs(g)) * weight,
-        2.0 * weight,
-    )
-    return RowBound(theta / alpha + theta + 2.0, abs(g) * weight, (zero, one))
+    return RowBound(alpha * omega + 1.0, feedback, (case,))
 
 
 def scaled(facts: IterationFacts, problem: LCP) -> tuple[Vector, Vector]:
@@ -165,17 +140,6 @@ def numbers(facts: IterationFacts) -> tuple[float, float]:
     return (
         1.0 if facts.relaxation is None else float(facts.relaxation),
         1.0 if facts.acceleration is None else float(facts.acceleration),
-    )
-
-
-def sums_for(facts: IterationFacts, problem: LCP, v: Vector) -> Sums:
-    """Return the triangle sums of v that the row bound of a forward sweep requires."""
-    if facts.family != PROJECTED_SPLITTING:
-        return triangle_sums(problem.matrix, v)
-    all_of_m = np.add(*triangle_sums(problem.matrix, v))
-    taken = np.add(*triangle_sums(problem.matrix, v, facts.splitting))
-    return taken, np.maximum(all_of_m - taken, 0.0) + all_of_m * (
-        longest_row(problem.matrix) * EPSILON
     )
 
 
@@ -196,30 +160,30 @@ def contraction(facts: IterationFacts, problem: LCP, v: Vector) -> Contraction |
     has_splitting = facts.family == PROJECTED_SPLITTING
     if has_splitting and not facts.is_part_of_matrix:
         return None  # (𝓜 + 2I + D)⁻¹ may be of any signs
-    sums = sums_for(facts, problem, v)
+    sums, terms = triangle_sums(problem.matrix, v), longest_row(problem.matrix)
+    if has_splitting:
+        all_of_m, taken = np.add(*sums), np.add(*triangle_sums(problem.matrix, v, facts.splitting))
+        sums = taken, np.maximum(all_of_m - taken, 0.0) + all_of_m * (terms * EPSILON)
     exchanged = sums[1], sums[0]
     passes = {"forward": [sums], "backward": [exchanged], "symmetric": [sums, exchanged]}
-    terms, bound = longest_row(problem.matrix), row_bound(facts, problem)
-    lost = underflow(v, terms)
+    bound = row_bound(facts, problem)
+    # what may underflow in a difference of two triangle sums of v
+    lost = 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
     found = [
         float(gaps(bound, v, (updated + lost, rest + lost), terms).min(initial=1.0))
         for updated, rest in passes["forward" if has_splitting else facts.sweep]
     ]
     if not min(found) > 0.0:
         return None
-    rates = [rate for gap in found if (rate := rate_of(gap)) is not None]
-    if len(rates) < len(found):
+    # an upper bound of each contraction; a sweep that moves nothing has the rate 0
+    rates = [float(np.nextafter(1.0 - gap, 2.0)) if gap < 1.0 else 0.0 for gap in found]
+    if max(rates) >= 1.0:
         return None, None
     rate = math.prod(rates)
     return (float(np.nextafter(rate, 2.0)) if len(rates) > 1 else rate), read_only(v.copy())
 
 
 # --- gaps of a row bound, evaluated so that rounding cannot flatter them ----------------------------------
-
-
-def underflow(v: Vector, terms: int) -> float:
-    """Return a bound of the underflow in a difference of two triangle sums of v, `terms` entries per row."""
-    return 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
 
 
 def gaps(bound: RowBound, v: Vector, sums: tuple[Vector, Vector], terms: int) -> Vector:
@@ -232,7 +196,7 @@ def gaps(bound: RowBound, v: Vector, sums: tuple[Vector, Vector], terms: int) ->
         Positive.
     sums : pair of arrays, shape (n,)
         Upper bounds of |L|v of what is already updated and |U|v of the rest except for the rounding of `terms`
-        additions; see :func:`underflow`.
+        additions.
 
     Notes
     -----
@@ -251,19 +215,6 @@ def gaps(bound: RowBound, v: Vector, sums: tuple[Vector, Vector], terms: int) ->
     usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
     smallest = smallest - 4.0 * EPSILON * np.abs(smallest)
     return np.where(usable & ~np.isnan(smallest), np.minimum(smallest, 1.0), -np.inf)
-
-
-def rate_of(smallest: float) -> float | None:
-    """Return an upper bound c < 1 of the contraction from the smallest gap, or None if that rounds to 1.
-
-    Examples
-    --------
-    >>> rate_of(0.5)
-    0.5000000000000001
-    """
-    rate = 1.0 - smallest
-    rate = float(np.nextafter(rate, 2.0)) if smallest < 1.0 else 0.0
-    return rate if rate < 1.0 else None
 
 
 @fact
@@ -399,15 +350,12 @@ class Guarantee:
         return self.verdict == GUARANTEED
 
     def __str__(self) -> str:
-        speed = ""
-        if self.rate is not None:
-            speed = (
-                f"; an iteration contracts by {_rounded_up(self.rate)} in a weighted maximum norm"
-            )
-            speed += "" if self.speaks_of == "z" else f" of {self.speaks_of}"
-        lines = [f"{self.verdict}: {self.theorem}{speed}"]
-        lines += [f"remedy: {self.remedy}"] if self.remedy else []
-        return "\n".join(lines + ([self.paper] if self.paper else []))
+        speed = "" if self.rate is None else f"; an iteration contracts by {_rounded_up(self.rate)}"
+        speed += " in a weighted maximum norm" * bool(speed)
+        speed += f" of {self.speaks_of}" * bool(speed and self.speaks_of != "z")
+        remedy = self.remedy and f"remedy: {self.remedy}"
+        first = f"{self.verdict}: {self.theorem}{speed}"
+        return "\n".join(filter(None, (first, remedy, self.paper)))
 
 
 def _rounded_up(rate: float) -> str:
@@ -436,48 +384,12 @@ def theorem_of(facts: IterationFacts) -> str:
     return f"θ(ℓ + u) < min(θ, θ/α + 2) and (β/α)θℓ < 1 (Theorem 4.2 of {PAPER}, row by row in one form for all D)"
 
 
-def positive_definite_theorem(facts: IterationFacts, largest_sum: float) -> str | None:
-    """Return the theorem that covers the iteration on a symmetric positive definite M, or None.
-
-    Parameters
-    ----------
-    facts : IterationFacts
-    largest_sum : float
-        An upper bound of ℓ + u for some v > 0.
-    """
-    if facts.family != PROJECTED_RELAXATION:
-        return None
-    omega, beta = numbers(facts)
-    if facts.relaxation is None:
-        return AUTOMATIC.format("symmetric positive definite")
-    if omega == beta and 0.0 < omega * (1.0 + ULPS) < 2.0:
-        return f"M is symmetric positive definite and 0 < ω < 2 ({CRYER})"
-    if beta == 0.0 and omega * (1.0 + largest_sum) < 2.0:
-        return (
-            "M is symmetric positive definite and ω λ_max(D⁻¹M) < 2: a projected gradient step in the norm of D "
-            f"({LEVITIN})"
-        )
-    return None
-
-
-def theorem_4_2(
-    facts: IterationFacts, problem: LCP, bounds: Sequence[float], is_h_plus: bool
-) -> str:
-    """Return whether the paper's original Theorem 4.2 covers the unscaled iteration, as a sentence with the reason.
-
-    Parameters
-    ----------
-    facts : IterationFacts
-        Facts of a projected-type iteration without row scaling.
-    problem : LCP
-    bounds : (lower, upper)
-        Bounds of ρ(|L + U|).
-    is_h_plus : bool
-        Whether M is proven to be an H₊-matrix.
-    """
-    if not is_h_plus:
+def theorem_4_2(facts: IterationFacts, problem: LCP) -> str:
+    """Return whether the paper's original Theorem 4.2 covers the unscaled iteration, as a sentence with the reason."""
+    if not h_plus(problem.matrix).value:
         return "not covered by the original Theorem 4.2 (M is not proven to be an H₊-matrix)"
-    (alpha, beta), (lower, upper), diagonal = numbers(facts), bounds, problem.diagonal
+    lower, upper = jacobi_radius(problem.matrix)  # bounds of ρ(|L + U|)
+    (alpha, beta), diagonal = numbers(facts), problem.diagonal
     is_close = upper - lower <= 0.004 * upper
     number = f"= {(lower + upper) / 2.0:.3g}" if is_close else f"in {lower:.3g} … {upper:.3g}"
     is_large, is_small = bool((diagonal >= 1.0).all()), bool((diagonal < 1.0).all())
@@ -618,22 +530,22 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
         theorem = algorithm.theorem(problem, analyze(problem)) if facts is None else None
     except (UnsuitableMatrix, UnsuitableProblem) as error:
         return Guarantee(NOT_COVERED, "it cannot run on this problem", remedy=str(error))
-    if facts is not None:
-        options = {field.name for field in fields(algorithm)}
-        found = replace(_full(problem, facts, options), facts=facts, problem=problem)
-        if not (facts.has_momentum and found.is_guaranteed):
-            return found
-        return replace(found, theorem=MOMENTUM.format(found.theorem), rate=None, v=None)
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
-    return Guarantee(NOT_COVERED, f"no theorem here is about {algorithm.name} on such a problem")
+    if facts is None:
+        about = f"no theorem here is about {algorithm.name} on such a problem"
+        return Guarantee(NOT_COVERED, about)
+    options = {field.name for field in fields(algorithm)}
+    found = replace(_full(problem, facts, options), facts=facts, problem=problem)
+    if not (facts.has_momentum and found.is_guaranteed):
+        return found
+    return replace(found, theorem=MOMENTUM.format(found.theorem), rate=None, v=None)
 
 
 def _full(problem: LCP, facts: IterationFacts, options: Container[str]) -> Guarantee:
     paper = ""
     if facts.family == PROJECTED_TYPE and not facts.is_scaled:
-        bounds = jacobi_radius(problem.matrix)
-        paper = theorem_4_2(facts, problem, bounds, _is_h_plus(problem))
+        paper = theorem_4_2(facts, problem)
     proof = _row_proof(problem, facts)
     if proof is not None:
         is_automatic = facts.relaxation is None and facts.family == PROJECTED_RELAXATION
@@ -660,7 +572,7 @@ def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
     Every row bound implies ⟨M⟩v > 0 and a positive diagonal. Nearly equal weights help a row at its bound (τ = 0),
     whose sweep needs no margin of ⟨M⟩v but a small |L|v.
     """
-    if not bool(np.all(problem.diagonal > 0.0)) or h_verdict(problem.matrix).is_h is False:
+    if h_plus(problem.matrix).value is False:
         return None
     certificate = comparison_certificate(problem.matrix)
     v = np.ones(problem.n) if certificate is None else certificate.v
@@ -669,27 +581,38 @@ def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
     )
 
 
-def _is_h_plus(problem: LCP) -> bool:
-    return bool(np.all(problem.diagonal > 0.0)) and h_verdict(problem.matrix).is_h is True
-
-
 def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
     """Return the theorem on positive definite matrices that covers it; M is factorized only if one could apply."""
+    if facts.family != PROJECTED_RELAXATION:
+        return None
+    omega, beta = numbers(facts)
     sums = np.add(*unit_triangle_sums(problem.matrix)) / (
         problem.diagonal * inverse_residual_scale(problem.matrix)
     )
-    largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)
-    theorem = positive_definite_theorem(facts, largest_sum)
-    if theorem is None:
+    largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)  # above ℓ + u for v = 1
+    if facts.relaxation is None:
+        theorem = AUTOMATIC.format("symmetric positive definite")
+    elif omega == beta and 0.0 < omega * (1.0 + ULPS) < 2.0:
+        theorem = f"M is symmetric positive definite and 0 < ω < 2 ({CRYER})"
+    elif beta == 0.0 and omega * (1.0 + largest_sum) < 2.0:
+        theorem = (
+            "M is symmetric positive definite and ω λ_max(D⁻¹M) < 2: a projected gradient step in the norm of D "
+            f"({LEVITIN})"
+        )
+    else:
         return None
+    return theorem if _is_positive_definite(problem) else None
+
+
+def _is_positive_definite(problem: LCP) -> bool:
     report = analyze(problem)
-    return theorem if report.is_symmetric and report.is_positive_definite else None
+    return bool(report.is_symmetric and report.is_positive_definite)
 
 
 def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
     if facts.family == PROJECTED_SPLITTING and problem.n > DENSE_UP_TO:
         return f"Theorem 4.1's ρ(T) is not computed for n > {DENSE_UP_TO}"
-    if _is_h_plus(problem):
+    if h_plus(problem.matrix).value:
         return "M is an H₊-matrix, but no theorem covers these options (or only by less than rounding error)"
     if facts.family == PROJECTED_RELAXATION:
         return "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
@@ -698,7 +621,7 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
 
 def _remedy(problem: LCP, facts: IterationFacts, options: Container[str]) -> str:
     """Return the change of these options, or of the algorithm, that gives a guarantee."""
-    if _is_h_plus(problem):
+    if h_plus(problem.matrix).value:
         if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
             return 'splitting="lower" and scaling="auto"'
         changes = {"relaxation": "relaxation ≤ 1", "omega": "omega=1.0"}
@@ -707,7 +630,6 @@ def _remedy(problem: LCP, facts: IterationFacts, options: Container[str]) -> str
         changes["acceleration"] = "0 ≤ acceleration ≤ relaxation"
         words = " and ".join(text for name, text in changes.items() if name in options)
         return words or 'algorithm="psor"'
-    report = analyze(problem)
-    if report.is_symmetric and report.is_positive_definite:
+    if _is_positive_definite(problem):
         return 'algorithm="psor": M is symmetric positive definite'
     return 'no theorem covers this M; algorithm="auto" tries several methods'

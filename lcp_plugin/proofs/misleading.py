@@ -19,13 +19,12 @@ FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
 def what_may_mislead(result: Result) -> list[str]:
     """Return a line for each."""
-    return [line for line in (_uncovered(result), _stiffness(result)) if line]
+    return [*filter(None, (_uncovered(result), _stiffness(result)))]
 
 
 def _uncovered(result: Result) -> str:
     """Return the warning after a failure of a chosen method that no theorem covers, or ""."""
-    is_auto = isinstance(result._asked, str)
-    if result.status not in FAILED or is_auto:
+    if result.status not in FAILED or isinstance(result._asked, str):  # by "auto"
         return ""
     guarantee = result.guarantee
     if guarantee.is_guaranteed or not guarantee.remedy:

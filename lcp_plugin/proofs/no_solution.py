@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -202,77 +202,56 @@ class NoSolutionProof:
         )
 
 
-class Choices(NamedTuple):
-    """The linear constraints of a piece, in which some rows are decided.
+def piece_of(problem: LCP, path: Mapping[int, str], rows: Any = ...) -> LinearConstraints:
+    """Return the linear constraints of these rows, or all, in a piece, in which some rows are decided by their choices.
 
-    The other rows have w of the signs that their bounds permit.
+    The other rows have w of the signs that their bounds permit. A violation implies a residual as large.
     """
+    lower, upper, kept = problem.lower.copy(), problem.upper.copy(), np.zeros(problem.n)
+    rise, fall = upper == np.inf, lower == -np.inf
+    for i, choice in path.items():
+        rise[i], fall[i] = choice in (LOWER, SLACKLESS), choice in (UPPER, SLACKLESS)
+        if choice in (LOWER, UPPER):
+            lower[i] = upper[i] = (lower if choice == LOWER else upper)[i]
+    q, units = problem.q[rows], problem.residual_scale[rows]
+    matrix = problem.csr if rows is ... else sp.csr_array(problem.M[rows])
+    return LinearConstraints(matrix, q, rise[rows], fall[rows], lower, upper, units, (kept, kept))
 
-    problem: LCP
-    path: Mapping[int, str]
 
-    @property
-    def matrix(self) -> sp.csr_array:
-        """M."""
-        return self.problem.csr
+def certificate_of(
+    problem: LCP, path: Mapping[int, str], y: Mapping[int, Rational]
+) -> FarkasCertificate:
+    """Return the Farkas certificate of a vector, by row, for a piece."""
+    # All of M is kept in integers up to 500 rows
+    rows = integer_matrix(problem.matrix) if problem.n <= 500 else None
+    used = {i: Fraction(value) for i, value in y.items() if value}
+    return FarkasCertificate(piece_of(problem, path), used, rows)
 
-    @property
-    def q(self) -> Vector:
-        """The offset of w = M z + q."""
-        return self.problem.q
 
-    def signs(self, row: int) -> tuple[bool, bool]:
-        """Return whether w_i ≥ 0 and w_i ≤ 0."""
-        choice = self.path.get(row)
-        if choice is None:
-            return bool(self.problem.upper[row] == np.inf), bool(self.problem.lower[row] == -np.inf)
-        return choice in (LOWER, SLACKLESS), choice in (UPPER, SLACKLESS)
+def margins_of(problem: LCP, path: Mapping[int, str], found: FarkasCertificate) -> Margins:
+    """Return the margins of a piece by a certificate.
 
-    def bounds(self, column: int) -> tuple[float, float]:
-        """Return the bounds of z_j."""
-        lower, upper = float(self.problem.lower[column]), float(self.problem.upper[column])
-        choice = self.path.get(column)
-        return (
-            (lower, lower)
-            if choice == LOWER
-            else (upper, upper)
-            if choice == UPPER
-            else (lower, upper)
-        )
-
-    def contradiction(self, y: Mapping[int, Rational]) -> FarkasCertificate:
-        """Return the Farkas certificate of a vector, by row, if its signs are right."""
-        # All of M is kept in integers up to 500 rows
-        rows = integer_matrix(self.problem.matrix) if self.problem.n <= 500 else None
-        return FarkasCertificate(
-            self, {i: Fraction(value) for i, value in y.items() if value}, rows
-        )
-
-    def margins_of(self, found: FarkasCertificate) -> Margins:
-        """Return the margins of the piece by a certificate.
-
-        Every z has Σ share_i |r_i(z)| ≥ c, r the scaled residual, and c the size of the contradiction. The absolute
-        margin is c / Σ share_i, the relative one c / Σ share_i ‖r_P(z°)‖∞, P the component of row i.
-        """
-        scale, path = self.problem.residual_scale, self.path
-        shares = [
-            (i, abs(value) * Fraction(float(scale[i])))
-            for i, value in found.y.items()
-            if path.get(i) not in (LOWER, UPPER)
-        ] + [
-            (i, abs(value))
-            for i, value in found.product.items()
-            if path.get(i) == (LOWER if value > 0 else UPPER)
-        ]  # of z_i from its bound
-        most = row_data(self.problem).references[1]
-        reference = np.broadcast_to(most, (self.problem.n,))
-        is_safe = (most == 0.0) | ((most > SAFE_RANGE[0]) & (most < SAFE_RANGE[1]))
-        if not is_safe.all():  # a reference may be rounded to 0, or to ∞
-            return 0.0, 0.0
-        relative = sum((share * Fraction(float(reference[i])) for i, share in shares), ZERO)
-        absolute = sum((share for _, share in shares), ZERO)
-        margins = (rounded_down(found.size / one if one else None) for one in (relative, absolute))
-        return next(margins), next(margins)
+    Every z has Σ share_i |r_i(z)| ≥ c, r the scaled residual, and c the size of the contradiction. The absolute
+    margin is c / Σ share_i, the relative one c / Σ share_i ‖r_P(z°)‖∞, P the component of row i.
+    """
+    scale, most = problem.residual_scale, row_data(problem).references[1]
+    is_safe = (most == 0.0) | ((most > SAFE_RANGE[0]) & (most < SAFE_RANGE[1]))
+    if not is_safe.all():  # a reference may be rounded to 0, or to ∞
+        return 0.0, 0.0
+    shares = [
+        (i, abs(value) * Fraction(float(scale[i])))
+        for i, value in found.y.items()
+        if path.get(i) not in (LOWER, UPPER)
+    ] + [
+        (i, abs(value))
+        for i, value in found.product.items()
+        if path.get(i) == (LOWER if value > 0 else UPPER)
+    ]  # of z_i from its bound
+    reference = np.broadcast_to(most, (problem.n,))
+    relative = sum((share * Fraction(float(reference[i])) for i, share in shares), ZERO)
+    absolute = sum((share for _, share in shares), ZERO)
+    margins = (rounded_down(found.size / one if one else None) for one in (relative, absolute))
+    return next(margins), next(margins)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -334,7 +313,7 @@ class Infeasibility(NoSolutionProof):
 
     @cached_property
     def _found(self) -> FarkasCertificate:
-        return Choices(self.problem, {}).contradiction(self._used)
+        return certificate_of(self.problem, {}, self._used)
 
     @property
     def radius(self) -> float:
@@ -389,7 +368,7 @@ class Infeasibility(NoSolutionProof):
 
     def closings(self) -> Iterator[Margins | None]:
         """Yield the margins of the only piece: c = −sup, and weights |y_i| for a wrong sign of w_i."""
-        yield Choices(self.problem, {}).margins_of(self._found) if self.verify() else None
+        yield margins_of(self.problem, {}, self._found) if self.verify() else None
 
     def __str__(self) -> str:
         problem, points = self.problem, describe_radius(self.radius, "z")
@@ -458,35 +437,19 @@ def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:
     from .farkas import FarkasProgram, best_proof
 
     reference = reference_residual(problem)
-    constraints = replace(_linear_constraints(problem), reference=reference)
+    constraints = replace(piece_of(problem, {}), reference=reference)
     is_usual = 0.0 < reference < np.inf  # then the optimum is minus the largest margin
     units = [reference] * is_usual + FarkasProgram(constraints).sizes
 
-    def proven(y: Any) -> Infeasibility | None:
-        return _proven(problem, {i: value for i, value in enumerate(y) if value})
-
-    found: Infeasibility | None = best_proof(lambda _: constraints, units, proven, pivots=effort)
-    return found
-
-
-def _linear_constraints(problem: LCP, rows: Any = slice(None)) -> LinearConstraints:
-    """Return the linear constraints of these rows, without complementarity; a violation implies a residual as large."""
-    kept = np.zeros(problem.n)
-    return LinearConstraints(
-        sp.csr_array(problem.M[rows]),
-        problem.q[rows],
-        problem.upper[rows] == np.inf,
-        problem.lower[rows] == -np.inf,
-        problem.lower,
-        problem.upper,
-        problem.residual_scale[rows],
-        (kept, kept),
+    found: Infeasibility | None = best_proof(
+        lambda _: constraints, units, lambda y: _proven(problem, dict(enumerate(y))), pivots=effort
     )
+    return found
 
 
 def _proven(problem: LCP, y: Mapping[int, Rational]) -> Infeasibility | None:
     """Return the proof by y itself, by row."""
-    proof = Infeasibility.of(problem, y) if y else None
+    proof = Infeasibility.of(problem, y) if any(y.values()) else None
     return proof if proof is not None and proof.verify() else None
 
 
@@ -505,11 +468,9 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
     )
     if not rows.size:
         return None
-    for k, sign in _linear_constraints(problem, rows).contradictory_rows():
-        proof = _proven(problem, {int(rows[k]): sign})
-        if proof is not None:
-            return proof
-    return None
+    suspects = piece_of(problem, {}, rows).contradictory_rows()
+    proofs = (_proven(problem, {int(rows[k]): sign}) for k, sign in suspects)
+    return next(filter(None, proofs), None)
 
 
 @dataclass(slots=True)
@@ -564,10 +525,8 @@ class NoSolution(NoSolutionProof):
             elif case.y is None or case.branches:
                 yield None
             else:
-                found = (piece := Choices(self.problem, path)).contradiction(
-                    dict(enumerate(case.y))
-                )
-                yield piece.margins_of(found) if found.holds else None
+                found = certificate_of(self.problem, path, dict(enumerate(case.y)))
+                yield margins_of(self.problem, path, found) if found.holds else None
 
     def __str__(self) -> str:
         leaves = self.leaves

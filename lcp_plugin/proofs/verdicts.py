@@ -70,19 +70,9 @@ from .exact import (
     exact_symmetric_part,
     has_nonnegative_pivots,
     has_positive_minors,
-    has_positive_pivots,
     rounded_down,
     shortened,
 )
-
-__all__ = [
-    "HCertificate",
-    "HVerdict",
-    "MatrixReport",
-    "analyze",
-    "comparison_certificate",
-    "h_verdict",
-]
 
 EXACT_ROWS = 2_000  # ambiguous rows that are worth an exact sum
 TOLERANCES = 0.1, 1e-3, 1e-7  # of the solves, if they iterate: a loose one is often enough
@@ -233,28 +223,6 @@ def is_p_matrix_by_recursion(M: Any) -> bool | None:
     return None if len(rows) > 10 and bits > 160 else has_positive_minors(rows)
 
 
-def nonpositive_pair(M: Any) -> tuple[int, int] | None:
-    """Return i < j with m_ii m_jj − m_ij m_ji ≤ 0, proven, or None if no such pair was found.
-
-    Parameters
-    ----------
-    M : CSR array, shape (n, n)
-        With a positive diagonal.
-    """
-    diagonal: Vector = M.diagonal()
-    even = sp.csr_array((M.data / diagonal[row_numbers(M)], M.indices, M.indptr), shape=M.shape)
-    ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
-    suspicious = np.flatnonzero(ratios.data > 1.0 - 8.0 * UNIT)
-    for k in suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][
-        :2_000
-    ]:  # the likeliest
-        i, j = int(ratios.row[k]), int(ratios.col[k])
-        exact = [Fraction(float(M[place])) for place in ((i, i), (j, j), (i, j), (j, i))]
-        if exact[0] * exact[1] - exact[2] * exact[3] <= 0:
-            return i, j
-    return None
-
-
 SYMMETRIC_TO_ROUNDING = 64 * UNIT
 UNDECIDED = "undecided: singular up to rounding"
 
@@ -353,7 +321,7 @@ def positive_definite(matrix: Matrix) -> Verdict:
         return Verdict(None, _too_large(matrix))
     value = is_positive_definite(symmetric_part_of(matrix)) if _is_well_rounded(matrix) else None
     if value is None and matrix.n <= EXACT_SIZE:
-        value = has_positive_pivots(exact_symmetric_part(matrix.csr))
+        value = has_nonnegative_pivots(exact_symmetric_part(matrix.csr), is_strict=True)
         return Verdict(value, f"exact elimination of {what}")
     if value is None:
         return Verdict(None, f"{UNDECIDED}: {what}")
@@ -380,14 +348,9 @@ def positive_semidefinite(matrix: Matrix) -> Verdict:
     part = symmetric_part_of(matrix)
     value = is_semidefinite_to_rounding(part) if _is_well_rounded(matrix) else None
     if value is not False and matrix.n <= EXACT_SIZE:
-        what = (
-            "exact elimination of M"
-            if symmetric(matrix).value
-            else "exact elimination of the symmetric part of M"
-        )
-        if has_nonnegative_pivots(exact_symmetric_part(matrix.csr)):
-            return Verdict(True, f"λ_min ≥ 0: {what}")
-        return Verdict(False, f"λ_min < 0: {what}")
+        is_so = has_nonnegative_pivots(exact_symmetric_part(matrix.csr))
+        what = "M" if symmetric(matrix).value else "the symmetric part of M"
+        return Verdict(is_so, f"λ_min {'≥' if is_so else '<'} 0: exact elimination of {what}")
     if value:
         delta = semidefinite_margin(part)
         return Verdict(None, f"undecided: λ_min ≥ −{delta:.3g}, below which the test cannot decide")
@@ -404,7 +367,7 @@ def p_matrix(matrix: Matrix) -> Verdict:
     early = _nonpositive_diagonal(matrix) or _p_by_class(matrix)
     if early is not None:
         return early
-    if (pair := _nonpositive_pair(matrix)) is not None:
+    if (pair := nonpositive_pair(matrix)) is not None:
         return pair
     if matrix.n <= 16:  # a third of a second; the time doubles with each row
         value = is_p_matrix_by_recursion(matrix.csr)
@@ -439,11 +402,21 @@ def _nonpositive_diagonal(matrix: Matrix) -> Verdict | None:
     return Verdict(False, f"M[{row}, {row}] = {matrix.diagonal[row]:.6g}")
 
 
-def _nonpositive_pair(matrix: Matrix) -> Verdict | None:
-    pair = nonpositive_pair(matrix.csr)
-    if pair is None:
-        return None
-    return Verdict(False, f"the principal minor of rows {pair[0]}, {pair[1]} is not positive")
+def nonpositive_pair(matrix: Matrix) -> Verdict | None:
+    """Return the verdict by i < j with m_ii m_jj − m_ij m_ji ≤ 0, for a positive diagonal; None if none was found."""
+    M = matrix.csr
+    even = sp.csr_array(
+        (M.data / matrix.diagonal[row_numbers(M)], M.indices, M.indptr), shape=M.shape
+    )
+    ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
+    suspicious = np.flatnonzero(ratios.data > 1.0 - 8.0 * UNIT)
+    likeliest = suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][:2_000]
+    for k in likeliest:
+        i, j = int(ratios.row[k]), int(ratios.col[k])
+        exact = [Fraction(float(M[place])) for place in ((i, i), (j, j), (i, j), (j, i))]
+        if exact[0] * exact[1] - exact[2] * exact[3] <= 0:
+            return Verdict(False, f"the principal minor of rows {i}, {j} is not positive")
+    return None
 
 
 def _definite_by_comparison(matrix: Matrix) -> Verdict | None:
@@ -454,7 +427,7 @@ def _definite_by_comparison(matrix: Matrix) -> Verdict | None:
             return Verdict(True, "SPD: symmetric and H₊")
         if h.value is False and z_matrix(matrix).value:
             return Verdict(False, "a symmetric Z-matrix that is not an M-matrix")
-        return _nonpositive_pair(matrix)
+        return nonpositive_pair(matrix)
     if not _has_dominant_symmetric_part(matrix):
         return None
     return Verdict(True, "the symmetric part is dominant, rounding included")
@@ -747,19 +720,12 @@ def classes_in_words(matrix: Matrix) -> str:
     >>> classes_in_words(Matrix([[2.0, -1.0], [-1.0, 2.0]]))
     'dense, symmetric, a Z-matrix, with positive diagonal'
     """
-    return ", ".join(_classes(matrix))
-
-
-def _classes(matrix: Matrix) -> Iterator[str]:
-    yield "dense" if matrix.is_dense else "sparse"
-    if symmetric(matrix).value:
-        yield "symmetric"
-    if (form := triangular_form(matrix)) is not None:
-        yield form if form == "diagonal" else f"{form} triangular"
-    if z_matrix(matrix).value:
-        yield "a Z-matrix"
-    yield (
-        "with positive diagonal"
-        if (matrix.diagonal > 0.0).all()
-        else "with a diagonal not everywhere positive"
+    form, is_positive = triangular_form(matrix) or "", (matrix.diagonal > 0.0).all()
+    classes = (
+        "dense" if matrix.is_dense else "sparse",
+        "symmetric" * bool(symmetric(matrix).value),
+        form if form in ("", "diagonal") else f"{form} triangular",
+        "a Z-matrix" * bool(z_matrix(matrix).value),
+        "with positive diagonal" if is_positive else "with a diagonal not everywhere positive",
     )
+    return ", ".join(filter(None, classes))

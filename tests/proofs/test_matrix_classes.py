@@ -27,7 +27,6 @@ from lcp_plugin.proofs.verdicts import (
     h_verdict,
     is_nonpositive,
     is_p_matrix_by_recursion,
-    nonpositive_pair,
     positive_margin,
 )
 from lcp_plugin.systems.definiteness import is_positive_definite, is_semidefinite_to_rounding
@@ -151,7 +150,7 @@ def test_p_at_sixteen_rows() -> None:
     M = rng.normal(size=(16, 16)) / 9.0 + np.eye(16)
     M[7:10, 7:10] = [[1.0, -2.0, 0.0], [0.0, 1.0, -2.0], [-2.0, 0.0, 1.0]]
     report = analyze(M)
-    assert nonpositive_pair(report.csr) is None
+    assert verdicts.nonpositive_pair(report.matrix) is None
     assert report.is_p_matrix is False
 
 
@@ -159,9 +158,9 @@ def test_pairs() -> None:
     """A nonpositive 2×2 principal minor is found in any size, and a tie of huge entries is decided exactly."""
     M = sp.lil_array(sp.eye_array(1000))
     M[3, 700], M[700, 3] = 2.0**-600, 2.0**600
-    assert nonpositive_pair(M.tocsr()) == (3, 700)
+    assert "rows 3, 700 " in verdicts.nonpositive_pair(Matrix(M)).evidence
     M[700, 3] = np.nextafter(2.0**600, 0.0)
-    assert nonpositive_pair(M.tocsr()) is None
+    assert verdicts.nonpositive_pair(Matrix(M)) is None
 
 
 def test_large_and_undecided_says_so() -> None:

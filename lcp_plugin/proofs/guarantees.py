@@ -167,7 +167,7 @@ def contraction(facts: IterationFacts, problem: LCP, v: Vector) -> Contraction |
     exchanged = sums[1], sums[0]
     passes = {"forward": [sums], "backward": [exchanged], "symmetric": [sums, exchanged]}
     bound = row_bound(facts, problem)
-    # what may underflow in a difference of two triangle sums of v
+    # a bound of the underflow in a difference of two triangle sums of v
     lost = 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
     found = [
         float(gaps(bound, v, (updated + lost, rest + lost), terms).min(initial=1.0))

@@ -422,8 +422,6 @@ class PrimalDualPoint:
     def _largest_by_component(self, sizes: Vector) -> Vector:
         """Return the largest size in each component."""
         parts = self.matrices.components
-        if parts.number == 1:
-            return np.array([sizes.max(initial=0.0)])
         most = np.zeros(parts.number)
         np.maximum.at(most, parts.of_unknown, sizes)
         return most
@@ -455,6 +453,7 @@ def ratio(errors: Vector, sizes: Vector) -> Vector:
     return np.where(errors > 0.0, errors / np.maximum(sizes, TINY), errors)
 
 
+MULTIPLIERS = "inequality", "equality", "lower", "upper"
 MEANINGS = {
     "primal_residual": "by how much x violates a constraint, relative to its terms",
     "duality_gap": "bound of the change of the objective by all errors together, relative to its terms",
@@ -501,32 +500,17 @@ class QPSolution:
 
     def __post_init__(self) -> None:
         """Keep read-only copies: the residuals are computed once."""
-        n, program = self.program.n, self.program
-        sizes = {
-            "x": n,
-            "inequality": program.h.size,
-            "equality": program.b.size,
-            "lower": n,
-            "upper": n,
-        }
-        for name, size in sizes.items():
+        sizes = self.program.n, *self.program.matrices.sizes
+        for name, size in zip(("x", *MULTIPLIERS), sizes, strict=True):
             vector = checked_vector(getattr(self, name), name, size, allow_nan=name != "x")
             object.__setattr__(self, name, vector)
 
     @classmethod
     def of_rows(cls, program: QuadraticProgram, x: Vector, multipliers: Vector) -> QPSolution:
         """Return the solution with finite x and all multipliers of ``program.constraints`` in one array, not copied."""
-        m, p, n, _ = program.matrices.sizes
         made, every = object.__new__(cls), read_only(multipliers)
-        made.__dict__.update(
-            program=program,
-            x=read_only(x),
-            inequality=every[:m],
-            equality=every[m : m + p],
-            lower=every[m + p : m + p + n],
-            upper=every[m + p + n :],
-            multipliers=every,
-        )
+        made.__dict__.update(zip(MULTIPLIERS, program.constraints.split(every), strict=True))
+        made.__dict__.update(program=program, x=read_only(x), multipliers=every)
         return made
 
     @classmethod
@@ -548,7 +532,11 @@ class QPSolution:
         at_lower = np.where(np.isfinite(reduced.lower), np.maximum(left, 0.0), 0.0)
         at_upper = np.where(np.isfinite(reduced.upper), np.maximum(-left, 0.0), 0.0)
         every = folded.multipliers(np.concatenate([y, at_lower, at_upper]))
-        _refuse_infinite(program, every)
+        for k in np.flatnonzero(np.isinf(every))[:1].tolist():
+            raise InvalidProblem(
+                f"the multiplier of {program.name(k)} is beyond the range of doubles, ±1.8e308; give that constraint, "
+                "limits and the objective in units in which their largest coefficients are near 1"
+            )
         return cls.of_rows(program, x, every)
 
     @classmethod
@@ -569,7 +557,7 @@ class QPSolution:
     @derived_property
     def multipliers(self) -> Vector:
         """Multipliers of all rows of ``program.constraints``."""
-        return np.concatenate([self.inequality, self.equality, self.lower, self.upper])
+        return np.concatenate([getattr(self, name) for name in MULTIPLIERS])
 
     @property
     def error(self) -> float:
@@ -635,17 +623,3 @@ class QPSolution:
         if np.isnan(self.multipliers).any():
             lines.append("no multipliers: a proof came instead")
         return "\n".join(lines)
-
-
-def _refuse_infinite(program: QuadraticProgram, multipliers: Vector) -> None:
-    """Raise InvalidProblem if the multiplier of a constraint is beyond the range of doubles."""
-    if np.isfinite(multipliers).all():
-        return
-    for name, part in zip(
-        ("G", "A", "lower", "upper"), program.constraints.split(multipliers), strict=True
-    ):
-        for row in np.flatnonzero(np.isinf(part))[:1]:
-            raise InvalidProblem(
-                f"the multiplier of {name}[{row}] is beyond the range of doubles, ±1.8e308; give that constraint, "
-                "limits and the objective in units in which their largest coefficients are near 1"
-            )

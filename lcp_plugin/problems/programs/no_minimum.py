@@ -432,7 +432,7 @@ def contradictory_row(program: QuadraticProgram) -> QPInfeasibility | None:
 
 def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasibility:
     """Return multipliers of all rows and bounds: multipliers of bounds cancel the residual; verify the result."""
-    m, p, n, _ = program.constraints.sizes
+    m, p, n, _ = program.matrices.sizes
     multipliers = [ZERO] * (m + p + 2 * n)
     found = FarkasCertificate(program.constraints.within_bounds, y)
     for i, value in y.items():

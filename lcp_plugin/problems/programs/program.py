@@ -200,7 +200,8 @@ class QuadraticProgram:
     @cached_property
     def constraints(self) -> Constraints:
         """Constraints and bounds as rows of one matrix."""
-        return Constraints.of(self)
+        limit = np.concatenate([self.h, self.b, -self.lower, self.upper])
+        return Constraints(self.matrices, limit)
 
     @cached_property
     def folded(self) -> FoldedRows:
@@ -240,26 +241,21 @@ class QuadraticProgram:
         >>> program.with_vectors(h=[9]).h
         array([9.])
         """
-        n = self.n
+        m, p, n, _ = self.matrices.sizes
         below, above = checked_bounds(
             self.lower if lower is None else lower, self.upper if upper is None else upper, n
         )
         made = self.with_matrices(
             self.matrices,
             self.c if c is None else checked_vector(c, "c", n, may_be_number=n == 1),
-            self.h
-            if h is None
-            else checked_right_side(h, "h", self.h.size, may_be_number=self.h.size == 1),
-            self.b
-            if b is None
-            else checked_vector(b, "b", self.b.size, may_be_number=self.b.size == 1),
+            self.h if h is None else checked_right_side(h, "h", m, may_be_number=m == 1),
+            self.b if b is None else checked_vector(b, "b", p, may_be_number=p == 1),
             below,
             above,
         )
+        constant = self.constant if constant is None else checked_constant(constant)
         made.__dict__.update(asymmetry=self.asymmetry, ranges=self.ranges, names=self.names)
-        made.__dict__["constant"] = (
-            self.constant if constant is None else checked_constant(constant)
-        )
+        made.__dict__["constant"] = constant
         return made
 
     def with_names(self, names: Names) -> QuadraticProgram:
@@ -269,7 +265,7 @@ class QuadraticProgram:
 
     def name(self, k: int) -> str:
         """Return the name of a row of `constraints`; of a bound, and of a nameless row of one unknown, its text."""
-        rows, (m, p, n, _) = self.constraints, self.constraints.sizes
+        rows, (m, p, n, _) = self.constraints, self.matrices.sizes
         stated = k if k >= m + p or self.ranges is None else int(self.ranges[0][k])
         if k < m + p and (name := self.names.row(stated, "")):
             return name

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -331,7 +332,7 @@ def fit_units_of(P: Vector, C: Vector) -> tuple[Vector, Vector]:
 
 def _root(sizes: Vector) -> Vector:
     """Return powers of two near the square roots, 1 of 0."""
-    return np.asarray(np.exp2(np.round(0.5 * np.log2(np.where(sizes > 0.0, sizes, 1.0)))))
+    return _powers(0.5 * np.log2(or_one(sizes)))
 
 
 def _powers(exponents: Vector) -> Vector:
@@ -395,12 +396,6 @@ class Constraints:
     matrices: ProgramMatrices
     limit: Vector
 
-    @classmethod
-    def of(cls, program: QuadraticProgram) -> Constraints:
-        """Return the constraints of a program."""
-        limit = np.concatenate([program.h, program.b, -program.lower, program.upper])
-        return cls(program.matrices, limit)
-
     @property
     def matrix(self) -> sp.csr_array:
         """C, shape (m + p + 2n, n)."""
@@ -412,14 +407,9 @@ class Constraints:
         return self.matrices.is_equality
 
     @property
-    def sizes(self) -> tuple[int, int, int, int]:
-        """m, p, n, n: numbers of rows of G, of A, of lower and of upper bounds."""
-        return self.matrices.sizes
-
-    @property
     def rows(self) -> int:
         """Number of rows of G and A."""
-        return self.sizes[0] + self.sizes[1]
+        return sum(self.matrices.sizes[:2])
 
     @property
     def right(self) -> Vector:
@@ -433,8 +423,8 @@ class Constraints:
 
     def split(self, values: Any) -> list[Any]:
         """Return the parts of values per row: of G, of A, of the lower and of the upper bounds."""
-        ends = np.cumsum(self.sizes).tolist()
-        return [values[end - size : end] for end, size in zip(ends, self.sizes, strict=True)]
+        ends = np.cumsum([0, *self.matrices.sizes]).tolist()
+        return [values[begin:end] for begin, end in pairwise(ends)]
 
     @cached_property
     def own_sizes(self) -> Vector:
@@ -455,32 +445,22 @@ class Constraints:
     @cached_property
     def as_rows(self) -> LinearConstraints:
         """All constraints, including bounds, as rows of an unbounded x, with w = d − C x."""
-        free, kept = np.full((2, self.matrix.shape[1]), np.inf), np.zeros(self.matrix.shape[1])
-        return LinearConstraints(
-            -self.matrix,
-            self.limit,
-            np.isfinite(self.limit),
-            self.is_equality,
-            -free[0],
-            free[1],
-            self.unit,
-            (kept, kept),
-        )
+        free, kept = np.full(self.matrix.shape[1], np.inf), np.zeros(self.matrix.shape[1])
+        return self._conditions(self.matrix, -free, free, (kept, kept))
 
     @cached_property
     def within_bounds(self) -> LinearConstraints:
         """The rows of G and A within the bounds, with w = d − C x."""
-        rows, (_, _, below, above) = slice(self.rows), self.split(self.limit)
-        units = self.split(self.unit)
+        (below, above), units = self.split(self.limit)[2:], self.split(self.unit)[2:]
+        return self._conditions(self.matrices.rows, -below, above, tuple(units))
+
+    def _conditions(self, C: sp.csr_array, *bounds: Any) -> LinearConstraints:
+        """Return the first rows, which C are, as w = d − C x with these bounds of x and their units."""
+        given: tuple[Any, ...] = (self.limit, self.is_equality, self.unit)
+        limit, is_equality, unit = (one[: C.shape[0]] for one in given)
+        lower, upper, units = bounds
         return LinearConstraints(
-            -self.matrices.rows,
-            self.limit[rows],
-            np.isfinite(self.limit[rows]),
-            self.is_equality[rows],
-            -below,
-            above,
-            self.unit[rows],
-            (units[2], units[3]),
+            -C, limit, np.isfinite(limit), is_equality, lower, upper, unit, units
         )
 
     @cached_property

@@ -220,25 +220,19 @@ def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iter
     """
     for one in chain([point], polish_steps(statement, point, rounds)):
         yield one
-        clean = quiet(one)
-        pairs = product(*(_with_zero(values) for values in (clean.x, clean.y)))
-        for x, y in islice(pairs, int(clean is one), None):  # the first may be the point again
+        cleaned = [_without_noise(values) for values in (one.x, one.y)]
+        is_same = all(map(np.array_equal, (one.x, one.y), (both[0] for both in cleaned)))
+        for x, y in islice(product(*cleaned), int(is_same), None):
             yield one._replace(x=x, y=y)
 
 
-def _with_zero(values: Vector) -> tuple[Vector, ...]:
-    """Return the values and, if all are tiny, zeros: in the units of an engine, its noise is below 2⁻²⁰."""
-    return (values, np.zeros_like(values)) if np.abs(values).max(initial=0.0) <= TINY else (values,)
-
-
-def quiet(point: EngineAnswer) -> EngineAnswer:
-    """Return the point with 0 in place of x and multipliers of rows at rounding level of the largest, if any."""
-    of_y, of_x = np.abs(point.y), np.abs(point.x)
-    y = np.where(of_y <= NOISE * of_y.max(initial=0.0), 0.0, point.y)
-    x = np.where(of_x <= NOISE * of_x.max(initial=0.0), 0.0, point.x)
-    if (x == point.x).all() and (y == point.y).all():
-        return point
-    return point._replace(x=x, y=y)
+def _without_noise(values: Vector) -> tuple[Vector, ...]:
+    """Return the values with 0 at rounding level of the largest, and zeros if all values are tiny."""
+    sizes = np.abs(values)
+    largest = sizes.max(initial=0.0)
+    clean = np.where(sizes <= NOISE * largest, 0.0, values)
+    # In the units of an engine, its noise is below TINY
+    return (clean, np.zeros_like(values)) if largest <= TINY else (clean,)
 
 
 def _statements(reduced: QuadraticProgram, units: str) -> Iterator[ScaledProgram]:
@@ -356,10 +350,8 @@ class QuadraticProgramResult(BaseResult):
     @property
     def duals(self) -> dict[str, Vector]:
         """The multipliers ``inequality``, ``equality``, ``lower``, ``upper``, with cvxpy's signs."""
-        return {
-            name: getattr(self.solution, name)
-            for name in ("inequality", "equality", "lower", "upper")
-        }
+        names = "inequality", "equality", "lower", "upper"
+        return {name: getattr(self.solution, name) for name in names}
 
     def _advice_of_status(self) -> str:
         happened, begins, to_do = super()._advice_of_status().partition(NEXT)
@@ -545,7 +537,7 @@ class ProgramRun(Run):
         is_lcp_first = not rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
             # Pivots on thousands of rows take minutes; external solvers are next.
-            yield self.lcp_stage("auto", {}, ends_before="lemke")
+            yield self.lcp_stage("auto", {}, "lemke")
         if (form := regression_of(reduced)) is not None:
             because = "sums of squares with a penalty"
             yield Stage(Named("least squares"), because, steps=self._regression_steps(*form))
@@ -575,11 +567,10 @@ class ProgramRun(Run):
         for asked, units in attempts(self.program, engine):
             if time.thread_time() - began > most:
                 return
-            steps = {}
-            if "max_iterations" in self.wishes:
-                # it counts in 32 bits
-                steps[asked.steps] = min(self.wishes["max_iterations"], 2**31 - 1)
-            one = type(asked)(**{**asked.options, **steps})
+            options = dict(asked.options)
+            if "max_iterations" in self.wishes:  # an engine counts in 32 bits
+                options[asked.steps] = min(self.wishes["max_iterations"], 2**31 - 1)
+            one = type(asked)(**options)
             yield Stage(one, one.solves, steps=self._engine_steps(one, units))
             # All engines may take 20 times the first one's seconds; a small program is given to each of them
             most = min(most, max(20.0 * (time.thread_time() - began), 2.0))
@@ -595,25 +586,21 @@ class ProgramRun(Run):
     def _regression_steps(self, problem: Any, outward: Outward) -> Iterator[Step]:
         """Yield the start and the points of the least squares problem."""
         yield Step(nearest(self.program)[0], iterations=0)
-        wishes = {"tolerance": self.settings.tolerance}
-        wishes |= {key: self.wishes[key] for key in ("max_iterations",) if key in self.wishes}
+        names = self.wishes.keys() & {"max_iterations"}
+        wishes = {"tolerance": self.settings.tolerance} | {key: self.wishes[key] for key in names}
         for z, by in solutions(problem, wishes):
             solution = QPSolution.from_reduced(self.program, *outward(z))
             found = ProgramPoint.of(solution, self.settings.tolerance, by.algorithm, by.iterations)
             yield Step(solution.x, iterations=by.iterations, measured=found)
 
-    def lcp_stage(self, algorithm: Any, options: dict[str, Any], ends_before: str = "") -> Stage:
-        """Return a stage with a run on the complementarity problem of the program; `ends_before` may end it."""
-        return Stage(
-            Named("lcp"),
-            "complementarity problems",
-            steps=self._lcp_steps(algorithm, options, ends_before),
-        )
+    def lcp_stage(self, *run: Any) -> Stage:
+        """Return a stage with a run on the complementarity problem of the program; see `_lcp_steps`."""
+        return Stage(Named("lcp"), "complementarity problems", steps=self._lcp_steps(*run))
 
     def _lcp_steps(
-        self, algorithm: Any, options: dict[str, Any], ends_before: str
+        self, algorithm: Any, options: dict[str, Any], ends_before: str = ""
     ) -> Iterator[Step]:
-        """Yield the point of a run on the complementarity problem, which shows its own steps."""
+        """Yield the point of a run on the complementarity problem, which shows its own steps, up to an algorithm."""
         progress, n, left = self.progress, self.program.n, seconds_left()
         tolerance = self.settings.tolerance
         problem = optimality_conditions(self.program, tolerance)

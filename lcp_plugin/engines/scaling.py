@@ -94,10 +94,10 @@ def with_sides_about_one(fitted: ScaledProgram) -> ScaledProgram:
     one = fitted.statement
     t = _typical_size(one.h, one.b, one.lower, one.upper)
     units, rows, objective = fitted.units * t, fitted.rows / t, 1.0 / _typical_size(one.c * t)
-    scaled = ScaledProgram.from_units(
-        one, np.full(units.size, t), np.full(rows.size, 1.0 / t), objective
-    )
-    return ScaledProgram(scaled.statement, units, rows, fitted.objective * objective)
+    statement = ScaledProgram.from_units(
+        one, units / fitted.units, rows / fitted.rows, objective
+    ).statement
+    return ScaledProgram(statement, units, rows, fitted.objective * objective)
 
 
 def without_forbidden(given: ProgramData) -> ProgramData:

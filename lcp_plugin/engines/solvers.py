@@ -49,32 +49,12 @@ class DAQP(Engine):
         P, G, A = program.P, program.G, program.A
         if not isinstance(P, np.ndarray):
             P, G, A = P.toarray(), G.toarray(), A.toarray()
-        m, n, p = program.h.size, program.c.size, program.b.size
-        settings = self.settings
-        has_bounds = np.isfinite(program.lower).any() or np.isfinite(program.upper).any()
-        bounds = n if has_bounds else 0
-        if limits.seconds < math.inf:
-            settings["time_limit"] = limits.seconds
-        above = np.concatenate(
-            (program.upper, program.h, program.b) if bounds else (program.h, program.b)
-        )
-        sense, below = np.zeros(above.size, np.intc), np.empty(above.size)
-        below.fill(-np.inf)
-        if bounds:
-            below[:n] = program.lower
-        if p:
-            sense[bounds + m :], below[bounds + m :] = EQUATION, program.b
-        # Copies: daqp takes no arrays that are read-only. Some entry of a semidefinite P is positive, or all are 0.
-        x, y, flag, steps = _call_daqp(
-            np.array(P) if P.item(P.argmax()) > 0.0 else None,
-            np.array(program.c),
-            np.concatenate((G, A)) if p else np.array(G),
-            above,
-            below,
-            sense,
-            settings,
-        )
-        y = np.append(np.maximum(y[bounds : bounds + m], 0.0), y[bounds + m :])
+        data = P, program.c, np.concatenate((G, A)), np.concatenate((program.h, program.b))
+        stack, m, n = [one[np.newaxis] for one in data], program.h.size, program.c.size
+        bounds = program.lower[np.newaxis], program.upper[np.newaxis]
+        seconds = limits.seconds if limits.seconds < math.inf else 0.0
+        x, y, flag, steps = next(self.points(*stack, m, *bounds, [0], seconds))
+        y = np.append(np.maximum(y[n : n + m], 0.0), y[n + m :])
         return EngineAnswer(x, y, steps, DAQP_SAYS.get(flag, EngineStatus.GAVE_UP))
 
     def points(
@@ -105,14 +85,12 @@ class DAQP(Engine):
         sense[n + m :] = EQUATION
         above, below = np.concatenate([upper, d], axis=1), np.full((count, sense.size), -np.inf)
         below[:, :n], below[:, n + m :] = lower, d[:, m:]
-        costs, settings, has_P = np.array(c), {**self.settings, "time_limit": seconds}, P.any()
-        matrices = [np.array(one) for one in (P, C)]
-        of_P, of_C = (range(count) if len(one) > 1 else [0] * count for one in matrices)
+        settings = self.settings | ({"time_limit": seconds} if seconds else {})
+        has_P, (P, c, C) = P.any(), (np.require(one, requirements="CW") for one in (P, c, C))
+        of_P, of_C = (range(count) if len(one) > 1 else [0] * count for one in (P, C))
         for k in items:
-            hessian = matrices[0][of_P[k]] if has_P else None
-            yield _call_daqp(
-                hessian, costs[k], matrices[1][of_C[k]], above[k], below[k], sense, settings
-            )
+            hessian = P[of_P[k]] if has_P else None
+            yield _call_daqp(hessian, c[k], C[of_C[k]], above[k], below[k], sense, settings)
 
 
 def _call_daqp(

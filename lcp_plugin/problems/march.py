@@ -527,12 +527,12 @@ class Band(NamedTuple):
 
     def follow(
         self, state: NDArray[np.int8], value: Vector, right: Vector, before: Vector
-    ) -> tuple[Vector, Vector, Vector]:
-        """Return x, w = M x + r and the rounding error of w of the first of consecutive steps, r = right + C before.
+    ) -> tuple[Vector, Vector, Vector] | None:
+        """Return x, w = M x + r and the rounding error of w of consecutive steps, r = right + C before.
 
         `before` is the x of the step before. x is `value` on rows with a state; the other rows are free and satisfy
-        w = 0. The rounding error is relative to the row weights. Steps end before one whose block of free rows is
-        nearly singular, because its residual exceeds the rounding error, or its terms cancel.
+        w = 0. The rounding error is relative to the row weights. The result is None if a block of free rows is nearly
+        singular, because its residual exceeds the rounding error, or its terms cancel.
 
         Parameters
         ----------
@@ -541,20 +541,18 @@ class Band(NamedTuple):
 
         Returns
         -------
-        x, w : array, shape (j, n)
-        rounding : array, shape (j,)
+        x, w : array, shape (k, n)
+        rounding : array, shape (k,)
         """
         x, unit, is_free = np.empty(right.shape), self.entries.weights, state == 0
         given, weights = np.where(is_free, -right * unit, value), np.where(is_free, unit, 0.0)
-        count, first = len(x), before
+        last = before
         for k, entries in enumerate(held_entries(self.entries, state)):
-            rest = given[k] - weights[k] * self.propagate(before)
+            rest = given[k] - weights[k] * self.propagate(last)
             if (found := solve_held(entries, self.entries.below, rest)) is None:
-                count = k
-                break
-            before = x[k] = found
-        x, is_free = x[:count], is_free[:count]
-        right = right[:count] + self.propagate(np.array([first, *x[:-1]])[:count])
+                return None
+            last = x[k] = found
+        right = right + self.propagate(np.array([before, *x[:-1]]))
         w, size = (self.M @ x.T).T + right, ((self.size @ np.abs(x).T).T + np.abs(right)) * unit
         given = np.abs((self.M @ np.where(is_free, 0.0, x).T).T + right) * unit
         terms, given, left = (
@@ -562,8 +560,7 @@ class Band(NamedTuple):
             for one in (size, given, np.abs(w) * unit)
         )
         is_regular = (left <= 2.0**-40 * terms) & (terms <= CANCELLED * given)
-        count = count if is_regular.all() else int(np.argmin(is_regular))
-        return x[:count], w[:count], EPSILON * terms[:count]
+        return (x, w, EPSILON * terms) if is_regular.all() else None
 
 
 def _outer_on(A: sp.csr_array, left: Vector, right: Vector) -> Vector:
@@ -572,21 +569,12 @@ def _outer_on(A: sp.csr_array, left: Vector, right: Vector) -> Vector:
     return sums
 
 
-def _solve_each(entries: Vector, below: int, right: Vector) -> Vector:
-    """Return the solutions of banded systems, shape (k, n), as one system; NaN for a singular one."""
-    together = solve_held(np.concatenate([*entries], axis=1), below, right.ravel())
-    if together is not None:
-        return together.reshape(right.shape)
-    found = map(solve_held, entries, [below] * len(right), right)
-    return np.array([np.full(right.shape[1], np.nan) if one is None else one for one in found])
-
-
 class Steps:
     """Consecutive steps of a march; `here` is the slice of their indices.
 
     On a narrow band each solution is first computed again on its free rows, and its rows are classified: −1 at the
-    lower bound, 0 between, 1 at the upper bound, ∓2 if also w = 0. A step is passed to its Derivative if rounding
-    error leaves rows undecided, or if its free block is nearly singular.
+    lower bound, 0 between, 1 at the upper bound, ∓2 if also w = 0. Each step is passed to its Derivative if rounding
+    error leaves rows of a step undecided, or if a free block is nearly singular.
 
     Parameters
     ----------
@@ -611,15 +599,15 @@ class Steps:
     def __len__(self) -> int:
         return len(self.states) - 1
 
-    def _settle(self, band: Band | None) -> tuple[Vector, NDArray[np.int8], NDArray[np.bool_]]:
-        """Solve each step on its free rows once; return the solutions, the states of rows, and which active sets stay.
+    def _settle(self, band: Band | None) -> tuple[Vector, NDArray[np.int8], bool]:
+        """Solve each step on its free rows once; return the solutions, the states of rows, and if active sets stay.
 
-        Without a band, none stays.
+        Without a band, they count as not decided.
         """
         problem, z = self.march.problem, self.states[1:]
         change = before = np.full(z.shape, KINK, np.int8)
         if band is None:
-            return z, before, np.zeros(len(z), np.bool_)
+            return z, before, False
         lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
         for is_last in (False, True):
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
@@ -634,7 +622,11 @@ class Steps:
             before = found
             value = np.where(found < 0, lower, upper)
             right = np.where(found, value - z, -w * band.entries.weights)
-            step = _solve_each(held_entries(band.entries, found), band.entries.below, right)
+            entries = np.concatenate([*held_entries(band.entries, found)], axis=1)
+            step = solve_held(entries, band.entries.below, right.ravel())
+            if step is None:
+                return z, found.astype(np.int8), False
+            step = step.reshape(z.shape)
             change, z = np.abs(step), np.where(found, value, z + step)
         size *= EPSILON * (np.diff(band.M.indptr) + 1)
         near, slight = size + LEFT * change * scale, size + LEFT * (band.size @ change.T).T
@@ -642,7 +634,7 @@ class Steps:
         is_kink = is_negligible | ((nearest <= size) & (np.abs(w) <= size) & ~is_clear)
         kinks = np.where(below < above, KINK, -KINK)
         sides = np.where(is_kink & (lower != upper), kinks, found).astype(np.int8)
-        return z, sides, ((found == before) & (is_clear | is_kink)).all(axis=1)
+        return z, sides, bool(((found == before) & (is_clear | is_kink)).all())
 
     def at(self, k: int) -> Derivative:
         """Return the derivative of a step by the data of the step."""
@@ -655,9 +647,7 @@ class Steps:
 
     def degenerate(self, k: int) -> NDArray[np.intp]:
         """Return the degenerate rows of a step."""
-        return (
-            np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain[k] else self.at(k).degenerate
-        )
+        return np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain else self.at(k).degenerate
 
     def jvp(
         self,
@@ -715,32 +705,23 @@ class Steps:
         before: Vector,
         solve_alone: Callable[[int, Vector], Vector],
     ) -> tuple[Vector, Vector]:
-        """Return x and w of the steps in this order, on the band if that decides; w is 0 for the other steps.
+        """Return x and w of the steps in this order, on the band if that decides, else one by one, with w = 0.
 
         Forwards, a degenerate row stays at its bound if its slack agrees; backwards, any piece is a gradient.
         """
-        x, w, k, side = np.empty(right.shape), np.zeros(right.shape), 0, self.sides[order]
-        is_plain = self.is_plain[order] & (band is not None)
-        is_kink = (np.abs(side) == KINK) & (order[-1] >= order[0])
-        while k < len(x):
-            stop = k + int(np.argmin(np.append(is_plain[k:], False)))
-            if band is None or stop == k:
-                before = x[k] = solve_alone(int(order[k]), before)
-                k += 1
-                continue
-            here = slice(k, stop)
-            found, slack, rounding = band.follow(side[here], value[here], right[here], before)
-            here = slice(k, k + len(found))
-            signed = np.where(side[here] > 0, slack, -slack) * band.entries.weights
-            is_wrong = (is_kink[here] & (signed > rounding[:, np.newaxis])).any(axis=1)
-            count = int(np.argmax(is_wrong)) if is_wrong.any() else len(found)
-            here = slice(k, k + count)
-            x[here], w[here] = found[:count], slack[:count]
-            k += count
-            before = x[k - 1] if count else before
-            if k < stop:
-                is_plain[k] = False
-        return x, w
+        side = self.sides[order]
+        if band is not None and self.is_plain:
+            found = band.follow(side, value, right, before)
+            if found is not None:
+                x, w, rounding = found
+                signed = np.where(side > 0, w, -w) * band.entries.weights
+                is_kink = (np.abs(side) == KINK) & (order[-1] >= order[0])
+                if not (is_kink & (signed > rounding[:, np.newaxis])).any():
+                    return x, w
+        x = np.empty(right.shape)
+        for k, step in enumerate(order.tolist()):
+            before = x[k] = solve_alone(step, before)
+        return x, np.zeros(right.shape)
 
 
 class MarchGradient(NamedTuple):
@@ -783,8 +764,8 @@ class MarchDerivative:
 
     Notes
     -----
-    A step on a narrow band is one banded system. A step is passed to its Derivative if its rows are nearly degenerate
-    or its free block is nearly singular, and for other matrices.
+    A step on a narrow band is one banded system. The steps of a block of 64 are passed to their Derivatives if rows of
+    one are nearly degenerate or a free block is nearly singular, and for other matrices.
     """
 
     def __init__(self, march: March, each: Callable[..., Derivative]) -> None:
@@ -807,7 +788,7 @@ class MarchDerivative:
         self.march, self.derivative_at = march, each
         self.before: Derivative | None = None  # of the last step
         # By the first step of a block: as much memory as the march, a quarter of the time of further directions.
-        self.settled: dict[int, tuple[Vector, NDArray[np.int8], NDArray[np.bool_]]] = {}
+        self.settled: dict[int, tuple[Vector, NDArray[np.int8], bool]] = {}
 
     def __len__(self) -> int:
         return len(self.march)

@@ -123,13 +123,8 @@ class BatchPart(LinearizedSystem):
         """Return the gradients by q, lower and upper, of least norm if blocks are singular."""
         g, by_w = np.broadcast_to(g, self.free.shape), np.where(self.free, 0.0, by_w)
         by_q, by_bound, _ = self.adjoint(g, by_w)
-        return [
-            by_q,
-            *(
-                np.where(self.free | (self.is_upper != side), 0.0, by_bound)
-                for side in (False, True)
-            ),
-        ]
+        of_sides = (self.is_upper != side for side in (False, True))
+        return [by_q, *(np.where(self.free | other, 0.0, by_bound) for other in of_sides)]
 
     def _product(self, x: Any, *, transposed: bool = False) -> Any:
         return products(self.group.M.swapaxes(1, 2) if transposed else self.group.M, x)
@@ -703,24 +698,17 @@ def words_on_singular(system: FreeSystem) -> str:
 
 def solution(system: FreeSystem, right: Vector, *, transposed: bool = False) -> Vector:
     """Return the solution, with least norm if the block is singular."""
-    x = system.solve(right, transposed=transposed)
-    if x is not None:
-        return x
-    inverse = system.pseudo_inverse
-    if inverse is None:
+    x = system.least_solution(right, transposed=transposed)
+    if x is None:
         raise UnsuitableProblem(SINGULAR)
-    x, right = np.zeros(right.size), right[system.rows]
-    part = (inverse.T if transposed else inverse) @ right
-    left = np.abs(right - system.block @ part)
-    if (
-        not transposed
-        and (left > CONSISTENT * (abs(system.block) @ np.abs(part) + np.abs(right))).any()
-    ):
-        raise UnsuitableProblem(
-            f"M is singular on the {part.size} free rows, and after this change no z solves them: there is no "
-            "derivative in this direction; regularise M, or change q within what M z can give"
-        )
-    x[system.rows] = part
+    if system.is_singular and not transposed:
+        part, right = x[system.rows], right[system.rows]
+        terms = abs(system.block) @ np.abs(part) + np.abs(right)
+        if (np.abs(right - system.block @ part) > CONSISTENT * terms).any():
+            raise UnsuitableProblem(
+                f"M is singular on the {part.size} free rows, and after this change no z solves them: there is no "
+                "derivative in this direction; regularise M, or change q within what M z can give"
+            )
     return x
 
 

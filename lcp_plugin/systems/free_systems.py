@@ -281,6 +281,13 @@ class FreeSystem:
             return None
         return self._extended(self._solved(factor, right[self.rows], REFINEMENTS, transposed))
 
+    def least_solution(self, right: Vector, *, transposed: bool = False) -> Vector | None:
+        """Return x as `solve`, of least norm if the block is singular; None if no pseudo-inverse is available."""
+        x = self.solve(right, transposed=transposed)
+        if x is None and (inverse := self.pseudo_inverse) is not None:
+            x = self._extended((inverse.T if transposed else inverse) @ right[self.rows])
+        return x
+
     def solve_near(self, right: Vector, start: Vector) -> Vector | None:
         """Return x with the smallest residual in M_FF x_F = right_F, 0 elsewhere; None if no attempt is finite.
 

@@ -228,6 +228,11 @@ def _stacks_of(
         yield part, partial(solve_least_squares_stack, stack(part), tolerance, is_compiled)
 
 
+def have_values(lower: Any, upper: Any) -> Any:
+    """Return the mask of the problems whose bounds have a value between them, shape (B,)."""
+    return ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(axis=1)
+
+
 class Rows(Instances):
     """Problems with one matrix, or with a stack of matrices, in arrays with an axis for the problems.
 
@@ -251,8 +256,8 @@ class Rows(Instances):
     def _find_errors(self, is_good: Any) -> None:
         """Keep the error of each problem that is not good; bounds must be consistent as well."""
         lower, upper = self.rows["lower"], self.rows["upper"]
-        has_values = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(1)
-        for k in np.flatnonzero(~np.broadcast_to(is_good & has_values, self.count)).tolist():
+        is_good = is_good & have_values(lower, upper)
+        for k in np.flatnonzero(~np.broadcast_to(is_good, self.count)).tolist():
             try:
                 self[k]
             except LCPError as error:
@@ -358,8 +363,6 @@ class Stacked(Rows):
 
 class RightSides(Rows):
     """One least squares problem with many right-hand sides b, shape (B, m), and bounds, shapes (B, n) or (n,)."""
-
-    are_lcps = False
 
     def __init__(self, problem: BoundedLeastSquares, b: Any, lower: Any, upper: Any, z0: Any):
         self.base, (m, n) = problem, problem.shape

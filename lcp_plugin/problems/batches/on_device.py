@@ -22,7 +22,7 @@ from ...core.solving.result import Result, StageRecord
 from ...methods.small import tilts
 from ..many import AnswerSequence
 from .batch_run import BatchRun
-from .instances import Stacked
+from .instances import Stacked, have_values
 
 MAX_UNKNOWNS = 70
 MAX_SCRATCH = 2**30  # bytes of the tables of one launch
@@ -188,8 +188,7 @@ class DeviceAnswers(AnswerSequence[Any]):
             (sides, z, bound),
             lambda: clock.read() <= limit,
         )
-        is_valid = ((low <= high) & (low < np.inf) & (high > -np.inf)).all(axis=1)
-        residual = xp.asnumpy(xp.where(is_valid, bound, np.inf))
+        residual = xp.asnumpy(xp.where(have_values(low, high), bound, np.inf))
         self.status, self.errors = np.full(count, Status.SOLVED), dict[int, LCPError]()
         self._others: tuple[dict[int, int], Any] = {}, ()
         self.iterations = xp.asnumpy((z != start).any(axis=1)).astype(int)

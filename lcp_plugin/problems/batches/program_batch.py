@@ -25,7 +25,7 @@ from ..programs.program_matrices import (
     may_be_small,
     refuse_nonconvex,
 )
-from .instances import Instances, Stacks
+from .instances import Instances, Stacks, have_values
 
 ENGINE = "daqp"
 VECTORS = ("c", "h", "b", "lower", "upper")
@@ -97,7 +97,7 @@ class ProgramBatch(Instances):
         constant = np.array([getattr(one, "constant", np.nan) for one in programs])
         matrices: Any = (getattr(example, name) for name in "PGA")
         if not is_shared:
-            stated = [one if isinstance(one, QuadraticProgram) else example for one in programs]
+            stated = [example if isinstance(one, LCPError) else one for one in programs]
             matrices = (
                 np.array([as_array(getattr(one, name)) for one in stated]) for name in "PGA"
             )
@@ -146,19 +146,16 @@ class ProgramBatch(Instances):
             np.broadcast_to(rows, (self.count, rows.shape[1])) for rows in self.vectors.values()
         )
         P, G, A = map(_stack, (self.P, self.G, self.A))
-        data = P, c, _concatenate(G, A), _concatenate(h, b), lower, upper
+        data = P, c, np.concatenate([G, A], 1), np.concatenate([h, b], 1), lower, upper
         return tuple(read_only(np.ascontiguousarray(array)) for array in data)
 
     @property
     def may_be_stated(self) -> BoolVector:
         """Mask of the valid programs, shape (B,), as far as vectors show."""
         c, h, b, lower, upper = self.vectors.values()
-        with np.errstate(all="ignore"):
-            has_values = ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(axis=1)
-            is_finite = (
-                np.isfinite(c).all(axis=1) & np.isfinite(b).all(axis=1) & (h > -np.inf).all(axis=1)
-            )
-        return np.broadcast_to(has_values & is_finite, self.count)
+        is_finite = np.isfinite(c).all(axis=1) & np.isfinite(b).all(axis=1)
+        is_stated = is_finite & (h > -np.inf).all(axis=1) & have_values(lower, upper)
+        return np.broadcast_to(is_stated, self.count)
 
     def refuse_nonconvex(self) -> None:
         """Raise if one P for all is not convex.
@@ -172,18 +169,12 @@ class ProgramBatch(Instances):
         return self.count
 
     def __getitem__(self, k: int) -> QuadraticProgram:
-        if not -len(self) <= k < len(self):
-            raise IndexError(f"there are {len(self)} programs, and none has the number {k}")
-        c, h, b, lower, upper = (_row_of(rows, k % len(self)) for rows in self.vectors.values())
-        constant = float(np.broadcast_to(self.constant, self.count)[k])
-        if self.given is not None:
-            if isinstance(one := self.given[k], LCPError):
-                raise one
-            return one
-        if self.shared is not None:
-            return self.shared.with_vectors(c, h, b, lower, upper, constant)
-        P, G, A = (_row_of(stack, k % len(self)) for stack in (self.P, self.G, self.A))
-        return QuadraticProgram(P, c, G, h, A, b, lower, upper, constant)
+        if self.given is None:
+            assert self.shared is not None
+            return self.shared.with_vectors(self.vectors["c"][k])
+        if isinstance(one := self.given[k], LCPError):
+            raise one
+        return one
 
     def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
         """Yield small programs in blocks, some for each thread."""
@@ -291,24 +282,9 @@ def block_diagonal(stack: Any) -> sp.csr_array:
     return assemble_csr(stack[is_entry], columns, starts, (count * m, count * n))
 
 
-def _row_of(rows: Any, k: int) -> Any:
-    """Return the row of program k; a single row is common to all programs."""
-    return rows[k if len(rows) > 1 else 0]
-
-
 def _stack(matrices: Any) -> Any:
     dense = np.ascontiguousarray(as_array(matrices))
     return dense if dense.ndim == 3 else dense[np.newaxis]
-
-
-def _concatenate(first: Any, second: Any) -> Any:
-    """Return two stacks as one, without a copy if one stack has no rows."""
-    if not first.shape[1] or not second.shape[1]:
-        return first if first.shape[1] else second
-    count = max(len(first), len(second))
-    return np.concatenate(
-        [np.broadcast_to(one, (count, *one.shape[1:])) for one in (first, second)], axis=1
-    )
 
 
 def _are_semidefinite(P: Any) -> Any:

@@ -107,14 +107,11 @@ class ConeRows(RowData):
     def measure_blocks(self, z: Array, tolerance: float, absolute: float = 0.0) -> Measured:
         """Return the measure of points of the cones, shape (B, k, m), snapped; numbers have the shape (B,)."""
         found = self.measure(self.flat(z), tolerance, absolute=absolute)
-        one, numbers = np.zeros(self.stack.B), (found.residual, found.passes, found.is_limited)
-        residual, passes, is_limited = (np.atleast_1d(one + x) for x in numbers)
-        return found._replace(
-            z=self.wide(found.z),
-            residual=residual,
-            passes=passes > 0.0,
-            is_limited=is_limited > 0.0,
+        shape = (self.stack.B,)
+        residual, passes, is_limited = (
+            np.broadcast_to(one, shape) for one in (found.residual, found.passes, found.is_limited)
         )
+        return Measured(self.wide(found.z), residual, passes, is_limited, *found[4:])
 
     def of_blocks(self, values: Array) -> Array:
         """Return the largest of the values by rows in each block, shape (B, k)."""

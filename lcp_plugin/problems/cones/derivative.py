@@ -156,16 +156,13 @@ class StackDerivative(LinearizedSystem):
         return x
 
     def _solved(self, right: Vector, *, transposed: bool) -> Any:
-        x = self.system.solve(right, transposed=transposed)
-        if x is not None:
-            return x
-        inverse = self.system.pseudo_inverse
-        if inverse is None:
+        x = self.system.least_solution(right, transposed=transposed)
+        if x is None:
             raise UnsuitableProblem(
                 "several answers share the same motion, and their system is too large for a pseudo-inverse (500 rows): "
                 "state fewer contacts, or add a small compliance to the diagonal of W"
             )
-        return (inverse.T if transposed else inverse) @ right
+        return x
 
 
 class ConeDerivative:
@@ -230,42 +227,39 @@ class ConeDerivative:
         For a change dm of a mass matrix m, use dM = −J m⁻¹ dm m⁻¹ Jᵀ. For a change du of the bodies' velocities, use
         dq = J du.
         """
-        changes = dq, dM, dfriction, dlower, dupper
-        dz = self._change(self._of, *changes)
+        problem, n = self.problem, self.problem.n
+        low, high = change_of_vector(dlower, "dlower", n), change_of_vector(dupper, "dupper", n)
+        if dfriction is None:
+            slopes = np.zeros(n)
+        elif problem.has_friction:
+            k = problem.slope.size
+            given = np.full(k, dfriction) if is_number(dfriction) else dfriction
+            slopes = checked_vector(given, "dfriction", k)[problem.block_of_row]
+        else:
+            raise InvalidOption(
+                "dfriction is of a FrictionalContact; a ConeProblem has dq, dM, dlower and dupper"
+            )
+
+        def change(of: StackDerivative) -> Vector:
+            """Return dz with the selected generalized derivative."""
+            held = self._by_bound(self._holds(of), low, high)[None]
+            dz: Vector = of.tangent(self._moved(dq, dM)[None], held, of.by_friction * slopes)[0]
+            return dz
+
+        dz, is_there = change(self._of), (self.z <= problem.lower, self.z >= problem.upper)
+        of_bound = self._by_bound(is_there, low, high)
         for _ in range(PIECES if self.degenerate.size else 0):
-            of_bound = np.zeros(dz.size)
-            for change, is_there in (
-                (dlower, self.z <= self.problem.lower),
-                (dupper, self.z >= self.problem.upper),
-            ):
-                if change is not None:
-                    of_bound[is_there] = np.asarray(change)[is_there]
             piece = self._of.branch_towards((dz - of_bound)[None], self.dw(dz, dq=dq, dM=dM)[None])
-            last, dz = dz, self._change(piece, *changes)
+            last, dz = dz, change(piece)
             if np.abs(dz - last).max(initial=0.0) <= ALIKE * np.abs(dz).max(initial=0.0):
                 break
         return dz
 
-    def _change(
-        self, of: StackDerivative, dq: Any, dM: Any, dfriction: Any, dlower: Any, dupper: Any
-    ) -> Vector:
-        """Return dz with the selected generalised derivative."""
-        problem, n = self.problem, self.problem.n
-        held, more = np.zeros((1, n)), np.zeros(())
-        for change, holds in zip((dlower, dupper), self._holds(of), strict=True):
-            if change is not None:
-                held[0, holds] = checked_vector(change, "dlower or dupper", n)[holds]
-        if dfriction is not None:
-            if not problem.has_friction:
-                raise InvalidOption(
-                    "dfriction is of a FrictionalContact; a ConeProblem has dq, dM, dlower and dupper"
-                )
-            k = problem.slope.size
-            dfriction = np.full(k, dfriction) if is_number(dfriction) else dfriction
-            slopes = checked_vector(dfriction, "dfriction", k)
-            more = of.by_friction * slopes[problem.block_of_row]
-        dz: Vector = of.tangent(self._moved(dq, dM)[None], held, more)[0]
-        return dz
+    @staticmethod
+    def _by_bound(holds: tuple[Any, Any], low: Vector, high: Vector) -> Vector:
+        """Return the changes of the bounds that hold rows, 0 in other rows."""
+        is_lower, is_upper = holds
+        return np.where(is_upper, high, np.where(is_lower, low, 0.0))
 
     def dw(self, dz: ArrayLike, *, dq: Any = None, dM: Any = None) -> Vector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""

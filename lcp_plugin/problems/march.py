@@ -113,11 +113,7 @@ class BandSteps:
         if self.side:
             value = problem.lower if self.side > 0 else problem.upper
             found = solve_one_sided(self.band.entries, q, self.side, value, self.none)[0]
-            return (
-                None
-                if found is None
-                else np.minimum(np.maximum(found, problem.lower), problem.upper)
-            )
+            return None if found is None else np.clip(found, problem.lower, problem.upper)
         data = self._data(q)
         reference = data.residual(data.start, self.of_nearest + q)
         goal = 0.5 * self.tolerance * np.abs(reference).max(initial=0.0)
@@ -591,7 +587,6 @@ class Steps:
         march, count = whole.march, len(states) - 1
         self.here = slice(first, first + count)
         self.q = march.forcing[self.here] + (march.propagator @ states[:-1].T).T
-        self._of_step: tuple[int, Derivative] | None = None
         if (settled := whole.settled.get(first)) is None:
             settled = whole.settled[first] = self._settle(whole.band)
         self.z, (self.sides, self.is_plain) = settled[0].copy(), settled[1:]
@@ -638,12 +633,11 @@ class Steps:
 
     def at(self, k: int) -> Derivative:
         """Return the derivative of a step by the data of the step."""
-        if self._of_step is None or self._of_step[0] != k:
-            problem, z = self.march.problem.with_q(self.q[k]), self.states[k + 1]
-            # The last factorization is used again if it fits
-            found = self.whole.derivative_at(problem, z, problem.slack(z), before=self.whole.before)
-            self.whole.before, self._of_step = found, (k, found)
-        return self._of_step[1]
+        problem, z = self.march.problem.with_q(self.q[k]), self.states[k + 1]
+        # The last factorization is used again if it fits
+        found = self.whole.derivative_at(problem, z, problem.slack(z), before=self.whole.before)
+        self.whole.before = found
+        return found
 
     def degenerate(self, k: int) -> NDArray[np.intp]:
         """Return the degenerate rows of a step."""

@@ -246,7 +246,8 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> ProgramBatc
     if isinstance(M, QuadraticProgram) and q is not None:
         _refuse_algorithm(q)
         _refuse_data("the vectors", '[{"lower": …, "upper": …}]', None, lower, upper)
-        if isinstance(q, np.ndarray) or _holds_rows(q):
+        is_list = isinstance(q, Sequence) and bool(q)
+        if isinstance(q, np.ndarray) or (is_list and isinstance(q[0], (Sequence, np.ndarray))):
             return ProgramBatch.with_costs(M, q)
         return ProgramBatch.of(programs_for(M, q), M)
     if (
@@ -258,11 +259,6 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> ProgramBatc
         _refuse_data("these problems", "QuadraticProgram(P, c, …)", q, lower, upper)
         return ProgramBatch.of(M, M[0])
     return None
-
-
-def _holds_rows(q: Any) -> bool:
-    """Return whether q is a list of vectors, not of mappings."""
-    return isinstance(q, Sequence) and bool(q) and isinstance(q[0], (Sequence, np.ndarray))
 
 
 def _refuse_algorithm(q: Any) -> None:

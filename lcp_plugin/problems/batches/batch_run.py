@@ -149,32 +149,31 @@ class BatchRun:
         self.status[at], self.is_open[at] = Status.SOLVED, False
 
     def _solve_others(self, executor: Any) -> None:
-        """Solve the other problems by themselves."""
+        """Solve the other problems by themselves: one after the other, or in jobs on an executor."""
+        numbers = np.flatnonzero(self.is_open)
+        if executor is None:
+            for k in numbers.tolist():
+                if self.seconds_left <= 0.0:
+                    return
+                for found in self._job([k])():
+                    self._keep(*found)
+                self.report()
+        elif numbers.size:
+            parts = np.array_split(numbers, min(MAX_JOBS, numbers.size))
+            for _, some in self._finished(executor, [self._job(part.tolist()) for part in parts]):
+                for found in some:
+                    self._keep(*found)
+
+    def _job(self, numbers: list[int]) -> Callable[[], Any]:
+        """Return the function that solves these problems; the error of an invalid one is kept here."""
         problems = {}
-        for k in np.flatnonzero(self.is_open).tolist():
+        for k in numbers:
             try:
                 problems[k] = self.problems[k]
             except LCPError as error:
                 self._keep(k, error)
-            if executor is None and k in problems:
-                if self.seconds_left <= 0.0:
-                    return
-                for found in self._job([k], problems)():
-                    self._keep(*found)
-                self.report()
-                del problems[k]
-        if problems:
-            parts = np.array_split([*problems], min(MAX_JOBS, len(problems)))
-            jobs = [self._job(part.tolist(), problems) for part in parts]
-            for _, some in self._finished(executor, jobs):
-                for found in some:
-                    self._keep(*found)
-
-    def _job(self, numbers: list[int], problems: dict[int, Any]) -> Callable[[], Any]:
-        """Return the function that solves these problems."""
-        starts = [self.problems.start(k) for k in numbers]
-        chosen, end = [problems[k] for k in numbers], time.time() + self.seconds_left
-        return partial(solve_each, numbers, chosen, starts, self.algorithm, self.options, end)
+        starts, end = [self.problems.start(k) for k in problems], time.time() + self.seconds_left
+        return partial(solve_each, problems, starts, self.algorithm, self.options, end)
 
     def _keep(self, k: int, found: Any) -> None:
         """Keep the result, or the error, of problem k."""
@@ -276,16 +275,11 @@ def _is_interrupted(found: Any) -> bool:
 
 
 def solve_each(
-    numbers: list[int],
-    problems: list[Any],
-    starts: list[Any],
-    algorithm: Any,
-    options: dict[str, Any],
-    end: float,
+    problems: dict[int, Any], starts: list[Any], algorithm: Any, options: dict[str, Any], end: float
 ) -> list[tuple[int, Any]]:
     """Return numbers with results, or errors, of problems, up to a time of the day or an interruption."""
     done: list[tuple[int, Any]] = []
-    for k, problem, start in zip(numbers, problems, starts, strict=True):
+    for (k, problem), start in zip(problems.items(), starts, strict=True):
         limit = {} if end == math.inf else {"max_seconds": max(end - time.time(), 0.0)}
         if done and (not is_before(end) or _is_interrupted(done[-1][1])):
             break

@@ -149,15 +149,9 @@ class Blocks:
         UnreadableFile
             If the file cannot be written, or has another extension.
         """
-        from ...interfaces.files import save_arrays
+        from ...interfaces.files import MATRIX_KEYS, save_arrays
 
-        M = self.rows.csr
-        matrix = {
-            "data": M.data,
-            "indices": M.indices,
-            "indptr": M.indptr,
-            "shape": np.array(M.shape),
-        }
+        matrix = {name: getattr(self.rows.csr, name) for name in MATRIX_KEYS}
         save_arrays(path, {**matrix, "q": self.q, **self._shape()}, "a problem over cones")
 
     def _shape(self) -> dict[str, Any]:
@@ -250,40 +244,32 @@ def _blocks(cones: Any, n: int) -> tuple[list[int], Vector, Vector, tuple[Any, .
     sizes: list[int] = []
     lower, upper = [np.empty(0)], [np.empty(0)]
     for number, cone in enumerate(cones):
+        kind, *given = cone if isinstance(cone, (tuple, list)) and cone else (cone,)
+        rows, wrong = given[0] if given else 0, ""
         if isinstance(cone, str):
-            raise InvalidProblem(
-                f"cones[{number}] = {cone!r} is a text; write a list of tuples, such as "
-                f'cones=[("nonnegative", {n})]; {NEED_CONES}'
-            )
-        kind = cone[0] if isinstance(cone, (tuple, list)) and cone else cone
-        if not isinstance(kind, str) or kind not in CONES:
-            raise InvalidProblem(
-                f"cones[{number}] = {cone!r} is not a cone{did_you_mean(kind, CONES)}; {NEED_CONES}"
-            )
-        if len(cone) != (3 if kind == "box" else 2):
-            raise InvalidProblem(
-                f"cones[{number}] = {cone!r} has {len(cone) - 1} numbers behind its name; {NEED_CONES}"
-            )
-        if kind == "box":
-            low, high = _box(cone[1:], f"cones[{number}]")
+            wrong = f'is a text; write a list of tuples, such as cones=[("nonnegative", {n})]'
+        elif not isinstance(kind, str) or kind not in CONES:
+            wrong = f"is not a cone{did_you_mean(kind, CONES)}"
+        elif len(given) != (2 if kind == "box" else 1):
+            wrong = f"has {len(given)} numbers behind its name"
+        elif kind == "box":
+            low, high = _box(given, f"cones[{number}]")
             rows = low.size
+        elif not is_number(rows) or not 0 <= rows < np.inf or rows != int(rows):
+            wrong = "must name an integer of rows ≥ 0"
         else:
-            rows = cone[1]
-            if not is_number(rows) or not 0 <= rows < np.inf or rows != int(rows):
-                raise InvalidProblem(
-                    f"cones[{number}] = {cone!r} must name an integer of rows ≥ 0; {NEED_CONES}"
-                )
             rows = int(rows)
             is_half = kind == "nonnegative" or (kind == "second_order" and rows == 1)
             low, high = np.full(rows, 0.0 if is_half else -np.inf), np.full(rows, np.inf)
+        if wrong:
+            raise InvalidProblem(f"cones[{number}] = {cone!r} {wrong}; {NEED_CONES}")
         sizes += [rows] if kind == "second_order" and rows > 1 else [1] * rows
         lower.append(low)
         upper.append(high)
-    total = sum(sizes)
-    if total != n:
+    if (total := sum(sizes)) != n:
+        which = "too few" if total < n else "too many"
         raise InvalidProblem(
-            f"the cones have {total} rows and M has {n}: "
-            f"{'too few' if total < n else 'too many'}; {NEED_CONES}, one after the other"
+            f"the cones have {total} rows and M has {n}: {which}; {NEED_CONES}, one after the other"
         )
     return sizes, np.concatenate(lower), np.concatenate(upper), tuple(tuple(cone) for cone in cones)
 

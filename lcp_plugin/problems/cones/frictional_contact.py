@@ -23,165 +23,22 @@ from .data import Blocks
 NEARLY_SYMMETRIC = 1e-2  # of the largest entry: few-digit contact data differ by up to 2.5e-3
 
 
-class FrictionalContact(Blocks):
-    """Contacts with Coulomb friction: impulses r in the quadratic cones ‖r_T‖ ≤ μ r_N, velocities u = W r + b.
-
-    Each contact is open (r = 0, u_N ≥ 0), or sticks (u = 0), or slides (u_N = 0, r_T of length μ r_N against u_T).
-    The cones are not approximated by pyramids.
+class FrictionalContactBatch:
+    """Many problems of at most k contacts each, for solve_batch and derivative: `FrictionalContact.worlds`.
 
     Parameters
     ----------
-    W : array or sparse array, shape (d k, d k), or three arrays (mass matrix, normals, tangents)
-        Velocities by impulses, d rows per contact: its normal, then its d − 1 tangents, d = 3 in space and 2 in the
-        plane; in 1/kg. Symmetric up to 1 % of its largest entry, as contact data often have few digits; it is
-        used unchanged. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`; if one of the arrays is sparse,
-        W is sparse, and the tangents of all contacts are one matrix, (t k, v), t = d − 1, contact by contact.
-    b : array, shape (d k,) or (k, d), or (v,) with a mass matrix
-        Velocities at the end of the step without contact impulses, in m/s; with a mass matrix those of the bodies.
-    friction : number or array, shape (k,)
-        Coefficients μ ≥ 0.
-    gaps, time_step : optional
-        As in :meth:`lcp_plugin.LCP.from_contacts`.
+    W, b, friction : array, shapes (B, d k, d k) or (d k, d k), (B, d k) or (B, k, d), and (B, k), (k,) or a number
+        A contiguous W is not copied: do not change its entries while you use the batch.
+    contacts : array of int, shape (B,), optional
+        Number of contacts of each instance, by default k. Later rows are ignored.
     dimension : int, optional
-        d, if the shapes of b and `friction` do not determine it; 3 by default if the number of rows is a multiple of 3.
+        See :class:`FrictionalContact`.
 
     Raises
     ------
     InvalidProblem
-        For a W that is not symmetric, μ < 0, a number of rows that is not a multiple of d, numbers that are not finite.
-
-    Notes
-    -----
-    With friction the problem is not a convex program for any W: a solution need not be unique, and need not exist
-    (Painlevé). A run that finds none ends STALLED, or INFEASIBLE if no impulses keep the contacts from closing.
-    Solutions of a pile agree more often in the motion than in the impulses. Rolling and spinning friction are not
-    supported: the limits ‖m‖ ≤ ν r_N and ‖r_T‖ ≤ μ r_N together do not form a second-order cone.
-
-    ``result.motion`` has impulses and velocities contact by contact. For time steps with changing contacts, start from
-    the impulses of the previous step, ``solve(FrictionalContact(W, b, friction), z0=r)``, with 0 for new contacts; for
-    steps with one W use :func:`lcp_plugin.march`. :func:`lcp_plugin.load_problem` reads fclib's files.
-
-    :meth:`worlds` builds a batch of problems from arrays.
-
-    Examples
-    --------
-    A block of 1 kg on the ground is pushed along (3, 4). Friction is too weak to keep it at its place:
-
-    >>> from lcp_plugin import solve
-    >>> result = solve(FrictionalContact(np.eye(3), [[-1.0, 3.0, 4.0]], 0.5))
-    >>> result.z.round(6), result.w.round(6), result.motion.sticks
-    (array([ 1. , -0.3, -0.4]), array([0. , 2.7, 3.6]), array([False]))
-
-    """
-
-    offset = "b"
-    bodies: Bodies | None = None
-
-    def __init__(
-        self,
-        W: Any,
-        b: ArrayLike,
-        friction: ArrayLike,
-        *,
-        gaps: ArrayLike | None = None,
-        time_step: float | None = None,
-        dimension: int | None = None,
-    ) -> None:
-        need = (
-            "b must be a finite array of shape (d k,) or (k, d), d = 3 in space and 2 in the plane"
-        )
-        velocities = real_array(b, need)
-        if contact.is_of_bodies(W):
-            is_sparse = any(map(sp.issparse, W))
-            W, velocities, self.bodies = contact.contacts_of_bodies(W, velocities)
-            W = W if is_sparse or not sp.issparse(W) else W.toarray()
-        if velocities.ndim not in (1, 2):
-            raise InvalidProblem(
-                f"{need}, got shape {velocities.shape}; for many problems use FrictionalContact.worlds"
-            )
-        if velocities.ndim == 2:
-            if dimension not in (None, velocities.shape[1]):
-                raise InvalidProblem(
-                    f"b has {velocities.shape[1]} columns and dimension is {dimension}; leave one out"
-                )
-            dimension = velocities.shape[1]
-        offset = checks.checked_vector(velocities.ravel(), "b", None)
-        friction = real_array(friction, "friction must be a number, or one per contact")
-        d = dimension_of(dimension, friction.shape, offset.size)
-        k = offset.size // d
-        offset = offset.copy()
-        offset[::d] += contact.closing_speeds(gaps, time_step, k)
-        mu = contact.checked_friction(friction, k, f"one per contact of {d} rows")
-        contact.warn_of_much_friction(mu, 3)
-        W = checks.rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
-        contact.check_symmetric(W, "W", NEARLY_SYMMETRIC)
-        rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
-        super().__init__(
-            rows, np.arange(0, offset.size + 1, d, dtype=np.int64), mu, has_friction=True
-        )
-        self.dimension = d
-
-    @staticmethod
-    def worlds(
-        W: Any,
-        b: ArrayLike,
-        friction: ArrayLike,
-        *,
-        contacts: ArrayLike | None = None,
-        dimension: int | None = None,
-    ) -> FrictionalContactBatch:
-        """Return many problems of at most k contacts each, for solve_batch and derivative.
-
-        Parameters
-        ----------
-        W, b, friction : array, shapes (B, d k, d k) or (d k, d k), (B, d k) or (B, k, d), and (B, k), (k,) or a number
-            A contiguous W is not copied: do not change its entries while you use the batch.
-        contacts : array of int, shape (B,), optional
-            Number of contacts of each instance, by default k. Later rows are ignored.
-        dimension : int, optional
-            See :class:`FrictionalContact`.
-
-        Raises
-        ------
-        InvalidProblem
-            If shapes do not fit together; ``batch[i]`` raises the error of an invalid instance i.
-
-        Examples
-        --------
-        The contact of the second instance sticks:
-
-        >>> from lcp_plugin import solve_batch
-        >>> b = [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]]
-        >>> batch = solve_batch(FrictionalContact.worlds(np.eye(3), b, 0.5))
-        >>> (batch.z.round(6) + 0.0).tolist(), batch.motion.sticks.ravel().tolist()
-        ([[1.0, -0.3, -0.4], [1.0, -0.3, 0.0]], [False, True])
-        """
-        return FrictionalContactBatch(W, b, friction, contacts=contacts, dimension=dimension)
-
-    @property
-    def W(self) -> Any:
-        """The stored matrix from impulses to velocities, dense or CSR."""
-        return self.rows.M
-
-    @property
-    def b(self) -> Vector:
-        """Velocities without impulses, shape (d k,)."""
-        return self.q
-
-    @property
-    def friction(self) -> Vector:
-        """Coefficients, shape (k,)."""
-        return self.slope
-
-    def _shape(self) -> dict[str, Any]:
-        return {"mu": self.friction}
-
-    def _words(self) -> str:
-        return f"{format_count(self.slope.size, 'contact')} in {'space' if self.dimension == 3 else 'the plane'}"
-
-
-class FrictionalContactBatch:
-    """The batch of problems that :meth:`FrictionalContact.worlds` returns.
+        If shapes do not fit together; ``batch[i]`` raises the error of an invalid instance i.
 
     Attributes
     ----------
@@ -190,6 +47,16 @@ class FrictionalContactBatch:
     contacts : array of int, shape (B,)
     dimension : int
         d.
+
+    Examples
+    --------
+    The contact of the second instance sticks:
+
+    >>> from lcp_plugin import solve_batch
+    >>> b = [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]]
+    >>> batch = solve_batch(FrictionalContact.worlds(np.eye(3), b, 0.5))
+    >>> (batch.z.round(6) + 0.0).tolist(), batch.motion.sticks.ravel().tolist()
+    ([[1.0, -0.3, -0.4], [1.0, -0.3, 0.0]], [False, True])
     """
 
     def __init__(
@@ -198,8 +65,8 @@ class FrictionalContactBatch:
         b: ArrayLike,
         friction: ArrayLike,
         *,
-        contacts: ArrayLike | None,
-        dimension: int | None,
+        contacts: ArrayLike | None = None,
+        dimension: int | None = None,
     ) -> None:
         need = "b must have shape (B, d k) or (B, k, d), d = 3 in space and 2 in the plane"
         offsets = real_array(b, need)
@@ -231,7 +98,7 @@ class FrictionalContactBatch:
             absent: Any = ((is_entry, np.eye(n)), (is_row, 1.0), (is_there, 0.0))
             own = [np.where(has, one, other) for one, (has, other) in zip(own, absent, strict=True)]
         self.W, self.b, self.friction = map(checks.read_only, own)
-        contact.warn_of_much_friction(np.where(np.isfinite(self.friction), self.friction, 0.0), 4)
+        contact.warn_of_much_friction(np.where(np.isfinite(self.friction), self.friction, 0.0), 3)
         with np.errstate(all="ignore"):
             difference = np.abs(self.W - self.W.swapaxes(1, 2)).max((1, 2), initial=0.0)
             largest = np.abs(self.W).max((1, 2), initial=0.0)
@@ -295,6 +162,127 @@ class FrictionalContactBatch:
     def __repr__(self) -> str:
         where = "space" if self.dimension == 3 else "the plane"
         return f"FrictionalContact({len(self)} instances of up to {self.n // self.dimension} contacts in {where})"
+
+
+class FrictionalContact(Blocks):
+    """Contacts with Coulomb friction: impulses r in the quadratic cones ‖r_T‖ ≤ μ r_N, velocities u = W r + b.
+
+    Each contact is open (r = 0, u_N ≥ 0), or sticks (u = 0), or slides (u_N = 0, r_T of length μ r_N against u_T).
+    The cones are not approximated by pyramids.
+
+    Parameters
+    ----------
+    W : array or sparse array, shape (d k, d k), or three arrays (mass matrix, normals, tangents)
+        Velocities by impulses, d rows per contact: its normal, then its d − 1 tangents, d = 3 in space and 2 in the
+        plane; in 1/kg. Symmetric up to 1 % of its largest entry, as contact data often have few digits; it is
+        used unchanged. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`; if one of the arrays is sparse,
+        W is sparse, and the tangents of all contacts are one matrix, (t k, v), t = d − 1, contact by contact.
+    b : array, shape (d k,) or (k, d), or (v,) with a mass matrix
+        Velocities at the end of the step without contact impulses, in m/s; with a mass matrix those of the bodies.
+    friction : number or array, shape (k,)
+        Coefficients μ ≥ 0.
+    gaps, time_step : optional
+        As in :meth:`lcp_plugin.LCP.from_contacts`.
+    dimension : int, optional
+        d, if the shapes of b and `friction` do not determine it; 3 by default if the number of rows is a multiple of 3.
+
+    Raises
+    ------
+    InvalidProblem
+        For a W that is not symmetric, μ < 0, a number of rows that is not a multiple of d, numbers that are not finite.
+
+    Notes
+    -----
+    With friction the problem is not a convex program for any W: a solution need not be unique, and need not exist
+    (Painlevé). A run that finds none ends STALLED, or INFEASIBLE if no impulses keep the contacts from closing.
+    Solutions of a pile agree more often in the motion than in the impulses. Rolling and spinning friction are not
+    supported: the limits ‖m‖ ≤ ν r_N and ‖r_T‖ ≤ μ r_N together do not form a second-order cone.
+
+    ``result.motion`` has impulses and velocities contact by contact. For time steps with changing contacts, start from
+    the impulses of the previous step, ``solve(FrictionalContact(W, b, friction), z0=r)``, with 0 for new contacts; for
+    steps with one W use :func:`lcp_plugin.march`. :func:`lcp_plugin.load_problem` reads fclib's files.
+
+    :meth:`worlds` builds a batch of problems from arrays.
+
+    Examples
+    --------
+    A block of 1 kg on the ground is pushed along (3, 4). Friction is too weak to keep it at its place:
+
+    >>> from lcp_plugin import solve
+    >>> result = solve(FrictionalContact(np.eye(3), [[-1.0, 3.0, 4.0]], 0.5))
+    >>> result.z.round(6), result.w.round(6), result.motion.sticks
+    (array([ 1. , -0.3, -0.4]), array([0. , 2.7, 3.6]), array([False]))
+
+    """
+
+    offset = "b"
+    bodies: Bodies | None = None
+    worlds = FrictionalContactBatch
+
+    def __init__(
+        self,
+        W: Any,
+        b: ArrayLike,
+        friction: ArrayLike,
+        *,
+        gaps: ArrayLike | None = None,
+        time_step: float | None = None,
+        dimension: int | None = None,
+    ) -> None:
+        need = (
+            "b must be a finite array of shape (d k,) or (k, d), d = 3 in space and 2 in the plane"
+        )
+        velocities = real_array(b, need)
+        if contact.is_of_bodies(W):
+            is_sparse = any(map(sp.issparse, W))
+            W, velocities, self.bodies = contact.contacts_of_bodies(W, velocities)
+            W = W if is_sparse or not sp.issparse(W) else W.toarray()
+        if velocities.ndim not in (1, 2):
+            raise InvalidProblem(
+                f"{need}, got shape {velocities.shape}; for many problems use FrictionalContact.worlds"
+            )
+        if velocities.ndim == 2:
+            if dimension not in (None, velocities.shape[1]):
+                raise InvalidProblem(
+                    f"b has {velocities.shape[1]} columns and dimension is {dimension}; leave one out"
+                )
+            dimension = velocities.shape[1]
+        offset = checks.checked_vector(velocities.ravel(), "b", None)
+        friction = real_array(friction, "friction must be a number, or one per contact")
+        d = dimension_of(dimension, friction.shape, offset.size)
+        k = offset.size // d
+        offset = offset.copy()
+        offset[::d] += contact.closing_speeds(gaps, time_step, k)
+        mu = contact.checked_friction(friction, k, f"one per contact of {d} rows")
+        contact.warn_of_much_friction(mu, 3)
+        W = checks.rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
+        contact.check_symmetric(W, "W", NEARLY_SYMMETRIC)
+        rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
+        super().__init__(
+            rows, np.arange(0, offset.size + 1, d, dtype=np.int64), mu, has_friction=True
+        )
+        self.dimension = d
+
+    @property
+    def W(self) -> Any:
+        """The stored matrix from impulses to velocities, dense or CSR."""
+        return self.rows.M
+
+    @property
+    def b(self) -> Vector:
+        """Velocities without impulses, shape (d k,)."""
+        return self.q
+
+    @property
+    def friction(self) -> Vector:
+        """Coefficients, shape (k,)."""
+        return self.slope
+
+    def _shape(self) -> dict[str, Any]:
+        return {"mu": self.friction}
+
+    def _words(self) -> str:
+        return f"{format_count(self.slope.size, 'contact')} in {'space' if self.dimension == 3 else 'the plane'}"
 
 
 def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[np.int64]:

@@ -37,82 +37,6 @@ from ..programs.no_minimum import QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .relaxations import ENDS, EquilibriumResult, ExternalBound, Node, Relaxations
 
-
-class LocalSearch:
-    """The best point found so far.
-
-    Parameters
-    ----------
-    relaxations : Relaxations
-
-    Attributes
-    ----------
-    best : Node or None
-        The piece whose solution has the least objective.
-    """
-
-    def __init__(self, relaxations: Relaxations) -> None:
-        self.relaxations, self.problem = relaxations, relaxations.problem
-        self.best: Node | None = None
-        self._known: dict[bytes, Node] = {}
-
-    @property
-    def value(self) -> float:
-        """Objective of the best point; ∞ before the first point."""
-        return math.inf if self.best is None else self.best.value
-
-    def offer(self, cases: Cases, near: Vector | None = None) -> Node:
-        """Solve the piece with one branch per pair, keep it if it is the best, and return it.
-
-        A piece that is not convex, or has integers, is solved near a point.
-        """
-        is_local = not self.problem.is_provable
-        key = cases.tobytes() + (near.tobytes() if is_local and near is not None else b"")
-        if key not in self._known:
-            if is_local and near is not None:
-                piece = self.relaxations.local_node(cases, near)
-            else:
-                piece = self.relaxations.solved_node(cases)
-            self._known[key] = piece
-            if piece.value < self.value:
-                self.best = piece
-        return self._known[key]
-
-    def from_point(self, x: Vector, cases: Cases | None = None) -> None:
-        """Descend from the branches nearest to x, each step to a piece of smaller value.
-
-        Each step takes other branches for pairs that are degenerate (z at a bound and w = 0) at the solution of the
-        piece. It first changes all these pairs, and then one pair after the other.
-        """
-        cases = self.problem.all_cases if cases is None else cases
-        piece: Node | None = self.offer(self.problem.nearest(x, cases), x)
-        while piece is not None:
-            piece = self._better_neighbour(piece)
-
-    def _better_neighbour(self, piece: Node) -> Node | None:
-        if piece.value == math.inf:
-            return None
-        assert piece.point is not None
-        # All further branches to which the point belongs
-        size = 1.0 + float(np.abs(piece.point).max(initial=0.0))
-        rows, pairs = np.nonzero(self.problem.distances(piece.point) <= 1e-7 * size)
-        promising = [
-            (int(i), CASES[k])
-            for k, i in zip(rows, pairs, strict=True)
-            if CASES[k] != piece.cases[i] and CASES[k] & self.problem.all_cases[i]
-        ]
-        for chosen in [promising] * (len(promising) > 1) + [[one] for one in promising[:50]]:
-            if is_over():
-                return None
-            cases = piece.cases.copy()
-            for i, case in chosen:
-                cases[i] = case
-            neighbour = self.offer(cases, piece.point)
-            if neighbour.value < piece.value - 1e-9 * (1.0 + abs(piece.value)):
-                return neighbour
-        return None
-
-
 MET = 1e-9  # of 1 + |z|: largest violation of a pair that counts as complementary
 SHARE = 0.5  # of the tolerance: a node is closed if its bound is this close to the best value
 OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0", "prove")
@@ -197,7 +121,7 @@ def minimize_over_solutions(
     if start is not None:  # the result is not worse than the start
         search.start = start
         with time_limit(max(limit, 1.0)):  # seconds, for the descent
-            search.local.from_point(start)
+            search.descend_from(start)
     with time_limit(limit):
         log = _Log() if verbose else None
         watchers = [one for one in (log, callback) if one is not None]
@@ -221,13 +145,16 @@ class BranchAndBound:
     ----------
     nodes : int
         Number of branched nodes, including SCIP's.
+    best : Node or None
+        The piece whose solution has the least objective.
     """
 
     def __init__(self, problem: EquilibriumProgram, tolerance: float, max_nodes: float) -> None:
         self.clock, self.nodes = Clock(), 0
         self.problem, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
         self.relaxations = Relaxations(problem, tolerance)
-        self.local = LocalSearch(self.relaxations)
+        self.best: Node | None = None
+        self._known: dict[bytes, Node] = {}
         self.start: Vector | None = None
         self.outside: ExternalBound | None = None
         self._outside_value = math.inf  # of SCIP's point, until it is confirmed
@@ -239,9 +166,14 @@ class BranchAndBound:
         self._closed_at = math.inf  # the least bound of the leaves that are closed
 
     @property
+    def best_value(self) -> float:
+        """Objective of the best point; ∞ before the first point."""
+        return math.inf if self.best is None else self.best.value
+
+    @property
     def value(self) -> float:
         """The objective of the best solution found, ∞ without one."""
-        return min(self.local.value, self._outside_value)
+        return min(self.best_value, self._outside_value)
 
     @property
     def lower_bound(self) -> float:
@@ -255,13 +187,13 @@ class BranchAndBound:
     @property
     def cutoff(self) -> float:
         """The least bound that closes a node."""
-        value = self.local.value
+        value = self.best_value
         return value - SHARE * self.allowed if value < math.inf else math.inf
 
     @property
     def allowed(self) -> float:
         """The gap within the tolerance, relative to the objective terms of the incumbent."""
-        point = None if self.local.best is None else self.local.best.point
+        point = None if self.best is None else self.best.point
         return 0.0 if point is None else self.tolerance * self.problem.objective_size(point)
 
     def run(self, ends: Callable[[], bool], prove: bool) -> EquilibriumResult:
@@ -283,7 +215,7 @@ class BranchAndBound:
             is_done = self.descent is not None or (self._next() is None and not self._is_stuck)
             if ended is not None or is_done:
                 return ended
-        if self.local.best is None:
+        if self.best is None:
             self._try_decisions()
         if engine is None:
             return None
@@ -305,7 +237,7 @@ class BranchAndBound:
         self.tree.append(root)
         self._is_infeasible = root.bound == math.inf
         if root.point is not None:
-            self.local.from_point(root.point)
+            self.descend_from(root.point)
 
     def _try_decisions(self) -> None:
         """Look for a first point: the pairs solved at the start, at the bounds and at the relaxation's decision."""
@@ -317,11 +249,11 @@ class BranchAndBound:
             self._root()
         begin += [node.point for node in self.tree[:1] if node.point is not None]
         for x in (*begin, *ends):
-            if is_over() or self.local.best is not None:
+            if is_over() or self.best is not None:
                 return
             answer = self.problem.answer(self.relaxations.projected(x))
             if answer is not None:
-                self.local.from_point(answer)
+                self.descend_from(answer)
 
     def _ask(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
         """Run a global solver and store its result; return the status of a limit, or None."""
@@ -338,17 +270,17 @@ class BranchAndBound:
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = ExternalBound(found.status, found.bound)
         if found.x is not None:
-            first, self.local.best = self.local.best, None
-            self.local.from_point(found.x)
+            first, self.best = self.best, None
+            self.descend_from(found.x)
             # Its bound is as accurate as the terms at its own point, which may be all 0 at the first one.
-            if first is not None and first.value <= self.local.value and not self._is_closed():
-                self.local.best = first
-        if self.local.value < found.bound - self.allowed:  # a better point refutes the bound
+            if first is not None and first.value <= self.best_value and not self._is_closed():
+                self.best = first
+        if self.best_value < found.bound - self.allowed:  # a better point refutes the bound
             self.outside = ExternalBound(found.status, -math.inf)
         return ENDS.get(found.status)
 
     def _is_closed(self) -> bool:
-        value = self.local.value
+        value = self.best_value
         return value < math.inf and value - self.lower_bound <= self.allowed
 
     def _search(self, ends: Callable[[], bool], most: float) -> Status | None:
@@ -385,7 +317,7 @@ class BranchAndBound:
         assert node.point is not None
         pair = self._pair(node)
         if pair < 0:  # complementary
-            self.local.from_point(node.point, node.cases)
+            self.descend_from(node.point, node.cases)
             if node.bound >= self.cutoff:
                 return
             if node.is_piece:
@@ -433,14 +365,62 @@ class BranchAndBound:
         self._is_stuck = self._is_stuck or piece.bound < self.cutoff
         self._close(piece)
 
+    def offer(self, cases: Cases, near: Vector | None = None) -> Node:
+        """Solve the piece with one branch per pair, keep it if it is the best, and return it.
+
+        A piece that is not convex, or has integers, is solved near a point.
+        """
+        is_local = not self.problem.is_provable
+        key = cases.tobytes() + (near.tobytes() if is_local and near is not None else b"")
+        if key not in self._known:
+            if is_local and near is not None:
+                piece = self.relaxations.local_node(cases, near)
+            else:
+                piece = self.relaxations.solved_node(cases)
+            self._known[key] = piece
+            if piece.value < self.best_value:
+                self.best = piece
+        return self._known[key]
+
+    def descend_from(self, x: Vector, cases: Cases | None = None) -> None:
+        """Descend from the branches nearest to x, each step to a piece of smaller value.
+
+        Each step takes other branches for pairs that are degenerate (z at a bound and w = 0) at the solution of the
+        piece. It first changes all these pairs, and then one pair after the other.
+        """
+        cases = self.problem.all_cases if cases is None else cases
+        piece: Node | None = self.offer(self.problem.nearest(x, cases), x)
+        while piece is not None:
+            piece = self._better_neighbour(piece)
+
+    def _better_neighbour(self, piece: Node) -> Node | None:
+        if piece.value == math.inf:
+            return None
+        assert piece.point is not None
+        # All further branches to which the point belongs
+        size = 1.0 + float(np.abs(piece.point).max(initial=0.0))
+        rows, pairs = np.nonzero(self.problem.distances(piece.point) <= 1e-7 * size)
+        promising = [
+            (int(i), CASES[k])
+            for k, i in zip(rows, pairs, strict=True)
+            if CASES[k] != piece.cases[i] and CASES[k] & self.problem.all_cases[i]
+        ]
+        for chosen in [promising] * (len(promising) > 1) + [[one] for one in promising[:50]]:
+            if is_over():
+                return None
+            cases = piece.cases.copy()
+            for i, case in chosen:
+                cases[i] = case
+            neighbour = self.offer(cases, piece.point)
+            if neighbour.value < piece.value - 1e-9 * (1.0 + abs(piece.value)):
+                return neighbour
+        return None
+
     def _result(self, ended: Status | None) -> EquilibriumResult:
-        best, value = self.local.best, self.local.value
+        best, value = self.best, self.best_value
         # The bound is computed from the leaves, because Ctrl-C may have removed a node from the heap.
-        lower = (
-            min([value, *(node.bound for node in self.tree if node.pair < 0)])
-            if self.tree
-            else -math.inf
-        )
+        bounds = [node.bound for node in self.tree if node.pair < 0]
+        lower = min([value, *bounds]) if self.tree else -math.inf
         bound_by = "proof" if lower > -math.inf else None
         is_open = best is not None and value - lower > self.allowed
         if self.outside is not None and is_open and self.outside.bound > lower:

@@ -100,21 +100,16 @@ class Relaxations:
 
     def node(self, cases: Cases, parent: Node | None = None) -> Node:
         """Return the solved node of the branches, with its bound or a proof of infeasibility."""
-        node = self.solved_node(cases)
+        node, program = self.solved_node(cases), self.program(cases)
         node.parent = parent
-        if (
-            node.dual is not None
-            and node.point is not None
-            and (program := self.program(cases)) is not None
-        ):
-            enough = node.value - ENOUGH * self.tolerance * self.problem.objective_size(node.point)
+        if node.dual is not None and program is not None:
+            size = self.problem.objective_size(node.dual[0])
+            enough = node.value - ENOUGH * self.tolerance * size
             node.bound = self.bound(program, node.dual, enough)
-            if (
-                node.bound == -math.inf
-            ):  # a vertex has more zeros than multipliers to repair them by
-                inside = run_engine(
-                    program, installed_engine("clarabel")(), self.tolerance, GIVEN
-                ).solution
+            # A vertex has more zeros than multipliers to repair them by
+            if node.bound == -math.inf:
+                clarabel = installed_engine("clarabel")()
+                inside = run_engine(program, clarabel, self.tolerance, GIVEN).solution
                 dual = inside.x, np.concatenate([inside.inequality, inside.equality])
                 node.bound, node.dual = self.bound(program, dual, enough), dual
         if parent is not None and parent.bound > node.bound:

@@ -196,13 +196,17 @@ class NonlinearProblem:
         pattern: Any = None,
         names: Any = None,
     ) -> None:
-        self.F, self.jacobian = _callable(F, "F"), jacobian
-        if jacobian is not None:
-            _callable(jacobian, "jacobian")
-            if pattern is not None:
+        for name, given in (("F", F), ("jacobian", jacobian)):
+            if not callable(given) and (given is not None or name == "F"):
+                hint = "; for a matrix and a vector there is LCP(M, q)" if name == "F" else ""
                 raise InvalidProblem(
-                    "pattern is for differences, and a jacobian was given as well; leave one out"
+                    f"{name} must be callable as {name}(x), got {type(given).__name__}{hint}"
                 )
+        if not (jacobian is None or pattern is None):
+            raise InvalidProblem(
+                "pattern is for differences, and a jacobian was given as well; leave one out"
+            )
+        self.F, self.jacobian = F, jacobian
         self.pattern = None if pattern is None else _pattern(pattern)
         sizes = [np.shape(bound) for bound in (lower, upper) if np.ndim(bound)]
         sizes += [] if self.pattern is None else [self.pattern.shape[:1]]
@@ -331,33 +335,32 @@ def _finite(derivative: Any, name: str, n: int) -> Any:
     try:
         return rectangular_matrix(derivative, name, n, n)
     except InvalidProblem as error:
-        entries = derivative.data if sp.issparse(derivative) else np.asarray(derivative)
-        if (
-            np.shape(derivative) == (n, n)
-            and entries.dtype.kind == "f"
-            and not np.isfinite(entries).all()
-        ):
-            raise UndefinedDerivativeError(str(error)) from error
-        raise
+        if not (entries := _floats(derivative, n)).size or np.isfinite(entries).all():
+            raise
+        raise UndefinedDerivativeError(str(error)) from error
+
+
+def _floats(derivative: Any, n: int) -> Any:
+    """Return the entries of a derivative of shape (n, n), none if it has another shape or type."""
+    entries = derivative.data if sp.issparse(derivative) else np.asarray(derivative)
+    fits = np.shape(derivative) == (n, n) and entries.dtype.kind == "f"
+    return entries if fits else np.zeros(0)
 
 
 def _replace_infinite_rows(
     problem: NonlinearProblem, x: Vector, value: Vector, derivative: Any
 ) -> Any:
     """Return the derivative with diagonal rows for rows with an infinite entry."""
-    n, entries = x.size, derivative.data if sp.issparse(derivative) else np.asarray(derivative)
-    if np.shape(derivative) != (n, n) or entries.dtype.kind != "f" or not np.isinf(entries).any():
+    n = x.size
+    if not np.isinf(_floats(derivative, n)).any():
         return derivative
     M = sp.coo_array(derivative)
     is_steep = np.zeros(n, dtype=bool)
     is_steep[M.row[np.isinf(M.data)]] = True
     slope = is_steep.astype(np.float64)
     for _ in range(STEEPER):
-        there = np.clip(
-            x - np.where(is_steep, value / np.maximum(slope, 1.0), 0.0),
-            problem.lower,
-            problem.upper,
-        )
+        step = np.where(is_steep, value / np.maximum(slope, 1.0), 0.0)
+        there = np.clip(x - step, problem.lower, problem.upper)
         is_beyond = is_steep & (problem.value(there) * value < 0.0)
         if not is_beyond.any():
             break
@@ -366,15 +369,6 @@ def _replace_infinite_rows(
     rows = sp.coo_array((M.data[kept], (M.row[kept], M.col[kept])), shape=(n, n))
     levelled = sp.csr_array(rows) + sp.diags_array(slope)
     return sp.csr_array(levelled) if sp.issparse(derivative) else levelled.toarray()
-
-
-def _callable(given: Any, name: str) -> Any:
-    if not callable(given):
-        hint = "; for a matrix and a vector there is LCP(M, q)" if name == "F" else ""
-        raise InvalidProblem(
-            f"{name} must be callable as {name}(x), got {type(given).__name__}{hint}"
-        )
-    return given
 
 
 def _pattern(pattern: Any) -> sp.csc_array:

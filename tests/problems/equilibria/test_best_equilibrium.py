@@ -15,7 +15,7 @@ from scipy.optimize import linprog
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, box, complements, solve
 from lcp_plugin.interfaces import scip
-from lcp_plugin.problems.equilibria.branch_and_bound import LocalSearch, minimize_over_solutions
+from lcp_plugin.problems.equilibria.branch_and_bound import BranchAndBound, minimize_over_solutions
 
 
 def solved(problem: cp.Problem, **options: Any) -> Any:
@@ -111,7 +111,7 @@ def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The status is user_limit, variables keep what they hold, and a bound of (y − x)² + x² + 1 is one."""
-    monkeypatch.setattr(LocalSearch, "from_point", lambda self, x, cases=None: None)
+    monkeypatch.setattr(BranchAndBound, "descend_from", lambda self, x, cases=None: None)
     monkeypatch.setattr(scip, "minimize_or_none", lambda: None)
     x, y = cp.Variable(value=7.0), cp.Variable(value=-3.0)
     pair = complements(x >= 0, y - x - 1 >= 0)

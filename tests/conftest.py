@@ -4,7 +4,7 @@
     python -m pytest --full -n 2    everything
 
 The mark ``full`` is for tests that take seconds: benchmarks, campaigns, examples, large tables. Of a table of more than
-4 rows, 3 rows in even steps are not ``full``; ``few(k)`` says k, for rows that are costly. A test that draws its
+2 rows, 2 rows in even steps are not ``full``; ``few(k)`` says k, for rows that are costly. A test that draws its
 problems from a campaign has the fixture ``draws``: an eighth of them without ``--full``. A test that is named on the
 command line, as in ``tests/methods/newton/test_newton.py::test_x``, always runs.
 
@@ -38,7 +38,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 EXAMPLES = {"few": (4, 30), "default": (8, 80), "many": (20, 150)}
 # Folders with tests of functions that are not public; core/test_floating_point_state.py calls those that are.
 INNER = {"core", "engines", "methods", "problems", "proofs", "systems"}
-LONG, FEW = 4, 3  # rows of a table; rows of a longer one that run without --full
+FEW = 2  # rows of a table that run without --full
 WARM_UP = pytest.StashKey["subprocess.Popen[bytes]"]()
 
 
@@ -132,7 +132,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             tables[item.nodeid.partition("[")[0]].append(item)
     for rows in tables.values():
         mark = rows[0].get_closest_marker("few")
-        count = mark.args[0] if mark else FEW if len(rows) > LONG else len(rows)
+        count = mark.args[0] if mark else min(FEW, len(rows))
         kept = {k * len(rows) // count for k in range(count)}
         for k, row in enumerate(rows):
             if k not in kept:

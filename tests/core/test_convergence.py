@@ -12,6 +12,7 @@ import pytest
 import scipy.sparse as sp
 from inputs import membranes
 from inputs.families import BOUNDED, SWEEPERS
+from inputs.planted import planted_lcp
 from inputs.textbook_scenes import scaling_trap
 
 from lcp_plugin import LCP, Certificate, Status, gallery, solve
@@ -30,16 +31,6 @@ class Solved(NamedTuple):
 # --- The matrix classes ------------------------------------------------------------------------------------
 
 
-def planted(M: Any, seed: int = 0, unit: float = 1.0) -> Solved:
-    """A problem with integer z* and w*: half of the rows inactive, two in five active, the rest degenerate."""
-    generator = np.random.default_rng(seed)
-    n = M.shape[0]
-    share = generator.random(n)
-    z = np.where(share < 0.5, generator.integers(1, 10, size=n), 0).astype(float)
-    w = np.where(share > 0.6, unit * generator.integers(1, 10, size=n), 0.0)
-    return Solved(LCP(M, w - M @ z), z)
-
-
 def positive_definite(n: int, seed: int) -> np.ndarray:
     """B Bᵀ + n I with small integers: far from diagonally dominant."""
     B = np.random.default_rng(seed).integers(-3, 4, size=(n, n)).astype(float)
@@ -55,18 +46,18 @@ def scene(text: str) -> Solved:
 CLASSES = {
     "H₊, small": lambda: scene("random_h_plus:n=12,row_scale=0,column_scale=0"),
     "H₊, sparse, wild rows": lambda: scene("random_h_plus:n=300,row_scale=20,column_scale=10"),
-    "M-matrix, nonsymmetric": lambda: planted(
-        gallery.paper_example_2(n=400, delta=1.0).problem.csr
+    "M-matrix, nonsymmetric": lambda: planted_lcp(
+        gallery.paper_example_2(n=400, delta=1.0).problem.csr, 0, bounds=False
     ),
     "five-point + 4 I": lambda: scene("half_active:n=400"),
     "five-point": lambda: scene("half_active:n=400,delta=0"),
-    "SPD, not H₊": lambda: planted(positive_definite(40, seed=0), unit=40.0),
+    "SPD, not H₊": lambda: planted_lcp(positive_definite(40, seed=0), 0, bounds=False, unit=40.0),
 }
 
 
 @cache
 def problem_of(kind: str) -> Solved:
-    return CLASSES[kind]()
+    return Solved(*CLASSES[kind]())
 
 
 # Measured iterations to 1e-8 in the order of CLASSES; None where the algorithm is not meant for the class.
@@ -256,7 +247,7 @@ def test_automatic_relaxation_never_fails_where_gauss_seidel_converges(matrices:
     for seed in range(100):
         n = 5 + seed % 30
         M = matrices(n, seed)
-        problem, _ = planted(sp.csr_array(M) if seed % 2 else M, seed)
+        problem, _ = planted_lcp(sp.csr_array(M) if seed % 2 else M, seed, bounds=False)
         results = {name: solve(problem, name, max_iterations=20_000) for name in total}
         assert results["pgs"].status is Status.SOLVED
         assert results["psor"].status is Status.SOLVED

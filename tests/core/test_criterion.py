@@ -285,7 +285,7 @@ def test_a_component_without_solution_is_refuted_after_a_call_on_another_compone
     assert not solve(problem).is_solved
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("as_stored", [np.asarray, sp.csr_array])
 def test_every_component_without_solution_is_refuted_whatever_their_number(as_stored: Any) -> None:
     """The limit of rows for a proof before SOLVED holds for each component, not for all of them."""
@@ -614,14 +614,14 @@ def drawn_in_units(rng: np.random.Generator) -> tuple[LCP, LCP]:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(20))
 def test_tolerated_rows_in_random_units_result_is_right(
-    seed: int, draws: Callable[[int], range]
+    seed: int, draws: Callable[..., range]
 ) -> None:
     """SOLVED means an error that 1e-6 of each row's terms explains, or 3e-8 of the component's largest unknown.
 
     The verdict is equal in all units.
     """
     rng = np.random.default_rng([87, seed])
-    for _ in draws(500):
+    for _ in draws(500, 25):
         problem, other = drawn_in_units(rng)
         result = solve(problem)
         with np.errstate(all="ignore"):

@@ -124,9 +124,10 @@ def check_file(path: Path) -> tuple[list[str], int]:
     return found, len(re.findall(r"[A-Za-z][A-Za-z']+", prose))
 
 
-def list_files() -> list[Path]:
-    """Return all checked files, without this one."""
-    files = [ROOT / "README.md", *(file for name in FOLDERS for file in (ROOT / name).rglob("*"))]
+def list_files(*folders: str) -> list[Path]:
+    """Return README and all checked files of the folders, without this one."""
+    names = folders or FOLDERS
+    files = [ROOT / "README.md", *(file for name in names for file in (ROOT / name).rglob("*"))]
     return sorted(
         file for file in files if file.suffix in (".py", ".md") and file.stem != BASELINE.stem
     )

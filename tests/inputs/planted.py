@@ -43,7 +43,9 @@ def planted(
     return (M[0] if shared else M), q, lower, upper
 
 
-def planted_lcp(M: Any, rng: Any, *, bounds: bool = True) -> tuple[LCP, np.ndarray]:
+def planted_lcp(
+    M: Any, rng: Any, *, bounds: bool = True, unit: float = 1.0
+) -> tuple[LCP, np.ndarray]:
     """Return the LCP and z*, integers as w*: active, inactive, degenerate; boxed, one-sided, free, fixed rows."""
     if isinstance(rng, int):
         rng = np.random.default_rng(rng)
@@ -51,7 +53,7 @@ def planted_lcp(M: Any, rng: Any, *, bounds: bool = True) -> tuple[LCP, np.ndarr
     if not bounds:
         share = rng.random(n)
         z = np.where(share < 0.5, rng.integers(1, 10, n), 0.0)
-        return LCP(M, np.where(share > 0.6, rng.integers(1, 10, n), 0.0) - M @ z), z
+        return LCP(M, np.where(share > 0.6, unit * rng.integers(1, 10, n), 0.0) - M @ z), z
     lower = np.where(rng.random(n) < 0.3, -INF, -2.0)
     upper = np.where(rng.random(n) < 0.3, INF, 3.0)
     lower = np.where(rng.random(n) < 0.1, 1.0, lower)

@@ -365,6 +365,7 @@ print('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS, sys.meta_path == before)
     assert printed_by(code) == "True True"
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("then", ["import lcp_plugin", "import lcp_plugin.modeling"])
 def test_a_plain_program_is_solved_with_the_method_after_the_import(then: str) -> None:
     """With cvxpy imported first, `import lcp_plugin` registers the method without loading the models."""

@@ -150,7 +150,7 @@ def test_signs_of_one_row_prove_a_large_problem_infeasible() -> None:
 # --- By how much -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(12))
 def test_no_z_has_a_residual_below_the_margin(seed: int) -> None:
     """Every z within the bounds, the answers of all methods among them, has a residual of at least the margin."""
@@ -182,16 +182,6 @@ def test_the_margin_is_the_smallest_residual_that_the_signs_allow(shift: float) 
     assert proof.excludes(proof.margin / 2) is (shift > 1e-13)  # below it is rounding of 1
     assert not proof.excludes(proof.margin)
     assert proof.exact
-
-
-@pytest.mark.parametrize("name", ["auto", "newton", "interior_point", "lemke"])
-def test_infeasible_only_beyond_the_tolerance(name: str) -> None:
-    """The same contradiction of 5e-7: infeasible at a tolerance of 1e-8, solved at 1e-5, by every method."""
-    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - 1e-6])
-    infeasible = solve(problem, name)
-    assert infeasible.status in (Status.INFEASIBLE, Status.PRECISION_LIMIT)
-    accepted = solve(problem, name, tolerance=1e-5)
-    assert accepted.status not in (Status.INFEASIBLE, Status.NO_SOLUTION)
 
 
 def test_the_largest_margin_is_looked_for() -> None:

@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from collection import all_entries
+from collection.entry import Entry
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inputs.planted import planted_lcp
+from oracles.truth import SOLVABLE
 from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, Certificate, Status, solve
@@ -20,10 +23,10 @@ from lcp_plugin.core.errors import UnsuitableProblem
 from lcp_plugin.methods.lemke import Lemke, rows_of_components
 from lcp_plugin.methods.lemke.pivoting_path import LemkePath, canonical_box, starts
 from lcp_plugin.methods.lemke.tableau import GOING_ON, LOST
-from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
 from lcp_plugin.strategies import solved_lcps
 
 INF = np.inf
+PUBLISHED = [one for one in all_entries() if one.truth == SOLVABLE and one.problem.n <= 60]
 
 
 def steps(problem: LCP, z0: Any = None, **options: Any) -> list[tuple[Step, np.ndarray]]:
@@ -40,23 +43,11 @@ def best(problem: LCP, **options: Any) -> Certificate:
 
 # --- published problems ---------------------------------------------------------------------------------------
 
-TEXTBOOK: dict[str, tuple[Any, Any]] = {
-    # Cottle, Pang, Stone, The Linear Complementarity Problem: Examples 1.2 (P), 4.4.7, 4.4.16 kinds and Kostreva's.
-    "2 × 2 P": ([[2, 1], [1, 2]], [-5, -6]),
-    "Kostreva cycling, P": ([[1, 2, 0], [0, 1, 2], [2, 0, 1]], [-1, -1, -1]),
-    "Murty, P": ([[1, 0, 0], [2, 1, 0], [2, 2, 1]], [-8, -12, -14]),
-    "Csizmadia, 5": (np.eye(5) - np.tril(np.ones((5, 5)), -1), -np.ones(5)),
-    "zero diagonal, skew": ([[0, -1, 2], [1, 0, -1], [-2, 1, 0]], [3, -1, 1]),
-    "degenerate q": ([[1, -1, -1], [-1, 1, -1], [-1, -1, 4]], [0, 3, -3]),
-    "copositive": ([[1, 2, 0], [0, 1, 2], [2, 0, 0.5]], [-1, -2, 1]),
-    "negative scalar": ([[-2]], [3]),
-}
 
-
-@pytest.mark.parametrize("name", TEXTBOOK)
-def test_textbook_problems(name: str) -> None:
-    """Small published kinds of problems are solved to rounding level; z of Csizmadia's doubles from row to row."""
-    assert best(LCP(*TEXTBOOK[name])).relative_residual <= (1e-13 if "Csizmadia" in name else 1e-14)
+@pytest.mark.parametrize("entry", PUBLISHED, ids=[entry.name for entry in PUBLISHED])
+def test_published_problems(entry: Entry) -> None:
+    """The collection's textbook problems, games and programs of up to 60 rows are solved to rounding level."""
+    assert best(entry.problem).relative_residual <= 1e-12
 
 
 def circuit() -> LCP:
@@ -99,26 +90,6 @@ def test_boxes_and_free_rows(name: str) -> None:
 def test_a_diode_bridge_is_solved_by_auto() -> None:
     """Free rows whose block has rank 1 and whose path is lost by lemke are left to the other methods."""
     assert solve(circuit()).is_solved
-
-
-GAMES = {
-    "battle of the sexes": ([[2, 0], [0, 1]], [[1, 0], [0, 2]]),
-    "rock paper scissors": (
-        [[0, -1, 1], [1, 0, -1], [-1, 1, 0]],
-        [[0, 1, -1], [-1, 0, 1], [1, -1, 0]],
-    ),
-    "all alike": (np.ones((4, 3)), np.ones((4, 3))),
-    "duplicated actions": ([[1, 1, 0], [1, 1, 0], [0, 0, 1]], [[0, 0, 1], [0, 0, 1], [1, 1, 0]]),
-}
-
-
-@pytest.mark.parametrize("name", GAMES)
-def test_games(name: str) -> None:
-    """An equilibrium without regret comes out of small games, degenerate ones included."""
-    problem = lcp_from_bimatrix_game(*GAMES[name])
-    found = best(problem)
-    assert found.relative_residual <= 1e-14
-    assert problem.origin.recover(found.z).regret <= 1e-12
 
 
 def test_the_end_of_a_path_is_solved_again_before_it_is_judged() -> None:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from fractions import Fraction
 from itertools import islice
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import given
 from inputs.planted import planted_lcp
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.methods.newton import Newton, NewtonState, full_steps
-from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 TOLERANCE = 1e-9
 
@@ -53,15 +50,6 @@ def test_newton_finds_the_planted_answer_with_bounds_of_every_kind(kind: str, se
     )
     assert result.status is Status.SOLVED
     assert np.allclose(result.z, z, atol=1e-8)
-
-
-@given(solved_lcps(h_plus_matrices(size=5), bounds=True))
-def test_newton_solves_every_h_plus_problem(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
-    """On H₊-matrices Newton reaches the exact solution, whatever the bounds."""
-    problem, exact = drawn
-    result = solve(problem, Newton(), tolerance=1e-12)
-    assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT)
-    assert np.allclose(result.z, [float(value) for value in exact], rtol=1e-6, atol=1e-6)
 
 
 # The shape of the matrix is that of Ben Gharbia, Gilbert 2012, doi:10.1007/s10107-010-0439-6: P for odd n.

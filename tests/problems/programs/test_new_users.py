@@ -106,6 +106,7 @@ def test_the_tolerance_is_the_one_that_is_tested() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:Solution may be inaccurate")
+@pytest.mark.full
 def test_a_quasiconvex_program_is_bisected() -> None:
     """(v₀ + 2 v₁ + 1)/(v₀ + v₁ + 1) over [0, 3]² is 1 at v₁ = 0.
 

@@ -266,6 +266,10 @@ UNCERTAIN = (
 )
 
 
+class MissingPair(NotSquare):
+    """The model has more unknowns without a pair than equations."""
+
+
 @dataclass(frozen=True, eq=False)
 class StatedRows:
     """Rows between two limits; or rows that complement unknowns between two bounds.
@@ -540,7 +544,7 @@ class Statement:
         elif names:
             way_out = f"; give these a pair or an equation{self.other_way}"
         has_bounds = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
-        return (NotSquare if free.size > equations and has_bounds.any() else UnsupportedModel)(
+        return (MissingPair if free.size > equations and has_bounds.any() else UnsupportedModel)(
             f"the model has {format_count(equations, 'equation')}{counted} and "
             f"{format_count(free.size, 'unknown')} without a complementarity ({', '.join(names) or 'none'}); it needs "
             f"as many equations as such unknowns{way_out}"

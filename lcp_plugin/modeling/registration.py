@@ -9,14 +9,13 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 from cvxpy import settings
-from cvxpy.constraints.zero import Equality, Zero
 from cvxpy.error import SolverError
 
-from ..core.errors import InvalidProblem, NotSquare, UnsupportedModel
+from ..core.errors import InvalidProblem, ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
-from ..expressions.statement import solve_from
+from ..expressions.statement import MissingPair, solve_from
 from ..problems.programs.certification import Certification, certify
-from ._compat import CVXPY_STATUS, name_of, refusal, solver_errors
+from ._compat import CVXPY_STATUS, EQUATIONS, name_of, refusal, solver_errors
 from .agents import without_agents
 from .best_equilibrium import solve_for_the_best
 from .constraint import Complements, Condition, box, complements
@@ -62,10 +61,10 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
         The message names the unsuitable constraint or variable, and the remedy.
     """
     constraints, agents = without_agents(constraints)
-    equations = [one for one in constraints if isinstance(one, (Equality, Zero))]
+    equations = [one for one in constraints if isinstance(one, EQUATIONS)]
     pairs = [one for one in constraints if isinstance(one, Complements)]
     for one in constraints:
-        if not isinstance(one, (Equality, Zero, Complements)):
+        if not isinstance(one, (*EQUATIONS, Complements)):
             raise NotSquare(
                 f"the constraint {one} does not belong to a complementarity; make it part of a pair, as in "
                 f"complements({one}, F >= 0)"
@@ -170,9 +169,12 @@ def solve_model(
             if algorithm != "auto" or _has_cones(problem):
                 raise
             try:
-                return _best(problem, warm_start, options)
+                value = _best(problem, warm_start, options)
             except UnsupportedModel:
                 raise error from None
+            if problem.status != settings.OPTIMAL and isinstance(error, MissingPair):
+                warnings.warn(f"{problem.status}: {error}", ModelWarning, stacklevel=4)
+            return value
 
 
 def certify_model(problem: Any, tolerance: float) -> Certification:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from ..core.checks import Vector
@@ -16,9 +17,26 @@ DEPENDENT = 1e-6  # quotient of singular values that counts as 0: derivatives ma
 PART = 0.1  # of the largest entry of a singular vector: rows with less are not named
 
 
+def reversed_row(problem: LCP) -> str:
+    """Return the row that alone has the signs of its unknown's column, where all others have opposite ones; or ""."""
+    M, names = problem.matrix.csr, problem.names
+    products = (M - sp.diags_array(M.diagonal())).multiply(M.T)
+    equal = sp.csr_array(products > 0.0).sum(axis=1)
+    i = int(np.argmax(equal)) if problem.n else 0
+    if not 2 < 2 * equal[i : i + 1].sum() == equal.sum() < products.nnz or M[i, i] > 0.0:
+        return ""
+    row, unknown = names.pair(i)
+    return (
+        f"the sign of {row} may be wrong: its terms have the signs of the terms of {unknown} in other rows, where all "
+        "others have opposite signs"
+    )
+
+
 def likely_mistake(problem: LCP, z: Vector, w: Vector) -> str:
     """Return a row that its unknown cannot correct, a row of two units, or dependent rows: the first of them, or ""."""
     M, names = problem.matrix.csr, problem.names
+    if wrong_sign := reversed_row(problem):
+        return wrong_sign
     # w_i depends on z_i, also through other pairs, only if both are on a cycle of the pattern.
     component = connected_components(M, connection="strong")[1]
     is_apart = (np.bincount(component)[component] == 1) & (M.diagonal() == 0.0)

@@ -16,6 +16,7 @@ from lcp_plugin import (
     InvalidProblem,
     NonlinearProblem,
     QuadraticProgram,
+    Status,
     certify,
     complements,
     solve,
@@ -132,6 +133,21 @@ def test_the_mistake_of_a_model_that_fails_is_below_its_worst_rows(F: Any, line:
     assert not result.is_solved
     assert line in result.explain().splitlines()[-1]
     assert line not in solve(problem, x0=[1.0, 1.5, 1.0], max_iterations=1).explain()
+
+
+def test_a_row_of_the_wrong_sign_is_named_where_no_solution_exists() -> None:
+    """The capacity k − s₀ − s₁ of a mine, stated as s₀ + s₁ − k."""
+    mines, towns = np.kron(np.eye(2), [1, 1]), np.kron([1, 1], np.eye(2))
+    zero = np.zeros((2, 2))
+    M = np.block(
+        [[np.zeros((4, 4)), mines.T, -towns.T], [-mines, zero, zero], [towns, zero, np.eye(2) / 2]]
+    )
+    q = np.array([2.0, 4.0, 3.0, 1.0, 10.0, 12.0, -9.0, -11.0])
+    M[4], q[4] = -M[4], -q[4]
+    names = [f"row {k}" for k in range(8)]
+    result = solve(LCP(M, q, names=names))
+    assert result.status is Status.NO_SOLUTION
+    assert "row 4] may be wrong" in result.explain().splitlines()[-1]
 
 
 @pytest.mark.parametrize(

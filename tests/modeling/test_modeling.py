@@ -752,3 +752,11 @@ def test_definitions_start_at_their_value() -> None:
     np.testing.assert_allclose(values[e.id], (1 + np.exp(values[d.id][::-1] / 10)) / 2)
     assert d.value is None
     assert build([*rows, free + cp.exp(free) == 2, complements(x, x + d + e)]).present() is None
+
+
+def test_a_market_without_a_pair_is_named_if_the_run_fails() -> None:
+    """An unknown with bounds and without a pair is any value; of an infeasible model a warning names it."""
+    x = cp.Variable(2, name="x", nonneg=True)
+    problem = cp.Problem(cp.Minimize(0), [complements(x[0] >= 0, -cp.sum(x) - 1 >= 0)])
+    with pytest.warns(ModelWarning, match=r"infeasible: .*without a complementarity \(x\[1\]\)"):
+        problem.solve(method="LCP")

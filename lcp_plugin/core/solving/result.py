@@ -186,9 +186,9 @@ class BaseResult(Outcome):
         gains = [agent.describe_gap() for agent in self.agents]
         course = [self._effort(), *filter(None, [self.begun]), *gains, *stage_lines(self.stages)]
         is_decided = self.is_solved or self.has_no_solution
-        worst = () if is_decided else self._worst(SHOWN)
-        lines = [*str(worst).splitlines(), self._mistake()] if worst else []
-        rows = ["the worst rows:", *(f"  {line}" for line in lines if line)] if worst else []
+        worst = str("" if is_decided else self._worst(SHOWN) or "").splitlines()
+        lines = worst if self.is_solved else [*worst, self._mistake()]
+        rows = ["the worst rows:"] * bool(worst) + [f"  {line}" for line in lines if line]
         return "\n".join([*self._verdict(), *course, *self._remarks(), *rows])
 
     def _worst(self, count: int) -> WorstRows:
@@ -466,10 +466,12 @@ class Result(BaseResult):
         return worst_pairs(data, found, self.certificate.problem.names, self.tolerance, count)
 
     def _mistake(self) -> str:
-        from ...proofs.mistakes import likely_mistake
+        from ...proofs.mistakes import likely_mistake, reversed_row
 
         problem = self.certificate.problem
-        if self.status in (*LIMITS, Status.INTERRUPTED) or not isinstance(problem, LCP):
+        if self.status is Status.NO_SOLUTION and isinstance(problem, LCP):
+            return reversed_row(problem)
+        if self.status in (*LIMITS, *PROVEN, Status.INTERRUPTED) or not isinstance(problem, LCP):
             return ""  # of a right model too the last point may look wrong
         return likely_mistake(problem, self.z, self.w)
 

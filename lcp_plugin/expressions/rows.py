@@ -157,25 +157,32 @@ def stacked(parts: Sequence[Rows]) -> Rows:
     """Return the rows of all, one below the other."""
     if len(parts) == 1:
         return parts[0]
-    found: dict[int, list[tuple[int, sp.csr_array]]] = defaultdict(list)
+    found: dict[int, list[tuple[sp.csr_array, int, int]]] = defaultdict(list)
     size = 0
     for part in parts:
         for key, block in part.blocks.items():
-            found[key].append((size, as_matrix(block, part.size)))
+            found[key].append((as_matrix(block, part.size), size, 0))
         size += part.size
-    blocks: dict[int, Block] = {}
-    for key, matrices in found.items():
-        counts = np.zeros(size + 1, dtype=np.int64)
-        for start, matrix in matrices:
-            counts[start + 1 : start + 1 + matrix.shape[0]] = np.diff(matrix.indptr)
-        data, columns = (
-            np.concatenate([getattr(m, part) for _, m in matrices]) for part in ("data", "indices")
-        )
-        blocks[key] = sp.csr_array(
-            (data, columns, np.cumsum(counts)), shape=(size, matrices[0][1].shape[1])
-        )
+    blocks: dict[int, Block] = {
+        key: _placed(matrices, (size, matrices[0][0].shape[1])) for key, matrices in found.items()
+    }
     offset = np.concatenate([part.offset for part in parts])
     return Rows(blocks, offset, (size,), max(part.level for part in parts))
+
+
+def _placed(parts: list[tuple[sp.csr_array, int, int]], shape: tuple[int, int]) -> sp.csr_array:
+    """Return the sum of matrices, each with its first row and column in the sum."""
+    data, rows, columns = (
+        [np.zeros(0)],
+        [np.zeros(0, dtype=np.int64)],
+        [np.zeros(0, dtype=np.int64)],
+    )
+    for matrix, row, column in parts:
+        data.append(matrix.data)
+        rows.append(row + np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr)))
+        columns.append(column + matrix.indices)
+    places = np.concatenate(rows), np.concatenate(columns)
+    return sp.csr_array(sp.coo_array((np.concatenate(data), places), shape=shape))
 
 
 def assembled(
@@ -197,19 +204,12 @@ def assembled(
         matrix = as_matrix(block, parts[0].size)
         if matrix.shape[1] == count and first[key] == 0:
             return matrix, offset
-    start, entries = 0, [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
+    start, placed = 0, []
     for part in parts:
-        rows = np.arange(start, start + part.size)
         for key, block in part.blocks.items():
-            if isinstance(block, float):
-                entries.append((np.full(part.size, block), rows, rows - start + first[key]))
-            else:
-                entries.append(
-                    (block.data, np.repeat(rows, np.diff(block.indptr)), block.indices + first[key])
-                )
+            placed.append((as_matrix(block, part.size), start, first[key]))
         start += part.size
-    data, rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
-    return sp.csr_array(sp.coo_array((data, (rows, columns)), shape=(start, count))), offset
+    return _placed(placed, (start, count)), offset
 
 
 def is_definition(block: sp.csr_array) -> bool:
@@ -244,11 +244,7 @@ def _total(terms: list[Block], size: int) -> Block:
         matrices.append(as_matrix(float(multiple), size))
     if len(matrices) <= 2:
         return matrices[0] if len(matrices) == 1 else matrices[0] + matrices[1]
-    data, columns = (
-        np.concatenate([getattr(m, part) for m in matrices]) for part in ("data", "indices")
-    )
-    rows = np.concatenate([np.repeat(np.arange(size), np.diff(m.indptr)) for m in matrices])
-    return sp.csr_array(sp.coo_array((data, (rows, columns)), shape=matrices[0].shape))
+    return _placed([(matrix, 0, 0) for matrix in matrices], matrices[0].shape)
 
 
 def _changed(block: Block, operation: np.ufunc, factor: Any) -> Block:
@@ -548,11 +544,8 @@ def _weighted(
     arguments: Sequence[Combination], slopes: Sequence[Vector], size: int, width: int
 ) -> sp.csr_array:
     """Return Σ slope · matrix over the arguments, their first columns; 0 times an infinite slope is NaN."""
-    parts = [
-        (argument.matrix.tocoo(), slope) for argument, slope in zip(arguments, slopes, strict=True)
-    ]
-    data = np.concatenate([slope[one.row] * one.data for one, slope in parts])
-    rows, columns = (
-        np.concatenate([getattr(one, name) for one, _ in parts]) for name in ("row", "col")
-    )
-    return sp.csr_array(sp.coo_array((data, (rows, columns)), shape=(size, width)))
+    parts = []
+    for argument, slope in zip(arguments, slopes, strict=True):
+        each = np.repeat(slope, np.diff(argument.matrix.indptr))
+        parts.append((_changed(argument.matrix, np.multiply, each), 0, 0))
+    return _placed(parts, (size, width))

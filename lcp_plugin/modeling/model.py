@@ -511,8 +511,7 @@ class Model:
 
         def at(value: Vector) -> Vector:
             values[variable.id] = value.reshape(variable.shape, order="F")
-            put = partial(_with_value, values=values)
-            return np.asarray(by_columns(rewritten(one.origin, put).value) - one.low)
+            return np.asarray(by_columns(with_values(one.origin, values).value) - one.low)
 
         found = np.zeros(variable.size)
         found[block.indices] = -at(found) / block.data
@@ -583,9 +582,13 @@ class Model:
         )
 
 
-def _with_value(node: Any, values: dict[int, Any]) -> Any:
-    """Return the value of a variable as a constant, and every other node unchanged."""
-    return cp.Constant(values[node.id]) if isinstance(node, cp.Variable) else node
+def with_values(expression: Any, values: dict[int, Any]) -> Any:
+    """Return an expression with values, by id, in place of its variables."""
+
+    def change(node: Any) -> Any:
+        return cp.Constant(values[node.id]) if isinstance(node, cp.Variable) else node
+
+    return rewritten(expression, change)
 
 
 def spans_of(leaves: dict[int, Any]) -> tuple[dict[int, slice], int]:

@@ -32,7 +32,7 @@ from ..problems.parametric.tracing import trace_stated
 from ..problems.programs.program import QuadraticProgram
 from . import _compat
 from ._compat import dense, leaf_value, name_of
-from .model import Model, spans_of
+from .model import Model, spans_of, with_values
 from .qp_solver import CompiledProblem
 from .reading import Reader, restricting_attribute
 from .registration import build_from, is_complementarity_problem
@@ -408,19 +408,13 @@ class ModelPath(Path):
 
     def objective(self, thetas: ArrayLike) -> Vector:
         """Return the value of the user's objective at many θ, shape (k,)."""
-        variables = self._problem.variables()
-        before, found = [one.value for one in variables], []
-        try:
-            for theta in np.ravel(np.asarray(thetas, float)).tolist():
-                values = self._values(theta)
-                for variable in variables:
-                    variable.save_value(values[variable.id])
-                with moved_to(self._lines, theta):
-                    found.append(float(dense(self._problem.objective.value)))
-        finally:
-            for variable, value in zip(variables, before, strict=True):
-                variable.save_value(value)
-        return np.array(found)
+
+        def at(theta: float) -> float:
+            values = self._values(theta)
+            with moved_to(self._lines, theta):
+                return float(dense(with_values(self._problem.objective.args[0], values).value))
+
+        return np.array([at(theta) for theta in np.ravel(np.asarray(thetas, float)).tolist()])
 
     def _values(self, theta: float) -> dict[int, Any]:
         with moved_to(self._lines, theta):

@@ -114,20 +114,6 @@ def _own_jacobian(node: Any, k: int, values: list[Any]) -> sp.csr_array:
 # --- affine ---------------------------------------------------------------------------------------------------------
 
 
-def _added(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    return added(arguments, node.shape)
-
-
-def _negated(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    negative: Rows = arguments[0].scaled(-1.0)
-    return negative
-
-
-def _broadcast(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    rows: Rows = arguments[0].spread(node.shape)
-    return rows
-
-
 def _product(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     left, right = arguments
     if isinstance(node, atoms.DIVISION):
@@ -160,10 +146,10 @@ def _summed(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 
 
 AFFINE: dict[tuple[Any, ...], Rule] = {
-    atoms.SUM: _added,
-    atoms.NEGATIVE: _negated,
+    atoms.SUM: lambda _, node, arguments: added(arguments, node.shape),
+    atoms.NEGATIVE: lambda _, node, arguments: arguments[0].scaled(-1.0),
     (*atoms.PRODUCT, *atoms.ELEMENTWISE): _product,
-    atoms.BROADCAST: _broadcast,
+    atoms.BROADCAST: lambda _, node, arguments: arguments[0].spread(node.shape),
     atoms.GATHERS: _gathered,
     atoms.ENTRY_SUM: _summed,
 }
@@ -179,6 +165,13 @@ def _axes(node: Any) -> list[int]:
 
 def _elementary(function: Function) -> Rule:
     return lambda compiler, node, arguments: compiler.emit(function, arguments[0])
+
+
+def _with_constant(function: Function, constant: float) -> Rule:
+    """Return the rule of a function of the argument and a constant."""
+    return lambda compiler, node, arguments: compiler.emit(
+        function, arguments[0], Rows.of(np.full(node.shape, constant))
+    )
 
 
 def _power(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
@@ -244,10 +237,6 @@ def _geometric_mean(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows
     return _folded(compiler, functions.PRODUCT, stacked(powers), 1)
 
 
-def _logistic(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    return compiler.emit(functions.LOG_ADD_EXP, arguments[0], Rows.of(np.zeros(node.shape)))
-
-
 def _quad_over_lin(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     groups = _reduced(node)
     squares = compiler.emit(functions.SQUARE, Rows.of(arguments[0]).taken(groups.ravel(order="F")))
@@ -266,26 +255,9 @@ def _quad_form(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     return compiler.product(x, compiler.product(P, x, x.shape), ())
 
 
-def _entropy(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    return compiler.emit(
-        functions.RELATIVE_ENTROPY, arguments[0], Rows.of(np.ones(node.shape))
-    ).scaled(-1.0)
-
-
 def _relative_entropy(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     both = [Rows.of(one).spread(node.shape) for one in arguments]
     return compiler.emit(functions.RELATIVE_ENTROPY, *both)
-
-
-def _kl_divergence(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    x, y = (Rows.of(one) for one in arguments)
-    return added([_relative_entropy(compiler, node, arguments), x.scaled(-1.0), y], node.shape)
-
-
-def _x_exp(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
-    return compiler.emit(
-        functions.PRODUCT, arguments[0], compiler.emit(functions.EXP, arguments[0])
-    )
 
 
 #: By the class of the atom.
@@ -294,11 +266,15 @@ SMOOTH: dict[Any, Rule] = {
     cp.exp: _elementary(functions.EXP),
     cp.log: _elementary(functions.LOG),
     cp.log1p: _elementary(functions.LOG1P),
-    cp.logistic: _logistic,
-    cp.entr: _entropy,
-    cp.xexp: _x_exp,
+    cp.logistic: _with_constant(functions.LOG_ADD_EXP, 0.0),
+    cp.entr: lambda *given: _with_constant(functions.RELATIVE_ENTROPY, 1.0)(*given).scaled(-1.0),
+    cp.xexp: lambda compiler, _, u: compiler.emit(
+        functions.PRODUCT, u[0], compiler.emit(functions.EXP, u[0])
+    ),
     cp.rel_entr: _relative_entropy,
-    cp.kl_div: _kl_divergence,
+    cp.kl_div: lambda compiler, node, u: added(
+        [_relative_entropy(compiler, node, u), Rows.of(u[0]).scaled(-1.0), u[1]], node.shape
+    ),
     Prod: _along_axis(functions.PRODUCT),
     GeoMean: _geometric_mean,
     cp.log_sum_exp: _along_axis(functions.LOG_ADD_EXP),  # no exponential overflows

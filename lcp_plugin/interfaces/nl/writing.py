@@ -234,20 +234,19 @@ def _groups(content: NLContent) -> tuple[int, int, tuple[int, int, int, int]]:
     integers = np.flatnonzero(content.is_integer)
     if not integers.size:
         return in_rows, in_objectives, (0, 0, 0, 0)
-    ends = np.flatnonzero(content.is_integer & ~np.append(content.is_integer[1:], False)) + 1
-    first = int(ends[0])
-    if ends.size <= 2 and int(ends[-1]) in (first, n) and max(in_rows, in_objectives) <= first < n:
-        # the last variables of the nonlinear and of the linear group
-        own = int(content.is_integer[:first].sum())
-        return first, first, (integers.size - own, own, 0, 0)
-    if integers[0] != n - integers.size:
+    is_last = content.is_integer & ~np.append(content.is_integer[1:], False)
+    first = int(np.flatnonzero(is_last)[0]) + 1
+    first = first if first >= max(in_rows, in_objectives) else n
+    own = int(content.is_integer[:first].sum())  # the last of the nonlinear group
+    others = integers.size - own
+    if not (
+        content.is_integer[first - own : first].all() and content.is_integer[n - others :].all()
+    ):
         raise InvalidProblem(
             f"variable {integers[0]} is integer and one behind it is not; the integer variables of an "
             ".nl file must come last, or last of those that are nonlinear; order the variables so"
         )
-    if integers[0] >= max(in_rows, in_objectives):
-        return in_rows, in_objectives, (integers.size, 0, 0, 0)
-    return n, n, (0, integers.size, 0, 0)
+    return first, first, (others, own, 0, 0)
 
 
 OPTIONS = "Options"

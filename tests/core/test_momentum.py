@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lcp_plugin import LCP, InvalidOption, convergence_guarantee, gallery, solve
+from lcp_plugin import LCP, convergence_guarantee, gallery, solve
 from lcp_plugin.algorithms import NPGS, NPJ, NPSOR, NPSplitting, create
 
 OBSTACLE = gallery.obstacle_2d(size=30).problem
@@ -68,10 +68,3 @@ def test_the_guarantee_gives_the_reason_and_no_rate() -> None:
     assert fast.rate is None
     assert fast.theorem.startswith(plain.theorem)
     assert "undone" in fast.theorem
-
-
-@pytest.mark.parametrize("name", ["pgs", "pj", "psor", "paor", "gfp", "mgs"])
-def test_other_methods_do_not_offer_momentum(name: str) -> None:
-    """Their steps are not damped, so that momentum does not pay: the option is an error."""
-    with pytest.raises(InvalidOption, match="momentum"):
-        solve(OBSTACLE, name, momentum="auto")

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lcp_plugin import NonlinearProblem, box, complements, derivative
+from lcp_plugin import LCP, NonlinearProblem, Status, box, complements, derivative, solve
 from lcp_plugin.core.errors import InvalidOption, LCPError, UnsupportedModel
 from lcp_plugin.expressions import functions
 from lcp_plugin.expressions.rows import Program
@@ -441,3 +441,27 @@ def test_a_wrong_rule_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     ):
         cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.exp(x) - 3 >= 0)]).solve(method="LCP")
     assert x.value is None
+
+
+def test_a_bearing_whose_oil_thickens_under_pressure() -> None:
+    """Viscosity e^(α p): the reduced pressure (1 − e^(−α p))/α solves the linear bearing, cavitation included."""
+    n, alpha, eccentricity = 400, 0.5, 0.6
+    x = np.linspace(0, 2 * np.pi, n + 2)
+    film = (1 + eccentricity * np.cos(x[:-1] + np.pi / (n + 1))) ** 3  # h³ between the nodes
+    A = (
+        sp.diags_array([-film[1:-1], film[:-1] + film[1:], -film[1:-1]], offsets=[-1, 0, 1])
+        / x[1] ** 2
+    )
+    load = -eccentricity * np.sin(x[1:-1])
+    linear = solve(LCP(A, load), tolerance=1e-12)
+    assert linear.status is Status.SOLVED
+    assert alpha * linear.z.max() < 1
+    p = cp.Variable(n)
+    pair = complements(p >= 0, A @ ((1 - cp.exp(-alpha * p)) / alpha) + load >= 0)
+    problem = cp.Problem(cp.Minimize(0), [pair])
+    p.value = np.zeros(n)
+    # Rounding errors of F are 1e-12 of the reference: no tolerance below them can be met.
+    problem.solve(method="LCP", tolerance=1e-10)
+    assert problem.status == "optimal"
+    np.testing.assert_allclose(p.value, -np.log1p(-alpha * linear.z) / alpha, atol=1e-10)
+    assert 0.2 < np.mean(p.value == 0.0) < 0.7  # cavitation

@@ -530,25 +530,6 @@ def test_a_tolerance_below_the_rounding_errors_of_exponentials_is_a_precision_li
     np.testing.assert_allclose(result.z, -np.log1p(-solve(LCP(A, load)).z), atol=1e-8)
 
 
-def test_limits_record_and_callback() -> None:
-    """The options max_iterations, max_seconds, callback and record work as in solve."""
-    problem, start, _ = models.scarf()
-    assert solve_nonlinear(problem, start, max_iterations=2).status is Status.MAX_ITERATIONS
-    assert solve_nonlinear(problem, start, max_seconds=0.0).status is Status.MAX_SECONDS
-    seen: list[Any] = []
-
-    def stop(sample: Any, x: np.ndarray) -> bool:
-        seen.append(sample)
-        assert not x.flags.writeable
-        return len(seen) == 3
-
-    assert solve_nonlinear(problem, start, callback=stop).status is Status.INTERRUPTED
-    recorded = solve_nonlinear(problem, start, record=True)
-    assert len(recorded.history) == recorded.iterations + 1
-    assert recorded.history[-1].residual <= 1e-8
-    np.testing.assert_array_equal(recorded.z, solve_nonlinear(problem, start).z)
-
-
 def test_nothing_of_the_callers_is_changed() -> None:
     """Start, bounds and returned arrays of F are not modified, and F receives read-only arrays."""
     x0, lower, kept = np.ones(2), np.zeros(2), np.array([-1.0, 2.0])

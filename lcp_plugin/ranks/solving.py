@@ -24,8 +24,7 @@ from ..core.settings import Settings, checked_callback
 from ..core.solving.progress import Progress
 from ..core.solving.result import BaseResult, Sample
 from ..core.solving.run import Run
-from ..core.solving.stage import Named, Stage
-from ..core.solving.termination import TerminationReason
+from ..core.solving.stage import Named, Stage, TerminationReason
 from ..systems.graph import comparison_product
 from .halo import Interruptions
 from .methods import chain

@@ -279,7 +279,9 @@ class FreeSystem:
         factor = self._factor
         if factor is None:
             return None
-        return self._extended(self._solved(factor, right[self.rows], REFINEMENTS, transposed))
+        return self._extended(
+            self._refined(factor, right[self.rows], REFINEMENTS, transposed=transposed)
+        )
 
     def least_solution(self, right: Vector, *, transposed: bool = False) -> Vector | None:
         """Return x as `solve`, of least norm if the block is singular; None if no pseudo-inverse is available."""
@@ -302,23 +304,20 @@ class FreeSystem:
         right, start = right[self.rows], start[self.rows]
         if self._factor is not None:
             steps = REFINEMENTS if self._is_badly_scaled else 1
-            return self._extended(self._solved(self._factor, right, steps, scale=self._scale))
+            return self._extended(self._refined(self._factor, right, steps, self._scale))
         attempts = []
         if self._ridge is not None:
-            attempts.append(self._refined(self._ridge, start, right, 12, self._scale))
-            if (
-                self._backward_error(right - self.block @ attempts[0], attempts[0], right)
-                <= CONSISTENT
-            ):
+            attempts.append(self._refined(self._ridge, right, 12, self._scale, start))
+            size = self._sizes @ np.abs(attempts[0]) + np.abs(right)
+            if _relative(right - self.block @ attempts[0], size) <= CONSISTENT:
                 return self._extended(attempts[0])
         if self._doubtful_factor is not None:  # ill-conditioned is not singular
-            attempts.append(self._solved(self._doubtful_factor, right, 1, scale=self._scale))
+            attempts.append(self._refined(self._doubtful_factor, right, 1, self._scale))
         if self.rows.size <= LEAST_SQUARES_UP_TO:
             attempts.append(self._least_squares(right, start))
         finite = [x for x in attempts if np.isfinite(x).all()]
-        best = min(
-            finite, key=lambda x: _largest((right - self.block @ x) / self._scale), default=None
-        )
+        residual = lambda x: _relative(right - self.block @ x, self._scale)  # noqa: E731
+        best = min(finite, key=residual, default=None)
         return None if best is None else self._extended(best)
 
     @cached_property
@@ -470,62 +469,38 @@ class FreeSystem:
             or (self._sizes @ np.abs(x) <= SINGULAR * scale).all()
         )
 
-    def _solved(
-        self,
-        factor: Factor,
-        right: Vector,
-        steps: int,
-        transposed: bool = False,
-        scale: Vector | None = None,
-    ) -> Vector:
-        """Return the refined solution by a factorization."""
-        self.work += factor.solve_work
-        x: Vector = (factor.solve_transposed if transposed else factor.solve)(right)
-        return self._refined(factor, x, right, steps, scale, transposed)
-
     def _refined(
         self,
         factor: Factor,
-        x: Vector,
         right: Vector,
         steps: int,
-        scale: Vector | None,
-        transposed: bool = False,
+        scale: Any = None,
+        x: Any = None,
+        **how: bool,
     ) -> Vector:
-        """Return the best x of steps x ← x + A⁻¹(right − M_FF x), as long as each halves its error.
+        """Return the best x of steps x ← x + A⁻¹(right − M_FF x) from x = A⁻¹ right, as long as each halves its error.
 
-        The error is the largest |right − M_FF x|/scale, or the backward error if scale is None.
+        The error is the largest residual relative to `scale`, or to |M_FF||x| + |right| without a scale, 0/0 = 0.
         """
-        solve, block = (
-            (factor.solve_transposed, self.block.T) if transposed else (factor.solve, self.block)
-        )
+        solve, block, sizes = factor.solve, self.block, self._sizes if scale is None else None
+        if how.get("transposed"):
+            solve, block, sizes = factor.solve_transposed, block.T, self._sizes.T
+        if x is None:
+            self.work += factor.solve_work
+            x = solve(right)
+        entries = self.block.nnz if sp.issparse(self.block) else self.block.size
         best, error = x, np.inf
         for step in range(steps + 1):
             left = right - block @ x
-            now = (
-                self._backward_error(left, x, right, transposed)
-                if scale is None
-                else _largest(left / scale)
-            )
-            entries = self.block.nnz if sp.issparse(self.block) else self.block.size
+            size = sizes @ np.abs(x) + np.abs(right) if scale is None else scale
+            now = _relative(left, size)
             self.work += (2.0 if scale is None else 1.0) * entries
-            best, is_halved, error = (
-                (x if now < error else best),
-                now < 0.5 * error,
-                min(now, error),
-            )
+            best, is_halved, error = x if now < error else best, now < 0.5 * error, min(now, error)
             if not is_halved or error == 0.0 or step == steps:
                 break
             x = x + solve(left)
             self.work += factor.solve_work
         return best
-
-    def _backward_error(
-        self, left: Vector, x: Vector, right: Vector, transposed: bool = False
-    ) -> float:
-        """Return the largest |left|/(|M_FF||x| + |right|), 0/0 = 0."""
-        size = (self._sizes.T if transposed else self._sizes) @ np.abs(x) + np.abs(right)
-        return _largest(np.divide(left, size, out=np.zeros(left.size), where=left != 0.0))
 
     def _least_squares(self, right: Vector, start: Vector) -> Vector:
         """Return the point closest to start that makes the row-scaled system's error least, NaN if there is none."""
@@ -596,5 +571,7 @@ def _transposed(matrix: Matrix) -> Matrix:
     return Matrix(matrix.array.T)
 
 
-def _largest(values: Vector) -> float:
-    return float(np.max(np.abs(values), initial=0.0))
+def _relative(left: Vector, size: Vector) -> float:
+    """Return the largest |left_i|/size_i, 0/0 = 0."""
+    shares = np.divide(left, size, out=np.zeros(left.size), where=left != 0.0)
+    return float(np.max(np.abs(shares), initial=0.0))

@@ -24,8 +24,7 @@ from lcp_plugin.core.settings import Settings
 from lcp_plugin.core.solving.progress import Progress
 from lcp_plugin.core.solving.result import Sample
 from lcp_plugin.core.solving.run import Run
-from lcp_plugin.core.solving.stage import Stage
-from lcp_plugin.core.solving.termination import TerminationReason
+from lcp_plugin.core.solving.stage import Stage, TerminationReason
 from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 EXAMPLE = gallery.build("paper_example_1", n=400)

@@ -39,6 +39,7 @@ Units of rows change neither test; units of unknowns change the first one. A res
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -89,6 +90,7 @@ class RowsAtPoint(NamedTuple):
     is_active: Any
 
 
+@dataclass(eq=False)
 class RowData:
     """M, q, bounds, d and components of one problem or of a stack: the data of the criterion.
 
@@ -112,29 +114,25 @@ class RowData:
         `rejection` is then the advice.
     """
 
-    def __init__(
-        self,
-        M: Any,
-        absolute: Any,
-        q: Vector,
-        lower: Vector,
-        upper: Vector,
-        scale: Vector,
-        labels: Any = None,
-        start: Vector | None = None,
-        origin: Any = None,
-    ) -> None:
-        self.origin = origin
-        self.M, self.absolute, self.q, self.lower, self.upper = M, absolute, q, lower, upper
-        self.scale, self.labels = scale, labels
-        self.start = np.minimum(np.maximum(0.0, lower), upper) if start is None else start
-        self._latest: tuple[float, bytes, bool] | None = (
-            None  # whether the origin rejects that point
-        )
+    M: Any
+    absolute: Any
+    q: Vector
+    lower: Vector
+    upper: Vector
+    scale: Vector
+    labels: Any = None
+    start: Any = None
+    origin: Any = None
+
+    def __post_init__(self) -> None:
+        if self.start is None:
+            self.start = np.minimum(np.maximum(0.0, self.lower), self.upper)
+        self._latest: tuple[Any, ...] = ()  # whether the origin rejects that point
         # By number of the problem, rows and point of the component.
         self._refuted: dict[tuple[Any, ...], bool] = {}
         # Number of entries of each row, at most.
-        self._counts: Any = q.shape[-1] if isinstance(M, np.ndarray) else np.diff(M.indptr)
+        is_stack = isinstance(self.M, np.ndarray)
+        self._counts: Any = self.q.shape[-1] if is_stack else np.diff(self.M.indptr)
 
     @cached_property
     def references(self) -> VectorEnds:
@@ -413,9 +411,9 @@ class RowData:
         rejects = getattr(self.origin, "rejects", None)
         if rejects is None:
             return False
-        if self._latest is None or self._latest[:2] != (tolerance, z.tobytes()):
-            self._latest = tolerance, z.tobytes(), bool(rejects(z, tolerance))
-        return self._latest[2]
+        if self._latest[:2] != (key := (tolerance, z.tobytes())):
+            self._latest = *key, bool(rejects(z, tolerance))
+        return bool(self._latest[2])
 
     def is_wrong(self, k: tuple[int, ...], z: Vector, rows: IntVector) -> bool:
         """Return whether neither a linear solve nor a search finds a solution near z in these rows of problem k."""

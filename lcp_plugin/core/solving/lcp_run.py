@@ -26,14 +26,12 @@ from ..errors import UnsuitableMatrix, UnsuitableProblem
 from ..kernels.floats import DATA_ROUNDING
 from ..lcp import LCP
 from ..settings import Settings, Status
-from .advice import WITHOUT_END, advice_of_run
-from .progress import Callback, Progress
-from .result import Result
+from .progress import Callback, Header, Progress
+from .result import LIMITS, Result
 from .run import Run
-from .run_log import Header
-from .stage import Stage
-from .termination import FAILED, TerminationReason
+from .stage import FAILED, Stage, TerminationReason
 
+WITHOUT_END = (Status.STALLED, Status.DIVERGED)
 Polish = Callable[[LCP, Vector, float], Any]
 
 
@@ -305,3 +303,37 @@ def better_of(found: Measured, cleaned: Measured) -> Measured:
     if bool(found.passes) != bool(cleaned.passes):
         is_no_worse = bool(cleaned.passes)
     return cleaned if is_no_worse else found
+
+
+def advice_of_run(problem: LCP, chosen: Any, settings: Settings) -> dict[Status, str]:
+    """Return the advice of each possible termination status of the run.
+
+    Parameters
+    ----------
+    problem : LCP
+    chosen : str or Algorithm
+        The algorithm of the call.
+    settings : Settings
+
+    Examples
+    --------
+    >>> advice_of_run(LCP([[2.0]], [1.0]), "auto", Settings())[Status.MAX_ITERATIONS]
+    'iteration limit reached; next: raise max_iterations, or continue from z0=result.z'
+    """
+    said = {status: status.value for status in (*LIMITS, *WITHOUT_END)}
+    other = 'algorithm="auto"' if isinstance(chosen, Algorithm) else ""
+    for status in LIMITS:
+        said[status] += ", or continue from z0=result.z"
+        if other:
+            said[status] = said[status].replace("; next: ", f"; next: try {other}, or ")
+    tried = "auto has tried all methods that suit this matrix; next: try another start z0"
+    end = f"next: try {other}" if other else tried
+    if (negative := (problem.diagonal < 0.0)).all() and negative.size:
+        end = f"every m_ii is negative: is −M meant, as for a Laplacian with the other sign? {end}"
+    elif negative.any():
+        end = f"M is not monotone (m_ii < 0 in {problem.names.row(int(negative.argmax()))}); {end}"
+    for status in WITHOUT_END:
+        said[status] += f"; {end}"
+    if not settings.prove_infeasibility:
+        said[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
+    return said

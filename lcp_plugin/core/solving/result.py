@@ -19,12 +19,12 @@ from ..errors import NotConverged, UnsuitableMatrix
 from ..lcp import LCP
 from ..representation import format_count
 from ..settings import PROVEN, Settings, Status
-from .advice import LIMITS
 
 if TYPE_CHECKING:
     from ...proofs.bounds import ErrorBound
     from ...proofs.guarantees import Guarantee
 
+LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 NEXT = "; next: "  # between the event and the next step
 
 

@@ -16,14 +16,13 @@ from ..checks import read_only
 from ..deadline import OutOfTimeError, time_limit
 from ..errors import InvalidOption
 from ..settings import Status
-from .advice import NOTHING_TO_DO
 from .progress import Callback, Progress
 from .result import Result
-from .stage import Stage
-from .termination import FAILED, TerminationReason
+from .stage import FAILED, Stage, TerminationReason
 
 __all__ = ["Callback", "Run"]
 
+NOTHING_TO_DO = "the residual of the start is within the tolerance already; no iteration was needed"
 STATUS_OF = {
     TerminationReason.STEP_LIMIT: Status.MAX_ITERATIONS,
     TerminationReason.TIME_LIMIT: Status.MAX_SECONDS,

@@ -1,10 +1,11 @@
-"""Stage of a run: one method, its steps so far, and a test of progress."""
+"""Stage of a run: one method, its steps so far, a test of progress, and the reasons why steps end."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Any, NamedTuple
 
 from ..algorithm import Step
@@ -14,6 +15,29 @@ from .result import StageRecord
 FIRST_CHECK = 10  # iteration of the first residual that the method does not report
 FIRST_FLOOR_CHECK = 25  # iterations without a fall
 PROGRESS = 0.99  # a residual that has not fallen below this share of an earlier one has not fallen
+
+
+class TerminationReason(Enum):
+    """Why the steps of a run ended; the run derives the status from it and from the best z."""
+
+    CONVERGED = "a point passed both tests of the criterion"
+    NO_SOLUTION = "a step proved that there is no solution"
+    AT_FLOOR = "the residual is no larger than rounding explains"
+    STALLED = "the residual has stopped falling, or falls too slowly"
+    DIVERGED = "the residual left every reasonable range"
+    OVER_BUDGET = "another method takes over"
+    NOTHING_LEFT = "the last algorithm had no further step"
+    STEP_LIMIT = "max_iterations came first"
+    TIME_LIMIT = "max_seconds came first"
+    INTERRUPTED = "Ctrl-C or the callback came first"
+
+
+FAILED = (
+    TerminationReason.STALLED,
+    TerminationReason.DIVERGED,
+    TerminationReason.OVER_BUDGET,
+    TerminationReason.NOTHING_LEFT,
+)  # another algorithm may do better
 
 
 class Named(NamedTuple):

@@ -106,14 +106,9 @@ class Solution:
         if not some:
             place = f"on a face of dimension {self.dimension} that contains a line"
             return f"z = {_in_fractions(self.exact_z)}, {place}"
-        others = [_in_fractions(vertex) for vertex in sorted(some) if vertex != self.exact_z][
-            : SHOWN + 1
-        ]
-        rest = (
-            f"; others: {', '.join([*others[:SHOWN], *(['…'] if len(others) > SHOWN else [])])}"
-            if others
-            else ""
-        )
+        others = [_in_fractions(vertex) for vertex in sorted(some) if vertex != self.exact_z]
+        shown = [*others[:SHOWN], *["…"] * (len(others) > SHOWN)]
+        rest = f"; others: {', '.join(shown)}" if others else ""
         return f"z = {_in_fractions(self.exact_z)}, a vertex of a face of dimension {self.dimension}{rest}"
 
 

@@ -111,7 +111,7 @@ class Explorer:
             low, high = simplex.implied_range(row)
             if low is None and high is None:
                 continue
-            i = x % n
+            i, d = x % n, simplex.denominator
             targets: list[tuple[str, Bound, Bound]] = [
                 (LOWER, 0, None),
                 (SLACKLESS, 0, 0),
@@ -123,25 +123,16 @@ class Explorer:
             for choice, lowest, highest in targets:
                 if choice not in self.choices[i]:
                     continue
-                if lowest is not None and high is not None and high < lowest * simplex.denominator:
+                if lowest is not None and high is not None and high < lowest * d:
                     closed.setdefault((i, choice), simplex.farkas(row, 1))
-                elif (
-                    highest is not None and low is not None and low > highest * simplex.denominator
-                ):
+                elif highest is not None and low is not None and low > highest * d:
                     closed.setdefault((i, choice), simplex.farkas(row, -1))
-                elif (
-                    lowest is not None
-                    and lowest == highest
-                    and self._is_stuck(x, lowest, low, high)
-                ):
-                    implied.setdefault(i, choice)
+                elif lowest is not None and lowest == highest:
+                    # Do row and bounds determine the value of this basic variable?
+                    here, (least, most) = lowest * d, simplex.bounds(x)
+                    if (low == here or least == lowest) and (high == here or most == lowest):
+                        implied.setdefault(i, choice)
         return closed, implied
-
-    def _is_stuck(self, x: int, at: int, low: Bound, high: Bound) -> bool:
-        """Return whether row and bounds determine the value of a basic variable."""
-        bottom, top = self.simplex.bounds(x)
-        target = at * self.simplex.denominator
-        return (low == target or bottom == at) and (high == target or top == at)
 
     def _row_to_split(
         self,
@@ -211,24 +202,17 @@ class Explorer:
             return frozenset(self.choices[i])
         if choice == SLACKLESS:
             bottom, top = self.root_bounds[i]
-            others = [(LOWER, i, bottom, 1), (UPPER, i, top, -1)]
+            others: list[tuple[str, int, Bound, int]] = [(LOWER, i, bottom, 1), (UPPER, i, top, -1)]
         else:
             others = [(SLACKLESS, self.n + i, 0, 1 if choice == LOWER else -1)]
         found = [choice]
         for other, x, at, direction in others:
-            if (yield from self._stays(x, at, direction, is_point)):
+            if at is None or self.simplex.position(x) != at:
+                continue
+            if is_point or not (yield from self.simplex.can_leave(x, direction)):
+                self.simplex.set_bounds(x, at, at)
                 found.append(other)
         return frozenset(found)
-
-    def _stays(
-        self, x: int, at: Bound, direction: int, is_point: bool
-    ) -> Generator[None, None, bool]:
-        if at is None or self.simplex.position(x) != at:
-            return False
-        if not is_point and (yield from self.simplex.can_leave(x, direction)):
-            return False
-        self.simplex.set_bounds(x, at, at)
-        return True
 
 
 def faces_around(problem: LCP, face: Face, effort: Effort) -> Generator[None, None, list[Face]]:

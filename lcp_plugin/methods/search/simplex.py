@@ -111,12 +111,13 @@ class ExactSimplex:
         """Solve the equations of free rows for as many free z as they determine, and set both aside."""
         for w in [w for w in self.basic if self._is_fixed(w)]:
             row = self.basic.index(w)
+            entries = enumerate(zip(self.nonbasic, self.rows[row], strict=False))
             free = (
                 k
-                for k, z in enumerate(self.nonbasic)
-                if z < self.n and self.bounds(z) == (None, None)
+                for k, (z, entry) in entries
+                if entry and z < self.n and self.bounds(z) == (None, None)
             )
-            column = next((k for k in free if self.rows[row][k]), None)
+            column = next(free, None)
             if column is not None:
                 yield from self._pivot(row, column, 0)
         gone = [x >= self.n for x in self.nonbasic]
@@ -273,16 +274,13 @@ class ExactSimplex:
 
     def _entering(self, row: int, direction: int) -> int | None:
         """Return the column of the first nonbasic variable that can push the row's variable in that direction."""
-        best = None
-        for column, x in enumerate(self.nonbasic):
-            entry = self.rows[row][column]
-            if (
-                entry
-                and self._can_move(x, direction if entry > 0 else -direction)
-                and (best is None or x < self.nonbasic[best])
-            ):
-                best = column
-        return best
+        entries = zip(self.nonbasic, self.rows[row], strict=False)
+        movable = (
+            (x, column)
+            for column, (x, entry) in enumerate(entries)
+            if entry and self._can_move(x, direction if entry > 0 else -direction)
+        )
+        return min(movable, default=(0, None))[1]
 
     def _can_move(self, x: int, direction: int) -> bool:
         bound = self.upper[x] if direction > 0 else self.lower[x]
@@ -293,12 +291,9 @@ class ExactSimplex:
         if x in self.nonbasic:
             return (self.nonbasic.index(x), direction) if self._can_move(x, direction) else None
         row = self.basic.index(x)
-        column = self._entering(row, direction)
-        return (
-            None
-            if column is None
-            else (column, direction if self.rows[row][column] > 0 else -direction)
-        )
+        if (column := self._entering(row, direction)) is None:
+            return None
+        return column, direction if self.rows[row][column] > 0 else -direction
 
     def _move(self, column: int, direction: int) -> Generator[None, None, bool]:
         """Move a nonbasic variable as far as all bounds allow; return False, without a move, if no bound blocks it."""
@@ -311,12 +306,8 @@ class ExactSimplex:
             speed = self.rows[row][column] * direction
             bound = self.upper[x] if speed > 0 else self.lower[x]
             if speed and bound is not None:
-                limit = (
-                    Fraction(bound * self.denominator - self.numerator[row], speed),
-                    x,
-                    row,
-                    bound,
-                )
+                distance = Fraction(bound * self.denominator - self.numerator[row], speed)
+                limit = distance, x, row, bound
                 best = limit if best is None or limit[:2] < best[:2] else best
         if best is None:
             return False

@@ -20,8 +20,7 @@ from ...core.settings import Settings, Status
 from ...core.solving.progress import Callback, Progress
 from ...core.solving.result import Result
 from ...core.solving.run import Run
-from ...core.solving.stage import Stage
-from ...core.solving.termination import FAILED, TerminationReason
+from ...core.solving.stage import FAILED, Stage, TerminationReason
 from ...methods.search import ExhaustiveSearch, is_searchable
 from ..contact import ContactMotion, motion_of
 from . import methods

@@ -29,8 +29,7 @@ from ...core.solving.lcp_run import LCPRun
 from ...core.solving.progress import Callback, Progress
 from ...core.solving.result import Result
 from ...core.solving.run import Run
-from ...core.solving.stage import Stage
-from ...core.solving.termination import TerminationReason
+from ...core.solving.stage import Stage, TerminationReason
 from ...methods.lemke import Lemke
 from ...methods.newton import Newton, fischer_burmeister
 from .data import DENSE_PATTERN_UP_TO, Linearization, Linearizations, NonlinearProblem

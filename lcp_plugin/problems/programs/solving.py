@@ -30,12 +30,10 @@ from ...core.errors import (
 )
 from ...core.representation import describe_radius, three_digits_below
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
-from ...core.solving.progress import Progress
+from ...core.solving.progress import Progress, say
 from ...core.solving.result import NEXT, BaseResult, Sample
 from ...core.solving.run import Run
-from ...core.solving.run_log import say
-from ...core.solving.stage import Named, Stage
-from ...core.solving.termination import TerminationReason
+from ...core.solving.stage import Named, Stage, TerminationReason
 from ...engines import (
     ENGINES,
     Engine,

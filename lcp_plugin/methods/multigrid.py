@@ -65,7 +65,6 @@ from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix import is_nearly_symmetric
 from ..core.settings import whole_number
-from ..systems.equilibration import power_of_two
 from ..systems.hierarchy import kernels
 from ..systems.hierarchy.grids import Grid
 from ..systems.hierarchy.kernels import dot, span
@@ -103,10 +102,9 @@ class Multigrid(Algorithm):
     gradients (M symmetric) or generalized conjugate residuals accelerate the correction, one V-cycle each.
     Corrections fail if few contacts carry much load. Then, and from the start if couplings jump from edge to edge,
     such steps solve on a sequence of free sets. The projected solution on a free set determines the next free set,
-    and only the last result is tested (primal–dual active sets). A correction that raises the energy (M symmetric)
-    is shortened. Projected Gauss–Seidel sweeps from the last accepted iterate replace the cycles for a while if the
-    residual grows a hundredfold, if the energy nevertheless rises, or if neither has fallen enough for twelve
-    cycles after such free sets. With this safeguard the run converges on every symmetric positive definite M, from
+    and only the last result is tested (primal–dual active sets). Projected Gauss–Seidel sweeps from the last accepted
+    iterate replace the cycles for a while if the residual grows a hundredfold, if the energy (M symmetric) rises, or
+    if neither has fallen enough for twelve cycles after such free sets. With this safeguard the run converges on every symmetric positive definite M, from
     any start, for any corrections (:mod:`lcp_plugin.methods.multigrid` has the proof). It ends
     if three such rounds gain only rounding; without symmetry, if they gain little. The driver ends a run whose best
     residual no longer falls, as for sweeps. If coarser grids would cost too much, only sweeps run.
@@ -483,40 +481,8 @@ class MultigridRun:
         below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
         self.truncation.restrict(k, fine.residual)
         self.truncation.correct(k + 1)
-        before = None
-        if k == 0 and self.is_symmetric:
-            before = self.truncation.vector()
-            np.copyto(before, z)
-        cut = kernels.prolong(transfer, below.x, top.is_interpolated, z, (fine.lower, fine.upper))
+        kernels.prolong(transfer, below.x, top.is_interpolated, z, (fine.lower, fine.upper))
         self.work += 2.0 * transfer.prolongation.data.size
-        if before is None:
-            return
-        # Few unknowns clipped to a bound change the energy little.
-        if cut > 1e-4 * self.size:
-            self._shorten(before, z)
-        self.truncation.spare.append(before)
-
-    def _shorten(self, before: Vector, z: Vector) -> None:
-        """Halve the step from `before` to z until the energy does not rise; undo the step if halving fails."""
-        fine = self.problems[0]
-        product, step = self.truncation.vector(), z - before
-        unit = power_of_two(span(step))
-        step /= unit
-        kernels.free_product(fine.grid.rows, np.ones(z.size), step, product)
-        # w = −residual on the free rows; the others did not move
-        slope = -dot(step, fine.residual / unit)
-        curvature = dot(step, product)
-        self.work += self.entries
-        size = 1.0
-        for _ in range(4):
-            if size * slope + 0.5 * size * size * curvature <= 0.0:
-                break
-            size *= 0.5
-        else:
-            size = 0.0
-        if size < 1.0:
-            np.copyto(z, before + size * unit * step)
-        self.truncation.spare.append(product)
 
     def _krylov(self, z: Vector, *, is_settled: bool) -> Iterator[Step]:
         """Add to z the correction of the free rows by Krylov steps, one V-cycle each.

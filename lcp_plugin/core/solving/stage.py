@@ -21,8 +21,8 @@ class TerminationReason(Enum):
     """Why the steps of a run ended; the run derives the status from it and from the best z."""
 
     CONVERGED = "a point passed both tests of the criterion"
-    NO_SOLUTION = "a step proved that there is no solution"
-    AT_FLOOR = "the residual is no larger than rounding explains"
+    NO_SOLUTION = "a step proved that no solution exists"
+    AT_FLOOR = "rounding explains the residual"
     STALLED = "the residual has stopped falling, or falls too slowly"
     DIVERGED = "the residual left every reasonable range"
     OVER_BUDGET = "another method takes over"

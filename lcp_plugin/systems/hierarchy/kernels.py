@@ -448,40 +448,25 @@ def prolong(
     flags: BoolVector,
     z: Vector,
     bounds: tuple[Vector, Vector] = NO_BOUNDS,
-) -> int:
-    """Overwrite z by mid(lower, upper, z + P coarse) in flagged rows; return the number of clipped values."""
+) -> None:
+    """Overwrite z by mid(lower, upper, z + P coarse) in flagged rows."""
     operands = *transfer.prolongation.arrays, read_only(coarse), True, flags, *bounds, z
-    return sum(shared(partial(_interpolate, *operands), transfer.is_coarse.size))
+    shared(partial(_interpolate, *operands), transfer.is_coarse.size)
 
 
 @kernel
 def _interpolate(  # type: ignore[no-untyped-def]
     indptr, indices, data, source, adds, flags, lower, upper, to, first, end
 ):
-    """Set to ← A source; if `adds`, add A source in the rows with set flags and clip at the bounds, if any.
-
-    Return the number of clipped values.
-    """
-    one = uintp(1)
-    cut, has_bounds = 0, lower.size > 0
+    """Set to ← A source; if `adds`, add A source in the rows with set flags and clip at the bounds, if any."""
+    one, has_bounds = uintp(1), lower.size > 0
     for i in range(uintp(first), uintp(end)):
         if adds and not flags[i]:
             continue
-        change = _plus_products(
-            0.0, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, source
-        )
-        if not adds:
-            to[i] = change
-            continue
-        value = to[i] + change
-        if has_bounds and value < lower[i]:
-            value = lower[i]
-            cut += 1
-        if has_bounds and value > upper[i]:
-            value = upper[i]
-            cut += 1
-        to[i] = value
-    return cut
+        value = _plus_products(0.0, uintp(indptr[i]), uintp(indptr[i + one]), indices, data, source)
+        if adds:
+            value += to[i]
+        to[i] = clamp(value, lower[i], upper[i]) if has_bounds else value
 
 
 @kernel

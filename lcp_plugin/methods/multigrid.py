@@ -96,18 +96,18 @@ class Multigrid(Algorithm):
     -----
     pyamg sets up the hierarchy: first pass of Ruge and Stüben, also the second pass if couplings jump from edge to
     edge, direct interpolation. Rows of a nonsymmetric M may have any scaling. If the scaling of neighboring columns
-    differs, cycles are slow or end STALLED. Unknowns at a bound are removed from all grids, fine unknowns with
-    strong couplings to removed unknowns are no longer interpolated, and a coarse row is computed again only if it
-    changes. If the free set changes little and a cycle gains less than a factor 10, a few steps of conjugate
-    gradients (M symmetric) or generalized conjugate residuals accelerate the correction, one V-cycle each.
-    Corrections fail if few contacts carry much load. Then, and from the start if couplings jump from edge to edge,
-    such steps solve on a sequence of free sets. The projected solution on a free set determines the next free set,
-    and only the last result is tested (primal–dual active sets). Projected Gauss–Seidel sweeps from the last accepted
-    iterate replace the cycles for a while if the residual grows a hundredfold, if the energy (M symmetric) rises, or
-    if neither has fallen enough for twelve cycles after such free sets. With this safeguard the run converges on every symmetric positive definite M, from
-    any start, for any corrections (:mod:`lcp_plugin.methods.multigrid` has the proof). It ends
-    if three such rounds gain only rounding; without symmetry, if they gain little. The driver ends a run whose best
-    residual no longer falls, as for sweeps. If coarser grids would cost too much, only sweeps run.
+    differs, cycles are slow or end STALLED. Unknowns at a bound are removed from all grids, fine unknowns with strong
+    couplings to removed unknowns are no longer interpolated, and a coarse row is computed again only if it changes.
+    If the free set changes little and a cycle gains less than a factor 10, a few steps of conjugate gradients (M
+    symmetric) or generalized conjugate residuals accelerate the correction, one V-cycle each. Corrections fail if few
+    contacts carry much load. Then, and from the start if couplings jump from edge to edge, such steps solve on a
+    sequence of free sets. The projected solution on a free set determines the next free set, and only the last result
+    is tested (primal–dual active sets). Projected Gauss–Seidel sweeps from the last accepted iterate replace the
+    cycles for a while if the residual grows a hundredfold, if the energy (M symmetric) rises, or if neither has
+    fallen enough for twelve cycles after such free sets. With this safeguard the run converges on every symmetric
+    positive definite M, from any start, for any corrections (:mod:`lcp_plugin.methods.multigrid` has the proof). It
+    ends if three such rounds gain only rounding; without symmetry, if they gain little. The driver ends a run whose
+    best residual no longer falls, as for sweeps. If coarser grids would cost too much, only sweeps run.
 
     Passes over at least 131 072 rows are shared by the threads of the solve. If M is symmetric, sweeps take its rows in
     blocks, first all even ones: this order depends only on M, so that the number of threads changes no bit.

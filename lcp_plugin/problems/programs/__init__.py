@@ -14,13 +14,12 @@
 
 | file | what is in it |
 |---|---|
-| `program`, `program_matrices`, `constraints`, `convexity` | the data, and facts that depend on them only |
-| `reductions` | rows of one variable as bounds, and the inverse transformation |
-| `criterion`, `solution` | the one test of a point, and its two measures |
-| `engine_calls`, `solving` | points of external solvers, and the status |
+| `program`, `program_matrices` | the data, facts that depend on them only, rows of one variable as bounds |
+| `criterion` | the one test of a point, and its two measures |
+| `solving`, `regression` | points of external solvers and of least squares, and the status |
 | `conversion` | the complementarity problem of a program, and the solution that its z encodes |
 | `no_minimum` | proofs that a program is infeasible or unbounded |
-| `certification`, `dual_bounds`, `feasible_points` | proofs about a point from any solver |
+| `certification`, `value_bounds` | proofs about a point from any solver |
 
 Every function ``lcp_from_…`` returns an :class:`~lcp_plugin.core.lcp.LCP` whose ``origin`` stores the original problem.
 Call ``origin.recover(result)`` with a result of ``solve`` or any z: it returns the solution of the original problem and

@@ -29,13 +29,20 @@ from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance, whole_number
 from ...core.solving.result import BaseResult
 from ...proofs.bounds import constrained_curvature, norm_above
-from ...proofs.exact import enclosures, quotient_above, sum_above
+from ...proofs.exact import quotient_above, sum_above
 from .criterion import QPSolution, excused_rows, least_size, worst_constraints
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program import QuadraticProgram
 from .program_matrices import refuse_nonconvex
 from .solving import QuadraticProgramResult, solve_program
-from .value_bounds import DualBounds, FeasiblePoint, FeasiblePoints, implied_box, objective_bounds
+from .value_bounds import (
+    DualBounds,
+    FeasiblePoint,
+    implied_box,
+    objective_bounds,
+    point_inside,
+    point_near,
+)
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
 SMALL = 400  # variables and rows of a program that is solved again for a tighter bound
@@ -325,11 +332,6 @@ class ProgramProofs:
         return DualBounds(self.program, form, implied_box(self.program))
 
     @derived_property
-    def points(self) -> FeasiblePoints:
-        """Search for feasible points."""
-        return FeasiblePoints(self.program)
-
-    @derived_property
     def own_solution(self) -> QPSolution | None:
         """Solution of the program by a built-in solve; None if the time is over or the solve fails."""
         with suppress(LCPError), time_limit(0.5 * seconds_left()):  # a proof takes time as well
@@ -340,29 +342,16 @@ class ProgramProofs:
     def own_lower(self) -> float:
         """The lower bound by the multipliers of our own solution."""
         own = self.own_solution
-        return (
-            -np.inf
-            if own is None
-            else self.lower(own.x, own.inequality, own.equality, own.objective)
-        )
+        return -np.inf if own is None else self.lower(own.x, own.multipliers, own.objective)
 
-    def lower(
-        self,
-        x: Vector,
-        inequality: Vector,
-        equality: Vector,
-        value: float,
-        allowed: float | None = None,
-    ) -> float:
+    def lower(self, x: Vector, y: Vector, value: float, allowed: float | None = None) -> float:
         """Return the lower bound by some multipliers, repaired if it is below the value by more than the allowed gap.
 
         By default the allowed gap is 1e-9 relative to the terms of the objective.
         """
-        # No other form is tried below that
-        enough = value - (
-            1e-9 * size_of_objective(self.program, x)[0] if allowed is None else allowed
-        )
-        return self.bounds.best(x, np.concatenate([inequality, equality]), enough)
+        if allowed is None:  # no other form is tried below that
+            allowed = 1e-9 * size_of_objective(self.program, x)[0]
+        return self.bounds.best(x, y[: self.program.constraints.rows], value - allowed)
 
     def upper(
         self, *near: Vector, exactly: bool = True, by_own: bool = True
@@ -372,16 +361,16 @@ class ProgramProofs:
         If floating point proves no point and `exactly` is set, rational arithmetic searches for a point. A new solve
         requires a small program and `by_own`.
         """
-        found = [point for x in near if (point := self.points.find_near(x)) is not None]
-        if "own_solution" in self.__dict__ or (self.is_small and by_own):
-            own = None if self.own_solution is None else self.points.find_near(self.own_solution.x)
-            found += [] if own is None else [own]
-        return found if found or not exactly else self._inside
+        has_own = "own_solution" in self.__dict__ or (self.is_small and by_own)
+        own = [self.own_solution.x] if has_own and self.own_solution is not None else []
+        found = [point_near(self.program, x) for x in (*near, *own)]
+        if exactly and not any(found):
+            found = [self._inside]
+        return [point for point in found if point is not None]
 
     @derived_property
-    def _inside(self) -> list[FeasiblePoint]:
-        inside = self.points.inside
-        return [] if inside is None else [FeasiblePoint.of(self.program, *enclosures(inside))]
+    def _inside(self) -> FeasiblePoint | None:
+        return point_inside(self.program)
 
     @derived_property
     def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
@@ -428,8 +417,7 @@ class ProgramProofs:
         violation, size = Violation.of(program, x, tolerance), size_of_objective(program, x)
         lower, complaint = -math.inf, ""
         if given is not None:
-            m, p = program.h.size, program.b.size
-            lower = self.lower(x, given[:m], given[m : m + p], value[0], tolerance * size[0])
+            lower = self.lower(x, given, value[0], tolerance * size[0])
             complaint = multiplier_error(program, x, given, tolerance, size[0])
         points = self.upper(x, exactly=False, by_own=False)
         constant = program.constant
@@ -438,9 +426,9 @@ class ProgramProofs:
         if not is_enough or (self.is_small and (given is None or complaint)):
             lower = max(lower, self.own_lower)
             if (own := self.own_solution) is not None:
-                y = np.concatenate([own.inequality, own.equality])
+                y = own.multipliers[: program.constraints.rows]
                 if size[1] == 0.0:  # the comparison is exact
-                    lower = max(lower, self.lower(x, own.inequality, own.equality, value[0]))
+                    lower = max(lower, self.lower(x, y, value[0]))
                 elif np.isfinite(y).all():
                     least = least_size(program, x, y)
                     size = max(size[0], least), max(size[1], least)

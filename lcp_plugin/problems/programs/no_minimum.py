@@ -562,12 +562,6 @@ def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
     return np.asarray(filled[order[:rank]], dtype=np.intp)
 
 
-def feasible_point(program: QuadraticProgram) -> Fractions | None:
-    """Return a point that satisfies all constraints exactly, as far inside as a linear program finds."""
-    _, *exact = points_inside(program) or (None,)
-    return exact[0] if exact else None
-
-
 def points_inside(program: QuadraticProgram) -> tuple[Fractions, ...]:
     """Return a point that satisfies all constraints to rounding, and an exactly feasible point, as far as found.
 

@@ -21,9 +21,11 @@ of a small program, a linear program finds an interior point, which is checked i
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from operator import add, sub
 from typing import NamedTuple
 
 import numpy as np
@@ -47,7 +49,7 @@ from ...proofs.exact import (
     solved_nearby,
     sum_above,
 )
-from .no_minimum import feasible_point
+from .no_minimum import points_inside
 from .program import QuadraticProgram
 from .program_matrices import FoldedRows
 
@@ -89,29 +91,26 @@ class DualBounds:
         """
         if not np.isfinite(self.curvature.weights).all():
             return -np.inf
-        given = self.admit(x, y)
-        found, points = self.value(given), [given]
-        y = given.y  # degenerate multipliers must be 0
-        clean = given._replace(
-            y=np.where(np.abs(y) <= 2.0**-44 * np.abs(y).max(initial=0.0), 0.0, y)
-        )
-        if found < enough and clean.y.any():
-            points.append(clean)
-            found = max(found, self.value(clean))
-        for slack in SLACKS:
-            if found >= enough or is_over():
-                return found
-            points.append(self._with_slack(given, slack))
-            found = max(found, self.value(points[-1]))
-        for point in points:
+        found = -np.inf
+        for bound in self._bounds(self.admit(x, y)):
+            found = max(found, bound)
             if found >= enough or is_over():
                 break
-            found = max(found, self._exact_value(point))
-        if (
-            found < enough and not is_over()
-        ):  # at x = 0, the bound also loses too much by rounding in s_j²/μ_j
-            found = max(found, self._exact_value(given, is_fixed=True))
         return found
+
+    def _bounds(self, given: DualPoint) -> Iterator[float]:
+        """Yield the bounds that a point and its repairs prove, the cheapest first."""
+        sizes, points = np.abs(given.y), [given]
+        is_noise = sizes <= 2.0**-44 * sizes.max(initial=0.0)  # degenerate multipliers must be 0
+        if not is_noise.all():
+            points.append(given._replace(y=np.where(is_noise, 0.0, given.y)))
+        yield from map(self.value, points)
+        for slack in SLACKS:
+            points.append(self._with_slack(given, slack))
+            yield self.value(points[-1])
+        yield from map(self._exact_value, points)
+        # At x = 0, the bound also loses too much by rounding in s_j²/μ_j
+        yield self._exact_value(given, is_fixed=True)
 
     def admit(self, x: Vector, y: Vector) -> DualPoint:
         """Return the point with admissible multipliers: not negative, and 0 for rows that the box contains."""
@@ -123,20 +122,18 @@ class DualBounds:
 
     def value(self, at: DualPoint) -> float:
         """Return a double below the bound that this point proves without a repair; −∞ if it proves no bound."""
-        program, (x, y) = self.program, at
-        high, low, radius = compensated_pair(self._stacked, np.concatenate([x, y]), program.c)
-        parts = [
-            compensated_pair(matrix, x, offset)
-            for matrix, offset in ((program.matrices.sparse_P, None), (self._rows, -self._limit))
-        ]
+        program, matrices, (x, y) = self.program, self.program.matrices, at
+        ends = _ends(*compensated_pair(matrices.gradient, np.concatenate(at), program.c))
+        bent = compensated_pair(matrices.sparse_P, x)
+        excess = compensated_pair(matrices.rows, x, -self._limit)
         # Twice f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b), as halves may underflow.
         factors = np.concatenate([x, x, 2.0 * program.c, 2.0 * y, 2.0 * y])
-        values = np.concatenate([*parts[0][:2], x, *parts[1][:2]])
+        values = np.concatenate([*bent[:2], x, *excess[:2]])
         twice, error = compensated_product(sp.csr_array(factors[None, :]), values)
-        blur = [product_above(np.abs(k), r) for k, r in ((x, parts[0][2]), (2.0 * y, parts[1][2]))]
-        missed = np.max(np.abs(_ends(*parts[1])), axis=0)[program.h.size :]
+        blur = [product_above(np.abs(x), bent[2]), product_above(np.abs(2.0 * y), excess[2])]
+        missed = np.max(np.abs(_ends(*excess)), axis=0)[program.h.size :]
         blur.append(product_above(0.5 * self.curvature.penalty, product_above(missed, missed)))
-        loss = self._loss(*_ends(high, low, radius), *self._distances(x, x))
+        loss = self._loss(*ends, *self._distances(x, x))
         loss = float(sum_above(_sum_above(np.concatenate(blur)), loss))
         found = -float(sum_above(loss, half_above(-lower_end(twice, error)[0])))
         return found if not math.isnan(found) else -np.inf
@@ -148,15 +145,8 @@ class DualBounds:
     def _loss(self, s_low: Vector, s_high: Vector, below: Vector, above: Vector) -> float:
         """Return Σ sup over −below ≤ t ≤ above of −s t − ½ μ t², rounded up."""
         weights = self.curvature.weights
-        corners = np.max(
-            [
-                product_above(s_high, below),
-                product_above(s_low, below),
-                product_above(-s_high, above),
-                product_above(-s_low, above),
-            ],
-            axis=0,
-        )
+        ends = (s_high, below), (s_low, below), (-s_high, above), (-s_low, above)
+        corners = np.max([product_above(*end) for end in ends], axis=0)
         largest = np.maximum(np.abs(s_low), np.abs(s_high))
         bent = np.where(weights > 0.0, weights, 1.0)
         vertex = quotient_above(product_above(largest, largest), 2.0 * bent)
@@ -171,11 +161,11 @@ class DualBounds:
         needs_rise, needs_fall = self._open_sides
         is_free = needs_rise & needs_fall
         sign = np.where(needs_rise, 1.0, -1.0)
-        largest = largest_in_rows(sp.csr_array(self._rows.T)) * np.abs(at.y).max(initial=0.0)
+        columns = sp.csr_array(self.program.matrices.rows.T)
+        largest = largest_in_rows(columns) * np.abs(at.y).max(initial=0.0)
         for _ in range(ROUNDS):
-            v = np.concatenate(at)
-            s = self._stacked @ v + self.program.c
-            size = np.maximum(abs(self._stacked) @ np.abs(v) + np.abs(self.program.c), largest)
+            v, s, size = self._slopes(at)
+            size = np.maximum(size, largest)
             target = np.where(is_free, 0.0, sign * np.maximum(sign * s, slack * size))
             asked = needs_rise | needs_fall
             if not (asked & (np.abs(target - s) > 0.1 * slack * size)).any():
@@ -184,9 +174,16 @@ class DualBounds:
             # A component that least squares leave unchanged
             near = np.flatnonzero(asked & (is_free | (sign * s <= 2.0**-20 * size)))
             movable = np.flatnonzero(self._is_movable(at))
-            v[movable] += least_squares(self._stacked[near][:, movable], (target - s)[near])
+            v[movable] += least_squares(
+                self.program.matrices.gradient[near][:, movable], (target - s)[near]
+            )
             at = self.admit(v[: at.x.size], v[at.x.size :])
         return at
+
+    def _slopes(self, at: DualPoint) -> tuple[Vector, Vector, Vector]:
+        """Return the point as one vector, its s, and the sums of the sizes of the terms of s."""
+        K, c, v = self.program.matrices.gradient, self.program.c, np.concatenate(at)
+        return v, K @ v + c, abs(K) @ np.abs(v) + np.abs(c)
 
     def _is_movable(self, at: DualPoint) -> BoolVector:
         """Return the mask of the entries of x̂ and of the multipliers that a repair may change."""
@@ -199,9 +196,8 @@ class DualBounds:
         If x̂ is fixed, components with curvature are included, and only multipliers change.
         """
         needs_rise, needs_fall = self._open_sides
-        v = np.concatenate(at)
-        s = self._stacked @ v + self.program.c
-        rounding = SLACKS[0] * (abs(self._stacked) @ np.abs(v) + np.abs(self.program.c))
+        v, s, size = self._slopes(at)
+        rounding = SLACKS[0] * size
         is_zero = (needs_rise & (s <= rounding)) | (needs_fall & (s >= -rounding))
         zero = np.flatnonzero(is_zero | ((np.abs(s) <= rounding) if is_fixed else False))
         rows, m, n = [self._exact_stacked[j] for j in zero], self.program.h.size, at.x.size
@@ -222,22 +218,13 @@ class DualBounds:
         """Return `value` of rational numbers."""
         c = rational(self.program.c)
         curved = products(rational_rows(self.program.P), x)
-        here = sum(
-            (at * (bent / 2 + slope) for at, bent, slope in zip(x, curved, c, strict=True)),
-            Fraction(0),
-        )
-        missed = [
-            value - limit
-            for value, limit in zip(
-                products(rational_rows(self._rows), x), rational(self._limit), strict=True
-            )
-        ]
-        here += sum(
-            (weight * miss for weight, miss in zip(y, missed, strict=True) if weight), Fraction(0)
-        )
+        here = sum(at * (bent / 2 + slope) for at, bent, slope in zip(x, curved, c, strict=True))
+        rows = rational_rows(self.program.matrices.rows)
+        missed = [*map(sub, products(rows, x), rational(self._limit))]
+        here += sum(weight * miss for weight, miss in zip(y, missed, strict=True) if weight)
         penalty = Fraction(self.curvature.penalty) / 2
-        here -= penalty * sum((miss * miss for miss in missed[self.program.h.size :]), Fraction(0))
-        s = [a + b for a, b in zip(products(self._exact_stacked, [*x, *y]), c, strict=True)]
+        here -= penalty * sum(miss * miss for miss in missed[self.program.h.size :])
+        s = [*map(add, products(self._exact_stacked, [*x, *y]), c)]
         loss = self._loss(*enclosures(s), *self._distances(*enclosures(x)))
         found = -float(sum_above(loss, -enclosures([here])[0][0]))
         return found if not math.isnan(found) else -np.inf
@@ -251,30 +238,19 @@ class DualBounds:
         is_flat, folded = self.curvature.weights <= 0.0, FoldedRows.of(self.program).reduced
         return is_flat & np.isinf(folded.upper), is_flat & np.isinf(folded.lower)
 
-    @property
-    def _rows(self) -> sp.csr_array:
-        return self.program.matrices.rows
-
     @cached_property
     def _limit(self) -> Vector:
-        return np.where(np.isfinite(self._limit_of_rows), self._limit_of_rows, 0.0)
-
-    @cached_property
-    def _limit_of_rows(self) -> Vector:
-        return np.concatenate([self.program.h, self.program.b])
+        right = self.program.constraints.right
+        return np.where(np.isfinite(right), right, 0.0)
 
     @cached_property
     def _is_bound(self) -> BoolVector:
         """Mask of the rows with at most one entry, which the box contains."""
-        return np.asarray(np.diff(self._rows.indptr) <= 1)
-
-    @property
-    def _stacked(self) -> sp.csr_array:
-        return self.program.matrices.gradient
+        return np.asarray(np.diff(self.program.matrices.rows.indptr) <= 1)
 
     @cached_property
     def _exact_stacked(self) -> list[Row]:
-        return rational_rows(self._stacked)
+        return rational_rows(self.program.matrices.gradient)
 
 
 def _ends(high: Vector, low: Vector, radius: Vector) -> Box:
@@ -399,65 +375,50 @@ class FeasiblePoint:
         return cls(low, radius, objective_bounds(program, low, radius)[1])
 
 
-@dataclass(frozen=True, eq=False)
-class FeasiblePoints:
-    """Search for points of a program that are proved feasible."""
-
-    program: QuadraticProgram = field(repr=False)
-
-    def find_near(self, x: Vector) -> FeasiblePoint | None:
-        """Return a feasible point near x (x itself if feasible); None if floating point proves no point."""
-        if not (self.program.constraints.excess(x) > 0.0).any():
-            return FeasiblePoint.of(self.program, x, x)
-        points = (self._enclose(self._move_off(x, slack)) for slack in SLACKS)
-        return next((point for point in points if point is not None), None)
-
-    @cached_property
-    def inside(self) -> Fractions | None:
-        """Feasible point in rational numbers, as far inside as a linear program finds; None for a large program."""
-        program = self.program
-        # 100 equations take .4 s, 200 take 1.7 s; the points of 2000 rows are checked in a second
-        if program.b.size > 100 or program.n + program.constraints.rows > 2000:
-            return None
-        return feasible_point(program)
-
-    def _move_off(self, x: Vector, slack: float) -> Vector:
-        """Return the nearest point that satisfies the equalities to rounding, with some slack in tight inequalities."""
-        rows, x = self.program.constraints, np.clip(x, self.program.lower, self.program.upper)
-        is_row = np.arange(rows.limit.size) < rows.rows
-        value, size = rows.matrix @ x - rows.limit, _sizes(self.program, x)
-        tight = np.flatnonzero(is_row & (rows.is_equality | (value >= -1e-9 * size)))
-        at_bound = (x <= self.program.lower) | (x >= self.program.upper)
-        free = np.flatnonzero(~at_bound)
-        right = np.where(rows.is_equality, -value, np.minimum(-value - slack * size, 0.0))[tight]
-        moved = x.copy()
-        moved[free] += least_squares(rows.matrix[tight][:, free], right)
-        return np.clip(moved, self.program.lower, self.program.upper)
-
-    def _enclose(self, x: Vector) -> FeasiblePoint | None:
-        """Return the point near x that satisfies the equalities; None if inequalities at x have too little slack."""
-        program, rows = self.program, self.program.constraints
-        excess = rows.excess(x)
-        if not (excess > 0.0).any():
-            return FeasiblePoint.of(program, x, x)
-        m, is_equality = program.h.size, rows.is_equality
-        radius = distance_of_equations(program, x, excess[m : m + program.b.size])
-        if radius is None or (excess[~is_equality] > 0.0).any():
-            return None
-        others = abs(rows.matrix[np.flatnonzero(~is_equality)])
-        spread = (
-            others @ radius + np.where(others.astype(bool) @ (radius > 0.0), TINY, 0.0)
-        ) * OUTWARD
-        if not (sum_above(excess[~is_equality], spread) <= 0.0).all():
-            return None
-        return FeasiblePoint(x, radius, objective_bounds(program, x, radius)[1])
+def point_near(program: QuadraticProgram, x: Vector) -> FeasiblePoint | None:
+    """Return a feasible point near x (x itself if feasible); None if floating point proves no point."""
+    if not (program.constraints.excess(x) > 0.0).any():
+        return FeasiblePoint.of(program, x, x)
+    points = (_enclose(program, _move_off(program, x, slack)) for slack in SLACKS)
+    return next((point for point in points if point is not None), None)
 
 
-def _sizes(program: QuadraticProgram, x: Vector) -> Vector:
-    """Return estimates of the largest term of each row near x; they only guide the search for a point."""
-    rows = program.constraints
-    limit = np.where(np.isfinite(rows.limit), np.abs(rows.limit), 0.0)
-    return np.asarray(limit + largest_in_rows(rows.matrix) * np.abs(x).max(initial=0.0))
+def point_inside(program: QuadraticProgram) -> FeasiblePoint | None:
+    """Return a feasible point as far inside as a linear program finds; None for a large program."""
+    # 100 equations take .4 s, 200 take 1.7 s; the points of 2000 rows are checked in a second
+    if program.b.size > 100 or program.n + program.constraints.rows > 2000:
+        return None
+    exact = points_inside(program)[1:]
+    return FeasiblePoint.of(program, *enclosures(exact[0])) if exact else None
+
+
+def _move_off(program: QuadraticProgram, x: Vector, slack: float) -> Vector:
+    """Return the nearest point that satisfies the equalities to rounding, with some slack in tight inequalities."""
+    rows, x = program.constraints, np.clip(x, program.lower, program.upper)
+    value, right = rows.matrix @ x - rows.limit, np.where(np.isfinite(rows.limit), rows.limit, 0.0)
+    # Estimates of the largest terms, which only guide the search
+    size = np.abs(right) + largest_in_rows(rows.matrix) * np.abs(x).max(initial=0.0)
+    tight = np.flatnonzero((rows.is_equality | (value >= -1e-9 * size))[: rows.rows])
+    free = np.flatnonzero((x > program.lower) & (x < program.upper))
+    change = np.where(rows.is_equality, -value, np.minimum(-value - slack * size, 0.0))[tight]
+    moved = x.copy()
+    moved[free] += least_squares(rows.matrix[tight][:, free], change)
+    return np.clip(moved, program.lower, program.upper)
+
+
+def _enclose(program: QuadraticProgram, x: Vector) -> FeasiblePoint | None:
+    """Return the point near x that satisfies the equalities; None if inequalities at x have too little slack."""
+    if not ((excess := program.constraints.excess(x)) > 0.0).any():
+        return FeasiblePoint.of(program, x, x)
+    rows, m, others = program.constraints, program.h.size, ~program.constraints.is_equality
+    radius = distance_of_equations(program, x, excess[m : m + program.b.size])
+    if radius is None or (excess[others] > 0.0).any():
+        return None
+    sizes = abs(rows.matrix[np.flatnonzero(others)])
+    spread = (sizes @ radius + np.where(sizes.astype(bool) @ (radius > 0.0), TINY, 0.0)) * OUTWARD
+    if not (sum_above(excess[others], spread) <= 0.0).all():
+        return None
+    return FeasiblePoint(x, radius, objective_bounds(program, x, radius)[1])
 
 
 def distance_of_equations(program: QuadraticProgram, x: Vector, excess: Vector) -> Vector | None:

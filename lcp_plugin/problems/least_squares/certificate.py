@@ -29,7 +29,7 @@ whose entries are unknown, SOLVED means a small gradient, and all numbers are es
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -137,13 +137,10 @@ class Optimality:
         prox moves by l1 towards 0, but not beyond. NaN if a component is not a number. For a LinearOperator, the
         rounding error of the gradient is estimated, because the sizes of its terms are unknown.
         """
-        problem, scales, root = (
-            (one := self.enclosures.problem),
-            one.column_scales,
-            one.root_weights,
-        )
+        problem, scales = self.enclosures.problem, self.enclosures.problem.column_scales
         slope, radius = self.enclosures.gradient(self.x, self.misfit)
         if not problem.has_entries:
+            root = problem.root_weights
             vectors = root * self.misfit[0], root * problem.b, scales * self.x
             radius = 4.0 * EPSILON * scales * sum(map(np.linalg.norm, vectors))
         slope, radius, x, l1 = slope / scales, radius / scales, self.x * scales, problem.l1 / scales
@@ -156,11 +153,9 @@ class Optimality:
 def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, Vector]:
     """Return the gap relative to its cost, apart from rounding, at most 1, and its y."""
     enclosures, x, residual = judged.enclosures, judged.x, judged.misfit
-    problem, duals = enclosures.problem, _dual_points(judged)
     least, best = np.inf, residual[0]
-
-    for y, slope in _with_shrunk(enclosures, x, duals) if problem.l1.any() else duals:
-        if (value := float(_gap_of_cost(problem, x, residual, y, slope))) < least:
+    for y, slope in _with_shrunk(enclosures, x, _dual_points(judged)):
+        if (value := float(_gap_of_cost(enclosures.problem, x, residual, y, slope))) < least:
             least, best = value, y
         if least <= tolerance:
             break
@@ -248,7 +243,7 @@ def _with_zeros(
 
 
 def _with_shrunk(
-    enclosures: Enclosures, x: Vector, duals: Iterator[tuple[Vector, Ball]]
+    enclosures: Enclosures, x: Vector, duals: Iterable[tuple[Vector, Ball]]
 ) -> Iterator[tuple[Vector, Ball]]:
     """Yield each y, and then the shrunk y."""
     for y, slope in duals:
@@ -293,17 +288,13 @@ def duality_gap(problem: BoundedLeastSquares, x: Vector, y: Vector | None = None
     at_x = enclosures.gradient(x, residual)
     exactly = residual[0], np.zeros(residual[0].size)  # y is the exact residual
     y = residual[0] if y is None else y
-    slopes = [(y, enclosures.gradient_at(x, y))]
-    if problem.l1.any() and (shrunk := _shrunk(enclosures, x, *slopes[0])) is not None:
-        slopes.append(shrunk)
+    slopes = [*_with_shrunk(enclosures, x, [(y, enclosures.gradient_at(x, y))])]
 
     def bound_gap(*given: Any) -> float:
         return float(_gap(problem, x, *given)[0])
 
-    found = [
-        bound_gap(exactly, residual[0], at_x),
-        *(bound_gap(residual, *slope) for slope in slopes),
-    ]
+    found = [bound_gap(exactly, residual[0], at_x)]
+    found += [bound_gap(residual, *slope) for slope in slopes]
     if not np.nanmin(found) < np.inf:
         repairs = (repair for slope in slopes for repair in _repair(enclosures, x, *slope))
         found += [bound_gap(residual, *repair) for repair in repairs]
@@ -369,9 +360,7 @@ def _repair(
     p is to push the columns whose sign is in doubt, or else all of them.
     """
     problem = enclosures.problem
-    wanted = np.where(problem.upper == np.inf, 1.0, 0.0) - np.where(
-        problem.lower == -np.inf, 1.0, 0.0
-    )
+    wanted = 1.0 * np.isposinf(problem.upper) - np.isneginf(problem.lower)
     wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
     sizes = (wanted * slope[0] + problem.l1) / problem.column_scales
     in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
@@ -413,8 +402,8 @@ def _push(
         few = problem.weighted_matrix[:, columns]
         few = (few.toarray() if problem.is_sparse else few) / problem.column_scales[columns]
         push = shortest_solution(few.T, wanted[columns])
-        return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))
-    push = _push_by_products(problem, wanted[columns], columns, accuracy)
+    else:
+        push = _push_by_products(problem, wanted[columns], columns, accuracy)
     return np.asarray(np.divide(push, root, out=np.zeros(root.size), where=root > 0.0))
 
 

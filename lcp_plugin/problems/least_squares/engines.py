@@ -115,15 +115,17 @@ class FacePoint:
     @property
     def size_of_residual(self) -> float:
         """The largest natural residual, beyond the orthant as well."""
-        return max(float(np.abs(self.natural_residual).max(initial=0.0)), self.pull_across)
+        return max(self.residual_in_orthant, self.pull_across)
+
+    @property
+    def residual_in_orthant(self) -> float:
+        """The largest natural residual."""
+        return float(np.abs(self.natural_residual).max(initial=0.0))
 
     @property
     def noise(self) -> float:
         """Size of a gradient that may be only rounding."""
-        sizes = (
-            np.linalg.norm(self.residual) + np.linalg.norm(self.x) + np.linalg.norm(self.problem.b)
-        )
-        return ROUNDING * float(sizes)
+        return ROUNDING * float(sum(map(np.linalg.norm, (self.residual, self.x, self.problem.b))))
 
     def curvature(self, direction: Vector, product: Vector) -> float:
         """Return dᵀ(AᵀA + ridge)d for a direction d and A d."""
@@ -136,10 +138,8 @@ class FacePoint:
 
     def farthest(self, direction: Vector) -> float:
         """Return the largest step length along the direction within the bounds."""
-        slack = (
-            np.where(direction > 0.0, self.problem.upper - self.x, self.problem.lower - self.x)
-            / direction
-        )
+        bound = np.where(direction > 0.0, self.problem.upper, self.problem.lower)
+        slack = (bound - self.x) / direction
         return float(np.min(slack, initial=np.inf, where=direction != 0.0))
 
     def rise(self, direction: Vector, product: Vector) -> float:
@@ -167,14 +167,10 @@ def projected_steps(start: FacePoint) -> Iterator[FacePoint]:
         for point in steps_in_orthant(FacePoint(orthant, point.x, point.residual)):  # noqa: B020 - each begins where one ended
             yield point
             pull = point.pull_across
-            if pull > point.noise and LEFT_BEHIND * pull > _largest(point):
+            if pull > point.noise and LEFT_BEHIND * pull > point.residual_in_orthant:
                 break
-        if not point.pull_across > max(point.noise, _largest(point)):
+        if not point.pull_across > max(point.noise, point.residual_in_orthant):
             return
-
-
-def _largest(point: FacePoint) -> float:
-    return float(np.abs(point.natural_residual).max(initial=0.0))
 
 
 def steps_in_orthant(start: FacePoint) -> Iterator[FacePoint]:
@@ -299,13 +295,13 @@ def _dense_solutions(
     problem: ScaledLeastSquares, A: Vector, b: Vector
 ) -> Iterator[tuple[str, Vector]]:
     """Yield solutions x, the cheapest first, with the name of the solver."""
-    bounds = problem.problem.bounds_per_column
     if problem.has_no_corner:
         yield "lstsq", shortest_solution(A, b)
     if is_for_nnls(problem.problem):
         yield "nnls", _solve_by_nnls(problem, A, b)
     split = Split.of(problem, A)
-    if A.shape[0] < A.shape[1] and (bounds <= 1).all():
+    has_two = np.isfinite(split.lower) & np.isfinite(split.upper)
+    if A.shape[0] <= A.shape[1] and not has_two.any():
         yield "piqp", split.solve_dual(b)
     yield "piqp", split.solve_normal_equations(b)
     yield from (("piqp", x) for x in split.solve_residual_form(b))

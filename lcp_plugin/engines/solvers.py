@@ -49,11 +49,12 @@ class DAQP(Engine):
         P, G, A = program.P, program.G, program.A
         if not isinstance(P, np.ndarray):
             P, G, A = P.toarray(), G.toarray(), A.toarray()
-        data = P, program.c, np.concatenate((G, A)), np.concatenate((program.h, program.b))
-        stack, m, n = [one[np.newaxis] for one in data], program.h.size, program.c.size
-        bounds = program.lower[np.newaxis], program.upper[np.newaxis]
+        C, d = np.concatenate((G, A)), np.concatenate((program.h, program.b))
+        data = (P, program.c, C, d, program.lower, program.upper)
+        P, c, C, d, lower, upper = (one[np.newaxis] for one in data)
+        m, n = program.h.size, program.c.size
         seconds = limits.seconds if limits.seconds < math.inf else 0.0
-        x, y, flag, steps = next(self.points(*stack, m, *bounds, [0], seconds))
+        x, y, flag, steps = next(self.points(P, c, C, d, m, lower, upper, [0], seconds))
         y = np.append(np.maximum(y[n : n + m], 0.0), y[n + m :])
         return EngineAnswer(x, y, steps, DAQP_SAYS.get(flag, EngineStatus.GAVE_UP))
 
@@ -86,7 +87,7 @@ class DAQP(Engine):
         above, below = np.concatenate([upper, d], axis=1), np.full((count, sense.size), -np.inf)
         below[:, :n], below[:, n + m :] = lower, d[:, m:]
         settings = self.settings | ({"time_limit": seconds} if seconds else {})
-        has_P, (P, c, C) = P.any(), (np.require(one, requirements="CW") for one in (P, c, C))
+        has_P, (P, c, C) = P.any(), (np.require(one, requirements=["C", "W"]) for one in (P, c, C))
         of_P, of_C = (range(count) if len(one) > 1 else [0] * count for one in (P, C))
         for k in items:
             hessian = P[of_P[k]] if has_P else None

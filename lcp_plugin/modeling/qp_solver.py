@@ -31,7 +31,7 @@ from ..problems.programs.certification import Certification, certify
 from ..problems.programs.criterion import QPSolution
 from ..problems.programs.no_minimum import QPInfeasibility
 from ..problems.programs.program import QuadraticProgram
-from ..problems.programs.solving import QuadraticProgramResult, solve_program
+from ..problems.programs.solving import solve_program
 from ._compat import (
     CVXPY_STATUS,
     EQUATIONS,
@@ -94,22 +94,15 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     ) -> Any:
         """Return the answer to the program in cvxpy's form."""
         cache = {} if solver_cache is None else solver_cache
+        options, guess = dict(solver_opts), cache.get(self.name()) if warm_start else None
         # Overflow becomes infinite, and raises an error as such.
         with np.errstate(all="ignore"), solver_errors():
-            return self._answer(data, warm_start, verbose, solver_opts, cache)
-
-    def _answer(
-        self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, cache: Any
-    ) -> QuadraticProgramResult:
-        options = dict(solver_opts)
-        guess = cache.get(self.name()) if warm_start else None
-        program = quadratic_program(data, cache)
-        algorithm = options.pop("algorithm", "auto")
-        if guess is not None:
-            options.setdefault("z0", guess)
-        found = solve_program(program, algorithm, verbose=bool(verbose), **options)
-        if guess is not None and options["z0"] is guess and found.z is not None:
-            found = replace(found, begun=BEGUN)
+            if guess is not None:
+                options.setdefault("z0", guess)
+            algorithm, program = options.pop("algorithm", "auto"), quadratic_program(data, cache)
+            found = solve_program(program, algorithm, verbose=bool(verbose), **options)
+            if guess is not None and options["z0"] is guess and found.z is not None:
+                found = replace(found, begun=BEGUN)
         # An external solver leaves no z: no complementarity problem was made.
         cache[self.name()] = found.z
         if verbose:

@@ -737,10 +737,10 @@ def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgr
         )
     programs: list[QuadraticProgram | LCPError] = []
     for k, one in enumerate(vectors):
-        if not isinstance(one, Mapping) or (unknown := set(one) - {*VECTORS}):
-            what = f"the name {min(unknown)!r}" if isinstance(one, Mapping) else type(one).__name__
+        unknown = set(one) - {*VECTORS} if isinstance(one, Mapping) else {type(one).__name__}
+        if unknown:
             raise InvalidProblem(
-                f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {what}"
+                f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {min(unknown)!r}"
             )
         try:
             programs.append(program.with_vectors(**one))

@@ -473,13 +473,9 @@ class Violation:
         """Return the violation at x, relative to the terms of each row; rounding is tolerated as in the criterion."""
         rows = program.constraints
         finite = rows.finite
-        matrix, limit, is_equality = (
-            rows.matrix[finite],
-            rows.limit[finite],
-            rows.is_equality[finite],
-        )
+        matrix, limit = rows.matrix[finite], rows.limit[finite]
         value, radius = compensated_product(matrix, x, -limit)
-        size = np.where(is_equality, np.abs(value), value)
+        size = np.where(rows.is_equality[finite], np.abs(value), value)
         least, largest = np.maximum(size - radius, 0.0), np.maximum(rows.excess(x)[finite], 0.0)
         allowed = tolerance * largest_terms(matrix, limit, x)
         if (largest > allowed).any():
@@ -534,11 +530,8 @@ class ProvenBounds:
     @property
     def gap(self) -> float:
         """A bound of |f(x) − lower|."""
-        return max(
-            float(sum_above(self.value[1], -self.lower)),
-            float(sum_above(self.lower, -self.value[0])),
-            0.0,
-        )
+        ends = (self.value[1], -self.lower), (self.lower, -self.value[0])
+        return max(0.0, *(float(sum_above(*end)) for end in ends))
 
     def disproof(self) -> str:
         """Return the disproof of the point as text, empty if there is none."""
@@ -556,19 +549,16 @@ class ProvenBounds:
 
     def is_proved(self) -> bool:
         """Return whether the answer is optimal to the tolerance, by its value."""
-        return self.violation.is_met and self.gap <= min(
-            self.tolerance * self.size[0] / OUTWARD, LARGEST
-        )
+        allowed = min(self.tolerance * self.size[0] / OUTWARD, LARGEST)
+        return self.violation.is_met and self.gap <= allowed
 
     def violation_may_lower_objective(self) -> bool:
         """Return whether no feasible point shows that the violation, however small, buys less than the tolerance.
 
         Then a bound by multipliers that came with x may be as far below the optimal value as f(x) is.
         """
-        return (
-            self.violation.largest > 0.0
-            and self.upper > self.value[1] + self.tolerance * self.size[0]
-        )
+        allowed = self.value[1] + self.tolerance * self.size[0]
+        return self.violation.largest > 0.0 and self.upper > allowed
 
     def certification(self, proofs: ProgramProofs, x: Vector, complaint: str) -> Certification:
         """Return the verdict and its numbers."""
@@ -630,9 +620,8 @@ def distance(
     for point in points:
         off = np.abs(x - point.near)
         gap = 2.0 * max(float(sum_above(point.value, -lower)), 0.0)
-        blur = float(norm_above(point.radius + EPSILON * off)) + OUTWARD * math.sqrt(
-            float(quotient_above(gap, least))
-        )
+        blur = float(norm_above(point.radius + EPSILON * off))
+        blur += OUTWARD * math.sqrt(float(quotient_above(gap, least)))
         near = min(near, (float(norm_above(off)) + blur) * OUTWARD)
     return near
 
@@ -658,10 +647,8 @@ def multiplier_error(
         j = int((left - most * terms).argmax())
         return f"the multipliers leave {left[j]:.3g} of the gradient in component {j}"
     slack = np.where(rows.is_equality, 0.0, np.maximum(rows.limit - rows.matrix @ x, 0.0))
-    price, own = (
-        np.where(y != 0.0, np.abs(y) * slack, 0.0),
-        np.abs(y) * largest_terms(rows.matrix, rows.limit, x),
-    )
+    price = np.where(y != 0.0, np.abs(y) * slack, 0.0)
+    own = np.abs(y) * largest_terms(rows.matrix, rows.limit, x)
     if not (price <= most * np.maximum(size, own)).all():
         i = int(price.argmax())
         return f"a multiplier {y[i]:.3g} belongs to a row with {slack[i]:.3g} of slack"

@@ -242,13 +242,9 @@ class QPUnboundedness:
     def _is_feasible(self) -> bool:
         """True if the point satisfies all constraints exactly; floating point mostly decides it for a float point."""
         rows, near = self.program.constraints, numbers(self.point)
-        are_doubles = all(
-            x.as_integer_ratio() == (value.numerator, value.denominator)
-            for value, x in zip(self.point, near.tolist(), strict=True)
-        )
-        return (are_doubles and not (rows.excess(near) > 0.0).any()) or not any(
-            losses(rows, self.point)
-        )
+        if tuple(rational(near)) == self.point and not (rows.excess(near) > 0.0).any():
+            return True
+        return not any(losses(rows, self.point))
 
     @derived_property
     def violation(self) -> float:
@@ -256,14 +252,9 @@ class QPUnboundedness:
         if self._is_feasible:
             return 0.0
         rows, x = self.program.constraints, np.abs(numbers(self.point))
-        terms = largest_products(abs(rows.matrix), x)
-        excess = zip(
-            losses(rows, self.point), np.maximum(terms, rows.own_sizes).tolist(), strict=True
-        )
-        return max(
-            (float(value) / size if size else np.inf for value, size in excess if value),
-            default=0.0,
-        )
+        sizes = np.maximum(largest_products(abs(rows.matrix), x), rows.own_sizes)
+        excess = np.array([*map(float, losses(rows, self.point))])
+        return float(np.divide(excess, sizes, where=excess > 0.0, out=0.0 * excess).max())
 
     @derived_property
     def radius(self) -> float:

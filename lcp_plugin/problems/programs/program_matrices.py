@@ -131,7 +131,7 @@ class ProgramMatrices:
             return ProgramComponents(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
         from scipy.sparse.csgraph import connected_components
 
-        rows = sp.vstack([P, C], format="csr") if is_sparse else sp.csr_array(np.vstack([P, C]))
+        rows = sp.csr_array(sp.vstack([P, C]) if is_sparse else np.vstack([P, C]))
         both = sp.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), shape=(n + m, n + m))
         count, part = connected_components(both, directed=False)
         return ProgramComponents(part[:n], part[n:], count)
@@ -184,17 +184,16 @@ class ProgramMatrices:
     @cached_property
     def entries(self) -> tuple[int, int]:
         """Numbers of nonzeros of P and of [G; A]."""
-        of_G, of_A = (
-            one.nnz if sp.issparse(one) else np.count_nonzero(one) for one in (self.G, self.A)
+        given = self.P, self.G, self.A
+        of_P, of_G, of_A = (
+            int(one.nnz if sp.issparse(one) else np.count_nonzero(one)) for one in given
         )
-        return int(self.P.nnz if sp.issparse(self.P) else np.count_nonzero(self.P)), int(
-            of_G + of_A
-        )
+        return of_P, of_G + of_A
 
-    @cached_property
+    @property
     def has_curvature(self) -> bool:
         """True if P has a nonzero."""
-        return bool(np.count_nonzero(self.P) if isinstance(self.P, np.ndarray) else self.P.nnz)
+        return self.entries[0] > 0
 
     @cached_property
     def singletons(self) -> tuple[Indices, Indices, Vector]:
@@ -592,17 +591,15 @@ class FoldedRows:
         limits = right[rows] / coefficient[rows]
         is_finite = np.isfinite(limits)
         rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]
-        above, below = (
-            is_equality[rows] | (sign * coefficient[rows] > 0.0) for sign in (1.0, -1.0)
-        )
-        upper, upper_row = _tightest(program.upper, limits[above], columns[above], rows[above])
-        negated, lower_row = _tightest(-program.lower, -limits[below], columns[below], rows[below])
+        sides = []
+        for sign, own in ((1.0, program.upper), (-1.0, -program.lower)):
+            on = is_equality[rows] | (sign * coefficient[rows] > 0.0)
+            sides.append(_tightest(own, sign * limits[on], columns[on], rows[on]))
+        (upper, upper_row), (negated, lower_row) = sides
         lower = -negated + 0.0  # no negative zeros
         contradicts = lower > upper
-        lower[contradicts], upper[contradicts] = (
-            program.lower[contradicts],
-            program.upper[contradicts],
-        )
+        lower = np.where(contradicts, program.lower, lower)
+        upper = np.where(contradicts, program.upper, upper)
         lower_row[contradicts] = upper_row[contradicts] = OWN
 
         is_empty = np.diff(matrices.rows.indptr) == 0

@@ -181,7 +181,11 @@ def run_engine(
     best, iterations, says = None, 0, EngineStatus.GAVE_UP
     errors, passes = KKTErrors(np.inf, np.inf), False
     for scaled in _statements(reduced, units):
-        point = _call_engine(engine, scaled.statement, is_verbose)
+        try:
+            point = engine.answer(scaled.statement, SolverLimits(seconds_left(), is_verbose))
+        except Exception:  # an external solver may raise any error for an option
+            _check_options(engine)
+            raise
         iterations, says = iterations + point.iterations, point.says
         rounds = 0 if says in NO_MINIMUM else ROUNDS
         for near in candidates(scaled.statement, point, rounds):
@@ -249,15 +253,6 @@ def _statements(reduced: QuadraticProgram, units: str) -> Iterator[ScaledProgram
         yield from every if units is FITTED else map(with_sides_about_one, every)
 
 
-def _call_engine(engine: Engine, statement: ProgramData, is_verbose: bool) -> EngineAnswer:
-    """Return the point of an engine."""
-    try:
-        return engine.answer(statement, SolverLimits(seconds_left(), is_verbose))
-    except Exception:  # an external solver may raise any error for an option
-        _check_options(engine)
-        raise
-
-
 def _check_options(engine: Engine) -> None:
     """Raise InvalidOption if the engine does not solve a program of one unknown with its options."""
     none = np.zeros((0, 1)), np.zeros(0)
@@ -268,14 +263,9 @@ def _check_options(engine: Engine) -> None:
         own = TOLERANCES.get(engine.name, ())
         asked = {name: value for name, value in engine.options.items() if name not in own}
         given = ", ".join(f"{name}={value!r}" for name, value in (asked or engine.options).items())
-        raise InvalidOption(
-            f"{engine.name} does not take {given}: {_shorten_message(error)}"
-        ) from error
-
-
-def _shorten_message(error: Exception) -> str:
-    """Return the first sentence of an external error message, or the head of a binding's list of signatures."""
-    return str(error).splitlines()[0].removeprefix("(): ").partition(". The following")[0]
+        # The first sentence, or the head of a binding's list of signatures
+        why = str(error).splitlines()[0].removeprefix("(): ").partition(". The following")[0]
+        raise InvalidOption(f"{engine.name} does not take {given}: {why}") from error
 
 
 NEARLY = KKTErrors(1e-6, 1e-3)  # measures beyond that are not even inaccurately optimal

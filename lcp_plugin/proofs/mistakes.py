@@ -10,6 +10,7 @@ from ..core.checks import Vector
 from ..core.lcp import LCP
 from ..core.names import listed
 from .bounds import free_rows
+from .farkas import without_rounding
 
 UNITS = 1e12  # quotient of two coefficients of a row that suggests two units
 MOST_ROWS = 400  # of a matrix whose singular vectors are computed: 0.1 s
@@ -17,9 +18,14 @@ DEPENDENT = 1e-6  # quotient of singular values that counts as 0: derivatives ma
 PART = 0.1  # of the largest entry of a singular vector: rows with less are not named
 
 
-def reversed_row(problem: LCP) -> str:
-    """Return the row that alone has the signs of its unknown's column, where all others have opposite ones; or ""."""
-    M, names = problem.matrix.csr, problem.names
+def reversed_row(problem: LCP, *, is_linearized: bool = False) -> str:
+    """Return the row that alone has the signs of its unknown's column, where all others have opposite ones; or "".
+
+    Of a linear problem, also the row of the only negative diagonal entry.
+    """
+    M, names, negative = problem.matrix.csr, problem.names, np.flatnonzero(problem.diagonal < 0.0)
+    if negative.size == 1 < problem.n and not is_linearized:
+        return f"the sign of {names.pair(negative[0])[0]} may be wrong: only its diagonal entry is negative"
     products = (M - sp.diags_array(M.diagonal())).multiply(M.T)
     equal = sp.csr_array(products > 0.0).sum(axis=1)
     i = int(np.argmax(equal)) if problem.n else 0
@@ -35,7 +41,7 @@ def reversed_row(problem: LCP) -> str:
 def likely_mistake(problem: LCP, z: Vector, w: Vector) -> str:
     """Return a row that its unknown cannot correct, a row of two units, or dependent rows: the first of them, or ""."""
     M, names = problem.matrix.csr, problem.names
-    if wrong_sign := reversed_row(problem):
+    if wrong_sign := reversed_row(problem, is_linearized=True):
         return wrong_sign
     # w_i depends on z_i, also through other pairs, only if both are on a cycle of the pattern.
     component = connected_components(M, connection="strong")[1]
@@ -48,7 +54,7 @@ def likely_mistake(problem: LCP, z: Vector, w: Vector) -> str:
         return (
             f"{row} is {w[i]:.6g}, and {unknown} has no effect on it; see whether a term is missing"
         )
-    inverse = abs(M)
+    inverse = abs(without_rounding(M))
     inverse.data = 1.0 / inverse.data
     ratio = problem.matrix.row_largest * inverse.max(axis=1).toarray().ravel()
     if ratio.max(initial=1.0) >= UNITS:

@@ -21,6 +21,7 @@ from lcp_plugin import (
     complements,
     solve,
 )
+from lcp_plugin.proofs.mistakes import likely_mistake
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -148,6 +149,17 @@ def test_a_row_of_the_wrong_sign_is_named_where_no_solution_exists() -> None:
     result = solve(LCP(M, q, names=names))
     assert result.status is Status.NO_SOLUTION
     assert "row 4] may be wrong" in result.explain().splitlines()[-1]
+
+
+def test_a_negative_diagonal_entry_is_named_and_a_rounding_error_is_no_unit() -> None:
+    """A market with the sign of its neighbors' rows reversed, and a row with a difference of decimals."""
+    names = ["coal", "steel", "food"]
+    reversed_row = LCP([[4, 1, 2], [-2, -7, 0], [1, 0, 8]], [-6, 1, 6], names=names)
+    assert "the sign of w[steel] may be wrong: only its" in solve(reversed_row).explain()
+    unit = "the coefficients of coal differ by a factor of 2e+16; see its units"
+    for entry, line in ((1e-17, ""), (1e17, unit)):
+        problem = LCP([[4, entry, 0], [1, 4, 0], [0, 1, 4]], [1, 1, 1], names=names)
+        assert likely_mistake(problem, np.zeros(3), problem.q) == line
 
 
 @pytest.mark.parametrize(

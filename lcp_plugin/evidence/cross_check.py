@@ -120,8 +120,7 @@ class CrossCheck:
             ]
         return "\n".join(lines)
 
-    def __str__(self) -> str:
-        return self.explain()
+    __str__ = explain
 
 
 @np.errstate(all="ignore")
@@ -312,13 +311,13 @@ class ConvexForm:
         if place is not None:
             i, j = place
             matrix = f"M[{i}, {j}] and M[{j}, {i}] differ; the symmetric part of M is"
-        if (given.diagonal < 0.0).any():
-            return cls("", f"{matrix} indefinite: a diagonal entry is negative", given, root)
         # Skew entries above 1 leave their rounding behind when the symmetric part cancels them.
         shift = 4.0 * (given.n + 2) * EPSILON * max(1.0, float(abs(A).max()))
-        if factorised(symmetric_part(A), shift) is None:
-            evidence = f"{matrix} indefinite: a pivot is negative at shift {shift:.1e}"
-            return cls("", evidence, given, root)
+        is_negative = (given.diagonal < 0.0).any()
+        if is_negative or factorised(symmetric_part(A), shift) is None:
+            what = "a diagonal entry is negative"
+            what = what if is_negative else f"a pivot is negative at shift {shift:.1e}"
+            return cls("", f"{matrix} indefinite: {what}", given, root)
         unit = _largest(np.append(c, root * given.nearest_to_zero)) or 1.0
         lower, upper = (root * bound / unit for bound in (given.lower, given.upper))
         problem = LCP(A, c / unit, lower=lower, upper=upper)

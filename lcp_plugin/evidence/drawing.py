@@ -234,9 +234,8 @@ def _plotted(answer: Any, frame: Frame | Scene, axes: Any, new: Callable[..., An
 
 
 def _bounds(answer: Any) -> tuple[Vector, Vector]:
-    problem: Any = getattr(answer, "problem", None)
-    if problem is None:
-        problem = answer.certificate.problem if isinstance(answer, Result) else answer
+    holder = answer.certificate if isinstance(answer, Result) else answer
+    problem = getattr(holder, "problem", holder)
     problem = getattr(problem, "program", problem)
     return problem.lower, problem.upper
 
@@ -350,10 +349,8 @@ def plot_path(path: ParametricPath, *, axes: Any = None, rows: Sequence[int] | N
     require_matplotlib()
     if not path.pieces:
         raise UnsuitableProblem(f"the path has no pieces to draw: {path.explain()}")
-    theta = np.array([value for piece in path.pieces for value in (piece.begin, piece.end)])
-    every = np.array(
-        [piece.x_at(value) for piece in path.pieces for value in (piece.begin, piece.end)]
-    )
+    ends = [(at, piece.x_at(at)) for piece in path.pieces for at in (piece.begin, piece.end)]
+    theta, every = map(np.array, zip(*ends, strict=True))
     n = every.shape[1]
     if rows is None:
         order = np.argsort(-np.ptp(every, axis=0), kind="stable")

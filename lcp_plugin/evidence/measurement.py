@@ -7,7 +7,7 @@ gets a new LCP of the same arrays, so that no cached fact about M shortens the s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -28,7 +28,7 @@ from ..gallery.scene import Scene
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 POINT = ("iteration", "work", "seconds", "seconds_low", "seconds_high", "error", "residual")
 SINGLE_POINTS = ("reference", "polish")  # families
-PAPER_RELAXATION, PAPER_MSOR = 1.7, 0.85
+PAPER, PAPER_RELAXATION, PAPER_MSOR = "the paper's settings", 1.7, 0.85
 
 Measure = Callable[[Vector], tuple[float, float]]
 
@@ -94,7 +94,7 @@ class Measurement:
 
     def column(self, name: str) -> Vector:
         """Return a column of `points` by name, shape (k,)."""
-        column: Vector = self.points[:, POINT.index(name)]
+        column: Vector = self.points[:, POINT.index("iteration" if name == "iterations" else name)]
         return column
 
     def last(self, name: str) -> float:
@@ -284,7 +284,14 @@ def methods_of(given: Any) -> list[Method]:
         If `given` is none of these, or if two different algorithms have one label.
     """
     if given is None:
-        return [*_paper_settings(), *_own_settings()]
+        paper = ("npgs", None), ("npsor", PAPER_RELAXATION), ("mgs", None), ("msor", PAPER_MSOR)
+        methods = [
+            Method(f"{name.upper()} paper", create(name, paper_options(name, omega)), note=PAPER)
+            for name, omega in paper
+        ]
+        own = "NPGS", "NPSOR", "NPAOR", "GFP", "PGS", "PSOR", "multigrid"
+        methods += [Method(label, create(label.lower(), {})) for label in own]
+        return [*methods, Method("auto", "auto")]
     if isinstance(given, str | Algorithm) or _is_pair(given):
         given = [given]
     try:
@@ -330,21 +337,3 @@ def _label(algorithm: str | Algorithm) -> str:
     values = [(one, getattr(algorithm, one.name)) for one in fields(algorithm)]
     changed = [f"{one.name}={value}" for one, value in values if repr(value) != repr(one.default)]
     return " ".join([algorithm.name, *changed])
-
-
-def _paper_settings() -> Iterator[Method]:
-    for name, relaxation in (
-        ("npgs", None),
-        ("npsor", PAPER_RELAXATION),
-        ("mgs", None),
-        ("msor", PAPER_MSOR),
-    ):
-        algorithm = create(name, paper_options(name, relaxation))
-        yield Method(f"{name.upper()} paper", algorithm, note="the paper's settings")
-
-
-def _own_settings() -> Iterator[Method]:
-    for name in ("npgs", "npsor", "npaor", "gfp", "pgs", "psor", "multigrid"):
-        label = name if name == "multigrid" else name.upper()
-        yield Method(label, create(name, {}))
-    yield Method("auto", "auto")

@@ -11,6 +11,7 @@ import platform
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -294,8 +295,7 @@ class Study:
             lines += [str(row) for row in rows]
         return "\n".join([*lines, *self.notes, machine()])
 
-    def __str__(self) -> str:
-        return self.explain()
+    __str__ = explain
 
 
 def _check_view(view: Any, known: Iterable[str], words: str = "view must be") -> None:
@@ -304,16 +304,12 @@ def _check_view(view: Any, known: Iterable[str], words: str = "view must be") ->
         raise InvalidOption(f"{words} one of {', '.join(known)}, got {view!r}")
 
 
-def _value(row: Measurement, name: str) -> float:
-    return row.last("iteration" if name == "iterations" else name)
-
-
 def _cell(row: Measurement, name: str) -> Any:
     if row.family == "reference" and name in ("seconds", "error", "residual"):
-        return _value(row, name)
+        return row.last(name)
     if not row.is_solved:
         return row.status.replace("_", " ").lower()
-    return row.iterations if name == "iterations" else _value(row, name)
+    return row.iterations if name == "iterations" else row.last(name)
 
 
 def _draw_errors(axes: Any, rows: Sequence[Measurement], against: str, looks: Any) -> None:
@@ -332,13 +328,11 @@ def _draw_errors(axes: Any, rows: Sequence[Measurement], against: str, looks: An
                 np.maximum(row.column(f"seconds_{end}"), LEAST[against]) for end in ("low", "high")
             )
             axes.fill_betweenx(y, *ends, color=look["color"], alpha=0.10, linewidth=0, zorder=2)
-        least = LEAST.get(against, 1.0)
-        x = np.maximum(row.column("iteration" if against == "iterations" else against), least)
+        x = np.maximum(row.column(against), LEAST.get(against, 1.0))
         draw_curve(axes, x, y, row.method, look, is_solved=row.is_solved)
     for row in (row for row in rows if not row.is_curve):
         look = looks[row.method] | {"linestyle": "none", "markersize": 5}
-        place = row.last("iteration" if against == "iterations" else against)
-        axes.plot([place], [max(row.error, low)], label=row.method, zorder=5, **look)
+        axes.plot([row.last(against)], [max(row.error, low)], label=row.method, zorder=5, **look)
     if kind == RESIDUAL:
         draw_tolerance(axes, rows[0].tolerance)
     axes.set_ylim(low / 1.5, high)
@@ -361,7 +355,7 @@ def _draw_sizes(axes: Any, rows: Sequence[Measurement], view: str, looks: Any) -
     axes.set(xscale="log", yscale="log", xlabel="unknowns n", ylabel=VALUES[view])
     for method in dict.fromkeys(row.method for row in rows):
         own = [row for row in rows if row.method == method]
-        n, y = ([row.n for row in own], [_value(row, view) for row in own])
+        n, y = ([row.n for row in own], [row.last(view) for row in own])
         draw_curve(axes, n, y, method, looks[method])
 
 
@@ -465,7 +459,12 @@ def study(
         raise InvalidOption(f"progress must be a callable that takes a text, got {progress!r}")
     Settings(tolerance=tolerance, max_seconds=max_seconds)
     entrants, built, wanted = methods_of(methods), _label_problems(problems), _checked_sizes(sizes)
-    solvers = _checked_references(references)
+    if not isinstance(references, list | tuple):
+        raise InvalidOption(f"references must be a list of names, got {references!r}")
+    if references:
+        from .cross_check import solver_name
+
+        references = [solver_name(name) for name in references]
     file = None if out is None else checked_path(out)
     if file is not None:
         write_whole({file: lambda f: f.write(csv_text([COLUMNS]).encode("utf-8"))})
@@ -477,7 +476,7 @@ def study(
     measure = partial(
         _measurements,
         methods=entrants,
-        references=solvers,
+        references=references,
         repeats=repeats,
         max_seconds=max_seconds,
     )
@@ -685,32 +684,14 @@ def _checked_sizes(sizes: Any) -> list[int | None]:
     return [whole_number(size, "each of sizes", 1, ", as [100, 400]") for size in listed] or [None]
 
 
-def _checked_references(names: Any) -> list[str]:
-    if not isinstance(names, list | tuple):
-        raise InvalidOption(f"references must be a list of names, got {names!r}")
-    names = [*names]
-    if not names:
-        return []
-    from .cross_check import solver_name
-
-    return [solver_name(name) for name in names]
-
-
 def machine() -> str:
     """Return processor, system and versions in a line; no name of a computer or a user."""
-    facts = [_processor(), f"{os.cpu_count()} cores", f"Python {platform.python_version()}"]
-    for name in PACKAGES:
-        try:
-            facts.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            continue
-    return f"measured on {platform.system()}: {', '.join(facts)}"
-
-
-def _processor() -> str:
     cpu = Path("/proc/cpuinfo")
-    if cpu.exists():
-        for line in cpu.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
+    text = cpu.read_text(encoding="utf-8") if cpu.exists() else ""
+    named = re.search(r"^model name\s*: *(.*)$", text, re.MULTILINE)
+    processor = named[1] if named else platform.processor() or platform.machine()
+    facts = [processor, f"{os.cpu_count()} cores", f"Python {platform.python_version()}"]
+    for name in PACKAGES:
+        with suppress(PackageNotFoundError):
+            facts.append(f"{name} {version(name)}")
+    return f"measured on {platform.system()}: {', '.join(facts)}"

@@ -189,21 +189,17 @@ def scene_builder(builder: Builder) -> Builder:
 
 def _checked(name: str, key: str, value: Any, default: Any) -> Any:
     """Return the value as a plain Python object of the default's type, or raise InvalidOption."""
-    kinds: Any = {
-        bool: bool | np.bool_,
-        str: str,
-        int: int | np.integer,
-        float: float | int | np.number,
-    }
     kind, least = type(default), 1 if key in SIZES else 0
-    needs = {bool: "true or false", str: "a word", int: f"an integer ≥ {least}"}.get(
-        kind, "a finite number"
-    )
-    is_right = isinstance(value, kinds[kind]) and (kind is bool or not isinstance(value, bool))
-    if is_right and kind is int:
-        is_right = value >= least
-    if is_right and kind is float:
-        is_right = abs(value) <= sys.float_info.max
+    kinds: dict[Any, Any] = {
+        bool: (bool | np.bool_, "true or false"),
+        str: (str, "a word"),
+        int: (int | np.integer, f"an integer ≥ {least}"),
+        float: (float | int | np.number, "a finite number"),
+    }
+    types, needs = kinds[kind]
+    is_right = isinstance(value, types) and (kind is bool or not isinstance(value, bool))
+    if is_right and kind in (int, float):
+        is_right = (least if kind is int else -sys.float_info.max) <= value <= sys.float_info.max
     if is_right:
         return kind(value)
     raise InvalidOption(

@@ -57,13 +57,6 @@ from ..systems.definiteness import (
     symmetric_part,
 )
 from ..systems.factors import factor_fits
-from ..systems.graph import (
-    asymmetry,
-    comparison_product,
-    diagonal_blocks,
-    exact_comparison_row,
-    row_excess_signs,
-)
 from .exact import (
     EXACT_SIZE,
     exact_rows,
@@ -165,13 +158,13 @@ def positive_margin(M: Any, v: Vector) -> Vector | None:
     """Return a rigorous lower bound of ⟨M⟩v if it is positive on every row and v > 0, else None."""
     if not ((v > 0.0) & np.isfinite(v)).all():
         return None
-    value, radius = comparison_product(M, v)
+    value, radius = graph.comparison_product(M, v)
     margin = lower_end(value, radius)
     doubtful = np.flatnonzero(~(margin > 0.0))
     if doubtful.size > EXACT_ROWS:
         return None
     for row in doubtful:
-        exact = exact_comparison_row(M, v, int(row))
+        exact = graph.exact_comparison_row(M, v, int(row))
         margin[row] = rounded_down(exact) if exact > 0 else 0.0
         if not margin[row] > 0.0:
             return None
@@ -182,10 +175,10 @@ def is_nonpositive(M: Any, y: Vector) -> bool:
     """Return whether ⟨M⟩y ≤ 0 is proven on every row, for y ≥ 0, y ≠ 0."""
     if not (np.isfinite(y).all() and (y >= 0.0).all() and y.any()):
         return False
-    value, radius = comparison_product(M, y)
+    value, radius = graph.comparison_product(M, y)
     doubtful = np.flatnonzero(~(upper_end(value, radius) <= 0.0))
     return doubtful.size <= EXACT_ROWS and all(
-        exact_comparison_row(M, y, int(row)) <= 0 for row in doubtful
+        graph.exact_comparison_row(M, y, int(row)) <= 0 for row in doubtful
     )
 
 
@@ -237,7 +230,7 @@ class Verdict(NamedTuple):
 @fact
 def symmetric(matrix: Matrix) -> Verdict:
     """M = Mᵀ, entry by entry."""
-    found = asymmetry(matrix)
+    found = graph.asymmetry(matrix)
     if found == 0.0:
         return Verdict(True, "M = Mᵀ exactly")
     # Relative to the rows, the noise of an assembly is small.
@@ -276,7 +269,7 @@ def m_matrix(matrix: Matrix) -> Verdict:
 @fact
 def strictly_dominant(matrix: Matrix) -> Verdict:
     """|m_ii| > Σ_j≠i |m_ij| on every row."""
-    signs = row_excess_signs(matrix)
+    signs = graph.row_excess_signs(matrix)
     if (signs > 0).all():
         return Verdict(True, "|m_ii| > Σ|m_ij| on every row, exactly")
     row = int(np.flatnonzero(signs <= 0)[0])
@@ -298,9 +291,9 @@ def h_plus(matrix: Matrix) -> Verdict:
 @fact
 def irreducible(matrix: Matrix) -> Verdict:
     """M has a strongly connected graph."""
-    if diagonal_blocks(matrix)[0] <= 1:
+    if graph.diagonal_blocks(matrix)[0] <= 1:
         return Verdict(True, "the graph of M is strongly connected")
-    return Verdict(False, f"{diagonal_blocks(matrix)[0]} strongly connected blocks")
+    return Verdict(False, f"{graph.diagonal_blocks(matrix)[0]} strongly connected blocks")
 
 
 @fact
@@ -338,7 +331,7 @@ def positive_semidefinite(matrix: Matrix) -> Verdict:
     """xᵀM x ≥ 0 for every x: exactly up to n = 10; beyond, a singular M is undecided, with the δ in the evidence."""
     if (matrix.diagonal < 0.0).any():
         return _nonpositive_diagonal(matrix) or Verdict(False, "")
-    if symmetric(matrix).value and (row_excess_signs(matrix) >= 0).all():
+    if symmetric(matrix).value and (graph.row_excess_signs(matrix) >= 0).all():
         return Verdict(True, "λ_min ≥ 0: symmetric, m_ii ≥ Σ|m_ij| on every row, exactly")
     definite = positive_definite(matrix)
     if definite.value:
@@ -566,7 +559,7 @@ class MatrixReport:
     v = _view(lambda matrix: getattr(h_verdict(matrix).certificate, "v", None))
     margin = _view(lambda matrix: getattr(h_verdict(matrix).certificate, "margin", None))
     not_h_vector = _view(lambda matrix: h_verdict(matrix).not_h_vector)
-    asymmetry = _view(asymmetry)
+    asymmetry = _view(graph.asymmetry)
     triangular_form = _view(triangular_form)
     row_excess_signs = _view(graph.row_excess_signs)
     components = _view(graph.components)

@@ -225,12 +225,8 @@ class Halo(Ranks):
     ) -> None:
         super().__init__(comm)
         self.starts = np.cumsum([0, *self.comm.allgather(int(own))]) if starts is None else starts
-        self.own, self.n, self.ghosts, self.foreign = (
-            int(own),
-            int(self.starts[-1]),
-            ghosts,
-            int(ghosts.size),
-        )
+        self.own, self.n = int(own), int(self.starts[-1])
+        self.ghosts, self.foreign = ghosts, int(ghosts.size)
         self.first, self.last = int(self.starts[self.rank]), int(self.starts[self.rank + 1])
         self.is_empty = not any(self.comm.allgather(self.foreign))
         if self.is_empty:
@@ -348,13 +344,10 @@ class Halo(Ranks):
         all_ghosts = np.concatenate([near, far])
         local = self.local(found.columns, all_ghosts)
         order = np.lexsort((local, np.repeat(np.arange(near.size), found.counts)))
-        entries = np.stack([np.repeat(self.owners(near), found.counts), found.places], axis=1)[
-            order
-        ]
-        overlapping = _appended(
-            (indptr, indices, data), found.counts, local[order], found.values[order]
-        )
-        return overlapping, Halo(self.comm, own, all_ghosts, data.size, entries, self.starts)
+        owners = np.repeat(self.owners(near), found.counts)
+        entries = np.stack([owners, found.places], axis=1)[order]
+        rows = _appended((indptr, indices, data), found.counts, local[order], found.values[order])
+        return rows, Halo(self.comm, own, all_ghosts, data.size, entries, self.starts)
 
     def _foreign_rows(
         self,
@@ -375,12 +368,8 @@ class Halo(Ranks):
             Function from positions of entries to their global columns.
         """
         owners = self.owners(wanted)
-        order = np.argsort(owners, kind="stable")
-        ends = np.searchsorted(owners[order], np.arange(self.size + 1))
-        asked = [
-            wanted[order[ends[rank] : ends[rank + 1]]] - self.starts[rank]
-            for rank in range(self.size)
-        ]
+        order, ranks = np.argsort(owners, kind="stable"), range(self.size)
+        asked = [wanted[owners == rank] - self.starts[rank] for rank in ranks]
         replies = []
         for rows in self.comm.alltoall(asked):
             counts = (indptr[rows + 1] - indptr[rows]).astype(np.int64)
@@ -429,14 +418,12 @@ def own_rows(ranks: Halo, matrix: sp.csr_array) -> tuple[sp.csr_array, Halo]:
         Canonical; columns counted over all ranks.
     """
     ghosts = ranks.outside(matrix.indices)
-    rows = sp.csr_array(
-        (
-            matrix.data,
-            ranks.local(matrix.indices, ghosts),
-            matrix.indptr.astype(np.int32, copy=False),
-        ),
-        shape=(matrix.shape[0], ranks.own + ghosts.size),
+    indptr = matrix.indptr.astype(np.int32, copy=False)
+    parts, width = (
+        (matrix.data, ranks.local(matrix.indices, ghosts), indptr),
+        ranks.own + ghosts.size,
     )
+    rows = sp.csr_array(parts, shape=(matrix.shape[0], width))
     if ghosts.size:
         rows.data = rows.data.copy()  # the caller's stay in their order
         rows.sort_indices()

@@ -14,11 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ..core.checks import Arrays, Vector, read_only
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
@@ -72,15 +71,6 @@ class HierarchyOnRanks:
     transfers: tuple[Transfer, ...]
 
 
-class InterpolationOnRanks(NamedTuple):
-    """The rows of P, for local unknowns and for ghosts with stored rows; columns of all ranks."""
-
-    rows: Arrays
-    is_coarse: NDArray[np.bool_]
-    below: Halo
-    has_jumps: bool
-
-
 def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyOnRanks:
     """Return the hierarchy of the local rows, shape (own, own + foreign), with a positive diagonal.
 
@@ -97,14 +87,10 @@ def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyO
     entries = stored = halo.total(float(grid.own[0][-1]))
     size = halo.total(grid.n)
     while size > COARSEST:
-        interpolation = _interpolation(grid, strength, has_jumps)
-        if interpolation is None:
-            break
-        has_jumps = interpolation.has_jumps
-        coarser = _coarser(grid, interpolation, scales_rows)
+        coarser = _coarser(grid, strength, has_jumps, scales_rows)
         if coarser is None:
             break
-        transfer, below = coarser
+        transfer, below, has_jumps = coarser
         now = halo.total(float(below.own[0][-1]))
         is_large = halo.total(below.n) > LARGEST_GRID_SHARE * size
         stored += now
@@ -147,12 +133,13 @@ def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> GridOnRa
     return GridOnRanks(matrix, split, blocks, read_only(inverse), halo, weight)
 
 
-def _interpolation(
-    grid: GridOnRanks, strength: float, has_jumps: bool | None
-) -> InterpolationOnRanks | None:
-    """Return the interpolation from coarse unknowns of any rank; None if no unknowns are coupled.
+def _coarser(
+    grid: GridOnRanks, strength: float, has_jumps: bool | None, scales_rows: bool
+) -> tuple[Transfer, GridOnRanks, bool] | None:
+    """Return the way to a coarser grid, that grid, and whether couplings jump from edge to edge; None if there is none.
 
-    If couplings jump from edge to edge, each rank also makes the second pass of Ruge and Stüben among its unknowns.
+    There is none if no unknowns are coupled, or if its numbers are not finite. Unknowns of any rank interpolate. If
+    couplings jump, each rank also makes the second pass of Ruge and Stüben among its unknowns.
     """
     indptr, indices, data = grid.own
     n, halo = grid.n, grid.halo
@@ -171,19 +158,11 @@ def _interpolation(
     if below.n == 0:
         return None
     if has_jumps is None and halo.total(lonely) > NOTEWORTHY_LONELY * halo.n:
-        return _interpolation(grid, strength, has_jumps=True)
+        return _coarser(grid, strength, True, scales_rows)
     number = halo.whole(below.first - 1.0 + np.cumsum(is_coarse))[chosen]
     end = int(P.indptr[n])
     rows = P.indptr[: n + 1], number[P.indices[:end]].astype(indices.dtype), P.data[:end]
-    return InterpolationOnRanks(halo.with_foreign_rows(rows), is_coarse, below, bool(has_jumps))
-
-
-def _coarser(
-    grid: GridOnRanks, interpolation: InterpolationOnRanks, scales_rows: bool
-) -> tuple[Transfer, GridOnRanks] | None:
-    """Return the way to the coarser grid and that grid; None if its numbers are not finite."""
-    halo, below = grid.halo, interpolation.below
-    p_indptr, columns, p_data = interpolation.rows
+    p_indptr, columns, p_data = halo.with_foreign_rows(rows)  # of P, in columns of all ranks
     others, count = below.outside(columns), below.own
     p_indices = below.local(columns, others)
     fine = grid.matrix.indptr.size - 1  # local unknowns, and ghosts with stored rows
@@ -202,8 +181,8 @@ def _coarser(
         rows, below = below.overlapped(rows, others, further)
         # Rows of P of distant unknowns may have any number.
         prolongation = Operator(p_indptr, below.local(columns, below.ghosts), p_data)
-    transfer = Transfer(prolongation, restriction, interpolation.is_coarse)
-    return transfer, _grid(Operator(*rows), below, count, scales_rows)
+    coarser = _grid(Operator(*rows), below, count, scales_rows)
+    return Transfer(prolongation, restriction, is_coarse), coarser, bool(has_jumps)
 
 
 class TruncatedGridOnRanks(TruncatedGrid):
@@ -367,11 +346,8 @@ class GridProblemOnRanks:
     def __init__(
         self, hierarchy: HierarchyOnRanks, q: Vector, lower: Vector, upper: Vector, symmetric: bool
     ) -> None:
-        self.hierarchy, self.truncation, self.symmetric = (
-            hierarchy,
-            TruncationOnRanks(hierarchy),
-            symmetric,
-        )
+        self.hierarchy, self.symmetric = hierarchy, symmetric
+        self.truncation = TruncationOnRanks(hierarchy)
         self.grid = grid = hierarchy.grids[0]
         self.halo, self.n, self.work = grid.halo, grid.n, 0.0
         self.vectors = tuple(map(read_only, (grid.inverse, q, lower, upper)))

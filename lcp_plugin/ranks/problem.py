@@ -29,16 +29,7 @@ from ..core.checks import (
 from ..core.errors import InvalidProblem, UnreadableFile
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows, residual_scales
-from ..interfaces.files import (
-    MATRIX_KEYS,
-    VECTORS,
-    arrays_of,
-    checked_path,
-    csr_in,
-    read_npz,
-    require_keys,
-    write_whole,
-)
+from ..interfaces import files
 from .halo import Halo, Ranks, numbered_over_all, own_rows
 from .solving import ResultOnRanks, RowDataOnRanks, solve_on_ranks
 
@@ -198,7 +189,7 @@ class RowsOnRanks:
             On every rank, if a rank cannot write, or the folder holds another file.
         """
         ranks = self.halo
-        folder = ranks.together(lambda: checked_path(path))
+        folder = ranks.together(lambda: files.checked_path(path))
         name = ranks.from_first(lambda: _emptied(folder))
         ranks.together(lambda: _write_chunk(self, folder, name))
 
@@ -212,7 +203,7 @@ class RowsOnRanks:
             On every rank, if a chunk is missing or corrupt on one of them.
         """
         ranks = Ranks(comm)
-        source = ranks.together(lambda: checked_path(path))
+        source = ranks.together(lambda: files.checked_path(path))
         chunks = ranks.together(lambda: _chunks(source))
         first, last = equal_share(chunks[-1].last, ranks)
         rows, *vectors = ranks.together(lambda: _read_rows(chunks, first, last))
@@ -271,9 +262,9 @@ def _emptied(folder: Path) -> str:
 
 def _write_chunk(problem: RowsOnRanks, folder: Path, name: str) -> None:
     ranks = problem.halo
-    arrays = arrays_of(problem, numbered_over_all(problem.rows, ranks))
+    arrays = files.arrays_of(problem, numbered_over_all(problem.rows, ranks))
     target = folder / f"rows-{ranks.first}-{ranks.last}-of-{ranks.n}-{name}.npz"
-    write_whole({target: lambda file: np.savez(file, **arrays)})
+    files.write_whole({target: lambda file: np.savez(file, **arrays)})
 
 
 def _chunks(source: Path) -> list[Chunk]:
@@ -302,10 +293,11 @@ def _read_rows(chunks: Sequence[Chunk], first: int, last: int) -> tuple[Any, ...
     parts = []
     for path, begin, end in chunks:
         if begin < last and first < end:
-            content = read_npz(path, {*MATRIX_KEYS, *VECTORS})
-            require_keys(path, content, (*MATRIX_KEYS, *VECTORS), "write it with problem.save")
-            own = slice(max(first - begin, 0), last - begin)
-            parts.append((csr_in(path, content)[own], *(content[name][own] for name in VECTORS)))
+            keys = (*files.MATRIX_KEYS, *files.VECTORS)
+            content = files.read_npz(path, {*keys})
+            files.require_keys(path, content, keys, "write it with problem.save")
+            own, matrix = slice(max(first - begin, 0), last - begin), files.csr_in(path, content)
+            parts.append((matrix[own], *(content[name][own] for name in files.VECTORS)))
     if not parts:
         none = np.zeros(0)
         return sp.csr_array((0, chunks[-1].last)), none, none, none

@@ -180,13 +180,8 @@ def _weights(problem: RowsOnRanks) -> Any:
 
     ones = np.ones(problem.own)
     yield ones
-    comparison = sp.csr_array(
-        (-np.abs(problem.rows.data), problem.rows.indices, problem.rows.indptr),
-        shape=problem.rows.shape,
-    )
-    rows = np.repeat(np.arange(problem.own), np.diff(comparison.indptr))
-    is_diagonal = comparison.indices == rows
-    comparison.data[is_diagonal] *= -1.0
+    comparison = -abs(problem.rows)
+    comparison.setdiag(problem.diagonal)
     hierarchy = build_hierarchy(comparison, problem.halo, scales_rows=not problem.is_symmetric)
     residual = problem.diagonal - comparison @ np.ones(comparison.shape[1])
     solution = KrylovCorrection(TruncationOnRanks(hierarchy), residual, problem.is_symmetric)
@@ -200,13 +195,15 @@ def _weights(problem: RowsOnRanks) -> Any:
 
 GROWTH = 1.05  # of the steps between two measurements
 OF_RUN = {
-    "tolerance",
-    "absolute_tolerance",
-    "max_iterations",
-    "max_seconds",
-    "error_bound",
-    "verbose",
-    "threads",
+    *[
+        "tolerance",
+        "absolute_tolerance",
+        "max_iterations",
+        "max_seconds",
+        "error_bound",
+        "verbose",
+        "threads",
+    ]
 }
 
 

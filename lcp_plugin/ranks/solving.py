@@ -25,7 +25,7 @@ from ..core.solving.progress import Progress
 from ..core.solving.result import BaseResult, Sample
 from ..core.solving.run import Run
 from ..core.solving.stage import Named, Stage, TerminationReason
-from ..systems.graph import comparison_product
+from ..systems.graph import comparison_of, comparison_product
 from .halo import Interruptions
 from .methods import chain
 
@@ -180,8 +180,7 @@ def _weights(problem: RowsOnRanks) -> Any:
 
     ones = np.ones(problem.own)
     yield ones
-    comparison = -abs(problem.rows)
-    comparison.setdiag(problem.diagonal)
+    comparison = comparison_of(problem.rows)
     hierarchy = build_hierarchy(comparison, problem.halo, scales_rows=not problem.is_symmetric)
     residual = problem.diagonal - comparison @ np.ones(comparison.shape[1])
     solution = KrylovCorrection(TruncationOnRanks(hierarchy), residual, problem.is_symmetric)

@@ -234,8 +234,8 @@ def _plotted(answer: Any, frame: Frame | Scene, axes: Any, new: Callable[..., An
 
 
 def _bounds(answer: Any) -> tuple[Vector, Vector]:
-    holder = answer.certificate if isinstance(answer, Result) else answer
-    problem = getattr(holder, "problem", holder)
+    holder: Any = answer.certificate if isinstance(answer, Result) else answer
+    problem: Any = getattr(holder, "problem", holder)
     problem = getattr(problem, "program", problem)
     return problem.lower, problem.upper
 
@@ -250,24 +250,19 @@ def _draw_unknowns(axes: Any, answer: Any, frame: Frame | Scene) -> None:
             level = contact_level(answer.certificate.problem, answer.z, answer.w)
         _draw_map(axes, x.reshape(grid), active.reshape(grid), level.reshape(grid), frame)
         return
-    nodes = frame.coordinates[0] if frame.coordinates and len(frame.coordinates) == 1 else None
-    where = np.arange(x.size) if nodes is None else nodes
-    if nodes is not None:
-        axes.plot(where, x, color=FREE, linewidth=1.6)
-        axes.plot(where, np.where(active, x, np.nan), color=ACTIVE, linewidth=3.0)
+    if frame.coordinates is not None and len(frame.coordinates) == 1:
+        where, label = frame.coordinates[0], frame.axis_labels[0]
     else:
-        axes.locator_params(axis="x", integer=True)
-        size = 6.0 if x.size <= 60 else 2.5
-        for chosen, color in ((~active, FREE), (active, ACTIVE)):
-            axes.plot(where[chosen], x[chosen], ".", color=color, markersize=size, rasterized=True)
+        where, label = np.arange(x.size), "index"
+    for chosen, color in ((~active, FREE), (active, ACTIVE)):
+        axes.plot(where[chosen], x[chosen], ".", color=color, markersize=4.0, rasterized=True)
     if active.any():
         axes.set_title(f"orange: {frame.active_means}", color=ACTIVE, fontsize=8.5)
-    label = "index" if nodes is None else frame.axis_labels[0]
     axes.set(xlabel=label, ylabel=frame.unknown)
 
 
 def _draw_map(axes: Any, x: Any, active: Any, level: Any, frame: Frame | Scene) -> None:
-    """Draw values over a grid as colors, with the free boundary as a line and the active set dotted."""
+    """Draw values over a grid as colors, with the free boundary as a line."""
     nodes = [*(frame.coordinates or [np.arange(size, dtype=float) for size in x.shape])]
     while x.ndim > 2:
         middle = x.shape[0] // 2
@@ -276,41 +271,33 @@ def _draw_map(axes: Any, x: Any, active: Any, level: Any, frame: Frame | Scene) 
     image = axes.pcolormesh(across, down, x, shading="nearest", cmap=HEIGHTS, rasterized=True)
     axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, label=frame.unknown)
     if 0.0 < active.mean() < 1.0:
-        ends = [min(level.min(), -1.0), 0.0]
-        axes.contourf(across, down, level, levels=ends, colors="none", hatches=["....."])
         axes.contour(across, down, level, levels=[0.0], colors=ACTIVE, linewidths=1.3)
-        axes.set_title(f"dotted: {frame.active_means}", color=ACTIVE, fontsize=8.5)
+        axes.set_title(f"orange: border of {frame.active_means}", color=ACTIVE, fontsize=8.5)
     axes.grid(visible=False)
-    is_square = 0.5 * np.ptp(across) <= np.ptp(down) <= 2.0 * np.ptp(across)
     y_label, x_label = frame.axis_labels[-2:]
-    axes.set(xlabel=x_label, ylabel=y_label, aspect="equal" if is_square else "auto")
+    axes.set(xlabel=x_label, ylabel=y_label)
 
 
 def _draw_cones(axes: Any, answer: Any, frame: Frame | Scene) -> None:
     """Draw the tangential impulse of each closed contact relative to the largest that its friction allows."""
-    motion = answer.motion
+    motion, angle = answer.motion, np.linspace(0.0, 2.0 * np.pi, 200)
     limit = answer.problem.friction * motion.normal
     shares = motion.tangential / np.where(limit > 0.0, limit, 1.0)[:, None]
     if is_plane := shares.shape[1] == 1:
         shares = np.column_stack([shares, np.arange(len(shares))])
-        for end in (-1.0, 1.0):
-            axes.axvline(end, color="#7A7A7A")
-        axes.yaxis.get_major_locator().set_params(integer=True)
+        axes.plot([[-1.0, 1.0]] * 2, [[0.0] * 2, [len(shares) - 1.0] * 2], color="#7A7A7A")
     else:
-        angle = np.linspace(0.0, 2.0 * np.pi, 200)
         axes.plot(np.cos(angle), np.sin(angle), color="#7A7A7A", linewidth=1.0)
         axes.set_aspect("equal")
     slides = motion.touches & ~motion.sticks
-    for chosen, color, marker, word in (
-        (motion.sticks, FREE, "o", "stick"),
-        (slides, ACTIVE, "^", "slide"),
-    ):
-        label = f"{np.count_nonzero(chosen)} {word}"
-        axes.scatter(*shares[chosen].T, s=12.0, color=color, marker=marker, label=label)
+    for chosen, look, word in ((motion.sticks, "o", "stick"), (slides, "^", "slide")):
+        label, color = f"{np.count_nonzero(chosen)} {word}", FREE if word == "stick" else ACTIVE
+        axes.scatter(*shares[chosen].T, s=12.0, color=color, marker=look, label=label)
     axes.scatter([], [], label=f"{(~motion.touches).sum()} open")
     axes.legend(loc="upper center", ncols=3)
-    axes.set(xlabel="tangential impulse ÷ $\\mu\\,r_N$", title="Impulses in their cones")
-    axes.set_ylabel("contact" if is_plane else "second tangential impulse ÷ $\\mu\\,r_N$")
+    unit = "tangential impulse ÷ $\\mu\\,r_N$"
+    second = "contact" if is_plane else f"second {unit}"
+    axes.set(xlabel=unit, ylabel=second, title="Impulses in their cones")
 
 
 def _draw_residuals(axes: Any, result: Any) -> None:

@@ -162,7 +162,7 @@ class RowInequality:
         active = (sum_above(self.slack[::-1], sum_above(direct, coupling)) < 0.0).any(axis=0)
         ends = (self.high == problem.lower) | (self.high == problem.upper)
         active |= (problem.lower == problem.upper) | (ends & (y == 0.0) & (self.low == 0.0))
-        return active, (sum_above(self.beyond, y) < 0.0).all(axis=0)
+        return active, np.all(sum_above(self.beyond, y) < 0.0, axis=0)
 
 
 def distance_above(high: Vector, low: Vector, z: Vector) -> Vector:

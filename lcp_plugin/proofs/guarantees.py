@@ -113,8 +113,8 @@ def row_bound(facts: IterationFacts, problem: LCP) -> RowBound:
     if facts.family == PROJECTED_TYPE:
         g, over = beta / alpha, theta / alpha
         zero = RowCase(np.minimum(2.0, 2.0 * over + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0)
-        free, lower = np.minimum(2.0 * theta, 2.0 * over + 4.0), (abs(2.0 - g) + abs(g)) * weight
-        one = RowCase(free, lower, 2.0 * weight)
+        at_one = np.minimum(2.0 * theta, 2.0 * over + 4.0)
+        one = RowCase(at_one, (abs(2.0 - g) + abs(g)) * weight, 2.0 * weight)
         return RowBound(over + theta + 2.0, abs(g) * weight, (zero, one))
     diagonal = problem.diagonal
     per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix))

@@ -15,25 +15,23 @@ doi:10.1287/ijoc.2.1.61.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..core.deadline import is_over, time_limit
 from ..core.names import listed
 from .exact import (
     ZERO,
     Fractions,
-    Row,
     integer_rows,
     products,
     rank_profile,
     rational_rows,
     solved_nearby,
 )
-from .farkas import FarkasCertificate, LinearConstraints, linear_program
+from .farkas import FarkasCertificate, FarkasProgram, LinearConstraints
 
 MOST_NAMED = 12  # members in the text
 MOST_ENTRIES = 4_000_000  # of the dense matrix whose rank is computed: some seconds
@@ -151,31 +149,22 @@ def find_conflict(
 
 
 def _at_vertex(rows: LinearConstraints, y: Mapping[int, Fraction]) -> Mapping[int, Fraction]:
-    """Return the multipliers of a vertex of Mᵀy = 0, qᵀy = −1, whose members are irreducible; y if a solver fails.
+    """Return the multipliers of a vertex of all Farkas vectors, whose members are irreducible; y if none is found.
 
-    The least Σ |y_i| prefers few members. A large matrix has only the rows of y.
+    The rows of y alone are asked if the matrix is large.
     """
-    has_sign = rows.needs_rise | rows.needs_fall
-    chosen = np.flatnonzero(has_sign) if rows.matrix.nnz <= MOST_IN_PROGRAM else np.array(sorted(y))
-    rise, fall = chosen[rows.needs_rise[chosen]], chosen[rows.needs_fall[chosen]]
-    place, signs = np.append(rise, fall), np.repeat([1.0, -1.0], [rise.size, fall.size])
-    equations = sp.hstack([rows.matrix, sp.csr_array(rows.q[:, None])]).tocsr()[place].T.tocsc()
-    equations.data *= np.repeat(signs, np.diff(equations.indptr))
-    sizes = np.sqrt(equations.multiply(equations).sum(axis=0))
-    equations.data /= np.repeat(sizes, np.diff(equations.indptr))
-    right = np.append(np.zeros(rows.matrix.shape[1]), -1.0)
-    found = linear_program(np.ones(place.size), equations, right, (0.0, None), (None, None))
-    if found is None:
-        return y
-    support = np.flatnonzero(found.x > ENTRY * found.x.max())
-    members = place[support].tolist()
-    guess = [Fraction(float(one)) for one in signs[support] * found.x[support] / sizes[support]]
-    columns: dict[int, Row] = {}
-    for k, row in enumerate(rational_rows(rows.matrix[members])):
-        for j, entry in row.items():
-            columns.setdefault(j, {})[k] = entry
-    v = solved_nearby([*columns.values()], [ZERO] * len(columns), guess, [True] * len(members))
-    return y if v is None else {i: one for i, one in zip(members, v, strict=True) if one}
+    chosen = np.arange(rows.q.size) if rows.matrix.nnz <= MOST_IN_PROGRAM else np.array(sorted(y))
+    parts = {
+        name: getattr(rows, name)[chosen]
+        for name in ("matrix", "q", "needs_rise", "needs_fall", "weights")
+    }
+    program = FarkasProgram(replace(rows, **parts))
+    answer = program.solve()
+    for found in () if answer is None else program.candidates(program.vector(answer.x)):
+        exact = {int(chosen[i]): Fraction(value) for i, value in enumerate(found) if value}
+        if FarkasCertificate(rows, exact).holds:
+            return exact
+    return y
 
 
 def _is_irreducible(rows: LinearConstraints, y: Mapping[int, Fraction]) -> bool:

@@ -337,7 +337,7 @@ class FarkasProgram:
         at_most = self.norm[None, :], [1.0]
         return linear_program(self.cost, self.equations, 0.0, (0.0, None), at_most, self.pivots)
 
-    def _vector(self, v: Vector) -> Vector:
+    def vector(self, v: Vector) -> Vector:
         """Return y, shape (m,), of a solution of the linear program."""
         m = self.rows.size
         y: Vector = np.bincount(self.place, self.signed * v, m)[:m].astype(np.float64)
@@ -363,19 +363,19 @@ class FarkasProgram:
 
     def polished(self, answer: Any) -> Vector:
         """Return the answer's y, shape (m,), with the equalities that a proof needs met to rounding."""
-        y = self._vector(answer.x)
+        y = self.vector(answer.x)
         return self._polished(y / (np.abs(y).max(initial=0.0) or 1.0))
 
     def _tried(self, answer: Any) -> Iterator[Multipliers]:
         """Yield vectors near the answer, then near others that leave slack: in all one-sided bounds, then in each."""
-        yield from self.candidates(self._vector(answer.x))
+        yield from self.candidates(self.vector(answer.x))
         is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
         shares = np.append(np.zeros(self.rows.size), is_open)[self.place]
         own = sp.eye_array(self.cost.size, format="csr")
         for slacks in (sp.csr_array(shares[:, None]), own) if shares.any() else (own,):
             moved = self._with_slack(answer, slacks)
             if moved is not None:
-                yield from self.candidates(self._vector(moved))
+                yield from self.candidates(self.vector(moved))
 
     def _with_slack(self, answer: Any, slacks: sp.csr_array) -> Vector | None:
         """Return v ≥ slacks · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.

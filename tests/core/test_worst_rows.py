@@ -12,6 +12,7 @@ import pytest
 from lcp_plugin import (
     LCP,
     ConeProblem,
+    FrictionalContact,
     InvalidOption,
     InvalidProblem,
     NonlinearProblem,
@@ -24,26 +25,64 @@ from lcp_plugin import (
 from lcp_plugin.proofs.mistakes import likely_mistake
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_rows_are_sorted_by_their_residual_in_fractions(seed: int) -> None:
-    """The table has the rows with a residual in exact sums, with their exact violation, the worst first."""
+def drawn(kind: str, seed: int) -> tuple[Any, Any, dict[str, Fraction]]:
+    """Return a problem or model, a point of integers, and the violation of each row by hand, in fractions."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 7))
-    M, q = rng.integers(-4, 5, (n, n)), rng.integers(-9, 10, n)
+    M, q = rng.integers(-4, 5, (n, n)) * 1.0, rng.integers(-9, 10, n) * 1.0
     M[np.arange(n), np.arange(n)] = 9
-    z = rng.integers(0, 4, n)
-    found = certify(LCP(M, q), z)
-    w = [
-        sum((Fraction(int(a)) * int(b) for a, b in zip(row, z, strict=True)), Fraction(int(c)))
-        for row, c in zip(M, q, strict=True)
-    ]
-    residual = {f"row {i}": abs(min(Fraction(int(z[i])), w[i] / 9)) for i in range(n)}
-    wrong = {f"row {i}": max(w[i] if z[i] else Fraction(0), -w[i]) for i in range(n)}
-    rows = found.worst(n)
-    assert {row.name for row in rows} == {name for name, size in residual.items() if size}
-    assert all(row.violation == pytest.approx(float(wrong[row.name])) for row in rows)
+    lower, upper = np.zeros(n), np.full(n, np.inf)
+    z, exact = rng.integers(0, 4, n) * 1.0, [Fraction(0)] * n
+    if kind == "program":
+        h, x = rng.integers(-9, 10, n) * 1.0, z - 1.0
+        rows = {f"row {i} of G": M[i] @ np.maximum(x, 0.0) - h[i] for i in range(n)}
+        wrong = rows | {f"lower[{i}]": -x[i] for i in range(n)}
+        return QuadraticProgram(np.eye(n), q, M, h, lower=0), x, wrong
+    if kind in ("cone", "contact"):  # an axis of the cone, and (3, 4, 0) or a slack on the axis
+        w = rng.integers(-3, 4) * np.array([1.0, 0.0, 0.0])
+        z = np.array([float(rng.integers(2)), 0.0, 0.0])
+        if kind == "contact":
+            wrong = {"row 0": abs(w[0]) if z[0] else max(-w[0], 0.0)}
+            return FrictionalContact(9 * np.eye(3), [w - 9 * z], [0.5]), z, wrong
+        w = np.array([3.0, 4.0, 0.0]) if z[0] and seed % 2 else w
+        size = np.hypot(*w[:2]) if z[0] else max(-w[0], 0.0)
+        cone = ConeProblem(9 * np.eye(3), w - 9 * z, [("second_order", 3)])
+        return cone, z, dict.fromkeys(("row 0", "row 1", "row 2"), size)
+    if kind == "box":
+        lower, upper = -rng.integers(0, 2, n) * 1.0, rng.integers(1, 4, n) * 1.0
+        z = np.clip(z, lower, upper)
+    curve = (kind == "nonlinear") * rng.integers(0, 3, n) * 1.0
+    for i in range(n):
+        terms = [Fraction(a) * Fraction(b) for a, b in zip(M[i].tolist(), z.tolist(), strict=True)]
+        exact[i] = sum(terms, Fraction(q[i])) + Fraction(curve[i]) * Fraction(z[i]) ** 2
+    names, zero = (f"row {i}" for i in range(n)), Fraction(0)
+    ends = zip(names, exact, z > lower, z < upper, strict=True)
+    wrong = {name: max(zero, w if up else zero, -w if down else zero) for name, w, up, down in ends}
+    if kind == "nonlinear":
+        return NonlinearProblem(lambda x: M @ x + q + curve * x**2, lower=np.zeros(n)), z, wrong
+    if kind == "cvxpy":
+        price = cp.Variable(n, nonneg=True, value=z)
+        return cp.Problem(cp.Minimize(0), [complements(price, M @ price + q)]), None, wrong
+    return LCP(M, q, lower=lower, upper=upper), z, wrong
+
+
+KINDS = ["lcp", "box", "nonlinear", "cvxpy", "cone", "contact", "program"]
+
+
+@pytest.mark.few(7)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(72))
+def test_rows_are_those_that_fail_in_fractions(seed: int, kind: str) -> None:
+    """The table has the rows that fail in exact sums, with their exact violation, the worst first."""
+    problem, point, wrong = drawn(kind, seed)
+    found = certify(problem, point)
+    rows = found.worst(99)
+    sizes = sorted(float(size) for size in wrong.values() if size > 0)
+    assert sorted(row.violation for row in rows) == pytest.approx(sizes)
+    if kind != "cvxpy":
+        assert all(row.violation == pytest.approx(float(wrong[row.name])) for row in rows)
     assert [row.residual for row in rows] == sorted((row.residual for row in rows), reverse=True)
-    assert found.verdict == ("proved" if not rows else "disproved")
+    assert kind == "program" or found.verdict == ("proved" if not rows else "disproved")
 
 
 def test_every_class_names_its_worst_row() -> None:

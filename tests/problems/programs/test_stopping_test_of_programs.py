@@ -15,7 +15,6 @@ from campaigns import forbidding_costs
 from campaigns.forbidding_costs import transport
 from campaigns.outliers import ExactProgram, exact
 from numpy.random import Generator
-from scipy.optimize import linprog
 
 from lcp_plugin import QPSolver, QuadraticProgram, Status, certify, solve, solve_batch
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
@@ -593,22 +592,3 @@ def test_drawn_transports_are_solved_and_proved_as_without_the_forbidden_pairs(s
         assert result.is_solved
         assert not forbidding_costs.is_wrong(result.objective, known)
         assert certify(program, result).verdict == "proved"
-
-
-@pytest.mark.few(12)
-@pytest.mark.parametrize("seed", range(150))
-def test_drawn_transports_with_forbidding_costs_have_the_value_without_these_pairs(
-    seed: int,
-) -> None:
-    """Costs of 10¹⁰ … 10³⁹ on a quarter of the pairs; HiGHS solves the transport without these pairs."""
-    rng = np.random.default_rng(seed)
-    shape = tuple(rng.integers(2, 5, 2))
-    forbids, is_forbidden = 10.0 ** rng.integers(10, 40), rng.random(shape) < 0.25
-    costs = rng.integers(1, 11, shape).astype(float)
-    flows = np.where(is_forbidden, 0.0, rng.integers(0, 6, shape) / rng.choice([3.0, 7.0, 10.0]))
-    program = transport(np.where(is_forbidden, forbids, costs), flows.sum(1), flows.sum(0))
-    limits = [(0.0, 0.0 if is_none else None) for is_none in is_forbidden.ravel()]
-    known = linprog(costs.ravel(), A_eq=program.A, b_eq=program.b, bounds=limits)
-    result = solve(program)
-    if known.status == 0 and result.is_solved:
-        assert result.objective == pytest.approx(known.fun, rel=1e-6, abs=1e-12)

@@ -227,7 +227,8 @@ def _results_of(answer: PyomoAnswer) -> Any:
     """Return Pyomo's account of an answer."""
     found, content = answer.found, answer.statement.content
     results = SolverResults()
-    word = "other" if answer.is_violated else STATUS_ELSEWHERE[found.status][2]
+    is_violated = found.result.is_solved and not found.is_solved  # a condition next to the pairs
+    word = "other" if is_violated else STATUS_ELSEWHERE[found.status][2]
     condition = TerminationCondition(word)
     results.solver.name, results.solver.message = NAME, found.message
     if hasattr(type(found.result.proof), "conflict"):

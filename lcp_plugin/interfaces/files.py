@@ -276,13 +276,6 @@ def _save_folder(problem: LCP, folder: Path) -> None:
         ) from error
 
     def writer(content: Any) -> Callable[[Any], object]:
-        if 0 in content.shape:  # scipy divides by the number of columns
-            kind = (
-                "coordinate real general\n0 0 0"
-                if sp.issparse(content)
-                else "array real general\n0 1"
-            )
-            return lambda file: file.write(f"%%MatrixMarket matrix {kind}\n".encode())
         return lambda file: mmwrite(file, content, precision=17, symmetry="general")
 
     contents = {

@@ -460,11 +460,6 @@ class PyomoAnswer:
     is_program: bool
 
     @property
-    def is_violated(self) -> bool:
-        """True if the pairs are solved and a side condition is violated."""
-        return self.found.result.is_solved and not self.found.is_solved
-
-    @property
     def has_point(self) -> bool:
         """True if there is something to load."""
         no_point = Status.INFEASIBLE, Status.NO_SOLUTION
@@ -513,11 +508,6 @@ class PyomoAnswer:
             if (suffix := imported(model, name)) is not None:
                 suffix.clear()
                 suffix.update(self.duals if name == "dual" else self.reduced_costs)
-
-
-def content_of(model: Any) -> NLContent:
-    """Return the content of a Pyomo model, as it is passed to the solver."""
-    return stated(model).in_a_file
 
 
 def problem_and_point(model: Any) -> tuple[Any, Any]:

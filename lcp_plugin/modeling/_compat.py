@@ -128,12 +128,6 @@ def constant_numeric(node: Any, values: list[Any]) -> Any:
     return array if array.shape == node.shape else array.reshape(node.shape, order="F")
 
 
-def dense_numeric(node: Any, values: list[Any]) -> NDArray[Any]:
-    """Return the atom's value if variables enter: as large as its result, which is dense anyway."""
-    result: NDArray[Any] = dense(constant_numeric(node, values))
-    return result
-
-
 def dense(value: Any) -> Any:
     """Return a value as a dense array."""
     return value.toarray() if sp.issparse(value) else value
@@ -205,20 +199,12 @@ def attribute_expressions(variable: Any) -> tuple[Any, Any]:
 
 def bound_value(bound: Any, owner: Any) -> Any:
     """Return the user's bound as a float64 array; raise if it is not one."""
-    if bound is None:
-        raise UnsupportedModel(f"a bound of {owner} is None; write -np.inf or np.inf")
-    if isinstance(bound, cp.Expression) and bound.variables():
+    is_expression = isinstance(bound, cp.Expression)
+    if is_expression and (bound.variables() or bound.value is None):
         raise UnsupportedModel(
-            f"the bound {bound} of {owner} contains a variable; a bound is a number or a parameter"
+            f"the bound {bound} of {owner} has no value; a bound is a number, or a parameter whose value is set first"
         )
-    value = bound.value if isinstance(bound, cp.Expression) else bound
-    if value is None:
-        raise UnsupportedModel(
-            f"the bound {bound} of {owner} has no value; set its parameter first"
-        )
-    if hasattr(value, "toarray"):
-        value = value.toarray()
-    array = np.asarray(value)
+    array = np.asarray(dense(bound.value if is_expression else bound))
     if array.dtype.kind not in "fiub" or np.isnan(array).any():
         raise UnsupportedModel(
             f"a bound of {owner} must be real numbers, ±inf for none, got {bound!r}"

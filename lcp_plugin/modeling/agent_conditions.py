@@ -30,7 +30,7 @@ from ._compat import (
     sense_of,
 )
 from .constraint import Complements, Side, box
-from .model import spans_of
+from .model import spans_of, with_values
 from .reading import Reader, rewritten
 
 
@@ -132,32 +132,21 @@ def has_infinite_bound(constraint: Any) -> bool:
     ]
     if not wrong:
         return False
-    expression, words = expression_of(constraint), name_of(constraint)
-    if isinstance(constraint, EQUATIONS) or not expression.is_affine():
+    expression, words = expression_of(constraint), f"{name_of(constraint)} in an agent's program"
+    parameters = [
+        f"the parameter {one.name()} of " for one in wrong if isinstance(one, cp.Parameter)
+    ]
+    if parameters or isinstance(constraint, EQUATIONS) or not expression.is_affine():
         raise UnsupportedModel(
-            f"{words} in an agent's program has data that are not finite, which only affine inequalities may have; "
-            "repair them, or leave the constraint out"
+            f"{''.join(parameters[:1])}{words} is not finite, as only affine inequalities may be, by their constants; "
+            "repair the data, or leave the constraint out"
         )
-    if parameters := [leaf.name() for leaf in wrong if isinstance(leaf, cp.Parameter)]:
-        raise UnsupportedModel(
-            f"the parameter {parameters[0]} of {words} in an agent's program is not finite; give it a finite value, "
-            "or write a constant bound"
-        )
-
-    def at_zero(node: Any) -> Any:
-        return cp.Constant(np.zeros(node.shape)) if isinstance(node, cp.Variable) else node
-
-    if (value := rewritten(expression, at_zero).value) is None:  # a parameter has no value yet
+    zeros = {one.id: np.zeros(one.shape) for one in expression.variables()}
+    if (value := with_values(expression, zeros).value) is None:  # a parameter has no value yet
         return True
     value = -dense(value) if isinstance(constraint, cp.constraints.NonNeg) else dense(value)
-    if np.isnan(value).any():
-        raise UnsupportedModel(
-            f"{words} in an agent's program is not finite where its variables are 0; repair its data"
-        )
-    if (value == np.inf).any():
-        raise UnsupportedModel(
-            f"no value of the variables satisfies {words} in an agent's program; repair its infinite bound"
-        )
+    if not (value < np.inf).all():  # NaN also
+        raise UnsupportedModel(f"no value of the variables satisfies {words}; repair its data")
     return True
 
 

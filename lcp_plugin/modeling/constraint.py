@@ -192,28 +192,17 @@ def complements(first: Any, second: Any) -> Complements:
 
 
 def _require_cones(sides: list[Side]) -> None:
-    """Raise if one side is a cone, and the other is neither a cone nor an expression."""
-    other = next((side for side in sides if side.kind != "cone"), None)
-    if other is not None and other.kind != "value":
+    """Raise if one side is a cone, and the other is neither a cone like it nor an expression."""
+    others = [side for side in sides if side.kind != "cone"]
+    is_law = not others and any(side.friction is not None for side in sides)
+    if is_law or any(side.kind != "value" for side in others):
         raise UnsupportedModel(
-            f"one side of complements is a cone, and the other is {other}; it must be an expression F, or a cone like "
-            "it: complements(cp.SOC(t, x), F), the row of t first"
-        )
-    if other is None and any(side.friction is not None for side in sides):
-        raise UnsupportedModel(
-            "complements(friction_cone(r, mu), u) needs the velocities u as its other side"
+            f"one side of complements is a cone, and the other is {(others or sides)[-1]}; it must be an expression F, "
+            "or a cone like it, the row of t first; friction_cone needs the velocities u"
         )
 
 
 def _side(given: Any, which: str) -> Side:
-    if given is None:
-        raise UnsupportedModel(
-            f"the {which} side of complements is None; it must be an inequality or an expression"
-        )
-    if isinstance(given, Complements):
-        raise UnsupportedModel(
-            f"the {which} side of complements is {given!r}, which is a constraint itself"
-        )
     if isinstance(given, Side):
         return given
     if isinstance(given, Inequality):

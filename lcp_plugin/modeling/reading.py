@@ -64,7 +64,7 @@ def refused(node: Any) -> UnsupportedModel:
 
 def linearised(node: Any, arguments: list[Any], values: list[Any]) -> Rows:
     """Return the atom's tangent at dense values of its arguments, by the derivative that cvxpy gives."""
-    parts: list[Any] = [atoms.dense_numeric(node, values)]
+    parts: list[Any] = [atoms.dense(atoms.constant_numeric(node, values))]
     for k, (argument, value) in enumerate(zip(arguments, values, strict=True)):
         if isinstance(argument, Rows):
             change = added([argument, -value], argument.shape)
@@ -81,7 +81,9 @@ def _by_jacobian(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
         values[k] = np.ones(one.shape)  # inside each domain; a power is not differentiated at zero
     parts = [one.applied(_own_jacobian(node, k, values), node.shape) for k, one in rows.items()]
     whole = added(parts, node.shape)
-    offset = np.ravel(atoms.dense_numeric(node, offsets), order="F").astype(np.float64)
+    offset = np.ravel(atoms.dense(atoms.constant_numeric(node, offsets)), order="F").astype(
+        np.float64
+    )
     return Rows(whole.blocks, offset, node.shape, whole.level)
 
 
@@ -134,7 +136,7 @@ def _gathered(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
         np.arange(end - part.size + 1.0, end + 1.0).reshape(part.shape, order="F")
         for part, end in zip(parts, ends, strict=True)
     ]
-    moved = atoms.dense_numeric(node, numbers)
+    moved = atoms.dense(atoms.constant_numeric(node, numbers))
     return stacked(parts).taken(moved.ravel(order="F").astype(np.int64) - 1, node.shape)
 
 
@@ -286,7 +288,7 @@ SMOOTH: dict[Any, Rule] = {
 Values = dict[int, Any]
 
 #: Attributes that tie entries to each other or to a set, so that the columns would not be free.
-FORBIDDEN_ATTRIBUTES = (
+FORBIDDEN_ATTRIBUTES = [
     "symmetric",
     "diag",
     "PSD",
@@ -295,8 +297,8 @@ FORBIDDEN_ATTRIBUTES = (
     "sparsity",
     "complex",
     "imag",
-)
-INTEGERS = ("boolean", "integer")
+]
+INTEGERS = ["boolean", "integer"]
 
 
 def folded(root: Any, rule: Callable[[Any, list[Any]], Any], known: Mapping[int, Any]) -> Any:
@@ -510,6 +512,6 @@ def hidden_parameters(node: Any) -> list[Any]:
 
 def restricting_attribute(leaf: Any, *, takes_integers: bool = False) -> str | None:
     """Return the attribute that ties or restricts entries of a variable or parameter, or None."""
-    names = (*FORBIDDEN_ATTRIBUTES, *(() if takes_integers else INTEGERS))
+    names = FORBIDDEN_ATTRIBUTES + ([] if takes_integers else INTEGERS)
     states = ((name, leaf.attributes.get(name)) for name in names)
     return next((name for name, state in states if not (state is None or state is False)), None)

@@ -22,7 +22,7 @@ from .constraint import Complements, Condition, box, complements
 from .model import Model
 from .qp_solver import QPSolver, certify_problem, name_rows
 
-CVXPY_FLAGS = (
+CVXPY_FLAGS = [
     "gp",
     "qcp",
     "nlp",
@@ -31,7 +31,7 @@ CVXPY_FLAGS = (
     "canon_backend",
     "bibtex",
     "requires_grad",
-)
+]
 
 
 def is_complementarity_problem(problem: Any) -> bool:

@@ -216,7 +216,7 @@ def set_value(parameter: cp.Parameter, value: float) -> cp.Parameter:
         (lambda v: 2 * v >= np.inf, "no value of the variables satisfies inf <= 2.0 . v"),
         (lambda v: cp.NonNeg(v - np.inf), "no value of the variables satisfies"),
         (lambda v: v <= set_value(cp.Parameter(name="cap"), np.inf), "parameter cap of v <= cap"),
-        (lambda v: v <= np.nan, "v <= nan in an agent's program is not finite"),
+        (lambda v: v <= np.nan, "no value of the variables satisfies v <= nan"),
         (lambda v: v**2 <= np.inf, "only affine inequalities"),
         (lambda v: cp.abs(v) <= -np.inf, "only affine inequalities"),
         (lambda v: v == np.inf, "v == inf in an agent's program"),

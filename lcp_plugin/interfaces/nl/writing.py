@@ -55,9 +55,9 @@ def write_nl(problem: Any, path: str | PathLike[str]) -> None:
 def _content_of(problem: Any) -> NLContent:
     """Return the content of a file of the problem; of an LCP rows M z + q, each complementary to its own z."""
     if hasattr(problem, "component_data_objects"):
-        from ..pyomo import content_of
+        from ..pyomo import stated
 
-        return content_of(problem)
+        return stated(problem).in_a_file
     if isinstance(problem, LCP):
         free, own = np.full(problem.n, np.inf), (problem.lower, problem.upper)
         bits = np.isfinite(problem.lower) + 2 * np.isfinite(problem.upper)

@@ -239,14 +239,10 @@ def _results_of(answer: PyomoAnswer) -> Any:
     results.solver.termination_condition = condition
     results.solver.time = found.result.seconds
     problem = results.problem
-    problem.number_of_constraints, problem.number_of_variables = (
-        content.row_lower.size,
-        content.lower.size,
-    )
-    problem.number_of_objectives, problem.number_of_nonzeros = (
-        content.is_maximized.size,
-        content.linear.nnz,
-    )
+    problem.number_of_constraints = content.row_lower.size
+    problem.number_of_variables = content.lower.size
+    problem.number_of_objectives = content.is_maximized.size
+    problem.number_of_nonzeros = content.linear.nnz
     if content.is_maximized.any():
         problem.sense = maximize
     if found.objective is not None and condition is TerminationCondition.optimal:

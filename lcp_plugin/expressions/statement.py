@@ -23,7 +23,7 @@ from ..core.certificates.criterion import row_data
 from ..core.checks import BoolVector, Vector
 from ..core.errors import NotSquare, UnsupportedModel
 from ..core.lcp import LCP
-from ..core.matrix import largest_in_rows
+from ..core.matrix import equation_signs, largest_in_rows
 from ..core.names import Names
 from ..core.representation import format_count
 from ..core.settings import Status
@@ -220,25 +220,16 @@ def matched_for_monotony(
     Notes
     -----
     Each equation is matched by a large entry, which becomes a diagonal entry. The sign of a row makes its diagonal
-    entry positive; if this entry is zero, the row must be minus the column, because the matrix of optimality
-    conditions is skew.
+    entry positive; if this entry is zero, the sign is the one of :func:`~lcp_plugin.core.matrix.equation_signs`.
     """
     order = matching(sp.csr_array(equations[:, free]))
     rows = np.arange(order.size)
     signs = np.sign(np.asarray(equations[rows, free[order]]).ravel()) if order.size else np.zeros(0)
-    column = free[order]
-    # If the diagonal is zero, the row must be minus the column.
-    across = _row_dots(sp.csr_array(equations[:, paired]), sp.csr_array(pairs[:, column].T))
-    signs = np.where(signs == 0.0, -np.sign(across), signs)
-    block = sp.csr_array(equations[:, column])
-    across = _row_dots(block, sp.csr_array(sp.diags_array(signs) @ block).T.tocsr())
-    signs = np.where(signs == 0.0, -np.sign(across), signs)
-    return order, np.where(signs == 0.0, 1.0, signs)
-
-
-def _row_dots(first: sp.csr_array, second: sp.csr_array) -> Vector:
-    """Return the dot products of the rows of two matrices."""
-    return np.asarray(first.multiply(second).sum(axis=1), dtype=np.float64).ravel()
+    signs = np.where(signs == 0.0, 1.0, signs)
+    whole = sp.vstack([pairs, sp.diags_array(signs) @ equations], format="csr")
+    whole = whole[:, np.concatenate([paired, free[order]])]
+    is_equation = np.arange(whole.shape[0]) >= paired.size
+    return order, signs * equation_signs(whole, is_equation)[paired.size :]
 
 
 Numbers = Sequence[int] | Indices

@@ -5,7 +5,6 @@ Checks of agents: each decision belongs to one of them, and programs and shared 
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
@@ -15,14 +14,14 @@ import cvxpy as cp
 import numpy as np
 from cvxpy.constraints.constraint import Constraint
 
-from ..core.errors import InvalidOption, ModelWarning, UnsupportedModel
+from ..core.errors import InvalidOption, UnsupportedModel
 from ..expressions.rows import Indices, as_matrix, is_definition
 from ..problems.programs.program import QuadraticProgram
 from . import _compat as atoms
 from ._compat import EQUATIONS, INEQUALITIES, dense_value, expression_of, name_of, sense_of
 from .agent_conditions import AgentProgram, StandardRows, with_data
 from .constraint import Condition
-from .model import Model, level_of_caller
+from .model import Model, warn
 from .reading import Reader, restricting_attribute, rewritten
 
 
@@ -83,11 +82,10 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
                 "outside of the program"
             )
     decisions, listed = _listed(over, cp.Expression), _listed(shared, Constraint)
-    if not decisions:
-        raise UnsupportedModel(f"over must be a list of variables of the program, got {over!r}")
-    if listed is None:
+    if not decisions or listed is None:
         raise UnsupportedModel(
-            f"shared must be a list of constraints of the program, got {shared!r}; leave it out if there is none"
+            "over must be a list of variables of the program, and shared, if there are any, a list of its constraints, "
+            f"got over={over!r}, shared={shared!r}"
         )
     known = {one.id for one in program.variables()}
     for variable in (variable for one in decisions for variable in one.variables()):
@@ -291,11 +289,10 @@ def _check_program(agent: Optimal, rules: Convexity) -> None:
             raise UnsupportedModel(
                 f"{fault}, and the program has terms that are not smooth; write it by cvxpy's rules of convexity"
             )
-        message = (
+        warn(
             f"{fault}, so that its optimality conditions are only necessary; check gap() after the solve, and write "
             'check="local" to accept them'
         )
-        warnings.warn(message, ModelWarning, stacklevel=level_of_caller())
         return
 
 

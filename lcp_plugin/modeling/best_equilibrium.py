@@ -19,7 +19,7 @@ from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 
 from ..api import solve
-from ..core.errors import ModelWarning, UnsupportedModel
+from ..core.errors import UnsupportedModel
 from ..core.settings import Status
 from ..expressions.rows import Indices, Program
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
@@ -37,7 +37,7 @@ from ._compat import (
 )
 from .agent_conditions import StandardRows, joined, value_in_domain, violated_domain, with_data
 from .constraint import Complements, complements
-from .model import Model, level_of_caller, spans_of
+from .model import Model, spans_of, warn
 from .reading import Reader, rewritten
 
 
@@ -172,11 +172,7 @@ def possible_gain(agent: Any) -> float | None:
     outside = violated_domain(agent.args, deciding)
     if outside is not None or not np.isfinite(own + violation):
         reason = "is not finite" if outside is None else f"is not defined, because {outside} fails"
-        warnings.warn(
-            f"the value of {agent!r} {reason} at its variables, so that its gap is infinite",
-            ModelWarning,
-            stacklevel=level_of_caller(),
-        )
+        warn(f"the value of {agent!r} {reason} at its variables, so that its gap is infinite")
         return np.inf
     goal = sense * rewritten(smooth.goal, change)
     best, reason = _best_value(cp.Problem(cp.Minimize(goal), held))
@@ -184,11 +180,7 @@ def possible_gain(agent: Any) -> float | None:
         fee, rows = _fee(agent)
         best, reason = _best_value(cp.Problem(cp.Minimize(goal + fee), held + rows))
     if np.isnan(best):
-        warnings.warn(
-            f"the best value of {agent!r} is unknown: {reason}",
-            ModelWarning,
-            stacklevel=level_of_caller(),
-        )
+        warn(f"the best value of {agent!r} is unknown: {reason}")
         return None
     return max(0.0, violation, own - best)
 

@@ -252,7 +252,7 @@ class Model:
             for remark in self._pair(pair, *self.sides(pair))
         ]
         for remark in remarks:
-            warnings.warn(remark, ModelWarning, stacklevel=level_of_caller())
+            warn(remark)
 
     def sides(self, pair: Complements) -> list[Side]:
         """Return the sides of a pair, first its variable: the side with bounds, of two the one that is unknowns."""
@@ -407,7 +407,7 @@ class Model:
         variable_of[variable_of < 0] = len(self.variables)
         found = self.statement.square(variable_of)
         if (remark := self.statement.repeated(at_least=3)) is not None:
-            warnings.warn(remark, ModelWarning, stacklevel=level_of_caller())
+            warn(remark)
         if self.cones:
             found = over_cones(found, self.cones, self.statement.name_of)
         if self._equations:
@@ -667,10 +667,10 @@ def pair_residual(pair: Complements) -> Vector | None:
     return residual
 
 
-def level_of_caller() -> int:
-    """Return the stacklevel of the user's call of this package, or of cvxpy."""
+def warn(remark: str) -> None:
+    """Issue a ModelWarning at the user's call of this package, or of cvxpy."""
     own = {__package__.partition(".")[0], cp.__name__, np.__name__}  # np.errstate wraps functions
-    frame, level = inspect.currentframe(), 0
+    frame, level = inspect.currentframe(), 1
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
         frame, level = frame.f_back, level + 1
-    return level
+    warnings.warn(remark, ModelWarning, stacklevel=level)

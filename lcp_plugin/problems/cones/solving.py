@@ -33,6 +33,8 @@ from .sweeps import sweep_blocks
 
 CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals exclude rounding errors
 SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's method
+# A problem that a stack leaves takes a hundred times as long
+STACK_SCHEDULE = (*SCHEDULE, (1000, 100))
 LONG_SCHEDULE = tuple((count, methods.NEWTON_STEPS) for count in (2500, 7500, 10000))
 SHARES = (0.01, 0.1, 0.001)  # of the largest velocity: distance of a path's start from a point
 ROUNDING = 2.0**-44  # of the largest entry of W: tolerated difference from its transpose
@@ -117,7 +119,7 @@ def solve_cone_stack(
     """
     z, swept, iterations = start.copy(), start.copy(), np.zeros(stack.B, np.int64)
     residual, is_solved = np.full(stack.B, np.inf), np.zeros(stack.B, np.bool_)
-    for count, steps in ((0, 0), *SCHEDULE) if is_warm else SCHEDULE:
+    for count, steps in ((0, 0), *STACK_SCHEDULE)[not is_warm :]:
         left = np.flatnonzero(~is_solved)
         if not left.size or not has_time():
             break
@@ -409,9 +411,7 @@ class ConeResult(Result):
                 f"motion is of a FrictionalContact, got {type(problem).__name__}; read z and w"
             )
         r, u = self.z.reshape(-1, problem.dimension), self.w.reshape(-1, problem.dimension)
-        bodies, after = problem.bodies, None
-        if bodies is not None:
-            after = bodies.velocities_after(self.z)
+        after = None if problem.bodies is None else problem.bodies.velocities_after(self.z)
         return motion_of(r, u, problem.q, after)
 
     def _worst(self, count: int) -> WorstRows:

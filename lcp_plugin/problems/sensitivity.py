@@ -37,7 +37,7 @@ from ..proofs.bounds import ActiveRows, settled_rows
 from ..systems.free_systems import CONSISTENT, FreeBlocks, FreeSystem, LinearizedSystem, products
 from ..systems.graph import outer_on_pattern
 from .batches.batch_run import BatchAnswers
-from .batches.instances import Group, Listed, Stacked, Worlds, stack_of
+from .batches.instances import Group, Worlds, stack_of
 from .batches.on_device import DeviceAnswers, launch
 from .cones.derivative import ConeDerivative, StackDerivative
 from .cones.methods import whole_systems
@@ -824,11 +824,10 @@ def _derivative_of_batch(batch: BatchAnswers) -> BatchDerivative | ContactBatchD
     problems = batch.problems
     if isinstance(problems, Worlds):
         return ContactBatchDerivative(batch)
-    are_lcps = isinstance(problems, Stacked) or (isinstance(problems, Listed) and problems.are_lcps)
-    if are_lcps and isinstance(batch.z, np.ndarray):
+    if problems.are_lcps and isinstance(batch.z, np.ndarray):
         return BatchDerivative(batch)
     of_one_size = "the derivative of a batch takes problems of one size"
-    need = of_one_size if are_lcps else refusal("derivative", batch)
+    need = of_one_size if problems.are_lcps else refusal("derivative", batch)
     raise InvalidOption(f"{need}; write [derivative(answer) for answer in batch]")
 
 

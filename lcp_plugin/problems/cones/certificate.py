@@ -380,13 +380,10 @@ class ContactInfeasibility:
         y = [Fraction(value) for value in self.y.tolist()]
         if not (found.plain > 0 and self._is_in_cones(y, is_dual=True)):
             return False
-        return self.is_exact or (
-            found.is_rounding()
-            and found.is_wide_beside_terms()
-            and (
-                not is_nearly_symmetric(rows.matrix)
-                or is_minimizer_beyond_radius(rows.matrix.array, rows.q, self.y, found.left)
-            )
+        if self.is_exact or not (found.is_rounding() and found.is_wide_beside_terms()):
+            return self.is_exact
+        return not is_nearly_symmetric(rows.matrix) or is_minimizer_beyond_radius(
+            rows.matrix.array, rows.q, self.y, found.left
         )
 
     @derived_property

@@ -15,14 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import (
-    Vector,
-    change_of_vector,
-    checked_vector,
-    derived_property,
-    is_number,
-    rectangular_matrix,
-)
+from ...core import checks
+from ...core.checks import Vector, derived_property
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix import Matrix
 from ...systems.free_systems import FreeSystem, LinearizedSystem
@@ -228,13 +222,16 @@ class ConeDerivative:
         dq = J du.
         """
         problem, n = self.problem, self.problem.n
-        low, high = change_of_vector(dlower, "dlower", n), change_of_vector(dupper, "dupper", n)
+        low, high = (
+            checks.change_of_vector(dlower, "dlower", n),
+            checks.change_of_vector(dupper, "dupper", n),
+        )
         if dfriction is None:
             slopes = np.zeros(n)
         elif problem.has_friction:
             k = problem.slope.size
-            given = np.full(k, dfriction) if is_number(dfriction) else dfriction
-            slopes = checked_vector(given, "dfriction", k)[problem.block_of_row]
+            given = np.full(k, dfriction) if checks.is_number(dfriction) else dfriction
+            slopes = checks.checked_vector(given, "dfriction", k)[problem.block_of_row]
         else:
             raise InvalidOption(
                 "dfriction is of a FrictionalContact; a ConeProblem has dq, dM, dlower and dupper"
@@ -269,13 +266,13 @@ class ConeDerivative:
     def _moved(self, dq: ArrayLike | None, dM: Any) -> Vector:
         """Return dM z + dq."""
         n = self.problem.n
-        change = change_of_vector(dq, "dq", n)
-        return change if dM is None else change + rectangular_matrix(dM, "dM", n, n) @ self.z
+        change = checks.change_of_vector(dq, "dq", n)
+        return change if dM is None else change + checks.rectangular_matrix(dM, "dM", n, n) @ self.z
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> ConeGradient:
         """Return the gradients of a function L, with g = ∂L/∂z and gw = ∂L/∂w (default 0), (n,)."""
-        n, by_w = self.problem.n, change_of_vector(gw, "gw", self.problem.n)
-        parts = self._of.gradients(checked_vector(g, "g", n)[None], by_w[None])
+        n, by_w = self.problem.n, checks.change_of_vector(gw, "gw", self.problem.n)
+        parts = self._of.gradients(checks.checked_vector(g, "g", n)[None], by_w[None])
         by_q, by_bound, by_friction = (part[0] for part in parts)
         by_M = outer_on_pattern(self.problem.rows.matrix, by_q, self.z)
         lower, upper = (np.where(holds, by_bound, 0.0) for holds in self._holds(self._of))

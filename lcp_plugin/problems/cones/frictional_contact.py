@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from os import PathLike
 from typing import Any
 
@@ -149,15 +148,8 @@ class FrictionalContactBatch:
             )
         count = int(self.contacts[i])
         rows = self.dimension * count
-        return FrictionalContact(
-            self.W[i, :rows, :rows],
-            self.b[i, :rows],
-            self.friction[i, :count],
-            dimension=self.dimension,
-        )
-
-    def __iter__(self) -> Iterator[FrictionalContact]:
-        return (self[i] for i in range(len(self)))
+        own = self.W[i, :rows, :rows], self.b[i, :rows], self.friction[i, :count]
+        return FrictionalContact(*own, dimension=self.dimension)
 
     def __repr__(self) -> str:
         where = "space" if self.dimension == 3 else "the plane"

@@ -180,10 +180,8 @@ class Pattern:
             row, column = np.repeat(np.arange(self.n), np.diff(M.indptr)), M.indices
             where = of_row[row], of_row[column]
             graph = sp.coo_array((np.abs(M.data), where), shape=(k, k)).tocsr()
-            blocks, sums = (
-                np.repeat(np.arange(k), np.diff(graph.indptr)) * k + graph.indices,
-                graph.data,
-            )
+            blocks = np.repeat(np.arange(k), np.diff(graph.indptr)) * k + graph.indices
+            sums = graph.data
             is_inner = of_row[row] == of_row[column]
             row, column, values = row[is_inner], column[is_inner], M.data[is_inner]
         else:

@@ -379,11 +379,8 @@ class EquilibriumResult(BaseResult):
         if self.x is None:
             return self.value == (-math.inf if self.status is Status.UNBOUNDED else math.inf)
         is_exact = bool((self.problem.violations(self.x) == 0.0).all())
-        return (
-            is_exact
-            and self.problem.excess(self.x) <= FEASIBLE
-            and self.problem.objective(self.x) <= self.value
-        )
+        is_feasible = is_exact and self.problem.excess(self.x) <= FEASIBLE
+        return is_feasible and self.problem.objective(self.x) <= self.value
 
     def _falls(self, relaxations: Relaxations) -> bool:
         """Return whether the proof of unboundedness is valid for a piece of this problem."""
@@ -423,17 +420,11 @@ class EquilibriumResult(BaseResult):
         if leaf.proof is not None:
             proof = leaf.proof
             return _is_same(proof.program, program) and proof.is_exact and proof.verify()
-        if leaf.dual is None:
-            return False
-        if relaxations.bound(program, leaf.dual, self.lower_bound) >= self.lower_bound:
-            return True
+        dual, parent = leaf.dual, leaf.parent
+        if dual is None or relaxations.bound(program, dual, self.lower_bound) >= self.lower_bound:
+            return dual is not None
         # A bound of the parent also holds for the leaf, because the leaf has fewer branches.
-        parent = leaf.parent
-        return (
-            parent is not None
-            and parent.dual is leaf.dual
-            and self._leaf_holds(parent, relaxations)
-        )
+        return parent is not None and parent.dual is dual and self._leaf_holds(parent, relaxations)
 
     @property
     def objective(self) -> float | None:

@@ -42,19 +42,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from ...core import checks
 from ...core.certificates.criterion import POWER, RowData, RowsAtPoint, row_data
 from ...core.certificates.measured import Measured
 from ...core.certificates.residuals import Certificate
-from ...core.checks import (
-    BoolVector,
-    Vector,
-    checked_bounds,
-    checked_vector,
-    derived_property,
-    read_only,
-    real_array,
-    rectangular_matrix,
-)
+from ...core.checks import BoolVector, Vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
@@ -216,7 +208,7 @@ class NonlinearProblem:
             self._set_bounds(self.n)
 
     def _set_bounds(self, n: int) -> None:
-        self.lower, self.upper = checked_bounds(*self._bounds, n)
+        self.lower, self.upper = checks.checked_bounds(*self._bounds, n)
         self.names = checked_names(self._given_names, n, n)
         self._differences: Differences | None = None
 
@@ -255,7 +247,7 @@ class NonlinearProblem:
         with np.errstate(all="ignore"):  # F may be undefined at x: its value shows it
             returned = self.F(x)
         need = f"F(x) must be a real vector of length {x.size} for x of shape ({x.size},)"
-        value = real_array(returned, need)
+        value = checks.real_array(returned, need)
         if value.shape != x.shape:
             raise InvalidProblem(f"{need}, got shape {value.shape}; return one number a row")
         return read_only(value.copy())
@@ -322,7 +314,7 @@ class NonlinearProblem:
             return LCP(M, q, lower=problem.lower, upper=problem.upper, names=problem.names)
 
     def _point(self, x: ArrayLike) -> Vector:
-        return checked_vector(x, "x", self.n, allow_plus_infinity=True, allow_nan=True)
+        return checks.checked_vector(x, "x", self.n, allow_plus_infinity=True, allow_nan=True)
 
     def __repr__(self) -> str:
         how = "differences" if self.jacobian is None else "jacobian given"
@@ -333,7 +325,7 @@ class NonlinearProblem:
 def _finite(derivative: Any, name: str, n: int) -> Any:
     """Return the checked derivative; UndefinedDerivativeError if only numbers are invalid."""
     try:
-        return rectangular_matrix(derivative, name, n, n)
+        return checks.rectangular_matrix(derivative, name, n, n)
     except InvalidProblem as error:
         if not (entries := _floats(derivative, n)).size or np.isfinite(entries).all():
             raise
@@ -375,7 +367,7 @@ def _pattern(pattern: Any) -> sp.csc_array:
     """Return the stored entries by columns, each with the value 1."""
     if not sp.issparse(pattern):
         pattern = sp.coo_array(
-            real_array(pattern, "pattern must be a sparse array of shape (n, n)")
+            checks.real_array(pattern, "pattern must be a sparse array of shape (n, n)")
         )
     if pattern.ndim != 2 or pattern.shape[0] != pattern.shape[1]:
         raise InvalidProblem(

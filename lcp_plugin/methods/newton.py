@@ -280,11 +280,10 @@ class Newton(Algorithm):
 def rounds(state: NewtonState) -> Generator[Step, None, bool]:
     """Yield full steps and damped steps alternately; return whether an active set settled."""
     for _ in range(ROUNDS):
-        is_settled = yield from full_steps(state)
-        before = state.best
-        is_settled = is_settled or (yield from damped_steps(state))
-        if is_settled:
+        if (yield from full_steps(state)):
             return True
+        before = state.best
+        yield from damped_steps(state)
         if not state.best < (0.9 * before if state.is_large else before):
             break
     return False
@@ -374,53 +373,22 @@ def _phi(a: Vector, b: Vector) -> tuple[Vector, Vector, Vector]:
     return value, by_a, by_b
 
 
-def damped_steps(state: NewtonState) -> Generator[Step, None, bool]:
-    """Yield steps that reduce ‖Φ‖: full active-set steps if they do so at once, else a line search.
-
-    Ends if ‖Φ‖ stagnates; returns whether an active set reproduced itself with a regular block.
-    """
+def damped_steps(state: NewtonState) -> Iterator[Step]:
+    """Yield steps of a line search that reduce ‖Φ‖; end if ‖Φ‖ stagnates."""
     state.move(np.clip(state.best_z, state.problem.lower, state.problem.upper))
     phi = fischer_burmeister(state.problem, state.z, state.w)
     recent, lowest, since = [phi.norm], phi.norm, 0
     # Steps without a fall of ‖Φ‖ by 1 %; by 30 % on large problems.
     gain, patience = (0.7, LARGE_PATIENCE) if state.is_large else (0.99, 25)
-    for _ in range(150):
-        if not 0.0 < phi.norm < np.inf:
-            return False
-        full = _full_step(state, phi)
-        is_settled = full is not None and full[1]
+    while len(recent) <= 150 and since < patience and 0.0 < phi.norm < np.inf:
         # The line search compares with the worst of the last five merits.
-        following = _searched(state, phi, max(recent[-5:])) if full is None else full[0]
+        following = _searched(state, phi, max(recent[-5:]))
         if following is None:
-            return False
+            return
         phi = following
         recent.append(phi.norm)
         yield state.step()
-        if is_settled:
-            return True
         since, lowest = (0, phi.norm) if phi.norm < gain * lowest else (since + 1, lowest)
-        if since >= patience:
-            break
-    return False
-
-
-def _full_step(state: NewtonState, phi: LinearizedPhi) -> tuple[LinearizedPhi, bool] | None:
-    """Move to the solution of the active set of z if the set is new and halves ‖Φ‖; return whether the set settled."""
-    at_lower, at_upper = classify(state.problem, state.z, state.w)
-    if state.is_known(at_lower, at_upper):
-        return None
-    solution = state.solve(at_lower, at_upper)
-    if solution is None:
-        return None
-    w = state.slack(solution.z)
-    found = fischer_burmeister(state.problem, solution.z, w)
-    # A full step to an active set must halve ‖Φ‖.
-    if not found.norm <= 0.5 * phi.norm:
-        return None
-    state.move(solution.z)
-    again = classify(state.problem, state.z, state.w)
-    is_same = np.array_equal(again[0], at_lower) and np.array_equal(again[1], at_upper)
-    return found, is_same and not solution.system.is_singular
 
 
 def _searched(state: NewtonState, phi: LinearizedPhi, reference: float) -> LinearizedPhi | None:

@@ -42,7 +42,7 @@ from ..proofs.no_solution import contradictory_row
 from ..proofs.verdicts import is_negative
 from ..systems.factors import factor_fits, sizes_of_factor
 from .interior_point import InteriorPoint, ZeroSumGame, with_signed_equations
-from .lemke import Lemke, has_components_that_fit
+from .lemke import Lemke, rows_of_components
 from .lemke.pivoting_path import is_game
 from .newton import Newton
 
@@ -183,7 +183,7 @@ def _too_large(problem: LCP) -> set[str]:
     is_large = problem.n > LINEAR_PROGRAM_UP_TO
     if is_large:
         found.add("feasibility")
-    if not has_components_that_fit(problem):
+    if problem.n > PIVOTED_UP_TO < max(map(len, rows_of_components(problem))):
         found.add("lemke")
     is_program = getattr(problem.origin, "form", "") == "kkt"
     if is_large and not (is_program or problem.is_dense or factor_fits(problem.csr)):

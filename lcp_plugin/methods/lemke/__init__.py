@@ -23,8 +23,6 @@ from ...systems.graph import block_rows
 from ..newton import classify, is_near, solve_active_set
 from .pivoting_path import CanonicalBox, canonical_box
 
-CAREFUL_BLOCK = 5
-
 
 @dataclass(frozen=True, kw_only=True)
 class Lemke(Algorithm):
@@ -157,30 +155,19 @@ class Lemke(Algorithm):
             waiting = cut_off
 
     def _follow(self, component: LCP, box: CanonicalBox, path: Any, start: Any, limit: int) -> Any:
-        """Yield along one path; return whether it ended in a certified solution.
+        """Yield along one path; return whether it ended in a certified solution."""
+        from .tableau import GOING_ON, RAY, SOLVED
 
-        A path lost to rounding is followed again with an inverse renewed every few pivots.
-        """
-        from .tableau import GOING_ON, LOST, RAY, SOLVED
-
-        usual = path.fresh_for
         # About so many entries are touched between two steps.
-        for block in (min(usual, int(np.clip(5e7 / max(path.n, 1) ** 2, 32, 200))), CAREFUL_BLOCK):
-            path.fresh_for = min(usual, block) if block == CAREFUL_BLOCK else usual
-            outcome = GOING_ON if start(path) else RAY
-            while outcome == GOING_ON and path.pivots < limit:
-                outcome = path.advance(min(block, limit - path.pivots))
-                if outcome == SOLVED:
-                    if (yield from self._solution(component, box, path)):
-                        return True
-                    outcome = LOST
-                    break
-                # A point of a path is measured after a millisecond of pivots
-                if path.entries - path.reported >= 5e5:
-                    yield box.recover(path.z), path.touched()
-            if outcome != LOST:
-                break
-        path.fresh_for = usual
+        block = min(path.fresh_for, int(np.clip(5e7 / max(path.n, 1) ** 2, 32, 200)))
+        outcome = GOING_ON if start(path) else RAY
+        while outcome == GOING_ON and path.pivots < limit:
+            outcome = path.advance(min(block, limit - path.pivots))
+            if outcome == SOLVED:
+                return (yield from self._solution(component, box, path))
+            # A point of a path is measured after a millisecond of pivots
+            if path.entries - path.reported >= 5e5:
+                yield box.recover(path.z), path.touched()
         return False
 
     def _solution(self, component: LCP, box: CanonicalBox, path: Any) -> Any:
@@ -222,11 +209,6 @@ def rows_of_components(problem: LCP) -> list[NDArray[np.intp]]:
     if several is None:
         return [np.arange(problem.n)] if problem.n else []
     return block_rows(several.labels, several.count)
-
-
-def has_components_that_fit(problem: LCP) -> bool:
-    """Return whether no connected component is too large for a dense inverse."""
-    return problem.n <= PIVOTED_UP_TO or max(map(len, rows_of_components(problem))) <= PIVOTED_UP_TO
 
 
 def _is_good(problem: LCP, z: Vector) -> bool:

@@ -30,7 +30,7 @@ FILES = (
     "test_best_equilibrium_meaning",
 )
 SUITE = ("report", "manual", "qpsolvers", "pyomo", "global", "fclib")
-SUITE_PACKAGES = ("quantecon", "scikit-fem", "hatchling", "jedi")
+SUITE_PACKAGES = ("quantecon", "scikit-fem", "hatchling")
 SHOW = """import cvxpy, numba, numpy, platform, scipy
 print(platform.python_version(), *(module.__version__ for module in (numpy, scipy, numba, cvxpy)))"""
 ROOT = Path(__file__).parent.parent

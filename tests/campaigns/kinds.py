@@ -319,16 +319,6 @@ def game(rng: Generator, kind: str) -> Found:
         yield Finding(what, f"{text}, A = {A.tolist()}, B = {B.tolist()}")
 
 
-def margin(rng: Generator, kind: str) -> Found:
-    """Infeasible or feasible by a margin."""
-    bad, is_left = module("infeasible_by_margin").one(
-        int(rng.integers(2**31)), int(rng.integers(10**6))
-    )
-    yield from (Finding(CLAIM, text) for text in bad)
-    if is_left:
-        yield Finding(OPEN, "a contradiction by ten times the tolerance is not proved")
-
-
 def path(rng: Generator, kind: str) -> Found:
     """Solution paths next to single solves."""
     status, wrong, apart = module("paths").examined(rng, 40, 5)
@@ -440,7 +430,6 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "program": (programs, tuple(convex_programs.FAMILIES), 38),
     "outlier": (outlier, OUTLIERS, 33),
     "game": (game, ("integers", "odd", "shifted"), 9),
-    "margin": (margin, ("any",), 12),
     "path": (path, ("any",), 4),
     "units": (rescaled_program, ("any",), 6),
     "derivative": (derivative, DERIVATIVES, 10),

@@ -7,7 +7,6 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns import infeasible_by_margin
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles.truth import is_farkas
@@ -254,8 +253,15 @@ def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> Non
 
 def test_a_contradiction_between_numbers_of_many_sizes_is_found() -> None:
     """Rows and bounds of sizes from 1e-3 to 1e3 that miss each other by less than 1 % of the residual at 0."""
-    case = infeasible_by_margin.planted_lcp(np.random.default_rng([5, 103]))
-    proof = find_infeasibility(case.problem)
+    M = [
+        [1 / 4, 0, 128, -1 / 16, -1 / 128, 1 / 128, 64], [1 / 4, 0, 192, 0, 1 / 128, -3 / 128, -128],
+        [3 / 8, -1, 256, -1 / 16, 0, 0, -64], [1 / 8, -1 / 2, -128, 0, 0, -1 / 128, 0],
+        [0, -1.5, 0, 0, 1 / 64, 1 / 128, 0], [-1 / 8, -1 / 2, 192, 0, 3 / 128, 1 / 128, 0],
+        [-1 / 8, 5.5, -512, -1 / 32, -5 / 64, -1 / 64, 192],
+    ]  # fmt: skip
+    q = [-3.999999890701664, -3.0, -5.0001119214964, 3.0, 2.999999993168854, -1.000000003415573]
+    lower = [-np.inf, -2.0, 1 / 64, 0.0, 0.0, 0.0, 0.0]
+    proof = find_infeasibility(LCP(M, [*q, -2.0000839411222993], lower=lower))
     assert proof is not None
     assert proof.verify()
-    assert 0.9 * case.relative.low <= proof.margin <= case.relative.high
+    assert 4.9e-8 <= proof.margin <= 5.464917115040035e-08  # a point attains this violation

@@ -62,6 +62,31 @@ def test_a_planted_conflict_is_found(seed: int) -> None:
     assert len(conflict.members) <= max(count, program.n + 1)
 
 
+PUBLISHED = {  # G x ≤ h, bounds of x, the rows of the published set, and its bounds
+    "SAS/OR, Finding an Irreducible Infeasible Set": (
+        [[-1, -1, 0], [1, 0, 1], [0, 1, 1], [0, -1, -1]], [-10, 4, 5, -4],
+        (0, [np.inf, np.inf, 3]), {"row 0 of G", "row 1 of G", "row 2 of G", "lower[2]"},
+    ),
+    "R. Pratt, contradictory constraints in SAS": (
+        [[-1, -2]], [-220], (0, [60, 50]), {"row 0 of G", "upper[0]", "upper[1]"},
+    ),
+    "Mathematical Programming Glossary, IIS": (
+        [[1, 1], [1, -1], [-1, 1], [-1, -1]], [1, 0, 0, -2],
+        (-np.inf, np.inf), {"row 0 of G", "row 3 of G"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("source", PUBLISHED)
+def test_the_published_set_is_found(source: str) -> None:
+    """Each of these models of textbooks has one irreducible infeasible set."""
+    G, h, bounds, members = PUBLISHED[source]
+    program = QuadraticProgram(None, np.ones(len(G[0])), G, h, None, None, *bounds)
+    conflict = solve(program).conflict
+    assert set(conflict.names) == members
+    assert_irreducible(program, conflict)
+
+
 def test_dependent_equalities_are_reduced() -> None:
     """A proof by three rows, equalities that depend on one another among them, is reduced to two rows."""
     A = [[1.0, 1.0], [2.0, 2.0], [1.0, 1.0], [1.0, -1.0]]

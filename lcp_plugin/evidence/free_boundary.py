@@ -86,11 +86,8 @@ class FreeBoundary:
         if self.points.ndim == 1:
             order = np.argsort(self.points, kind="stable")
             low, high = np.sort(np.stack([self.level[order][:-1], self.level[order][1:]]), axis=0)
-            share = np.where(
-                high <= 0.0,
-                1.0,
-                np.where(low < 0.0, low / np.where(low < high, low - high, 1.0), 0.0),
-            )
+            inside = np.clip(low / np.where(low < high, low - high, -1.0), 0.0, 1.0)
+            share = np.where(high <= 0.0, 1.0, inside)
             return float(share @ np.diff(self.points[order]))
         corners = self.points[self.triangles]
         (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
@@ -204,11 +201,7 @@ def _nodes(n: int, coordinates: Any, shape: Any, mesh: Any) -> tuple[Vector, np.
             )
         return points, triangles
     if shape is None and (coordinates is None or np.ndim(coordinates[0]) == 0):
-        line = (
-            np.arange(n, dtype=float)
-            if coordinates is None
-            else np.asarray(coordinates, dtype=float)
-        )
+        line = np.asarray(np.arange(n) if coordinates is None else coordinates, dtype=float)
         if line.shape != (n,) or not np.isfinite(line).all():
             raise InvalidOption(
                 f"coordinates must be {n} numbers, finite, or (rows, columns) of a grid, got "

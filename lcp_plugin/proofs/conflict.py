@@ -38,7 +38,6 @@ MOST_ENTRIES = 4_000_000  # of the dense matrix whose rank is computed: some sec
 MOST_IN_PROGRAM = (
     200_000  # entries of a matrix all of whose rows are in the linear program: some seconds
 )
-ENTRY = 1e-9  # of the largest multiplier of a vertex, below which an entry is 0
 SECONDS = 60.0  # of a search without another limit
 
 

@@ -605,10 +605,10 @@ def _by_largest_block(rows: list[Row], right: Fractions, guess: Fractions) -> Ro
     if is_over():
         return None
     at, chosen = rank_profile(whole)
-    longest = max((abs(whole[i][k]).bit_length() for i in at for k in chosen), default=0)
+    block = [[whole[i][k] for k in chosen] for i in at]
+    longest = max((entry.bit_length() for row in block for entry in row), default=0)
     if len(at) * longest > 24_000:  # digits of a block's determinant, about: some seconds
         return None
-    block = [[whole[i][k] for k in chosen] for i in at]
     values = solve_exactly(block, [int(right[i] * scales[i] * common) for i in at])
     if values is None:
         return None

@@ -44,12 +44,6 @@ NAMED = 4
 NAMELESS = Names()
 
 
-def _left(P: Any, d: Vector) -> float:
-    """Return Σ_i |(P d)_i| / Σ_i (|P||d|)_i."""
-    terms = float((abs(P) @ np.abs(d)).sum())
-    return float(np.abs(P @ d).sum()) / terms if terms > 0.0 else 0.0
-
-
 def moved_unknowns(d: Any, names: Names = NAMELESS) -> str:
     """Return a text with the unknowns that move along a direction, except for negligible movements.
 
@@ -105,11 +99,12 @@ def is_at_rest(P: Any, direction: Any) -> bool:
     d = np.array([float(value) for value in direction])
     moving = np.flatnonzero(d)
     P = sp.csr_array(P)
-    if not P[moving].count_nonzero() or _left(P, d) > MEAN_ROUNDING:
+    product, terms = np.abs(P @ d), abs(P) @ np.abs(d)
+    if not P[moving].count_nonzero() or product.sum() > MEAN_ROUNDING * terms.sum():
         return False
     root = np.sqrt(np.abs(P.diagonal()))
     pattern = sp.csr_array((np.ones(P.nnz), P.indices, P.indptr), shape=P.shape)
-    return bool((np.abs(P @ d) <= ROW_ROUNDING * root * (pattern @ (root * np.abs(d)))).all())
+    return bool((product <= ROW_ROUNDING * root * (pattern @ (root * np.abs(d)))).all())
 
 
 SAFE_RANGE = (1e-290, 1e290)

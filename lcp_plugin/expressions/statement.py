@@ -28,7 +28,6 @@ from ..core.names import Names
 from ..core.representation import format_count
 from ..core.settings import Status
 from ..core.solving.result import Result
-from ..problems.cones.data import Blocks
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram, SmoothPart
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.programs.program import QuadraticProgram
@@ -724,9 +723,7 @@ def _arranged(
     return (sp.csr_array(sp.diags_array(signs) @ M), signs * q) if (signs != 1.0).any() else (M, q)
 
 
-def solve_from(
-    problem: LCP | NonlinearProblem | Blocks, start: Vector | None, options: dict[str, Any]
-) -> Result:
+def solve_from(problem: Any, start: Vector | None, options: dict[str, Any]) -> Result:
     """Return the answer to a problem that a model became.
 
     Parameters
@@ -741,5 +738,5 @@ def solve_from(
     if isinstance(problem, NonlinearProblem):
         # The derivative is ours; the result is compared with the language's own evaluation at the end.
         options = {"check_jacobian": False, "x0": np.zeros_like(problem.lower), **options}
-    result = solve(problem, **(options if is_given else {**options, "z0": start}))
+    result: Result = solve(problem, **(options if is_given else {**options, "z0": start}))
     return result if is_given else replace(result, begun=result.begun or BEGUN)

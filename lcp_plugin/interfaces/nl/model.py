@@ -26,7 +26,6 @@ from ...core.settings import Settings, Status
 from ...core.solving.result import Outcome, Result
 from ...expressions.rows import Program, Rows
 from ...expressions.statement import STATUS_ELSEWHERE, SquareModel, Statement, solve_from
-from ...problems.equilibria.equilibrium_program import EquilibriumProgram
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.program import QuadraticProgram
 from ...problems.programs.solving import solve_program
@@ -319,7 +318,6 @@ class EquilibriumModel(NLModel):
         The complementarity rows, and the unknowns that are their values.
     """
 
-    problem: EquilibriumProgram
     sign: float
     pairs: Indices
     columns: Indices

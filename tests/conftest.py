@@ -35,10 +35,12 @@ from hypothesis import HealthCheck, settings
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # profile: examples in the quick suite, in the full one
-EXAMPLES = {"few": (4, 30), "default": (8, 80), "many": (20, 150)}
+EXAMPLES = {"few": (3, 30), "default": (6, 80), "many": (12, 150)}
 # Folders with tests of functions that are not public; core/test_floating_point_state.py calls those that are.
 INNER = {"core", "engines", "methods", "problems", "proofs", "systems"}
 FEW = 2  # rows of a table that run without --full
+# Doctests of seconds; tests/interfaces and tests/strategies have short ones of the same.
+SLOW = ("lcp_plugin.interfaces", "lcp_plugin.strategies.assert_solves")
 WARM_UP = pytest.StashKey["subprocess.Popen[bytes]"]()
 
 
@@ -128,6 +130,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark rows of long tables ``full``."""
     tables = defaultdict(list)
     for item in items:
+        if item.name in SLOW:
+            item.add_marker("full")
         if not item.get_closest_marker("full"):
             tables[item.nodeid.partition("[")[0]].append(item)
     for rows in tables.values():

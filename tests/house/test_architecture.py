@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -108,22 +109,18 @@ def imported_modules(file: Path) -> tuple[set[str], set[str]]:
     return found
 
 
-BOTH = {module: imported_modules(file) for module, file in MODULES.items()}
-PLAIN = {module: plain for module, (plain, _) in BOTH.items()}
-# its table's
-PLAIN["lcp_plugin.algorithms"] |= {one for one in MODULES if one.startswith("lcp_plugin.methods.")}
-INSIDE = {module: inside for module, (_, inside) in BOTH.items()}
-LED = {
-    module: {
-        target
-        for target in targets
-        if subpackage_of(MODULES[target])
-        in LEADS_ON.get(module.removeprefix("lcp_plugin."), (set(), ""))[0]
-    }
-    for module, targets in INSIDE.items()
-}
-# shown in the figure
-IMPORTS = {module: PLAIN[module] | INSIDE[module] - LED[module] for module in MODULES}
+@cache
+def imports_of_all() -> tuple[dict[str, set[str]], dict[str, set[str]]]:
+    """Return the imports inside functions that lead on, and all others, which the figure shows, by module."""
+    both = {module: imported_modules(file) for module, file in MODULES.items()}
+    table = {one for one in MODULES if one.startswith("lcp_plugin.methods.")}
+    led, shown = {}, {}
+    for module, (plain, inside) in both.items():
+        known = LEADS_ON.get(module.removeprefix("lcp_plugin."), (set(), ""))[0]
+        led[module] = {target for target in inside if subpackage_of(MODULES[target]) in known}
+        shown[module] = plain | inside - led[module]
+    shown["lcp_plugin.algorithms"] |= table
+    return led, shown
 
 
 def assert_has_no_circle(imports: dict[str, set[str]]) -> None:
@@ -141,7 +138,7 @@ def test_arrows_stand_in_the_picture() -> None:
         assert subpackage in ARROWS, (
             f"the picture in developing.md and the table below it lack {subpackage}"
         )
-        for target in IMPORTS[module]:
+        for target in imports_of_all()[1][module]:
             allowed = {subpackage, "core", *ARROWS[subpackage]}
             assert subpackage_of(MODULES[target]) in allowed, f"{module} → {target}"
 
@@ -151,7 +148,7 @@ def test_every_arrow_is_needed() -> None:
     drawn = {(subpackage, target) for subpackage, targets in ARROWS.items() for target in targets}
     has = {
         (subpackage_of(MODULES[one]), subpackage_of(MODULES[other]))
-        for one, targets in IMPORTS.items()
+        for one, targets in imports_of_all()[1].items()
         for other in targets
     }
     assert not drawn - has
@@ -161,7 +158,7 @@ def test_imports_that_lead_on_are_few_and_have_a_reason() -> None:
     """Every import inside a function from a layer above is listed with its reason."""
     led = {
         module.removeprefix("lcp_plugin."): {subpackage_of(MODULES[target]) for target in targets}
-        for module, targets in LED.items()
+        for module, targets in imports_of_all()[0].items()
         if targets
     }
     assert led == {module: subpackages for module, (subpackages, _) in LEADS_ON.items()}
@@ -171,7 +168,7 @@ def test_imports_that_lead_on_are_few_and_have_a_reason() -> None:
 def test_no_subpackages_and_no_files_import_each_other() -> None:
     """Subpackages have an order in which each imports only earlier ones, as files have."""
     assert_has_no_circle(ARROWS)
-    assert_has_no_circle(IMPORTS)
+    assert_has_no_circle(imports_of_all()[1])
 
 
 def test_the_package_offers_a_file_nothing_but_the_version() -> None:

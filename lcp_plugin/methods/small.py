@@ -293,7 +293,7 @@ def guess(data: RowData) -> Vector | None:
     free = (data.lower == -np.inf) & (data.upper == np.inf)
     if not ((data.M.diagonal() == data.scale) | free).all():
         return None
-    z = data.start
+    z: Vector = data.start
     pivot, half = 1.0 / RELAXATION + 3.0, z.shape[-1] // 2
     for _ in range(SWEEPS):
         step = (times(data.M, z) + data.q) / data.scale

@@ -412,17 +412,11 @@ def _disagreement(problem: Any, compiled: CompiledProblem, x: Vector, tolerance:
 
 def _rest(program: QuadraticProgram, x: Vector, columns: Indices) -> QuadraticProgram:
     """Return the program of some columns, the others being as in x; without the rows that hold only these."""
-    P, G, A = (sp.csr_array(matrix) for matrix in (program.P, program.G, program.A))
-    upper, equal = (
-        np.flatnonzero(np.diff(sp.csr_array(rows[:, columns]).indptr)) for rows in (G, A)
-    )
-    return QuadraticProgram(
-        P[columns][:, columns],
-        program.c[columns] + P[columns] @ x,
-        G[upper][:, columns],
-        program.h[upper] - G[upper] @ x,
-        A[equal][:, columns],
-        program.b[equal] - A[equal] @ x,
-        program.lower[columns],
-        program.upper[columns],
-    )
+    P, own = sp.csr_array(program.P)[columns], list[Any]()
+    for matrix, right in ((program.G, program.h), (program.A, program.b)):
+        rows = sp.csr_array(matrix)
+        kept = np.flatnonzero(np.diff(sp.csr_array(rows[:, columns]).indptr))
+        own += [rows[kept][:, columns], right[kept] - rows[kept] @ x]
+    lower, upper = program.lower[columns], program.upper[columns]
+    c = program.c[columns] + P @ x
+    return QuadraticProgram(P[:, columns], c, *own, lower=lower, upper=upper)

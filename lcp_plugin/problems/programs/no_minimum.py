@@ -516,10 +516,8 @@ def _best_proof(
 ) -> T | None:
     """Return the first proof that counts at the tolerances of programs, else the proof of the largest margin."""
     scale: FarkasProgram = FarkasProgram(asked)
-    q = np.where(np.isfinite(asked.q), np.abs(asked.q), 0.0)
-    bounds = [
-        np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (asked.lower, asked.upper)
-    ]
+    vectors = asked.q, asked.lower, asked.upper
+    q, *bounds = (np.where(np.isfinite(one), np.abs(one), 0.0) for one in vectors)
 
     def weighed(unit: float) -> LinearConstraints:
         weights = 1.0 / scale.rows + q / unit
@@ -605,10 +603,6 @@ def _points_inside(program: QuadraticProgram, unit: Vector) -> tuple[Fractions, 
     near = zip(short(x / unit, 1 << 52), rational(unit), at_bound, rational(x), strict=True)
     guess = [exact if stuck else few * one for few, one, stuck, exact in near]
     system = [*equal.tolist(), *tight.tolist()]
-    exact = solved_nearby(
-        [constraints.exactly[i] for i in system],
-        rational(limit[system]),
-        guess,
-        [not stuck for stuck in at_bound],
-    )
+    equations = [constraints.exactly[i] for i in system]
+    exact = solved_nearby(equations, rational(limit[system]), guess, (~at_bound).tolist())
     return (guess, exact) if exact is not None and not any(losses(constraints, exact)) else (guess,)

@@ -326,9 +326,7 @@ def _tighten(rows: sp.csr_array, limit: Vector, lower: Vector, upper: Vector) ->
     """Replace bounds by tighter bounds that single rows imply."""
     entry, column, owner, m = rows.data, rows.indices, row_numbers(rows), limit.size
     # The largest value of −a x, the least of a x with its sign turned.
-    most = np.where(
-        entry > 0.0, product_above(-entry, lower[column]), product_above(-entry, upper[column])
-    )
+    most = product_above(-entry, np.where(entry > 0.0, lower[column], upper[column]))
     is_open = most == np.inf
     held = np.where(is_open, 0.0, most)
     total = np.bincount(owner, held, m).astype(np.float64)

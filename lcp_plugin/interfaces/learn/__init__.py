@@ -30,7 +30,7 @@ w = M z + q from it. If a problem is not SOLVED, :class:`~lcp_plugin.NotConverge
 (JAX wraps this error in its own.) With ``mask=True`` a layer returns (z, is_solved) instead: an instance that is not
 solved, or whose numbers are invalid, has z = 0 and the gradient 0, and the batch continues.
 
-**Gradients** by all four are computed by :meth:`BatchDerivative.vjp`: exact if no row is both at a bound and has w = 0.
+**Gradients** by all four are computed by :meth:`ManyDerivatives.vjp`: exact if no row is both at a bound and has w = 0.
 If such a row exists, as for a ReLU at 0, they are the gradients of one of the pieces that meet there. A second
 derivative raises an error. If the block of M on the free rows is singular, they belong to the least change, as
 :class:`lcp_plugin.problems.sensitivity.Derivative` describes.

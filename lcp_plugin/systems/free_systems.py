@@ -198,6 +198,7 @@ def have_one_unit(blocks: Any) -> Any:
 
 
 REFINEMENTS = 3
+RIDGE = 1e-8  # of the residual scale, added to the diagonal of a singular block
 CONSISTENT = 1e-10  # backward error below which a singular system counts as solved
 LEAST_SQUARES_UP_TO = 500  # rows
 KRYLOV_GOAL = 1e-13  # of ‖right‖₂ that steps leave; rounding leaves as much
@@ -229,7 +230,7 @@ class FreeSystem:
     -----
     Solutions are refined as long as a step halves their backward error. Factorizations and truncations are computed on
     first use and serve all right-hand sides. A block is called singular if its factorization fails, or if terms 10¹³
-    times as large as their sum cancel in a solution. For a singular block, :meth:`solve_near` computes a
+    times as large as their sum cancel in a solution. For a singular block, :meth:`solve_near` computes a ridge or
     least-squares solution near a given point, and `pseudo_inverse` gives the solution of least norm.
 
     Examples
@@ -292,8 +293,8 @@ class FreeSystem:
     def solve_near(self, right: Vector, start: Vector) -> Vector | None:
         """Return x with the smallest residual in M_FF x_F = right_F, 0 elsewhere; None if no attempt is finite.
 
-        If the block is singular, its factorization and, for at most 500 rows, the point of least error nearest to
-        start are compared.
+        If the block is singular, a ridge is added to its diagonal and taken out again by proximal steps from
+        start. If the residual remains too large, the most accurate of all attempts is returned.
 
         Parameters
         ----------
@@ -305,6 +306,11 @@ class FreeSystem:
             steps = REFINEMENTS if self._is_badly_scaled else 1
             return self._extended(self._refined(self._factor, right, steps, self._scale))
         attempts = []
+        if self._ridge is not None:
+            attempts.append(self._refined(self._ridge, right, 12, self._scale, start))
+            size = self._sizes @ np.abs(attempts[0]) + np.abs(right)
+            if _relative(right - self.block @ attempts[0], size) <= CONSISTENT:
+                return self._extended(attempts[0])
         if self._doubtful_factor is not None:  # ill-conditioned is not singular
             attempts.append(self._refined(self._doubtful_factor, right, 1, self._scale))
         if self.rows.size <= LEAST_SQUARES_UP_TO:
@@ -383,6 +389,18 @@ class FreeSystem:
         return None if factor is None or self._cancels(factor) else factor
 
     @cached_property
+    def _doubtful_factor(self) -> Factor | None:
+        """Factorization of the block; None if a pivot is zero."""
+        return self._even_factor(self.block)
+
+    @cached_property
+    def _ridge(self) -> Factor | None:
+        """Factorization of the block with RIDGE on its diagonal."""
+        shift = RIDGE * self._scale
+        block = self.block + (sp.diags_array(shift) if sp.issparse(self.block) else np.diag(shift))
+        return self._even_factor(sp.csr_array(block) if sp.issparse(block) else block)
+
+    @cached_property
     def _scale(self) -> Vector:
         return self.matrix.residual_scale[self.rows]
 
@@ -400,10 +418,11 @@ class FreeSystem:
         """|M_FF|."""
         return abs(self.block)
 
-    @cached_property
-    def _doubtful_factor(self) -> Factor | None:
-        """Factorization of the block, equilibrated if M is badly scaled; None if a pivot is zero."""
-        block = self.block
+    def _even_factor(self, block: Any) -> Factor | None:
+        """Return the factorization of a block like M_FF, equilibrated if M is badly scaled.
+
+        Without equilibration, pivots that are large only by their unit would replace diagonal pivots and cause fill.
+        """
         is_symmetric, band = is_nearly_symmetric(self.matrix), bandwidth(self.matrix)
         by = None
         if self._is_badly_scaled:
@@ -451,24 +470,29 @@ class FreeSystem:
         )
 
     def _refined(
-        self, factor: Factor, right: Vector, steps: int, scale: Any = None, transposed: bool = False
+        self,
+        factor: Factor,
+        right: Vector,
+        steps: int,
+        scale: Any = None,
+        x: Any = None,
+        **how: bool,
     ) -> Vector:
         """Return the best x of steps x ← x + A⁻¹(right − M_FF x) from x = A⁻¹ right, as long as each halves its error.
 
         The error is the largest residual relative to `scale`, or to |M_FF||x| + |right| without a scale, 0/0 = 0.
         """
-        solve, block = factor.solve, self.block
-        if transposed:
-            solve, block = factor.solve_transposed, block.T
-        self.work += factor.solve_work
-        x: Vector = solve(right)
+        solve, block, sizes = factor.solve, self.block, self._sizes if scale is None else None
+        if how.get("transposed"):
+            solve, block, sizes = factor.solve_transposed, block.T, self._sizes.T
+        if x is None:
+            self.work += factor.solve_work
+            x = solve(right)
         entries = self.block.nnz if sp.issparse(self.block) else self.block.size
         best, error = x, np.inf
         for step in range(steps + 1):
             left = right - block @ x
-            size = scale
-            if scale is None:
-                size = (self._sizes.T if transposed else self._sizes) @ np.abs(x) + np.abs(right)
+            size = sizes @ np.abs(x) + np.abs(right) if scale is None else scale
             now = _relative(left, size)
             self.work += (2.0 if scale is None else 1.0) * entries
             best, is_halved, error = x if now < error else best, now < 0.5 * error, min(now, error)

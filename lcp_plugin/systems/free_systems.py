@@ -489,7 +489,8 @@ class FreeSystem:
             self.work += factor.solve_work
             x = solve(right)
         entries = self.block.nnz if sp.issparse(self.block) else self.block.size
-        best, error = x, np.inf
+        best: Vector = x
+        error = np.inf
         for step in range(steps + 1):
             left = right - block @ x
             size = sizes @ np.abs(x) + np.abs(right) if scale is None else scale

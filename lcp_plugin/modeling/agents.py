@@ -84,7 +84,7 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
     decisions, listed = _listed(over, cp.Expression), _listed(shared, Constraint)
     if not decisions or listed is None:
         raise UnsupportedModel(
-            "over must be a list of variables of the program, and shared, if there are any, a list of its constraints, "
+            "over must be a list of variables of the program, shared must be a list of constraints of the program, "
             f"got over={over!r}, shared={shared!r}"
         )
     known = {one.id for one in program.variables()}

@@ -23,18 +23,7 @@ from ..core.errors import UnsupportedModel
 from ..core.settings import Status
 from ..expressions.rows import Indices, Program
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
-from ._compat import (
-    CVXPY_STATUS,
-    EQUATIONS,
-    INEQUALITIES,
-    attribute_bounds,
-    by_columns,
-    dense,
-    dense_value,
-    expression_of,
-    sense_of,
-    statistics,
-)
+from . import _compat as compat
 from .agent_conditions import StandardRows, joined, value_in_domain, violated_domain, with_data
 from .constraint import Complements, complements
 from .model import Model, spans_of, warn
@@ -60,7 +49,7 @@ def stated_program(problem: Any, constraints: list[Any]) -> tuple[EquilibriumPro
     kinks: list[Complements] = []
     smooth = partial(rewritten, change=partial(_kink, kinks=kinks))
     goal = smooth(problem.objective.args[0])
-    rows = [smooth(expression_of(one)) for one in others]
+    rows = [smooth(compat.expression_of(one)) for one in others]
     model = Model([problem.objective, *constraints, *kinks], takes_integers=True)
     statement = model.statement
     whole = [np.zeros(0, dtype=np.int64)]
@@ -72,15 +61,15 @@ def stated_program(problem: Any, constraints: list[Any]) -> tuple[EquilibriumPro
         whole += [binary, first + _chosen(one, one.integer_idx)]
     statement.integers = np.concatenate(whole)
     for one, row in zip(others, rows, strict=True):
-        if not isinstance(one, (*EQUATIONS, *INEQUALITIES)):
+        if not isinstance(one, (*compat.EQUATIONS, *compat.INEQUALITIES)):
             raise UnsupportedModel(
                 f"the constraint {one} is neither an equation nor an inequality; write it as such"
             )
-        low = 0.0 if isinstance(one, (*EQUATIONS, NonNeg)) else -np.inf
+        low = 0.0 if isinstance(one, (*compat.EQUATIONS, NonNeg)) else -np.inf
         high = np.inf if isinstance(one, NonNeg) else 0.0
         statement.constrain(model.reader.rows(row), low, high, row)
     model.add_pairs([*pairs, *kinks])
-    return statement.best(model.reader.rows(goal), sense_of(problem)), model
+    return statement.best(model.reader.rows(goal), compat.sense_of(problem)), model
 
 
 def _chosen(variable: Any, chosen: Any) -> Indices:
@@ -98,7 +87,7 @@ def _kink(node: Any, kinks: list[Complements]) -> Any:
     if not isinstance(node, cp.abs) or node.is_constant():
         return node
     x, s = node.args[0], cp.Variable(node.shape)
-    s.value = None if x.value is None else np.maximum(-dense(x.value), 0.0)
+    s.value = None if x.value is None else np.maximum(-compat.dense(x.value), 0.0)
     kinks.append(complements(s >= 0, x + s >= 0))
     return x + 2 * s
 
@@ -117,14 +106,14 @@ def solve_for_the_best(
     if options["verbose"]:
         settings.LOGGER.info(result.explain())
     if result.x is None and not result.has_no_solution:  # nothing was found, and nothing is proved
-        problem._status, problem._value = CVXPY_STATUS[result.status], None
-        problem._solver_stats = SolverStats.from_dict(statistics(result), "LCP")
+        problem._status, problem._value = compat.CVXPY_STATUS[result.status], None
+        problem._solver_stats = SolverStats.from_dict(compat.statistics(result), "LCP")
         return None
     found = None
     if result.x is not None:
         slacks = np.zeros(result.x.size)
         slacks[program.first] = result.x[program.second]
-        found = result.x, slacks, float(sense_of(problem) * result.value)
+        found = result.x, slacks, float(compat.sense_of(problem) * result.value)
     model.write_back(problem, result, found)
     return problem.value
 
@@ -152,7 +141,7 @@ def possible_gain(agent: Any) -> float | None:
 
     A constraint that the present point violates may be violated by the same amount.
     """
-    smooth, sense = agent.conditions, sense_of(agent.program)
+    smooth, sense = agent.conditions, compat.sense_of(agent.program)
     values = {one.id: cp.Constant(one.value) for one in agent.program.variables()}
     change = with_data(smooth.entries, values)
     stated = {one.id: StandardRows.of(one).expression for one in agent.program.constraints}
@@ -160,15 +149,19 @@ def possible_gain(agent: Any) -> float | None:
     deciding, violation = {one.id for one, _ in agent.entries}, 0.0
     for one in smooth.standard:
         row, own = rewritten(one.expression, change), stated.get(one.origin.id)
-        excess = np.zeros(row.shape) if own is None else dense_value(value_in_domain(own, deciding))
+        excess = (
+            np.zeros(row.shape)
+            if own is None
+            else compat.dense_value(value_in_domain(own, deciding))
+        )
         excess = excess if one.is_equation else np.maximum(excess, 0.0)
         held.append(row == excess if one.is_equation else row <= excess)
         violation = float(np.maximum(violation, np.abs(excess).max(initial=0.0)))  # NaN also
     for variable, _ in agent.entries:
-        lower, upper = attribute_bounds(variable)
+        lower, upper = compat.attribute_bounds(variable)
         excess = np.maximum(lower - variable.value, variable.value - upper)
         violation = float(np.maximum(violation, excess.max(initial=0.0)))
-    own = sense * float(dense_value(value_in_domain(agent.args[0], deciding)))
+    own = sense * float(compat.dense_value(value_in_domain(agent.args[0], deciding)))
     outside = violated_domain(agent.args, deciding)
     if outside is not None or not np.isfinite(own + violation):
         reason = "is not finite" if outside is None else f"is not defined, because {outside} fails"
@@ -195,7 +188,7 @@ def _fee(agent: Any) -> tuple[Any, list[Any]]:
     spans, size = spans_of(leaves)
     at = np.zeros(size)
     for key, one in leaves.items():
-        at[spans[key]] = 0.0 if one.value is None else by_columns(one.value)
+        at[spans[key]] = 0.0 if one.value is None else compat.by_columns(one.value)
     reader = Reader(takes_integers=True)
     rows = reader.rows(gradient)
     first = {key: span.start for key, span in spans.items()}

@@ -29,20 +29,7 @@ from ..expressions.statement import SquareModel, StatedRows, Statement
 from ..problems.cones.data import Blocks, ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.nonlinear.data import NonlinearProblem
-from ._compat import (
-    CVXPY_STATUS,
-    attribute_bounds,
-    attribute_expressions,
-    bound_value,
-    by_columns,
-    dense_value,
-    entry_of,
-    name_of,
-    row_of,
-    sense_of,
-    statistics,
-    values_below,
-)
+from . import _compat as compat
 from .reading import Reader, rewritten
 
 if TYPE_CHECKING:
@@ -207,10 +194,10 @@ class Model:
         self.declared = np.full(size, -np.inf), np.full(size, np.inf)
         for variable in self.variables:
             own = self.spans[variable.id]
-            for end, bound in zip(self.declared, attribute_bounds(variable), strict=True):
+            for end, bound in zip(self.declared, compat.attribute_bounds(variable), strict=True):
                 end[own] = np.ravel(np.broadcast_to(bound, variable.shape), order="F")
             if variable.attributes.get("bounds") is not None:
-                ends = attribute_expressions(variable)
+                ends = compat.attribute_expressions(variable)
                 self.bounds.append((np.arange(size)[own], 1.0, None, *ends))
         lower, upper = (end.copy() for end in self.declared)
         first = {key: span.start for key, span in self.spans.items()}
@@ -233,7 +220,7 @@ class Model:
         for constraint in constraints:
             # Always the same expression object, so that the memo finds it again.
             rows = self.reader.rows(constraint.expr)
-            name = partial(row_of, constraint)
+            name = partial(compat.row_of, constraint)
             self.statement.constrain(rows, origin=constraint.expr, name=name)
             self._equations.append(constraint)
             for key, block in rows.blocks.items():
@@ -326,7 +313,7 @@ class Model:
         if side.kind != "value":
             stated = (side.lower, side.upper) if side.kind == "box" else (0.0, np.inf)
             self.bounds.append((columns, scale, expression, *stated))
-        name = partial(row_of, other.expression, label=getattr(pair, "label", None))
+        name = partial(compat.row_of, other.expression, label=getattr(pair, "label", None))
         rows, origin = self.read(other).rows, other.expression
         self.statement.complement(columns, rows, low, high, sign, origin, name)
         self._report(pair, side, other, columns, sign, scale, offset, expression)
@@ -482,10 +469,10 @@ class Model:
             return None
         z = np.zeros(self.statement.lower.size)
         for key, value in values.items():
-            z[self.spans[key]] = by_columns(value)
+            z[self.spans[key]] = compat.by_columns(value)
         for one in self.statement.rows:
             if one.slacks is not None:
-                z[one.slacks] = one.sign * by_columns(one.origin.value)
+                z[one.slacks] = one.sign * compat.by_columns(one.origin.value)
         return z
 
     def _define(self, values: dict[int, Any]) -> None:
@@ -511,7 +498,7 @@ class Model:
 
         def at(value: Vector) -> Vector:
             values[variable.id] = value.reshape(variable.shape, order="F")
-            return np.asarray(by_columns(with_values(one.origin, values).value) - one.low)
+            return np.asarray(compat.by_columns(with_values(one.origin, values).value) - one.low)
 
         found = np.zeros(variable.size)
         found[block.indices] = -at(found) / block.data
@@ -533,9 +520,11 @@ class Model:
         found : tuple or None
             All unknowns, their slacks and the value of the objective; None if a proof excludes solutions.
         """
-        status, attributes = CVXPY_STATUS[result.status], statistics(result)
+        status, attributes = compat.CVXPY_STATUS[result.status], compat.statistics(result)
         if found is None:
-            value = sense_of(problem) * (np.inf if status == settings.INFEASIBLE else -np.inf)
+            value = compat.sense_of(problem) * (
+                np.inf if status == settings.INFEASIBLE else -np.inf
+            )
             problem.unpack(Solution(status, value, {}, {}, attributes))
         else:
             values = self.split(found[0])
@@ -565,8 +554,8 @@ class Model:
         """
         square, stated = self.square, [*self.statement.pairs, *self.statement.rows]
         unknowns = square.elimination.expand(z)
-        below = values_below([one.origin for one in stated])
-        values = [np.ravel(dense_value(below[id(one.origin)]), order="F") for one in stated]
+        below = compat.values_below([one.origin for one in stated])
+        values = [np.ravel(compat.dense_value(below[id(one.origin)]), order="F") for one in stated]
         for k, one in enumerate(stated):
             if one.slacks is not None:
                 values[k] = values[k] - unknowns[one.slacks]
@@ -577,7 +566,7 @@ class Model:
         owner = np.searchsorted(np.cumsum([one.size for one in values]), row, side="right")
         less = " less its slack" if stated[owner].slacks is not None else ""
         return (
-            f"{name_of(stated[owner].origin)}{less} is {theirs[row]:.9g} in one entry at the values of its "
+            f"{compat.name_of(stated[owner].origin)}{less} is {theirs[row]:.9g} in one entry at the values of its "
             f"variables, and {expected:.9g} was computed"
         )
 
@@ -601,7 +590,7 @@ def _name_of(variables: list[Any], spans: dict[int, slice], column: int) -> str:
     """Return the name of an unknown: h[2]."""
     for variable in variables:
         if 0 <= (k := column - spans[variable.id].start) < variable.size:
-            return entry_of(variable, k)
+            return compat.entry_of(variable, k)
     return ""
 
 
@@ -610,7 +599,7 @@ def friction_of(side: Side) -> Vector | None:
     if side.friction is None:
         return None
     contacts = np.zeros(side.expression.size // side.rows)
-    return np.asarray(contacts + bound_value(side.friction, side))
+    return np.asarray(contacts + compat.bound_value(side.friction, side))
 
 
 def sign_of_inequality(pair: Complements, low: Vector, high: Vector) -> Vector:
@@ -652,7 +641,7 @@ def pair_residual(pair: Complements) -> Vector | None:
         values = [one.expression.value for one in (side, other)]
     if any(value is None for value in values):
         return None
-    z, w = map(by_columns, values)
+    z, w = map(compat.by_columns, values)
     if side.kind == "cone":
         blocks = ConePair(np.arange(z.size), side.rows, friction_of(side)).blocks(
             np.eye(z.size), np.zeros(z.size)

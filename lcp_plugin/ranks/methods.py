@@ -24,17 +24,9 @@ from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
 from ..core.matrix import split_rows
 from ..core.splittings import NPAOR, NPGS, NPJ, NPSOR, ProjectedType, step_unit
-from ..systems.hierarchy import kernels
+from ..systems.hierarchy import kernels, levels
 from ..systems.hierarchy.grids import Grid, Operator, Transfer, blocks_of, pivots
 from ..systems.hierarchy.kernels import prolong, restrict
-from ..systems.hierarchy.levels import (
-    COARSEST,
-    LARGEST_GRID_SHARE,
-    NOTEWORTHY_LONELY,
-    interpolation_of,
-    positive_shares,
-    strength_of,
-)
 from ..systems.hierarchy.truncation import KrylovCorrection, TruncatedGrid, Truncation
 from .halo import NOBODY, Halo
 
@@ -81,18 +73,18 @@ def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyO
     if not halo.is_empty:
         rows, ranks = halo.overlapped(rows, halo.ghosts, NOBODY)
     grid = _grid(Operator(*rows), ranks, own, scales_rows)
-    shares = positive_shares(Operator(*grid.own), grid.split)
-    strength = strength_of(halo.total(float(shares.sum())) / max(halo.n, 1))
+    shares = levels.positive_shares(Operator(*grid.own), grid.split)
+    strength = levels.strength_of(halo.total(float(shares.sum())) / max(halo.n, 1))
     grids, transfers, has_jumps = [grid], list[Transfer](), None
     entries = stored = halo.total(float(grid.own[0][-1]))
     size = halo.total(grid.n)
-    while size > COARSEST:
+    while size > levels.COARSEST:
         coarser = _coarser(grid, strength, has_jumps, scales_rows)
         if coarser is None:
             break
         transfer, below, has_jumps = coarser
         now = halo.total(float(below.own[0][-1]))
-        is_large = halo.total(below.n) > LARGEST_GRID_SHARE * size
+        is_large = halo.total(below.n) > levels.LARGEST_GRID_SHARE * size
         stored += now
         if is_large or now > LARGEST_GROWTH * entries or stored > LARGEST_COMPLEXITY * entries:
             return HierarchyOnRanks((grids[0],), ())
@@ -150,14 +142,14 @@ def _coarser(
         halo.fetch_flags(choice)
         return choice
 
-    chosen, P, lonely = interpolation_of(
+    chosen, P, lonely = levels.interpolation_of(
         (square, indices, data), n, strength, second_pass=bool(has_jumps), spread=spread
     )
     is_coarse = read_only(chosen[:n])
     below = Halo(halo.comm, int(np.count_nonzero(is_coarse)))
     if below.n == 0:
         return None
-    if has_jumps is None and halo.total(lonely) > NOTEWORTHY_LONELY * halo.n:
+    if has_jumps is None and halo.total(lonely) > levels.NOTEWORTHY_LONELY * halo.n:
         return _coarser(grid, strength, True, scales_rows)
     number = halo.whole(below.first - 1.0 + np.cumsum(is_coarse))[chosen]
     end = int(P.indptr[n])

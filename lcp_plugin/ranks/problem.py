@@ -18,14 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..core.checks import (
-    Vector,
-    canonical_csr,
-    check_kind,
-    checked_bounds,
-    checked_vector,
-    read_only,
-)
+from ..core import checks
 from ..core.errors import InvalidProblem, UnreadableFile
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows, residual_scales
@@ -65,11 +58,11 @@ class RowsOnRanks:
         self, rows: sp.csr_array, halo: Halo, q: ArrayLike, lower: ArrayLike, upper: ArrayLike
     ) -> None:
         self.rows, self.halo, self.n, self.own = rows, halo, halo.n, halo.own
-        self.q = checked_vector(q, "q", self.own)
-        self.lower, self.upper = checked_bounds(lower, upper, self.own)
-        self.diagonal = read_only(np.asarray(rows.diagonal(), np.float64))
+        self.q = checks.checked_vector(q, "q", self.own)
+        self.lower, self.upper = checks.checked_bounds(lower, upper, self.own)
+        self.diagonal = checks.read_only(np.asarray(rows.diagonal(), np.float64))
         self.residual_scale = residual_scales(self.diagonal, largest_in_rows(rows))
-        self.nearest_to_zero = read_only(np.clip(0.0, self.lower, self.upper))
+        self.nearest_to_zero = checks.read_only(np.clip(0.0, self.lower, self.upper))
 
     @classmethod
     def from_rows(
@@ -136,16 +129,16 @@ class RowsOnRanks:
             lambda: RowsOnRanks(self.rows, self.halo, q, self.lower, self.upper)
         )
 
-    def own_part(self, z: ArrayLike, name: str = "z") -> Vector:
+    def own_part(self, z: ArrayLike, name: str = "z") -> checks.Vector:
         """Return a checked vector, shape (own,); all ranks reject a wrong part of one of them."""
-        return self.halo.together(lambda: checked_vector(z, name, self.own, is_finite=False))
+        return self.halo.together(lambda: checks.checked_vector(z, name, self.own, is_finite=False))
 
-    def slack(self, z: Vector) -> Vector:
+    def slack(self, z: checks.Vector) -> checks.Vector:
         """Return the local part of w = M z + q."""
-        w: Vector = self.rows @ self.halo.whole(self.own_part(z)) + self.q
+        w: checks.Vector = self.rows @ self.halo.whole(self.own_part(z)) + self.q
         return w
 
-    def gathered(self, z: ArrayLike) -> Vector | None:
+    def gathered(self, z: ArrayLike) -> checks.Vector | None:
         """Return the parts of all ranks as one vector on rank 0, None on the others."""
         own = np.ascontiguousarray(self.own_part(z))
         whole = np.empty(self.n) if self.halo.rank == 0 else None
@@ -224,10 +217,10 @@ def _checked_rows(rows: Any) -> sp.csr_array:
         raise InvalidProblem(
             f"the own rows must be a sparse array of shape (own, n), got {type(rows).__name__}"
         )
-    check_kind(rows.dtype, "rows must hold real numbers")
+    checks.check_kind(rows.dtype, "rows must hold real numbers")
     if rows.shape[1] > WIDEST:
         raise InvalidProblem(f"M has {rows.shape[1]} columns; at most {WIDEST} are taken")
-    return canonical_csr(rows, "rows")
+    return checks.canonical_csr(rows, "rows")
 
 
 def _checked_whole(problem: Any) -> sp.csr_array:

@@ -30,19 +30,12 @@ from ...core.settings import checked_tolerance, whole_number
 from ...core.solving.result import BaseResult
 from ...proofs.bounds import constrained_curvature, norm_above
 from ...proofs.exact import quotient_above, sum_above
+from . import value_bounds
 from .criterion import QPSolution, excused_rows, least_size, worst_constraints
 from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
 from .program import QuadraticProgram
 from .program_matrices import refuse_nonconvex
 from .solving import QuadraticProgramResult, solve_program
-from .value_bounds import (
-    DualBounds,
-    FeasiblePoint,
-    implied_box,
-    objective_bounds,
-    point_inside,
-    point_near,
-)
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
 SMALL = 400  # variables and rows of a program that is solved again for a tighter bound
@@ -326,10 +319,10 @@ class ProgramProofs:
         return kept
 
     @derived_property
-    def bounds(self) -> DualBounds:
+    def bounds(self) -> value_bounds.DualBounds:
         """Data for lower bounds of the optimal value."""
         form = constrained_curvature(self.program.P, self.program.A)
-        return DualBounds(self.program, form, implied_box(self.program))
+        return value_bounds.DualBounds(self.program, form, value_bounds.implied_box(self.program))
 
     @derived_property
     def own_solution(self) -> QPSolution | None:
@@ -355,7 +348,7 @@ class ProgramProofs:
 
     def upper(
         self, *near: Vector, exactly: bool = True, by_own: bool = True
-    ) -> list[FeasiblePoint]:
+    ) -> list[value_bounds.FeasiblePoint]:
         """Return points that are proved feasible: near the given points and our solution, or else any point.
 
         If floating point proves no point and `exactly` is set, rational arithmetic searches for a point. A new solve
@@ -363,14 +356,14 @@ class ProgramProofs:
         """
         has_own = "own_solution" in self.__dict__ or (self.is_small and by_own)
         own = [self.own_solution.x] if has_own and self.own_solution is not None else []
-        found = [point_near(self.program, x) for x in (*near, *own)]
+        found = [value_bounds.point_near(self.program, x) for x in (*near, *own)]
         if exactly and not any(found):
             found = [self._inside]
         return [point for point in found if point is not None]
 
     @derived_property
-    def _inside(self) -> FeasiblePoint | None:
-        return point_inside(self.program)
+    def _inside(self) -> value_bounds.FeasiblePoint | None:
+        return value_bounds.point_inside(self.program)
 
     @derived_property
     def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
@@ -413,7 +406,7 @@ class ProgramProofs:
 
     def prove_answer(self, x: Vector, given: Vector | None, tolerance: float) -> Certification:
         """Return the verdict on a point and its multipliers of all constraints."""
-        program, value = self.program, objective_bounds(self.program, x)
+        program, value = self.program, value_bounds.objective_bounds(self.program, x)
         violation, size = Violation.of(program, x, tolerance), size_of_objective(program, x)
         lower, complaint = -math.inf, ""
         if given is not None:
@@ -446,7 +439,7 @@ class ProgramProofs:
 def size_of_objective(program: QuadraticProgram, x: Vector) -> tuple[float, float]:
     """Return doubles below and above Σ|c_j x_j| + |xᵀP x|; both are 0 if all terms are 0."""
     linear = float(np.abs(program.c * x).sum())
-    below, above = (2.0 * value for value in objective_bounds(program, x, linear=0.0))
+    below, above = (2.0 * value for value in value_bounds.objective_bounds(program, x, linear=0.0))
     curved = max(below, -above, 0.0), max(-below, above)
     return (linear + curved[0]) / OUTWARD, (linear + curved[1]) * OUTWARD
 
@@ -517,7 +510,7 @@ class ProvenBounds:
     value: tuple[float, float]
     violation: Violation
     lower: float
-    points: list[FeasiblePoint] = field(repr=False)
+    points: list[value_bounds.FeasiblePoint] = field(repr=False)
     tolerance: float
     size: tuple[float, float]
     constant: float
@@ -607,7 +600,7 @@ class ProvenBounds:
 
 
 def distance(
-    proofs: ProgramProofs, x: Vector, points: Sequence[FeasiblePoint], lower: float
+    proofs: ProgramProofs, x: Vector, points: Sequence[value_bounds.FeasiblePoint], lower: float
 ) -> float:
     """Return an upper bound of ‖x − x*‖₂; ∞ if the optimal x* is not proved to be unique.
 

@@ -25,6 +25,7 @@ from ...core.names import listed
 from ...core.representation import describe_radius
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
+from ...proofs import farkas
 from ...proofs.conflict import Conflict, find_conflict
 from ...proofs.exact import (
     ZERO,
@@ -36,16 +37,6 @@ from ...proofs.exact import (
     rounded_down,
     short,
     solved_nearby,
-)
-from ...proofs.farkas import (
-    DECISIVE,
-    FarkasCertificate,
-    FarkasProgram,
-    LinearConstraints,
-    Multipliers,
-    best_proof,
-    exact_dot,
-    linear_program,
 )
 from ...proofs.no_solution import is_at_rest, is_minimizer_beyond_radius, moved_unknowns
 from ...systems.definiteness import positive_definite_solver
@@ -91,8 +82,8 @@ class QPInfeasibility:
         )
 
     @derived_property
-    def _found(self) -> FarkasCertificate:
-        return FarkasCertificate(
+    def _found(self) -> farkas.FarkasCertificate:
+        return farkas.FarkasCertificate(
             self.program.constraints.as_rows, {i: y for i, y in enumerate(self.multipliers) if y}
         )
 
@@ -218,10 +209,12 @@ class QPUnboundedness:
         return is_at_rest(self.program.P, self.direction)
 
     @derived_property
-    def _found(self) -> FarkasCertificate:
+    def _found(self) -> farkas.FarkasCertificate:
         """Direction as a Farkas vector of P x + Gᵀy + Aᵀv + c, with the signs that bounds require, y ≥ 0."""
         conditions = stationarity(self.program, sp.csr_array(self.program.P))
-        return FarkasCertificate(conditions, {i: d for i, d in enumerate(self.direction) if d})
+        return farkas.FarkasCertificate(
+            conditions, {i: d for i, d in enumerate(self.direction) if d}
+        )
 
     @derived_property
     def is_exact(self) -> bool:
@@ -278,7 +271,7 @@ class QPUnboundedness:
         return rounded_down(
             found.size
             * denominator
-            / exact_dot(whole, np.abs(self.program.c[list(found.y)]).tolist())
+            / farkas.exact_dot(whole, np.abs(self.program.c[list(found.y)]).tolist())
         )
 
     def excludes(self, tolerance: float) -> bool:
@@ -378,7 +371,7 @@ def proof_of_no_minimum(
     folded = FoldedRows.of(program)
     row = contradictory_row(folded.reduced)
     found: QPInfeasibility | QPUnboundedness | None = row
-    if row is None or row.margin < DECISIVE:
+    if row is None or row.margin < farkas.DECISIVE:
         other = _prove_by_programs(folded.reduced, exactly)
         found = row if other is None or (row is not None and row.margin > other.margin) else other
     if found is None or folded.reduced is program:
@@ -425,7 +418,7 @@ def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasib
     """Return multipliers of all rows and bounds: multipliers of bounds cancel the residual; verify the result."""
     m, p, n, _ = program.matrices.sizes
     multipliers = [ZERO] * (m + p + 2 * n)
-    found = FarkasCertificate(program.constraints.within_bounds, y)
+    found = farkas.FarkasCertificate(program.constraints.within_bounds, y)
     for i, value in y.items():
         multipliers[i] = value
     for j, value in found.product.items():  # an infinite bound cancels nothing
@@ -459,7 +452,7 @@ def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPIn
     if not np.isfinite(constraints.unit[constraints.finite]).all():
         return None
 
-    def proven(y: Multipliers) -> QPInfeasibility | None:
+    def proven(y: farkas.Multipliers) -> QPInfeasibility | None:
         for values in (y,) if exactly else (y, balance_multipliers(program, numbers(y))):
             nonzero = {i: Fraction(value) for i, value in enumerate(values) if value}
             if (proof := with_bounds(program, nonzero)).margin > 0.0:
@@ -479,7 +472,7 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
         return None
     points: list[tuple[Fractions, ...]] = []
 
-    def proven(d: Multipliers) -> QPUnboundedness | None:
+    def proven(d: farkas.Multipliers) -> QPUnboundedness | None:
         if not points:
             points.append(points_inside(program))
         for point in reversed(points[0]):
@@ -508,18 +501,18 @@ def _within_rows(proof: QPUnboundedness) -> QPUnboundedness | None:
 
 
 def _best_proof(
-    asked: LinearConstraints,
+    asked: farkas.LinearConstraints,
     first: float | None,
-    proven: Callable[[Multipliers], T | None],
+    proven: Callable[[farkas.Multipliers], T | None],
     *,
     exactly: bool,
 ) -> T | None:
     """Return the first proof that counts at the tolerances of programs, else the proof of the largest margin."""
-    scale: FarkasProgram = FarkasProgram(asked)
+    scale: farkas.FarkasProgram = farkas.FarkasProgram(asked)
     vectors = asked.q, asked.lower, asked.upper
     q, *bounds = (np.where(np.isfinite(one), np.abs(one), 0.0) for one in vectors)
 
-    def weighed(unit: float) -> LinearConstraints:
+    def weighed(unit: float) -> farkas.LinearConstraints:
         weights = 1.0 / scale.rows + q / unit
         below, above = (
             (scale.columns + bound / unit) * (given > 0.0)
@@ -528,7 +521,7 @@ def _best_proof(
         return replace(asked, weights=weights, bound_weights=(below, above), reference=unit)
 
     units = scale.sizes if first is None else [first, *scale.sizes]
-    found: T | None = best_proof(weighed, units, proven, exactly=exactly)
+    found: T | None = farkas.best_proof(weighed, units, proven, exactly=exactly)
     return found
 
 
@@ -585,7 +578,7 @@ def _points_inside(program: QuadraticProgram, unit: Vector) -> tuple[Fractions, 
     def scaled(rows: NDArray[np.intp], inside: Any) -> Any:
         return sp.hstack([sp.diags_array(scale[rows]) @ matrix[rows], inside[:, None]])
 
-    answer = linear_program(
+    answer = farkas.linear_program(
         np.append(np.zeros(n), -1.0),
         scaled(equal, np.zeros(equal.size)),
         (scale * limit)[equal],

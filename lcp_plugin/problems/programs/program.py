@@ -11,17 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import (
-    Vector,
-    checked_bounds,
-    checked_right_side,
-    checked_vector,
-    freeze_csr,
-    is_number,
-    read_only,
-    rectangular_matrix,
-    restore_state,
-)
+from ...core import checks
 from ...core.deadline import is_over
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
@@ -90,13 +80,13 @@ class QuadraticProgram:
     """
 
     P: Any
-    c: Vector
+    c: checks.Vector
     G: Any
-    h: Vector
+    h: checks.Vector
     A: Any
-    b: Vector
-    lower: Vector
-    upper: Vector
+    b: checks.Vector
+    lower: checks.Vector
+    upper: checks.Vector
     constant: float = 0.0
     asymmetry: float = field(default=0.0)
     ranges: Any = field(default=None, repr=False)
@@ -116,14 +106,14 @@ class QuadraticProgram:
         constant: float = 0.0,
         names: Any = None,
     ) -> None:
-        vector = checked_vector(c, "c", None)
+        vector = checks.checked_vector(c, "c", None)
         n = vector.size
         if P is None or (not isinstance(P, np.ndarray) and np.isscalar(P) and P == 0):
             P, asymmetry = sp.csr_array((n, n)), 0.0
-        P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
-        rows, limits = _checked_rows(G, h, "G", "h", n, checked_right_side)
-        equations, right = _checked_rows(A, b, "A", "b", n, checked_vector)
-        below, above = checked_bounds(lower, upper, n)
+        P, asymmetry = symmetric(checks.rectangular_matrix(P, "P", n, n))
+        rows, limits = _checked_rows(G, h, "G", "h", n, checks.checked_right_side)
+        equations, right = _checked_rows(A, b, "A", "b", n, checks.checked_vector)
+        below, above = checks.checked_bounds(lower, upper, n)
         self._keep(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
         self.__dict__.update(asymmetry=asymmetry, constant=checked_constant(constant))
         self.__dict__["names"] = checked_names(names, limits.size + right.size, n)
@@ -164,11 +154,13 @@ class QuadraticProgram:
         >>> print(program)
         QuadraticProgram(n=2, 2 inequalities, 1 equality)
         """
-        vector = checked_vector(c, "c", None)
+        vector = checks.checked_vector(c, "c", None)
         n = vector.size
-        rows = sp.csr_array(rectangular_matrix(A, "A", None, n))
+        rows = sp.csr_array(checks.rectangular_matrix(A, "A", None, n))
         m = rows.shape[0]
-        low, high = checked_bounds(lower_rows, upper_rows, m, names=("lower_rows", "upper_rows"))
+        low, high = checks.checked_bounds(
+            lower_rows, upper_rows, m, names=("lower_rows", "upper_rows")
+        )
         is_equality = low == high
         above, below = (np.flatnonzero(np.isfinite(limit) & ~is_equality) for limit in (high, low))
         equal, sides = np.flatnonzero(is_equality), above.size + below.size
@@ -176,10 +168,10 @@ class QuadraticProgram:
         signs[above.size : sides] = -1.0
         both = rows[order]
         both.data *= np.repeat(signs, np.diff(both.indptr))
-        G, equations = freeze_csr(both[:sides]), freeze_csr(both[sides:])
-        bounds = checked_bounds(lower, upper, n)
-        symmetric_P, asymmetry = symmetric(rectangular_matrix(P, "P", n, n))
-        h, b = read_only(np.append(high[above], -low[below])), read_only(low[equal])
+        G, equations = checks.freeze_csr(both[:sides]), checks.freeze_csr(both[sides:])
+        bounds = checks.checked_bounds(lower, upper, n)
+        symmetric_P, asymmetry = symmetric(checks.rectangular_matrix(P, "P", n, n))
+        h, b = checks.read_only(np.append(high[above], -low[below])), checks.read_only(low[equal])
         program = cls.with_matrices(
             ProgramMatrices(symmetric_P, G, equations), vector, h, b, *bounds
         )
@@ -242,14 +234,14 @@ class QuadraticProgram:
         array([9.])
         """
         m, p, n, _ = self.matrices.sizes
-        below, above = checked_bounds(
+        below, above = checks.checked_bounds(
             self.lower if lower is None else lower, self.upper if upper is None else upper, n
         )
         made = self.with_matrices(
             self.matrices,
-            self.c if c is None else checked_vector(c, "c", n, may_be_number=n == 1),
-            self.h if h is None else checked_right_side(h, "h", m, may_be_number=m == 1),
-            self.b if b is None else checked_vector(b, "b", p, may_be_number=p == 1),
+            self.c if c is None else checks.checked_vector(c, "c", n, may_be_number=n == 1),
+            self.h if h is None else checks.checked_right_side(h, "h", m, may_be_number=m == 1),
+            self.b if b is None else checks.checked_vector(b, "b", p, may_be_number=p == 1),
             below,
             above,
         )
@@ -279,20 +271,20 @@ class QuadraticProgram:
         return words[part].format(k - starts[part])
 
     @classmethod
-    def with_matrices(cls, matrices: ProgramMatrices, *vectors: Vector) -> QuadraticProgram:
+    def with_matrices(cls, matrices: ProgramMatrices, *vectors: checks.Vector) -> QuadraticProgram:
         """Return the program of these matrices and of c, h, b, lower and upper, which are not checked."""
         made = object.__new__(cls)
         made._keep(matrices, *vectors)
         return made
 
-    def _keep(self, matrices: ProgramMatrices, *vectors: Vector) -> None:
+    def _keep(self, matrices: ProgramMatrices, *vectors: checks.Vector) -> None:
         self.__dict__.update(zip(VECTORS, vectors, strict=True))
         self.__dict__.update(P=matrices.P, G=matrices.G, A=matrices.A, matrices=matrices)
 
     @np.errstate(all="ignore")
     def objective(self, x: ArrayLike) -> float:
         """Return ½ xᵀP x + cᵀx + constant for x of shape (n,), without rounding if that is more than 1e-9 of it."""
-        point = checked_vector(x, "x", self.n)
+        point = checks.checked_vector(x, "x", self.n)
         value = float(0.5 * (point @ (self.P @ point)) + self.c @ point) + self.constant
         sizes = np.abs(point)
         terms = float(sizes @ (abs(self.P) @ sizes) + np.abs(self.c) @ sizes)
@@ -320,7 +312,7 @@ class QuadraticProgram:
         data = {one.name for one in fields(self)}
         return {name: value for name, value in self.__dict__.items() if name in data}
 
-    __setstate__ = restore_state
+    __setstate__ = checks.restore_state
 
 
 class ProgramFacts:
@@ -367,7 +359,7 @@ class ProgramFacts:
 
 def checked_constant(constant: Any) -> float:
     """Return the constant of an objective as a float; raise InvalidProblem if it is not a finite number."""
-    if not (is_number(constant) and np.isfinite(constant)):
+    if not (checks.is_number(constant) and np.isfinite(constant)):
         raise InvalidProblem(f"constant must be a finite number, got {constant!r}")
     return float(constant)
 
@@ -389,12 +381,12 @@ def _checked_rows(
     right_name: str,
     n: int,
     check: Callable[[Any, str, int], Any],
-) -> tuple[Any, Vector]:
+) -> tuple[Any, checks.Vector]:
     """Return the checked matrix and right-hand side; None for both means zero rows."""
     check_pair(matrix, right, name, right_name)
     if matrix is None:
-        return read_only(np.zeros((0, n))), read_only(np.zeros(0))
-    checked = rectangular_matrix(matrix, name, None, n)
+        return checks.read_only(np.zeros((0, n))), checks.read_only(np.zeros(0))
+    checked = checks.rectangular_matrix(matrix, name, None, n)
     return checked, check(right, right_name, checked.shape[0])
 
 
@@ -410,7 +402,7 @@ def symmetric(P: Any) -> tuple[Any, float]:
     if asymmetry == 0.0:
         return P, 0.0
     with np.errstate(all="ignore"):
-        return rectangular_matrix((P + P.T) * 0.5, "P", None, None), asymmetry
+        return checks.rectangular_matrix((P + P.T) * 0.5, "P", None, None), asymmetry
 
 
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:

@@ -419,4 +419,5 @@ def _rest(program: QuadraticProgram, x: Vector, columns: Indices) -> QuadraticPr
         own += [rows[kept][:, columns], right[kept] - rows[kept] @ x]
     lower, upper = program.lower[columns], program.upper[columns]
     c = program.c[columns] + P @ x
-    return QuadraticProgram(P[:, columns], c, *own, lower=lower, upper=upper)
+    G, h, A, b = own
+    return QuadraticProgram(P[:, columns], c, G, h, A, b, lower=lower, upper=upper)

@@ -360,7 +360,7 @@ def _repair(
     p is to push the columns whose sign is in doubt, or else all of them.
     """
     problem = enclosures.problem
-    wanted: Vector = 1.0 * np.isposinf(problem.upper) - np.isneginf(problem.lower)
+    wanted = np.isposinf(problem.upper).astype(float) - np.isneginf(problem.lower)
     wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
     sizes = (wanted * slope[0] + problem.l1) / problem.column_scales
     in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)

@@ -216,7 +216,7 @@ def _side(given: Any, which: str) -> Side:
         return Side(expression, "cone", given, rows=expression.shape[0])
     if isinstance(given, Constraint):
         raise UnsupportedModel(
-            f"the {which} side of complements is {given}; it must be an inequality, an equality, cp.SOC(t, x) or an "
+            f"the {which} side of complements is {given!r}; it must be an inequality, an equality, cp.SOC(t, x) or an "
             "expression"
         )
     return Side(_expression(given, f"the {which} side of complements"), "value")

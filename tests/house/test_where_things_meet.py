@@ -517,7 +517,7 @@ def test_batches_of_contacts_work_or_are_refused_in_words(tmp_path: Path) -> Non
     for refuse in (lambda p, _: solve(p), *(REFUSALS[way] for way in words)):
         with pytest.raises(LCPError, match=r"got FrictionalContactBatch|M must hold"):
             refuse(batch, lambda: answers)  # type: ignore[no-untyped-call]
-    with pytest.raises(LCPError, match="study needs an LCP"):
+    with pytest.raises(LCPError, match="problems must be problems, functions or names"):
         study(batch, ["lemke"])
     for way in COMMANDS[:-1]:
         found = command(way.split()[1], tmp_path / "w.npz")

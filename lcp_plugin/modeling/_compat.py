@@ -201,8 +201,9 @@ def bound_value(bound: Any, owner: Any) -> Any:
     """Return the user's bound as a float64 array; raise if it is not one."""
     is_expression = isinstance(bound, cp.Expression)
     if is_expression and (bound.variables() or bound.value is None):
+        what = "contains a variable" if bound.variables() else "has no value"
         raise UnsupportedModel(
-            f"the bound {bound} of {owner} has no value; a bound is a number, or a parameter whose value is set first"
+            f"the bound {bound} of {owner} {what}; a bound is a number, or a parameter whose value is set first"
         )
     array = np.asarray(dense(bound.value if is_expression else bound))
     if array.dtype.kind not in "fiub" or np.isnan(array).any():

@@ -83,10 +83,8 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
             )
     decisions, listed = _listed(over, cp.Expression), _listed(shared, Constraint)
     if not decisions or listed is None:
-        raise UnsupportedModel(
-            "over must be a list of variables of the program, shared must be a list of constraints of the program, "
-            f"got over={over!r}, shared={shared!r}"
-        )
+        wrong = ("over", "variables", over) if not decisions else ("shared", "constraints", shared)
+        raise UnsupportedModel("{} must be a list of {} of the program, got {!r}".format(*wrong))
     known = {one.id for one in program.variables()}
     for variable in (variable for one in decisions for variable in one.variables()):
         if variable.id not in known:

@@ -225,6 +225,10 @@ def _best(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
             f"the objective {name_of(problem.objective.args[0])} occurs with a complementarity over cones, and "
             "the best of its solutions cannot be computed; write cp.Minimize(0) for any of them"
         )
+    if options["algorithm"] != "auto":
+        raise UnsupportedModel(
+            f"algorithm={options['algorithm']!r} cannot be combined with an objective and complementarity; leave it out"
+        )
     return solve_for_the_best(problem, without_agents(problem.constraints), warm_start, options)
 
 

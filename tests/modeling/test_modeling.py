@@ -656,6 +656,12 @@ def test_parameters_of_a_box_belong_to_the_problem() -> None:
     ("act", "pattern"),
     [
         (lambda p: p.solve(method="LCP", gp=True), "gp"),
+        (
+            lambda p: cp.Problem(cp.Minimize(cp.sum(p.variables()[0])), p.constraints).solve(
+                method="LCP", algorithm="newton"
+            ),
+            "newton.*leave it out",
+        ),
         (lambda p: p.solve(method="LCP", solver="OSQP"), "solver"),
         (lambda p: LCP.from_cvxpy(3), "cvxpy problem is needed, got int"),
         (lambda p: complements(None, p.variables()[0]), "None"),

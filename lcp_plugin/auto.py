@@ -52,7 +52,7 @@ from .core.solving.result import Result, StageRecord
 from .core.solving.stage import Stage
 from .core.splittings import NPSOR, PSOR
 from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
-from .engines import Engine
+from .engines.engine import Engine
 from .methods.small import Rounds, first_candidate, is_small
 
 GUESSED = "small: a few sweeps guess the active set"

@@ -13,7 +13,7 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 
-from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
+from .engine import Engine
 
 ENGINES = {  # name: class; in the order in which `lcp-plugin list` shows them
     "daqp": "DAQP",
@@ -21,19 +21,6 @@ ENGINES = {  # name: class; in the order in which `lcp-plugin list` shows them
     "clarabel": "Clarabel",
     "highs": "HiGHS",
 }
-
-
-__all__ = [
-    "ENGINES",
-    "Engine",
-    "EngineAnswer",
-    "EngineStatus",
-    "ProgramData",
-    "SolverLimits",
-    "engine_class",
-    "installed_engine",
-    "is_installed",
-]
 
 
 @cache

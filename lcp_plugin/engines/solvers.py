@@ -161,9 +161,8 @@ class PIQP(Engine):
             fit = limits.seconds / (time.perf_counter() - begun) - 1.0
             solver.settings.max_iter = int(min(max(fit, 1.0), steps))
         code, found = int(solver.solve()), solver.result
-        if (
-            code == INVALID_SETTINGS
-        ):  # of no step, for instance: the vectors of the result are uninitialized
+        if code == INVALID_SETTINGS:
+            # Of no step, for instance: the vectors of the result are uninitialized
             x = np.clip(0.0, program.lower, program.upper)
             return EngineAnswer(x, np.zeros(m + p), 0, EngineStatus.GAVE_UP)
         says = PIQP_SAYS.get(code, EngineStatus.GAVE_UP)
@@ -212,18 +211,13 @@ class Clarabel(Engine):
         import clarabel
 
         settings = clarabel.DefaultSettings()
-        for name, value in {
-            **self.settings,
-            "verbose": limits.is_verbose,
-            "time_limit": limits.seconds,
-        }.items():
+        own = {"verbose": limits.is_verbose, "time_limit": limits.seconds}
+        for name, value in (self.settings | own).items():
             setattr(settings, name, value)
         m, p, n = program.h.size, program.b.size, program.c.size
-        below, above = (
-            np.flatnonzero(np.isfinite(program.lower)),
-            np.flatnonzero(np.isfinite(program.upper)),
-        )
-        rows, identity = np.flatnonzero(np.isfinite(program.h)), sp.eye_array(n, format="csr")
+        ends = program.lower, program.upper, program.h
+        below, above, rows = (np.flatnonzero(np.isfinite(one)) for one in ends)
+        identity = sp.eye_array(n, format="csr")
         parts = [program.A, sp.csr_array(program.G)[rows], -identity[below], identity[above]]
         right = np.concatenate(
             [program.b, program.h[rows], -program.lower[below], program.upper[above]]

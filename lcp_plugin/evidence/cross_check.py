@@ -39,7 +39,7 @@ from ..core.matrix import scale_by
 from ..core.problem_classes import refusal
 from ..core.settings import Status
 from ..core.solving.result import Result
-from ..engines import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
+from ..engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from ..methods.interior_point import MonotoneProgram, signs_of
 from ..methods.newton import classify, solve_active_set
 from ..problems.programs.program import asymmetry_of

@@ -16,7 +16,8 @@ from ..core.deadline import require_seconds, seconds_left
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, equation_signs, fact, is_nearly_symmetric, row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
-from ..engines import Engine, ProgramData, SolverLimits, installed_engine
+from ..engines import installed_engine
+from ..engines.engine import Engine, ProgramData, SolverLimits
 from ..engines.scaling import scale_program
 from ..systems.equilibration import power_of_two
 from ..systems.factors import sizes_of_factor

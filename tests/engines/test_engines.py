@@ -10,15 +10,8 @@ import scipy.sparse as sp
 from inputs.planted import planted_program
 
 from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProblem, solve
-from lcp_plugin.engines import (
-    ENGINES,
-    Engine,
-    EngineAnswer,
-    EngineStatus,
-    ProgramData,
-    SolverLimits,
-    engine_class,
-)
+from lcp_plugin.engines import ENGINES, engine_class
+from lcp_plugin.engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from lcp_plugin.problems.programs.solving import GIVEN, run_engine
 
 INF = np.inf

@@ -26,11 +26,10 @@ from ..least_squares.data import BoundedLeastSquares
 from ..programs.criterion import PROGRAM_TOLERANCE
 from ..programs.program import QuadraticProgram
 from ..programs.program_matrices import refuse_nonconvex
-from ..programs.solving import programs_for
 from .batch_run import BatchAnswers, BatchRun
 from .instances import Listed, RightSides, Stacked, Worlds
 from .on_device import DeviceAnswers, is_on_gpu
-from .program_batch import ProgramBatch
+from .program_batch import ProgramBatch, programs_for
 
 P = TypeVar("P", LCP, QuadraticProgram)
 
@@ -207,7 +206,8 @@ def solve_batch(
         given.setdefault("tolerance", PROGRAM_TOLERANCE)
         if not (isinstance(algorithm, str) and algorithm in ENGINES):
             method_of(algorithm, {})
-        programs.refuse_nonconvex()
+        if programs.shared is not None:
+            refuse_nonconvex(programs.shared)
         return BatchRun(programs, algorithm, given).run(callback, executor)
     stated = _problems_of(M, q, lower, upper, z0)
     if stated.are_lcps:

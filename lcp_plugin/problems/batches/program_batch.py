@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
@@ -12,23 +12,16 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.checks import BoolVector, assemble_csr, read_only
-from ...core.errors import LCPError
+from ...core.errors import InvalidProblem, LCPError
 from ...core.kernels.floats import EPSILON
 from ...engines import engine_class, is_installed
 from ..many import rows_of_a_batch
 from ..programs.criterion import ProgramComponents, errors_of_each
-from ..programs.program import CANCELS, QuadraticProgram
-from ..programs.program_matrices import (
-    ProgramMatrices,
-    as_array,
-    fit_units_of,
-    may_be_small,
-    refuse_nonconvex,
-)
+from ..programs.program import CANCELS, VECTORS, QuadraticProgram
+from ..programs.program_matrices import ProgramMatrices, as_array, fit_units_of, may_be_small
 from .instances import Instances, Stacks, have_values
 
 ENGINE = "daqp"
-VECTORS = ("c", "h", "b", "lower", "upper")
 PROXIMAL = {"eta_prox": 1e-13, "eps_prox": -1e-3}  # for singular P, because no polish follows
 BLOCKS_A_THREAD = 4
 ROUNDING = 4.0 * EPSILON  # of eigenvalues, relative to the largest and per unknown
@@ -157,14 +150,6 @@ class ProgramBatch(Instances):
         is_stated = is_finite & (h > -np.inf).all(axis=1) & have_values(lower, upper)
         return np.broadcast_to(is_stated, self.count)
 
-    def refuse_nonconvex(self) -> None:
-        """Raise if one P for all is not convex.
-
-        As :func:`~lcp_plugin.problems.programs.program_matrices.refuse_nonconvex`.
-        """
-        if self.shared is not None:
-            refuse_nonconvex(self.shared)
-
     def __len__(self) -> int:
         return self.count
 
@@ -214,6 +199,33 @@ class ProgramBatch(Instances):
         for i in np.flatnonzero(x.shape[1] * EPSILON * terms > CANCELS * np.abs(values)).tolist():
             values[i] = self[i].objective(x[i])  # where terms cancel
         return values
+
+
+def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgram | LCPError]:
+    """Return the program with each of many vectors, or what is wrong with these.
+
+    Raises
+    ------
+    InvalidProblem
+        If it is not a sequence of mappings from the names of vectors.
+    """
+    if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
+        raise InvalidProblem(
+            f'a program takes an array of c, shape (B, n), or a list of mappings, as [{{"b": b}}], '
+            f"got {type(vectors).__name__}"
+        )
+    programs: list[QuadraticProgram | LCPError] = []
+    for k, one in enumerate(vectors):
+        unknown = set(one) - {*VECTORS} if isinstance(one, Mapping) else {type(one).__name__}
+        if unknown:
+            raise InvalidProblem(
+                f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {min(unknown)!r}"
+            )
+        try:
+            programs.append(program.with_vectors(**one))
+        except LCPError as error:
+            programs.append(error)
+    return programs
 
 
 def solve_programs(

@@ -40,16 +40,7 @@ from ...core.checks import BoolVector, Vector, derived_property
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.rounding import compensated_product
-from .data import (
-    NOTHING,
-    OUTWARD,
-    Ball,
-    BoundedLeastSquares,
-    Enclosures,
-    clip,
-    shortest_solution,
-    times,
-)
+from .data import NOTHING, OUTWARD, Ball, BoundedLeastSquares, Enclosures, clip, shortest_solution
 from .engines import is_within_reach
 
 REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
@@ -210,7 +201,7 @@ def measure_stack(
     y, slope = residual[0], enclosures.gradient_at(x, residual[0])
     value = _gap_of_cost(problem, x, residual, y, slope)
     if not (value <= tolerance).all():
-        y = y + times(problem.A, newton_step(slope[0]))
+        y = y + newton_step(slope[0]) @ problem.A.T
         more = _gap_of_cost(problem, x, residual, y, enclosures.gradient_at(x, y))
         value = np.where(more < value, more, value)
     cost = problem.cost(x, residual[0])

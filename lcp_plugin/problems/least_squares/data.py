@@ -13,18 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import (
-    BoolVector,
-    Vector,
-    check_kind,
-    checked_bound,
-    checked_bounds,
-    checked_vector,
-    is_number,
-    read_only,
-    rectangular_matrix,
-    vector_option,
-)
+from ...core import checks
+from ...core.checks import BoolVector, Vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.matrix import Matrix
@@ -98,21 +88,21 @@ class BoundedLeastSquares:
             need += (
                 " (for many right-hand sides: solve_batch(BoundedLeastSquares(A, b[:, 0]), b.T))"
             )
-        self.b = checked_vector(b, "b", m, need=need)
-        self.lower, self.upper = checked_bounds(lower, upper, n)
-        self.weights = None if weights is None else checked_vector(weights, "weights", m)
+        self.b = checks.checked_vector(b, "b", m, need=need)
+        self.lower, self.upper = checks.checked_bounds(lower, upper, n)
+        self.weights = None if weights is None else checks.checked_vector(weights, "weights", m)
         if self.weights is not None and (self.weights < 0.0).any():
             i = int(np.flatnonzero(self.weights < 0.0)[0])
             raise InvalidProblem(
                 f"weights must be ≥ 0, but weights[{i}] = {self.weights[i]}; 0 leaves a row out"
             )
-        if not is_number(ridge) or not 0.0 <= ridge < np.inf:
+        if not checks.is_number(ridge) or not 0.0 <= ridge < np.inf:
             raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
         self.ridge = float(ridge)
         if self.has_entries:
             self._check_range("A", self.A.data if self.is_sparse else self.A, "A and b")
             self._check_range("b", self.b, "A and b")
-        self.l1 = read_only(np.zeros(n)) if is_number(l1) and l1 == 0.0 else _checked_penalty(l1, n)
+        self.l1 = _checked_penalty(l1, n)
 
     def __repr__(self) -> str:
         kind = "dense" if self.is_dense else "sparse" if self.is_sparse else "an operator"
@@ -165,10 +155,10 @@ class BoundedLeastSquares:
         array([1., 2.])
         """
         m, n = self.shape
-        b = self.b if b is None else checked_vector(b, "b", m)
+        b = self.b if b is None else checks.checked_vector(b, "b", m)
         if self.has_entries:
             self._check_range("b", b, "b, lower and upper")
-        bounds = checked_bounds(
+        bounds = checks.checked_bounds(
             self.lower if lower is None else lower, self.upper if upper is None else upper, n
         )
         return self.stack(b, *bounds, self.l1 if l1 is None else _checked_penalty(l1, n))
@@ -206,7 +196,7 @@ class BoundedLeastSquares:
 
     def checked_start(self, x0: ArrayLike) -> Vector:
         """Return the start within the bounds, shape (n,); raise InvalidOption if x0 is not a finite vector."""
-        start = vector_option(x0, "x0", self.shape[1], may_be_number=True)
+        start = checks.vector_option(x0, "x0", self.shape[1], may_be_number=True)
         return np.clip(start, self.lower, self.upper)
 
     def product(self, x: Vector) -> Vector:
@@ -376,7 +366,7 @@ class ScaledLeastSquares:
 
 
 def _checked_penalty(l1: ArrayLike, n: int) -> Vector:
-    penalty = checked_bound(l1, "l1", n)
+    penalty = checks.checked_bound(l1, "l1", n)
     is_one = (penalty >= 0.0) & (penalty < np.inf)
     if not is_one.all():
         j = int(np.argmin(is_one))
@@ -389,7 +379,7 @@ def _checked_penalty(l1: ArrayLike, n: int) -> Vector:
 def _checked(A: Any) -> tuple[Any, bool]:
     if not sp.issparse(A) and hasattr(A, "matvec") and hasattr(A, "shape"):
         return _checked_operator(A), False
-    matrix = rectangular_matrix(A, "A", None, None, is_copied=False)
+    matrix = checks.rectangular_matrix(A, "A", None, None, is_copied=False)
     is_by_columns = isinstance(matrix, np.ndarray) and not matrix.flags.c_contiguous
     is_kept = not is_by_columns or (matrix.flags.f_contiguous and matrix.size > MAX_DENSE_ENTRIES)
     return matrix if is_kept else read_only(np.array(matrix, order="C")), True
@@ -401,7 +391,7 @@ def _checked_operator(A: Any) -> Any:
     need = "A must be a real matrix of shape (m, n), an array, a sparse array or a LinearOperator"
     operator = aslinearoperator(A)
     if operator.dtype is not None:
-        check_kind(np.dtype(operator.dtype), need)
+        checks.check_kind(np.dtype(operator.dtype), need)
     try:
         zeros = operator.rmatvec(np.zeros(operator.shape[0]))
     except NotImplementedError as error:

@@ -37,7 +37,8 @@ from ...core.checks import BoolVector, Vector
 from ...core.deadline import seconds_left
 from ...core.kernels.floats import EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
-from ...engines import EngineAnswer, ProgramData, SolverLimits, installed_engine
+from ...engines import installed_engine
+from ...engines.engine import EngineAnswer, ProgramData, SolverLimits
 from ...engines.polish import polish_steps
 from .data import BoundedLeastSquares, ScaledLeastSquares, clip, shortest_solution
 

@@ -23,25 +23,16 @@ from ...core.solving.result import BaseResult
 from ...core.solving.run import STATUS_OF, Callback, Run
 from ...core.solving.stage import FAILED, Named, Stage, TerminationReason
 from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
+from . import engines
 from .certificate import Optimality, duality_gap, measure_stack
 from .data import BoundedLeastSquares, Enclosures, clip, times
-from .engines import (
-    FacePoint,
-    engine_points,
-    is_for_nnls,
-    is_within_reach,
-    nnls_point,
-    projected_steps,
-)
 
 START = "start"  # instead of a method, if the start is optimal
 NARROWER = 0.05  # the steepness at which a point is certified next ÷ the last such steepness
-PATIENCE = (
-    0.05  # projected steps before PIQP on a large dense A ÷ its smaller dimension: as long as PIQP
-)
-LASSO_COLUMNS = (
-    400  # or rows, whichever are fewer: a penalty leaves few columns free, which steps may find
-)
+# Projected steps before PIQP on a large dense A ÷ its smaller dimension: as long as PIQP
+PATIENCE = 0.05
+# Columns or rows, whichever are fewer: a penalty leaves few columns free, which steps may find
+LASSO_COLUMNS = 400
 SPARSE_PATIENCE = 300  # the same on a large sparse A
 WINDOW = 200  # steps, or half of all earlier steps: a run ends if its steepness falls by less than 1 % in a window
 
@@ -205,9 +196,9 @@ class LeastSquaresRun(Run):
     def plan(self) -> Iterator[Stage]:
         """Yield nnls for plain data; for a large A projected steps that cost about as much as PIQP; then engines."""
         problem, most = self.problem, self.settings.max_iterations
-        if self.start is None and is_for_nnls(problem):
+        if self.start is None and engines.is_for_nnls(problem):
             yield Stage(Named("nnls"), "one bound per column", steps=self._nnls_step())
-        is_at_rest = not FacePoint(problem.scaled, self.nearest).natural_residual.any()
+        is_at_rest = not engines.FacePoint(problem.scaled, self.nearest).natural_residual.any()
         if self.start is not None or is_at_rest:
             yield Stage(Named(START), steps=[Step(self.nearest, work=0.0, iterations=0)])
         few = SPARSE_PATIENCE if problem.is_sparse else math.ceil(PATIENCE * min(problem.shape))
@@ -216,18 +207,18 @@ class LeastSquaresRun(Run):
             yield self._projected(few if problem.has_entries else most)
         if not problem.has_entries:
             return
-        if is_within_reach(problem.scaled):
-            points = engine_points(problem.scaled)
+        if engines.is_within_reach(problem.scaled):
+            points = engines.engine_points(problem.scaled)
             steps = (Step(x, label=name, iterations=1) for name, x in points)
             yield Stage(Named("external solvers"), "A is factorized", steps=steps)
         else:
             yield self._projected(most)
 
     def _nnls_step(self) -> Iterator[Step]:
-        found = self.certify(nnls_point(self.problem))
+        found = self.certify(engines.nnls_point(self.problem))
         yield Step(found.x, iterations=1, measured=found)
 
-    def _size_at(self, point: FacePoint) -> float:
+    def _size_at(self, point: engines.FacePoint) -> float:
         """Return the measure of a projected step, relative to the gradient of the data."""
         size = point.size_of_residual * point.problem.size
         return size / self.enclosures.reference if size > 0.0 else 0.0
@@ -235,7 +226,7 @@ class LeastSquaresRun(Run):
     def residual_of(self, step: Step) -> float | None:
         """Return the measure of a step for a sample."""
         is_start = step.residual == math.inf
-        point = FacePoint(self.problem.scaled, self.nearest) if is_start else None
+        point = engines.FacePoint(self.problem.scaled, self.nearest) if is_start else None
         return super().residual_of(step) if point is None else self._size_at(point)
 
     def _projected(self, most: int) -> Stage:
@@ -246,7 +237,8 @@ class LeastSquaresRun(Run):
         """Yield projected steps while their measure falls, then the point closest to optimality."""
         since, before = 0, math.inf
         smallest = math.inf
-        for k, point in enumerate(projected_steps(FacePoint(self.problem.scaled, self.nearest))):
+        start = engines.FacePoint(self.problem.scaled, self.nearest)
+        for k, point in enumerate(engines.projected_steps(start)):
             size = self._size_at(point)
             if not smallest <= size:
                 self.nearest, smallest = point.x, size
@@ -389,9 +381,8 @@ class LeastSquaresResult(BaseResult):
         return f"optimality {self.optimality:.1e}, tolerance {self.tolerance:g}; cost {self.cost:.9g}{above}"
 
 
-RESIDUALS = (
-    2**15
-)  # entries of the vectors of a stack: allocating larger arrays costs more than the sums
+# Entries of the vectors of a stack: allocating larger arrays costs more than the sums
+RESIDUALS = 2**15
 
 
 def suits_stack(problem: BoundedLeastSquares) -> bool:

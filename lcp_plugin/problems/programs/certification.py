@@ -32,7 +32,7 @@ from ...proofs.bounds import constrained_curvature, norm_above
 from ...proofs.exact import quotient_above, sum_above
 from . import value_bounds
 from .criterion import QPSolution, excused_rows, least_size, worst_constraints
-from .no_minimum import QPInfeasibility, QPUnboundedness, proof_of_no_minimum
+from .no_minimum import NoMinimum, QPInfeasibility, proof_of_no_minimum
 from .program import QuadraticProgram
 from .program_matrices import refuse_nonconvex
 from .solving import QuadraticProgramResult, solve_program
@@ -366,7 +366,7 @@ class ProgramProofs:
         return value_bounds.point_inside(self.program)
 
     @derived_property
-    def no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
+    def no_minimum(self) -> NoMinimum | None:
         """An exact proof that the program is infeasible or unbounded; None if no proof was found."""
         proof = self.program.facts.proof_of_no_minimum
         if proof is not None and not proof.is_exact:  # a solve may cache an inexact proof

@@ -311,6 +311,9 @@ class QPUnboundedness:
         return f"unbounded below along {along} ({how})"
 
 
+NoMinimum = QPInfeasibility | QPUnboundedness
+
+
 def _describe_check(radius: float, what: str) -> str:
     """Return the points for which a proof was checked, as text."""
     points = describe_radius(radius, what)
@@ -335,9 +338,7 @@ def numbers(fractions: Any) -> Vector:
 
 
 @np.errstate(all="ignore")
-def proof_of_no_minimum(
-    program: QuadraticProgram, *, exactly: bool = False
-) -> QPInfeasibility | QPUnboundedness | None:
+def proof_of_no_minimum(program: QuadraticProgram, *, exactly: bool = False) -> NoMinimum | None:
     """Return a proof that the convex program is infeasible or unbounded; None if no proof was found.
 
     Parameters
@@ -370,7 +371,7 @@ def proof_of_no_minimum(
     """
     folded = FoldedRows.of(program)
     row = contradictory_row(folded.reduced)
-    found: QPInfeasibility | QPUnboundedness | None = row
+    found: NoMinimum | None = row
     if row is None or row.margin < farkas.DECISIVE:
         other = _prove_by_programs(folded.reduced, exactly)
         found = row if other is None or (row is not None and row.margin > other.margin) else other
@@ -389,9 +390,7 @@ def proof_of_contradiction(program: QuadraticProgram) -> QPInfeasibility | None:
     return found  # type: ignore[no-any-return]
 
 
-def _prove_by_programs(
-    program: QuadraticProgram, exactly: bool
-) -> QPInfeasibility | QPUnboundedness | None:
+def _prove_by_programs(program: QuadraticProgram, exactly: bool) -> NoMinimum | None:
     """Return a proof that linear programs find."""
     if not _is_sought(program) or is_over():
         return None

@@ -19,12 +19,7 @@ from ...core.matrix import largest_in_rows, mismatch
 from ...core.names import Names, checked_names
 from ...core.rounding import compensated_pair, compensated_product
 from .criterion import PROGRAM_TOLERANCE
-from .no_minimum import (
-    QPInfeasibility,
-    QPUnboundedness,
-    proof_of_contradiction,
-    proof_of_no_minimum,
-)
+from .no_minimum import NoMinimum, QPInfeasibility, proof_of_contradiction, proof_of_no_minimum
 from .program_matrices import Constraints, FoldedRows, ProgramMatrices
 
 VECTORS = "c", "h", "b", "lower", "upper"
@@ -327,7 +322,7 @@ class ProgramFacts:
         self.program = program
 
     @property
-    def proof_of_no_minimum(self) -> QPInfeasibility | QPUnboundedness | None:
+    def proof_of_no_minimum(self) -> NoMinimum | None:
         """A proof that the convex program is infeasible or unbounded; searched for once, None if none was found.
 
         The proof holds for the stored data in double precision, by any margin. `margin` is the size of this margin, and
@@ -340,9 +335,7 @@ class ProgramFacts:
             self.__dict__["_proof"] = found
         return self.__dict__["_proof"]  # type: ignore[no-any-return]
 
-    def accepted_proof(
-        self, tolerance: float = PROGRAM_TOLERANCE
-    ) -> QPInfeasibility | QPUnboundedness | None:
+    def accepted_proof(self, tolerance: float = PROGRAM_TOLERANCE) -> NoMinimum | None:
         """Return the proof that no x is a solution at this tolerance, or None.
 
         An exact proof of unboundedness counts if it excludes all solutions within a thousandth of the tolerance.
@@ -364,16 +357,6 @@ def checked_constant(constant: Any) -> float:
     return float(constant)
 
 
-def check_pair(matrix: Any, right: Any, name: str, right_name: str) -> None:
-    """Raise InvalidProblem if a matrix has no right-hand side, or a right-hand side no matrix."""
-    if (matrix is None) != (right is None):
-        given, missing = (name, right_name) if right is None else (right_name, name)
-        sign = "≤" if name == "G" else "="
-        raise InvalidProblem(
-            f"{name} and {right_name} belong together, got {given} without {missing}: {name} x {sign} {right_name}"
-        )
-
-
 def _checked_rows(
     matrix: Any,
     right: ArrayLike | None,
@@ -383,7 +366,12 @@ def _checked_rows(
     check: Callable[[Any, str, int], Any],
 ) -> tuple[Any, checks.Vector]:
     """Return the checked matrix and right-hand side; None for both means zero rows."""
-    check_pair(matrix, right, name, right_name)
+    if (matrix is None) != (right is None):
+        given, missing = (name, right_name) if right is None else (right_name, name)
+        sign = "≤" if name == "G" else "="
+        raise InvalidProblem(
+            f"{name} and {right_name} belong together, got {given} without {missing}: {name} x {sign} {right_name}"
+        )
     if matrix is None:
         return checks.read_only(np.zeros((0, n))), checks.read_only(np.zeros(0))
     checked = checks.rectangular_matrix(matrix, name, None, n)

@@ -31,15 +31,14 @@ from ...systems.definiteness import factorised, is_semidefinite_to_rounding, sca
 from .criterion import BLUR, ProgramComponents
 
 if TYPE_CHECKING:
-    from .no_minimum import QPInfeasibility, QPUnboundedness
+    from .no_minimum import NoMinimum
     from .program import QuadraticProgram
 
 Indices = NDArray[np.intp]
 SINGULAR = 1e-6  # the fit of units has null spaces: 2ᵗ of unknowns, 2⁻ᵗ of rows
 FIT_TO = 1e-3
-FULL_UP_TO = (
-    3000  # unknowns and rows of a program that dense arithmetic takes in place of sparse matrices
-)
+# Unknowns and rows of a program that dense arithmetic takes in place of sparse matrices
+FULL_UP_TO = 3000
 
 
 @dataclass(frozen=True, eq=False)
@@ -634,9 +633,7 @@ class FoldedRows:
             own.append(np.where(owner == OWN, share, 0))
         return np.concatenate([every, *own])
 
-    def proof(
-        self, found: QPInfeasibility | QPUnboundedness | None
-    ) -> QPInfeasibility | QPUnboundedness | None:
+    def proof(self, found: NoMinimum | None) -> NoMinimum | None:
         """Return the proof for the original program; None if the proof does not hold there.
 
         A limit over a coefficient is rounded, and no number of the program.

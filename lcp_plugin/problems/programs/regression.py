@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 NOISE = 2.0**-40  # of b: residuals that are all rounding errors
-SMALLEST_PENALTY = (
-    1e-6  # of AᵀWb: below it residuals, hence multipliers, are differences of rounded numbers
-)
+# Of AᵀWb: below it residuals, hence multipliers, are differences of rounded numbers
+SMALLEST_PENALTY = 1e-6
 Outward = Callable[[Vector], tuple[Vector, Vector]]
 
 

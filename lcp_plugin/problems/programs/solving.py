@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain, islice, product
 from types import MappingProxyType
@@ -20,43 +20,21 @@ from ...core.algorithm import Step
 from ...core.certificates.worst import WorstRows
 from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
-from ...core.errors import (
-    InvalidOption,
-    InvalidProblem,
-    LCPError,
-    UnsuitableMatrix,
-    UnsuitableProblem,
-    UnsupportedModel,
-)
+from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ...core.representation import describe_radius, three_digits_below
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
 from ...core.solving.progress import Progress, say
 from ...core.solving.result import NEXT, BaseResult, Sample
 from ...core.solving.run import Run
 from ...core.solving.stage import Named, Stage, TerminationReason
-from ...engines import (
-    ENGINES,
-    Engine,
-    EngineAnswer,
-    EngineStatus,
-    ProgramData,
-    SolverLimits,
-    engine_class,
-    installed_engine,
-    is_installed,
-)
+from ...engines import ENGINES, engine_class, installed_engine, is_installed, scaling
+from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from ...engines.polish import ROUNDS, polish_steps
-from ...engines.scaling import (
-    ScaledProgram,
-    with_sides_about_one,
-    without_far_limits,
-    without_forbidden,
-)
 from ...methods.interior_point import InteriorPoint
 from .conversion import optimality_conditions
 from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors, QPSolution, worst_constraints
-from .no_minimum import QPInfeasibility, QPUnboundedness, numbers
-from .program import VECTORS, QuadraticProgram
+from .no_minimum import NoMinimum, QPUnboundedness, numbers
+from .program import QuadraticProgram
 from .program_matrices import refuse_nonconvex
 from .regression import Outward, regression_of, solutions
 
@@ -237,20 +215,20 @@ def _without_noise(values: Vector) -> tuple[Vector, ...]:
     return (clean, np.zeros_like(values)) if largest <= TINY else (clean,)
 
 
-def _statements(reduced: QuadraticProgram, units: str) -> Iterator[ScaledProgram]:
+def _statements(reduced: QuadraticProgram, units: str) -> Iterator[scaling.ScaledProgram]:
     """Yield the program as scaled for an attempt; if it is scaled, first without very large right-hand sides."""
     (P, G, A), one = reduced.matrices.arrays, reduced
     given = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
-    allowed = without_forbidden(given)
+    allowed = scaling.without_forbidden(given)
     for data in (given,) if allowed is given else (allowed, given):
         if units is GIVEN:
-            yield ScaledProgram(data, np.ones(1), np.ones(1), 1.0).with_modest_costs()
+            yield scaling.ScaledProgram(data, np.ones(1), np.ones(1), 1.0).with_modest_costs()
             continue
         scales = one.matrices.engine_units if units is FITTED else one.matrices.largest_units
-        fitted = ScaledProgram.from_units(data, *scales).with_modest_costs()
-        near = without_far_limits(fitted.statement)
+        fitted = scaling.ScaledProgram.from_units(data, *scales).with_modest_costs()
+        near = scaling.without_far_limits(fitted.statement)
         every = (fitted,) if near is fitted.statement else (fitted._replace(statement=near), fitted)
-        yield from every if units is FITTED else map(with_sides_about_one, every)
+        yield from every if units is FITTED else map(scaling.with_sides_about_one, every)
 
 
 def _check_options(engine: Engine) -> None:
@@ -312,8 +290,8 @@ class QuadraticProgramResult(BaseResult):
     _advice = ADVICE
 
     solution: QPSolution
-    proof: QPInfeasibility | QPUnboundedness | None = None
-    doubtful: QPInfeasibility | QPUnboundedness | None = None
+    proof: NoMinimum | None = None
+    doubtful: NoMinimum | None = None
 
     @property
     def program(self) -> QuadraticProgram:
@@ -507,7 +485,7 @@ class ProgramRun(Run):
     ) -> None:
         super().__init__(ProgramProgress(program, settings, callback, clock))
         self.program, self.name, self.wishes, self.start = program, name, wishes, start
-        self.doubtful: QPInfeasibility | QPUnboundedness | None = None
+        self.doubtful: NoMinimum | None = None
 
     # --- The plan ----------------------------------------------------------------------------------------------------
 
@@ -710,30 +688,3 @@ class ProgramRun(Run):
             by = f"auto: {best.name.removeprefix('auto: ')}"
         fields = {**self.common_fields(status), "iterations": best.iterations, "algorithm": by}
         return QuadraticProgramResult(solution, self.proof, doubtful=self.doubtful, **fields)
-
-
-def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgram | LCPError]:
-    """Return the program with each of many vectors, or what is wrong with these.
-
-    Raises
-    ------
-    InvalidProblem
-        If it is not a sequence of mappings from the names of vectors.
-    """
-    if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
-        raise InvalidProblem(
-            f'a program takes an array of c, shape (B, n), or a list of mappings, as [{{"b": b}}], '
-            f"got {type(vectors).__name__}"
-        )
-    programs: list[QuadraticProgram | LCPError] = []
-    for k, one in enumerate(vectors):
-        unknown = set(one) - {*VECTORS} if isinstance(one, Mapping) else {type(one).__name__}
-        if unknown:
-            raise InvalidProblem(
-                f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {min(unknown)!r}"
-            )
-        try:
-            programs.append(program.with_vectors(**one))
-        except LCPError as error:
-            programs.append(error)
-    return programs

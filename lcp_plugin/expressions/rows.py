@@ -24,6 +24,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import Vector
+from ..core.matrix import row_numbers
 from . import functions
 from .functions import Function
 
@@ -68,20 +69,13 @@ class Rows:
     @property
     def terms(self) -> int:
         """The number of entries of the blocks."""
-        return sum(
-            self.size if isinstance(block, float) else block.nnz for block in self.blocks.values()
-        )
+        return sum(getattr(block, "nnz", self.size) for block in self.blocks.values())
 
     @property
     def is_source(self) -> bool:
         """True if the rows are exactly the entries of one source."""
-        blocks = list(self.blocks.values())
-        return (
-            len(blocks) == 1
-            and isinstance(blocks[0], float)
-            and blocks[0] == 1.0
-            and not self.offset.any()
-        )
+        are_ones = [isinstance(one, float) and one == 1.0 for one in self.blocks.values()]
+        return are_ones == [True] and not self.offset.any()
 
     def taken(self, numbers: Indices, shape: tuple[int, ...] | None = None) -> Rows:
         """Return the rows with these numbers, −1 for one that is zero, as an array of that shape."""
@@ -103,16 +97,9 @@ class Rows:
 
     def scaled(self, factor: Any, operation: np.ufunc = np.multiply) -> Rows:
         """Return the rows times, or divided by, a number or one number per row."""
-        if np.ndim(factor) == 0:
-            if factor == 1.0:
-                return self
-            blocks = {key: _changed(block, operation, factor) for key, block in self.blocks.items()}
-        else:
-            matrices = {key: as_matrix(block, self.size) for key, block in self.blocks.items()}
-            blocks = {
-                key: _changed(matrix, operation, np.repeat(factor, np.diff(matrix.indptr)))
-                for key, matrix in matrices.items()
-            }
+        if np.ndim(factor) == 0 and factor == 1.0:
+            return self
+        blocks = {key: _changed(block, operation, factor) for key, block in self.blocks.items()}
         return replace(self, blocks=blocks, offset=operation(self.offset, factor))
 
     def applied(self, operator: sp.csr_array, shape: tuple[int, ...]) -> Rows:
@@ -172,17 +159,12 @@ def stacked(parts: Sequence[Rows]) -> Rows:
 
 def _placed(parts: list[tuple[sp.csr_array, int, int]], shape: tuple[int, int]) -> sp.csr_array:
     """Return the sum of matrices, each with its first row and column in the sum."""
-    data, rows, columns = (
-        [np.zeros(0)],
-        [np.zeros(0, dtype=np.int64)],
-        [np.zeros(0, dtype=np.int64)],
-    )
-    for matrix, row, column in parts:
-        data.append(matrix.data)
-        rows.append(row + np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr)))
-        columns.append(column + matrix.indices)
-    places = np.concatenate(rows), np.concatenate(columns)
-    return sp.csr_array(sp.coo_array((np.concatenate(data), places), shape=shape))
+    entries = [
+        (one.data, row + row_numbers(one), column + one.indices) for one, row, column in parts
+    ]
+    nothing = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    data, rows, columns = map(np.concatenate, zip(nothing, *entries, strict=True))
+    return sp.csr_array(sp.coo_array((data, (rows, columns)), shape=shape))
 
 
 def assembled(
@@ -249,11 +231,13 @@ def _total(terms: list[Block], size: int) -> Block:
 
 def _changed(block: Block, operation: np.ufunc, factor: Any) -> Block:
     """Return the block with changed numbers; both blocks share their indices."""
-    if isinstance(block, float):
+    is_number = np.ndim(factor) == 0
+    if is_number and isinstance(block, float):
         return float(operation(block, factor))
-    return sp.csr_array(
-        (operation(block.data, factor), block.indices, block.indptr), shape=block.shape
-    )
+    matrix = as_matrix(block, np.size(factor))
+    each = factor if is_number else np.repeat(factor, np.diff(matrix.indptr))
+    entries = operation(matrix.data, each), matrix.indices, matrix.indptr
+    return sp.csr_array(entries, shape=matrix.shape)
 
 
 def _rows_of(block: Block, numbers: Indices, is_taken: NDArray[np.bool_], size: int) -> Block:
@@ -281,13 +265,9 @@ class Compiler:
 
     def emit(self, function: Function, *arguments: Rows) -> Rows:
         """Return a function of the arguments, row by row."""
-        first, level, key = (
-            arguments[0],
-            1 + max(rows.level for rows in arguments),
-            -1 - len(self.groups),
-        )
+        level, key = 1 + max(rows.level for rows in arguments), -1 - len(self.groups)
         self.groups.append((level, function, arguments, key))
-        return Rows({key: 1.0}, np.zeros(first.size), first.shape, level)
+        return Rows({key: 1.0}, np.zeros(arguments[0].size), arguments[0].shape, level)
 
     def elementwise(
         self, function: Function, left: Any, right: Any, shape: tuple[int, ...]
@@ -544,8 +524,6 @@ def _weighted(
     arguments: Sequence[Combination], slopes: Sequence[Vector], size: int, width: int
 ) -> sp.csr_array:
     """Return Σ slope · matrix over the arguments, their first columns; 0 times an infinite slope is NaN."""
-    parts = []
-    for argument, slope in zip(arguments, slopes, strict=True):
-        each = np.repeat(slope, np.diff(argument.matrix.indptr))
-        parts.append((_changed(argument.matrix, np.multiply, each), 0, 0))
+    both = zip(arguments, slopes, strict=True)
+    parts = [(_changed(one.matrix, np.multiply, slope), 0, 0) for one, slope in both]
     return _placed(parts, (size, width))

@@ -23,7 +23,7 @@ from ..core.certificates.criterion import row_data
 from ..core.checks import BoolVector, Vector
 from ..core.errors import NotSquare, UnsupportedModel
 from ..core.lcp import LCP
-from ..core.matrix import equation_signs, largest_in_rows
+from ..core.matrix import equation_signs, largest_in_rows, row_numbers
 from ..core.names import Names
 from ..core.representation import format_count
 from ..core.settings import Status
@@ -162,19 +162,15 @@ def _pivots(
     """Return rows of one constraint and the unknown that each defines, of the variable with most unknowns."""
     part = sp.csr_array(equations[rows])
     part.eliminate_zeros()
-    place = np.repeat(np.arange(rows.size), np.diff(part.indptr))
+    place = row_numbers(part).astype(np.int64)
     largest = largest_in_rows(part)
     variables = variable_of[part.indices]
     _, pair, count = np.unique(
         place * (variable_of.max() + 1) + variables, return_inverse=True, return_counts=True
     )
     times = np.bincount(part.indices, minlength=is_open.size)
-    fits = (
-        is_open[part.indices]
-        & (times[part.indices] == 1)
-        & (np.abs(part.data) >= SMALLEST_PIVOT * largest[place])
-    )
-    fits &= count[pair] == 1
+    fits = is_open[part.indices] & (times[part.indices] == 1) & (count[pair] == 1)
+    fits &= np.abs(part.data) >= SMALLEST_PIVOT * largest[place]
     if not fits.any():
         return rows[:0], rows[:0]
     counts = np.bincount(variables[fits])
@@ -187,7 +183,7 @@ def matching(block: sp.csr_array) -> Indices:
     from scipy.sparse.csgraph import maximum_bipartite_matching, min_weight_full_bipartite_matching
 
     size = block.shape[0]
-    rows = np.repeat(np.arange(size), np.diff(block.indptr))
+    rows = row_numbers(block)
     magnitude, largest = np.abs(block.data), largest_in_rows(block)
     # Costs must be positive; a hint of the distance from the diagonal settles ties in natural order.
     cost = 1.0 + np.log(largest[rows] / magnitude) + 1e-9 * np.abs(rows - block.indices)
@@ -251,9 +247,7 @@ STATUS_ELSEWHERE = {
     Status.STALLED: (500, "user_limit", "noSolution"),
     Status.DIVERGED: (501, "solver_error", "noSolution"),
 }
-UNCERTAIN = (
-    1e-3  # stands for entries of a derivative that are zero or infinite where equations are matched
-)
+UNCERTAIN = 1e-3  # in place of zero or infinite entries of a derivative where equations are matched
 
 
 class MissingPair(NotSquare):
@@ -416,16 +410,14 @@ class Statement:
 
     def named(self, rows: Rows, origin: Any = None, sign: Any = 1.0) -> Indices:
         """Return new unknowns, which an equation makes sign · rows."""
-        first, free = self.lower.size, np.full(rows.size, np.inf)
+        first, free, zero = self.lower.size, np.full(rows.size, np.inf), np.zeros(rows.size)
         key, columns = 2**62 + first, np.arange(first, first + rows.size)
         self.first[key] = first
         self.lower, self.upper = np.append(self.lower, -free), np.append(self.upper, free)
         self.is_paired = np.append(self.is_paired, np.zeros(rows.size, dtype=bool))
         rows = rows.scaled(sign) if np.any(np.asarray(sign) != 1.0) else rows
         rows = Rows({**rows.blocks, key: -1.0}, rows.offset, (rows.size,), rows.level)
-        self.rows.append(
-            StatedRows(rows, np.zeros(free.size), np.zeros(free.size), origin, sign, None, columns)
-        )
+        self.rows.append(StatedRows(rows, zero, zero, origin, sign, None, columns))
         return columns
 
     def name_of(self, column: int) -> str:

@@ -118,8 +118,7 @@ def folder_arrays(source: Path, layout: str) -> tuple[Path, dict[str, Any]]:
             values = read_matrix_market(file)
             if max(values.shape) > max(found["M"].shape[0], 1):  # before a sparse one becomes dense
                 raise UnreadableFile(f"{file} has the shape {values.shape}, too large for M")
-            dense = values.toarray() if sp.issparse(values) else values
-            found[name] = dense.reshape(-1) if 1 in dense.shape else dense
+            found[name] = flat(values)
     return Path(prefix + "M.mtx"), found
 
 
@@ -193,8 +192,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
         write_nl(problem, target)
         return
     if target.suffix.lower() == ".npz":
-        arrays = arrays_of(problem, problem.csr)
-        write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
+        save_arrays(target, arrays_of(problem, problem.csr), "an LCP")
     else:
         _save_folder(problem, checked_folder(target))
 

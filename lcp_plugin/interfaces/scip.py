@@ -44,9 +44,7 @@ from ..problems.programs.program import QuadraticProgram
 LARGEST = 1e20  # what is farther is infinite for SCIP, seconds as well
 SHARE = 0.25  # of the requested gap
 BOX, BOX_MARGIN = 1e6, 1e-3  # a box for unbounded relaxations, and what is near it, relatively
-FEASIBLE = (
-    1e-7  # SCIP tightens it to 1e-10; of less, a build without GMP prints a line per linear program
-)
+FEASIBLE = 1e-7  # tightened to 1e-10; with less, a build without GMP prints a line per program
 STDERR = 2
 FAILED = "SCIP:"  # start of SCIP's error messages
 

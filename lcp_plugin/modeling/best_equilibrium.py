@@ -130,9 +130,7 @@ def _with_multipliers(program: EquilibriumProgram, model: Model, start: Any) -> 
 
 
 MAX_SECONDS = 60.0  # of a search for an agent's best value
-MARGIN = (
-    1e-8  # of the terms of a gradient, as the tolerance of a solve: a smaller margin gains nothing
-)
+MARGIN = 1e-8  # of the terms of a gradient, as the tolerance of a solve: less gains nothing
 
 
 @np.errstate(all="ignore")  # outside of a domain

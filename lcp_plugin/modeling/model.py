@@ -230,15 +230,8 @@ class Model:
 
     def add_pairs(self, pairs: Sequence[Complements]) -> None:
         """Read complementarities, first the pairs with only one side that can be the variable."""
-        keys = {
-            pair.id: [self._key(side)[:4] for side in (pair.first, pair.second)] for pair in pairs
-        }
-        remarks = [
-            remark
-            for pair in sorted(pairs, key=lambda one: keys[one.id][0] == keys[one.id][1])
-            for remark in self._pair(pair, *self.sides(pair))
-        ]
-        for remark in remarks:
+        order = sorted(pairs, key=lambda one: self._key(one.first)[:4] == self._key(one.second)[:4])
+        for remark in [one for pair in order for one in self._pair(pair, *self.sides(pair))]:
             warn(remark)
 
     def sides(self, pair: Complements) -> list[Side]:
@@ -316,31 +309,22 @@ class Model:
         name = partial(compat.row_of, other.expression, label=getattr(pair, "label", None))
         rows, origin = self.read(other).rows, other.expression
         self.statement.complement(columns, rows, low, high, sign, origin, name)
-        self._report(pair, side, other, columns, sign, scale, offset, expression)
+        self._report(pair, (side, other), columns, sign, scale, offset, expression)
         return remarks
 
     def _report(
-        self,
-        pair: Complements,
-        side: Side,
-        other: Side,
-        columns: Indices,
-        sign: Any = 1.0,
-        scale: Any = 1.0,
-        shift: Any = 0.0,
-        expression: Any = None,
+        self, pair: Complements, sides: Any, columns: Indices, sign: Any = 1.0, *value: Any
     ) -> None:
         """Report w for the pair and the variable's constraint, the variable for w's constraint."""
         shape = pair.first.expression.shape
-        for constraint, value in (
-            (pair, (True, sign)),
-            (side.constraint, (True, sign)),
-            (other.constraint, (False, scale, shift, expression)),
+        owners = pair, *(side.constraint for side in sides)
+        for constraint, given in zip(
+            owners, ((True, sign), (True, sign), (False, *value)), strict=True
         ):
             if constraint is not None:
                 # cvxpy reads the dual value of a cone column by column.
                 own = (columns.size,) if isinstance(constraint, cp.SOC) else shape
-                self.reports.append(DualReport(constraint, columns, own, *value))
+                self.reports.append(DualReport(constraint, columns, own, *given))
 
     def _pair_cones(self, pair: Complements, cone: Side, other: Side) -> None:
         """K ∋ S ⟂ F ∈ K*: the unknowns are the side that is entries of variables, or new ones."""
@@ -367,7 +351,7 @@ class Model:
             self._drop_cone_bounds(side, columns.reshape(-1, cone.rows))
         rows = self.read(other).rows
         self.statement.complement(columns, rows, -np.inf, np.inf, 1.0, other.expression)
-        self._report(pair, side, other, columns)
+        self._report(pair, (side, other), columns)
         self.cones.append(ConePair(columns, cone.rows, friction_of(cone)))
         if cone.friction is not None:
             self.friction.append((cone.friction, columns.size // cone.rows))
@@ -463,32 +447,32 @@ class Model:
     @np.errstate(all="ignore")  # outside of a domain
     def present(self) -> Vector | None:
         """Return the present values of all unknowns; None if a variable has no value."""
-        values = {one.id: one.value for one in self.variables}
-        self._define(values)
-        if any(value is None for value in values.values()):
-            return None
-        z = np.zeros(self.statement.lower.size)
-        for key, value in values.items():
-            z[self.spans[key]] = compat.by_columns(value)
-        for one in self.statement.rows:
-            if one.slacks is not None:
-                z[one.slacks] = one.sign * compat.by_columns(one.origin.value)
-        return z
+        z, missing = np.zeros(self.statement.lower.size), self._without_value(self.variables)
+        try:
+            left = [
+                one for one in self.statement.rows if one.slacks is None and one.origin is not None
+            ]
+            while left != (waiting := [one for one in left if not self._defines(one)]):
+                left = waiting
+            if self._without_value(missing):
+                return None
+            for one in self.variables:
+                z[self.spans[one.id]] = compat.by_columns(one.value)
+            for row in self.statement.rows:
+                if row.slacks is not None:
+                    z[row.slacks] = row.sign * compat.by_columns(row.origin.value)
+            return z
+        finally:
+            for one in missing:
+                one.save_value(None)
 
-    def _define(self, values: dict[int, Any]) -> None:
-        """Give variables without a value the values of the equations that define them, as d == A @ x does."""
-        waiting = [
-            one for one in self.statement.rows if one.slacks is None and one.origin is not None
-        ]
-        while waiting:
-            left = waiting
-            waiting = [one for one in left if not self._defines(one, values)]
-            if len(waiting) == len(left):
-                return
+    @staticmethod
+    def _without_value(variables: list[Any]) -> list[Any]:
+        return [one for one in variables if one.value is None]
 
-    def _defines(self, one: StatedRows, values: dict[int, Any]) -> bool:
+    def _defines(self, one: StatedRows) -> bool:
         """Set the variable that an equation defines by variables with values; return whether it does."""
-        missing = [each for each in one.origin.variables() if values[each.id] is None]
+        missing = self._without_value(one.origin.variables())
         if len(missing) != 1 or (one.low != one.high).any():
             return not missing
         (variable,) = missing
@@ -497,15 +481,14 @@ class Model:
             return False
 
         def at(value: Vector) -> Vector:
-            values[variable.id] = value.reshape(variable.shape, order="F")
-            return np.asarray(compat.by_columns(with_values(one.origin, values).value) - one.low)
+            variable.save_value(value.reshape(variable.shape, order="F"))
+            return np.asarray(compat.by_columns(one.origin.value) - one.low)
 
         found = np.zeros(variable.size)
         found[block.indices] = -at(found) / block.data
-        is_defined = bool(
-            (np.abs(at(found)) <= 1e-9 * (1.0 + np.abs(found).max(initial=0.0))).all()
-        )
-        values[variable.id] = values[variable.id] if is_defined else None
+        allowed = 1e-9 * (1.0 + np.abs(found).max(initial=0.0))
+        if not (is_defined := bool((np.abs(at(found)) <= allowed).all())):
+            variable.save_value(None)
         return is_defined
 
     def write_back(

@@ -288,17 +288,8 @@ SMOOTH: dict[Any, Rule] = {
 Values = dict[int, Any]
 
 #: Attributes that tie entries to each other or to a set, so that the columns would not be free.
-FORBIDDEN_ATTRIBUTES = [
-    "symmetric",
-    "diag",
-    "PSD",
-    "NSD",
-    "hermitian",
-    "sparsity",
-    "complex",
-    "imag",
-]
-INTEGERS = ["boolean", "integer"]
+FORBIDDEN_ATTRIBUTES = "symmetric diag PSD NSD hermitian sparsity complex imag"
+INTEGERS = "boolean integer"
 
 
 def folded(root: Any, rule: Callable[[Any, list[Any]], Any], known: Mapping[int, Any]) -> Any:
@@ -512,6 +503,6 @@ def hidden_parameters(node: Any) -> list[Any]:
 
 def restricting_attribute(leaf: Any, *, takes_integers: bool = False) -> str | None:
     """Return the attribute that ties or restricts entries of a variable or parameter, or None."""
-    names = FORBIDDEN_ATTRIBUTES + ([] if takes_integers else INTEGERS)
-    states = ((name, leaf.attributes.get(name)) for name in names)
+    names = FORBIDDEN_ATTRIBUTES if takes_integers else f"{FORBIDDEN_ATTRIBUTES} {INTEGERS}"
+    states = ((name, leaf.attributes.get(name)) for name in names.split())
     return next((name for name, state in states if not (state is None or state is False)), None)

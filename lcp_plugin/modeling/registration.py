@@ -22,16 +22,7 @@ from .constraint import Complements, Condition, box, complements
 from .model import Model
 from .qp_solver import QPSolver, certify_problem, name_rows
 
-CVXPY_FLAGS = [
-    "gp",
-    "qcp",
-    "nlp",
-    "enforce_dpp",
-    "ignore_dpp",
-    "canon_backend",
-    "bibtex",
-    "requires_grad",
-]
+FLAGS = "gp qcp nlp enforce_dpp ignore_dpp canon_backend bibtex requires_grad"  # of cvxpy's solve
 
 
 def is_complementarity_problem(problem: Any) -> bool:
@@ -71,8 +62,7 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
             )
     model = Model(constraints, memo)
     model.agents = agents
-    if equations:
-        model.add_equations(equations)
+    model.add_equations(equations)
     model.add_pairs(pairs)
     return model
 
@@ -150,7 +140,7 @@ def solve_model(
         If the run diverged.
     """
     with solver_errors(), np.errstate(all="ignore"):
-        foreign = [name for name in CVXPY_FLAGS if name in options]
+        foreign = [name for name in FLAGS.split() if name in options]
         if solver is not None or foreign:
             what = ", ".join(foreign) or f"solver={solver!r}"
             raise UnsupportedModel(

@@ -511,9 +511,7 @@ def _rounding(matrix: Any, factor: PositiveFactor) -> float:
 
 
 SMALL = 1000  # up to here every stage is cheap
-REFINEMENT_STEPS = (
-    12  # each takes two digits off the bound, at the cost of a third of a linear solve
-)
+REFINEMENT_STEPS = 12  # each takes two digits off the bound, and a third of a linear solve
 
 NO_PROOF = (
     "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite symmetric "

@@ -35,9 +35,7 @@ from .farkas import FarkasCertificate, FarkasProgram, LinearConstraints
 
 MOST_NAMED = 12  # members in the text
 MOST_ENTRIES = 4_000_000  # of the dense matrix whose rank is computed: some seconds
-MOST_IN_PROGRAM = (
-    200_000  # entries of a matrix all of whose rows are in the linear program: some seconds
-)
+MOST_IN_PROGRAM = 200_000  # entries of a matrix of which all rows are in the program: some seconds
 SECONDS = 60.0  # of a search without another limit
 
 

@@ -527,23 +527,12 @@ def linear_program(
 
     if not cost.size or not np.isfinite(cost).all() or not np.isfinite(equations.data).all():
         return None
-    options: dict[str, Any] = {
-        "presolve": True,
-        "primal_feasibility_tolerance": LP_TOLERANCE,
-        "dual_feasibility_tolerance": LP_TOLERANCE,
+    tolerances = ("primal_feasibility_tolerance", "dual_feasibility_tolerance")
+    limits = {
+        "maxiter": pivots,
+        "time_limit": left if math.isfinite(left := seconds_left()) else None,
     }
-    if pivots is not None:
-        options["maxiter"] = pivots
-    if math.isfinite(left := seconds_left()):
-        options["time_limit"] = left
-    result = linprog(
-        cost,
-        A_ub=at_most[0],
-        b_ub=at_most[1],
-        A_eq=equations,
-        b_eq=np.broadcast_to(right, equations.shape[0]),
-        bounds=bounds,
-        method="highs",
-        options=options,
-    )
+    options = dict.fromkeys(tolerances, LP_TOLERANCE) | limits
+    sides = *at_most, equations, np.broadcast_to(right, equations.shape[0])
+    result = linprog(cost, *sides, bounds, method="highs", options=options)
     return result if result.status == 0 else None

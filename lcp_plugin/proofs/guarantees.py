@@ -224,7 +224,7 @@ def longest_row(matrix: Matrix) -> int:
 
 
 DENSE_UP_TO = (
-    1000  # unknowns: two seconds; beyond, products of a matrix far from normal give few digits
+    1000  # unknowns: two seconds; beyond, products of a matrix far from normal are inexact
 )
 
 

@@ -218,12 +218,8 @@ class Trees:
     def of_numbers(cls, values: Vector) -> Trees:
         """Return a tree a number."""
         k = values.size
-        return cls(
-            np.full(k, Token.NUMBER, np.uint8),
-            values,
-            np.zeros(k, dtype=np.int64),
-            np.arange(k + 1),
-        )
+        kinds, counts = np.full(k, Token.NUMBER, np.uint8), np.zeros(k, dtype=np.int64)
+        return cls(kinds, values, counts, np.arange(k + 1))
 
     def plus(self, constants: Vector) -> Trees:
         """Return the trees with a number added to each, shape (k,)."""
@@ -301,23 +297,6 @@ class NLContent:
     row_names: list[str] | None = None
     options: tuple[int, ...] = (3, 0, 1, 0)
     tolerance: float | None = None
-
-    @classmethod
-    def of_rows(
-        cls,
-        lower: Vector,
-        upper: Vector,
-        linear: sp.csr_array,
-        trees: Trees,
-        limits: tuple[Vector, Vector],
-        partners: Indices,
-        partner_bounds: Indices,
-    ) -> NLContent:
-        """Return the content of rows with limits, without an objective."""
-        none, no = Trees.of_numbers(np.zeros(0)), np.zeros(lower.size, dtype=bool)
-        nothing = sp.csr_array((0, no.size)), none
-        rows = lower, upper, *limits, partners, partner_bounds, linear, trees
-        return cls(*rows, no[:0], *nothing, *nothing, no, np.zeros(no.size), no)
 
     def variable(self, column: int) -> str:
         """Return the name of a variable, or its number; behind the last one come the defined variables."""
@@ -493,14 +472,9 @@ class _Reader:
             if self.header.is_binary
             else TextFormReader(data, begin)
         )
-        rows, objectives, defined = (self.header.rows, self.header.objectives, self.header.defined)
-        self.owners = {  # number of possible owners of a segment
-            "C": rows,
-            "J": rows,
-            "O": objectives,
-            "G": objectives,
-            "V": defined,
-        }
+        #: Number of possible owners of a segment.
+        self.owners = dict.fromkeys("CJ", self.header.rows) | {"V": self.header.defined}
+        self.owners |= dict.fromkeys("OG", self.header.objectives)
         self.kinds, self.values, self.counts = bytearray(), array("d"), array("q")
         self.trees: dict[str, dict[int, tuple[int, int]]] = {letter: {} for letter in "COV"}
         # Row, index and value of each linear term.

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from ...core.errors import InvalidProblem
 from ...core.lcp import LCP
+from ...core.matrix import entries_of_row
 from ..files import checked_path, write_whole
 from .reading import ARITY, NARY, PARTNER, PIECEWISE, WITH_TOLERANCE, NLContent, Token, Trees
 
@@ -59,10 +60,12 @@ def _content_of(problem: Any) -> NLContent:
 
         return stated(problem).in_a_file
     if isinstance(problem, LCP):
-        free, own = np.full(problem.n, np.inf), (problem.lower, problem.upper)
-        bits = np.isfinite(problem.lower) + 2 * np.isfinite(problem.upper)
-        terms, pairs = (problem.csr, Trees.of_numbers(problem.q)), (np.arange(problem.n), bits)
-        return NLContent.of_rows(*own, *terms, (-free, free), *pairs)
+        n, (lower, upper) = problem.n, (problem.lower, problem.upper)
+        free, zero, no = np.full(n, np.inf), np.zeros(n), np.zeros(n, dtype=bool)
+        pairs = np.arange(n), np.isfinite(lower) + 2 * np.isfinite(upper)
+        rows = -free, free, *pairs, problem.csr, Trees.of_numbers(problem.q)
+        nothing = sp.csr_array((0, n)), Trees.of_numbers(zero[:0])
+        return NLContent(lower, upper, *rows, no[:0], *nothing, *nothing, no, zero, no)
     if not isinstance(problem, NLContent):
         raise InvalidProblem(
             "an .nl file can be written of an LCP, a Pyomo model, or a result of read_content, got "
@@ -85,8 +88,8 @@ class TextWriter:
         content, n = self.content, self.content.lower.size
         self.out.append(self._head().encode())
         for k in range(content.defined_trees.size):
-            row = _row(content.defined_linear, k)
-            self._line("V", (n + k, row[0].size, 0))
+            row = entries_of_row(content.defined_linear, k)
+            self._line("V", (n + k, len(row[0]), 0))
             self._pairs(*row)
             self._tree(content.defined_trees, k)
         for i in range(content.trees.size):
@@ -98,7 +101,7 @@ class TextWriter:
         if content.has_start.any():
             indices = np.flatnonzero(content.has_start)
             self._line("x", (indices.size,))
-            self._pairs(indices, content.start[indices])
+            self._pairs(indices.tolist(), content.start[indices].tolist())
         if content.row_lower.size:
             self._bounds("r", content.row_lower, content.row_upper)
         self._bounds("b", content.lower, content.upper)
@@ -106,33 +109,32 @@ class TextWriter:
             self._columns(np.cumsum(np.bincount(content.linear.indices, minlength=n))[:-1])
         for letter, matrix in (("J", content.linear), ("G", content.objective_linear)):
             for i in np.flatnonzero(np.diff(matrix.indptr)).tolist():
-                row = _row(matrix, i)
-                self._line(letter, (i, row[0].size))
+                row = entries_of_row(matrix, i)
+                self._line(letter, (i, len(row[0])))
                 self._pairs(*row)
         return self.out
 
     def _head(self) -> str:
         content = self.content
         n, m, o = (content.lower.size, content.row_lower.size, content.objective_trees.size)
-        is_pair = content.partners >= 0
-        is_equation = ~is_pair & (content.row_lower == content.row_upper)
-        is_range = (
-            ~is_pair
-            & ~is_equation
-            & np.isfinite(content.row_lower)
-            & np.isfinite(content.row_upper)
-        )
+        low, high, is_pair = content.row_lower, content.row_upper, content.partners >= 0
+        is_equation = ~is_pair & (low == high)
+        is_range = ~is_pair & ~is_equation & np.isfinite(low) & np.isfinite(high)
         is_nonlinear = _has_variables(content.trees)
         in_rows, in_objectives, integers = _groups(content)
         tolerance = "" if content.tolerance is None else f" {content.tolerance!r}"
         nonlinear_objectives = _has_variables(content.objective_trees).sum()
-        linear_pairs, nonlinear_pairs = (
-            (is_pair & ~is_nonlinear).sum(),
-            (is_pair & is_nonlinear).sum(),
-        )
+        nonlinear_pairs = (is_pair & is_nonlinear).sum()
         lines = [
             (n, m, o, is_range.sum(), is_equation.sum(), 0),
-            (is_nonlinear.sum(), nonlinear_objectives, linear_pairs, nonlinear_pairs, 0, 0),
+            (
+                is_nonlinear.sum(),
+                nonlinear_objectives,
+                is_pair.sum() - nonlinear_pairs,
+                nonlinear_pairs,
+                0,
+                0,
+            ),
             (0, 0),
             (in_rows, in_objectives, min(in_rows, in_objectives)),
             (0, 0, self.arithmetic, 1),
@@ -150,7 +152,7 @@ class TextWriter:
         self.out.append(f"{letter}{' '.join(map(str, numbers))}\n".encode())
 
     def _pairs(self, indices: Any, values: Any) -> None:
-        lines = zip(indices.tolist(), values.tolist(), strict=True)
+        lines = zip(indices, values, strict=True)
         self.out.append("".join(f"{index} {value!r}\n" for index, value in lines).encode())
 
     def _columns(self, counts: Any) -> None:
@@ -173,20 +175,11 @@ class TextWriter:
                     self.out.append(b"%d\n" % behind)
 
 
-def _row(matrix: sp.csr_array, i: int) -> tuple[Any, Any]:
-    part = slice(matrix.indptr[i], matrix.indptr[i + 1])
-    return matrix.indices[part], matrix.data[part]
-
-
 def tokens_of(trees: Trees, k: int) -> Iterable[tuple[Token, float, int]]:
     """Return kind, value and number of operands of each token of tree k."""
     part = slice(trees.starts[k], trees.starts[k + 1])
-    return zip(
-        trees.kinds[part].tolist(),
-        trees.values[part].tolist(),
-        trees.counts[part].tolist(),
-        strict=True,
-    )
+    columns = (getattr(trees, name)[part].tolist() for name in ("kinds", "values", "counts"))
+    return zip(*columns, strict=True)
 
 
 def count_behind(operator: int, count: int) -> int:

@@ -18,6 +18,16 @@ from lcp_plugin.interfaces.nl.writing import OPTIONS
 SUMS: dict[str, Any] = {"+": lambda *a: sum(a), "-": operator.sub, "unary -": operator.neg}
 
 
+def content_of_rows(
+    lower: Any, upper: Any, linear: Any, trees: Trees, limits: Any, partners: Any, bounds: Any
+) -> NLContent:
+    """Return the content of rows with limits, without an objective."""
+    none, no = Trees.of_numbers(np.zeros(0)), np.zeros(lower.size, dtype=bool)
+    nothing = sp.csr_array((0, no.size)), none
+    rows = lower, upper, *limits, partners, bounds, linear, trees
+    return NLContent(*rows, no[:0], *nothing, *nothing, no, np.zeros(no.size), no)
+
+
 def content_of(M: Any, q: Any, **changes: Any) -> NLContent:
     """Rows M x + q complementary to x ≥ 0."""
     n, goal = len(q), changes.pop("objective", None)
@@ -26,7 +36,7 @@ def content_of(M: Any, q: Any, **changes: Any) -> NLContent:
     if goal is not None:
         own = {"objective_trees": Trees.of_numbers(np.zeros(1)), "is_maximized": np.zeros(1, bool)}
         own["objective_linear"] = sp.csr_array([goal])
-    content = NLContent.of_rows(
+    content = content_of_rows(
         np.zeros(n),
         free,
         sp.csr_array(np.asarray(M, float)),

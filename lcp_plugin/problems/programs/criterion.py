@@ -64,7 +64,7 @@ ROWS = 1e-9  # of the rows, at every tolerance
 EXCUSED = 2.0**-44  # of the unknowns that matter: rounding error of a row
 UNIT = 2.0**-53
 BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
-# Of the objective's terms and of the rows' with their multipliers, if they cancel
+# The objective's terms, and the rows' with their multipliers, may cancel to this share
 LEAST_SIZE = 1e-8
 TINY = 2.0**-1000
 

@@ -55,7 +55,7 @@ from .program_matrices import FoldedRows
 
 # of the terms of a component: small and large, above the rounding of least squares
 SLACKS = (2.0**-46, 2.0**-36)
-# Of least squares: a repair of some components may break components that were correct before
+# Rounds of least squares: a repair of some components may break components that were correct before
 ROUNDS = 4
 Box = tuple[Vector, Vector]
 

@@ -56,7 +56,7 @@ class BinaryWriter(TextWriter):
 
     def _pairs(self, indices: Any, values: Any) -> None:
         pairs = np.empty(
-            indices.size, dtype=[("index", self.order + "i4"), ("value", self.order + "f8")]
+            len(indices), dtype=[("index", self.order + "i4"), ("value", self.order + "f8")]
         )
         pairs["index"], pairs["value"] = indices, values
         self.out.append(pairs.tobytes())

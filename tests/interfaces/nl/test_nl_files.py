@@ -16,12 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles.relations import bits
 from random_nl import difference, mutilated, random_content
-from tools.nl_files import read_sol
+from tools.nl_files import content_of_rows, read_sol
 
 from lcp_plugin import LCP, NonlinearProblem
 from lcp_plugin.core import errors
 from lcp_plugin.interfaces.nl import read_content, write_nl, write_sol
-from lcp_plugin.interfaces.nl.reading import NLContent, Trees
+from lcp_plugin.interfaces.nl.reading import Trees
 
 FORMS = {"text": {}, "little": {"binary": True}, "big": {"binary": True, "big_endian": True}}
 SMALL = b"""g3 1 1 0	# two variables, x0 + exp(x1) - 2 complementary to x0 >= 0, x0 x1 = 1
@@ -257,7 +257,7 @@ def test_answers_are_read_by_ourselves_and_by_both_readers_of_pyomo(
     """Message, values, multipliers and code are read, with and without values, for all options."""
     x, y = (np.array([1.5, -1e-7, 0.1]), np.array([0.0, 1e300])) if has_values else (None, None)
     path, message = tmp_path / "m.sol", "lcp_plugin: solved\n\nOptions in a message\nresidual 1e-9"
-    content = NLContent.of_rows(
+    content = content_of_rows(
         np.zeros(3), np.ones(3), sp.csr_array((2, 3)), Trees.of_numbers(np.zeros(2)), (np.zeros(2), np.ones(2)),
         np.full(2, -1), np.zeros(2, dtype=np.int64),
     )  # fmt: skip

@@ -15,6 +15,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
+from tools.nl_files import content_of_rows
 
 from lcp_plugin import LCP, QuadraticProgram, Status, UnsupportedModel, complements, solve
 from lcp_plugin.expressions.rows import Program
@@ -93,7 +94,7 @@ def content_of(
         )
 
     content = replace(
-        NLContent.of_rows(
+        content_of_rows(
             np.full(n, -INFINITY),
             np.full(n, INFINITY),
             matrix(linear, m),

@@ -104,8 +104,7 @@ def algorithm_class(name: str) -> type[Algorithm]:
         if ".py" in name:
             hint += "; pass a class of your own as an object, in Python: solve(problem, Mine())"
         raise UnknownAlgorithm(f"unknown algorithm {name!r}{hint}")
-    found: type[Algorithm] = resolve_name(f"{__package__}.{REGISTRY[name]}")
-    return found
+    return resolve_name(f"{__package__}.{REGISTRY[name]}")
 
 
 def create(name: str, options: dict[str, Any]) -> Algorithm:
@@ -123,8 +122,7 @@ def create(name: str, options: dict[str, Any]) -> Algorithm:
     UnknownAlgorithm, InvalidOption
         With the right names and a guess, or the names of options that have no default.
     """
-    found: Algorithm = made(algorithm_class(name), name, options)
-    return found
+    return made(algorithm_class(name), name, options)
 
 
 def paper_options(name: str, relaxation: float | None = None) -> dict[str, Any]:

@@ -198,8 +198,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
 @cache
 def solver_of(name: str) -> Callable[..., Any]:
     """Return the function that solves a class of problem."""
-    solver: Callable[..., Any] = resolve_name(f"{__package__}.{CLASSES[name].solver}")
-    return solver
+    return resolve_name(f"{__package__}.{CLASSES[name].solver}")
 
 
 @cache

@@ -358,10 +358,7 @@ def run_on(
             is_guaranteed=partial(_is_contraction, problem, method),
         )
         goal = run.goal
-        result: Result = run.solve(
-            plan(problem, method, goal, prove_infeasibility=proofs, begin=begin)
-        )
-        return result
+        return run.solve(plan(problem, method, goal, prove_infeasibility=proofs, begin=begin))
 
 
 def _polish(problem: LCP, z: Vector, most: float) -> Any:

@@ -69,10 +69,7 @@ def analysis_content(problem: LCP) -> dict[str, Any]:
         }
         for title, found in guarantees(problem)
     ]
-    content: dict[str, Any] = _finite(
-        {"matrix": analyze(problem).to_content(), "convergence": rows}
-    )
-    return content
+    return _finite({"matrix": analyze(problem).to_content(), "convergence": rows})
 
 
 def _finite(value: Any) -> Any:

@@ -387,8 +387,7 @@ def is_number(value: Any) -> bool:
 def checked_start(problem: Any, z0: ArrayLike | None) -> Vector:
     """Return the start within the bounds, shape (n,); InvalidOption if z0 is not a finite real vector of length n."""
     if z0 is None:
-        nearest: Vector = problem.nearest_to_zero
-        return nearest
+        return problem.nearest_to_zero
     n = problem.n
     need = f"z0 must be a finite vector of length {n} (M is {n}×{n})"
     start = vector_option(z0, "z0", n, may_be_number=n == 1, need=need)

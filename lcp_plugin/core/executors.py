@@ -100,4 +100,4 @@ def one_blas_thread() -> AbstractContextManager[Any]:
         from threadpoolctl import threadpool_limits
     except ImportError:
         return nullcontext()
-    return threadpool_limits(1)  # type: ignore[no-any-return]
+    return threadpool_limits(1)

@@ -117,7 +117,7 @@ class Matrix:
 
     def toarray(self) -> Vector:
         """Return M as an ndarray, shape (n, n), not copied if it is stored as one."""
-        return self.array if self.is_dense else self.array.toarray()  # type: ignore[no-any-return]
+        return self.array if self.is_dense else self.array.toarray()
 
     @property
     @fact

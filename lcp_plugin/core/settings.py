@@ -200,7 +200,7 @@ def checked_callback(callback: Any) -> Callable[..., Any] | None:
     """Return the caller's function, or None."""
     if callback is not None and not callable(callback):
         raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")
-    return callback  # type: ignore[no-any-return]
+    return callback
 
 
 def parse_options(words: Iterable[str]) -> dict[str, Any]:

@@ -32,8 +32,7 @@ def engine_class(name: str) -> type[Engine]:
     >>> engine_class("piqp").__name__
     'PIQP'
     """
-    found: type[Engine] = getattr(import_module(".solvers", __name__), ENGINES[name])
-    return found
+    return getattr(import_module(".solvers", __name__), ENGINES[name])
 
 
 @cache

@@ -94,8 +94,7 @@ class Measurement:
 
     def column(self, name: str) -> Vector:
         """Return a column of `points` by name, shape (k,)."""
-        column: Vector = self.points[:, POINT.index("iteration" if name == "iterations" else name)]
-        return column
+        return self.points[:, POINT.index("iteration" if name == "iterations" else name)]
 
     def last(self, name: str) -> float:
         """Return a column's value at the result; NaN if there is none."""

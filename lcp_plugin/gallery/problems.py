@@ -303,8 +303,7 @@ def _scaled(M: NDArray[np.float64], row: list[float], column: list[float]) -> Ve
     """Return (x, y) with the smallest cost of either player scaled to 1."""
     m = len(row)
     x, y = np.array(row, dtype=np.float64), np.array(column, dtype=np.float64)
-    answer: Vector = np.concatenate([x / np.min(M[m:, :m] @ x), y / np.min(M[:m, m:] @ y)])
-    return answer
+    return np.concatenate([x / np.min(M[m:, :m] @ x), y / np.min(M[:m, m:] @ y)])
 
 
 # --- Options ----------------------------------------------------------------------------------------------------

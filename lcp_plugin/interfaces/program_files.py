@@ -462,14 +462,12 @@ def _read(source: Path, needed: type | None = None) -> Any:
 
 def load_lcp(path: str | PathLike[str]) -> LCP:
     """Return the LCP of a file; raise UnreadableFile if it states another problem."""
-    problem: LCP = _read(checked_path(path), LCP)
-    return problem
+    return _read(checked_path(path), LCP)
 
 
 def load_program(path: str | PathLike[str]) -> LoadedProgram:
     """Return the program of a file with the sign and names; see :func:`load_problem`."""
-    program: LoadedProgram = _read(checked_path(path), QuadraticProgram)
-    return program
+    return _read(checked_path(path), QuadraticProgram)
 
 
 def load_problem(path: str | PathLike[str]) -> Any:

@@ -635,8 +635,7 @@ def pair_residual(pair: Complements) -> Vector | None:
         w = np.where(np.isfinite(high) & ~np.isfinite(low), -w, w)
     elif other.kind == "value" and side.kind == "nonnegative":
         w = np.sign(weights) * w
-    residual: Vector = np.abs(np.minimum(np.maximum(w, z - high), z - low))
-    return residual
+    return np.abs(np.minimum(np.maximum(w, z - high), z - low))
 
 
 def warn(remark: str) -> None:

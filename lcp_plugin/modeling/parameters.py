@@ -76,8 +76,7 @@ class ParametricRows:
 
     def change(self, changes: Changes) -> Vector:
         """Return the change of the expressions by changes of parameters; missing ones are 0."""
-        moved: Vector = self._finite(self._program.jacobian(self._at) @ self._vector(changes))
-        return moved
+        return self._finite(self._program.jacobian(self._at) @ self._vector(changes))
 
     def gradient(self, gradient: Vector) -> Changes:
         """Return the gradients by parameters, by id, from the gradient by the expressions."""

@@ -143,8 +143,7 @@ def _gathered(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
 def _summed(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     rows, axes = arguments[0], _axes(node)
     kept = tuple(1 if axis in axes else length for axis, length in enumerate(rows.shape))
-    sums: Rows = rows.summed(entries_behind(rows.shape, kept), node.shape)
-    return sums
+    return rows.summed(entries_behind(rows.shape, kept), node.shape)
 
 
 AFFINE: dict[tuple[Any, ...], Rule] = {

@@ -108,8 +108,7 @@ class Bodies(NamedTuple):
         """Return the velocities after impulses of all rows, shape (d k,); None without the velocities before."""
         if self.velocities is None:
             return None
-        after: FloatArray = self.velocities + self.inverse @ (self.rows.T @ impulses)
-        return after
+        return self.velocities + self.inverse @ (self.rows.T @ impulses)
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,7 +426,7 @@ def _inverse(blocks: FloatArray) -> FloatArray:
     except np.linalg.LinAlgError as error:
         raise InvalidProblem(NOT_DEFINITE) from error
     found: Any = np.linalg.inv(blocks)
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def _check_directions(J: Any, mass: Any, d: int) -> None:

@@ -561,8 +561,7 @@ class Band(NamedTuple):
 
 def _outer_on(A: sp.csr_array, left: Vector, right: Vector) -> Vector:
     """Return Σ_k left_ki right_kj at the entries of A."""
-    sums: Vector = np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
-    return sums
+    return np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
 
 
 class Steps:

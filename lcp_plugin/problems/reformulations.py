@@ -172,8 +172,7 @@ def _costs(payoffs: FloatMatrix, own: int) -> FloatMatrix:
     )
     # Costs do not overflow
     unit = max(min(most, 2.0**3 * least), 2.0**-900)  # no difference is lost
-    costs: FloatMatrix = 1.0 + missed / unit
-    return costs
+    return 1.0 + missed / unit
 
 
 def _dense(matrix: Any) -> FloatMatrix:

@@ -962,8 +962,7 @@ class Derivative(LinearizedSystem):
         h, moved = self._change(dM, dq), self._moved(dlower, dupper)
         if self._rows.degenerate.any():
             return one_sided(self.problem, self._rows, h, moved)
-        dz: Vector = self.tangent(h, np.where(self._rows.free, 0.0, moved))
-        return dz
+        return self.tangent(h, np.where(self._rows.free, 0.0, moved))
 
     def dw(self, dz: ArrayLike, *, dM: Any = None, dq: Any = None) -> Vector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
@@ -1017,8 +1016,7 @@ class Derivative(LinearizedSystem):
 
     def _product(self, x: Vector, *, transposed: bool = False) -> Vector:
         M = self.problem.matrix.array
-        product: Vector = (M.T if transposed else M) @ x
-        return product
+        return (M.T if transposed else M) @ x
 
     def _solve_free(self, right: Vector, *, transposed: bool = False) -> Vector:
         return solution(self._system, right, transposed=transposed)

@@ -461,8 +461,7 @@ def norms_above(x: Vector, labels: Any) -> Vector:
     unit = np.exp2(np.floor(np.log2(np.where(is_usual, largest, 1.0))))
     squares = np.bincount(labels, (x / unit[labels]) ** 2, largest.size) * OUTWARD
     squares += x.size * UNDERFLOW
-    norms: Vector = np.where(is_usual, unit * np.sqrt(squares) * OUTWARD, largest)
-    return norms
+    return np.where(is_usual, unit * np.sqrt(squares) * OUTWARD, largest)
 
 
 def _proven_bound(even: Any) -> float | None:

@@ -650,5 +650,4 @@ def _above(value: Any) -> Vector:
 
 def _choice(which: Any, one: Any, other: Any) -> Vector:
     """Return ``numpy.where(which, one, other)``, a number of numbers."""
-    chosen: Vector = np.where(which, one, other)[()]
-    return chosen
+    return np.where(which, one, other)[()]

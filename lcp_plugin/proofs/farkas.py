@@ -242,8 +242,7 @@ class FarkasCertificate:
 def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
     """Return Σ factor · value without rounding; the values are finite."""
     whole, exponent = integers(np.array(values, dtype=np.float64))
-    total: Fraction = exact_power_of_two(exponent) * sum(map(operator.mul, factors, whole))
-    return total
+    return exact_power_of_two(exponent) * sum(map(operator.mul, factors, whole))
 
 
 AIMS = (0.5, 0.5, 0.5, 0.5, 1.0)  # smallest and largest entries alike, and the largest near 1
@@ -340,8 +339,7 @@ class FarkasProgram:
     def vector(self, v: Vector) -> Vector:
         """Return y, shape (m,), of a solution of the linear program."""
         m = self.rows.size
-        y: Vector = np.bincount(self.place, self.signed * v, m)[:m].astype(np.float64)
-        return y
+        return np.bincount(self.place, self.signed * v, m)[:m].astype(np.float64)
 
     def proof(self, answer: Any, proven: Callable[[Multipliers], Any]) -> Any:
         """Return the first proof of all x with half the predicted margin, else one with the largest margin, or None.
@@ -436,8 +434,7 @@ class FarkasProgram:
             for _ in range(2):  # the second removes the rounding of the first
                 y = y.copy()
                 y[support] -= np.linalg.lstsq(rows, rows @ y[support], rcond=NEGLIGIBLE)[0]
-        unscaled: Vector = y * self.rows
-        return unscaled
+        return y * self.rows
 
     def _unscaled(self, entries: dict[int, Fraction]) -> list[Fraction]:
         y = [ZERO] * self.rows.size

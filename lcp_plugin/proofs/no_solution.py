@@ -436,10 +436,9 @@ def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:
     is_usual = 0.0 < reference < np.inf  # then the optimum is minus the largest margin
     units = [reference] * is_usual + FarkasProgram(constraints).sizes
 
-    found: Infeasibility | None = best_proof(
+    return best_proof(
         lambda _: constraints, units, lambda y: _proven(problem, dict(enumerate(y))), pivots=effort
     )
-    return found
 
 
 def _proven(problem: LCP, y: Mapping[int, Rational]) -> Infeasibility | None:

@@ -100,8 +100,7 @@ class Ranks:
             raised = error
         failures = self.comm.allgather(None if raised is None else _described(raised))
         if not any(failures):
-            result: T = value
-            return result
+            return value
         if raised is not None and not isinstance(raised, LCPError | OSError):
             raise raised
         rank, (kind, message) = next(
@@ -112,8 +111,7 @@ class Ranks:
     def from_first(self, attempt: Callable[[], T]) -> T:
         """Call `attempt` on rank 0; return its value, or raise its error, on every rank."""
         value = self.together(lambda: attempt() if self.rank == 0 else None)
-        result: T = self.comm.bcast(value, root=0)
-        return result
+        return self.comm.bcast(value, root=0)
 
     def require_same(self, what: str, value: Any, remedy: str, error: Any = InvalidProblem) -> None:
         """Raise an error on every rank unless all ranks hold the same value, compared by `repr`."""
@@ -401,10 +399,7 @@ def _appended(rows: Arrays, counts: Integers, columns: Integers, values: Vector)
 
 def _ranges(begins: Integers, counts: Integers) -> Integers:
     """Return begins[0], begins[0] + 1, … counts[0] of them, then the same for the next."""
-    places: Integers = np.repeat(begins - (np.cumsum(counts) - counts), counts) + np.arange(
-        int(counts.sum())
-    )
-    return places
+    return np.repeat(begins - (np.cumsum(counts) - counts), counts) + np.arange(int(counts.sum()))
 
 
 def own_rows(ranks: Halo, matrix: sp.csr_array) -> tuple[sp.csr_array, Halo]:

@@ -215,7 +215,7 @@ class TruncationOnRanks(Truncation):
     @property
     def halo(self) -> Halo:
         """The ranks, and the ghosts of the finest grid."""
-        return self.grids[0].halo  # type: ignore[attr-defined, no-any-return]
+        return self.grids[0].halo  # type: ignore[attr-defined]
 
     def mark(self, level: Any, transfer: Transfer) -> None:
         """Find the held unknowns of a grid, and the rows whose part of the coarser matrix has changed."""

@@ -135,8 +135,7 @@ class RowsOnRanks:
 
     def slack(self, z: checks.Vector) -> checks.Vector:
         """Return the local part of w = M z + q."""
-        w: checks.Vector = self.rows @ self.halo.whole(self.own_part(z)) + self.q
-        return w
+        return self.rows @ self.halo.whole(self.own_part(z)) + self.q
 
     def gathered(self, z: ArrayLike) -> checks.Vector | None:
         """Return the parts of all ranks as one vector on rank 0, None on the others."""

@@ -60,8 +60,7 @@ class ComponentsOnRanks:
         np.maximum.at(found, self.labels, values)
         if self._shared.size:
             found[self._shared] = self.halo.all_largest(*found[self._shared].tolist())
-        of_rows: Vector = found[self.labels]
-        return of_rows
+        return found[self.labels]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +93,7 @@ class ProductOnRanks:
         self.rows, self.halo, self.indptr = rows, halo, rows.indptr
 
     def __matmul__(self, x: Vector) -> Vector:
-        product: Vector = self.rows @ self.halo.whole(x.astype(np.float64, copy=False))
-        return product
+        return self.rows @ self.halo.whole(x.astype(np.float64, copy=False))
 
 
 class RowDataOnRanks(RowData):

@@ -345,8 +345,7 @@ class FreeSystem:
         share = self.pseudo_inverse @ self.block  # of a change of x_F: M x depends on it
         columns = self.matrix.array[:, self.rows]
         left = np.asarray(abs(columns - columns @ share).max(axis=1)).ravel()
-        determined: BoolVector = left <= CONSISTENT * abs(columns).max()
-        return determined
+        return left <= CONSISTENT * abs(columns).max()
 
     @cached_property
     def determined(self) -> BoolVector:
@@ -357,8 +356,7 @@ class FreeSystem:
             return np.zeros(self.rows.size, np.bool_)
         block, inverse, _ = self._equilibrated_inverse
         left = inverse @ block - np.eye(self.rows.size)
-        determined: BoolVector = np.abs(left).max(axis=1) <= CONSISTENT
-        return determined
+        return np.abs(left).max(axis=1) <= CONSISTENT
 
     def _extended(self, x: Vector) -> Vector | None:
         if not np.isfinite(x).all():

@@ -490,8 +490,7 @@ class RowData:
                     e[k] = splu(csc_array(part)).solve(w[k])
         except (np.linalg.LinAlgError, RuntimeError):  # singular
             return np.full(w.shape, np.inf)
-        sizes: Vector = np.abs(e)
-        return sizes
+        return np.abs(e)
 
     @cached_property
     def diagonal(self) -> Vector:

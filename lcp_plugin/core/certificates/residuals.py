@@ -194,8 +194,7 @@ class Certificate:
 
         k_i = nonzeros of row i + 2; a residual in double precision below this level is meaningless.
         """
-        floor: Vector = self.criterion.rounding_floor(self._rows.terms)
-        return floor
+        return self.criterion.rounding_floor(self._rows.terms)
 
     @derived_property
     def is_at_rounding_level(self) -> bool:

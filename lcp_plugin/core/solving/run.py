@@ -229,7 +229,7 @@ class Run:
         if self.best is not None and self.best.passes:
             return Status.SOLVED
         if end is TerminationReason.NO_SOLUTION and self.proof is not None:
-            return self.proof.status  # type: ignore[no-any-return]
+            return self.proof.status
         if self.best is not None and self.is_limited(self.best):
             return Status.PRECISION_LIMIT
         return STATUS_OF.get(end, Status.STALLED)

@@ -262,10 +262,7 @@ def _counted_uses(content: NLContent) -> list[int]:
     for trees in (content.trees, content.objective_trees, content.defined_trees):
         used.append(trees.values[trees.kinds == Token.VARIABLE].astype(np.int64))
     columns = np.concatenate(used)
-    uses: list[int] = np.bincount(
-        columns[columns >= n] - n, minlength=content.defined_trees.size
-    ).tolist()
-    return uses
+    return np.bincount(columns[columns >= n] - n, minlength=content.defined_trees.size).tolist()
 
 
 class Expressions:

@@ -602,5 +602,4 @@ class FileStatement:
                     f"{content.row(empty[k])} holds no unknown, and its sides differ by {off[k]:g}: no point "
                     "satisfies the model; correct it"
                 )
-        left: Indices = equations[~is_empty]
-        return left
+        return equations[~is_empty]

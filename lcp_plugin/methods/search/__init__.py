@@ -331,8 +331,7 @@ def points_nearby(problem: LCP) -> Vector | None:
     low = np.where(is_free, lower, np.where(is_low, 0.0, -np.inf))
     high = np.where(is_free, upper, np.where(is_high, 0.0, np.inf))
     is_near = ((low - slip <= x) & (x <= high + slip)).all(1)
-    points: Vector = np.clip(np.where(is_free, x, at_bound)[is_near], lower, upper)
-    return points
+    return np.clip(np.where(is_free, x, at_bound)[is_near], lower, upper)
 
 
 def _choices(problem: LCP) -> int:

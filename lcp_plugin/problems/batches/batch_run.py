@@ -349,8 +349,7 @@ class BatchAnswers(AnswerSequence[Any]):
         """Return result k, or raise the error of its problem."""
         if k in self.errors:
             raise self.errors[k]
-        found: BaseResult = self._run.result_of(k)
-        return found
+        return self._run.result_of(k)
 
     @cached_property
     def objective(self) -> Any:

@@ -122,8 +122,7 @@ class ConeRows(RowData):
     def demand(self) -> Vector:
         """Demand of each law; of contacts the largest of the component, because b may be rounding error in a pile."""
         demand: Vector = super().demand
-        found: Vector = self.largest(demand) if self.stack.has_friction else self._norm(demand)
-        return found
+        return self.largest(demand) if self.stack.has_friction else self._norm(demand)
 
     def is_wrong(self, *component: Any) -> bool:
         """Return whether z is not near a solution of problem k, if it is an LCP: rows between bounds only."""

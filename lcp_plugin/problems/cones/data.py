@@ -106,8 +106,7 @@ class Blocks:
         """Return R = z − P_K(z − ŵ/d), shape (n,)."""
         stack = ConeStack.of(self)
         wide, flat = stack.pattern.wide, stack.pattern.flat
-        R: Vector = flat(stack.residual(wide(z[None]), wide(w[None]))[0])[0]
-        return R
+        return flat(stack.residual(wide(z[None]), wide(w[None]))[0])[0]
 
     def project(self, z: Vector) -> Vector:
         """Return the point of K nearest to z, shape (n,)."""

@@ -240,8 +240,7 @@ class ConeDerivative:
         def change(of: StackDerivative) -> Vector:
             """Return dz with the selected generalized derivative."""
             held = self._by_bound(self._holds(of), low, high)[None]
-            dz: Vector = of.tangent(self._moved(dq, dM)[None], held, of.by_friction * slopes)[0]
-            return dz
+            return of.tangent(self._moved(dq, dM)[None], held, of.by_friction * slopes)[0]
 
         dz, is_there = change(self._of), (self.z <= problem.lower, self.z >= problem.upper)
         of_bound = self._by_bound(is_there, low, high)
@@ -260,8 +259,7 @@ class ConeDerivative:
 
     def dw(self, dz: ArrayLike, *, dq: Any = None, dM: Any = None) -> Vector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
-        change: Vector = self.problem.rows.csr @ np.asarray(dz) + self._moved(dq, dM)
-        return change
+        return self.problem.rows.csr @ np.asarray(dz) + self._moved(dq, dM)
 
     def _moved(self, dq: ArrayLike | None, dM: Any) -> Vector:
         """Return dM z + dq."""

@@ -152,8 +152,7 @@ def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
     free = by_w[0].any((1, 2))
     arms = stack.arms
     if arms is not None and arms.are_fewer(pattern.sizes[free].sum()):
-        found: Factors = arms.factorize(mixed[0], by_w[0], np.flatnonzero(free))
-        return found
+        return arms.factorize(mixed[0], by_w[0], np.flatnonzero(free))
     J, rows = system_of_free_rows(stack, mixed[0], by_w[0], free)
     inverse = factorize_matrix(J)
 
@@ -271,15 +270,13 @@ def take_step(
 
 def apply(blocks: NDArray[np.float64], x: Cones) -> Cones:
     """Return the product of each block with its part of x."""
-    found: Cones = np.einsum("kij,kj->ki", blocks, x)
-    return found
+    return np.einsum("kij,kj->ki", blocks, x)
 
 
 def determinant(x: Cones) -> Vector:
     """Return x_N² − ‖x_T‖², shape (k,)."""
     tangent = np.linalg.norm(x[:, 1:], axis=1)
-    found: Vector = (x[:, 0] - tangent) * (x[:, 0] + tangent)
-    return found
+    return (x[:, 0] - tangent) * (x[:, 0] + tangent)
 
 
 def product(a: Cones, b: Cones) -> Cones:

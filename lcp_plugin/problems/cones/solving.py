@@ -415,7 +415,7 @@ class ConeResult(Result):
         return motion_of(r, u, problem.q, after)
 
     def _worst(self, count: int) -> WorstRows:
-        return self.certificate.worst(self.tolerance, count)  # type: ignore[attr-defined, no-any-return]
+        return self.certificate.worst(self.tolerance, count)  # type: ignore[attr-defined]
 
     def _effort(self) -> str:
         return (

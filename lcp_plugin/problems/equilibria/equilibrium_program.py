@@ -32,8 +32,7 @@ _COUNTS = np.array([0, 1, 1, 2, 1, 2, 2, 3])
 
 def case_counts(cases: Cases) -> Indices:
     """Return the number of open branches of each pair."""
-    counts: Indices = _COUNTS[cases]
-    return counts
+    return _COUNTS[cases]
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,8 +177,7 @@ class EquilibriumProgram:
         lower, upper = (
             np.isfinite(end) & (has_own | (end != 0.0)) for end in (self.lower, self.upper)
         )
-        cases: Cases = (BETWEEN + LOWER * lower + UPPER * upper).astype(np.uint8)
-        return cases
+        return (BETWEEN + LOWER * lower + UPPER * upper).astype(np.uint8)
 
     def bounds(self, cases: Cases) -> tuple[Vector, Vector]:
         """Return the bounds of x common to all open branches; infeasible if some lower > upper."""
@@ -254,8 +252,7 @@ class EquilibriumProgram:
 
         def F(values: Vector) -> Vector:
             held[z] = values
-            slack: Vector = self._equalities(held)[0][rows] / unit
-            return slack
+            return self._equalities(held)[0][rows] / unit
 
         def jacobian(values: Vector) -> sp.csr_array:
             held[z] = values
@@ -305,26 +302,23 @@ class EquilibriumProgram:
     def distances(self, x: Vector) -> Vector:
         """Return the distance of x from the three branches of each pair, shape (3, k); ∞ for a missing branch."""
         z, w = x[self.first], x[self.second]
-        found: Vector = np.array(
+        return np.array(
             [
                 np.maximum(np.abs(z - self.lower), -w),
                 np.maximum(np.abs(w), np.maximum(self.lower - z, z - self.upper)),
                 np.maximum(np.abs(self.upper - z), w),
             ]
         )
-        return found
 
     def violations(self, x: Vector) -> Vector:
         """Return the complementarity violation of each pair at x, shape (k,)."""
-        nearest: Vector = self.distances(x).min(axis=0)
-        return nearest
+        return self.distances(x).min(axis=0)
 
     def nearest(self, x: Vector, cases: Cases) -> Cases:
         """Return the open branch of each pair that is nearest to x, shape (k,)."""
         choices = np.array(CASES, dtype=np.uint8)
         is_closed = (cases & choices[:, None]) == 0
-        nearest: Cases = choices[np.argmin(np.where(is_closed, np.inf, self.distances(x)), axis=0)]
-        return nearest
+        return choices[np.argmin(np.where(is_closed, np.inf, self.distances(x)), axis=0)]
 
     def objective(self, x: Vector) -> float:
         """Return ½ xᵀP x + cᵀx + constant, plus f(x) if there is a smooth part."""
@@ -359,8 +353,7 @@ class EquilibriumProgram:
         rows = self.program.constraints
         own, missed = largest_in_rows(sp.csr_array(rows.matrix.multiply(np.abs(x)))), rows.excess(x)
         terms = np.maximum(np.nan_to_num(np.abs(rows.limit), posinf=0.0), own)
-        excess: Vector = np.where(missed > 0.0, missed / np.where(terms > 0.0, terms, 1.0), 0.0)
-        return excess
+        return np.where(missed > 0.0, missed / np.where(terms > 0.0, terms, 1.0), 0.0)
 
     def __repr__(self) -> str:
         return f"EquilibriumProgram(n={self.program.n}, {self.pairs} pair{'' if self.pairs == 1 else 's'})"

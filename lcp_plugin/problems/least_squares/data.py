@@ -545,14 +545,12 @@ def shortest_solution(A: Vector, b: Vector) -> Vector:
     """Return the shortest x of least ‖A x − b‖; singular values below max(m, n) ε of the largest are 0."""
     from scipy.linalg import lstsq
 
-    x: Vector = lstsq(A, b, max(A.shape) * EPSILON, check_finite=False, lapack_driver="gelsy")[0]
-    return x
+    return lstsq(A, b, max(A.shape) * EPSILON, check_finite=False, lapack_driver="gelsy")[0]
 
 
 def times(B: Any, v: Vector) -> Vector:
     """Return B v, for each row of v if v has two axes."""
-    product: Vector = B @ v if v.ndim == 1 else v @ B.T
-    return product
+    return B @ v if v.ndim == 1 else v @ B.T
 
 
 def clip(x: Vector, lower: Vector, upper: Vector) -> Vector:

@@ -137,7 +137,7 @@ class LeastSquaresRun(Run):
     def measure(self, stage: Stage, step: Step) -> Optimality | None:
         """Return the certified point of a step; None for a projected step that is not much nearer than the last one."""
         if step.measured is not None:
-            return step.measured  # type: ignore[no-any-return]
+            return step.measured
         if step.residual is None:
             self.nearest = step.z
         else:

@@ -131,8 +131,7 @@ def _steps(x: Vector, lower: Vector, upper: Vector) -> Vector:
     above, below = upper - x, x - lower
     sign = np.where(x < 0.0, -1.0, 1.0)
     ahead, behind = np.where(sign > 0.0, above, below), np.where(sign > 0.0, below, above)
-    steps: Vector = np.where((ahead < length) & (behind > ahead), -sign, sign) * length
-    return steps
+    return np.where((ahead < length) & (behind > ahead), -sign, sign) * length
 
 
 class UndefinedDerivativeError(InvalidProblem):

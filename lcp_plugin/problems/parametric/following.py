@@ -177,8 +177,7 @@ class Motion(NamedTuple):
     @property
     def outside(self) -> Vector:
         """Violation of its step by each row, relative to the rounding error, shape (n,)."""
-        off: Vector = np.maximum(-self.low[0], -self.high[0]) / self.blur
-        return off
+        return np.maximum(-self.low[0], -self.high[0]) / self.blur
 
     def first_end(self, sign: float = 1.0) -> tuple[float, Change | None]:
         """Return the distance to the first end of a step, and the row that changes."""

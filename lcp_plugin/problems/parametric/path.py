@@ -245,8 +245,7 @@ class Path(Outcome):
             If θ is not on the path.
         """
         piece = self.piece_at(theta) if piece is None else piece
-        found: PathPoint = self.line.point(float(theta), piece.z_at(float(theta)))
-        return found
+        return self.line.point(float(theta), piece.z_at(float(theta)))
 
     def x(self, thetas: ArrayLike) -> Vector:
         """Return x at many values, shape (k, n)."""

@@ -315,8 +315,7 @@ class ProgramProofs:
     @classmethod
     def of(cls, program: QuadraticProgram) -> ProgramProofs:
         """Return the proofs cached with a program, because points of several solvers share them."""
-        kept: ProgramProofs = program.__dict__.setdefault("_proofs", cls(program))
-        return kept
+        return program.__dict__.setdefault("_proofs", cls(program))
 
     @derived_property
     def bounds(self) -> value_bounds.DualBounds:

@@ -387,7 +387,7 @@ def proof_of_contradiction(program: QuadraticProgram) -> QPInfeasibility | None:
     found: Any = folded.proof(contradictory_row(folded.reduced))
     if found is None and _is_sought(program):
         found = prove_infeasible(program)
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def _prove_by_programs(program: QuadraticProgram, exactly: bool) -> NoMinimum | None:
@@ -520,8 +520,7 @@ def _best_proof(
         return replace(asked, weights=weights, bound_weights=(below, above), reference=unit)
 
     units = scale.sizes if first is None else [first, *scale.sizes]
-    found: T | None = farkas.best_proof(weighed, units, proven, exactly=exactly)
-    return found
+    return farkas.best_proof(weighed, units, proven, exactly=exactly)
 
 
 def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:

@@ -333,7 +333,7 @@ class ProgramFacts:
             if found is None and is_over():
                 return None  # a time limit has cut it short
             self.__dict__["_proof"] = found
-        return self.__dict__["_proof"]  # type: ignore[no-any-return]
+        return self.__dict__["_proof"]
 
     def accepted_proof(self, tolerance: float = PROGRAM_TOLERANCE) -> NoMinimum | None:
         """Return the proof that no x is a solution at this tolerance, or None.

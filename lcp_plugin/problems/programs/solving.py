@@ -429,8 +429,7 @@ def solve_program(
         if run.proof is None:
             raise
         return run.result(TerminationReason.NO_SOLUTION)
-    found: QuadraticProgramResult = run.solve(run.with_proof(plan))
-    return found
+    return run.solve(run.with_proof(plan))
 
 
 def _engine(algorithm: Any, options: dict[str, Any]) -> Engine | None:
@@ -641,7 +640,7 @@ class ProgramRun(Run):
     def status(self, end: TerminationReason) -> Status:
         """Return the status: of the proof, SOLVED, of a limit, or for the accuracy of the best point."""
         if self.proof is not None:
-            return self.proof.status  # type: ignore[no-any-return]
+            return self.proof.status
         status = super().status(end)
         if status is not Status.STALLED:
             return status

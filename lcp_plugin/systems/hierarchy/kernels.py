@@ -97,10 +97,7 @@ def update_product(
     def piece(first: int, end: int) -> tuple[float, int]:
         sums = np.empty(width), np.empty(coarse[5].size)
         space = np.zeros(width, kind), np.empty(width, kind), *sums
-        counts: tuple[float, int] = _update_rows(
-            matrix, flags, prolongation, restriction, coarse, space, first, end
-        )
-        return counts
+        return _update_rows(matrix, flags, prolongation, restriction, coarse, space, first, end)
 
     products, changed = zip(*share(piece, restriction[0].size - 1, 16384), strict=True)
     return sum(products), sum(changed)

@@ -724,9 +724,7 @@ def assert_solves(
     diagonal: z is not complementary: w[1] = 1, but z[1] = 1.5 lies between its bounds
     """
     if not callable(solver):
-        raise InvalidOption(
-            f"solver must be callable as solver(M, q, lower, upper), got {solver!r}"
-        )
+        raise InvalidOption(f"solver must be callable: (M, q, lower, upper) → z, got {solver!r}")
     chosen: Any = p_matrices() if matrices is None else matrices
     if not isinstance(chosen, st.SearchStrategy):
         kind = type(chosen).__name__

@@ -153,12 +153,7 @@ def _answer(content: NLContent, settings: dict[str, Any]) -> tuple[str, Any, Any
     except (LCPError, MemoryError) as error:
         return f"lcp_plugin {__version__}: failure: {error}", None, None, FAILURE
     except KeyboardInterrupt:
-        return (
-            f"lcp_plugin {__version__}: interrupted before there was an answer",
-            None,
-            None,
-            INTERRUPTED,
-        )
+        return f"lcp_plugin {__version__}: interrupted, without an answer", None, None, INTERRUPTED
     proof = answer.result.proof
     has_words = proof is not None and proof is not answer.result  # which proves itself
     advice = [] if answer.is_solved else [str(proof) if has_words else answer.result.advice]

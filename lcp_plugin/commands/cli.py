@@ -102,9 +102,7 @@ def command(name: str, exit_codes: str, *examples: str) -> Callable[[F], F]:
                 raise typer.Exit(EXIT_UNSOLVED) from None
             except OSError as error:
                 _drop_output()
-                message = (
-                    f"cannot write {error.filename or 'the output'}: {error.strerror or error}"
-                )
+                message = f"cannot write {error.filename or 'output'}: {error.strerror or error}"
             typer.echo(f"lcp-plugin: {message}", err=True)
             raise typer.Exit(EXIT_BAD_INPUT)
 

@@ -268,9 +268,7 @@ def check_outputs(target: str, plot: Path | None, out: Path | None, ending: str)
     for path in filter(None, (plot, out)):
         check_place(path)
         if path.exists() and Path(target).exists() and path.samefile(target):
-            raise UnreadableFile(
-                f"cannot write {path}: it is the problem itself; choose another name"
-            )
+            raise UnreadableFile(f"cannot write {path}: it is the problem; choose another name")
 
 
 def check_place(path: Path) -> None:

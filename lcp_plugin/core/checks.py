@@ -143,9 +143,7 @@ def require_finite(array: NDArray[np.float64], name: str) -> None:
 
 
 def _not_finite(name: str, place: Any, value: Any, need: str = "finite") -> InvalidProblem:
-    return InvalidProblem(
-        f"{name} must be {need}, but {name}[{place}] = {value}; repair that entry"
-    )
+    return InvalidProblem(f"{name} must be {need}, but {name}[{place}] = {value}; repair it")
 
 
 def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array:
@@ -153,9 +151,7 @@ def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array
     try:
         matrix = _canonical(M, is_copied)
     except (ValueError, IndexError, TypeError) as error:  # the arrays do not fit together
-        raise InvalidProblem(
-            f"{name} is a damaged sparse array: {error}; build it again"
-        ) from error
+        raise InvalidProblem(f"{name} is a damaged sparse array: {error}; rebuild it") from error
     is_finite = np.isfinite(matrix.data)
     if not is_finite.all():
         where = int(np.argmin(is_finite))
@@ -200,9 +196,7 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     if type(values) is np.ndarray and values.dtype == DOUBLE:
         return values
     if isinstance(values, np.ma.MaskedArray):
-        raise InvalidProblem(
-            f"{need}, got a masked array; fill it first, for instance with .filled(0.0)"
-        )
+        raise InvalidProblem(f"{need}, got a masked array; fill it first, as by .filled(0.0)")
     if sp.issparse(values):
         raise InvalidProblem(f"{need}, got a sparse array; use .toarray().ravel()")
     if values is None:
@@ -212,9 +206,7 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     except RuntimeError as error:  # a tensor with a gradient
         raise InvalidProblem(f"{need}: {error}") from error
     except ValueError as error:
-        raise InvalidProblem(
-            f"{need}, got no rectangular array ({error}); check its rows"
-        ) from error
+        raise InvalidProblem(f"{need}, got no rectangular array ({error}); check rows") from error
     if array.dtype == np.float64:
         return array
     check_kind(array.dtype, need)
@@ -263,9 +255,7 @@ def checked_vector(
         is_valid |= (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
         if not is_valid.all():
             at = int(np.argmin(is_valid))
-            raise _not_finite(
-                name, at, vector[at], "finite or inf" if allow_plus_infinity else "finite"
-            )
+            raise _not_finite(name, at, vector[at], "finite" + " or inf" * allow_plus_infinity)
     return read_only(vector.copy())
 
 

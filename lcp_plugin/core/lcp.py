@@ -75,9 +75,7 @@ class LCP:
         names: Any = None,
     ) -> None:
         if _bounds:
-            raise InvalidOption(
-                "bounds of an LCP are passed by name; write LCP(M, q, lower=l, upper=u)"
-            )
+            raise InvalidOption("bounds are passed by name; write LCP(M, q, lower=l, upper=u)")
         given = self.__dict__
         given["matrix"] = matrix = M if isinstance(M, Matrix) else Matrix(M)
         given["n"] = n = matrix.n

@@ -145,10 +145,7 @@ def checked_tolerance(value: Any, name: str = "tolerance", *, may_be_zero: bool 
     if not (_number(value, name) or may_be_zero):
         raise InvalidOption(f"{name} must be a number > 0, got {value!r}")
     if value >= 1.0:
-        raise InvalidOption(
-            f"{name} must be less than 1, got {value!r}: it is relative, and the start has residual 1; "
-            "use 1e-8, the default of most problem classes"
-        )
+        raise InvalidOption(f"{name} must be less than 1, got {value!r}: it is relative; try 1e-8")
     return float(value)
 
 
@@ -220,9 +217,7 @@ def parse_options(words: Iterable[str]) -> dict[str, Any]:
     for word in words:
         name, equals, text = (part.strip() for part in word.partition("="))
         if not (name and equals):
-            raise InvalidOption(
-                f"an option is written name=value, as tolerance=1e-10; got {word!r}"
-            )
+            raise InvalidOption(f"an option is name=value, as tolerance=1e-10; got {word!r}")
         if name in options:
             raise InvalidOption(f"the option {name} is given twice; once is enough")
         try:

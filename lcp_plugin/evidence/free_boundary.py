@@ -57,9 +57,7 @@ class FreeBoundary:
     def positions(self) -> Vector:
         """Points in one dimension at which φ changes sign, rising, shape (k,)."""
         if self.points.ndim != 1:
-            raise InvalidOption(
-                "positions are those of one dimension; in the plane take segments or draw(axes)"
-            )
+            raise InvalidOption("positions are of one dimension; in the plane use segments")
         order = np.argsort(self.points, kind="stable")
         x, level = self.points[order], self.level[order]
         k = np.flatnonzero((level[:-1] < 0.0) != (level[1:] < 0.0))

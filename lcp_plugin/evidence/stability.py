@@ -500,9 +500,7 @@ def stability_atlas(
     ['SOLVED', 'SOLVED', 'SOLVED']
     """
     if progress is not None and not callable(progress):
-        raise InvalidOption(
-            f"progress must be callable as progress(done, total, label), got {progress!r}"
-        )
+        raise InvalidOption(f"progress must be callable: (done, total, label), got {progress!r}")
     entrants = methods_of(["auto", *REGISTRY] if algorithms is None else algorithms)
     if not isinstance(stresses, list | tuple | None):
         raise InvalidOption(f"stresses must be a list of names, got {stresses!r}")

@@ -230,9 +230,7 @@ class Study:
         points = ["polish", *(["reference"] if against == "seconds" else [])]
         shown = [row for row in shown if row.is_curve or (is_curves and row.family in points)]
         if not shown:
-            raise InvalidOption(
-                "nothing to draw: no run has a result; print() lists how each run ended"
-            )
+            raise InvalidOption("no run has a result to draw; print() lists how each ended")
         labels = dict.fromkeys(row.method for row in shown)
         looks = {label: look_of(k) for k, label in enumerate(labels)}
         if view == "profile":
@@ -643,9 +641,7 @@ def _check_problem(one: Any) -> Any:
         return partial(_build_by_name, one)
     if isinstance(one, LCP | Scene | tuple) or (callable(one) and class_of(one) is None):
         return one
-    raise InvalidOption(
-        f"{refusal('study', one)}; or a test problem, (M, q), a function of the size"
-    )
+    raise InvalidOption(f"{refusal('study', one)}; or a test problem, (M, q) or a function")
 
 
 def _build_by_name(text: str, size: int | None = None) -> Scene:
@@ -663,9 +659,7 @@ def _build_problem(given: Any, label: str, size: int | None) -> Scene:
     if callable(given):
         given = given() if size is None else given(size)
     elif size is not None:
-        raise InvalidOption(
-            f"{label} is one problem; leave sizes out, or give a function of the size"
-        )
+        raise InvalidOption(f"{label} is one problem; leave out sizes, or give a function")
     if isinstance(given, tuple) and 2 <= len(given) <= 4:
         given = LCP(given[0], given[1], **dict(zip(("lower", "upper"), given[2:], strict=False)))
     if isinstance(given, LCP):

@@ -88,9 +88,7 @@ class Scene:
             values = getattr(self, fact)
             if values is not None:
                 if values.shape != (self.problem.q.size,):
-                    raise InvalidProblem(
-                        f"{fact} must have shape ({self.n},) like z, got {values.shape}"
-                    )
+                    raise InvalidProblem(f"{fact} must have shape ({self.n},), got {values.shape}")
                 object.__setattr__(self, fact, read_only(values))
         if self.coordinates is not None and self.grid is None:
             object.__setattr__(self, "grid", tuple(axis.size for axis in self.coordinates))
@@ -202,9 +200,7 @@ def _checked(name: str, key: str, value: Any, default: Any) -> Any:
         is_right = (least if kind is int else -sys.float_info.max) <= value <= sys.float_info.max
     if is_right:
         return kind(value)
-    raise InvalidOption(
-        f"test problem {name!r}: {key} must be {needs}, as {default!r}, got {value!r}"
-    )
+    raise InvalidOption(f"{name!r}: {key} must be {needs}, as {default!r}, got {value!r}")
 
 
 def require(condition: bool, words: str) -> None:

@@ -465,9 +465,7 @@ def chain(
         names = ("multigrid", *more, "pgs") if is_positive else (*more, "npsor")
         return [(name, methods[name]) for name in names]
     if not isinstance(algorithm, str) or algorithm not in methods:
-        raise UnknownAlgorithm(
-            f"{algorithm!r} does not run on several ranks; auto does, and {', '.join(methods)}"
-        )
+        raise UnknownAlgorithm(f"{algorithm!r} cannot run on ranks; use auto, {', '.join(methods)}")
     method = methods[algorithm]
 
     def with_options(problem: RowsOnRanks, z: Vector) -> Iterates:

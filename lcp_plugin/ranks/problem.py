@@ -213,9 +213,7 @@ def equal_share(n: int, ranks: Ranks) -> tuple[int, int]:
 def _checked_rows(rows: Any) -> sp.csr_array:
     """Return the rows as canonical CSR, every index checked: a wrong one would be met on another rank."""
     if not (sp.issparse(rows) and rows.ndim == 2):
-        raise InvalidProblem(
-            f"the own rows must be a sparse array of shape (own, n), got {type(rows).__name__}"
-        )
+        raise InvalidProblem(f"rows must be sparse, of shape (own, n), got {type(rows).__name__}")
     checks.check_kind(rows.dtype, "rows must hold real numbers")
     if rows.shape[1] > WIDEST:
         raise InvalidProblem(f"M has {rows.shape[1]} columns; at most {WIDEST} are taken")
@@ -243,9 +241,7 @@ def _emptied(folder: Path) -> str:
     if folder.exists() and not (
         folder.is_dir() and all(CHUNK.fullmatch(one.name) for one in folder.iterdir())
     ):
-        raise UnreadableFile(
-            f"{folder} holds something else than chunks of a problem; choose another place"
-        )
+        raise UnreadableFile(f"{folder} holds more than chunks of a problem; choose another")
     folder.mkdir(parents=True, exist_ok=True)
     for one in folder.iterdir():
         one.unlink()
@@ -273,10 +269,7 @@ def _chunks(source: Path) -> list[Chunk]:
     ends = [0, *(chunk.last for chunk in chunks)]
     starts = [*(chunk.first for chunk in chunks), int(names[0][3]) if names else -1]
     if ends != starts or len({(one[3], one[4]) for one in names}) > 1:
-        raise UnreadableFile(
-            f"{source} does not hold all chunks rows-…-of-….npz of one problem, and no others; write it with "
-            "problem.save"
-        )
+        raise UnreadableFile(f"{source} must hold the chunks of one problem; use problem.save")
     return chunks
 
 

@@ -257,10 +257,7 @@ class ResultOnRanks(BaseResult):
         UnsuitableProblem
             Always; plot the vector that ``problem.gathered(result.z)`` returns on rank 0.
         """
-        raise UnsuitableProblem(
-            "a result on ranks has only the local rows; plot the vector that problem.gathered(result.z) returns on "
-            "rank 0"
-        )
+        raise UnsuitableProblem("a result on ranks is local; plot problem.gathered(z) on rank 0")
 
     def describe_accuracy(self) -> str:
         """Return the relative residual next to the tolerance, and the bound of the error if there is one."""

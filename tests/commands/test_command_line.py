@@ -273,7 +273,7 @@ BAD_INPUT = [
         r"'half_activ' is neither a file nor a test problem; did you mean 'half_active'\?",
     ),
     ("solve obstacle_2d:sise=4", r"'obstacle_2d' has no parameter 'sise'; did you mean 'size'\?"),
-    ("solve half_active:n", r"an option is written name=value, .* got 'n'"),
+    ("solve half_active:n", r"an option is name=value, .* got 'n'"),
     ("solve half_active:n=4,n=9", r"the option n is given twice"),
     ("solve half_active:n=four", r"n must be an integer .*got 'four'"),
     ("solve box.npz --size 4", r"--size 4 is for a test problem"),

@@ -157,7 +157,7 @@ MATRICES = [
     matrix([[1.0, 2.0], [3.0]], r"M .*rectangular array.*check its rows"),
     matrix(np.ma.array(np.eye(3), mask=np.eye(3)), r"M .*masked array.*fill"),
     matrix(TensorWithGradient(), r"M must hold real numbers: .*Use tensor.detach"),
-    matrix(damaged_csr(indices=[0, 5, 2]), r"damaged sparse.*< 3.*build it again"),
+    matrix(damaged_csr(indices=[0, 5, 2]), r"damaged sparse.*< 3.*rebuild it"),
     matrix(damaged_csr(indptr=[0, 2, 1, 3]), r"damaged sparse.*decreasing"),
     matrix(damaged_csr(indptr=[0, 1, 3]), r"damaged sparse.*4"),
 ]

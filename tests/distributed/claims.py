@@ -306,7 +306,7 @@ def a_result_has_what_every_result_promises() -> None:
     assert content["tolerance"] == 1e-9
     for text in (repr(result), str(result), result.explain(), result.to_json()):
         assert len(set(COMM.allgather(text))) == 1
-    assert "local rows" in refused(UnsuitableProblem, result.plot)
+    assert "on ranks is local" in refused(UnsuitableProblem, result.plot)
     limited = rows.solve("npj", max_iterations=1)
     assert "relative residual" in refused(NotConverged, limited.require_solved)
 

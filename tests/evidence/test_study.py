@@ -340,7 +340,7 @@ def test_a_figure_for_a_journal_has_no_type_3_font(ending: str, tmp_path: Path) 
 def test_a_figure_without_data_is_refused_in_words(tmp_path: Path) -> None:
     """Without a solved run there is no file with empty axes; a problem without one says so in its panel."""
     failed = made(("p", 4, "a", -7.0))
-    with pytest.raises(InvalidOption, match="nothing to draw: no run has a result"):
+    with pytest.raises(InvalidOption, match="no run has a result to draw"):
         failed.save(tmp_path / "v.png", "work")
     assert not (tmp_path / "v.png").exists()
     figure = made(("p", 4, "a", -7.0), ("q", 4, "a", 7.0)).plot("work")

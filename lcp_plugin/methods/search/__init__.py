@@ -29,17 +29,6 @@ from ...proofs.no_solution import NoSolution, find_infeasibility
 from .explorer import Explorer, Face, Point, extreme_points, faces_around
 from .simplex import QUANTUM, Effort
 
-__all__ = [
-    "Effort",
-    "NoSolution",
-    "Solution",
-    "all_solutions",
-    "explore",
-    "is_near_solution",
-    "is_searchable",
-    "search",
-]
-
 LARGEST_CHOICES = 24  # rows with more than one choice
 LARGEST_SIZE = 60
 DEFAULT_NODES = 200_000
@@ -416,9 +405,7 @@ class ExhaustiveSearch(Algorithm):
             elif isinstance(outcome, NoSolution):
                 step.proof = outcome.infeasibility or outcome
             elif effort.cases >= 20_000 or effort.products >= MOST_PRODUCTS:
-                step.remark = (
-                    f"not decided in {effort.cases} cases of an exact search; all_solutions goes on"
-                )
+                step.remark = f"undecided after {effort.cases} cases; all_solutions goes on"
             yield step
             if step.remark:
                 return

@@ -479,12 +479,12 @@ def test_a_march_ends_where_a_step_is_not_solved() -> None:
             {"forcing": np.zeros(3)},
             r"forcing must be .* \(k, n\), a row a step, n = 3, got shape \(3,\)",
         ),
-        ({"forcing": [[0.0, np.nan, 0.0]]}, r"forcing\[0, 1\] = nan; repair that entry"),
+        ({"forcing": [[0.0, np.nan, 0.0]]}, r"forcing\[0, 1\] = nan; repair it"),
         (
             {"propagator": np.eye(2)},
             r"propagator must be a real matrix of shape \(3, 3\), got shape \(2, 2\)",
         ),
-        ({"propagator": np.full((3, 3), np.inf)}, r"propagator\[0, 0\] = inf; repair that entry"),
+        ({"propagator": np.full((3, 3), np.inf)}, r"propagator\[0, 0\] = inf; repair it"),
         ({"z0": np.zeros(2)}, "z0 must be"),
     ],
 )

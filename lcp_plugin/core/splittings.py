@@ -117,10 +117,8 @@ class Splitting(Algorithm):
         matrix, M = problem.matrix, problem.matrix.csr
         passes = SWEEPS[self.sweep]
         splits = {backward: row_splits(matrix, backward) for backward in passes}
-        new, unwanted = (
-            np.empty_like(x),
-            np.empty_like(x) if z is not None and len(passes) > 1 else z,
-        )
+        new = np.empty_like(x)
+        unwanted = np.empty_like(x) if z is not None and len(passes) > 1 else z
         work = 1.0
         while True:
             squares = 0.0

@@ -21,16 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.checks import Vector
 from ..core.lcp import LCP
 from ..problems.reformulations import lcp_from_bimatrix_game
+from . import stencil
 from .scene import Scene, require, scene_builder
-from .stencil import (
-    Field,
-    balanced_matrix,
-    dirichlet_terms,
-    interior,
-    nodes,
-    stencil_matrix,
-    upwind,
-)
 
 CONTACT_RADIUS = 0.6979651482233735
 """The root r* in (0, 1) of r² (1 − log(r/2)) = 1."""
@@ -66,12 +58,12 @@ def obstacle_2d(*, size: int = 100, shifted: bool = False) -> Scene:
     Kinderlehrer, Stampacchia, *An Introduction to Variational Inequalities and Their Applications*, SIAM
     2000, doi:10.1137/1.9780898719451.
     """
-    axis = nodes(-HALF_SIDE, HALF_SIDE, size)
+    axis = stencil.nodes(-HALF_SIDE, HALF_SIDE, size)
     r = np.hypot(*np.ix_(axis, axis))
-    solution, radius, legs = sphere_solution(r), r[interior(2)], (-1.0, -1.0)
-    M = stencil_matrix(radius.shape, 4.0, legs, legs)
-    q, lower = dirichlet_terms(solution, legs, legs), sphere_obstacle(radius).ravel()
-    continuum = solution[interior(2)].ravel()
+    solution, radius, legs = sphere_solution(r), r[stencil.interior(2)], (-1.0, -1.0)
+    M = stencil.stencil_matrix(radius.shape, 4.0, legs, legs)
+    q, lower = stencil.dirichlet_terms(solution, legs, legs), sphere_obstacle(radius).ravel()
+    continuum = solution[stencil.interior(2)].ravel()
     if shifted:
         q, continuum, lower = M @ lower + q, continuum - lower, np.zeros(lower.size)
     return Scene(
@@ -84,14 +76,14 @@ def obstacle_2d(*, size: int = 100, shifted: bool = False) -> Scene:
     )
 
 
-def sphere_obstacle(r: Field) -> Field:
+def sphere_obstacle(r: stencil.Field) -> stencil.Field:
     """Return ψ(r) = √(1 − r²), continued by the tangent at r = 0.9; any shape."""
     slope = -CONE_BEGINS / math.sqrt(1.0 - CONE_BEGINS**2)
     sphere = np.sqrt(1.0 - np.minimum(r, CONE_BEGINS) ** 2)
     return sphere + slope * np.maximum(r - CONE_BEGINS, 0.0)
 
 
-def sphere_solution(r: Field) -> Field:
+def sphere_solution(r: stencil.Field) -> stencil.Field:
     """Return the analytic u(r); any shape."""
     strength = CONTACT_RADIUS**2 / math.sqrt(1.0 - CONTACT_RADIUS**2)
     free = -np.log(np.maximum(r, CONTACT_RADIUS) / 2.0)
@@ -123,8 +115,8 @@ def convection_diffusion(
     """
     h = 1.0 / (size + 1)
     scale = 1.0 / max(diffusion, h)
-    below, above = upwind(diffusion, (h * math.cos(wind_angle), h * math.sin(wind_angle)))
-    M = balanced_matrix(
+    below, above = stencil.upwind(diffusion, (h * math.cos(wind_angle), h * math.sin(wind_angle)))
+    M = stencil.balanced_matrix(
         (size, size), ([scale * leg for leg in below], [scale * leg for leg in above])
     )
     return pulled_membrane(M, size, scale)
@@ -132,9 +124,9 @@ def convection_diffusion(
 
 def pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0) -> Scene:
     """Return the test problem of a membrane above the ground that the force f pulls up and down."""
-    axis = nodes(0.0, 1.0, size)[1:-1]
+    axis = stencil.nodes(0.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
-    force: Field = 10.0 * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
+    force: stencil.Field = 10.0 * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
     q: Vector = (-scale / (size + 1) ** 2 * force).ravel()
     return Scene(
         problem=LCP(M, q),
@@ -175,7 +167,8 @@ def journal_bearing(
     """
     require(0.0 <= eccentricity < 1.0, f"eccentricity must lie in [0, 1), got {eccentricity}")
     require(half_length > 0.0, f"half_length must be a number > 0, got {half_length}")
-    angle, width = nodes(0.0, 2.0 * np.pi, size), nodes(0.0, 2.0 * half_length, size)
+    angle = stencil.nodes(0.0, 2.0 * np.pi, size)
+    width = stencil.nodes(0.0, 2.0 * half_length, size)
     step, depth = angle[1] - angle[0], width[1] - width[0]
 
     def film_cubed(at: np.ndarray) -> np.ndarray:
@@ -184,7 +177,7 @@ def journal_bearing(
     middle = 0.5 * (angle[1:] + angle[:-1])
     around = film_cubed(middle) * (depth / step)
     across = film_cubed(angle[1:-1]) * (step / depth)
-    M = balanced_matrix((size, size), ([-around[:-1], -across], [-around[1:], -across]))
+    M = stencil.balanced_matrix((size, size), ([-around[:-1], -across], [-around[1:], -across]))
     source = eccentricity * np.sin(angle[1:-1]) * (step * depth)
     return Scene(
         problem=LCP(M, -np.repeat(source, size)),
@@ -227,7 +220,7 @@ def elastic_plastic_torsion(
     """
     require(section in ("square", "disc"), f"section must be 'square' or 'disc', got {section!r}")
     require(0.0 <= plastic_share < 1.0, f"plastic_share must lie in [0, 1), got {plastic_share}")
-    axis = nodes(-1.0, 1.0, size)[1:-1]
+    axis = stencil.nodes(-1.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
     r = np.hypot(x, y)
     distance = (
@@ -244,7 +237,7 @@ def elastic_plastic_torsion(
     legs = (-1.0, -1.0)
     return Scene(
         problem=LCP(
-            stencil_matrix((size, size), 4.0, legs, legs),
+            stencil.stencil_matrix((size, size), 4.0, legs, legs),
             -np.broadcast_to(load, (size, size)).ravel(),
             lower=-bound,
             upper=bound,
@@ -384,12 +377,12 @@ def american_put_march(
     for name, value in zip(names, (strike, volatility, maturity, log_range), strict=True):
         require(value > 0.0, f"{name} must be a number > 0, got {value}")
     time_step = maturity / steps
-    log_price = nodes(-log_range, log_range, size)
+    log_price = stencil.nodes(-log_range, log_range, size)
     payoff = strike * np.maximum(1.0 - np.exp(log_price), 0.0)
     below, above = _log_price_legs(rate, volatility, time_step, 2.0 * log_range / (size + 1))
-    M = stencil_matrix((size,), 1.0 + time_step * rate - below - above, [below], [above])
+    M = stencil.stencil_matrix((size,), 1.0 + time_step * rate - below - above, [below], [above])
     # boundary − values, as a partial function that can be sent to other processes
-    advance = partial(np.subtract, dirichlet_terms(payoff, [below], [above]))
+    advance = partial(np.subtract, stencil.dirichlet_terms(payoff, [below], [above]))
     inside = payoff[1:-1]
     return Scene(
         problem=LCP(M, advance(inside), lower=inside),
@@ -530,7 +523,7 @@ def paper_example_2(*, n: int = 100, delta: float = 4.0) -> Scene:
 
 def _paper_scene(n: int, delta: float, below: float, above: float) -> Scene:
     side = _side(n)
-    M = stencil_matrix((side, side), 4.0 + delta, (below, below), (above, above))
+    M = stencil.stencil_matrix((side, side), 4.0 + delta, (below, below), (above, above))
     exact = np.resize([1.0, 2.0], n)
     return Scene(
         problem=LCP(M, -(M @ exact)),
@@ -565,7 +558,7 @@ def half_active(
     complementarity: an iteration for the linear system alone would solve them.
     """
     side = _side(n)
-    M = stencil_matrix((side, side), 4.0 + delta, (-1.0, -1.0), (-1.0, -1.0))
+    M = stencil.stencil_matrix((side, side), 4.0 + delta, (-1.0, -1.0), (-1.0, -1.0))
     row, column = np.divmod(np.arange(n), side)
     is_active = (row // block + column // block) % 2 == 1
     values = np.resize([1.0, 2.0], n)

@@ -87,10 +87,8 @@ def read_mps(source: Path, remarks: list[str]) -> Read:
         raise InvalidProblem(f"{strange.pop()} is not a row N, L, G, E or a sense MIN, MAX")
     rows = NumberOf("ROWS", (words[-1] for words in sections["ROWS"]), remarks)
     names = (name for name, _ in groupby(words[0] for words in sections["COLUMNS"]))
-    columns, integers = (
-        NumberOf("COLUMNS", names, remarks),
-        [words[0] for words in sections[MARKED]],
-    )
+    columns = NumberOf("COLUMNS", names, remarks)
+    integers = [words[0] for words in sections[MARKED]]
     entries = _entries(sections, "COLUMNS", rows, columns)
     right, ranges = (_entries(sections, section, rows) for section in ("RHS", "RANGES"))
     lower, upper = _bounds(sections["BOUNDS"], columns, integers)

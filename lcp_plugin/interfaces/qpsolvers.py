@@ -11,14 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..core import errors
 from ..core.checks import checked_bound, checked_vector, vector_option
-from ..core.errors import (
-    InvalidOption,
-    InvalidProblem,
-    LCPError,
-    UnknownAlgorithm,
-    UnsupportedModel,
-)
 from ..core.settings import Status
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.solving import solve_program
@@ -100,11 +94,11 @@ def solve_problem(
         program = _program(problem)
         built, guess = time.perf_counter(), _start(initvals, program)
         found = solve_program(program, z0=guess, verbose=verbose, **options)
-    except (InvalidOption, UnknownAlgorithm) as error:
+    except (errors.InvalidOption, errors.UnknownAlgorithm) as error:
         raise ParamError(str(error)) from error
-    except (InvalidProblem, UnsupportedModel) as error:
+    except (errors.InvalidProblem, errors.UnsupportedModel) as error:
         raise ProblemError(str(error)) from error
-    except LCPError as error:
+    except errors.LCPError as error:
         raise SolverError(str(error)) from error
     if found.status is Status.UNBOUNDED:
         raise ProblemError(f"the program is {found.proof}; bound x where the objective falls")

@@ -75,10 +75,8 @@ class InteriorPoint(Algorithm):
             yield from _cases(problem, z, 1)
         operations, speed = problem.n**3 / 3.0, DENSE_OPERATIONS
         if not problem.is_dense:
-            operations, speed = (
-                min(operations, sizes_of_factor(problem.matrix)[1]),
-                SPARSE_OPERATIONS,
-            )
+            operations = min(operations, sizes_of_factor(problem.matrix)[1])
+            speed = SPARSE_OPERATIONS
         seconds = 20 * operations / speed  # of PIQP's factorizations
         require_seconds(seconds)
         program: Any = ZeroSumGame.of(problem)
@@ -176,10 +174,8 @@ class MonotoneProgram:
 
         The engine sees x in a unit in which costs are as large as coefficients.
         """
-        given, z = (
-            self.statement,
-            np.where(self.problem.lower == self.problem.upper, self.problem.lower, 0.0),
-        )
+        given = self.statement
+        z = np.where(self.problem.lower == self.problem.upper, self.problem.lower, 0.0)
         if not self.unknowns.size:
             return z, 0
         sizes = _largest(given.c, given.h, given.b), _largest(given.P, given.G, given.A)
@@ -279,18 +275,14 @@ def _stated(
     below, above = np.isfinite(low), np.isfinite(high)
     rows, equations, boxed = map(np.flatnonzero, (below | above, ~(below | above), below & above))
     sign, k = np.where(below, 1.0, -1.0)[rows], boxed.size
-    A, G = (
-        -R[equations],
-        sp.diags_array(-sign) @ R[rows] if sp.issparse(R) else -sign[:, np.newaxis] * R[rows],
-    )
+    A = -R[equations]
+    G = sp.diags_array(-sign) @ R[rows] if sp.issparse(R) else -sign[:, np.newaxis] * R[rows]
     if k:
         places = np.searchsorted(rows, boxed), np.arange(k)
         v = sp.csr_array((np.full(k, -1.0), places), shape=(rows.size, k))
         if sp.issparse(R):
-            P, A = (
-                sp.block_diag([P, sp.csr_array((k, k))]),
-                sp.hstack([A, sp.csr_array((equations.size, k))]),
-            )
+            P = sp.block_diag([P, sp.csr_array((k, k))])
+            A = sp.hstack([A, sp.csr_array((equations.size, k))])
             G = sp.hstack([G, v])
         else:
             P, A, G = np.pad(P, (0, k)), np.pad(A, ((0, 0), (0, k))), np.hstack([G, v.toarray()])
@@ -342,10 +334,8 @@ def signs_of(matrix: Matrix) -> Vector | None:
     ):
         return None
     size, rows, columns = SAME * np.abs(M.data), row_numbers(M).astype(np.int64), M.indices
-    is_same, is_opposite = (
-        np.abs(M.data - mirrored.data) <= size,
-        np.abs(M.data + mirrored.data) <= size,
-    )
+    is_same = np.abs(M.data - mirrored.data) <= size
+    is_opposite = np.abs(M.data + mirrored.data) <= size
     if is_same.all() or not (is_same | is_opposite).all():
         return np.ones(n) if is_same.all() else None
     # In a graph of every row and its opposite, a row that is connected with its opposite has no consistent sign.

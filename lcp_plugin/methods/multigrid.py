@@ -239,12 +239,10 @@ class Safeguard:
 
     def _accept(self, z: Vector, residual: float, slack: Vector | None = None) -> None:
         np.copyto(self.z, z)
-        self.residual, self.least, self.idle, self._slack = (
-            residual,
-            min(self.least, residual),
-            0,
-            slack,
-        )
+        self.residual = residual
+        self.least = min(self.least, residual)
+        self.idle = 0
+        self._slack = slack
 
     def _energy_change(self, z: Vector) -> tuple[float, float, Vector]:
         """Return J(z) − J(accepted) = ½ dᵀ(w + w_accepted), its rounding error bound, and w."""

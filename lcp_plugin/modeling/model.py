@@ -626,10 +626,8 @@ def pair_residual(pair: Complements) -> Vector | None:
         return None
     z, w = map(compat.by_columns, values)
     if side.kind == "cone":
-        blocks = ConePair(np.arange(z.size), side.rows, friction_of(side)).blocks(
-            np.eye(z.size), np.zeros(z.size)
-        )
-        return np.abs(blocks.residual(z, w))
+        cones = ConePair(np.arange(z.size), side.rows, friction_of(side))
+        return np.abs(cones.blocks(np.eye(z.size), np.zeros(z.size)).residual(z, w))
     *_, weights, _, low, high = model.read(side)
     if other.kind == "nonnegative" and side.kind != "nonnegative":
         w = np.where(np.isfinite(high) & ~np.isfinite(low), -w, w)

@@ -414,10 +414,8 @@ def own_rows(ranks: Halo, matrix: sp.csr_array) -> tuple[sp.csr_array, Halo]:
     """
     ghosts = ranks.outside(matrix.indices)
     indptr = matrix.indptr.astype(np.int32, copy=False)
-    parts, width = (
-        (matrix.data, ranks.local(matrix.indices, ghosts), indptr),
-        ranks.own + ghosts.size,
-    )
+    parts = (matrix.data, ranks.local(matrix.indices, ghosts), indptr)
+    width = ranks.own + ghosts.size
     rows = sp.csr_array(parts, shape=(matrix.shape[0], width))
     if ghosts.size:
         rows.data = rows.data.copy()  # the caller's stay in their order

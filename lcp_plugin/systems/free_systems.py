@@ -136,10 +136,8 @@ class FreeBlocks:
 
     def __init__(self, J: Any, free: Any) -> None:
         self._groups = []
-        self.is_regular, self.is_singular = (
-            np.ones(len(free), np.bool_),
-            np.zeros(len(free), np.bool_),
-        )
+        self.is_regular = np.ones(len(free), np.bool_)
+        self.is_singular = np.zeros(len(free), np.bool_)
         counts = np.minimum(-(-free.sum(axis=1) // ALIKE) * ALIKE, free.shape[1])
         for count, items in self._alike(counts):
             # fixed rows of the block are rows of I

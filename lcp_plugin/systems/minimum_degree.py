@@ -87,12 +87,10 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
     weight, degree, is_gone = np.ones(n, np.int64), np.empty(n, np.int64), np.zeros(n, np.bool_)
     head, after, before = np.full(n + 1, -1), np.full(n, -1), np.full(n, -1)
     outside, mark, tag = np.zeros(n, np.int64), np.zeros(n, np.int64), 1
-    held, key, bucket, chain = (
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.full(n, -1),
-        np.full(n, -1),
-    )
+    held = np.empty(n, np.int64)
+    key = np.empty(n, np.int64)
+    bucket = np.full(n, -1)
+    chain = np.full(n, -1)
     for i in range(n):
         begin[i], size[i] = begins[i], begins[i + 1] - begins[i]
         degree[i] = size[i]

@@ -262,17 +262,13 @@ class LemkePath:
         self.n = n = q.size
         self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
         real, whole, matrix = shapes(n)
-        self.real, self.whole, self.matrix = (
-            np.zeros(real),
-            np.zeros(whole, dtype=np.int64),
-            np.zeros(matrix),
-        )
+        self.real = np.zeros(real)
+        self.whole = np.zeros(whole, dtype=np.int64)
+        self.matrix = np.zeros(matrix)
         self.real[WIDTH, :n] = upper
-        self.basis, self.others, self.side = (
-            self.whole[BASIC, :n],
-            self.whole[OTHER, : n + 1],
-            self.whole[SIDE, :n],
-        )
+        self.basis = self.whole[BASIC, :n]
+        self.others = self.whole[OTHER, : n + 1]
+        self.side = self.whole[SIDE, :n]
         self.values, self.tableau = self.real[KEPT, :n], self.matrix[:n]
         self.entries = self.reported = 0.0  # touched so far, and at the last report
         # Pivots until the tableau is computed again, at about that cost.
@@ -405,10 +401,8 @@ class LemkePath:
         beyond = D[np.ix_(slack_rows, columns)]
         if inner.size:
             top, below = np.empty((inner.size, n + 1)), np.zeros((outer.size, n + 1))
-            top[:, is_slack], top[:, ~is_slack] = (
-                inverse,
-                _product(-inverse, D[np.ix_(rows, other_columns)]),
-            )
+            top[:, is_slack] = inverse
+            top[:, ~is_slack] = _product(-inverse, D[np.ix_(rows, other_columns)])
             below[:, ~is_slack] = D[np.ix_(slack_rows, other_columns)]
             self.tableau[inner], self.tableau[outer] = top, _product(beyond, top, below)
         else:

@@ -444,10 +444,8 @@ class Worlds(Instances):
 
     def data(self, W: Any, b: Any, friction: Any) -> tuple[Any, ...]:
         """Return the arguments of `stack_of` for instances with these data."""
-        starts, none = (
-            np.arange(0, self.worlds.n + 1, self.worlds.dimension),
-            np.zeros((1, b.shape[1])),
-        )
+        starts = np.arange(0, self.worlds.n + 1, self.worlds.dimension)
+        none = np.zeros((1, b.shape[1]))
         return True, starts, W, b, friction, none, none
 
     def motion(self, z: Any, w: Any) -> Any:

@@ -176,10 +176,8 @@ class DeviceAnswers(AnswerSequence[Any]):
         (low, high), (count, n) = data[2:], data.q.shape
         start = xp.minimum(xp.maximum(low, 0.0), high)
         sides, z = xp.zeros((count, n), np.int64), xp.array(start, order="C")
-        bound, shared = (
-            xp.full(count, np.inf),
-            (xp.asarray(tilts(n)), float(self.settings.tolerance)),
-        )
+        bound = xp.full(count, np.inf)
+        shared = (xp.asarray(tilts(n)), float(self.settings.tolerance))
         launch(
             self.gpu,
             "solve_each",

@@ -102,6 +102,12 @@ class Blocks:
         """The block of each row, shape (n,)."""
         return np.repeat(np.arange(self.slope.size), self.sizes)
 
+    def residual(self, z: Vector, w: Vector) -> Vector:
+        """Return R = z − P_K(z − ŵ/d), shape (n,)."""
+        stack = ConeStack.of(self)
+        wide, flat = stack.pattern.wide, stack.pattern.flat
+        return flat(stack.residual(wide(z[None]), wide(w[None]))[0])[0]
+
     def project(self, z: Vector) -> Vector:
         """Return the point of K nearest to z, shape (n,)."""
         stack = ConeStack.of(self)

@@ -222,10 +222,8 @@ class ConeDerivative:
         dq = J du.
         """
         problem, n = self.problem, self.problem.n
-        low, high = (
-            checks.change_of_vector(dlower, "dlower", n),
-            checks.change_of_vector(dupper, "dupper", n),
-        )
+        low = checks.change_of_vector(dlower, "dlower", n)
+        high = checks.change_of_vector(dupper, "dupper", n)
         if dfriction is None:
             slopes = np.zeros(n)
         elif problem.has_friction:

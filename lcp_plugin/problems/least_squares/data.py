@@ -473,10 +473,8 @@ class Enclosures:
     def apply_transpose(self, y: Vector, slip: Vector) -> Ball:
         """Return AᵀWy for a y known up to slip; an empty slip means that y is exact."""
         problem = self.problem
-        weighted, slip = (
-            problem.apply_weights(y),
-            problem.apply_weights(slip) if slip.size else slip,
-        )
+        weighted = problem.apply_weights(y)
+        slip = problem.apply_weights(slip) if slip.size else slip
         if not problem.has_entries:
             return problem.apply_transpose(weighted), np.zeros(problem.shape[1])
         return self._product(problem.A.T, self._sizes.T, weighted, slip, 0.0, self._terms[1])

@@ -583,10 +583,8 @@ class FoldedRows:
         if not matrices.has_short_rows and np.isfinite(right).all():
             own = np.full(program.n, OWN)
             return cls(program, program, np.arange(right.size), own, own, np.ones(right.size))
-        is_equality, (rows, columns, coefficient) = (
-            matrices.is_equality[: right.size],
-            matrices.singletons,
-        )
+        is_equality = matrices.is_equality[: right.size]
+        (rows, columns, coefficient) = matrices.singletons
         limits = right[rows] / coefficient[rows]
         is_finite = np.isfinite(limits)
         rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]

@@ -467,10 +467,8 @@ def objective_bounds(
     row = sp.csr_array(np.concatenate([x, x, 2.0 * linear * program.c])[None, :])
     twice, error = compensated_product(row, np.concatenate([high, low, x]))
     error = sum_above(error, product_above(np.abs(x), blur).sum() * (1.0 + 2.0**-30))
-    lowest, highest = (
-        -half_above(upper_end(-twice, error)[0]),
-        half_above(upper_end(twice, error)[0]),
-    )
+    lowest = -half_above(upper_end(-twice, error)[0])
+    highest = half_above(upper_end(twice, error)[0])
     if radius is not None and radius.any():
         # |∇f| r + ½ rᵀ|P| r, where r is some units in the last place.
         slope = sum_above(sum_above(np.abs(high + program.c), np.abs(low)), blur)

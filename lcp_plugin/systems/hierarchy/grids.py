@@ -66,10 +66,8 @@ class Grid:
     @property
     def spread(self) -> float:
         """Ratio of the largest to the least pivot; ∞ if a pivot is not positive."""
-        largest, least = (
-            float(self.inverse.max(initial=0.0)),
-            float(self.inverse.min(initial=np.inf)),
-        )
+        largest = float(self.inverse.max(initial=0.0))
+        least = float(self.inverse.min(initial=np.inf))
         return largest / least if 0.0 < least < np.inf else np.inf
 
     @property

@@ -99,10 +99,8 @@ class TruncatedGrid:
 
     def update_coarser(self, below: TruncatedGrid, transfer: Transfer) -> tuple[float, int]:
         """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows."""
-        values, flags = (
-            (*self.grid.matrix.arrays[:2], self.values),
-            (self.is_interpolated, self.touched),
-        )
+        values = (*self.grid.matrix.arrays[:2], self.values)
+        flags = (self.is_interpolated, self.touched)
         coarse = *below.grid.matrix.arrays[:2], below.new_values, below.grid.split, below.inverse
         state = below.is_free, below.free_changed, below.row_changed
         operands = values, flags, transfer.prolongation.arrays, transfer.restriction.arrays

@@ -206,7 +206,9 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     except RuntimeError as error:  # a tensor with a gradient
         raise InvalidProblem(f"{need}: {error}") from error
     except ValueError as error:
-        raise InvalidProblem(f"{need}, got no rectangular array ({error}); check rows") from error
+        raise InvalidProblem(
+            f"{need}, got no rectangular array ({error}); check its rows"
+        ) from error
     if array.dtype == np.float64:
         return array
     check_kind(array.dtype, need)

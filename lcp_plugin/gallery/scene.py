@@ -200,7 +200,9 @@ def _checked(name: str, key: str, value: Any, default: Any) -> Any:
         is_right = (least if kind is int else -sys.float_info.max) <= value <= sys.float_info.max
     if is_right:
         return kind(value)
-    raise InvalidOption(f"{name!r}: {key} must be {needs}, as {default!r}, got {value!r}")
+    raise InvalidOption(
+        f"test problem {name!r}: {key} must be {needs}, as {default!r}, got {value!r}"
+    )
 
 
 def require(condition: bool, words: str) -> None:

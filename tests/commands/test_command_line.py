@@ -288,7 +288,7 @@ BAD_INPUT = [
         "compare obstacle_2d:size=4 -a psor --out out.txt",
         r"--out writes a \.csv file, got 'out.txt'",
     ),
-    (SOLVE + "-a psor -o relaxation", r"written name=value, .* got 'relaxation'"),
+    (SOLVE + "-a psor -o relaxation", r"is name=value, .* got 'relaxation'"),
     (SOLVE + "--relaxation 1.5", r"auto.*\['relaxation'\].*name an algorithm"),
     (SOLVE + "-a npsor -o tolerance=1e-3", r"tolerance"),
     (SOLVE + "-a npsor -o callback=3", r"'?callback'?"),

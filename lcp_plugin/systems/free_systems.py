@@ -314,8 +314,11 @@ class FreeSystem:
         if self.rows.size <= LEAST_SQUARES_UP_TO:
             attempts.append(self._least_squares(right, start))
         finite = [x for x in attempts if np.isfinite(x).all()]
-        residual = lambda x: _relative(right - self.block @ x, self._scale)  # noqa: E731
-        best = min(finite, key=residual, default=None)
+
+        def error(x: Vector) -> float:
+            return _relative(right - self.block @ x, self._scale)
+
+        best = min(finite, key=error, default=None)
         return None if best is None else self._extended(best)
 
     @cached_property
@@ -472,14 +475,15 @@ class FreeSystem:
         steps: int,
         scale: Any = None,
         x: Any = None,
-        **how: bool,
+        *,
+        transposed: bool = False,
     ) -> Vector:
         """Return the best x of steps x ← x + A⁻¹(right − M_FF x) from x = A⁻¹ right, as long as each halves its error.
 
         The error is the largest residual relative to `scale`, or to |M_FF||x| + |right| without a scale, 0/0 = 0.
         """
         solve, block, sizes = factor.solve, self.block, self._sizes if scale is None else None
-        if how.get("transposed"):
+        if transposed:
             solve, block, sizes = factor.solve_transposed, block.T, self._sizes.T
         if x is None:
             self.work += factor.solve_work

@@ -196,7 +196,9 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     if type(values) is np.ndarray and values.dtype == DOUBLE:
         return values
     if isinstance(values, np.ma.MaskedArray):
-        raise InvalidProblem(f"{need}, got a masked array; fill it first, as by .filled(0.0)")
+        raise InvalidProblem(
+            f"{need}, got a masked array; fill it first, for instance with .filled(0.0)"
+        )
     if sp.issparse(values):
         raise InvalidProblem(f"{need}, got a sparse array; use .toarray().ravel()")
     if values is None:
@@ -257,7 +259,8 @@ def checked_vector(
         is_valid |= (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
         if not is_valid.all():
             at = int(np.argmin(is_valid))
-            raise _not_finite(name, at, vector[at], "finite" + " or inf" * allow_plus_infinity)
+            need = "finite or inf" if allow_plus_infinity else "finite"
+            raise _not_finite(name, at, vector[at], need)
     return read_only(vector.copy())
 
 

@@ -217,7 +217,7 @@ class LCPRun(Run):
         chain = [stage.name for stage in self.progress.records()]
         is_solved = status is Status.SOLVED
         return self.result_at(
-            Certificate.at(self.problem, read_only(found.z), found.rows),
+            Certificate.at(self.problem, read_only(found.z), rows=found.rows),
             status,
             algorithm=name if chain in ([], [name]) else f"{name}: {', '.join(chain)}",
             infeasibility=self.proof,
@@ -289,7 +289,7 @@ class LCPRun(Run):
         if self.proof is None or not self.proof.is_rounding:
             return False
         found, problem = self.measured(z), self.problem
-        certificate = Certificate.at(problem, found.z, found.rows)
+        certificate = Certificate.at(problem, found.z, rows=found.rows)
         rounding = DATA_ROUNDING * float(np.abs(problem.q).max(initial=0.0))
         is_large = certificate.natural_residual > rounding
         if is_large and certificate.term_residual > self.settings.goal:

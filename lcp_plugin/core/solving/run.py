@@ -120,8 +120,7 @@ class Run:
             **common,
             **others,
         )
-        if progress.log is not None:
-            progress.log.end(result)
+        progress.conclude(result)
         return result
 
     # --- the loop -----------------------------------------------------------------------------------------

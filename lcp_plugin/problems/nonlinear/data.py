@@ -34,9 +34,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from itertools import count
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -394,6 +393,8 @@ class LinearizedRows(RowData):
         The point, F(x) and F(z°).
     """
 
+    matrix = "F′"
+
     def __init__(
         self, problem: NonlinearProblem, lcp: LCP, x: Vector, value: Vector, origin_value: Vector
     ) -> None:
@@ -426,15 +427,16 @@ class LinearizedRows(RowData):
         at = found.rows
         is_doubtful = at.is_active & (EPSILON * at.terms > limit * self.scale)
         is_wrong = is_doubtful.any() and (is_doubtful & (self.noise > limit)).any()
-        return found._replace(passes=not (self.growing(at).any() or is_wrong))
+        return found._replace(passes=not (self.growing.any() or is_wrong))
 
-    def growing(self, at: RowsAtPoint) -> BoolVector:
-        """Return the unknowns off their bounds that would grow by a part, if they alone minimized the residuals.
+    @derived_property
+    def growing(self) -> BoolVector:
+        """Mask of the unknowns off their bounds that would grow by a part, if they alone minimized the residuals.
 
         Then F tends to 0 as x diverges, and rows have the scale of other unknowns: x₀ − 1 + e^(−x₁) = 0 = x₀ − 1.
         """
         lcp, x = self.lcp, self.x
-        weights = np.where(at.is_active, 1.0, 0.0) / self.scale
+        weights = np.where(self.rows(x, self.value).is_active, 1.0, 0.0) / self.scale
         slopes = sp.csr_array(sp.diags_array(weights) @ lcp.csr)
         step = -(slopes.T @ (weights * self.value)) / (slopes.multiply(slopes).T @ np.ones(x.size))
         is_free = (x > lcp.lower) & (x < lcp.upper)
@@ -461,37 +463,6 @@ class LinearizedRows(RowData):
     def rounding_floor(self, terms: Vector, scale: Vector | None = None) -> Any:
         """Return the rounding level of each residual, with the rounding error inside F."""
         return super().rounding_floor(terms, scale) + self.noise
-
-
-@dataclass(frozen=True, eq=False)
-class NonlinearCertificate(Certificate):
-    """Residuals of x as a solution of its linearization, which ``derivative`` and ``explain`` use.
-
-    Examples
-    --------
-    >>> problem = NonlinearProblem(lambda x: x**2 - 4.0, lambda x: np.diag(2.0 * x), lower=[0.0])
-    >>> certificate = Linearizations(problem).at(np.array([2.001])).certificate
-    >>> certificate.w.round(4), float(round(certificate.relative_residual, 4))
-    (array([0.004]), 0.001)
-    """
-
-    is_linearised: ClassVar[bool] = True
-
-    criterion: LinearizedRows = field(kw_only=True, repr=False)
-
-    @derived_property
-    def _rows(self) -> RowsAtPoint:
-        return self.criterion.rows(self.z, self.criterion.value)
-
-    @property
-    def violation(self) -> Vector:
-        """The part of each F_i(x) with the wrong sign, |F_i(x)| off the bounds, shape (n,)."""
-        return self._rows.violation
-
-    @derived_property
-    def growing(self) -> BoolVector:
-        """Mask of the unknowns that grow without limit, shape (n,)."""
-        return self.criterion.growing(self._rows)
 
 
 class Linearization:
@@ -526,11 +497,11 @@ class Linearization:
         return True
 
     @derived_property
-    def certificate(self) -> NonlinearCertificate:
-        """The certificate of x."""
+    def certificate(self) -> Certificate:
+        """The certificate of x as a solution of the linearization, which ``derivative`` and ``explain`` use."""
         origin = self.points.origin.value
         data = LinearizedRows(self.problem, self.lcp, self.x, self.value, origin)
-        return NonlinearCertificate(self.lcp, self.x, criterion=data)
+        return Certificate.at(self.lcp, self.x, criterion=data, rows=data.rows(self.x, self.value))
 
     def measure(self, settings: Settings, power: float = POWER) -> Measured:
         """Return the measure of x by the stopping criterion."""

@@ -126,9 +126,10 @@ class _NewtonRun:
             if since and self._is_at_floor():
                 return
             is_small = following.residual <= self.tolerance
-            grown = grown + 1 if is_small and following.certificate.growing.any() else 0
+            data: Any = following.certificate.criterion
+            grown = grown + 1 if is_small and data.growing.any() else 0
             if grown == 3:  # steps with small residuals from which an unknown grows
-                end = np.where(following.certificate.growing, np.abs(following.x), np.inf)
+                end = np.where(data.growing, np.abs(following.x), np.inf)
                 self.points.limit = np.minimum(self.points.limit, end)
                 return
 
@@ -216,7 +217,7 @@ class _NewtonRun:
         the violation falls. Both are in the units of the start.
         """
         certificate, scale = point.certificate, self.first.lcp.residual_scale
-        sizes = np.maximum(certificate.by_row.high, certificate.violation / scale)
+        sizes = np.maximum(certificate.by_row.high, certificate.rows.violation / scale)
         size = float((self.weights * sizes).max(initial=0.0))
         is_small = point.residual <= max(self.tolerance, SMALLEST_TOLERANCE)
         return size * min(1.0, certificate.term_residual) if is_small else size

@@ -48,9 +48,8 @@ from .newton import Newton
 
 SEARCHED = "few enough unknowns to try every choice of bounds to the end"
 AGAIN = "the other methods found no solution"
-GAME_PIVOTS = (
-    20.0  # times n, if other methods are unlikely to succeed: random games take 3 n to 13 n
-)
+# times n, if other methods are unlikely to succeed: random games take 3 n to 13 n
+GAME_PIVOTS = 20.0
 
 
 def direct_methods(

@@ -174,9 +174,8 @@ class LCPRun(Run):
         left = self.settings.max_iterations - progress.iteration
         if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
             return None  # because a limit is reached
-        if (
-            found.is_limited and found.residual <= self.goal
-        ):  # z° solves what is left, up to rounding
+        # z° solves what is left, up to rounding
+        if found.is_limited and found.residual <= self.goal:
             return TerminationReason.AT_FLOOR
         if stage.is_flat() and self._is_at_floor():
             return TerminationReason.AT_FLOOR

@@ -470,15 +470,27 @@ class Linearization:
 
     Parameters
     ----------
-    points : Linearizations
-        The linearizations of the problem.
+    problem : NonlinearProblem
     x : array, shape (n,)
         A copy is kept.
     """
 
-    def __init__(self, points: Linearizations, x: Vector) -> None:
-        self.points, self.problem, self.x = points, points.problem, read_only(x.copy())
-        self.value = self.problem.value(self.x)
+    def __init__(self, problem: NonlinearProblem, x: Vector) -> None:
+        self.problem, self.x = problem, read_only(x.copy())
+        self.value = problem.value(self.x)
+
+    def at(self, x: Vector) -> Linearization:
+        """Return the linearization at another point, with the same `origin`."""
+        is_origin = np.array_equal(x, self.origin.x)
+        found = self.origin if is_origin else Linearization(self.problem, x)
+        found.origin = self.origin
+        return found
+
+    @derived_property
+    def origin(self) -> Linearization:
+        """The linearization at z°, the point of the bounds nearest to 0; F need not be defined there."""
+        nearest = np.clip(0.0, self.problem.lower, self.problem.upper)
+        return self if np.array_equal(self.x, nearest) else Linearization(self.problem, nearest)
 
     @derived_property
     def lcp(self) -> LCP:
@@ -499,7 +511,7 @@ class Linearization:
     @derived_property
     def certificate(self) -> Certificate:
         """The certificate of x as a solution of the linearization, which ``derivative`` and ``explain`` use."""
-        origin = self.points.origin.value
+        origin = self.origin.value
         data = LinearizedRows(self.problem, self.lcp, self.x, self.value, origin)
         return Certificate.at(self.lcp, self.x, criterion=data, rows=data.rows(self.x, self.value))
 
@@ -519,39 +531,6 @@ class Linearization:
         return self.certificate.relative_residual
 
 
-class Linearizations:
-    """The latest linearizations of a problem, each of which is computed once.
-
-    Parameters
-    ----------
-    problem : NonlinearProblem
-    """
-
-    REMEMBERED = 3
-
-    def __init__(self, problem: NonlinearProblem) -> None:
-        self.problem = problem
-        self.limit: Any = np.inf  # of |x|: farther unknowns have grown without limit
-        self._latest: list[Linearization] = []
-
-    @derived_property
-    def origin(self) -> Linearization:
-        """The linearization at z°, the point of the bounds nearest to 0; F need not be defined there."""
-        return self.at(np.clip(0.0, self.problem.lower, self.problem.upper))
-
-    def at(self, x: Vector) -> Linearization:
-        """Return the linearization at x, shape (n,)."""
-        for known in self._latest:
-            if np.array_equal(known.x, x):
-                return known
-        self.keep(found := Linearization(self, x))
-        return found
-
-    def keep(self, linearisation: Linearization) -> None:
-        """Store a linearization that was computed elsewhere."""
-        self._latest = [linearisation, *self._latest[: self.REMEMBERED - 1]]
-
-
 def criterion_at(problem: NonlinearProblem, x: Vector) -> tuple[RowData, Vector, Vector, Names]:
     """Return the data of the criterion at x, with x, F(x) and the names.
 
@@ -561,7 +540,7 @@ def criterion_at(problem: NonlinearProblem, x: Vector) -> tuple[RowData, Vector,
         If F or its derivative is not finite at x; the message names the row.
     """
     problem = problem.with_size(x.size)
-    at = Linearizations(problem).at(x)
+    at = Linearization(problem, x)
     if (wrong := np.flatnonzero(~np.isfinite(at.value))).size:
         row, value = problem.names.row(wrong[0]), at.value[wrong[0]]
         raise InvalidProblem(f"{row} is {value} at x; give a point at which F is defined")

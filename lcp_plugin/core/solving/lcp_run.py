@@ -208,7 +208,9 @@ class LCPRun(Run):
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best iterate, cleaned and polished, with the status of its certificate."""
         self._measure_last()
-        self.best = found = self._final(self.z, end)
+        found = self._final(self.z, end)
+        is_limited = found.is_limited or self._is_within_rounding_of_data(found.z)
+        self.best = found._replace(is_limited=is_limited)
         # If one of several algorithms diverged, the best z need not have.
         is_chain = end is TerminationReason.DIVERGED and len(self.progress.stages) > 1
         status = self.status(TerminationReason.STALLED if is_chain else end)
@@ -278,10 +280,6 @@ class LCPRun(Run):
         better = better_of(found, self.measured(polished))
         self.is_polished = better is not found
         return better
-
-    def is_limited(self, best: Measured) -> bool:
-        """Return whether only rounding, or only the rounding of the data, keeps the best point from passing."""
-        return bool(best.is_limited) or self._is_within_rounding_of_data(best.z)
 
     def _is_within_rounding_of_data(self, z: Vector) -> bool:
         """Return whether no z is a solution, but the violation at this z is at most the rounding of the data."""

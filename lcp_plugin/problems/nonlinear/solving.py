@@ -95,7 +95,10 @@ class NewtonState:
         self.work, self.starts = 1.0, 0
         # of linearizations without a solution; steps until the next one is tried
         self.failures = self.waits = 0
-        self.weights = _weights(start.lcp)
+        # 1/reference of the component of each row; shape (1,) for one component
+        unit = row_data(start.lcp).references[1]
+        is_usable = (unit.size > 1) & (unit > 0.0) & np.isfinite(unit)
+        self.weights: Vector = 1.0 / np.where(is_usable, unit, 1.0)
         self.random = np.random.default_rng(0)
 
     def all_steps(self) -> Iterator[Step]:
@@ -257,14 +260,6 @@ class NewtonState:
         # the sum may have missed the bound
         target = np.where(result.z <= step.lower, lcp.lower, target)
         return np.where(result.z >= step.upper, lcp.upper, target)
-
-
-def _weights(problem: LCP) -> Vector:
-    """Return 1/reference of each row's component, shape (n,), or shape (1,) for one component."""
-    unit = row_data(problem).references[1]
-    if unit.size == 1:
-        return np.ones(1)
-    return 1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)
 
 
 def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iterator[Stage]:

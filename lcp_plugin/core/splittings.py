@@ -469,8 +469,9 @@ class NPJ(ProjectedType):
 
 
 FIRST_WAIT = 8  # sweeps of a first phase of Gauss–Seidel
-# smallest step of ω towards 2, as a share of 2 − ω, that pays for a new transient
-WORTHWHILE = 0.05
+WORTHWHILE = (
+    0.05  # smallest step of ω towards 2, as a share of 2 − ω, that pays for a new transient
+)
 
 
 @dataclass(frozen=True, kw_only=True)

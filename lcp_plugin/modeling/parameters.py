@@ -217,8 +217,9 @@ class ModelDerivative:
 
     @derived_property
     def _at(self) -> Any:  # a Derivative, or a ConeDerivative
-        # with compiled kernels, which a model alone does not need
-        from ..problems.sensitivity import derivative
+        from ..problems.sensitivity import (
+            derivative,  # with compiled kernels, which a model alone does not need
+        )
 
         return derivative(self._result)
 

@@ -40,12 +40,12 @@ class Lemke(Algorithm):
     Notes
     -----
     The path is followed on 0 ≤ z ≤ u: an upper bound is a bound of the variables, not a row. Free rows are
-    eliminated if their block is well conditioned; otherwise each becomes two nonnegative variables. The
-    active set of z0 is tried first, by one factorization: after a small change of q it is often right; otherwise z0
-    has no effect. Connected components of the problem are solved one by one. Ties are broken lexicographically, so
-    no basis comes twice; a path from an arbitrary start may be a loop. A path from r > 0 ends in a solution if M is a
-    P-matrix or all bounds are finite, and for a copositive-plus M (for example a positive semidefinite one) if the
-    problem is feasible.
+    eliminated, if necessary together with rows that have one bound, of which z and w then change places. A free row
+    that belongs to no well-conditioned block becomes two nonnegative variables. The active set of z0 is tried first, by
+    one factorization: after a small change of q it is often right; otherwise z0 has no effect. Connected components of
+    the problem are solved one by one. The path belongs to a q with a perturbation at rounding level, which breaks
+    ties; a path from an arbitrary start may be a loop. A path from r > 0 ends in a solution if M is a P-matrix or all
+    bounds are finite, and for a copositive-plus M (for example a positive semidefinite one) if the problem is feasible.
 
     Examples
     --------
@@ -114,8 +114,9 @@ class Lemke(Algorithm):
         """Yield (z, entries touched) along successive paths until a path ends in a solution."""
         from .pivoting_path import LemkePath, starts
 
-        # test the active set of the start first: one factorization
-        if not np.array_equal(guess, component.nearest_to_zero):
+        if not np.array_equal(
+            guess, component.nearest_to_zero
+        ):  # test the active set of the start first: one factorization
             at_lower, at_upper = guess <= component.lower, guess >= component.upper
             if is_near(component, guess):  # z may miss its bounds by rounding
                 at_lower, at_upper = classify(component, guess, component.slack(guess))
@@ -125,8 +126,9 @@ class Lemke(Algorithm):
                 if _is_good(component, np.clip(found.z, component.lower, component.upper)):
                     return
         box = canonical_box(component)
-        # the tableau overflows, so that its path cannot reach a solution in double precision
-        if not box.is_finite:
+        if (
+            not box.is_finite
+        ):  # the tableau overflows, so that its path cannot reach a solution in double precision
             return
         path = LemkePath(box.M, box.q, box.upper)
         path.entries += box.work
@@ -170,14 +172,16 @@ class Lemke(Algorithm):
 
     def _solution(self, component: LCP, box: CanonicalBox, path: Any) -> Any:
         """Yield the end of a path, first solved again on the unscaled problem; return whether a point passes."""
-        from .tableau import AT_LOWER, AT_UPPER
+        from .tableau import AT_LOWER, AT_UPPER, BETWEEN
 
         z = np.clip(box.recover(path.z), component.lower, component.upper)
         bounded = (component.lower > -np.inf) | (component.upper < np.inf)
         at_lower = component.lower == component.upper
         at_upper = np.zeros(component.n, dtype=bool)
-        at_lower[box.rows] |= path.side == np.where(box.step < 0.0, AT_UPPER, AT_LOWER)
-        at_upper[box.rows] |= path.side == np.where(box.step < 0.0, AT_LOWER, AT_UPPER)
+        is_near = path.side == np.where(box.step == 0.0, BETWEEN, AT_LOWER)
+        is_flipped = component.lower[box.rows] == -np.inf
+        at_lower[box.rows] |= is_near & ~is_flipped
+        at_upper[box.rows] |= np.where(is_flipped, is_near, path.side == AT_UPPER)
         refined = solve_active_set(component, at_lower & bounded, at_upper & bounded & ~at_lower)
         work = 0.0 if refined is None else refined.work * max(component.nonzeros, 1)
         if refined is not None and _is_good(

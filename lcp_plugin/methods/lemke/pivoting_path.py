@@ -62,9 +62,10 @@ class CanonicalBox:
     rows : ndarray, shape (k,)
         Variable of the problem for each canonical variable, up to shift, sign and scale; split variables appear twice.
     step : ndarray, shape (k,)
-        Change of that variable per unit of the canonical variable; negative if the bounds are exchanged.
+        Change of that variable per unit of the canonical variable; negative if the bounds are exchanged, and 0 if the
+        canonical variable is w of that row.
     eliminated : ndarray, shape (g,)
-        Eliminated free variables.
+        Eliminated variables: free variables, and those whose place w has taken.
     elimination : ndarray, shape (g, k)
         Change of each eliminated variable per unit of a canonical variable.
     """
@@ -103,9 +104,9 @@ class CanonicalBox:
 def canonical_box(problem: LCP) -> CanonicalBox:
     """Return the problem in canonical form; M is made dense.
 
-    Fixed rows (lower = upper) go into q. Rows with an upper bound only change sign. Free rows are eliminated
-    if their block is well conditioned, apart from rows with a pivot of 0. Other free variables become differences of
-    two nonnegative ones.
+    Fixed rows (lower = upper) go into q. Rows with an upper bound only change sign. Free rows are eliminated. If their
+    block is singular, rows with one bound complete it, as a basis of the equations completes multipliers. Other free
+    variables become differences of two nonnegative ones.
     """
     M = problem.matrix.toarray()
     row_scale = 1 - np.frexp(problem.matrix.row_largest)[1]
@@ -154,26 +155,33 @@ def _without_free_rows(
     keep: IndexVector,
     is_free: NDArray[np.bool_],
 ) -> CanonicalBox:
-    gone, every = _independent(M, np.flatnonzero(is_free)), np.arange(keep.size)
-    stays = np.setdiff1d(every, gone)
-    eliminated = _solved(M, q, gone, stays)
-    if eliminated is None:
-        gone, stays, eliminated = gone[:0], every, np.empty((0, keep.size + 1))
-    offset, elimination = base.copy(), eliminated[:, :-1]
-    offset[keep[gone]] += eliminated[:, -1] * unit[keep[gone]]
-    to = M[np.ix_(stays, gone)]
-    M, q = M[np.ix_(stays, stays)] + to @ elimination, q[stays] + to @ eliminated[:, -1]
-    upper, rows = upper[stays], keep[stays]
+    free, one_sided = np.flatnonzero(is_free), np.flatnonzero(~is_free & (upper == np.inf))
+    own, empty = _independent(M, free), free[:0]
+    choices = (_with_partners(M, own, np.setdiff1d(free, own), one_sided), (own, empty))
+    for gone, partners in (*choices, (empty, empty)):
+        basic, stays = np.append(gone, partners), np.setdiff1d(np.arange(keep.size), gone)
+        place, columns = np.searchsorted(stays, partners), np.column_stack([M[:, stays], q])
+        # z and w of a partner's row change places
+        columns[:, place], columns[partners, place] = 0.0, -1.0
+        solution = _solved(M[np.ix_(basic, basic)], columns[basic])
+        if solution is not None:
+            break
+    reduced = columns[stays] + M[np.ix_(stays, basic)] @ solution
+    reduced[place] = solution[gone.size :]
+    M, q, upper, rows = reduced[:, :-1], reduced[:, -1], upper[stays], keep[stays]
+    offset, elimination = base.copy(), solution[:, :-1]
+    offset[keep[basic]] += solution[:, -1] * unit[keep[basic]]
     step, split = unit[rows], np.flatnonzero(is_free[stays])
+    step[place] = 0.0
     if split.size:  # z_i = z_i⁺ − z_i⁻ on these rows
         M = np.block([[M, -M[:, split]], [-M[split], M[np.ix_(split, split)]]])
         q, upper = np.append(q, -q[split]), np.append(upper, upper[split])
         rows, step = np.append(rows, rows[split]), np.append(step, -step[split])
         elimination = np.hstack([elimination, -elimination[:, split]])
     size = power_of_two(np.abs(q).max(initial=0.0))
-    elimination = elimination * (unit[keep[gone]] * size)[:, None]
+    elimination = elimination * (unit[keep[basic]] * size)[:, None]
     return CanonicalBox(
-        M, q / size, upper / size, offset, rows, step * size, keep[gone], elimination
+        M, q / size, upper / size, offset, rows, step * size, keep[basic], elimination
     )
 
 
@@ -187,13 +195,29 @@ def _independent(M: FloatMatrix, free: IndexVector) -> IndexVector:
     return np.asarray(free[pivots > 1e-8 * pivots.max()])
 
 
-def _solved(M: FloatMatrix, q: Vector, free: IndexVector, stays: IndexVector) -> FloatMatrix | None:
-    """Return the free variables as −M_FF⁻¹ (M_FR, q_F), shape (f, r + 1); None if that block is ill-conditioned."""
-    if not free.size:
-        return np.empty((0, stays.size + 1))
+def _with_partners(
+    M: FloatMatrix, own: IndexVector, rest: IndexVector, one_sided: IndexVector
+) -> tuple[IndexVector, IndexVector]:
+    """Return free rows, and as many other rows as may make their common block regular."""
+    solution = _solved(M[np.ix_(own, own)], M[np.ix_(own, one_sided)])
+    if solution is None or not (rest.size and one_sided.size):
+        return own, rest[:0]
+    from scipy.linalg import qr
+
+    block = M[np.ix_(rest, one_sided)] + M[np.ix_(rest, own)] @ solution
+    R, order = qr(block, mode="r", pivoting=True)
+    pivots = np.abs(R.diagonal())
+    order = order[: np.count_nonzero(pivots > 1e-8 * pivots[0])]
+    rows = qr(block[:, order].T, mode="r", pivoting=True)[1][: order.size]
+    return np.append(own, rest[rows]), one_sided[order]
+
+
+def _solved(block: FloatMatrix, right: FloatMatrix) -> FloatMatrix | None:
+    """Return −block⁻¹ right; None if the block is ill-conditioned."""
+    if not block.size:
+        return np.empty(right.shape)
     from scipy.linalg import lapack
 
-    block, right = M[np.ix_(free, free)], np.column_stack([M[np.ix_(free, stays)], q[free]])
     factor, pivots, info = lapack.dgetrf(block)
     if info or not lapack.dgecon(factor, np.linalg.norm(block, 1))[0] > 1e-8:
         return None
@@ -242,6 +266,9 @@ def bimatrix_players(M: NDArray[np.float64], q: Vector) -> NDArray[np.bool_] | N
 FloatMatrix = NDArray[np.float64]
 
 ACCURATE = 1e-12
+TIE_BREAK = (
+    2.0**-48
+)  # of the largest q: no two rows block at once, and no digit of a solution is lost
 FEASIBLE = 1e-7
 CANCELLED = 2.0**-44  # of the terms: a smaller difference is set to 0
 
@@ -254,12 +281,14 @@ class LemkePath:
     M : ndarray, shape (n, n)
         Equilibrated; not modified.
     q, upper : ndarray, shape (n,)
-        `upper` is positive, ∞ allowed.
+        The path perturbs q; `upper` is positive, ∞ allowed.
     """
 
     def __init__(self, M: FloatMatrix, q: Vector, upper: Vector) -> None:
-        self.M, self.q, self.upper = M, q, upper
+        self.M, self.upper = M, upper
         self.n = n = q.size
+        tilts = np.random.default_rng(1).uniform(1.0, 2.0, n)
+        self.q = q + TIE_BREAK * np.abs(q).max(initial=0.0) * tilts
         self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
         real, whole, matrix = shapes(n)
         self.real = np.zeros(real)
@@ -453,7 +482,8 @@ class LemkePath:
         of_others[is_slack] = error[rows]
         self.values += self.tableau @ of_others  # the columns of w are columns of −B⁻¹
         self.values[outer] -= error[slack_rows]
-        return float(np.max(np.abs(error) / np.maximum(size, 1e-300), initial=0.0))
+        # Terms that are smaller than 2⁻¹² are as inexact as the perturbation of q.
+        return float(np.max(np.abs(error) / np.maximum(size, 2.0**-12), initial=0.0))
 
     # --- reading ----------------------------------------------------------------------------------------
 
@@ -547,5 +577,4 @@ def _last_to_become_feasible(path: LemkePath, column: int, rows: NDArray[np.bool
         return None
     needed = np.full(path.n, -np.inf)
     needed[rows] = -path.q[rows] / slope[rows]
-    # Among equals, the last: the perturbation q + (ε, ε², …) is smallest there.
-    return int(np.flatnonzero(needed == needed.max())[-1])
+    return int(needed.argmax())

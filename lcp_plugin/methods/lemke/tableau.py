@@ -2,9 +2,9 @@
 
 The tableau expresses the n basic variables by the n + 1 others, so a pivot touches n (n + 1) numbers. Exactly one of
 z_i, w_i is basic for every row i but the *driven* one; SIDE is the place of z_i: AT_LOWER (w_i ≥ 0 basic), BETWEEN (z_i
-basic), AT_UPPER (w_i ≤ 0 basic). Bounds belong to variables. q is perturbed symbolically, q + (ε, ε², …) for a tiny
-ε, which settles every tie in the ratio test, so that no basis can come twice (Eaves' lexicographic rule). Variables are
-numbered z_i = i, w_i = n + i, t = 2n. Vectors are rows of `real`, index vectors rows of `whole` (:func:`shapes`).
+basic), AT_UPPER (w_i ≤ 0 basic). Bounds belong to variables. The caller perturbs q, so that no two rows block at once.
+Variables are numbered z_i = i, w_i = n + i, t = 2n. Vectors are rows of `real`, index vectors rows of `whole`
+(:func:`shapes`).
 
 A few pivots are made at a time, and the caller renews the tableau (:func:`pivots`). Rows are divided by their largest
 entry.
@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.kernels.compilation import helper, inline, kernel
+from ...core.kernels.compilation import inline, kernel
 
 KEPT, WIDTH, LOW, HIGH, DISTANCE = np.arange(5)  # rows of `real`
-SIDE, BASIC, PLACE, OTHER, CANDIDATE, START = range(6)  # rows of `whole`
+SIDE, BASIC, PLACE, OTHER, START = range(5)  # rows of `whole`
 AT_LOWER, BETWEEN, AT_UPPER, FIXED, NOT_STARTED = 0, 1, 2, 3, 4
 HELD = 8  # pivots whose products are added to a large tableau at once
 TIE = 1e-12
@@ -27,7 +27,7 @@ GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
 
 def shapes(n: int) -> tuple[tuple[int, int], ...]:
     """Return the shapes of `real`, `whole` and `matrix`."""
-    return (5, n + 1), (6, 2 * n + 6), (n + 2 * HELD, n + 1)
+    return (5, n + 1), (5, 2 * n + 1), (n + 2 * HELD, n + 1)
 
 
 @kernel
@@ -47,10 +47,8 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
         True if the tableau has just been computed: a first pivot of any size is then accepted.
     """
     # A tableau of 64 rows stays in the cache.
-    size, most = 0.0, HELD if n > 64 else 1
+    most = HELD if n > 64 else 1
     factors, rows = matrix[n : n + HELD], matrix[n + HELD : n + 2 * HELD]
-    for i in range(n):
-        size = max(size, abs(real[KEPT, i]))
     made, held, outcome = 0, 0, GOING_ON
     while made < limit and outcome == GOING_ON:
         column, largest = whole[PLACE, driven] - n, 0.0
@@ -60,14 +58,11 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
             largest = max(largest, abs(matrix[i, column]))
         for k in range(held):
             rows[k, column] = 0.0
-        row, step, count = _blocking(real, whole, matrix, n, column, direction, value, driven, size)
+        row, step = _blocking(real, whole, matrix, n, column, direction, value, driven)
         if row == NOTHING:
             outcome = RAY
             break
-        for c in range(count):
-            _bring_up_to_date(matrix, n, factors, rows, held, whole[CANDIDATE, c])
-        if count > 1:
-            row = _first_in_order(whole, matrix, n, column, direction, count)
+        _bring_up_to_date(matrix, n, factors, rows, held, row)
         # A pivot so small is taken in a new tableau only.
         if row >= 0 and not (is_fresh and made == 0) and abs(matrix[row, column]) < 1e-9 * largest:
             outcome = LOST
@@ -192,60 +187,19 @@ def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped
 
 
 @inline
-def _blocking(real, whole, matrix, n, column, direction, value, driven, size):  # type: ignore[no-untyped-def]
-    """Return the row that blocks the driven variable (or OWN_BOUND, NOTHING), the distance, the number of CANDIDATES.
-
-    If there are several candidates, the row is the first candidate.
-    """
+def _blocking(real, whole, matrix, n, column, direction, value, driven):  # type: ignore[no-untyped-def]
+    """Return the row that blocks the driven variable (or OWN_BOUND, NOTHING) and the distance; t blocks first."""
     own = real[WIDTH, driven] if driven < n else value if driven == 2 * n else np.inf
-    nearest = own
+    nearest, row = own, OWN_BOUND if own < np.inf else NOTHING
     for i in range(n):
         rate = direction * matrix[i, column]
         to_bound = (real[LOW, i] if rate < 0.0 else real[HIGH, i]) - real[KEPT, i]
         distance = max(to_bound / rate, 0.0) if abs(rate) > 1e-11 else np.inf
         real[DISTANCE, i] = distance
-        nearest = distance if distance < nearest else nearest
+        if distance < nearest:
+            row, nearest = i, distance
     if not nearest < np.inf:
-        return NOTHING, nearest, 0
-    count, within = 0, nearest + TIE * (size + nearest)
-    for i in range(n):
-        if real[DISTANCE, i] <= within:
-            if whole[BASIC, i] == 2 * n:
-                whole[CANDIDATE, 0] = i
-                return i, nearest, 1
-            whole[CANDIDATE, count] = i
-            count += 1
-    if own <= within:
-        whole[CANDIDATE, count] = OWN_BOUND
-        count += 1
-    return whole[CANDIDATE, 0], nearest, count
-
-
-@inline
-def _share(whole, matrix, n, column, direction, c, j):  # type: ignore[no-untyped-def]
-    """Return by how much later candidate c blocks when q_j grows; 0 for the driven variable's own bound."""
-    row, at = whole[CANDIDATE, c], whole[PLACE, n + j]
-    if row == OWN_BOUND:
-        return 0.0
-    return (matrix[row, at - n] if at >= n else -1.0 if at == row else 0.0) / (
-        direction * matrix[row, column]
-    )
-
-
-@helper
-def _first_in_order(whole, matrix, n, column, direction, count):  # type: ignore[no-untyped-def]
-    """Return the candidate that blocks first for q + (ε, ε², …)."""
-    for j in range(n):
-        if count == 1:
-            break
-        least, scale = np.inf, 0.0
-        for c in range(count):
-            share = _share(whole, matrix, n, column, direction, c, j)
-            least, scale = min(least, share), max(scale, abs(share))
-        kept = 0
-        for c in range(count):
-            if _share(whole, matrix, n, column, direction, c, j) <= least + TIE * scale:
-                whole[CANDIDATE, kept] = whole[CANDIDATE, c]
-                kept += 1
-        count = kept
-    return whole[CANDIDATE, 0]
+        return NOTHING, nearest
+    if whole[PLACE, 2 * n] < n and real[DISTANCE, whole[PLACE, 2 * n]] <= nearest * (1.0 + TIE):
+        row = whole[PLACE, 2 * n]
+    return row, nearest

@@ -427,8 +427,9 @@ def span(vector: Vector) -> float:
     return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
 
 
-# share of its couplings; no simple fraction, which rounding would decide on regular grids
-HELD = 0.13
+HELD = (
+    0.13  # share of its couplings; no simple fraction, which rounding would decide on regular grids
+)
 NO_FLAGS = np.zeros(0, np.bool_)
 
 

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from inputs.planted import planted_lcp
 from oracles.truth import SOLVABLE
+from scipy.optimize import linear_sum_assignment
 from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, Certificate, Status, solve
@@ -129,7 +130,7 @@ def test_exponential_families(name: str, n: int) -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_degenerate_integers_end(seed: int) -> None:
-    """With ties at every pivot the lexicographic rule ends each path long before the limit, and numerically sound."""
+    """With ties at every pivot each path ends long before the limit, and numerically sound."""
     generator = np.random.default_rng(seed)
     n = 12
     M = generator.integers(-1, 2, size=(n, n)).astype(float)
@@ -141,6 +142,20 @@ def test_degenerate_integers_end(seed: int) -> None:
             while outcome == GOING_ON and path.pivots < 2000:
                 outcome = path.advance(25)
             assert outcome not in (GOING_ON, LOST)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_degenerate_assignments_end_in_an_optimum(seed: int) -> None:
+    """Multipliers of dependent equations are free, without a diagonal; scipy's assignment costs as much."""
+    costs, one, each = (
+        np.random.default_rng(seed).integers(0, 10, (15, 15)),
+        np.ones(15),
+        np.eye(15),
+    )
+    rows = np.vstack([np.kron(each, one), np.kron(one, each)])
+    result = solve(LCP.from_qp(None, costs.ravel(), A=rows, b=np.ones(30), lower=0.0), "lemke")
+    best = costs[linear_sum_assignment(costs)].sum()
+    assert costs.ravel() @ result.require_solved().z[:225] == pytest.approx(best, rel=1e-12)
 
 
 def rank_deficient(g: np.random.Generator, n: int) -> np.ndarray:
@@ -308,7 +323,7 @@ def test_a_time_limit_ends_starts_that_have_no_path() -> None:
 
 
 def test_independent_free_rows_are_eliminated_next_to_a_singular_one() -> None:
-    """Definitions d = R w are eliminated although the sum of w, with a multiplier, has a pivot of 0 among free rows."""
+    """Definitions d = R w are eliminated, and the sum of w with its multiplier and one of the w."""
     rng, d, w = np.random.default_rng(7), np.arange(30), 30 + np.arange(4)
     R, M = rng.random((30, 4)), np.zeros((35, 35))
     M[d, d], M[np.ix_(d, w)], M[np.ix_(w, d)] = 1.0, -R, R.T
@@ -316,7 +331,7 @@ def test_independent_free_rows_are_eliminated_next_to_a_singular_one() -> None:
     lower = np.where(np.isin(np.arange(35), w), 0.0, -INF)
     problem = LCP(M, np.append(np.zeros(34), -1.0), lower=lower)
     box = canonical_box(problem)
-    assert (box.eliminated.size, box.q.size) == (30, 6)
+    assert (box.eliminated.size, box.q.size) == (32, 4)
     assert Certificate.of(problem, solve(problem, "lemke").z).relative_residual < 1e-12
 
 

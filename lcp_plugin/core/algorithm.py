@@ -45,7 +45,7 @@ class Step:
     iterations : int or None
         Number of iterations that this step counts as; None means 1, or 0 for the first step of a method, the start.
     measured : Measured, optional
-        The measure of this z, if the proposal contains it already.
+        The measure of this z, if the proposal contains it already; of a nonlinear problem its linearization there.
     """
 
     z: Vector

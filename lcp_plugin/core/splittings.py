@@ -469,9 +469,8 @@ class NPJ(ProjectedType):
 
 
 FIRST_WAIT = 8  # sweeps of a first phase of Gauss–Seidel
-WORTHWHILE = (
-    0.05  # smallest step of ω towards 2, as a share of 2 − ω, that pays for a new transient
-)
+# smallest step of ω towards 2, as a share of 2 − ω, that pays for a new transient
+WORTHWHILE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)

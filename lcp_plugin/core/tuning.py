@@ -10,17 +10,14 @@ BANDED_PASSES = 150.0  # up to here a band comes before sweeps that nothing prov
 PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M from which on those are cheaper than lemke's pivots
 
 # Sizes that a plan never exceeds.
-FULL_CHOLESKY_UP_TO = (
-    1500  # rows: the gain of a dense factorization grows with n, and its loss on a band also
-)
-LINEAR_PROGRAM_UP_TO = (
-    5000  # rows of a linear program, whose fill-in is not known before: some seconds
-)
+# rows: the gain of a dense factorization grows with n, and its loss on a band also
+FULL_CHOLESKY_UP_TO = 1500
+# rows of a linear program, whose fill-in is not known before: some seconds
+LINEAR_PROGRAM_UP_TO = 5000
 # a second, of LAPACK on one thread and of SuperLU, qdldl, our loops
 DENSE_OPERATIONS, SPARSE_OPERATIONS = (2e10, 1e9)
-FACTOR_OPERATIONS_UP_TO = (
-    2e10  # Σ count² over the columns of a Cholesky factor L: 5 to 10 seconds, a 3-D grid of 37³
-)
+# Σ count² over the columns of a Cholesky factor L: 5 to 10 seconds, a 3-D grid of 37³
+FACTOR_OPERATIONS_UP_TO = 2e10
 PIVOTED_UP_TO = 6000  # rows whose inverse lemke keeps: 0.3 GB
 
 # Inside methods.

@@ -53,9 +53,8 @@ def polish_steps(
     array([2.])
     """
     lower, upper, m = program.lower, program.upper, program.h.size
-    stacked = sp.vstack if sp.issparse(program.G) else np.vstack
-    rows = stacked([program.G, program.A])
-    rows = sp.csr_array(rows) if sp.issparse(rows) else rows
+    both = program.G, program.A
+    rows = sp.vstack(both, "csr") if sp.issparse(program.G) else np.vstack(both)
     right, transposed, known = np.concatenate([program.h, program.b]), rows.T, set[bytes]()
     of_gradient = sp.csr_array(sp.hstack([program.P, transposed])) if sp.issparse(rows) else None
     x, y = np.clip(point.x, lower, upper), point.y

@@ -326,9 +326,8 @@ def arrays_in(source: Path, wanted: Collection[str]) -> dict[str, Any]:
     if source.suffix.lower() == ".mat":
         found = {}
         for name, array in read_mat(source, wanted)[0].items():
-            if (
-                max(array.shape) > MOST_ROWS
-            ):  # of a sparse array, which takes few bytes until it is dense
+            # of a sparse array, which takes few bytes until it is dense
+            if max(array.shape) > MOST_ROWS:
                 most = f"at most {MOST_ROWS} are taken"
                 raise UnreadableFile(f"{name} of {source} has the shape {array.shape}; {most}")
             if 0 not in array.shape:  # nothing, in MATLAB

@@ -409,9 +409,8 @@ class _Draft:
         new = {name: getattr(content, name).copy() for name in names}
         partners, bits, row_lower, row_upper, lower, upper = new.values()
         constants = np.zeros(len(rows))
-        if (
-            self.is_search
-        ):  # a pair of Pyomo's own transformation has no other bounds than it states
+        # a pair of Pyomo's own transformation has no other bounds than it states
+        if self.is_search:
             transformed = np.flatnonzero(partners >= 0)
             own, stated_bits = partners[transformed], bits[transformed]
             lower[own[stated_bits & 1 == 0]], upper[own[stated_bits & 2 == 0]] = -np.inf, np.inf

@@ -235,9 +235,8 @@ class ZeroSumGame(NamedTuple):
         of_K, of_L = (C - C.mean(0) - C.mean(1)[:, np.newaxis] + C.mean() for C in (K, L))
         ratio = -np.vdot(of_K, of_L) / np.vdot(of_L, of_L)
         both, sizes = K + ratio * L, (np.abs(K).max(), ratio * np.abs(L).max())
-        if not (
-            ratio > 0.0 and np.abs(of_K + ratio * of_L).max() <= 1e-11 * max(sizes)
-        ):  # rounding of a game
+        # rounding of a game
+        if not (ratio > 0.0 and np.abs(of_K + ratio * of_L).max() <= 1e-11 * max(sizes)):
             return None
         losses = K - (both.mean(0) - both.mean())
         losses -= losses.mean()

@@ -51,6 +51,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 
 from ..core.algorithm import (
     Algorithm,
@@ -63,15 +64,18 @@ from ..core.algorithm import (
 from ..core.checks import Vector, read_only
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
-from ..core.matrix import is_nearly_symmetric
+from ..core.matrix import Matrix, fact, is_nearly_symmetric
 from ..core.settings import whole_number
 from ..systems.hierarchy import kernels
-from ..systems.hierarchy.grids import Grid
+from ..systems.hierarchy.grids import Grid, Operator
 from ..systems.hierarchy.kernels import dot, span
-from ..systems.hierarchy.levels import hierarchy_of
+from ..systems.hierarchy.levels import grid_of, hierarchy_of
 from ..systems.hierarchy.truncation import KrylovCorrection, Truncation
 
 SMOOTHERS = ("pgs", "psor")
+SMOOTHING_SWEEPS = 60
+ROUGH = 1e-3  # share of the rows in which units may differ
+SMALLEST_UNIT = 1e-30  # relative to the largest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,9 +99,10 @@ class Multigrid(Algorithm):
     Notes
     -----
     pyamg sets up the hierarchy: first pass of Ruge and Stüben, also the second pass if couplings jump from edge to
-    edge, direct interpolation. Rows of a nonsymmetric M may have any scaling. If the scaling of neighboring columns
-    differs, cycles are slow or end STALLED. Unknowns at a bound are removed from all grids, fine unknowns with strong
-    couplings to removed unknowns are no longer interpolated, and a coarse row is computed again only if it changes.
+    edge, direct interpolation. Rows of a nonsymmetric M may have any scaling. If the units of neighboring unknowns
+    differ, cycles run in units from a few sweeps for M v = 0 (:func:`smooth_units`). Unknowns at a bound are removed
+    from all grids, fine unknowns with strong couplings to removed unknowns are no longer interpolated, and a coarse row
+    is computed again only if it changes.
     If the free set changes little and a cycle gains less than a factor 10, a few steps of conjugate gradients (M
     symmetric) or generalized conjugate residuals accelerate the correction, one V-cycle each. Corrections fail if few
     contacts carry much load. Then, and from the start if couplings jump from edge to edge, such steps solve on a
@@ -165,8 +170,43 @@ class Multigrid(Algorithm):
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, then z after each sweep that follows a correction on the finest grid."""
         require_positive_diagonal(problem, self.name)
+        is_known = smooth_units.is_known(problem.matrix)
+        if (smooth := smooth_units(problem.matrix)) is None:
+            yield from MultigridRun(self, problem).iterates(z0)
+            return
+        units, matrix = smooth
+        lower, upper = problem.lower / units, problem.upper / units
+        run = MultigridRun(self, LCP(matrix, units * problem.q, lower=lower, upper=upper))
+        run.work += 0.0 if is_known else SMOOTHING_SWEEPS * run.entries
+        for step in run.iterates(z0 / units):
+            z = np.clip(units * step.z, problem.lower, problem.upper)
+            yield Step(z, work=step.work)
 
-        yield from MultigridRun(self, problem).iterates(z0)
+
+@fact
+def smooth_units(matrix: Matrix) -> tuple[Vector, Matrix] | None:
+    """Return the units of the unknowns, shape (n,), in which M reduces constants most, and M in these units.
+
+    Interpolation is nearly constant, so that cycles need it. In units that differ from node to node, entries of M 1 are
+    larger than the diagonal. A few relaxed sweeps for M v = 0 give v, the new units: not powers of two, because
+    rounding to these makes jumps of a factor two. None if the units are smooth already, or if sweeps do not help.
+    """
+    M, diagonal, ones = matrix.csr, matrix.diagonal, np.ones(matrix.n)
+
+    def rough_rows(v: Vector) -> float:
+        return float(np.count_nonzero(np.abs(M @ v) > diagonal * v))
+
+    if (rough := rough_rows(ones)) <= ROUGH * matrix.n:
+        return None
+    none, grid = 0.0 * ones, grid_of(Operator(M.indptr, M.indices, M.data))
+    relaxed = Multigrid(smoother="psor", relaxation=0.9)  # never 0, as full sweeps along a flow
+    sweeps, v = GridProblem(relaxed, grid, none, none, ones * np.inf), ones.copy()
+    for k in range(SMOOTHING_SWEEPS):
+        sweeps.sweep(v, backward=k % 2 == 1)
+    v /= v.max()
+    if not (v.min() > SMALLEST_UNIT and rough_rows(v) <= ROUGH * rough):
+        return None
+    return v, Matrix(sp.diags_array(v) @ M @ sp.diags_array(v))
 
 
 SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
@@ -395,9 +435,8 @@ class MultigridRun:
             self._correct(k, z)
             fine.sweep(z, backward=True)
             self.work += 2.0 * fine.entries
-            if (
-                cycle >= 2 and changed <= few
-            ):  # stop: few rows remain, and the finer grid moves them
+            # stop: few rows remain, and the finer grid moves them
+            if cycle >= 2 and changed <= few:
                 break
 
     # --- the finest grid --------------------------------------------------------------------------------

@@ -217,9 +217,8 @@ class ModelDerivative:
 
     @derived_property
     def _at(self) -> Any:  # a Derivative, or a ConeDerivative
-        from ..problems.sensitivity import (
-            derivative,  # with compiled kernels, which a model alone does not need
-        )
+        # with compiled kernels, which a model alone does not need
+        from ..problems.sensitivity import derivative
 
         return derivative(self._result)
 

@@ -31,6 +31,7 @@ from ..problems.programs.certification import Certification, certify
 from ..problems.programs.criterion import QPSolution
 from ..problems.programs.no_minimum import QPInfeasibility
 from ..problems.programs.program import QuadraticProgram
+from ..problems.programs.program_matrices import as_array, may_be_small
 from ..problems.programs.solving import solve_program
 from ._compat import (
     CVXPY_STATUS,
@@ -147,27 +148,21 @@ def quadratic_program(data: Any, cache: Any) -> QuadraticProgram:
 
     If the program in the cache has the same matrices, its factorization and scaling are shared.
     """
-    n, rows = int(data["n_var"]), (int(data[key]) for key in ("n_var", "n_ineq", "n_eq"))
-    P, F, A = given = [
+    rows = n, m, p = [int(data[key]) for key in ("n_var", "n_ineq", "n_eq")]
+    given = [
         sp.csc_array((size, n)) if data[key] is None else data[key]
         for size, key in zip(rows, MATRIX_KEYS, strict=True)
     ]
     q, g, b = data[settings.Q], data[settings.G], data[settings.B]
-    before: QuadraticProgram | None
-    kept, before = cache.get(PROGRAM, ((), None))
-    if before is not None and all(map(_are_same, given, kept)):
+    key = [[one.indptr.tobytes(), one.indices.tobytes(), one.data.tobytes()] for one in given]
+    kept, before = cache.get(PROGRAM, ([], None))
+    if key == kept:
         return before.with_vectors(q, g, b)
+    is_small = may_be_small(n, m + p, (one.nnz for one in given))
+    P, F, A = map(as_array, given) if is_small else given
     program = QuadraticProgram(P, q, G=F, h=g, A=A, b=b)
-    cache[PROGRAM] = [one.copy() for one in given], program
+    cache[PROGRAM] = key, program
     return program
-
-
-def _are_same(one: Any, other: Any) -> bool:
-    """Return whether two sparse matrices have the same shape and the same arrays."""
-    return one.shape == other.shape and all(
-        np.array_equal(getattr(one, part), getattr(other, part))
-        for part in ("indptr", "indices", "data")
-    )
 
 
 QPSolver = _LCPQuadraticSolver()

@@ -221,9 +221,8 @@ class ActiveSetSteps:
 
     def _sides(self, at: RowInequality) -> tuple[BoolVector, BoolVector]:
         """Return the rows at their lower bounds by the sign of w, and the free rows."""
-        step = (
-            1.0 / self.problem.residual_scale * at.w
-        )  # next to a large z its digits would be lost
+        # next to a large z its digits would be lost
+        step = 1.0 / self.problem.residual_scale * at.w
         on_lower = (at.within[0] <= step) | (self.problem.lower == self.problem.upper)
         return on_lower, ~(on_lower | (at.within[1] <= -step))
 

@@ -25,7 +25,7 @@ from ..core.checks import BoolVector, Vector
 from ..core.deadline import is_over, seconds_left
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.matrix import row_numbers, scale_matrix
-from ..systems.equilibration import equilibrating_exponents, power_of_two
+from ..systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, power_of_two
 from .exact import (
     MOST_UNKNOWNS,
     ZERO,
@@ -245,7 +245,6 @@ def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
     return exact_power_of_two(exponent) * sum(map(operator.mul, factors, whole))
 
 
-AIMS = (0.5, 0.5, 0.5, 0.5, 1.0)  # smallest and largest entries alike, and the largest near 1
 NEGLIGIBLE = 1e-12
 TIGHT = (1e-9, 1e-7)
 LP_TOLERANCE = 1e-9
@@ -283,7 +282,7 @@ class FarkasProgram:
 
     def __post_init__(self) -> None:
         matrix = self.constraints.matrix
-        exponents = equilibrating_exponents(without_rounding(matrix), AIMS, 500)
+        exponents = equilibrating_exponents(without_rounding(matrix), EQUILIBRATING_PASSES, 500)
         self.rows, self.columns = (np.ldexp(1.0, side) for side in exponents)
         self.matrix: Any = scale_matrix(matrix, exponents)
 

@@ -223,9 +223,8 @@ def longest_row(matrix: Matrix) -> int:
     return int(np.diff(matrix.csr.indptr).max(initial=0))
 
 
-DENSE_UP_TO = (
-    1000  # unknowns: two seconds; beyond, products of a matrix far from normal are inexact
-)
+# unknowns: two seconds; beyond, products of a matrix far from normal are inexact
+DENSE_UP_TO = 1000
 
 
 def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:

@@ -25,9 +25,8 @@ from .equilibration import power_of_two
 
 DENSE_ABOVE_DENSITY = 0.25
 BANDED_UP_TO = 64  # sub- plus superdiagonals up to which LAPACK's band is faster than SuperLU
-SYMMETRIC_PIVOT = (
-    0.01  # SuperLU keeps the diagonal pivot if it is at least this share of the column's largest
-)
+# SuperLU keeps the diagonal pivot if it is at least this share of the column's largest
+SYMMETRIC_PIVOT = 0.01
 
 LARGEST_FILL = 2e8  # entries
 

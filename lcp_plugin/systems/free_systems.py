@@ -200,12 +200,10 @@ RIDGE = 1e-8  # of the residual scale, added to the diagonal of a singular block
 CONSISTENT = 1e-10  # backward error below which a singular system counts as solved
 LEAST_SQUARES_UP_TO = 500  # rows
 KRYLOV_GOAL = 1e-13  # of ‖right‖₂ that steps leave; rounding leaves as much
-CONVERGED = (
-    1e-9  # relative residual; a larger one means no convergence, unless it is at rounding level
-)
-SINGULAR = (
-    1e13  # times its right-hand side: terms that cancel so much leave no digit of the solution
-)
+# relative residual; a larger one means no convergence, unless it is at rounding level
+CONVERGED = 1e-9
+# times its right-hand side: terms that cancel so much leave no digit of the solution
+SINGULAR = 1e13
 
 
 class FreeSystem:

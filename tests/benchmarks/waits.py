@@ -18,6 +18,7 @@ from lcp_plugin import (
     QPSolver,
     QuadraticProgram,
     complements,
+    gallery,
     solve,
 )
 
@@ -31,7 +32,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
     """Yield a line for each model: the seconds of both solvers, the quickest of two runs, and the quotient."""
     scale = 10 if quick else 1
     rng = np.random.default_rng(SEED)
-    for models in (dense_programs, quantile_regression, definitions, reactor, data, games):
+    for models in (dense_programs, quantile_regression, definitions, reactor, data, games, flows):
         for name, ours, rival in models(rng, scale):
             timed = rounds({"ours": ours, "rival": rival}, 2)
             own, other = (min(one.seconds for one in timed[who]) for who in ("ours", "rival"))
@@ -168,3 +169,11 @@ def games(rng: np.random.Generator, scale: int) -> Iterator[Pair]:
             bounds=[(0, None)] * k + [(None, None)],
         )
         yield f"zero-sum game {k} / linear program", partial(solve, LCP.from_game(G, -G)), program
+
+
+def flows(rng: np.random.Generator, scale: int) -> Iterator[Pair]:
+    """Yield a flow with each unknown in another unit, next to the same flow in one unit."""
+    own = gallery.build("convection_diffusion", size=300 // scale).problem
+    units = 2.0 ** rng.integers(-10, 11, own.n)
+    mixed = LCP(own.csr @ sp.diags_array(units), own.q)
+    yield f"flow of {own.n} in mixed / own units", partial(solve, mixed), partial(solve, own)

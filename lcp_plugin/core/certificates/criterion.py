@@ -41,7 +41,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -123,6 +123,8 @@ class RowData:
     labels: Any = None
     start: Any = None
     origin: Any = None
+
+    matrix: ClassVar[str] = "M"  # its name in results
 
     def __post_init__(self) -> None:
         if self.start is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -69,10 +69,6 @@ class Certificate:
     problem: LCP = field(repr=False)
     z: Vector = field(repr=False)
 
-    is_linearised: ClassVar[bool] = (
-        False  # whether `problem` is the linearization of a nonlinear problem at z
-    )
-
     __setstate__ = restore_state
 
     @classmethod
@@ -93,11 +89,10 @@ class Certificate:
         return cls(problem, z)
 
     @classmethod
-    def at(cls, problem: LCP, z: Vector, rows: RowsAtPoint | None = None) -> Certificate:
-        """Return the certificate of z, a read-only array, with the values of its rows if they are known."""
+    def at(cls, problem: LCP, z: Vector, **known: Any) -> Certificate:
+        """Return the certificate of z, read-only; `known` are its properties `criterion` and `rows`, or None."""
         certificate = cls(problem, z)
-        if rows is not None:
-            certificate.__dict__["_rows"] = rows
+        vars(certificate).update({name: one for name, one in known.items() if one is not None})
         return certificate
 
     @derived_property
@@ -106,18 +101,19 @@ class Certificate:
         return row_data(self.problem)
 
     @derived_property
-    def _rows(self) -> RowsAtPoint:
+    def rows(self) -> RowsAtPoint:
+        """Values of all rows at z."""
         return self.criterion.rows(self.z)
 
     @derived_property
     def by_row(self) -> RowResiduals:
         """Residuals of all rows, by sums in twice the precision if rounding makes the largest one uncertain."""
-        return self.criterion.residuals_at(self.z, self._rows, PRECISE)
+        return self.criterion.residuals_at(self.z, self.rows, PRECISE)
 
     @derived_property
     def w(self) -> Vector:
         """The slack M z + q in double precision, shape (n,), read-only."""
-        return read_only(self._rows.w)
+        return read_only(self.rows.w)
 
     @derived_property
     def worst_index(self) -> int:
@@ -141,7 +137,7 @@ class Certificate:
     @derived_property
     def term_residuals(self) -> Vector:
         """The least tolerance at which each row passes the componentwise test, shape (n,)."""
-        return self.criterion.term_residuals(self.z, self._rows)
+        return self.criterion.term_residuals(self.z, self.rows)
 
     @property
     def term_residual(self) -> float:
@@ -151,7 +147,7 @@ class Certificate:
     @derived_property
     def _natural(self) -> Vector:
         """An upper bound of every |z − mid(lower, upper, z − w)|."""
-        at = self._rows
+        at = self.rows
         return self.criterion.residual_ends(self.z, at.w, at.rounding, np.ones(self.z.size))[1]
 
     @derived_property
@@ -194,7 +190,7 @@ class Certificate:
 
         k_i = nonzeros of row i + 2; a residual in double precision below this level is meaningless.
         """
-        return self.criterion.rounding_floor(self._rows.terms)
+        return self.criterion.rounding_floor(self.rows.terms)
 
     @derived_property
     def is_at_rounding_level(self) -> bool:

@@ -13,7 +13,6 @@ NEGLIGIBLE = 2.0**-42  # relative to the active terms at a solution: smaller ter
 NEGLIGIBLE_DIAGONAL = 2.0**-20
 SMALLEST_PIVOT = 1e-11  # of Lemke's path on a small problem, of rows divided by their largest entry
 PERTURBED = 2.0**-36  # of the largest q: no two rows block at once
-SMALLEST = (
-    1e-130  # smaller values of z relative to 1 or the largest are 0: their products underflow
-)
+# smaller values of z relative to 1 or the largest are 0: their products underflow
+SMALLEST = 1e-130
 LOW, FREE, HIGH = 0, 1, 2  # side of z_i: at its lower bound, between the bounds, at its upper bound

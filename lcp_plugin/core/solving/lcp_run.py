@@ -174,9 +174,8 @@ class LCPRun(Run):
         left = self.settings.max_iterations - progress.iteration
         if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
             return None  # because a limit is reached
-        if (
-            found.is_limited and found.residual <= self.goal
-        ):  # z° solves what is left, up to rounding
+        # z° solves what is left, up to rounding
+        if found.is_limited and found.residual <= self.goal:
             return TerminationReason.AT_FLOOR
         if stage.is_flat() and self._is_at_floor():
             return TerminationReason.AT_FLOOR
@@ -209,7 +208,9 @@ class LCPRun(Run):
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best iterate, cleaned and polished, with the status of its certificate."""
         self._measure_last()
-        self.best = found = self._final(self.z, end)
+        found = self._final(self.z, end)
+        is_limited = found.is_limited or self._is_within_rounding_of_data(found.z)
+        self.best = found._replace(is_limited=is_limited)
         # If one of several algorithms diverged, the best z need not have.
         is_chain = end is TerminationReason.DIVERGED and len(self.progress.stages) > 1
         status = self.status(TerminationReason.STALLED if is_chain else end)
@@ -217,7 +218,7 @@ class LCPRun(Run):
         chain = [stage.name for stage in self.progress.records()]
         is_solved = status is Status.SOLVED
         return self.result_at(
-            Certificate.at(self.problem, read_only(found.z), found.rows),
+            Certificate.at(self.problem, read_only(found.z), rows=found.rows),
             status,
             algorithm=name if chain in ([], [name]) else f"{name}: {', '.join(chain)}",
             infeasibility=self.proof,
@@ -280,16 +281,12 @@ class LCPRun(Run):
         self.is_polished = better is not found
         return better
 
-    def is_limited(self, best: Measured) -> bool:
-        """Return whether only rounding, or only the rounding of the data, keeps the best point from passing."""
-        return bool(best.is_limited) or self._is_within_rounding_of_data(best.z)
-
     def _is_within_rounding_of_data(self, z: Vector) -> bool:
         """Return whether no z is a solution, but the violation at this z is at most the rounding of the data."""
         if self.proof is None or not self.proof.is_rounding:
             return False
         found, problem = self.measured(z), self.problem
-        certificate = Certificate.at(problem, found.z, found.rows)
+        certificate = Certificate.at(problem, found.z, rows=found.rows)
         rounding = DATA_ROUNDING * float(np.abs(problem.q).max(initial=0.0))
         is_large = certificate.natural_residual > rounding
         if is_large and certificate.term_residual > self.settings.goal:

@@ -9,7 +9,6 @@ from typing import Any
 
 from ..algorithm import Step
 from ..deadline import Clock
-from ..lcp import LCP
 from ..matrix import Matrix
 from ..settings import Settings, checked_callback
 from .result import Result, Sample, StageRecord
@@ -55,19 +54,25 @@ class Progress:
     ) -> None:
         self.settings, self.callback = settings, checked_callback(callback)
         self.clock = Clock() if clock is None else clock
-        with self.clock.pause():
-            self.log = RunLog(problem, header) if settings.verbose else None
         self.is_watched = settings.record or settings.verbose or callback is not None
         self.stages: list[Stage] = []
         self.samples: list[Sample] = []
         self.iteration, self.work, self.seconds, self.setup_seconds = -1, 0.0, 0.0, 0.0
         self.end: TerminationReason | None = None
-        self._next_sample = 0
+        self._next_sample = self._next_line = 0
+        if settings.verbose:
+            with self.clock.pause():
+                classes, remark = ("", "") if header is None else header(problem.matrix)
+                say(f"{problem}{classes and f'; M {classes}'}")
+                if remark:
+                    say(remark)
+                say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
 
     def begin(self, stage: Stage) -> None:
         """Record that a stage begins, or continues if it is in the list."""
-        if self.log is not None:
-            self.log.begin(stage)
+        self._next_line = 0
+        if self.settings.verbose:
+            say(stage.algorithm.name + (stage.because and f": {stage.because}"))
         if self.stages:
             self.stages[-1].z = None
         if stage not in self.stages:
@@ -107,7 +112,7 @@ class Progress:
         is_last : bool
             The run ends with this step.
         """
-        log, callback = self.log, self.callback
+        callback, iterations = self.callback, stage.iterations
         residual = None if found is None else found.residual
         with self.clock.pause():
             seconds, name = self.seconds, stage.algorithm.name
@@ -116,11 +121,13 @@ class Progress:
             is_recorded = self.settings.record and (
                 self.iteration >= self._next_sample or is_last or wants_to_stop
             )
-            is_printed = log is not None and log.is_due(stage)
+            is_printed = self.settings.verbose and iterations >= self._next_line
             if residual is None and (is_recorded or is_printed):
                 sample = Sample(self.iteration, self.work, seconds, run.residual_of(step), name)
-            if log is not None and is_printed:
-                log.step(stage, sample)
+            if is_printed:
+                self._next_line = max(iterations + 1, math.ceil(iterations * 1.5))
+                shown = "–" if sample.residual is None else f"{sample.residual:.2e}"
+                say(f"{sample.iteration:>12} {sample.work:>10.1f} {shown:>19} {seconds:>9.3f}")
             if is_recorded:  # at geometric intervals
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * 1.05))
                 self.samples.append(sample)
@@ -130,50 +137,14 @@ class Progress:
         """Return the stages as a result shows them."""
         return tuple(record for stage in self.stages for record in stage.records())
 
-
-class RunLog:
-    """Prints a run while it continues.
-
-    Parameters
-    ----------
-    problem : LCP or NonlinearProblem
-        The caller's.
-    header : callable, optional
-        Returns the classes of an LCP's M, and a remark.
-    """
-
-    def __init__(self, problem: Any, header: Header | None = None) -> None:
-        self._next = 0
-        classes, remark = (
-            ("", "") if header is None or not isinstance(problem, LCP) else header(problem.matrix)
-        )
-        say(f"{problem}{classes and f'; M {classes}'}")
-        if remark:
-            say(remark)
-        say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
-
-    def begin(self, stage: Stage) -> None:
-        """Print which algorithm begins, and why."""
-        self._next = 0
-        say(stage.algorithm.name + (stage.because and f": {stage.because}"))
-
-    def is_due(self, stage: Stage) -> bool:
-        """Return whether the present iteration of a stage has a line."""
-        return stage.iterations >= self._next
-
-    def step(self, stage: Stage, sample: Sample) -> None:
-        """Print the line of an iteration."""
-        self._next = max(stage.iterations + 1, math.ceil(stage.iterations * 1.5))
-        residual = "–" if sample.residual is None else f"{sample.residual:.2e}"
-        say(f"{sample.iteration:>12} {sample.work:>10.1f} {residual:>19} {sample.seconds:>9.3f}")
-
-    def end(self, result: Result) -> None:
+    def conclude(self, result: Result) -> None:
         """Print the status, the residual and the advice."""
-        say(
-            f"{result.status.name}: relative residual {result.residual:.2e} after {result.iterations} "
-            f"iterations, the work of {result.work:.1f} products of M with a vector, {result.seconds:.3g} s; "
-            f"{result.advice}"
-        )
+        if self.settings.verbose:
+            say(
+                f"{result.status.name}: relative residual {result.residual:.2e} after {result.iterations} "
+                f"iterations, the work of {result.work:.1f} products of M with a vector, {result.seconds:.3g} s; "
+                f"{result.advice}"
+            )
 
 
 def say(line: str) -> None:

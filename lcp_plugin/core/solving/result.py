@@ -361,7 +361,7 @@ class Result(BaseResult):
         rows : RowsAtPoint, optional
             The values of the rows at z, measured on :func:`~lcp_plugin.core.certificates.criterion.row_data`.
         """
-        certificate = Certificate.at(problem, z, rows)
+        certificate = Certificate.at(problem, z, rows=rows)
         return cls(
             z=z,
             w=certificate.w,
@@ -445,7 +445,7 @@ class Result(BaseResult):
         return [*lines, *what_may_mislead(self)]
 
     def _effort(self) -> str:
-        matrix = "F′" if self.certificate.is_linearised else "M"
+        matrix = self.certificate.criterion.matrix
         return (
             f"{self.algorithm}: {format_count(self.iterations, 'iteration')}, {self.seconds:.3g} s (set-up "
             f"{self.setup_seconds:.3g} s), the work of {self.work:.1f} products of {matrix} with a vector"

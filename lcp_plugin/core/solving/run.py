@@ -120,8 +120,7 @@ class Run:
             **common,
             **others,
         )
-        if progress.log is not None:
-            progress.log.end(result)
+        progress.conclude(result)
         return result
 
     # --- the loop -----------------------------------------------------------------------------------------
@@ -220,16 +219,12 @@ class Run:
             self.proof = proof
         return TerminationReason.NO_SOLUTION if excludes else None
 
-    def is_limited(self, best: Any) -> bool:
-        """Return whether only rounding keeps the best point from passing."""
-        return bool(best.is_limited)
-
     def status(self, end: TerminationReason) -> Status:
         """Return the status of the best point or of a proof, or else of the reason for the end of the run."""
         if self.best is not None and self.best.passes:
             return Status.SOLVED
         if end is TerminationReason.NO_SOLUTION and self.proof is not None:
             return self.proof.status
-        if self.best is not None and self.is_limited(self.best):
+        if self.best is not None and self.best.is_limited:
             return Status.PRECISION_LIMIT
         return STATUS_OF.get(end, Status.STALLED)

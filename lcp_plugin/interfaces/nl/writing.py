@@ -194,9 +194,8 @@ def stated_bounds(
     for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
         if is_rows and content.partners[i] >= 0:
             yield PARTNER, int(content.partner_bounds[i]), int(content.partners[i]) + 1
-        elif low == high and (
-            low or repr(low) == repr(high)
-        ):  # −0 and 0 are two numbers to be read again
+        # −0 and 0 are two numbers to be read again
+        elif low == high and (low or repr(low) == repr(high)):
             yield 4, low
         elif low == -np.inf:
             yield (3,) if high == np.inf else (1, high)

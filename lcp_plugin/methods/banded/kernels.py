@@ -76,9 +76,8 @@ def _find_contacts(bands, q, sign, value, is_held, is_free, stops, blocks):  # t
         block, pivot = _join(block, EMPTY, a, d, c, sign * q[i])
         if not pivot > NEGLIGIBLE_PIVOT * d:
             return False
-        while (
-            top > 0 and after > -np.inf
-        ):  # a row without bound becomes free next, and the test follows then
+        # a row without bound becomes free next, and the test follows then
+        while top > 0 and after > -np.inf:
             k = stops[top]
             a, d, c = -bands[0, k], bands[1, k], -bands[2, k]
             if is_held[k] or not blocks[top, 6] < c * (

@@ -114,9 +114,8 @@ class Lemke(Algorithm):
         """Yield (z, entries touched) along successive paths until a path ends in a solution."""
         from .pivoting_path import LemkePath, starts
 
-        if not np.array_equal(
-            guess, component.nearest_to_zero
-        ):  # test the active set of the start first: one factorization
+        # test the active set of the start first: one factorization
+        if not np.array_equal(guess, component.nearest_to_zero):
             at_lower, at_upper = guess <= component.lower, guess >= component.upper
             if is_near(component, guess):  # z may miss its bounds by rounding
                 at_lower, at_upper = classify(component, guess, component.slack(guess))
@@ -126,9 +125,8 @@ class Lemke(Algorithm):
                 if _is_good(component, np.clip(found.z, component.lower, component.upper)):
                     return
         box = canonical_box(component)
-        if (
-            not box.is_finite
-        ):  # the tableau overflows, so that its path cannot reach a solution in double precision
+        # the tableau overflows, so that its path cannot reach a solution in double precision
+        if not box.is_finite:
             return
         path = LemkePath(box.M, box.q, box.upper)
         path.entries += box.work

@@ -114,11 +114,6 @@ class FacePoint:
         return float(np.max(across, initial=0.0, where=at_kink))
 
     @property
-    def size_of_residual(self) -> float:
-        """The largest natural residual, beyond the orthant as well."""
-        return max(self.residual_in_orthant, self.pull_across)
-
-    @property
     def residual_in_orthant(self) -> float:
         """The largest natural residual."""
         return float(np.abs(self.natural_residual).max(initial=0.0))

@@ -220,7 +220,7 @@ class LeastSquaresRun(Run):
 
     def _size_at(self, point: engines.FacePoint) -> float:
         """Return the measure of a projected step, relative to the gradient of the data."""
-        size = point.size_of_residual * point.problem.size
+        size = max(point.residual_in_orthant, point.pull_across) * point.problem.size
         return size / self.enclosures.reference if size > 0.0 else 0.0
 
     def residual_of(self, step: Step) -> float | None:

@@ -34,9 +34,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from itertools import count
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -394,6 +393,8 @@ class LinearizedRows(RowData):
         The point, F(x) and F(z°).
     """
 
+    matrix = "F′"
+
     def __init__(
         self, problem: NonlinearProblem, lcp: LCP, x: Vector, value: Vector, origin_value: Vector
     ) -> None:
@@ -426,15 +427,16 @@ class LinearizedRows(RowData):
         at = found.rows
         is_doubtful = at.is_active & (EPSILON * at.terms > limit * self.scale)
         is_wrong = is_doubtful.any() and (is_doubtful & (self.noise > limit)).any()
-        return found._replace(passes=not (self.growing(at).any() or is_wrong))
+        return found._replace(passes=not (self.growing.any() or is_wrong))
 
-    def growing(self, at: RowsAtPoint) -> BoolVector:
-        """Return the unknowns off their bounds that would grow by a part, if they alone minimized the residuals.
+    @derived_property
+    def growing(self) -> BoolVector:
+        """Mask of the unknowns off their bounds that would grow by a part, if they alone minimized the residuals.
 
         Then F tends to 0 as x diverges, and rows have the scale of other unknowns: x₀ − 1 + e^(−x₁) = 0 = x₀ − 1.
         """
         lcp, x = self.lcp, self.x
-        weights = np.where(at.is_active, 1.0, 0.0) / self.scale
+        weights = np.where(self.rows(x, self.value).is_active, 1.0, 0.0) / self.scale
         slopes = sp.csr_array(sp.diags_array(weights) @ lcp.csr)
         step = -(slopes.T @ (weights * self.value)) / (slopes.multiply(slopes).T @ np.ones(x.size))
         is_free = (x > lcp.lower) & (x < lcp.upper)
@@ -463,51 +465,32 @@ class LinearizedRows(RowData):
         return super().rounding_floor(terms, scale) + self.noise
 
 
-@dataclass(frozen=True, eq=False)
-class NonlinearCertificate(Certificate):
-    """Residuals of x as a solution of its linearization, which ``derivative`` and ``explain`` use.
-
-    Examples
-    --------
-    >>> problem = NonlinearProblem(lambda x: x**2 - 4.0, lambda x: np.diag(2.0 * x), lower=[0.0])
-    >>> certificate = Linearizations(problem).at(np.array([2.001])).certificate
-    >>> certificate.w.round(4), float(round(certificate.relative_residual, 4))
-    (array([0.004]), 0.001)
-    """
-
-    is_linearised: ClassVar[bool] = True
-
-    criterion: LinearizedRows = field(kw_only=True, repr=False)
-
-    @derived_property
-    def _rows(self) -> RowsAtPoint:
-        return self.criterion.rows(self.z, self.criterion.value)
-
-    @property
-    def violation(self) -> Vector:
-        """The part of each F_i(x) with the wrong sign, |F_i(x)| off the bounds, shape (n,)."""
-        return self._rows.violation
-
-    @derived_property
-    def growing(self) -> BoolVector:
-        """Mask of the unknowns that grow without limit, shape (n,)."""
-        return self.criterion.growing(self._rows)
-
-
 class Linearization:
     """The problem near a point x: F(x), and the LCP of F′(x), computed on first use.
 
     Parameters
     ----------
-    points : Linearizations
-        The linearizations of the problem.
+    problem : NonlinearProblem
     x : array, shape (n,)
         A copy is kept.
     """
 
-    def __init__(self, points: Linearizations, x: Vector) -> None:
-        self.points, self.problem, self.x = points, points.problem, read_only(x.copy())
-        self.value = self.problem.value(self.x)
+    def __init__(self, problem: NonlinearProblem, x: Vector) -> None:
+        self.problem, self.x = problem, read_only(x.copy())
+        self.value = problem.value(self.x)
+
+    def at(self, x: Vector) -> Linearization:
+        """Return the linearization at another point, with the same `origin`."""
+        is_origin = np.array_equal(x, self.origin.x)
+        found = self.origin if is_origin else Linearization(self.problem, x)
+        found.origin = self.origin
+        return found
+
+    @derived_property
+    def origin(self) -> Linearization:
+        """The linearization at z°, the point of the bounds nearest to 0; F need not be defined there."""
+        nearest = np.clip(0.0, self.problem.lower, self.problem.upper)
+        return self if np.array_equal(self.x, nearest) else Linearization(self.problem, nearest)
 
     @derived_property
     def lcp(self) -> LCP:
@@ -526,11 +509,11 @@ class Linearization:
         return True
 
     @derived_property
-    def certificate(self) -> NonlinearCertificate:
-        """The certificate of x."""
-        origin = self.points.origin.value
+    def certificate(self) -> Certificate:
+        """The certificate of x as a solution of the linearization, which ``derivative`` and ``explain`` use."""
+        origin = self.origin.value
         data = LinearizedRows(self.problem, self.lcp, self.x, self.value, origin)
-        return NonlinearCertificate(self.lcp, self.x, criterion=data)
+        return Certificate.at(self.lcp, self.x, criterion=data, rows=data.rows(self.x, self.value))
 
     def measure(self, settings: Settings, power: float = POWER) -> Measured:
         """Return the measure of x by the stopping criterion."""
@@ -548,39 +531,6 @@ class Linearization:
         return self.certificate.relative_residual
 
 
-class Linearizations:
-    """The latest linearizations of a problem, each of which is computed once.
-
-    Parameters
-    ----------
-    problem : NonlinearProblem
-    """
-
-    REMEMBERED = 3
-
-    def __init__(self, problem: NonlinearProblem) -> None:
-        self.problem = problem
-        self.limit: Any = np.inf  # of |x|: farther unknowns have grown without limit
-        self._latest: list[Linearization] = []
-
-    @derived_property
-    def origin(self) -> Linearization:
-        """The linearization at z°, the point of the bounds nearest to 0; F need not be defined there."""
-        return self.at(np.clip(0.0, self.problem.lower, self.problem.upper))
-
-    def at(self, x: Vector) -> Linearization:
-        """Return the linearization at x, shape (n,)."""
-        for known in self._latest:
-            if np.array_equal(known.x, x):
-                return known
-        self.keep(found := Linearization(self, x))
-        return found
-
-    def keep(self, linearisation: Linearization) -> None:
-        """Store a linearization that was computed elsewhere."""
-        self._latest = [linearisation, *self._latest[: self.REMEMBERED - 1]]
-
-
 def criterion_at(problem: NonlinearProblem, x: Vector) -> tuple[RowData, Vector, Vector, Names]:
     """Return the data of the criterion at x, with x, F(x) and the names.
 
@@ -590,7 +540,7 @@ def criterion_at(problem: NonlinearProblem, x: Vector) -> tuple[RowData, Vector,
         If F or its derivative is not finite at x; the message names the row.
     """
     problem = problem.with_size(x.size)
-    at = Linearizations(problem).at(x)
+    at = Linearization(problem, x)
     if (wrong := np.flatnonzero(~np.isfinite(at.value))).size:
         row, value = problem.names.row(wrong[0]), at.value[wrong[0]]
         raise InvalidProblem(f"{row} is {value} at x; give a point at which F is defined")

@@ -32,7 +32,7 @@ from ...core.solving.run import Run
 from ...core.solving.stage import Stage, TerminationReason
 from ...methods.lemke import Lemke
 from ...methods.newton import Newton, fischer_burmeister
-from .data import DENSE_PATTERN_UP_TO, Linearization, Linearizations, NonlinearProblem
+from .data import DENSE_PATTERN_UP_TO, Linearization, NonlinearProblem
 
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = 0.0, 1e-3, 1e-1, 10.0  # of the residual scale: Newton, then proximal steps
@@ -47,11 +47,8 @@ class JosephyNewton(Algorithm):
 
     Parameters
     ----------
-    start : Linearization
-    linear : str or Algorithm
-        Algorithm for the linearizations.
-    tolerance : float
-        The requested relative residual.
+    state : NewtonState
+        The current point and the options.
 
     Notes
     -----
@@ -71,26 +68,37 @@ class JosephyNewton(Algorithm):
     name: ClassVar[str] = "josephy_newton"
     is_monotone: ClassVar[bool] = False
 
-    start: Linearization = field(repr=False)
-    linear: str | Algorithm = "auto"
-    tolerance: float = 0.0
+    state: NewtonState = field(repr=False)
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, then the point of each step, until no step or restart helps."""
-        return _NewtonRun(self.start, self.linear, self.tolerance).all_steps()
+        return self.state.all_steps()
 
 
-class _NewtonRun:
-    """State of a run: the current point, the last points, and the work since the last step."""
+class NewtonState:
+    """State of a run: the current point, the last points, and the work since the last step.
+
+    Parameters
+    ----------
+    start : Linearization
+    linear : str or Algorithm
+        Algorithm for the linearizations.
+    tolerance : float
+        The requested relative residual.
+    """
 
     def __init__(self, start: Linearization, linear: str | Algorithm, tolerance: float) -> None:
         self.first = self.here = start
-        self.points, self.linear, self.tolerance = start.points, linear, tolerance
+        self.linear, self.tolerance = linear, tolerance
+        self.limit: Any = np.inf  # of |x|: farther unknowns have grown without limit
         self.recent: deque[Linearization] = deque([start], maxlen=MEMORY)
         self.work, self.starts = 1.0, 0
         # of linearizations without a solution; steps until the next one is tried
         self.failures = self.waits = 0
-        self.weights = _weights(start.lcp)
+        # 1/reference of the component of each row; shape (1,) for one component
+        unit = row_data(start.lcp).references[1]
+        is_usable = (unit.size > 1) & (unit > 0.0) & np.isfinite(unit)
+        self.weights: Vector = 1.0 / np.where(is_usable, unit, 1.0)
         self.random = np.random.default_rng(0)
 
     def all_steps(self) -> Iterator[Step]:
@@ -107,7 +115,7 @@ class _NewtonRun:
     def step(self) -> Step:
         """Return the point here as a step, with the work since the last one."""
         work, self.work = self.work, 0.0
-        return Step(self.here.x, work=work)
+        return Step(self.here.x, work=work, measured=self.here)
 
     def steps(self) -> Iterator[Step]:
         """Yield steps from here until none helps, or none has for long."""
@@ -117,7 +125,6 @@ class _NewtonRun:
         while since < 25 and (following := self._next_point()) is not None:
             self.here = following = self._snap(following)
             self.recent.append(following)
-            self.points.keep(following)
             yield self.step()
             size = self._progress(following)
             # A jump of the residual may start a long decrease
@@ -126,15 +133,16 @@ class _NewtonRun:
             if since and self._is_at_floor():
                 return
             is_small = following.residual <= self.tolerance
-            grown = grown + 1 if is_small and following.certificate.growing.any() else 0
+            data: Any = following.certificate.criterion
+            grown = grown + 1 if is_small and data.growing.any() else 0
             if grown == 3:  # steps with small residuals from which an unknown grows
-                end = np.where(following.certificate.growing, np.abs(following.x), np.inf)
-                self.points.limit = np.minimum(self.points.limit, end)
+                end = np.where(data.growing, np.abs(following.x), np.inf)
+                self.limit = np.minimum(self.limit, end)
                 return
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the point with x° in the components that F(x°) solves, and that x has come near."""
-        origin, data = self.points.origin, row_data(point.lcp)
+        origin, data = point.origin, row_data(point.lcp)
         errors = np.abs(data.residual(origin.x, origin.value))
         left, way = (data.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
         is_reached = (data.largest(errors) == 0.0) & (left <= 1e-4 * way)
@@ -144,7 +152,7 @@ class _NewtonRun:
 
     def start_elsewhere(self) -> bool:
         """Go to another point of the bounds where F is defined; return whether there is one."""
-        problem, size = self.points.problem, np.maximum(1.0, np.abs(self.first.x))
+        problem, size = self.first.problem, np.maximum(1.0, np.abs(self.first.x))
         for _ in range(RESTARTS):
             self.starts += 1
             if self.starts == 1:
@@ -155,7 +163,6 @@ class _NewtonRun:
             if point.is_defined:
                 self.here = point
                 self.recent = deque([point], maxlen=MEMORY)
-                self.points.keep(point)
                 return True
         return False
 
@@ -194,7 +201,7 @@ class _NewtonRun:
 
     def _at(self, x: Vector) -> Linearization:
         self.work += 1.0
-        return Linearization(self.points, x)
+        return self.first.at(x)
 
     # --- what is measured ----------------------------------------------------------------------------------
 
@@ -216,7 +223,7 @@ class _NewtonRun:
         the violation falls. Both are in the units of the start.
         """
         certificate, scale = point.certificate, self.first.lcp.residual_scale
-        sizes = np.maximum(certificate.by_row.high, certificate.violation / scale)
+        sizes = np.maximum(certificate.by_row.high, certificate.rows.violation / scale)
         size = float((self.weights * sizes).max(initial=0.0))
         is_small = point.residual <= max(self.tolerance, SMALLEST_TOLERANCE)
         return size * min(1.0, certificate.term_residual) if is_small else size
@@ -253,14 +260,6 @@ class _NewtonRun:
         # the sum may have missed the bound
         target = np.where(result.z <= step.lower, lcp.lower, target)
         return np.where(result.z >= step.upper, lcp.upper, target)
-
-
-def _weights(problem: LCP) -> Vector:
-    """Return 1/reference of each row's component, shape (n,), or shape (1,) for one component."""
-    unit = row_data(problem).references[1]
-    if unit.size == 1:
-        return np.ones(1)
-    return 1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)
 
 
 def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iterator[Stage]:
@@ -384,9 +383,8 @@ def solve_nonlinear(
     progress = Progress(problem, settings, callback)
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with threads_for(settings.threads):
-        points = Linearizations(problem)
-        first, begun = begin_at(points, start)
-        newton = JosephyNewton(start=first, linear=algorithm, tolerance=settings.goal)
+        first, begun = begin_at(Linearization(problem, start))
+        newton = JosephyNewton(state=NewtonState(first, algorithm, settings.goal))
         has_doubts = check_jacobian and problem.jacobian is not None
         run = NonlinearRun(newton, progress, has_doubts=has_doubts)
         try:
@@ -400,7 +398,7 @@ def solve_nonlinear(
         return replace(run.result(end), begun=begun)
 
 
-def begin_at(points: Linearizations, start: Vector) -> tuple[Linearization, str]:
+def begin_at(first: Linearization) -> tuple[Linearization, str]:
     """Return the linearization at the start and a note: x0, or the point nearest to 0 or 1 where F is defined.
 
     Raises
@@ -408,9 +406,9 @@ def begin_at(points: Linearizations, start: Vector) -> tuple[Linearization, str]
     InvalidProblem
         If F is defined at none of these points.
     """
-    first, lower, upper = points.at(start), points.problem.lower, points.problem.upper
+    start, lower, upper = first.x, first.problem.lower, first.problem.upper
     for near in () if first.is_defined else (0.0, 1.0):
-        point = points.at(np.clip(np.full(start.size, near), lower, upper))
+        point = first.at(np.clip(np.full(start.size, near), lower, upper))
         if point.is_defined:
             return point, f"started at the point of the bounds nearest to {near:g}: {ELSEWHERE}"
     if not (is_finite := np.isfinite(first.value)).all():
@@ -469,11 +467,11 @@ class NonlinearRun(Run):
 
     def __init__(self, newton: JosephyNewton, progress: Progress, *, has_doubts: bool) -> None:
         super().__init__(progress)
-        self.newton, self.points, self.has_doubts = newton, newton.start.points, has_doubts
+        self.newton, self.has_doubts = newton, has_doubts
 
     def measure(self, stage: Stage, step: Step) -> Measured:
         """Return the linearization at the point of a step; if its residual is small, at bounds that are near."""
-        point = self.points.at(step.z)
+        point: Linearization = step.measured
         if point.residual <= self.settings.goal:
             point = self._snap(point)
         passes = self._passes(point, power=1.0)  # the active set is known
@@ -481,7 +479,7 @@ class NonlinearRun(Run):
 
     def _is_far(self, point: Linearization) -> bool:
         """Return whether an unknown is as large as at a point from which it grew."""
-        return bool((np.abs(point.x) >= self.points.limit).any())
+        return bool((np.abs(point.x) >= self.newton.state.limit).any())
 
     def _passes(self, point: Linearization, power: float = POWER) -> bool:
         """Return whether a point passes, with differences also if they disagree with the jacobian."""
@@ -489,17 +487,17 @@ class NonlinearRun(Run):
             return False
         if not self.has_doubts or not jacobian_warning(point):
             return True
-        problem = self.points.problem
+        problem = point.problem
         pattern = None if point.lcp.n <= DENSE_PATTERN_UP_TO else point.lcp.csr
         twin = NonlinearProblem(problem.F, None, problem.lower, problem.upper, pattern)
         twin = twin.with_size(point.x.size)
-        there = Linearizations(twin).at(point.x)
+        there = Linearization(twin, point.x)
         return there.is_defined and bool(there.measure(self.settings, power).passes)
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the linearization after entries near bounds are moved there, unless only the point itself passes."""
         x = row_data(point.lcp).snap_to_bounds(point.x, point.value)
-        if np.array_equal(x, point.x) or not (moved := self.points.at(x)).is_defined:
+        if np.array_equal(x, point.x) or not (moved := point.at(x)).is_defined:
             return point
         meets = [bool(one.measure(self.settings).passes) for one in (point, moved)]
         is_no_worse = moved.residual <= point.residual if meets[0] == meets[1] else meets[1]
@@ -511,7 +509,7 @@ class NonlinearRun(Run):
 
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
-        point: Linearization = self.newton.start if self.best is None else self.best.z
+        point: Linearization = self.newton.state.first if self.best is None else self.best.z
         is_interrupted = end is TerminationReason.INTERRUPTED
         if not is_interrupted:
             point = self._snap(point)

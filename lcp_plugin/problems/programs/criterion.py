@@ -226,7 +226,7 @@ class PrimalDualPoint:
         self.own = np.maximum(
             largest_products(of_C, self.of_x), np.where(self.over > 0.0, self.limits, 0.0)
         )
-        if self.matrices.has_short_rows:
+        if (self.matrices.counts <= 1).any():
             self.own = np.maximum(self.own, largest_products(of_C, np.ones(x.size)) == 0.0)
 
     # --- Rows --------------------------------------------------------------------------------------------------------
@@ -526,7 +526,7 @@ class QPSolution:
         folded = program.folded
         reduced, m = folded.reduced, folded.reduced.h.size
         y = np.append(np.maximum(y[:m], 0.0), y[m:])
-        P, C = reduced.matrices.measured[:2]
+        P, C = reduced.matrices.stacked
         left = P @ x + reduced.c + C.T @ y
         at_lower = np.where(np.isfinite(reduced.lower), np.maximum(left, 0.0), 0.0)
         at_upper = np.where(np.isfinite(reduced.upper), np.maximum(-left, 0.0), 0.0)

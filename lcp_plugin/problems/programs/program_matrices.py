@@ -9,7 +9,7 @@ Program without rows of one variable, and the inverse transformation of solution
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector
 from ...core.errors import UnsupportedModel
-from ...core.matrix import Matrix, largest_in_rows, largest_products, row_numbers
+from ...core.matrix import Matrix, largest_in_rows, largest_products
 from ...core.rounding import compensated_product, upper_end
 from ...core.settings import Status
 from ...proofs.exact import Row, like, rational_rows
@@ -71,12 +71,12 @@ class ProgramMatrices:
     @cached_property
     def rows(self) -> sp.csr_array:
         """[G; A]."""
-        return sp.vstack([sp.csr_array(self.G), sp.csr_array(self.A)], format="csr")
+        return sp.vstack([as_csr(self.G), as_csr(self.A)], format="csr")
 
     @cached_property
     def sparse_P(self) -> sp.csr_array:
         """P as CSR."""
-        return sp.csr_array(self.P)
+        return as_csr(self.P)
 
     @cached_property
     def constraints(self) -> sp.csr_array:
@@ -90,8 +90,14 @@ class ProgramMatrices:
         given, (m, p, n, _) = (self.P, self.G, self.A), self.sizes
         are_given_so = all(isinstance(one, np.ndarray) for one in given)
         are_dense = are_given_so or self.is_small or is_full(n, m + p, self.entries)
-        P, G, A = map(as_array if are_dense else sp.csr_array, given)
+        P, G, A = map(as_array if are_dense else as_csr, given)
         return P, G, A
+
+    @cached_property
+    def stacked(self) -> tuple[Any, Any]:
+        """P and C = [G; A]: both dense or both CSR arrays."""
+        P, G, A = self.arrays
+        return P, self.rows if sp.issparse(P) else np.vstack([G, A])
 
     @cached_property
     def engine_units(self) -> tuple[Vector, Vector]:
@@ -114,19 +120,16 @@ class ProgramMatrices:
         return units, rows
 
     @cached_property
-    def has_short_rows(self) -> bool:
-        """True if some row of G or A has at most one entry."""
-        C = self.measured[1]
-        counts = np.diff(C.indptr) if sp.issparse(C) else (C != 0.0).sum(axis=1)
-        return bool((counts <= 1).any())
+    def counts(self) -> Indices:
+        """Number of entries of each row of [G; A]."""
+        return np.concatenate([entries_of_rows(self.G), entries_of_rows(self.A)])
 
     @cached_property
     def components(self) -> ProgramComponents:
         """Connected components of the graph of P, G and A."""
-        P, C = self.measured[:2]
+        P, C = self.stacked
         (m, n), is_sparse = C.shape, sp.issparse(P)
-        counts = (np.diff(M.indptr) if is_sparse else np.count_nonzero(M, axis=1) for M in (P, C))
-        if not n or any((count == n).any() for count in counts):
+        if not n or (self.counts == n).any() or (entries_of_rows(P) == n).any():
             return ProgramComponents(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
         from scipy.sparse.csgraph import connected_components
 
@@ -138,8 +141,7 @@ class ProgramMatrices:
     @cached_property
     def measured(self) -> tuple[Any, Any, Any, Any, Any]:
         """P and C = [G; A], and the sizes of the entries of P, C and Cᵀ: all dense or all CSR arrays."""
-        P, G, A = self.arrays
-        C = self.rows if sp.issparse(P) else np.vstack([G, A])
+        P, C = self.stacked
         of_C = abs(C)
         return P, C, abs(P), of_C, sp.csr_array(of_C.T) if sp.issparse(P) else of_C.T
 
@@ -155,20 +157,17 @@ class ProgramMatrices:
     @cached_property
     def fit(self) -> tuple[Vector, Vector]:
         """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
-        P, C = self.measured[:2]
-        if sp.issparse(P) or sum(C.shape) > 150:  # unknowns and rows whose fit is a dense system
-            return fitted_units(self.gradient, self.rows)
+        P, C = self.stacked
+        # The fit of up to 150 unknowns and rows is a dense system; without zeros, sums
+        if sp.issparse(P) or (sum(C.shape) > 150 and not (P.all() and C.all())):
+            return fitted_units(P, C)
         return fit_units_of(P, C)
 
     @cached_property
     def is_small(self) -> bool:
         """True if a program with these matrices is small or dense: for daqp."""
         m, p, n, _ = self.sizes
-        entries = (
-            one.size if isinstance(one, np.ndarray) else int(one.nnz)
-            for one in (self.P, self.G, self.A)
-        )
-        return may_be_small(n, m + p, entries)
+        return may_be_small(n, m + p, (one.size for one in (self.P, self.G, self.A)))
 
     @cached_property
     def gradient(self) -> sp.csr_array:
@@ -183,11 +182,7 @@ class ProgramMatrices:
     @cached_property
     def entries(self) -> tuple[int, int]:
         """Numbers of nonzeros of P and of [G; A]."""
-        given = self.P, self.G, self.A
-        of_P, of_G, of_A = (
-            int(one.nnz if sp.issparse(one) else np.count_nonzero(one)) for one in given
-        )
-        return of_P, of_G + of_A
+        return int(entries_of_rows(self.P).sum()), int(self.counts.sum())
 
     @property
     def has_curvature(self) -> bool:
@@ -197,11 +192,15 @@ class ProgramMatrices:
     @cached_property
     def singletons(self) -> tuple[Indices, Indices, Vector]:
         """Rows of [G; A] with one entry, their columns, and for all rows this entry, or 1."""
-        stacked = self.rows
-        rows, coefficient = np.flatnonzero(np.diff(stacked.indptr) == 1), np.ones(stacked.shape[0])
-        places = stacked.indptr[rows]
-        coefficient[rows] = stacked.data[places]
-        return rows, stacked.indices[places].astype(np.intp), coefficient
+        C, counts = self.stacked[1], self.counts
+        rows, coefficient = np.flatnonzero(counts == 1), np.ones(counts.size)
+        if sp.issparse(C):
+            places = C.indptr[rows]
+            columns, coefficient[rows] = C.indices[places].astype(np.intp), C.data[places]
+        else:
+            columns = (C[rows] != 0.0) @ np.arange(C.shape[1])
+            coefficient[rows] = C[rows, columns]
+        return rows, columns, coefficient
 
     @cached_property
     def is_semidefinite(self) -> bool | None:
@@ -245,8 +244,8 @@ class ProgramMatrices:
             return self
         found = self._of_rows.get(key := left.tobytes())
         if found is None:  # another thread may replace the entry at any time
-            G, A = self.G[left[left < m]], self.A[left[left >= m] - m]
-            found = ProgramMatrices(self.P, G, A)
+            P, G, A = self.arrays
+            found = ProgramMatrices(P, G[left[left < m]], A[left[left >= m] - m])
             self._of_rows.clear()
             self._of_rows[key] = found
         return found
@@ -256,10 +255,8 @@ class ProgramMatrices:
         return {"P": self.P, "G": self.G, "A": self.A, "_of_rows": {}}
 
 
-def fitted_units(above: sp.csr_array, C: sp.csr_array) -> tuple[Vector, Vector]:
+def fitted_units(P: Any, C: Any) -> tuple[Vector, Vector]:
     """Return u and v, powers of two: least squares of the logarithms of |p_jk| u_j u_k and |c_ij| v_i u_j.
-
-    `above` is [P Cᵀ].
 
     References
     ----------
@@ -268,32 +265,44 @@ def fitted_units(above: sp.csr_array, C: sp.csr_array) -> tuple[Vector, Vector]:
 
     Examples
     --------
-    >>> above = sp.csr_array(np.array([[4.0, 0.0, 1.0], [0.0, 1.0, 16.0]]))
-    >>> fitted_units(above, sp.csr_array(np.array([[1.0, 16.0]])))
+    >>> fitted_units(sp.csr_array([[4.0, 0.0], [0.0, 1.0]]), sp.csr_array([[1.0, 16.0]]))
     (array([0.5, 0.5]), array([0.5]))
     """
-    m, n = C.shape
-    below = sp.csr_array((C.data, C.indices, C.indptr), shape=(m, n + m))
-    K = sp.csr_array(sp.vstack([above, below], format="csr"))
-    entries, twice = row_numbers(K), 1.0 + (row_numbers(K) == K.indices)
-    right = np.bincount(entries, np.log2(np.abs(K.data)) * twice, n + m)
-    counts = np.bincount(entries, twice, n + m) + SINGULAR
-    pattern = sp.csr_array((twice, K.indices, K.indptr), shape=K.shape)
-    units = _powers(_conjugate_gradients(pattern, counts, -right))
+    (in_P, log_P), (in_C, log_C) = map(_pattern_and_logarithms, (P, C))
+    pattern, n, ones = _bordered(in_P, in_C), P.shape[0], np.ones(sum(C.shape))
+    counts = pattern(ones) + SINGULAR
+    diagonal = counts + np.append(2.0 * in_P.diagonal(), np.zeros(C.shape[0]))
+    sums = _bordered(log_P, log_C)(ones)
+    units = _powers(_conjugate_gradients(lambda x: pattern(x) + counts * x, diagonal, -sums))
     return units[:n], units[n:]
 
 
-def _conjugate_gradients(A: sp.csr_array, d: Any, b: Any) -> Vector:
-    """Return about (A + diag(d))⁻¹b; scipy's loop takes ten times as long for 100 to 1000 unknowns."""
-    x, rest, inverse = np.zeros(b.size), b, 1.0 / (A.diagonal() + d)
+def _bordered(P: Any, C: Any) -> Callable[[Vector], Vector]:
+    """Return the function x ↦ [P + diag(P), Cᵀ; C, 0] x."""
+    n, on, turned = P.shape[0], P.diagonal(), C.T
+    return lambda x: np.concatenate([P @ x[:n] + on * x[:n] + turned @ x[n:], C @ x[:n]])
+
+
+def _pattern_and_logarithms(M: Any) -> Any:
+    """Return matrices with 1, and with log₂ |entry|, in the place of each entry."""
+    if sp.issparse(M):
+        values = np.ones(M.nnz), np.log2(np.abs(M.data))
+        return [sp.csr_array((one, M.indices, M.indptr), M.shape) for one in values]
+    is_entry = M != 0.0
+    return is_entry.astype(np.float64), np.log2(np.abs(M), where=is_entry, out=np.zeros(M.shape))
+
+
+def _conjugate_gradients(product: Callable[[Vector], Vector], diagonal: Any, b: Any) -> Vector:
+    """Return about A⁻¹b from products with A; scipy's loop takes ten times as long for 100 to 1000 unknowns."""
+    x, rest, inverse = np.zeros(b.size), b, 1.0 / diagonal
     direction = inverse * rest
     size = rest @ direction
     for _ in range(60):
         if not rest @ rest > (FIT_TO * FIT_TO) * (b @ b):
             break
-        product = A @ direction + d * direction
-        step = size / (direction @ product)
-        x, rest = x + step * direction, rest - step * product
+        image = product(direction)
+        step = size / (direction @ image)
+        x, rest = x + step * direction, rest - step * image
         steepest = inverse * rest
         size, before = rest @ steepest, size
         direction = steepest + (size / before) * direction
@@ -352,6 +361,16 @@ def is_full(n: int, m: int, entries: Iterable[int]) -> bool:
     return 0 < n + m <= FULL_UP_TO and sum(entries) >= 0.3 * n * (n + m)
 
 
+def as_csr(matrix: Any) -> sp.csr_array:
+    """Return an ndarray or a CSR array as a CSR array."""
+    return matrix if sp.issparse(matrix) else sp.csr_array(matrix)
+
+
+def entries_of_rows(matrix: Any) -> Indices:
+    """Return the number of nonzeros of each row."""
+    return np.diff(matrix.indptr) if sp.issparse(matrix) else np.count_nonzero(matrix, axis=1)
+
+
 def as_array(matrix: Any) -> Vector:
     """Return a matrix as an ndarray."""
     return np.asarray(matrix.toarray() if sp.issparse(matrix) else matrix)
@@ -371,9 +390,8 @@ def sums_and_terms(rows: sp.csr_array, y: Vector) -> tuple[Vector, Vector]:
     (array([1., 1.]), array([1., 5.]))
     """
     terms: Vector = np.repeat(y, np.diff(rows.indptr)) * rows.data
-    sums, sizes = np.zeros(rows.shape[1]), np.zeros(rows.shape[1])
-    sums += np.bincount(rows.indices, terms, rows.shape[1])
-    sizes += np.bincount(rows.indices, np.abs(terms), rows.shape[1])
+    both = terms, np.abs(terms)
+    sums, sizes = (np.bincount(rows.indices, one, rows.shape[1]) + 0.0 for one in both)
     return sums, sizes
 
 
@@ -580,7 +598,7 @@ class FoldedRows:
     def of(cls, program: QuadraticProgram) -> FoldedRows:
         """Return the reduction of a program; `QuadraticProgram.folded` keeps it."""
         matrices, right = program.matrices, np.concatenate([program.h, program.b])
-        if not matrices.has_short_rows and np.isfinite(right).all():
+        if (matrices.counts > 1).all() and np.isfinite(right).all():
             own = np.full(program.n, OWN)
             return cls(program, program, np.arange(right.size), own, own, np.ones(right.size))
         is_equality = matrices.is_equality[: right.size]
@@ -599,7 +617,7 @@ class FoldedRows:
         upper = np.where(contradicts, program.upper, upper)
         lower_row[contradicts] = upper_row[contradicts] = OWN
 
-        is_empty = np.diff(matrices.rows.indptr) == 0
+        is_empty = matrices.counts == 0
         stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & is_empty | (right == np.inf))
         stays[rows[~contradicts[columns]]] = False
         left = np.flatnonzero(stays)

@@ -46,7 +46,7 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     (array([ 1.25,  1.25, -0.5 ]), array([ 1. ,  0. , -0.5]))
     """
     c, b, n, p = program.c, program.b, program.n, program.b.size
-    if not (sp.issparse(program.P) and 0 < p <= program.P.nnz <= n):
+    if not 0 < p <= (of_P := program.matrices.entries[0]) <= n:
         return None
     d, is_free = program.P.diagonal(), np.isneginf(program.lower) & np.isposinf(program.upper)
     A, G = sp.csr_array(program.A), sp.csr_array(program.G)
@@ -58,7 +58,7 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     if (
         not columns.size
         or (not at.size and program.matrices.is_small)  # daqp is as quick
-        or np.count_nonzero(d) < program.P.nnz
+        or np.count_nonzero(d) < of_P
         or not np.array_equal(row_numbers(A)[own], np.arange(p))
         or A.nnz - p < 0.3 * p * columns.size
         or min(p, columns.size) > FULL_UP_TO

@@ -118,7 +118,7 @@ def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[En
     """
     matrices = program.matrices
     for name, tolerance, units in ATTEMPTS:
-        length = matrices.sparse_P.nnz / max(program.n, 1) if name == "piqp" else 0.0
+        length = matrices.entries[0] / max(program.n, 1) if name == "piqp" else 0.0
         # Longer sums have larger rounding errors, below which PIQP takes all its steps
         factor = max(1.0, length / 64.0)  # 16 for a dense kernel matrix of 1 000 rows
         options = dict.fromkeys(TOLERANCES[name], tolerance * factor) if tolerance else {}

@@ -427,9 +427,8 @@ def span(vector: Vector) -> float:
     return float(max(vector.max(initial=0.0), -vector.min(initial=0.0)))
 
 
-HELD = (
-    0.13  # share of its couplings; no simple fraction, which rounding would decide on regular grids
-)
+# share of its couplings; no simple fraction, which rounding would decide on regular grids
+HELD = 0.13
 NO_FLAGS = np.zeros(0, np.bool_)
 
 

@@ -24,7 +24,7 @@ from lcp_plugin.core.errors import (
     UnsuitableMatrix,
     UnsuitableProblem,
 )
-from lcp_plugin.problems.nonlinear.data import Linearizations
+from lcp_plugin.problems.nonlinear.data import Linearization
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 INF = np.inf
@@ -322,7 +322,7 @@ def test_slack_at_a_bound_lends_no_tolerance() -> None:
         return np.array([[3.0 * x[0] ** -4.0, 0.1], [0.1, 1.0]])
 
     problem = NonlinearProblem(F, jacobian, lower=[-INF, 0.0])
-    assert Linearizations(problem).at(np.array([7e11, 0.0])).certificate.term_residuals[0] > 0.1
+    assert Linearization(problem, np.array([7e11, 0.0])).certificate.term_residuals[0] > 0.1
 
 
 @pytest.mark.full

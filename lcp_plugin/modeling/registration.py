@@ -162,7 +162,7 @@ def solve_model(
                 value = _best(problem, warm_start, options)
             except UnsupportedModel:
                 raise error from None
-            if problem.status != settings.OPTIMAL and isinstance(error, MissingPair):
+            if isinstance(error, MissingPair):
                 warnings.warn(f"{problem.status}: {error}", ModelWarning, stacklevel=4)
             return value
 

@@ -763,9 +763,9 @@ def test_definitions_start_at_their_value() -> None:
     assert build([*rows, free + cp.exp(free) == 2, complements(x, x + d + e)]).present() is None
 
 
-def test_a_market_without_a_pair_is_named_if_the_run_fails() -> None:
-    """An unknown with bounds and without a pair is any value; of an infeasible model a warning names it."""
+@pytest.mark.parametrize(("sign", "status"), [(-1.0, "infeasible"), (1.0, "optimal")])
+def test_a_market_without_a_pair_is_named(sign: float, status: str) -> None:
+    """An unknown with bounds and without a pair is any value, and a warning names it, whether the run fails or not."""
     x = cp.Variable(2, name="x", nonneg=True)
-    problem = cp.Problem(cp.Minimize(0), [complements(x[0] >= 0, -cp.sum(x) - 1 >= 0)])
-    with pytest.warns(ModelWarning, match=r"infeasible: .*without a complementarity \(x\[1\]\)"):
-        problem.solve(method="LCP")
+    with pytest.warns(ModelWarning, match=rf"{status}: .*without a complementarity \(x\[1\]\)"):
+        model(complements(x[0] >= 0, sign * cp.sum(x) - 1 >= 0))

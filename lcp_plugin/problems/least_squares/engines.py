@@ -313,7 +313,8 @@ def ridge_solution(problem: ScaledLeastSquares) -> Vector:
 
     A, ridge, x = problem.matrix(is_dense=True), problem.ridge, np.zeros(problem.n)
     is_wide = A.shape[0] < A.shape[1]
-    gram = (A / ridge) @ A.T if is_wide else A.T @ A
+    half = (A / np.sqrt(ridge)).T if is_wide else A
+    gram = half.T @ half  # a symmetric product, of half the operations
     gram.flat[:: len(gram) + 1] += 1.0 if is_wide else ridge
     try:
         factor = cho_factor(gram, overwrite_a=True, check_finite=False)

@@ -159,9 +159,8 @@ class ProgramMatrices:
         """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
         P, C = self.stacked
         # The fit of up to 150 unknowns and rows is a dense system; without zeros, sums
-        if sp.issparse(P) or (sum(C.shape) > 150 and not (P.all() and C.all())):
-            return fitted_units(P, C)
-        return fit_units_of(P, C)
+        is_iterative = sp.issparse(P) or (sum(C.shape) > 150 and not (P.all() and C.all()))
+        return (fitted_units if is_iterative else fit_units_of)(P, C)
 
     @cached_property
     def is_small(self) -> bool:

@@ -112,18 +112,15 @@ def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
     """Return integers and one positive denominator with values_i = integer_i / denominator."""
     fractions = [value if type(value) is Fraction else Fraction(value) for value in values]
     denominator = math.lcm(*(value.denominator for value in fractions))
-    return [
-        value.numerator * (denominator // value.denominator) for value in fractions
-    ], denominator
+    whole = [value.numerator * (denominator // value.denominator) for value in fractions]
+    return whole, denominator
 
 
 def like(values: Vector, z: Any) -> Any:
     """Return floats unchanged, or as Fractions if z has Fractions."""
-    return (
-        np.array([Fraction(value) for value in values.tolist()], dtype=object)
-        if z.dtype == object
-        else values
-    )
+    if z.dtype != object:
+        return values
+    return np.array([Fraction(value) for value in values.tolist()], dtype=object)
 
 
 def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:
@@ -614,11 +611,8 @@ def _by_largest_block(rows: list[Row], right: Fractions, guess: Fractions) -> Ro
         return None
     solution = {columns[k]: value / common for k, value in zip(chosen, values, strict=True)}
     placed = [{place[j]: entry for j, entry in row.items()} for row in rows]
-    return (
-        solution
-        if list(products(placed, [solution.get(j, ZERO) for j in columns])) == right
-        else None
-    )
+    found = products(placed, [solution.get(j, ZERO) for j in columns])
+    return solution if list(found) == right else None
 
 
 LEAST = -LARGEST

@@ -92,8 +92,5 @@ def _nearness_to_singular(result: Result) -> str:
 
 def _advised(result: Result) -> str:
     """Return the advice to request a bound, unless the request already failed."""
-    return (
-        ""
-        if result.no_error_bound
-        else "; error_bound=True computes a bound of it, where M allows one"
-    )
+    advice = "; error_bound=True computes a bound of it, where M allows one"
+    return "" if result.no_error_bound else advice

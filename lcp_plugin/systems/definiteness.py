@@ -151,11 +151,9 @@ def is_positive_definite(P: Any) -> bool | None:
     if not (diagonal > 0.0).all():
         return False
     unit, shift = scaled_to(P, 1.0 / np.sqrt(diagonal)), _margin(diagonal.size, diagonal.size)
-    return (
-        False
-        if unit is not None and shift <= LARGEST_SHIFT and factorised(unit, shift) is None
-        else None
-    )
+    if unit is not None and shift <= LARGEST_SHIFT and factorised(unit, shift) is None:
+        return False
+    return None
 
 
 def symmetric_part(M: Any) -> Any:

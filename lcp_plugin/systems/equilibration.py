@@ -42,10 +42,6 @@ def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
         If True, the scaled matrix is also symmetric.
     """
     pivots = np.abs(M.diagonal())
-    largest_entry = max(M.data.max(), -M.data.min())
-    smallest, largest = np.log2(pivots.min()), np.log2(pivots.max())
-    if largest - smallest <= DIAGONAL_SPREAD and np.log2(largest_entry) - smallest <= LARGEST_RATIO:
-        return None
     diagonal: Vector = np.log2(pivots)
     ratios = np.log2(np.abs(M.data)) - diagonal[row_numbers(M)]
     if np.ptp(diagonal) <= DIAGONAL_SPREAD and ratios.max() <= LARGEST_RATIO:

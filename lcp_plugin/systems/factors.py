@@ -174,12 +174,9 @@ def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
 def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
     if not np.isfinite(matrix.data).all():
         return None
-    in_one_order = is_symmetric or _suits_one_order(matrix)
-    options = (
-        {"diag_pivot_thresh": SYMMETRIC_PIVOT} | IN_ONE_ORDER
-        if in_one_order
-        else {"permc_spec": "COLAMD"}
-    )
+    options: dict[str, Any] = {"permc_spec": "COLAMD"}
+    if is_symmetric or _suits_one_order(matrix):
+        options = {"diag_pivot_thresh": SYMMETRIC_PIVOT} | IN_ONE_ORDER
     try:
         # CSR of A is CSC of Aᵀ: factorize Aᵀ and solve with its transpose
         factor = sparse_lu(matrix.T, **options)

@@ -380,7 +380,7 @@ def or_one(sizes: Vector) -> Vector:
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
-def sums_and_terms(rows: sp.csr_array, y: Vector) -> tuple[Vector, Vector]:
+def sums_and_terms(rows: sp.csr_array, y: Vector) -> tuple[Any, Any]:
     """Return yᵀM and |y|ᵀ|M| of a CSR array, which is not transposed.
 
     Examples

@@ -181,13 +181,12 @@ class Lemke(Algorithm):
         at_lower[box.rows] |= is_near & ~is_flipped
         at_upper[box.rows] |= np.where(is_flipped, is_near, path.side == AT_UPPER)
         refined = solve_active_set(component, at_lower & bounded, at_upper & bounded & ~at_lower)
-        work = 0.0 if refined is None else refined.work * max(component.nonzeros, 1)
-        if refined is not None and _is_good(
-            component, np.clip(refined.z, component.lower, component.upper)
-        ):
-            yield refined.z, path.touched() + work
-            return True
-        yield z, path.touched() + work
+        if refined is not None:
+            # The run ends here if the point of the only component passes.
+            yield refined.z, path.touched() + refined.work * max(component.nonzeros, 1)
+            if _is_good(component, np.clip(refined.z, component.lower, component.upper)):
+                return True
+        yield z, path.touched()
         return _is_good(component, z)
 
 

@@ -157,9 +157,11 @@ def _without_free_rows(
 ) -> CanonicalBox:
     free, one_sided = np.flatnonzero(is_free), np.flatnonzero(~is_free & (upper == np.inf))
     own, empty = _independent(M, free), free[:0]
-    choices = (_with_partners(M, own, np.setdiff1d(free, own), one_sided), (own, empty))
-    for gone, partners in (*choices, (empty, empty)):
-        basic, stays = np.append(gone, partners), np.setdiff1d(np.arange(keep.size), gone)
+    choices = [(own, empty), (empty, empty)] if free.size else [(empty, empty)]
+    if own.size < free.size:
+        choices.insert(0, _with_partners(M, own, np.setdiff1d(free, own), one_sided))
+    for gone, partners in choices:
+        basic, stays = np.append(gone, partners), np.delete(np.arange(keep.size), gone)
         place, columns = np.searchsorted(stays, partners), np.column_stack([M[:, stays], q])
         # z and w of a partner's row change places
         columns[:, place], columns[partners, place] = 0.0, -1.0
@@ -415,31 +417,31 @@ class LemkePath:
         columns, other_columns, slack_rows = (
             np.minimum(part, n) for part in (basis[inner], others[~is_slack], basis[outer] - n)
         )
-        core = D[np.ix_(rows, columns)]
-        try:
-            inverse = np.linalg.inv(core)
-        except np.linalg.LinAlgError:
-            return False
-        if is_over() or not np.isfinite(inverse).all():
-            return False
-        absolute = np.abs(inverse)
-        # Entries that are zero in exact arithmetic must be zero here, because a pivot could otherwise use them.
-        inverse[absolute <= CANCELLED * (absolute @ np.abs(core) @ absolute)] = 0.0
-        if is_over() or not inverse.any(axis=1).all():  # a row of nothing but rounding
-            return False
-        beyond = D[np.ix_(slack_rows, columns)]
+        b = self._right_hand_side()
         if inner.size:
+            core = D[np.ix_(rows, columns)]
+            try:
+                inverse = np.linalg.inv(core)
+            except np.linalg.LinAlgError:
+                return False
+            if is_over() or not np.isfinite(inverse).all():
+                return False
+            absolute = np.abs(inverse)
+            # Entries that are zero in exact arithmetic must be zero here, because a pivot could otherwise use them.
+            inverse[absolute <= CANCELLED * (absolute @ np.abs(core) @ absolute)] = 0.0
+            if is_over() or not inverse.any(axis=1).all():  # a row of nothing but rounding
+                return False
+            beyond = D[np.ix_(slack_rows, columns)]
             top, below = np.empty((inner.size, n + 1)), np.zeros((outer.size, n + 1))
             top[:, is_slack] = inverse
             top[:, ~is_slack] = _product(-inverse, D[np.ix_(rows, other_columns)])
             below[:, ~is_slack] = D[np.ix_(slack_rows, other_columns)]
             self.tableau[inner], self.tableau[outer] = top, _product(beyond, top, below)
+            self.values[inner] = -inverse @ b[rows]
+            self.values[outer] = beyond @ self.values[inner] + b[slack_rows]
         else:
-            self.tableau[:] = D[slack_rows]
+            self.tableau[:], self.values[:] = D[slack_rows], b[slack_rows]
         self.entries += float(rows.size) * (3.0 * float(rows.size) ** 2 + 2.0 * float(n) ** 2)
-        b = self._right_hand_side()
-        self.values[inner] = -inverse @ b[rows]
-        self.values[outer] = beyond @ self.values[inner] + b[slack_rows]
         low, high = self.real[LOW, :n], self.real[HIGH, :n]
         is_above = np.ones(n, dtype=bool)
         is_above[outer] = self.side[slack_rows] != AT_UPPER
@@ -447,7 +449,8 @@ class LemkePath:
         is_z = basis < n
         high[is_z] = self.upper[basis[is_z]]
         self.age = 0
-        self._correct()
+        if inner.size:
+            self._correct()
         return True
 
     def _sorted_out(self) -> tuple[Any, Any, Any, Any]:

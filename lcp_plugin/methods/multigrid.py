@@ -75,7 +75,6 @@ from ..systems.hierarchy.truncation import KrylovCorrection, Truncation
 SMOOTHERS = ("pgs", "psor")
 SMOOTHING_SWEEPS = 60
 ROUGH = 1e-3  # share of the rows in which units may differ
-SMALLEST_UNIT = 1e-30  # relative to the largest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +203,7 @@ def smooth_units(matrix: Matrix) -> tuple[Vector, Matrix] | None:
     for k in range(SMOOTHING_SWEEPS):
         sweeps.sweep(v, backward=k % 2 == 1)
     v /= v.max()
-    if not (v.min() > SMALLEST_UNIT and rough_rows(v) <= ROUGH * rough):
+    if not (v.min() > 1e-30 and rough_rows(v) <= ROUGH * rough):
         return None
     return v, Matrix(sp.diags_array(v) @ M @ sp.diags_array(v))
 

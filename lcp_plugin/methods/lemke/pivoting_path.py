@@ -214,7 +214,7 @@ def _with_partners(
     return np.append(own, rest[rows]), one_sided[order]
 
 
-def _solved(block: FloatMatrix, right: FloatMatrix) -> FloatMatrix | None:
+def _solved(block: FloatMatrix, right: FloatMatrix) -> Any:
     """Return −block⁻¹ right; None if the block is ill-conditioned."""
     if not block.size:
         return np.empty(right.shape)

@@ -18,6 +18,7 @@ from .grids import Grid, Transfer
 from .kernels import add_to, add_within, dot, largest_product, span
 
 COARSEST_SWEEPS = 10  # forward and backward, on a large coarsest grid
+RIDGE = 2.0**-40  # of the coarsest matrix, relative to its diagonal
 
 
 class TruncatedGrid:
@@ -55,6 +56,8 @@ class TruncatedGrid:
         is_fixed = self.inverse == 0.0
         dense[is_fixed, :] = dense[:, is_fixed] = 0.0
         dense[is_fixed, is_fixed] = 1.0
+        # singular if two coarse unknowns have the same one free fine unknown left
+        np.fill_diagonal(dense, (1.0 + RIDGE) * dense.diagonal())
         self._factor, self._is_factorised = dense_lu(dense), True
         return self._factor, n**3 / 3.0
 

@@ -33,6 +33,7 @@ SCENES = [
     "convection_diffusion:size=60,diffusion=1e-5",
     "rotated_anisotropy:size=60",
     "journal_bearing:size=60,eccentricity=0.99",
+    "journal_bearing:size=62,eccentricity=0.99",
     "paper_example_1:n=3600,delta=0",
 ]
 

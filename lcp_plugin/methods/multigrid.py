@@ -62,6 +62,7 @@ from ..core.algorithm import (
     require_positive_diagonal,
 )
 from ..core.checks import Vector, read_only
+from ..core.deadline import require_seconds
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact, is_nearly_symmetric
@@ -174,12 +175,14 @@ class Multigrid(Algorithm):
             yield from MultigridRun(self, problem).iterates(z0)
             return
         units, matrix = smooth
-        lower, upper = problem.lower / units, problem.upper / units
+        bounds = problem.lower, problem.upper
+        lower, upper = (bound / units for bound in bounds)
         run = MultigridRun(self, LCP(matrix, units * problem.q, lower=lower, upper=upper))
         run.work += 0.0 if is_known else SMOOTHING_SWEEPS * run.entries
         for step in run.iterates(z0 / units):
-            z = np.clip(units * step.z, problem.lower, problem.upper)
-            yield Step(z, work=step.work)
+            # A row at a bound stays there, although units times the scaled bound is rounded.
+            z = np.select([step.z == lower, step.z == upper], bounds, units * step.z)
+            yield Step(np.clip(z, *bounds), work=step.work)
 
 
 @fact
@@ -201,6 +204,7 @@ def smooth_units(matrix: Matrix) -> tuple[Vector, Matrix] | None:
     relaxed = Multigrid(smoother="psor", relaxation=0.9)  # never 0, as full sweeps along a flow
     sweeps, v = GridProblem(relaxed, grid, none, none, ones * np.inf), ones.copy()
     for k in range(SMOOTHING_SWEEPS):
+        require_seconds(0.0)
         sweeps.sweep(v, backward=k % 2 == 1)
     v /= v.max()
     if not (v.min() > 1e-30 and rough_rows(v) <= ROUGH * rough):

@@ -163,14 +163,14 @@ def test_the_units_of_single_rows_hardly_matter(decades: int) -> None:
 @pytest.mark.parametrize("decades", [1, 3, 10])
 @pytest.mark.parametrize("is_symmetric", [True, False])
 def test_columns_in_mixed_units_are_solved(is_symmetric: bool, decades: int) -> None:
-    """Columns times random powers of ten are SOLVED by auto, and by multigrid if they differ by 1e6 at most."""
+    """Columns times random powers of ten are SOLVED by auto and by multigrid."""
     problem = gallery.build("obstacle_2d", size=60).problem
     columns = 10.0 ** np.rint(np.random.default_rng(0).uniform(-decades, decades, problem.n))
     rows = columns if is_symmetric else np.ones(problem.n)
     M = sp.csr_array(sp.diags_array(rows) @ problem.csr @ sp.diags_array(columns))
     mixed = LCP(M, rows * problem.q, lower=problem.lower / columns)
     assert solve(mixed).is_solved
-    assert decades > 3 or solve(mixed, "multigrid").is_solved
+    assert solve(mixed, "multigrid").is_solved
 
 
 def plate(size: int) -> LCP:

@@ -180,7 +180,14 @@ class Lemke(Algorithm):
         is_flipped = component.lower[box.rows] == -np.inf
         at_lower[box.rows] |= is_near & ~is_flipped
         at_upper[box.rows] |= np.where(is_flipped, is_near, path.side == AT_UPPER)
-        refined = solve_active_set(component, at_lower & bounded, at_upper & bounded & ~at_lower)
+        at_lower, at_upper = at_lower & bounded, at_upper & bounded & ~at_lower
+        # A free row of two nonnegative variables that are both 0 is dependent
+        held = ~bounded & (np.bincount(box.rows, is_near, component.n) == 2)
+        vertex = component
+        if held.any():
+            lower = np.where(held, 0.0, component.lower)
+            vertex = LCP(component.matrix, component.q, lower=lower, upper=component.upper)
+        refined = solve_active_set(vertex, at_lower | held, at_upper)
         if refined is not None:
             # The run ends here if the point of the only component passes.
             yield refined.z, path.touched() + refined.work * max(component.nonzeros, 1)

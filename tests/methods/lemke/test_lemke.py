@@ -88,6 +88,15 @@ def test_boxes_and_free_rows(name: str) -> None:
     assert best(MIXED[name]()).relative_residual <= 1e-14
 
 
+def test_many_definitions_are_eliminated() -> None:
+    """Eighty free variables are defined by two others, whose sum is 1; the multiplier of the sum is dependent."""
+    R, one = np.tile(np.eye(2), (40, 1)), np.ones((2, 1))
+    rows = [[np.eye(80), -R, None], [R.T, None, one], [None, one.T, None]]
+    lower, q = np.repeat([[-INF, 0, -INF], [0, 0, -1]], [80, 2, 1], axis=1)
+    result = solve(LCP(sp.block_array(rows), q, lower=lower), "lemke")
+    assert result.require_solved().z == pytest.approx([0.5] * 82 + [-20], rel=1e-14)
+
+
 def test_a_diode_bridge_is_solved_by_auto() -> None:
     """Free rows whose block has rank 1 and whose path is lost by lemke are left to the other methods."""
     assert solve(circuit()).is_solved
@@ -144,18 +153,15 @@ def test_degenerate_integers_end(seed: int) -> None:
             assert outcome not in (GOING_ON, LOST)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_degenerate_assignments_end_in_an_optimum(seed: int) -> None:
+@pytest.mark.parametrize(("k", "seed"), [(5, 1), (10, 0), (15, 0), (15, 1)])
+def test_degenerate_assignments_end_in_an_optimum(k: int, seed: int) -> None:
     """Multipliers of dependent equations are free, without a diagonal; scipy's assignment costs as much."""
-    costs, one, each = (
-        np.random.default_rng(seed).integers(0, 10, (15, 15)),
-        np.ones(15),
-        np.eye(15),
-    )
+    costs = np.random.default_rng(seed).integers(0, 10, (k, k))
+    one, each = np.ones(k), np.eye(k)
     rows = np.vstack([np.kron(each, one), np.kron(one, each)])
-    result = solve(LCP.from_qp(None, costs.ravel(), A=rows, b=np.ones(30), lower=0.0), "lemke")
+    result = solve(LCP.from_qp(None, costs.ravel(), A=rows, b=np.ones(2 * k), lower=0.0), "lemke")
     best = costs[linear_sum_assignment(costs)].sum()
-    assert costs.ravel() @ result.require_solved().z[:225] == pytest.approx(best, rel=1e-12)
+    assert costs.ravel() @ result.require_solved().z[: k * k] == pytest.approx(best, rel=1e-12)
 
 
 def rank_deficient(g: np.random.Generator, n: int) -> np.ndarray:

@@ -15,14 +15,17 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import Vector
 from ...core.deadline import is_over
 from ...core.lcp import LCP
 from ...core.matrix import equation_signs, fact
-from ...core.tuning import PIVOTS_FIRST_UP_TO
+from ...core.tuning import DENSE_OPERATIONS, PIVOTS_FIRST_UP_TO, SPARSE_OPERATIONS
 from ...systems.equilibration import power_of_two
+from ...systems.factors import sparse_lu
+from ...systems.minimum_degree import factor_sizes
 from . import tableau
 from .tableau import (
     AT_LOWER,
@@ -156,16 +159,18 @@ def _without_free_rows(
     is_free: NDArray[np.bool_],
 ) -> CanonicalBox:
     free, one_sided = np.flatnonzero(is_free), np.flatnonzero(~is_free & (upper == np.inf))
-    own, empty = _independent(M, free), free[:0]
+    is_sparse = free.size > 64 and np.count_nonzero(M) < M.size // 10
+    sparse = sp.csr_array(M) if is_sparse else None
+    own, empty = _independent(M, sparse, free), free[:0]
     choices = [(own, empty), (empty, empty)] if free.size else [(empty, empty)]
     if own.size < free.size:
-        choices.insert(0, _with_partners(M, own, np.setdiff1d(free, own), one_sided))
+        choices.insert(0, _with_partners(M, sparse, own, np.setdiff1d(free, own), one_sided))
     for gone, partners in choices:
         basic, stays = np.append(gone, partners), np.delete(np.arange(keep.size), gone)
         place, columns = np.searchsorted(stays, partners), np.column_stack([M[:, stays], q])
         # z and w of a partner's row change places
         columns[:, place], columns[partners, place] = 0.0, -1.0
-        solution = _solved(M[np.ix_(basic, basic)], columns[basic])
+        solution = _solved(M, sparse, basic, columns[basic])
         if solution is not None:
             break
     reduced = columns[stays] + M[np.ix_(stays, basic)] @ solution
@@ -187,21 +192,25 @@ def _without_free_rows(
     )
 
 
-def _independent(M: FloatMatrix, free: IndexVector) -> IndexVector:
+def _independent(M: FloatMatrix, sparse: Any, free: IndexVector) -> IndexVector:
     """Return the free rows whose pivots in a factorization of their block are not at rounding level."""
     if not free.size:
         return free
     from scipy.linalg import lapack
 
-    pivots = np.abs(lapack.dgetrf(M[np.ix_(free, free)])[0].diagonal())
-    return np.asarray(free[pivots > 1e-8 * pivots.max()])
+    factor = _sparse_factor(sparse, free, shift=2.0**-52)  # SuperLU needs nonzero pivots
+    if factor is None:
+        pivots = np.abs(lapack.dgetrf(M[np.ix_(free, free)])[0].diagonal())
+    else:
+        pivots = np.abs(factor.U.diagonal())[factor.perm_c]
+    return np.asarray(free[pivots > max(1e-8 * pivots.max(), 2.0**-48)])
 
 
 def _with_partners(
-    M: FloatMatrix, own: IndexVector, rest: IndexVector, one_sided: IndexVector
+    M: FloatMatrix, sparse: Any, own: IndexVector, rest: IndexVector, one_sided: IndexVector
 ) -> tuple[IndexVector, IndexVector]:
     """Return free rows, and as many other rows as may make their common block regular."""
-    solution = _solved(M[np.ix_(own, own)], M[np.ix_(own, one_sided)])
+    solution = _solved(M, sparse, own, M[np.ix_(own, one_sided)])
     if solution is None or not (rest.size and one_sided.size):
         return own, rest[:0]
     from scipy.linalg import qr
@@ -214,16 +223,36 @@ def _with_partners(
     return np.append(own, rest[rows]), one_sided[order]
 
 
-def _solved(block: FloatMatrix, right: FloatMatrix) -> Any:
-    """Return −block⁻¹ right; None if the block is ill-conditioned."""
-    if not block.size:
+def _solved(M: FloatMatrix, sparse: Any, rows: IndexVector, right: FloatMatrix) -> Any:
+    """Return −block⁻¹ right for the block of these rows; None if it is ill-conditioned."""
+    if not rows.size:
         return np.empty(right.shape)
+    factor = _sparse_factor(sparse, rows)
+    if factor is not None:
+        # a lower bound of the condition number
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], rows.size)
+        is_regular = np.abs(factor.solve(signs)).max() < 1e8
+        return factor.solve(-right) if is_regular else None
     from scipy.linalg import lapack
 
+    block = M[np.ix_(rows, rows)]
     factor, pivots, info = lapack.dgetrf(block)
     if info or not lapack.dgecon(factor, np.linalg.norm(block, 1))[0] > 1e-8:
         return None
     return np.asarray(lapack.dgetrs(factor, pivots, -right)[0], dtype=np.float64)
+
+
+def _sparse_factor(sparse: Any, rows: IndexVector, shift: float = 0.0) -> Any:
+    """Return SuperLU's factor of a block + shift I; None if a dense one is quicker, or if a pivot is zero."""
+    n = rows.size
+    if sparse is None:
+        return None
+    block = sparse[rows][:, rows] + shift * sp.eye_array(n)
+    most = n**3 / 1.5 / DENSE_OPERATIONS * SPARSE_OPERATIONS
+    try:
+        return sparse_lu(block) if factor_sizes(block, np.inf, most)[1] < np.inf else None
+    except RuntimeError:
+        return None
 
 
 @fact

@@ -173,7 +173,7 @@ def _without_free_rows(
         solution = _solved(M, sparse, basic, columns[basic])
         if solution is not None:
             break
-    reduced = columns[stays] + M[np.ix_(stays, basic)] @ solution
+    reduced = _product(M[np.ix_(stays, basic)], solution, columns[stays])
     reduced[place] = solution[gone.size :]
     M, q, upper, rows = reduced[:, :-1], reduced[:, -1], upper[stays], keep[stays]
     offset, elimination = base.copy(), solution[:, :-1]

@@ -355,3 +355,11 @@ def test_a_square_system_is_one_factorization() -> None:
         1,
     )
     np.testing.assert_allclose(result.z, spsolve(M.tocsc(), -np.ones(5625)), rtol=1e-9)
+
+
+def test_elimination_of_a_free_row_of_rank_one_leaves_zeros() -> None:
+    """M = v vᵀ without its free row is 0, also in double precision, because pivots must not use rounding errors."""
+    for seed in range(20):
+        v = np.random.default_rng(seed).integers(1, 100, 9).astype(float)
+        problem = LCP(np.outer(v, v), -v, lower=np.where(np.arange(9), 0.0, -np.inf))
+        assert not canonical_box(problem).M.any()

@@ -297,9 +297,8 @@ def bimatrix_players(M: NDArray[np.float64], q: Vector) -> NDArray[np.bool_] | N
 FloatMatrix = NDArray[np.float64]
 
 ACCURATE = 1e-12
-TIE_BREAK = (
-    2.0**-48
-)  # of the largest q: no two rows block at once, and no digit of a solution is lost
+# of each q, of the smallest where q is 0: no two rows block at once, and no digit of a solution is lost
+TIE_BREAK = 2.0**-48
 FEASIBLE = 1e-7
 CANCELLED = 2.0**-44  # of the terms: a smaller difference is set to 0
 
@@ -319,7 +318,9 @@ class LemkePath:
         self.M, self.upper = M, upper
         self.n = n = q.size
         tilts = np.random.default_rng(1).uniform(1.0, 2.0, n)
-        self.q = q + TIE_BREAK * np.abs(q).max(initial=0.0) * tilts
+        sizes = np.abs(q)
+        sizes[q == 0.0] = sizes.min(where=q != 0.0, initial=sizes.max(initial=0.0))
+        self.q = q + TIE_BREAK * sizes * tilts
         self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
         real, whole, matrix = shapes(n)
         self.real = np.zeros(real)
@@ -514,8 +515,7 @@ class LemkePath:
         of_others[is_slack] = error[rows]
         self.values += self.tableau @ of_others  # the columns of w are columns of −B⁻¹
         self.values[outer] -= error[slack_rows]
-        # Terms that are smaller than 2⁻¹² are as inexact as the perturbation of q.
-        return float(np.max(np.abs(error) / np.maximum(size, 2.0**-12), initial=0.0))
+        return float(np.max(np.abs(error) / np.maximum(size, 1e-300), initial=0.0))
 
     # --- reading ----------------------------------------------------------------------------------------
 

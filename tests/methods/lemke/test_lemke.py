@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from applications.finance import put_uniform
 from collection import all_entries
 from collection.entry import Entry
 from hypothesis import given, settings
@@ -205,6 +206,15 @@ def test_wild_units() -> None:
     )
     problem = LCP((B @ B.T) * rows[:, None] * columns, generator.standard_normal(6) * rows)
     assert best(problem).relative_residual <= 1e-12
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_put_in_mixed_units_is_solved(seed: int) -> None:
+    """The perturbation that breaks ties is relative to each q: no row of small numbers is lost in it."""
+    put, generator = put_uniform(n=150), np.random.default_rng(seed)
+    row, column = (sp.diags_array(2.0 ** generator.integers(-20, 21, 150)) for _ in range(2))
+    lower = put.lower / column.diagonal()
+    assert solve(LCP(row @ put.M @ column, row @ put.q, lower=lower), "lemke").is_solved
 
 
 @settings.get_profile("many")

@@ -40,6 +40,7 @@ from .tableau import (
     NOT_STARTED,
     OTHER,
     PLACE,
+    RAY,
     RETURNED,
     SIDE,
     SOLVED,
@@ -297,7 +298,7 @@ def bimatrix_players(M: NDArray[np.float64], q: Vector) -> NDArray[np.bool_] | N
 FloatMatrix = NDArray[np.float64]
 
 ACCURATE = 1e-12
-# of each q, of the smallest where q is 0: no two rows block at once, and no digit of a solution is lost
+# relative to each q, and to the smallest where q is 0: no two rows block at once
 TIE_BREAK = 2.0**-48
 FEASIBLE = 1e-7
 CANCELLED = 2.0**-44  # of the terms: a smaller difference is set to 0
@@ -393,6 +394,8 @@ class LemkePath:
         A ray or an unreliable small pivot is tested again with a new tableau.
         """
         outcome = self._run(limit)
+        if outcome == RAY and self.t <= 2.0**-40 * np.abs(self.q).max(initial=0.0):
+            return SOLVED  # t is at rounding level
         if outcome in (SOLVED, RETURNED):
             return outcome
         is_doubtful = outcome != GOING_ON and self.age > 0
@@ -505,11 +508,9 @@ class LemkePath:
         _, outer, is_slack, rows = self._sorted_out()
         slack_rows = self.basis[outer] - n
         w[slack_rows] = self.values[outer]
-        t = self.value if self.driven == 2 * n else float(self.values[self.basis == 2 * n].sum())
-        error = w - self.M @ z - t * self.covering - self.q
-        size = (
-            np.abs(w) + self.absolute @ np.abs(z) + abs(t) * np.abs(self.covering) + np.abs(self.q)
-        )
+        cover = self.t * self.covering
+        error = w - self.M @ z - cover - self.q
+        size = np.abs(w) + self.absolute @ np.abs(z) + np.abs(cover) + np.abs(self.q)
         self.entries += 3.0 * n * n
         of_others = np.zeros(n + 1)
         of_others[is_slack] = error[rows]
@@ -518,6 +519,12 @@ class LemkePath:
         return float(np.max(np.abs(error) / np.maximum(size, 1e-300), initial=0.0))
 
     # --- reading ----------------------------------------------------------------------------------------
+
+    @property
+    def t(self) -> float:
+        """Distance t from the end of the path."""
+        end = 2 * self.n
+        return self.value if self.driven == end else float(self.values[self.basis == end].sum())
 
     @property
     def z(self) -> Vector:

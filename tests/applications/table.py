@@ -1,4 +1,8 @@
-"""Measure applications, and compare two tables."""
+"""Measure applications, and compare two tables.
+
+In mixed units pivots depend on the BLAS of the processor: where two processors differ, a row holds the larger work, the
+larger error and the worse status.
+"""
 
 from __future__ import annotations
 

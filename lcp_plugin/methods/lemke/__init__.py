@@ -15,6 +15,7 @@ from ...core.certificates.residuals import Certificate
 from ...core.checks import Vector
 from ...core.deadline import is_over
 from ...core.errors import UnsuitableProblem
+from ...core.kernels.floats import NEGLIGIBLE
 from ...core.lcp import LCP
 from ...core.matrix import connected_components
 from ...core.settings import whole_number
@@ -191,6 +192,15 @@ class Lemke(Algorithm):
         if refined is not None:
             # The run ends here if the point of the only component passes.
             yield refined.z, path.touched() + refined.work * max(component.nonzeros, 1)
+            # A degenerate vertex: values at rounding level, which are small only in the units of the path
+            ends, own = (
+                np.where(is_flipped, component.upper[box.rows], component.lower[box.rows]),
+                path.z,
+            )
+            is_tiny = ~is_near & (own <= NEGLIGIBLE * own.max(initial=0.0)) & np.isfinite(ends)
+            if is_tiny.any():
+                refined.z[box.rows[is_tiny]] = ends[is_tiny]
+                yield refined.z, 0.0
             if _is_good(component, np.clip(refined.z, component.lower, component.upper)):
                 return True
         yield z, path.touched()

@@ -1,7 +1,7 @@
 """Measure applications, and compare two tables.
 
-In mixed units pivots depend on the BLAS of the processor: where two processors differ, a row holds the larger work, the
-larger error and the worse status.
+If M has another scaling, pivots depend on the BLAS of the processor. If two processors differ, a row holds the larger
+work, the larger error and the worse status.
 """
 
 from __future__ import annotations

@@ -190,18 +190,18 @@ class Lemke(Algorithm):
             vertex = LCP(component.matrix, component.q, lower=lower, upper=component.upper)
         refined = solve_active_set(vertex, at_lower | held, at_upper)
         if refined is not None:
-            # The run ends here if the point of the only component passes.
-            yield refined.z, path.touched() + refined.work * max(component.nonzeros, 1)
-            # A degenerate vertex: values at rounding level, which are small only in the units of the path
-            ends, own = (
-                np.where(is_flipped, component.upper[box.rows], component.lower[box.rows]),
-                path.z,
-            )
-            is_tiny = ~is_near & (own <= NEGLIGIBLE * own.max(initial=0.0)) & np.isfinite(ends)
+            found = np.clip(refined.z, component.lower, component.upper)
+            # A degenerate vertex: values at rounding level in the units of the path, though perhaps not in the user's
+            ends = np.where(is_flipped, component.upper[box.rows], component.lower[box.rows])
+            is_tiny = ~is_near & (path.z <= NEGLIGIBLE * path.z.max(initial=0.0))
+            is_tiny &= np.isfinite(ends) & (box.step != 0.0)  # not z of a row whose w is 0
             if is_tiny.any():
-                refined.z[box.rows[is_tiny]] = ends[is_tiny]
-                yield refined.z, 0.0
-            if _is_good(component, np.clip(refined.z, component.lower, component.upper)):
+                tried = found.copy()
+                tried[box.rows[is_tiny]] = ends[is_tiny]
+                found = min(found, tried, key=lambda z: Certificate.of(component, z).term_residual)
+            # The run ends here if the point of the only component passes.
+            yield found, path.touched() + refined.work * max(component.nonzeros, 1)
+            if _is_good(component, found):
                 return True
         yield z, path.touched()
         return _is_good(component, z)

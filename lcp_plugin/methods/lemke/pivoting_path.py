@@ -298,7 +298,7 @@ def bimatrix_players(M: NDArray[np.float64], q: Vector) -> NDArray[np.bool_] | N
 FloatMatrix = NDArray[np.float64]
 
 ACCURATE = 1e-12
-# relative to each q, and to the smallest where q is 0: no two rows block at once
+# relative to each |q|, and to the smallest nonzero |q| where q is 0: no two rows block at once
 TIE_BREAK = 2.0**-48
 FEASIBLE = 1e-7
 CANCELLED = 2.0**-44  # of the terms: a smaller difference is set to 0
@@ -522,7 +522,7 @@ class LemkePath:
 
     @property
     def t(self) -> float:
-        """Distance t from the end of the path."""
+        """The multiple t of r; 0 at a solution."""
         end = 2 * self.n
         return self.value if self.driven == end else float(self.values[self.basis == end].sum())
 

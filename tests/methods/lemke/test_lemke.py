@@ -208,6 +208,18 @@ def test_wild_units() -> None:
     assert best(problem).relative_residual <= 1e-12
 
 
+def test_a_row_that_completes_free_rows_keeps_its_value() -> None:
+    """Next to a second component: no value is moved to a bound because it is small in the units of the path."""
+    M = np.zeros((5, 5))
+    M[0, 1:4], M[1:4, 0], M[4, 4] = (
+        (2.0**-20, -(2.0**31), 2.0**-18),
+        (-(2.0**-27), 2.0**-27, -(2.0**-27)),
+        1,
+    )
+    problem = LCP(M, [-2, -3, 4, -4, -1], lower=[-INF, 0, 0, 0, 0])
+    assert solve(problem, "lemke").is_solved
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_put_in_mixed_units_is_solved(seed: int) -> None:
     """The perturbation that breaks ties is relative to each q: no row of small numbers is lost in it."""

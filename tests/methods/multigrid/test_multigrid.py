@@ -58,6 +58,17 @@ def assert_same(problem: LCP, result: Result, relative: float = 1e-6) -> None:
     assert np.abs(result.z - expected).max() <= relative * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("algorithm", ["multigrid", "auto"])
+def test_neumann_problem_with_a_mean_load_below_zero_is_infeasible(algorithm: str) -> None:
+    """M 1 = 0: no z has M z + q ≥ 0 if the sum of q is negative."""
+    D = sp.diags_array(
+        [np.r_[1, np.full(38, 2), 1], -np.ones(39), -np.ones(39)], offsets=[0, 1, -1]
+    )
+    M = sp.kron(D, sp.eye_array(40)) + sp.kron(sp.eye_array(40), D)
+    q = 0.3 * np.random.default_rng(0).standard_normal(1600) - 0.01
+    assert solve(LCP(M, q), algorithm).status is Status.INFEASIBLE
+
+
 # --- Answers ------------------------------------------------------------------------------------------------
 
 

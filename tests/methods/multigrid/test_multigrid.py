@@ -69,6 +69,14 @@ def test_neumann_problem_with_a_mean_load_below_zero_is_infeasible(algorithm: st
     assert solve(LCP(M, q), algorithm).status is Status.INFEASIBLE
 
 
+def test_regular_coarsest_matrix_is_solved_to_rounding() -> None:
+    """A ridge there slowed the cycles of a tower of masses, which ended SOLVED with 0.98 of its weight."""
+    coarsest = Truncation(hierarchy_of(gallery.obstacle_2d(size=60).problem.matrix, 50)).grids[-1]
+    A = coarsest.grid.dense(coarsest.values)
+    x = coarsest.factor()[0].solve(A @ np.ones(len(A)))
+    np.testing.assert_allclose(x, 1.0, rtol=1e-10)
+
+
 # --- Answers ------------------------------------------------------------------------------------------------
 
 

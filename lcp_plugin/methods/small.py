@@ -32,6 +32,7 @@ from ..core.checks import BoolVector, Vector, read_only
 from ..core.kernels.floats import FREE, HIGH, LOW, PERTURBED, SMALLEST, SMALLEST_PIVOT
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, residual_scales
+from .finishing import measure_finished
 
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
 RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
@@ -142,7 +143,7 @@ def normal(data: RowData, z: Vector) -> Vector:
 
 def measure(data: RowData, z: Vector, tolerance: float) -> Measured:
     """Measure points at the ends of linear solves."""
-    return data.measure_at(*data.snap(normal(data, z)), tolerance, power=1.0)
+    return measure_finished(data, normal(data, z), tolerance, power=1.0)
 
 
 def suits_loop(count: int, n: int) -> bool:
@@ -200,7 +201,7 @@ def _solve_in_loop(
             side = _ends_of_paths(A, b, low, high)
         x, bound = active_set_points(A, b, low, high, side, True), np.empty(items.size)
         is_lost = np.isnan(x[:, 0])
-        bound_residuals(*own, float(tolerance), np.empty((4, q.shape[1])), x, bound)
+        bound_residuals(*own, float(tolerance), np.empty((2, q.shape[1])), x, bound)
         x[is_lost, 0], bound[is_lost] = np.nan, np.inf
         z[items], residual[items] = x, bound
         items = items[bound == np.inf]

@@ -41,6 +41,7 @@ from ..core.problem_classes import class_of, classes_of, refusal
 from ..core.settings import OF_SOLVE, Settings, Status, whole_number
 from ..core.solving.result import Result, StageRecord
 from ..methods.banded import Banded, active_sets, held_entries, solve_held, solve_one_sided
+from ..methods.finishing import measure_finished
 from ..systems.factors import BANDED_UP_TO, Bands, bands
 from ..systems.graph import bandwidth
 from .cones.data import Blocks
@@ -100,7 +101,7 @@ class BandSteps:
                 Q, Z = Q[:k], Z[:k]
                 break
             state = Z[k] = found
-        measured = self._data(Q).measure(Z, self.tolerance, power=1.0)
+        measured = measure_finished(self._data(Q), Z, self.tolerance, power=1.0)
         passes, moves = measured.passes, (measured.z != Z).any(axis=1)
         count = len(Q) if passes.all() else int(np.argmin(passes))
         if moves[:count].any():  # later steps were computed from the point before it was moved

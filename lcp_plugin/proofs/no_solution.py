@@ -33,7 +33,6 @@ from ..core.matrix import is_nearly_symmetric
 from ..core.names import Names
 from ..core.representation import describe_radius
 from ..core.settings import Status
-from ..systems.free_systems import FreeSystem
 from .conflict import Conflict, find_conflict
 from .exact import ZERO, Rational, integer_matrix, rounded_down
 from .farkas import DECISIVE, WIDE, FarkasCertificate, LinearConstraints
@@ -412,19 +411,6 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
         return row
     proof = _by_linear_program(problem, effort) if effort else None
     return row if proof is None or (row is not None and proof.margin < row.margin) else proof
-
-
-@np.errstate(all="ignore")
-def has_solution_near(problem: LCP, z: Vector) -> bool:
-    """Return whether the linear system of the active rows has a solution near z, with violations at rounding level."""
-    data = row_data(problem)
-    at = data.rows(z)
-    step = FreeSystem(problem.matrix, at.is_active).solve(-at.w)
-    if step is None or not np.abs(step).max() <= 1e-4 * np.abs(z).max():
-        return False
-    x = np.clip(z + step, problem.lower, problem.upper)
-    after = data.rows(x)
-    return bool((after.violation <= np.maximum(4.0 * after.rounding, data.underflow(x))).all())
 
 
 def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:

@@ -103,7 +103,6 @@ class RowDataOnRanks(RowData):
         M, size = (ProductOnRanks(one, problem.halo) for one in (problem.rows, abs(problem.rows)))
         d = problem.residual_scale
         super().__init__(M, size, problem.q, problem.lower, problem.upper, d)
-        self.diagonal = problem.diagonal
         self.problem, self.components = problem, ComponentsOnRanks(problem)
 
     def anywhere(self, mask: Any) -> bool:
@@ -117,18 +116,6 @@ class RowDataOnRanks(RowData):
     def largest(self, values: Vector) -> Vector:
         """Return the largest of the values ≥ 0 in the component of each row; a NaN stays."""
         return self.components.largest(values)
-
-    def follow_chains(self, is_led: Any, is_small: Any, z: Vector) -> Any:
-        """Return all small rows of a component with one in `is_led`: a chain over ranks is not followed."""
-        return is_small & (self.largest(is_led.astype(np.float64)) > 0.0)
-
-    def is_wrong(self, *_: Any) -> bool:
-        """Return False, because no rank has all rows."""
-        return False
-
-    def carried_errors(self, d: Vector, v: Vector) -> Vector:
-        """Return ∞, because no rank has all rows."""
-        return np.full(v.shape, np.inf)
 
     def sharp_product(self, z: Vector) -> VectorEnds:
         """Return M z + q by sums in twice the precision, and bounds of their errors."""

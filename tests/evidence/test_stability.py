@@ -194,7 +194,7 @@ def inexact() -> LCP:
 
 @EVERY_ALGORITHM
 def test_tolerance_zero_ends_at_the_rounding_level(name: str) -> None:
-    """A run with tolerance 0 soon ends at PRECISION_LIMIT, or SOLVED at a residual of exactly 0."""
+    """A run with tolerance 0 soon ends at PRECISION_LIMIT, or SOLVED at slacks of the rounding level."""
     problem = inexact()
     at_default = solve(problem, name)
     result = solve(problem, name, tolerance=0.0)

@@ -38,9 +38,9 @@ LEADS_ON = {  # imports inside a function from a layer above: importing file, ta
         {"contact", "files", "modeling", "program_files", "programs", "ranks", "reformulations"},
         "LCP.from_qp, from_game, …, load and save are looked for where LCP is",
     ),
-    "core.certificates.criterion": (
-        {"proofs", "search"},
-        "a row that passes only by its rounding level: is a solution near?",
+    "core.solving.lcp_run": (
+        {"finishing"},
+        "small rows of a point are finished where a run measures it",
     ),
     "core.solving.result": (
         {"proofs", "evidence"},

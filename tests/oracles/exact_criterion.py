@@ -17,10 +17,11 @@ NEGLIGIBLE = Fraction(1, 2**42)
 def failures(problem: LCP, z: Any, tolerance: float = 1e-8) -> list[str]:
     """Return a line for each row at which z, within its bounds, fails a clause of the rule; no line if z passes.
 
-    The docstring of :mod:`lcp_plugin.core.certificates.criterion` states the clauses; rows at rounding level are not
-    tolerated here. Powers of the tolerance are compared by their fourth powers: nothing is rounded.
+    The docstring of :mod:`lcp_plugin.core.certificates.criterion` states the clauses. Powers of the tolerance are
+    compared by their fourth powers: nothing is rounded.
     """
     at, start = _Rows(problem, z), _Rows(problem, problem.nearest_to_zero)
+    counted = ExactData(problem).counted(at.z)
     goal, d, n = Fraction(tolerance), at.d, problem.n
     w = [
         abs(v) if abs(v) > NEGLIGIBLE * t else Fraction(0)
@@ -29,7 +30,7 @@ def failures(problem: LCP, z: Any, tolerance: float = 1e-8) -> list[str]:
     demand = [max([w[i], *(abs(m) * w[j] / d[j] for j, m in at.rows[i])]) for i in range(n)]
     lines = []
     for i, reference in enumerate(references(problem, z)):
-        r, v, t, a = abs(at.residual[i]), at.violation[i], at.terms[i], demand[i]
+        r, v, t, a = counted[i], at.violation[i], at.terms[i], demand[i]
         if not at.lower[i] <= at.z[i] <= at.upper[i]:
             lines.append(f"row {i}: outside its bounds")
         if r > goal * reference:
@@ -49,7 +50,8 @@ def references(problem: LCP, z: Any) -> list[Fraction]:
     zips = zip(at.terms, at.d, at.is_active, strict=True)
     active = [t / d if is_active else Fraction(0) for t, d, is_active in zips]
     parts = component_of_rows(problem.csr)
-    both = references_of_rows(start.residual, parts), references_of_rows(active, parts)
+    begun = ExactData(problem).counted(start.z)
+    both = references_of_rows(begun, parts), references_of_rows(active, parts)
     return [*map(min, *both)]
 
 

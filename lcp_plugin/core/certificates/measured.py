@@ -50,6 +50,8 @@ class Measured(NamedTuple):
     rows : RowsAtPoint or None
         The values of the rows at z.
     by_row : RowResiduals or None
+    is_rejected : bool
+        Whether both tests pass, but the problem's origin rejects the point.
     """
 
     z: Any
@@ -58,3 +60,4 @@ class Measured(NamedTuple):
     is_limited: Any = False
     rows: Any = None
     by_row: Any = None
+    is_rejected: bool = False

@@ -137,7 +137,7 @@ class Certificate:
     @derived_property
     def term_residuals(self) -> Vector:
         """The least tolerance at which each row passes the componentwise test, shape (n,)."""
-        return self.criterion.term_residuals(self.z, self.rows)
+        return self.criterion.term_residuals(self.rows)
 
     @property
     def term_residual(self) -> float:

@@ -186,13 +186,10 @@ def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  #
       their values by another order of summation stay within the limits here;
     - −w_i/d_i does not reach a bound, rounding included, so that the criterion does not move z;
     - ‖r‖∞ with rounding is at most half of the tolerance times `limit`, and `limit` is below the reference;
-    - each violation is at most 2⁻⁴³ T_i, half of what the componentwise test allows at any tolerance, so that no row
-      needs to be tolerated;
-    - each violation with rounding is at most 2⁻⁴³ |q_i| if z° = 0, or half of tolerance^(1/4) a_i, so that no row
-      passes only by rounding, and the search for a solution near z is not needed.
+    - each violation is at most 2⁻⁴³ T_i, half of what the componentwise test allows at any tolerance.
     """
     n = q.shape[1]
-    violation, demand, moved, seen = rows[0], rows[1], rows[2], rows[3]
+    moved, seen = rows[0], rows[1]
     margin, reached = 4.0 * (n + 8), 0.0
     for k in range(q.shape[0]):
         m, residual[k], size, shift = k % M.shape[0], INF, 0.0, 0.0
@@ -241,7 +238,6 @@ def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  #
                 above, below = moved[i] - lower[k, i], upper[k, i] - moved[i]
                 up, down = w if above > 0.0 else -INF, -w if below > 0.0 else -INF
                 wrong = max(up, down, 0.0)
-                violation[i] = max(up + rounding, down + rounding, 0.0)
                 r = max(min(up, d * above), min(down, d * below), 0.0)
                 high = max(high, (r + rounding) / d)
                 if wrong > 0.0 or min(above, below) > 0.0:
@@ -254,16 +250,8 @@ def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  #
                 below, above = upper[k, i] - start[k, i], start[k, i] - lower[k, i]
                 first = max(first, abs(min(max(w0 / d, -below), above)) - rounding0 / d)
                 away = max(away, abs(start[k, i] - moved[i]))
-                demand[i] = abs(w0) / d if abs(w0) > 2.0**-41 * terms0 else 0.0
-                seen[i] = d
             limit = min(first, counts) * (1.0 - margin * EPSILON)
             is_right &= high <= 0.5 * tolerance * limit and (first > 0.0 or away == 0.0)
-            for i in range(n):
-                if violation[i] > (0.0 if shift > 0.0 else 2.0**-43 * abs(q[k, i])):
-                    a = demand[i] * seen[i]
-                    for j in range(n):
-                        a = max(a, abs(M[m, i, j]) * demand[j])
-                    is_right &= violation[i] <= 0.5 * tolerance**0.25 * a
             if is_right or attempt == 0:
                 for i in range(n):
                     z[k, i] = moved[i]

@@ -140,9 +140,11 @@ class LCPRun(Run):
         return found
 
     def measured(self, z: Vector, power: float = POWER) -> Measured:
-        """Return the measure of z, moved to near bounds."""
+        """Return the measure of z, moved to near bounds, with its small rows finished."""
+        from ...methods.finishing import measure_finished
+
         settings = self.settings
-        found = self.data.measure(z, settings.goal, power, settings.absolute_tolerance)
+        found = measure_finished(self.data, z, settings.goal, power, settings.absolute_tolerance)
         return found._replace(residual=float(found.residual))
 
     def keep(self, found: Measured) -> None:
@@ -231,7 +233,7 @@ class LCPRun(Run):
     def _advice(self, found: Measured) -> dict[Status, str]:
         """Return the advice of each status; of the problem's origin if it rejects the point."""
         said = advice_of_run(self.problem, self.chosen, self.settings)
-        if found.residual <= GAINED and self.data.is_rejected(found.z, self.settings.goal):
+        if found.is_rejected:
             said |= dict.fromkeys(WITHOUT_END, self.problem.origin.rejection)
         if self.progress.end is None:  # a step limit that is not reached
             begin, end = "iteration limit reached", said[Status.MAX_ITERATIONS]

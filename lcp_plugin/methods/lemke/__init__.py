@@ -15,7 +15,6 @@ from ...core.certificates.residuals import Certificate
 from ...core.checks import Vector
 from ...core.deadline import is_over
 from ...core.errors import UnsuitableProblem
-from ...core.kernels.floats import NEGLIGIBLE
 from ...core.lcp import LCP
 from ...core.matrix import connected_components
 from ...core.settings import whole_number
@@ -191,14 +190,6 @@ class Lemke(Algorithm):
         refined = solve_active_set(vertex, at_lower | held, at_upper)
         if refined is not None:
             found = np.clip(refined.z, component.lower, component.upper)
-            # A degenerate vertex: values at rounding level in the units of the path, though perhaps not in the user's
-            ends = np.where(is_flipped, component.upper[box.rows], component.lower[box.rows])
-            is_tiny = ~is_near & (path.z <= NEGLIGIBLE * path.z.max(initial=0.0))
-            is_tiny &= np.isfinite(ends) & (box.step != 0.0)  # not z of a row whose w is 0
-            if is_tiny.any():
-                tried = found.copy()
-                tried[box.rows[is_tiny]] = ends[is_tiny]
-                found = min(found, tried, key=lambda z: Certificate.of(component, z).term_residual)
             # The run ends here if the point of the only component passes.
             yield found, path.touched() + refined.work * max(component.nonzeros, 1)
             if _is_good(component, found):

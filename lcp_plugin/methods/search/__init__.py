@@ -262,26 +262,6 @@ def _in_doubles(values: Sequence[Fraction], name: str) -> Vector:
     return rounded
 
 
-def is_near_solution(problem: LCP, z: Vector) -> bool | None:
-    """Return whether a solution is near z, shape (n,), to 1e-4 of the largest unknown.
-
-    None if the problem is too large, if a search of 500 pieces does not decide it, or if solutions are not isolated.
-    """
-    if not is_searchable(problem):
-        return None
-    outcome = search(problem, first_only=False, max_nodes=500, most=50)
-    if isinstance(outcome, NoSolution):
-        return False
-    if outcome is None:
-        return None
-    distances = [float(np.abs(one.z - z).max()) for one in outcome]
-    # A point so near to a solution is one up to rounding
-    if min(distances) <= 1e-4 * np.abs(z).max():
-        return True
-    is_known = len(distances) < 50 and all(one.is_isolated for one in outcome)
-    return False if is_known else None
-
-
 def is_searchable(problem: LCP) -> bool:
     """Return whether the problem is small enough for a search."""
     return _choices(problem) <= LARGEST_CHOICES and problem.n <= LARGEST_SIZE

@@ -100,9 +100,9 @@ class ConeRows(RowData):
         """Return x with the values of cones and disks, (B, k), in their rows."""
         return np.where(self.is_cone, self._by_rows(values), x)
 
-    def _norm(self, x: Array) -> Array:
-        """Return x ≥ 0 with the norm over the rows of each cone or disk, in each of these rows."""
-        return self._with_laws(x, length(self.wide(x)[..., self._first :]))
+    def norm(self, x: Array) -> Array:
+        """Return |x|, and the norm over the rows of each cone or disk in each of these rows."""
+        return self._with_laws(np.abs(x), length(self.wide(x)[..., self._first :]))
 
     def measure_blocks(self, z: Array, tolerance: float, absolute: float = 0.0) -> Measured:
         """Return the measure of points of the cones, shape (B, k, m), snapped; numbers have the shape (B,)."""
@@ -122,12 +122,7 @@ class ConeRows(RowData):
     def demand(self) -> Vector:
         """Demand of each law; of contacts the largest of the component, because b may be rounding error in a pile."""
         demand: Vector = super().demand
-        return self.largest(demand) if self.stack.has_friction else self._norm(demand)
-
-    def is_wrong(self, *component: Any) -> bool:
-        """Return whether z is not near a solution of problem k, if it is an LCP: rows between bounds only."""
-        is_lcp = not (self.has_cones or self.stack.has_friction)
-        return is_lcp and super().is_wrong(*component)
+        return self.largest(demand) if self.stack.has_friction else self.norm(demand)
 
     def rows(self, z: Vector, w: Any = None) -> RowsAtPoint:
         """Return the values of all laws at z, with its slack w if that is known."""
@@ -156,7 +151,7 @@ class ConeRows(RowData):
             is_free = ~is_apex
         violation = self._with_laws(at.violation, size)
         is_active = self._with_laws(at.is_active, is_free | (size > 0.0))
-        return at._replace(terms=self._norm(at.terms), violation=violation, is_active=is_active)
+        return at._replace(terms=self.norm(at.terms), violation=violation, is_active=is_active)
 
     def residual_ends(
         self, z: Vector, w: Vector, rounding: Any = None, scale: Any = None

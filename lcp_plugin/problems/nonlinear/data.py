@@ -405,7 +405,7 @@ class LinearizedRows(RowData):
         of_value = self.largest(np.where(np.isfinite(origin_value), residual, np.inf))
         of_value = np.where(of_value > 0.0, of_value, np.inf)
         least, most = (
-            np.minimum(np.where(self.is_near_start, distance, end), of_value) for end in ends
+            np.minimum(np.where(self.is_at_start, distance, end), of_value) for end in ends
         )
         self.references = least, most
 

@@ -114,7 +114,7 @@ class PathPoint(Outcome):
             data = row_data(self.problem)
             found = data.measure_at(self.x, None, tolerance)
             is_solved = bool(found.passes)
-            is_near = not is_solved and bool(data.are_limited(found, tolerance))
+            is_near = bool(data.are_limited(found, tolerance))
         elif self.solution is not None:
             is_solved = self.solution.is_optimal(tolerance)
             is_near = not is_solved and self.solution.error <= near

@@ -114,7 +114,7 @@ def test_a_point_that_the_sufficient_test_accepts_passes_the_criterion() -> None
         solved, bound = solve(drawn).z, np.empty(1)
         for size in (0.0, 1e-16, 1e-13, 1e-10, 1e-8):
             z = solved * (1.0 + size * rng.normal(size=n))
-            kernel(M, *vectors, 1e-8, np.empty((4, n)), z[None], bound)
+            kernel(M, *vectors, 1e-8, np.empty((2, n)), z[None], bound)
             found = row_data(drawn).measure(z, 1e-8, power=1.0)
             if bound[0] < INF:
                 accepted += 1

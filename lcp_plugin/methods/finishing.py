@@ -1,0 +1,84 @@
+"""Last linear solves for the small rows of a point: rows that fail only relative to their terms.
+
+A linear solve or a cycle leaves errors of 10⁻¹⁶ of the largest unknown everywhere. Next to the terms of a row in the
+far field, or of a row without load, such an error is large. The stopping criterion tolerates none, so these rows are
+solved again, with their neighbors, from a point whose residual is within the tolerance already.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..core.certificates.criterion import POWER, RowData, times
+from ..core.certificates.measured import Measured
+from ..core.kernels.floats import NEGLIGIBLE
+from ..core.matrix import Matrix
+from ..systems.factors import factor_operations
+from ..systems.free_systems import FreeSystem
+
+ROUNDS = 9  # of linear solves; before each one twice as many layers of neighbors join the rows
+MOST_PASSES = 50.0  # over M, which a factorization may take
+
+
+def measure_finished(
+    data: RowData, z: Any, tolerance: float, power: float = POWER, absolute: float = 0.0
+) -> Measured:
+    """Return the measure of z, snapped, with its small rows finished; for a stack of each point.
+
+    Parameters and result as of :meth:`.RowData.measure_at`.
+    """
+    found = data.measure(z, tolerance, power, absolute)
+    if np.all(found.passes | (found.residual > tolerance) | found.is_rejected):
+        return found
+    if found.z.ndim == 1:
+        return _finished(data, found, tolerance, power, absolute)
+    z, residual, passes = np.array(found.z), np.array(found.residual), np.array(found.passes)
+    for k in np.flatnonzero(~passes & (residual <= tolerance)):
+        one = measure_finished(_item(data, z.shape, int(k)), z[k], tolerance, power, absolute)
+        z[k], residual[k], passes[k] = one[:3]
+    return found._replace(z=z, residual=residual, passes=passes)
+
+
+def _item(data: RowData, shape: tuple[int, ...], k: int) -> RowData:
+    """Return the data of problem k of a stack."""
+    M, absolute = (one[k % len(one)] if one.ndim > 2 else one for one in (data.M, data.absolute))
+    vectors = (data.q, data.lower, data.upper, data.scale, data.start)
+    q, lower, upper, scale, start = (np.broadcast_to(one, shape)[k] for one in vectors)
+    labels = None if data.labels is None else np.broadcast_to(data.labels, shape)[k]
+    return RowData(M, absolute, q, lower, upper, scale, labels, start)
+
+
+def _finished(
+    data: RowData, found: Measured, tolerance: float, power: float, absolute: float
+) -> Measured:
+    """Return the measure after solves of the rows that fail next to their terms, or `found` if that fails too."""
+    z, lower, upper = np.array(found.z), data.lower, data.upper
+    is_noise = np.abs(z) <= NEGLIGIBLE * data.largest(np.abs(z))
+    flushed = np.where(is_noise & (lower <= 0.0) & (upper >= 0.0), 0.0, z)
+    again = data.measure_at(flushed, None, tolerance, power, absolute)
+    if again.passes:
+        return again
+    matrix, again, joined = Matrix(data.M), found, np.zeros(z.shape, np.bool_)
+    most = MOST_PASSES * matrix.nonzeros
+    for k in range(ROUNDS):
+        joined |= again.by_row.terms > tolerance
+        for _ in range(2**k if k else 0):
+            joined |= times(data.absolute, joined.astype(np.float64)) > 0.0
+        for _ in range(2):
+            w = times(data.M, z) + data.q
+            is_held = ((z <= lower) & (w > 0.0)) | ((z >= upper) & (w < 0.0))
+            system = FreeSystem(matrix, joined & ~is_held, by_factor=True)
+            if factor_operations(system.principal, most) > most:
+                return found
+            step = system.solve_near(-w, 0.0 * z)
+            if step is None:
+                return found
+            z = np.clip(z + step, lower, upper)
+        again = data.measure_at(z, None, tolerance, power, absolute)
+        if again.passes:
+            return again
+        if not again.residual <= tolerance or joined.all():
+            break
+    return found

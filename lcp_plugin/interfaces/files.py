@@ -42,9 +42,10 @@ def read_number(word: bytes | str, kind: type = float) -> Any:
     ValueError
         If it is no number.
     """
-    if not word.isascii() or (b"_" if isinstance(word, bytes) else "_") in word:
+    text = word.encode() if isinstance(word, str) else word
+    if not text.isascii() or b"_" in text:
         raise ValueError(f"{word!r} is not a number")
-    return kind(word)
+    return kind(text)
 
 
 def in_folder(source: Path) -> str:

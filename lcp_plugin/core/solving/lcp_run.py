@@ -233,10 +233,10 @@ class LCPRun(Run):
             _advice={} if is_solved else self._advice(found, end),
         )
 
-    def _advice(self, found: Measured, end: TerminationReason) -> dict[Status, str]:
+    def _advice(self, found: Measured, reason: TerminationReason) -> dict[Status, str]:
         """Return the advice of each status; of the problem's origin if it rejects the point."""
         said = advice_of_run(self.problem, self.chosen, self.settings)
-        if end is TerminationReason.NOTHING_LEFT and isinstance(self.chosen, Algorithm):
+        if reason is TerminationReason.NOTHING_LEFT and isinstance(self.chosen, Algorithm):
             steps = max(self.progress.iteration, 0)
             _, _, rest = said[Status.STALLED].partition("; ")
             said[Status.STALLED] = f"iterates ended after {format_count(steps, 'step')}; {rest}"

@@ -303,7 +303,7 @@ def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int
     if given is None and not friction and rows and rows % 6 == 0:
         warnings.warn(
             f"{rows} rows and one number μ are read as {rows // 3} contacts in space, not as {rows // 2} "
-            "in the plane; say dimension=2 or 3",
+            "in the plane; pass dimension=2 or dimension=3",
             ModelWarning,
             stacklevel=3,
         )

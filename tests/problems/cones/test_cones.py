@@ -431,7 +431,9 @@ def test_contacts_of_the_plane_or_of_space_are_not_guessed_silently(door: str) -
     """6, 12 and 18 rows with one number μ cause a ModelWarning; `dimension`, an array μ or 4 rows decide."""
     build = AMBIGUOUS[door]
     for n in (6, 12, 18):
-        words = f"read as {n // 3} contacts in space, not as {n // 2} in the plane; say dimension=2"
+        words = (
+            f"read as {n // 3} contacts in space, not as {n // 2} in the plane; pass dimension=2"
+        )
         with pytest.warns(ModelWarning, match=words):
             build(n)
         for d in (2, 3):

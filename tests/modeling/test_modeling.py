@@ -769,3 +769,28 @@ def test_a_market_without_a_pair_is_named(sign: float, status: str) -> None:
     x = cp.Variable(2, name="x", nonneg=True)
     with pytest.warns(ModelWarning, match=rf"{status}: .*without a complementarity \(x\[1\]\)"):
         model(complements(x[0] >= 0, sign * cp.sum(x) - 1 >= 0))
+
+
+def test_keywords_of_cvxpys_compilation_are_taken() -> None:
+    """A pair, an equilibrium with an objective and a program accept what every solver of cvxpy accepts."""
+    x = cp.Variable(2, nonneg=True)
+    pair = complements(x >= 0, x - np.array([1.0, -1.0]) >= 0)
+    models = {
+        "pair": cp.Problem(cp.Minimize(0), [pair]),
+        "equilibrium": cp.Problem(cp.Minimize(cp.sum_squares(x)), [pair]),
+        "program": cp.Problem(cp.Minimize(cp.sum_squares(x - np.array([1.0, -1.0])))),
+    }
+    for model in models.values():
+        for given in (
+            {"canon_backend": "SCIPY"},
+            {"enforce_dpp": True},
+            {"ignore_dpp": True},
+            {"bibtex": False, "canon_backend": None},
+        ):
+            x.value = None
+            model.solve(method="LCP", **given)
+            np.testing.assert_allclose(x.value, [1.0, 0.0], atol=1e-6)
+    p = cp.Parameter(value=1.0)
+    without_dpp = cp.Problem(cp.Minimize(cp.sum_squares(p * p * x - 1)))
+    with pytest.raises(cp.error.DPPError):
+        without_dpp.solve(method="LCP", enforce_dpp=True)

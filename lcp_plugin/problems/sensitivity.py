@@ -828,9 +828,11 @@ def _derivative_of_batch(batch: BatchAnswers) -> BatchDerivative | ContactBatchD
         return ContactBatchDerivative(batch)
     if problems.are_lcps and isinstance(batch.z, np.ndarray):
         return BatchDerivative(batch)
-    of_one_size = "the derivative of a batch takes problems of one size"
-    need = of_one_size if problems.are_lcps else refusal("derivative", batch)
-    raise InvalidOption(f"{need}; write [derivative(answer) for answer in batch]")
+    if problems.are_lcps:
+        raise InvalidOption(
+            "the derivative of a batch takes problems of one size; write [derivative(answer) for answer in batch]"
+        )
+    raise InvalidOption(refusal("derivative", batch))
 
 
 class Derivative(LinearizedSystem):

@@ -542,3 +542,13 @@ def test_contacts_with_a_dense_matrix_called_m_are_read(tmp_path: Path) -> None:
     problem = load_problem(tmp_path / "c.npz")
     assert isinstance(problem, FrictionalContact)
     np.testing.assert_allclose(solve(problem).require_solved().z, [1.0, -0.25, 0.0], atol=1e-7)
+
+
+def test_a_triangle_and_the_whole_of_a_matrix_state_one_program(tmp_path: Path) -> None:
+    """QUADOBJ has one triangle of P, QMATRIX all of it: P = [[2, 1], [1, 2]], c = (1, 1)."""
+    path = tmp_path / "p.mps"
+    for text in (QPS, QPS.replace("QUADOBJ", "QMATRIX").replace(" x y 1\n", " x y 1\n y x 1\n")):
+        path.write_text(text)
+        program = load_problem(path)
+        assert program.P.toarray().tolist() == [[2.0, 1.0], [1.0, 2.0]]
+        assert program.c.tolist() == [1.0, 1.0]

@@ -51,7 +51,8 @@ def contacts_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 def impulses_of(W: np.ndarray, free: np.ndarray, edges: int | None) -> np.ndarray:
     """Return the impulses of all contacts, by the cone or by pyramids of so many edges."""
     if edges is None:
-        return solve(FrictionalContact(W, free, FRICTION), "interior_point").require_solved().z
+        problem = FrictionalContact(W, free, FRICTION, dimension=3)
+        return solve(problem, "interior_point").require_solved().z
     problem = LCP.from_contacts(W, FRICTION, free.reshape(-1, 3), directions=edges)
     motion = problem.origin.recover(solve(problem).require_solved())
     return np.column_stack([motion.normal, motion.tangential]).ravel()

@@ -15,6 +15,7 @@ them CSR arrays.
 ...     result = solve(LCP(M, q, lower=lower, upper=upper), tolerance=1e-10)
 ...     return result.z if result.status is Status.SOLVED else None
 >>> assert_solves(my_solver, matrices=p_matrices(size=4), bounds=True, max_examples=50)
+50
 
 assert_solves: test any solver on problems with known solutions, in exact arithmetic.
 
@@ -31,6 +32,7 @@ import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import lru_cache, wraps
+from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -668,8 +670,8 @@ def assert_solves(
     error_tolerance: float = 1e-3,
     max_examples: int = 200,
     seed: int | None = 0,
-) -> None:
-    """Raise an AssertionError that shows the simplest problem found on which a solver is wrong, if there is one.
+) -> int:
+    """Return the number of problems drawn, or raise an AssertionError that shows the simplest one solved wrongly.
 
     Parameters
     ----------
@@ -717,6 +719,7 @@ def assert_solves(
     ...     return np.clip(-q / M.diagonal(), lower, upper)
     >>> from lcp_plugin.strategies import h_plus_matrices
     >>> assert_solves(diagonal, matrices=h_plus_matrices(density=0), bounds=True, max_examples=20)
+    20
     >>> try:
     ...     assert_solves(diagonal, matrices=h_plus_matrices(2))
     ... except AssertionError as report:
@@ -733,7 +736,7 @@ def assert_solves(
     for option, value in (("tolerance", tolerance), ("error_tolerance", error_tolerance)):
         if not value >= 0.0:
             raise InvalidOption(f"{option} must be a number ≥ 0, got {value!r}")
-    problems = _drawn_problems(chosen, bounds)
+    problems, drawn_so_far = _drawn_problems(chosen, bounds), count()
 
     @settings(
         max_examples=max_examples,
@@ -746,6 +749,7 @@ def assert_solves(
     )
     @given(problems)
     def solver_is_right(drawn: Drawn) -> None:
+        next(drawn_so_far)
         complaint, z = _verdict(solver, drawn, may_give_up, tolerance, error_tolerance)
         if complaint:
             name = getattr(solver, "__name__", type(solver).__name__)
@@ -755,6 +759,7 @@ def assert_solves(
         (solver_is_right if seed is None else fixed_seed(seed)(solver_is_right))()
     except Flaky as error:
         raise AssertionError("the solver gives the same problem two solutions") from error
+    return next(drawn_so_far)
 
 
 @st.composite

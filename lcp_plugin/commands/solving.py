@@ -302,7 +302,7 @@ def compile_everything() -> str:
     steps = derivative(march(sparse, np.zeros((2, sparse.n)), algorithm="banded"))
     steps.vjp(np.ones(sparse.n))
     steps.jvp(dz0=np.ones(sparse.n))
-    contact = FrictionalContact(2.0 * np.eye(6), [-1.0, 3.0, 4.0, -1.0, 0.1, 0.2], 0.5)
+    contact = FrictionalContact(2.0 * np.eye(6), [[-1.0, 3.0, 4.0], [-1.0, 0.1, 0.2]], 0.5)
     for name in METHODS:
         derivative(solve(contact, name)).vjp(np.ones(6))
     found = derivative(solve_batch([dense]))

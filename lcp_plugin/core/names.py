@@ -61,13 +61,19 @@ def _name(names: Naming, i: int) -> str:
     return str(names(int(i)) if callable(names) else names[int(i)])
 
 
-def checked_names(given: Any, rows: int, unknowns: int) -> Names:
+def checked_names(given: Any, rows: int | None, unknowns: int | None) -> Names:
     """Return the names that a constructor was given: of the unknowns, or a pair, of the rows and of the unknowns.
+
+    Parameters
+    ----------
+    given : list or tuple of str, pair of them, Names or None
+    rows, unknowns : int or None
+        Numbers of names that are needed; None if they are not known yet.
 
     Raises
     ------
     InvalidProblem
-        If their number is not that of the rows or unknowns.
+        If the names are anything else, or their number is not that of the rows or unknowns.
 
     Examples
     --------
@@ -78,11 +84,26 @@ def checked_names(given: Any, rows: int, unknowns: int) -> Names:
     """
     if given is None or isinstance(given, Names):
         return given or Names()
-    is_pair = len(given) == 2 and not any(isinstance(one, str) for one in given)
-    both = Names(*given) if is_pair else Names(given if rows == unknowns else None, given)
+    if _are_names(given):
+        both = Names(given if rows == unknowns else None, given)
+    elif _is_list(given) and len(given) == 2 and all(k is None or _are_names(k) for k in given):
+        both = Names(*given)
+    else:
+        raise InvalidProblem(
+            f"names must be a list of strings, or a pair of lists, of the rows and of the unknowns, got {given!r:.60}; "
+            "write names=[str(name) for name in …]"
+        )
     for what, names, count in (("rows", both.rows, rows), ("unknowns", both.unknowns, unknowns)):
-        if names is not None and not callable(names) and len(names) != count:
+        if isinstance(names, (list, tuple)) and count is not None and len(names) != count:
             raise InvalidProblem(
                 f"names has {len(names)} names of {what}, and the problem has {count}; give one name each"
             )
     return both
+
+
+def _is_list(given: Any) -> bool:
+    return isinstance(given, (list, tuple))
+
+
+def _are_names(given: Any) -> bool:
+    return _is_list(given) and all(isinstance(one, str) for one in given)

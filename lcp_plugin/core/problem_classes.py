@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from .settings import ConeOptions, LeastSquaresOptions, NonlinearOptions
@@ -67,6 +68,12 @@ CLASSES = {
 }
 
 
+FROM_QP = (
+    "; of a program write derivative(solve(LCP.from_qp(P, c, G, h, A, b, lower=…, upper=…))), of least squares with "
+    "P = AᵀA and c = −Aᵀb"
+)
+
+
 def classes_of(function: str) -> list[str]:
     """Return the names of the classes that a function takes; LCP alone if the table does not name it."""
     if function in ("solve", "solve_batch"):
@@ -96,9 +103,13 @@ def refusal(function: str, given: Any) -> str:
     step = ""
     if function == "derivative":
         needs = f"the result of {needs}"
-        step = "; write derivative(solve(problem))" if class_of(given) else ""
-        if isinstance(given, (list, tuple)):
+        results = [*given] if isinstance(given, Sequence) else [given]
+        if class_of(given) in classes_of(function):
+            step = "; write derivative(solve(problem))"
+        elif given is not results[0] and all(hasattr(one, "certificate") for one in results):
             step = "; write [derivative(result) for result in results]"
+        elif any(type(one).__module__.startswith("lcp_plugin.") for one in results):
+            step = FROM_QP
     elif function == "solve":
         step = "; for a matrix M and a vector q write solve(LCP(M, q))"
     return f"{function} needs {needs}, got {type(given).__name__}{step}"

@@ -32,6 +32,22 @@ WHOLE = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
 NUMERIC = {"sparse", "double", "single", "logical", *WHOLE}
 
 
+def read_number(word: bytes | str, kind: type = float) -> Any:
+    """Return the number, of that type, that a word of a file states in ASCII characters.
+
+    Python reads 1_0 as 10, and digits of all languages.
+
+    Raises
+    ------
+    ValueError
+        If it is no number.
+    """
+    text = word.encode() if isinstance(word, str) else word
+    if not text.isascii() or b"_" in text:
+        raise ValueError(f"{word!r} is not a number")
+    return kind(text)
+
+
 def in_folder(source: Path) -> str:
     """Return the next step for a path that does not exist: the folder from which it was looked up."""
     return "; check the path" + ("" if source.is_absolute() else f" (from the folder {Path.cwd()})")

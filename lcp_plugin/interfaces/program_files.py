@@ -22,7 +22,7 @@ from ..problems.least_squares.data import BoundedLeastSquares
 from ..problems.programs.program import QuadraticProgram
 from .fclib import SUFFIXES as HDF5
 from .fclib import load_fclib
-from .files import PARTS, arrays_in, checked_path, folder_arrays, in_folder, names_in
+from .files import PARTS, arrays_in, checked_path, folder_arrays, in_folder, names_in, read_number
 from .nl.model import lcp_in_nl
 
 Lines = list[list[str]]  # the words of each line
@@ -138,6 +138,19 @@ def _sections(lines: list[str], split: Callable[[str], list[str]]) -> dict[str, 
     raise InvalidProblem("it has no line ENDATA: is it complete?")
 
 
+def _number_in(text: str, words: list[str], section: str) -> float:
+    """Return a number of a line of a section; it may be infinite in RANGES and BOUNDS."""
+    try:
+        value: float = read_number(text)
+    except ValueError:
+        value = np.nan
+    if np.isnan(value) or (np.isinf(value) and section not in ("RANGES", "BOUNDS")):
+        raise InvalidProblem(
+            f'{text} of the line "{" ".join(words)}" in {section} is not a finite number'
+        )
+    return value
+
+
 def _entries(
     sections: dict[str, Lines], section: str, names: NumberOf, columns: NumberOf | None = None
 ) -> Entries:
@@ -149,7 +162,7 @@ def _entries(
         i = 0 if columns is None else columns.find(words[0], section, words)
         for name, text in zip(words[start::2], words[start + 1 :: 2], strict=True):
             j = names[name] if name in names else names.find(name, section, words)
-            key, value = (i, j), float(text)
+            key, value = (i, j), _number_in(text, words, section)
             key = (max(key), min(key)) if section == "QUADOBJ" else key
             if key in found:
                 repeated = repeated or " ".join(sorted([name, *words[: columns is not None]]))
@@ -174,7 +187,7 @@ def _bounds(lines: Lines, columns: NumberOf, integers: list[str]) -> tuple[Entri
         if kind in ("FR", "MI", "PL", "BV"):  # perhaps with a number
             name = next((word for word in words[:0:-1] if word in columns), words[-1])
         else:
-            name, value = words[:4][-2], float(words[:4][-1])
+            name, value = words[:4][-2], _number_in(words[:4][-1], words, "BOUNDS")
         key = 0, columns.find(name, "BOUNDS", words)
         if kind in INTEGER:
             integers.append(name)

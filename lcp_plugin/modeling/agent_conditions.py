@@ -30,7 +30,7 @@ from ._compat import (
     sense_of,
 )
 from .constraint import Complements, Side, box
-from .model import spans_of, with_values
+from .model import spans_of
 from .reading import Reader, rewritten
 
 
@@ -52,7 +52,9 @@ def _positive_power(u: Any, p: float) -> Any:
 #: Key of the first subexpression that the agent does not influence: larger than any id of a variable.
 FIRST_KEY = 2**61
 OUTSIDE = 1e-8  # of max(1, |x|): a condition of the domain is violated beyond
-NO_BOUND = 1e30  # stands for ∞ in bounds, where constants must be finite
+NO_BOUND = (
+    1e30  # of a bound that is an expression, whose constants must be finite; box reads it as ∞
+)
 #: The atom of an elementary function, and its derivatives by its arguments; r is its value.
 FUNCTIONS: dict[str, tuple[Any, Any]] = {
     functions.SAME.name: (lambda u: u, lambda r, u: [np.ones(u.shape)]),
@@ -83,47 +85,78 @@ def function_of(name: str) -> tuple[Any, Any]:
 
 
 class SimpleBound(NamedTuple):
-    """Rows of a constraint that bound one decision each: weights · decisions[places] ≤ weights · bound.
+    """Rows that bound one decision each: weights · decisions[places] ≤ weights · bound.
 
     Attributes
     ----------
-    origin : cvxpy constraint
+    rows : StandardRows or None
+        None for bounds that attributes state.
     places : ndarray of int
     weights : ndarray
     bound : ndarray or cvxpy expression
         With parameters an expression.
     """
 
-    origin: Any
+    rows: StandardRows | None
     places: Indices
     weights: Vector
     bound: Any
 
 
 class StandardRows(NamedTuple):
-    """Constraint of an agent's program: expression ≤ 0 or = 0, as cvxpy's dual values count it."""
+    """Rows of a constraint of an agent's program: expression ≤ 0 or = 0, as cvxpy's dual values count it.
+
+    Attributes
+    ----------
+    origin : cvxpy constraint
+    expression : cvxpy expression
+    is_equation : bool
+    kept : ndarray of int or slice
+        Entries of the constraint, column by column, that the expression holds.
+    """
 
     origin: Any
     expression: Any
     is_equation: bool
+    kept: Any = slice(None)
 
     @classmethod
-    def of(cls, constraint: Any, change: Any = lambda node: node) -> StandardRows:
-        """Return the rows of a cvxpy constraint, each node of its expression changed."""
-        is_infinite = has_infinite_bound(constraint)
-        expression = rewritten(expression_of(constraint), _finite if is_infinite else change)
+    def of(cls, constraint: Any, change: Any = lambda node: node) -> list[StandardRows]:
+        """Return the rows of a cvxpy constraint, each node changed; none if all entries hold for all variables.
+
+        Raises
+        ------
+        UnsupportedModel
+            If data are NaN or infinite, except for constants that make entries of an affine inequality always hold.
+        """
+        expression, is_equation = expression_of(constraint), isinstance(constraint, EQUATIONS)
+        kept: Any = entries_with_a_limit(constraint)
+        if kept is None:
+            expression, kept = rewritten(expression, change), slice(None)
+        elif not kept.size:
+            return []
+        else:
+            expression = vector_of(rewritten(expression, _finite))[kept]
         if isinstance(constraint, cp.constraints.NonNeg):
             expression = -expression
-        return cls(constraint, expression, isinstance(constraint, EQUATIONS))
+        return [cls(constraint, expression, is_equation, kept)]
+
+    def whole(self, values: Any) -> Any:
+        """Return values of the rows in the shape of the constraint, 0 in other entries; None for None."""
+        if values is None:
+            return None
+        found = np.zeros(expression_of(self.origin).shape).ravel()
+        found[self.kept] = by_columns(values)
+        return found.reshape(expression_of(self.origin).shape, order="F")
 
 
-def has_infinite_bound(constraint: Any) -> bool:
-    """Return whether constants make entries of an affine inequality hold for all variables.
+def entries_with_a_limit(constraint: Any) -> Indices | None:
+    """Return the entries of an inequality that exclude some values; None if all its data are finite.
 
     Raises
     ------
     UnsupportedModel
-        If data are infinite or NaN otherwise.
+        As `StandardRows.of`.
     """
     wrong = [
         leaf
@@ -131,7 +164,7 @@ def has_infinite_bound(constraint: Any) -> bool:
         if leaf.value is not None and not np.isfinite(_entries(leaf.value)).all()
     ]
     if not wrong:
-        return False
+        return None
     expression, words = expression_of(constraint), f"{name_of(constraint)} in an agent's program"
     parameters = [
         f"the parameter {one.name()} of " for one in wrong if isinstance(one, cp.Parameter)
@@ -141,13 +174,29 @@ def has_infinite_bound(constraint: Any) -> bool:
             f"{''.join(parameters[:1])}{words} is not finite, as only affine inequalities may be, by their constants; "
             "repair the data, or leave the constraint out"
         )
-    zeros = {one.id: np.zeros(one.shape) for one in expression.variables()}
-    if (value := with_values(expression, zeros).value) is None:  # a parameter has no value yet
-        return True
-    value = -dense(value) if isinstance(constraint, cp.constraints.NonNeg) else dense(value)
+    value, left = (_constant_part(one) for one in (expression, rewritten(expression, _finite)))
+    if isinstance(constraint, cp.constraints.NonNeg):
+        value, left = -value, -left
     if not (value < np.inf).all():  # NaN also
         raise UnsupportedModel(f"no value of the variables satisfies {words}; repair its data")
-    return True
+    kept = np.flatnonzero(np.isfinite(value))
+    if not np.array_equal(value[kept], left[kept]):
+        raise UnsupportedModel(
+            f"{words} has a function of an infinite constant and a parameter; leave the infinite entries out"
+        )
+    return kept
+
+
+def _constant_part(expression: Any) -> Vector:
+    """Return the value of an expression where all variables are 0, and 1 parameters that have no value."""
+
+    def change(node: Any) -> Any:
+        if isinstance(node, cp.Variable):
+            return cp.Constant(np.zeros(node.shape))
+        is_unknown = isinstance(node, cp.Parameter) and node.value is None
+        return cp.Constant(np.ones(node.shape)) if is_unknown else node
+
+    return np.asarray(by_columns(rewritten(expression, change).value))
 
 
 def _entries(value: Any) -> Any:
@@ -155,10 +204,22 @@ def _entries(value: Any) -> Any:
 
 
 def _finite(node: Any) -> Any:
-    """Return a constant with NO_BOUND instead of ∞, and every other node unchanged."""
-    if not isinstance(node, cp.Constant) or not np.isinf(_entries(node.value)).any():
+    """Return a node of numbers as a constant, and any other node with 0 in place of ±∞ in its constants.
+
+    Only entries without limit hold such a constant, and they are left out.
+    """
+    if not node.variables() and not node.parameters():
+        return cp.Constant(node.value)
+    infinite = [isinstance(k, cp.Constant) and np.isinf(_entries(k.value)).any() for k in node.args]
+    if not any(infinite):
         return node
-    return cp.Constant(np.clip(dense(node.value), -NO_BOUND, NO_BOUND))
+    pairs = zip(node.args, infinite, strict=True)
+    return node.copy([_without_infinity(k) if is_infinite else k for k, is_infinite in pairs])
+
+
+def _without_infinity(constant: Any) -> Any:
+    value = dense(constant.value)
+    return cp.Constant(np.where(np.isinf(value), 0.0, value))
 
 
 class AgentProgram:
@@ -211,8 +272,8 @@ class AgentProgram:
 
         self.goal = rewritten(program.objective.args[0], change)
         stated = {one.id: one for one in program.constraints}.values()  # each once
-        self.standard = [StandardRows.of(one, change) for one in stated]
-        self.standard += map(StandardRows.of, epigraphs)
+        self.standard = [row for one in stated for row in StandardRows.of(one, change)]
+        self.standard += [row for one in epigraphs for row in StandardRows.of(one)]
         self.has_kinks = bool(new)
         self.entries = [*agent.entries, *((one, np.arange(one.size)) for one in new.values())]
         self.decisions = joined([*agent.decisions, *new.values()])
@@ -247,6 +308,10 @@ class AgentProgram:
         for one, own in left + [row for row in inside if self._simple(*row) is None]:
             multiplier = cp.Variable(one.expression.shape)
             if one.origin.id in self.agent.shared:
+                if one.expression.size < expression_of(one.origin).size:
+                    raise UnsupportedModel(
+                        f"the shared constraint {name_of(one.origin)} is infinite in some entries; leave them out"
+                    )
                 multiplier = one.origin.dual_variables[0]
             if multiplier.value is None and self.decisions.value is not None:
                 multiplier.value = np.zeros(multiplier.shape)  # a start for the run
@@ -266,15 +331,17 @@ class AgentProgram:
 
     def _inside(self, domain: Domain) -> Iterator[tuple[StandardRows, Rows]]:
         """Yield the rows of a condition of the domain that bounds, signs and slopes do not imply."""
-        expression = StandardRows.of(domain.condition).expression
+        expression = StandardRows.of(domain.condition)[0].expression
         rows = self.reader.rows(expression)
         largest = rows.offset.copy()
         for key, block in rows.blocks.items():
             low, high = self._range(key)
-            matrix = as_matrix(block, rows.size)
-            largest += matrix.maximum(0.0) @ high + matrix.minimum(0.0) @ low
+            matrix = sp.coo_array(as_matrix(block, rows.size))
+            used = np.flatnonzero(matrix.data)  # 0 · ∞ is NaN
+            i, j, a = matrix.row[used], matrix.col[used], matrix.data[used]
+            np.add.at(largest, i, a * np.where(a > 0.0, high[j], low[j]))
         if (needed := np.flatnonzero(largest > 0.0)).size:
-            one = StandardRows.of(vector_of(expression)[needed] <= 0)
+            (one,) = StandardRows.of(vector_of(expression)[needed] <= 0)
             rows = rows.taken(needed)
             if not domain.is_steep or self._simple(one, rows) is not None:
                 yield one, rows
@@ -282,7 +349,7 @@ class AgentProgram:
     def _range(self, key: int) -> list[Vector]:
         """Return bounds of the entries of a source, from numbers and signs, for all values of parameters."""
         source = self._source(key)
-        ends = 0.0 if source.is_nonneg() else -NO_BOUND, 0.0 if source.is_nonpos() else NO_BOUND
+        ends = 0.0 if source.is_nonneg() else -np.inf, 0.0 if source.is_nonpos() else np.inf
         found = [np.full(source.size, end) for end in ends]
         if key in self.first:
             places = self.place[self.first[key] :][: source.size]
@@ -321,7 +388,11 @@ class AgentProgram:
 
     def duals(self) -> dict[int, Any]:
         """Return the dual values by the id of the constraint; the tightest bound takes w⁺ or w⁻ of its decision."""
-        found = {key: one.value for key, (_, one) in self.rows.items()}
+        found = {
+            one.origin.id: one.whole(self.rows[one.origin.id][1].value)
+            for one in self.standard
+            if one.origin.id in self.rows
+        }
         if (w := self.stationarity.dual_value) is None:
             return found
         left = np.maximum(w, 0.0), np.maximum(-w, 0.0)
@@ -333,8 +404,12 @@ class AgentProgram:
                 places = one.places[is_tight]
                 dual[is_tight] = left[is_upper][places] / np.abs(one.weights[is_tight])
                 left[is_upper][places] = 0.0
-            found[one.origin.id] = dual.reshape(expression_of(one.origin).shape, order="F")
-        return found
+            if one.rows is not None:
+                found[one.rows.origin.id] = one.rows.whole(dual)
+        zeros = {
+            one.id: np.zeros(expression_of(one).shape) for one in self.agent.program.constraints
+        }
+        return zeros | found
 
     # --- bounds ---
 
@@ -355,11 +430,12 @@ class AgentProgram:
             stated = [one for one in stated if not isinstance(one.bound, cp.Expression)]
         found: list[Any] = []
         for sign, extreme in ((-1.0, "maximum"), (1.0, "minimum")):
-            found.append(np.full(self.decisions.size, sign * NO_BOUND))
+            none = sign * (np.inf if is_numeric else NO_BOUND)
+            found.append(np.full(self.decisions.size, none))
             for one in stated:
                 rows = np.flatnonzero(sign * one.weights > 0.0)
                 places, shape = one.places[rows], (self.decisions.size, one.weights.size)
-                others = np.full(self.decisions.size, sign * NO_BOUND)
+                others = np.full(self.decisions.size, none)
                 others[places] = 0.0
                 own = sp.csc_array((np.ones(rows.size), (places, rows)), shape) @ one.bound + others
                 atoms: Any = cp if isinstance(own, cp.Expression) else np
@@ -379,7 +455,7 @@ class AgentProgram:
             return None
         rest = self._expression(replace(rows, blocks=others)) if others else rows.offset
         times = cp.multiply if others else np.multiply
-        return SimpleBound(one.origin, places, weights, times(-1.0 / weights, rest))
+        return SimpleBound(one, places, weights, times(-1.0 / weights, rest))
 
     # --- expressions of cvxpy ---
 

@@ -272,7 +272,7 @@ def _check_program(agent: Optimal, rules: Convexity) -> None:
     """Issue a ModelWarning if the program may not be convex; raise UnsupportedModel if it has kinks also."""
     program, has_kinks = agent.program, agent.conditions.has_kinks
     # raises for parameters that are not finite
-    stated = list(map(StandardRows.of, program.constraints))
+    stated = [row for one in program.constraints for row in StandardRows.of(one)]
     if agent.check == "local" and not has_kinks:
         return
     goal = StandardRows(None, sense_of(program) * program.objective.args[0], False)
@@ -296,14 +296,16 @@ def _check_program(agent: Optimal, rules: Convexity) -> None:
 
 def _check_shared(constraint: Any, agents: Sequence[Optimal], rules: Convexity) -> None:
     """Raise UnsupportedModel unless all agents of a shared constraint share it, and it is jointly convex."""
-    inside = rules.unknowns_in(StandardRows.of(constraint).expression)
+    if not (rows := StandardRows.of(constraint)):
+        return
+    inside = rules.unknowns_in(rows[0].expression)
     involved = [one for one in agents if not inside.isdisjoint(rules.unknowns_of(one.entries))]
     if others := [one for one in involved if constraint.id not in one.shared]:
         raise UnsupportedModel(
             f"the shared constraint {name_of(constraint)} holds decisions of {others[0]!r}, which does not share it; "
             "list it in the program and in shared=[…] of each of its agents"
         )
-    if not rules.hold(StandardRows.of(constraint), [e for one in involved for e in one.entries]):
+    if not rules.hold(rows[0], [e for one in involved for e in one.entries]):
         raise UnsupportedModel(
             f"the shared constraint {name_of(constraint)} is not known to be convex in the decisions of all its agents "
             "together; without shared=[…] each agent has a multiplier of its own"
@@ -329,17 +331,19 @@ class Convexity:
         for one in self.stated:
             if not isinstance(one, INEQUALITIES) or not one.args[0].is_affine():
                 continue
-            rows = self.model.reader.rows(StandardRows.of(one).expression)
-            columns, weights, shift = self.model.statement.entries(rows) or ([], np.ones(0), 1.0)
-            for end, sign in ((lower, -1.0), (upper, 1.0)):
-                tighter = np.where(sign * weights > 0.0, -shift / weights, sign * np.inf)
-                end[columns] = sign * np.minimum(sign * end[columns], sign * tighter)
-        found = {}
+            for row in StandardRows.of(one):
+                rows = self.model.reader.rows(row.expression)
+                found = self.model.statement.entries(rows)
+                columns, weights, shift = found or ([], np.ones(0), 1.0)
+                for end, sign in ((lower, -1.0), (upper, 1.0)):
+                    tighter = np.where(sign * weights > 0.0, -shift / weights, sign * np.inf)
+                    end[columns] = sign * np.minimum(sign * end[columns], sign * tighter)
+        data = {}
         for one in self.model.variables:
             span = self.model.spans[one.id]
             nonneg, nonpos = bool((lower[span] >= 0.0).all()), bool((upper[span] <= 0.0).all())
-            found[one.id] = cp.Parameter(one.shape, nonneg=nonneg, nonpos=nonpos and not nonneg)
-        return found
+            data[one.id] = cp.Parameter(one.shape, nonneg=nonneg, nonpos=nonpos and not nonneg)
+        return data
 
     def hold(self, row: StandardRows, entries: Sequence[Any]) -> bool:
         """Return whether an expression is convex, of an equation affine, in entries of variables.

@@ -107,7 +107,7 @@ def friction_cone(impulses: Any, friction: Any, *, dimension: int | None = None)
         Coefficients μ ≥ 0.
     dimension : int, optional
         d, 3 in space and 2 in the plane, if `friction` does not determine it: 3 by default if the length is a multiple
-        of 3.
+        of 3, with a ModelWarning if it is one of 2 also.
 
     Raises
     ------

@@ -113,6 +113,23 @@ class ModelDerivative:
     def __init__(self, model: Model, result: Result, parameters: list[Any]) -> None:
         self._model, self._result, self._parameters = model, result, parameters
 
+    def __repr__(self) -> str:
+        parameters = ", ".join(one.name() for one in self._parameters)
+        return (
+            f"ModelDerivative({len(self._model.variables)} variables by {parameters or 'nothing'})"
+        )
+
+    @property
+    def is_unique(self) -> bool | None:
+        """True if the derivative exists, so that jvp is linear; None if that is unknown (over cones)."""
+        found: bool | None = self._at.is_unique
+        return found
+
+    @property
+    def advice(self) -> str:
+        """Warning that the derivative is not unique, with the names of unknowns that are not determined; or ""."""
+        return getattr(self._at, "advice", "")
+
     def jvp(self, changes: Mapping[Any, Any]) -> dict[Any, Any]:
         """Return the change of each variable, and of the dual value of each constraint, by parameter changes.
 

@@ -22,7 +22,8 @@ from .constraint import Complements, Condition, box, complements
 from .model import Model
 from .qp_solver import QPSolver, certify_problem, name_rows
 
-FLAGS = "gp qcp nlp enforce_dpp ignore_dpp canon_backend bibtex requires_grad"  # of cvxpy's solve
+FLAGS = "gp qcp nlp requires_grad"  # of cvxpy's solve
+OF_COMPILATION = "enforce_dpp ignore_dpp canon_backend bibtex"  # by cvxpy, which only programs need
 
 
 def is_complementarity_problem(problem: Any) -> bool:
@@ -125,7 +126,8 @@ def solve_model(
     solver : None
         Must be None; it exists because cvxpy passes it.
     **options
-        Options of :func:`lcp_plugin.solve` and of the algorithm.
+        Options of :func:`lcp_plugin.solve` and of the algorithm. Of cvxpy enforce_dpp, ignore_dpp, canon_backend and
+        bibtex, which have no effect on a complementarity problem, because cvxpy does not compile it.
 
     Returns
     -------
@@ -140,6 +142,7 @@ def solve_model(
         If the run diverged.
     """
     with solver_errors(), np.errstate(all="ignore"):
+        compilation = {k: options.pop(k) for k in OF_COMPILATION.split() if k in options}
         foreign = [name for name in FLAGS.split() if name in options]
         if solver is not None or foreign:
             what = ", ".join(foreign) or f"solver={solver!r}"
@@ -148,7 +151,7 @@ def solve_model(
                 "lcp_plugin.derivative(problem) after the solve for derivatives"
             )
         if not is_complementarity_problem(problem):
-            options["algorithm"] = algorithm
+            options |= {"algorithm": algorithm, **compilation}
             return _program(problem, warm_start, bool(verbose), options)
         options |= {"algorithm": algorithm, "verbose": bool(verbose)}
         if not problem.objective.args[0].is_constant():

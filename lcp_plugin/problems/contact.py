@@ -473,7 +473,7 @@ def _edges(tangents: int, directions: int) -> FloatArray:
     is_count = isinstance(directions, (int, np.integer)) and not isinstance(directions, bool)
     if not is_count or directions < 4 or directions % 2:
         raise InvalidProblem(
-            f"directions must be an even number ≥ 4 (in the plane there are two), got {directions!r}"
+            f"directions must be an even number ≥ 4, got {directions!r}; leave directions out in the plane"
         )
     if tangents == 1:
         return np.array([[1.0], [-1.0]])

@@ -142,8 +142,8 @@ class March(AnswerSequence[Result]):
 
     Attributes
     ----------
-    z : list of arrays, shape (n,)
-        The solution of each kept step.
+    z : array, shape (k, n)
+        The solution of each kept step, a row each.
     steps : list of int
         Number of each kept step, from 0; `taken` is the number of steps that were taken.
     all_solved : bool
@@ -165,7 +165,8 @@ class March(AnswerSequence[Result]):
         self.seconds = 0.0
         self.error: LCPError | None = None
         self.is_interrupted = False
-        self.z: list[Vector] = []
+        self._z: list[Vector] = []
+        self._stacked: Vector | None = None
         self._results: list[Result | Callable[[], Result]] = []
 
     def at(self, k: int) -> Result:
@@ -176,7 +177,17 @@ class March(AnswerSequence[Result]):
         return found
 
     def __len__(self) -> int:
-        return len(self.z)
+        return len(self._z)
+
+    @property
+    def z(self) -> Vector:
+        """The solution of each kept step, shape (k, n)."""
+        if self._stacked is None:
+            self._stacked = read_only(
+                np.array(self._z).reshape(len(self), -1 if len(self) else self.z0.size)
+            )
+            self._z = [*self._stacked]  # views
+        return self._stacked
 
     @property
     def status(self) -> list[Status]:
@@ -209,9 +220,10 @@ class March(AnswerSequence[Result]):
     def take(self, z: Vector, result: Result | Callable[[], Result]) -> None:
         """Add one step; the step before it is dropped if it is not one of every `keep`."""
         if self.taken and (self.taken % self.keep if self.keep else True):
-            del self.steps[-1], self.z[-1], self._results[-1]
+            del self.steps[-1], self._z[-1], self._results[-1]
         self.steps.append(self.taken)
-        self.z.append(z)
+        self._z.append(z)
+        self._stacked = None
         self._results.append(result)
         self.taken += 1
 
@@ -259,7 +271,7 @@ def take_steps(
     """Take the remaining steps of a march within a time limit, until one is not solved."""
     problem, propagator, total = done.problem, done.propagator, len(done.forcing)
     is_lcp, clock = isinstance(problem, LCP), Clock()
-    state = done.z[-1] if done.z else done.z0
+    state = done._z[-1] if done._z else done.z0
     begin: str | None = None  # the iteration that finished the step before
     while done.taken < total and done.all_solved:
         step = done.taken
@@ -342,7 +354,7 @@ def march(
         Map from the z of one step to its contribution to the next q; a number means a multiple of the identity. An
         implicit Euler step (I + Δt A) z = z_before has −1.
     lower, upper : number or array, shape (n,) or (m, n), optional
-        Replace the bounds of an LCP.
+        Replace the bounds of an LCP in all steps. If k marches of k steps are meant, give forcing the shape (k, k, n).
     z0 : array, shape (n,) or (m, n), optional
         The state before the first step; by default the point of [lower, upper] nearest to 0.
     max_seconds : float, optional
@@ -390,10 +402,12 @@ def march(
     Examples
     --------
     >>> rod = LCP([[3, -1], [-1, 3]], [0, 0], upper=1)  # cools in two steps, heated on the left
-    >>> [z.round(3) for z in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1]).z]
-    [array([0.875, 0.625]), array([0.781, 0.469])]
-    >>> [done.z[-1].round(3) for done in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1], upper=[[1, 1], [0.5, 1]])]
-    [array([0.781, 0.469]), array([0.5  , 0.333])]
+    >>> march(rod, [[-1, 0], [-1, 0]], z0=[1, 1]).z.round(3)
+    array([[0.875, 0.625],
+           [0.781, 0.469]])
+    >>> caps = [[1, 1], [0.5, 1], [0.25, 1]]
+    >>> [done.z[-1].round(3).tolist() for done in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1], upper=caps)]
+    [[0.781, 0.469], [0.5, 0.333], [0.25, 0.222]]
     >>> stiffer = LCP([[4, -2], [-2, 4]], [0, 0], upper=1)
     >>> [done.z[-1].round(3) for done in march([rod, stiffer], [[-1, 0], [-1, 0]], z0=[1, 1])]
     [array([0.781, 0.469]), array([0.722, 0.528])]
@@ -401,6 +415,8 @@ def march(
     of_states = lower, upper, z0
     is_list = isinstance(problem, (list, tuple))
     are_many = is_list or _is_one_a_march(propagator) or _axes(forcing) == 3
+    if not are_many and _axes(z0) < 2:
+        _require_constant_bounds(forcing, lower=lower, upper=upper)
     are_many = are_many or 2 in map(_axes, of_states)
     problems: list[Any] = [*problem] if is_list else [problem]  # type: ignore[misc]
     if not problems:
@@ -425,6 +441,18 @@ def march(
                 later.all_solved = not len(later.forcing)
             break
     return marches if are_many else marches[0]
+
+
+def _require_constant_bounds(forcing: ArrayLike, **bounds: ArrayLike | None) -> None:
+    """Raise InvalidProblem if the rows of bounds may be steps as well as marches."""
+    for name, values in bounds.items():
+        if _axes(values) == _axes(forcing) == 2 and len(values) == len(forcing) > 1:  # type: ignore[arg-type]
+            k = len(forcing)  # type: ignore[arg-type]
+            raise InvalidProblem(
+                f"{name} has {k} rows, and forcing has {k} steps: bounds that change from step to step are not "
+                f"supported, so march step by step with solve and z0; for {k} marches with bounds of their own write "
+                "np.broadcast_to(forcing, (k, k, n))"
+            )
 
 
 def _axes(values: Any) -> int:
@@ -939,7 +967,7 @@ class MarchDerivative:
         starts = range(0, len(march), BLOCK)
         for first in reversed(starts) if backwards else starts:
             before = march.z[first - 1] if first else march.z0
-            yield Steps(self, first, np.array([before, *march.z[first : first + BLOCK]]))
+            yield Steps(self, first, np.vstack([before, march.z[first : first + BLOCK]]))
 
     @derived_property
     def band(self) -> Band | None:

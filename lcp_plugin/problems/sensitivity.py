@@ -30,10 +30,12 @@ from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitablePro
 from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
 from ..core.matrix import residual_scales
+from ..core.names import listed
 from ..core.problem_classes import refusal
 from ..core.settings import Status
 from ..core.solving.result import Result
 from ..proofs.bounds import ActiveRows, settled_rows
+from ..proofs.uniqueness import directions_of_solutions, moving
 from ..systems.free_systems import CONSISTENT, FreeBlocks, FreeSystem, LinearizedSystem, products
 from ..systems.graph import outer_on_pattern
 from .batches.batch_run import BatchAnswers
@@ -826,9 +828,11 @@ def _derivative_of_batch(batch: BatchAnswers) -> BatchDerivative | ContactBatchD
         return ContactBatchDerivative(batch)
     if problems.are_lcps and isinstance(batch.z, np.ndarray):
         return BatchDerivative(batch)
-    of_one_size = "the derivative of a batch takes problems of one size"
-    need = of_one_size if problems.are_lcps else refusal("derivative", batch)
-    raise InvalidOption(f"{need}; write [derivative(answer) for answer in batch]")
+    if problems.are_lcps:
+        raise InvalidOption(
+            "the derivative of a batch takes problems of one size; write [derivative(answer) for answer in batch]"
+        )
+    raise InvalidOption(refusal("derivative", batch))
 
 
 class Derivative(LinearizedSystem):
@@ -904,26 +908,36 @@ class Derivative(LinearizedSystem):
 
     @property
     def determined(self) -> BoolVector:
-        """Mask of z_i shared by all solutions with this `free`, (n,); all if M_FF is regular.
+        """Mask of the z_i that are the same in all solutions near z, (n,), for a monotone M.
 
-        If rows are degenerate, solutions with other free rows may differ.
+        False in free and degenerate rows if these are more than 500 and M is singular there.
         """
-        determined = np.ones(self.problem.q.size, np.bool_)
-        determined[self._system.rows] = self._system.determined
-        return determined
+        found = np.ones(self.problem.n, np.bool_)
+        if self.is_unique:
+            return found
+        directions = directions_of_solutions(self.problem, self._rows)
+        if directions is not None:
+            found[moving(directions)] = False
+        elif self._system.is_singular:
+            found = ~(self._rows.free | self._rows.degenerate)
+        return found
 
     @derived_property
     def advice(self) -> str:
         """Warning that the derivative is not unique, as text; "" if it is unique."""
         system, rows = self._system, self.degenerate
+        other = np.flatnonzero(~self.determined)
+        names = listed(map(self.problem.names.unknown, other.tolist()))
+        several = f"other solutions differ in {names}" if other.size else ""
+        singular = words_on_singular(system) if system.is_singular else ""
+        kink = ""
         if rows.size:
             named = ", ".join(map(str, rows[:NAMED].tolist())) + ", …" * (rows.size > NAMED)
             kink = (
                 f"{rows.size} rows ({named}) are at a bound with w = 0: jvp is one-sided, and vjp the gradient of one "
                 "of the pieces that meet there"
             )
-            return f"{kink}; {words_on_singular(system)}" if system.is_singular else kink
-        return words_on_singular(system) if system.is_singular else ""
+        return "; ".join(filter(None, (kink, singular, several)))
 
     @np.errstate(all="ignore")
     def jvp(

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.errors import UnsuitableMatrix
+from ..core.names import listed
 from ..core.settings import Status
-from ..systems.free_systems import FreeSystem
-from .bounds import error_bound, estimated_error, free_rows
+from ..systems.free_systems import CONSISTENT, LEAST_SQUARES_UP_TO, FreeSystem
+from .bounds import error_bound, estimated_error, free_rows, settled_rows
+from .uniqueness import directions_of_solutions, moving
 
 if TYPE_CHECKING:
     from ..core.solving.result import Result
@@ -19,7 +21,7 @@ FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
 def what_may_mislead(result: Result) -> list[str]:
     """Return a line for each."""
-    return [*filter(None, (_uncovered(result), _stiffness(result)))]
+    return [*filter(None, (_uncovered(result), _other_solutions(result) or _stiffness(result)))]
 
 
 def _uncovered(result: Result) -> str:
@@ -34,6 +36,23 @@ def _uncovered(result: Result) -> str:
     )
     is_said = all('algorithm="auto"' in said for said in (guarantee.remedy, result.advice))
     return unproven if is_said else f"{unproven}; remedy: {guarantee.remedy}"
+
+
+def _other_solutions(result: Result) -> str:
+    """Return the warning that other solutions exist, with the names of the unknowns that differ, or ""."""
+    problem = result.certificate.problem
+    if not result.is_solved or free_rows(problem, result.z, result.w).sum() > LEAST_SQUARES_UP_TO:
+        return ""
+    rows = settled_rows(problem, result.z, result.w)
+    directions = directions_of_solutions(problem, rows)
+    if directions is None or not directions.size:
+        return ""
+    names = listed(map(problem.names.unknown, moving(directions).tolist()))
+    changes = np.abs(problem.matrix.csr @ directions).max(axis=1)
+    terms = (abs(problem.matrix.csr) @ np.abs(directions)).max(axis=1)
+    is_same = bool((changes <= CONSISTENT * terms.max()).all())
+    same = "; w is the same for all of them" if is_same else ""
+    return f"z is one of several solutions: the data do not determine {names}{same}; to choose one, add an objective"
 
 
 def _stiffness(result: Result) -> str:
@@ -74,13 +93,6 @@ def _nearness_to_singular(result: Result) -> str:
     if error is None or not error > 1e-2 * size:  # part of ‖z‖∞
         return ""
     system = FreeSystem(problem.matrix, free_rows(problem, result.z, result.w))
-    if system.is_singular and (same := system.determined_slack) is not None:
-        rows = "" if same.all() else f" in {int(same.sum())} of {same.size} rows"
-        known = f"; w is the same for all of them{rows}" if same.any() else ""
-        return (
-            f"z is one of several answers: {int((~system.determined).sum())} entries of z are not determined, as the "
-            f"shares of contacts in a load, or of paths in a flow{known}"
-        )
     known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
     wrong = ": z may be wrong in every digit" if error > size else ""
     return (

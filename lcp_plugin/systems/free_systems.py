@@ -346,17 +346,6 @@ class FreeSystem:
         left = np.asarray(abs(columns - columns @ share).max(axis=1)).ravel()
         return left <= CONSISTENT * abs(columns).max()
 
-    @cached_property
-    def determined(self) -> BoolVector:
-        """Mask of the unknowns that all solutions of M_FF x = b share, shape (|F|,); all False if unknown."""
-        if not self.is_singular:
-            return np.ones(self.rows.size, np.bool_)
-        if self.pseudo_inverse is None:
-            return np.zeros(self.rows.size, np.bool_)
-        block, inverse, _ = self._equilibrated_inverse
-        left = inverse @ block - np.eye(self.rows.size)
-        return np.abs(left).max(axis=1) <= CONSISTENT
-
     def _extended(self, x: Vector) -> Vector | None:
         if not np.isfinite(x).all():
             return None

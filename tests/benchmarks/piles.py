@@ -96,7 +96,7 @@ def _residual(pile: Pile, velocities: Any, contacts: list[tuple[int, int, Any, A
                 arms = np.cross(point - pile.at[body], frame)
                 J[3 * k : 3 * k + 3, 6 * body : 6 * body + 6] = sign * np.hstack([frame, arms])
         r.append(frame @ impulse)
-    problem = FrictionalContact(J / pile.mass @ J.T, J @ velocities, FRICTION)
+    problem = FrictionalContact(J / pile.mass @ J.T, J @ velocities, FRICTION, dimension=3)
     return float(
         solve(problem, z0=np.concatenate(r), max_iterations=0).certificate.relative_residual
     )

@@ -18,7 +18,16 @@ import scipy.sparse as sp
 from inputs import membranes
 from inputs.families import BOUNDED, DIRECT
 
-from lcp_plugin import LCP, NotConverged, QuadraticProgram, Result, Status, gallery, solve
+from lcp_plugin import (
+    LCP,
+    InvalidOption,
+    NotConverged,
+    QuadraticProgram,
+    Result,
+    Status,
+    gallery,
+    solve,
+)
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.settings import Settings
 from lcp_plugin.core.solving.progress import Progress
@@ -140,6 +149,42 @@ def test_warm_start_is_used_and_left_alone() -> None:
     seen: list[np.ndarray] = []
     solve(EXAMPLE.problem, "pgs", z0=start, callback=lambda sample, z: seen.append(z.copy()))
     assert (seen[0] == 0.0).all()
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnJacobi(Algorithm):
+    """Method of a user, with a last step if one is stated, and points of another length if it is."""
+
+    name: ClassVar[str] = "own_jacobi"
+    steps: int = 10**6
+    length: int | None = None
+
+    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        z = z0.copy()
+        for _ in range(self.steps + 1):
+            yield Step(z if self.length is None else np.zeros(self.length))
+            z = np.clip(z - problem.slack(z) / problem.diagonal, problem.lower, problem.upper)
+
+
+@pytest.mark.parametrize("name", ["obstacle", "example"])
+def test_measuring_a_point_is_not_work_of_the_method(name: str) -> None:
+    """A Jacobi step of a user without a residual has the work of the same built-in step: one pass."""
+    problem = {"obstacle": OBSTACLE, "example": EXAMPLE}[name].problem
+    works = [
+        solve(problem, one, polish=False, max_iterations=20).work for one in (OwnJacobi(), "pj")
+    ]
+    assert works == [21.0, 21.0]
+
+
+def test_iterates_that_end_and_points_of_a_wrong_length_are_named() -> None:
+    """The message has the number of steps, or the shapes."""
+    for steps, words in ((0, "0 steps"), (1, "1 step"), (2, "2 steps")):
+        result = solve(OBSTACLE.problem, OwnJacobi(steps=steps))
+        assert result.status is Status.STALLED
+        assert result.advice.startswith(f'iterates ended after {words}; next: try algorithm="auto"')
+    for length in (0, 3, 1):
+        with pytest.raises(InvalidOption, match=rf"own_jacobi.*z of shape \(2,\).*\({length},\)"):
+            solve(TWO, OwnJacobi(length=length))
 
 
 class FakeClock:
@@ -369,10 +414,10 @@ def test_a_nearly_singular_matrix_is_named(form: Any) -> None:
 
 
 def test_what_a_pile_leaves_undecided_is_no_alarm() -> None:
-    """If M is singular on the free rows, the explanation counts undetermined entries of z."""
+    """If M is singular on the free rows, the explanation names undetermined entries of z."""
     J = np.array([[1.0, 0.3], [0.7, 0.9], [0.4, 1.1]])  # three forces, two motions
     told = solve(LCP(J @ J.T, -J @ J.T @ [0.1, 0.7, 0.3]), "psor").explain()
-    assert "3 entries of z are not determined" in told
+    assert "the data do not determine z[0], z[1], z[2]" in told
     assert "w is the same for all of them" in told
     assert "of them in" not in told  # some of the rows alone
     assert "of any size" not in told

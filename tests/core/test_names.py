@@ -8,7 +8,15 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from lcp_plugin import LCP, InvalidProblem, QuadraticProgram, complements, load_problem, solve
+from lcp_plugin import (
+    LCP,
+    InvalidProblem,
+    NonlinearProblem,
+    QuadraticProgram,
+    complements,
+    load_problem,
+    solve,
+)
 
 MPS = """NAME p
 ROWS
@@ -30,6 +38,41 @@ def test_an_infeasible_lcp_names_its_row() -> None:
     assert "market contradicts its bounds" in str(solve(problem.with_q([-2, 2])).proof)
     with pytest.raises(InvalidProblem, match="3 names of rows, and the problem has 2"):
         LCP(np.eye(2), [0, 0], names=["a", "b", "c"])
+
+
+CONSTRUCTORS = {
+    "LCP": lambda names: LCP(np.eye(2), [1, 1], names=names),
+    "QuadraticProgram": lambda names: QuadraticProgram(None, [1, 1], names=names),
+    "from_ranges": lambda names: QuadraticProgram.from_ranges(
+        np.eye(2), [1, 1], np.eye(2), [0, 0], [1, 1], names=names
+    ),
+    "NonlinearProblem": lambda names: NonlinearProblem(lambda x: x - 1, names=names),
+    "NonlinearProblem with bounds": lambda names: NonlinearProblem(
+        lambda x: x - 1, lower=[0, 0], names=names
+    ),
+}
+NO_NAMES = {
+    "number": 5,
+    "function": lambda i: str(i),
+    "generator": (name for name in "ab"),
+    "set": {"a", "b"},
+    "dict": {0: "a", 1: "b"},
+    "word": "ab",
+    "numbers": [1, 2],
+    "tuples": [("a", 1), ("b", 2)],
+    "half": ["a", None],
+    "array": np.array(["a", "b"]),
+}
+
+
+@pytest.mark.parametrize("wrong", NO_NAMES)
+def test_names_are_lists_of_strings_in_every_constructor(wrong: str) -> None:
+    """Anything but a list of strings or a pair of lists is an InvalidProblem of the constructor."""
+    for build in CONSTRUCTORS.values():
+        with pytest.raises(InvalidProblem, match="names must be a list of strings, or a pair"):
+            build(NO_NAMES[wrong])
+        for names in (["a", "b"], ("a", "b"), [None, ("a", "b")], None):
+            build(names)
 
 
 def test_programs_name_rows_and_bounds(tmp_path: Path) -> None:

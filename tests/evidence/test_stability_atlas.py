@@ -211,3 +211,9 @@ def test_powers_of_two_change_no_bit(name: str) -> None:
 
 
 # --- defects that the atlas found ------------------------------------------------------------------------------------
+
+
+def test_exact_answers_from_guesses_on_upper_bounds() -> None:
+    """The answer is (⅓, 2): 3 z₁ = 1, and z₂ = 5 is cut at 2."""
+    problem = LCP([[3.0, 0.0], [0.0, 1.0]], [-1.0, -5.0], upper=[np.inf, 2.0])
+    assert exact_answer(problem, [0.33, 2.0]) == (Fraction(1, 3), Fraction(2))

@@ -199,6 +199,63 @@ def test_an_infinite_bound_is_no_bound(cap: Any) -> None:
     np.testing.assert_allclose(best.dual_value, [2 * (3 - expected), np.zeros(2)])
 
 
+INFINITE = {
+    "unbounded": ([-1.0, -1.0], lambda x: x[0] + x[1] <= np.inf, None),
+    "scaled": (
+        [1e6, 3.0],
+        lambda x: cp.multiply([1e25, 1.0], x) <= np.array([np.inf, 2.0]),
+        [0, 2],
+    ),
+    "some rows": ([3.0, 3.0], lambda x: np.ones((2, 2)) @ x <= np.array([np.inf, 2.0]), [0, 4]),
+    "NonNeg": ([3.0, 3.0], lambda x: cp.NonNeg(np.array([np.inf, 2.0]) - x), [0, 2]),
+    "of constants": (
+        [3.0, 3.0],
+        lambda x: x + x <= cp.minimum([np.inf, np.inf], [np.inf, 2.0]),
+        [0, 2],
+    ),
+    "matrix": ([3.0, 3.0], lambda x: x[:, None] <= np.array([[np.inf], [2.0]]), [[0], [2]]),
+}
+
+
+@pytest.mark.parametrize("name", INFINITE)
+def test_a_row_with_an_infinite_constant_is_left_out(name: str) -> None:
+    """The minimum of ‖x − t‖² has the prices of the rows with a finite side only; without such a row 0 is the price."""
+    target, row, prices = INFINITE[name]
+    x = cp.Variable(2)
+    goal = cp.sum_squares(x - target) if prices is not None else np.array(target) @ x
+    best = optimal(cp.Problem(cp.Minimize(goal), [row(x)]), over=[x])
+    problem = cp.Problem(cp.Minimize(0), [best])
+    problem.solve(method="LCP")
+    if prices is None:
+        assert problem.status == cp.INFEASIBLE
+        return
+    bound = np.array(prices, dtype=float)
+    scale = 2.0 if name == "of constants" else 1.0
+    if name == "some rows":
+        np.testing.assert_allclose(x.value, [1.0, 1.0])
+    else:
+        np.testing.assert_allclose(x.value, [target[0], 2.0 / scale])
+        bound = bound * (target[1] - 2.0 / scale) / scale
+    np.testing.assert_allclose(best.dual_value[0], bound, atol=1e-8)
+
+
+def test_a_shared_row_with_infinite_entries_is_refused_and_an_infinite_row_left_out() -> None:
+    """Two agents choose 3 without a limit of their sum."""
+    x = cp.Variable(2)
+    for cap, count in ((np.inf, 0), (np.array([np.inf, 1.0]), 1)):
+        row = x + x[::-1] <= cap if count else x[0] + x[1] <= cap
+        agents = [
+            optimal(cp.Problem(cp.Minimize((x[i] - 3) ** 2), [row]), over=[x[i]], shared=row)
+            for i in (0, 1)
+        ]
+        if count:
+            with pytest.raises(UnsupportedModel, match="is infinite in some entries; leave them"):
+                solved(agents)
+        else:
+            solved(agents)
+            np.testing.assert_allclose(x.value, [3.0, 3.0])
+
+
 def set_value(parameter: cp.Parameter, value: float) -> cp.Parameter:
     """Set the value; skip the test if cvxpy raises ValueError for ∞ (up to 1.8)."""
     try:

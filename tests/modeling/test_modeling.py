@@ -21,6 +21,7 @@ from lcp_plugin import (
     UnsupportedModel,
     box,
     complements,
+    optimal,
     solve,
     solve_batch,
 )
@@ -769,3 +770,62 @@ def test_a_market_without_a_pair_is_named(sign: float, status: str) -> None:
     x = cp.Variable(2, name="x", nonneg=True)
     with pytest.warns(ModelWarning, match=rf"{status}: .*without a complementarity \(x\[1\]\)"):
         model(complements(x[0] >= 0, sign * cp.sum(x) - 1 >= 0))
+
+
+def test_keywords_of_cvxpys_compilation_are_taken() -> None:
+    """A pair, an equilibrium with an objective and a program accept what every solver of cvxpy accepts."""
+    x = cp.Variable(2, nonneg=True)
+    pair = complements(x >= 0, x - np.array([1.0, -1.0]) >= 0)
+    models = {
+        "pair": cp.Problem(cp.Minimize(0), [pair]),
+        "equilibrium": cp.Problem(cp.Minimize(cp.sum_squares(x)), [pair]),
+        "program": cp.Problem(cp.Minimize(cp.sum_squares(x - np.array([1.0, -1.0])))),
+    }
+    for model in models.values():
+        for given in (
+            {"canon_backend": "SCIPY"},
+            {"enforce_dpp": True},
+            {"ignore_dpp": True},
+            {"bibtex": False, "canon_backend": None},
+        ):
+            x.value = None
+            model.solve(method="LCP", **given)
+            np.testing.assert_allclose(x.value, [1.0, 0.0], atol=1e-6)
+    p = cp.Parameter(value=1.0)
+    without_dpp = cp.Problem(cp.Minimize(cp.sum_squares(p * p * x - 1)))
+    with pytest.raises(cp.error.DPPError):
+        without_dpp.solve(method="LCP", enforce_dpp=True)
+
+
+ATTRIBUTES: dict[str, tuple[dict[str, Any], float]] = {  # and the point nearest to t
+    "nonneg": ({"nonneg": True}, 0.0),
+    "pos": ({"pos": True}, 0.0),
+    "nonpos": ({"nonpos": True}, 0.0),
+    "neg": ({"neg": True}, 0.0),
+    "bounds": ({"bounds": [-0.5, 0.5]}, 0.5),
+    "symbolic bounds": ({"bounds": [cp.Constant(-0.5), cp.Constant(0.5)]}, 0.5),
+}
+
+
+@pytest.mark.few(6)
+@pytest.mark.parametrize("name", ATTRIBUTES)
+def test_the_attributes_of_variables_are_bounds_in_every_kind_of_model(name: str) -> None:
+    """The point nearest to t is t or the bound between: as a pair, an agent, a program and an equilibrium."""
+    given, end = ATTRIBUTES[name]
+    for t in (1.0, -1.0):
+        is_inside = name in ("nonneg", "pos") if t > 0 else name in ("nonpos", "neg")
+        expected = t if is_inside else np.sign(t) * end
+        u = cp.Variable(**given)
+        distance = cp.square(u - t)
+        models = {
+            "pair": cp.Problem(cp.Minimize(0), [complements(u, u - t)]),
+            "agent": cp.Problem(
+                cp.Minimize(0), [optimal(cp.Problem(cp.Minimize(distance)), over=[u])]
+            ),
+            "program": cp.Problem(cp.Minimize(distance)),
+            "equilibrium": cp.Problem(cp.Minimize(distance), [complements(u, u - t)]),
+        }
+        for kind, model in models.items():
+            u.value = None
+            model.solve(method="LCP")
+            assert (kind, float(u.value)) == (kind, pytest.approx(expected, abs=1e-5))

@@ -6,6 +6,7 @@ import contextlib
 import json
 import time
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -519,3 +520,14 @@ def test_the_recursion_over_minors_sees_the_diagonal(entry: float) -> None:
     """A diagonal entry that is not positive decides."""
     M = np.array([[entry, -1.0], [1.0, 1.0]])  # det > 0 for 0
     assert not is_p_matrix_by_recursion(sp.csr_array(M))
+
+
+@pytest.mark.parametrize(
+    "M", [[[0, 1], [-1, 4]], [[0, 0], [0, 2]], [[0, 0], [0, 0]]], ids=["diagonal", "row", "zero"]
+)
+def test_zeros_of_a_matrix_do_not_count_as_its_scale(M: Any) -> None:
+    """The spread of one size is 0 decades, whatever is 0 beside it, and the report is JSON."""
+    report = analyze(np.array(M, dtype=float))
+    content = json.loads(json.dumps(report.to_content(), allow_nan=False))
+    assert all(0.0 <= spread <= np.log10(4.0) for spread in content["scale_spread"].values())
+    assert content["scale_spread"]["diagonal"] == 0.0

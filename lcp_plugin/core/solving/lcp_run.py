@@ -22,9 +22,10 @@ from ..certificates.measured import Measured
 from ..certificates.residuals import Certificate
 from ..checks import Vector, read_only
 from ..deadline import Clock
-from ..errors import UnsuitableMatrix, UnsuitableProblem
+from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..kernels.floats import DATA_ROUNDING
 from ..lcp import LCP
+from ..representation import format_count
 from ..settings import Settings, Status
 from .progress import Callback, Header, Progress
 from .result import LIMITS, Result
@@ -115,6 +116,11 @@ class LCPRun(Run):
         After a failure, only a fifth more steps are tested.
         """
         progress, self.unmeasured = self.progress, step.z
+        if np.shape(step.z) != (self.problem.n,):
+            raise InvalidOption(
+                f"{stage.algorithm.name}.iterates must yield Step(z), z of shape ({self.problem.n},), got shape "
+                f"{np.shape(step.z)}"
+            )
         is_known = self.is_uniform and step.residual is not None
         change = step.residual if is_known or step.increment is None else step.increment
         residual, increment = math.inf, None
@@ -125,7 +131,6 @@ class LCPRun(Run):
             if stage.residuals and not stage.is_due(increment, self.goal):
                 return None
             residual = self.data.estimate(step.z)
-            progress.work += 1.0 if progress.iteration > 0 else 0.0  # the start is always measured
         found, iteration = Measured(step.z, residual, passes=False), progress.iteration
         is_early = residual > 0.5 * self._failed_at and iteration < self._next_test
         if residual <= self.goal and not is_early:
@@ -227,12 +232,16 @@ class LCPRun(Run):
             is_polished=self.is_polished,
             _asked=self.chosen,
             _wants_bound=self.settings.error_bound and bool(chain),
-            _advice={} if is_solved else self._advice(found),
+            _advice={} if is_solved else self._advice(found, end),
         )
 
-    def _advice(self, found: Measured) -> dict[Status, str]:
+    def _advice(self, found: Measured, reason: TerminationReason) -> dict[Status, str]:
         """Return the advice of each status; of the problem's origin if it rejects the point."""
         said = advice_of_run(self.problem, self.chosen, self.settings)
+        if reason is TerminationReason.NOTHING_LEFT and isinstance(self.chosen, Algorithm):
+            steps = max(self.progress.iteration, 0)
+            _, _, rest = said[Status.STALLED].partition("; ")
+            said[Status.STALLED] = f"iterates ended after {format_count(steps, 'step')}; {rest}"
         if found.is_rejected:
             said |= dict.fromkeys(WITHOUT_END, self.problem.origin.rejection)
         if self.progress.end is None:  # a step limit that is not reached

@@ -369,7 +369,7 @@ class Result(BaseResult):
             certificate=certificate,
             algorithm=f"auto: {stage.name}",
             iterations=stage.iterations,
-            work=stage.work + 1.0,  # of the measurement
+            work=stage.work,
             seconds=seconds,
             setup_seconds=0.0,
             tolerance=settings.tolerance,

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from ...core.checks import INFINITE_LIMIT, Vector
 from ...core.errors import UnreadableFile, UnsupportedModel
 from ...core.names import Names
-from ..files import checked_path, opened
+from ..files import checked_path, opened, read_number
 
 CONVERTERS: dict[str, type] = {"i": int, "h": int, "d": float}
 NO_NUMBERS = (
@@ -91,7 +91,7 @@ class TextFormReader(_Form):
 
     def _numbers(self, form: str, words: list[bytes]) -> list[Any]:
         try:
-            return [CONVERTERS[kind](word) for kind, word in zip(form, words, strict=True)]
+            return [read_number(word, CONVERTERS[k]) for k, word in zip(form, words, strict=True)]
         except ValueError:
             self.fail(NO_NUMBERS)
 
@@ -427,10 +427,10 @@ def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
     """Return the numbers of the first line, which begins with their count, and the tolerance."""
     words = text.split(b"#")[0].split()
     try:
-        count = int(words[0]) if words else 0
-        given = [int(word) for word in words[1 : max(count, 0) + 1]]
+        count = read_number(words[0], int) if words else 0
+        given = [read_number(word, int) for word in words[1 : max(count, 0) + 1]]
         has_tolerance = count >= 2 and given[1:2] == [WITH_TOLERANCE] and len(words) > count + 1
-        tolerance = float(words[count + 1]) if has_tolerance else None
+        tolerance = read_number(words[count + 1]) if has_tolerance else None
     except ValueError:
         count = -1
     if not 0 <= count <= MOST_OPTIONS:

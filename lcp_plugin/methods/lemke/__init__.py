@@ -136,6 +136,9 @@ class Lemke(Algorithm):
         restarts = self.restarts
         if restarts is None:
             restarts = int(np.clip(20_000 // path.n, 10, 600))
+            # With w_i < 0 for every z no path can end in a solution
+            is_negative = (box.q < 0.0) & (box.upper == np.inf) & ~(box.M > 0.0).any(axis=1)
+            restarts *= not is_negative.any()
         waiting: Any = starts(path, restarts)
         # Pivots of a round, times n + 10.
         rounds = (10, 100) if self.max_pivots is None else (0,)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from os import PathLike
 from typing import Any
 
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
 from ...core.checks import Vector, real_array
-from ...core.errors import InvalidProblem, LCPError
+from ...core.errors import InvalidProblem, LCPError, ModelWarning
 from ...core.lcp import LCP
 from ...core.representation import format_count
 from .. import contact
@@ -176,7 +177,8 @@ class FrictionalContact(Blocks):
     gaps, time_step : optional
         As in :meth:`lcp_plugin.LCP.from_contacts`.
     dimension : int, optional
-        d, if the shapes of b and `friction` do not determine it; 3 by default if the number of rows is a multiple of 3.
+        d, if the shapes of b and `friction` do not determine it; 3 by default if the number of rows is a multiple of 3,
+        with a ModelWarning if it is one of 2 also.
 
     Raises
     ------
@@ -290,8 +292,21 @@ def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[n
 
 
 def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int:
-    """Return the rows per contact; raise InvalidProblem if the shapes are inconsistent."""
+    """Return the rows per contact, 3 with a ModelWarning if both 3 and 2 are possible.
+
+    Raises
+    ------
+    InvalidProblem
+        If the shapes are inconsistent.
+    """
     count = math.prod(friction)
+    if given is None and not friction and rows and rows % 6 == 0:
+        warnings.warn(
+            f"{rows} rows and one number μ are read as {rows // 3} contacts in space, not as {rows // 2} "
+            "in the plane; pass dimension=2 or dimension=3",
+            ModelWarning,
+            stacklevel=3,
+        )
     if given is None and friction and count and rows % count == 0:
         given = rows // count
     d = 3 if given is None and rows % 3 == 0 else 2 if given is None else given

@@ -201,6 +201,7 @@ class NonlinearProblem:
         sizes = [np.shape(bound) for bound in (lower, upper) if np.ndim(bound)]
         sizes += [] if self.pattern is None else [self.pattern.shape[:1]]
         self.n: int | None = sizes[0][0] if sizes else None
+        checked_names(names, self.n, self.n)
         self._bounds, self._given_names = (lower, upper), names
         if self.n is not None:
             self._set_bounds(self.n)

@@ -406,7 +406,12 @@ def test_repeated_entries_of_an_mps_file_are_told_with_the_one_that_holds(
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ("x obj 1", "x obj 1a", "could not convert string to float: '1a'"),
+        ("x obj 1", "x obj 1a", '1a of the line "x obj 1a'),
+        ("x obj 1", "x obj 1_0", '1_0 of the line "x obj 1_0'),
+        ("x obj 1", "x obj \u0661\u0662", "is not a finite number"),
+        ("x obj 1", "x obj nan", "nan of the line"),
+        ("UP BND x 3", "UP BND x 3_0", '3_0 of the line "UP BND x 3_0" in BOUNDS'),
+        ("UP BND x 3", "UP BND x nan", 'nan of the line "UP BND x nan" in BOUNDS'),
         ("UP BND x", "XX BND x", '"XX BND x 3" in BOUNDS begins with none of LO, UP'),
         ("RANGES", "SOS", "SOS is not one of the sections NAME, OBJSENSE"),
         ("ROWS", "OBJSENSE FEW\nROWS", "FEW is not a row N, L, G, E or a sense MIN, MAX"),
@@ -419,6 +424,33 @@ def test_faults_of_an_mps_file_are_named(old: str, new: str, fault: str, tmp_pat
     path = tmp_path / "p.mps"
     path.write_text(QPS.replace(old, new, 1))
     with pytest.raises(UnreadableFile, match=re.escape(fault)):
+        load_problem(path)
+
+
+@pytest.mark.parametrize("section", ["RHS", "RANGES", "QUADOBJ"])
+@pytest.mark.parametrize("number", ["1_0", "\u0661", "nan"])
+def test_every_section_of_an_mps_file_takes_ascii_numbers_only(
+    section: str, number: str, tmp_path: Path
+) -> None:
+    """The last number of the first line of a section is replaced; the message names the line."""
+    before, after = QPS.split(f"\n{section}\n")
+    line, rest = after.split("\n", 1)
+    line = f"{line.rsplit(None, 1)[0]} {number}"
+    path = tmp_path / "p.mps"
+    path.write_text(f"{before}\n{section}\n{line}\n{rest}", encoding="utf-8")
+    with pytest.raises(UnreadableFile, match=f'{number} of the line "{line.strip()}" in {section}'):
+        load_problem(path)
+
+
+def test_an_infinite_right_hand_side_of_an_mps_file_is_named(tmp_path: Path) -> None:
+    """RHS −∞ of a row is a fault of its line."""
+    before, after = QPS.split("\nRHS\n")
+    line, rest = after.split("\n", 1)
+    path = tmp_path / "p.mps"
+    path.write_text(f"{before}\nRHS\n{line.rsplit(None, 1)[0]} -inf\n{rest}")
+    with pytest.raises(
+        UnreadableFile, match=r'-inf of the line ".*" in RHS is not a finite number'
+    ):
         load_problem(path)
 
 
@@ -510,3 +542,13 @@ def test_contacts_with_a_dense_matrix_called_m_are_read(tmp_path: Path) -> None:
     problem = load_problem(tmp_path / "c.npz")
     assert isinstance(problem, FrictionalContact)
     np.testing.assert_allclose(solve(problem).require_solved().z, [1.0, -0.25, 0.0], atol=1e-7)
+
+
+def test_a_triangle_and_the_whole_of_a_matrix_state_one_program(tmp_path: Path) -> None:
+    """QUADOBJ has one triangle of P, QMATRIX all of it: P = [[2, 1], [1, 2]], c = (1, 1)."""
+    path = tmp_path / "p.mps"
+    for text in (QPS, QPS.replace("QUADOBJ", "QMATRIX").replace(" x y 1\n", " x y 1\n y x 1\n")):
+        path.write_text(text)
+        program = load_problem(path)
+        assert program.P.toarray().tolist() == [[2.0, 1.0], [1.0, 2.0]]
+        assert program.c.tolist() == [1.0, 1.0]

@@ -385,3 +385,21 @@ def test_elimination_of_a_free_row_of_rank_one_leaves_zeros() -> None:
         v = np.random.default_rng(seed).integers(1, 100, 9).astype(float)
         problem = LCP(np.outer(v, v), -v, lower=np.where(np.arange(9), 0.0, -np.inf))
         assert not canonical_box(problem).M.any()
+
+
+def test_a_row_that_no_z_makes_positive_ends_lemke_before_restarts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Row 3 is −2 z₁ − z₂ − 2 z₃ − 1 < 0 for every z ≥ 0, so that 600 more paths would be in vain."""
+    asked: list[int] = []
+
+    def counted(path: LemkePath, restarts: int) -> Any:
+        asked.append(restarts)
+        return starts(path, restarts)
+
+    monkeypatch.setattr("lcp_plugin.methods.lemke.pivoting_path.starts", counted)
+    M = np.array([[-1.0, 0, -3], [1, -2, -5], [-2, -1, -2]])
+    assert solve(LCP(M, [-3, -2, -1]), "lemke").status is Status.INFEASIBLE
+    solve(LCP(M, [-3, -2, -1], upper=[INF, INF, 2.0]), "lemke", max_seconds=1.0)
+    solve(LCP(-M, [-3, -2, -1]), "lemke")
+    assert asked == [0, 0, 600][: len(asked)]

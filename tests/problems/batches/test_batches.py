@@ -12,6 +12,9 @@ from inputs.small_families import FAMILIES, definite_stack, draw, told
 
 from lcp_plugin import (
     LCP,
+    BoundedLeastSquares,
+    ConeProblem,
+    FrictionalContact,
     InvalidProblem,
     NonlinearProblem,
     QuadraticProgram,
@@ -191,3 +194,34 @@ def test_nonlinear_problems_begin_at_their_own_starts() -> None:
     assert answers.all_solved
     np.testing.assert_allclose(answers.z.ravel(), [1.0, -2.0], rtol=1e-7)
     assert [answer.z.tolist() for answer in answers] == answers.z.tolist()
+
+
+CLASSES: dict[str, Any] = {
+    "LCP": LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0]),
+    "NonlinearProblem": NonlinearProblem(lambda x: x**3 + x - 1, lower=[0.0, 0.0]),
+    "BoundedLeastSquares": BoundedLeastSquares(np.eye(3)[:, :2] + 0.5, [1.0, -1.0, 2.0], lower=0),
+    "ConeProblem": ConeProblem(np.eye(3), [-1.0, 3.0, 4.0], [("second_order", 3)]),
+    "FrictionalContact": FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5),
+}
+
+
+@pytest.mark.few(5)
+@pytest.mark.parametrize("name", CLASSES)
+def test_a_batch_has_the_limits_of_single_solves(name: str) -> None:
+    """No iteration solves none of these; the points and statuses of a batch are those of `solve`."""
+    problem = CLASSES[name]
+    for limit in (0, 1, 100):
+        alone = solve(problem, max_iterations=limit)
+        batch = solve_batch([problem] * 3, max_iterations=limit)
+        assert [*batch.status] == [alone.status] * 3
+        assert (alone.status is Status.MAX_ITERATIONS) or limit > 0
+        for one in batch:
+            np.testing.assert_allclose(one.x, alone.x, atol=1e-9)
+
+
+def test_the_starts_of_a_batch_choose_among_solutions() -> None:
+    """The points (0, 1), (1, 0) and (⅓, ⅓) are solutions, and the run stays at each."""
+    problem = LCP([[1.0, 2.0], [2.0, 1.0]], [-1.0, -1.0])
+    for z0 in ([0.0, 1.0], [1.0, 0.0], [1 / 3, 1 / 3]):
+        batch = solve_batch([problem] * 4, z0=[z0] * 4)
+        np.testing.assert_allclose(batch.z, [z0] * 4, atol=1e-9)

@@ -84,7 +84,7 @@ BATCHES: dict[str, tuple[tuple[Any, ...], dict[str, Any]]] = {
     "contacts": (
         (
             FrictionalContact.worlds(
-                np.eye(6), RNG.normal(size=(20, 6)), 0.5, contacts=np.arange(20) % 3
+                np.eye(6), RNG.normal(size=(20, 6)), 0.5, contacts=np.arange(20) % 3, dimension=3
             ),
         ),
         {},

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -33,6 +34,7 @@ from lcp_plugin import (
     UnknownAlgorithm,
     UnreadableFile,
     derivative,
+    friction_cone,
     load_problem,
     solve,
     solve_batch,
@@ -53,7 +55,7 @@ BAD: dict[str, tuple[Any, str]] = {
         lambda: FC(np.eye(3), [[-1, 0, 0]], 0.5, dimension=2),
         "b has 3 columns and dimension is 2",
     ),
-    "b does not fit": (lambda: FC(np.eye(3), np.zeros(6), 0.1), r"shape \(6, 6\)"),
+    "b does not fit": (lambda: FC(np.eye(3), np.zeros(6), 0.1, dimension=3), r"shape \(6, 6\)"),
     "no tuples": (lambda: CP(np.eye(3), np.zeros(3), "second_order"), "sequence of"),
     "a name without rows": (
         lambda: CP(np.eye(3), np.zeros(3), ["nonnegative"]),
@@ -142,7 +144,7 @@ def test_the_certificate_bounds_the_exact_residual(seed: int) -> None:
 
 def test_components_have_their_own_references() -> None:
     """A light contact has a reference of its own next to a heavy contact that it does not touch."""
-    problem = FrictionalContact(np.eye(6), [-1e10, 0.0, 0.0, -0.5, 0.0, 0.0], 0.5)
+    problem = FrictionalContact(np.eye(6), [-1e10, 0.0, 0.0, -0.5, 0.0, 0.0], 0.5, dimension=3)
     certificate = solve(problem, z0=[1e10, 0, 0, 0.6, 0, 0], max_iterations=0).certificate
     assert certificate.relative_residual == pytest.approx(0.2)
     assert certificate.worst_index == 1
@@ -282,13 +284,15 @@ LOW = np.random.default_rng(3).standard_normal((24, 3))  # L Lᵀ is singular up
 HOPELESS: dict[str, Any] = {
     "nothing moves the normal": FrictionalContact(np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5),
     "between two walls that close": FrictionalContact(
-        SQUEEZED @ SQUEEZED.T, [-1.0, 0, 0, -1.0, 0, 0], 0.5
+        SQUEEZED @ SQUEEZED.T, [-1.0, 0, 0, -1.0, 0, 0], 0.5, dimension=3
     ),
     "beside one that slides": FrictionalContact(
-        np.diag([1.0, 1, 1, 0, 1, 1]), [-1.0, 3, 4, -1.0, 0, 0], 0.5
+        np.diag([1.0, 1, 1, 0, 1, 1]), [-1.0, 3, 4, -1.0, 0, 0], 0.5, dimension=3
     ),
     "no M": ConeProblem(np.zeros((3, 3)), [-1.0, 0.0, 0.0], [("second_order", 3)]),
-    "J Jᵀ, contacts": FrictionalContact(LOW @ LOW.T, np.tile([-2.0, 0.3, -0.1], 8), 0.5),
+    "J Jᵀ, contacts": FrictionalContact(
+        LOW @ LOW.T, np.tile([-2.0, 0.3, -0.1], 8), 0.5, dimension=3
+    ),
     "J Jᵀ, cones": ConeProblem(
         LOW[6:12, :2] @ LOW[6:12, :2].T, [-2.0, 1, 0, -2.0, 0, -1], [("second_order", 3)] * 2
     ),
@@ -316,7 +320,9 @@ def test_what_has_no_answer_is_proved_infeasible(name: str) -> None:
 
 def test_a_result_tells_of_its_contacts() -> None:
     """The explanation counts open, sticking and sliding contacts and contains the dissipation."""
-    told = solve(FrictionalContact(np.eye(6), [-1.0, 3.0, 4.0, 1.0, 0.0, 0.0], 0.5)).explain()
+    told = solve(
+        FrictionalContact(np.eye(6), [-1.0, 3.0, 4.0, 1.0, 0.0, 0.0], 0.5, dimension=3)
+    ).explain()
     assert (
         "2 contacts: 1 open, 0 stick, 1 slide; friction and impact take 2.875 J in SI units" in told
     )  # ½·26 − ½·4.5²
@@ -407,6 +413,37 @@ def test_solved_means_solved_where_diagonals_cancel(draws: Any) -> None:
         solved += result.is_solved
         assert not result.is_solved or violation(problem, result.z) <= 1e-6, seed
     assert solved >= len(draws(60)) // 4
+
+
+AMBIGUOUS: dict[str, Any] = {
+    "FrictionalContact": lambda n, **options: FrictionalContact(
+        np.eye(n), np.tile([-1.0, 0.5], n // 2), 0.3, **options
+    ),
+    "worlds": lambda n, **options: FrictionalContact.worlds(
+        np.eye(n), np.tile([-1.0, 0.5], (2, n // 2)), 0.3, **options
+    )[0],
+    "friction_cone": lambda n, **options: friction_cone(cp.Variable(n), 0.3, **options),
+}
+
+
+@pytest.mark.parametrize("door", AMBIGUOUS)
+def test_contacts_of_the_plane_or_of_space_are_not_guessed_silently(door: str) -> None:
+    """6, 12 and 18 rows with one number μ cause a ModelWarning; `dimension`, an array μ or 4 rows decide."""
+    build = AMBIGUOUS[door]
+    for n in (6, 12, 18):
+        words = (
+            f"read as {n // 3} contacts in space, not as {n // 2} in the plane; pass dimension=2"
+        )
+        with pytest.warns(ModelWarning, match=words):
+            build(n)
+        for d in (2, 3):
+            build(n, dimension=d)
+    if door == "FrictionalContact":
+        found = solve(build(6, dimension=2)).z
+        np.testing.assert_allclose(found, [1.0, -0.3] * 3, atol=1e-7)
+        same = FrictionalContact(np.eye(6), [-1.0, 0.5] * 3, np.full(3, 0.3))
+        np.testing.assert_array_equal(solve(same).z, found)
+    build(4)
 
 
 def together(*problems: FrictionalContact) -> FrictionalContact:
@@ -527,7 +564,7 @@ def test_towers_that_get_heavier_upwards_stand(masses: Any) -> None:
     J = corners_of_a_tower(count, np.random.default_rng(0))[0].reshape(12 * count, -1)
     mass = np.outer(masses, [1.0, 1.0, 1.0, 0.02, 0.02, 0.03]).ravel()
     pull = np.tile([0.0, 0.0, -0.0981, 0.0, 0.0, 0.0], count)
-    result = solve(FrictionalContact((J / mass) @ J.T, J @ pull, 0.5)).require_solved()
+    result = solve(FrictionalContact((J / mass) @ J.T, J @ pull, 0.5, dimension=3)).require_solved()
     carried, weights = (
         result.motion.normal.reshape(count, 4).sum(axis=1),
         0.0981 * np.cumsum(masses[::-1])[::-1],
@@ -586,7 +623,7 @@ def test_an_answer_of_bodies_is_one_of_their_contacts(seed: int) -> None:
         FrictionalContact(tuple(contacts), 1.001 * velocities, 0.4), z0=found.z
     ).require_solved()
     for result in (found, again):
-        alone = FrictionalContact(result.problem.W, result.problem.b, 0.4)
+        alone = FrictionalContact(result.problem.W, result.problem.b, 0.4, dimension=3)
         assert solve(alone, z0=result.z, max_iterations=0).is_solved
 
 
@@ -654,13 +691,15 @@ def test_numbers_at_the_ends_of_the_range_are_never_falsely_solved(
     z0 = np.full(6, entry) if where == "z0" else None
     cones = [("second_order", 3)] * 2
     with np.errstate(all="ignore"):
-        problems: list[Any] = [FrictionalContact(W, b, 0.5), ConeProblem(W, b, cones)]
+        problems: list[Any] = [FrictionalContact(W, b, 0.5, dimension=3), ConeProblem(W, b, cones)]
         for problem in problems:
             result = solve(problem, z0=z0, max_iterations=300)
             if result.is_solved:
                 assert np.isfinite(result.z).all()
                 assert exact_relative_residual(problem, result.z) <= 1e-8
-        batch = solve_batch(FrictionalContact.worlds(W[None], b[None], 0.5), max_iterations=300)
+        batch = solve_batch(
+            FrictionalContact.worlds(W[None], b[None], 0.5, dimension=3), max_iterations=300
+        )
         for result in batch:
             assert not result.is_solved or exact_relative_residual(result.problem, result.z) <= 1e-8
 
@@ -712,7 +751,9 @@ def test_gaps_next_to_w_are_as_next_to_bodies() -> None:
     b, gaps = np.concatenate([SLIDES, SLIDES]), [0.01, 0.0]
     for given in (W, sp.csr_array(W)):
         for velocities in (b, b.reshape(2, 3)):
-            problem = FrictionalContact(given, velocities, 0.5, gaps=gaps, time_step=0.1)
+            problem = FrictionalContact(
+                given, velocities, 0.5, gaps=gaps, time_step=0.1, dimension=3
+            )
             np.testing.assert_allclose(problem.b, b + 0.1 * np.eye(6)[0])
             assert problem.W[3, 0] == 0.101
             assert sp.issparse(problem.W) or not sp.issparse(given)

@@ -29,7 +29,7 @@ def drawn(
 
 
 def derived(*data: Any, **options: Any) -> ContactBatchDerivative:
-    return derivative(solve_batch(FrictionalContact.worlds(*data), **options))
+    return derivative(solve_batch(FrictionalContact.worlds(*data, dimension=3), **options))
 
 
 def close(a: Any, b: Any, tolerance: float) -> bool:

@@ -83,7 +83,7 @@ def test_one_world_harms_no_other() -> None:
 TWO = np.zeros((2, 6))
 REFUSED: dict[str, tuple[Any, str]] = {
     "W of another size": (
-        lambda: FrictionalContact.worlds(np.eye(4), TWO, 0.5),
+        lambda: FrictionalContact.worlds(np.eye(4), TWO, 0.5, dimension=3),
         r"W must have shape \(B, 6, 6\)",
     ),
     "b a number": (
@@ -95,11 +95,11 @@ REFUSED: dict[str, tuple[Any, str]] = {
         r"shape \(2,\) or \(B, 2\), B = 2, got",
     ),
     "lengths that differ": (
-        lambda: FrictionalContact.worlds(np.zeros((3, 6, 6)), TWO, 0.5),
+        lambda: FrictionalContact.worlds(np.zeros((3, 6, 6)), TWO, 0.5, dimension=3),
         r"B = 2 and 6 as b has, got \(3, 6, 6\)",
     ),
     "too many contacts": (
-        lambda: FrictionalContact.worlds(np.eye(6), TWO, 0.5, contacts=[1, 3]),
+        lambda: FrictionalContact.worlds(np.eye(6), TWO, 0.5, dimension=3, contacts=[1, 3]),
         "from 0 to 2",
     ),
 }

@@ -99,6 +99,10 @@ MISTAKES: dict[str, tuple[str, Any]] = {
         "tangents must .*k = 1",
         ((EYE, [[0, 0, 1]], [[[1, 0, 0]]] * 2), 0.5, FALL),
     ),
+    "two directions": (
+        "even number ≥ 4, got 2; leave directions out in the plane",
+        (EYE, 0.5, FALL, 2),
+    ),
     "odd directions": ("even number ≥ 4.*got 5", (EYE, 0.5, FALL, 5)),
     "a batch": (r"must have shape \(1, 3\)", (EYE, 0.5, [FALL, FALL])),
 }

@@ -20,6 +20,7 @@ from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
 from lcp_plugin import Status, solve
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, NotConverged
+from lcp_plugin.problems.least_squares.certificate import duality_gap
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
 
 INF = np.inf
@@ -623,3 +624,20 @@ def test_label_names_the_methods_that_ran() -> None:
     assert result.algorithm == "projected gradients, piqp"
     assert [stage.name for stage in result.stages] == ["projected gradients", "piqp"]
     assert result.nit == sum(stage.iterations for stage in result.stages)
+
+
+@pytest.mark.parametrize("lower", [-np.inf, 0.0], ids=["free", "one-sided"])
+@pytest.mark.parametrize("seed", range(2))
+def test_the_gap_of_a_fit_of_full_rank_is_small_at_its_minimizer(seed: int, lower: float) -> None:
+    """The bound of f(x) − f* is rounding at the minimizer, and at least the difference elsewhere."""
+    rng = np.random.default_rng(seed)
+    A, x = rng.normal(size=(30, 5)), np.abs(rng.normal(size=5)) + 0.1
+    normal, _ = np.linalg.qr(A, mode="complete")
+    b = A @ x + normal[:, 5:] @ rng.normal(size=25)  # x is the minimizer, in the interior
+    problem = BoundedLeastSquares(A, b, lower=lower)
+    cost = 0.5 * np.square(A @ x - b).sum()
+    assert 0.0 <= solve(problem).gap <= 1e-8 * cost
+    assert duality_gap(problem, x) <= 1e-8 * cost
+    off = x + 0.01 * rng.normal(size=5)
+    excess = 0.5 * np.square(A @ (off - x)).sum()
+    assert excess * (1 - 1e-6) <= duality_gap(problem, off) <= 10.0 * excess

@@ -35,6 +35,33 @@ def heated(n: int, k: int, seed: int = 0, **options: Any) -> March:
     return march(problem, rng.normal(scale=2.0, size=(k, n)), z0=rng.normal(size=n), **options)
 
 
+@pytest.mark.parametrize("n", [3, 40], ids=["dense", "band"])
+def test_the_solutions_of_a_march_are_one_array(n: int) -> None:
+    """Row k is the solution of kept step k, also before and after more steps, and without any step."""
+    done = heated(n, 6)
+    assert done.z.shape == (6, n)
+    np.testing.assert_array_equal(done.z, np.array([one.z for one in done]))
+    np.testing.assert_array_equal(done.z[:, 1], [one.z[1] for one in done])
+    assert heated(n, 6, keep="last").z.shape == (1, n)
+    assert march(LCP(np.eye(n), np.zeros(n)), np.zeros((0, n))).z.shape == (0, n)
+
+
+@pytest.mark.parametrize("name", ["lower", "upper"])
+def test_bounds_with_as_many_rows_as_steps_are_refused(name: str) -> None:
+    """Bounds (k, n) may be of steps or of marches: the message has both; other numbers of rows are marches."""
+    rod, forcing = LCP([[3.0, -1.0], [-1.0, 3.0]], [0.0, 0.0]), -np.ones((3, 2))
+    ends = 0.1 * np.arange(6.0).reshape(3, 2)
+    with pytest.raises(
+        InvalidProblem, match=rf"{name} has 3 rows, and forcing has 3 steps.*step by"
+    ):
+        march(rod, forcing, **{name: ends})
+    many = march(rod, np.broadcast_to(forcing, (3, 3, 2)), **{name: ends})
+    assert [len(one) for one in many] == [3, 3, 3]
+    assert [len(one) for one in march(rod, forcing, **{name: ends[:2]})] == [3, 3]
+    assert len(march(rod, forcing, z0=np.zeros((3, 2)), **{name: ends})) == 3
+    assert len(march(rod, forcing[:1], **{name: ends[:1]})) == 1
+
+
 @pytest.mark.parametrize("algorithm", ["auto", "npsor"])
 @pytest.mark.parametrize(("keep", "steps"), [(1, range(10)), (4, [3, 7, 9]), ("last", [9])])
 def test_keep_leaves_every_kth_step_and_the_last(keep: Any, steps: Any, algorithm: str) -> None:

@@ -259,6 +259,30 @@ def test_equations_of_tiny_numbers_give_no_curvature(row: list[float]) -> None:
     assert all(minor >= 0 for minor in exact.principal_minors(rest))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_curvature_on_a_null_space_is_rounded_downwards(seed: int) -> None:
+    """P + ρ AᵀA − diag(weights) has nonnegative minors in fractions, for P singular on the null space also."""
+    rng = np.random.default_rng(seed)
+    for k in range(12):
+        n = 2 + k % 3
+        half, A = rng.normal(size=(n - 1, n)), rng.normal(size=(1, n))
+        if k % 2:  # P is singular on the null space of A
+            v = rng.normal(size=n)
+            half -= np.outer(half @ v, v) / (v @ v)
+            A -= np.outer(A @ v, v) / (v @ v)
+        P = half.T @ half
+        P = 0.5 * (P + P.T)
+        found = constrained_curvature(P, A)
+        if found.penalty == 0.0:
+            continue
+        rest, rows = exact.exact_rows(P), exact.exact_rows(A)
+        for i in range(n):
+            for j in range(n):
+                rest[i][j] += Fraction(found.penalty) * rows[0][i] * rows[0][j]
+            rest[i][i] -= Fraction(float(found.weights[i]))
+        assert all(minor >= 0 for minor in exact.principal_minors(rest))
+
+
 # --- Claims ------------------------------------------------------------------------------------------------------
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import re
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +17,17 @@ from inputs.drawn_scaling import scaled_solved, strict
 from oracles.exact import LOWER, UPPER, exact_solution
 from oracles.exact_derivatives import Change, Piece, distance, piece_at
 
-from lcp_plugin import LCP, Status, derivative, solve
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    FrictionalContact,
+    NonlinearProblem,
+    QuadraticProgram,
+    Status,
+    derivative,
+    solve,
+    solve_batch,
+)
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from lcp_plugin.problems.sensitivity import Derivative
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
@@ -357,3 +369,63 @@ def test_a_row_of_another_size_hides_no_kink(q: float, coupling: float) -> None:
     assert found.degenerate.tolist() == [0]
     np.testing.assert_allclose(found.jvp(dq=[1, 0, 0])[:2], [0, 0], atol=1e-15)
     np.testing.assert_allclose(found.jvp(dq=[-1, 0, 0])[:2], [4 / 13, 1 / 13], rtol=1e-12)
+
+
+DATA = {
+    "P": np.diag([2.0, 2.0]),
+    "c": np.array([-2.0, -4.0]),
+    "G": np.array([[1.0, 1.0]]),
+    "h": np.array([2.0]),
+    "A": None,
+    "b": None,
+    "lower": 0.0,
+    "upper": np.inf,
+}
+FIT = BoundedLeastSquares(np.eye(2), [1.0, 2.0], lower=0.0, upper=[np.inf, 1.5])
+PROGRAM = QuadraticProgram(**DATA)
+REFUSED: dict[str, Any] = {
+    "the result of a program": lambda: solve(PROGRAM),
+    "the result of a fit": lambda: solve(FIT),
+    "a program": lambda: PROGRAM,
+    "a batch of programs": lambda: solve_batch([PROGRAM, PROGRAM]),
+    "a batch of fits": lambda: solve_batch(FIT, np.ones((3, 2))),
+    "a list of results": lambda: [solve(PROGRAM)],
+    "a mixed batch": lambda: solve_batch([PROGRAM, LCP([[1.0]], [1.0])]),
+}
+
+
+@pytest.mark.few(7)
+@pytest.mark.parametrize("name", REFUSED)
+def test_the_advice_for_a_program_works_as_it_is_written(name: str) -> None:
+    """The call in the message, executed, is the derivative of the program: dx = (½, −½) for c + (−1, 1) on the line."""
+    with pytest.raises(InvalidOption, match=r"LCP\.from_qp") as refused:
+        derivative(REFUSED[name]())
+    words = str(refused.value)
+    advice = re.search(r"derivative\(solve\(LCP\.from_qp\(.*?\)\)\)", words)
+    assert advice is not None
+    call = advice[0].replace("lower=…", "lower=lower").replace("upper=…", "upper=upper")
+    found = eval(call, {"derivative": derivative, "solve": solve, "LCP": LCP, **DATA})
+    np.testing.assert_allclose(found.z[:2], [0.5, 1.5], atol=1e-8)
+    dq = np.zeros(found.z.size)
+    dq[:2] = [-1.0, 1.0]
+    np.testing.assert_allclose(found.jvp(dq=dq)[:2], [0.5, -0.5], atol=1e-8)
+    assert "P = AᵀA and c = −Aᵀb" in words
+    fitted = derivative(solve(LCP.from_qp(np.eye(2), [-1.0, -2.0], lower=0, upper=[np.inf, 1.5])))
+    np.testing.assert_allclose(fitted.z[:2], solve(FIT).x, atol=1e-8)
+
+
+def test_the_advice_for_a_batch_of_other_classes_works_as_it_is_written() -> None:
+    """Of LCPs of two sizes, contacts and nonlinear problems each answer has a derivative."""
+    contact = FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5)
+    curved = NonlinearProblem(lambda x: x - 1, lower=[0.0, 0.0])
+    small = [LCP([[1.0]], [-1.0]), LCP(np.eye(2), [-1.0, 1.0])]
+    for problems in (small, [contact] * 2, [curved] * 2):
+        batch = solve_batch(problems)
+        with pytest.raises(
+            InvalidOption, match=r"write \[derivative\((\w+)\) for \1 in \w+\]"
+        ) as e:
+            derivative(batch)
+        assert "from_qp" not in str(e.value)
+        call = re.search(r"\[derivative.*\]", str(e.value))
+        assert call is not None
+        assert len(eval(call[0], {"derivative": derivative, "batch": batch, "results": batch})) == 2

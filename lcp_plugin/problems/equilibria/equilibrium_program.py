@@ -368,6 +368,7 @@ class EquilibriumProgram:
         """Return the violation of each row at x relative to its terms d_i and c_ij x_j."""
         rows = self.program.constraints
         own, missed = largest_in_rows(sp.csr_array(rows.matrix.multiply(np.abs(x)))), rows.excess(x)
+        own = np.where(np.diff(rows.matrix.indptr) > 0, own, rows.own_sizes)
         terms = np.maximum(np.nan_to_num(np.abs(rows.limit), posinf=0.0), own)
         return np.where(missed > 0.0, missed / np.where(terms > 0.0, terms, 1.0), 0.0)
 

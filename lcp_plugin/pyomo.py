@@ -231,7 +231,7 @@ def _results_of(answer: PyomoAnswer) -> Any:
     word = "other" if is_violated else STATUS_ELSEWHERE[found.status][2]
     condition = TerminationCondition(word)
     results.solver.name, results.solver.message = NAME, found.message
-    if hasattr(type(found.result.proof), "conflict"):
+    if found.result.has_conflict:
         results.solver.message += (
             "; print(solver.result.conflict) lists the constraints that conflict"
         )

@@ -4,24 +4,33 @@ A Farkas vector y of rows w = M x + q ≥ 0, Mᵀy = 0 and qᵀy < 0, proves tha
 is the only solution of M_Sᵀy = 0, up to its scale: then any proper subset of the rows is independent, so a point
 satisfies them with equality. A vertex of Mᵀy = 0, qᵀy = −1, y ≥ 0 is such a y. A linear program gives its members, and
 rational numbers its entries. The rank of M_S modulo a prime is at most its rank: if it is |S| − 1, no other solution
-exists.
+exists. A deletion filter then drops each member without which the others still conflict. The first linear program
+seeks few members: the least combination of rows that gives minus the heaviest row of the proof.
+
+Rows that were computed in double precision conflict only to rounding: Mᵀy is then at rounding level of its terms, and
+the proof covers all x within a radius, as for INFEASIBLE. Few such members are preferred to many exact ones.
 
 References
 ----------
 J. Gleeson, J. Ryan, *Identifying minimally infeasible subsystems of inequalities*, ORSA J. Computing 2 (1990),
-doi:10.1287/ijoc.2.1.61.
+doi:10.1287/ijoc.2.1.61. J. W. Chinneck, *Feasibility and Infeasibility in Optimization*, Springer 2008,
+doi:10.1007/978-0-387-74932-7, §6.2 (deletion filter).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import cached_property
+from itertools import chain
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.deadline import is_over, time_limit
 from ..core.names import listed
+from ..core.representation import describe_radius
 from .exact import (
     ZERO,
     Fractions,
@@ -31,11 +40,21 @@ from .exact import (
     rational_rows,
     solved_nearby,
 )
-from .farkas import FarkasCertificate, FarkasProgram, LinearConstraints
+from .farkas import (
+    LP_TOLERANCE,
+    WIDE,
+    FarkasCertificate,
+    FarkasProgram,
+    LinearConstraints,
+    distinct_units,
+)
+
+Multipliers = Mapping[int, Fraction]
 
 MOST_NAMED = 12  # members in the text
 MOST_ENTRIES = 4_000_000  # of the dense matrix whose rank is computed: some seconds
 MOST_IN_PROGRAM = 200_000  # entries of a matrix of which all rows are in the program: some seconds
+MOST_FILTERED = 30  # members that are each left out in turn: a linear program for each
 SECONDS = 60.0  # of a search without another limit
 
 
@@ -52,7 +71,8 @@ class Conflict:
     multipliers : mapping of int to Fraction
         Farkas multipliers of the members by row, positive for inequalities.
     is_irreducible : bool
-        True if it is proved that any proper subset of the members is satisfied by a point.
+        True if any proper subset of the members is satisfied by a point: as proved if `is_exact`, otherwise by the
+        singular values of the members' rows, which leave the point within the radius.
 
     Examples
     --------
@@ -68,7 +88,7 @@ class Conflict:
 
     rows: LinearConstraints = field(repr=False)
     name: Callable[[int], str] = field(repr=False)
-    multipliers: Mapping[int, Fraction]
+    multipliers: Multipliers
     is_irreducible: bool = False
 
     @property
@@ -81,11 +101,28 @@ class Conflict:
         """Names of the members, each once, in order."""
         return [*dict.fromkeys(map(self.name, self.members))]
 
+    @cached_property
+    def _certificate(self) -> FarkasCertificate:
+        return FarkasCertificate(self.rows, self.multipliers)
+
+    @property
+    def is_exact(self) -> bool:
+        """True if the members conflict for all x, not only up to `radius`."""
+        return self._certificate.holds
+
+    @property
+    def radius(self) -> float:
+        """Bound of ‖x‖∞ up to which the members are proved to conflict."""
+        return self._certificate.radius
+
     def point(self, k: int) -> Fractions | None:
         """Return a point, exact, that satisfies all members but ``members[k]``; None if it takes too long.
 
-        The other members hold with equality there, and ``members[k]`` is violated by as little as possible.
+        The other members hold with equality there, and ``members[k]`` is violated by as little as possible. None also
+        if the conflict is not exact.
         """
+        if not self.is_exact:
+            return None
         members, n = self.members, self.rows.matrix.shape[1]
         right = [-Fraction(float(self.rows.q[i])) for i in members]
         size = sum((self.multipliers[i] * d for i, d in zip(members, right, strict=True)), ZERO)
@@ -96,9 +133,9 @@ class Conflict:
 
     def verify(self) -> bool:
         """Return whether the multipliers and the points prove that the members conflict irreducibly; exact."""
-        members, q = self.members, [Fraction(float(self.rows.q[i])) for i in self.members]
-        if not FarkasCertificate(self.rows, self.multipliers).holds:
+        if not self.is_exact:
             return False
+        members, q = self.members, [Fraction(float(self.rows.q[i])) for i in self.members]
         rows = rational_rows(self.rows.matrix[members])
         for k in range(len(members)):
             if (x := self.point(k)) is None:
@@ -115,59 +152,99 @@ class Conflict:
         least = "without any one of them a point exists"
         if not self.is_irreducible:
             least = "it is not proved that all of them are needed"
-        together = f"these {count} of {others} constraints cannot hold together; {least}"
+        points = describe_radius(self.radius, "x")
+        checked = f", checked for {points}" if points else ""
+        together = f"these {count} of {others} constraints cannot hold together{checked}; {least}"
         return f"{together}: {listed(self.names, MOST_NAMED, ' · ')}"
 
 
 def find_conflict(
     rows: LinearConstraints,
     name: Callable[[int], str],
-    multipliers: Mapping[int, Fraction],
+    multipliers: Multipliers,
     max_seconds: float = SECONDS,
 ) -> Conflict:
-    """Return an irreducible set of constraints that conflict.
+    """Return a set of constraints that conflict, irreducible if the search ends.
 
     Parameters
     ----------
     rows, name, multipliers
-        As in :class:`Conflict`. Without an exact proof, all of them are returned, not proved irreducible.
+        As in :class:`Conflict`.
     max_seconds : float
-        Limit of the search; at the limit the smallest set found so far is returned, not proved irreducible.
+        Limit of the search; at the limit the smallest set found so far is returned.
     """
-    y: Mapping[int, Fraction] = {i: value for i, value in multipliers.items() if value}
-    if not FarkasCertificate(rows, y).holds:
-        return Conflict(rows, name, y)
+    y: Multipliers = {i: value for i, value in multipliers.items() if value}
     with time_limit(max_seconds):
-        is_irreducible = _is_irreducible(rows, y)
-        vertex = y if is_irreducible or is_over() else _at_vertex(rows, y)
-        if len(vertex) < len(y) and FarkasCertificate(rows, vertex).holds:
-            y, is_irreducible = vertex, _is_irreducible(rows, vertex)
-    return Conflict(rows, name, y, is_irreducible)
+        every, own = np.arange(rows.q.size), np.array(sorted(y))
+        chosen = every if rows.matrix.nnz <= MOST_IN_PROGRAM else own
+        few = _part(rows, chosen)
+        place = {int(i): k for k, i in enumerate(chosen)}
+        sparse = _sparse_program(few, {place[i]: value for i, value in y.items()})
+        y = _smaller(rows, y, chosen, chain([sparse], _programs(few)))
+        for member in sorted(y) if len(y) <= MOST_FILTERED else ():
+            others = np.array([i for i in sorted(y) if i != member])
+            if member in y and others.size:
+                y = _smaller(rows, y, others, _programs(_part(rows, others)))
+        return Conflict(rows, name, y, _is_irreducible(rows, y))
 
 
-def _at_vertex(rows: LinearConstraints, y: Mapping[int, Fraction]) -> Mapping[int, Fraction]:
-    """Return the multipliers of a vertex of all Farkas vectors, whose members are irreducible; y if none is found.
+def _part(rows: LinearConstraints, chosen: NDArray[np.intp]) -> LinearConstraints:
+    """Return the chosen rows."""
+    names = ("matrix", "q", "needs_rise", "needs_fall", "weights")
+    return replace(rows, **{name: getattr(rows, name)[chosen] for name in names})
 
-    The rows of y alone are asked if the matrix is large.
+
+def _programs(rows: LinearConstraints) -> Iterator[FarkasProgram]:
+    """Yield linear programs whose solutions are Farkas vectors of the rows, in units of their sides."""
+    yield from (FarkasProgram(rows, unit) for unit in distinct_units(FarkasProgram(rows).sizes))
+
+
+def _sparse_program(rows: LinearConstraints, y: Multipliers) -> FarkasProgram:
+    """Return the linear program of the combination with least Σ|y_i| Σ_j |m_ij| that gives minus the heaviest row of y.
+
+    Its solution has few rows. The combination of the largest margin mostly has as many rows as there are unknowns.
     """
-    chosen = np.arange(rows.q.size) if rows.matrix.nnz <= MOST_IN_PROGRAM else np.array(sorted(y))
-    parts = {
-        name: getattr(rows, name)[chosen]
-        for name in ("matrix", "q", "needs_rise", "needs_fall", "weights")
-    }
-    program = FarkasProgram(replace(rows, **parts))
-    answer = program.solve()
-    for found in () if answer is None else program.candidates(program.vector(answer.x)):
-        exact = {int(chosen[i]): Fraction(value) for i, value in enumerate(found) if value}
-        if FarkasCertificate(rows, exact).holds:
-            return exact
-    return y
+    sizes = abs(rows.matrix) @ np.ones(rows.matrix.shape[1])
+    heaviest = max(y, key=lambda i: abs(y[i]) * Fraction(float(sizes[i])))
+    sought = np.zeros(sizes.size)
+    sought[heaviest] = -1.0 if y[heaviest] > 0 else 1.0
+    return FarkasProgram(replace(rows, q=sought, weights=np.where(sizes > 0.0, sizes, 1.0)))
 
 
-def _is_irreducible(rows: LinearConstraints, y: Mapping[int, Fraction]) -> bool:
-    """Return whether it is proved that the rows of y have only y as a dependence: by their rank modulo a prime."""
+def _smaller(
+    rows: LinearConstraints,
+    y: Multipliers,
+    chosen: NDArray[np.intp],
+    programs: Iterable[FarkasProgram],
+) -> Multipliers:
+    """Return the first multipliers of the chosen rows, by the programs, that are fewer than y, or as few and exact."""
+    best, given = y, FarkasCertificate(rows, y)
+    least = (len(y) if given.holds_near else rows.q.size + 1, not given.holds)
+    for program in programs:
+        if (answer := None if is_over() else program.solve()) is None:
+            break
+        vector = program.vector(answer.x)
+        is_nonzero = np.abs(vector) > LP_TOLERANCE * np.abs(vector).max(initial=0.0)
+        shorter = np.where(is_nonzero, vector, 0.0)
+        for found in chain(program.candidates(vector), program.candidates(shorter)):
+            other = {int(chosen[i]): Fraction(value) for i, value in enumerate(found) if value}
+            proof = FarkasCertificate(rows, other)
+            if (size := (len(other), not proof.holds)) < least and proof.holds_near:
+                best, least = other, size
+        if best is not y:
+            break
+    return best
+
+
+def _is_irreducible(rows: LinearConstraints, y: Multipliers) -> bool:
+    """Return whether the rows of y have only y as a dependence, by their rank modulo a prime or to rounding."""
+    proof = FarkasCertificate(rows, y)
     own = rational_rows(rows.matrix[sorted(y)])
     place = {j: k for k, j in enumerate(sorted({j for row in own for j in row}))}
-    if is_over() or len(own) * len(place) > MOST_ENTRIES:
+    if not proof.holds_near or is_over() or len(own) * len(place) > MOST_ENTRIES:
         return False
-    return len(rank_profile(integer_rows(own, place)[0])[0]) == len(own) - 1
+    if proof.holds:
+        return len(rank_profile(integer_rows(own, place)[0])[0]) == len(own) - 1
+    matrix = rows.matrix[sorted(y)][:, list(place)].toarray()
+    values = np.linalg.svd(matrix / np.abs(matrix).max(1, keepdims=True), compute_uv=False)
+    return int((values * WIDE > values[0]).sum()) == len(own) - 1

@@ -201,6 +201,13 @@ class FarkasCertificate:
         y = np.array([float(abs(value) / largest) for value in self.y.values()])
         return largest, y, abs(self.sides.matrix[list(self.y)]).T @ y
 
+    @property
+    def holds_near(self) -> bool:
+        """True if it is a proof for all x, or within a radius that is wide and leaves sums at rounding level."""
+        return (
+            self.has_signs and self.size > 0 and self.is_rounding() and self.is_wide_beside_terms()
+        )
+
     def is_wide_beside_terms(self, known: Mapping[int, float] | None = None) -> bool:
         """Return whether x of 10⁸ times the size that it has itself leaves half the contradiction.
 
@@ -478,11 +485,8 @@ def best_proof(
     units : sequence of float
         Units of offsets and bounds: the linear program cannot distinguish 1e-6 of a unit from 0, and truncates 1e5.
     """
-    found, tried = list[Any](), list[float]()
-    for unit in units:
-        if any(LEAST * one <= unit <= MOST * one for one in tried):
-            continue
-        tried.append(unit)
+    found = list[Any]()
+    for unit in distinct_units(units):
         farkas = FarkasProgram(stated(unit), unit, pivots)
         answer = farkas.solve()
         # The linear program cannot distinguish less from 0
@@ -498,6 +502,15 @@ def best_proof(
         if is_over():
             break
     return max(found, key=lambda proof: proof.margin, default=None)
+
+
+def distinct_units(units: Sequence[float]) -> Iterator[float]:
+    """Yield the units that a linear program in one of those before cannot replace."""
+    tried = list[float]()
+    for unit in units:
+        if not any(LEAST * one <= unit <= MOST * one for one in tried):
+            tried.append(unit)
+            yield unit
 
 
 def linear_program(

@@ -317,17 +317,10 @@ class Infeasibility(NoSolutionProof):
     def verify(self) -> bool:
         """Return whether y is a proof for the z within the radius, in exact arithmetic."""
         found, matrix = self._found, self.problem.matrix
-        if found.holds:
-            return True
-        return (
-            found.has_signs
-            and found.size > 0
-            and found.is_rounding()
-            and found.is_wide_beside_terms()
-            and (
-                not is_nearly_symmetric(matrix)
-                or is_minimizer_beyond_radius(matrix.array, self.problem.q, self.y, found.left)
-            )
+        return found.holds_near and (
+            found.holds
+            or not is_nearly_symmetric(matrix)
+            or is_minimizer_beyond_radius(matrix.array, self.problem.q, self.y, found.left)
         )
 
     @cached_property
@@ -348,7 +341,10 @@ class Infeasibility(NoSolutionProof):
             (nothing, nothing),
         )
         y = {i: value * int(signs[i]) for i, value in self._used.items()}
-        y |= {n + j + (value > 0) * n: abs(value) for j, value in self._found.product.items()}
+        bounded = {
+            j: value for j, value in self._found.product.items() if j not in self._found.left
+        }
+        y |= {n + j + (value > 0) * n: abs(value) for j, value in bounded.items()}
         return find_conflict(rows, self._name_of_condition, y)
 
     def _name_of_condition(self, k: int) -> str:

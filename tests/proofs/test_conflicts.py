@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -34,14 +35,14 @@ def planted(seed: int, rows: int, unknowns: int) -> tuple[QuadraticProgram, int]
     return QuadraticProgram(None, np.zeros(unknowns), G, h, E, E @ point, *bounds), count
 
 
-def is_feasible(program: QuadraticProgram, members: list[int]) -> bool:
-    """Return whether HiGHS finds a point of some rows of ``program.constraints``."""
+def is_feasible(program: QuadraticProgram, members: list[int], most: float = 1e6) -> bool:
+    """Return whether HiGHS finds a point up to some size of some rows of ``program.constraints``."""
     rows = program.constraints
     C, d = rows.matrix[members], rows.limit[members]
     equal = rows.is_equality[members]
     parts = {"A_ub": C[~equal], "b_ub": d[~equal], "A_eq": C[equal], "b_eq": d[equal]}
     kept = {name: part for name, part in parts.items() if part.shape[0]}
-    return linprog(np.zeros(program.n), bounds=(None, None), method="highs", **kept).status == 0
+    return linprog(np.zeros(program.n), bounds=(-most, most), method="highs", **kept).status == 0
 
 
 def assert_irreducible(program: QuadraticProgram, conflict: Any) -> None:
@@ -60,6 +61,75 @@ def test_a_planted_conflict_is_found(seed: int) -> None:
     conflict = solve(program).conflict
     assert_irreducible(program, conflict)
     assert len(conflict.members) <= max(count, program.n + 1)
+
+
+def planted_in_floats(seed: int, rows: int) -> tuple[QuadraticProgram, list[int]]:
+    """Return rows that hold with slack at a point, to which 2 to 6 dense conflicting rows of doubles are added."""
+    rng, n = np.random.default_rng(seed), 30
+    count = int(rng.integers(2, 7))
+    G, point = rng.standard_normal((rows, n)), rng.standard_normal(n)
+    h = G @ point + rng.uniform(size=rows)
+    C, y = rng.standard_normal((count, n)), rng.uniform(size=count) + 0.2
+    C[-1] = -(y[:-1] @ C[:-1]) / y[-1]
+    d = C @ point + 1.0
+    d[-1] = (-0.5 - y[:-1] @ d[:-1]) / y[-1]
+    order = rng.permutation(rows + count)
+    program = QuadraticProgram(
+        np.eye(n), np.zeros(n), np.vstack([G, C])[order], np.append(h, d)[order]
+    )
+    return program, np.flatnonzero(order >= rows).tolist()
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("rows", [50, 200, 800, 1600])
+def test_dense_conflicts_made_in_floats_are_found_to_rounding(rows: int) -> None:
+    """The planted rows are named, not 31 rows that conflict exactly; HiGHS finds a point without each of them."""
+    program, own = planted_in_floats(4, rows)
+    conflict = solve(program).conflict
+    assert conflict.members == own
+    assert (conflict.is_exact, conflict.is_irreducible, conflict.verify()) == (False, True, False)
+    assert not is_feasible(program, own)
+    assert all(is_feasible(program, [i for i in own if i != k]) for k in own)
+
+
+def test_a_conflict_within_a_radius_says_so() -> None:
+    """A singular M in decimals contradicts its loads up to rounding: no infinite bound is named, no point is exact."""
+    v = np.array([1.0, 0.1, 0.3])
+    conflict = solve(LCP(np.outer(v, v), [1.0, 0.0, 0.0], lower=-np.inf)).conflict
+    assert all(name.startswith("w = 0 in row") for name in conflict.names)
+    assert "checked for all x up to" in str(conflict)
+    assert (conflict.verify(), conflict.point(0), conflict.is_exact) == (False, None, False)
+    assert 1e8 < conflict.radius < np.inf
+
+
+def test_an_idle_bound_is_no_member() -> None:
+    """The rows 3 x ≤ −2 and −x ≤ −3 conflict, whatever the bounds −1 ≤ x ≤ 2^58 are."""
+    program = QuadraticProgram(None, [0.0], [[3.0], [-1.0]], [-2.0, -3.0], lower=-1, upper=2.0**58)
+    conflict = solve(program).conflict
+    assert conflict.names == ["row 0 of G", "row 1 of G"]
+    assert_irreducible(program, conflict)
+    rows, y = program.constraints.as_rows, {0: Fraction(2), 1: Fraction(7), 3: Fraction(1)}
+    assert find_conflict(rows, program.name, y).members == [0, 1]
+
+
+def test_random_conflicts_have_no_idle_member(draws: Callable[[int], range]) -> None:
+    """Without any one member of a set, of integers, decimals or any doubles, HiGHS finds a point below 1e7."""
+    for seed in draws(200):
+        rng = np.random.default_rng(seed)
+        n, m = int(rng.integers(1, 6)), int(rng.integers(4, 12))
+        G = rng.integers(-6, 7, (m, n)) * (rng.random((m, n)) < 0.7)
+        unit = (1.0, 10.0, rng.uniform(0.5, 2.0, n))[seed % 3]
+        upper = np.where(rng.random(n) < 0.3, 2.0 ** int(rng.integers(0, 60)), np.inf)
+        lower = np.where(rng.random(n) < 0.5, 0.0, -np.inf)
+        h = rng.integers(-6, 4, m) / 10.0
+        program = QuadraticProgram(None, np.zeros(n), G / unit, h, lower=lower, upper=upper)
+        if (conflict := solve(program).conflict) is None:
+            continue
+        members = conflict.members
+        assert conflict.is_irreducible
+        assert conflict.verify() == conflict.is_exact
+        assert not is_feasible(program, members, 1e7)
+        assert all(is_feasible(program, [i for i in members if i != k], 1e7) for k in members)
 
 
 PUBLISHED = {  # G x ≤ h, bounds of x, the rows of the published set, and its bounds
@@ -96,7 +166,8 @@ def test_dependent_equalities_are_reduced() -> None:
     conflict = find_conflict(rows, program.name, y)
     assert len(conflict.members) == 2
     assert_irreducible(program, conflict)
-    assert not find_conflict(rows, program.name, y, max_seconds=0.0).is_irreducible
+    limited = find_conflict(rows, program.name, y, max_seconds=-1.0)
+    assert (limited.members, limited.is_irreducible) == ([0, 1, 2], False)
 
 
 def test_a_large_program_takes_a_second() -> None:

@@ -12,8 +12,10 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from lcp_plugin import LCP, QuadraticProgram, Status, gallery, solve
+from lcp_plugin import LCP, EquilibriumProgram, QuadraticProgram, Status, certify, gallery, solve
+from lcp_plugin.core import deadline
 from lcp_plugin.core.deadline import OutOfTimeError, enforced_seconds_left, is_over, time_limit
+from lcp_plugin.problems.programs import program as program_module
 from lcp_plugin.systems import factors
 from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 
@@ -115,3 +117,69 @@ def test_a_nested_time_limit_does_not_extend_the_outer_one() -> None:
         with time_limit(0.0):
             assert is_over()
         assert not is_over()
+
+
+def _unbounded() -> QuadraticProgram:
+    """Return min cᵀx over G x ≤ 1 with 8 rows and 12 free unknowns, whose descents take several linear programs."""
+    rows = np.random.default_rng(1).standard_normal((8, 12))
+    return QuadraticProgram(None, np.random.default_rng(1000).standard_normal(12), rows, np.ones(8))
+
+
+def _infeasible() -> QuadraticProgram:
+    """Return x in 30 boxes with two rows that cannot both hold."""
+    row = np.random.default_rng(2).standard_normal(30)
+    return QuadraticProgram(None, np.ones(30), [row, -0.1 * row], [1.0, -0.2], lower=-5.0, upper=5)
+
+
+def _singular() -> LCP:
+    """Return M = J Jᵀ with more rows than columns and loads out of its range: infeasible within a radius."""
+    J = np.random.default_rng(3).standard_normal((6, 3))
+    return LCP(J @ J.T, np.arange(6.0), lower=-np.inf)
+
+
+def _best() -> EquilibriumProgram:
+    """Return an equilibrium program with three pieces that are unbounded below."""
+    program = QuadraticProgram(None, [0, 0, 1.0], A=[[1, -1, 0]], b=[1], lower=-np.inf)
+    return EquilibriumProgram(program, [0], [1], 0.0, np.inf)
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("state", [_unbounded, _infeasible, _singular, _best])
+def test_a_limited_call_changes_no_later_one(
+    state: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever question to the clock is the first after the limit, the next call has the status of a new problem."""
+    expected, real, asked, last = solve(state()), deadline._now, 0, 0
+
+    def stop_after_last() -> float:
+        nonlocal asked
+        asked += 1
+        return real() + (1e6 if asked > last else 0.0)
+
+    def solve_within_limit(problem: Any, questions: int) -> None:
+        nonlocal asked, last
+        asked, last = 0, questions
+        with monkeypatch.context() as patch:
+            patch.setattr(deadline, "_now", stop_after_last)
+            solve(problem, max_seconds=1e5)
+
+    solve_within_limit(state(), 10**9)
+    for questions in range(2, asked, max(asked // 7, 1)):
+        problem = state()
+        solve_within_limit(problem, questions)
+        again = solve(problem)
+        assert (again.status, again.proof.verify()) == (expected.status, True)
+
+
+def test_a_fact_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A proof that a run finishes, with or without a limit, is not searched for again."""
+    found = []
+    search = program_module.proof_of_no_minimum
+    monkeypatch.setattr(
+        program_module, "proof_of_no_minimum", lambda one: found.append(one) or search(one)
+    )
+    problem = _unbounded()
+    for options in ({}, {"max_seconds": 60.0}, {}):
+        assert solve(problem, **options).status is Status.UNBOUNDED
+    assert certify(problem, claim="unbounded").verdict == "proved"
+    assert len(found) == 1

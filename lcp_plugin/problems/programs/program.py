@@ -323,15 +323,16 @@ class ProgramFacts:
 
     @property
     def proof_of_no_minimum(self) -> NoMinimum | None:
-        """A proof that the convex program is infeasible or unbounded; searched for once, None if none was found.
+        """A proof that the convex program is infeasible or unbounded; None if none was found.
 
-        The proof holds for the stored data in double precision, by any margin. `margin` is the size of this margin, and
-        `accepted_proof` decides whether the proof counts.
+        It is searched for once, unless a time limit cuts the search short. It holds for the stored data in double
+        precision, by any margin. `margin` is the size of this margin, and `accepted_proof` decides whether the proof
+        counts.
         """
         if "_proof" not in self.__dict__:
             found = proof_of_no_minimum(self.program)
-            if found is None and is_over():
-                return None  # a time limit has cut it short
+            if is_over():  # a time limit has cut the search short
+                return found
             self.__dict__["_proof"] = found
         return self.__dict__["_proof"]
 

@@ -28,7 +28,7 @@ from ...core.settings import Status
 from ...proofs.exact import Row, like, rational_rows
 from ...proofs.farkas import LinearConstraints
 from ...systems.definiteness import factorised, is_semidefinite_to_rounding, scaled_to
-from .criterion import BLUR, ProgramComponents
+from .criterion import BLUR, NOISE, ROWS, ProgramComponents
 
 if TYPE_CHECKING:
     from .no_minimum import NoMinimum
@@ -394,9 +394,6 @@ def sums_and_terms(rows: sp.csr_array, y: Vector) -> tuple[Any, Any]:
     return sums, sizes
 
 
-NOISE = 1e-5  # of the coefficients of a row: 1e-14 of this on the right counts as a rounded 0
-
-
 @dataclass(frozen=True, eq=False)
 class Constraints:
     """Rows C x ≤ d, including equalities: G x ≤ h, A x = b, −x ≤ −lower, x ≤ upper; d_i = ∞ means no constraint.
@@ -443,13 +440,16 @@ class Constraints:
 
     @cached_property
     def own_sizes(self) -> Vector:
-        """Size of each row: |right-hand side|, or 1e-5 of its smallest coefficient if larger; 1 without coefficients.
+        """Size of each row: |right-hand side|, or 1e-5 of its smallest coefficient if larger.
 
-        An inconsistency at rounding level, relative to all unscaled coefficients, is attributed to rounded data.
+        The largest right-hand side takes the place of coefficients in a row that has none. An inconsistency at rounding
+        level, relative to all unscaled coefficients, is attributed to rounded data.
         """
-        right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
+        limits = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
         inverse = largest_in_rows(self.matrix, 1.0 / np.abs(self.matrix.data))
-        return np.maximum(right, NOISE / np.where(inverse > 0.0, inverse, NOISE))
+        has_entry, largest = inverse > 0.0, float(limits[: self.rows].max(initial=0.0))
+        smallest = np.divide(1.0, inverse, where=has_entry, out=np.full(inverse.size, largest))
+        return np.maximum(limits, NOISE * smallest)
 
     @cached_property
     def unit(self) -> Vector:
@@ -561,8 +561,8 @@ OWN = -1  # the variable's own bound, not a row's
 class FoldedRows:
     """The program's bounds and rows with singleton, empty and unlimited rows gone.
 
-    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. An infeasible row – 0 ≤ −1, or
-    singleton rows with inconsistent bounds – remains a row, so that the solver detects that the program is infeasible.
+    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 to rounding and g x ≤ ∞ are dropped. An infeasible row,
+    0 ≤ −1 or singleton rows with inconsistent bounds, remains a row, so that the solver detects the inconsistency.
 
     Attributes
     ----------
@@ -616,8 +616,9 @@ class FoldedRows:
         upper = np.where(contradicts, program.upper, upper)
         lower_row[contradicts] = upper_row[contradicts] = OWN
 
-        is_empty = matrices.counts == 0
-        stays = ~(np.where(is_equality, right == 0.0, right >= 0.0) & is_empty | (right == np.inf))
+        rounding = ROWS * NOISE * float(np.abs(right[right < np.inf]).max(initial=0.0))
+        holds = np.where(is_equality, np.abs(right) <= rounding, right >= -rounding)
+        stays = ~(holds & (matrices.counts == 0) | (right == np.inf))
         stays[rows[~contradicts[columns]]] = False
         left = np.flatnonzero(stays)
         folded = program

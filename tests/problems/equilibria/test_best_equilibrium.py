@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import cvxpy as cp
@@ -105,6 +105,81 @@ def test_verify_sees_a_variable_beyond_the_bounds_of_its_pair() -> None:
     result = minimize_over_solutions(EquilibriumProgram(program, [1], [2], 0, np.inf))
     assert (result.status, result.value, result.verify()) == (Status.SOLVED, 1.0, True)
     assert not replace(result, x=np.array([1.0, -7.0, 0.0])).verify()
+
+
+ENDS = {  # bounds of x beside 0 ≤ x ⟂ x − 1 ≥ 0, cost of x, lower bound of y, whose cost is 1
+    Status.SOLVED: (-np.inf, 2.0, 1.0, 0.0),
+    Status.INFEASIBLE: (-np.inf, 0.5, 1.0, 0.0),
+    Status.NO_SOLUTION: (1.5, 2.0, 1.0, 0.0),
+    Status.UNBOUNDED: (-np.inf, 2.0, 0.0, -np.inf),
+}
+
+
+def ending(status: Status, height: float = 1.0) -> EquilibriumProgram:
+    """Return a program of x, w = x − height and y that ends with the status."""
+    lower, upper, cost, least = ENDS[status]
+    A, ends = [[1.0, -1.0, 0.0]], ([lower, -np.inf, least], [upper, np.inf, np.inf])
+    program = QuadraticProgram(
+        None, [cost, 0.0, 1.0], A=A, b=[height], lower=ends[0], upper=ends[1]
+    )
+    return EquilibriumProgram(program, [0], [1], 0.0, np.inf)
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("status", list(ENDS))
+def test_the_conflict_is_the_one_of_the_linear_constraints(status: Status) -> None:
+    """Only a program whose linear constraints are inconsistent has a conflict, which is exact."""
+    result = solve(ending(status))
+    assert (result.status, result.verify()) == (status, True)
+    assert result.has_conflict == (result.conflict is not None) == (status is Status.INFEASIBLE)
+    assert result.conflict is None or result.conflict.verify()
+
+
+NO_CLAIM = {
+    "programs",
+    "outside",
+    "algorithm",
+    "iterations",
+    "seconds",
+    "history",
+    "stages",
+    "begun",
+}
+
+
+TRUE_ALSO = {  # fields whose replaced values leave a true statement
+    Status.SOLVED: {"descent"},
+    Status.INFEASIBLE: {"descent", "tolerance", "status"},
+    Status.NO_SOLUTION: {"descent", "tolerance"},
+    Status.UNBOUNDED: {"tree", "tolerance"},
+}
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("status", list(ENDS))
+def test_verify_rejects_each_replaced_field(status: Status) -> None:
+    """A problem, point, value, bound, tree or status that is replaced by a wrong one is not verified."""
+    result = solve(ending(status))
+    wrong: dict[str, list[Any]] = {
+        "problem": [ending(Status.SOLVED if status is not Status.SOLVED else Status.INFEASIBLE)],
+        "x": [None, np.full(3, 0.3), np.full(3, np.nan)],
+        "value": [-1e9, 1e9, np.nan],
+        "lower_bound": [-1e9, 1e9, np.nan],
+        "bound_by": ["SCIP"],
+        "tree": [()],
+        "descent": [None],
+        "status": [*ENDS],
+        "tolerance": [-1.0, np.nan],
+    }
+    assert {one.name for one in fields(result)} - NO_CLAIM == set(wrong)
+    passed = [
+        (name, value)
+        for name, values in wrong.items()
+        for value in values
+        if value is not getattr(result, name) and replace(result, **{name: value}).verify()
+    ]
+    assert {name for name, _ in passed} <= TRUE_ALSO[status]
+    assert [value for name, value in passed if name == "status"] in ([], [Status.NO_SOLUTION])
 
 
 def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(

@@ -140,6 +140,28 @@ def test_multipliers_of_redundant_balances_are_left_out(rows: int) -> None:
     assert problem.status == cp.OPTIMAL
 
 
+@pytest.mark.few(3)
+@pytest.mark.parametrize("coefficient", [33554393.0, 33554393 / 2**20, 2.0 * 33554393])
+def test_an_unknown_whose_column_only_a_prime_divides_is_kept(coefficient: float) -> None:
+    """The free f makes x = −2, t = 0 feasible, although its column is 0 modulo the prime of the rank."""
+    x, t, z, f = cp.Variable(integer=True), cp.Variable(), cp.Variable(), cp.Variable()
+    box = [x >= -3, x <= 3, t >= 0, t <= 1, complements(z >= 0, 1 - z >= 0)]
+    objective = cp.Minimize(cp.square(x + 2))
+    problem = cp.Problem(objective, [*box, x - t + coefficient * f == 0])
+    assert problem.solve(method="LCP") == pytest.approx(0.0, abs=1e-6)
+    assert x.value == pytest.approx(-2.0)
+
+
+def test_only_exact_sums_of_other_columns_are_redundant() -> None:
+    """Of the columns a, b, a + 2 b, a + p b + e and e, p the prime of the rank, one is a sum of others."""
+    a, b = np.array([1.0, 2.0, 0.0]), np.array([0.0, 1.0, 3.0])
+    far = np.array([0.0, 0.0, 33554393.0])
+    for columns, count in (([a, b, a + 2 * b], 1), ([a, b, far], 0), ([a, b, a + b + far], 0)):
+        program = QuadraticProgram(None, np.zeros(3), A=np.column_stack(columns), b=np.zeros(3))
+        problem = EquilibriumProgram(program, [], [])
+        assert problem.redundant_unknowns().size == count
+
+
 def test_prints_of_an_engine_do_not_reach_the_terminal(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lcp_plugin import QuadraticProgram, Status, UnsupportedModel, certify, solve
+from lcp_plugin import (
+    EquilibriumProgram,
+    QuadraticProgram,
+    Status,
+    UnsupportedModel,
+    certify,
+    solve,
+)
 
 INF = np.inf
 N = 401  # nodes of a graph
@@ -157,3 +165,28 @@ def test_the_status_does_not_depend_on_an_earlier_call() -> None:
     second = [solve(other, prove_infeasibility=sought).status for sought in (True, False, True)]
     assert first == [Status.STALLED, Status.PRECISION_LIMIT, Status.STALLED]
     assert second == [Status.PRECISION_LIMIT, Status.STALLED, Status.PRECISION_LIMIT]
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("unit", [2.0**-60, 1e-10, 1.0, 1e9])
+@pytest.mark.parametrize("door", ["equality", "inequality", "cvxpy", "pairs"])
+def test_a_row_without_coefficients_is_judged_by_its_own_side(door: str, unit: float) -> None:
+    """0 = 1 is infeasible in every unit, next to a row whose side is 1000 times smaller as well; 0 = 1e-16 is 0 = 0."""
+    for side, status in ((1.0, Status.INFEASIBLE), (1e-16, Status.SOLVED)):
+        rows, other = np.array([[0.0, 0.0], [1.0, 1.0]]), 1e-3 if side == 1.0 else 1.0
+        limits = unit * np.array([side, other])
+        sides: dict[str, Any] = {"A": rows, "b": limits}
+        if door == "inequality":
+            sides = {"G": -rows, "h": -limits}
+        program = QuadraticProgram(None, [1.0, 2.0], **sides, lower=0.0, upper=unit)
+        if door == "cvxpy":
+            x = cp.Variable(2, nonneg=True)
+            stated = [x[0] - x[0] == limits[0], cp.sum(x) == limits[1], x <= unit]
+            problem = cp.Problem(cp.Minimize(x[0] + 2.0 * x[1]), stated)
+            problem.solve(method="LCP")
+            result = problem.solver_stats.extra_stats
+        else:
+            result = solve(EquilibriumProgram(program, [], []) if door == "pairs" else program)
+        assert result.status is status
+        if door != "cvxpy" and status is Status.SOLVED:
+            assert certify(program, result.x).verdict != "disproved"

@@ -8,6 +8,7 @@ left are matched with the unknowns left: the diagonal that a splitting method di
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +21,10 @@ from numpy.typing import NDArray
 
 from ..api import solve
 from ..core.certificates.criterion import row_data
+from ..core.certificates.worst import WorstRow, outside_row
 from ..core.checks import BoolVector, Vector
 from ..core.errors import NotSquare, UnsupportedModel
+from ..core.kernels.floats import NEGLIGIBLE
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, largest_in_rows, row_numbers
 from ..core.names import Names
@@ -63,6 +66,12 @@ class Elimination:
     def expand(self, z: Vector) -> Vector:
         """Return all unknowns."""
         return z if self.expansion is None else self.expansion @ z + self.offset
+
+    def terms(self, z: Vector) -> Vector:
+        """Return the sum of the sizes of the terms of each unknown."""
+        if self.expansion is None:
+            return np.abs(z)
+        return np.asarray(abs(self.expansion) @ np.abs(z) + np.abs(self.offset))
 
     def expand_change(self, dz: Vector) -> Vector:
         """Return the change of all unknowns."""
@@ -426,13 +435,15 @@ class Statement:
 
     # --- a complementarity problem ---
 
-    def square(self, variable_of: Indices) -> SquareModel:
+    def square(self, variable_of: Indices, *, eliminates: bool = True) -> SquareModel:
         """Return the complementarity problem, with substituted definitions and matched equations.
 
         Parameters
         ----------
         variable_of : ndarray of int
             The variable of the language that each unknown is an entry of, by number.
+        eliminates : bool
+            False keeps all unknowns, so that a point of all of them is measured in the stated rows.
 
         Raises
         ------
@@ -468,7 +479,7 @@ class Statement:
         else:
             (M, q), (E, e) = (assembled(rows, self.first, n) for rows in (functions, equations))
             stored = M, E
-            if equations:
+            if equations and eliminates:
                 owner = np.repeat(np.arange(len(equations)), [one.size for one in equations])
                 elimination, (E, e), (M, q) = eliminate_definitions(
                     (E, e), (M, q), owner, ~self.is_paired, variable_of
@@ -583,10 +594,33 @@ class Statement:
             high[columns[(sign < 0.0) & (high[columns] >= -shift / weights)]] = np.inf
         return free[np.isfinite(low[free]) | np.isfinite(high[free])]
 
-    def is_outside(self, unknowns: Vector, columns: Indices) -> BoolVector:
+    def is_outside(
+        self, unknowns: Vector, columns: Indices, allowed: float = OUTSIDE
+    ) -> BoolVector:
         """Return True for each unknown of the columns that violates its bounds."""
         beyond = np.maximum(self.lower - unknowns, unknowns - self.upper)[columns]
-        return ~(beyond <= OUTSIDE * (1.0 + np.abs(unknowns[columns])))
+        return ~(beyond <= allowed * (1.0 + np.abs(unknowns[columns])))
+
+    def violated_beside(
+        self, unknowns: Vector, square: SquareModel, tolerance: float
+    ) -> list[WorstRow]:
+        """Return the violated conditions that are not rows of the problem: dropped bounds, and definitions."""
+        elimination, rows = square.elimination, []
+        outside = square.dropped[self.is_outside(unknowns, square.dropped, tolerance)]
+        for k in outside.tolist():
+            value, lower = float(unknowns[k]), float(self.lower[k])
+            bound = lower if value < lower else float(self.upper[k])
+            rows.append(outside_row(self.name_of(k), value, bound))
+        z = unknowns[elimination.kept]
+        defined, terms = elimination.expand(z), elimination.terms(z)
+        error, noise = np.abs(unknowns - defined), NEGLIGIBLE * terms.max(initial=0.0)
+        for k in np.flatnonzero(~(error <= tolerance * terms + noise)).tolist():
+            name, off, size = self.name_of(k), float(error[k]), float(terms[k])
+            text = f"{name} = {unknowns[k]:.6g}, and its equation gives {defined[k]:.6g}"
+            rows.append(
+                WorstRow(name, off / (size + noise) if size + noise else math.inf, off, size, text)
+            )
+        return sorted(rows, key=lambda row: -row.residual)
 
     # --- the best of all solutions ---
 

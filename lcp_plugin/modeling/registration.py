@@ -14,7 +14,7 @@ from cvxpy.error import SolverError
 from ..core.errors import InvalidProblem, ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..expressions.statement import MissingPair, solve_from
-from ..problems.programs.certification import Certification, certify
+from ..problems.programs.certification import Certification, certify_point, with_side_conditions
 from ._compat import CVXPY_STATUS, EQUATIONS, name_of, refusal, solver_errors
 from .agents import without_agents
 from .best_equilibrium import solve_for_the_best
@@ -174,7 +174,12 @@ def certify_model(problem: Any, tolerance: float) -> Certification:
     model = build_from(problem)
     if (z := model.present()) is None:
         raise InvalidProblem("a variable has no value; solve the problem, or set the values first")
-    return certify(model.problem, z[model.square.elimination.kept], tolerance=tolerance)
+    for k in np.flatnonzero(~np.isfinite(z))[:1].tolist():
+        name = model.statement.name_of(k)
+        raise InvalidProblem(f"the value of {name} must be finite, got {z[k]}; set another value")
+    square = model.squared(eliminates=bool(model.friction))  # friction has no other unknowns
+    found = certify_point(square.problem, z[square.elimination.kept], tolerance)
+    return with_side_conditions(found, model.statement.violated_beside(z, square, tolerance))
 
 
 def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:

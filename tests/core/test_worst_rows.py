@@ -424,3 +424,11 @@ def test_a_pyomo_model_without_values_or_conditions_is_refused() -> None:
         certify(m)
     with pytest.raises(InvalidProblem, match='pairs="match"'):
         certify(in_pyomo("square")[0])
+
+
+def test_a_wrong_jacobian_does_not_prove_a_point() -> None:
+    """F(2, 2) = (1, 0) is large next to F(0) = (−1, −2), and small next to 10¹⁴ of the jacobian."""
+    wrong = np.array([[1e14, 1e-3], [1e-3, 1.0]])
+    problem = NonlinearProblem(lambda x: x - np.array([1.0, 2.0]), lambda x: wrong, lower=[0, 0])
+    assert certify(problem, [2, 2]).verdict == "disproved"
+    assert certify(problem, [1, 2]).verdict == "proved"

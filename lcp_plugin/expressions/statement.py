@@ -322,6 +322,36 @@ class SquareModel:
     matched: Indices
     dropped: Indices
 
+    def numbers(self, count: int) -> Indices:
+        """Return the number of each row of the problem among all `count` rows: of the pairs, then of the equations."""
+        defining = self.stored[0].shape[0] + self.elimination.rows
+        return np.delete(np.arange(count), defining)[self.places]
+
+    def at_values(
+        self, unknowns: Vector, tolerance: float, name: Callable[[int], str]
+    ) -> tuple[Any, Vector, list[WorstRow]]:
+        """Return the problem and its point at values of all unknowns, and the definitions that do not hold there.
+
+        If the value of a defined unknown differs from its definition by more than rounding, the constants of the
+        problem are those that its rows have at the given values.
+        """
+        elimination = self.elimination
+        z = unknowns[elimination.kept]
+        defined, terms = elimination.expand(z), elimination.terms(z)
+        error = unknowns - defined
+        error[np.abs(error) <= NEGLIGIBLE * terms] = 0.0
+        if not error.any():
+            return self.problem, z, []
+        change = sp.vstack(self.stored, format="csr") @ error
+        shift = self.signs * change[self.numbers(change.size)]
+        violated = []
+        for k in np.flatnonzero(~(np.abs(error) <= tolerance * terms)).tolist():
+            off, size = abs(float(error[k])), float(terms[k])
+            text = f"{name(k)} = {unknowns[k]:.6g}, and its equation gives {defined[k]:.6g}"
+            violated.append(WorstRow(name(k), off / size if size else math.inf, off, size, text))
+        violated.sort(key=lambda row: -row.residual)
+        return self.problem.with_q(self.problem.q + shift), z, violated
+
     def first_mismatch(self, z: Vector, w: Vector, values: Vector) -> tuple[int, float] | None:
         """Return the first row that the language evaluates otherwise than it was computed, and the computed value.
 
@@ -333,8 +363,7 @@ class SquareModel:
             Rows of the pairs, then of the equations, as the language evaluates them.
         """
         expected, terms = np.zeros((2, values.size))
-        left = np.delete(np.arange(values.size), self.stored[0].shape[0] + self.elimination.rows)
-        left = left[self.places]
+        left = self.numbers(values.size)
         expected[left] = self.signs * w
         if isinstance(self.problem, NonlinearProblem):
             terms[left] = row_data(self.problem.linearize(z)).rows(z).terms
@@ -435,15 +464,13 @@ class Statement:
 
     # --- a complementarity problem ---
 
-    def square(self, variable_of: Indices, *, eliminates: bool = True) -> SquareModel:
+    def square(self, variable_of: Indices) -> SquareModel:
         """Return the complementarity problem, with substituted definitions and matched equations.
 
         Parameters
         ----------
         variable_of : ndarray of int
             The variable of the language that each unknown is an entry of, by number.
-        eliminates : bool
-            False keeps all unknowns, so that a point of all of them is measured in the stated rows.
 
         Raises
         ------
@@ -479,7 +506,7 @@ class Statement:
         else:
             (M, q), (E, e) = (assembled(rows, self.first, n) for rows in (functions, equations))
             stored = M, E
-            if equations and eliminates:
+            if equations:
                 owner = np.repeat(np.arange(len(equations)), [one.size for one in equations])
                 elimination, (E, e), (M, q) = eliminate_definitions(
                     (E, e), (M, q), owner, ~self.is_paired, variable_of
@@ -601,26 +628,15 @@ class Statement:
         beyond = np.maximum(self.lower - unknowns, unknowns - self.upper)[columns]
         return ~(beyond <= allowed * (1.0 + np.abs(unknowns[columns])))
 
-    def violated_beside(
-        self, unknowns: Vector, square: SquareModel, tolerance: float
+    def violated_bounds(
+        self, unknowns: Vector, columns: Indices, tolerance: float
     ) -> list[WorstRow]:
-        """Return the violated conditions that are not rows of the problem: dropped bounds, and definitions."""
-        elimination, rows = square.elimination, []
-        outside = square.dropped[self.is_outside(unknowns, square.dropped, tolerance)]
-        for k in outside.tolist():
-            value, lower = float(unknowns[k]), float(self.lower[k])
-            bound = lower if value < lower else float(self.upper[k])
-            rows.append(outside_row(self.name_of(k), value, bound))
-        z = unknowns[elimination.kept]
-        defined, terms = elimination.expand(z), elimination.terms(z)
-        error, noise = np.abs(unknowns - defined), NEGLIGIBLE * terms.max(initial=0.0)
-        for k in np.flatnonzero(~(error <= tolerance * terms + noise)).tolist():
-            name, off, size = self.name_of(k), float(error[k]), float(terms[k])
-            text = f"{name} = {unknowns[k]:.6g}, and its equation gives {defined[k]:.6g}"
-            rows.append(
-                WorstRow(name, off / (size + noise) if size + noise else math.inf, off, size, text)
-            )
-        return sorted(rows, key=lambda row: -row.residual)
+        """Return the unknowns of the columns that violate their bounds, with the names of the model."""
+        found = []
+        for k in columns[self.is_outside(unknowns, columns, tolerance)].tolist():
+            value, lower, upper = (float(one[k]) for one in (unknowns, self.lower, self.upper))
+            found.append(outside_row(self.name_of(k), value, lower if value < lower else upper))
+        return found
 
     # --- the best of all solutions ---
 

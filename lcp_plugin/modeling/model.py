@@ -368,22 +368,19 @@ class Model:
 
     # --- the complementarity problem ---
 
-    def squared(self, *, eliminates: bool) -> SquareModel:
-        """Return the complementarity problem; see :meth:`Statement.square`."""
-        variable_of = np.full(self.statement.lower.size, -1)
+    @cached_property
+    def square(self) -> SquareModel:
+        """The complementarity problem; see :meth:`Statement.square`."""
+        rows, variable_of = self.statement.rows, np.full(self.statement.lower.size, -1)
         for k, variable in enumerate(self.variables):
             variable_of[self.spans[variable.id]] = k
         # All unknowns that name expressions count as one more variable.
         variable_of[variable_of < 0] = len(self.variables)
-        found = self.statement.square(variable_of, eliminates=eliminates)
+        found = self.statement.square(variable_of)
         if (remark := self.statement.repeated(at_least=3)) is not None:
             warn(remark)
-        return over_cones(found, self.cones, self.statement.name_of) if self.cones else found
-
-    @cached_property
-    def square(self) -> SquareModel:
-        """The complementarity problem, with definitions substituted."""
-        rows, found = self.statement.rows, self.squared(eliminates=True)
+        if self.cones:
+            found = over_cones(found, self.cones, self.statement.name_of)
         if self._equations:
             ends = np.cumsum([one.rows.size for one in rows]).tolist()
             columns = np.full(ends[-1], -1, dtype=np.int64)

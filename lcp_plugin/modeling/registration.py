@@ -177,9 +177,10 @@ def certify_model(problem: Any, tolerance: float) -> Certification:
     for k in np.flatnonzero(~np.isfinite(z))[:1].tolist():
         name = model.statement.name_of(k)
         raise InvalidProblem(f"the value of {name} must be finite, got {z[k]}; set another value")
-    square = model.squared(eliminates=bool(model.friction))  # friction has no other unknowns
-    found = certify_point(square.problem, z[square.elimination.kept], tolerance)
-    return with_side_conditions(found, model.statement.violated_beside(z, square, tolerance))
+    name_of, dropped = model.statement.name_of, model.square.dropped
+    stated, point, violated = model.square.at_values(z, tolerance, name_of)
+    violated += model.statement.violated_bounds(z, dropped, tolerance)
+    return with_side_conditions(certify_point(stated, point, tolerance), violated)
 
 
 def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:

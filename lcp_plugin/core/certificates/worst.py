@@ -73,6 +73,7 @@ def put_on_bounds(z: Vector, lower: Vector, upper: Vector, absolute: Any, terms:
     rows, columns = entries.coords
     np.minimum.at(reach, columns, NEAREST * terms[rows] / entries.data)
     reach[~np.isfinite(reach)] = 0.0  # no row has this unknown
+    reach = np.maximum(reach, NEAREST * np.abs(z))
     moved = np.where(np.abs(z - upper) <= reach, upper, z)
     return np.where(np.abs(z - lower) <= reach, lower, moved)
 
@@ -103,7 +104,7 @@ def worst_pairs(
         np.broadcast_to(np.ravel(one), (n,))
         for one in (found.z, at.w, at.terms, at.violation, by_row.relative, by_row.terms)
     )
-    least = np.maximum(relative, own)
+    least = np.maximum(np.where(violation == 0.0, 0.0, relative), own)
     least = np.where(np.isnan(least), math.inf, least)
     order = np.lexsort((-violation, -least))[:count].tolist()
     return WorstRows(

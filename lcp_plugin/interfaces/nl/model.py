@@ -434,7 +434,7 @@ def certify_values(content: NLContent, tolerance: float) -> Certification:
         raise InvalidProblem(
             f"{content.variable(k)} has {value}; solve the model, or set a number for each variable first"
         )
-    statement = FileStatement(content, is_reduced=False)
+    statement, given = FileStatement(content), content.start
     is_bounded = np.isfinite(content.lower) | np.isfinite(content.upper)
     beside = SideConditions(
         content, statement.inequalities, np.flatnonzero(is_bounded & ~statement.is_paired)
@@ -444,14 +444,15 @@ def certify_values(content: NLContent, tolerance: float) -> Certification:
             "the model has bounds or inequalities, but neither an objective nor complementarities to certify; give "
             'certify(model, pairs="match") if it is square, or add an Objective'
         )
-    if isinstance(model := _model_of(statement), ComplementarityModel):
-        found = certify_point(model.problem, content.start[model.unknowns], tolerance)
-        return with_side_conditions(found, beside.violated(content.start, tolerance))
-    statement = FileStatement(content)
-    x = statement.expressions.all_values(content.start)
-    found = certify(_model_of(statement).problem, x, tolerance=tolerance)
+    model = _model_of(statement)
+    x = statement.expressions.all_values(given)
+    if isinstance(model, ComplementarityModel):
+        problem, z, violated = model.arrangement.at_values(x, tolerance, statement.name)
+        found = certify_point(problem, z, tolerance)
+        return with_side_conditions(found, [*violated, *beside.violated(given, tolerance)])
+    found = certify(model.problem, x, tolerance=tolerance)
     fixed = SideConditions(content, statement.pairs[:0], np.flatnonzero(~np.isnan(statement.known)))
-    return with_side_conditions(found, fixed.violated(content.start, tolerance))
+    return with_side_conditions(found, fixed.violated(given, tolerance))
 
 
 def lcp_in_nl(path: str | PathLike[str]) -> LCP:
@@ -474,13 +475,10 @@ class FileStatement:
     Parameters
     ----------
     content : NLContent
-    is_reduced : bool
-        False keeps all variables as unknowns of a complementarity problem, and no others.
     """
 
-    def __init__(self, content: NLContent, *, is_reduced: bool = True) -> None:
+    def __init__(self, content: NLContent) -> None:
         self.content, self.n, self.m = (content, content.lower.size, content.row_lower.size)
-        self.is_reduced = is_reduced
         self._refuse_discrete()
         low, high = content.row_lower, content.row_upper
         self._check_crossed(content.variable, content.lower, content.upper)
@@ -494,7 +492,7 @@ class FileStatement:
         self.is_paired = np.zeros(self.n, dtype=bool)
         self.is_paired[content.partners[self.pairs]] = True
         self.known = self._known(self.says_nothing)
-        self.expressions = Expressions(content, self.known, adds_unknowns=is_reduced)
+        self.expressions = Expressions(content, self.known)
         self.is_affine = self.expressions.is_affine()[: self.m] | self.says_nothing
 
     def _refuse_discrete(self) -> None:
@@ -601,7 +599,7 @@ class FileStatement:
         if self.inequalities.size:
             is_inequality = np.isin(np.arange(self.m), self.inequalities)
             self.known = self._known(self.says_nothing | is_inequality)
-            self.expressions = Expressions(self.content, self.known, adds_unknowns=self.is_reduced)
+            self.expressions = Expressions(self.content, self.known)
         content, found = self.content, self.expressions
         pairs, equations = self.pairs, np.append(self.equations, found.definitions)
         right = np.append(content.row_lower, np.zeros(found.offset.size - self.m))
@@ -619,8 +617,7 @@ class FileStatement:
                 found.rows(part), right[part], right[part], name=content.rows_of(part)
             )
         # Arrays of the model's language are not known: unknowns without a pair count as one variable.
-        is_single = (~statement.is_paired).astype(np.int64)
-        arrangement = statement.square(is_single, eliminates=self.is_reduced)
+        arrangement = statement.square((~statement.is_paired).astype(np.int64))
         bounded = found.unknowns[arrangement.dropped]
         beside = SideConditions(content, self.inequalities, bounded)
         return ComplementarityModel(
@@ -640,12 +637,12 @@ class FileStatement:
         free = np.full(content.defined_trees.size, np.inf)
         lower, upper = np.append(content.lower, -free), np.append(content.upper, free)
         return Statement(
-            found.compiler,
-            {UNKNOWNS: 0},
-            lower[found.unknowns],
-            upper[found.unknowns],
-            lambda column: content.variable(int(found.unknowns[column])),
+            found.compiler, {UNKNOWNS: 0}, lower[found.unknowns], upper[found.unknowns], self.name
         )
+
+    def name(self, column: int) -> str:
+        """Return the name of an unknown."""
+        return self.content.variable(int(self.expressions.unknowns[column]))
 
     def _without_empty(self, equations: Indices, right: Vector) -> Indices:
         """Leave out the equations that have no unknown; raise if they are violated."""

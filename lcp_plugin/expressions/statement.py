@@ -621,19 +621,13 @@ class Statement:
             high[columns[(sign < 0.0) & (high[columns] >= -shift / weights)]] = np.inf
         return free[np.isfinite(low[free]) | np.isfinite(high[free])]
 
-    def is_outside(
-        self, unknowns: Vector, columns: Indices, allowed: float = OUTSIDE
-    ) -> BoolVector:
-        """Return True for each unknown of the columns that violates its bounds."""
-        beyond = np.maximum(self.lower - unknowns, unknowns - self.upper)[columns]
-        return ~(beyond <= allowed * (1.0 + np.abs(unknowns[columns])))
-
     def violated_bounds(
-        self, unknowns: Vector, columns: Indices, tolerance: float
+        self, unknowns: Vector, columns: Indices, allowed: float = OUTSIDE
     ) -> list[WorstRow]:
-        """Return the unknowns of the columns that violate their bounds, with the names of the model."""
+        """Return the unknowns of the columns that violate their bounds by more than a part of 1 + |x|."""
+        beyond = np.maximum(self.lower - unknowns, unknowns - self.upper)[columns]
         found = []
-        for k in columns[self.is_outside(unknowns, columns, tolerance)].tolist():
+        for k in columns[~(beyond <= allowed * (1.0 + np.abs(unknowns[columns])))].tolist():
             value, lower, upper = (float(one[k]) for one in (unknowns, self.lower, self.upper))
             found.append(outside_row(self.name_of(k), value, lower if value < lower else upper))
         return found

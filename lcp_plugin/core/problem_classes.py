@@ -49,7 +49,7 @@ CLASSES = {
         "problems.nonlinear.solving:solve_nonlinear",
         "derivative certify",
         NonlinearOptions,
-        "problems.nonlinear.data:criterion_at",
+        "problems.nonlinear.solving:criterion_at",
     ),
     "QuadraticProgram": ProblemClass(
         "problems.programs.solving:solve_program", "prepare trace certify", batch="program, C"

@@ -8,6 +8,7 @@ left are matched with the unknowns left: the diagonal that a splitting method di
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +21,10 @@ from numpy.typing import NDArray
 
 from ..api import solve
 from ..core.certificates.criterion import row_data
+from ..core.certificates.worst import WorstRow, outside_row
 from ..core.checks import BoolVector, Vector
 from ..core.errors import NotSquare, UnsupportedModel
+from ..core.kernels.floats import NEGLIGIBLE
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, largest_in_rows, row_numbers
 from ..core.names import Names
@@ -63,6 +66,12 @@ class Elimination:
     def expand(self, z: Vector) -> Vector:
         """Return all unknowns."""
         return z if self.expansion is None else self.expansion @ z + self.offset
+
+    def terms(self, z: Vector) -> Vector:
+        """Return the sum of the sizes of the terms of each unknown."""
+        if self.expansion is None:
+            return np.abs(z)
+        return np.asarray(abs(self.expansion) @ np.abs(z) + np.abs(self.offset))
 
     def expand_change(self, dz: Vector) -> Vector:
         """Return the change of all unknowns."""
@@ -313,6 +322,36 @@ class SquareModel:
     matched: Indices
     dropped: Indices
 
+    def numbers(self, count: int) -> Indices:
+        """Return the number of each row of the problem among all `count` rows: of the pairs, then of the equations."""
+        defining = self.stored[0].shape[0] + self.elimination.rows
+        return np.delete(np.arange(count), defining)[self.places]
+
+    def at_values(
+        self, unknowns: Vector, tolerance: float, name: Callable[[int], str]
+    ) -> tuple[Any, Vector, list[WorstRow]]:
+        """Return the problem and its point at values of all unknowns, and the definitions that do not hold there.
+
+        If the value of a defined unknown differs from its definition by more than rounding, the constants of the
+        problem are those that its rows have at the given values.
+        """
+        elimination = self.elimination
+        z = unknowns[elimination.kept]
+        defined, terms = elimination.expand(z), elimination.terms(z)
+        error = unknowns - defined
+        error[np.abs(error) <= NEGLIGIBLE * terms] = 0.0
+        if not error.any():
+            return self.problem, z, []
+        change = sp.vstack(self.stored, format="csr") @ error
+        shift = self.signs * change[self.numbers(change.size)]
+        violated = []
+        for k in np.flatnonzero(~(np.abs(error) <= tolerance * terms)).tolist():
+            off, size = abs(float(error[k])), float(terms[k])
+            text = f"{name(k)} = {unknowns[k]:.6g}, and its equation gives {defined[k]:.6g}"
+            violated.append(WorstRow(name(k), off / size if size else math.inf, off, size, text))
+        violated.sort(key=lambda row: -row.residual)
+        return self.problem.with_q(self.problem.q + shift), z, violated
+
     def first_mismatch(self, z: Vector, w: Vector, values: Vector) -> tuple[int, float] | None:
         """Return the first row that the language evaluates otherwise than it was computed, and the computed value.
 
@@ -324,8 +363,7 @@ class SquareModel:
             Rows of the pairs, then of the equations, as the language evaluates them.
         """
         expected, terms = np.zeros((2, values.size))
-        left = np.delete(np.arange(values.size), self.stored[0].shape[0] + self.elimination.rows)
-        left = left[self.places]
+        left = self.numbers(values.size)
         expected[left] = self.signs * w
         if isinstance(self.problem, NonlinearProblem):
             terms[left] = row_data(self.problem.linearize(z)).rows(z).terms
@@ -583,10 +621,16 @@ class Statement:
             high[columns[(sign < 0.0) & (high[columns] >= -shift / weights)]] = np.inf
         return free[np.isfinite(low[free]) | np.isfinite(high[free])]
 
-    def is_outside(self, unknowns: Vector, columns: Indices) -> BoolVector:
-        """Return True for each unknown of the columns that violates its bounds."""
+    def violated_bounds(
+        self, unknowns: Vector, columns: Indices, allowed: float = OUTSIDE
+    ) -> list[WorstRow]:
+        """Return the unknowns of the columns that violate their bounds by more than a part of 1 + |x|."""
         beyond = np.maximum(self.lower - unknowns, unknowns - self.upper)[columns]
-        return ~(beyond <= OUTSIDE * (1.0 + np.abs(unknowns[columns])))
+        found = []
+        for k in columns[~(beyond <= allowed * (1.0 + np.abs(unknowns[columns])))].tolist():
+            value, lower, upper = (float(one[k]) for one in (unknowns, self.lower, self.upper))
+            found.append(outside_row(self.name_of(k), value, lower if value < lower else upper))
+        return found
 
     # --- the best of all solutions ---
 

@@ -25,7 +25,7 @@ from pyomo.repn.util import categorize_valid_components
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..core.representation import format_count
 from ..core.settings import Status
-from .nl.model import ComplementarityModel, NLAnswer, ProgramModel, model_of, values_and_slopes
+from .nl.model import NLAnswer, ProgramModel, model_of, values_and_slopes
 from .nl.reading import NLContent, read_content
 from .pyomo_pairs import square_pairs
 
@@ -507,15 +507,6 @@ class PyomoAnswer:
             if (suffix := imported(model, name)) is not None:
                 suffix.clear()
                 suffix.update(self.duals if name == "dual" else self.reduced_costs)
-
-
-def problem_and_point(model: Any) -> tuple[Any, Any]:
-    """Return the problem of a Pyomo model, and its unknowns by the values of the variables."""
-    content = stated(model).content
-    found = model_of(content)
-    if isinstance(found, ComplementarityModel):
-        return found.problem, found.start
-    return found.problem, content.start[found.unknowns]
 
 
 def answered(model: Any, options: dict[str, Any], pairs: Any = None) -> PyomoAnswer:

@@ -424,8 +424,7 @@ class Model:
     def refuse_violated_bounds(self, z: Vector) -> None:
         """Raise NotSquare if a solution violates bounds that no pair states."""
         unknowns, dropped = self.square.elimination.expand(z), self.square.dropped
-        for column in dropped[self.statement.is_outside(unknowns, dropped)][:1].tolist():
-            entry = self.statement.name_of(column)
+        for entry, *_ in self.statement.violated_bounds(unknowns, dropped)[:1]:
             raise NotSquare(
                 f"{entry} has bounds that the rest of the model does not imply, and no pair states the slack at "
                 f"them; drop them, or make it the variable of a pair, as in complements({entry}, F)"

@@ -14,7 +14,7 @@ from cvxpy.error import SolverError
 from ..core.errors import InvalidProblem, ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..expressions.statement import MissingPair, solve_from
-from ..problems.programs.certification import Certification, certify
+from ..problems.programs.certification import Certification, certify_point, with_side_conditions
 from ._compat import CVXPY_STATUS, EQUATIONS, name_of, refusal, solver_errors
 from .agents import without_agents
 from .best_equilibrium import solve_for_the_best
@@ -177,7 +177,13 @@ def certify_model(problem: Any, tolerance: float) -> Certification:
     model = build_from(problem)
     if (z := model.present()) is None:
         raise InvalidProblem("a variable has no value; solve the problem, or set the values first")
-    return certify(model.problem, z[model.square.elimination.kept], tolerance=tolerance)
+    for k in np.flatnonzero(~np.isfinite(z))[:1].tolist():
+        name = model.statement.name_of(k)
+        raise InvalidProblem(f"the value of {name} must be finite, got {z[k]}; set another value")
+    name_of, dropped = model.statement.name_of, model.square.dropped
+    stated, point, violated = model.square.at_values(z, tolerance, name_of)
+    violated += model.statement.violated_bounds(z, dropped, tolerance)
+    return with_side_conditions(certify_point(stated, point, tolerance), violated)
 
 
 def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:

@@ -15,7 +15,8 @@ Install mpi4py and an MPI library: ``pip install '.[mpi]'``. Each rank passes it
         print(result)
 
 All ranks call every method, in the same order. Vectors are the local parts, all other results are the same on every
-rank. Algorithms: auto (multigrid, then sweeps), multigrid, npsor, npaor, npgs, npj, psor, pgs. ``problem.save(folder)``
+rank. Algorithms: auto, multigrid, npsor, npaor, npgs, npj, psor, pgs. ``auto`` is multigrid; then rank 0 solves a
+problem with at most 100 000 unknowns in one process, and a larger one continues with sweeps. ``problem.save(folder)``
 writes one chunk per rank, which ``RowsOnRanks.load(folder, comm)`` reads on any number of ranks. Use
 ``RowsOnRanks.from_problem(lcp, comm)`` for an LCP that every rank has, and ``LCP.from_petsc(A, q, lower=…, upper=…)``
 for a matrix and vectors of petsc4py; z and w of its result are PETSc vectors. ``certify(problem, x)`` measures a point

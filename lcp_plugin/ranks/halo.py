@@ -32,9 +32,10 @@ class Ranks:
 
     def __init__(self, comm: Any) -> None:
         self.comm = MPI.COMM_WORLD if comm is None else comm
-        if not isinstance(self.comm, MPI.Comm):
+        if not isinstance(self.comm, MPI.Intracomm) or self.comm == MPI.COMM_NULL:
             raise InvalidProblem(
-                f"comm must be a communicator of mpi4py, got {type(comm).__name__}"
+                f"comm must be an intracommunicator of mpi4py with this rank, got {type(comm).__name__}; "
+                "give MPI.COMM_WORLD, or a part of it"
             )
         self.size, self.rank = self.comm.size, self.comm.rank
 
@@ -89,14 +90,14 @@ class Ranks:
         ------
         LCPError
             On every rank the error of the lowest rank that failed, which it names. Any other error, for example of
-            a caller's function or of the memory, is raised unchanged on the rank where it occurred. The other ranks
-            raise an LCPError that names it.
+            a caller's function, of the memory, SystemExit or KeyboardInterrupt, is raised unchanged on the rank where
+            it occurred. The other ranks raise an LCPError that names it.
         """
-        raised: Exception | None = None
+        raised: BaseException | None = None
         value: Any = None
         try:
             value = attempt()
-        except Exception as error:  # for any error: the other ranks must not wait indefinitely
+        except BaseException as error:  # for any error: the other ranks must not wait indefinitely
             raised = error
         failures = self.comm.allgather(None if raised is None else _described(raised))
         if not any(failures):
@@ -123,7 +124,7 @@ class Ranks:
                 )
 
 
-def _described(error: Exception) -> tuple[type[LCPError], str]:
+def _described(error: BaseException) -> tuple[type[LCPError], str]:
     if isinstance(error, LCPError):
         return type(error), str(error)
     if isinstance(error, OSError):

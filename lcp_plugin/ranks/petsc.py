@@ -137,9 +137,9 @@ class RowsOnPETSc(RowsOnRanks):
         """Return the problem with another q, a Vec or its local part."""
         return self.from_petsc(self.A, q, self.lower, self.upper)
 
-    def own_part(self, z: Any, name: str = "z") -> Vector:
+    def own_part(self, z: Any, name: str = "z", *, is_finite: bool = True) -> Vector:
         """Return the checked local part of a Vec or an array, shape (own,)."""
-        return super().own_part(_local_part(z), name)
+        return super().own_part(_local_part(z), name, is_finite=is_finite)
 
     def vector(self, values: Vector) -> Any:
         """Return a Vec with these local values."""

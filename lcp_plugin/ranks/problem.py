@@ -19,7 +19,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..core import checks
-from ..core.errors import InvalidProblem, UnreadableFile
+from ..core.certificates.worst import outside_row, put_on_bounds
+from ..core.errors import InvalidOption, InvalidProblem, UnreadableFile
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows, residual_scales
 from ..interfaces import files
@@ -129,20 +130,32 @@ class RowsOnRanks:
             lambda: RowsOnRanks(self.rows, self.halo, q, self.lower, self.upper)
         )
 
-    def own_part(self, z: ArrayLike, name: str = "z") -> checks.Vector:
+    def own_part(self, z: Any, name: str = "z", *, is_finite: bool = True) -> checks.Vector:
         """Return a checked vector, shape (own,); all ranks reject a wrong part of one of them."""
-        return self.halo.together(lambda: checks.checked_vector(z, name, self.own, is_finite=False))
+        return self.halo.together(
+            lambda: checks.checked_vector(z, name, self.own, is_finite=is_finite)
+        )
 
     def slack(self, z: checks.Vector) -> checks.Vector:
         """Return the local part of w = M z + q."""
-        return self.rows @ self.halo.whole(self.own_part(z)) + self.q
+        return self.rows @ self.halo.whole(self.own_part(z, is_finite=False)) + self.q
 
     def gathered(self, z: ArrayLike) -> checks.Vector | None:
         """Return the parts of all ranks as one vector on rank 0, None on the others."""
-        own = np.ascontiguousarray(self.own_part(z))
+        own = np.ascontiguousarray(self.own_part(z, is_finite=False))
         whole = np.empty(self.n) if self.halo.rank == 0 else None
         self.halo.comm.Gatherv(own, (whole, np.diff(self.halo.starts)), root=0)
         return whole
+
+    def gathered_problem(self) -> LCP | None:
+        """Return the whole LCP on rank 0, None on the others."""
+        rows = numbered_over_all(self.rows, self.halo)
+        parts = self.halo.comm.gather((rows, self.q, self.lower, self.upper), root=0)
+        if parts is None:
+            return None
+        M, *vectors = zip(*parts, strict=True)
+        q, lower, upper = map(np.concatenate, vectors)
+        return LCP(sp.vstack(M, format="csr"), q, lower=lower, upper=upper)
 
     @cached_property
     def is_symmetric(self) -> bool:
@@ -163,11 +176,23 @@ class RowsOnRanks:
         """Return the solution; see :func:`lcp_plugin.ranks.solving.solve_on_ranks`."""
         return solve_on_ranks(self, algorithm, **options)
 
-    def measured(self, x: Any, tolerance: float) -> tuple[bool, float, float]:
-        """Return, for `certify`, whether the stopping criterion holds at x, the largest violation, and the residual."""
-        found = RowDataOnRanks(self).measure(self.own_part(x, "x"), tolerance)
-        sizes = self.halo.largest(found.rows.violation), self.halo.largest(found.by_row.relative)
-        return bool(found.passes), *sizes
+    def measured(self, x: Any, tolerance: float) -> tuple[bool, float, float, float, str]:
+        """Return whether the given x passes the criterion, its largest violation, residual, tolerance and a reason.
+
+        The reason is the bound that an entry of x violates on the lowest rank, or "".
+        """
+        halo, z = self.halo, self.own_part(x, "x")
+        halo.require_same("tolerance", tolerance, "give the same on every rank", InvalidOption)
+        data = RowDataOnRanks(self)
+        own, terms = data.absolute.rows[:, : self.own], data.rows(z).terms
+        z = put_on_bounds(z, self.lower, self.upper, own, terms)
+        found, reason = data.measure_at(z, None, tolerance), ""
+        for i in np.flatnonzero((z < self.lower) | (z > self.upper))[:1].tolist():
+            bound = self.lower[i] if z[i] < self.lower[i] else self.upper[i]
+            reason = outside_row(f"z[{halo.first + i}]", float(z[i]), float(bound)).text
+        reason = next(filter(None, halo.comm.allgather(reason)), "")
+        sizes = halo.largest(found.rows.violation), halo.largest(found.by_row.relative)
+        return bool(found.passes) and not reason, *sizes, tolerance, reason
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write one chunk per rank into a folder that all ranks see, in place of older chunks.

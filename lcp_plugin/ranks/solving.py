@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, TINY
 from ..core.kernels.threads import threads_for
 from ..core.matrix import largest_products
+from ..core.problem_classes import CLASSES
 from ..core.rounding import compensated_product, lower_end
 from ..core.settings import Settings, checked_callback
 from ..core.solving.progress import Progress
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 
 GAINS = (1e-2, 1e-6)  # relative residuals of ⟨M⟩v = diag(M) after which v is tried
 MOST_STEPS = 30  # v grows indefinitely if M is not an H₊-matrix
+ONE_PROCESS_UP_TO = 100_000  # unknowns of a problem that rank 0 solves after multigrid
 
 
 class ComponentsOnRanks:
@@ -216,6 +219,8 @@ class ResultOnRanks(BaseResult):
         Empty, because runs on ranks are not recorded; use a callback.
     error_bound : float or None
         A proved bound of ‖z − z*‖∞ if it was requested; ∞ if M is not proved to be an H₊-matrix.
+    infeasibility : NoSolutionProof or None
+        A proof that no solution exists, of a problem that one process has solved.
     """
 
     z: Vector
@@ -225,6 +230,12 @@ class ResultOnRanks(BaseResult):
     work: float
     absolute_tolerance: float = 0.0
     error_bound: float | None = None
+    infeasibility: Any = None
+
+    @property
+    def proof(self) -> Any:
+        """The proof `infeasibility` if the status is INFEASIBLE or NO_SOLUTION; otherwise None."""
+        return self.infeasibility if self.has_no_solution else None
 
     @property
     def x(self) -> Vector:
@@ -300,11 +311,15 @@ def solve_on_ranks(
     ranks.require_same(
         "what is asked of solve", (algorithm, options, settings), "ask for the same", InvalidOption
     )
+    is_gathered = algorithm == "auto" and problem.n <= ONE_PROCESS_UP_TO
+    if is_gathered:
+        methods = methods[:-1]  # one process is faster than sweeps over the ranks
     start = problem.own_part(problem.nearest_to_zero if z0 is None else z0, "z0")
     z = np.clip(start, problem.lower, problem.upper)
     with threads_for(settings.threads), Interruptions() as is_interrupted:
         run = RunOnRanks(problem, ProgressOnRanks(problem, settings, callback, is_interrupted))
-        found: ResultOnRanks = run.result(run.follow_all(run.plan(methods, z)))
+        plan = run.plan(methods, z, is_gathered=is_gathered)
+        found: ResultOnRanks = run.result(run.follow_all(plan))
     return found
 
 
@@ -357,8 +372,8 @@ class RunOnRanks(Run):
         super().__init__(progress)
         self.problem, self.data, self.next_check = problem, RowDataOnRanks(problem), 0
 
-    def plan(self, methods: Any, z: Vector) -> Iterator[Stage]:
-        """Yield the methods one after the other, each from the best point."""
+    def plan(self, methods: Any, z: Vector, *, is_gathered: bool) -> Iterator[Stage]:
+        """Yield the methods one after the other, each from the best point; then the solve in one process."""
         for name, iterates in methods:
             points = iterates(self.problem, (z if self.best is None else self.best.z).copy())
             steps = (
@@ -366,6 +381,29 @@ class RunOnRanks(Run):
                 for k, (point, work) in enumerate(points)
             )
             yield Stage(Named(name), steps=steps)
+        if is_gathered:
+            start = z if self.best is None else self.best.z
+            yield Stage(Named("one process"), steps=self._gathered(start))
+
+    def _gathered(self, start: Vector) -> Iterator[Step]:
+        """Yield the point, or the proof, that rank 0 finds for the whole problem."""
+        problem, settings, halo = self.problem, self.settings, self.problem.halo
+        parts, z0 = problem.gathered_problem(), problem.gathered(start)
+        left = max(self.progress.max_seconds - self.progress.clock.read(), 0.0)
+        limits = {"max_seconds": None if left == math.inf else left, "threads": settings.threads}
+        names = "tolerance", "absolute_tolerance"
+
+        def solve() -> tuple[Any, ...]:
+            z = None if z0 is None or not np.isfinite(z0).all() else z0
+            solver = resolve_name(f"lcp_plugin.{CLASSES['LCP'].solver}")
+            found = solver(
+                parts, z0=z, **limits, **{name: getattr(settings, name) for name in names}
+            )
+            return found.z, found.work, found.iterations, found.proof
+
+        z, work, iterations, proof = halo.from_first(solve)
+        self.next_check = 0
+        yield Step(z[halo.first : halo.last], work=work, iterations=iterations, proof=proof)
 
     def measure(self, stage: Stage, step: Step) -> Measured | None:
         """Return the measure of a step; None if no measurement is due."""
@@ -406,5 +444,6 @@ class RunOnRanks(Run):
             work=progress.work,
             absolute_tolerance=self.settings.absolute_tolerance,
             error_bound=bound,
+            infeasibility=self.proof,
             **{**common, "seconds": progress.halo.largest(common["seconds"])},
         )

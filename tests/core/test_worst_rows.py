@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import pickle
 from fractions import Fraction
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import pytest
+import scipy.sparse as sp
+from campaigns import certified_points
 
 from lcp_plugin import (
     LCP,
@@ -20,6 +23,7 @@ from lcp_plugin import (
     Status,
     certify,
     complements,
+    friction_cone,
     solve,
 )
 from lcp_plugin.proofs.mistakes import likely_mistake
@@ -218,3 +222,242 @@ def test_rows_of_a_program_are_measured_with_x_on_its_bounds(
     """The values in the text are those that the criterion compares."""
     program = QuadraticProgram(np.eye(2), [0, 0], [row], [1], lower=0)
     assert [one.text for one in certify(program, x).worst(5)] == lines
+
+
+def fallen(kind: str) -> tuple[Any, list[float]]:
+    """Return a problem that 0 solves, and a point with a row of −4 at an unknown that is 0."""
+    M, q, x = np.array([[0.0, 0.0], [-1.0, 1.0]]), np.array([0.0, 1.0]), [5.0, 0.0]
+    if kind == "program":
+        return LCP.from_qp(None, [0, 1], [[1, 1]], [1], lower=0), [5.0, 0.0, 0.0]
+    if kind == "nonnegative":
+        return ConeProblem(M, q, [("nonnegative", 2)]), x
+    if kind == "second order":
+        wide = np.zeros((4, 4))
+        wide[1, 0] = -1.0
+        cones = [("nonnegative", 1), ("second_order", 3)]
+        return ConeProblem(wide, [0, 1, 0, 0], cones), [5.0, 0.0, 0.0, 0.0]
+    if kind == "contact":
+        W = np.zeros((6, 6))
+        W[3, 0] = W[0, 3] = -1.0
+        return FrictionalContact(W, [0, 0, 0, 1, 0, 0], [0.5, 0.5]), [5.0, 0, 0, 0, 0, 0]
+    if kind == "nonlinear":
+        return NonlinearProblem(lambda x: M @ x + q, lower=np.zeros(2)), x
+    if kind == "sparse":
+        return LCP(sp.csr_array(M), q), x
+    return LCP(M, q), x
+
+
+@pytest.mark.parametrize(
+    "kind", ["lcp", "sparse", "program", "nonnegative", "second order", "contact", "nonlinear"]
+)
+def test_certify_measures_the_given_point_and_no_other(kind: str) -> None:
+    """A point with a row of −4 is disproved although 0 solves the problem, and the row is named."""
+    problem, x = fallen(kind)
+    found = certify(problem, x)
+    assert (found.verdict, found.violation) == ("disproved", 4.0)
+    assert [row.violation for row in found.worst()][:1] == [4.0]
+    assert certify(problem, np.zeros(len(x))).verdict == "proved"
+
+
+@pytest.mark.parametrize(
+    "make", [LCP, lambda M, q: NonlinearProblem(lambda x: M @ x + q, lower=[0, 0])]
+)
+def test_a_point_outside_its_bounds_is_disproved_and_the_bound_is_named(make: Any) -> None:
+    """−5 next to 10⁷ is named, and −10⁻¹⁷, which rounding leaves, is not."""
+    M, q = np.array([[1.0, 0.5], [0.5, 1.0]]), np.array([1e7, -1e7])
+    found = certify(make(M, q), [-5, 1e7 + 2.5])
+    assert found.verdict == "disproved"
+    assert found.reason == "z[0] = -5 is beyond its bound 0" == found.worst()[0].text
+    assert certify(make(M, q), [-1e-17, 1e7]).verdict == "proved"
+    with pytest.raises(InvalidProblem, match="x must be finite"):
+        certify(make(M, q), [0, np.nan])
+
+
+def test_a_point_that_only_the_gap_of_its_program_refuses_has_that_reason() -> None:
+    """The rows of the optimality conditions pass, and the objective is wrong by 4e-9 of its value."""
+    problem = LCP.from_qp(
+        np.diag([2.0**-23, 0, 0]),
+        [1.0000000009313226, 1.9999999944120646, 1.0000000009313226],
+        [[0.0, -2, -1]],
+        [-96.0],
+        lower=0,
+    )
+    found = certify(problem, [0, 0, 96, 1.0], tolerance=1e-8)
+    assert (found.verdict, len(found.worst())) == ("disproved", 0)
+    assert "the duality gap" in found.reason
+
+
+def test_the_text_of_a_row_has_its_exact_sum() -> None:
+    """a·2³⁴a − 2³⁴ − 2⁸ = 2⁻²⁰ for a = 1 + 2⁻²⁷, and double precision gives 0."""
+    a = 1.0 + 2.0**-27
+    problem = LCP([[a, -1], [0, 1]], [0, -1], lower=-np.inf)
+    rows = certify(problem, [a * 2.0**34, 2.0**34 + 2.0**8], tolerance=1e-8).worst()
+    assert [row.text for row in rows if row.name == "row 0"] == [
+        f"row 0 = {2.0**-20:.6g}, and must be 0"
+    ]
+
+
+def test_a_row_that_fails_next_to_its_terms_is_the_reason() -> None:
+    """z[1] = 1 is small next to 10⁹, and its row is 10⁶; a pickled certification has the same rows."""
+    found = certify(LCP([[1, 1], [1, 2]], [-1e9, 1e6 - 1e9]), [1e9 - 1, 1.0])
+    text = "row 1 = 1e+06 while z[1] = 1 > 0"
+    assert (found.verdict, found.reason) == ("disproved", text)
+    assert [row.text for row in pickle.loads(pickle.dumps(found)).worst()] == [text]
+
+
+def in_cvxpy(kind: str) -> tuple[cp.Problem, cp.Variable, float, str]:
+    """Return a model at a solution, a variable, a value that no solution has, and the row that fails."""
+    x, y = cp.Variable(nonneg=True, name="x"), cp.Variable(name="y")
+    if kind == "definition":
+        model = [complements(x >= 0, y - 4 >= 0), y == 2 * x]
+        x.value, y.value = 2.0, 4.0
+        return cp.Problem(cp.Minimize(0), model), y, 100.0, "y = 100, and its equation gives 4"
+    if kind == "smooth":
+        model = [complements(x >= 0, y - 4 >= 0), y == cp.square(x)]
+        x.value, y.value = 2.0, 4.0
+        return cp.Problem(cp.Minimize(0), model), y, 100.0, "= 96, and must be 0"
+    if kind == "bound":
+        y = cp.Variable(name="y", nonneg=True)
+        x.value, y.value = 0.0, 1.0
+        model = [complements(x >= 0, x + 3 >= 0), y == 2 * x + 1 - cp.Constant(0)]
+        return cp.Problem(cp.Minimize(0), model), x, -2.0, "x = -2 is beyond its bound 0"
+    r, u = cp.Variable(3, name="r"), cp.Variable(3, name="u")
+    r.value, u.value = [0.5, -0.25, 0.0], [0.0, 0.25, 0.0]
+    model = [complements(friction_cone(r, 0.5), u), u == 2 * r + np.array([-1.0, 0.75, 0.0])]
+    return cp.Problem(cp.Minimize(0), model), u, 1.0, "u[0] = 1, and its equation gives 0"
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("kind", ["definition", "smooth", "bound", "friction"])
+def test_certify_measures_the_values_of_a_cvxpy_model_in_all_its_conditions(kind: str) -> None:
+    """Defined variables keep their values; a wrong value names its equation or bound."""
+    model, variable, value, line = in_cvxpy(kind)
+    assert certify(model).verdict == "proved"
+    variable.save_value(np.full(variable.shape, value))
+    found = certify(model)
+    assert found.verdict == "disproved"
+    assert line in str(found.worst())
+    variable.save_value(np.full(variable.shape, np.nan))
+    with pytest.raises(InvalidProblem, match="must be finite"):
+        certify(model)
+
+
+def test_a_slack_that_is_rounding_is_at_its_bound() -> None:
+    """3 · (.2/3) − .3 + .1 is 2.8e-17 in double precision, and its row is 3.1."""
+    a = cp.Variable(2, name="a", value=[0.2 / 3.0, 0.1])
+    pair = complements(3 * a[0] - 0.3 + a[1] >= 0, a[1] + 3 >= 0)
+    found = certify(cp.Problem(cp.Minimize(0), [pair, a[1] == 0.1]))
+    assert float(3 * a.value[0] - 0.3 + a.value[1]) != 0.0
+    assert found.verdict == "proved"
+
+
+def in_pyomo(kind: str) -> tuple[Any, str, dict[str, Any]]:
+    """Return a Pyomo model at values that solve it except for x or y, the row that fails, and options."""
+    pyo, mpec = pytest.importorskip("pyomo.environ"), pytest.importorskip("pyomo.mpec")
+    m, pair = pyo.ConcreteModel(), mpec.complements
+    m.x, m.y = pyo.Var(initialize=2.0), pyo.Var(initialize=4.0)
+    if kind == "bound":
+        m.c = mpec.Complementarity(expr=pair(m.x >= 0, m.x + 1 >= 0))
+        m.x.value = -5.0
+        return m, "x = -5 is beyond its bound 0", {}
+    if kind == "definition":
+        m.e = pyo.Constraint(expr=m.y == 2 * m.x)
+        m.c = mpec.Complementarity(expr=pair(m.x >= 0, m.y - 4 >= 0))
+        m.y.value = 100.0
+        return m, "y = 100, and its equation gives 4", {}
+    if kind == "side condition":
+        m.s = pyo.Constraint(expr=m.x <= 1)
+        m.c = mpec.Complementarity(expr=pair(m.x >= 0, m.x - 2 >= 0))
+        return m, "s = 2 is beyond its bound 1", {}
+    if kind == "fixed by its bounds":
+        m.y.setlb(4.0)
+        m.y.setub(4.0)
+        m.c = mpec.Complementarity(expr=pair(m.x >= 0, m.x + m.y - 7 >= 0))
+        m.y.set_value(5.0, skip_validation=True)
+        return m, "y = 5 is beyond its bound 4", {}
+    if kind == "fixed in a program":
+        m.y.setlb(4.0)
+        m.y.setub(4.0)
+        m.y.set_value(5.0, skip_validation=True)
+        m.o = pyo.Objective(expr=(m.x - 2) ** 2 + m.y)
+        return m, "y = 5 is beyond its bound 4", {}
+    if kind == "square":
+        m.x.setlb(0.0)
+        m.mk = pyo.Constraint(expr=m.x - 1 >= 0)
+        return m, "mk = 1 while x = 2 > 0", {"pairs": "match"}
+    m.z = pyo.Var(range(100), initialize=0.5)
+    m.sum = pyo.Expression(expr=sum((i + 1) * m.z[i] for i in range(100)))
+    m.c = mpec.Complementarity(
+        range(100), rule=lambda m, i: pair(m.z[i] >= 0, m.sum - 2525 + m.z[i] - 0.5 >= 0)
+    )
+    m.z[3].value = 0.75
+    return m, "c[3] = 1.25 while z[3] = 0.75 > 0", {}
+
+
+@pytest.mark.few(7)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "bound",
+        "definition",
+        "side condition",
+        "fixed by its bounds",
+        "fixed in a program",
+        "square",
+        "shared expression",
+    ],
+)
+def test_certify_measures_the_values_of_a_pyomo_model_in_all_its_conditions(kind: str) -> None:
+    """No value is moved into its bounds or replaced by its definition, and side conditions count."""
+    model, line, options = in_pyomo(kind)
+    found = certify(model, **options)
+    assert found.verdict == "disproved"
+    assert line in str(found.worst(9))
+
+
+def test_a_pyomo_model_without_values_or_conditions_is_refused() -> None:
+    """A variable without a value has no point, and inequalities without pairs have no solution to measure."""
+    pyo, mpec = pytest.importorskip("pyomo.environ"), pytest.importorskip("pyomo.mpec")
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var()
+    m.c = mpec.Complementarity(expr=mpec.complements(m.x >= 0, m.x + 1 >= 0))
+    with pytest.raises(InvalidProblem, match="x has no value"):
+        certify(m)
+    with pytest.raises(InvalidProblem, match='pairs="match"'):
+        certify(in_pyomo("square")[0])
+
+
+def test_a_wrong_jacobian_does_not_prove_a_point() -> None:
+    """F(2, 2) = (1, 0) is large next to F(0) = (−1, −2), and small next to 10¹⁴ of the jacobian."""
+    wrong = np.array([[1e14, 1e-3], [1e-3, 1.0]])
+    problem = NonlinearProblem(lambda x: x - np.array([1.0, 2.0]), lambda x: wrong, lower=[0, 0])
+    assert certify(problem, [2, 2]).verdict == "disproved"
+    assert certify(problem, [1, 2]).verdict == "proved"
+
+
+def test_a_defined_slack_at_rounding_level_is_no_violation() -> None:
+    """The slack y = M x + q of a solution is 10⁻¹⁵, which rounding of the terms of its equation explains."""
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        A = rng.normal(size=(6, 6))
+        x, y = cp.Variable(6), cp.Variable(6)
+        model = [complements(x >= 0, y >= 0), y == (A @ A.T + np.eye(6)) @ x + rng.normal(size=6)]
+        problem = cp.Problem(cp.Minimize(0), model)
+        problem.solve(method="LCP")
+        assert certify(problem).verdict == "proved"
+        y.value = y.value + 1e-4
+        found = certify(problem)
+        assert found.verdict == "disproved"
+        assert "and its equation gives" in str(found.worst())
+
+
+@pytest.mark.parametrize("door", certified_points.DOORS)
+def test_verdicts_on_points_of_integer_problems_are_right_in_fractions(
+    door: str, draws: Any
+) -> None:
+    """No wrong point is proved and no exact solution is disproved: 10 000 points in the full suite."""
+    if door == "pyomo":
+        pytest.importorskip("pyomo.environ")
+    count = 100 if door in certified_points.SLOW else 280
+    found = [one for seed in draws(count, 14) for one in certified_points.faults(seed, door)]
+    assert not found

@@ -13,10 +13,11 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import pytest
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from lcp_plugin import LCP, Status, gallery, solve
+from lcp_plugin import LCP, Status, certify, gallery, solve
 from lcp_plugin.core.errors import (
     InvalidOption,
     InvalidProblem,
@@ -218,7 +219,7 @@ def drawn(seed: int) -> tuple[LCP, int, np.ndarray[Any, Any] | None]:
         q[own] *= (1.0, 0.0, 1e-310, 1e150, 1.0, 2.0**-45)[kind]
         lower[own] = (0.0, 0.0, -1e-310, 1.0, -np.inf, -1.0)[kind]
         upper[own] = (np.inf, 2.0, np.inf, np.inf, np.inf, -1.0)[kind]
-        z0[own] = (0.0, 1e-312, 1.0, -5.0, np.inf, 1e9)[int(rng.integers(0, 6))]
+        z0[own] = (0.0, 1e-312, 1.0, -5.0, 1e300, 1e9)[int(rng.integers(0, 6))]
     return LCP(M, q, lower=lower, upper=upper), cut, z0 if rng.random() < 0.5 else None
 
 
@@ -251,6 +252,72 @@ def a_start_of_one_rank_counts() -> None:
     z = rows.solve().z
     assert rows.solve(z0=None if COMM.rank else z).is_solved
     refused(InvalidProblem, lambda: rows.slack(z[COMM.rank :]) if COMM.size > 1 else rows.slack([]))
+
+
+def spread(problem: LCP, *vectors: Any) -> tuple[RowsOnRanks, list[Any]]:
+    """Return a problem on the ranks, and the local parts of vectors."""
+    own = slice(problem.n * COMM.rank // COMM.size, problem.n * (COMM.rank + 1) // COMM.size)
+    return RowsOnRanks.from_problem(problem), [np.asarray(one)[own] for one in vectors]
+
+
+@claim
+def certify_measures_the_point_that_it_is_given() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        n = int(rng.integers(2, 9))
+        M, z = rng.integers(-2, 3, (n, n)) * 1.0, np.maximum(rng.integers(-3, 4, n), 0.0)
+        q = rng.integers(0, 4, n) * (z == 0.0) - M @ z  # z is a solution
+        problem, moved = LCP(sp.csr_array(M), q), z + rng.integers(-1, 2, n)
+        rows, parts = spread(problem, z, moved)
+        for x, part in zip((z, moved), parts, strict=True):
+            found = certify(rows, part)
+            assert found.verdict == certify(problem, x).verdict
+            assert found.violation == certify(problem, x).violation
+    rows, (outside, no_number) = spread(LCP(sp.csr_array(M), q), z - 5.0, z * np.nan)
+    assert "is beyond its bound 0" in certify(rows, outside).reason
+    refused(InvalidProblem, lambda: certify(rows, no_number))
+
+
+@claim
+def an_argument_of_one_rank_that_is_wrong_or_differs_is_refused_by_all() -> None:
+    rows, (z,) = spread(mixed(), np.zeros(90))
+    last = COMM.rank == COMM.size - 1
+    refused(InvalidOption, lambda: certify(rows, z, tolerance=-1.0 if last else 1e-6))
+    refused(InvalidOption, lambda: certify(rows, None if last else z))
+    refused(InvalidOption, lambda: certify(rows, z, claim="infeasible" if last else None))
+    refused(InvalidProblem, lambda: rows.solve(z0=z * np.nan if last else z))
+    for wrong in (MPI.COMM_NULL, "all"):
+        refused(InvalidProblem, lambda comm=wrong: LCP.from_rows(comm, rows.rows, rows.q))
+    if COMM.size > 1:
+        refused(InvalidOption, lambda: certify(rows, z, tolerance=1e-8 if last else 1e-3))
+
+
+@claim
+def an_exit_in_a_callback_of_one_rank_ends_all_ranks() -> None:
+    rows, _ = spread(gallery.build("obstacle_2d", size=30).problem)
+    last = COMM.rank == COMM.size - 1
+    for kind in (SystemExit, KeyboardInterrupt):
+
+        def leave(sample: Any, z: Any, kind: Any = kind) -> None:
+            raise kind
+
+        with pytest.raises(kind if last else LCPError, match="" if last else kind.__name__):
+            rows.solve("npj", callback=leave if last else None)
+
+
+@claim
+def a_small_problem_that_multigrid_does_not_finish_is_solved_in_one_process() -> None:
+    D = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(40, 40))
+    beam = LCP((D @ D).tocsr(), np.where(np.arange(40) < 20, -1.0, 0.5))
+    rows, _ = spread(beam)
+    result = rows.solve()
+    assert result.is_solved
+    assert result.iterations < 100
+    agrees(rows.gathered(result.z), solve(beam).z, 1e-6)
+    never, _ = spread(LCP(-sp.eye_array(40, format="csr"), -np.ones(40)))
+    result = never.solve()
+    assert result.status is Status.INFEASIBLE
+    assert result.proof.verify()
 
 
 @claim

@@ -50,7 +50,10 @@ LEADS_ON = {  # imports inside a function from a layer above: importing file, ta
     "problems.parametric.tracing": ({"modeling"}, "trace takes a cvxpy problem as well"),
     "problems.cones.data": ({"files"}, "save() of a problem over cones"),
     "problems.cones.frictional_contact": ({"files"}, "save() of many worlds with contact"),
-    "problems.programs.certification": ({"modeling", "pyomo"}, "certify takes a model as well"),
+    "problems.programs.certification": (
+        {"modeling", "nl", "pyomo"},
+        "certify takes a model as well",
+    ),
     "problems.sensitivity": ({"modeling"}, "derivative takes a cvxpy problem as well"),
     "problems.equilibria.branch_and_bound": (
         {"scip"},

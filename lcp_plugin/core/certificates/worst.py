@@ -7,9 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..checks import Vector
+from ..kernels.floats import EPSILON
 from ..names import Names
 from .measured import Measured
 
+NEAREST = 8.0 * EPSILON  # of the terms of a row: rounding
 SHOWN = 3  # rows that the explanation of a run shows
 
 
@@ -46,6 +49,35 @@ class WorstRows(tuple[WorstRow, ...]):
         return "\n".join(lines) or "no row fails"
 
 
+def outside_row(name: str, value: float, bound: float) -> WorstRow:
+    """Return the row of a value that violates its bound."""
+    distance, terms = abs(value - bound), abs(value) + abs(bound)
+    text = f"{name} = {value:.6g} is beyond its bound {bound:.6g}"
+    return WorstRow(name, distance / terms, distance, terms, text)
+
+
+def put_on_bounds(z: Vector, lower: Vector, upper: Vector, absolute: Any, terms: Vector) -> Vector:
+    """Return z, shape (n,), with each z_i on a bound if its distance from the bound is at rounding level.
+
+    Parameters
+    ----------
+    z, lower, upper : array, shape (n,)
+    absolute : ndarray or sparse array, shape (rows, n)
+        |M|.
+    terms : array, shape (rows,)
+        Sums of the sizes of the terms of each row: moving z_i changes each by at most 8 ε.
+    """
+    from scipy.sparse import coo_array
+
+    entries, reach = coo_array(absolute), np.full(z.size, math.inf)
+    rows, columns = entries.coords
+    np.minimum.at(reach, columns, NEAREST * terms[rows] / entries.data)
+    reach[~np.isfinite(reach)] = 0.0  # no row has this unknown
+    reach = np.maximum(reach, NEAREST * np.abs(z))
+    moved = np.where(np.abs(z - upper) <= reach, upper, z)
+    return np.where(np.abs(z - lower) <= reach, lower, moved)
+
+
 def worst_pairs(
     data: Any, found: Measured, names: Names, tolerance: float, count: int
 ) -> WorstRows:
@@ -62,6 +94,8 @@ def worst_pairs(
     count : int
     """
     n, at, by_row = data.q.size, found.rows, found.by_row
+    if (sharp := data.sharp_product(found.z)) is not None:  # a sum that cancels is printed exactly
+        at = data.rows(found.z, sharp[0])
     is_cone = getattr(data, "is_cone", False)  # such rows have no bounds of their own
     lower, upper = (
         np.ravel(np.where(is_cone, math.nan, bound)) for bound in (data.lower, data.upper)
@@ -70,11 +104,9 @@ def worst_pairs(
         np.broadcast_to(np.ravel(one), (n,))
         for one in (found.z, at.w, at.terms, at.violation, by_row.relative, by_row.terms)
     )
-    low = np.broadcast_to(np.ravel(by_row.low), (n,))
-    # 0: rounding explains the residual
-    least = np.maximum(np.where(low == 0.0, 0.0, relative), own)
+    least = np.maximum(np.where(violation == 0.0, 0.0, relative), own)
     least = np.where(np.isnan(least), math.inf, least)
-    order = np.lexsort((-low, -least))[:count].tolist()
+    order = np.lexsort((-violation, -least))[:count].tolist()
     return WorstRows(
         WorstRow(
             names.row(i),
@@ -96,9 +128,7 @@ def _sides(names: Names, i: int, z: float, w: float, lower: float, upper: float)
     if math.isnan(lower):
         return f"{row} = {w:.6g} while {unknown} = {z:.6g}, in a cone"
     if not lower <= z <= upper:
-        return (
-            f"{names.unknown(i)} = {z:.6g} is beyond its bound {lower if z < lower else upper:.6g}"
-        )
+        return outside_row(names.unknown(i), z, lower if z < lower else upper).text
     if lower == -math.inf and upper == math.inf:
         return f"{names.row(i)} = {w:.6g}, and must be 0"
     bound, sign = (lower, ">") if w > 0.0 else (upper, "<")

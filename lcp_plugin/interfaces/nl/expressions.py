@@ -339,6 +339,18 @@ class Expressions:
             compiler.emit(function, *own)
         return compiler
 
+    def all_values(self, x: Vector) -> Vector:
+        """Return the values of the unknowns at x, and of defined variables by their definitions."""
+        from scipy.sparse.linalg import spsolve
+
+        is_defined = self.unknowns >= x.size
+        values = x[np.where(is_defined, 0, self.unknowns)]
+        if is_defined.any():
+            A = sp.csc_array(self.matrix[self.definitions][:, : self.unknowns.size])
+            own = A[:, ~is_defined] @ values[~is_defined] + self.offset[self.definitions]
+            values[is_defined] = -spsolve(A[:, is_defined], own)
+        return values
+
     def is_affine(self) -> Any:
         """Return the mask of combinations that hold no function."""
         nonlinear = np.concatenate([[0], np.cumsum(self.matrix.indices >= self.unknowns.size)])

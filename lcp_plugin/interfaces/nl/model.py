@@ -17,8 +17,9 @@ import scipy.sparse as sp
 
 from ... import __version__
 from ...api import solve
+from ...core.certificates.worst import WorstRow, outside_row
 from ...core.checks import BoolVector, Vector
-from ...core.errors import UnsupportedModel
+from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.lcp import LCP
 from ...core.problem_classes import with_article
 from ...core.representation import format_count
@@ -27,6 +28,12 @@ from ...core.solving.result import Outcome, Result
 from ...expressions.rows import Program, Rows
 from ...expressions.statement import STATUS_ELSEWHERE, SquareModel, Statement, solve_from
 from ...problems.nonlinear.data import NonlinearProblem
+from ...problems.programs.certification import (
+    Certification,
+    certify,
+    certify_point,
+    with_side_conditions,
+)
 from ...problems.programs.program import QuadraticProgram
 from ...problems.programs.solving import solve_program
 from .expressions import UNKNOWNS, Expressions
@@ -77,22 +84,27 @@ class SideConditions:
         rows, variables = self.inequalities.tolist(), self.bounded.tolist()
         return [*map(content.row, rows), *map(content.variable, variables)]
 
-    def violated(self, x: Vector, tolerance: float) -> str:
-        """Return the names of what is violated at x by more than the run's tolerance; else ""."""
+    def violated(self, x: Vector, tolerance: float) -> list[WorstRow]:
+        """Return the conditions that x violates by more than a tolerance, the worst first."""
         content, inner = self.content, self.inequalities
         if not (names := self.names()):
-            return ""
+            return []
         rows, slopes = values_and_slopes(content, x, inner)
         units = abs(slopes) @ (1.0 + np.abs(x))  # the change of a row if all its variables change
-        own, bounds = x[self.bounded], (content.lower[self.bounded], content.upper[self.bounded])
-        limits = content.row_lower[inner], content.row_upper[inner]
-        excesses = np.append(excess(rows, *limits, units), excess(own, *bounds, 1.0 + np.abs(own)))
+        own = x[self.bounded]
+        values, units = np.append(rows, own), np.append(units, 1.0 + np.abs(own))
+        lower = np.append(content.row_lower[inner], content.lower[self.bounded])
+        upper = np.append(content.row_upper[inner], content.upper[self.bounded])
+        excesses = excess(values, lower, upper, units)
         excesses = np.where(np.isnan(excesses), np.inf, excesses)
-        worst = int(np.argmax(excesses))
-        count = int((excesses > max(FEASIBLE, 10.0 * tolerance)).sum())
-        others = f", nor {count - 1} more" if count > 1 else ""
-        what = f"{names[worst]} does not hold{others}, off by {excesses[worst]:.2g}"
-        return f"the complementarities and equations are solved, but {what}" if count else ""
+        order = np.argsort(-excesses, kind="stable")
+        bounds = np.where(values < lower, lower, upper)
+        return [
+            outside_row(names[k], float(values[k]), float(bounds[k]))._replace(
+                residual=float(excesses[k])
+            )
+            for k in order[excesses[order] > tolerance].tolist()
+        ]
 
 
 def excess(body: Any, lower: Any, upper: Any, units: Any) -> Any:
@@ -217,8 +229,7 @@ class ComplementarityModel(NLModel):
     def start(self) -> Vector:
         """The start in the unknowns of the problem; the value nearest to 0 for unknowns without a start in the file."""
         content = self.content
-        start = np.clip(content.start, content.lower, content.upper)
-        start = np.append(start, np.zeros(content.defined_trees.size))
+        start = np.append(content.start, np.zeros(content.defined_trees.size))
         return start[self.unknowns][self.arrangement.elimination.kept]
 
     def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
@@ -230,7 +241,7 @@ class ComplementarityModel(NLModel):
         status, words = found.status, found.status.name.lower()
         if status is Status.SOLVED:
             tolerance = options.get("tolerance", Settings.tolerance)
-            if wrong := self.beside.violated(x, tolerance):
+            if wrong := self._violated(x, max(FEASIBLE, 10.0 * tolerance)):
                 if (other := self._another(options, found)) is not None:
                     why = f"; {wrong}" if other.result.has_no_solution else ""
                     return replace(other, message=other.message + why)
@@ -238,6 +249,14 @@ class ComplementarityModel(NLModel):
             status, words = (Status.STALLED, wrong) if wrong else (status, words + self._remark(x))
         message = self._message(words, found.residual, found.iterations)
         return NLAnswer(x, duals, status, message, found, None)
+
+    def _violated(self, x: Vector, tolerance: float) -> str:
+        """Return the names of the side conditions that are violated at x; else ""."""
+        if not (rows := self.beside.violated(x, tolerance)):
+            return ""
+        others = f", nor {len(rows) - 1} more" if len(rows) > 1 else ""
+        what = f"{rows[0].name} does not hold{others}, off by {rows[0].residual:.2g}"
+        return f"the complementarities and equations are solved, but {what}"
 
     def _another(self, options: dict[str, Any], found: Result) -> NLAnswer | None:
         """Return a solution of the pairs that meets all conditions, or a proof that there is none; else None."""
@@ -391,10 +410,49 @@ def model_of(content: NLContent) -> NLModel:
     UnsupportedModel
         Naming the row or variable that is not taken.
     """
-    statement = FileStatement(content)
+    start = np.clip(content.start, content.lower, content.upper)
+    return _model_of(FileStatement(replace(content, start=start)))
+
+
+def _model_of(statement: FileStatement) -> ComplementarityModel | ProgramModel | EquilibriumModel:
+    content = statement.content
     has_goal = statement.has_objective() or content.is_integer.any()
     is_square = statement.is_complementarity_problem() and not (statement.pairs.size and has_goal)
     return statement.complementarities() if is_square else statement.best()
+
+
+def certify_values(content: NLContent, tolerance: float) -> Certification:
+    """Return the verdict on the starts of the variables, unchanged, measured in all rows and bounds of the file.
+
+    Raises
+    ------
+    InvalidProblem
+        If a variable has no finite value, or the file has neither an objective nor complementarities.
+    """
+    for k in np.flatnonzero(~(content.has_start & np.isfinite(content.start)))[:1].tolist():
+        value = f"the value {content.start[k]}" if content.has_start[k] else "no value"
+        raise InvalidProblem(
+            f"{content.variable(k)} has {value}; solve the model, or set a number for each variable first"
+        )
+    statement, given = FileStatement(content), content.start
+    is_bounded = np.isfinite(content.lower) | np.isfinite(content.upper)
+    beside = SideConditions(
+        content, statement.inequalities, np.flatnonzero(is_bounded & ~statement.is_paired)
+    )
+    if not (statement.pairs.size or content.is_maximized.size) and beside.names():
+        raise InvalidProblem(
+            "the model has bounds or inequalities, but neither an objective nor complementarities to certify; give "
+            'certify(model, pairs="match") if it is square, or add an Objective'
+        )
+    model = _model_of(statement)
+    x = statement.expressions.all_values(given)
+    if isinstance(model, ComplementarityModel):
+        problem, z, violated = model.arrangement.at_values(x, tolerance, statement.name)
+        found = certify_point(problem, z, tolerance)
+        return with_side_conditions(found, [*violated, *beside.violated(given, tolerance)])
+    found = certify(model.problem, x, tolerance=tolerance)
+    fixed = SideConditions(content, statement.pairs[:0], np.flatnonzero(~np.isnan(statement.known)))
+    return with_side_conditions(found, fixed.violated(given, tolerance))
 
 
 def lcp_in_nl(path: str | PathLike[str]) -> LCP:
@@ -471,7 +529,7 @@ class FileStatement:
             columns = np.append(used, linear[is_kept].nonzero()[1])
             occurs[columns[columns < self.n]] = True
         is_known = ~self.is_paired & ((content.lower == content.upper) | ~occurs)
-        return np.where(is_known, np.clip(content.start, content.lower, content.upper), np.nan)
+        return np.where(is_known, content.start, np.nan)
 
     def is_complementarity_problem(self) -> bool:
         """Return whether the file has an objective, or affine rows that are not square."""
@@ -579,12 +637,12 @@ class FileStatement:
         free = np.full(content.defined_trees.size, np.inf)
         lower, upper = np.append(content.lower, -free), np.append(content.upper, free)
         return Statement(
-            found.compiler,
-            {UNKNOWNS: 0},
-            lower[found.unknowns],
-            upper[found.unknowns],
-            lambda column: content.variable(int(found.unknowns[column])),
+            found.compiler, {UNKNOWNS: 0}, lower[found.unknowns], upper[found.unknowns], self.name
         )
+
+    def name(self, column: int) -> str:
+        """Return the name of an unknown."""
+        return self.content.variable(int(self.expressions.unknowns[column]))
 
     def _without_empty(self, equations: Indices, right: Vector) -> Indices:
         """Leave out the equations that have no unknown; raise if they are violated."""

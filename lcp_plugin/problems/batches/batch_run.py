@@ -137,8 +137,10 @@ class BatchRun:
             run_in_chunks(solve_some, len(stacks), self.threads)
 
     def _take(self, items: Any, z: Any, residual: Any, iterations: Any, is_solved: Any) -> None:
-        """Keep the solved problems of a stack."""
-        good = np.flatnonzero(is_solved & self.is_open[items])
+        """Keep the solved problems of a stack, unless their origin rejects the point."""
+        is_good = is_solved & self.is_open[items]
+        is_good &= ~self.problems.are_rejected(items, z, self.settings.tolerance)
+        good = np.flatnonzero(is_good)
         at = items[good]
         if isinstance(self.z, np.ndarray):
             self.z[at] = z[good]

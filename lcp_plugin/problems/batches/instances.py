@@ -88,6 +88,10 @@ class Instances:
     def start(self, k: int) -> Any:
         """Return the start of problem k, or None."""
 
+    def are_rejected(self, items: Any, z: Any, tolerance: float) -> Any:
+        """Return the problems whose origin rejects the point, bool: a program, by its duality gap."""
+        return np.False_
+
     def row(self, found: Any) -> Any:
         """Return the row of a result in the table of points."""
         return np.empty(0) if found.x is None else found.x
@@ -121,6 +125,14 @@ class Listed(Instances):
     def start(self, k: int) -> Any:
         """Return the start of problem k, or None."""
         return None if self.starts is None else self.starts[k]
+
+    def are_rejected(self, items: Any, z: Any, tolerance: float) -> Any:
+        """Return the problems whose origin rejects the point, bool."""
+        origins = (getattr(self.problems[k], "origin", None) for k in items)
+        tests = (getattr(origin, "rejects", None) for origin in origins)
+        return np.array(
+            [test is not None and test(at, tolerance) for test, at in zip(tests, z, strict=True)]
+        )
 
     @property
     def points(self) -> list[Any]:

@@ -49,7 +49,7 @@ from ...core.checks import BoolVector, Vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
-from ...core.names import Names, checked_names
+from ...core.names import checked_names
 from ...core.settings import Settings
 
 DENSE_PATTERN_UP_TO = 1000  # unknowns; each costs one evaluation of F per derivative
@@ -530,19 +530,3 @@ class Linearization:
     def residual(self) -> float:
         """The relative residual of x."""
         return self.certificate.relative_residual
-
-
-def criterion_at(problem: NonlinearProblem, x: Vector) -> tuple[RowData, Vector, Vector, Names]:
-    """Return the data of the criterion at x, with x, F(x) and the names.
-
-    Raises
-    ------
-    InvalidProblem
-        If F or its derivative is not finite at x; the message names the row.
-    """
-    problem = problem.with_size(x.size)
-    at = Linearization(problem, x)
-    if (wrong := np.flatnonzero(~np.isfinite(at.value))).size:
-        row, value = problem.names.row(wrong[0]), at.value[wrong[0]]
-        raise InvalidProblem(f"{row} is {value} at x; give a point at which F is defined")
-    return at.certificate.criterion, at.x, at.value, problem.names

@@ -17,13 +17,14 @@ from numpy.typing import ArrayLike
 
 from ...auto import method_of, plan, takes_rounds
 from ...core.algorithm import Algorithm, Step
-from ...core.certificates.criterion import POWER, row_data
+from ...core.certificates.criterion import POWER, RowData, row_data
 from ...core.certificates.measured import Measured
 from ...core.checks import Vector, read_only, vector_option
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.kernels.threads import threads_for
 from ...core.lcp import LCP
+from ...core.names import Names
 from ...core.settings import Settings, Status
 from ...core.solving.lcp_run import LCPRun
 from ...core.solving.progress import Callback, Progress
@@ -485,14 +486,10 @@ class NonlinearRun(Run):
         """Return whether a point passes, with differences also if they disagree with the jacobian."""
         if self._is_far(point) or not point.measure(self.settings, power).passes:
             return False
-        if not self.has_doubts or not jacobian_warning(point):
-            return True
-        problem = point.problem
-        pattern = None if point.lcp.n <= DENSE_PATTERN_UP_TO else point.lcp.csr
-        twin = NonlinearProblem(problem.F, None, problem.lower, problem.upper, pattern)
-        twin = twin.with_size(point.x.size)
-        there = Linearization(twin, point.x)
-        return there.is_defined and bool(there.measure(self.settings, power).passes)
+        there = with_trusted_derivative(point) if self.has_doubts else point
+        return there is point or (
+            there.is_defined and bool(there.measure(self.settings, power).passes)
+        )
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the linearization after entries near bounds are moved there, unless only the point itself passes."""
@@ -522,6 +519,33 @@ class NonlinearRun(Run):
         words = {**WORDS, Status.STALLED: GROWING} if self._is_far(point) else WORDS
         named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
         return self.result_at(certificate, status, **named)
+
+
+def with_trusted_derivative(point: Linearization) -> Linearization:
+    """Return the linearization, by differences of F if they disagree with the jacobian."""
+    problem = point.problem
+    if problem.jacobian is None or not jacobian_warning(point):
+        return point
+    pattern = None if point.lcp.n <= DENSE_PATTERN_UP_TO else point.lcp.csr
+    twin = NonlinearProblem(problem.F, None, problem.lower, problem.upper, pattern)
+    return Linearization(twin.with_size(point.x.size), point.x)
+
+
+def criterion_at(problem: NonlinearProblem, x: Vector) -> tuple[RowData, Vector, Vector, Names]:
+    """Return the data of the criterion at x, with x, F(x) and the names; the jacobian is checked as in a run.
+
+    Raises
+    ------
+    InvalidProblem
+        If F or its derivative is not finite at x; the message names the row.
+    """
+    problem = problem.with_size(x.size)
+    at = Linearization(problem, x)
+    if (wrong := np.flatnonzero(~np.isfinite(at.value))).size:
+        row, value = problem.names.row(wrong[0]), at.value[wrong[0]]
+        raise InvalidProblem(f"{row} is {value} at x; give a point at which F is defined")
+    at = with_trusted_derivative(at)
+    return at.certificate.criterion, at.x, at.value, problem.names
 
 
 TANGENTS = (

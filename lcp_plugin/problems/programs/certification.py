@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.worst import WorstRows, worst_pairs
+from ...core.certificates.worst import WorstRow, WorstRows, put_on_bounds, worst_pairs
 from ...core.checks import Vector, checked_vector, derived_property, is_number, restore_state
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
@@ -41,6 +41,9 @@ CLAIMS = ("optimal", "infeasible", "unbounded")
 SMALL = 400  # variables and rows of a program that is solved again for a tighter bound
 OUTWARD = 1.0 + 2.0**-30
 NOTHING = "nothing can be proved"
+NOT_BY_A_ROW = (
+    "each row passes, but by its derivative F may tend to 0 as x diverges, or is at rounding level"
+)
 
 
 @np.errstate(all="ignore")  # a bound that overflows proves nothing
@@ -52,17 +55,19 @@ def certify(
     claim: str | None = None,
     tolerance: float = 1e-6,
     max_seconds: float | None = None,
+    pairs: Any = None,
 ) -> Certification:
     """Return the proved facts about a point of a problem, from any solver, and its worst rows.
 
-    For a complementarity problem, "proved" means that the stopping criterion of SOLVED holds at x. The other paragraphs
-    are about convex quadratic and linear programs. ``certify(…).worst(5)`` lists the rows that fail by most.
+    For a complementarity problem, "proved" means that the stopping criterion of SOLVED holds at x, which is not moved,
+    and that x is within its bounds. The other paragraphs are about convex quadratic and linear programs.
+    ``certify(…).worst(5)`` lists the rows that fail by most.
 
     Parameters
     ----------
     problem : problem, cvxpy.Problem or Pyomo model
         A QuadraticProgram, LCP, NonlinearProblem, ConeProblem or FrictionalContact; or a model, at the present values
-        of its variables. It is not modified.
+        of its variables: its equations and all bounds are also tested. It is not modified.
     x : array, shape (n,), result or QPSolution, optional
         The point of a problem of arrays; ``certify(result)`` is ``certify(result.program, result)``.
     multipliers : pair of arrays or QPSolution, optional
@@ -82,6 +87,8 @@ def certify(
         in the unit of the constraint, so that no x can be proved to be optimal.
     max_seconds : float, optional
         Approximate limit in seconds; claims that are not decided by then stay "unproved".
+    pairs : "match" or mapping, optional
+        Pairs of a square Pyomo model, as in ``solve(model, pairs=…)`` of :mod:`lcp_plugin.pyomo`.
 
     Returns
     -------
@@ -131,6 +138,10 @@ def certify(
     >>> certify(program, claim="infeasible").verdict
     'disproved'
     """
+    if hasattr(problem, "measured"):  # its rows are spread over MPI ranks
+        given = x, multipliers, claim, tolerance, max_seconds
+        problem.halo.together(lambda: _check_point(problem, *given))
+        return _solved(*problem.measured(getattr(x, "x", x), float(tolerance)))
     _check_options(tolerance, max_seconds)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
         if isinstance(problem, QuadraticProgramResult) and x is None:
@@ -138,22 +149,7 @@ def certify(
         if isinstance(x, QuadraticProgramResult) and claim is None and x.has_no_solution:
             claim = str(x.status.name).lower()
         if not isinstance(problem, QuadraticProgram):
-            kind = class_of(problem)
-            if hasattr(problem, "measured") or (kind is not None and CLASSES[kind].criterion):
-                return _certify_pairs(problem, x, (multipliers, claim), float(tolerance))
-            if kind is not None or isinstance(problem, (BaseResult, QPSolution)):
-                raise InvalidProblem(refusal("certify", problem))
-            if x is not None or multipliers is not None or claim is not None:
-                raise InvalidOption(
-                    "x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own"
-                )
-            if hasattr(problem, "component_data_objects"):  # a Pyomo model
-                from ...interfaces.pyomo import problem_and_point
-
-                return certify(*problem_and_point(problem), tolerance=tolerance)
-            from ...modeling.registration import certify_model
-
-            return certify_model(problem, float(tolerance))
+            return _certify_other(problem, x, multipliers, claim, pairs, float(tolerance))
         if claim not in (None, *CLAIMS):
             raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
         contradicts = (
@@ -181,11 +177,35 @@ def certify(
         return replace(found, lower=lower, upper=upper)
 
 
-def _certify_pairs(
-    problem: Any, x: Any, others: tuple[Any, ...], tolerance: float
+def _certify_other(
+    problem: Any, x: Any, multipliers: Any, claim: Any, pairs: Any, tolerance: float
 ) -> Certification:
-    """Return whether the stopping criterion holds at x, a point of complementarity conditions."""
-    if any(one is not None for one in others):
+    """Return the verdict on a point of a problem of pairs, or on the values of a model."""
+    kind = class_of(problem)
+    if kind is not None and CLASSES[kind].criterion:
+        _check_point(problem, x, multipliers, claim, tolerance)
+        x = x.x if isinstance(x, BaseResult) else x
+        return certify_point(problem, checked_vector(x, "x", problem.n), tolerance)
+    if kind is not None or isinstance(problem, (BaseResult, QPSolution)):
+        raise InvalidProblem(refusal("certify", problem))
+    if x is not None or multipliers is not None or claim is not None:
+        raise InvalidOption(
+            "x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own"
+        )
+    if hasattr(problem, "component_data_objects"):  # a Pyomo model
+        from ...interfaces.nl.model import certify_values
+        from ...interfaces.pyomo import stated
+
+        return certify_values(stated(problem, pairs).content, tolerance)
+    from ...modeling.registration import certify_model
+
+    return certify_model(problem, tolerance)
+
+
+def _check_point(problem: Any, x: Any, multipliers: Any, claim: Any, *options: Any) -> None:
+    """Raise InvalidOption unless x is the only claim about a problem of pairs."""
+    _check_options(*options)
+    if multipliers is not None or claim is not None:
         raise InvalidOption(
             f"multipliers and claim go with a QuadraticProgram, got a {type(problem).__name__}; "
             "give certify(problem, x)"
@@ -194,30 +214,73 @@ def _certify_pairs(
         raise InvalidOption(
             f"certify needs a point of the {type(problem).__name__}; give certify(problem, x)"
         )
-    x = getattr(x, "x", x) if isinstance(x, BaseResult) else x
-    if hasattr(problem, "measured"):  # its rows are spread over MPI ranks
-        return _certification(*problem.measured(x, tolerance), tolerance=tolerance)
-    z = checked_vector(x, "x", problem.n)
+
+
+def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
+    """Return whether x satisfies the stopping criterion of a problem of pairs.
+
+    x is not moved, except that an x_i at the rounding level of its distance from a bound is put on the bound.
+
+    Parameters
+    ----------
+    problem : LCP, NonlinearProblem or Blocks
+    x : array, shape (n,)
+    tolerance : float
+
+    Raises
+    ------
+    InvalidProblem
+        If an entry of x is NaN or infinite, or F is not defined at x.
+    """
     criterion = resolve_name(f"lcp_plugin.{CLASSES[str(class_of(problem))].criterion}")
-    data, z, w, names = criterion(problem, z)
+    x = checked_vector(x, "x", x.size)
+    data, z, w, names = criterion(problem, x)
+    lower, upper, terms = map(np.ravel, (data.lower, data.upper, data.rows(z, w).terms))
+    sizes = data.absolute[0] if data.absolute.ndim == 3 else data.absolute
+    near = put_on_bounds(x, lower, upper, sizes, terms)
+    if not np.array_equal(near, x):
+        data, z, w, names = criterion(problem, near)
     found = data.measure_at(z, w, tolerance)
-    is_near = found.by_row.relative <= tolerance
-    if w is None and not found.passes.all() and is_near.any():  # a run moves these to their bounds
-        found = data.measure_at(np.where(is_near, data.snap(z)[0], z), None, tolerance)
+    is_outside = (z < data.lower) | (z > data.upper)
+    by_row = found.by_row
+    by_row = by_row._replace(terms=np.where(is_outside, np.inf, by_row.terms))
+    found = found._replace(by_row=by_row)
+    fails = bool(np.any(by_row.fails(tolerance)))
+    passes = not fails and bool(np.all(found.passes))
+    residual, reason = float(np.max(by_row.relative, initial=0.0)), ""
+    if not (passes or fails):
+        reason = getattr(data.origin, "rejection", NOT_BY_A_ROW)
+    elif fails and (residual <= tolerance or is_outside.any()):  # another test failed
+        reason = worst_pairs(data, found, names, tolerance, 1)[0].text
     violation = float(np.max(found.rows.violation, initial=0.0))
-    residual = float(np.max(found.by_row.relative, initial=0.0))
     rows = partial(worst_pairs, data, found, names, tolerance)
-    return _certification(
-        bool(np.all(found.passes)), violation, residual, tolerance=tolerance, rows=rows
+    return _solved(passes, violation, residual, tolerance, reason, rows)
+
+
+def with_side_conditions(found: Certification, violated: Sequence[WorstRow]) -> Certification:
+    """Return the verdict on a point, disproved if it violates conditions that are not rows of its problem."""
+    if not violated:
+        return found
+    return replace(
+        found,
+        verdict="disproved",
+        violation=max(found.violation or 0.0, *(row.violation for row in violated)),
+        reason=violated[0].text,
+        rows=partial(_with_rows, tuple(violated), found),
     )
 
 
-def _certification(
-    passes: bool, violation: float, residual: float, *, tolerance: float, rows: Any = None
+def _with_rows(violated: tuple[WorstRow, ...], found: Certification, count: int) -> WorstRows:
+    """Return the violated side conditions, then the worst rows."""
+    return WorstRows((*violated, *found.worst(count))[:count])
+
+
+def _solved(
+    passes: bool, violation: float, residual: float, tolerance: float, reason: str, rows: Any = None
 ) -> Certification:
-    """Return the verdict on a point of complementarity conditions."""
-    reason = f"relative residual {residual:.3g}, tolerance {tolerance:g}"
+    """Return the verdict on a point of complementarity conditions; the default reason is its residual."""
     verdict = "proved" if passes else "disproved"
+    reason = reason or f"relative residual {residual:.3g}, tolerance {tolerance:g}"
     return Certification(verdict, "solved", max(0.0, violation), reason=reason, rows=rows)
 
 
@@ -250,7 +313,7 @@ def _answer(program: QuadraticProgram, x: Any, multipliers: Any) -> tuple[Vector
     return x, np.concatenate([inequality, equality, at_lower, at_upper])
 
 
-def _check_options(tolerance: Any, max_seconds: Any) -> None:
+def _check_options(tolerance: Any, max_seconds: Any = None) -> None:
     checked_tolerance(tolerance, may_be_zero=False)
     if max_seconds is not None and (not is_number(max_seconds) or not max_seconds > 0.0):
         raise InvalidOption(f"max_seconds must be a number > 0 or None, got {max_seconds!r}")

@@ -225,3 +225,13 @@ def test_the_starts_of_a_batch_choose_among_solutions() -> None:
     for z0 in ([0.0, 1.0], [1.0, 0.0], [1 / 3, 1 / 3]):
         batch = solve_batch([problem] * 4, z0=[z0] * 4)
         np.testing.assert_allclose(batch.z, [z0] * 4, atol=1e-9)
+
+
+def test_a_list_of_programs_is_tested_by_the_duality_gap() -> None:
+    """The point (0, 48, 0) costs less than (0, 0, 96), whose rows pass, also in a list of 40 copies."""
+    c = [1.0000000009313226, 1.9999999944120646, 1.0000000009313226]
+    P, G = np.diag([2.0**-23, 0, 0]), [[0.0, -2, -1]]
+    problems = [LCP.from_qp(P, c, G, [-96.0], lower=0) for _ in range(40)]
+    found = solve_batch(problems)
+    assert found.all_solved
+    assert all(np.allclose(z[:3], [0, 48, 0], rtol=1e-9, atol=1e-9) for z in found.z)

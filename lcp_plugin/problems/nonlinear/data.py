@@ -26,8 +26,9 @@ Two clauses are added, because the linearization is not F, and because F(x) is n
 
 A point whose multiplier diverges, as at a cusp of the constraints, passes if all rows are zero up to rounding there.
 
-2⁻⁵² T_i bounds the rounding error of F_i. If this bound is too large, the error is measured: F is evaluated at a few
-points so close to x that its curvature is negligible, and F(x + δ) − F(x) − F′(x) δ is then rounding error.
+The rounding error of F_i is measured: x moves by a few roundings, or as far as F_i needs to change. The difference
+F(x + δ) − F(x) − F′(x) δ is then rounding error. It exceeds 2⁻⁵² T_i if F contains constants larger than x, as eˣ − 1
+does.
 """
 
 from __future__ import annotations
@@ -377,8 +378,8 @@ def _pattern(pattern: Any) -> sp.csc_array:
     return stored
 
 
-# Shares of the step to the projected point: a derivative that is wrong by a half explains no residual.
-NEARBY = 2.0**-6 / np.arange(1, 5)
+MOVES = 4.0 ** np.arange(-25, 1)  # shares of x, from some roundings to x itself
+SAMPLES = 5  # of the rounding error of each F_i
 
 
 class LinearizedRows(RowData):
@@ -447,18 +448,22 @@ class LinearizedRows(RowData):
     def noise(self) -> Vector:
         """Estimate of the rounding error inside each F_i/d_i, shape (n,); NaN if F is not defined near x.
 
-        The estimate is the largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i, for δ a few fractions of 1/64 of the step to
-        the projected point, or of 2⁻³⁰ x if that is larger.
+        It is the largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i of five steps, the first of which is the least in
+        `MOVES` that changes F_i: 1 − e⁻ˣ is constant next to a small x.
         """
-        x = self.x
+        x, found, left = self.x, np.zeros(self.x.size), np.full(self.x.size, SAMPLES)
         step = -self.residual(x, self.value)
-        # 1 − e⁻ˣ must round differently at that distance, for small x
-        step = np.copysign(np.maximum(np.abs(step), 2.0**-30 * np.abs(x)), step)
-        errors = []
-        for share in NEARBY:
-            near = np.clip(x + share * step, self.lower, self.upper)
-            errors.append(np.abs(self.problem.value(near) - self.value - self.M @ (near - x)))
-        return np.asarray(np.max(errors, 0) / self.scale)
+        way = np.copysign(np.maximum(np.abs(x), np.abs(step)), step)
+        left[step == 0.0] = 0
+        for share in MOVES:
+            near = np.clip(x + share * way, self.lower, self.upper)
+            change = self.problem.value(near) - self.value
+            error = np.abs(change - self.M @ (near - x)) / self.scale
+            is_open = (left > 0) & ((change != 0.0) | (left < SAMPLES))
+            found, left = np.where(is_open, np.maximum(found, error), found), left - is_open
+            if not left.any():
+                break
+        return found
 
     def rounding_floor(self, terms: Vector, scale: Vector | None = None) -> Any:
         """Return the rounding level of each residual, with the rounding error inside F."""

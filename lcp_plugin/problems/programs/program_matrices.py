@@ -212,7 +212,7 @@ class ProgramMatrices:
 
     @property
     def is_nearly_semidefinite(self) -> bool:
-        """True if P is semidefinite, as it is or with the rounding that `semidefinite_P` adds."""
+        """True if P is semidefinite, perhaps with the rounding that `semidefinite_P` adds."""
         return self.semidefinite_P is not None
 
     @cached_property

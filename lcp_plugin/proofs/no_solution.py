@@ -184,7 +184,7 @@ class NoSolutionProof:
 
     @derived_property
     def is_rounding(self) -> bool:
-        """True if the margin is at most 2⁻⁴² of the largest T_i/d_i at z°: rounding of the data explains such a contradiction.
+        """True if the margin is at most 2⁻⁴² of the largest T_i/d_i at z°: rounding of the data explains it.
 
         The weights .1, .2 and −.3 of a network, for example, have a sum of 6e-17.
         """

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze_csr
+from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze_csr, read_only
 from ...core.errors import UnsupportedModel
 from ...core.matrix import Matrix, largest_in_rows, largest_products
 from ...core.rounding import compensated_product, upper_end
@@ -225,9 +225,9 @@ class ProgramMatrices:
         P, d, n = self.P, self.P.diagonal(), self.P.shape[0]
         if self.is_semidefinite or d.min() < -BLUR * abs(P).max():
             return P if self.is_semidefinite else None
-        least = np.minimum(d, 0.0)
-        d = np.where(d > 0.0, d, largest_in_rows(self.sparse_P))
-        unit = scaled_to(self.sparse_P - sp.diags_array(least), 1.0 / np.sqrt(or_one(d)))
+        diagonal: Any = sp.diags_array if sp.issparse(P) else np.diag
+        least, d = np.minimum(d, 0.0), np.where(d > 0.0, d, largest_in_rows(self.sparse_P))
+        unit = scaled_to(P - diagonal(least), 1.0 / np.sqrt(or_one(d)))
         if unit is None:
             return P
         shifts = n * ROUNDING_OF_ENTRIES
@@ -236,8 +236,8 @@ class ProgramMatrices:
         if self.is_semidefinite is None:
             return P
         shift = next(one for one in shifts if factorised(unit, one) is not None)
-        added = sp.diags_array(shift * d - least)
-        return freeze_csr(self.sparse_P + added) if sp.issparse(P) else P + added.toarray()
+        found = P + diagonal(shift * d - least)
+        return freeze_csr(found) if sp.issparse(P) else read_only(found)
 
     @cached_property
     def hessian(self) -> Matrix:

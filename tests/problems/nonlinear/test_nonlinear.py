@@ -535,11 +535,11 @@ def test_a_root_below_the_rounding_errors_of_constants_is_not_stalled(
     F, root = FUNCTIONS_AT_ROUNDING_LEVEL[name]
     A = np.eye(2) + 0.25 * is_coupled * np.array([[0.0, 1.0], [-1.0, 0.0]])
     for exponent in range(7, 14):
-        d = np.array([10.0**-exponent, 10.0 ** -(exponent - 3)])
+        unit = 250.0 if name == "return mapping" else 1.0
+        d = unit * np.array([10.0**-exponent, 10.0 ** -(exponent - 3)])
         f = lambda x, d=d: A @ (np.array([F(x[0]), F(x[1])]).ravel() - d)  # noqa: E731
         result = solve(NonlinearProblem(f, lower=[0.0, 0.0]), x0=[0.0, 0.0])
         assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), d
-        unit = 250.0 if name == "return mapping" else 1.0
         np.testing.assert_allclose(result.z, root(d), rtol=1e-7, atol=2e-15 * unit)
         assert result.iterations < 30
 

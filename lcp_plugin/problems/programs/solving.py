@@ -662,16 +662,15 @@ class ProgramRun(Run):
         """Return the result."""
         program, status, best = self.program, self.status(end), self.best
         is_rounding = status is Status.PRECISION_LIMIT and not self._is_nearly_optimal
-        if is_rounding and self.doubtful is not None and self.doubtful.status is Status.INFEASIBLE:
-            best = None  # each point is as wrong as another
-        if best is None:
+        if best is None or (is_rounding and self.doubtful is not None):
             solution = QPSolution.from_reduced(program, *nearest(program))
             begun = [stage.algorithm.name for stage in self.progress.stages]
             name = begun[-1] if begun else ""
             best = ProgramPoint(solution, KKTErrors(np.inf, np.inf), passes=False, name=name)
-        solution, x = best.solution, best.solution.x
-        if isinstance(self.proof, QPUnboundedness):
-            x = np.clip(numbers(self.proof.point), program.lower, program.upper)
+        proof, solution, x = self.proof or self.doubtful, best.solution, best.solution.x
+        if isinstance(proof, QPUnboundedness) and (proof is self.proof or is_rounding):
+            x = np.clip(numbers(proof.point), program.lower, program.upper)
+            solution = QPSolution.from_reduced(program, x, nearest(program)[1])
         if self.proof is not None:
             solution = QPSolution.without_multipliers(program, x)
         if self.settings.verbose:

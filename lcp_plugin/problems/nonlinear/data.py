@@ -21,14 +21,14 @@ Two clauses are added, because the linearization is not F, and because F(x) is n
   at z°: F = x (x − 1) (x + 2) has the solution 1, where z° = 0 solves the linearization.
 - No unknown x_j off its bounds grows: the change of x_j alone that minimizes Σ (F_i/d_i)² is not an outward step above
   x_j/64. Otherwise F tends to 0 as x diverges. Three such steps end a run from a start.
-- The rounding error of F_i/d_i is at most max(tolerance, 10⁻⁸) times the reference. Otherwise two contradictory rows
-  become zero by rounding as x diverges.
+- 2⁻⁵² T_i/d_i, a rounding error of F_i/d_i, is at most max(tolerance, 10⁻⁸) times the reference. Otherwise two
+  contradictory rows become zero by rounding as x diverges.
 
 A point whose multiplier diverges, as at a cusp of the constraints, passes if all rows are zero up to rounding there.
 
-The rounding error of F_i is measured: x moves by a few roundings, or as far as F_i needs to change. The difference
-F(x + δ) − F(x) − F′(x) δ is then rounding error. It exceeds 2⁻⁵² T_i if F contains constants larger than x, as eˣ − 1
-does.
+For PRECISION_LIMIT, the rounding error of F_i is measured: x moves by a few roundings, or as far as F_i needs to change.
+The difference F(x + δ) − F(x) − F′(x) δ is then rounding error. It exceeds 2⁻⁵² T_i if F contains constants larger than
+x, as eˣ − 1 does.
 """
 
 from __future__ import annotations
@@ -421,14 +421,10 @@ class LinearizedRows(RowData):
     def measure_at(self, *given: Any, **how: Any) -> Measured:
         """Measure x; it passes only if also no unknown grows, and rounding errors of F are small."""
         found = super().measure_at(*given, **how)
-        if not found.passes:
-            return found
         # Smaller rounding errors of F do not count, for any tolerance
-        limit = max(given[2], 1e-8) * found.by_row.reference
-        at = found.rows
-        is_doubtful = at.is_active & (EPSILON * at.terms > limit * self.scale)
-        is_wrong = is_doubtful.any() and (is_doubtful & (self.noise > limit)).any()
-        return found._replace(passes=not (self.growing.any() or is_wrong))
+        limit, at = max(given[2], 1e-8) * found.by_row.reference * self.scale, found.rows
+        is_lost = (at.is_active & (EPSILON * at.terms > limit)).any()
+        return found._replace(passes=found.passes and not (is_lost or self.growing.any()))
 
     @derived_property
     def growing(self) -> BoolVector:

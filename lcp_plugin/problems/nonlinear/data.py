@@ -26,9 +26,9 @@ Two clauses are added, because the linearization is not F, and because F(x) is n
 
 A point whose multiplier diverges, as at a cusp of the constraints, passes if all rows are zero up to rounding there.
 
-For PRECISION_LIMIT, the rounding error of F_i is measured: x moves by a few roundings, or as far as F_i needs to change.
-The difference F(x + δ) − F(x) − F′(x) δ is then rounding error. It exceeds 2⁻⁵² T_i if F contains constants larger than
-x, as eˣ − 1 does.
+For PRECISION_LIMIT, the rounding error of F_i is measured: x moves by a few roundings, or as far as F_i needs to
+change. The difference F(x + δ) − F(x) − F′(x) δ is then rounding error. It exceeds 2⁻⁵² T_i if F contains constants
+larger than x, as eˣ − 1 does.
 """
 
 from __future__ import annotations

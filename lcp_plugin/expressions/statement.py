@@ -20,11 +20,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..api import solve
-from ..core.certificates.criterion import row_data
 from ..core.certificates.worst import WorstRow, outside_row
 from ..core.checks import BoolVector, Vector
 from ..core.errors import NotSquare, UnsupportedModel
-from ..core.kernels.floats import NEGLIGIBLE
+from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, largest_in_rows, row_numbers
 from ..core.names import Names
@@ -362,15 +361,17 @@ class SquareModel:
         values : ndarray
             Rows of the pairs, then of the equations, as the language evaluates them.
         """
-        expected, terms = np.zeros((2, values.size))
-        left = self.numbers(values.size)
+        expected, left = np.zeros(values.size), self.numbers(values.size)
         expected[left] = self.signs * w
-        if isinstance(self.problem, NonlinearProblem):
-            terms[left] = row_data(self.problem.linearize(z)).rows(z).terms
-        else:
-            unknowns = np.abs(self.elimination.expand(z))
-            terms = np.concatenate([abs(matrix) @ unknowns for matrix in self.stored])
-        allowed = DISAGREEMENT * (terms + np.abs(values) + np.abs(expected))
+        unknowns, matrix = self.elimination.expand(z), sp.vstack(self.stored)
+        order, largest = np.arange(values.size), np.abs(unknowns).max(initial=0.0)
+        if isinstance(self.problem, NonlinearProblem):  # e.g. exp(x) − 1 has constants of size 1
+            matrix, order, largest = self.problem.linearize(z).csr, left, max(largest, 1.0)
+        terms = np.abs(values) + np.abs(expected)
+        terms[order] += abs(matrix) @ np.abs(unknowns)
+        allowed = DISAGREEMENT * terms
+        # Terms may be rounding errors of larger unknowns
+        allowed[order] += DATA_ROUNDING * largest * (abs(matrix) @ np.ones(unknowns.size))
         is_wrong = np.isfinite(expected) & ~(np.abs(values - expected) <= allowed)
         wrong = np.flatnonzero(is_wrong)
         return (int(wrong[0]), float(expected[wrong[0]])) if wrong.size else None

@@ -204,9 +204,11 @@ def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
         found = elimination.expand(result.z), elimination.expand_slack(result.w), 0.0
     model.write_back(problem, result, found)
     if found is not None and (wrong := model.consistency_error(result.z, result.w)):
-        problem._clear_solution()
-        raise SolverError(
-            f"cvxpy evaluates the model at the solution to other values: {wrong}; write the expression in another way"
+        warnings.warn(
+            f"cvxpy evaluates the model at the solution to other values: {wrong}; check the solution, or write the "
+            "expression in another way",
+            ModelWarning,
+            stacklevel=4,
         )
     if status in settings.INACCURATE:
         warnings.warn(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -15,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, NonlinearProblem, Status, box, complements, derivative, solve
-from lcp_plugin.core.errors import InvalidOption, LCPError, UnsupportedModel
+from lcp_plugin.core.errors import InvalidOption, LCPError, ModelWarning, UnsupportedModel
 from lcp_plugin.expressions import functions
 from lcp_plugin.expressions.rows import Program
 from lcp_plugin.modeling.reading import Reader
@@ -428,19 +429,33 @@ def test_a_model_without_solution_is_not_called_solved() -> None:
     assert x.value is not None
 
 
-def test_a_wrong_rule_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An atom whose rule disagrees with cvxpy's value ends in an error, not in a solution."""
+def test_a_wrong_rule_is_noticed_and_the_point_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An atom whose rule disagrees with cvxpy's value causes a warning, and x keeps the computed point."""
     double = lambda u: 2 * np.exp(u)  # noqa: E731
     wrong = functions.Function("exp", 1, double, lambda u: (double(u),))
     from lcp_plugin.modeling import reading
 
     monkeypatch.setitem(reading.SMOOTH, type(cp.exp(X)), reading._elementary(wrong))
     x = cp.Variable()
-    with pytest.raises(
-        cp.error.SolverError, match="evaluates the model at the solution to other values"
-    ):
+    with pytest.warns(ModelWarning, match="evaluates the model at the solution to other values"):
         cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.exp(x) - 3 >= 0)]).solve(method="LCP")
-    assert x.value is None
+    assert x.value == pytest.approx(np.log(1.5))
+
+
+@pytest.mark.parametrize("d", [1e-8, 1e-10, 1e-12])
+@pytest.mark.parametrize("is_cube", [False, True])
+def test_a_root_at_rounding_level_is_returned(d: float, is_cube: bool) -> None:
+    """The root d of eˣ − 1 − d, and that of a cube, are returned although cvxpy's values there are rounding errors."""
+    x = cp.Variable()
+    x.value = 0.0
+    F = cp.power(1 + x, 3) if is_cube else cp.exp(x)
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, F - 1 - d >= 0)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ModelWarning)
+        warnings.filterwarnings("ignore", "the solution may be inaccurate")
+        problem.solve(method="LCP")
+    assert problem.status in ("optimal", "optimal_inaccurate")
+    assert x.value == pytest.approx(d / (3 if is_cube else 1), abs=1e-15, rel=1e-7)
 
 
 def test_a_bearing_whose_oil_thickens_under_pressure() -> None:

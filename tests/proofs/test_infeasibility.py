@@ -324,3 +324,32 @@ def test_verify_rejects_each_replaced_field(name: str) -> None:
     assert {one.name for one in fields(proof)} - NO_CLAIM == set(wrong)
     for field, value in wrong.items():
         assert not replace(proof, **{field: value}).verify()
+
+
+def decimal_network(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Return the Laplacian of a network with weights in tenths, summed in double precision."""
+    W = np.triu(rng.integers(0, 10, (n, n)) / 10, 1)
+    return np.diag((W + W.T).sum(axis=1)) - W - W.T
+
+
+def test_decimal_weights_that_do_not_sum_to_zero_are_no_contradiction() -> None:
+    """In tenths K · 1 = 0 exactly, so z = lower is a solution: a sum of 1e-16 of the doubles proves nothing."""
+    rng = np.random.default_rng(8)
+    for _ in range(3):
+        n, low = int(rng.integers(3, 7)), float(rng.integers(1, 10)) / 10
+        K = decimal_network(rng, n)
+        tenths = [[Fraction(round(10 * value), 10) for value in row] for row in K.tolist()]
+        assert not any(sum(row) for row in tenths)
+        for sign in (1.0, -1.0):  # at a lower and at an upper bound
+            bounds = {"lower": low} if sign > 0 else {"lower": -np.inf, "upper": -low}
+            status = solve(LCP(K, np.zeros(n), **bounds), max_iterations=200).status
+            assert status not in (Status.INFEASIBLE, Status.NO_SOLUTION)
+
+
+def test_a_load_above_rounding_is_a_contradiction() -> None:
+    """A network that nothing holds, with a total load of 1e-9 of its terms, has no solution."""
+    rng = np.random.default_rng(9)
+    K = decimal_network(rng, 6)
+    result = solve(LCP(K, np.full(6, -1e-9), lower=0.3))
+    assert result.status is Status.INFEASIBLE
+    assert result.proof.verify()

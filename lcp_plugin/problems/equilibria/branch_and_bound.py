@@ -270,11 +270,7 @@ class BranchAndBound:
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = ExternalBound(found.status, found.bound)
         if found.x is not None:
-            first, self.best = self.best, None
             self.descend_from(found.x)
-            # Its bound is as accurate as the terms at its own point, which may be all 0 at the first one.
-            if first is not None and first.value <= self.best_value and not self._is_closed():
-                self.best = first
         if self.best_value < found.bound - self.allowed:  # a better point refutes the bound
             self.outside = ExternalBound(found.status, -math.inf)
         return ENDS.get(found.status)

@@ -36,6 +36,8 @@ Cases = NDArray[np.uint8]
 LOWER, BETWEEN, UPPER = 1, 2, 4
 CASES = (LOWER, BETWEEN, UPPER)
 _COUNTS = np.array([0, 1, 1, 2, 1, 2, 2, 3])
+# A share of `size_of_data`: at the tolerance 1e-6 ten times the rounding error of SCIP, 1e-9
+LEAST_SHARE = 1e-2
 
 
 def case_counts(cases: Cases) -> Indices:
@@ -342,9 +344,25 @@ class EquilibriumProgram:
         return self.program.objective(x) + smooth
 
     def objective_size(self, x: Vector) -> float:
-        """Return Σ |c_j x_j| + ½ |xᵀP x| + |constant| + |objective|, the reference of a gap."""
+        """Return Σ |c_j x_j| + ½ |xᵀP x| + |constant| + |objective|, the reference of a gap.
+
+        If the objective is not convex, it is at least 1 % of `size_of_data`. All terms may be 0 at x, and SCIP's bound
+        of the optimum 0 has a rounding error.
+        """
         parts = (0.5 * (x @ (self.program.P @ x)), self.program.constant, self.objective(x))
-        return float(np.abs(self.program.c * x).sum()) + sum(abs(float(part)) for part in parts)
+        size = float(np.abs(self.program.c * x).sum()) + sum(abs(float(part)) for part in parts)
+        return size if self.has_convex_objective else max(size, LEAST_SHARE * self.size_of_data)
+
+    @cached_property
+    def size_of_data(self) -> float:
+        """Σ |c_j| X_j + ½ Xᵀ|P|X, X_j the least |d_i/c_ij| ≠ 0 of the rows and bounds: the unit of x_j in the data."""
+        rows, X = self.program.constraints, np.full(self.program.n, np.inf)
+        entries = sp.coo_array(rows.matrix)
+        limits = np.abs(rows.limit[entries.row] / entries.data)
+        is_unit = np.isfinite(limits) & (limits > 0.0)
+        np.minimum.at(X, entries.col[is_unit], limits[is_unit])
+        X[np.isinf(X)] = 0.0
+        return float(np.abs(self.program.c) @ X + 0.5 * (X @ (abs(self.program.P) @ X)))
 
     def excess(self, x: Vector) -> float:
         """Return the largest violation at x: rows relative to their terms, pairs and integers absolute."""

@@ -21,13 +21,14 @@ Two clauses are added, because the linearization is not F, and because F(x) is n
   at z°: F = x (x − 1) (x + 2) has the solution 1, where z° = 0 solves the linearization.
 - No unknown x_j off its bounds grows: the change of x_j alone that minimizes Σ (F_i/d_i)² is not an outward step above
   x_j/64. Otherwise F tends to 0 as x diverges. Three such steps end a run from a start.
-- The rounding error of F_i/d_i is at most max(tolerance, 10⁻⁸) times the reference. Otherwise two contradictory rows
-  become zero by rounding as x diverges.
+- 2⁻⁵² T_i/d_i, a rounding error of F_i/d_i, is at most max(tolerance, 10⁻⁸) times the reference. Otherwise two
+  contradictory rows become zero by rounding as x diverges.
 
 A point whose multiplier diverges, as at a cusp of the constraints, passes if all rows are zero up to rounding there.
 
-2⁻⁵² T_i bounds the rounding error of F_i. If this bound is too large, the error is measured: F is evaluated at a few
-points so close to x that its curvature is negligible, and F(x + δ) − F(x) − F′(x) δ is then rounding error.
+For PRECISION_LIMIT, the rounding error of F_i is measured: x moves by a few roundings, or as far as F_i needs to
+change. The difference F(x + δ) − F(x) − F′(x) δ is then rounding error. It exceeds 2⁻⁵² T_i if F contains constants
+larger than x, as eˣ − 1 does.
 """
 
 from __future__ import annotations
@@ -378,8 +379,8 @@ def _pattern(pattern: Any) -> sp.csc_array:
     return stored
 
 
-# Shares of the step to the projected point: a derivative that is wrong by a half explains no residual.
-NEARBY = 2.0**-6 / np.arange(1, 5)
+MOVES = 4.0 ** np.arange(-25, 1)  # shares of x, from some roundings to x itself
+SAMPLES = 5  # of the rounding error of each F_i
 
 
 class LinearizedRows(RowData):
@@ -421,14 +422,10 @@ class LinearizedRows(RowData):
     def measure_at(self, *given: Any, **how: Any) -> Measured:
         """Measure x; it passes only if also no unknown grows, and rounding errors of F are small."""
         found = super().measure_at(*given, **how)
-        if not found.passes:
-            return found
         # Smaller rounding errors of F do not count, for any tolerance
-        limit = max(given[2], 1e-8) * found.by_row.reference
-        at = found.rows
-        is_doubtful = at.is_active & (EPSILON * at.terms > limit * self.scale)
-        is_wrong = is_doubtful.any() and (is_doubtful & (self.noise > limit)).any()
-        return found._replace(passes=not (self.growing.any() or is_wrong))
+        limit, at = max(given[2], 1e-8) * found.by_row.reference * self.scale, found.rows
+        is_lost = (at.is_active & (EPSILON * at.terms > limit)).any()
+        return found._replace(passes=found.passes and not (is_lost or self.growing.any()))
 
     @derived_property
     def growing(self) -> BoolVector:
@@ -448,18 +445,22 @@ class LinearizedRows(RowData):
     def noise(self) -> Vector:
         """Estimate of the rounding error inside each F_i/d_i, shape (n,); NaN if F is not defined near x.
 
-        The estimate is the largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i, for δ a few fractions of 1/64 of the step to
-        the projected point, or of 2⁻³⁰ x if that is larger.
+        It is the largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i of five steps, the first of which is the least in
+        `MOVES` that changes F_i: 1 − e⁻ˣ is constant next to a small x.
         """
-        x = self.x
+        x, found, left = self.x, np.zeros(self.x.size), np.full(self.x.size, SAMPLES)
         step = -self.residual(x, self.value)
-        # 1 − e⁻ˣ must round differently at that distance, for small x
-        step = np.copysign(np.maximum(np.abs(step), 2.0**-30 * np.abs(x)), step)
-        errors = []
-        for share in NEARBY:
-            near = np.clip(x + share * step, self.lower, self.upper)
-            errors.append(np.abs(self.problem.value(near) - self.value - self.M @ (near - x)))
-        return np.asarray(np.max(errors, 0) / self.scale)
+        way = np.copysign(np.maximum(np.abs(x), np.abs(step)), step)
+        left[step == 0.0] = 0
+        for share in MOVES:
+            near = np.clip(x + share * way, self.lower, self.upper)
+            change = self.problem.value(near) - self.value
+            error = np.abs(change - self.M @ (near - x)) / self.scale
+            is_open = (left > 0) & ((change != 0.0) | (left < SAMPLES))
+            found, left = np.where(is_open, np.maximum(found, error), found), left - is_open
+            if not left.any():
+                break
+        return found
 
     def rounding_floor(self, terms: Vector, scale: Vector | None = None) -> Any:
         """Return the rounding level of each residual, with the rounding error inside F."""

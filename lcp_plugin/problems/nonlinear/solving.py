@@ -108,7 +108,7 @@ class NewtonState:
         # Beyond 1000 unknowns a new start is too expensive
         for _ in range(RESTARTS if self.first.x.size <= 1000 else 0):
             yield from self.steps()
-            if not self.start_elsewhere():
+            if self.is_at_floor() or not self.start_elsewhere():
                 return
             yield self.step()
         yield from self.steps()
@@ -131,7 +131,7 @@ class NewtonState:
             # A jump of the residual may start a long decrease
             since = 0 if size < 0.95 * min(latest) else since + 1
             latest.append(size)
-            if since and self._is_at_floor():
+            if since and self.is_at_floor():
                 return
             is_small = following.residual <= self.tolerance
             data: Any = following.certificate.criterion
@@ -180,7 +180,7 @@ class NewtonState:
                 self.failures = self.failures + 1 if target is None else 0
                 self.waits = 2**self.failures - 1
             found = None if target is None else self._search(target, is_newton=shift == 0.0)
-            if found is not None or is_over() or self._is_at_floor():
+            if found is not None or is_over() or self.is_at_floor():
                 return found
         return None
 
@@ -214,7 +214,8 @@ class NewtonState:
         phi = fischer_burmeister(lcp, point.x, point.value, lcp.matrix.row_largest)
         return float(np.linalg.norm(self.weights * phi.value))
 
-    def _is_at_floor(self) -> bool:
+    def is_at_floor(self) -> bool:
+        """Return whether only rounding in F keeps the point here from passing."""
         return self.here.is_limited(Settings(self.tolerance))
 
     def _progress(self, point: Linearization) -> float:
@@ -506,8 +507,11 @@ class NonlinearRun(Run):
 
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
-        point: Linearization = self.newton.state.first if self.best is None else self.best.z
-        is_interrupted = end is TerminationReason.INTERRUPTED
+        newton, is_interrupted = self.newton, end is TerminationReason.INTERRUPTED
+        point: Linearization = newton.state.first if self.best is None else self.best.z
+        # Rounding in one row decides which point is best, and other rows may be better at the last one
+        if not (self._passes(point) or is_interrupted) and newton.state.is_at_floor():
+            point = newton.state.here
         if not is_interrupted:
             point = self._snap(point)
         certificate = point.certificate
@@ -515,7 +519,7 @@ class NonlinearRun(Run):
         is_open = not (passes or is_interrupted or self._is_far(point))
         is_limited = is_open and point.is_limited(self.settings)
         self.best = Measured(point, point.residual, passes, is_limited)
-        status, newton = self.status(end), self.newton
+        status = self.status(end)
         words = {**WORDS, Status.STALLED: GROWING} if self._is_far(point) else WORDS
         named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
         return self.result_at(certificate, status, **named)

@@ -34,7 +34,7 @@ from . import value_bounds
 from .criterion import QPSolution, excused_rows, least_size, worst_constraints
 from .no_minimum import NoMinimum, QPInfeasibility, proof_of_no_minimum
 from .program import QuadraticProgram
-from .program_matrices import refuse_nonconvex
+from .program_matrices import WITHIN_ROUNDING, refuse_nonconvex
 from .solving import QuadraticProgramResult, solve_program
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
@@ -160,7 +160,8 @@ def certify(
         if not contradicts:
             refuse_nonconvex(problem)
         # Proofs are not cached under a time limit, because they may be incomplete.
-        proofs = ProgramProofs.of(problem) if max_seconds is None else ProgramProofs(problem)
+        convex = problem.folded.program
+        proofs = ProgramProofs.of(convex) if max_seconds is None else ProgramProofs(convex)
         if claim in ("infeasible", "unbounded"):
             found = proofs.prove_claim(str(claim), float(tolerance))
         else:
@@ -168,6 +169,8 @@ def certify(
             found = proofs.prove_answer(point, y, float(tolerance))
             y = np.zeros(problem.constraints.rows) if y is None else y[: problem.constraints.rows]
             found = replace(found, rows=partial(worst_constraints, problem, point, y))
+        rounding = "" if convex is problem else f", {WITHIN_ROUNDING}"
+        found = replace(found, reason=f"{found.reason}{rounding}")
         if problem.constant == 0.0:
             return found
         lower, upper = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -192,8 +193,16 @@ class QuadraticProgram:
 
     @cached_property
     def folded(self) -> FoldedRows:
-        """The program with bounds in place of rows of one variable."""
-        return FoldedRows.of(self)
+        """The program with bounds in place of rows of one variable, and with `ProgramMatrices.semidefinite_P` for P.
+
+        So a P that is indefinite by the rounding errors of its entries counts as semidefinite.
+        """
+        program, P = self, self.matrices.semidefinite_P
+        if P is not None and P is not self.P:
+            program = copy(self)
+            vectors = self.c, self.h, self.b, self.lower, self.upper
+            program._keep(ProgramMatrices(P, self.G, self.A), *vectors)
+        return FoldedRows.of(program)
 
     @cached_property
     def facts(self) -> ProgramFacts:

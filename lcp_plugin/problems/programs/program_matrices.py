@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector
+from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze_csr, read_only
 from ...core.errors import UnsupportedModel
 from ...core.matrix import Matrix, largest_in_rows, largest_products
 from ...core.rounding import compensated_product, upper_end
@@ -37,6 +37,10 @@ if TYPE_CHECKING:
 Indices = NDArray[np.intp]
 SINGULAR = 1e-6  # the fit of units has null spaces: 2ᵗ of unknowns, 2⁻ᵗ of rows
 FIT_TO = 1e-3
+ROUNDING_OF_ENTRIES = 2.0 ** np.arange(-48.0, -23.0, 4.0)  # from double to single precision
+WITHIN_ROUNDING = (
+    "within rounding: P has a negative eigenvalue, which rounding of its entries explains"
+)
 # Unknowns and rows of a program that dense arithmetic takes in place of sparse matrices
 FULL_UP_TO = 3000
 
@@ -206,22 +210,34 @@ class ProgramMatrices:
         """True if P is positive semidefinite to rounding; None if P is too large for the test."""
         return is_semidefinite_to_rounding(self.P)
 
-    @cached_property
+    @property
     def is_nearly_semidefinite(self) -> bool:
-        """True if P + n 2⁻²⁴ diag(P) is semidefinite, with the largest entry of a row for a diagonal entry of 0.
+        """True if P is semidefinite, perhaps with the rounding that `semidefinite_P` adds."""
+        return self.semidefinite_P is not None
 
-        Diagonal entries that are negative by a rounding error of the largest entry of P count as 0.
+    @cached_property
+    def semidefinite_P(self) -> Any:
+        """P if it is semidefinite or too large to test, or else P + δ diag(P); None if δ = n 2⁻²⁴ does not suffice.
+
+        δ is the least of `ROUNDING_OF_ENTRIES` that suffices. A diagonal entry that is 0, or negative by a rounding
+        error of the largest entry of P, is replaced by the largest entry of its row.
         """
-        if self.is_semidefinite:
-            return True
         P, d, n = self.P, self.P.diagonal(), self.P.shape[0]
-        if (least := d.min()) < 0.0:
-            if least < -BLUR * abs(P).max():
-                return False
-            P = self.sparse_P - sp.diags_array(np.minimum(d, 0.0))
-        d = np.where(d > 0.0, d, largest_in_rows(sp.csr_array(P)))
-        unit = scaled_to(P, 1.0 / np.sqrt(or_one(d)))
-        return unit is None or factorised(unit, n * 2.0**-24) is not None  # of single precision
+        if self.is_semidefinite or d.min() < -BLUR * abs(P).max():
+            return P if self.is_semidefinite else None
+        diagonal: Any = sp.diags_array if sp.issparse(P) else np.diag
+        least, d = np.minimum(d, 0.0), np.where(d > 0.0, d, largest_in_rows(self.sparse_P))
+        unit = scaled_to(P - diagonal(least), 1.0 / np.sqrt(or_one(d)))
+        if unit is None:
+            return P
+        shifts = n * ROUNDING_OF_ENTRIES
+        if factorised(unit, shifts[-1]) is None:
+            return None
+        if self.is_semidefinite is None:
+            return P
+        shift = next(one for one in shifts if factorised(unit, one) is not None)
+        found = P + diagonal(shift * d - least)
+        return freeze_csr(found) if sp.issparse(P) else read_only(found)
 
     @cached_property
     def hessian(self) -> Matrix:

@@ -652,16 +652,11 @@ class ProgramRun(Run):
 
     @property
     def _is_nearly_optimal(self) -> bool:
-        """True if the measures of the best point are small, but above the tolerance.
-
-        Only rows count if P has a negative eigenvalue, at rounding level: the gap of an unbounded direction is large.
-        """
+        """True if the measures of the best point are small, but above the tolerance."""
         if self.best is None:
             return False
         primal, gap, _ = self.best.errors
-        is_small = gap <= max(self.settings.tolerance, NEARLY.gap)
-        is_small = is_small or self.program.is_convex is False
-        return bool(primal <= NEARLY.primal and is_small)
+        return bool(primal <= NEARLY.primal and gap <= max(self.settings.tolerance, NEARLY.gap))
 
     def result(self, end: TerminationReason) -> QuadraticProgramResult:
         """Return the result."""

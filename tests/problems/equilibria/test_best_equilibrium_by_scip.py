@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from macmpec import COLLECTION
 
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, optimal
+from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, optimal, solve
 from lcp_plugin.interfaces import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
@@ -64,6 +64,39 @@ def test_a_bilinear_leader_is_solved_by_scip() -> None:
     assert problem.solve(method="LCP") == pytest.approx(12.5, abs=1e-6)
     assert float(x.value) == pytest.approx(5.0, abs=1e-3)
     assert problem.solver_stats.extra_stats.proof is None
+
+
+@pytest.mark.parametrize("cost", [52.4, 52.6, 90.0])
+def test_a_leader_who_stays_out_is_solved(cost: float) -> None:
+    """Against a rival with cost 5, demand 100 − q, the leader earns (105 − 2c)²/8, or 0 if his cost c exceeds 52.5."""
+    own, rival = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+    reply = complements(rival >= 0, 2 * rival + own - 95 >= 0)
+    problem = cp.Problem(cp.Maximize((100 - cost - own - rival) * own), [reply])
+    problem.solve(method="LCP")
+    assert problem.status == "optimal"
+    assert problem.value == pytest.approx(max(105 - 2 * cost, 0) ** 2 / 8, abs=1e-5)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3])
+def test_a_bilinear_minimum_of_zero_is_solved(unit: float) -> None:
+    """The least x y is 0 for x and y from 0 to 3 units, and −0.3 units² if they are at least −0.1."""
+    P = np.array([[0.0, 1.0], [1.0, 0.0]])
+    at_zero = QuadraticProgram(P, np.zeros(2), lower=0.0, upper=3.0 * unit)
+    result = solve(EquilibriumProgram(at_zero, [], []))
+    assert (result.status, result.value) == (Status.SOLVED, 0.0)
+    below = QuadraticProgram(P, np.zeros(2), lower=-0.1 * unit, upper=3.0 * unit)
+    result = solve(EquilibriumProgram(below, [], []))
+    assert result.require_solved().value == pytest.approx(-0.3 * unit**2, rel=1e-5)
+
+
+def test_a_road_on_which_the_toll_earns_nothing_is_solved() -> None:
+    """The free road takes 2, the other one 3 and the toll: all 5 drive on the free road at every toll."""
+    toll, paid, free, time = cp.Variable(), cp.Variable(), cp.Variable(), cp.Variable()
+    choice = [complements(paid >= 0, 3 + toll - time >= 0), complements(free >= 0, 2 - time >= 0)]
+    rows = [paid + free == 5, toll >= 0, toll <= 10, *choice]
+    problem = cp.Problem(cp.Maximize(toll * paid), rows)
+    assert problem.solve(method="LCP") == pytest.approx(0.0, abs=1e-8)
+    assert problem.status == "optimal"
 
 
 def test_an_unbounded_objective_that_is_not_convex_is_named() -> None:

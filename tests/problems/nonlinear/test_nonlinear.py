@@ -517,6 +517,33 @@ def test_rounding_in_f_is_a_precision_limit() -> None:
     assert solve_nonlinear(wrong, [3.0], check_jacobian=False).status is not Status.PRECISION_LIMIT
 
 
+FUNCTIONS_AT_ROUNDING_LEVEL: dict[str, tuple[Any, Any]] = {  # F(x) − d, and its root
+    "exp(x) − 1": (lambda x: np.exp(x) - 1.0, np.log1p),
+    "1 − exp(−x)": (lambda x: 1.0 - np.exp(-x), lambda d: -np.log1p(-d)),
+    "√(1 + x) − 1": (lambda x: np.sqrt(1.0 + x) - 1.0, lambda d: 2.0 * d + d * d),
+    "(1 + x)³ − 1": (lambda x: (1.0 + x) ** 3 - 1.0, lambda d: np.expm1(np.log1p(d) / 3.0)),
+    "return mapping": (lambda x: 250.0 - abs(250.0 - x), lambda d: d),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS_AT_ROUNDING_LEVEL)
+@pytest.mark.parametrize("is_coupled", [False, True])
+def test_a_root_below_the_rounding_errors_of_constants_is_not_stalled(
+    name: str, is_coupled: bool
+) -> None:
+    """Constants of F hide the root from 10⁻⁷ to 10⁻¹³: x is as near to it as F tells, and no restart is tried."""
+    F, root = FUNCTIONS_AT_ROUNDING_LEVEL[name]
+    A = np.eye(2) + 0.25 * is_coupled * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    for exponent in range(7, 14):
+        unit = 250.0 if name == "return mapping" else 1.0
+        d = unit * np.array([10.0**-exponent, 10.0 ** -(exponent - 3)])
+        f = lambda x, d=d: A @ (np.array([F(x[0]), F(x[1])]).ravel() - d)  # noqa: E731
+        result = solve(NonlinearProblem(f, lower=[0.0, 0.0]), x0=[0.0, 0.0])
+        assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), d
+        np.testing.assert_allclose(result.z, root(d), rtol=1e-7, atol=2e-15 * unit)
+        assert result.iterations < 30
+
+
 def test_a_tolerance_below_the_rounding_errors_of_exponentials_is_a_precision_limit() -> None:
     """1 − e⁻ˣ has rounding errors of 2⁻⁵⁴, and x is small: no point has a measured residual of 1e-15."""
     n = 100

@@ -175,3 +175,12 @@ def test_a_wrong_jacobian_gives_no_false_solution(start: list[float]) -> None:
         np.testing.assert_allclose(result.z, [2.0, 1.0])
     assert result.is_solved or start == [-3.0, 7.0]
     assert "jacobian disagrees" in result.begun
+
+
+@pytest.mark.parametrize("size", [1e17, 1e20])
+def test_contradictory_rows_that_rounding_makes_zero_are_not_solved(size: float) -> None:
+    """The rows x₀ = x₁ + 1 and x₀ = x₁ − 1 hold as doubles at x₀ = x₁ = 10¹⁷, and at no x in exact numbers."""
+    problem = NonlinearProblem(
+        lambda x: np.array([x[0] - (x[1] + 1.0), x[0] - (x[1] - 1.0)]), lower=[-np.inf, -np.inf]
+    )
+    assert solve(problem, x0=[size, size]).status is not Status.SOLVED

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..api import solve
 from ..core.certificates.worst import WorstRow, outside_row
 from ..core.checks import BoolVector, Vector
+from ..core.deadline import time_limit
 from ..core.errors import NotSquare, UnsupportedModel
 from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE
 from ..core.lcp import LCP
@@ -33,6 +34,7 @@ from ..core.solving.result import Result
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram, SmoothPart
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.programs.program import QuadraticProgram
+from ..proofs.no_solution import find_infeasibility
 from . import functions
 from .rows import Compiler, Indices, Program, Rows, added, as_matrix, assembled, is_definition
 
@@ -311,6 +313,8 @@ class SquareModel:
         Unknown matched with each equation that is not a definition, in order.
     dropped : ndarray of int
         Unknowns with bounds that no pair states or implies: the problem does not have them.
+    whole : callable or None
+        Returns the LCP of all unknowns before the elimination; None of a nonlinear problem.
     """
 
     problem: Any
@@ -320,6 +324,21 @@ class SquareModel:
     signs: Vector
     matched: Indices
     dropped: Indices
+    whole: Callable[[], LCP] | None = None
+
+    def proved(self, result: Result) -> Result:
+        """Return the result with a proof for the data of the model, because a substitution rounds products.
+
+        INFEASIBLE becomes PRECISION_LIMIT without such a proof.
+        """
+        is_lcp = isinstance(self.problem, LCP)
+        is_converted = self.elimination.expansion is not None and is_lcp
+        if self.whole is None or not is_converted or result.status is not Status.INFEASIBLE:
+            return result
+        proof = find_infeasibility(self.whole())
+        if proof is None or not proof.excludes(result.tolerance, result.absolute_tolerance):
+            return replace(result, status=Status.PRECISION_LIMIT)
+        return replace(result, infeasibility=proof)
 
     def numbers(self, count: int) -> Indices:
         """Return the number of each row of the problem among all `count` rows: of the pairs, then of the equations."""
@@ -496,7 +515,7 @@ class Statement:
             dropped = self._dropped(free)
             lower[free], upper[free] = -np.inf, np.inf
         columns, signs = _stacked(self.pairs, "z", "sign")
-        columns, n, program = columns.astype(np.int64), self.lower.size, None
+        columns, n, program, whole = columns.astype(np.int64), self.lower.size, None, None
         functions = [one.rows for one in self.pairs]
         equations = [replace(one.rows, offset=one.rows.offset - one.low) for one in self.rows]
         nothing = np.zeros(0, dtype=np.int64)
@@ -506,7 +525,10 @@ class Statement:
             program = Program.of(self.compiler, [*functions, *equations], self.first, n)
         else:
             (M, q), (E, e) = (assembled(rows, self.first, n) for rows in (functions, equations))
-            stored = M, E
+            stored, whole = (
+                (M, E),
+                partial(self._whole, M, q, E, e, columns, free, signs, lower, upper),
+            )
             if equations:
                 owner = np.repeat(np.arange(len(equations)), [one.size for one in equations])
                 elimination, (E, e), (M, q) = eliminate_definitions(
@@ -540,7 +562,26 @@ class Statement:
         else:
             program = program.rearranged(places, signs)
             problem = NonlinearProblem(program.value, program.jacobian, **own)
-        return SquareModel(problem, elimination, stored, places, signs, kept[free], dropped)
+        return SquareModel(problem, elimination, stored, places, signs, kept[free], dropped, whole)
+
+    def _whole(
+        self,
+        M: sp.csr_array,
+        q: Vector,
+        E: sp.csr_array,
+        e: Vector,
+        columns: Any,
+        free: Indices,
+        signs: Vector,
+        lower: Vector,
+        upper: Vector,
+    ) -> LCP:
+        """Return the LCP of the stated rows, each at the place of its unknown, the equations in any order."""
+        places = np.argsort(np.concatenate([columns, free]), kind="stable")
+        signs = np.concatenate([signs, np.ones(free.size)])[places]
+        names = self._names([*self.pairs, *self.rows], places, np.arange(places.size))
+        arranged = _arranged(M, q, E, e, places, signs)
+        return LCP(*arranged, lower=lower, upper=upper, names=names)
 
     def _names(self, stated: list[StatedRows], rows: Numbers, kept: Numbers) -> Names:
         """Return the names of a problem with some of the stated rows and of the unknowns."""
@@ -760,20 +801,25 @@ def _arranged(
     return (sp.csr_array(sp.diags_array(signs) @ M), signs * q) if (signs != 1.0).any() else (M, q)
 
 
-def solve_from(problem: Any, start: Vector | None, options: dict[str, Any]) -> Result:
-    """Return the answer to a problem that a model became.
+def solve_from(square: SquareModel, start: Vector | None, options: dict[str, Any]) -> Result:
+    """Return the result of the problem that a model became.
 
     Parameters
     ----------
-    problem : LCP, NonlinearProblem or Blocks
+    square : SquareModel
     start : array, shape (n,), or None
         Present values of the unknowns, ignored unless all are finite; ``z0`` in the options has priority.
     options : dict
         Options of `solve`.
     """
+    problem = square.problem
     is_given = bool(options.keys() & {"z0", "x0"}) or start is None or not np.isfinite(start).all()
     if isinstance(problem, NonlinearProblem):
         # The derivative is ours; the result is compared with the language's own evaluation at the end.
         options = {"check_jacobian": False, "x0": np.zeros_like(problem.lower), **options}
-    result: Result = solve(problem, **(options if is_given else {**options, "z0": start}))
+    options = options if is_given else {**options, "z0": start}
+    result: Result = solve(problem, **options)
+    limit = options.get("max_seconds")
+    with time_limit(np.inf if limit is None else limit - result.seconds):
+        result = square.proved(result)
     return result if is_given else replace(result, begun=result.begun or BEGUN)

@@ -192,7 +192,7 @@ def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
     start = model.present() if warm_start and "z0" not in options else None
     elimination = model.square.elimination
     start = None if start is None else start[elimination.kept]
-    result = solve_from(model.square.problem, start, options)
+    result = solve_from(model.square, start, options)
     if model.square.dropped.size and result.is_solved:
         model.refuse_violated_bounds(result.z)
     if options["verbose"]:

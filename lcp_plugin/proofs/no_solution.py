@@ -328,7 +328,7 @@ class Infeasibility(NoSolutionProof):
             or is_minimizer_beyond_radius(matrix.array, self.problem.q, self.y, found.left)
         )
 
-    @cached_property
+    @derived_property
     def conflict(self) -> Conflict:
         """Irreducible set of signs of w and bounds of z that conflict, by name; computed on first access."""
         problem, n = self.problem, self.problem.n

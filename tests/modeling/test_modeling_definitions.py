@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
+import pyomo.environ as pe
 import pytest
 import scipy.sparse as sp
+from pyomo.mpec import Complementarity
+from pyomo.mpec import complements as pyomo_complements
 
+import lcp_plugin.pyomo  # noqa: F401 - registers the solver
 from lcp_plugin import box, complements
 from lcp_plugin.modeling.registration import build
 
@@ -115,3 +120,37 @@ def test_a_definition_that_would_fill_the_matrix_stays() -> None:
     assert model.problem.nonzeros < 10 * n
     solved(constraints)
     assert float(mean.value) == pytest.approx(float(np.mean(x.value)), abs=1e-8)
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("door", ["cvxpy", "pyomo"])
+def test_a_proof_is_about_the_numbers_of_the_model(door: str) -> None:
+    """With t = a x, b t − fl(a b) x ≥ 1 has the solution x = 1/(a b − fl(a b)): no proof may cover such a large x."""
+    rng, count = np.random.default_rng(1), 0
+    while count < 5:
+        a, b = map(float, rng.uniform(1, 2, 2))
+        if (left := Fraction(a) * Fraction(b) - Fraction(a * b)) <= 0:
+            continue
+        count += 1
+        proof = _proof_by(door, a, b, a * b)
+        assert proof.verify()
+        assert Fraction(proof.radius) < 1 / left
+    exact = _proof_by(door, 2.0, 3.0, 6.0)
+    assert (exact.verify(), exact.radius) == (True, np.inf)
+
+
+def _proof_by(door: str, a: float, b: float, product: float) -> Any:
+    """Return the proof that t = a x and 0 ≤ x ⟂ b t − product · x − 1 ≥ 0 have no solution."""
+    if door == "cvxpy":
+        x, t = cp.Variable(nonneg=True), cp.Variable()
+        rows = [t == a * x, complements(x >= 0, b * t - product * x - 1 >= 0)]
+        problem = cp.Problem(cp.Minimize(0), rows)
+        problem.solve(method="LCP")
+        return problem.solver_stats.extra_stats.proof
+    m = pe.ConcreteModel()
+    m.x, m.t = pe.Var(bounds=(0, None)), pe.Var()
+    m.defined = pe.Constraint(expr=m.t == a * m.x)
+    m.pair = Complementarity(expr=pyomo_complements(m.x >= 0, b * m.t - product * m.x - 1 >= 0))
+    solver = pe.SolverFactory("lcp_plugin")
+    solver.solve(m, load_solutions=False)
+    return solver.result.proof

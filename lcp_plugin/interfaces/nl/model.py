@@ -236,7 +236,7 @@ class ComplementarityModel(NLModel):
         """Return the answer; see :meth:`NLModel.solve`."""
         is_started = self.content.has_start.any() or self.beside.bounded.size
         options = {"algorithm": algorithm, **options}
-        found = solve_from(self.problem, self.start if is_started else None, options)
+        found = solve_from(self.arrangement, self.start if is_started else None, options)
         x, duals = self.values(found.z, found.w)
         status, words = found.status, found.status.name.lower()
         if status is Status.SOLVED:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 from .errors import InvalidProblem
 
+UNLABELED = "constraint"  # of cvxpy, before its number
 Naming = Sequence[str] | Callable[[int], str] | None
 
 
@@ -53,6 +55,12 @@ def listed(names: Iterable[str], most: int = 4, between: str = ", ") -> str:
     different = [*dict.fromkeys(names)]
     more = f" and {len(different) - most} more" if len(different) > most else ""
     return between.join(different[:most]) + more
+
+
+def remark_on_labels(text: str) -> str:
+    """Return the line that says how to name constraints that a text names by their numbers, or ""."""
+    is_needed = re.search(rf"\b{UNLABELED} \d+ \(", text) is not None
+    return "to name a constraint write constraint.set_label('market')" if is_needed else ""
 
 
 def _name(names: Naming, i: int) -> str:

@@ -85,6 +85,9 @@ def look_of(k: int) -> dict[str, Any]:
     return look | {"marker": MARKERS[k % len(MARKERS)], "markersize": 3.5, "markerfacecolor": "w"}
 
 
+LETTER = 0.055  # inches, at the size of labels
+
+
 @contextmanager
 def panels(titles: Sequence[str], width: float | None = None) -> Iterator[list[Any]]:
     """Yield axes with these titles, of a figure as wide as a column, or as a page; at the end, one legend below."""
@@ -100,12 +103,15 @@ def panels(titles: Sequence[str], width: float | None = None) -> Iterator[list[A
         for axes in every[len(titles) :]:
             axes.set_axis_off()
         yield [*every[: len(titles)]]
+        for axes in every[: len(titles)]:  # letters along two thirds of a panel's height
+            lines = textwrap.fill(axes.get_ylabel(), max(int(0.67 * height / rows / LETTER), 10))
+            axes.set_ylabel(lines)
         named: dict[str, Any] = {}
         for axes in every:
             handles, labels = axes.get_legend_handles_labels()
             named |= dict(zip(labels, handles, strict=True))
-        # Inches of a line and its space, and of a letter
-        count = max(1, min(len(named), int(width / (0.5 + 0.055 * max(map(len, named))))))
+        # Inches of a line and its space
+        count = max(1, min(len(named), int(width / (0.5 + LETTER * max(map(len, named))))))
         place = {"loc": "outside lower center", "ncols": count, "fontsize": LABEL_SIZE}
         figure.legend([*named.values()], [*named], **place)
         figure.set_size_inches(width, height + math.ceil(len(named) / count) * 0.17)

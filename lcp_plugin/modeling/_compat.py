@@ -31,10 +31,14 @@ from numpy.typing import NDArray
 
 from ..core.checks import replace_huge_bounds_by_inf
 from ..core.errors import UnsupportedModel
+from ..core.names import UNLABELED, listed
 from ..expressions.rows import uniform
 from ..expressions.statement import STATUS_ELSEWHERE
 
 LONGEST_NAME = 80
+NUMBERS = re.compile(
+    r"\[ *-?\d+\.|…$"
+)  # in a text of cvxpy: an array of numbers, or an end that is cut
 WHOLE_SUM = re.compile(r"Sum\(([^(),]*), None, False\)")  # cvxpy's text of sum(x)
 
 
@@ -158,10 +162,17 @@ def entry_of(variable: Any, k: int) -> str:
     return f"{variable.name()}{_place(variable, k, '[{}]') if variable.shape else ''}"
 
 
-def row_of(stated: Any, k: int, label: str | None = None) -> str:
-    """Return the name of entry k of a constraint or expression, which a label takes the place of: F(x), entry 2."""
-    form = ", entry {}" if label is None else "[{}]"
-    return (label or name_of(stated)) + (_place(stated, k, form) if stated.size > 1 else "")
+def row_of(stated: Any, k: int, constraint: Any = None, number: int | None = None) -> str:
+    """Return the name of entry k of a constraint, or of its expression: market[2] by a label, F(x), entry 2 without.
+
+    A text with arrays of numbers is replaced by the number of the constraint and its variables.
+    """
+    constraint = stated if constraint is None else constraint
+    label = getattr(constraint, "label", None)
+    name = label or name_of(stated)
+    if not label and number is not None and NUMBERS.search(name):
+        name = f"{UNLABELED} {number} ({listed(one.name() for one in constraint.variables())})"
+    return name + (_place(stated, k, "[{}]" if label else ", entry {}") if stated.size > 1 else "")
 
 
 def _place(stated: Any, k: int, form: str) -> str:

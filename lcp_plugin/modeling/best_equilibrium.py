@@ -68,6 +68,7 @@ def stated_program(problem: Any, constraints: list[Any]) -> tuple[EquilibriumPro
         low = 0.0 if isinstance(one, (*compat.EQUATIONS, NonNeg)) else -np.inf
         high = np.inf if isinstance(one, NonNeg) else 0.0
         statement.constrain(model.reader.rows(row), low, high, row)
+    model.numbers = {one.id: k for k, one in enumerate(problem.constraints)}
     model.add_pairs([*pairs, *kinks])
     return statement.best(model.reader.rows(goal), compat.sense_of(problem)), model
 

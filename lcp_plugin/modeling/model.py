@@ -172,6 +172,8 @@ class Model:
     reports : list of DualReport
     agents : list of Optimal
         Agents whose conditions are among the constraints.
+    numbers : dict
+        Places of constraints in the user's list, by their ids.
     bounds : list of tuple
         Bounds of unknowns: columns, weights, the expression that is weights · unknowns + constants or None, and the
         bounds as expressions. A later entry overrides an earlier one.
@@ -208,6 +210,7 @@ class Model:
         self.is_defined = np.zeros(size, dtype=bool)
         self.reports: list[DualReport] = []
         self.agents: list[Any] = []
+        self.numbers: dict[int, int] = {}
         self.cones: list[ConePair] = []
         self.friction: list[tuple[Any, int]] = []
         self._equations: list[Any] = []
@@ -220,7 +223,8 @@ class Model:
         for constraint in constraints:
             # Always the same expression object, so that the memo finds it again.
             rows = self.reader.rows(constraint.expr)
-            name = partial(compat.row_of, constraint)
+            number = self.numbers.get(constraint.id)
+            name = partial(compat.row_of, constraint, number=number)
             self.statement.constrain(rows, origin=constraint.expr, name=name)
             self._equations.append(constraint)
             for key, block in rows.blocks.items():
@@ -306,7 +310,8 @@ class Model:
         if side.kind != "value":
             stated = (side.lower, side.upper) if side.kind == "box" else (0.0, np.inf)
             self.bounds.append((columns, scale, expression, *stated))
-        name = partial(compat.row_of, other.expression, label=getattr(pair, "label", None))
+        number = self.numbers.get(pair.id)
+        name = partial(compat.row_of, other.expression, constraint=pair, number=number)
         rows, origin = self.read(other).rows, other.expression
         self.statement.complement(columns, rows, low, high, sign, origin, name)
         self._report(pair, (side, other), columns, sign, scale, offset, expression)

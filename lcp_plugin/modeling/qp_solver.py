@@ -278,6 +278,7 @@ def _names_of(problem: Any, data: Any, entries: dict[int, Entries]) -> Names:
     known = {int(one.places[0]) for one in entries.values() if one.places.size}
     owner: dict[int, Any] = {one.id: one for one in problem.constraints}  # or of an added variable
     own, before = {*owner}, 0
+    numbers = {one.id: k for k, one in enumerate(problem.constraints)}
     while len(owner) > before:
         before = len(owner)
         for one in stated:
@@ -288,7 +289,7 @@ def _names_of(problem: Any, data: Any, entries: dict[int, Entries]) -> Names:
     rows: list[tuple[int, Any]] = []
     for kind in (False, True):  # rows of G, then of A
         rows += [
-            (one.size, partial(_row_name, owner.get(one.id), one.id in own))
+            (one.size, partial(_row_name, owner.get(one.id), one.id in own, numbers))
             for one in stated
             if isinstance(one, EQUATIONS) is kind
         ]
@@ -297,10 +298,11 @@ def _names_of(problem: Any, data: Any, entries: dict[int, Entries]) -> Names:
     return Names(partial(name_of_row, rows, range(count)), partial(_unknown_name, places))
 
 
-def _row_name(stated: Any, is_own: bool, k: int) -> str:
+def _row_name(stated: Any, is_own: bool, numbers: dict[int, int], k: int) -> str:
     if stated is None:
         return ""
-    return row_of(stated, k) if is_own else name_of(stated)  # the objective has no name
+    # the objective has no name
+    return row_of(stated, k, number=numbers.get(stated.id)) if is_own else name_of(stated)
 
 
 def _unknown_name(places: list[tuple[Any, Indices]], column: int) -> str:

@@ -52,6 +52,7 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
     UnsupportedModel
         The message names the unsuitable constraint or variable, and the remedy.
     """
+    numbers = {one.id: k for k, one in enumerate(constraints)}
     constraints, agents = without_agents(constraints)
     equations = [one for one in constraints if isinstance(one, EQUATIONS)]
     pairs = [one for one in constraints if isinstance(one, Complements)]
@@ -62,7 +63,7 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
                 f"complements({one}, F >= 0)"
             )
     model = Model(constraints, memo)
-    model.agents = agents
+    model.agents, model.numbers = agents, numbers
     model.add_equations(equations)
     model.add_pairs(pairs)
     return model

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from ..core.checks import Vector
 from ..core.lcp import LCP
-from ..core.names import listed
+from ..core.names import Names, listed
 from .bounds import free_rows
 from .farkas import without_rounding
 
+Numbers = NDArray[np.intp]
+INDEX = re.compile(r"(\[[^\[\]]*\]|, entry .*)$")  # of a row of a constraint
+MOST_BLOCKS = 30  # constraints whose sign is tried
 UNITS = 1e12  # quotient of two coefficients of a row that suggests two units
 MOST_ROWS = 400  # of a matrix whose singular vectors are computed: 0.1 s
 DEPENDENT = 1e-6  # quotient of singular values that counts as 0: derivatives may be differences
@@ -19,23 +25,46 @@ PART = 0.1  # of the largest entry of a singular vector: rows with less are not 
 
 
 def reversed_row(problem: LCP, *, is_linearized: bool = False) -> str:
-    """Return the row that alone has the signs of its unknown's column, where all others have opposite ones; or "".
+    """Return the row, or the rows of one constraint, with the signs of their unknowns' columns, if only these; or "".
 
     Of a linear problem, also the row of the only negative diagonal entry.
     """
     M, names, negative = problem.matrix.csr, problem.names, np.flatnonzero(problem.diagonal < 0.0)
     if negative.size == 1 < problem.n and not is_linearized:
         return f"the sign of {names.pair(negative[0])[0]} may be wrong: only its diagonal entry is negative"
-    products = (M - sp.diags_array(M.diagonal())).multiply(M.T)
-    equal = sp.csr_array(products > 0.0).sum(axis=1)
-    i = int(np.argmax(equal)) if problem.n else 0
-    if not 2 < 2 * equal[i : i + 1].sum() == equal.sum() < products.nnz or M[i, i] > 0.0:
+    products = sp.coo_array((M - sp.diags_array(M.diagonal())).multiply(M.T))
+    is_equal = products.data > 0.0
+    equal = np.bincount(products.row[is_equal], minlength=problem.n)
+    alone = np.flatnonzero(2 * equal == is_equal.sum())[:1]
+    for block in (alone, *_blocks(names, equal)):
+        inside = np.zeros(problem.n, np.bool_)
+        inside[block] = True
+        crosses = inside[products.row] != inside[products.col]
+        is_likely = np.array_equal(crosses, is_equal) and 2 < is_equal.sum() < products.nnz
+        if is_likely and (block.size > 1 or M[block[0], block[0]] <= 0.0):
+            break
+    else:
         return ""
-    row, unknown = names.pair(i)
+    if block.size > 1:
+        name = INDEX.sub("", names.row(block[0]))
+        return (
+            f"the sign of {name} may be wrong, in all {block.size} rows: with the other sign they have, as all others, "
+            "the opposite signs of the terms of their unknowns in other rows"
+        )
+    row, unknown = names.pair(block[0])
     return (
         f"the sign of {row} may be wrong: its terms have the signs of the terms of {unknown} in other rows, where all "
         "others have opposite signs"
     )
+
+
+def _blocks(names: Names, equal: Numbers) -> list[Numbers]:
+    """Return the rows of each constraint with several rows, at most 30, by their names without the index."""
+    found: dict[str, list[int]] = {}
+    for i in range(equal.size if equal.any() else 0):
+        found.setdefault(INDEX.sub("", names.row(i)), []).append(i)
+    blocks = [np.array(rows) for rows in found.values() if len(rows) > 1]
+    return [rows for rows in blocks if equal[rows].all()][:MOST_BLOCKS]
 
 
 def likely_mistake(problem: LCP, z: Vector, w: Vector) -> str:

@@ -107,3 +107,28 @@ def test_cvxpy_models_speak_in_the_users_words() -> None:
     model.solve(method="LCP")
     name = "market[0]" if hasattr(pair, "set_label") else "entry 0"
     assert f"{name} contradicts its bounds" in model.solver_stats.extra_stats.explain()
+
+
+def test_rows_of_arrays_of_numbers_have_the_number_and_the_variables_of_their_constraint() -> None:
+    """Instead of a dump of M, for pairs and programs; a label or a short text takes its place."""
+    ship, price = cp.Variable(3, name="ship"), cp.Variable(3, name="price")
+    M = -np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 1.0], [0.0, 1.0, 2.0]])
+    pair = complements(price >= 0, M @ price + ship - 7.25 * np.arange(3.0) >= 0)
+    program = cp.Problem(cp.Minimize(cp.sum(ship)), [ship >= 0, price >= 0, M @ ship - price >= 1])
+    square = cp.Problem(cp.Minimize(0), [ship == 0.5 * price, pair])
+    square.solve(method="LCP")
+    told = square.solver_stats.extra_stats.explain()
+    assert "constraint 1 (price, ship), entry" in told
+    assert "2.00" not in told
+    assert told.count("set_label('market')") == 1
+    program.solve(method="LCP")
+    told = program.solver_stats.extra_stats.explain()
+    assert "constraint 2 (ship, price), entry" in told
+    assert "0.0 <= ship" in told
+    assert told.count("set_label('market')") == 1
+    if hasattr(pair, "set_label"):
+        pair.set_label("market")
+        square.solve(method="LCP")
+        told = square.solver_stats.extra_stats.explain()
+        assert "market[" in told
+        assert "set_label" not in told

@@ -291,6 +291,22 @@ def test_profile_is_that_of_dolan_and_more() -> None:
     assert made(("p", 4, "a", 1e-300), ("p", 4, "b", 3)).profile()["b"].tolist() == [3.0]
 
 
+def test_the_labels_of_a_figure_with_several_panels_are_drawn_whole() -> None:
+    """A label of the vertical axis is no longer than its panel, for 1 to 4 panels, and within the figure."""
+    every = [gallery.build("half_active", n=n).problem for n in (49, 64, 81, 100)]
+    for count in (1, 2, 4):
+        figure = study(every[:count], ["pgs"], repeats=1).plot()
+        figure.canvas.draw()
+        _, height = figure.canvas.get_width_height()
+        labels = [axes.yaxis.label for axes in figure.axes if axes.get_ylabel()]
+        assert len(labels) == count
+        for axes, label in zip(figure.axes, labels, strict=False):
+            drawn, panel = label.get_window_extent(), axes.get_window_extent()
+            assert "proved bound" in label.get_text()
+            assert drawn.height <= panel.height
+            assert 0.0 <= drawn.y0 <= drawn.y1 <= height
+
+
 def test_plot_names_every_curve_and_its_axis(tmp_path: Path) -> None:
     """The axes are logarithmic and say which error they show; the legend names each curve and covers no axes."""
     found = error_against_time(scene(), repeats=1)

@@ -829,3 +829,44 @@ def test_the_attributes_of_variables_are_bounds_in_every_kind_of_model(name: str
             u.value = None
             model.solve(method="LCP")
             assert (kind, float(u.value)) == (kind, pytest.approx(expected, abs=1e-5))
+
+
+def market(signs: dict[str, Any]) -> cp.Problem:
+    """A market of 2 plants and 3 places, 950 and 900 units; a sign of each row of the three constraints."""
+    x, r, p = cp.Variable((2, 3), name="ship"), cp.Variable(2, name="rent"), cp.Variable(3)
+    cost = 0.09 * np.array([[2.5, 1.7, 1.8], [2.5, 1.8, 1.4]])
+    sides = {
+        "capacity": (r, np.array([350.0, 600.0]) - cp.sum(x, axis=1)),
+        "profit": (x, cp.reshape(r, (2, 1), order="C") + cost - cp.reshape(p, (1, 3), order="C")),
+        "balance": (p, cp.sum(x, axis=0) - np.array([325.0, 300.0, 275.0]) + p / 100),
+    }
+    pairs = []
+    for name, (first, second) in sides.items():
+        sign = np.broadcast_to(np.array(signs.get(name, 1.0)), second.shape)
+        pairs.append(complements(first >= 0, cp.multiply(sign, second) >= 0))
+        if hasattr(pairs[-1], "set_label"):
+            pairs[-1].set_label(name)
+    return cp.Problem(cp.Minimize(0), pairs)
+
+
+@pytest.mark.skipif(not hasattr(cp.constraints.Zero, "set_label"), reason="cvxpy 1.9 has labels")
+@pytest.mark.few(4)
+@pytest.mark.parametrize(
+    ("signs", "words"),
+    [
+        ({}, ""),
+        ({"capacity": [1.0, -1.0]}, "the sign of capacity[1] may be wrong: its terms"),
+        ({"capacity": -1.0}, "the sign of capacity may be wrong, in all 2 rows"),
+        ({"profit": -1.0}, ""),  # and so would capacity and balance be
+    ],
+    ids=["right", "one row", "a constraint", "ambiguous"],
+)
+def test_a_constraint_with_the_wrong_sign_in_all_rows_is_named(
+    signs: dict[str, Any], words: str
+) -> None:
+    """A rule typed once for all plants is named as one constraint; a right model has no such line."""
+    model = market(signs)
+    model.solve(method="LCP", max_seconds=2.0)
+    told = model.solver_stats.extra_stats.explain()
+    assert words in told
+    assert ("may be wrong" in told) == bool(words)

@@ -17,6 +17,7 @@ from ..certificates.worst import SHOWN, WorstRows, worst_pairs
 from ..checks import Vector, restore_state
 from ..errors import NotConverged, UnsuitableMatrix
 from ..lcp import LCP
+from ..names import remark_on_labels
 from ..representation import format_count
 from ..settings import PROVEN, Settings, Status
 
@@ -199,7 +200,8 @@ class BaseResult(Outcome):
         worst = str("" if is_decided else self._worst(SHOWN) or "").splitlines()
         lines = worst if self.is_solved else [*worst, self._mistake()]
         rows = ["the worst rows:"] * bool(worst) + [f"  {line}" for line in lines if line]
-        return "\n".join([*self._verdict(), *course, *self._remarks(), *rows])
+        text = "\n".join([*self._verdict(), *course, *self._remarks(), *rows])
+        return "\n".join(filter(None, (text, remark_on_labels(text))))
 
     def _worst(self, count: int) -> WorstRows:
         """Return the rows that fail the criterion by most; none by default."""

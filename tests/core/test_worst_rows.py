@@ -461,3 +461,11 @@ def test_verdicts_on_points_of_integer_problems_are_right_in_fractions(
     count = 100 if door in certified_points.SLOW else 280
     found = [one for seed in draws(count, 14) for one in certified_points.faults(seed, door)]
     assert not found
+
+
+def test_a_cone_run_that_ends_early_has_its_worst_rows() -> None:
+    """A callback that ends the run at its start leaves rows of a dense problem over cones."""
+    cone = ConeProblem(np.eye(3) + 0.5, [-3, -2, 1], [("second_order", 3)])
+    result = solve(cone, callback=lambda sample, z: True)
+    assert result.status is Status.INTERRUPTED
+    assert "in a cone" in result.explain()

@@ -94,6 +94,7 @@ def worst_pairs(
     count : int
     """
     n, at, by_row = data.q.size, found.rows, found.by_row
+    found = found._replace(z=np.reshape(found.z, data.q.shape))
     if (sharp := data.sharp_product(found.z)) is not None:  # a sum that cancels is printed exactly
         at = data.rows(found.z, sharp[0])
     is_cone = getattr(data, "is_cone", False)  # such rows have no bounds of their own

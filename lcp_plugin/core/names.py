@@ -58,7 +58,7 @@ def listed(names: Iterable[str], most: int = 4, between: str = ", ") -> str:
 
 
 def remark_on_labels(text: str) -> str:
-    """Return the line that says how to name constraints that a text names by their numbers, or ""."""
+    """Return the line on how to name constraints that a text names by their numbers, or ""."""
     is_needed = re.search(rf"\b{UNLABELED} \d+ \(", text) is not None
     return "to name a constraint write constraint.set_label('market')" if is_needed else ""
 
@@ -81,7 +81,7 @@ def checked_names(given: Any, rows: int | None, unknowns: int | None) -> Names:
     Raises
     ------
     InvalidProblem
-        If the names are anything else, or their number is not that of the rows or unknowns.
+        If the names are anything else, or their number differs from the number of rows or unknowns.
 
     Examples
     --------

@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..checks import Vector
-from ..kernels.floats import EPSILON
 from ..names import Names
+from .criterion import NEAREST
 from .measured import Measured
 
-NEAREST = 8.0 * EPSILON  # of the terms of a row: rounding
 SHOWN = 3  # rows that the explanation of a run shows
 
 

@@ -7,11 +7,15 @@ import sys
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from .. import gallery
 from ..algorithms import REGISTRY, algorithm_class, paper_options
 from ..core.lcp import LCP
+from ..engines import ENGINES, engine_class
 from ..evidence.measurement import PAPER_MSOR
-from ..proofs.guarantees import PAPER, PAPER_TITLE, Guarantee, convergence_guarantee
+from ..problems.cones.methods import METHODS
+from ..proofs.guarantees import PAPER, PAPER_TITLE, Guarantee
 from ..proofs.verdicts import analyze, wrapped
+from ..solving.convergence import convergence_guarantee
 
 PAPER_VARIANTS: dict[str, dict[str, Any]] = {
     **{
@@ -92,10 +96,6 @@ def _short(value: Any) -> str:
 def print_names() -> None:
     """Print algorithms and external solvers with needs and sources, and test problems with their parameters."""
     from rich.console import Console
-
-    from .. import gallery
-    from ..engines import ENGINES, engine_class
-    from ..problems.cones.methods import METHODS
 
     # as wide as the terminal; 160 letters if the output goes elsewhere
     width = None if sys.stdout.isatty() else 160

@@ -19,6 +19,8 @@ from ..core.rounding import compensated_product, lower_end, upper_end
 from .equilibration import scaling_exponents
 from .factors import dense_lu, diagonal_pivot_factor, factor_fits
 from .graph import comparison_of, strong_blocks, within_blocks
+from .hierarchy.levels import build_hierarchy
+from .hierarchy.truncation import KrylovCorrection, Truncation
 
 if TYPE_CHECKING:
     from .hierarchy.grids import Hierarchy
@@ -54,8 +56,6 @@ class ComparisonMatrix:
     @cached_property
     def hierarchy(self) -> Hierarchy:
         """The grids of the matrix."""
-        from .hierarchy.levels import build_hierarchy
-
         return build_hierarchy(self.matrix)
 
     @cached_property
@@ -84,8 +84,6 @@ class ComparisonMatrix:
 
     def iterated(self, rhs: Vector, tolerance: float) -> Vector | None:
         """Return x with ‖rhs − matrix x‖₂ ≤ tolerance ‖rhs‖₂ by Krylov steps, or None within a number of them."""
-        from .hierarchy.truncation import KrylovCorrection, Truncation
-
         correction = KrylovCorrection(Truncation(self.hierarchy), rhs.copy(), self.is_symmetric)
         goal = tolerance * np.linalg.norm(correction.residual)
         for _ in range(60):

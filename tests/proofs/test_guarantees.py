@@ -22,12 +22,12 @@ from inputs.families import UNPROVEN
 from inputs.planted import planted_lcp
 from typer.testing import CliRunner
 
-from lcp_plugin import LCP, Status, analyze, gallery, solve
+from lcp_plugin import LCP, Status, analyze, convergence_guarantee, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.errors import InvalidOption, UnknownAlgorithm
 from lcp_plugin.methods.npsplitting import NPSplitting
-from lcp_plugin.proofs.guarantees import bound_of_errors, convergence_guarantee, theorem_4_1
+from lcp_plugin.proofs.guarantees import bound_of_errors, theorem_4_1
 from lcp_plugin.proofs.verdicts import sign_remark
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 from lcp_plugin.systems.comparison import nonnegative_radius
@@ -191,7 +191,7 @@ def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> 
     h_plus, rotation = gallery.half_active(n=100).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     assert "lemke: M is a P-matrix" in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
-    monkeypatch.setattr("lcp_plugin.methods.direct.PIVOTED_UP_TO", 1)
+    monkeypatch.setattr("lcp_plugin.solving.convergence.PIVOTED_UP_TO", 1)
     assert "psor: " in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
 

@@ -87,6 +87,7 @@ def _span(cone: Array) -> Array:
     """Return a basis of the span of {y: cone · y ≥ 0}: a linear program finds the rows that are 0 in all of it."""
     size = np.abs(cone).max(axis=1, initial=0.0)
     cone = cone[size > CONSISTENT] / size[size > CONSISTENT, np.newaxis]
+    cone[np.abs(cone) <= CONSISTENT] = 0.0  # rounding of a computed basis
     m, k = cone.shape
     if not m:
         return np.eye(k)
@@ -96,4 +97,4 @@ def _span(cone: Array) -> Array:
     result = linear_program(cost, sp.csr_array((0, k + m)), 0.0, bounds, at_most)
     if result is None:
         return np.zeros((k, 0))
-    return _null_space(cone[result.x[k:] < HELD], CONSISTENT)  # of a computed basis
+    return _null_space(cone[result.x[k:] < HELD], CONSISTENT)

@@ -10,7 +10,7 @@ from typing import Any
 from ..algorithms import REGISTRY, algorithm_class, paper_options
 from ..core.lcp import LCP
 from ..evidence.measurement import PAPER_MSOR
-from ..proofs.guarantees import PAPER, PAPER_TITLE, Guarantee, convergence_guarantee
+from ..proofs.guarantees import Guarantee, convergence_guarantee
 from ..proofs.verdicts import analyze, wrapped
 
 PAPER_VARIANTS: dict[str, dict[str, Any]] = {
@@ -41,17 +41,12 @@ def analysis(problem: LCP) -> str:
     """
     lines = [str(analyze(problem)), "", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
     first: dict[str, str] = {}
-    of_paper: list[str] = []
     for title, found in guarantees(problem):
         rate = "" if found.rate is None else _rate(found.rate)
         because = found.theorem + (f" → {found.remedy}" if found.remedy else "")
         named = f"as {first[because]}" if because in first else because
         first.setdefault(because, title)
         lines += wrapped(f"{title:<25} {found.verdict:<12} {rate:<8} ", named)
-        if found.paper:
-            of_paper += wrapped(f"{title.partition(',')[0]}: ", found.paper)
-    if of_paper:
-        lines += ["", f"Theorem 4.2 of {PAPER}, {PAPER_TITLE}, without row scaling:", *of_paper]
     return "\n".join(lines)
 
 
@@ -65,7 +60,6 @@ def analysis_content(problem: LCP) -> dict[str, Any]:
             "rate": found.rate,
             "rate_of": found.speaks_of if found.rate is not None else None,
             "remedy": found.remedy,
-            "theorem_4_2": found.paper,
         }
         for title, found in guarantees(problem)
     ]

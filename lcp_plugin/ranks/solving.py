@@ -262,16 +262,6 @@ class ResultOnRanks(BaseResult):
         bound = "" if self.error_bound is None else f", rigorous error bound {self.error_bound:.1e}"
         return f"relative residual {self.residual:.1e}, tolerance {self.tolerance:g}{bound}"
 
-    def _size(self) -> int:
-        return self.n
-
-    def _numbers(self) -> dict[str, float]:
-        names = "scaled_residual", "relative_residual", "term_residual"
-        found = {name: getattr(self.certificate, name) for name in names}
-        found |= {"work": self.work}
-        found |= {"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}
-        return found if self.error_bound is None else {**found, "error_bound": self.error_bound}
-
     def __str__(self) -> str:
         return f"{self.status.name} by {self._effort()}, {self.describe_accuracy()}"
 

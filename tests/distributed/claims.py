@@ -368,10 +368,7 @@ def a_result_has_what_every_result_promises() -> None:
     assert (result.history, result.begun, result.objective, result.proof) == ((), "", None, None)
     assert f"SOLVED, n={problem.n}, " in repr(result)
     assert "tolerance 1e-09" in result.explain()
-    content = json.loads(result.to_json())
-    assert content["n"] == problem.n
-    assert content["tolerance"] == 1e-9
-    for text in (repr(result), str(result), result.explain(), result.to_json()):
+    for text in (repr(result), str(result), result.explain()):
         assert len(set(COMM.allgather(text))) == 1
     assert "on ranks is local" in refused(UnsuitableProblem, result.plot)
     limited = rows.solve("npj", max_iterations=1)

@@ -208,7 +208,8 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
         write_nl(problem, target)
         return
     if target.suffix.lower() == ".npz":
-        save_arrays(target, arrays_of(problem, problem.csr), "an LCP")
+        M = {name: getattr(problem.csr, name) for name in MATRIX_KEYS}
+        save_arrays(target, M | {name: getattr(problem, name) for name in VECTORS}, "an LCP")
     else:
         _save_folder(problem, checked_folder(target))
 
@@ -221,12 +222,6 @@ def save_arrays(path: str | PathLike[str], arrays: Mapping[str, Any], what: str)
             f"cannot write {target}: {what} is saved in one .npz file; write {target.stem}.npz"
         )
     write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
-
-
-def arrays_of(problem: Any, M: sp.csr_array) -> dict[str, Any]:
-    """Return the arrays to save, by name, of a problem or of its local rows."""
-    arrays = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}
-    return arrays | {name: getattr(problem, name) for name in VECTORS}
 
 
 def checked_folder(target: Path) -> Path:

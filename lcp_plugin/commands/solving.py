@@ -82,7 +82,7 @@ def read_target(target: str, size: int | None = None) -> Target:
         scene = gallery.parse(f"{name}:{','.join(given)}")
         return Target(scene.problem, scene)
     path = Path(target)
-    if not (set(target) & set("/\\.") or path.exists() or Path(f"{target}M.mtx").exists()):
+    if not (set(target) & set("/\\.") or path.exists()):
         hint = did_you_mean(name, gallery.names(), is_listed=True)
         raise InvalidOption(f"{target!r} is neither a file nor a test problem{hint}")
     if size is not None:

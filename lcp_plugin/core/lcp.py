@@ -377,7 +377,7 @@ class LCP:
         """Return a problem written by :meth:`save` or ``numpy.savez(path, M=M, q=q)``, or in ``M.mtx`` and ``q.mtx``.
 
         A ``.npz`` file holds q and M (dense), or M's CSR arrays as data, indices, indptr, shape; lower and upper where
-        they are not 0 and ∞. Matrix Market files of these names lie in a folder, or behind a prefix. MATLAB's ``.mat``
+        they are not 0 and ∞. Matrix Market files of these names lie in a folder. MATLAB's ``.mat``
         (to version 7.2) holds M, q and the bounds, which may be called lb and ub there. A bound of 1e20 or more in
         absolute value means ∞. Pickled content is never read, and of ``.mat`` files nothing but numbers; scipy,
         which reads these, may end the process on a corrupt one. For other models in AMPL's ``.nl`` format use

@@ -19,14 +19,7 @@ if TYPE_CHECKING:
     from typing import Unpack
 
     from .core.algorithm import Algorithm
-    from .core.settings import (
-        ConeOptions,
-        EngineName,
-        EquilibriumOptions,
-        LCPOptions,
-        LeastSquaresOptions,
-        NonlinearOptions,
-    )
+    from .core.settings import EngineName, Options
     from .engines.engine import Engine
     from .problems.cones.data import ConeProblem
     from .problems.cones.frictional_contact import FrictionalContact
@@ -44,10 +37,8 @@ if TYPE_CHECKING:
 
 
 @overload
-def solve(problem: LCP, algorithm: Method = "auto", **options: Unpack[LCPOptions]) -> Result: ...
-@overload
 def solve(
-    problem: NonlinearProblem, algorithm: Method = "auto", **options: Unpack[NonlinearOptions]
+    problem: LCP | NonlinearProblem, algorithm: Method = "auto", **options: Unpack[Options]
 ) -> Result: ...
 @overload
 def solve(
@@ -55,21 +46,17 @@ def solve(
 ) -> QuadraticProgramResult: ...
 @overload
 def solve(
-    problem: QuadraticProgram, algorithm: Method | Engine = "auto", **options: Unpack[LCPOptions]
+    problem: QuadraticProgram, algorithm: Method | Engine = "auto", **options: Unpack[Options]
 ) -> QuadraticProgramResult: ...
 @overload
-def solve(
-    problem: EquilibriumProgram, **options: Unpack[EquilibriumOptions]
-) -> EquilibriumResult: ...
+def solve(problem: EquilibriumProgram, **options: Unpack[Options]) -> EquilibriumResult: ...
 @overload
-def solve(
-    problem: BoundedLeastSquares, **options: Unpack[LeastSquaresOptions]
-) -> LeastSquaresResult: ...
+def solve(problem: BoundedLeastSquares, **options: Unpack[Options]) -> LeastSquaresResult: ...
 @overload
 def solve(
     problem: ConeProblem | FrictionalContact,
     algorithm: str | ConeAlgorithm = "auto",
-    **options: Unpack[ConeOptions],
+    **options: Unpack[Options],
 ) -> ConeResult: ...
 def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     """Return the solution of a problem, with its residual measured on the problem's own data.
@@ -205,9 +192,7 @@ def solver_of(name: str) -> Callable[..., Any]:
 def options_of(name: str) -> Mapping[str, Any]:
     """Return the options of the solver of a class; "options" is among them if it accepts an algorithm's options."""
     known = dict.fromkeys([*inspect.signature(solver_of(name)).parameters][1:])
-    if (typed := CLASSES[name].options) is not None:
-        known = dict.fromkeys([*known, *typed.__annotations__])
+    if typed := CLASSES[name].options:
+        known = dict.fromkeys([*known, *typed.split()])
         del known["options"]
-        if "x0" in known:  # which z0 is another name of
-            known.pop("z0")
     return known

@@ -131,7 +131,6 @@ def test_the_edge_of_the_number_range_is_never_silent(
         return
     assert_honest(result)
     assert result.explain()
-    assert result.to_json()
     if case in ("solution overflows", "diverging", "negative diagonal", "zero matrix"):
         assert result.status is not Status.SOLVED
     if case in ("subnormal q", "huge q"):

@@ -396,8 +396,6 @@ class ConeResult(Result):
 
     problem: Any = None
 
-    RESIDUALS = ("relative_residual", "natural_residual", "term_residual")
-
     @property
     def guarantee(self) -> None:  # type: ignore[override]
         """None: no convergence theorem of this package covers cones."""

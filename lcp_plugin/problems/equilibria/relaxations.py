@@ -470,15 +470,6 @@ class EquilibriumResult(BaseResult):
         found = "no solution was found" if self.x is None else "x is the best solution found"
         return [f"{found} so far"]
 
-    def _numbers(self) -> dict[str, float]:
-        own = {
-            "lower_bound": self.lower_bound,
-            "gap": self.gap,
-            "programs": self.programs,
-            "tolerance": self.tolerance,
-        }
-        return {**super()._numbers(), **own}
-
     def describe_accuracy(self) -> str:
         """Return the value and the bound."""
         if self.has_no_solution:

@@ -338,11 +338,6 @@ class QuadraticProgramResult(BaseResult):
             doubt = "so the program is not convex, unless this is a rounding error"
         return [f"P has a negative eigenvalue, {doubt}"]
 
-    def _numbers(self) -> dict[str, float]:
-        names = () if self.has_no_solution else ("primal_residual", "duality_gap")
-        residuals = {name: float(getattr(self.solution, name)) for name in names}
-        return {**super()._numbers(), **residuals}
-
     def _worst(self, count: int) -> WorstRows:
         y = np.concatenate([self.solution.inequality, self.solution.equality])
         return worst_constraints(self.program, self.x, y, count)

@@ -155,17 +155,6 @@ def test_huge_bounds_that_exclude_zero_come_back(
     assert_same(problem, LCP.load(tmp_path / path))
 
 
-@pytest.mark.parametrize("given_path", ["run1_", "run1_M.mtx"])
-def test_prefix(given_path: str, tmp_path: Path) -> None:
-    """Several problems may share a folder; the prefix or matrix file selects one."""
-    PROBLEM.save(tmp_path)
-    for file in tmp_path.glob("*.mtx"):
-        file.rename(tmp_path / f"run1_{file.name}")
-    LCP([[1.0]], [1.0]).save(tmp_path)
-    assert_same(PROBLEM, LCP.load(tmp_path / given_path))
-    assert LCP.load(tmp_path).n == 1
-
-
 def test_matrix_market_as_others_write_it(tmp_path: Path) -> None:
     """Symmetric, integer, dense and coordinate files, comments, and vectors as rows or with gaps are read."""
     entries = "% by hand\n3 3 3\n1 1 2\n2 1 -1\n3 3 5\n"

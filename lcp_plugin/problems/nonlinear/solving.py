@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -42,14 +42,16 @@ SMALLEST_TOLERANCE = 1e-14
 RESTARTS = 4
 
 
-@dataclass(frozen=True, kw_only=True)
 class JosephyNewton(Algorithm):
     """Josephy–Newton with a non-monotone line search: x⁺ solves the LCP of M = F′(x), q = F(x) − F′(x) x.
 
     Parameters
     ----------
-    state : NewtonState
-        The current point and the options.
+    start : Linearization
+    linear : str or Algorithm
+        Algorithm for the linearizations.
+    tolerance : float
+        The requested relative residual.
 
     Notes
     -----
@@ -69,25 +71,6 @@ class JosephyNewton(Algorithm):
     name: ClassVar[str] = "josephy_newton"
     is_monotone: ClassVar[bool] = False
 
-    state: NewtonState = field(repr=False)
-
-    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
-        """Yield the start, then the point of each step, until no step or restart helps."""
-        return self.state.all_steps()
-
-
-class NewtonState:
-    """State of a run: the current point, the last points, and the work since the last step.
-
-    Parameters
-    ----------
-    start : Linearization
-    linear : str or Algorithm
-        Algorithm for the linearizations.
-    tolerance : float
-        The requested relative residual.
-    """
-
     def __init__(self, start: Linearization, linear: str | Algorithm, tolerance: float) -> None:
         self.first = self.here = start
         self.linear, self.tolerance = linear, tolerance
@@ -102,7 +85,7 @@ class NewtonState:
         self.weights: Vector = 1.0 / np.where(is_usable, unit, 1.0)
         self.random = np.random.default_rng(0)
 
-    def all_steps(self) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, then the point of each step, until no step or restart helps."""
         yield self.step()
         # Beyond 1000 unknowns a new start is too expensive
@@ -386,7 +369,7 @@ def solve_nonlinear(
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with threads_for(settings.threads):
         first, begun = begin_at(Linearization(problem, start))
-        newton = JosephyNewton(state=NewtonState(first, algorithm, settings.goal))
+        newton = JosephyNewton(first, algorithm, settings.goal)
         has_doubts = check_jacobian and problem.jacobian is not None
         run = NonlinearRun(newton, progress, has_doubts=has_doubts)
         try:
@@ -481,7 +464,7 @@ class NonlinearRun(Run):
 
     def _is_far(self, point: Linearization) -> bool:
         """Return whether an unknown is as large as at a point from which it grew."""
-        return bool((np.abs(point.x) >= self.newton.state.limit).any())
+        return bool((np.abs(point.x) >= self.newton.limit).any())
 
     def _passes(self, point: Linearization, power: float = POWER) -> bool:
         """Return whether a point passes, with differences also if they disagree with the jacobian."""
@@ -508,10 +491,10 @@ class NonlinearRun(Run):
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
         newton, is_interrupted = self.newton, end is TerminationReason.INTERRUPTED
-        point: Linearization = newton.state.first if self.best is None else self.best.z
+        point: Linearization = newton.first if self.best is None else self.best.z
         # Rounding in one row decides which point is best, and other rows may be better at the last one
-        if not (self._passes(point) or is_interrupted) and newton.state.is_at_floor():
-            point = newton.state.here
+        if not (self._passes(point) or is_interrupted) and newton.is_at_floor():
+            point = newton.here
         if not is_interrupted:
             point = self._snap(point)
         certificate = point.certificate

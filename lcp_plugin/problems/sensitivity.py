@@ -97,9 +97,8 @@ class BatchPart(LinearizedSystem):
             step_of_free = blocks.solve(-w[wrong])
             z[wrong] = np.where(free[wrong], z[wrong] + step_of_free, bound[wrong])
         distance, slack = np.minimum(z - lower, upper - z) * scale, np.abs(w)
-        self.is_upper = np.where(
-            lower == upper, w < 0.0, at_upper | (free & (upper - z < z - lower))
-        )
+        is_nearer = free & (upper - z < z - lower)
+        self.is_upper = np.where(lower == upper, w < 0.0, at_upper | is_nearer)
         is_sized = diagonal >= 2.0**-10 * largest
         kink = (slack <= terms * size) & (distance <= terms * size) & is_sized & (lower < upper)
         is_clear = kink | (lower == upper) | (np.where(free, distance, slack) > HALF * size)
@@ -297,13 +296,14 @@ class ManyDerivatives:
         given |= {name: self._rows(values, name) for name, values in others.items()}
         there = {name: self._is_there(name) for name in given}
         dz = np.full(given["dq"].shape, np.nan)
-        self._fill(
-            [dz],
-            lambda part: part.changes(*(rows[part.items] for rows in given.values())),
-            lambda k: [
-                self[k].jvp(**{name: one[k, there[name][k]] for name, one in given.items()})
-            ],
-        )
+
+        def changes_of(part: Any) -> Any:
+            return part.changes(*(rows[part.items] for rows in given.values()))
+
+        def change_of(k: int) -> Any:
+            return [self[k].jvp(**{name: one[k, there[name][k]] for name, one in given.items()})]
+
+        self._fill([dz], changes_of, change_of)
         return dz
 
     def vjp(self, g: Any, gw: Any = None) -> BatchGradient:
@@ -505,11 +505,11 @@ class DeviceDerivative(ManyDerivatives):
             for table, row in zip(tables, of_host, strict=True):
                 table[k] = xp.asarray(row)
         names = dict(zip(("q", "lower", "upper"), map(batch.library, tables), strict=True))
-        is_shared = len(M) == 1
-        return BatchGradient(
-            lambda: batch.library(by_q.T @ z if is_shared else by_q[:, :, None] * z[:, None]),
-            **names,
-        )
+
+        def by_M() -> Any:
+            return batch.library(by_q.T @ z if len(M) == 1 else by_q[:, :, None] * z[:, None])
+
+        return BatchGradient(by_M, **names)
 
 
 NAMED = 5  # instances in a message
@@ -603,10 +603,8 @@ class ContactBatchDerivative(ManyDerivatives):
             for k in range(first, end):
                 own = slice(k * TOGETHER, (k + 1) * TOGETHER)
                 W = np.where(is_solved[own, :, np.newaxis], worlds.W[own], np.eye(worlds.n))
-                b, at, mu = (
-                    np.where(is_solved[own], one[own], 0.0)
-                    for one in (worlds.b, z, worlds.friction)
-                )
+                given = worlds.b, z, worlds.friction
+                b, at, mu = (np.where(is_solved[own], one[own], 0.0) for one in given)
                 stack = stack_of(*self.batch.problems.data(W, b, mu))
                 parts[k] = _Together(stack, at, np.arange(len(self))[own], self._is_solved[own])
 
@@ -1009,10 +1007,8 @@ class Derivative(LinearizedSystem):
         # w stays 0 in free rows, and its part would cancel only up to rounding
         by_w = np.where(free, 0.0, by_w)
         by_q, by_bound, _ = self.adjoint(g, by_w)
-        lower, upper = (
-            np.where(free | (rows.is_upper != is_upper), 0.0, by_bound)
-            for is_upper in (False, True)
-        )
+        is_side = (free | (rows.is_upper != is_upper) for is_upper in (False, True))
+        lower, upper = (np.where(is_other, 0.0, by_bound) for is_other in is_side)
         return Gradient(by_q, lower, upper, outer_on_pattern(problem.matrix, by_q, self.z))
 
     def _change(self, dM: Any, dq: ArrayLike | None) -> Vector:

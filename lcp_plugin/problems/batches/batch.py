@@ -200,9 +200,7 @@ def solve_batch(
     programs = _programs_of(M, q, lower, upper, z0)
     if programs is not None:
         if z0 is not None or "absolute_tolerance" in given:
-            raise InvalidOption(
-                "a batch of programs takes no z0 or absolute_tolerance; leave them out"
-            )
+            raise InvalidOption("a program takes no z0 or absolute_tolerance; leave them out")
         given.setdefault("tolerance", PROGRAM_TOLERANCE)
         if not (isinstance(algorithm, str) and algorithm in ENGINES):
             method_of(algorithm, {})
@@ -224,15 +222,13 @@ def _problems_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> Any:
         _refuse_algorithm(q)
         return RightSides(M, q, lower, upper, z0)
     if (name := class_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
-        raise InvalidProblem(
-            f"solve_batch needs many problems, got one {name}; write solve_batch({CLASSES[name].batch})"
-        )
+        usage = f"solve_batch({CLASSES[name].batch})"
+        raise InvalidProblem(f"solve_batch needs many problems, got one {name}; write {usage}")
     if isinstance(M, Sequence) and (not len(M) or any(map(class_of, M))):
         for k, one in enumerate(M):
             if class_of(one) is None:
-                raise InvalidProblem(
-                    f"item {k} of the batch: {refusal('solve_batch', one)}; write LCP(M, q)"
-                )
+                wrong = refusal("solve_batch", one)
+                raise InvalidProblem(f"item {k} of the batch: {wrong}; write LCP(M, q)")
         _refuse_data("these problems", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
         return Listed(M, z0)
     held = M if isinstance(M, LCP) else None
@@ -272,6 +268,4 @@ def _refuse_algorithm(q: Any) -> None:
 def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:
     _refuse_algorithm(q)
     if not (q is None and lower is None and upper is None):
-        raise InvalidOption(
-            f"{what} already contain q and bounds; to change them, build new problems: {remedy}"
-        )
+        raise InvalidOption(f"{what} already contain q and bounds; for others write: {remedy}")

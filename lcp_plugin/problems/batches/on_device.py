@@ -178,14 +178,8 @@ class DeviceAnswers(AnswerSequence[Any]):
         sides, z = xp.zeros((count, n), np.int64), xp.array(start, order="C")
         bound = xp.full(count, np.inf)
         shared = (xp.asarray(tilts(n)), float(self.settings.tolerance))
-        launch(
-            self.gpu,
-            "solve_each",
-            (*data, start),
-            shared,
-            (sides, z, bound),
-            lambda: clock.read() <= limit,
-        )
+        arrays, at = (*data, start), (sides, z, bound)
+        launch(self.gpu, "solve_each", arrays, shared, at, lambda: clock.read() <= limit)
         residual = xp.asnumpy(xp.where(have_values(low, high), bound, np.inf))
         self.status, self.errors = np.full(count, Status.SOLVED), dict[int, LCPError]()
         self._others: tuple[dict[int, int], Any] = {}, ()

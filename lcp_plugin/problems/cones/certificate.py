@@ -335,9 +335,8 @@ class ContactInfeasibility:
         """The certificate of w ≥ 0 for any z, without cones."""
         problem, (no, all_) = self.problem, (np.zeros(self.problem.n), np.ones(self.problem.n))
         bounds = -np.inf * all_, np.inf * all_
-        anything = LinearConstraints(
-            problem.rows.csr, problem.q, all_ > 0, all_ > 0, *bounds, all_, (no, no)
-        )
+        rows, all_true = problem.rows, all_ > 0
+        anything = LinearConstraints(rows.csr, rows.q, all_true, all_true, *bounds, all_, (no, no))
         y = {int(i): Fraction(float(self.y[i])) for i in np.flatnonzero(self.y)}
         return FarkasCertificate(anything, y)
 
@@ -399,9 +398,8 @@ class ContactInfeasibility:
 
     def __str__(self) -> str:
         blocks = np.unique(self.problem.block_of_row[self.y != 0.0])
-        named = ", ".join(map(str, blocks[:5])) + (
-            "" if blocks.size <= 5 else f" and {blocks.size - 5} more"
-        )
+        rest = f" and {blocks.size - 5} more" if blocks.size > 5 else ""
+        named = ", ".join(map(str, blocks[:5])) + rest
         points = describe_radius(self.radius, "z") or "all z"
         return (
             f"blocks {named}: a sum of their slacks with weights of the dual cone is negative for {points}, by "

@@ -231,9 +231,7 @@ class ConeDerivative:
             given = np.full(k, dfriction) if checks.is_number(dfriction) else dfriction
             slopes = checks.checked_vector(given, "dfriction", k)[problem.block_of_row]
         else:
-            raise InvalidOption(
-                "dfriction is of a FrictionalContact; a ConeProblem has dq, dM, dlower and dupper"
-            )
+            raise InvalidOption("dfriction is of a FrictionalContact; a ConeProblem has none")
 
         def change(of: StackDerivative) -> Vector:
             """Return dz with the selected generalized derivative."""

@@ -411,9 +411,7 @@ class ConeNSGS(ConeAlgorithm):
 
     name = "nsgs"
     needs = "blocks on the diagonal that are positive definite"
-    solves = (
-        "cones without friction, M symmetric positive definite (descent by blocks); else observed"
-    )
+    solves = "cones without friction, M symmetric positive definite (by descent); else observed"
     cost = "one product with M a sweep"
     reference = "Jourdan, Alart, Jean 1998, doi:10.1016/S0045-7825(97)00137-1"
 
@@ -455,9 +453,7 @@ class ConeInteriorPoint(ConeAlgorithm):
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield a point per factorization."""
         if not problem.has_friction:
-            raise UnsuitableProblem(
-                f'{self.name} takes contacts with friction; try algorithm="fixed_point"'
-            )
+            raise UnsuitableProblem(f'{self.name} needs friction; try algorithm="fixed_point"')
         return path_points(stack, np.zeros_like(z), 1.0, goal)
 
 
@@ -490,6 +486,5 @@ class FixedPoint(ConeAlgorithm):
         yield from newton_points(stack, best, 30, goal)
 
 
-METHODS: dict[str, type[ConeAlgorithm]] = {
-    one.name: one for one in (ConeNSGS, ConeNewton, ConeInteriorPoint, FixedPoint)
-}
+CLASSES = ConeNSGS, ConeNewton, ConeInteriorPoint, FixedPoint
+METHODS: dict[str, type[ConeAlgorithm]] = {one.name: one for one in CLASSES}

@@ -328,15 +328,12 @@ class ConeRun(Run):
             points = methods.sweep_points(self.stack, z, count, self.goal)
             yield (sweeps := self.stage(methods.ConeNSGS(), because, points))
             z = z if sweeps.z is None else sweeps.z
-            yield self._newton(
-                z, "Newton's steps solve for the active set that the sweeps found", steps
-            )
+            yield self._newton(z, "Newton's steps solve for the active set of the sweeps", steps)
         return z
 
     def _newton(self, z: Array, because: str, steps: int = methods.NEWTON_STEPS) -> Stage:
-        return self.stage(
-            methods.ConeNewton(), because, methods.newton_points(self.stack, z, steps, self.goal)
-        )
+        points = methods.newton_points(self.stack, z, steps, self.goal)
+        return self.stage(methods.ConeNewton(), because, points)
 
     def _path(self, share: float | None) -> Stage:
         """Return the central path from a cold start, or from near the best point."""
@@ -407,9 +404,7 @@ class ConeResult(Result):
         """Impulses and velocities per contact, and masks of contacts that press and stick."""
         problem = self.problem
         if not isinstance(problem, FrictionalContact):
-            raise InvalidOption(
-                f"motion is of a FrictionalContact, got {type(problem).__name__}; read z and w"
-            )
+            raise InvalidOption(f"motion is of a FrictionalContact, got {type(problem).__name__}")
         r, u = self.z.reshape(-1, problem.dimension), self.w.reshape(-1, problem.dimension)
         after = None if problem.bodies is None else problem.bodies.velocities_after(self.z)
         return motion_of(r, u, problem.q, after)
@@ -438,7 +433,5 @@ class ConeResult(Result):
         ]
         asymmetry = float(abs(problem.W - problem.W.T).max()) if problem.n else 0.0
         if asymmetry > ROUNDING * float(abs(problem.W).max() if problem.n else 0.0):
-            lines.append(
-                f"W is not symmetric: entries differ by up to {asymmetry:.1e}; it was used as it is given"
-            )
+            lines.append(f"W is not symmetric, by up to {asymmetry:.1e}; it was used unchanged")
         return lines

@@ -101,9 +101,8 @@ class Arms:
             inverse = factorize_matrix(entries.reshape(v, v))
         else:
             indptr = np.searchsorted(self.pattern, np.arange(v + 1) * np.int64(v))
-            inverse = factorize_matrix(
-                sp.csr_array((entries, self.pattern % v, indptr), shape=(v, v))
-            )
+            entries = sp.csr_array((entries, self.pattern % v, indptr), shape=(v, v))
+            inverse = factorize_matrix(entries)
         KJ, at = KJ[free], columns[free]
 
         def solve(right: Any) -> Any:

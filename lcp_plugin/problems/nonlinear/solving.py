@@ -228,9 +228,9 @@ class JosephyNewton(Algorithm):
         step = lcp.with_q(w, lower=lcp.lower - x, upper=lcp.upper - x)
         relative = self.here.residual
         # A linearization needs no smaller residual than a tenth of the tolerance
-        enough = (
-            max(0.1 * self.tolerance / relative, SMALLEST_TOLERANCE) if relative > 0.0 else FORCING
-        )
+        enough = FORCING
+        if relative > 0.0:
+            enough = max(0.1 * self.tolerance / relative, SMALLEST_TOLERANCE)
         tolerance = min(max(relative, enough), FORCING)
         try:
             result = solve_within(step, self.linear, tolerance)
@@ -375,9 +375,8 @@ def solve_nonlinear(
         try:
             if has_doubts:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
-            end = run.follow_all(
-                [Stage(newton, TANGENTS, steps=newton.iterates(first.lcp, first.x))]
-            )
+            stage = Stage(newton, TANGENTS, steps=newton.iterates(first.lcp, first.x))
+            end = run.follow_all([stage])
         except KeyboardInterrupt:
             end = TerminationReason.INTERRUPTED
         return replace(run.result(end), begun=begun)
@@ -471,9 +470,7 @@ class NonlinearRun(Run):
         if self._is_far(point) or not point.measure(self.settings, power).passes:
             return False
         there = with_trusted_derivative(point) if self.has_doubts else point
-        return there is point or (
-            there.is_defined and bool(there.measure(self.settings, power).passes)
-        )
+        return there is point or (there.is_defined and there.measure(self.settings, power).passes)
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the linearization after entries near bounds are moved there, unless only the point itself passes."""

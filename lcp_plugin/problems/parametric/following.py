@@ -248,12 +248,8 @@ class Follower:
             # A piece of rounding alone, which the next one takes in
             if end - begin > 1e-14 * stop or is_last:
                 rate = motion.z[1]
-                yield Segment(
-                    begin,
-                    end,
-                    np.array([motion.z[0] + (begin - self.t) * rate, rate]),
-                    self.steps.copy(),
-                )
+                z = np.array([motion.z[0] + (begin - self.t) * rate, rate])
+                yield Segment(begin, end, z, self.steps.copy())
                 begin = end
             if is_last or changed is None:
                 return

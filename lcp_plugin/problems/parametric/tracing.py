@@ -138,19 +138,14 @@ class Line:
         if (name := class_of(problem)) not in classes_of("trace"):
             raise InvalidOption(refusal("trace", problem))
         self.family = FAMILIES[name]
-        usual = (
-            PROGRAM_TOLERANCE if isinstance(problem, QuadraticProgram) else DEFAULTS["tolerance"]
-        )
+        is_program = isinstance(problem, QuadraticProgram)
+        usual = PROGRAM_TOLERANCE if is_program else DEFAULTS["tolerance"]
         self.tolerance = Settings(tolerance=usual if tolerance is None else tolerance).tolerance
         self.problem, self.start, self.stop = problem, start, stop
         self.toward = 1.0 if stop >= start else -1.0
         if not isinstance(along, Mapping) or not along:
-            raise InvalidOption(
-                f'along must name the data that move, for example {{"q": direction}}, got {along!r}'
-            )
-        self.directions = {
-            str(name): self._check_change(name, change) for name, change in along.items()
-        }
+            raise InvalidOption(f'along must name data, as in {{"q": direction}}, got {along!r}')
+        self.directions = {str(name): self._check_change(name, one) for name, one in along.items()}
 
     def _check_change(self, name: str, change: Any) -> Vector:
         """Return the change of a vector for θ + 1, shape (size,)."""
@@ -171,9 +166,7 @@ class Line:
         step = checked_vector(change, name, now.size)
         if (moved := ~np.isfinite(now) & (step != 0.0)).any():
             i = int(np.argmax(moved))
-            raise InvalidOption(
-                f"{name}[{i}] is {now[i]} and cannot move; let along[{name!r}][{i}] be 0"
-            )
+            raise InvalidOption(f"{name}[{i}] is {now[i]} and cannot move; set its change to 0")
         return read_only(step)
 
     def slope(self, name: str) -> Vector:
@@ -206,10 +199,8 @@ class Line:
 
     def at(self, theta: float) -> Any:
         """Return the problem at θ."""
-        moved = {
-            name: getattr(self.problem, name) + theta * step
-            for name, step in self.directions.items()
-        }
+        present = ((name, getattr(self.problem, name)) for name in self.directions)
+        moved = {name: now + theta * self.directions[name] for name, now in present}
         if "upper" in moved:  # bounds that meet may cross by rounding
             moved["upper"] = np.maximum(moved["upper"], moved.get("lower", self.problem.lower))
         elif "lower" in moved:
@@ -286,15 +277,11 @@ def _penalty_conditions(line: Line) -> MonotoneGraphs:
     """Return the normal equations of least squares; a penalty within bounds of both signs is a kink at 0."""
     problem = line.problem
     if not problem.has_entries:
-        raise UnsuitableProblem(
-            "trace needs the entries of A, no LinearOperator; give an array or a sparse array"
-        )
+        raise UnsuitableProblem("trace needs the entries of A; give an array or a sparse array")
     l1, lower, upper = (line.ends(name) for name in ("l1", *BOUNDS))
     if (least := np.minimum(*l1)).min(initial=0.0) < 0.0:
         j = int(np.argmin(least))
-        raise InvalidOption(
-            f"l1 must be ≥ 0, but l1[{j}] = {least[j]} at one end; trace to where it is 0"
-        )
+        raise InvalidOption(f"l1 must be ≥ 0, got l1[{j}] = {least[j]}; trace to where it is 0")
     has_penalty = np.maximum(*l1) > 0.0
     is_negative = has_penalty & (np.maximum(*upper) <= 0.0)
     has_kink = has_penalty & (np.minimum(*lower) < 0.0) & ~is_negative

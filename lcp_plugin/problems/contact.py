@@ -43,10 +43,7 @@ FloatArray = NDArray[np.float64]
 
 SYMMETRIC = 1e-8  # of the largest entry
 UNIT = 1e-6  # by which the length of a direction may differ from 1
-NOT_DEFINITE = (
-    "the mass matrix must be positive definite, and a factor of Cholesky shows that it is not; leave out bodies that "
-    "do not move, or give W"
-)
+NOT_DEFINITE = "the mass matrix must be positive definite, and is not; leave out bodies that do not move, or give W"
 # of soft rubber it is some 2; a larger one is probably an angle or a percentage
 MOST_FRICTION = 5.0
 
@@ -373,8 +370,7 @@ def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, Floa
     elif velocities.ndim == 1:
         raise InvalidProblem(
             f"velocities must have shape ({v},), of the bodies, or ({k}, {1 + t}), of the contacts, got "
-            f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}; give one for each row of the mass "
-            "matrix"
+            f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}"
         )
     return 0.5 * (W + W.T), velocities, Bodies(mass, inverse, J, own)
 
@@ -490,6 +486,5 @@ def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> Non
     difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()
     if difference > tolerance * largest:
         raise InvalidProblem(
-            f"{name} must be symmetric, but entries differ from those across the diagonal by {difference:.2g}; is it "
-            "J m⁻¹ Jᵀ with the same J on both sides?"
+            f"{name} must be symmetric, but entries differ by {difference:.2g}; is it J m⁻¹ Jᵀ, the same J twice?"
         )

@@ -474,8 +474,7 @@ def _begin(
             raise InvalidOption(f"a {class_of(one)} has no lower and upper; leave them out")
         if one.n != n:
             raise InvalidProblem(
-                f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; "
-                "call march once per size"
+                f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; call march once per size"
             )
     others = "problem", "forcing", "propagator", *BOUNDS, "algorithm", "keep"  # no options of solve
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
@@ -779,8 +778,7 @@ class MarchDerivative:
     def __init__(self, march: March, each: Callable[..., Derivative]) -> None:
         if march.keep != 1:
             raise UnsuitableProblem(
-                f"the derivative of a march needs all its steps, and keep={march.keep or 'last'} dropped some; "
-                "leave out keep"
+                f"keep={march.keep or 'last'} dropped steps that the derivative of a march needs; leave out keep"
             )
         if not (march.all_solved and len(march) == len(march.forcing)):
             last = len(march) - 1

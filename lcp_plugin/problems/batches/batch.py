@@ -192,8 +192,7 @@ def solve_batch(
     if any(map(is_on_gpu, (M, q, lower, upper))):
         if not (z0 is callback is executor is None and algorithm == "auto"):
             raise InvalidOption(
-                "arrays on a GPU take no z0, callback, executor or algorithm; leave them out, or copy the arrays to "
-                "the host"
+                "arrays on a GPU take no z0, callback, executor or algorithm; leave them out, or copy the arrays"
             )
         bounds = 0.0 if lower is None else lower, np.inf if upper is None else upper
         return cast(BatchAnswers, DeviceAnswers(M, q, *bounds, given))
@@ -260,8 +259,7 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> ProgramBatc
 def _refuse_algorithm(q: Any) -> None:
     if isinstance(q, str):
         raise InvalidOption(
-            f"the second argument of solve_batch is the vectors (q of an LCP, b of least squares, c of a program), "
-            f"got {q!r}; pass the algorithm as algorithm={q!r}"
+            f"the second argument is the vectors (q, or b, or c), got {q!r}; pass the algorithm as algorithm={q!r}"
         )
 
 

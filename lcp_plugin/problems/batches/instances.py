@@ -92,6 +92,10 @@ class Instances:
         """Return the problems whose origin rejects the point, bool: a program, by its duality gap."""
         return np.False_
 
+    def outer(self, left: Any, right: Any) -> Any:
+        """Return products left_i right_j, shape (B, n, n)."""
+        return left[:, :, np.newaxis] * right[:, np.newaxis]
+
     def row(self, found: Any) -> Any:
         """Return the row of a result in the table of points."""
         return np.empty(0) if found.x is None else found.x
@@ -336,7 +340,7 @@ class Stacked(Rows):
     def outer(self, left: Any, right: Any) -> Any:
         """Return products of shape (B, n, n), or their sum on the pattern of a shared M."""
         if self.base is None:
-            return left[:, :, np.newaxis] * right[:, np.newaxis, :]
+            return super().outer(left, right)
         if not sp.issparse(self.M):
             return left.T @ right
         total = outer_on_pattern(self.base.matrix, *np.zeros((2, left.shape[1])))
@@ -440,10 +444,6 @@ class Worlds(Instances):
     def slacks(self, z: Any) -> Any:
         """Return velocities after the impulses, shape (B, n)."""
         return np.einsum("bij,bj->bi", self.worlds.W, z) + self.worlds.b
-
-    def outer(self, left: Any, right: Any) -> Any:
-        """Return products of shape (B, n, n)."""
-        return left[:, :, np.newaxis] * right[:, np.newaxis]
 
     def data(self, W: Any, b: Any, friction: Any) -> tuple[Any, ...]:
         """Return the arguments of `stack_of` for instances with these data."""

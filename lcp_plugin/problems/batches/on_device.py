@@ -70,8 +70,7 @@ class DeviceData(NamedTuple):
         for name, one in given.items():
             if not (is_on_gpu(one) or (name in ("lower", "upper") and np.ndim(one) == 0)):
                 raise InvalidProblem(
-                    f"{name} must be an array on the GPU, as others of this batch are, got {type(one).__name__}; copy "
-                    "it there, or the others to the host"
+                    f"{name} must be an array on the GPU, as others here are, got {type(one).__name__}; copy it there"
                 )
         arrays = [xp.asarray(one) for one in given.values()]
         shapes = [one.shape for one in arrays]
@@ -82,12 +81,11 @@ class DeviceData(NamedTuple):
             shape = ()
         is_real = all(one.dtype.kind in "biuf" for one in arrays)
         if not is_real or len(shape) != 2 or shape[1] != n or shapes[0][-2:] != (n, n):
+            got = ", ".join(
+                f"{name} {one.shape} {one.dtype}" for name, one in zip(given, arrays, strict=True)
+            )
             raise InvalidProblem(
-                "M must have shape (B, n, n) or (n, n), q and bounds (B, n) or (n,), all with real entries; got "
-                + ", ".join(
-                    f"{name} {one.shape} {one.dtype}"
-                    for name, one in zip(given, arrays, strict=True)
-                )
+                f"M must be (B, n, n) or (n, n), q and bounds (B, n) or (n,), real; got {got}"
             )
         if not 0 < n <= MAX_UNKNOWNS:
             raise UnsuitableProblem(

@@ -206,9 +206,9 @@ def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgr
         If it is not a sequence of mappings from the names of vectors.
     """
     if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
+        given = type(vectors).__name__
         raise InvalidProblem(
-            f'a program takes an array of c, shape (B, n), or a list of mappings, as [{{"b": b}}], '
-            f"got {type(vectors).__name__}"
+            f'a program takes c, shape (B, n), or a list of mappings, as [{{"b": b}}], got {given}'
         )
     programs: list[QuadraticProgram | LCPError] = []
     for k, one in enumerate(vectors):

@@ -299,12 +299,9 @@ class ConeCertificate:
         return float(-0.5 * (self.z @ (self.problem.q + self.w)))
 
     def __str__(self) -> str:
-        lines = [
-            ("relative residual", self.relative_residual),
-            ("natural residual", self.natural_residual),
-            ("term residual", self.term_residual),
-            ("z · w", -self.dissipation),
-        ]
+        names = "relative_residual", "natural_residual", "term_residual"
+        lines = [(name.replace("_", " "), getattr(self, name)) for name in names]
+        lines.append(("z · w", -self.dissipation))
         return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
 
 
@@ -401,10 +398,8 @@ class ContactInfeasibility:
         rest = f" and {blocks.size - 5} more" if blocks.size > 5 else ""
         named = ", ".join(map(str, blocks[:5])) + rest
         points = describe_radius(self.radius, "z") or "all z"
-        return (
-            f"blocks {named}: a sum of their slacks with weights of the dual cone is negative for {points}, by "
-            f"{self.margin:.1e} of the reference at the least"
-        )
+        by = f"{self.margin:.1e} of the reference at the least"
+        return f"blocks {named}: a sum of their slacks is negative for {points}, by {by}"
 
 
 def kind_of_row(problem: Blocks, row: int) -> tuple[bool, bool]:

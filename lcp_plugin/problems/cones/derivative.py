@@ -153,8 +153,7 @@ class StackDerivative(LinearizedSystem):
         x = self.system.least_solution(right, transposed=transposed)
         if x is None:
             raise UnsuitableProblem(
-                "several answers share the same motion, and their system is too large for a pseudo-inverse (500 rows): "
-                "state fewer contacts, or add a small compliance to the diagonal of W"
+                "more than 500 rows have several answers for one motion; add a small compliance to the diagonal of W"
             )
         return x
 

@@ -87,10 +87,9 @@ class FrictionalContactBatch:
                 f"friction must be a number, or have shape ({k},) or (B, {k}), B = {count}, got {mu.shape}"
             )
         self.contacts = _checked_counts(contacts, count, k)
-        own = [
-            np.ascontiguousarray(np.broadcast_to(array, shape), np.float64)
-            for array, shape in ((matrices, (count, n, n)), (offsets, (count, n)), (mu, (count, k)))
-        ]
+        given = (matrices, (count, n, n)), (offsets, (count, n)), (mu, (count, k))
+        wide = (np.broadcast_to(*one) for one in given)
+        own = [np.ascontiguousarray(one, np.float64) for one in wide]
         is_there = np.arange(k) < self.contacts[:, np.newaxis]
         if not is_there.all():
             is_row = np.repeat(is_there, d, axis=1)
@@ -306,8 +305,7 @@ def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int
     d = 3 if given is None and rows % 3 == 0 else 2 if given is None else given
     if isinstance(d, bool) or not isinstance(d, (int, np.integer)) or d not in (2, 3):
         raise InvalidProblem(
-            f"a contact has 3 rows (normal, tangent, tangent), or 2 in the plane, got {d!r}: {rows} rows and "
-            f"{count} coefficients of friction"
+            f"a contact has 3 rows, or 2 in the plane, got {d!r}: {rows} rows and {count} coefficients of friction"
         )
     if rows % d:
         need = "3, nor, in the plane, of 2" if given is None else d

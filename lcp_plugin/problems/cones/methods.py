@@ -186,10 +186,8 @@ def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Any, free: Any) -> t
         return whole_systems(stack, mixed[None], by_w[None])[0][np.ix_(rows, rows)], rows
     row, column = pattern.inner
     entry, indptr = pattern.entry(row, column), np.searchsorted(row, np.arange(pattern.n + 1))
-    of_w, of_z = (
-        sp.csr_array((part[None][entry][0], column, indptr), shape=pattern.M.shape)[rows]
-        for part in (by_w, mixed)
-    )
+    parts, shape = (part[None][entry][0] for part in (by_w, mixed)), pattern.M.shape
+    of_w, of_z = (sp.csr_array((part, column, indptr), shape=shape)[rows] for part in parts)
     return (of_w @ pattern.M + of_z)[:, rows], rows
 
 

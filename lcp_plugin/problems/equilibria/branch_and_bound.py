@@ -431,22 +431,11 @@ class BranchAndBound:
                 status = Status.INFEASIBLE if self._is_infeasible else Status.NO_SOLUTION
         is_own = self.outside is None or self.tree
         by = ["SCIP"] * (self.outside is not None) + ["branch and bound"] * bool(is_own)
-        return EquilibriumResult(
-            self.problem,
-            None if best is None else best.point,
-            value,
-            lower,
-            bound_by,
-            self.relaxations.solved,
-            tuple(self.tree),
-            self.descent,
-            self.outside,
-            status=status,
-            algorithm=", ".join(by),
-            iterations=self.nodes,
-            seconds=self.clock.read(),
-            tolerance=self.tolerance,
-        )
+        point = None if best is None else best.point
+        found = point, value, lower, bound_by, self.relaxations.solved, tuple(self.tree)
+        named: Any = {"status": status, "algorithm": ", ".join(by), "tolerance": self.tolerance}
+        named |= {"iterations": self.nodes, "seconds": self.clock.read()}
+        return EquilibriumResult(self.problem, *found, self.descent, self.outside, **named)
 
 
 class _Log:

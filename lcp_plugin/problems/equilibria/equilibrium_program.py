@@ -145,18 +145,17 @@ class EquilibriumProgram:
         n, k = program.n, np.size(columns)
         rows = sp.csr_array(rectangular_matrix(M, "M", k, n))
         right = -checked_vector(q, "q", k)
-        nothing = sp.csr_array((k, k))
+        P, G, A = (sp.csr_array(one) for one in (program.P, program.G, program.A))
+        free = np.full(k, np.inf)
         wider = QuadraticProgram(
-            sp.block_diag([sp.csr_array(program.P), nothing], format="csr"),
+            sp.block_diag([P, sp.csr_array((k, k))], format="csr"),
             np.append(program.c, np.zeros(k)),
-            sp.hstack([sp.csr_array(program.G), sp.csr_array((program.h.size, k))], format="csr"),
+            sp.hstack([G, sp.csr_array((program.h.size, k))], format="csr"),
             program.h,
-            sp.block_array(
-                [[sp.csr_array(program.A), None], [rows, -sp.eye_array(k)]], format="csr"
-            ),
+            sp.block_array([[A, None], [rows, -sp.eye_array(k)]], format="csr"),
             np.append(program.b, right),
-            np.append(program.lower, np.full(k, -np.inf)),
-            np.append(program.upper, np.full(k, np.inf)),
+            np.append(program.lower, -free),
+            np.append(program.upper, free),
             program.constant,
         )
         return cls(wider, np.asarray(columns), np.arange(n, n + k))

@@ -476,7 +476,6 @@ class EquilibriumResult(BaseResult):
 
 def _is_same(one: QuadraticProgram, other: QuadraticProgram) -> bool:
     """Return whether two programs have one matrix and the same vectors."""
-    return one.matrices is other.matrices and all(
-        np.array_equal(getattr(one, name), getattr(other, name))
-        for name in ("c", "lower", "upper", "h", "b")
-    )
+    names = "c", "lower", "upper", "h", "b"
+    are_same = (np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
+    return one.matrices is other.matrices and all(are_same)

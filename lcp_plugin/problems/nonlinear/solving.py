@@ -358,8 +358,7 @@ def solve_nonlinear(
     """
     if not isinstance(problem, NonlinearProblem):
         raise InvalidOption(
-            f"solve_nonlinear needs a NonlinearProblem, got {type(problem).__name__}; write NonlinearProblem(F), or "
-            "solve(problem) for an LCP"
+            f"solve_nonlinear needs a NonlinearProblem, got {type(problem).__name__}; write NonlinearProblem(F)"
         )
     settings = Settings(**options)
     method_of(algorithm, {})
@@ -408,8 +407,7 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> Vector:
     if x0 is None:
         if problem.n is None:
             raise InvalidOption(
-                "x0 is needed because the number of unknowns is not known; pass x0 (z0 in solve_batch), or arrays "
-                "as bounds"
+                "x0 is needed because the number of unknowns is not known; pass x0 (z0 in solve_batch)"
             )
         return np.zeros(problem.n)
     return vector_option(x0, "x0", problem.n, may_be_number=True)
@@ -432,10 +430,7 @@ WORDS = {
 }
 
 
-GROWING = (
-    "the unknowns grow without limit and F tends to 0, so that F may have no solution; next: try another start x0, or "
-    "bounds"
-)
+GROWING = "the unknowns grow without limit and F tends to 0: F may have no solution; next: another start x0, or bounds"
 
 
 class NonlinearRun(Run):

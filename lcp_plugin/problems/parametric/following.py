@@ -24,6 +24,8 @@ from ...core.matrix import IntVector, largest_in_rows, scale_matrix
 from ...systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents
 from ..least_squares.data import BoundedLeastSquares
 
+#: begin, end, z and the steps of all rows: z[0] + (t − begin) z[1] solves the problem for begin ≤ t ≤ end.
+Line = tuple[float, float, Vector, IntVector]
 Change = tuple[int, int]  # a row, and +1 for the next step or −1 for the step before
 
 ROUNDING = 1e-12  # error of a z or a w relative to its terms; smaller rates count as 0
@@ -146,16 +148,6 @@ class MonotoneGraphs:
         return steps
 
 
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """Affine segment of the path, z = z[0] + (t − begin) z[1] for begin ≤ t ≤ end."""
-
-    begin: float
-    end: float
-    z: Vector
-    steps: IntVector
-
-
 class Motion(NamedTuple):
     """Values and rates of rows on given steps, shape (2, n), and their errors, shape (n,).
 
@@ -229,7 +221,7 @@ class Follower:
         is_off = motion is None or bool((motion.outside > 1e3).any())
         self.motion = None if is_off else motion
 
-    def lines(self, stop: float) -> Iterator[Segment]:
+    def lines(self, stop: float) -> Iterator[Line]:
         """Yield the lines up to stop, or to where the path is lost."""
         begin, stuck, changed = self.begin, 0, None
         for _ in range(200 * self.n + 10_000):
@@ -249,7 +241,7 @@ class Follower:
             if end - begin > 1e-14 * stop or is_last:
                 rate = motion.z[1]
                 z = np.array([motion.z[0] + (begin - self.t) * rate, rate])
-                yield Segment(begin, end, z, self.steps.copy())
+                yield begin, end, z, self.steps.copy()
                 begin = end
             if is_last or changed is None:
                 return

@@ -20,7 +20,7 @@ from ..programs.conversion import conditions
 from ..programs.criterion import PROGRAM_TOLERANCE, QPSolution
 from ..programs.program import QuadraticProgram
 from ..programs.program_matrices import refuse_nonconvex
-from .following import Follower, MonotoneGraphs, Segment
+from .following import Follower, MonotoneGraphs
 from .path import Path, PathPoint, Piece
 
 MAX_ROWS = 6000  # of an LCP, of which a dense factorization is made
@@ -156,10 +156,8 @@ class Line:
                 "takes a list of problems. If θ multiplies P, divide the objective by it and move c"
             )
         if name not in names:
-            raise InvalidOption(
-                f"along={{{name!r}: …}} is not a vector of {kind}{did_you_mean(name, names)}; "
-                f"{', '.join(names)} may move"
-            )
+            others = f"{did_you_mean(name, names)}; {', '.join(names)} may move"
+            raise InvalidOption(f"along={{{name!r}: …}} is not a vector of {kind}{others}")
         now: Vector = getattr(self.problem, name)
         if is_number(change):  # it moves all bounds that there are
             return read_only(np.where(np.isfinite(now), float(change), 0.0))
@@ -263,8 +261,7 @@ def _matrix_conditions(line: Line) -> MonotoneGraphs:
         stated = conditions(stated)
     if stated.n > MAX_ROWS:
         raise UnsuitableProblem(
-            f"trace factorizes dense matrices of up to {MAX_ROWS} rows, and this problem has {stated.n}; "
-            "solve_batch(problem, Q) solves at given values"
+            f"trace takes up to {MAX_ROWS} rows, got {stated.n}; solve_batch(problem, Q) solves at given values"
         )
     *rows, lower, upper = map(line.slope, line.family.vectors)
     rest = np.zeros(stated.n - lower.size)  # bounds of multipliers
@@ -334,8 +331,8 @@ class _Trace:
             self._reach_back(follower)
             failed += 1
             for line in follower.lines(self.end):
-                self._add(self._piece(line))
-                self.reached, failed = line.end, 0
+                self._add(*line)
+                failed = 0
             if self.reached == self.end and path.pieces:
                 path.beyond = None
                 break
@@ -379,26 +376,21 @@ class _Trace:
             follower.begin = begin
         else:
             z, rate = follower.motion.z
-            line = Segment(begin, t, np.array([z - (t - begin) * rate, rate]), follower.steps)
-            self._add(self._piece(line))
-            self.reached = t
+            self._add(begin, t, np.array([z - (t - begin) * rate, rate]), follower.steps)
 
-    def _add(self, piece: Piece) -> None:
+    def _add(self, t: float, end: float, line: Any, steps: Any) -> None:
         """Add a segment; record a jump or a line of solutions if the path is discontinuous."""
-        path = self.path
+        path, begin, toward = self.path, self.theta(t), self.line.toward
+        z, rate = self.problem.units * line
+        z += (toward * (begin - self.line.start) - t) * rate  # from the rounded θ of its begin
+        slope, n = toward * rate, self.line.problem.lower.size
+        has_kink = np.isfinite(self.problem.levels[0, 2])
+        case = np.where(has_kink, np.array([-1, 0, 2, 0, 1])[steps], steps - 1)
+        piece = Piece(begin, self.theta(end), z[:n], slope[:n], case, z, slope)
+        self.reached = end
         before = path.pieces[-1].z_at(piece.begin) if path.pieces else piece.z0
         change, size = (np.abs(one).max(initial=0.0) for one in (before - piece.z0, before))
         if change > SAME * (1.0 + size):
             # All solutions of a monotone problem are one convex set.
             (path.segments if self.line.is_monotone else path.jumps).append(piece.begin)
         path.pieces.append(piece)
-
-    def _piece(self, line: Segment) -> Piece:
-        """Return the segment as a `Piece`, from the rounded θ of its begin."""
-        begin, toward = self.theta(line.begin), self.line.toward
-        z, rate = self.problem.units * line.z
-        z += (toward * (begin - self.line.start) - line.begin) * rate
-        slope, n = toward * rate, self.line.problem.lower.size
-        has_kink = np.isfinite(self.problem.levels[0, 2])
-        case = np.where(has_kink, np.array([-1, 0, 2, 0, 1])[line.steps], line.steps - 1)
-        return Piece(begin, self.theta(line.end), z[:n], slope[:n], case, z, slope)

@@ -64,18 +64,16 @@ class BandSteps:
 
     Parameters
     ----------
-    problem : LCP
-        The matrix and the bounds.
+    done : March
+        Gives the matrix, the bounds and the propagator.
     band : Bands
-        Bands of its matrix.
-    propagator : csr_array, shape (n, n)
+        Bands of the matrix.
     settings : Settings
     """
 
-    def __init__(
-        self, problem: LCP, band: Bands, propagator: sp.csr_array, settings: Settings
-    ) -> None:
-        self.problem, self.band, self.propagate = problem, band, propagation(propagator)
+    def __init__(self, done: March, band: Bands, settings: Settings) -> None:
+        self.problem = problem = done.problem
+        self.band, self.propagate = band, propagation(done.propagator)
         self.tolerance, self.absolute = settings.tolerance, abs(problem.csr)
         self.most = settings.max_iterations
         self.of_nearest: Vector = problem.csr @ problem.nearest_to_zero
@@ -233,19 +231,15 @@ def take_steps_on_band(done: March, algorithm: Any, wishes: dict[str, Any], limi
     if not isinstance(problem, LCP) or not problem.n:
         return
     method, settings = parse_call(algorithm, wishes)
-    begin = next(plan(problem, method, settings.goal))
-    if (
-        settings.record
-        or settings.error_bound
-        or settings.verbose
-        or settings.max_iterations == 0
-        or wishes.get("callback") is not None
-        or not isinstance(begin.algorithm, Banded)
-        or (band := bands(problem.matrix)) is None
-        or connected_components(problem.matrix) is not None
-    ):
+    is_watched = settings.record or settings.error_bound or settings.verbose
+    if is_watched or settings.max_iterations == 0 or wishes.get("callback") is not None:
         return
-    steps, state = BandSteps(problem, band, done.propagator, settings), done.z0
+    begin = next(plan(problem, method, settings.goal))
+    is_banded = isinstance(begin.algorithm, Banded) and connected_components(problem.matrix) is None
+    band = bands(problem.matrix) if is_banded else None
+    if band is None:
+        return
+    steps, state = BandSteps(done, band, settings), done.z0
     while done.taken < len(done.forcing) and clock.read() < limit:
         forcing = done.forcing[done.taken : done.taken + BLOCK]
         solved = steps.solve(forcing, state)
@@ -416,7 +410,8 @@ def march(
     clock, limit = Clock(), Settings(max_seconds=max_seconds).max_seconds
     given = zip((*BOUNDS, "z0"), of_states, strict=True)
     states = {name: values for name, values in given if values is not None}
-    marches = _begin(problems, forcing, propagator, states, algorithm, wishes, are_many=are_many)
+    call = algorithm, wishes
+    marches = _begin(problems, forcing, propagator, states, call, are_many=are_many)
     every = 0 if keep == "last" else whole_number(keep, "keep", 1, ', or "last"')
     for k, one in enumerate(marches):
         one.keep, begun = every, clock.read()
@@ -456,17 +451,10 @@ def _axes(values: Any) -> int:
 
 
 def _begin(
-    problems: list[Any],
-    forcing: ArrayLike,
-    propagator: Any,
-    states: dict[str, Any],
-    algorithm: str | Algorithm,
-    wishes: dict[str, Any],
-    *,
-    are_many: bool,
+    problems: list[Any], forcing: Any, propagator: Any, states: Any, call: Any, *, are_many: bool
 ) -> list[March]:
     """Return the marches before their first steps; raise an error for invalid data."""
-    n = getattr(problems[0], "n", 0)
+    (algorithm, wishes), n = call, getattr(problems[0], "n", 0)
     for j, one in enumerate(problems):
         if class_of(one) not in classes_of("march"):
             raise InvalidOption(refusal("march", one))
@@ -482,9 +470,8 @@ def _begin(
         raise InvalidOption(f"march has no option {unknown[0]!r}{hint}")
     shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row a step"
     axes = (2, 3) if are_many else (2,)
-    given = checked_rows(
-        "forcing", forcing, f"{shape}, n = {n}", lambda of: len(of) in axes and of[-1] == n
-    )
+    need = f"{shape}, n = {n}"
+    given = checked_rows("forcing", forcing, need, lambda of: len(of) in axes and of[-1] == n)
     each = propagator if _is_one_a_march(propagator) else [propagator]
     rows = [given] if given.ndim == 2 else list(given)
     propagators = [checked_propagator(C, n) for C in each]
@@ -566,9 +553,8 @@ class Band(NamedTuple):
         right = right + self.propagate(np.array([before, *x[:-1]]))
         w, size = (self.M @ x.T).T + right, ((self.size @ np.abs(x).T).T + np.abs(right)) * unit
         given = np.abs((self.M @ np.where(is_free, 0.0, x).T).T + right) * unit
-        terms, given, left = (
-            one.max(axis=1, initial=0.0, where=is_free) for one in (size, given, np.abs(w) * unit)
-        )
+        sizes = size, given, np.abs(w) * unit
+        terms, given, left = (one.max(axis=1, initial=0.0, where=is_free) for one in sizes)
         is_regular = (left <= 2.0**-40 * terms) & (terms <= CANCELLED * given)
         return (x, w, EPSILON * terms) if is_regular.all() else None
 
@@ -657,19 +643,13 @@ class Steps:
         return np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain else self.at(k).degenerate
 
     def jvp(
-        self,
-        dM: sp.csr_array,
-        dforcing: Vector,
-        dpropagator: sp.csr_array,
-        dlower: Vector,
-        dupper: Vector,
-        before: Vector,
+        self, dM: Any, df: Vector, dC: Any, dlower: Vector, dupper: Vector, before: Vector
     ) -> Vector:
-        """Return the changes of the solutions, and write the last change to `before`.
+        """Return the changes of the solutions for changes of M, forcing, propagator and bounds.
 
-        At the call, `before` is the change of the state before the first step.
+        At the call, `before` is the change of the state before the first step; the last change is written to it.
         """
-        given = np.broadcast_to(dforcing, self.z.shape) + (dpropagator @ self.states[:-1].T).T
+        given = np.broadcast_to(df, self.z.shape) + (dC @ self.states[:-1].T).T
         value = np.where(self.sides < 0, dlower, np.where(self.sides > 0, dupper, 0.0))
 
         def solve_alone(k: int, before: Vector) -> Vector:
@@ -704,13 +684,7 @@ class Steps:
         return by_q[order]
 
     def _follow(
-        self,
-        band: Band | None,
-        order: NDArray[np.intp],
-        value: Vector,
-        right: Vector,
-        before: Vector,
-        solve_alone: Callable[[int, Vector], Vector],
+        self, band: Any, order: Any, value: Vector, right: Vector, before: Vector, solve_alone: Any
     ) -> tuple[Vector, Vector]:
         """Return x and w of the steps in this order, on the band if that decides, else one by one, with w = 0.
 

@@ -192,9 +192,8 @@ class ManyDerivatives:
         self._is_solved = np.asarray(batch.status == Status.SOLVED, np.bool_)
         for k in sorted({*np.flatnonzero(~self._is_solved).tolist()} - set(self.errors)):
             status = batch.status[k]
-            self.errors[k] = UnsuitableProblem(
-                f"only a solution has a derivative, and {batch.item} {k} ended {status.name}: {status.value}"
-            )
+            ended = f"{batch.item} {k} ended {status.name}: {status.value}"
+            self.errors[k] = UnsuitableProblem(f"only a solution has a derivative, and {ended}")
 
     def __len__(self) -> int:
         return len(self.batch)
@@ -219,10 +218,7 @@ class ManyDerivatives:
         return np.flatnonzero(is_left).tolist()
 
     def _fill(
-        self,
-        tables: Sequence[Any],
-        of_part: Callable[[Any], Sequence[Any]],
-        of_one: Callable[[int], Sequence[Any]],
+        self, tables: Any, of_part: Callable[[Any], Any], of_one: Callable[[int], Any]
     ) -> None:
         """Write the rows of items with a derivative; some are treated one by one.
 
@@ -344,9 +340,8 @@ class ManyDerivatives:
         does_depend = sum(np.any(one, axis=-1) for one in given) + np.zeros(len(self))
         for table in tables:
             table[[k for k in self.errors if not does_depend[k]]] = 0.0
-        return BatchGradient(
-            lambda: self._by_M(tables[0]), **dict(zip(self.names, tables, strict=True))
-        )
+        by = dict(zip(self.names, tables, strict=True))
+        return BatchGradient(lambda: self._by_M(tables[0]), **by)
 
     def _by_M(self, by_q: Any) -> Any:
         """Return the gradients by M; 0 if the gradient by q is 0, also for an item without a z."""
@@ -667,11 +662,9 @@ def words_on_singular(system: FreeSystem) -> str:
         return SINGULAR
     same, rank = system.determined_slack, round(float(np.trace(inverse @ system.block)))
     is_same = same is not None and bool(same.all())
-    several = (
-        f"M has rank {rank} on the {system.rows.size} free rows: z is one of several solutions"
-    )
+    several = f"M has rank {rank} on the {system.rows.size} free rows: z is one of several"
     alike = "the same" if is_same else "not the same"
-    return f"{several}, w {alike} for all of them, and this the derivative of the least change"
+    return f"{several} solutions, w {alike} for all of them, and this the derivative of the least change"
 
 
 def solution(system: FreeSystem, right: Vector, *, transposed: bool = False) -> Vector:

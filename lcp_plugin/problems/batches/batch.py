@@ -245,12 +245,8 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> ProgramBatc
         if isinstance(q, np.ndarray) or (is_list and isinstance(q[0], (Sequence, np.ndarray))):
             return ProgramBatch.with_costs(M, q)
         return ProgramBatch.of(programs_for(M, q), M)
-    if (
-        z0 is None
-        and isinstance(M, Sequence)
-        and M
-        and all(isinstance(one, QuadraticProgram) for one in M)
-    ):
+    is_list = z0 is None and isinstance(M, Sequence) and bool(M)
+    if is_list and all(isinstance(one, QuadraticProgram) for one in M):
         _refuse_data("these problems", "QuadraticProgram(P, c, …)", q, lower, upper)
         return ProgramBatch.of(M, M[0])
     return None

@@ -226,10 +226,7 @@ def _solve_cones(data: Any, start: Any, tolerance: float, has_time: Any) -> Any:
 
 
 def _stacks_of(
-    base: BoundedLeastSquares,
-    items: Any,
-    stack: Callable[[Any], BoundedLeastSquares],
-    tolerance: float,
+    base: BoundedLeastSquares, items: Any, stack: Callable[[Any], Any], tolerance: float
 ) -> Stacks:
     """Yield least squares problems that share the matrices of `base`, in stacks whose arrays stay in the cache."""
     _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks

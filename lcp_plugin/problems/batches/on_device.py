@@ -81,9 +81,8 @@ class DeviceData(NamedTuple):
             shape = ()
         is_real = all(one.dtype.kind in "biuf" for one in arrays)
         if not is_real or len(shape) != 2 or shape[1] != n or shapes[0][-2:] != (n, n):
-            got = ", ".join(
-                f"{name} {one.shape} {one.dtype}" for name, one in zip(given, arrays, strict=True)
-            )
+            named = zip(given, arrays, strict=True)
+            got = ", ".join(f"{name} {one.shape} {one.dtype}" for name, one in named)
             raise InvalidProblem(
                 f"M must be (B, n, n) or (n, n), q and bounds (B, n) or (n,), real; got {got}"
             )
@@ -107,12 +106,7 @@ class DeviceData(NamedTuple):
 
 
 def launch(
-    gpu: tuple[Any, Any],
-    name: str,
-    arrays: Any,
-    shared: Any,
-    found: Any,
-    has_time: Callable[[], bool] = lambda: True,
+    gpu: Any, name: str, arrays: Any, shared: Any, found: Any, has_time: Any = lambda: True
 ) -> None:
     """Call a kernel for all problems, a thread for each, in parts whose tables fit into MAX_SCRATCH.
 

@@ -108,9 +108,8 @@ class ConeRows(RowData):
         """Return the measure of points of the cones, shape (B, k, m), snapped; numbers have the shape (B,)."""
         found = self.measure(self.flat(z), tolerance, absolute=absolute)
         shape = (self.stack.B,)
-        residual, passes, is_limited = (
-            np.broadcast_to(one, shape) for one in (found.residual, found.passes, found.is_limited)
-        )
+        numbers = found.residual, found.passes, found.is_limited
+        residual, passes, is_limited = (np.broadcast_to(one, shape) for one in numbers)
         return Measured(self.wide(found.z), residual, passes, is_limited, *found[4:])
 
     def of_blocks(self, values: Array) -> Array:
@@ -372,9 +371,9 @@ class ContactInfeasibility:
             return False
         if self.is_exact or not (found.is_rounding() and found.is_wide_beside_terms()):
             return self.is_exact
-        return not is_nearly_symmetric(rows.matrix) or is_minimizer_beyond_radius(
-            rows.matrix.array, rows.q, self.y, found.left
-        )
+        if not is_nearly_symmetric(rows.matrix):
+            return True
+        return is_minimizer_beyond_radius(rows.matrix.array, rows.q, self.y, found.left)
 
     @derived_property
     def margin(self) -> float:

@@ -172,8 +172,8 @@ class ConeRun(Run):
         problem: Blocks,
         progress: Progress,
         z: Vector | None,
-        chosen: str | ConeAlgorithm = "auto",
-        place: tuple[Vector, Any, float] | None = None,
+        chosen: Any = "auto",
+        place: Any = None,
     ) -> None:
         super().__init__(progress)
         self.problem, self.chosen, self.stack = problem, chosen, ConeStack.of(problem)

@@ -303,9 +303,8 @@ class EquilibriumProgram:
             return A @ x - b, A
         is_equality = smooth.lower == smooth.upper
         value = (smooth.map.value(x)[1:] - smooth.lower)[is_equality]
-        return np.append(A @ x - b, value), sp.csr_array(
-            sp.vstack([A, sp.csr_array(smooth.map.jacobian(x))[1:][is_equality]])
-        )
+        slopes = sp.csr_array(smooth.map.jacobian(x))[1:][is_equality]
+        return np.append(A @ x - b, value), sp.csr_array(sp.vstack([A, slopes]))
 
     def distances(self, x: Vector) -> Vector:
         """Return the distance of x from the three branches of each pair, shape (3, k); ∞ for a missing branch."""

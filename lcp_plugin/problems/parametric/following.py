@@ -100,17 +100,12 @@ class MonotoneGraphs:
         return cls._of_staircases(columns, sizes, units, *parts)
 
     @classmethod
-    def _of_staircases(
-        cls,
-        columns: Any,
-        sizes: Vector,
-        units: Vector,
-        q: Vector,
-        lower: Vector,
-        upper: Vector,
-        penalty: Vector,
-    ) -> Self:
-        """Return the graphs of bounds, and of a penalty in rows whose penalty is not 0 at all t."""
+    def _of_staircases(cls, columns: Any, sizes: Vector, units: Vector, *vectors: Vector) -> Self:
+        """Return the graphs of bounds, and of a penalty in rows whose penalty is not 0 at all t.
+
+        The vectors are q, lower, upper and the penalty.
+        """
+        q, lower, upper, penalty = vectors
         has_kink, none = penalty.any(axis=0), np.array([[np.inf], [0.0]])
         top = np.broadcast_to(none, q.shape)
         corners = [lower, np.where(has_kink, 0.0, upper), np.where(has_kink, upper, none)]

@@ -47,7 +47,6 @@ def rewriting(full: bool, name: str) -> str:
     return f"to write the table anew, and to say why: python tests/applications {name}{' --full' * full}"
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("name", entries())
 def test_small_applications_cost_no_more_than_the_table_says(
     name: str, pytestconfig: pytest.Config

@@ -259,7 +259,6 @@ def options_for(name: str) -> dict[str, object]:
     return {"scaling": "diagonal"} if name.startswith("np") else {}
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["auto", *REGISTRY])
 def test_solved_is_never_a_lie(name: str) -> None:
     """SOLVED means: the exact rational residual is at most tolerance · ‖r(z°)‖, no allowance."""

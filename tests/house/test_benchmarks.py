@@ -18,7 +18,6 @@ from lcp_plugin import gallery
 QUICK = ("paper-at-scale", "programs")  # half a second together
 
 
-@pytest.mark.few(3)
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=() if name in QUICK else pytest.mark.full) for name in BENCHMARKS],

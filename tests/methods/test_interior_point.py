@@ -150,7 +150,6 @@ def test_unsolvable_problem_ends_by_itself() -> None:
     assert result.iterations < 500
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("n", [20, 200])
 def test_where_m_is_not_monotone_the_run_ends_by_itself(n: int) -> None:
     """The program is not convex: few steps, and a status that tells what was reached."""

@@ -340,7 +340,6 @@ ENORMOUS = {
 }
 
 
-@pytest.mark.few(1)
 @pytest.mark.skipif(
     sys.platform != "linux", reason="the peak of the memory is read from Linux's resource usage"
 )

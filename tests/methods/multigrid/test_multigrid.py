@@ -127,7 +127,6 @@ def test_couplings_that_jump_from_edge_to_edge(kind: str, decades: int) -> None:
         assert_same(problem, result)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("on", ["stones", "posts"])
 @pytest.mark.parametrize("width", [4, 12])
 def test_a_long_strip_that_lies_on_few_points(width: int, on: str) -> None:
@@ -272,7 +271,6 @@ def test_elements_of_second_order_need_few_cycles() -> None:
     assert_same(problem, result)
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("block", range(10))
 def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:
     """All 200 small H₊ and SPD problems with boxes, free and fixed rows are solved."""
@@ -440,7 +438,6 @@ def break_corrections(monkeypatch: pytest.MonkeyPatch, way: str) -> None:
     monkeypatch.setattr(Truncation, "correct", broken)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("scene", ["obstacle_2d:size=20", "elastic_plastic_torsion:size=20"])
 @pytest.mark.parametrize("way", WAYS)
 def test_broken_corrections_do_not_keep_it_from_the_solution(

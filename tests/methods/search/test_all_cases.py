@@ -20,7 +20,6 @@ def drawn(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.standard_normal((n, n)), rng.standard_normal(n)
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("n", "is_boxed"), [(4, True), (1, False), (2, False), (3, False), (4, False), (5, False)]
 )
@@ -64,7 +63,6 @@ def test_random_problems_are_decided(draws: Callable[..., range]) -> None:
     assert all(batch[k].infeasibility.verify() for k in range(count) if batch.status[k] in PROVEN)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["auto", "newton", "lemke", "interior_point"])
 def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     """STALLED with words that say why, and no proof, where prove_infeasibility=True ends INFEASIBLE."""
@@ -76,7 +74,6 @@ def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     assert "not proved infeasible, because prove_infeasibility=False" in result.advice
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("prove_infeasibility", [True, False])
 def test_a_batch_answers_as_solve_does(
     prove_infeasibility: bool, draws: Callable[..., range]

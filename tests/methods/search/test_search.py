@@ -28,7 +28,6 @@ from lcp_plugin.proofs.exact import is_exact_solution
 from lcp_plugin.proofs.no_solution import Case, NoSolution
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("block", range(8))
 def test_random_problems_agree_with_an_enumeration(block: int, draws: Callable[..., range]) -> None:
     """Verdicts, solutions, faces, flags and proofs agree with Fourier–Motzkin over all patterns."""
@@ -68,7 +67,6 @@ def test_ties_of_integer_payoffs_are_kept() -> None:
     )
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("odd", [None, 1e19, -1e19, 1e10, 1e-9, 1e-17])
 def test_equilibria_are_those_of_the_payoffs(odd: float | None) -> None:
     """Extreme equilibria, ties included, agree with an exact enumeration of vertices."""

@@ -124,7 +124,6 @@ def test_a_point_that_the_sufficient_test_accepts_passes_the_criterion() -> None
     assert accepted > 500
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "problem",
     [

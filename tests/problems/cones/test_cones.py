@@ -299,7 +299,6 @@ HOPELESS: dict[str, Any] = {
 }
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("name", HOPELESS)
 def test_what_has_no_answer_is_proved_infeasible(name: str) -> None:
     """INFEASIBLE with a proof that verifies, and whose margin no point is below."""
@@ -453,7 +452,6 @@ def together(*problems: FrictionalContact) -> FrictionalContact:
     return FrictionalContact(W, b, mu)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("seeds", [(0, 2), (4, 6), (7, 8), (11, 13), (14, 15)])
 def test_groups_of_contacts_are_right_each(seeds: tuple[int, int]) -> None:
     """Two groups of 70 contacts with velocities 1 : 1e-7 are SOLVED together."""
@@ -554,7 +552,6 @@ def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding() -> None:
         assert exact_relative_residual(result.problem, result.z) <= 1e-8
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "masses", [2.0 ** np.arange(19), 2.0 ** np.arange(20), [1.0, 1e2, 1e4, 1e6]]
 )

@@ -173,7 +173,6 @@ def test_multipliers_of_redundant_balances_are_left_out(rows: int) -> None:
     assert problem.status == cp.OPTIMAL
 
 
-@pytest.mark.few(3)
 @pytest.mark.parametrize("coefficient", [33554393.0, 33554393 / 2**20, 2.0 * 33554393])
 def test_an_unknown_whose_column_only_a_prime_divides_is_kept(coefficient: float) -> None:
     """The free f makes x = −2, t = 0 feasible, although its column is 0 modulo the prime of the rank."""

@@ -376,7 +376,6 @@ def marched_beginnings(steps: marches.Steps, **options: object) -> object:
     return march(steps.problem, steps.forcing, steps.propagator, z0=steps.z0, **options)
 
 
-@pytest.mark.few(3)
 @pytest.mark.parametrize("name", SMALL)
 def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
     """Every step is SOLVED, with the z that solve() finds for its q, to 1e-8 of the largest."""

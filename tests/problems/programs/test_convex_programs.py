@@ -160,7 +160,6 @@ def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> No
         assert result.iterations <= 2000
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("family", "seed", "case"),
     [
@@ -182,7 +181,6 @@ def test_solve_of_a_badly_scaled_program_has_the_planted_value_or_is_not_solved(
     assert not result.is_solved or result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize(("seed", "largest", "case"), [(5, 300, 15), (1, 1000, 12), (1, 1000, 42)])
 def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
     seed: int, largest: int, case: int
@@ -319,7 +317,6 @@ def test_p_that_is_semidefinite_but_for_rounding_is_solved(P: Any, c: Any, value
     assert certify(result).verdict != "disproved"
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("bounded", [False, True])
 @pytest.mark.parametrize("rows", [3, 5])
 def test_an_exact_fit_is_optimal(rows: int, bounded: bool) -> None:

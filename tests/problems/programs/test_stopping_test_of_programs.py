@@ -182,7 +182,6 @@ def test_the_judge_refuses_what_is_far_from_optimal(name: str) -> None:
     assert errors.largest > 1e-5, errors
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("limit", [1e9, 1e11, 1e12, 1e14, 1e17])
 def test_no_rounding_of_a_curvature_hides_a_cost(limit: float) -> None:
     """With P d = 0 and only a loose row along d, the value is right to 1e-6, or not SOLVED."""
@@ -582,7 +581,6 @@ def test_multipliers_as_large_as_a_cost_that_forbids_excuse_no_gap() -> None:
     assert certify(result).verdict == "proved"
 
 
-@pytest.mark.few(25)
 @pytest.mark.parametrize("seed", range(200))
 def test_drawn_transports_are_solved_and_proved_as_without_the_forbidden_pairs(seed: int) -> None:
     """Transports and assignments with costs of 1e20 … 1e36 have the value that HiGHS finds without these pairs."""

@@ -107,7 +107,8 @@ def refusal(function: str, given: Any) -> str:
         if class_of(given) in classes_of(function):
             step = "; write derivative(solve(problem))"
         elif given is not results[0] and all(
-            hasattr(one, "certificate") or isinstance(one, Sequence) for one in results
+            hasattr(one, "certificate") or isinstance(one, Sequence)
+            for one in results  # a march is a sequence
         ):
             step = "; write [derivative(result) for result in results]"
         elif any(type(one).__module__.startswith("lcp_plugin.") for one in results):

@@ -127,8 +127,8 @@ def solve_model(
     solver : None
         Must be None; it exists because cvxpy passes it.
     **options
-        Options of :func:`lcp_plugin.solve` and of the algorithm. The options enforce_dpp, ignore_dpp, canon_backend
-        and bibtex of cvxpy have no effect on a complementarity problem, because cvxpy does not compile it.
+        Options of :func:`lcp_plugin.solve` and of the algorithm; also cvxpy's enforce_dpp, ignore_dpp, canon_backend
+        and bibtex, which have no effect on a complementarity problem, because cvxpy does not compile it.
 
     Returns
     -------

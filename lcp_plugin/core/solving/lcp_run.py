@@ -95,7 +95,7 @@ class LCPRun(Run):
         self.start, self.start_residual = np.where(is_open, start, data.start), math.inf
         self.unmeasured: Vector | None = None  # the latest iterate
         self.is_polished = False
-        self._failed_at, self._next_test = math.inf, 0  # residual and iteration
+        self._next_test = 0  # iteration
 
     @property
     def z(self) -> Vector:
@@ -132,12 +132,11 @@ class LCPRun(Run):
                 return None
             residual = self.data.estimate(step.z)
         found, iteration = Measured(step.z, residual, passes=False), progress.iteration
-        is_early = residual > 0.5 * self._failed_at and iteration < self._next_test
-        if residual <= self.goal and not is_early:
+        if residual <= self.goal and iteration >= self._next_test:
             power = 1.0 if stage.algorithm.ends_on_active_set else POWER
             found = self.measured(step.z, power)
             if not found.passes:  # the run continues from the iterate itself
-                self._failed_at, self._next_test = found.residual, iteration + 1 + iteration // 5
+                self._next_test = iteration + 1 + iteration // 5
                 found = found._replace(z=step.z)
         stage.record(found.residual, increment)
         if progress.iteration == 0:

@@ -10,6 +10,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from campaigns import refusals
 from inputs import everyday
 from inputs.everyday import GRAVITY, NOISE, PAYOFFS
 from scipy.optimize import linprog
@@ -304,6 +305,23 @@ def test_rounding_noise_changes_no_status(
             status, z = CLASSES[problem_class](rows)
             assert status is Status.SOLVED
             np.testing.assert_allclose(rows.J.T @ z, rows.velocity, atol=1e-6)
+
+
+@pytest.mark.parametrize("problem_class", refusals.CLASSES)
+def test_a_right_point_is_solved(problem_class: str, draws: Callable[..., range]) -> None:
+    """A planted solution, exact, one ulp off or with noise in q, is SOLVED where the run begins."""
+    for k in draws(400, 20):
+        rng = np.random.default_rng([1, k])
+        assert not [*refusals.refused(rng, problem_class)], k
+
+
+@pytest.mark.full
+def test_integer_problems_in_units_far_apart_are_not_solved_falsely() -> None:
+    """An exact solution in fractions is near each SOLVED point, and half of the problems are solved."""
+    found = [
+        line for k in range(200) for line in refusals.false_in_units(np.random.default_rng([2, k]))
+    ]
+    assert found.count("SOLVED") == len(found) > 60
 
 
 # --- Single inputs ---------------------------------------------------------------------------------------------------

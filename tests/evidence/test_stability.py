@@ -194,7 +194,9 @@ def inexact() -> LCP:
     return LCP(scene.problem.csr / 3.0, scene.problem.q / 7.0)
 
 
-@pytest.mark.xfail(strict=False, reason="since the rule without excuses, some runs take all 400 steps")
+@pytest.mark.xfail(
+    strict=False, reason="since the rule without excuses, some runs take all 400 steps"
+)
 @EVERY_ALGORITHM
 def test_tolerance_zero_ends_at_the_rounding_level(name: str) -> None:
     """A run with tolerance 0 soon ends at PRECISION_LIMIT, or SOLVED at slacks of the rounding level."""

@@ -175,9 +175,13 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Write the durations after a run that measured them, a table per line."""
     if session.config.getoption("--measure") and not hasattr(session.config, "workerinput"):
-        lines = [
-            f"{json.dumps(table)}: {[round(1e3 * rows[k]) + 1 for k in sorted(rows)]}"
-            for table, rows in sorted(MEASURED.items())
+        old = json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {}
+        new = {
+            table: [round(1e3 * rows[k]) + 1 for k in sorted(rows)]
+            for table, rows in MEASURED.items()
             if len(rows) > 1
-        ]
+        }
+        root = session.config.rootpath
+        tables = sorted(t for t in {**old, **new} if (root / t.partition("::")[0]).exists())
+        lines = [f"{json.dumps(table)}: {new.get(table, old.get(table))}" for table in tables]
         DURATIONS.write_text("{\n" + ",\n".join(lines) + "\n}\n")

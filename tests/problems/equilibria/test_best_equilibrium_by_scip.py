@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import partial
 from typing import Any
 
@@ -192,39 +191,6 @@ def test_only_exact_sums_of_other_columns_are_redundant() -> None:
         program = QuadraticProgram(None, np.zeros(3), A=np.column_stack(columns), b=np.zeros(3))
         problem = EquilibriumProgram(program, [], [])
         assert problem.redundant_unknowns().size == count
-
-
-def test_prints_of_an_engine_do_not_reach_the_terminal(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """C code may print to stderr during a search; a callback prints there as ever."""
-    own = scip._Model._state
-
-    def loud(model: scip._Model) -> None:
-        own(model)
-        optimize = model.model.optimize
-
-        class Loud:
-            def __getattr__(self, name: str) -> object:
-                return getattr(model.__dict__["quiet"], name)
-
-            def optimize(self) -> None:
-                os.write(2, b"[solve.c] ERROR")
-                optimize()
-
-        model.quiet, model.model = model.model, Loud()
-
-    monkeypatch.setattr(scip._Model, "_state", loud)
-
-    def message(*_: object) -> bool:
-        os.write(2, b"from a callback")
-        return False
-
-    problem, _ = monopolist()
-    problem.solve(method="LCP", callback=message)
-    seen = capfd.readouterr()
-    assert "ERROR" not in seen.out + seen.err
-    assert "from a callback" in seen.err
 
 
 @pytest.mark.parametrize("end", [1.0, 5.0])

@@ -413,24 +413,6 @@ def test_statuses_say_why_a_run_ended() -> None:
     assert again.nit == 0
 
 
-def test_ctrl_c_keeps_the_best_point() -> None:
-    """A KeyboardInterrupt in the middle of a product ends the run INTERRUPTED, with the point it had."""
-    A, b, _, _ = planted(random_rows(3000, 600, 8))
-    calls = []
-
-    def matvec(x: np.ndarray) -> np.ndarray:
-        calls.append(1)
-        if len(calls) == 12:
-            raise KeyboardInterrupt
-        return A @ x
-
-    result = bounded_least_squares(
-        LinearOperator(A.shape, matvec=matvec, rmatvec=lambda y: A.T @ y, dtype=float), b
-    )
-    assert result.status is Status.INTERRUPTED
-    assert 0.0 < result.cost < 0.5 * (b @ b)
-
-
 def test_advice_names_what_is_wrong_with_an_operator() -> None:
     """Products that are not finite, or in single precision, are not blamed on the condition of A."""
     A, b, _, _ = planted(random_rows(300, 60, 8))

@@ -400,20 +400,6 @@ def test_time_that_runs_out_keeps_the_steps_before() -> None:
     assert done[-1].status in (Status.MAX_SECONDS, Status.SOLVED)
 
 
-def test_ctrl_c_keeps_the_steps_before() -> None:
-    """An interruption by a callback in the fourth step leaves three, all of them SOLVED."""
-    steps, calls = SMALL["basket"](), []
-
-    def interrupts(sample: Any, z: Any) -> None:
-        calls.append(sample.iteration == 0)
-        if sum(calls) == 4:
-            raise KeyboardInterrupt
-
-    done = marched_beginnings(steps, callback=interrupts)
-    assert not done.all_solved
-    assert [step.is_solved for step in done] == [True] * 3 + [False] * (len(done) - 3)
-
-
 def test_a_put_in_heston_s_model_has_its_published_value() -> None:
     """The published values are reached to one percent of half the strike on a moderate grid."""
     steps, spots, variances = marches.heston(79, 33, 20)

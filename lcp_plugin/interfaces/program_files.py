@@ -13,6 +13,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem, ModelWarning, UnreadableFile, UnsupportedModel
+from ..core.files import (
+    PARTS,
+    arrays_in,
+    checked_path,
+    folder_arrays,
+    in_folder,
+    names_in,
+    read_number,
+)
 from ..core.lcp import LCP
 from ..core.names import Names
 from ..core.problem_classes import with_article
@@ -22,7 +31,6 @@ from ..problems.least_squares.data import BoundedLeastSquares
 from ..problems.programs.program import QuadraticProgram
 from .fclib import SUFFIXES as HDF5
 from .fclib import load_fclib
-from .files import PARTS, arrays_in, checked_path, folder_arrays, in_folder, names_in, read_number
 from .nl.model import lcp_in_nl
 
 Lines = list[list[str]]  # the words of each line

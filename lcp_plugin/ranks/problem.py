@@ -18,12 +18,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..core import checks
+from ..core import checks, files
 from ..core.certificates.worst import outside_row, put_on_bounds
 from ..core.errors import InvalidOption, InvalidProblem, UnreadableFile
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows, residual_scales
-from ..interfaces import files
 from .halo import Halo, Ranks, numbered_over_all, own_rows
 from .solving import ResultOnRanks, RowDataOnRanks, solve_on_ranks
 

@@ -23,13 +23,14 @@ from ..core.matrix import largest_products
 from ..core.problem_classes import CLASSES
 from ..core.rounding import compensated_product, lower_end
 from ..core.settings import Settings, checked_callback
-from ..core.solving.progress import Progress
-from ..core.solving.result import BaseResult, Sample
-from ..core.solving.run import Run
-from ..core.solving.stage import Named, Stage, TerminationReason
+from ..solving.progress import Progress
+from ..solving.result import BaseResult, Sample
+from ..solving.run import Run
+from ..solving.stage import Named, Stage, TerminationReason
 from ..systems.graph import comparison_of, comparison_product
+from ..systems.hierarchy.truncation import KrylovCorrection
 from .halo import Interruptions
-from .methods import chain
+from .methods import TruncationOnRanks, build_hierarchy, chain
 
 if TYPE_CHECKING:
     from .halo import Halo
@@ -163,9 +164,6 @@ def _square(problem: RowsOnRanks) -> Any:
 
 def _weights(problem: RowsOnRanks) -> Any:
     """Yield vectors v that may have ⟨M⟩v > 0: ones, then approximate solutions of ⟨M⟩v = diag(M)."""
-    from ..systems.hierarchy.truncation import KrylovCorrection
-    from .methods import TruncationOnRanks, build_hierarchy
-
     ones = np.ones(problem.own)
     yield ones
     comparison = comparison_of(problem.rows)

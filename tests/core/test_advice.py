@@ -16,7 +16,7 @@ from inputs.textbook_scenes import scaling_trap
 from lcp_plugin import LCP, LCPError, QuadraticProgram, Status, complements, gallery, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.core.solving.lcp_run import advice_of_run
+from lcp_plugin.solving.lcp_run import advice_of_run
 
 CONTACT = falling_bodies(10)
 TRAPPED = scaling_trap().problem  # an H₊-matrix on which unscaled steps run into a cycle

@@ -25,16 +25,16 @@ from lcp_plugin import (
     QuadraticProgram,
     Result,
     Status,
+    convergence_guarantee,
     gallery,
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.core.solving.progress import Progress
-from lcp_plugin.core.solving.result import Sample
-from lcp_plugin.core.solving.run import Run
-from lcp_plugin.core.solving.stage import Stage, TerminationReason
-from lcp_plugin.proofs.guarantees import convergence_guarantee
+from lcp_plugin.solving.progress import Progress
+from lcp_plugin.solving.result import Sample
+from lcp_plugin.solving.run import Run
+from lcp_plugin.solving.stage import Stage, TerminationReason
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
 OBSTACLE = gallery.build("obstacle_2d", size=20)

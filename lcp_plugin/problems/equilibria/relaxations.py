@@ -20,9 +20,9 @@ import scipy.sparse as sp
 
 from ...core.checks import Vector
 from ...core.settings import Status
-from ...core.solving.result import BaseResult
 from ...engines import installed_engine
 from ...proofs.bounds import Curvature, constrained_curvature
+from ...solving.result import BaseResult
 from ..programs.criterion import QPSolution
 from ..programs.no_minimum import QPInfeasibility, QPUnboundedness, prove_infeasible
 from ..programs.program import QuadraticProgram

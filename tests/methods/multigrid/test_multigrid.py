@@ -14,11 +14,10 @@ from inputs import membranes
 from inputs.planted import planted_lcp
 from scipy.sparse.linalg import spsolve
 
-from lcp_plugin import LCP, Result, Status, gallery, solve
+from lcp_plugin import LCP, Result, Status, convergence_guarantee, gallery, solve
 from lcp_plugin.gallery.stencil import balanced_matrix
 from lcp_plugin.methods.multigrid import SMOOTHERS, Multigrid
 from lcp_plugin.problems.batches.batch import prepare
-from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of
 from lcp_plugin.systems.hierarchy.truncation import Truncation
 

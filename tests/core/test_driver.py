@@ -309,16 +309,6 @@ def test_iterates_of_direct_methods_are_within_the_bounds(name: str) -> None:
             assert np.array_equal(np.clip(step.z, each.lower, each.upper), step.z)
 
 
-def test_ctrl_c_returns_the_best_iterate() -> None:
-    """SIGINT in the middle of a run gives INTERRUPTED and the best z so far; before the first step it is raised."""
-    points = ((0.0, 0.0), (2.4, 0.0), (1.0, 1.0))
-    result = solve(TWO, Scripted(points=points, interrupt_at=2))
-    assert result.status is Status.INTERRUPTED
-    np.testing.assert_array_equal(result.z, (2.4, 0.0))
-    with pytest.raises(KeyboardInterrupt):
-        solve(TWO, Scripted(points=points, interrupt_at=0), z0=[1.0, 7.0])
-
-
 @dataclass(frozen=True, kw_only=True)
 class InterruptedFinish(Scripted):
     """Is interrupted in its clean-up."""

@@ -40,7 +40,6 @@ def with_matrix(M: Any) -> LCP:
 # --- Rates -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_no_run_contradicts_a_guarantee(seed: int) -> None:
     """Rates, contraction bounds and arrivals hold in 40 random cases; the campaign runs thousands."""
@@ -164,7 +163,6 @@ def test_who_is_guaranteed_arrives(drawn: tuple[LCP, Any]) -> None:
         assert solve(drawn[0], name).is_solved
 
 
-@pytest.mark.few(3)
 @pytest.mark.parametrize("n", [1, 7, 60, 250])
 def test_newton_is_finite_on_m_matrices(n: int) -> None:
     """An M-matrix problem takes at most n + 2 full Newton steps from any start."""
@@ -406,7 +404,6 @@ def negated_laplacian(k: int) -> sp.csr_array:
     return sp.csr_array(sp.kron(line, sp.eye_array(k)) + sp.kron(sp.eye_array(k), line))
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("k", [4, 10])
 def test_a_negated_m_matrix_is_proved_infeasible(k: int) -> None:
     """A problem with −M an M-matrix and a random q has no solution, and a proof shows it."""
@@ -493,7 +490,6 @@ def test_it_is_jacobis_or_gauss_seidels() -> None:
     assert seidel.spectral_radius == pytest.approx(cosine**2)
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(8))
 def test_spectral_radius_of_a_guaranteed_iteration_is_at_most_its_rate(seed: int) -> None:
     """A proved rate is never next to a radius above 1: all families, with and without row scaling."""

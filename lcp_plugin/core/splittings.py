@@ -337,7 +337,6 @@ class ProjectedType(ScaledByRows, Splitting):
             acceleration=beta,
             sweep=self.sweep,
             scaling=step,
-            is_scaled=self.scaling is not None,
         )
 
     def automatic_factors(self, problem: LCP) -> Vector:

@@ -501,7 +501,7 @@ def load_problem(path: str | PathLike[str]) -> Any:
         with mu and a matrix a FrictionalContact, of many worlds if W has three axes; with cone_kinds a ConeProblem. No
         P means a linear program, r is a constant. A sparse M is data, indices, indptr, shape (CSR); a sparse P, A or
         G is P_data, P_indices, P_indptr, P_shape (CSC), of P all or one triangle. Never pickle. ``.h5`` and ``.hdf5``
-        of fclib state a FrictionalContact; h5py reads them. A folder or prefix has M.mtx and q.mtx, lower.mtx and
+        of fclib state a FrictionalContact; h5py reads them. A folder has M.mtx and q.mtx, lower.mtx and
         upper.mtx. An ``.nl`` file states an LCP here, any model for :func:`lcp_plugin.interfaces.nl.read_nl`.
 
     Raises

@@ -312,8 +312,8 @@ class FreeSystem:
                 return self._extended(attempts[0])
         if self._doubtful_factor is not None:  # ill-conditioned is not singular
             attempts.append(self._refined(self._doubtful_factor, right, 1, self._scale))
-        if self.rows.size <= LEAST_SQUARES_UP_TO:
-            attempts.append(self._least_squares(right, start))
+        if (inverse := self.pseudo_inverse) is not None:
+            attempts.append(start + inverse @ (right - self.block @ start))
         finite = [x for x in attempts if np.isfinite(x).all()]
 
         def error(x: Vector) -> float:
@@ -492,20 +492,6 @@ class FreeSystem:
             x = x + solve(left)
             self.work += factor.solve_work
         return best
-
-    def _least_squares(self, right: Vector, start: Vector) -> Vector:
-        """Return the point closest to start that makes the row-scaled system's error least, NaN if there is none."""
-        from scipy.linalg import LinAlgError, lstsq
-
-        even = self._dense_block / self._scale[:, None]
-        self.work += 4.0 * self.rows.size**3
-        try:
-            step: Vector = lstsq(
-                even, right / self._scale - even @ start, cond=1e-12, check_finite=False
-            )[0]
-        except LinAlgError:
-            return np.full(right.size, np.nan)
-        return start + step
 
     @cached_property
     def _truncation(self) -> Any:

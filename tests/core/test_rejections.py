@@ -486,7 +486,6 @@ except LCPError as error:
 """
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
 def test_damaged_sparse_array_of_any_format_is_refused(damage: str) -> None:
     """A sparse array with inconsistent index arrays raises InvalidProblem, without a crash.

@@ -238,7 +238,6 @@ def given_matrices() -> dict[str, Any]:
     }
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("form", given_matrices())
 def test_nothing_given_changes(form: str) -> None:
     """“Inputs are never modified”: matrix, q, bounds, start and batch, in any form, by any call."""

@@ -85,7 +85,6 @@ def test_textbook_matrices(name: str, sparse: bool) -> None:
     assert all(report.evidence.values())
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("n", [40, 600])
 @pytest.mark.parametrize("distance", [1e-9, 1e-12])
 def test_both_sides_of_singular(n: int, distance: float) -> None:

@@ -7,11 +7,15 @@ import sys
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from .. import gallery
 from ..algorithms import REGISTRY, algorithm_class, paper_options
 from ..core.lcp import LCP
+from ..engines import ENGINES, engine_class
 from ..evidence.measurement import PAPER_MSOR
-from ..proofs.guarantees import Guarantee, convergence_guarantee
+from ..problems.cones.methods import METHODS
+from ..proofs.guarantees import Guarantee
 from ..proofs.verdicts import analyze, wrapped
+from ..solving.convergence import convergence_guarantee
 
 PAPER_VARIANTS: dict[str, dict[str, Any]] = {
     **{
@@ -63,14 +67,15 @@ def analysis_content(problem: LCP) -> dict[str, Any]:
         }
         for title, found in guarantees(problem)
     ]
-    return _finite({"matrix": analyze(problem).to_content(), "convergence": rows})
+    return finite({"matrix": analyze(problem).to_content(), "convergence": rows})
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Return JSON content with None for numbers that are not finite."""
     if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
+        return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
+        return [finite(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -86,10 +91,6 @@ def _short(value: Any) -> str:
 def print_names() -> None:
     """Print algorithms and external solvers with needs and sources, and test problems with their parameters."""
     from rich.console import Console
-
-    from .. import gallery
-    from ..engines import ENGINES, engine_class
-    from ..problems.cones.methods import METHODS
 
     # as wide as the terminal; 160 letters if the output goes elsewhere
     width = None if sys.stdout.isatty() else 160

@@ -60,7 +60,7 @@ import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm
 from ..core.checks import Vector, read_only
-from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..core.errors import UnsuitableMatrix, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, TINY
 from ..core.lcp import LCP
 from ..core.matrix import (
@@ -75,7 +75,6 @@ from ..core.matrix import (
     triangle_sums,
     unit_triangle_sums,
 )
-from ..core.problem_classes import refusal
 from .verdicts import analyze, comparison_certificate, h_plus
 
 NEGLIGIBLE = 1e-280  # below, products may have underflowed
@@ -428,62 +427,8 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, Vector] 
 
 
 @np.errstate(all="ignore")
-def convergence_guarantee(
-    problem: LCP, algorithm: str | Algorithm = "auto", **options: Any
-) -> Guarantee:
-    """Return the convergence guarantee of an algorithm on this matrix, for all q and all starts.
-
-    Parameters
-    ----------
-    problem : LCP
-    algorithm : str or Algorithm
-        A registered name, "auto", or an object such as ``NPSOR(relaxation=1.5)``.
-    **options
-        Options of the named algorithm.
-
-    Returns
-    -------
-    Guarantee
-        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy; `spectral_radius`
-        on first access.
-
-    Raises
-    ------
-    UnknownAlgorithm, InvalidOption
-        If the name or an option does not exist, or `problem` is not an LCP.
-
-    Notes
-    -----
-    Cost: some passes over M, a loose solve with its comparison matrix if dominance does not decide, and a
-    factorization if M is symmetric. Iterates are assumed exact, step sizes rounded as in a run. It holds for any q,
-    boxes and free rows included.
-
-    Examples
-    --------
-    >>> from lcp_plugin import LCP
-    >>> problem = LCP([[4, -1], [-1, 4]], [-3, 5])
-    >>> guarantee = convergence_guarantee(problem, "npsor", momentum=None)
-    >>> guarantee.verdict, round(guarantee.rate, 3)
-    ('guaranteed', 0.648)
-    >>> round(guarantee.spectral_radius, 3)
-    0.599
-    """
-    if not isinstance(problem, LCP):
-        raise InvalidOption(refusal("convergence_guarantee", problem))
-    from ..auto import method_of
-    from ..methods.direct import last_resort
-
-    method = method_of(algorithm, options)
-    if method is not None:
-        return _of_one(problem, method)
-    # auto ends with this method, which runs to its end if the methods before it fail
-    last = _of_one(problem, method := last_resort(problem))
-    if not last.is_guaranteed:
-        return Guarantee(NOT_COVERED, last.theorem)
-    return Guarantee(GUARANTEED, f"after any other methods it runs {method.name}: {last.theorem}")
-
-
-def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
+def guarantee_of(problem: LCP, algorithm: Algorithm) -> Guarantee:
+    """Return the guarantee of an algorithm on the matrix of a problem; see `convergence_guarantee`."""
     if problem.n == 0:
         return Guarantee(GUARANTEED, "the problem has no rows")
     try:

@@ -16,6 +16,8 @@ from ..core.matrix import ROUNDED, Exponents, mismatch, scale_matrix, times_powe
 from .equilibration import scaling_exponents
 from .factors import dense_lu, diagonal_pivot_factor, factor_fits
 from .graph import comparison_of
+from .hierarchy.levels import build_hierarchy
+from .hierarchy.truncation import KrylovCorrection, Truncation
 
 if TYPE_CHECKING:
     from .hierarchy.grids import Hierarchy
@@ -51,8 +53,6 @@ class ComparisonMatrix:
     @cached_property
     def hierarchy(self) -> Hierarchy:
         """The grids of the matrix."""
-        from .hierarchy.levels import build_hierarchy
-
         return build_hierarchy(self.matrix)
 
     @cached_property
@@ -81,8 +81,6 @@ class ComparisonMatrix:
 
     def iterated(self, rhs: Vector, tolerance: float) -> Vector | None:
         """Return x with ‖rhs − matrix x‖₂ ≤ tolerance ‖rhs‖₂ by Krylov steps, or None within a number of them."""
-        from .hierarchy.truncation import KrylovCorrection, Truncation
-
         correction = KrylovCorrection(Truncation(self.hierarchy), rhs.copy(), self.is_symmetric)
         goal = tolerance * np.linalg.norm(correction.residual)
         for _ in range(60):

@@ -30,6 +30,9 @@ from ..core.tuning import DIRECT_UP_TO
 from .equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
 from .graph import bandwidth
+from .hierarchy.kernels import dot
+from .hierarchy.levels import COARSEST, hierarchy_of
+from .hierarchy.truncation import KrylovCorrection, Truncation
 
 
 class LinearizedSystem:
@@ -493,9 +496,6 @@ class FreeSystem:
     @cached_property
     def _truncation(self) -> Any:
         """The grids of M with all that is not free taken out."""
-        from .hierarchy.levels import COARSEST, hierarchy_of
-        from .hierarchy.truncation import Truncation
-
         truncation = Truncation(hierarchy_of(self.matrix, COARSEST))
         top = truncation.grids[0]
         top.is_free[:] = self.free
@@ -505,9 +505,6 @@ class FreeSystem:
 
     def _iterated(self, right: Vector, transposed: bool, goal: float) -> Vector | None:
         """Return the solution by Krylov steps, one V-cycle each, None if they do not converge."""
-        from .hierarchy.kernels import dot
-        from .hierarchy.truncation import KrylovCorrection
-
         matrix, is_symmetric = self.matrix, is_nearly_symmetric(self.matrix)
         if not (matrix.diagonal > 0.0).all():
             return None

@@ -20,12 +20,12 @@ from inputs.families import UNPROVEN
 from inputs.planted import planted_lcp
 from typer.testing import CliRunner
 
-from lcp_plugin import LCP, Status, analyze, gallery, solve
+from lcp_plugin import LCP, Status, analyze, convergence_guarantee, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.errors import InvalidOption, UnknownAlgorithm
 from lcp_plugin.methods.npsplitting import NPSplitting
-from lcp_plugin.proofs.guarantees import bound_of_errors, convergence_guarantee, theorem_4_1
+from lcp_plugin.proofs.guarantees import bound_of_errors, theorem_4_1
 from lcp_plugin.proofs.verdicts import sign_remark
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
@@ -40,7 +40,6 @@ def with_matrix(M: Any) -> LCP:
 # --- Rates -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_no_run_contradicts_a_guarantee(seed: int) -> None:
     """Rates, contraction bounds and arrivals hold in 40 random cases; the campaign runs thousands."""
@@ -164,7 +163,6 @@ def test_who_is_guaranteed_arrives(drawn: tuple[LCP, Any]) -> None:
         assert solve(drawn[0], name).is_solved
 
 
-@pytest.mark.few(3)
 @pytest.mark.parametrize("n", [1, 7, 60, 250])
 def test_newton_is_finite_on_m_matrices(n: int) -> None:
     """An M-matrix problem takes at most n + 2 full Newton steps from any start."""
@@ -188,7 +186,7 @@ def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> 
     h_plus, rotation = gallery.half_active(n=100).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     assert "lemke: M is a P-matrix" in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
-    monkeypatch.setattr("lcp_plugin.methods.direct.PIVOTED_UP_TO", 1)
+    monkeypatch.setattr("lcp_plugin.solving.convergence.PIVOTED_UP_TO", 1)
     assert "psor: " in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
 
@@ -406,7 +404,6 @@ def negated_laplacian(k: int) -> sp.csr_array:
     return sp.csr_array(sp.kron(line, sp.eye_array(k)) + sp.kron(sp.eye_array(k), line))
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("k", [4, 10])
 def test_a_negated_m_matrix_is_proved_infeasible(k: int) -> None:
     """A problem with −M an M-matrix and a random q has no solution, and a proof shows it."""
@@ -493,7 +490,6 @@ def test_it_is_jacobis_or_gauss_seidels() -> None:
     assert seidel.spectral_radius == pytest.approx(cosine**2)
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(8))
 def test_spectral_radius_of_a_guaranteed_iteration_is_at_most_its_rate(seed: int) -> None:
     """A proved rate is never next to a radius above 1: all families, with and without row scaling."""

@@ -41,7 +41,7 @@ CONES = ProblemClass(
 )
 CLASSES = {
     "LCP": ProblemClass(
-        "auto:solve_lcp",
+        "solving.lcp_solver:solve_lcp",
         "prepare march trace derivative certify",
         criterion="core.certificates.criterion:criterion_at",
         batch="problem, Q",

@@ -25,13 +25,14 @@ import numpy as np
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..core.executors import run_on
+from ..core.files import checked_path, write_whole
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of, refusal
 from ..core.settings import Settings, whole_number
 from ..gallery import names as scene_names
 from ..gallery import parse
 from ..gallery.scene import Scene, builder_of
-from ..interfaces.files import checked_path, write_whole
+from .cross_check import PLAIN, ConvexForm, solver_name
 from .drawing import FORMATS, draw_curve, draw_tolerance, look_of, panels, save
 from .measurement import (
     BOUND,
@@ -395,8 +396,6 @@ def study(
     if not isinstance(references, list | tuple):
         raise InvalidOption(f"references must be a list of names, got {references!r}")
     if references:
-        from .cross_check import solver_name
-
         references = [solver_name(name) for name in references]
     file = None if out is None else checked_path(out)
     if file is not None:
@@ -519,8 +518,6 @@ def _measurements(
             yield _row(blank, method, "ERROR", note=_line(error))
     if not references:
         return
-    from .cross_check import PLAIN, ConvexForm
-
     convex = ConvexForm.of(scene.problem)
     if convex.kind != PLAIN:
         yield f"{label}: no convex solver, {convex.evidence}"

@@ -13,15 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem, ModelWarning, UnreadableFile, UnsupportedModel
-from ..core.lcp import LCP
-from ..core.names import Names
-from ..core.problem_classes import with_article
-from ..problems.cones.data import CONES, ConeProblem
-from ..problems.cones.frictional_contact import FrictionalContact
-from ..problems.contact import inverse_by_components
-from ..problems.least_squares.data import BoundedLeastSquares
-from ..problems.programs.program import QuadraticProgram
-from .files import (
+from ..core.files import (
     PARTS,
     arrays_in,
     checked_path,
@@ -31,6 +23,14 @@ from .files import (
     opened,
     read_number,
 )
+from ..core.lcp import LCP
+from ..core.names import Names
+from ..core.problem_classes import with_article
+from ..problems.cones.data import CONES, ConeProblem
+from ..problems.cones.frictional_contact import FrictionalContact
+from ..problems.contact import inverse_by_components
+from ..problems.least_squares.data import BoundedLeastSquares
+from ..problems.programs.program import QuadraticProgram
 from .nl.model import lcp_in_nl
 
 Lines = list[list[str]]  # the words of each line

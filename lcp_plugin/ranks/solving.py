@@ -22,10 +22,10 @@ from ..core.matrix import largest_products
 from ..core.problem_classes import CLASSES
 from ..core.rounding import compensated_product
 from ..core.settings import Settings, checked_callback
-from ..core.solving.progress import Progress
-from ..core.solving.result import BaseResult, Sample
-from ..core.solving.run import Run
-from ..core.solving.stage import Named, Stage, TerminationReason
+from ..solving.progress import Progress
+from ..solving.result import BaseResult, Sample
+from ..solving.run import Run
+from ..solving.stage import Named, Stage, TerminationReason
 from .halo import Interruptions
 from .methods import chain
 

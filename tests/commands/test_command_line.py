@@ -216,7 +216,6 @@ def test_unsolved_is_exit_code_one_with_advice(limit: str, status: Status) -> No
 # --- figures ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("scene", SMALL_SCENES)
 def test_every_scene_has_a_picture(scene: str) -> None:
     """--plot writes a PNG for one, two and three dimensions, no grid, and a single unknown."""

@@ -610,7 +610,6 @@ def drawn_in_units(rng: np.random.Generator) -> tuple[LCP, LCP]:
     return one, other
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(20))
 def test_tolerated_rows_in_random_units_result_is_right(
     seed: int, draws: Callable[..., range]

@@ -24,16 +24,16 @@ from lcp_plugin import (
     QuadraticProgram,
     Result,
     Status,
+    convergence_guarantee,
     gallery,
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.core.solving.progress import Progress
-from lcp_plugin.core.solving.result import Sample
-from lcp_plugin.core.solving.run import Run
-from lcp_plugin.core.solving.stage import Stage, TerminationReason
-from lcp_plugin.proofs.guarantees import convergence_guarantee
+from lcp_plugin.solving.progress import Progress
+from lcp_plugin.solving.result import Sample
+from lcp_plugin.solving.run import Run
+from lcp_plugin.solving.stage import Stage, TerminationReason
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
 OBSTACLE = gallery.build("obstacle_2d", size=20)
@@ -307,16 +307,6 @@ def test_iterates_of_direct_methods_are_within_the_bounds(name: str) -> None:
     for each in (problem, boxed, LCP([[1.0, -9.0], [-9.0, 1.0]], [-1.0, -1.0])):
         for step in create(name, {}).iterates(each, each.nearest_to_zero.copy()):
             assert np.array_equal(np.clip(step.z, each.lower, each.upper), step.z)
-
-
-def test_ctrl_c_returns_the_best_iterate() -> None:
-    """SIGINT in the middle of a run gives INTERRUPTED and the best z so far; before the first step it is raised."""
-    points = ((0.0, 0.0), (2.4, 0.0), (1.0, 1.0))
-    result = solve(TWO, Scripted(points=points, interrupt_at=2))
-    assert result.status is Status.INTERRUPTED
-    np.testing.assert_array_equal(result.z, (2.4, 0.0))
-    with pytest.raises(KeyboardInterrupt):
-        solve(TWO, Scripted(points=points, interrupt_at=0), z0=[1.0, 7.0])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,11 +11,11 @@ import pytest
 from mypy import api as mypy
 
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
-from lcp_plugin.api import options_of, solver_of
 from lcp_plugin.core import settings
 from lcp_plugin.core.problem_classes import CLASSES
 from lcp_plugin.core.settings import DEFAULTS, OF_SOLVE
 from lcp_plugin.engines import ENGINES
+from lcp_plugin.solving.dispatch import options_of, solver_of
 
 
 @pytest.mark.parametrize("kind", [name for name, row in CLASSES.items() if row.options])

@@ -18,11 +18,11 @@ from ...core.checks import BoolVector, Vector, derived_property, read_only
 from ...core.deadline import OutOfTimeError, is_over
 from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import Settings, Status
-from ...core.solving.progress import Progress, say
-from ...core.solving.result import BaseResult
-from ...core.solving.run import STATUS_OF, Callback, Run
-from ...core.solving.stage import FAILED, Named, Stage, TerminationReason
 from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
+from ...solving.progress import Progress, say
+from ...solving.result import BaseResult
+from ...solving.run import STATUS_OF, Callback, Run
+from ...solving.stage import FAILED, Named, Stage, TerminationReason
 from . import engines
 from .certificate import Optimality, duality_gap, measure_stack
 from .data import BoundedLeastSquares, Enclosures, clip, times

@@ -329,7 +329,6 @@ ENORMOUS = {
 }
 
 
-@pytest.mark.few(1)
 @pytest.mark.skipif(
     sys.platform != "linux", reason="the peak of the memory is read from Linux's resource usage"
 )
@@ -408,44 +407,3 @@ def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -
         PROBLEM.save(tmp_path / path)
     assert files_in(tmp_path) == {"file": b"precious"}
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "taken.npz"]
-
-
-@pytest.mark.parametrize(
-    ("raised", "expected", "words"),
-    [
-        (DeprecationWarning("soon"), DeprecationWarning, "^soon$"),
-        (UnreadableFile("ours"), UnreadableFile, "^ours$"),
-        (MemoryError("8 TiB"), UnreadableFile, r"more memory is required than is free \(8 TiB\)"),
-    ],
-)
-@pytest.mark.parametrize("ending", [".mtx", ".mat", ".npz"])
-def test_an_error_without_relation_to_the_file_is_not_reported_as_damage(
-    ending: str, raised: Exception, expected: Any, words: str, tmp_path: Path, monkeypatch: Any
-) -> None:
-    """A warning that is an error and an error of this package pass unchanged; a lack of memory has its own message."""
-    target = tmp_path if ending == ".mtx" else tmp_path / f"p{ending}"
-    if ending == ".mat":
-        scipy.io.savemat(target, {"M": M, "q": PROBLEM.q})
-    else:
-        PROBLEM.save(target)
-
-    def fail(*_: Any, **__: Any) -> None:
-        raise raised
-
-    for module, name in ((scipy.io, "mmread"), (scipy.io, "loadmat"), (np, "load")):
-        monkeypatch.setattr(module, name, fail)
-    with pytest.raises(expected, match=words):
-        LCP.load(target)
-
-
-def test_a_mistake_in_a_reader_is_not_reported_as_a_corrupt_file(
-    tmp_path: Path, monkeypatch: Any
-) -> None:
-    """A TypeError in a line of this package passes; one that a decoder raises is a corrupt file."""
-    PROBLEM.save(tmp_path)
-    monkeypatch.setattr(scipy.io, "mminfo", lambda _: (3, 3, None, "array", "real", "general"))
-    with pytest.raises(TypeError, match="NoneType"):  # compared with the size of the file
-        LCP.load(tmp_path)
-    monkeypatch.setattr(scipy.io, "mminfo", lambda _: None + 1)
-    with pytest.raises(UnreadableFile, match=r"cannot read .* \(unsupported"):
-        LCP.load(tmp_path)

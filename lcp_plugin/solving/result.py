@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from ..certificates.criterion import RowsAtPoint
-from ..certificates.residuals import Certificate
-from ..certificates.worst import SHOWN, WorstRows, worst_pairs
-from ..checks import Vector, restore_state
-from ..errors import NotConverged, UnsuitableMatrix
-from ..lcp import LCP
-from ..names import remark_on_labels
-from ..representation import format_count
-from ..settings import PROVEN, Settings, Status
+from ..core.algorithm import Algorithm
+from ..core.certificates.criterion import RowsAtPoint
+from ..core.certificates.residuals import Certificate
+from ..core.certificates.worst import SHOWN, WorstRows, worst_pairs
+from ..core.checks import Vector, restore_state
+from ..core.doors import Door
+from ..core.errors import NotConverged, UnsuitableMatrix
+from ..core.lcp import LCP
+from ..core.names import remark_on_labels
+from ..core.representation import format_count
+from ..core.settings import PROVEN, Settings, Status
 
 if TYPE_CHECKING:
-    from ...proofs.bounds import ErrorBound
-    from ...proofs.guarantees import Guarantee
+    from ..proofs.bounds import ErrorBound
+    from ..proofs.guarantees import Guarantee
 
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 NEXT = "; next: "  # between the event and the next step
@@ -72,6 +74,9 @@ class Sample:
     seconds: float
     residual: float | None
     label: str = ""
+
+
+Callback = Callable[[Sample, Any], Any]
 
 
 class Outcome:
@@ -247,18 +252,13 @@ class BaseResult(Outcome):
             )
         return self
 
-    def plot(self, **how: Any) -> Any:
-        """Return matplotlib's axes with a plot of the result; needs ``pip install '.[report]'``.
+    if TYPE_CHECKING:
 
-        Parameters
-        ----------
-        **how
-            Options of :func:`lcp_plugin.evidence.drawing.plot_answer`: ``axes`` to draw into, ``shape`` of the
-            unknowns' grid.
-        """
-        from ...evidence.drawing import plot_answer
+        def plot(self, **how: Any) -> Any:
+            """Return matplotlib's axes with a plot of the result; see `lcp_plugin.evidence.drawing.plot_answer`."""
 
-        return plot_answer(self, **how)
+    else:
+        plot = Door()
 
     def __repr__(self) -> str:
         # on ranks, x is a part
@@ -311,7 +311,7 @@ class Result(BaseResult):
     infeasibility: Any = None
     absolute_tolerance: float = 0.0
     is_polished: bool = False
-    _asked: Any = "auto"  # the algorithm, or its name
+    _asked: Algorithm | None = None  # None for "auto"
     _wants_bound: bool = False
     _advice: Mapping[Status, str] = field(default_factory=dict, kw_only=True)  # type: ignore[misc]
 
@@ -373,7 +373,7 @@ class Result(BaseResult):
     def _bound_or_reason(self) -> tuple[ErrorBound | None, str]:
         if not self._wants_bound:
             return None, ""
-        from ...proofs.bounds import error_bound
+        from ..proofs.bounds import error_bound  # with proofs, which a solve does without
 
         try:
             return error_bound(self.certificate.problem, self.z), ""
@@ -384,11 +384,11 @@ class Result(BaseResult):
     def guarantee(self) -> Guarantee:
         """Convergence theorem that covers the caller's choice of algorithm on this matrix; computed on first access.
 
-        See :func:`lcp_plugin.proofs.guarantees.convergence_guarantee`.
+        See :func:`lcp_plugin.convergence_guarantee`.
         """
-        from ...proofs.guarantees import convergence_guarantee
+        from .convergence import guarantee_of_choice
 
-        return convergence_guarantee(self.certificate.problem, self._asked)
+        return guarantee_of_choice(self.certificate.problem, self._asked)
 
     @property
     def x(self) -> Vector:
@@ -410,7 +410,7 @@ class Result(BaseResult):
         return [] if is_decided else [stage.remark for stage in self.stages if stage.remark]
 
     def _remarks(self) -> list[str]:
-        from ...proofs.misleading import what_may_mislead
+        from .misleading import what_may_mislead
 
         lines = []
         if self.is_polished:
@@ -445,7 +445,7 @@ class Result(BaseResult):
         return worst_pairs(data, found, self.certificate.problem.names, self.tolerance, count)
 
     def _mistake(self) -> str:
-        from ...proofs.mistakes import likely_mistake, reversed_row
+        from .mistakes import likely_mistake, reversed_row
 
         problem = self.certificate.problem
         if self.status is Status.NO_SOLUTION and isinstance(problem, LCP):

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Vector
-from ..core.errors import InvalidOption, LCPError, UnreadableFile
+from .checks import Vector
+from .errors import InvalidOption, LCPError, UnreadableFile
 
 if TYPE_CHECKING:
-    from ..core.lcp import LCP
+    from .lcp import LCP
 
 NUMBERS = ("real", "double", "integer", "unsigned-integer")
 SYMMETRIES = ("general", "symmetric", "skew-symmetric")
@@ -194,14 +194,8 @@ MOST_ROWS = 10**8
 LARGE_UNPACKED = 2**30  # bytes
 
 
-def save(problem: LCP, path: str | PathLike[str]) -> None:
-    """Write the problem to a ``.npz`` or ``.nl`` file or, for any other path, into a folder of Matrix Market files."""
-    target = checked_path(path)
-    if target.suffix.lower() == ".nl":
-        from .nl.writing import write_nl
-
-        write_nl(problem, target)
-        return
+def save(problem: LCP, target: Path) -> None:
+    """Write the problem to a ``.npz`` file or, for any other path, into a folder of Matrix Market files."""
     if target.suffix.lower() == ".npz":
         M = {name: getattr(problem.csr, name) for name in MATRIX_KEYS}
         save_arrays(target, M | {name: getattr(problem, name) for name in VECTORS}, "an LCP")

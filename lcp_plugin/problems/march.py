@@ -436,9 +436,8 @@ def _require_constant_bounds(forcing: ArrayLike, **bounds: ArrayLike | None) -> 
         if _axes(values) == _axes(forcing) == 2 and len(values) == len(forcing) > 1:  # type: ignore[arg-type]
             k = len(forcing)  # type: ignore[arg-type]
             raise InvalidProblem(
-                f"{name} has {k} rows, and forcing has {k} steps: bounds that change from step to step are not "
-                f"supported, so march step by step with solve and z0; for {k} marches with bounds of their own write "
-                "np.broadcast_to(forcing, (k, k, n))"
+                f"{name} has {k} rows, and forcing has {k} steps: march step by step with solve and z0 for these; "
+                f"for {k} marches with bounds of their own write np.broadcast_to(forcing, (k, k, n))"
             )
 
 

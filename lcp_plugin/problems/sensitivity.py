@@ -649,9 +649,7 @@ class ContactBatchDerivative(ManyDerivatives):
 
 
 SINGULAR = (
-    "the block of M on the free rows is singular to working precision, too large for a generalised inverse or for a "
-    "factor where multigrid fails: z has no derivative that could be computed; regularise M, or fix what is not "
-    "determined"
+    "M is singular on the free rows, and these are too many for a generalised inverse; regularise M"
 )
 
 

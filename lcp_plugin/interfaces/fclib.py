@@ -14,9 +14,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import UnreadableFile, UnsupportedModel
+from ..core.files import opened
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.contact import inverse_by_components
-from .files import opened
 
 SUFFIXES = (".h5", ".hdf5")
 LAYOUT = (

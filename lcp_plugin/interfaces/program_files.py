@@ -13,6 +13,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem, ModelWarning, UnreadableFile, UnsupportedModel
+from ..core.files import (
+    PARTS,
+    arrays_in,
+    checked_path,
+    folder_arrays,
+    in_folder,
+    names_in,
+    read_number,
+)
 from ..core.lcp import LCP
 from ..core.names import Names
 from ..core.problem_classes import with_article
@@ -22,7 +31,6 @@ from ..problems.least_squares.data import BoundedLeastSquares
 from ..problems.programs.program import QuadraticProgram
 from .fclib import SUFFIXES as HDF5
 from .fclib import load_fclib
-from .files import PARTS, arrays_in, checked_path, folder_arrays, in_folder, names_in, read_number
 from .nl.model import lcp_in_nl
 
 Lines = list[list[str]]  # the words of each line
@@ -493,7 +501,7 @@ def load_problem(path: str | PathLike[str]) -> Any:
         with mu and a matrix a FrictionalContact, of many worlds if W has three axes; with cone_kinds a ConeProblem. No
         P means a linear program, r is a constant. A sparse M is data, indices, indptr, shape (CSR); a sparse P, A or
         G is P_data, P_indices, P_indptr, P_shape (CSC), of P all or one triangle. Never pickle. ``.h5`` and ``.hdf5``
-        of fclib state a FrictionalContact; h5py reads them. A folder or prefix has M.mtx and q.mtx, lower.mtx and
+        of fclib state a FrictionalContact; h5py reads them. A folder has M.mtx and q.mtx, lower.mtx and
         upper.mtx. An ``.nl`` file states an LCP here, any model for :func:`lcp_plugin.interfaces.nl.read_nl`.
 
     Raises

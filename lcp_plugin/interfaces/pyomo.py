@@ -25,7 +25,8 @@ from pyomo.repn.util import categorize_valid_components
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..core.representation import format_count
 from ..core.settings import Status
-from .nl.model import NLAnswer, ProgramModel, model_of, values_and_slopes
+from ..problems.programs.certification import Certification
+from .nl.model import NLAnswer, ProgramModel, certify_values, model_of, values_and_slopes
 from .nl.reading import NLContent, read_content
 from .pyomo_pairs import square_pairs
 
@@ -230,6 +231,16 @@ class PyomoStatement:
         bits = np.isfinite(content.lower) + 2 * np.isfinite(content.upper)
         bits = np.where(content.partners >= 0, bits[content.partners], content.partner_bounds)
         return replace(content, partner_bounds=bits)
+
+
+def certify_model(model: Any, tolerance: float, pairs: Any = None) -> Certification:
+    """Return the verdict on the values of a Pyomo model; see :func:`lcp_plugin.certify`."""
+    return certify_values(stated(model, pairs).content, tolerance)
+
+
+def file_content_of(model: Any) -> NLContent:
+    """Return what a ``.nl`` file of a Pyomo model holds."""
+    return stated(model).in_a_file
 
 
 def stated(model: Any, pairs: Any = None) -> PyomoStatement:

@@ -18,10 +18,10 @@ from ..core.matrix import Matrix
 from ..systems.factors import factor_operations
 from ..systems.free_systems import FreeSystem
 
-ROUNDS, GROWTH = (
-    6,
-    2.0**8,
-)  # linear solves: of the failing rows, of all rows as small, of all up to 2⁸ times larger, …
+ROUNDS = (
+    5  # of linear solves: of all rows as small as the failing ones, then of rows that are larger by
+)
+GROWTH = 2.0**8  # in each round
 MOST_PASSES = 500.0  # over M, which a factorization may take
 
 
@@ -64,21 +64,21 @@ def _finished(
     if again.passes:
         return again
     matrix, again, joined = Matrix(data.M), found, np.zeros(z.shape, np.bool_)
-    most = MOST_PASSES * matrix.nonzeros
+    most, system = MOST_PASSES * matrix.nonzeros, None
     for k in range(ROUNDS):
         fails, sizes = again.by_row.terms > tolerance, again.rows.terms / data.scale
         before = joined
-        joined = (
-            joined | fails | (sizes <= GROWTH ** (k - 1.0) * data.largest(fails * sizes) * (k > 0))
-        )
+        joined = joined | (sizes <= GROWTH**k * data.largest(fails * sizes))
         if k and (joined == before).all():
             break
         for _ in range(2):
             w = times(data.M, z) + data.q
             is_held = ((z <= lower) & (w > 0.0)) | ((z >= upper) & (w < 0.0))
-            system = FreeSystem(matrix, joined & ~is_held, by_factor=True)
-            if factor_operations(system.principal, most) > most:
-                return found
+            free = joined & ~is_held
+            if system is None or not np.array_equal(free, system.free):
+                system = FreeSystem(matrix, free, by_factor=True)
+                if factor_operations(system.principal, most) > most:
+                    return found
             step = system.solve_near(-w, 0.0 * z)
             if step is None:
                 return found

@@ -13,8 +13,8 @@ from cvxpy.error import SolverError
 
 from ..core.errors import InvalidProblem, ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
-from ..expressions.statement import MissingPair, solve_from
 from ..problems.programs.certification import Certification, certify_point, with_side_conditions
+from ..problems.statement import MissingPair, solve_from
 from ._compat import CVXPY_STATUS, EQUATIONS, name_of, refusal, solver_errors
 from .agents import without_agents
 from .best_equilibrium import solve_for_the_best
@@ -171,7 +171,7 @@ def solve_model(
             return value
 
 
-def certify_model(problem: Any, tolerance: float) -> Certification:
+def certify_model(problem: Any, tolerance: float, _pairs: Any = None) -> Certification:
     """Return the proved facts about the values of a cvxpy problem, with or without complementarities."""
     if not is_complementarity_problem(problem):
         return certify_problem(problem, tolerance)

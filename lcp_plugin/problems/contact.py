@@ -37,7 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.checks import canonical_csr, checked_vector, is_number, real_array, rectangular_matrix
 from ..core.errors import InvalidProblem, ModelWarning
-from ..core.solving.result import Result
+from ..solving.result import Result
 
 FloatArray = NDArray[np.float64]
 

@@ -26,8 +26,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..api import solve
-from ..auto import parse_call, plan, run_on, solve_lcp
 from ..core import checks
 from ..core.algorithm import Algorithm
 from ..core.certificates.criterion import RowData
@@ -39,9 +37,14 @@ from ..core.lcp import LCP
 from ..core.matrix import Matrix, connected_components, row_numbers
 from ..core.problem_classes import class_of, classes_of, refusal
 from ..core.settings import OF_SOLVE, Settings, Status, whole_number
-from ..core.solving.result import Result, StageRecord
 from ..methods.banded import Banded, active_sets, held_entries, solve_held, solve_one_sided
 from ..methods.finishing import measure_finished
+from ..solving.choice import parse_call
+from ..solving.dispatch import solve
+from ..solving.lcp_run import run_on
+from ..solving.lcp_solver import solve_lcp
+from ..solving.plan import plan
+from ..solving.result import Result, StageRecord
 from ..systems.factors import BANDED_UP_TO, Bands, bands
 from ..systems.graph import bandwidth
 from .cones.data import Blocks

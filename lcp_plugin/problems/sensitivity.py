@@ -23,9 +23,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..auto import solve_lcp
 from ..core import checks
 from ..core.checks import BoolVector, Vector, derived_property
+from ..core.doors import foreign_function
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
@@ -33,9 +33,10 @@ from ..core.matrix import residual_scales
 from ..core.names import listed
 from ..core.problem_classes import refusal
 from ..core.settings import Status
-from ..core.solving.result import Result
 from ..proofs.bounds import ActiveRows, settled_rows
 from ..proofs.uniqueness import directions_of_solutions, moving
+from ..solving.lcp_solver import solve_lcp
+from ..solving.result import Result
 from ..systems.free_systems import CONSISTENT, FreeBlocks, FreeSystem, LinearizedSystem, products
 from ..systems.graph import outer_on_pattern
 from .batches.batch_run import BatchAnswers
@@ -773,9 +774,7 @@ def derivative(result: Any) -> Any:
                 "a march over cones is not differentiable; derivative(done[k]) differentiates step k by its q"
             )
         return MarchDerivative(result, Derivative)
-    if type(result).__module__.startswith("cvxpy."):
-        from ..modeling.parameters import derivative_of
-
+    if (derivative_of := foreign_function("derivative", result)) is not None:
         return derivative_of(result)
     if not isinstance(result, Result):
         raise InvalidOption(refusal("derivative", result))

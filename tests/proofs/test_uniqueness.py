@@ -25,7 +25,6 @@ CASES: dict[str, tuple[Any, Any, Any, list[int]]] = {
 }
 
 
-@pytest.mark.few(9)
 @pytest.mark.parametrize("name", CASES)
 def test_unknowns_that_are_not_determined_are_named(name: str) -> None:
     """The names in explain(), and the mask of the derivative, are the unknowns that differ between solutions."""

@@ -274,25 +274,13 @@ def is_game(problem: LCP) -> bool:
 def bimatrix_players(M: NDArray[np.float64], q: Vector) -> NDArray[np.bool_] | None:
     """Return the mask of the first player's rows if the problem is a game of costs, else None.
 
-    A game: M = [[0, A], [Bᵀ, 0]] up to order, A, B ≥ 0 and q < 0. Every covering vector r > 0 ends such a path on
+    A game: M = [[0, A], [Bᵀ, 0]] up to order, A, B > 0 and q < 0. Every covering vector r > 0 ends such a path on
     its first ray.
     """
-    n = q.size
-    if n < 2 or not np.all(q < 0.0) or M.min() < 0.0 or M.diagonal().any():
-        return None
-    is_linked = (M != 0.0) | (M.T != 0.0)
-    first = np.zeros(n, dtype=bool)
-    second = np.zeros(n, dtype=bool)
-    first[0] = True
-    for _ in range(n):
-        size = first.sum() + second.sum()
-        second |= is_linked[first].any(axis=0)
-        first |= is_linked[second].any(axis=0)
-        if first.sum() + second.sum() == size:
-            break
-    if np.any(first & second) or not np.all(first | second):
-        return None
-    return first
+    first = M[:1].ravel() == 0.0
+    is_same = first[:, np.newaxis] == first
+    is_game = (q < 0.0).all() and not first.all() and ((M > 0.0) == ~is_same).all()
+    return first if is_game and not M[is_same].any() else None
 
 
 FloatMatrix = NDArray[np.float64]

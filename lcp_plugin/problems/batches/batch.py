@@ -10,7 +10,6 @@ from typing import Any, TypeVar, Unpack, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...auto import method_of
 from ...core.algorithm import Algorithm
 from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ...core.kernels.threads import threads_for
@@ -20,7 +19,10 @@ from ...core.problem_classes import CLASSES, class_of, refusal
 from ...core.settings import DEFAULTS, BatchOptions, Settings, checked_threads
 from ...engines import ENGINES
 from ...methods.banded import banded_passes
+from ...methods.multigrid import Multigrid
+from ...solving.choice import method_of
 from ...systems.factors import bands
+from ...systems.hierarchy.levels import hierarchy_of
 from ..cones.frictional_contact import FrictionalContactBatch
 from ..least_squares.data import BoundedLeastSquares
 from ..programs.criterion import PROGRAM_TOLERANCE
@@ -67,9 +69,6 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
         return problem
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("prepare", problem))
-    from ...methods.multigrid import Multigrid
-    from ...systems.hierarchy.levels import hierarchy_of
-
     with threads_for(checked_threads(threads)):
         inverse_residual_scale(problem.matrix)
         if banded_passes(problem.matrix) < math.inf:

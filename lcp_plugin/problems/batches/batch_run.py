@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from ...api import solve
 from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.executors import one_blas_thread, run_on
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_callback, checked_threads
-from ...core.solving.result import BaseResult, Result, StageRecord
 from ...methods.small import LOOP_UP_TO
+from ...solving.dispatch import solve
+from ...solving.result import BaseResult, Result, StageRecord
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..least_squares.solving import LeastSquaresResult

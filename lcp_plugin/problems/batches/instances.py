@@ -11,11 +11,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...auto import takes_rounds
 from ...core.checks import checked_start, read_only, real_array, replace_huge_bounds_by_inf
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...methods.small import SMALL_DENSE, is_small, solve_stack, suits_loop
+from ...solving.choice import takes_rounds
 from ...systems.free_systems import products
 from ...systems.graph import outer_on_pattern
 from ..cones.data import Blocks

@@ -18,8 +18,8 @@ from ...core.deadline import Clock, pause_for_compilation
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status
-from ...core.solving.result import Result, StageRecord
 from ...methods.small import tilts
+from ...solving.result import Result, StageRecord
 from ..many import AnswerSequence
 from .batch_run import BatchRun
 from .instances import Stacked, have_values

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.checks import Vector, checked_bounds, checked_vector, is_number, read_only, real_array
 from ...core.deadline import seconds_left
 from ...core.errors import InvalidProblem, did_you_mean
+from ...core.files import MATRIX_KEYS, save_arrays
 from ...core.lcp import LCP
 from ...core.representation import format_count
 from .stack import ConeStack
@@ -144,8 +145,6 @@ class Blocks:
         UnreadableFile
             If the file cannot be written, or has another extension.
         """
-        from ...interfaces.files import MATRIX_KEYS, save_arrays
-
         matrix = {name: getattr(self.rows.csr, name) for name in MATRIX_KEYS}
         save_arrays(path, {**matrix, "q": self.q, **self._shape()}, "a problem over cones")
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...core import checks
 from ...core.checks import Vector, real_array
 from ...core.errors import InvalidProblem, LCPError, ModelWarning
+from ...core.files import save_arrays
 from ...core.lcp import LCP
 from ...core.representation import format_count
 from .. import contact
@@ -129,8 +130,6 @@ class FrictionalContactBatch:
         UnreadableFile
             If the file cannot be written, or has another extension.
         """
-        from ...interfaces.files import save_arrays
-
         arrays = {"W": self.W, "b": self.b, "mu": self.friction, "contacts": self.contacts}
         arrays["dimension"] = np.array(self.dimension)
         save_arrays(path, arrays, "a batch of contact problems")

@@ -17,11 +17,11 @@ from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.representation import format_count
 from ...core.settings import Settings, Status
-from ...core.solving.progress import Callback, Progress
-from ...core.solving.result import Result
-from ...core.solving.run import Run
-from ...core.solving.stage import FAILED, Stage, TerminationReason
 from ...methods.search import ExhaustiveSearch, is_searchable
+from ...solving.progress import Progress
+from ...solving.result import Callback, Result
+from ...solving.run import Run
+from ...solving.stage import FAILED, Stage, TerminationReason
 from ..contact import ContactMotion, motion_of
 from . import methods
 from .certificate import ConeCertificate, ConeRows, ContactInfeasibility, infeasibility_proof
@@ -381,8 +381,6 @@ class ConeResult(Result):
     """
 
     problem: Any = None
-
-    RESIDUALS = ("relative_residual", "natural_residual", "term_residual")
 
     @property
     def guarantee(self) -> None:  # type: ignore[override]

@@ -36,6 +36,7 @@ from ...core.settings import Status, checked_tolerance
 from ..programs.no_minimum import QPUnboundedness
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .relaxations import ENDS, EquilibriumResult, ExternalBound, Node, Relaxations
+from .scip import minimize_or_none
 
 MET = 1e-9  # of 1 + |z|: largest violation of a pair that counts as complementary
 SHARE = 0.5  # of the tolerance: a node is closed if its bound is this close to the best value
@@ -204,8 +205,6 @@ class BranchAndBound:
         return self._result(ended)
 
     def _run(self, ends: Callable[[], bool], prove: bool) -> Status | None:
-        from ...interfaces.scip import minimize_or_none
-
         engine, is_provable = minimize_or_none(), self.problem.is_provable
         if is_provable:
             # Nodes before SCIP: 9 nodes close 30 pairs that take SCIP 5 s

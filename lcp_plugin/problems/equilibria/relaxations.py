@@ -20,9 +20,9 @@ import scipy.sparse as sp
 
 from ...core.checks import Vector
 from ...core.settings import Status
-from ...core.solving.result import BaseResult
 from ...engines import installed_engine
 from ...proofs.bounds import Curvature, constrained_curvature
+from ...solving.result import BaseResult
 from ..programs.criterion import QPSolution
 from ..programs.no_minimum import QPInfeasibility, QPUnboundedness, prove_infeasible
 from ..programs.program import QuadraticProgram
@@ -441,11 +441,6 @@ class EquilibriumResult(BaseResult):
             return []
         found = "no solution was found" if self.x is None else "x is the best solution found"
         return [f"{found} so far"]
-
-    def _numbers(self) -> dict[str, float]:
-        names = "lower_bound", "gap", "programs", "tolerance"
-        own = {name: getattr(self, name) for name in names}
-        return {**super()._numbers(), **own}
 
     def describe_accuracy(self) -> str:
         """Return the value and the bound."""

@@ -15,7 +15,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...auto import method_of, plan, takes_rounds
 from ...core.algorithm import Algorithm, Step
 from ...core.certificates.criterion import POWER, RowData, row_data
 from ...core.certificates.measured import Measured
@@ -26,13 +25,15 @@ from ...core.kernels.threads import threads_for
 from ...core.lcp import LCP
 from ...core.names import Names
 from ...core.settings import Settings, Status
-from ...core.solving.lcp_run import LCPRun
-from ...core.solving.progress import Callback, Progress
-from ...core.solving.result import Result
-from ...core.solving.run import Run
-from ...core.solving.stage import Stage, TerminationReason
 from ...methods.lemke import Lemke
 from ...methods.newton import Newton, fischer_burmeister
+from ...solving.choice import method_of, takes_rounds
+from ...solving.lcp_run import LCPRun
+from ...solving.plan import plan
+from ...solving.progress import Progress
+from ...solving.result import Callback, Result
+from ...solving.run import Run
+from ...solving.stage import Stage, TerminationReason
 from .data import DENSE_PATTERN_UP_TO, Linearization, NonlinearProblem
 
 MEMORY = 4  # the line search compares with the worst of so many points
@@ -271,10 +272,11 @@ def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> 
     """
     left, clock = seconds_left(), Clock()
     method = method_of(algorithm, {})
-    settings = Settings(tolerance, max_seconds=None if left == math.inf else left)
+    limit = None if left == math.inf else left
+    settings = Settings(tolerance, max_seconds=limit, polish=False)
     step = np.nan_to_num(-problem.q / problem.residual_scale)
     start = np.clip(step, problem.lower, problem.upper)
-    run = LCPRun(problem, method or "auto", settings, None, clock, start)
+    run = LCPRun(problem, method, settings, None, clock, start)
     stages = _stages_of_step(problem, method, run.goal)
     return run.result(run.follow_all(stages))
 

@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...api import solve
 from ...core.checks import Vector, checked_vector, is_number, read_only
 from ...core.deadline import Clock
+from ...core.doors import foreign_function
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
 from ...core.problem_classes import class_of, classes_of, refusal
 from ...core.settings import DEFAULTS, Settings
+from ...solving.dispatch import solve
 from ...systems.definiteness import is_semidefinite_to_rounding
 from ..programs.conversion import conditions
 from ..programs.criterion import PROGRAM_TOLERANCE, QPSolution
@@ -100,11 +101,9 @@ def trace(
     for name, value in (("start", start), ("stop", stop)):
         if not is_number(value) or not np.isfinite(value):
             raise InvalidOption(f"{name} must be a finite number, got {value!r}")
-    if type(problem).__module__.startswith(("cvxpy.", "lcp_plugin.modeling.")):
-        from ...modeling.parameters import trace_model
-
-        return trace_model(problem, along, float(start), float(stop), tolerance)
-    return trace_stated(problem, along, float(start), float(stop), tolerance)
+    trace_any = foreign_function("trace", problem) or trace_stated
+    path: Path = trace_any(problem, along, float(start), float(stop), tolerance)
+    return path
 
 
 @np.errstate(all="ignore")

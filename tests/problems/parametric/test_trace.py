@@ -288,7 +288,6 @@ def test_terms_that_cancel_at_a_breakpoint_stall_no_path() -> None:
             trace(stated[0], {"q": stated[1]}, 1.5, -1.0).require_solved()
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("share", [1e-3, 1e-5, 1e-7])
 def test_a_piece_that_is_wrong_is_not_solved(share: float) -> None:
     """A segment that is shifted, turned or extended a little is not SOLVED, even near zeros."""

@@ -32,14 +32,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Vector
-from ..core.deadline import seconds_left
-from ..core.errors import UnsupportedModel
-from ..core.matrix import entries_of_row
-from ..expressions.rows import Program
-from ..problems.equilibria.equilibrium_program import LOWER, UPPER, EquilibriumProgram
-from ..problems.equilibria.relaxations import ENDS
-from ..problems.programs.program import QuadraticProgram
+from ...core.checks import Vector
+from ...core.deadline import seconds_left
+from ...core.errors import UnsupportedModel
+from ...core.matrix import entries_of_row
+from ...expressions.rows import Program
+from ..programs.program import QuadraticProgram
+from .equilibrium_program import LOWER, UPPER, EquilibriumProgram
+from .relaxations import ENDS
 
 LARGEST = 1e20  # what is farther is infinite for SCIP, seconds as well
 SHARE = 0.25  # of the requested gap

@@ -4,9 +4,6 @@ Options of `solve` and `solve_batch` for each problem class; editors complete th
 
 :func:`lcp_plugin.solve` describes the options. Options of a named algorithm, for example ``relaxation``, are in
 `AlgorithmOptions`. An engine, as ``piqp``, takes its own options in addition.
-
->>> sorted(Limits.__annotations__)
-['max_seconds', 'tolerance']
 """
 
 from __future__ import annotations

@@ -284,7 +284,9 @@ def checked_friction(friction: ArrayLike, k: int, need: str = "one a contact") -
     mu = _of_contacts(friction, k, need)
     if mu.min(initial=0.0) < 0.0:
         i = int(np.argmax(mu < 0.0))
-        raise InvalidProblem(f"friction must not be negative, but friction[{i}] = {mu[i]}")
+        raise InvalidProblem(
+            f"friction must not be negative, but friction[{i}] = {mu[i]}; give μ ≥ 0, 0 for none"
+        )
     return mu
 
 
@@ -335,7 +337,9 @@ def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, Floa
     component. `velocities` has shape (v,), or (k, d) of the contacts.
     """
     if len(contacts) != 3:
-        raise InvalidProblem(f"contacts must be W or three arrays, got {len(contacts)} arrays")
+        raise InvalidProblem(
+            f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays"
+        )
     names, flat = ("the mass matrix", "normals", "tangents"), list(contacts)
     if np.ndim(flat[2]) == 3:
         flat[2] = np.reshape(flat[2], (-1, np.shape(flat[2])[-1]))
@@ -349,7 +353,9 @@ def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, Floa
     v, k = mass.shape[1], normals.shape[0]
     check_symmetric(mass, "the mass matrix")
     if normals.shape[1] != v:
-        raise InvalidProblem(f"normals must have shape (k, {v}), as masses, got {normals.shape}")
+        raise InvalidProblem(
+            f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals.shape}"
+        )
     t = tangents.shape[0] // max(k, 1)
     shape = np.shape(contacts[2])
     is_of_others = len(shape) == 3 and shape[0] != k
@@ -479,7 +485,9 @@ def _array(values: Any, need: str) -> FloatArray:
 def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> None:
     """Raise InvalidProblem if max |m_ij − m_ji| exceeds `tolerance` times the largest entry."""
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
-        raise InvalidProblem(f"{name} must be square, got shape {matrix.shape}; see np.diag")
+        raise InvalidProblem(
+            f"{name} must be square, got shape {matrix.shape}; of masses it is np.diag(masses)"
+        )
     if not matrix.size:
         return
     difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()

@@ -129,7 +129,9 @@ def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
     row_payoffs = _dense(rectangular_matrix(A, "A", None, None))
     m, k = row_payoffs.shape
     if not m or not k:
-        raise InvalidProblem(f"A must have a row and a column, got shape {row_payoffs.shape}")
+        raise InvalidProblem(
+            f"A must have at least one row and one column, got shape {row_payoffs.shape}"
+        )
     column_payoffs = _dense(rectangular_matrix(B, "B", m, k))
     M = np.zeros((m + k, m + k))
     M[:m, m:] = _costs(row_payoffs, own=0)

@@ -81,7 +81,7 @@ class FrictionalContactBatch:
         k, matrices = n // d, real_array(W, f"W must have shape (B, {n}, {n}), {n} as b has")
         if matrices.shape not in ((n, n), (count, n, n)):
             raise InvalidProblem(
-                f"W must have shape (B, {n}, {n}), B = {count}, got {matrices.shape}"
+                f"W must have shape (B, {n}, {n}), B = {count} and {n} as b has, got {matrices.shape}"
             )
         if mu.shape not in ((), (k,), (count, k)):
             raise InvalidProblem(
@@ -279,7 +279,9 @@ def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[n
     counts = np.asarray(contacts)
     is_whole = counts.shape == (count,) and counts.dtype.kind in "iu"
     if not is_whole or ((counts < 0) | (counts > k)).any():
-        raise InvalidProblem(f"contacts must be {count} integers from 0 to {k}, got {contacts!r}")
+        raise InvalidProblem(
+            f"contacts must be {count} integers from 0 to {k}, one per instance, got {contacts!r}"
+        )
     return counts.astype(np.int64)
 
 

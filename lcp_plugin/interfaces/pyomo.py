@@ -242,7 +242,7 @@ def certify_model(model: Any, tolerance: float, pairs: Any = None) -> Certificat
 
 
 def file_content_of(model: Any) -> NLContent:
-    """Return what a ``.nl`` file of a Pyomo model holds."""
+    """Return the content of a ``.nl`` file of a Pyomo model."""
     return stated(model).in_a_file
 
 

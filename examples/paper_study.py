@@ -1,13 +1,11 @@
 """The table and the figure of a paper: own matrix families, an own method next to ours, several sizes.
 
 Put your families (a size in, (M, q) or an LCP out) and your method in place of these. The tables are Markdown; of the
-same rows `results.to_csv()` has every digit of every point. The figure is as wide as a page and can be read in grey.
+same rows `results.to_csv()` has every digit of every point. The figure, error against work, is as wide as a page and
+can be read in grey.
 
 Here: a chain, a plate and a matrix without a grid; damped projected Jacobi against four others. The check at the end is
 the same method as a loop in NumPy.
-
-Source: Dolan, Moré, Benchmarking optimization software with performance profiles, Math. Program. 91, 2002,
-doi:10.1007/s101070100263.
 """
 
 from collections.abc import Iterator

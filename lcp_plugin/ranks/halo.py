@@ -422,14 +422,3 @@ def own_rows(ranks: Halo, matrix: sp.csr_array) -> tuple[sp.csr_array, Halo]:
         rows.data = rows.data.copy()  # the caller's stay in their order
         rows.sort_indices()
     return freeze_csr(rows), Halo(ranks.comm, ranks.own, ghosts, starts=ranks.starts)
-
-
-def numbered_over_all(rows: sp.csr_array, halo: Halo) -> sp.csr_array:
-    """Return the local rows with columns counted over all ranks, shape (own, n)."""
-    numbers = np.concatenate([np.arange(halo.first, halo.last), halo.ghosts])
-    numbers = numbers.astype(np.int32 if halo.n < 2**31 else np.int64)
-    matrix = sp.csr_array(
-        (rows.data.copy(), numbers[rows.indices], rows.indptr), shape=(halo.own, halo.n)
-    )
-    matrix.sort_indices()
-    return matrix

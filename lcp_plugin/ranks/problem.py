@@ -19,7 +19,7 @@ from ..core.certificates.worst import outside_row, put_on_bounds
 from ..core.errors import InvalidOption, InvalidProblem
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows, residual_scales
-from .halo import Halo, Ranks, numbered_over_all, own_rows
+from .halo import Halo, Ranks, own_rows
 from .solving import ResultOnRanks, RowDataOnRanks, solve_on_ranks
 
 WIDEST = 2**31 - 1  # columns that 32 bits count
@@ -143,8 +143,11 @@ class RowsOnRanks:
 
     def gathered_problem(self) -> LCP | None:
         """Return the whole LCP on rank 0, None on the others."""
-        rows = numbered_over_all(self.rows, self.halo)
-        parts = self.halo.comm.gather((rows, self.q, self.lower, self.upper), root=0)
+        own, halo = self.rows, self.halo
+        numbers = np.concatenate([np.arange(halo.first, halo.last), halo.ghosts])
+        entries = own.data, numbers[own.indices], own.indptr
+        rows = sp.csr_array(entries, shape=(self.own, self.n))
+        parts = halo.comm.gather((rows, self.q, self.lower, self.upper), root=0)
         if parts is None:
             return None
         M, *vectors = zip(*parts, strict=True)

@@ -8,8 +8,8 @@ whole subject:
 - ``help("lcp_plugin.core")``: the modules of every solve, and the order in which to read them
 - ``help("lcp_plugin.modeling")``: the models that cvxpy may contain, and their statuses
 - ``help("lcp_plugin.problems.programs")``: quadratic and linear programs, games
-- ``help("lcp_plugin.auto")``: the choice of methods by algorithm="auto"
-- ``help("lcp_plugin.methods.direct")``: the direct methods, and their order
+- ``help("lcp_plugin.solving.plan")``: the choice of methods by algorithm="auto"
+- ``help("lcp_plugin.solving.direct")``: the direct methods, and their order
 - ``help("lcp_plugin.core.splittings")``: sweeps, and how fast they converge
 - ``help("lcp_plugin.proofs")``: proofs about a matrix, a method, an error, an infeasible problem
 - ``help("lcp_plugin.core.certificates.criterion")``: the stopping criterion behind SOLVED
@@ -28,6 +28,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from .core.doors import DOORS
+
 __version__ = "0.1.0"
 
 
@@ -41,6 +43,28 @@ def _homes() -> dict[str, str]:
 
 _HOME = _homes()
 _FOR_TESTS = {"strategies"}  # needs hypothesis, so that "import *" does without
+DOORS.update(
+    {
+        "LCP.from_rows": "ranks.problem:RowsOnRanks.from_rows",
+        "LCP.from_petsc": "ranks.petsc:RowsOnPETSc.from_petsc",
+        "LCP.from_qp": "lcp:from_qp",
+        "LCP.to_qp": "problems.programs.conversion:qp_from_lcp",
+        "LCP.from_game": "problems.reformulations:lcp_from_bimatrix_game",
+        "LCP.from_contacts": "lcp:from_contacts",
+        "LCP.from_cvxpy": "modeling.registration:lcp_stated_by",
+        "LCP.to_cvxpy": "modeling.registration:stated_in_cvxpy",
+        "LCP.load": "lcp:load",
+        "LCP.save": "lcp:save",
+        "BaseResult.plot": "evidence.drawing:plot_answer",
+        "Path.plot": "evidence.drawing:plot_path",
+        "certify cvxpy": "modeling.registration:certify_model",
+        "derivative cvxpy": "modeling.parameters:derivative_of",
+        "trace cvxpy": "modeling.parameters:trace_model",
+        "trace lcp_plugin.modeling": "modeling.parameters:trace_model",
+        "certify pyomo": "interfaces.pyomo:certify_model",
+        "content pyomo": "interfaces.pyomo:file_content_of",
+    }
+)
 __all__ = ["__version__", *sorted(_HOME.keys() - _FOR_TESTS)]  # noqa: PLE0604 - the names are strings, from the table
 
 

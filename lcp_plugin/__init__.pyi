@@ -16,7 +16,6 @@ from .core.errors import UnsuitableProblem as UnsuitableProblem
 from .core.errors import UnsupportedModel as UnsupportedModel
 from .core.lcp import LCP as LCP
 from .core.settings import Status as Status
-from .core.solving.result import Result as Result
 from .evidence.cross_check import cross_validate as cross_validate
 from .evidence.stability import stability_atlas as stability_atlas
 from .evidence.study import error_against_time as error_against_time
@@ -41,7 +40,8 @@ from .problems.programs.certification import certify as certify
 from .problems.programs.program import QuadraticProgram as QuadraticProgram
 from .problems.sensitivity import derivative as derivative
 from .proofs.bounds import error_bound as error_bound
-from .proofs.guarantees import convergence_guarantee as convergence_guarantee
 from .proofs.verdicts import analyze as analyze
+from .solving.convergence import convergence_guarantee as convergence_guarantee
+from .solving.result import Result as Result
 
 __version__: str

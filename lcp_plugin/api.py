@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Mapping
-from functools import cache
-from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, overload
 
-import numpy as np
-
-from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from .core.lcp import LCP
-from .core.problem_classes import CLASSES, class_of, refusal, with_article
-from .core.solving.result import Result
+from .solving import dispatch
+from .solving.result import Result
 
 if TYPE_CHECKING:
     from typing import Unpack
 
     from .core.algorithm import Algorithm
-    from .core.settings import (
-        ConeOptions,
-        EngineName,
-        EquilibriumOptions,
-        LCPOptions,
-        LeastSquaresOptions,
-        NonlinearOptions,
-    )
+    from .core.settings import EngineName, Options
     from .engines.engine import Engine
     from .problems.cones.data import ConeProblem
     from .problems.cones.frictional_contact import FrictionalContact
@@ -44,10 +30,8 @@ if TYPE_CHECKING:
 
 
 @overload
-def solve(problem: LCP, algorithm: Method = "auto", **options: Unpack[LCPOptions]) -> Result: ...
-@overload
 def solve(
-    problem: NonlinearProblem, algorithm: Method = "auto", **options: Unpack[NonlinearOptions]
+    problem: LCP | NonlinearProblem, algorithm: Method = "auto", **options: Unpack[Options]
 ) -> Result: ...
 @overload
 def solve(
@@ -55,21 +39,17 @@ def solve(
 ) -> QuadraticProgramResult: ...
 @overload
 def solve(
-    problem: QuadraticProgram, algorithm: Method | Engine = "auto", **options: Unpack[LCPOptions]
+    problem: QuadraticProgram, algorithm: Method | Engine = "auto", **options: Unpack[Options]
 ) -> QuadraticProgramResult: ...
 @overload
-def solve(
-    problem: EquilibriumProgram, **options: Unpack[EquilibriumOptions]
-) -> EquilibriumResult: ...
+def solve(problem: EquilibriumProgram, **options: Unpack[Options]) -> EquilibriumResult: ...
 @overload
-def solve(
-    problem: BoundedLeastSquares, **options: Unpack[LeastSquaresOptions]
-) -> LeastSquaresResult: ...
+def solve(problem: BoundedLeastSquares, **options: Unpack[Options]) -> LeastSquaresResult: ...
 @overload
 def solve(
     problem: ConeProblem | FrictionalContact,
     algorithm: str | ConeAlgorithm = "auto",
-    **options: Unpack[ConeOptions],
+    **options: Unpack[Options],
 ) -> ConeResult: ...
 def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     """Return the solution of a problem, with its residual measured on the problem's own data.
@@ -128,7 +108,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     -------
     Result
         Other problem classes have their own result classes; each is an
-        :class:`~lcp_plugin.core.solving.result.BaseResult`, with status, x, objective, advice and proof. For every
+        :class:`~lcp_plugin.solving.result.BaseResult`, with status, x, objective, advice and proof. For every
         status, also after Ctrl-C, it holds the best iterate whose residual was measured (in-place methods are measured
         at intervals and at the end); before the first step this is the start. ``result.require_solved()`` raises
         NotConverged if the status is not SOLVED.
@@ -170,44 +150,4 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     >>> best.status.name, best.x.round(6), round(best.objective, 6), best.duals["inequality"].round(6)
     ('SOLVED', array([0.5, 1.5]), -4.5, array([1.]))
     """
-    name = class_of(problem)
-    if name is None:
-        raise InvalidOption(refusal("solve", problem))
-    if not isinstance(algorithm, str):
-        if isinstance(algorithm, (np.ndarray, list, tuple)):
-            raise UnknownAlgorithm(
-                f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…"
-            )
-        options["algorithm"] = algorithm
-    elif algorithm != "auto":
-        options["algorithm"] = algorithm
-    if callable(callback := options.get("callback")):  # it keeps the caller's floating-point state
-        options["callback"] = np.errstate(**np.geterr())(callback)
-    known = options_of(name)
-    if "z0" in options and "z0" not in known and "x0" in known:  # the unknown is called x
-        options["x0"] = options.pop("z0")
-    if "x0" in options and "x0" not in known:
-        raise InvalidOption(f"solve takes no x0 for {with_article(name)}; the start is called z0")
-    for option in () if "options" in known else options:
-        if option not in known:
-            hint = did_you_mean(option, known)
-            raise InvalidOption(f"solve takes no {option} for {with_article(name)}{hint}")
-    return solver_of(name)(problem, **options)
-
-
-@cache
-def solver_of(name: str) -> Callable[..., Any]:
-    """Return the function that solves a class of problem."""
-    return resolve_name(f"{__package__}.{CLASSES[name].solver}")
-
-
-@cache
-def options_of(name: str) -> Mapping[str, Any]:
-    """Return the options of the solver of a class; "options" is among them if it accepts an algorithm's options."""
-    known = dict.fromkeys([*inspect.signature(solver_of(name)).parameters][1:])
-    if (typed := CLASSES[name].options) is not None:
-        known = dict.fromkeys([*known, *typed.__annotations__])
-        del known["options"]
-        if "x0" in known:  # which z0 is another name of
-            known.pop("z0")
-    return known
+    return dispatch.solve(problem, algorithm, **options)

@@ -90,9 +90,9 @@ except ImportError as error:
 from . import __version__
 from .core.errors import InvalidOption, did_you_mean
 from .core.settings import parse_options
-from .expressions.statement import STATUS_ELSEWHERE
 from .interfaces.nl.writing import write_nl
 from .interfaces.pyomo import PyomoAnswer, answered, imported
+from .problems.statement import STATUS_ELSEWHERE
 
 NAME, HYPHENATED = "lcp_plugin", "lcp-plugin"  # by another name Pyomo looks for an executable
 DOC = "Complementarity problems and convex quadratic programs, by lcp_plugin"

@@ -3,10 +3,12 @@
     python -m pytest -n 2           every test that is not marked ``full``
     python -m pytest --full -n 2    everything
 
-The mark ``full`` is for tests that take seconds: benchmarks, campaigns, examples, large tables. Of a table of more than
-2 rows, 2 rows in even steps are not ``full``; ``few(k)`` says k, for rows that are costly. A test that draws its
-problems from a campaign has the fixture ``draws``: an eighth of them without ``--full``. A test that is named on the
-command line, as in ``tests/methods/newton/test_newton.py::test_x``, always runs.
+    python -m pytest --measure -n 2   measures the rows of all tables and writes tests/durations.json
+
+The mark ``full`` is for tests that take seconds: benchmarks, campaigns, examples. The rows of a parametrized test are
+a table: without ``--full``, rows run until they have used the table's share of time, by ``durations.json``. A test that
+draws its problems from a campaign has the fixture ``draws``: an eighth of them without ``--full``. A test that is named
+on the command line, as in ``tests/methods/newton/test_newton.py::test_x``, always runs.
 
 Hypothesis: examples are the same in each run, so that a suite that passed passes again; random draws are for
 ``tests/campaigns``. A test without settings takes the default; a costly one says ``@settings.get_profile("few")``, a
@@ -18,6 +20,7 @@ BLAS gets one thread if the environment names no number: several processes of se
 from __future__ import annotations
 
 import gc
+import json
 import os
 import signal
 import subprocess
@@ -25,6 +28,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +42,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 EXAMPLES = {"few": (3, 30), "default": (6, 80), "many": (12, 150)}
 # Folders with tests of functions that are not public; core/test_floating_point_state.py calls those that are.
 INNER = {"core", "engines", "methods", "problems", "proofs", "systems"}
-FEW = 2  # rows of a table that run without --full
+DURATIONS = Path(__file__).with_name("durations.json")  # milliseconds of each row of each table
+SHARE = 150  # milliseconds that a table may use without --full, so that the quick suite takes about a minute
+UNMEASURED = 50  # milliseconds of a row that is not in the file
 # Doctests of seconds; tests/interfaces and tests/strategies have short ones of the same.
 SLOW = ("lcp_plugin.interfaces", "lcp_plugin.strategies.assert_solves")
 WARM_UP = pytest.StashKey["subprocess.Popen[bytes]"]()
@@ -47,6 +53,7 @@ WARM_UP = pytest.StashKey["subprocess.Popen[bytes]"]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Offer --full."""
     parser.addoption("--full", action="store_true", help="run every test, with more examples each")
+    parser.addoption("--measure", action="store_true", help="write tests/durations.json")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -126,18 +133,55 @@ def pytest_collection() -> Iterator[None]:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark rows of long tables ``full``."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark the rows of a table ``full`` that exceed its share of time."""
     tables = defaultdict(list)
     for item in items:
         if item.name in SLOW:
             item.add_marker("full")
         if not item.get_closest_marker("full"):
             tables[item.nodeid.partition("[")[0]].append(item)
-    for rows in tables.values():
-        mark = rows[0].get_closest_marker("few")
-        count = mark.args[0] if mark else min(FEW, len(rows))
-        kept = {k * len(rows) // count for k in range(count)}
+    durations = json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {}
+    for table, rows in tables.items():
         for k, row in enumerate(rows):
-            if k not in kept:
-                row.add_marker("full")
+            row.user_properties.append(("row", k))
+        if not config.getoption("--measure"):
+            kept = quick_rows(durations.get(table, []), len(rows))
+            for k in set(range(len(rows))) - kept:
+                rows[k].add_marker("full")
+
+
+def quick_rows(durations: list[int], count: int) -> set[int]:
+    """Return the rows, in an order that spreads over the table, that fit into its share of time; at least one."""
+    known = durations if len(durations) == count else [max(durations, default=UNMEASURED)] * count
+    used, kept = 0, set()
+    for k in sorted(range(count), key=lambda k: k * 0.618 % 1.0):  # steps of the golden section
+        if used + known[k] <= SHARE:
+            used += known[k]
+            kept.add(k)
+    return kept or {min(range(count), key=known.__getitem__)}
+
+
+MEASURED: dict[str, dict[int, float]] = defaultdict(lambda: defaultdict(float))
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Add the seconds of a row, its fixtures included."""
+    row = dict(report.user_properties).get("row")
+    if isinstance(row, int):
+        MEASURED[report.nodeid.partition("[")[0]][row] += report.duration
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Write the durations after a run that measured them, a table per line."""
+    if session.config.getoption("--measure") and not hasattr(session.config, "workerinput"):
+        old = json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {}
+        new = {
+            table: [round(1e3 * rows[k]) + 1 for k in sorted(rows)]
+            for table, rows in MEASURED.items()
+            if len(rows) > 1
+        }
+        root = session.config.rootpath
+        tables = sorted(t for t in {**old, **new} if (root / t.partition("::")[0]).exists())
+        lines = [f"{json.dumps(table)}: {new.get(table, old.get(table))}" for table in tables]
+        DURATIONS.write_text("{\n" + ",\n".join(lines) + "\n}\n")

@@ -16,6 +16,8 @@ try:
 except ImportError as error:
     raise ImportError("the command needs typer; install it with: pip install typer rich") from error
 
+import lcp_plugin
+
 from .. import __version__
 from ..core.errors import LCPError
 
@@ -27,9 +29,7 @@ EXIT_BAD_INPUT = 2
 
 def scene_names(incomplete: str) -> list[str]:
     """Return the test problems that begin so; the shell completes files."""
-    from .. import gallery
-
-    return [name for name in gallery.names() if name.startswith(incomplete)]
+    return [name for name in lcp_plugin.gallery.names() if name.startswith(incomplete)]
 
 
 def algorithm_names(incomplete: str) -> list[str]:
@@ -231,12 +231,11 @@ def check(
     size: Size = None,
 ) -> bool:
     """Compare our solution with a convex solver's solution."""
-    from ..evidence.cross_check import cross_validate
     from .solving import read_lcp
 
     problem = read_lcp(target, "lcp-plugin check", size).problem
     limit = _given(max_seconds=max_seconds)
-    found = cross_validate(problem, reference=reference, algorithm=algorithm, **limit)
+    found = lcp_plugin.cross_validate(problem, reference=reference, algorithm=algorithm, **limit)
     typer.echo(found.explain())
     return found.agrees
 
@@ -286,14 +285,15 @@ def compare(
     out: Annotated[Path | None, typer.Option(help="Save every point: a .csv file.")] = None,
 ) -> bool:
     """Measure error against run time of several algorithms on one problem."""
-    from ..evidence.study import error_against_time
     from .solving import check_outputs, read_lcp
 
     check_outputs(target, plot, out, ".csv")
     given = read_lcp(target, "lcp-plugin compare", size)
     limits = _given(tolerance=tolerance, max_seconds=max_seconds)
     problem = given.test_problem or given.problem
-    found = error_against_time(problem, algorithm, reference or (), repeats=repeats, **limits)
+    found = lcp_plugin.error_against_time(
+        problem, algorithm, reference or (), repeats=repeats, **limits
+    )
     typer.echo(found.explain())
     for path in filter(None, (plot, out)):
         found.save(path)

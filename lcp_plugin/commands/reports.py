@@ -7,11 +7,15 @@ import sys
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from .. import gallery
 from ..algorithms import REGISTRY, algorithm_class, paper_options
 from ..core.lcp import LCP
+from ..engines import ENGINES, engine_class
 from ..evidence.measurement import PAPER_MSOR
-from ..proofs.guarantees import PAPER, PAPER_TITLE, Guarantee, convergence_guarantee
+from ..problems.cones.methods import METHODS
+from ..proofs.guarantees import Guarantee
 from ..proofs.verdicts import analyze, wrapped
+from ..solving.convergence import convergence_guarantee
 
 PAPER_VARIANTS: dict[str, dict[str, Any]] = {
     **{
@@ -41,17 +45,12 @@ def analysis(problem: LCP) -> str:
     """
     lines = [str(analyze(problem)), "", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
     first: dict[str, str] = {}
-    of_paper: list[str] = []
     for title, found in guarantees(problem):
         rate = "" if found.rate is None else _rate(found.rate)
         because = found.theorem + (f" → {found.remedy}" if found.remedy else "")
         named = f"as {first[because]}" if because in first else because
         first.setdefault(because, title)
         lines += wrapped(f"{title:<25} {found.verdict:<12} {rate:<8} ", named)
-        if found.paper:
-            of_paper += wrapped(f"{title.partition(',')[0]}: ", found.paper)
-    if of_paper:
-        lines += ["", f"Theorem 4.2 of {PAPER}, {PAPER_TITLE}, without row scaling:", *of_paper]
     return "\n".join(lines)
 
 
@@ -65,18 +64,18 @@ def analysis_content(problem: LCP) -> dict[str, Any]:
             "rate": found.rate,
             "rate_of": found.speaks_of if found.rate is not None else None,
             "remedy": found.remedy,
-            "theorem_4_2": found.paper,
         }
         for title, found in guarantees(problem)
     ]
-    return _finite({"matrix": analyze(problem).to_content(), "convergence": rows})
+    return finite({"matrix": analyze(problem).to_content(), "convergence": rows})
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Return JSON content with None for numbers that are not finite."""
     if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
+        return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
+        return [finite(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -92,10 +91,6 @@ def _short(value: Any) -> str:
 def print_names() -> None:
     """Print algorithms and external solvers with needs and sources, and test problems with their parameters."""
     from rich.console import Console
-
-    from .. import gallery
-    from ..engines import ENGINES, engine_class
-    from ..problems.cones.methods import METHODS
 
     # as wide as the terminal; 160 letters if the output goes elsewhere
     width = None if sys.stdout.isatty() else 160

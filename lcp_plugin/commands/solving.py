@@ -17,21 +17,34 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import typer
 
+import lcp_plugin
+
 from .. import gallery
 from ..algorithms import REGISTRY, made
 from ..api import solve
 from ..core.errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
+from ..core.files import write_whole
 from ..core.lcp import LCP
 from ..core.problem_classes import refusal
 from ..core.settings import OF_SOLVE, parse_options
+from ..evidence.drawing import check_format, draw, require_matplotlib
+from ..interfaces.nl.model import read_nl
+from ..interfaces.program_files import MPS, load_problem, load_program
 from ..problems.cones.data import ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
+from .reports import finite
 
 if TYPE_CHECKING:
     from ..core.checks import Vector
-    from ..core.solving.result import Sample
+    from ..solving.result import Sample
 
+#: Numbers of results, residuals first; each class of result has some of them.
+NUMBERS = (
+    "relative_residual natural_residual euclidean_residual bound_violation complementarity term_residual "
+    "primal_residual duality_gap optimality objective lower_bound gap programs work tolerance "
+    "absolute_tolerance setup_seconds seconds"
+)
 MAX_VALUES = 20  # values of x that are printed
 UPDATE_SECONDS = 0.1
 
@@ -64,8 +77,6 @@ def read_target(target: str, size: int | None = None) -> Target:
     LCPError
         If there is none, or if the size is given twice, or for a file.
     """
-    from ..interfaces.program_files import MPS, load_problem, load_program
-
     target = target.strip()
     name, _, settings = target.partition(":")
     name = name.strip().replace("-", "_")
@@ -75,7 +86,7 @@ def read_target(target: str, size: int | None = None) -> Target:
         scene = gallery.parse(f"{name}:{','.join(given)}")
         return Target(scene.problem, scene)
     path = Path(target)
-    if not (set(target) & set("/\\.") or path.exists() or Path(f"{target}M.mtx").exists()):
+    if not (set(target) & set("/\\.") or path.exists()):
         hint = did_you_mean(name, gallery.names(), is_listed=True)
         raise InvalidOption(f"{target!r} is neither a file nor a test problem{hint}")
     if size is not None:
@@ -86,8 +97,6 @@ def read_target(target: str, size: int | None = None) -> Target:
         program, sign, names = load_program(target)
         return Target(program, None, sign, names)
     if path.suffix.lower() == ".nl":
-        from ..interfaces.nl import read_nl
-
         return Target(read_nl(target))
     return Target(load_problem(target))
 
@@ -132,12 +141,10 @@ def run(
         if objective is not None:
             objective = given.sign * objective + 0.0
     if bound:
-        from ..proofs.bounds import error_bound
-
-        lines.append(str(error_bound(given.problem, answer.z)))
+        lines.append(str(lcp_plugin.error_bound(given.problem, answer.z)))
     if as_json:
-        content = answer.to_content() | ({} if objective is None else {"objective": objective})
-        typer.echo(json.dumps(content, indent=2))
+        content = json_content(answer) | ({} if objective is None else {"objective": objective})
+        typer.echo(json.dumps(finite(content), indent=2))
     else:
         if objective is not None and objective != answer.objective:
             lines.append(f"objective {objective:.9g}, as the file states it")
@@ -146,18 +153,31 @@ def run(
         shown = [] if given.test_problem else _values(given, answer, x)
         typer.echo("\n".join([f"{source}", f"{model}", answer.explain(), *lines, *shown]))
     if out is not None:
-        from ..interfaces.files import write_whole
-
         names = {} if given.names is None else {"names": np.array(given.names, dtype=np.str_)}
         arrays |= names | {"status": np.array(answer.status.name)}
         write_whole({out: lambda file: np.savez_compressed(file, **arrays)})
     if plot is not None:
-        from ..evidence.drawing import draw
-
         draw(answer, plot, given.test_problem)
     if saved := [*filter(None, (plot, out))]:
         typer.echo(f"saved {', '.join(map(str, saved))}", err=as_json)
     return bool(answer.is_solved)
+
+
+def json_content(answer: Any) -> dict[str, Any]:
+    """Return status, residuals and counts of a result, without vectors."""
+    owners = [answer, getattr(answer, "certificate", None)]
+    owners += [] if answer.has_no_solution else [getattr(answer, "solution", None)]
+    found = {
+        name: getattr(one, name) for one in owners for name in NUMBERS.split() if hasattr(one, name)
+    }
+    return {
+        "status": answer.status.name,
+        "advice": answer.advice,
+        "algorithm": answer.algorithm,
+        "n": None if answer.x is None else len(answer.x),
+        "iterations": answer.iterations,
+        **{name: value for name, value in found.items() if value is not None},
+    }
 
 
 def _steps(
@@ -259,8 +279,6 @@ def options_of(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
 def check_outputs(target: str, plot: Path | None, out: Path | None, ending: str) -> None:
     """Raise an error before the run if an output could not be written after it; `out` has this ending."""
     if plot is not None:
-        from ..evidence.drawing import check_format, require_matplotlib
-
         check_format(plot)
         require_matplotlib()
     if out is not None and out.suffix != ending:
@@ -284,13 +302,6 @@ def check_place(path: Path) -> None:
 
 def compile_everything() -> str:
     """Compile what is not in the cache yet; return a line with the seconds."""
-    from ..problems.batches.batch import solve_batch
-    from ..problems.least_squares.data import BoundedLeastSquares
-    from ..problems.march import march
-    from ..problems.programs.program import QuadraticProgram
-    from ..problems.sensitivity import derivative
-    from ..proofs.bounds import error_bound
-
     began = time.perf_counter()
     sparse = gallery.build("obstacle_2d", size=20).problem
     dense = LCP(sparse.csr[:9, :9].toarray(), sparse.q[:9], lower=-1.0, upper=1.0)
@@ -298,25 +309,29 @@ def compile_everything() -> str:
         with suppress(LCPError):  # not every algorithm takes every matrix
             solve(problem, name, record=record, max_iterations=20)
     for problem in (sparse, dense):
-        error_bound(problem, solve(problem).z)
-    steps = derivative(march(sparse, np.zeros((2, sparse.n)), algorithm="banded"))
+        lcp_plugin.error_bound(problem, solve(problem).z)
+    steps = lcp_plugin.derivative(
+        lcp_plugin.march(sparse, np.zeros((2, sparse.n)), algorithm="banded")
+    )
     steps.vjp(np.ones(sparse.n))
     steps.jvp(dz0=np.ones(sparse.n))
     contact = FrictionalContact(2.0 * np.eye(6), [[-1.0, 3.0, 4.0], [-1.0, 0.1, 0.2]], 0.5)
     for name in METHODS:
-        derivative(solve(contact, name)).vjp(np.ones(6))
-    found = derivative(solve_batch([dense]))
+        lcp_plugin.derivative(solve(contact, name)).vjp(np.ones(6))
+    found = lcp_plugin.derivative(lcp_plugin.solve_batch([dense]))
     found.vjp(np.ones((1, 9)))
     found.jvp(dq=np.ones(9))
     # an exact search enumerates all pieces
     no_solution = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
-    solve_batch([no_solution, no_solution], prove_infeasibility=False)
+    lcp_plugin.solve_batch([no_solution, no_solution], prove_infeasibility=False)
     for problem in (no_solution, gallery.build("bimatrix_game").problem):
         solve(problem)
-    solve_batch([dense] * 64)  # as many as the compiled loop needs
-    solve_batch(BoundedLeastSquares(dense.M, dense.q), np.ones((64, dense.n)))
-    solve_batch([contact, contact])
-    solve_batch([QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])])
+    lcp_plugin.solve_batch([dense] * 64)  # as many as the compiled loop needs
+    lcp_plugin.solve_batch(lcp_plugin.BoundedLeastSquares(dense.M, dense.q), np.ones((64, dense.n)))
+    lcp_plugin.solve_batch([contact, contact])
+    lcp_plugin.solve_batch(
+        [lcp_plugin.QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])]
+    )
     program = LCP.from_qp(np.eye(2), np.ones(2), A=[[1.0, 1.0]], b=[1.0])
     program.origin.recover(solve(program)).is_optimal()
     return f"kernels compiled in {time.perf_counter() - began:.1f} s"

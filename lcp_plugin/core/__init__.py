@@ -1,4 +1,4 @@
-"""Core: problem data, algorithms, stopping criterion, run loop, results.
+"""Core: problem data, algorithms, stopping criterion, files.
 
 Suggested reading order:
 
@@ -7,7 +7,8 @@ Suggested reading order:
 3. ``certificates``: residuals with rounding errors, and the stopping criterion.
 4. ``algorithm`` and ``splittings``: the interface of algorithms; the sweeps of the paper and their relatives, with
    their compiled loops in ``kernels``.
-5. ``solving``: ``stage`` is one method and its budget, ``run`` the loop, ``termination`` its test; ``result``.
-6. ``deadline``: the clock of a run. ``tuning``: the sizes from which each method is cheaper; :mod:`lcp_plugin.auto`
-   plans the stages of ``auto`` by them.
+5. ``deadline``: the clock of a run. ``tuning``: the sizes from which each method is cheaper; ``files``; ``doors``:
+   functions of higher floors that the classes here offer.
+
+The loop of a run, its stages and its result are in :mod:`lcp_plugin.solving`.
 """

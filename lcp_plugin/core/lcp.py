@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -11,10 +10,19 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from .checks import Vector, checked_bounds, checked_vector, read_only, restore_state
+from .doors import Door
 from .errors import InvalidOption
 from .matrix import Matrix
 from .names import Names, checked_names
 from .representation import describe_lcp
+
+if TYPE_CHECKING:
+    from .. import lcp
+    from ..modeling.registration import lcp_stated_by, stated_in_cvxpy
+    from ..problems.programs.conversion import qp_from_lcp
+    from ..problems.reformulations import lcp_from_bimatrix_game
+    from ..ranks.petsc import RowsOnPETSc
+    from ..ranks.problem import RowsOnRanks
 
 
 class LCP:
@@ -64,6 +72,20 @@ class LCP:
         origin: Any
         names: Names
         _facts: dict[Any, Any]
+        from_rows, from_petsc = (
+            staticmethod(RowsOnRanks.from_rows),
+            staticmethod(RowsOnPETSc.from_petsc),
+        )
+        from_qp, from_contacts = staticmethod(lcp.from_qp), staticmethod(lcp.from_contacts)
+        from_game, to_qp = staticmethod(lcp_from_bimatrix_game), qp_from_lcp
+        from_cvxpy, to_cvxpy = staticmethod(lcp_stated_by), stated_in_cvxpy
+        load, save = staticmethod(lcp.load), lcp.save
+    else:
+        from_rows, from_petsc = Door(is_static=True), Door(is_static=True)
+        from_qp, from_contacts = Door(is_static=True), Door(is_static=True)
+        from_game, to_qp = Door(is_static=True), Door()
+        from_cvxpy, to_cvxpy = Door(is_static=True), Door()
+        load, save = Door(is_static=True), Door()
 
     def __init__(
         self,
@@ -196,207 +218,6 @@ class LCP:
             _facts={},
         )
         return other
-
-    @classmethod
-    def from_rows(cls, comm: Any, rows: Any, q: ArrayLike, **given: Any) -> Any:
-        """Return the problem whose rows are spread over MPI ranks; see :mod:`lcp_plugin.ranks`.
-
-        Parameters
-        ----------
-        comm : communicator of mpi4py; None for the whole job
-        rows : sparse array, shape (own, n)
-            The local rows of M with global column indices.
-        q : array, shape (own,)
-        **given
-            lower, upper : scalar or array, shape (own,).
-        """
-        from ..ranks.problem import RowsOnRanks
-
-        return RowsOnRanks.from_rows(comm, rows, q, **given)
-
-    @classmethod
-    def from_petsc(cls, A: Any, q: Any, **given: Any) -> Any:
-        """Return the problem of a PETSc matrix on its communicator; see :mod:`lcp_plugin.ranks`.
-
-        Parameters
-        ----------
-        A : petsc4py.PETSc.Mat
-            Square, with equal parts of rows and columns. It must not change as long as the problem is in use.
-        q : petsc4py.PETSc.Vec
-        **given
-            lower, upper : number or petsc4py.PETSc.Vec.
-        """
-        from ..ranks.petsc import RowsOnPETSc
-
-        return RowsOnPETSc.from_petsc(A, q, **given)
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the problem to ``path``: one ``.npz`` or ``.nl`` file, or a folder of Matrix Market files.
-
-        A path ending in ``.npz`` gets the keys data, indices, indptr, shape (M as CSR), q, lower, upper; one ending in
-        ``.nl`` becomes a file for AMPL's solvers. A path without a suffix becomes a folder with M.mtx, q.mtx,
-        lower.mtx, upper.mtx. The file appears whole or not at all.
-
-        Parameters
-        ----------
-        path : str or PathLike
-
-        Raises
-        ------
-        UnreadableFile
-            If it cannot be written, or its name belongs to another format, as a.mat.
-        """
-        from ..interfaces.files import save
-
-        save(self, path)
-
-    @classmethod
-    def from_qp(
-        cls,
-        P: Any,
-        c: ArrayLike,
-        G: Any = None,
-        h: ArrayLike | None = None,
-        A: Any = None,
-        b: ArrayLike | None = None,
-        lower: ArrayLike = -np.inf,
-        upper: ArrayLike = np.inf,
-    ) -> LCP:
-        """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
-
-        To compute only x, use ``solve(QuadraticProgram(P, c, …))``, which is faster. For a result of this LCP,
-        ``problem.origin.recover(result)`` returns x, multipliers and residuals. ``solve`` tests it by the criterion of
-        LCPs, and with G or A by the duality gap. The gap is tested only on the returned problem: not after ``with_q``
-        or ``load``, nor by ``solve_batch`` with `q` or bounds. There, a SOLVED result can have another objective.
-        Errors: :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`.
-
-        Parameters
-        ----------
-        P : array or sparse array, shape (n, n)
-            Symmetric, positive semidefinite up to rounding: UnsupportedModel where it clearly is not.
-        c : array, shape (n,)
-        G, h : shapes (p, n) and (p,), optional
-            Inequalities G x ≤ h.
-        A, b : shapes (m, n) and (m,), optional
-            Equations A x = b.
-        lower, upper : scalar or array, shape (n,)
-            Bounds of x; none by default.
-        """
-        from ..problems.programs.conversion import lcp_from_qp
-        from ..problems.programs.program import QuadraticProgram
-
-        return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper))
-
-    @classmethod
-    def from_game(cls, A: Any, B: Any = None) -> LCP:
-        """Return the LCP whose solutions are a two-player game's Nash equilibria.
-
-        Parameters
-        ----------
-        A, B : array, shape (m, k)
-            Payoffs of the row and of the column player, or one QuantEcon ``NormalFormGame`` of two players. Then
-            ``problem.origin.recover(solve(problem, "lemke"))`` has the strategies.
-
-        Raises
-        ------
-        InvalidProblem
-            If B is missing, or A and B are not real matrices of one shape.
-        """
-        from ..problems.reformulations import lcp_from_bimatrix_game
-
-        return lcp_from_bimatrix_game(A, B)
-
-    @classmethod
-    def from_contacts(
-        cls,
-        contacts: Any,
-        friction: ArrayLike,
-        velocities: ArrayLike,
-        directions: int = 4,
-        *,
-        gaps: ArrayLike | None = None,
-        time_step: float | None = None,
-    ) -> LCP:
-        """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
-
-        See :func:`lcp_plugin.problems.contact.contact_data` for shapes, units and errors.
-        :class:`lcp_plugin.FrictionalContact` uses the exact friction cone instead of a pyramid.
-
-        Parameters
-        ----------
-        contacts : array W, shape (d k, d k), or (mass matrix, normals, tangents)
-        friction : number or array, shape (k,)
-        velocities : array, shape (k, d), or (v,) with a mass matrix
-            Without the impulses.
-        directions : int
-            Edges of each friction pyramid.
-        gaps : number or array, shape (k,), optional
-            Distances at the beginning of the step, in m. Add none to `velocities`.
-        time_step : float, optional
-            Length of the step in s, required with `gaps`: a contact may close by gap / time step.
-
-        Raises
-        ------
-        InvalidProblem
-            As `contact_data`.
-        """
-        from ..problems.contact import contact_data
-
-        given = contact_data(
-            contacts, friction, velocities, directions, gaps=gaps, time_step=time_step
-        )
-        return cls(*given.arrays).with_origin(given)
-
-    def to_qp(self) -> Any:
-        """Return a quadratic program with the same solutions; see ``problems.programs.conversion.qp_from_lcp``."""
-        from ..problems.programs.conversion import qp_from_lcp
-
-        return qp_from_lcp(self)
-
-    @classmethod
-    def from_cvxpy(cls, problem: Any) -> LCP:
-        """Return the LCP that a cvxpy problem of complementarities states; its ``origin`` leads back to variables.
-
-        Parameters
-        ----------
-        problem : cvxpy.Problem
-            Model that consists of :func:`lcp_plugin.complements` and equalities.
-        """
-        from ..modeling.registration import lcp_stated_by
-
-        return lcp_stated_by(problem)
-
-    def to_cvxpy(self) -> Any:
-        """Return a ``cvxpy.Problem`` in one variable that states this problem."""
-        from ..modeling.registration import stated_in_cvxpy
-
-        return stated_in_cvxpy(self)
-
-    @classmethod
-    def load(cls, path: str | PathLike[str]) -> LCP:
-        """Return a problem written by :meth:`save` or ``numpy.savez(path, M=M, q=q)``, or in ``M.mtx`` and ``q.mtx``.
-
-        A ``.npz`` file holds q and M (dense), or M's CSR arrays as data, indices, indptr, shape; lower and upper where
-        they are not 0 and ∞. Matrix Market files of these names lie in a folder, or behind a prefix. MATLAB's ``.mat``
-        (to version 7.2) holds M, q and the bounds, which may be called lb and ub there. A bound of 1e20 or more in
-        absolute value means ∞. Pickled content is never read, and of ``.mat`` files nothing but numbers; scipy,
-        which reads these, may end the process on a corrupt one. For other models in AMPL's ``.nl`` format use
-        :func:`lcp_plugin.interfaces.nl.read_nl`.
-
-        Parameters
-        ----------
-        path : str or PathLike
-
-        Raises
-        ------
-        UnreadableFile
-            If the file is missing, corrupt, or not a linear complementarity problem.
-        UnsupportedModel
-            If a ``.nl`` file contains another model.
-        """
-        from ..interfaces.program_files import load_lcp
-
-        return load_lcp(path)
 
     __repr__ = describe_lcp
 

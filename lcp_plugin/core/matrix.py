@@ -356,8 +356,6 @@ class IterationFacts:
     sweep : {"forward", "backward", "symmetric"}
     scaling : array, shape (n,), or None
         The diagonal of S of the projected-type families.
-    is_scaled : bool
-        Whether S was chosen, so that the paper's theorems are not about M itself.
     omega : array, shape (n,), or None
         The diagonal of Ω of the modulus family.
     splitting : sparse array, shape (n, n), or None
@@ -371,7 +369,6 @@ class IterationFacts:
     acceleration: float | None = 1.0
     sweep: str = "forward"
     scaling: Vector | None = field(default=None, repr=False)
-    is_scaled: bool = False
     omega: Vector | None = field(default=None, repr=False)
     splitting: Any = field(default=None, repr=False)
     is_part_of_matrix: bool = False

@@ -58,7 +58,7 @@ def listed(names: Iterable[str], most: int = 4, between: str = ", ") -> str:
 
 
 def remark_on_labels(text: str) -> str:
-    """Return the line on how to name constraints that a text names by their numbers, or ""."""
+    """Return the call that gives names to constraints, if a text has numbers of constraints; otherwise ""."""
     is_needed = re.search(rf"\b{UNLABELED} \d+ \(", text) is not None
     return "to name a constraint write constraint.set_label('market')" if is_needed else ""
 

@@ -52,6 +52,8 @@ from .algorithm import (
 )
 from .checks import Vector
 from .errors import InvalidOption, UnsuitableMatrix
+from .kernels import splitting_sweeps as kernels
+from .kernels.splitting_sweeps import extrapolate, relaxation_sweep, splitting_sweep
 from .lcp import LCP
 from .matrix import (
     PROJECTED_RELAXATION,
@@ -186,8 +188,6 @@ def extrapolations(
     Nesterov, *A method of solving a convex programming problem with convergence rate O(1/k²)*, Soviet Mathematics
     Doklady 27, 1983. O'Donoghue, Candès 2015, doi:10.1007/s10208-013-9150-3.
     """
-    from .kernels.splitting_sweeps import extrapolate
-
     start, before, spare, y = z.copy(), z.copy(), np.empty_like(z), z
     t, last, least = 1.0, math.inf, math.inf
     plain, wait, length = 1, 0, 0
@@ -272,8 +272,6 @@ class ScaledByRows(Algorithm):
 
     def finish(self, problem: LCP, z: Vector) -> Vector:
         """Return z after one projected Gauss–Seidel sweep, which puts active components at their bounds."""
-        from .kernels.splitting_sweeps import relaxation_sweep
-
         M, split, cleaned = problem.matrix.csr, row_splits(problem.matrix, False), z.copy()
         inverse_scale = inverse_residual_scale(problem.matrix)
         rows = np.column_stack([problem.q, problem.lower, problem.upper, inverse_scale])
@@ -314,8 +312,6 @@ class ProjectedType(ScaledByRows, Splitting):
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z₀, z₁, …; each with its residual, which the pass to the next iterate measures anyway."""
-        from .kernels.splitting_sweeps import splitting_sweep
-
         alpha, beta = self.weights()
         step = self.row_scaling(problem)
         pivot = self._inverse_pivot(problem, step * problem.matrix.diagonal, alpha)
@@ -341,7 +337,6 @@ class ProjectedType(ScaledByRows, Splitting):
             acceleration=beta,
             sweep=self.sweep,
             scaling=step,
-            is_scaled=self.scaling is not None,
         )
 
     def automatic_factors(self, problem: LCP) -> Vector:
@@ -500,8 +495,6 @@ class _InPlace(_Relaxation):
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z₀, z₁, …, all in the same array; the increment shows when a residual is worth measuring."""
-        from .kernels import splitting_sweeps as kernels
-
         matrix, M = problem.matrix, problem.matrix.csr
         pivots = require_positive_diagonal(problem, self.name)
         rows = np.column_stack([problem.q, problem.lower, problem.upper, 1.0 / pivots])
@@ -580,8 +573,6 @@ class _Simultaneous(_Relaxation):
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z₀, z₁, …, each with its residual."""
-        from .kernels.splitting_sweeps import splitting_sweep
-
         omega, beta = self.weights()
         step = omega / require_positive_diagonal(problem, self.name)
         inverse_scale, ones = inverse_residual_scale(problem.matrix), np.ones(problem.n)

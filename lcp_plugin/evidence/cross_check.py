@@ -28,7 +28,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..api import solve
 from ..core.certificates.criterion import row_data, scaled_residual
 from ..core.certificates.residuals import Certificate
 from ..core.checks import Vector
@@ -38,11 +37,12 @@ from ..core.lcp import LCP
 from ..core.matrix import scale_by
 from ..core.problem_classes import refusal
 from ..core.settings import Status
-from ..core.solving.result import Result
 from ..engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from ..methods.interior_point import MonotoneProgram, signs_of
 from ..methods.newton import classify, solve_active_set
 from ..problems.programs.program import asymmetry_of
+from ..solving.dispatch import solve
+from ..solving.result import Result
 from ..systems.definiteness import factorised, symmetric_part
 
 Verdict = Literal["agree", "mismatch", "not comparable"]

@@ -17,11 +17,11 @@ import numpy as np
 
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, LCPError, UnsuitableProblem
+from ..core.files import write_whole
 from ..core.representation import format_count
-from ..core.solving.result import BaseResult, Result
 from ..gallery.scene import Scene
-from ..interfaces.files import write_whole
 from ..problems.cones.frictional_contact import FrictionalContact
+from ..solving.result import BaseResult, Result
 from .free_boundary import contact_level
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ from ..core.checks import Vector
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows
-from ..core.solving.result import Result
+from ..solving.result import Result
 
 FAR = 1.5  # the level of a node that no bound is near to
 

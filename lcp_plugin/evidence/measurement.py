@@ -14,16 +14,17 @@ from typing import Any
 import numpy as np
 
 from ..algorithms import create, paper_options
-from ..api import solve
-from ..auto import method_of
 from ..core.algorithm import Algorithm
 from ..core.certificates.residuals import Certificate
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.settings import Status
-from ..core.solving.result import Result, Sample
 from ..gallery.scene import Scene
+from ..proofs.bounds import error_bound
+from ..solving.choice import method_of
+from ..solving.dispatch import solve
+from ..solving.result import Result, Sample
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 POINT = ("iteration", "work", "seconds", "seconds_low", "seconds_high", "error", "residual")
@@ -235,8 +236,6 @@ def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
 def _error_bound(
     problem: LCP, start: Vector | None, max_seconds: float
 ) -> tuple[Callable[[Vector], float] | None, str]:
-    from ..proofs.bounds import error_bound
-
     try:
         error_bound(problem, problem.nearest_to_zero, sharp=False)
     except UnsuitableMatrix as failure:

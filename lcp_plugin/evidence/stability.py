@@ -19,14 +19,13 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from ..algorithms import REGISTRY
-from ..api import solve
 from ..core.algorithm import Algorithm
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, did_you_mean
+from ..core.files import checked_path, write_whole
 from ..core.lcp import LCP
 from ..core.matrix import scale_by
-from ..gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
-from ..interfaces.files import checked_path, write_whole
+from ..gallery.problems import balanced_matrix, stencil_matrix, stiff_cells, upwind
 from ..proofs.exact import (
     exact_power_of_two,
     exact_slack,
@@ -34,6 +33,7 @@ from ..proofs.exact import (
     rational_rows,
     solved_nearby,
 )
+from ..solving.dispatch import solve
 from ..systems.equilibration import equilibrating_exponents
 from .measurement import Method, methods_of
 from .study import csv_text

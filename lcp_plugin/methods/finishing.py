@@ -2,7 +2,7 @@
 
 A linear solve or a cycle leaves errors of 10⁻¹⁶ of the largest unknown everywhere. Next to the terms of a row in the
 far field, or of a row without load, such an error is large. The stopping criterion tolerates none, so these rows are
-solved again, with their neighbors, from a point whose residual is within the tolerance already.
+solved again, then with all rows of their size, from a point whose residual is within the tolerance already.
 """
 
 from __future__ import annotations
@@ -18,8 +18,11 @@ from ..core.matrix import Matrix
 from ..systems.factors import factor_operations
 from ..systems.free_systems import FreeSystem
 
-ROUNDS = 9  # of linear solves; before each one twice as many layers of neighbors join the rows
-MOST_PASSES = 50.0  # over M, which a factorization may take
+ROUNDS = (
+    5  # of linear solves: of all rows as small as the failing ones, then of rows that are larger by
+)
+GROWTH = 2.0**8  # in each round
+MOST_PASSES = 500.0  # over M, which a factorization may take
 
 
 def measure_finished(
@@ -61,17 +64,21 @@ def _finished(
     if again.passes:
         return again
     matrix, again, joined = Matrix(data.M), found, np.zeros(z.shape, np.bool_)
-    most = MOST_PASSES * matrix.nonzeros
+    most, system = MOST_PASSES * matrix.nonzeros, None
     for k in range(ROUNDS):
-        joined |= again.by_row.terms > tolerance
-        for _ in range(2**k if k else 0):
-            joined |= times(data.absolute, joined.astype(np.float64)) > 0.0
+        fails, sizes = again.by_row.terms > tolerance, again.rows.terms / data.scale
+        before = joined
+        joined = joined | (sizes <= GROWTH**k * data.largest(fails * sizes))
+        if k and (joined == before).all():
+            break
         for _ in range(2):
             w = times(data.M, z) + data.q
             is_held = ((z <= lower) & (w > 0.0)) | ((z >= upper) & (w < 0.0))
-            system = FreeSystem(matrix, joined & ~is_held, by_factor=True)
-            if factor_operations(system.principal, most) > most:
-                return found
+            free = joined & ~is_held
+            if system is None or not np.array_equal(free, system.free):
+                system = FreeSystem(matrix, free, by_factor=True)
+                if factor_operations(system.principal, most) > most:
+                    return found
             step = system.solve_near(-w, 0.0 * z)
             if step is None:
                 return found
@@ -79,6 +86,6 @@ def _finished(
         again = data.measure_at(z, None, tolerance, power, absolute)
         if again.passes:
             return again
-        if not again.residual <= tolerance or joined.all():
+        if not again.residual <= tolerance:
             break
     return found

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from ..core.algorithm import Step, check_positive, require_positive_diagonal
 from ..core.checks import Vector, is_number, vector_option
 from ..core.errors import InvalidOption, UnsuitableProblem
+from ..core.kernels.splitting_sweeps import modulus_sweep
 from ..core.lcp import LCP
 from ..core.matrix import MODULUS, IterationFacts, inverse_residual_scale
 from ..core.splittings import Splitting
@@ -74,8 +75,6 @@ class ModulusBased(Splitting):
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield z = lower + max(x, 0) of x₀, x₁, …, each with its residual."""
-        from ..core.kernels.splitting_sweeps import modulus_sweep
-
         _require_lower_bounds_only(problem, self.name)
         diagonal = require_positive_diagonal(problem, self.name)
         weights = self.weights()

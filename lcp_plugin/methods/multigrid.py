@@ -448,10 +448,7 @@ class MultigridRun:
         """Yield cycles from z; after failures return to the accepted iterate, at first `start` of residual `begun`."""
         self.truncation.start_at(0)
         fine, guard = self.problems[0], Safeguard(self.problem, self.is_symmetric, start, begun)
-        may_nest = self.algorithm.nested and len(self.hierarchy.grids) > 1
-        # The residual and the changed rows of the last cycle; cycles in a row in which the free set moves layer by
-        # layer; the residual at a nested start one cycle ago
-        before, changed_before, crept, nested_at = np.inf, 0.0, 0, np.inf
+        before = np.inf  # the residual of the last cycle
         while True:
             fine.sweep(z, backward=False)
             largest, changed = self._look(0, z)
@@ -469,15 +466,8 @@ class MultigridRun:
                 continue
             # Krylov steps pay from this contraction on.
             is_slow = largest > 0.1 * before
-            # Nearly as many rows change sides as a cycle ago: the free set moves layer by layer.
-            crept = crept + 1 if changed > 0.6 * changed_before else 0
-            may_nest = may_nest and largest <= GAINED * nested_at
-            before, changed_before, nested_at = largest, changed, np.inf
-            if is_slow and changed and crept > 2 and may_nest:
-                self._nested_start(z, is_cold=False)
-                self.truncation.start_at(0)
-                changed_before, crept, nested_at = self.size, 0, largest
-            elif is_slow and changed <= max(SETTLED * self.size, 1):
+            before = largest
+            if is_slow and changed <= max(SETTLED * self.size, 1):
                 yield from self._krylov(z, is_settled=not changed)
             else:
                 self._correct(0, z)

@@ -147,11 +147,7 @@ class NewtonState:
 
     Attributes
     ----------
-    best_z : ndarray, shape (n,)
-        The best so far; it may be outside the bounds.
-    best : float
-        ‖r(best_z)‖∞, the numerator of the relative residual.
-    inside_z, inside : ndarray, shape (n,), and float
+    best_z, best : ndarray, shape (n,), and float
         The best of the iterates projected onto the bounds, and its ‖r‖∞: the data of a step.
     """
 
@@ -160,25 +156,21 @@ class NewtonState:
         self.scale = problem.residual_scale
         self.entries = max(problem.nonzeros, 1)
         self.work = 0.0
-        self.best = self.inside = math.inf
-        self.best_z = self.inside_z = z
+        self.best, self.best_z = math.inf, z
         self._solved: set[bytes] = set()
         self._system: FreeSystem | None = None
         self.move(z)
 
     def move(self, z: Vector) -> None:
-        """Move to z; store z or its projection if the residual is the best so far."""
+        """Move to z; store its projection if the residual is the best so far."""
         self.z, self.w = z, self.slack(z)
         self.residual: Vector = np.abs(scaled_residual(self.problem, z, self.w))
-        size = float(np.max(self.residual, initial=0.0))
-        if size < self.best or not self._solved:
-            self.best, self.best_z = size, z
-        inside = np.clip(z, self.problem.lower, self.problem.upper)
+        inside, residual = np.clip(z, self.problem.lower, self.problem.upper), self.residual
         if not np.array_equal(inside, z):
             residual = np.abs(scaled_residual(self.problem, inside, self.slack(inside)))
-            size = float(np.max(residual, initial=0.0))
-        if size < self.inside or not self._solved:
-            self.inside, self.inside_z = size, inside
+        size = float(np.max(residual, initial=0.0))
+        if size < self.best or not self._solved:
+            self.best, self.best_z = size, inside
 
     @property
     def is_large(self) -> bool:
@@ -194,7 +186,7 @@ class NewtonState:
     def step(self) -> Step:
         """Return the best iterate as a step, with the work since the last step."""
         work, self.work = self.work, 0.0
-        return Step(self.inside_z, self.inside, work=work)
+        return Step(self.best_z, self.best, work=work)
 
     def is_known(self, at_lower: BoolVector, at_upper: BoolVector) -> bool:
         """Return whether this active set has been solved before."""
@@ -272,8 +264,8 @@ class Newton(Algorithm):
         if problem.n == 0 or (yield from rounds(state)) or not is_elsewhere:
             return
         again = NewtonState(problem, problem.nearest_to_zero)
-        if state.inside < again.inside:
-            again.inside, again.inside_z = state.inside, state.inside_z
+        if state.best < again.best:
+            again.best, again.best_z = state.best, state.best_z
         yield from rounds(again)
 
 
@@ -375,7 +367,7 @@ def _phi(a: Vector, b: Vector) -> tuple[Vector, Vector, Vector]:
 
 def damped_steps(state: NewtonState) -> Iterator[Step]:
     """Yield steps of a line search that reduce ‖Φ‖; end if ‖Φ‖ stagnates."""
-    state.move(np.clip(state.best_z, state.problem.lower, state.problem.upper))
+    state.move(state.best_z)
     phi = fischer_burmeister(state.problem, state.z, state.w)
     recent, lowest, since = [phi.norm], phi.norm, 0
     # Steps without a fall of ‖Φ‖ by 1 %; by 30 % on large problems.

@@ -91,7 +91,6 @@ class NPSplitting(ScaledByRows):
             family=PROJECTED_SPLITTING,
             has_momentum=self.momentum is not None,
             scaling=self.row_scaling(problem),
-            is_scaled=self.scaling is not None,
             splitting=splitting,
             is_part_of_matrix=isinstance(self.splitting, str),
         )

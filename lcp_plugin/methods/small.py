@@ -30,6 +30,7 @@ from ..core.certificates.criterion import RowData, row_data, times
 from ..core.certificates.measured import Measured
 from ..core.checks import BoolVector, Vector, read_only
 from ..core.kernels.floats import FREE, HIGH, LOW, PERTURBED, SMALLEST, SMALLEST_PIVOT
+from ..core.kernels.small_lcps import LOST, bound_residuals, follow_paths, solve_active_sets
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, residual_scales
 from .finishing import measure_finished
@@ -183,8 +184,6 @@ def _solve_in_loop(
     A start names an active set, from which active-set iterations begin; a path follows if they end at no solution. The
     criterion measures the points on which the sufficient test does not decide.
     """
-    from ..core.kernels.small_lcps import bound_residuals
-
     arrays = M, q, lower, upper, np.clip(0.0, lower, upper)
     z, items = np.array(arrays[4] if starts is None else starts), np.arange(len(q))
     residual = np.full(len(q), np.inf)
@@ -222,8 +221,6 @@ def _select(arrays: Any, items: Any) -> list[Any]:
 
 def _ends_of_paths(M: Vector, q: Vector, lower: Vector, upper: Vector) -> Any:
     """Return the active sets at the ends of Lemke's paths; unknowns free on both sides are eliminated before."""
-    from ..core.kernels.small_lcps import LOST, follow_paths
-
     n, sides = q.shape[1], np.full(q.shape, FREE)
     free = (lower == -np.inf) & (upper == np.inf)
     if not free.any():
@@ -274,8 +271,6 @@ def active_set_points(
         return np.array(
             [solve_active_set(M[0], *one) for one in zip(q, lower, upper, sides, strict=True)]
         )
-    from ..core.kernels.small_lcps import solve_active_sets
-
     (count, n), z = q.shape, np.empty(q.shape)
     data = _select((M, q, lower, upper, sides), np.arange(count))
     solve_active_sets(*data, np.empty((n, n + 1)), np.empty(n, np.int64), z)

@@ -33,7 +33,7 @@ from ..core.checks import replace_huge_bounds_by_inf
 from ..core.errors import UnsupportedModel
 from ..core.names import UNLABELED, listed
 from ..expressions.rows import uniform
-from ..expressions.statement import STATUS_ELSEWHERE
+from ..problems.statement import STATUS_ELSEWHERE
 
 LONGEST_NAME = 80
 NUMBERS = re.compile(

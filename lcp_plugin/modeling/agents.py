@@ -20,6 +20,7 @@ from ..problems.programs.program import QuadraticProgram
 from . import _compat as atoms
 from ._compat import EQUATIONS, INEQUALITIES, dense_value, expression_of, name_of, sense_of
 from .agent_conditions import AgentProgram, StandardRows, with_data
+from .best_equilibrium import possible_gain
 from .constraint import Condition
 from .model import Model, warn
 from .reading import Reader, restricting_attribute, rewritten
@@ -211,8 +212,6 @@ class Optimal(Condition):
             raise ValueError(
                 "cannot compute the gap of an agent whose variables have no values; solve the problem first"
             )
-        from .best_equilibrium import possible_gain  # with the classes of programs
-
         return possible_gain(self)
 
     def describe_gap(self) -> str:

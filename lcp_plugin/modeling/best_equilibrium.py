@@ -18,11 +18,11 @@ from cvxpy.constraints import NonNeg
 from cvxpy.error import SolverError
 from cvxpy.problems.problem import SolverStats
 
-from ..api import solve
 from ..core.errors import UnsupportedModel
 from ..core.settings import Status
 from ..expressions.rows import Indices, Program
 from ..problems.equilibria.equilibrium_program import EquilibriumProgram
+from ..solving.dispatch import solve
 from . import _compat as compat
 from .agent_conditions import StandardRows, joined, value_in_domain, violated_domain, with_data
 from .constraint import Complements, complements

@@ -25,10 +25,10 @@ from ..core.checks import Vector
 from ..core.errors import ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..expressions.rows import Indices, Rows, as_matrix, is_definition
-from ..expressions.statement import SquareModel, StatedRows, Statement
 from ..problems.cones.data import Blocks, ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.nonlinear.data import NonlinearProblem
+from ..problems.statement import SquareModel, StatedRows, Statement
 from . import _compat as compat
 from .reading import Reader, rewritten
 

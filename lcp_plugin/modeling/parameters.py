@@ -23,13 +23,14 @@ from scipy.sparse.linalg import splu
 from ..core.checks import Vector, derived_property
 from ..core.errors import InvalidOption, UnsuitableProblem, UnsupportedModel
 from ..core.lcp import LCP
-from ..core.solving.result import Result
 from ..expressions.rows import Program
 from ..problems.cones.data import Blocks
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.parametric.path import Path
 from ..problems.parametric.tracing import trace_stated
 from ..problems.programs.program import QuadraticProgram
+from ..problems.sensitivity import derivative
+from ..solving.result import Result
 from . import _compat
 from ._compat import dense, leaf_value, name_of
 from .model import Model, spans_of, with_values
@@ -235,8 +236,6 @@ class ModelDerivative:
     @derived_property
     def _at(self) -> Any:  # a Derivative, or a ConeDerivative
         # with compiled kernels, which a model alone does not need
-        from ..problems.sensitivity import derivative
-
         return derivative(self._result)
 
     @derived_property

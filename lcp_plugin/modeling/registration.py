@@ -13,8 +13,8 @@ from cvxpy.error import SolverError
 
 from ..core.errors import InvalidProblem, ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
-from ..expressions.statement import MissingPair, solve_from
 from ..problems.programs.certification import Certification, certify_point, with_side_conditions
+from ..problems.statement import MissingPair, solve_from
 from ._compat import CVXPY_STATUS, EQUATIONS, name_of, refusal, solver_errors
 from .agents import without_agents
 from .best_equilibrium import solve_for_the_best
@@ -89,13 +89,29 @@ def build_from(problem: Any) -> Model:
 
 
 def lcp_stated_by(problem: Any) -> LCP:
-    """Return the LCP of a cvxpy problem, with the model as its origin."""
+    """Return the LCP that a cvxpy problem of complementarities states; its ``origin`` leads back to variables.
+
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+        Model that consists of :func:`lcp_plugin.complements` and equalities.
+
+    Raises
+    ------
+    UnsupportedModel
+        If it states another problem.
+    """
     model = build_from(problem)
     return model.lcp("LCP.from_cvxpy").with_origin(model)
 
 
 def stated_in_cvxpy(problem: LCP) -> Any:
-    """Return the cvxpy problem in one variable z that states an LCP."""
+    """Return the cvxpy problem in one variable z that states an LCP.
+
+    Parameters
+    ----------
+    problem : LCP
+    """
     if problem.n == 0:  # cvxpy 1.8 has no empty variables
         return cp.Problem(cp.Minimize(0))
     z = cp.Variable(problem.n, name="z")
@@ -127,8 +143,8 @@ def solve_model(
     solver : None
         Must be None; it exists because cvxpy passes it.
     **options
-        Options of :func:`lcp_plugin.solve` and of the algorithm. The options enforce_dpp, ignore_dpp, canon_backend
-        and bibtex of cvxpy have no effect on a complementarity problem, because cvxpy does not compile it.
+        Options of :func:`lcp_plugin.solve` and of the algorithm; also cvxpy's enforce_dpp, ignore_dpp, canon_backend
+        and bibtex, which have no effect on a complementarity problem, because cvxpy does not compile it.
 
     Returns
     -------
@@ -171,7 +187,7 @@ def solve_model(
             return value
 
 
-def certify_model(problem: Any, tolerance: float) -> Certification:
+def certify_model(problem: Any, tolerance: float, _pairs: Any = None) -> Certification:
     """Return the proved facts about the values of a cvxpy problem, with or without complementarities."""
     if not is_complementarity_problem(problem):
         return certify_problem(problem, tolerance)

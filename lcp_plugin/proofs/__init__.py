@@ -1,7 +1,7 @@
 """Proofs about a matrix, a method and a solution, from only the caller's data.
 
 >>> from lcp_plugin import LCP, analyze, error_bound, solve
->>> from lcp_plugin.proofs.guarantees import convergence_guarantee
+>>> from lcp_plugin import convergence_guarantee
 >>> problem = LCP([[4, -1, 0], [-1, 4, -1], [0, -1, 4]], [-3, 5, -1])
 >>> print(analyze(problem).is_h_plus)  # print(analyze(problem)) shows every verdict with its evidence
 True

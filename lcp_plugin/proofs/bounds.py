@@ -60,7 +60,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from scipy.sparse import csgraph
 
 from ..core.certificates.criterion import row_data, scaled_residual
 from ..core.checks import BoolVector, Vector, checked_vector
@@ -757,12 +756,14 @@ def curvature(P: Any) -> Curvature:
     >>> curvature(np.array([[1.0, 2.0], [2.0, 1.0]])).evidence
     'P has a negative eigenvalue'
     """
+    from scipy.sparse.csgraph import connected_components  # slow to import
+
     rows = sp.csr_array(P)
     weights = np.array(rows.diagonal())
     if (weights < 0.0).any():
         i = int(weights.argmin())
         return Curvature(np.full(weights.size, -np.inf), f"P[{i}, {i}] = {weights[i]:g}")
-    count, labels = csgraph.connected_components(rows, directed=False)
+    count, labels = connected_components(rows, directed=False)
     for block in block_rows(labels, count):
         found: Any = -np.inf
         if block.size == 1:

@@ -1,7 +1,7 @@
 """Farkas certificates of inconsistent linear constraints: a linear program finds them, then they are repaired.
 
-The multipliers of HiGHS are not a proof. They are projected to the required signs, rounded to few digits, and solved
-for in rational arithmetic; the caller decides which of these vectors is a proof, and with which margin.
+The multipliers of HiGHS are not a proof. They are projected to the required signs and solved for in
+rational arithmetic; the caller decides which of these vectors is a proof, and with which margin.
 
 Linear constraints, and certificates of their inconsistency.
 
@@ -253,7 +253,7 @@ def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
 
 
 NEGLIGIBLE = 1e-12
-TIGHT = (1e-9, 1e-7)
+TIGHT = 1e-7  # of its terms: a smaller sum of a linear program is 0
 LP_TOLERANCE = 1e-9
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
 # times the unit: sizes that a linear program distinguishes from ∞ and from 0
@@ -371,30 +371,27 @@ class FarkasProgram:
         return self._polished(y / (np.abs(y).max(initial=0.0) or 1.0))
 
     def _tried(self, answer: Any) -> Iterator[Multipliers]:
-        """Yield vectors near the answer, then near others that leave slack: in all one-sided bounds, then in each."""
+        """Yield vectors near the answer, then near another that leaves slack."""
         yield from self.candidates(self.vector(answer.x))
-        is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
-        shares = np.append(np.zeros(self.rows.size), is_open)[self.place]
-        own = sp.eye_array(self.cost.size, format="csr")
-        for slacks in (sp.csr_array(shares[:, None]), own) if shares.any() else (own,):
-            moved = self._with_slack(answer, slacks)
-            if moved is not None:
-                yield from self.candidates(self.vector(moved))
+        if (moved := self._with_slack(answer)) is not None:
+            yield from self.candidates(self.vector(moved))
 
-    def _with_slack(self, answer: Any, slacks: sp.csr_array) -> Vector | None:
-        """Return v ≥ slacks · t that keeps about half of the optimum, Σt as large as can be; None if that is nothing.
+    def _with_slack(self, answer: Any) -> Vector | None:
+        """Return v ≥ t that keeps about half of the optimum, t as large as can be; None if that is nothing.
 
         A vertex has as few positive multipliers as it can: if the coefficients carry rounding errors, those may
-        vanish only together, and proofs with rounding margins require slack in all inequalities.
+        vanish only together, and proofs with rounding margins require slack: in all one-sided bounds, or everywhere.
         """
-        size, count = slacks.shape
-        both = sp.hstack([sp.eye_array(size), slacks], format="csc")  # v = the rest + slacks · t
-        largest = 0.1 * size / (count * self.norm.sum())
+        is_open = np.isinf(self.constraints.lower) != np.isinf(self.constraints.upper)
+        shares = np.append(np.zeros(self.rows.size), is_open)[self.place]
+        shares = shares if shares.any() else np.ones(shares.size)
+        size, largest = shares.size, 0.1 * shares.size / self.norm.sum()
+        both = sp.hstack([sp.eye_array(size), sp.csc_array(shares[:, None])], format="csc")
         result = linear_program(
-            np.repeat([0.0, -1.0], [size, count]),
+            np.append(np.zeros(size), -1.0),
             self.equations @ both,
             0.0,
-            np.repeat([[0.0, np.inf], [0.0, largest]], [size, count], axis=0),
+            np.repeat([[0.0, np.inf], [0.0, largest]], [size, 1], axis=0),
             (np.stack([self.norm, self.cost]) @ both, [1.0, KEPT * answer.fun]),
             self.pivots,
         )
@@ -403,7 +400,7 @@ class FarkasProgram:
     def candidates(self, y: Vector) -> Iterator[Multipliers]:
         """Yield vectors near a y in the scale of the program that may be Farkas vectors of the constraints themselves.
 
-        First with corrected signs and without negligible entries, then rounded to few digits, then from a linear solve.
+        First with corrected signs and without negligible entries, then rounded, then from an exact and a rounded solve.
         """
         y = np.where(np.abs(y) <= 1e-14 * np.abs(y).max(initial=0.0), 0.0, y)
         asked = self.constraints
@@ -415,18 +412,11 @@ class FarkasProgram:
         y = y / np.abs(y).max()
         unscaled = y * self.rows
         yield unscaled / np.abs(unscaled).max()
-        kept = np.flatnonzero(np.abs(y) > NEGLIGIBLE).tolist()
-        for base in dict.fromkeys((1.0, float(np.abs(y[kept]).min()))):
-            for denominator in (1, 100, 100_000):  # multipliers of stated models are short
-                near = {
-                    i: Fraction(float(y[i]) / base).limit_denominator(denominator) for i in kept
-                }
-                if any(near.values()):
-                    yield self._unscaled(near)
-        for tight in TIGHT:
-            repaired = self._repaired(y, tight)
-            if repaired is not None:
-                yield self._unscaled(repaired)
+        # Multipliers of stated models are often whole numbers.
+        for unit in (1.0, np.abs(y[np.abs(y) > NEGLIGIBLE]).min()):
+            yield np.rint(y / unit) * self.rows
+        if (repaired := self._repaired(y)) is not None:
+            yield repaired
         yield self._polished(y)
 
     def _polished(self, y: Vector) -> Vector:
@@ -434,7 +424,7 @@ class FarkasProgram:
 
         Dependent equalities become independent by rounding: singular values at rounding level count as 0.
         """
-        support, tight = self._tight(y, TIGHT[-1])
+        support, tight = self._tight(y)
         if support.size * tight.size <= 1_000_000:  # entries; .1 s
             rows = self.matrix.T.tocsr()[tight][:, support].toarray()
             for _ in range(2):  # the second removes the rounding of the first
@@ -442,30 +432,28 @@ class FarkasProgram:
                 y[support] -= np.linalg.lstsq(rows, rows @ y[support], rcond=NEGLIGIBLE)[0]
         return y * self.rows
 
-    def _unscaled(self, entries: dict[int, Fraction]) -> list[Fraction]:
-        y = [ZERO] * self.rows.size
-        for i, value in entries.items():
-            y[i] = value * Fraction(float(self.rows[i]))
-        return y
-
-    def _repaired(self, y: Vector, tight: float) -> dict[int, Fraction] | None:
+    def _repaired(self, y: Vector) -> list[Fraction] | None:
         """Return a vector near y that satisfies exactly the (in)equalities which y satisfies without slack."""
-        support, equalities = self._tight(y, tight)
+        support, equalities = self._tight(y)
         if min(support.size, equalities.size) > MOST_UNKNOWNS:
             return None
         columns = rational_rows(self.matrix.T.tocsr()[equalities][:, support])
         # Any nearby value will do: short ones keep the exact solve short.
-        exact = solved_nearby(
-            columns, [ZERO] * len(columns), short(y[support], 1 << 50), [True] * support.size
-        )
-        return None if exact is None else dict(zip(support.tolist(), exact, strict=True))
+        near = short(y[support], 1 << 50)
+        exact = solved_nearby(columns, [ZERO] * len(columns), near, [True] * support.size)
+        if exact is None:
+            return None
+        unscaled = [ZERO] * self.rows.size
+        for i, value in zip(support.tolist(), exact, strict=True):
+            unscaled[i] = value * Fraction(float(self.rows[i]))
+        return unscaled
 
-    def _tight(self, y: Vector, tight: float) -> tuple[Any, Any]:
+    def _tight(self, y: Vector) -> tuple[Any, Any]:
         """Return the indices of nonzero y, and the open columns at which Mᵀy has no slack."""
         size = abs(self.matrix).T @ np.abs(y)
         is_unbounded = np.isinf(self.constraints.lower) | np.isinf(self.constraints.upper)
-        is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= tight * size) & (size > 0.0)
-        return np.flatnonzero(np.abs(y) > tight), np.flatnonzero(is_tight)
+        is_tight = is_unbounded & (np.abs(self.matrix.T @ y) <= TIGHT * size) & (size > 0.0)
+        return np.flatnonzero(np.abs(y) > TIGHT), np.flatnonzero(is_tight)
 
 
 def best_proof(

@@ -51,8 +51,7 @@ iteration matrix itself may be less. The radius is a float, not a proof; the pro
 from __future__ import annotations
 
 import math
-from collections.abc import Container
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -61,7 +60,7 @@ import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm
 from ..core.checks import Vector, read_only
-from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..core.errors import UnsuitableMatrix, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, TINY
 from ..core.lcp import LCP
 from ..core.matrix import (
@@ -76,8 +75,6 @@ from ..core.matrix import (
     triangle_sums,
     unit_triangle_sums,
 )
-from ..core.problem_classes import refusal
-from ..systems.comparison import jacobi_radius, nonnegative_radius
 from .verdicts import analyze, comparison_certificate, h_plus
 
 NEGLIGIBLE = 1e-280  # below, products may have underflowed
@@ -264,7 +261,6 @@ def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
 
 
 PAPER = "Kumar, Deepmala, Das"
-PAPER_TITLE = "More on projected type iteration method and linear complementarity problem"
 CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
 BAI = "Bai 2010, doi:10.1002/nla.680"
 LEVITIN = "Levitin, Polyak 1966, doi:10.1016/0041-5553(66)90114-5"
@@ -298,8 +294,6 @@ class Guarantee:
         The weights of that norm, positive.
     remedy : str
         Remedy if convergence is not guaranteed.
-    paper : str
-        Verdict of the paper's original Theorem 4.2, for its methods without row scaling.
     speaks_of : {"z", "x"}
         The rate of a modulus method is one of its x, z = lower + max(x, 0):
         ‖z_k − z*‖_v ≤ cᵏ ‖x_0 − x*‖_v with x* = z* − lower − Ω⁻¹w*.
@@ -312,7 +306,6 @@ class Guarantee:
     rate: float | None = None
     v: Vector | None = field(default=None, repr=False)
     remedy: str = ""
-    paper: str = ""
     speaks_of: str = "z"
     facts: IterationFacts | None = field(default=None, repr=False)
     problem: LCP | None = field(default=None, repr=False)
@@ -334,15 +327,6 @@ class Guarantee:
             return None
         return float(np.abs(np.linalg.eigvals(T)).max(initial=0.0))
 
-    @cached_property
-    def jacobi_radius(self) -> float | None:
-        """ρ(|J|), J = D⁻¹(L + U); below 1 only on H₊-matrices, ∞ if a diagonal entry is 0."""
-        if (problem := self.problem) is None or not problem.diagonal.all():
-            return None if problem is None else np.inf
-        unit = abs(sp.diags_array(1.0 / problem.diagonal) @ problem.csr)
-        unit.setdiag(0.0)
-        return float(np.mean(nonnegative_radius(sp.csr_array(unit))))
-
     @property
     def is_guaranteed(self) -> bool:
         """True if convergence is proven."""
@@ -354,7 +338,7 @@ class Guarantee:
         speed += f" of {self.speaks_of}" * bool(speed and self.speaks_of != "z")
         remedy = self.remedy and f"remedy: {self.remedy}"
         first = f"{self.verdict}: {self.theorem}{speed}"
-        return "\n".join(filter(None, (first, remedy, self.paper)))
+        return "\n".join(filter(None, (first, remedy)))
 
 
 def _rounded_up(rate: float) -> str:
@@ -381,29 +365,6 @@ def theorem_of(facts: IterationFacts) -> str:
     if facts.family == PROJECTED_SPLITTING:
         return f"θ t < 1 and ℓ + u < 1 (Theorem 4.1 of {PAPER}, row by row)"
     return f"θ(ℓ + u) < min(θ, θ/α + 2) and (β/α)θℓ < 1 (Theorem 4.2 of {PAPER}, row by row in one form for all D)"
-
-
-def theorem_4_2(facts: IterationFacts, problem: LCP) -> str:
-    """Return whether the paper's original Theorem 4.2 covers the unscaled iteration, as a sentence with the reason."""
-    if not h_plus(problem.matrix).value:
-        return "not covered by the original Theorem 4.2 (M is not proven to be an H₊-matrix)"
-    lower, upper = jacobi_radius(problem.matrix)  # bounds of ρ(|L + U|)
-    (alpha, beta), diagonal = numbers(facts), problem.diagonal
-    is_close = upper - lower <= 0.004 * upper
-    number = f"= {(lower + upper) / 2.0:.3g}" if is_close else f"in {lower:.3g} … {upper:.3g}"
-    is_large, is_small = bool((diagonal >= 1.0).all()), bool((diagonal < 1.0).all())
-    case = 1 if is_large and upper < 1.0 else 2 if is_small else 0
-    reasons = [f"ρ|L+U| {number}"] if not case else []
-    if not (is_large or is_small):
-        reasons.append("neither D ≥ I nor D < I")
-    if not 0.0 <= beta <= alpha <= 1.0:
-        reasons.append("its splitting needs ⟨M⟩ = ⟨𝓜⟩ − |𝓝|, that is 0 ≤ β ≤ α ≤ 1")
-    if not reasons:
-        return f"covered by the original Theorem 4.2, case {case} (ρ|L+U| {number})"
-    return (
-        f"not covered by the original Theorem 4.2 ({'; '.join(reasons)}); covered after diagonal "
-        "scaling"
-    )
 
 
 def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, Vector] | None:
@@ -466,62 +427,8 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, Vector] 
 
 
 @np.errstate(all="ignore")
-def convergence_guarantee(
-    problem: LCP, algorithm: str | Algorithm = "auto", **options: Any
-) -> Guarantee:
-    """Return the convergence guarantee of an algorithm on this matrix, for all q and all starts.
-
-    Parameters
-    ----------
-    problem : LCP
-    algorithm : str or Algorithm
-        A registered name, "auto", or an object such as ``NPSOR(relaxation=1.5)``.
-    **options
-        Options of the named algorithm.
-
-    Returns
-    -------
-    Guarantee
-        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy; `spectral_radius` and
-        `jacobi_radius` on first access.
-
-    Raises
-    ------
-    UnknownAlgorithm, InvalidOption
-        If the name or an option does not exist, or `problem` is not an LCP.
-
-    Notes
-    -----
-    Cost: some passes over M, a loose solve with its comparison matrix if dominance does not decide, and a
-    factorization if M is symmetric. Iterates are assumed exact, step sizes rounded as in a run. It holds for any q,
-    boxes and free rows included.
-
-    Examples
-    --------
-    >>> from lcp_plugin import LCP
-    >>> problem = LCP([[4, -1], [-1, 4]], [-3, 5])
-    >>> guarantee = convergence_guarantee(problem, "npsor", momentum=None)
-    >>> guarantee.verdict, round(guarantee.rate, 3)
-    ('guaranteed', 0.648)
-    >>> round(guarantee.spectral_radius, 3), round(guarantee.jacobi_radius, 3)
-    (0.599, 0.25)
-    """
-    if not isinstance(problem, LCP):
-        raise InvalidOption(refusal("convergence_guarantee", problem))
-    from ..auto import method_of
-    from ..methods.direct import last_resort
-
-    method = method_of(algorithm, options)
-    if method is not None:
-        return _of_one(problem, method)
-    # auto ends with this method, which runs to its end if the methods before it fail
-    last = _of_one(problem, method := last_resort(problem))
-    if not last.is_guaranteed:
-        return Guarantee(NOT_COVERED, last.theorem)
-    return Guarantee(GUARANTEED, f"after any other methods it runs {method.name}: {last.theorem}")
-
-
-def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
+def guarantee_of(problem: LCP, algorithm: Algorithm) -> Guarantee:
+    """Return the guarantee of an algorithm on the matrix of a problem; see `convergence_guarantee`."""
     if problem.n == 0:
         return Guarantee(GUARANTEED, "the problem has no rows")
     try:
@@ -534,23 +441,19 @@ def _of_one(problem: LCP, algorithm: Algorithm) -> Guarantee:
     if facts is None:
         about = f"no theorem here is about {algorithm.name} on such a problem"
         return Guarantee(NOT_COVERED, about)
-    options = {field.name for field in fields(algorithm)}
-    found = replace(_full(problem, facts, options), facts=facts, problem=problem)
+    found = replace(_full(problem, facts), facts=facts, problem=problem)
     if not (facts.has_momentum and found.is_guaranteed):
         return found
     return replace(found, theorem=MOMENTUM.format(found.theorem), rate=None, v=None)
 
 
-def _full(problem: LCP, facts: IterationFacts, options: Container[str]) -> Guarantee:
-    paper = ""
-    if facts.family == PROJECTED_TYPE and not facts.is_scaled:
-        paper = theorem_4_2(facts, problem)
+def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
     proof = _row_proof(problem, facts)
     if proof is not None:
         is_automatic = facts.relaxation is None and facts.family == PROJECTED_RELAXATION
         rate, v = (None, None) if is_automatic else proof
         speaks_of = "x" if facts.family == MODULUS else "z"
-        return Guarantee(GUARANTEED, theorem_of(facts), rate, v, paper=paper, speaks_of=speaks_of)
+        return Guarantee(GUARANTEED, theorem_of(facts), rate, v, speaks_of=speaks_of)
     if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_UP_TO:
         scaling: Any = 1.0 if facts.scaling is None else facts.scaling[:, None]
         splitting: Any = facts.splitting
@@ -561,8 +464,7 @@ def _full(problem: LCP, facts: IterationFacts, options: Container[str]) -> Guara
     theorem = _positive_definite(problem, facts)
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
-    remedy = _remedy(problem, facts, options)
-    return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=remedy, paper=paper)
+    return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=_remedy(problem))
 
 
 def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
@@ -618,17 +520,8 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
     return "M is not proven to be an H₊-matrix"
 
 
-def _remedy(problem: LCP, facts: IterationFacts, options: Container[str]) -> str:
-    """Return the change of these options, or of the algorithm, that gives a guarantee."""
-    if h_plus(problem.matrix).value:
-        if facts.family == PROJECTED_SPLITTING and not facts.is_part_of_matrix:
-            return 'splitting="lower" and scaling="auto"'
-        changes = {"relaxation": "relaxation ≤ 1", "omega": "omega=1.0"}
-        if facts.family not in (PROJECTED_RELAXATION, MODULUS):
-            changes = {"scaling": 'scaling="auto"'}
-        changes["acceleration"] = "0 ≤ acceleration ≤ relaxation"
-        words = " and ".join(text for name, text in changes.items() if name in options)
-        return words or 'algorithm="psor"'
-    if _is_positive_definite(problem):
-        return 'algorithm="psor": M is symmetric positive definite'
+def _remedy(problem: LCP) -> str:
+    """Return the algorithm that has a guarantee on this matrix, or the advice to use auto."""
+    if h_plus(problem.matrix).value or _is_positive_definite(problem):
+        return 'algorithm="psor" converges on this M'
     return 'no theorem covers this M; algorithm="auto" tries several methods'

@@ -35,7 +35,7 @@ from ..core.representation import describe_radius
 from ..core.settings import Status
 from .conflict import Conflict, find_conflict
 from .exact import ZERO, Rational, integer_matrix, rounded_down
-from .farkas import DECISIVE, WIDE, FarkasCertificate, LinearConstraints
+from .farkas import DECISIVE, WIDE, FarkasCertificate, FarkasProgram, LinearConstraints, best_proof
 
 # Relative to the terms of P d, averaged over its rows; to √(p_ii p_jj) |d_j| in each row. More is data (a weak spring).
 MEAN_ROUNDING, ROW_ROUNDING = 8.0 * EPSILON, 256.0 * EPSILON
@@ -416,8 +416,6 @@ def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infe
 
 def _by_linear_program(problem: LCP, effort: int) -> Infeasibility | None:
     """Return a proof by the multipliers of a linear program, in a scaling in which it detects the inconsistency."""
-    from .farkas import FarkasProgram, best_proof
-
     reference = reference_residual(problem)
     constraints = replace(piece_of(problem, {}), reference=reference)
     is_usual = 0.0 < reference < np.inf  # then the optimum is minus the largest margin

@@ -67,7 +67,7 @@ def moving(directions: Array) -> NDArray[np.intp]:
     return np.flatnonzero(size > CONSISTENT * size.max(initial=0.0))
 
 
-def _null_space(matrix: Array) -> Array:
+def _null_space(matrix: Array, tolerance: float = 0.0) -> Array:
     """Return a basis of {y: matrix · y = 0}, as columns."""
     columns = np.abs(matrix).max(axis=0, initial=0.0)
     unit = 1.0 / np.where(columns > 0.0, columns, 1.0)
@@ -77,7 +77,8 @@ def _null_space(matrix: Array) -> Array:
     if not scaled.size:
         return np.eye(matrix.shape[1])
     _, values, right = np.linalg.svd(scaled)
-    rank = int((values > ROUNDED * max(scaled.shape) * EPSILON * values[0]).sum())
+    least = max(ROUNDED * max(scaled.shape) * EPSILON, tolerance) * values[0]
+    rank = int((values > least).sum())
     basis = unit[:, np.newaxis] * right[rank:].T
     return np.asarray(basis / np.abs(basis).max(axis=0, initial=0.0))
 
@@ -86,6 +87,7 @@ def _span(cone: Array) -> Array:
     """Return a basis of the span of {y: cone · y ≥ 0}: a linear program finds the rows that are 0 in all of it."""
     size = np.abs(cone).max(axis=1, initial=0.0)
     cone = cone[size > CONSISTENT] / size[size > CONSISTENT, np.newaxis]
+    cone[np.abs(cone) <= CONSISTENT] = 0.0  # rounding of a computed basis
     m, k = cone.shape
     if not m:
         return np.eye(k)
@@ -95,4 +97,4 @@ def _span(cone: Array) -> Array:
     result = linear_program(cost, sp.csr_array((0, k + m)), 0.0, bounds, at_most)
     if result is None:
         return np.zeros((k, 0))
-    return _null_space(cone[result.x[k:] < HELD])
+    return _null_space(cone[result.x[k:] < HELD], CONSISTENT)

@@ -22,6 +22,7 @@ from ..core.deadline import enforced_seconds_left, require_seconds
 from ..core.matrix import Matrix, fact, largest_in_rows, row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
 from .equilibration import power_of_two
+from .minimum_degree import factor_sizes
 
 DENSE_ABOVE_DENSITY = 0.25
 BANDED_UP_TO = 64  # sub- plus superdiagonals up to which LAPACK's band is faster than SuperLU
@@ -233,8 +234,6 @@ def sparse_lu(matrix: Any, **options: Any) -> Any:
         if not np.diff(pattern.indptr).all() or structural_rank(pattern) < matrix.shape[0]:
             raise RuntimeError("no order of the rows puts a nonzero on each place of the diagonal")
     if enforced_seconds_left() < matrix.shape[0] ** 3 / SPARSE_OPERATIONS:
-        from .minimum_degree import factor_sizes
-
         require_seconds(factor_sizes(matrix, LARGEST_FILL, np.inf)[1] / SPARSE_OPERATIONS)
     return splu(matrix, **options)
 
@@ -272,8 +271,6 @@ def positive_factor(matrix: Any) -> PositiveFactor | None:
 
 def factor_fits(matrix: Any) -> bool:
     """Return whether a factorization of a CSR or CSC array ends in reasonable time, by the counts of its columns."""
-    from .minimum_degree import factor_sizes  # numba, which many a question does without
-
     # On few rows any fill is cheap.
     return (
         matrix.shape[0] <= 1_000
@@ -284,8 +281,6 @@ def factor_fits(matrix: Any) -> bool:
 @fact
 def sizes_of_factor(matrix: Matrix) -> tuple[float, float]:
     """Return the entries of L and the operations Σ count² of a factorization of M; ∞ and ∞ if it is too large."""
-    from .minimum_degree import factor_sizes
-
     return factor_sizes(matrix.csr, LARGEST_FILL, FACTOR_OPERATIONS_UP_TO)
 
 
@@ -293,8 +288,6 @@ def factor_operations(matrix: Matrix, most: float) -> float:
     """Return the operations of a factorization of M; ∞ if a sparse M takes more than `most`, which ends the count."""
     if matrix.is_dense:
         return matrix.n**3 / 3.0
-    from .minimum_degree import factor_sizes
-
     return factor_sizes(matrix.csr, LARGEST_FILL, min(most, FACTOR_OPERATIONS_UP_TO))[1]
 
 

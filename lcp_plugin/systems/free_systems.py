@@ -30,6 +30,9 @@ from ..core.tuning import DIRECT_UP_TO
 from .equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
 from .graph import bandwidth
+from .hierarchy.kernels import dot
+from .hierarchy.levels import COARSEST, hierarchy_of
+from .hierarchy.truncation import KrylovCorrection, Truncation
 
 
 class LinearizedSystem:
@@ -309,8 +312,8 @@ class FreeSystem:
                 return self._extended(attempts[0])
         if self._doubtful_factor is not None:  # ill-conditioned is not singular
             attempts.append(self._refined(self._doubtful_factor, right, 1, self._scale))
-        if self.rows.size <= LEAST_SQUARES_UP_TO:
-            attempts.append(self._least_squares(right, start))
+        if (inverse := self.pseudo_inverse) is not None:
+            attempts.append(start + inverse @ (right - self.block @ start))
         finite = [x for x in attempts if np.isfinite(x).all()]
 
         def error(x: Vector) -> float:
@@ -490,26 +493,9 @@ class FreeSystem:
             self.work += factor.solve_work
         return best
 
-    def _least_squares(self, right: Vector, start: Vector) -> Vector:
-        """Return the point closest to start that makes the row-scaled system's error least, NaN if there is none."""
-        from scipy.linalg import LinAlgError, lstsq
-
-        even = self._dense_block / self._scale[:, None]
-        self.work += 4.0 * self.rows.size**3
-        try:
-            step: Vector = lstsq(
-                even, right / self._scale - even @ start, cond=1e-12, check_finite=False
-            )[0]
-        except LinAlgError:
-            return np.full(right.size, np.nan)
-        return start + step
-
     @cached_property
     def _truncation(self) -> Any:
         """The grids of M with all that is not free taken out."""
-        from .hierarchy.levels import COARSEST, hierarchy_of
-        from .hierarchy.truncation import Truncation
-
         truncation = Truncation(hierarchy_of(self.matrix, COARSEST))
         top = truncation.grids[0]
         top.is_free[:] = self.free
@@ -519,9 +505,6 @@ class FreeSystem:
 
     def _iterated(self, right: Vector, transposed: bool, goal: float) -> Vector | None:
         """Return the solution by Krylov steps, one V-cycle each, None if they do not converge."""
-        from .hierarchy.kernels import dot
-        from .hierarchy.truncation import KrylovCorrection
-
         matrix, is_symmetric = self.matrix, is_nearly_symmetric(self.matrix)
         if not (matrix.diagonal > 0.0).all():
             return None

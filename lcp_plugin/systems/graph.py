@@ -92,16 +92,6 @@ def outer_on_pattern(matrix: Matrix, left: Vector, right: Vector) -> sp.csr_arra
     return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
 
 
-def strong_blocks(M: Any) -> tuple[int, IntVector]:
-    """Return the number of strongly connected blocks of M's graph and the block of each row, shape (n,)."""
-    from scipy.sparse.csgraph import connected_components
-
-    # The routine drops explicit zeros of floats; only the pattern counts.
-    pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
-    count, labels = connected_components(pattern, directed=True, connection="strong")
-    return int(count), labels.astype(np.int64)
-
-
 @fact
 def components(matrix: Matrix) -> int:
     """Return the number of connected components of the graph of M."""
@@ -111,21 +101,20 @@ def components(matrix: Matrix) -> int:
 
 @fact
 def diagonal_blocks(matrix: Matrix) -> tuple[int, IntVector]:
-    """Return the strongly connected blocks of a Matrix, read-only."""
-    count, labels = strong_blocks(matrix.csr)
-    return count, read_only(labels)
+    """Return the number of strongly connected blocks of M's graph and the block of each row, shape (n,)."""
+    from scipy.sparse.csgraph import connected_components as labeled  # slow to import
+
+    M = matrix.csr
+    # The routine drops explicit zeros of floats; only the pattern counts.
+    pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
+    count, labels = labeled(pattern, directed=True, connection="strong")
+    return int(count), read_only(labels.astype(np.int64))
 
 
 def block_rows(labels: IntVector, count: int) -> list[IntVector]:
     """Return the row numbers of each block, in order of the labels."""
     order = np.argsort(labels, kind="stable")
     return np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])
-
-
-def within_blocks(M: Any, labels: IntVector) -> Any:
-    """Return a CSR array without the entries that couple rows of different blocks."""
-    within = labels[row_numbers(M)] == labels[M.indices]
-    return sp.csr_array((np.where(within, M.data, 0.0), M.indices, M.indptr), shape=M.shape)
 
 
 @fact

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,7 +44,6 @@ def rewriting(full: bool, name: str) -> str:
     return f"to write the table anew, and to say why: python tests/applications {name}{' --full' * full}"
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("name", entries())
 def test_small_applications_cost_no_more_than_the_table_says(
     name: str, pytestconfig: pytest.Config
@@ -94,22 +90,6 @@ KEY = Key("obstacle_2d side=30", "auto", "own")
 BEFORE = Measured(900, "SOLVED", 100.0, 1e-9)
 
 
-@pytest.mark.parametrize(
-    ("after", "told"),
-    [
-        (replace(BEFORE, work=111.0), "1.11 × the work"), (replace(BEFORE, status="STALLED"), "a worse status"),
-        (replace(BEFORE, error=1.1e-8), "a larger error"), (replace(BEFORE, error=0.1), "a worse status"),
-        (None, "no longer solved"), (replace(BEFORE, work=110.0, error=9e-9), ""), (replace(BEFORE, work=10.0), ""),
-        (replace(BEFORE, error=9.9e-9), ""),
-    ],
-)  # fmt: skip
-def test_what_is_worse_is_told_and_nothing_else(after: Measured | None, told: str) -> None:
-    """Regressions are 10 % more work, ten times an error beyond the tolerance, or a worse status, and nothing else."""
-    lines = regressions({KEY: BEFORE}, {} if after is None else {KEY: after})
-    assert len(lines) == bool(told)
-    assert all(told in line and "→" in line and KEY.problem in line for line in lines)
-
-
 def test_rounding_and_improvements_are_no_regressions() -> None:
     """Errors below 1e-12 are rounding, as are five passes more; what was false or unsolved may end so at more cost."""
     few = replace(BEFORE, work=13.0)
@@ -146,21 +126,3 @@ def test_references_are_checked() -> None:
         active_sets(
             (sp.csr_array(-np.eye(1)), np.array([-1.0]), np.zeros(1), np.full(1, np.inf)), []
         )
-
-
-def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run ``python tests/applications`` with these arguments."""
-    return subprocess.run(
-        [sys.executable, str(Path(__file__).parent), *arguments], capture_output=True, text=True
-    )
-
-
-@pytest.mark.full
-def test_the_command_measures_what_is_named_and_prints_what_changed() -> None:
-    """The command with --dry-run without changes prints no difference and keeps the file."""
-    file = path_of(full=False)
-    before = file.read_bytes()
-    done = command("paper", "--dry-run")
-    assert done.returncode == 0, done.stderr
-    assert "→" not in done.stdout
-    assert file.read_bytes() == before

@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin import LCP, solve
+from lcp_plugin import LCP, convergence_guarantee, solve
 from lcp_plugin.algorithms import Algorithm, create
-from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 STEPS = 12
 ROUNDING = 1e-11

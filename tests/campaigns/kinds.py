@@ -415,6 +415,17 @@ def agents(rng: Generator, kind: str) -> Found:
     yield from (Finding(CLAIM, text) for text in module("agents").faults(*cases))
 
 
+def right_point(rng: Generator, kind: str) -> Found:
+    """Check that right points with ordinary data are not refused."""
+    yield from (Finding(CLAIM, text) for text in module("refusals").refused(rng, kind))
+
+
+def mixed_units(rng: Generator, kind: str) -> Found:
+    """Check integer problems in units of 2^±60."""
+    found = module("refusals").false_in_units(rng)
+    yield from (Finding(SOLVED, text) for text in found if text != "SOLVED")
+
+
 Case = Callable[[Generator, Any], Found]
 
 # name: case, kinds, how often one of the kinds comes in a round
@@ -441,6 +452,8 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "curved": (curved, ("affine", "bent rows", "weighted rows", "bent unknowns"), 8),
     "transport": (transport, ("any",), 4),
     "agents": (agents, ("market", "bilevel"), 2),
+    "right point": (right_point, ("dense", "sparse", "stack", "cones", "nonlinear", "program"), 12),
+    "mixed units": (mixed_units, ("any",), 12),
 }
 
 

@@ -9,24 +9,14 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from campaigns.least_squares import bounded_least_squares
 from inputs.small_families import falling_bodies
 from inputs.textbook_scenes import scaling_trap
 
-from lcp_plugin import (
-    LCP,
-    LCPError,
-    NonlinearProblem,
-    QuadraticProgram,
-    Status,
-    complements,
-    gallery,
-    solve,
-)
+from lcp_plugin import LCP, LCPError, QuadraticProgram, Status, complements, gallery, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.core.solving.lcp_run import advice_of_run
+from lcp_plugin.solving.lcp_run import advice_of_run
 
 CONTACT = falling_bodies(10)
 TRAPPED = scaling_trap().problem  # an H₊-matrix on which unscaled steps run into a cycle
@@ -167,41 +157,6 @@ def test_a_start_that_is_the_solution_is_named(size: int, algorithm: str) -> Non
     assert "the residual of the start is within the tolerance already" in again.explain()
     assert "0 iterations" in again.explain()
     assert "where it begins" not in answer.explain()
-
-
-STAGE_LINES = {
-    "a program": (
-        lambda: solve(
-            QuadraticProgram([[2.0, 0.0], [0.0, 2.0]], [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])
-        ),
-        "dense convex programs of up to some hundred rows",
-    ),
-    "a program by interior points": (
-        lambda: solve(
-            QuadraticProgram(
-                sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(900, 900)),
-                np.arange(900) % 7 - 3.0,
-                A=np.ones((1, 900)),
-                b=[1.0],
-                lower=-1.0,
-                upper=1.0,
-            )
-        ),
-        "convex programs, dense and sparse",
-    ),
-    "a nonlinear problem": (
-        lambda: solve(NonlinearProblem(lambda x: np.exp(x) - 2.0), x0=[0.0]),
-        "replaces F by its tangent at x",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", STAGE_LINES)
-def test_a_stage_is_told_in_words(name: str) -> None:
-    """The explanation describes each type of run and the meaning of its counts."""
-    call, words = STAGE_LINES[name]
-    assert words in call().explain()
-    assert "1 iterations" not in call().explain()
 
 
 def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:

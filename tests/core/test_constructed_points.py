@@ -129,7 +129,6 @@ CLASSES: dict[str, Callable[[Case], Points]] = {
 }
 
 
-@pytest.mark.few(16)
 @pytest.mark.parametrize("case", CONSTRUCTED)
 @pytest.mark.parametrize("problem_class", CLASSES)
 def test_no_class_calls_a_wrong_point_solved(problem_class: str, case: str) -> None:

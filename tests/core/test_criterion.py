@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
@@ -485,7 +484,6 @@ def test_contact_at_rest_is_accepted_or_at_the_rounding_level() -> None:
         assert accepted.is_solved
         assert accepted.certificate.scaled_residual <= value
     assert "in the unit of z" in str(accepted)
-    assert json.loads(accepted.to_json())["absolute_tolerance"] == value
 
 
 def test_infeasible_beyond_the_tolerance_only() -> None:
@@ -612,7 +610,6 @@ def drawn_in_units(rng: np.random.Generator) -> tuple[LCP, LCP]:
     return one, other
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(20))
 def test_tolerated_rows_in_random_units_result_is_right(
     seed: int, draws: Callable[..., range]

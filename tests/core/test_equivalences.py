@@ -150,51 +150,6 @@ def test_a_user_s_splitting_is_the_paper_s_method(kind: str) -> None:
         )
 
 
-AOR = pytest.mark.parametrize(
-    ("alpha", "beta"), [(1.0, 0.0), (1.0, 1.0), (1.7, 1.7), (1.7, 1.0), (0.6, 0.3)]
-)
-
-
-@EVERY_KIND
-@EVERY_BOUND
-@AOR
-def test_npaor_projects_each_component_at_once(
-    kind: str, bounds: bool, alpha: float, beta: float
-) -> None:
-    """Row i is (d/α + d + 2)(y − z_i) = −2 r_i − (β/α) Σ_{j<i} m_ij (z⁺_j − z_j), z⁺_i = mid(lower_i, upper_i, y)."""
-    problem = random_problem(kind, bounds=bounds)
-    M, z = problem.csr.toarray(), start_for(problem)
-    pivot = problem.diagonal / alpha + problem.diagonal + 2.0
-    path = [z]
-    for _ in range(STEPS):
-        residual = z - np.clip(z - problem.slack(z), problem.lower, problem.upper)
-        new = z.copy()
-        for i in range(problem.n):
-            drive = 2.0 * residual[i] + beta / alpha * (M[i, :i] @ (new - z)[:i])
-            new[i] = np.clip(z[i] - drive / pivot[i], problem.lower[i], problem.upper[i])
-        path.append(new)
-        z = new
-    assert_same(
-        iterates(NPAOR(relaxation=alpha, acceleration=beta, scaling=None, momentum=None), problem),
-        np.array(path),
-    )
-
-
-@EVERY_KIND
-@EVERY_BOUND
-def test_psor_is_its_formula_row_by_row(kind: str, bounds: bool) -> None:
-    """Row i is z⁺_i = mid(lower_i, upper_i, z_i − ω w_i/m_ii) with w_i of the rows before."""
-    problem = random_problem(kind, bounds=bounds)
-    M, path = problem.csr.toarray(), [start_for(problem)]
-    for _ in range(STEPS):
-        z = path[-1].copy()
-        for i in range(problem.n):
-            moved = z[i] - 1.3 / M[i, i] * (M[i] @ z + problem.q[i])
-            z[i] = np.clip(moved, problem.lower[i], problem.upper[i])
-        path.append(z)
-    assert_same(iterates(PSOR(relaxation=1.3), problem), np.array(path))
-
-
 @pytest.mark.parametrize("name", REGISTRY)
 def test_the_residual_of_a_step_is_the_residual_of_its_certificate(name: str) -> None:
     """If a step has a residual, it is the scaled residual of the certificate of its z."""
@@ -206,43 +161,6 @@ def test_the_residual_of_a_step_is_the_residual_of_its_certificate(name: str) ->
 
 
 # --- Bai's formulation -------------------------------------------------------------------------------------
-
-
-def bai(problem: LCP, algorithm: MAOR, z0: np.ndarray, backward: tuple[bool, ...]) -> np.ndarray:
-    """Iterate (αΩ + D − βL) x⁺ = [(1−α)D + (α−β)L + αU] x + α[(Ω − M)|x| − 2q]; backward exchanges L and U."""
-    M, q = problem.csr.toarray(), problem.q + problem.csr @ problem.lower
-    alpha, beta = algorithm.relaxation, algorithm.acceleration
-    D = np.diag(M.diagonal())
-    omega = algorithm.omega * D if np.ndim(algorithm.omega) == 0 else np.diag(algorithm.omega)
-    x, path = z0 - problem.lower, []
-    for _ in range(STEPS + 1):
-        path.append(problem.lower + np.maximum(x, 0.0))
-        for is_backward in backward:
-            L, U = -np.tril(M, -1), -np.triu(M, 1)
-            L, U = (U, L) if is_backward else (L, U)
-            right = ((1.0 - alpha) * D + (alpha - beta) * L + alpha * U) @ x
-            right += alpha * ((omega - M) @ abs(x) - 2.0 * q)
-            x = np.linalg.solve(alpha * omega + D - beta * L, right)
-    return np.array(path)
-
-
-@EVERY_KIND
-@pytest.mark.parametrize("omega", ["D", "D/2", "vector"])
-@pytest.mark.parametrize(
-    ("sweep", "backward"),
-    [("forward", (False,)), ("backward", (True,)), ("symmetric", (False, True))],
-)
-def test_maor_is_bai_s_iteration(
-    kind: str, omega: str, sweep: str, backward: tuple[bool, ...]
-) -> None:
-    """MAOR is the modulus iteration in dense linear algebra, for any Ω, order of the rows and lower bound."""
-    plain = random_problem(kind, bounds=False)
-    lower = np.linspace(-1.0, 1.0, plain.n)
-    problem = plain.with_q(plain.q - plain.csr @ lower, lower=lower)
-    values = {"D": 1.0, "D/2": 0.5, "vector": plain.diagonal * np.linspace(0.8, 2.0, plain.n)}
-    algorithm = MAOR(relaxation=0.9, acceleration=0.5, omega=values[omega], sweep=sweep)
-    start = lower + np.linspace(0.0, 1.0, plain.n)
-    assert_same(iterates(algorithm, problem, start), bai(problem, algorithm, start, backward))
 
 
 # --- Bounds and shifts -------------------------------------------------------------------------------------

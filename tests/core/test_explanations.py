@@ -71,7 +71,7 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
         "next: add bounds for the unknowns",
     ),
     "precision": (
-        lambda: solve(LCP([[1e-3, 1.0], [-1.0, 1e-3]], [-1.0, 1.0]), tolerance=1e-17),
+        lambda: solve(LCP([[1, -1, 0], [-1, 1, 0], [1, 0, 1]], [-1e-6, 0, -1e9])),
         Status.PRECISION_LIMIT,
         "relative residual",
         "next: accept z, or rescale the data",

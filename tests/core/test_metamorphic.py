@@ -59,7 +59,6 @@ LOSES = {  # what a relation takes from a class, beyond which the proofs do not 
 }
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("relation", RELATIONS)
 @pytest.mark.parametrize("kind", CLASSES)
 def test_answers_survive_a_change_of_the_problem(relation: str, kind: str) -> None:

@@ -2,45 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import islice
-from typing import Any
-
 import numpy as np
 import pytest
 
 from lcp_plugin import LCP, convergence_guarantee, gallery, solve
-from lcp_plugin.algorithms import NPGS, NPJ, NPSOR, NPSplitting, create
 
 OBSTACLE = gallery.obstacle_2d(size=30).problem
 ROTATION = np.eye(30) + 1.2 * np.roll(np.eye(30), 1, axis=1)
-
-
-def literal_rule(problem: LCP, algorithm: Any, count: int) -> list[np.ndarray]:
-    """Return the points of the rule in the docstring of `extrapolations`, while no cycle fails."""
-    plain = create(algorithm.name, {"momentum": None})
-    z = before = np.clip(0.0, problem.lower, problem.upper)
-    y, t, last, is_plain, points = z, 1.0, np.inf, True, []
-    for _ in range(count):
-        points.append(y)
-        z, before = [s.z.copy() for s in islice(plain.iterates(problem, y.copy()), 2)][1], z
-        step = np.linalg.norm(z - y)
-        if is_plain or step > last:
-            is_plain = is_plain and not step > 0.8 * last
-            t, last, y = 1.0, (step if is_plain else np.inf), z
-        else:
-            t, old = 0.5 + np.sqrt(0.25 + t * t), t
-            y = np.clip(z + (old - 1.0) / t * (z - before), problem.lower, problem.upper)
-            last = step
-    return points
-
-
-@pytest.mark.parametrize("algorithm", [NPJ(), NPGS(), NPSOR(), NPSplitting()])
-def test_the_points_are_those_of_the_rule(algorithm: Any) -> None:
-    """The first 150 points, some restarts among them, agree with the rule written out in numpy."""
-    start = np.clip(0.0, OBSTACLE.lower, OBSTACLE.upper)
-    found = [s.z.copy() for s in islice(algorithm.iterates(OBSTACLE, start), 150)]
-    expected = literal_rule(OBSTACLE, algorithm, 150)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("sweep", ["forward", "backward", "symmetric"])

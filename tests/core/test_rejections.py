@@ -16,7 +16,16 @@ import pytest
 import scipy.sparse as sp
 from inputs.families import MODULUS
 
-from lcp_plugin import LCP, Certificate, QuadraticProgram, error_bound, gallery, march, solve
+from lcp_plugin import (
+    LCP,
+    Certificate,
+    QuadraticProgram,
+    convergence_guarantee,
+    error_bound,
+    gallery,
+    march,
+    solve,
+)
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.errors import (
     InvalidOption,
@@ -29,12 +38,11 @@ from lcp_plugin.core.errors import (
     UnsuitableProblem,
     UnsupportedModel,
 )
-from lcp_plugin.core.solving.result import Sample
 from lcp_plugin.core.splittings import NPSOR, PSOR
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.stability import Atlas, stability_atlas
 from lcp_plugin.evidence.study import Study, error_against_time
-from lcp_plugin.proofs.guarantees import convergence_guarantee
+from lcp_plugin.solving.result import Sample
 
 BUILTIN_BASE = {
     InvalidProblem: ValueError,
@@ -478,7 +486,6 @@ except LCPError as error:
 """
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
 def test_damaged_sparse_array_of_any_format_is_refused(damage: str) -> None:
     """A sparse array with inconsistent index arrays raises InvalidProblem, without a crash.

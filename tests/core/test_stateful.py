@@ -16,8 +16,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from inputs.families import BOUNDED
 from oracles.relations import bits, data_of, surroundings
 
-from lcp_plugin import LCP, Status, analyze, error_bound, prepare, solve
-from lcp_plugin.proofs.guarantees import convergence_guarantee
+from lcp_plugin import LCP, Status, analyze, convergence_guarantee, error_bound, prepare, solve
 
 with suppress(ImportError):  # its import sets a variable of the environment
     import threadpoolctl  # noqa: F401

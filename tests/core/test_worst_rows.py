@@ -26,7 +26,7 @@ from lcp_plugin import (
     friction_cone,
     solve,
 )
-from lcp_plugin.proofs.mistakes import likely_mistake
+from lcp_plugin.solving.mistakes import likely_mistake
 
 
 def drawn(kind: str, seed: int) -> tuple[Any, Any, dict[str, Fraction]]:
@@ -73,7 +73,6 @@ def drawn(kind: str, seed: int) -> tuple[Any, Any, dict[str, Fraction]]:
 KINDS = ["lcp", "box", "nonlinear", "cvxpy", "cone", "contact", "program"]
 
 
-@pytest.mark.few(7)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", range(72))
 def test_rows_are_those_that_fail_in_fractions(seed: int, kind: str) -> None:
@@ -327,7 +326,6 @@ def in_cvxpy(kind: str) -> tuple[cp.Problem, cp.Variable, float, str]:
     return cp.Problem(cp.Minimize(0), model), u, 1.0, "u[0] = 1, and its equation gives 0"
 
 
-@pytest.mark.few(4)
 @pytest.mark.parametrize("kind", ["definition", "smooth", "bound", "friction"])
 def test_certify_measures_the_values_of_a_cvxpy_model_in_all_its_conditions(kind: str) -> None:
     """Defined variables keep their values; a wrong value names its equation or bound."""
@@ -394,7 +392,6 @@ def in_pyomo(kind: str) -> tuple[Any, str, dict[str, Any]]:
     return m, "c[3] = 1.25 while z[3] = 0.75 > 0", {}
 
 
-@pytest.mark.few(7)
 @pytest.mark.parametrize(
     "kind",
     [

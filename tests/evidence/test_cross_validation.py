@@ -69,7 +69,6 @@ def altered(result: Result, i: int, by: float) -> Result:
 # --- Agreement ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_random_spd_problems_agree(batch: int) -> None:
     """Solutions z of random SPD problems agree to 1e-7, and clear active sets are equal."""
@@ -86,7 +85,6 @@ def test_random_spd_problems_agree(batch: int) -> None:
         assert np.array_equal(mine[decided], other[decided]), f"seed {seed}\n{check}"
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(12))
 def test_rank_deficient_problems_agree_in_w(seed: int) -> None:
     """For singular M, w agrees to 1e-7 although z may differ."""
@@ -128,7 +126,6 @@ def test_scenes_agree(target: str, kind: str) -> None:
     assert check.difference_z < 1e-8
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("reference", ["DAQP", "OSQP", "SCS", "PIQP", "CLARABEL", "HIGHS"])
 def test_every_installed_reference_agrees(reference: str) -> None:
     """Each installed solver agrees on a symmetric and on a nonsymmetric problem, boxes and free rows included."""
@@ -164,7 +161,6 @@ def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals() -> None:
     assert "conditioning" in check.reason
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("exponent", [-100, -30, 30, 100])
 def test_units_do_not_matter(exponent: int) -> None:
     """The verdict is independent of the scaling of z and w; reference tolerances are absolute."""

@@ -59,7 +59,6 @@ ANSWERS: dict[str, Callable[[], Any]] = {
 }
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ANSWERS)
 def test_every_answer_has_a_picture(name: str, tmp_path: Path) -> None:
     """One call draws a figure of its own with something in it, which can be saved; the same into axes of the caller."""

@@ -189,7 +189,6 @@ def variants(problem: LCP, power: int) -> Iterator[tuple[str, LCP, int]]:
     yield "rows", in_powers_of_two(problem, rows, 0), 0
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("name", SCALE_INVARIANT)
 def test_powers_of_two_change_no_bit(name: str) -> None:
     """M, q and rows times 2^k, k from −900 to 900, give the same iterations and exactly scaled z.

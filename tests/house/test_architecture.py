@@ -1,13 +1,21 @@
-"""The figures in the manual are the import graph; the import is light."""
+"""The house of the manual is the import graph: files import from lower floors only; the import is light.
+
+``python tests/house/test_architecture.py`` prints the numbers of the house.
+"""
 
 from __future__ import annotations
 
 import ast
+import re
+from collections import defaultdict
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
-from picture import ARROWS, DRAWN, FOLDERS, STOREYS, above, explained, subpackage_of
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from tools.processes import printed_by
 
 from lcp_plugin import algorithms
@@ -15,6 +23,7 @@ from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "lcp_plugin"
+PAGE = (ROOT / "examples" / "manual" / "developing.md").read_text(encoding="utf-8")
 HEAVY = (
     "numba",
     "pyamg",
@@ -31,41 +40,7 @@ HEAVY = (
     "quantecon",
     "h5py",
 )
-# which contain only a docstring
-FOLDERS_ALONE = ("__init__", "__main__", "methods", "problems", "interfaces")
-LEADS_ON = {  # imports inside a function from a layer above: importing file, target, reason
-    "core.lcp": (
-        {"contact", "files", "modeling", "program_files", "programs", "ranks", "reformulations"},
-        "LCP.from_qp, from_game, …, load and save are looked for where LCP is",
-    ),
-    "core.solving.lcp_run": (
-        {"finishing"},
-        "small rows of a point are finished where a run measures it",
-    ),
-    "core.solving.result": (
-        {"proofs", "evidence"},
-        "explain() says what may mislead, guarantee what is proved; plot() of every answer",
-    ),
-    "problems.parametric.path": ({"evidence"}, "plot() of a path"),
-    "problems.parametric.tracing": ({"modeling"}, "trace takes a cvxpy problem as well"),
-    "problems.cones.data": ({"files"}, "save() of a problem over cones"),
-    "problems.cones.frictional_contact": ({"files"}, "save() of many worlds with contact"),
-    "problems.programs.certification": (
-        {"modeling", "nl", "pyomo"},
-        "certify takes a model as well",
-    ),
-    "problems.sensitivity": ({"modeling"}, "derivative takes a cvxpy problem as well"),
-    "problems.equilibria.branch_and_bound": (
-        {"scip"},
-        "SCIP is asked where it is installed, in expressions",
-    ),
-    "proofs.guarantees": (
-        {"auto", "direct"},
-        "convergence_guarantee takes what solve takes, a name or auto",
-    ),
-    "interfaces.files": ({"nl"}, "LCP.load and save take an .nl file as well"),
-    "interfaces.nl.writing": ({"pyomo"}, "write_nl takes a Pyomo model as well"),
-}
+LAZY = 25  # imports of package files inside functions, which are for weight
 
 
 def module_of(file: Path) -> str:
@@ -73,144 +48,124 @@ def module_of(file: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-FILES = sorted(
-    file
-    for file in PACKAGE.rglob("*.py")
-    if subpackage_of(file) not in (*FOLDERS_ALONE, "__init__")
-)
-MODULES = {module_of(file): file for file in FILES}
+FILES = {module_of(file): file for file in sorted(PACKAGE.rglob("*.py"))}
 
 
-def imported_modules(file: Path) -> tuple[set[str], set[str]]:
-    """Return the modules of this package that a file imports, at the top and inside functions."""
+def floors() -> list[list[str]]:
+    """Return the rooms of each floor in the picture, the highest floor first."""
+    picture = re.search(r"```text\n(.*?)```", PAGE, re.S)
+    assert picture
+    return [re.findall(r"\w+", line) for line in picture[1].splitlines()]
+
+
+def room_of(module: str) -> str:
+    """Return the room of a file; the package's own file, which has the version, is below all."""
+    return module.split(".")[1] if "." in module else ""
+
+
+def imports_of(file: Path) -> Iterator[tuple[str, bool]]:
+    """Yield the package's modules that a file imports, except for type checkers, and whether in a function."""
     package = ["lcp_plugin", *file.relative_to(PACKAGE).parts[:-1]]
-    found: tuple[set[str], set[str]] = (set(), set())
     waiting: list[tuple[ast.AST, bool]] = [(ast.parse(file.read_text(encoding="utf-8")), False)]
     while waiting:
         node, is_inside = waiting.pop()
-        if isinstance(node, ast.expr):
-            continue
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             waiting += [(child, is_inside) for child in node.orelse]
             continue
         is_inside |= isinstance(node, ast.FunctionDef)
         waiting += [(child, is_inside) for child in ast.iter_child_nodes(node)]
-        if isinstance(node, ast.Import):
-            targets = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
+        if isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else []
             prefix = ".".join([*base, node.module] if node.module else base)
-            targets = [
-                name if (name := f"{prefix}.{alias.name}") in MODULES else prefix
-                for alias in node.names
-            ]
-        else:
-            continue
-        found[is_inside].update(
-            {target for target in targets if target in MODULES} - {module_of(file)}
-        )
-    return found
+            names = [f"{prefix}.{alias.name}" for alias in node.names]
+            yield from {(name if name in FILES else prefix, is_inside) for name in names}
 
 
 @cache
-def imports_of_all() -> tuple[dict[str, set[str]], dict[str, set[str]]]:
-    """Return the imports inside functions that lead on, and all others, which the figure shows, by module."""
-    both = {module: imported_modules(file) for module, file in MODULES.items()}
-    table = {one for one in MODULES if one.startswith("lcp_plugin.methods.")}
-    led, shown = {}, {}
-    for module, (plain, inside) in both.items():
-        known = LEADS_ON.get(module.removeprefix("lcp_plugin."), (set(), ""))[0]
-        led[module] = {target for target in inside if subpackage_of(MODULES[target]) in known}
-        shown[module] = plain | inside - led[module]
-    shown["lcp_plugin.algorithms"] |= table
-    return led, shown
+def imports() -> tuple[tuple[str, str, bool], ...]:
+    """Return (importing module, imported module, whether inside a function)."""
+    return tuple(
+        (module, target, is_inside)
+        for module, file in FILES.items()
+        for target, is_inside in imports_of(file)
+        if target in FILES and target != module
+    )
 
 
-def assert_has_no_circle(imports: dict[str, set[str]]) -> None:
-    waiting = dict(imports)
-    while waiting:
-        ready = {one for one, targets in waiting.items() if not targets & waiting.keys()}
-        assert ready, f"in a circle: {sorted(waiting)}"
-        waiting = {one: targets for one, targets in waiting.items() if one not in ready}
+def upward() -> list[tuple[str, str]]:
+    """Return the imports from a higher floor, or from another room of the same floor."""
+    level = {room: -k for k, rooms in enumerate(floors()) for room in rooms}
+    below, above = (
+        level | {"": -99},
+        level | {"": 1},
+    )  # all may import the version, the top fills a table
+    return [
+        (one, other)
+        for one, other, _ in imports()
+        if room_of(one) != room_of(other) and below[room_of(other)] >= above[room_of(one)]
+    ]
 
 
-def test_arrows_stand_in_the_picture() -> None:
-    """A file imports from its own subpackage, from the core, and from where the arrows lead, in functions too."""
-    for module, file in MODULES.items():
-        subpackage = subpackage_of(file)
-        assert subpackage in ARROWS, (
-            f"the picture in developing.md and the table below it lack {subpackage}"
-        )
-        for target in imports_of_all()[1][module]:
-            allowed = {subpackage, "core", *ARROWS[subpackage]}
-            assert subpackage_of(MODULES[target]) in allowed, f"{module} → {target}"
+def circles() -> list[list[str]]:
+    """Return the files of each circle of imports, inside functions included."""
+    place = {module: k for k, module in enumerate(FILES)}
+    pairs = np.array([(place[one], place[other]) for one, other, _ in imports()]).T
+    graph = csr_array((np.ones(pairs.shape[1]), pairs), shape=(len(place), len(place)))
+    labels = connected_components(graph, connection="strong")[1]
+    found = [np.flatnonzero(labels == k) for k in np.flatnonzero(np.bincount(labels) > 1)]
+    return [[[*FILES][k] for k in one] for one in found]
 
 
-def test_every_arrow_is_needed() -> None:
-    """The figure has no arrow without an import."""
-    drawn = {(subpackage, target) for subpackage, targets in ARROWS.items() for target in targets}
-    has = {
-        (subpackage_of(MODULES[one]), subpackage_of(MODULES[other]))
-        for one, targets in imports_of_all()[1].items()
-        for other in targets
-    }
-    assert not drawn - has
+def constants() -> dict[str, set[float]]:
+    """Return the values of the numeric constants of all modules, by name."""
+    found: dict[str, set[float]] = defaultdict(set)
+    for file in FILES.values():
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+                try:
+                    value = eval(ast.unparse(node.value), {"__builtins__": {}})
+                except Exception:
+                    continue
+                if isinstance(value, (int, float)) and not isinstance(value, bool):
+                    found[node.targets[0].id].add(float(value))
+    return found
 
 
-def test_imports_that_lead_on_are_few_and_have_a_reason() -> None:
-    """Every import inside a function from a layer above is listed with its reason."""
-    led = {
-        module.removeprefix("lcp_plugin."): {subpackage_of(MODULES[target]) for target in targets}
-        for module, targets in imports_of_all()[0].items()
-        if targets
-    }
-    assert led == {module: subpackages for module, (subpackages, _) in LEADS_ON.items()}
-    assert all(why for _, why in LEADS_ON.values())
+def test_no_import_leads_up() -> None:
+    """A file imports from its own room and from lower floors, also inside functions."""
+    assert upward() == []
 
 
-def test_no_subpackages_and_no_files_import_each_other() -> None:
-    """Subpackages have an order in which each imports only earlier ones, as files have."""
-    assert_has_no_circle(ARROWS)
-    assert_has_no_circle(imports_of_all()[1])
+def test_no_files_import_each_other() -> None:
+    """Files have an order in which each imports only earlier ones, also inside functions."""
+    assert circles() == []
+
+
+def test_few_imports_are_inside_functions() -> None:
+    """Imports of package files inside functions are few: they are for weight, not for order."""
+    assert sum(is_inside for _, _, is_inside in imports()) <= LAZY
 
 
 def test_the_package_offers_a_file_nothing_but_the_version() -> None:
     """Inside the package only the version is imported from the package itself."""
+    rooms = {room_of(module) for module in FILES}
     names: set[str] = set()
-    for file in FILES:
+    for file in FILES.values():
         depth, text = len(file.relative_to(PACKAGE).parts), file.read_text(encoding="utf-8")
         for node in ast.walk(ast.parse(text)) if f"from {depth * '.'} import" in text else ():
             if isinstance(node, ast.ImportFrom) and node.module is None and node.level == depth:
                 names |= {alias.name for alias in node.names}
-    assert names - set(ARROWS) == {"__version__"}
+    assert names - rooms == {"__version__"}
 
 
-def test_the_storeys_of_the_readme_hold() -> None:
-    """Each subpackage is on one line of the figure of layers, and imports nothing from a line below."""
-    storey = {name: k for k, names in enumerate(STOREYS) for name in names}
-    for k, names in enumerate(
-        STOREYS
-    ):  # a folder stands for those subpackages inside it that no line names
-        storey |= {name: k for name in names if not any(name in STOREYS[j] for j in range(k))}
-    assert set(storey) == set(ARROWS)
-    assert [
-        (one, other)
-        for one, targets in ARROWS.items()
-        for other in targets
-        if storey[other] > storey[one]
-    ] == []
-
-
-def test_picture_shows_every_subpackage() -> None:
-    """The figure contains every subpackage once, at the path of its name."""
-    assert set(ARROWS) == {subpackage_of(file) for file in FILES}
-    assert all(folder.exists() for folder in FOLDERS.values())
-    assert above("commands") == set()
-
-
-def test_table_below_the_picture_explains_every_subpackage() -> None:
-    """The table explains each name of the figure once."""
-    assert sorted(explained()) == sorted(DRAWN)
+def test_the_picture_and_its_table_have_every_room_once() -> None:
+    """The picture of the floors and the table below it name every room once."""
+    rooms = sorted({room_of(module) for module in FILES} - {"", "__main__"})
+    rows = PAGE.split("| room | contents |")[1].split("\n\n")[0].splitlines()[2:]
+    assert sorted(room for floor in floors() for room in floor if room != "__main__") == rooms
+    assert (
+        sorted(room for row in rows for room in re.findall(r"`(\w+)`", row.split("|")[1])) == rooms
+    )
 
 
 def test_import_loads_nothing_heavy() -> None:
@@ -300,3 +255,19 @@ def test_the_table_of_algorithms_is_the_registry() -> None:
         assert written == own, name
         assert cells[2:5] == [kind.needs, kind.solves, kind.cost], name
         assert all((kind.__doc__, kind.needs, kind.solves, kind.cost, kind.reference))
+
+
+def print_numbers() -> None:
+    """Print the numbers of the house."""
+    values = constants()
+    print(f"files: {len(FILES)}")
+    print(f"largest circle of files: {max(map(len, circles()), default=1)}")
+    print(f"upward imports: {len(upward())}")
+    print(f"package imports inside functions: {sum(inside for _, _, inside in imports())}")
+    print(f"numeric module constants: {sum(map(len, values.values()))}")
+    twice = {name: found for name, found in values.items() if len(found) > 1}
+    print(f"names with several values: {len(twice)}", *sorted(twice))
+
+
+if __name__ == "__main__":
+    print_numbers()

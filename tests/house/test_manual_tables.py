@@ -14,9 +14,9 @@ import pytest
 import lcp_plugin
 from lcp_plugin import LCP, Status
 from lcp_plugin.algorithms import create
-from lcp_plugin.api import options_of, solver_of
 from lcp_plugin.core.problem_classes import CLASSES
-from lcp_plugin.expressions.statement import STATUS_ELSEWHERE
+from lcp_plugin.problems.statement import STATUS_ELSEWHERE
+from lcp_plugin.solving.dispatch import options_of, solver_of
 
 MANUAL = Path(__file__).parents[2] / "examples" / "manual"
 

@@ -34,7 +34,6 @@ print([(one.status.name, one.proof.verify()) for one in proofs])
 """
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "hidden",
     [

@@ -1,4 +1,4 @@
-"""What a wheel, a source archive and the conda recipe hold; ``tests/install_offline.py`` installs them."""
+"""What a wheel, a source archive and the conda recipe hold; ``.ci/install_offline.py`` installs them."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_the_conda_recipe_says_what_the_project_says(recipe: str) -> None:
 
 def test_the_oldest_versions_are_the_floors_of_the_project() -> None:
     """``oldest_versions.txt`` pins each dependency, and each extra of the tests, to its floor in pyproject.toml."""
-    lines = ROOT.joinpath("tests", "oldest_versions.txt").read_text(encoding="utf-8").splitlines()
+    lines = ROOT.joinpath(".ci", "oldest_versions.txt").read_text(encoding="utf-8").splitlines()
     pins = dict(line.split("==") for line in lines if not line.startswith("#"))
     extras = PROJECT["optional-dependencies"]
     stated = [*DEPENDENCIES, *(line for name in EXTRAS for line in extras[name])]
@@ -184,6 +184,8 @@ def test_ci_runs_everything_after_the_readme_s_command() -> None:
     assert [line.partition(" </dev/null")[0] for line in lines] == [
         'bash -euo pipefail -c "$command"',
         'python -m pytest --full -n 2 "${strict[@]}"',
+        "python -m pytest --full -rs tests/distributed tests/interfaces/learn tests/problems/batches/test_executors.py",
+        "python .ci/plain_english.py --check",
         "python -m sphinx -q -W -c examples/manual examples site",
     ]
 

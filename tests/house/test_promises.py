@@ -34,6 +34,7 @@ from lcp_plugin import (
     UnsuitableMatrix,
     UnsuitableProblem,
     analyze,
+    convergence_guarantee,
     error_bound,
     gallery,
     prepare,
@@ -41,7 +42,6 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step
-from lcp_plugin.proofs.guarantees import convergence_guarantee
 
 TESTS = Path(__file__).parents[1]
 PAGE = (
@@ -238,7 +238,6 @@ def given_matrices() -> dict[str, Any]:
     }
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("form", given_matrices())
 def test_nothing_given_changes(form: str) -> None:
     """“Inputs are never modified”: matrix, q, bounds, start and batch, in any form, by any call."""

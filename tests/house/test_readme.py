@@ -45,7 +45,6 @@ def test_python_blocks_run(k: int, capsys: pytest.CaptureFixture[str]) -> None:
     assert "SOLVED" in blocks("text")[k]
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("command", commands())
 def test_commands_run(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command of the README does what it says and exits with 0."""

@@ -35,6 +35,7 @@ from lcp_plugin import (
     analyze,
     certify,
     complements,
+    convergence_guarantee,
     derivative,
     error_bound,
     load_problem,
@@ -44,19 +45,20 @@ from lcp_plugin import (
     solve_batch,
     trace,
 )
-from lcp_plugin.api import options_of
 from lcp_plugin.commands import ampl
 from lcp_plugin.commands.cli import app
+from lcp_plugin.commands.reports import finite
+from lcp_plugin.commands.solving import json_content
 from lcp_plugin.core.problem_classes import class_of
 from lcp_plugin.core.settings import OF_SOLVE
-from lcp_plugin.core.solving.result import BaseResult
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.study import error_against_time, study
-from lcp_plugin.expressions.statement import STATUS_ELSEWHERE
 from lcp_plugin.interfaces.nl import read_nl, write_nl
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.modeling._compat import CVXPY_STATUS
-from lcp_plugin.proofs.guarantees import convergence_guarantee
+from lcp_plugin.problems.statement import STATUS_ELSEWHERE
+from lcp_plugin.solving.dispatch import options_of
+from lcp_plugin.solving.result import BaseResult
 
 CLOSE = 1e-5
 ON_CONES = ("ConeProblem", "FrictionalContact")
@@ -132,7 +134,8 @@ def confirm(answer: Any, sample: Sample) -> None:
     assert "\n" not in repr(answer)
     assert str(answer) == answer.explain()
     assert answer.status.name in str(answer)
-    assert json.loads(answer.to_json())["status"] == answer.status.name
+    content = json.loads(json.dumps(finite(json_content(answer)), allow_nan=False))
+    assert content["status"] == answer.status.name
     if answer.has_no_solution:
         assert answer.proof.verify()
     if answer.is_solved:

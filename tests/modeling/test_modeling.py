@@ -366,7 +366,6 @@ print('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS, sys.meta_path == before)
     assert printed_by(code) == "True True"
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("then", ["import lcp_plugin", "import lcp_plugin.modeling"])
 def test_a_plain_program_is_solved_with_the_method_after_the_import(then: str) -> None:
     """With cvxpy imported first, `import lcp_plugin` registers the method without loading the models."""
@@ -807,7 +806,6 @@ ATTRIBUTES: dict[str, tuple[dict[str, Any], float]] = {  # and the point nearest
 }
 
 
-@pytest.mark.few(6)
 @pytest.mark.parametrize("name", ATTRIBUTES)
 def test_the_attributes_of_variables_are_bounds_in_every_kind_of_model(name: str) -> None:
     """The point nearest to t is t or the bound between: as a pair, an agent, a program and an equilibrium."""
@@ -850,7 +848,6 @@ def market(signs: dict[str, Any]) -> cp.Problem:
 
 
 @pytest.mark.skipif(not hasattr(cp.constraints.Zero, "set_label"), reason="cvxpy 1.9 has labels")
-@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("signs", "words"),
     [

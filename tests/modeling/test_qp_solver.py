@@ -152,7 +152,6 @@ def without_minimum(kind: str, n: int) -> Any:
     )
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
 def test_the_first_failure_ends_in_a_proof(kind: str) -> None:
     """A program without minimum gets its status with a proof before other methods are tried; the callback is called."""

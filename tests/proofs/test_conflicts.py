@@ -80,7 +80,6 @@ def planted_in_floats(seed: int, rows: int) -> tuple[QuadraticProgram, list[int]
     return program, np.flatnonzero(order >= rows).tolist()
 
 
-@pytest.mark.few(4)
 @pytest.mark.parametrize("rows", [50, 200, 800, 1600])
 def test_dense_conflicts_made_in_floats_are_found_to_rounding(rows: int) -> None:
     """The planted rows are named, not 31 rows that conflict exactly; HiGHS finds a point without each of them."""

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
-import re
 from collections import Counter
 from dataclasses import dataclass
 from itertools import islice, pairwise
@@ -22,15 +20,14 @@ from inputs.families import UNPROVEN
 from inputs.planted import planted_lcp
 from typer.testing import CliRunner
 
-from lcp_plugin import LCP, Status, analyze, gallery, solve
+from lcp_plugin import LCP, Status, analyze, convergence_guarantee, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.commands.cli import app
 from lcp_plugin.core.errors import InvalidOption, UnknownAlgorithm
 from lcp_plugin.methods.npsplitting import NPSplitting
-from lcp_plugin.proofs.guarantees import bound_of_errors, convergence_guarantee, theorem_4_1
+from lcp_plugin.proofs.guarantees import bound_of_errors, theorem_4_1
 from lcp_plugin.proofs.verdicts import sign_remark
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
-from lcp_plugin.systems.comparison import nonnegative_radius
 
 SPD_NOT_H = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
 UNSCALED: dict[str, Any] = {"scaling": None, "momentum": None}
@@ -43,7 +40,6 @@ def with_matrix(M: Any) -> LCP:
 # --- Rates -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_no_run_contradicts_a_guarantee(seed: int) -> None:
     """Rates, contraction bounds and arrivals hold in 40 random cases; the campaign runs thousands."""
@@ -167,7 +163,6 @@ def test_who_is_guaranteed_arrives(drawn: tuple[LCP, Any]) -> None:
         assert solve(drawn[0], name).is_solved
 
 
-@pytest.mark.few(3)
 @pytest.mark.parametrize("n", [1, 7, 60, 250])
 def test_newton_is_finite_on_m_matrices(n: int) -> None:
     """An M-matrix problem takes at most n + 2 full Newton steps from any start."""
@@ -191,7 +186,7 @@ def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> 
     h_plus, rotation = gallery.half_active(n=100).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     assert "lemke: M is a P-matrix" in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
-    monkeypatch.setattr("lcp_plugin.methods.direct.PIVOTED_UP_TO", 1)
+    monkeypatch.setattr("lcp_plugin.solving.convergence.PIVOTED_UP_TO", 1)
     assert "psor: " in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
 
@@ -202,35 +197,8 @@ def test_nothing_is_claimed_for_the_scaling_trap_unscaled() -> None:
     for name in ("npgs", "npsor", "npaor", "npsplitting"):
         guarantee = convergence_guarantee(trap.problem, name, **UNSCALED)
         assert not guarantee.is_guaranteed
-        assert 'scaling="auto"' in guarantee.remedy
-
-
-@pytest.mark.parametrize(("example", "number"), [(1, "3.84"), (2, "3.32")])
-def test_the_paper_s_examples_are_not_covered_by_its_theorem(example: int, number: str) -> None:
-    """The radius ρ|L+U| exceeds the 1 of the original Theorem 4.2; scaled examples are covered."""
-    problem = gallery.build(f"paper_example_{example}", n=100).problem
-    for name in ("npgs", "npsor"):
-        message = convergence_guarantee(problem, name, **UNSCALED).paper
-        assert message.startswith(f"not covered by the original Theorem 4.2 (ρ|L+U| = {number}")
-        assert convergence_guarantee(problem, name, scaling="diagonal").is_guaranteed
-
-
-@pytest.mark.parametrize(
-    ("M", "alpha", "says"),
-    [
-        ([[2.0, -0.5], [-0.5, 2.0]], 1.0, "covered by the original Theorem 4.2, case 1"),
-        ([[0.5, -0.2], [-0.2, 0.5]], 1.0, "covered by the original Theorem 4.2, case 2"),
-        ([[0.5, -0.2], [-0.2, 0.5]], 1.7, "not covered .*0 ≤ β ≤ α ≤ 1"),
-        ([[0.5, -0.2], [-0.2, 2.0]], 1.0, "not covered .*neither D ≥ I nor D < I"),
-        ([[1.0, -2.0], [-2.0, 1.0]], 1.0, "not covered .*not proven to be an H₊-matrix"),
-    ],
-)
-def test_theorem_4_2_as_stated(M: Any, alpha: float, says: str) -> None:
-    """The paper's Theorem 4.2 is checked in both cases, with premise and mixed diagonals."""
-    guarantee = convergence_guarantee(with_matrix(M), "npsor", relaxation=alpha, **UNSCALED)
-    assert re.match(says, guarantee.paper)
-    if guarantee.paper.startswith("covered"):
-        assert guarantee.is_guaranteed
+        assert guarantee.remedy == 'algorithm="psor" converges on this M'
+    assert convergence_guarantee(trap.problem, "psor").is_guaranteed
 
 
 def test_positive_definite_matrices() -> None:
@@ -271,7 +239,7 @@ def test_a_relaxation_of_two_or_more_is_covered_on_no_matrix(
     problem = with_matrix(np.eye(2))
     guarantee = convergence_guarantee(problem, name, **options)
     assert guarantee.verdict == "not covered"
-    assert "relaxation" in guarantee.remedy
+    assert "psor" in guarantee.remedy
     free = problem.with_q(problem.q, lower=-np.inf)
     assert not solve(free, name, max_iterations=300, **options).is_solved
 
@@ -364,25 +332,6 @@ def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
 # --- The numbers behind it -----------------------------------------------------------------------------------
 
 
-def test_bounds_of_a_nonnegative_radius() -> None:
-    """The bounds enclose LAPACK's spectral radius, also for reducible matrices."""
-    rng = np.random.default_rng(0)
-    for _ in range(100):
-        n = int(rng.integers(1, 10))
-        B = rng.random((n, n)) * (rng.random((n, n)) < rng.choice([0.2, 0.5, 1.0]))
-        given = sp.csr_array(B)
-        lower, upper = nonnegative_radius(given)
-        radius = max(abs(np.linalg.eigvals(B)))
-        assert lower <= radius * (1 + 1e-6) + 1e-5
-        assert radius <= upper * (1 + 1e-6) + 1e-5
-        assert upper - lower <= 1e-8 * max(upper, 1.0)
-        assert np.array_equal(given.toarray(), B)
-    lower, upper = nonnegative_radius(
-        abs(gallery.paper_example_1(n=100).problem.csr - 8.0 * sp.eye_array(100))
-    )
-    assert lower <= 4.0 * math.cos(math.pi / 11.0) <= upper <= lower + 1e-9
-
-
 def test_theorem_4_1_bounds_the_spectral_radius_of_t() -> None:
     """The certified c is at least ρ(T), near it on irreducible T, and there is one wherever ρ(T) < 0.99."""
     rng = np.random.default_rng(1)
@@ -427,7 +376,7 @@ def told(*arguments: str) -> Any:
 
 
 def test_the_command_tells_matrix_and_guarantees() -> None:
-    """The command prints claims, algorithms, the paper's variants and its theorem."""
+    """The command prints claims, algorithms and the paper's variants."""
     result = told("paper_example_1:n=100")
     assert result.exit_code == 0
     for words in (
@@ -435,10 +384,6 @@ def test_the_command_tells_matrix_and_guarantees() -> None:
         "npsor, momentum=none, scaling=none not covered",
     ):
         assert words in result.stdout
-    assert (
-        "not covered by the original Theorem 4.2 (ρ|L+U| = 3.84); covered after diagonal scaling"
-        in result.stdout
-    )
     lines = result.stdout.splitlines()
     assert all(any(line.startswith(f"{name} ") for line in lines) for name in ("auto", *REGISTRY))
 
@@ -459,7 +404,6 @@ def negated_laplacian(k: int) -> sp.csr_array:
     return sp.csr_array(sp.kron(line, sp.eye_array(k)) + sp.kron(sp.eye_array(k), line))
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("k", [4, 10])
 def test_a_negated_m_matrix_is_proved_infeasible(k: int) -> None:
     """A problem with −M an M-matrix and a random q has no solution, and a proof shows it."""
@@ -542,12 +486,10 @@ def test_it_is_jacobis_or_gauss_seidels() -> None:
     problem = LCP(M, -np.ones(n))
     cosine = 2 * np.cos(np.pi / (n + 1)) / 2.5
     jacobi, seidel = (convergence_guarantee(problem, name) for name in ("pj", "pgs"))
-    assert jacobi.jacobi_radius == pytest.approx(cosine)
     assert jacobi.spectral_radius == pytest.approx(cosine)
     assert seidel.spectral_radius == pytest.approx(cosine**2)
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(8))
 def test_spectral_radius_of_a_guaranteed_iteration_is_at_most_its_rate(seed: int) -> None:
     """A proved rate is never next to a radius above 1: all families, with and without row scaling."""
@@ -566,19 +508,6 @@ def test_spectral_radius_of_a_guaranteed_iteration_is_at_most_its_rate(seed: int
         found = convergence_guarantee(problem, name, **options)
         if found.rate is not None:
             assert found.spectral_radius <= found.rate * (1 + 1e-9), (name, options)
-
-
-def test_remedies_name_options_of_the_method() -> None:
-    """A remedy that proposes an option is one that the algorithm has, and the proposed run is guaranteed."""
-    trap = textbook_scenes.scaling_trap().problem
-    assert convergence_guarantee(trap, "npgs", **UNSCALED).remedy == 'scaling="auto"'
-    splitting = convergence_guarantee(trap, "npsplitting", **UNSCALED)
-    assert splitting.remedy == 'scaling="auto"'
-    own = convergence_guarantee(trap, NPSplitting(splitting=30.0 * trap.csr, scaling=None))
-    assert own.remedy == 'splitting="lower" and scaling="auto"'
-    assert convergence_guarantee(trap, "npsplitting", splitting="lower").is_guaranteed
-    relaxed = convergence_guarantee(with_matrix(np.eye(2)), "gfp", relaxation=3.0)
-    assert relaxed.remedy == "relaxation ≤ 1"
 
 
 def test_guaranteed_run_that_is_slow_ends_at_its_limit_of_steps() -> None:

@@ -39,7 +39,6 @@ def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 
     return LCP(M.astype(float), q.astype(float), lower=lower, upper=upper)
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize(("free", "boxes"), [(0, 0), (2, 0), (0, 2), (2, 2)])
 @pytest.mark.parametrize("n", [5, 12])
 def test_contradicting_constraints_are_proven(n: int, free: int, boxes: int) -> None:
@@ -152,7 +151,6 @@ def test_signs_of_one_row_prove_a_large_problem_infeasible() -> None:
 # --- By how much -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(12))
 def test_no_z_has_a_residual_below_the_margin(seed: int) -> None:
     """Every z within the bounds, the answers of all methods among them, has a residual of at least the margin."""
@@ -314,7 +312,6 @@ PROOFS: dict[
 NO_CLAIM = {"nodes", "name", "is_irreducible"}
 
 
-@pytest.mark.few(len(PROOFS))
 @pytest.mark.parametrize("name", list(PROOFS))
 def test_verify_rejects_each_replaced_field(name: str) -> None:
     """A proof of other data, or with other multipliers, is not verified."""

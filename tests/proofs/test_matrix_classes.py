@@ -15,13 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.exact import determinant, principal_minors
 
-from lcp_plugin import LCP, Certificate, error_bound
+from lcp_plugin import LCP, Certificate, convergence_guarantee, error_bound
 from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.core.matrix import Matrix, is_nearly_symmetric
 from lcp_plugin.core.rounding import lower_end, upper_end
-from lcp_plugin.methods.direct import _seems_monotone
 from lcp_plugin.proofs import verdicts
-from lcp_plugin.proofs.guarantees import convergence_guarantee
 from lcp_plugin.proofs.verdicts import (
     analyze,
     comparison_certificate,
@@ -30,6 +28,7 @@ from lcp_plugin.proofs.verdicts import (
     is_p_matrix_by_recursion,
     positive_margin,
 )
+from lcp_plugin.solving.direct import _seems_monotone
 from lcp_plugin.systems.definiteness import is_positive_definite, is_semidefinite_to_rounding
 from lcp_plugin.systems.factors import factor_fits
 from lcp_plugin.systems.graph import comparison_product, exact_comparison_row, row_excess_signs
@@ -86,7 +85,6 @@ def test_textbook_matrices(name: str, sparse: bool) -> None:
     assert all(report.evidence.values())
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("n", [40, 600])
 @pytest.mark.parametrize("distance", [1e-9, 1e-12])
 def test_both_sides_of_singular(n: int, distance: float) -> None:

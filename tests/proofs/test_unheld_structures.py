@@ -80,7 +80,6 @@ def test_a_weak_spring_is_no_rounding() -> None:
     assert "nothing holds" not in solve(structure.problem).explain()
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("n", "stiff", "weak"), [(300, 30, 10), (300, 30, 22), (300, 20, 22), (1500, 20, 18)]
 )

@@ -20,11 +20,11 @@ CASES: dict[str, tuple[Any, Any, Any, list[int]]] = {
     "a unique corner of a singular M": ([[1, 1], [1, 1]], [0, 0], 0, []),
     "a skew matrix": ([[0, 1], [-1, 0]], [0, 0], 0, [1]),
     "a free unknown without a row": ([[0, 0], [0, 1]], [0, -1], -np.inf, [0]),
+    "a corner beside it": ([[0, 0, 0], [0, 4, 2], [0, 2, 1]], [0, 0, 0], 0, [0]),
     "a regular M": ([[2, 1], [1, 2]], [-5, 1], 0, []),
 }
 
 
-@pytest.mark.few(8)
 @pytest.mark.parametrize("name", CASES)
 def test_unknowns_that_are_not_determined_are_named(name: str) -> None:
     """The names in explain(), and the mask of the derivative, are the unknowns that differ between solutions."""

@@ -32,7 +32,6 @@ HALF_SPACES = [
 ]
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_answer_is_false(kind: str, draws: Callable[[int], range]) -> None:
     """No SOLVED beside the conditions and every judge, no proof beside a solution, no exception."""

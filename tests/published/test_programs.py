@@ -127,7 +127,6 @@ def test_value_and_violations_are_those_published(
     agrees(of, *way(of, name))
 
 
-@pytest.mark.few(3)
 @pytest.mark.parametrize("name", SMALL)
 def test_units_of_unknowns_and_rows_change_no_value(name: str) -> None:
     """Each unknown and each row in a unit of its own, from 2⁻²⁰ to 2²⁰."""
@@ -145,7 +144,6 @@ def test_units_of_unknowns_and_rows_change_no_value(name: str) -> None:
     agrees(of, units * result.x, result.objective + of.r)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("way", [in_a_batch, in_a_stack])
 @pytest.mark.parametrize("name", SMALL)
 def test_batches_give_what_is_published(
@@ -156,7 +154,6 @@ def test_batches_give_what_is_published(
     agrees(of, *way(of, name))
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("name", SMALL)
 def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name: str) -> None:
     """The published optimum is proved of no x that misses it."""
@@ -170,7 +167,6 @@ def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name: str)
             assert certify(program, moved, max_seconds=10.0).verdict != "proved"
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("name", BY_SIZE)
 def test_certify_proves_every_answer_of_ours(name: str) -> None:
     """Rows that a solve accepts relative to their terms are also accepted by certify."""

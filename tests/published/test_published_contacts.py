@@ -52,7 +52,6 @@ def test_the_laws_of_contact_and_friction_hold(
     assert errors_of_contact(of, way(of)) <= TOLERANCE
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("ratio", [1.0, 1e-7])
 @pytest.mark.parametrize("other", CONTACTS)
 @pytest.mark.parametrize("name", CONTACTS)

@@ -12,10 +12,9 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from lcp_plugin import LCP, EquilibriumProgram, QuadraticProgram, Status, certify, gallery, solve
+from lcp_plugin import LCP, EquilibriumProgram, QuadraticProgram, Status, gallery, solve
 from lcp_plugin.core import deadline
 from lcp_plugin.core.deadline import OutOfTimeError, enforced_seconds_left, is_over, time_limit
-from lcp_plugin.problems.programs import program as program_module
 from lcp_plugin.systems import factors
 from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 
@@ -46,7 +45,6 @@ def test_no_sparse_factorization_starts_that_would_end_after_the_limit(
     assert np.isfinite(result.z).all()
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("factorise", [
     factors.cholesky, factors.dense_lu, lambda M: factors.factorise(sp.csr_array(M), bandwidth=(60, 4)),
 ])  # fmt: skip
@@ -143,7 +141,6 @@ def _best() -> EquilibriumProgram:
     return EquilibriumProgram(program, [0], [1], 0.0, np.inf)
 
 
-@pytest.mark.few(4)
 @pytest.mark.parametrize("state", [_unbounded, _infeasible, _singular, _best])
 def test_a_limited_call_changes_no_later_one(
     state: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
@@ -169,17 +166,3 @@ def test_a_limited_call_changes_no_later_one(
         solve_within_limit(problem, questions)
         again = solve(problem)
         assert (again.status, again.proof.verify()) == (expected.status, True)
-
-
-def test_a_fact_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A proof that a run finishes, with or without a limit, is not searched for again."""
-    found = []
-    search = program_module.proof_of_no_minimum
-    monkeypatch.setattr(
-        program_module, "proof_of_no_minimum", lambda one: found.append(one) or search(one)
-    )
-    problem = _unbounded()
-    for options in ({}, {"max_seconds": 60.0}, {}):
-        assert solve(problem, **options).status is Status.UNBOUNDED
-    assert certify(problem, claim="unbounded").verdict == "proved"
-    assert len(found) == 1

@@ -31,31 +31,13 @@ class Certificate:
     """Residuals of z as a solution of the problem, computed only from the problem's data and z.
 
     The relative, natural and euclidean residuals are upper bounds of the exact ones: rounding errors are included. The
-    other numbers are measured in double precision.
+    other numbers are measured in double precision. A slack at the rounding level of its row may count as 0.
 
     Attributes
     ----------
     problem : LCP
         The problem on which z was measured.
-    z, w : ndarray, shape (n,)
-        The point and its slack M z + q in double precision.
-    scaled_residual : float
-        ‖r(z)‖∞ of the worst component, in the user's unit of z, measured.
-    relative_residual : float
-        The largest ‖r_P(z)‖∞ / ref_P of all connected components P of the graph of M
-        (:mod:`lcp_plugin.core.certificates.criterion`).
-    term_residual : float
-        The least tolerance at which every row passes the componentwise test there.
-    natural_residual : float
-        ‖z − mid(lower, upper, z − w)‖∞, unscaled; the number other solvers print.
-    euclidean_residual : float
-        ‖z − mid(lower, upper, z − w)‖₂; the paper's Res.
-    bound_violation : float
-        Largest distance of z from [lower, upper], in the unit of z.
-    complementarity : float
-        max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over finite bounds.
-    worst_index : int
-        The row of the largest residual relative to the reference of its component; −1 for an empty problem.
+    z : ndarray, shape (n,)
 
     Examples
     --------

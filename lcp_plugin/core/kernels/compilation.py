@@ -1,4 +1,4 @@
-"""Compilation of kernels: by numba at the first call, with numba's own cache.
+"""Compilation of kernels: by numba at the first call, with numba's own cache; the first call also imports numba.
 
 Python calls a `kernel`. Kernels call helpers: a `helper` remains a function, an `inline` function becomes a part of its
 callers. All functions divide as numpy does, and release the lock of the interpreter. Import numba's names from here.
@@ -11,36 +11,39 @@ from __future__ import annotations
 
 import warnings
 from contextlib import suppress
-from functools import partial
+from functools import cache, cached_property, partial, update_wrapper
+from threading import RLock
 from typing import Any
 
 import numpy as np
 
 from ..deadline import compilation, pause_for_compilation
 
-try:
-    with pause_for_compilation():  # most of a second
-        from numba import njit, uintp
-        from numba.core import event
-except ImportError:
-    HAS_NUMBA, uintp = False, int  # type: ignore[assignment]
-    warnings.warn(
-        "numba is not installed: kernels run as Python, which is slower; pip install numba",
-        RuntimeWarning,
-        stacklevel=2,
-    )
-else:
-    HAS_NUMBA = True
-
 __all__ = ["helper", "inline", "kernel", "uintp"]
 # C calls none of them
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 OF_HELPERS: dict[str, Any] = OPTIONS | {"no_cpython_wrapper": True}  # nor Python these
+LOCK = RLock()
+
+uintp: Any = int  # numba's type in the files whose kernels are compiled
 
 
-if HAS_NUMBA:
+@cache
+def _numba() -> Any:
+    """Return numba, which counts the seconds that it compiles, or None if it is not installed."""
+    try:
+        with pause_for_compilation():  # most of a second
+            import numba
+            from numba.core import event
+    except ImportError:
+        warnings.warn(
+            "numba is not installed: kernels run as Python, which is slower; pip install numba",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return None
 
-    class _Seconds(event.Listener):
+    class Seconds(event.Listener):
         """Sum of the seconds of a thread for compilation, for loading cached code, and for waiting on a thread."""
 
         def on_start(self, event: Any) -> None:
@@ -49,25 +52,71 @@ if HAS_NUMBA:
         def on_end(self, event: Any) -> None:
             compilation().end()
 
-    event.register("numba:compiler_lock", _Seconds())  # type: ignore[no-untyped-call]
+    event.register("numba:compiler_lock", Seconds())  # type: ignore[no-untyped-call]
+    return numba
 
 
-def kernel(function: Any) -> Any:
-    """Compile a function that Python calls, and keep the code in numba's cache if that is possible."""
-    if not HAS_NUMBA:
-        return np.errstate(all="ignore")(function)
-    with suppress(RuntimeError):  # no directory for a cache
-        compiled = njit(cache=True, **OPTIONS)(function)
-        if (cache := getattr(compiled, "_cache", None)) is not None:  # NUMBA_DISABLE_JIT: none
-            cache.save_overload = partial(_save, cache.save_overload)
-        return compiled
-    return njit(**OPTIONS)(function)
+class Compiled:
+    """Function that numba compiles at its first call.
+
+    Parameters
+    ----------
+    function : callable
+    is_cached : bool
+        Keep the code in numba's cache if that is possible.
+    **options
+        Options of numba's ``njit``.
+    """
+
+    def __init__(self, function: Any, *, is_cached: bool = False, **options: Any) -> None:
+        self.function, self.is_cached, self.options = function, is_cached, options
+        update_wrapper(self, function)
+
+    def __call__(self, *args: Any) -> Any:
+        """Return the value of the function."""
+        return self.dispatcher(*args)
+
+    @property
+    def py_func(self) -> Any:
+        """The function in Python, which names numba's types and functions."""
+        return getattr(self.dispatcher, "py_func", self.function)
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """Dispatcher of numba for the function; it takes the place of this one in the function's file."""
+        with LOCK:
+            if "dispatcher" in vars(self):  # of another thread
+                return vars(self)["dispatcher"]
+            if (numba := _numba()) is None:
+                return np.errstate(all="ignore")(self.function) if self.is_cached else self.function
+            vars(self)["dispatcher"] = found = self._compiled_by(numba.njit)
+            names = self.function.__globals__
+            for name, value in list(names.items()):
+                if isinstance(value, Compiled):
+                    names[name] = value.dispatcher
+                elif value is uintp:
+                    names[name] = numba.uintp
+            return found
+
+    def _compiled_by(self, njit: Any) -> Any:
+        if self.is_cached:
+            with suppress(RuntimeError):  # no directory for a cache
+                found = njit(cache=True, **self.options)(self.function)
+                if (cache := getattr(found, "_cache", None)) is not None:  # NUMBA_DISABLE_JIT: none
+                    cache.save_overload = partial(_save, cache.save_overload)
+                return found
+        return njit(**self.options)(self.function)
 
 
 def _save(save: Any, *compiled: Any) -> None:
     """Write compiled code to the cache; ignore a disk that is full or read-only."""
     with suppress(OSError):
         save(*compiled)
+
+
+def kernel(function: Any) -> Any:
+    """Compile a function that Python calls, and keep the code in numba's cache if that is possible."""
+    return Compiled(function, is_cached=True, **OPTIONS)
 
 
 def helper(function: Any = None, **options: Any) -> Any:
@@ -77,7 +126,7 @@ def helper(function: Any = None, **options: Any) -> Any:
     """
     if function is None:
         return partial(helper, **options)
-    return njit(**(OF_HELPERS | options))(function) if HAS_NUMBA else function
+    return Compiled(function, **(OF_HELPERS | options))
 
 
 def inline(function: Any) -> Any:

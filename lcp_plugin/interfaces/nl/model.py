@@ -16,7 +16,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ... import __version__
-from ...api import solve
 from ...core.certificates.worst import WorstRow, outside_row
 from ...core.checks import BoolVector, Vector
 from ...core.errors import InvalidProblem, UnsupportedModel
@@ -24,9 +23,7 @@ from ...core.lcp import LCP
 from ...core.problem_classes import with_article
 from ...core.representation import format_count
 from ...core.settings import Settings, Status
-from ...core.solving.result import Outcome, Result
 from ...expressions.rows import Program, Rows
-from ...expressions.statement import STATUS_ELSEWHERE, SquareModel, Statement, solve_from
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.certification import (
     Certification,
@@ -36,6 +33,9 @@ from ...problems.programs.certification import (
 )
 from ...problems.programs.program import QuadraticProgram
 from ...problems.programs.solving import solve_program
+from ...problems.statement import STATUS_ELSEWHERE, SquareModel, Statement, solve_from
+from ...solving.dispatch import solve
+from ...solving.result import Outcome, Result
 from .expressions import UNKNOWNS, Expressions
 from .reading import Indices, NLContent, Token, read_content
 

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from ...core.checks import INFINITE_LIMIT, Vector
 from ...core.errors import UnreadableFile, UnsupportedModel
+from ...core.files import checked_path, opened, read_number
 from ...core.names import Names
-from ..files import checked_path, opened, read_number
 
 CONVERTERS: dict[str, type] = {"i": int, "h": int, "d": float}
 NO_NUMBERS = (

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.doors import foreign_function
 from ...core.errors import InvalidProblem
+from ...core.files import checked_path, write_whole
 from ...core.lcp import LCP
 from ...core.matrix import entries_of_row
-from ..files import checked_path, write_whole
 from .reading import ARITY, NARY, PARTNER, PIECEWISE, WITH_TOLERANCE, NLContent, Token, Trees
 
 LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o"}
@@ -55,10 +56,8 @@ def write_nl(problem: Any, path: str | PathLike[str]) -> None:
 
 def _content_of(problem: Any) -> NLContent:
     """Return the content of a file of the problem; of an LCP rows M z + q, each complementary to its own z."""
-    if hasattr(problem, "component_data_objects"):
-        from ..pyomo import stated
-
-        return stated(problem).in_a_file
+    if (content_of := foreign_function("content", problem)) is not None:
+        problem = content_of(problem)
     if isinstance(problem, LCP):
         n, (lower, upper) = problem.n, (problem.lower, problem.upper)
         free, zero, no = np.full(n, np.inf), np.zeros(n), np.zeros(n, dtype=bool)

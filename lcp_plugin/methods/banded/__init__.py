@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector, read_only
@@ -20,6 +19,7 @@ from ...core.matrix import Matrix, fact
 from ...core.tuning import BANDED_PASSES
 from ...systems.factors import Bands, bands
 from ...systems.graph import bandwidth
+from . import kernels
 
 TURNS = 30  # direct rounds in which the sides take turns
 TRIES = 10  # rounds without fewer wrong rows or fewer rows at bounds
@@ -208,8 +208,6 @@ def solve_one_sided(
     -----
     All arrays should be read-only: numba compiles again for arrays that are not.
     """
-    from . import kernels
-
     z, is_free = np.empty(q.size), np.empty(q.size, np.bool_)
     is_found = kernels.solve_one_sided(entries, q, float(side), value, is_held, is_free, z)
     return z if is_found else None, is_free
@@ -259,6 +257,8 @@ def solve_held(entries: Vector, below: int, right: Vector) -> Vector | None:
         Number of subdiagonals.
     right : array, shape (n,)
     """
+    from scipy.linalg import lapack  # slow to import
+
     n = right.size
     if len(entries) == 3 and below == 1 and n > 1:
         x, info = lapack.dgtsv(entries[0, 1:], entries[1], entries[2, :-1], right)[3:]

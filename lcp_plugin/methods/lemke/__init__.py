@@ -21,7 +21,8 @@ from ...core.settings import whole_number
 from ...core.tuning import PIVOTED_UP_TO
 from ...systems.graph import block_rows
 from ..newton import classify, is_near, solve_active_set
-from .pivoting_path import CanonicalBox, canonical_box
+from .pivoting_path import CanonicalBox, LemkePath, canonical_box, starts
+from .tableau import AT_LOWER, AT_UPPER, BETWEEN, GOING_ON, RAY, SOLVED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,8 +113,6 @@ class Lemke(Algorithm):
 
     def _paths(self, component: LCP, guess: Vector) -> Iterator[tuple[Vector, float]]:
         """Yield (z, entries touched) along successive paths until a path ends in a solution."""
-        from .pivoting_path import LemkePath, starts
-
         # test the active set of the start first: one factorization
         if not np.array_equal(guess, component.nearest_to_zero):
             at_lower, at_upper = guess <= component.lower, guess >= component.upper
@@ -157,8 +156,6 @@ class Lemke(Algorithm):
 
     def _follow(self, component: LCP, box: CanonicalBox, path: Any, start: Any, limit: int) -> Any:
         """Yield along one path; return whether it ended in a certified solution."""
-        from .tableau import GOING_ON, RAY, SOLVED
-
         # About so many entries are touched between two steps.
         block = min(path.fresh_for, int(np.clip(5e7 / max(path.n, 1) ** 2, 32, 200)))
         outcome = GOING_ON if start(path) else RAY
@@ -173,8 +170,6 @@ class Lemke(Algorithm):
 
     def _solution(self, component: LCP, box: CanonicalBox, path: Any) -> Any:
         """Yield the end of a path, first solved again on the unscaled problem; return whether a point passes."""
-        from .tableau import AT_LOWER, AT_UPPER, BETWEEN
-
         z = np.clip(box.recover(path.z), component.lower, component.upper)
         bounded = (component.lower > -np.inf) | (component.upper < np.inf)
         at_lower = component.lower == component.upper

@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from ...api import solve
 from ...core.checks import read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.executors import one_blas_thread, run_on
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_callback, checked_threads
-from ...core.solving.result import BaseResult, Result, StageRecord
 from ...methods.small import LOOP_UP_TO
+from ...solving.dispatch import solve
+from ...solving.result import BaseResult, Result, StageRecord
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..least_squares.solving import LeastSquaresResult
@@ -373,6 +373,5 @@ class BatchAnswers(AnswerSequence[Any]):
             return function(self.problems)
         except AttributeError as error:
             tables = ", ".join(one for one in BatchAnswers.__annotations__ if one in vars(self))
-            raise AttributeError(
-                f"BatchAnswers of these problems has no {name}; its arrays include {tables}"
-            ) from error
+            words = f"BatchAnswers of these problems has no {name}; its arrays include {tables}"
+            raise AttributeError(words) from error

@@ -82,18 +82,15 @@ class ProgramBatch(Instances):
         # The vectors of an invalid program are NaN.
         none = {name: np.full(getattr(example, name).size, np.nan) for name in VECTORS}
         vectors = {
-            name: np.array([getattr(one, name, missing) for one in programs]).reshape(
-                len(programs), missing.size
-            )
+            name: np.stack([getattr(one, name, missing) for one in programs])
             for name, missing in none.items()
         }
         constant = np.array([getattr(one, "constant", np.nan) for one in programs])
         matrices: Any = (getattr(example, name) for name in "PGA")
         if not is_shared:
             stated = [example if isinstance(one, LCPError) else one for one in programs]
-            matrices = (
-                np.array([as_array(getattr(one, name)) for one in stated]) for name in "PGA"
-            )
+            stacks = ([as_array(getattr(one, name)) for one in stated] for name in "PGA")
+            matrices = map(np.array, stacks)
         P, G, A = matrices
         shared = example if is_shared else None
         return cls(len(programs), own.sizes, P, G, A, vectors, constant, shared, programs)
@@ -135,9 +132,8 @@ class ProgramBatch(Instances):
 
         Matrices are of shape (B or 1, …), vectors (B, …), C-contiguous and read-only.
         """
-        c, h, b, lower, upper = (
-            np.broadcast_to(rows, (self.count, rows.shape[1])) for rows in self.vectors.values()
-        )
+        shapes = ((rows, (self.count, rows.shape[1])) for rows in self.vectors.values())
+        c, h, b, lower, upper = (np.broadcast_to(*one) for one in shapes)
         P, G, A = map(_stack, (self.P, self.G, self.A))
         data = P, c, np.concatenate([G, A], 1), np.concatenate([h, b], 1), lower, upper
         return tuple(read_only(np.ascontiguousarray(array)) for array in data)
@@ -210,9 +206,9 @@ def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgr
         If it is not a sequence of mappings from the names of vectors.
     """
     if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
+        given = type(vectors).__name__
         raise InvalidProblem(
-            f'a program takes an array of c, shape (B, n), or a list of mappings, as [{{"b": b}}], '
-            f"got {type(vectors).__name__}"
+            f'a program takes c, shape (B, n), or a list of mappings, as [{{"b": b}}], got {given}'
         )
     programs: list[QuadraticProgram | LCPError] = []
     for k, one in enumerate(vectors):

@@ -19,6 +19,7 @@ from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, TINY
 from ...core.matrix import Matrix
 from ...core.rounding import gamma
+from ...proofs.bounds import smallest_eigenvalue_bound
 from ...systems.equilibration import power_of_two
 
 MAX_DENSE_ENTRIES = 10**6  # of A: dense copies cost little
@@ -500,8 +501,6 @@ class Enclosures:
     @cached_property
     def convexity(self) -> Vector | None:
         """A d > 0, shape (n,), with AᵀWA + ridge − diag(d) proved positive semidefinite, or None."""
-        from ...proofs.bounds import smallest_eigenvalue_bound
-
         problem, n = self.problem, self.problem.shape[1]
         if not problem.has_entries or not 0 < n <= min(GRAM_UP_TO, problem.shape[0]):
             return None

@@ -40,6 +40,7 @@ from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
 from ...engines import installed_engine
 from ...engines.engine import EngineAnswer, ProgramData, SolverLimits
 from ...engines.polish import polish_steps
+from ...systems.minimum_degree import factor_sizes
 from .data import BoundedLeastSquares, ScaledLeastSquares, clip, shortest_solution
 
 ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
@@ -262,8 +263,6 @@ def is_within_reach(problem: ScaledLeastSquares) -> bool:
         return whole.has_entries
     if whole.is_dense:
         return bool(FACTORS * min(m, n) ** 2 * max(m, n) < seconds * DENSE_OPERATIONS)
-    from ...systems.minimum_degree import factor_sizes
-
     A = problem.matrix(is_dense=False)
     if FACTORS * SECONDS_PER_ENTRY * (A.nnz + m + n) > seconds:
         return False

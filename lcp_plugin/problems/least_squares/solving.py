@@ -18,11 +18,11 @@ from ...core.checks import BoolVector, Vector, derived_property, read_only
 from ...core.deadline import OutOfTimeError, is_over
 from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import Settings, Status
-from ...core.solving.progress import Progress, say
-from ...core.solving.result import BaseResult
-from ...core.solving.run import STATUS_OF, Callback, Run
-from ...core.solving.stage import FAILED, Named, Stage, TerminationReason
 from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
+from ...solving.progress import Progress, say
+from ...solving.result import BaseResult
+from ...solving.run import STATUS_OF, Callback, Run
+from ...solving.stage import FAILED, Named, Stage, TerminationReason
 from . import engines
 from .certificate import Optimality, duality_gap, measure_stack
 from .data import BoundedLeastSquares, Enclosures, clip, times
@@ -371,9 +371,6 @@ class LeastSquaresResult(BaseResult):
     def _clauses(self) -> list[str]:
         is_estimate = not self.is_proved and np.isfinite(self.fun).all()
         return [OF_OPERATORS[self.status]] if is_estimate and self.status in OF_OPERATORS else []
-
-    def _numbers(self) -> dict[str, float]:
-        return {**super()._numbers(), "optimality": self.optimality}
 
     def describe_accuracy(self) -> str:
         """Return the optimality and the tolerance, as text."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -13,11 +12,12 @@ from numpy.typing import ArrayLike
 from ...core.certificates.criterion import row_data
 from ...core.certificates.residuals import Certificate
 from ...core.checks import Vector, derived_property, is_number, read_only
+from ...core.doors import Door
 from ...core.errors import InvalidOption, NotConverged
 from ...core.lcp import LCP
 from ...core.representation import format_count
 from ...core.settings import Status
-from ...core.solving.result import Outcome
+from ...solving.result import Outcome
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..programs.criterion import QPSolution
@@ -314,28 +314,15 @@ class Path(Outcome):
             why = SINGULAR if self.beyond.is_solved else self.beyond.advice
         return f"; it ends at {self.reached:.9g}, before {self.stop:.6g}: {why}"
 
-    def plot(self, *, axes: Any = None, rows: Sequence[int] | None = None) -> Any:
-        """Return matplotlib's axes with x over θ, and below it the objective and the active rows.
-
-        Parameters
-        ----------
-        axes : Axes, optional
-            Axes for x. The other plots are then omitted.
-        rows : sequence of int, optional
-            Indices of the unknowns to draw; by default the forty that change most.
-        """
-        from ...evidence.drawing import plot_path
-
-        return plot_path(self, axes=axes, rows=rows)
+    plot = Door()  # evidence.drawing.plot_path
 
     def __len__(self) -> int:
         return len(self.pieces)
 
     def __repr__(self) -> str:
-        return (
-            f"Path({self.status.name}, {format_count(len(self.pieces), 'piece')}, "
-            f"{self.start:.6g} to {self.reached:.6g}, {self.seconds:.3g} s)"
-        )
+        count = format_count(len(self.pieces), "piece")
+        where = f"{self.start:.6g} to {self.reached:.6g}"
+        return f"Path({self.status.name}, {count}, {where}, {self.seconds:.3g} s)"
 
     def __str__(self) -> str:
         return self.explain()

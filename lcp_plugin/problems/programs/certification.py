@@ -21,15 +21,16 @@ import scipy.sparse as sp
 from ...core.certificates.worst import WorstRow, WorstRows, put_on_bounds, worst_pairs
 from ...core.checks import Vector, checked_vector, derived_property, is_number, restore_state
 from ...core.deadline import is_over, seconds_left, time_limit
+from ...core.doors import foreign_function
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import LARGEST
 from ...core.matrix import largest_products
 from ...core.problem_classes import CLASSES, class_of, refusal
 from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance, whole_number
-from ...core.solving.result import BaseResult
 from ...proofs.bounds import constrained_curvature
 from ...proofs.exact import sum_above
+from ...solving.result import BaseResult
 from . import value_bounds
 from .criterion import QPSolution, excused_rows, least_size, worst_constraints
 from .no_minimum import NoMinimum, QPInfeasibility, proof_of_no_minimum
@@ -195,14 +196,10 @@ def _certify_other(
         raise InvalidOption(
             "x, multipliers and claim go with a QuadraticProgram; a cvxpy problem has its own"
         )
-    if hasattr(problem, "component_data_objects"):  # a Pyomo model
-        from ...interfaces.nl.model import certify_values
-        from ...interfaces.pyomo import stated
-
-        return certify_values(stated(problem, pairs).content, tolerance)
-    from ...modeling.registration import certify_model
-
-    return certify_model(problem, tolerance)
+    if (certify_model := foreign_function("certify", problem)) is None:
+        raise InvalidProblem(refusal("certify", problem))
+    found: Certification = certify_model(problem, tolerance, pairs)
+    return found
 
 
 def _check_point(problem: Any, x: Any, multipliers: Any, claim: Any, *options: Any) -> None:

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...auto import parse_call, solve_lcp
 from ...core.algorithm import Step
 from ...core.certificates.worst import WorstRows
 from ...core.checks import Vector, vector_option
@@ -22,14 +21,16 @@ from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ...core.representation import describe_radius, three_digits_below
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
-from ...core.solving.progress import Progress, say
-from ...core.solving.result import NEXT, BaseResult, Sample
-from ...core.solving.run import Run
-from ...core.solving.stage import Named, Stage, TerminationReason
 from ...engines import ENGINES, engine_class, installed_engine, is_installed, scaling
 from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from ...engines.polish import ROUNDS, polish_steps
 from ...methods.interior_point import InteriorPoint
+from ...solving.choice import parse_call
+from ...solving.lcp_solver import solve_lcp
+from ...solving.progress import Progress, say
+from ...solving.result import NEXT, BaseResult, Sample
+from ...solving.run import Run
+from ...solving.stage import Named, Stage, TerminationReason
 from .conversion import optimality_conditions
 from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors, QPSolution, worst_constraints
 from .no_minimum import NoMinimum, QPUnboundedness, numbers
@@ -327,11 +328,6 @@ class QuadraticProgramResult(BaseResult):
         if not self.is_solved:
             doubt = "so the program is not convex, unless this is a rounding error"
         return [f"P has a negative eigenvalue, {doubt}"]
-
-    def _numbers(self) -> dict[str, float]:
-        names = () if self.has_no_solution else ("primal_residual", "duality_gap")
-        residuals = {name: float(getattr(self.solution, name)) for name in names}
-        return {**super()._numbers(), **residuals}
 
     def _worst(self, count: int) -> WorstRows:
         y = np.concatenate([self.solution.inequality, self.solution.equality])

@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, UnreadableFile
-from lcp_plugin.interfaces import files
+from lcp_plugin.core import files
 
 INF = math.inf
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 1 / 3]])
@@ -153,17 +153,6 @@ def test_huge_bounds_that_exclude_zero_come_back(
     problem = LCP(M, PROBLEM.q, **bounds)
     problem.save(tmp_path / path)
     assert_same(problem, LCP.load(tmp_path / path))
-
-
-@pytest.mark.parametrize("given_path", ["run1_", "run1_M.mtx"])
-def test_prefix(given_path: str, tmp_path: Path) -> None:
-    """Several problems may share a folder; the prefix or matrix file selects one."""
-    PROBLEM.save(tmp_path)
-    for file in tmp_path.glob("*.mtx"):
-        file.rename(tmp_path / f"run1_{file.name}")
-    LCP([[1.0]], [1.0]).save(tmp_path)
-    assert_same(PROBLEM, LCP.load(tmp_path / given_path))
-    assert LCP.load(tmp_path).n == 1
 
 
 def test_matrix_market_as_others_write_it(tmp_path: Path) -> None:
@@ -340,7 +329,6 @@ ENORMOUS = {
 }
 
 
-@pytest.mark.few(1)
 @pytest.mark.skipif(
     sys.platform != "linux", reason="the peak of the memory is read from Linux's resource usage"
 )
@@ -419,44 +407,3 @@ def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -
         PROBLEM.save(tmp_path / path)
     assert files_in(tmp_path) == {"file": b"precious"}
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "taken.npz"]
-
-
-@pytest.mark.parametrize(
-    ("raised", "expected", "words"),
-    [
-        (DeprecationWarning("soon"), DeprecationWarning, "^soon$"),
-        (UnreadableFile("ours"), UnreadableFile, "^ours$"),
-        (MemoryError("8 TiB"), UnreadableFile, r"more memory is required than is free \(8 TiB\)"),
-    ],
-)
-@pytest.mark.parametrize("ending", [".mtx", ".mat", ".npz"])
-def test_an_error_without_relation_to_the_file_is_not_reported_as_damage(
-    ending: str, raised: Exception, expected: Any, words: str, tmp_path: Path, monkeypatch: Any
-) -> None:
-    """A warning that is an error and an error of this package pass unchanged; a lack of memory has its own message."""
-    target = tmp_path if ending == ".mtx" else tmp_path / f"p{ending}"
-    if ending == ".mat":
-        scipy.io.savemat(target, {"M": M, "q": PROBLEM.q})
-    else:
-        PROBLEM.save(target)
-
-    def fail(*_: Any, **__: Any) -> None:
-        raise raised
-
-    for module, name in ((scipy.io, "mmread"), (scipy.io, "loadmat"), (np, "load")):
-        monkeypatch.setattr(module, name, fail)
-    with pytest.raises(expected, match=words):
-        LCP.load(target)
-
-
-def test_a_mistake_in_a_reader_is_not_reported_as_a_corrupt_file(
-    tmp_path: Path, monkeypatch: Any
-) -> None:
-    """A TypeError in a line of this package passes; one that a decoder raises is a corrupt file."""
-    PROBLEM.save(tmp_path)
-    monkeypatch.setattr(scipy.io, "mminfo", lambda _: (3, 3, None, "array", "real", "general"))
-    with pytest.raises(TypeError, match="NoneType"):  # compared with the size of the file
-        LCP.load(tmp_path)
-    monkeypatch.setattr(scipy.io, "mminfo", lambda _: None + 1)
-    with pytest.raises(UnreadableFile, match=r"cannot read .* \(unsupported"):
-        LCP.load(tmp_path)

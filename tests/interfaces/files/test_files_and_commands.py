@@ -203,7 +203,6 @@ def mistakes() -> dict[str, str]:
     }
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("command", CELLS)
 def test_mistakes_cost_one_line(command: str) -> None:
     """Missing, empty, corrupt or misnamed files give exit code 2 and a line with the name."""

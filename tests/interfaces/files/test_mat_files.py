@@ -15,7 +15,7 @@ from scipy.io import loadmat, savemat, whosmat
 from tools.processes import lcp_plugin
 
 from lcp_plugin import LCP, UnreadableFile
-from lcp_plugin.interfaces.files import read_mat
+from lcp_plugin.core.files import read_mat
 
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]])
 # not in every installation

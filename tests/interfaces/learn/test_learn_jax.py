@@ -43,7 +43,6 @@ def test_examples_of_its_help() -> None:
     assert doctest.testmod(layers).attempted > 3
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
 def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> None:
@@ -54,7 +53,6 @@ def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> No
         check_grads(layer, tuple(map(jnp.array, data)), order=1, modes=["rev"], eps=1e-6)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "axes", [(None, 0, None, None), (0, None, None, None), (None, None, 0, 0), (0, 0, 0, 0)]
 )

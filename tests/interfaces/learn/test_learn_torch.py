@@ -51,7 +51,6 @@ def test_examples_of_its_help() -> None:
     assert doctest.testmod(layers).attempted > 3
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
 def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> None:

@@ -18,9 +18,9 @@ from tools.nl_files import evaluated, read_sol
 
 from lcp_plugin import LCPError
 from lcp_plugin.commands import ampl
-from lcp_plugin.expressions.statement import STATUS_ELSEWHERE
 from lcp_plugin.interfaces.nl import read_nl
 from lcp_plugin.interfaces.nl.reading import NLContent, Token, Trees
+from lcp_plugin.problems.statement import STATUS_ELSEWHERE
 
 INF = np.inf
 MET = 1e-5  # of the size of a row or a variable

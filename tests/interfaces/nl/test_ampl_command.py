@@ -346,7 +346,6 @@ def test_pyomo_solves_through_the_executable(
     assert [model.x[i].value for i in range(3)] == pytest.approx(Z, abs=1e-8)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_models_by_chance_are_answered_by_the_executable(
     seed: int, tmp_path: Path, draws: Callable[[int], range]

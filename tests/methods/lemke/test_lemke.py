@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from applications.finance import put_uniform
 from collection import all_entries
 from collection.entry import Entry
 from hypothesis import given, settings
@@ -52,17 +51,6 @@ def test_published_problems(entry: Entry) -> None:
     assert best(entry.problem).relative_residual <= 1e-12
 
 
-def circuit() -> LCP:
-    """A diode bridge: two node voltages and an equation are free, four diodes complementary."""
-    M = np.zeros((7, 7))
-    M[0, [1, 2, 4, 6]] = -1e-3, 1e-3, 1.0, 1.0
-    M[1, [1, 2, 3, 5]] = 1e-3, -1e-3, -1.0, -1.0
-    M[2, [0, 5, 6]] = -1.0, 10.0, -10.0
-    M[3, 2], M[4, 1] = -1.0, 1.0
-    M[5, [0, 2]], M[6, [0, 1]] = (1.0, -1.0), (-1.0, 1.0)
-    return LCP(M, [0, 0, 1, 0, 0, 0, 0], lower=[-INF, -INF, -INF, 0, 0, 0, 0])
-
-
 MIXED: dict[str, Callable[[], LCP]] = {
     "relays": lambda: LCP(np.eye(4), [-5, -0.5, 0.5, 5], lower=-1, upper=1),
     "relays, coupled, indefinite": lambda: LCP(
@@ -96,11 +84,6 @@ def test_many_definitions_are_eliminated() -> None:
     lower, q = np.repeat([[-INF, 0, -INF], [0, 0, -1]], [80, 2, 1], axis=1)
     result = solve(LCP(sp.block_array(rows), q, lower=lower), "lemke")
     assert result.require_solved().z == pytest.approx([0.5] * 82 + [-20], rel=1e-14)
-
-
-def test_a_diode_bridge_is_solved_by_auto() -> None:
-    """Free rows whose block has rank 1 and whose path is lost by lemke are left to the other methods."""
-    assert solve(circuit()).is_solved
 
 
 def test_the_end_of_a_path_is_solved_again_before_it_is_judged() -> None:
@@ -220,15 +203,6 @@ def test_a_row_that_completes_free_rows_keeps_its_value() -> None:
     assert solve(problem, "lemke").is_solved
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_put_in_mixed_units_is_solved(seed: int) -> None:
-    """The perturbation that breaks ties is relative to each q: no row of small numbers is lost in it."""
-    put, generator = put_uniform(n=150), np.random.default_rng(seed)
-    row, column = (sp.diags_array(2.0 ** generator.integers(-20, 21, 150)) for _ in range(2))
-    lower = put.lower / column.diagonal()
-    assert solve(LCP(row @ put.M @ column, row @ put.q, lower=lower), "lemke").is_solved
-
-
 @settings.get_profile("many")
 @given(solved_lcps())
 def test_problems_with_a_known_answer(drawn: tuple[LCP, Any]) -> None:
@@ -322,14 +296,6 @@ def test_a_huge_q_that_does_not_matter_is_no_obstacle() -> None:
     assert result.z.tolist() == [0.0, 1.0]
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_arbitrary_starts_reach_a_solution_of_an_indefinite_problem(seed: int) -> None:
-    """No theorem holds for these M; paths from random active sets find a solution."""
-    rng = np.random.default_rng(seed)
-    problem, _ = planted_lcp(rng.standard_normal((20, 20)), rng, bounds=False)
-    assert solve(problem, "lemke").is_solved
-
-
 def test_a_time_limit_ends_lemke_before_its_other_starts() -> None:
     """A limit is kept within a second and one factorization; each of twelve starts would factorize again."""
     rng = np.random.default_rng(0)
@@ -385,21 +351,3 @@ def test_elimination_of_a_free_row_of_rank_one_leaves_zeros() -> None:
         v = np.random.default_rng(seed).integers(1, 100, 9).astype(float)
         problem = LCP(np.outer(v, v), -v, lower=np.where(np.arange(9), 0.0, -np.inf))
         assert not canonical_box(problem).M.any()
-
-
-def test_a_row_that_no_z_makes_positive_ends_lemke_before_restarts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Row 3 is −2 z₁ − z₂ − 2 z₃ − 1 < 0 for every z ≥ 0, so that 600 more paths would be in vain."""
-    asked: list[int] = []
-
-    def counted(path: LemkePath, restarts: int) -> Any:
-        asked.append(restarts)
-        return starts(path, restarts)
-
-    monkeypatch.setattr("lcp_plugin.methods.lemke.pivoting_path.starts", counted)
-    M = np.array([[-1.0, 0, -3], [1, -2, -5], [-2, -1, -2]])
-    assert solve(LCP(M, [-3, -2, -1]), "lemke").status is Status.INFEASIBLE
-    solve(LCP(M, [-3, -2, -1], upper=[INF, INF, 2.0]), "lemke", max_seconds=1.0)
-    solve(LCP(-M, [-3, -2, -1]), "lemke")
-    assert asked == [0, 0, 600][: len(asked)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ def drawn(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.standard_normal((n, n)), rng.standard_normal(n)
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("n", "is_boxed"), [(4, True), (1, False), (2, False), (3, False), (4, False), (5, False)]
 )
@@ -64,7 +62,6 @@ def test_random_problems_are_decided(draws: Callable[..., range]) -> None:
     assert all(batch[k].infeasibility.verify() for k in range(count) if batch.status[k] in PROVEN)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["auto", "newton", "lemke", "interior_point"])
 def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     """STALLED with words that say why, and no proof, where prove_infeasibility=True ends INFEASIBLE."""
@@ -74,29 +71,6 @@ def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     assert result.status is Status.STALLED
     assert result.infeasibility is None
     assert "not proved infeasible, because prove_infeasibility=False" in result.advice
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("prove_infeasibility", [True, False])
-def test_a_batch_answers_as_solve_does(
-    prove_infeasibility: bool, draws: Callable[..., range]
-) -> None:
-    """The same status, of boxes and warm starts too."""
-    rng, count = np.random.default_rng(5), len(draws(80, 16))
-    M, q, upper, z0 = (
-        *(rng.standard_normal(s) for s in ((count, 5, 5), (count, 5))),
-        rng.random((count, 5)),
-        rng.random((count, 5)),
-    )
-    for more in ({}, {"upper": upper}, {"upper": upper, "z0": z0}):
-        batch = solve_batch(M, q, prove_infeasibility=prove_infeasibility, **more)
-        for k in range(count):
-            bounds = {"upper": upper[k]} if more else {}
-            start: Any = z0[k] if "z0" in more else None
-            alone = solve(
-                LCP(M[k], q[k], **bounds), prove_infeasibility=prove_infeasibility, z0=start
-            )
-            assert alone.status is batch.status[k] is batch[k].status
 
 
 def test_a_contradiction_within_the_tolerance_ends_nothing() -> None:

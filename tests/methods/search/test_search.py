@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from fractions import Fraction
 
@@ -22,13 +21,11 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.methods.search import all_solutions, search
-from lcp_plugin.methods.search.simplex import QUANTUM
 from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
 from lcp_plugin.proofs.exact import is_exact_solution
 from lcp_plugin.proofs.no_solution import Case, NoSolution
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("block", range(8))
 def test_random_problems_agree_with_an_enumeration(block: int, draws: Callable[..., range]) -> None:
     """Verdicts, solutions, faces, flags and proofs agree with Fourier–Motzkin over all patterns."""
@@ -68,7 +65,6 @@ def test_ties_of_integer_payoffs_are_kept() -> None:
     )
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("odd", [None, 1e19, -1e19, 1e10, 1e-9, 1e-17])
 def test_equilibria_are_those_of_the_payoffs(odd: float | None) -> None:
     """Extreme equilibria, ties included, agree with an exact enumeration of vertices."""
@@ -219,27 +215,6 @@ def test_auto_names_a_solution_beyond_double_precision() -> None:
         "an enumeration of all active sets found a solution, but z[1] of the exact solution"
         in result.advice
     )
-
-
-def busy(seed: int) -> LCP:
-    """17 free rows of 36 or so: a tableau of long numbers."""
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(35, 38))
-    M, q, lower = rng.standard_normal((n, n)), rng.standard_normal(n), np.zeros(n)
-    lower[rng.permutation(n)[:17]] = -np.inf
-    return LCP(M, q, lower=lower)
-
-
-@pytest.mark.full
-def test_auto_leaves_a_search_after_so_many_products(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Auto stops an exact search after a fixed amount of work, and reports its progress."""
-    monkeypatch.setattr("lcp_plugin.methods.search.MOST_PRODUCTS", 4 * QUANTUM)
-    runs = [solve(busy(0)) for _ in range(2)]
-    for result in runs:
-        assert result.status is Status.STALLED
-        assert result.stages[-1].name == "search"
-        assert re.search(r"undecided after \d+ cases; all_solutions goes on", result.advice)
-    assert runs[0].stages == runs[1].stages
 
 
 def test_energy_that_falls_for_ever_does_not_keep_the_run_from_a_proof() -> None:

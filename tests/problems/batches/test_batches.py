@@ -205,7 +205,6 @@ CLASSES: dict[str, Any] = {
 }
 
 
-@pytest.mark.few(5)
 @pytest.mark.parametrize("name", CLASSES)
 def test_a_batch_has_the_limits_of_single_solves(name: str) -> None:
     """No iteration solves none of these; the points and statuses of a batch are those of `solve`."""

@@ -1,4 +1,4 @@
-"""Batches in arrays on a GPU, without a GPU; with one, run ``python tests/on_a_gpu.py``."""
+"""Batches in arrays on a GPU, without a GPU; with one, run ``python .ci/on_a_gpu.py``."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from lcp_plugin.core.errors import InvalidOption
 
 @pytest.mark.full
 def test_on_a_gpu_simulated_kernels_give_results_of_cpu() -> None:
-    """The checks of tests/on_a_gpu.py pass with numba's simulator and arrays that do not mix with numpy's."""
-    script = Path(__file__).parents[2] / "on_a_gpu.py"
+    """The checks of .ci/on_a_gpu.py pass with numba's simulator and arrays that do not mix with numpy's."""
+    script = Path(__file__).parents[3] / ".ci" / "on_a_gpu.py"
     command = [sys.executable, "-W", "ignore", str(script), "--simulated"]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     assert "n = 6: 12 of 12 on the GPU" in found.stdout, found.stderr

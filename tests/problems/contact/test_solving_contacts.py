@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inputs.contact_families import FAMILIES, falling, planted
@@ -55,26 +52,6 @@ def test_a_start_with_the_answers_contacts_costs_no_more_work() -> None:
     assert cold.is_solved
     assert warm.work <= cold.work
     np.testing.assert_allclose(data.recover(warm).slip, data.recover(cold).slip, atol=1e-7)
-
-
-def test_contacts_in_other_words_are_solved(tmp_path: Path) -> None:
-    """Stated, as arrays, sparse, from a file, with another q, without friction, in other units, with eight edges."""
-    data = falling(4, 4, 10.0, np.random.default_rng(1))
-    M, q = data.arrays
-    stated = LCP.from_contacts(data.W, data.friction, data.velocities)
-    stated.save(tmp_path / "contacts.npz")
-    unit = np.where(np.arange(q.size) < 4, 4.0, 1.0)
-    for problem in (
-        stated,
-        stated.with_q(1.5 * q),
-        LCP.load(tmp_path / "contacts.npz"),
-        LCP(sp.csr_array(M), q),
-        problem_of(contact_data(data.W, [0.0, 0.5, 0.0, 0.5], data.velocities)),
-        LCP(unit[:, None] * M * unit, unit * q),
-        problem_of(contact_data(data.W, 0.5, data.velocities, directions=8)),
-        problem_of(contact_data(np.eye(4), 0.5, [[-1.0, 0.3], [-1.0, 0.9]])),
-    ):
-        solve(problem).require_solved()
 
 
 def test_an_answer_of_another_length_is_refused() -> None:

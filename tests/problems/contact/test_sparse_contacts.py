@@ -137,23 +137,3 @@ def test_a_contact_that_no_impulse_moves_may_be_one_of_many() -> None:
     motion = solve(FrictionalContact(sp.diags_array(diagonal, format="csr"), b, 0.5)).motion
     np.testing.assert_array_equal(motion.touches, np.arange(count) != 10)
     np.testing.assert_allclose(motion.tangential[0], [-0.3, -0.4], atol=1e-12)
-
-
-def test_small_dense_bodies_need_no_sparse_array(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A step of a few bodies builds no sparse array, and inverts the mass matrix once."""
-    mass, normals, tangents, velocities = scene(3, 4)
-    given = mass.toarray(), normals.toarray(), tangents.toarray().reshape(4, 2, -1)
-    inverted: list[tuple[int, ...]] = []
-    inverse = np.linalg.inv
-
-    def count(matrix: Any) -> Any:
-        inverted.append(matrix.shape)
-        return inverse(matrix)
-
-    monkeypatch.setattr(np.linalg, "inv", count)
-    for name in ("csr_array", "coo_array", "vstack", "bsr_array"):
-        monkeypatch.setattr(f"lcp_plugin.problems.contact.sp.{name}", None)
-    problem = LCP.from_contacts(given, 0.5, velocities)
-    motion = problem.origin.recover(np.zeros(problem.n))
-    np.testing.assert_allclose(motion.body_velocities, velocities)
-    assert inverted == [mass.shape]

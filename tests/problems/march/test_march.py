@@ -376,7 +376,6 @@ def marched_beginnings(steps: marches.Steps, **options: object) -> object:
     return march(steps.problem, steps.forcing, steps.propagator, z0=steps.z0, **options)
 
 
-@pytest.mark.few(3)
 @pytest.mark.parametrize("name", SMALL)
 def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
     """Every step is SOLVED, with the z that solve() finds for its q, to 1e-8 of the largest."""
@@ -399,20 +398,6 @@ def test_time_that_runs_out_keeps_the_steps_before() -> None:
     assert 0 < len(done) < len(steps.forcing)
     assert all(step.is_solved for step in done[:-1])
     assert done[-1].status in (Status.MAX_SECONDS, Status.SOLVED)
-
-
-def test_ctrl_c_keeps_the_steps_before() -> None:
-    """An interruption by a callback in the fourth step leaves three, all of them SOLVED."""
-    steps, calls = SMALL["basket"](), []
-
-    def interrupts(sample: Any, z: Any) -> None:
-        calls.append(sample.iteration == 0)
-        if sum(calls) == 4:
-            raise KeyboardInterrupt
-
-    done = marched_beginnings(steps, callback=interrupts)
-    assert not done.all_solved
-    assert [step.is_solved for step in done] == [True] * 3 + [False] * (len(done) - 3)
 
 
 def test_a_put_in_heston_s_model_has_its_published_value() -> None:

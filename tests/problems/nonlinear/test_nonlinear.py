@@ -130,7 +130,6 @@ def test_planted_problems(seed: int, kind: str, n: int, is_far: bool) -> None:
         assert one.sharp_relative_residual(result.z, certificate.problem.residual_scale) <= 1e-8
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("n", [2, 20, 100])
 def test_planted_problems_are_solved(kind: str, n: int) -> None:
@@ -218,7 +217,6 @@ def test_steps_into_the_undefined_are_shortened() -> None:
         ] == pytest.approx(np.e)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("size", [32, 100, 316])
 def test_steps_do_not_grow_under_refinement(size: int) -> None:
     """A membrane with a nonlinear source takes at most 5 Newton steps at n = 10³, 10⁴ and 10⁵."""
@@ -391,7 +389,6 @@ def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:
     assert solved(solve_nonlinear(problem, [8e-9, 100.0]))[0] == pytest.approx(0.0128549 / 0.7)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("jacobian", [None, lambda x: np.diag(-10.0 / x**2)])
 def test_ten_by_x_less_one_is_solved_at_its_root_or_not(
     jacobian: Callable[..., Any] | None,

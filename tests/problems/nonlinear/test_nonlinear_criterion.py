@@ -28,7 +28,6 @@ def test_an_idle_row_is_no_reference_for_a_curved_one() -> None:
         np.testing.assert_allclose(result.z, [0, 1, 1], atol=2e-4)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_random_small_problems_have_no_false_solution(
     shape: str, draws: Callable[..., range]
@@ -88,7 +87,6 @@ def test_a_right_point_is_solved_and_solved_again(name: str) -> None:
         assert again.iterations == 0
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("F", "jacobian"),
     [

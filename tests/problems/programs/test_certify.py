@@ -45,7 +45,6 @@ SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
 # --- Right and wrong answers to programs --------------------------------------------------------------------------
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", certify_campaign.KINDS)
 def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
     """Programs of each class: right points are proved, wrong points never are."""

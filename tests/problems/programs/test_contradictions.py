@@ -99,7 +99,6 @@ def test_a_limit_of_rounding_size_is_met_or_refuted_at_once(
         assert row @ result.x <= 1e-6 * TINY + 1e-12 * np.abs(row * result.x).max()
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize("slope", [0.0, 1.0])
 @pytest.mark.parametrize("P", [np.eye(2), np.zeros((2, 2))])
 def test_rounding_in_the_place_of_0_is_named_at_once(P: np.ndarray, slope: float) -> None:
@@ -167,7 +166,6 @@ def test_the_status_does_not_depend_on_an_earlier_call() -> None:
     assert second == [Status.PRECISION_LIMIT, Status.STALLED, Status.PRECISION_LIMIT]
 
 
-@pytest.mark.few(4)
 @pytest.mark.parametrize("unit", [2.0**-60, 1e-10, 1.0, 1e9])
 @pytest.mark.parametrize("door", ["equality", "inequality", "cvxpy", "pairs"])
 def test_a_row_without_coefficients_is_judged_by_its_own_side(door: str, unit: float) -> None:

@@ -160,7 +160,6 @@ def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> No
         assert result.iterations <= 2000
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("family", "seed", "case"),
     [
@@ -182,7 +181,6 @@ def test_solve_of_a_badly_scaled_program_has_the_planted_value_or_is_not_solved(
     assert not result.is_solved or result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize(("seed", "largest", "case"), [(5, 300, 15), (1, 1000, 12), (1, 1000, 42)])
 def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
     seed: int, largest: int, case: int
@@ -319,39 +317,6 @@ def test_p_that_is_semidefinite_but_for_rounding_is_solved(P: Any, c: Any, value
     assert certify(result).verdict != "disproved"
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("bounded", [False, True])
-@pytest.mark.parametrize("rows", [3, 5])
-def test_an_exact_fit_is_optimal(rows: int, bounded: bool) -> None:
-    """All residuals of cvxpy's sum of squares, and all forces, are at rounding level."""
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        A, x = rng.standard_normal((rows, 5)), cp.Variable(5)
-        b = A @ (np.abs(rng.standard_normal(5)) + 0.1)
-        problem = cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)), [x >= 0] if bounded else [])
-        problem.solve(solver=QPSolver)
-        assert problem.status == "optimal"
-        assert problem.value <= 1e-20
-
-
-def test_data_of_single_precision_are_convex_enough() -> None:
-    """A covariance of fewer samples than assets, rounded to seven digits, is accepted."""
-    rng = np.random.default_rng(0)
-    P = np.cov(rng.standard_normal((20, 40)).T.astype(np.float32)).astype(np.float32).astype(float)
-    gains = 0.3 * rng.random(40)
-    x = cp.Variable(40)
-    other = cp.Problem(
-        cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) - gains @ x), [cp.sum(x) == 1, x >= 0]
-    )
-    other.solve(solver=cp.CLARABEL)
-    for unit in (1.0, 1e6, 1e-6):
-        result = solve(
-            QuadraticProgram(unit * P, -unit * gains, A=np.ones((1, 40)), b=[1], lower=np.zeros(40))
-        )
-        assert result.is_solved
-        assert abs(result.objective / unit - other.value) <= 1e-6 * abs(other.value)
-
-
 @pytest.mark.parametrize("name", NONCONVEX)
 def test_a_program_that_is_clearly_not_convex_is_refused(name: str) -> None:
     """A negative eigenvalue beyond rounding is rejected with a value and advice."""
@@ -361,23 +326,6 @@ def test_a_program_that_is_clearly_not_convex_is_refused(name: str) -> None:
         match=f"not convex: (the )?{words}.*a stationary point need not be a minimum; solve Equi",
     ):
         LCP.from_qp(P, np.full(P.shape[0] if sp.issparse(P) else 2, 0.1), lower=-1.0, upper=1.0)
-
-
-@pytest.mark.parametrize("rank", [1, 3, 7])
-@pytest.mark.parametrize("scale", [1.0, 1e-9, 1e9])
-@pytest.mark.parametrize("is_sparse", [False, True])
-def test_a_gram_matrix_is_convex_enough(rank: int, scale: float, is_sparse: bool) -> None:
-    """A singular BᵀB in double precision, whose smallest eigenvalues are rounding of either sign, is accepted."""
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        B = rng.standard_normal((rank, 12)) * np.where(rng.random(12) < 0.3, 1e-9, 1.0)
-        P = scale * (B.T @ B)
-        P = np.maximum(P, P.T)
-        problem = LCP.from_qp(
-            sp.csr_array(P) if is_sparse else P, P @ rng.standard_normal(12), lower=-9.0, upper=9.0
-        )
-        solution = problem.origin.recover(solve(problem, tolerance=1e-12))
-        assert solution.is_optimal()
 
 
 def test_an_unbounded_direction_needs_a_feasible_point() -> None:

@@ -47,7 +47,6 @@ def test_a_small_slope_is_followed_to_its_bound() -> None:
 OPEN = pytest.mark.xfail(strict=False, reason="open: STALLED for UNBOUNDED in one unit")
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "case", [pytest.param(case, marks=[OPEN] * (case == 12)) for case in range(15)]
 )

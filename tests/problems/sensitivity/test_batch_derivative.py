@@ -152,7 +152,6 @@ def test_zero_rows_that_are_free_together_with_a_kink() -> None:
     assert found.free.tolist() == [found[0].free.tolist()]
 
 
-@pytest.mark.few(2)
 def test_contacts_have_gradients_where_impulses_are_not_determined() -> None:
     """Pyramids make M_FF singular and rows degenerate: each has a gradient in the loop, that which each has alone."""
     rng = np.random.default_rng(5)

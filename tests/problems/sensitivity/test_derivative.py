@@ -241,7 +241,6 @@ def test_a_row_leaves_a_bound_far_from_zero(side: float) -> None:
     check_against(piece_of(found), found, accuracy=1e-4)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
 @pytest.mark.parametrize("scale", [1.0, 1e6])
 def test_rows_are_settled_from_a_coarse_solution(tolerance: float, scale: float) -> None:
@@ -394,7 +393,6 @@ REFUSED: dict[str, Any] = {
 }
 
 
-@pytest.mark.few(7)
 @pytest.mark.parametrize("name", REFUSED)
 def test_the_advice_for_a_program_works_as_it_is_written(name: str) -> None:
     """The call in the message, executed, is the derivative of the program: dx = (½, −½) for c + (−1, 1) on the line."""

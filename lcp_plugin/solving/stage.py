@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, NamedTuple
 
-from ..algorithm import Step
-from ..checks import Vector
+from ..core.algorithm import Step
+from ..core.checks import Vector
 from .result import StageRecord
 
 FIRST_CHECK = 10  # iteration of the first residual that the method does not report

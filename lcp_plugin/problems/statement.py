@@ -19,7 +19,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..api import solve
 from ..core.certificates.worst import WorstRow, outside_row
 from ..core.checks import BoolVector, Vector
 from ..core.deadline import time_limit
@@ -30,13 +29,23 @@ from ..core.matrix import equation_signs, largest_in_rows, row_numbers
 from ..core.names import Names
 from ..core.representation import format_count
 from ..core.settings import Status
-from ..core.solving.result import Result
-from ..problems.equilibria.equilibrium_program import EquilibriumProgram, SmoothPart
-from ..problems.nonlinear.data import NonlinearProblem
-from ..problems.programs.program import QuadraticProgram
+from ..expressions import functions
+from ..expressions.rows import (
+    Compiler,
+    Indices,
+    Program,
+    Rows,
+    added,
+    as_matrix,
+    assembled,
+    is_definition,
+)
 from ..proofs.no_solution import find_infeasibility
-from . import functions
-from .rows import Compiler, Indices, Program, Rows, added, as_matrix, assembled, is_definition
+from ..solving.dispatch import solve
+from ..solving.result import Result
+from .equilibria.equilibrium_program import EquilibriumProgram, SmoothPart
+from .nonlinear.data import NonlinearProblem
+from .programs.program import QuadraticProgram
 
 SMALLEST_PIVOT = 1e-8  # relative to the largest entry of its row
 MOST_FILL = 4  # times the entries there were

@@ -1,4 +1,4 @@
-"""Check batches on a GPU against the CPU, then print a table of times: ``python tests/on_a_gpu.py`` (about 3 minutes).
+"""Check batches on a GPU against the CPU, then print a table of times: ``python .ci/on_a_gpu.py`` (about 3 minutes).
 
 Needs a GPU of NVIDIA, numba-cuda and CuPy; PyTorch and JAX are checked if they are installed. With ``--simulated``,
 numba's simulator and a replacement of CuPy run the same checks for n ≤ 6 without a GPU, and no times are printed.
@@ -15,7 +15,7 @@ from typing import Any
 IS_SIMULATED = "--simulated" in sys.argv
 if IS_SIMULATED:
     os.environ["NUMBA_ENABLE_CUDASIM"] = "1"  # before numba is imported
-sys.path[:0] = [str(Path(__file__).parent.parent), str(Path(__file__).parent)]
+sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[1] / "tests")]
 
 import numpy as np  # noqa: E402
 
@@ -168,7 +168,7 @@ def missing() -> str:
 
 if __name__ == "__main__":
     if not IS_SIMULATED and (lack := missing()):
-        sys.exit(f"no run on a GPU here: {lack}; python tests/on_a_gpu.py --simulated runs without")
+        sys.exit(f"no run on a GPU here: {lack}; python .ci/on_a_gpu.py --simulated runs without")
     check_all()
     if not IS_SIMULATED:
         print("| n | problems | CPU, ms | GPU, ms | gradient on the GPU, ms | solved on the GPU |")

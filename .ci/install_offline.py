@@ -1,6 +1,6 @@
 """Build the wheel and the source archive, and install each without a network into fresh environments.
 
-python tests/install_offline.py [--keep FOLDER] [PYTHON …]
+python .ci/install_offline.py [--keep FOLDER] [PYTHON …]
 
 Without arguments: python3.11, python3.12 and python3.13. Needs ``build`` and ``twine``, and a network for the wheels of
 the dependencies, which are fetched first; nothing is installed but from that folder. FOLDER/dist then holds what may be

@@ -1,6 +1,6 @@
 """Make an environment for each set of versions and run the tests of the host's interfaces in it.
 
-    python tests/run_on_cvxpy_versions.py [--python PYTHON] [--if-possible] [--suite] [VERSION …] [-- pytest's options]
+    python .ci/run_on_cvxpy_versions.py [--python PYTHON] [--if-possible] [--suite] [VERSION …] [-- pytest's options]
 
 A VERSION is ``oldest`` (``oldest_versions.txt``), ``newest`` (from the package index), or a version of cvxpy. Without
 arguments: oldest, the newest of cvxpy 1.8 and 1.9, newest. PYTHON is an executable, a version like 3.13, or ``newest``:

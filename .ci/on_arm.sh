@@ -1,6 +1,6 @@
 #!/bin/sh
 # Smoke test on 64-bit ARM Linux, emulated by QEMU: the import, seven solves and a verified proof.
-#     sh tests/on_arm.sh [FOLDER]
+#     sh .ci/on_arm.sh [FOLDER]
 # On Debian or Ubuntu, x86-64. apt downloads QEMU and a Python for ARM, pip the wheels; both go to FOLDER (default:
 # a new one), 1 GB, and nothing is installed in the system. pyamg has no wheel for ARM and is left out.
 set -eu

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from functools import cache
+from collections.abc import Iterator
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ..algorithm import Algorithm, Step
-from ..certificates.criterion import (
+from ..core.algorithm import Algorithm, Step
+from ..core.certificates.criterion import (
     GAINED,
     POWER,
     divide_nonnegative,
@@ -18,22 +18,26 @@ from ..certificates.criterion import (
     rounding_of_data,
     row_data,
 )
-from ..certificates.measured import Measured
-from ..certificates.residuals import Certificate
-from ..checks import Vector, read_only
-from ..deadline import Clock
-from ..errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
-from ..kernels.floats import DATA_ROUNDING
-from ..lcp import LCP
-from ..representation import format_count
-from ..settings import Settings, Status
-from .progress import Callback, Header, Progress
-from .result import LIMITS, Result
+from ..core.certificates.measured import Measured
+from ..core.certificates.residuals import Certificate
+from ..core.checks import Vector, read_only
+from ..core.deadline import Clock
+from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
+from ..core.kernels.floats import DATA_ROUNDING
+from ..core.kernels.threads import threads_for
+from ..core.lcp import LCP
+from ..core.representation import format_count
+from ..core.settings import Settings, Status
+from ..methods.finishing import measure_finished
+from ..methods.newton import polish_active_set
+from ..proofs.guarantees import guarantee_of
+from .plan import plan
+from .progress import Progress
+from .result import LIMITS, Callback, Result
 from .run import Run
 from .stage import FAILED, Stage, TerminationReason
 
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
-Polish = Callable[[LCP, Vector, float], Any]
 
 
 class LCPRun(Run):
@@ -42,20 +46,14 @@ class LCPRun(Run):
     Parameters
     ----------
     problem : LCP
-    chosen : str or Algorithm
-        The algorithm of the call.
+    chosen : Algorithm or None
+        The algorithm of the call; None for "auto".
     settings : Settings
     callback : callable or None
     clock : Clock
         Running.
     start : ndarray, shape (n,)
         Within the bounds.
-    header : callable, optional
-        The lines on M that ``verbose=True`` prints.
-    is_guaranteed : callable, optional
-        Returns whether a theorem proves that the chosen method converges on M.
-    polish : callable, optional
-        Returns the solution of the linear system on the active set of z, and its work, from (problem, z, most work).
 
     Attributes
     ----------
@@ -70,18 +68,14 @@ class LCPRun(Run):
     def __init__(
         self,
         problem: LCP,
-        chosen: str | Algorithm,
+        chosen: Algorithm | None,
         settings: Settings,
         callback: Callback | None,
         clock: Clock,
         start: Vector,
-        header: Header | None = None,
-        polish: Polish | None = None,
-        is_guaranteed: Callable[[], bool] = bool,
     ) -> None:
-        self.problem, self.chosen, self.polish = problem, chosen, polish
-        self.is_guaranteed = cache(is_guaranteed)
-        super().__init__(Progress(problem, settings, callback, clock, header))
+        self.problem, self.chosen = problem, chosen
+        super().__init__(Progress(problem, settings, callback, clock))
         self.data = data = row_data(problem)
         references = np.broadcast_to(data.references[1], (problem.n,))
         is_open = np.broadcast_to(~data.is_at_start, (problem.n,))
@@ -96,6 +90,14 @@ class LCPRun(Run):
         self.unmeasured: Vector | None = None  # the latest iterate
         self.is_polished = False
         self._failed_at, self._next_test = math.inf, 0  # residual and iteration
+
+    @cached_property
+    def is_guaranteed(self) -> bool:
+        """Whether a theorem proves that the iteration of the named method converges on M."""
+        if self.chosen is None:
+            return False
+        guarantee = guarantee_of(self.problem, self.chosen)
+        return guarantee.is_guaranteed and guarantee.facts is not None
 
     @property
     def z(self) -> Vector:
@@ -146,8 +148,6 @@ class LCPRun(Run):
 
     def measured(self, z: Vector, power: float = POWER) -> Measured:
         """Return the measure of z, moved to near bounds, with its small rows finished."""
-        from ...methods.finishing import measure_finished
-
         settings = self.settings
         found = measure_finished(self.data, z, settings.goal, power, settings.absolute_tolerance)
         return found._replace(residual=float(found.residual))
@@ -176,7 +176,7 @@ class LCPRun(Run):
         is_lost = is_lost or not math.isfinite(found.residual)
         is_lost = is_lost and not found.residual <= 1e8 * max(1.0, self.start_residual)
         # A contraction in a weighted norm may multiply the residual before it falls.
-        if is_lost and not (math.isfinite(found.residual) and self.is_guaranteed()):
+        if is_lost and not (math.isfinite(found.residual) and self.is_guaranteed):
             return TerminationReason.DIVERGED
         left = self.settings.max_iterations - progress.iteration
         if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
@@ -188,7 +188,7 @@ class LCPRun(Run):
             return TerminationReason.AT_FLOOR
         is_watched = algorithm.is_monotone or algorithm.is_watched
         if is_watched and stage.is_stalled(self.problem.n, self.goal, left):
-            too_few = self.is_guaranteed()
+            too_few = self.is_guaranteed
             return TerminationReason.STEP_LIMIT if too_few else TerminationReason.STALLED
         return None
 
@@ -221,7 +221,7 @@ class LCPRun(Run):
         # If one of several algorithms diverged, the best z need not have.
         is_chain = end is TerminationReason.DIVERGED and len(self.progress.stages) > 1
         status = self.status(TerminationReason.STALLED if is_chain else end)
-        name = self.chosen if isinstance(self.chosen, str) else self.chosen.name
+        name = "auto" if self.chosen is None else self.chosen.name
         chain = [stage.name for stage in self.progress.records()]
         is_solved = status is Status.SOLVED
         return self.result_at(
@@ -238,7 +238,7 @@ class LCPRun(Run):
     def _advice(self, found: Measured, reason: TerminationReason) -> dict[Status, str]:
         """Return the advice of each status; of the problem's origin if it rejects the point."""
         said = advice_of_run(self.problem, self.chosen, self.settings)
-        if reason is TerminationReason.NOTHING_LEFT and isinstance(self.chosen, Algorithm):
+        if reason is TerminationReason.NOTHING_LEFT and self.chosen is not None:
             steps = max(self.progress.iteration, 0)
             _, _, rest = said[Status.STALLED].partition("; ")
             said[Status.STALLED] = f"iterates ended after {format_count(steps, 'step')}; {rest}"
@@ -275,14 +275,14 @@ class LCPRun(Run):
         and the solution of that system is off by rounding errors. It may take a tenth of the work of the run, or all of
         that if auto has not solved the problem. Twenty passes pay for the calls around it.
         """
-        most = math.inf if self.chosen == "auto" else 0.0
+        most = math.inf if self.chosen is None else 0.0
         if found.passes:
             most = 0.1 * self.progress.work - 20.0
         elif end not in (TerminationReason.CONVERGED, TerminationReason.AT_FLOOR, *FAILED):
             return found
-        if self.polish is None or most <= 0.0:
+        if most <= 0.0:
             return found
-        polish = self.polish(self.problem, found.z, min(most, self.progress.work + 20.0))
+        polish = polish_active_set(self.problem, found.z, min(most, self.progress.work + 20.0))
         if polish is None:
             return found
         self.progress.work += polish.work
@@ -313,23 +313,23 @@ def better_of(found: Measured, cleaned: Measured) -> Measured:
     return cleaned if is_no_worse else found
 
 
-def advice_of_run(problem: LCP, chosen: Any, settings: Settings) -> dict[Status, str]:
+def advice_of_run(problem: LCP, chosen: Algorithm | None, settings: Settings) -> dict[Status, str]:
     """Return the advice of each possible termination status of the run.
 
     Parameters
     ----------
     problem : LCP
-    chosen : str or Algorithm
-        The algorithm of the call.
+    chosen : Algorithm or None
+        The algorithm of the call; None for "auto".
     settings : Settings
 
     Examples
     --------
-    >>> advice_of_run(LCP([[2.0]], [1.0]), "auto", Settings())[Status.MAX_ITERATIONS]
+    >>> advice_of_run(LCP([[2.0]], [1.0]), None, Settings())[Status.MAX_ITERATIONS]
     'iteration limit reached; next: raise max_iterations, or continue from z0=result.z'
     """
     said = {status: status.value for status in (*LIMITS, *WITHOUT_END)}
-    other = 'algorithm="auto"' if isinstance(chosen, Algorithm) else ""
+    other = "" if chosen is None else 'algorithm="auto"'
     for status in LIMITS:
         said[status] += ", or continue from z0=result.z"
         if other:
@@ -345,3 +345,30 @@ def advice_of_run(problem: LCP, chosen: Any, settings: Settings) -> dict[Status,
     if not settings.prove_infeasibility:
         said[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
     return said
+
+
+def run_on(
+    problem: LCP,
+    method: Algorithm | None,
+    settings: Settings,
+    start: Vector,
+    clock: Clock,
+    callback: Callback | None = None,
+    *,
+    begin: str | None = None,
+) -> Result:
+    """Return the result of a run with a method, or with auto for None.
+
+    Parameters
+    ----------
+    start : ndarray, shape (n,)
+        Within the bounds.
+    clock : Clock
+        Running.
+    begin : str, optional
+        For auto: the method that solved a problem with this M before.
+    """
+    proofs = settings.prove_infeasibility
+    with threads_for(settings.threads):
+        run = LCPRun(problem, method, settings, callback, clock, start)
+        return run.solve(plan(problem, method, run.goal, prove_infeasibility=proofs, begin=begin))

@@ -9,12 +9,12 @@ import numpy as np
 from ..core.errors import UnsuitableMatrix
 from ..core.names import listed
 from ..core.settings import Status
+from ..proofs.bounds import error_bound, estimated_error, free_rows, settled_rows
+from ..proofs.uniqueness import directions_of_solutions, moving
 from ..systems.free_systems import CONSISTENT, LEAST_SQUARES_UP_TO, FreeSystem
-from .bounds import error_bound, estimated_error, free_rows, settled_rows
-from .uniqueness import directions_of_solutions, moving
 
 if TYPE_CHECKING:
-    from ..core.solving.result import Result
+    from .result import Result
 
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
@@ -26,7 +26,7 @@ def what_may_mislead(result: Result) -> list[str]:
 
 def _uncovered(result: Result) -> str:
     """Return the warning after a failure of a chosen method that no theorem covers, or ""."""
-    if result.status not in FAILED or isinstance(result._asked, str):  # by "auto"
+    if result.status not in FAILED or result._asked is None:  # by "auto"
         return ""
     guarantee = result.guarantee
     if guarantee.is_guaranteed or not guarantee.remedy:

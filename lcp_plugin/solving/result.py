@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from ..certificates.criterion import RowsAtPoint
-from ..certificates.residuals import Certificate
-from ..certificates.worst import SHOWN, WorstRows, worst_pairs
-from ..checks import Vector, restore_state
-from ..errors import NotConverged, UnsuitableMatrix
-from ..lcp import LCP
-from ..names import remark_on_labels
-from ..representation import format_count
-from ..settings import PROVEN, Settings, Status
+from ..core.algorithm import Algorithm
+from ..core.certificates.criterion import RowsAtPoint
+from ..core.certificates.residuals import Certificate
+from ..core.certificates.worst import SHOWN, WorstRows, worst_pairs
+from ..core.checks import Vector, restore_state
+from ..core.doors import Door
+from ..core.errors import NotConverged, UnsuitableMatrix
+from ..core.lcp import LCP
+from ..core.names import remark_on_labels
+from ..core.representation import format_count
+from ..core.settings import PROVEN, Settings, Status
 
 if TYPE_CHECKING:
-    from ...proofs.bounds import ErrorBound
-    from ...proofs.guarantees import Guarantee
+    from ..proofs.bounds import ErrorBound
+    from ..proofs.guarantees import Guarantee
 
 LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 NEXT = "; next: "  # between the event and the next step
@@ -74,6 +74,9 @@ class Sample:
     seconds: float
     residual: float | None
     label: str = ""
+
+
+Callback = Callable[[Sample, Any], Any]
 
 
 class Outcome:
@@ -249,45 +252,17 @@ class BaseResult(Outcome):
             )
         return self
 
-    def to_json(self) -> str:
-        """Return status, residuals and counts (no vectors) as JSON text; non-finite numbers become null."""
-        return json.dumps(self.to_content(), indent=2)
+    if TYPE_CHECKING:
 
-    def to_content(self) -> dict[str, Any]:
-        """Return the content of :meth:`to_json` as a dictionary."""
-        numbers = self._numbers() | {"tolerance": self.tolerance, "seconds": self.seconds}
-        return {
-            "status": self.status.name,
-            "advice": self.advice,
-            "algorithm": self.algorithm,
-            "n": self._size(),
-            "iterations": self.iterations,
-            **{name: value if math.isfinite(value) else None for name, value in numbers.items()},
-        }
+        def plot(self, **how: Any) -> Any:
+            """Return matplotlib's axes with a plot of the result; see `lcp_plugin.evidence.drawing.plot_answer`."""
 
-    def _size(self) -> int | None:
-        """Return the number of unknowns; None without a point."""
-        return None if self.x is None else len(self.x)
-
-    def _numbers(self) -> dict[str, float]:
-        """Return the other numbers of the result."""
-        return {} if self.objective is None else {"objective": self.objective}
-
-    def plot(self, **how: Any) -> Any:
-        """Return matplotlib's axes with a plot of the result; needs ``pip install '.[report]'``.
-
-        Parameters
-        ----------
-        **how
-            Options of :func:`lcp_plugin.evidence.drawing.plot_answer`: ``axes`` to draw into, ``shape`` of the
-            unknowns' grid.
-        """
-        from ...evidence.drawing import plot_answer
-
-        return plot_answer(self, **how)
+    else:
+        plot = Door()
 
     def __repr__(self) -> str:
-        size = "" if self.x is None else f"n={self._size()}, "
+        # on ranks, x is a part
+        size = "" if self.x is None else f"n={getattr(self, 'n', len(self.x))}, "
         value = "" if self.objective is None else f"objective {self.objective:.9g}, "
         return f"{type(self).__name__}({self.status.name}, {size}{value}{BaseResult._effort(self)})"
 
@@ -336,17 +311,9 @@ class Result(BaseResult):
     infeasibility: Any = None
     absolute_tolerance: float = 0.0
     is_polished: bool = False
-    _asked: Any = "auto"  # the algorithm, or its name
+    _asked: Algorithm | None = None  # None for "auto"
     _wants_bound: bool = False
     _advice: Mapping[Status, str] = field(default_factory=dict, kw_only=True)  # type: ignore[misc]
-
-    RESIDUALS: ClassVar[tuple[str, ...]] = (
-        "relative_residual",
-        "natural_residual",
-        "euclidean_residual",
-        "bound_violation",
-        "complementarity",
-    )
 
     @classmethod
     def at(
@@ -406,7 +373,7 @@ class Result(BaseResult):
     def _bound_or_reason(self) -> tuple[ErrorBound | None, str]:
         if not self._wants_bound:
             return None, ""
-        from ...proofs.bounds import error_bound
+        from ..proofs.bounds import error_bound  # with proofs, which a solve does without
 
         try:
             return error_bound(self.certificate.problem, self.z), ""
@@ -417,11 +384,11 @@ class Result(BaseResult):
     def guarantee(self) -> Guarantee:
         """Convergence theorem that covers the caller's choice of algorithm on this matrix; computed on first access.
 
-        See :func:`lcp_plugin.proofs.guarantees.convergence_guarantee`.
+        See :func:`lcp_plugin.convergence_guarantee`.
         """
-        from ...proofs.guarantees import convergence_guarantee
+        from .convergence import guarantee_of_choice
 
-        return convergence_guarantee(self.certificate.problem, self._asked)
+        return guarantee_of_choice(self.certificate.problem, self._asked)
 
     @property
     def x(self) -> Vector:
@@ -443,7 +410,7 @@ class Result(BaseResult):
         return [] if is_decided else [stage.remark for stage in self.stages if stage.remark]
 
     def _remarks(self) -> list[str]:
-        from ...proofs.misleading import what_may_mislead
+        from .misleading import what_may_mislead
 
         lines = []
         if self.is_polished:
@@ -478,7 +445,7 @@ class Result(BaseResult):
         return worst_pairs(data, found, self.certificate.problem.names, self.tolerance, count)
 
     def _mistake(self) -> str:
-        from ...proofs.mistakes import likely_mistake, reversed_row
+        from .mistakes import likely_mistake, reversed_row
 
         problem = self.certificate.problem
         if self.status is Status.NO_SOLUTION and isinstance(problem, LCP):
@@ -492,12 +459,3 @@ class Result(BaseResult):
         if not self.absolute_tolerance:
             return ""
         return f", or {self.absolute_tolerance:.3e} in the unit of z; that is {self.certificate.scaled_residual:.3e}"
-
-    def _numbers(self) -> dict[str, float]:
-        numbers = {name: getattr(self.certificate, name) for name in self.RESIDUALS}
-        numbers |= {"work": self.work, "setup_seconds": self.setup_seconds}
-        if self.absolute_tolerance:
-            numbers["absolute_tolerance"] = self.absolute_tolerance
-        if (bound := self.error_bound) is not None:
-            numbers |= {"error_bound": bound.infinity, "relative_error_bound": bound.relative}
-        return numbers

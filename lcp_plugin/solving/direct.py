@@ -31,20 +31,21 @@ from functools import partial
 
 import numpy as np
 
-from ..core.algorithm import Algorithm
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix import has_positive_diagonal, is_nearly_symmetric
-from ..core.solving.stage import Stage
-from ..core.splittings import PSOR
 from ..core.tuning import LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PIVOTS_FIRST_UP_TO
+from ..methods.interior_point import InteriorPoint, ZeroSumGame, with_signed_equations
+from ..methods.lemke import Lemke, rows_of_components
+from ..methods.lemke.pivoting_path import is_game
+from ..methods.newton import Newton
+from ..methods.search import ExhaustiveSearch, FeasibilityCheck, has_few_active_sets, is_searchable
 from ..proofs.no_solution import contradictory_row
-from ..proofs.verdicts import is_negative
+from ..proofs.verdicts import analyze, is_negative
+from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
 from ..systems.factors import factor_fits, sizes_of_factor
-from .interior_point import InteriorPoint, ZeroSumGame, with_signed_equations
-from .lemke import Lemke, rows_of_components
-from .lemke.pivoting_path import is_game
-from .newton import Newton
+from .convergence import last_resort
+from .stage import Stage
 
 SEARCHED = "few enough unknowns to try every choice of bounds to the end"
 AGAIN = "the other methods found no solution"
@@ -65,9 +66,6 @@ def direct_methods(
     prove_infeasibility : bool
         If False, no method looks for proofs.
     """
-    from ..proofs.verdicts import analyze
-    from .search import ExhaustiveSearch, FeasibilityCheck, has_few_active_sets, is_searchable
-
     is_searched = has_few_active_sets(problem) and not _seems_monotone(problem)
     if is_searched:
         yield Stage(ExhaustiveSearch(), SEARCHED)
@@ -201,11 +199,6 @@ def _is_system(problem: LCP) -> bool:
     return bool((problem.lower == -np.inf).all() and (problem.upper == np.inf).all())
 
 
-def last_resort(problem: LCP) -> Algorithm:
-    """Return the method that auto follows to its end if no earlier method converges."""
-    return Lemke() if problem.n <= PIVOTED_UP_TO else PSOR()
-
-
 def _seems_monotone(problem: LCP) -> bool:
     """Return whether the interior point method is likely to succeed; this is not a proof."""
     if problem.n == 0:
@@ -214,8 +207,6 @@ def _seems_monotone(problem: LCP) -> bool:
         return True
     if bool(has_positive_diagonal(problem.matrix).all()) and is_nearly_symmetric(problem.matrix):
         return True
-    from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
-
     twice = symmetric_part(with_signed_equations(problem).M)
     if bool((twice.diagonal() < 0.0).any()):
         return False

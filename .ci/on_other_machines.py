@@ -1,6 +1,6 @@
 """Run the tests as on processors that this machine is not: with other kernels of BLAS, numpy, numba and PIQP.
 
-    python tests/on_other_machines.py [--only NAME] … [--numeric | --part] [pytest's arguments]
+    python .ci/on_other_machines.py [--only NAME] … [--numeric | --part] [pytest's arguments]
 
 Without arguments: the ordinary suite in each setting, with ``-n 2``. ``--numeric`` names the folders of tests that
 compute, ``--part`` the tests that kernels have changed before; all other arguments go to pytest.

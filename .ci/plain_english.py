@@ -1,7 +1,8 @@
 """Linter for plain technical English: a table of phrases, each with a suggestion, counted per file.
 
-    python tests/house/plain_english.py [FILE ...]    print the findings (default: README, examples, package, tests)
-    python tests/house/plain_english.py --write       store the number of findings per file as the new baseline
+    python .ci/plain_english.py [FILE ...]    print the findings (default: README, examples, package, tests)
+    python .ci/plain_english.py --write       store the number of findings per file as the new baseline
+    python .ci/plain_english.py --check       fail if a file has more findings than its baseline
 
 Checked are Markdown pages and the docstrings, comments and messages of Python files. ``plain: ok`` exempts a line.
 """
@@ -15,7 +16,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 BASELINE = Path(__file__).with_suffix(".json")
 FOLDERS = ("examples", "lcp_plugin", "tests")
 MAX_PER_1000_WORDS = 8.0  # in a new file; cvxpy has 2, qpsolvers 3, optimistix 4
@@ -139,6 +140,14 @@ def main(arguments: list[str]) -> None:
         counts = {str(file.relative_to(ROOT)): len(check_file(file)[0]) for file in list_files()}
         BASELINE.write_text(json.dumps(counts, indent=0) + "\n", encoding="utf-8")
         return
+    if arguments == ["--check"]:
+        baseline, worse = json.loads(BASELINE.read_text(encoding="utf-8")), []
+        for file in list_files("lcp_plugin", "examples"):
+            (found, words), name = check_file(file), file.relative_to(ROOT).as_posix()
+            limit = baseline.get(name, int(MAX_PER_1000_WORDS * words / 1000))
+            if len(found) > limit:
+                worse.append(f"{name}: {len(found)} findings, at most {limit}")
+        sys.exit("\n".join(worse) or 0)
     for file in map(Path, arguments) if arguments else list_files():
         print(*(f"{file}:{finding}\n" for finding in check_file(file)[0]), sep="", end="")
 

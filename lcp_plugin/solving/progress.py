@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
 from typing import Any
 
-from ..algorithm import Step
-from ..deadline import Clock
-from ..matrix import Matrix
-from ..settings import Settings, checked_callback
-from .result import Result, Sample, StageRecord
+from ..core.algorithm import Step
+from ..core.deadline import Clock
+from ..core.lcp import LCP
+from ..core.settings import Settings, checked_callback
+from ..proofs.verdicts import classes_in_words, sign_remark
+from .result import Callback, Result, Sample, StageRecord
 from .stage import Stage, TerminationReason
-
-Callback = Callable[[Sample, Any], Any]
-# the classes of M, and a remark on it, '' where there is none
-Header = Callable[[Matrix], tuple[str, str]]
 
 
 class Progress:
@@ -29,8 +25,6 @@ class Progress:
     callback : callable or None
     clock : Clock, optional
         Running.
-    header : callable, optional
-        The lines on M that ``verbose=True`` prints.
 
     Attributes
     ----------
@@ -50,7 +44,6 @@ class Progress:
         settings: Settings,
         callback: Callback | None = None,
         clock: Clock | None = None,
-        header: Header | None = None,
     ) -> None:
         self.settings, self.callback = settings, checked_callback(callback)
         self.clock = Clock() if clock is None else clock
@@ -62,9 +55,10 @@ class Progress:
         self._next_sample = self._next_line = 0
         if settings.verbose:
             with self.clock.pause():
-                classes, remark = ("", "") if header is None else header(problem.matrix)
-                say(f"{problem}{classes and f'; M {classes}'}")
-                if remark:
+                is_lcp = isinstance(problem, LCP)
+                classes = f"; M {classes_in_words(problem.matrix)}" if is_lcp else ""
+                say(f"{problem}{classes}")
+                if is_lcp and (remark := sign_remark(problem.matrix)):
                     say(remark)
                 say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
 

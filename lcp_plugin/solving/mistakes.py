@@ -7,13 +7,12 @@ import re
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from ..core.checks import Vector
 from ..core.lcp import LCP
 from ..core.names import Names, listed
-from .bounds import free_rows
-from .farkas import without_rounding
+from ..proofs.bounds import free_rows
+from ..proofs.farkas import without_rounding
 
 Numbers = NDArray[np.intp]
 INDEX = re.compile(r"(\[[^\[\]]*\]|, entry .*)$")  # of a row of a constraint
@@ -69,6 +68,8 @@ def _blocks(names: Names, equal: Numbers) -> list[Numbers]:
 
 def likely_mistake(problem: LCP, z: Vector, w: Vector) -> str:
     """Return a row that its unknown cannot correct, a row of two units, or dependent rows: the first of them, or ""."""
+    from scipy.sparse.csgraph import connected_components  # slow to import
+
     M, names = problem.matrix.csr, problem.names
     if wrong_sign := reversed_row(problem, is_linearized=True):
         return wrong_sign

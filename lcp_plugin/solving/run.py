@@ -11,13 +11,13 @@ from collections.abc import Iterable, Iterator
 from contextlib import nullcontext
 from typing import Any
 
-from ..algorithm import Step
-from ..checks import read_only
-from ..deadline import OutOfTimeError, time_limit
-from ..errors import InvalidOption
-from ..settings import Status
-from .progress import Callback, Progress
-from .result import Result
+from ..core.algorithm import Step
+from ..core.checks import read_only
+from ..core.deadline import OutOfTimeError, time_limit
+from ..core.errors import InvalidOption
+from ..core.settings import Status
+from .progress import Progress
+from .result import Callback, Result
 from .stage import FAILED, Stage, TerminationReason
 
 __all__ = ["Callback", "Run"]

@@ -1,11 +1,11 @@
-"""The solver for LCPs: the plan of ``algorithm="auto"``, a list of stages, and the run that follows it.
+"""The plan of ``algorithm="auto"``: a list of stages, each with its reason and its budget.
 
 A small problem (256 unknowns if M is dense, 128 otherwise, except tridiagonal M-matrices) begins with sweeps of npsor
 that guess the active set, active-set iterations and Lemke's path. Larger problems:
 
 | stage | if | until it has ended, or |
 |---|---|---|
-| the direct methods (:mod:`lcp_plugin.methods.direct`) | a program's KKT form, or a bimatrix game | |
+| the direct methods (:mod:`lcp_plugin.solving.direct`) | a program's KKT form, or a bimatrix game | |
 | banded | a narrow band, predicted to take the time of 150 sweeps | |
 | npsor, relaxation 1.7, row scaling 1/d | the diagonal is positive | another stage is cheaper |
 | psor with automatic relaxation | the diagonal is positive; predicted cheaper than the stages below | the same |
@@ -32,30 +32,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from .algorithms import create, refusal_of_engine
-from .core.algorithm import Algorithm, count_driven_sweeps
-from .core.checks import Vector, checked_start, read_only
-from .core.deadline import Clock
-from .core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
-from .core.kernels.threads import threads_for
-from .core.lcp import LCP
-from .core.matrix import Matrix, fact, has_positive_diagonal, is_nearly_symmetric
-from .core.settings import BESIDE, OF_SOLVE, Settings
-from .core.solving.lcp_run import LCPRun
-from .core.solving.progress import Callback
-from .core.solving.result import Result, StageRecord
-from .core.solving.stage import Stage
-from .core.splittings import NPSOR, PSOR
-from .core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
-from .engines.engine import Engine
-from .methods.small import Rounds, first_candidate, is_small
+from ..core.algorithm import Algorithm, count_driven_sweeps
+from ..core.lcp import LCP
+from ..core.matrix import Matrix, fact, has_positive_diagonal, is_nearly_symmetric
+from ..core.splittings import NPSOR, PSOR
+from ..core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
+from ..methods.banded import Banded, banded_passes
+from ..methods.lemke.pivoting_path import is_game
+from ..methods.multigrid import Multigrid
+from ..methods.search import FeasibilityCheck, NearbyPoints, has_few_active_sets, points_nearby
+from ..methods.small import Rounds
+from .choice import GUESSED, takes_rounds
+from .direct import SEARCHED, direct_methods, factor_passes
+from .stage import Stage
 
-GUESSED = "small: a few sweeps guess the active set"
 ASKED_EVERY = 20
 PATIENCE = 1.5  # a stage is left if its work exceeds this multiple of the next one's
 
@@ -86,20 +79,12 @@ def plan(
         yield Stage(method)
         is_unfit = method.is_monotone or problem.n > LINEAR_PROGRAM_UP_TO
         if prove_infeasibility and not is_unfit:
-            from .methods.search import FeasibilityCheck
-
             yield Stage(FeasibilityCheck(), f"{method.name} found no solution: is there one?")
         return
-    from .methods.banded import Banded, banded_passes
-    from .methods.direct import SEARCHED, direct_methods
-    from .methods.lemke.pivoting_path import is_game
-
     direct = partial(direct_methods, problem, goal, prove_infeasibility=prove_infeasibility)
     if begin is None:
         is_program = getattr(problem.origin, "form", "") == "kkt"
         if not is_program and takes_rounds(problem):
-            from .methods.search import NearbyPoints, has_few_active_sets, points_nearby
-
             is_few = has_few_active_sets(problem)
             yield Stage(Rounds(restarts=not is_few), GUESSED)
             if is_few and not prove_infeasibility and (near := points_nearby(problem)) is not None:
@@ -146,8 +131,6 @@ def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[S
     if begin != "multigrid" and _psor_passes(sweeps) <= min(direct, cycles):
         yield Stage(PSOR(), "sweeps with automatic relaxation", is_too_slow)
     if cycles < math.inf:
-        from .methods.direct import factor_passes
-        from .methods.multigrid import Multigrid
 
         def is_no_grid(stage: Stage) -> bool:
             is_asked = stage.iterations % ASKED_EVERY == 0
@@ -230,165 +213,3 @@ def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
     if not (gain > 1.0 and 0.0 < slowest < 1.0):
         return 0.0
     return float(min(math.sqrt(gain), 0.5 * math.log(gain) / slowest))
-
-
-def takes_rounds(problem: LCP) -> bool:
-    """Return whether auto begins with rounds on a dense M: a small problem, no tridiagonal M-matrix kept sparse."""
-    if not is_small(problem):
-        return False
-    if problem.matrix.is_dense:
-        return True
-    from .methods.banded import banded_passes
-
-    return banded_passes(problem.matrix) > 10
-
-
-def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
-    """Return the algorithm object for the `algorithm` and the options of a call; None for "auto".
-
-    Raises
-    ------
-    UnknownAlgorithm, InvalidOption
-        If the name or an option does not exist.
-    """
-    if isinstance(algorithm, str):
-        if algorithm != "auto":
-            return create(algorithm, options)
-        if options:
-            hint = did_you_mean(next(iter(options)), (), OF_SOLVE)
-            name_one = "" if "did you mean" in hint else "; name an algorithm as well"
-            raise InvalidOption(
-                f'algorithm="auto" has no options, got {sorted(options)}{name_one}{hint}'
-            )
-        return None
-    if isinstance(algorithm, Algorithm):
-        if options:
-            raise InvalidOption(
-                f"options {sorted(options)} were given with an algorithm object; "
-                f"set them in {type(algorithm).__name__}(…){did_you_mean(next(iter(options)), (), OF_SOLVE)}"
-            )
-        if not getattr(algorithm, "name", ""):
-            raise InvalidOption(
-                f'{type(algorithm).__name__} has no name; write name = "…" in the class'
-            )
-        return algorithm
-    if isinstance(algorithm, Engine):
-        raise refusal_of_engine(algorithm.name)
-    got = repr(algorithm)
-    if isinstance(algorithm, type):
-        got = f"the class {algorithm.__name__}"
-        got += f"; write {algorithm.__name__}()" if issubclass(algorithm, Algorithm) else ""
-    raise UnknownAlgorithm(
-        f"algorithm must be a name or an object such as PSOR(relaxation=1.5), got {got}"
-    )
-
-
-@np.errstate(all="ignore")
-def solve_lcp(
-    problem: LCP,
-    algorithm: str | Algorithm = "auto",
-    *,
-    z0: ArrayLike | None = None,
-    callback: Callback | None = None,
-    **options: Any,
-) -> Result:
-    """Return the result of an LCP; :func:`lcp_plugin.solve` describes the parameters and the result.
-
-    Parameters
-    ----------
-    **options
-        The fields of :class:`~lcp_plugin.core.settings.Settings`, and the options of a named algorithm.
-
-    Raises
-    ------
-    UnknownAlgorithm, InvalidOption, UnsuitableMatrix, UnsuitableProblem
-        As :func:`lcp_plugin.solve`.
-    """
-    clock = Clock()
-    method, settings = parse_call(algorithm, options)
-    start = problem.nearest_to_zero if z0 is None else checked_start(problem, z0)
-    is_watched = settings.record or settings.error_bound or settings.verbose
-    is_limited = settings.max_seconds < math.inf or not settings.max_iterations
-    is_plain = not (is_watched or is_limited or settings.absolute_tolerance)
-    is_plain = is_plain and method is None and callback is None
-    if is_plain and getattr(problem.origin, "form", "") != "kkt" and takes_rounds(problem):
-        found = first_candidate(problem, start, settings.tolerance)
-        if found is not None:
-            point, label, work = found
-            stage = StageRecord(label, GUESSED, 1, work)
-            rows = point.rows if problem.matrix.is_dense else None  # of the stored M
-            z = read_only(point.z)
-            return Result.at(problem, z, stage, settings, clock.read(), rows)
-    return run_on(problem, method, settings, start, clock, callback)
-
-
-def run_on(
-    problem: LCP,
-    method: Algorithm | None,
-    settings: Settings,
-    start: Vector,
-    clock: Clock,
-    callback: Callback | None = None,
-    *,
-    begin: str | None = None,
-) -> Result:
-    """Return the result of a run with a method, or with auto for None.
-
-    Parameters
-    ----------
-    start : ndarray, shape (n,)
-        Within the bounds.
-    clock : Clock
-        Running.
-    begin : str, optional
-        For auto: the method that solved a problem with this M before.
-    """
-    proofs = settings.prove_infeasibility
-    with threads_for(settings.threads):
-        chosen = method or "auto"
-        run = LCPRun(
-            problem,
-            chosen,
-            settings,
-            callback,
-            clock,
-            start,
-            header=_header,
-            polish=_polish,
-            is_guaranteed=partial(_is_contraction, problem, method),
-        )
-        goal = run.goal
-        return run.solve(plan(problem, method, goal, prove_infeasibility=proofs, begin=begin))
-
-
-def _polish(problem: LCP, z: Vector, most: float) -> Any:
-    from .methods.newton import polish_active_set
-
-    return polish_active_set(problem, z, most)
-
-
-def _is_contraction(problem: LCP, method: Algorithm | None) -> bool:
-    """Return whether a theorem proves that the iteration of a named method converges on M."""
-    from .proofs.guarantees import convergence_guarantee
-
-    if method is None:
-        return False
-    guarantee = convergence_guarantee(problem, method)
-    return guarantee.is_guaranteed and guarantee.facts is not None
-
-
-def _header(matrix: Matrix) -> tuple[str, str]:
-    from .proofs.verdicts import classes_in_words, sign_remark
-
-    return classes_in_words(matrix), sign_remark(matrix)
-
-
-def parse_call(
-    algorithm: str | Algorithm, wishes: dict[str, Any]
-) -> tuple[Algorithm | None, Settings]:
-    """Return the method (None for auto) and the settings of a call; `wishes` may contain z0 and callback."""
-    settings = Settings(
-        **{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE}
-    )
-    options = {name: wish for name, wish in wishes.items() if name not in OF_SOLVE}
-    return method_of(algorithm, options), settings

@@ -1,0 +1,135 @@
+"""Conversions and files of an LCP: the functions behind ``LCP.from_qp``, ``LCP.load``, ``problem.save``."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .core.files import checked_path
+from .core.files import save as save_problem
+from .core.lcp import LCP
+from .interfaces.nl.writing import write_nl
+from .interfaces.program_files import load_lcp
+from .problems.contact import contact_data
+from .problems.programs.conversion import lcp_from_qp
+from .problems.programs.program import QuadraticProgram
+
+
+def save(problem: LCP, path: str | PathLike[str]) -> None:
+    """Write the problem to ``path``: one ``.npz`` or ``.nl`` file, or a folder of Matrix Market files.
+
+    A path ending in ``.npz`` gets the keys data, indices, indptr, shape (M as CSR), q, lower, upper; one ending in
+    ``.nl`` becomes a file for AMPL's solvers. A path without a suffix becomes a folder with M.mtx, q.mtx,
+    lower.mtx, upper.mtx. The file appears whole or not at all.
+
+    Parameters
+    ----------
+    problem : LCP
+    path : str or PathLike
+
+    Raises
+    ------
+    UnreadableFile
+        If it cannot be written, or its name belongs to another format, as a.mat.
+    """
+    target = checked_path(path)
+    if target.suffix.lower() == ".nl":
+        write_nl(problem, target)
+    else:
+        save_problem(problem, target)
+
+
+def from_qp(
+    P: Any,
+    c: ArrayLike,
+    G: Any = None,
+    h: ArrayLike | None = None,
+    A: Any = None,
+    b: ArrayLike | None = None,
+    lower: ArrayLike = -np.inf,
+    upper: ArrayLike = np.inf,
+) -> LCP:
+    """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
+
+    To compute only x, use ``solve(QuadraticProgram(P, c, …))``, which is faster. For a result of this LCP,
+    ``problem.origin.recover(result)`` returns x, multipliers and residuals. ``solve`` tests it by the criterion of
+    LCPs, and with G or A by the duality gap. The gap is tested only on the returned problem: not after ``with_q``
+    or ``load``, nor by ``solve_batch`` with `q` or bounds. There, a SOLVED result can have another objective.
+    Errors: :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`.
+
+    Parameters
+    ----------
+    P : array or sparse array, shape (n, n)
+        Symmetric, positive semidefinite up to rounding: UnsupportedModel where it clearly is not.
+    c : array, shape (n,)
+    G, h : shapes (p, n) and (p,), optional
+        Inequalities G x ≤ h.
+    A, b : shapes (m, n) and (m,), optional
+        Equations A x = b.
+    lower, upper : scalar or array, shape (n,)
+        Bounds of x; none by default.
+    """
+    return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper))
+
+
+def from_contacts(
+    contacts: Any,
+    friction: ArrayLike,
+    velocities: ArrayLike,
+    directions: int = 4,
+    *,
+    gaps: ArrayLike | None = None,
+    time_step: float | None = None,
+) -> LCP:
+    """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
+
+    See :func:`lcp_plugin.problems.contact.contact_data` for shapes, units and errors.
+    :class:`lcp_plugin.FrictionalContact` uses the exact friction cone instead of a pyramid.
+
+    Parameters
+    ----------
+    contacts : array W, shape (d k, d k), or (mass matrix, normals, tangents)
+    friction : number or array, shape (k,)
+    velocities : array, shape (k, d), or (v,) with a mass matrix
+        Without the impulses.
+    directions : int
+        Edges of each friction pyramid.
+    gaps : number or array, shape (k,), optional
+        Distances at the beginning of the step, in m. Add none to `velocities`.
+    time_step : float, optional
+        Length of the step in s, required with `gaps`: a contact may close by gap / time step.
+
+    Raises
+    ------
+    InvalidProblem
+        As `contact_data`.
+    """
+    given = contact_data(contacts, friction, velocities, directions, gaps=gaps, time_step=time_step)
+    return LCP(*given.arrays).with_origin(given)
+
+
+def load(path: str | PathLike[str]) -> LCP:
+    """Return a problem written by :meth:`save` or ``numpy.savez(path, M=M, q=q)``, or in ``M.mtx`` and ``q.mtx``.
+
+    A ``.npz`` file holds q and M (dense), or M's CSR arrays as data, indices, indptr, shape; lower and upper where
+    they are not 0 and ∞. Matrix Market files of these names lie in a folder, or behind a prefix. MATLAB's ``.mat``
+    (to version 7.2) holds M, q and the bounds, which may be called lb and ub there. A bound of 1e20 or more in
+    absolute value means ∞. Pickled content is never read, and of ``.mat`` files nothing but numbers; scipy,
+    which reads these, may end the process on a corrupt one. For other models in AMPL's ``.nl`` format use
+    :func:`lcp_plugin.interfaces.nl.read_nl`.
+
+    Parameters
+    ----------
+    path : str or PathLike
+
+    Raises
+    ------
+    UnreadableFile
+        If the file is missing, corrupt, or not a linear complementarity problem.
+    UnsupportedModel
+        If a ``.nl`` file contains another model.
+    """
+    return load_lcp(path)

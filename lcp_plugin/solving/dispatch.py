@@ -1,0 +1,57 @@
+"""The solver of each problem class, by the table of classes, and the options that it takes."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from functools import cache
+from pkgutil import resolve_name
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
+from ..core.problem_classes import CLASSES, class_of, refusal, with_article
+
+
+def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
+    """Return the result of the solver of a problem's class; :func:`lcp_plugin.solve` describes the parameters."""
+    name = class_of(problem)
+    if name is None:
+        raise InvalidOption(refusal("solve", problem))
+    if not isinstance(algorithm, str):
+        if isinstance(algorithm, (np.ndarray, list, tuple)):
+            raise UnknownAlgorithm(
+                f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…"
+            )
+        options["algorithm"] = algorithm
+    elif algorithm != "auto":
+        options["algorithm"] = algorithm
+    if callable(callback := options.get("callback")):  # it keeps the caller's floating-point state
+        options["callback"] = np.errstate(**np.geterr())(callback)
+    known = options_of(name)
+    if "z0" in options and "z0" not in known and "x0" in known:  # the unknown is called x
+        options["x0"] = options.pop("z0")
+    if "x0" in options and "x0" not in known:
+        raise InvalidOption(f"solve takes no x0 for {with_article(name)}; the start is called z0")
+    for option in () if "options" in known else options:
+        if option not in known:
+            hint = did_you_mean(option, known)
+            raise InvalidOption(f"solve takes no {option} for {with_article(name)}{hint}")
+    return solver_of(name)(problem, **options)
+
+
+@cache
+def solver_of(name: str) -> Callable[..., Any]:
+    """Return the function that solves a class of problem."""
+    return resolve_name(f"lcp_plugin.{CLASSES[name].solver}")
+
+
+@cache
+def options_of(name: str) -> Mapping[str, Any]:
+    """Return the options of the solver of a class; "options" is among them if it accepts an algorithm's options."""
+    known = dict.fromkeys([*inspect.signature(solver_of(name)).parameters][1:])
+    if typed := CLASSES[name].options:
+        known = dict.fromkeys([*known, *typed.split()])
+        del known["options"]
+    return known

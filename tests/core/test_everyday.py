@@ -1,0 +1,365 @@
+"""Everyday data are solved: outsiders judge the points, and rounding noise changes no status."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from campaigns import refusals
+from inputs import everyday
+from inputs.everyday import GRAVITY, NOISE, PAYOFFS
+from scipy.optimize import linprog
+
+from lcp_plugin import (
+    LCP,
+    ConeProblem,
+    FrictionalContact,
+    NonlinearProblem,
+    QuadraticProgram,
+    Status,
+    certify,
+    complements,
+    march,
+    solve,
+    solve_batch,
+)
+
+
+def worst_violation(problem: LCP, z: Any) -> float:
+    """Return the largest violation of a row next to its terms."""
+    w = problem.csr @ z + problem.q
+    terms = abs(problem.csr) @ abs(z) + abs(problem.q)
+    violation = np.maximum(np.where(z > problem.lower, w, 0), np.where(z < problem.upper, -w, 0))
+    assert (z >= problem.lower).all()
+    assert (z <= problem.upper).all()
+    return float((violation / np.maximum(terms, 1e-6 * terms.max() + 1e-300)).max())
+
+
+@pytest.mark.parametrize("angle", [0.3, 0.71, 1.234])
+@pytest.mark.parametrize("courses", [2, 3, 4, 6])
+def test_a_wall_in_a_rotated_frame_stays_at_rest(courses: int, angle: float) -> None:
+    """Every brick of a wall on the ground has the velocity 0 after the impulses."""
+    contacts = everyday.wall(courses, courses, angle)
+    result = solve(contacts.lcp(), max_seconds=5.0).require_solved()
+    assert abs(contacts.velocity_after(result.z)).max() <= 1e-6 * GRAVITY
+    assert result.z.min() >= 0.0
+
+
+@pytest.mark.parametrize("noise", NOISE)
+@pytest.mark.parametrize("boxes", [2, 6, 15])
+def test_a_stack_of_doubled_contacts_stays_at_rest(boxes: int, noise: float) -> None:
+    """Noise in the velocities of contacts, most of which are redundant, leaves the boxes at rest."""
+    rng = np.random.default_rng(boxes)
+    contacts = everyday.doubled_stack(boxes, rng)
+    result = solve(contacts.lcp(noise * rng.normal(size=8 * boxes)), max_seconds=5.0)
+    assert abs(contacts.velocity_after(result.require_solved().z)).max() <= 1e-6 * GRAVITY
+
+
+@pytest.mark.parametrize("nodes", [3, 5, 8, 11])
+def test_a_network_with_decimal_weights_is_at_rest_on_its_bound(nodes: int) -> None:
+    """A Laplacian leaves every constant at rest; with leaks, the load that balances the bound determines z."""
+    rng = np.random.default_rng(nodes)
+    for low in rng.integers(1, 10, 6) / 10:
+        K = everyday.network(nodes, rng)
+        free = solve(LCP(K, np.zeros(nodes), lower=low), max_seconds=5.0).require_solved().z
+        assert np.ptp(free) <= 1e-7 * free.max()
+        assert free.min() >= low
+        leaking = LCP(K + 0.1 * np.eye(nodes), np.full(nodes, -0.1 * low), lower=low)
+        np.testing.assert_allclose(solve(leaking).require_solved().z, low, rtol=1e-9)
+
+
+@pytest.mark.parametrize("low", [0.1, 0.3, 0.7])
+@pytest.mark.parametrize("n", [3, 10, 200])
+@pytest.mark.parametrize(
+    ("height", "loads"),
+    [(0.0, [0.0] * 12), (0.7, [0.05] * 20), (0.0, [0.0] * 4 + [-0.02] * 4 + [0.03] * 6)],
+)
+def test_a_rod_that_falls_comes_to_rest_on_its_obstacle(
+    height: float, loads: list[float], n: int, low: float
+) -> None:
+    """Springs do not act on a rod that moves as a whole: its height is max(height − load, low) after a step."""
+    steps = march(
+        LCP(everyday.rod(n), np.zeros(n), lower=low),
+        np.outer(loads, np.ones(n)),
+        propagator=-1.0,
+        z0=np.full(n, low + height),
+    )
+    expected = low + height
+    for z, status, load in zip(steps.z, steps.status, loads, strict=True):
+        expected = max(expected - load, low)
+        assert status is Status.SOLVED
+        np.testing.assert_allclose(z, expected, rtol=1e-7)
+
+
+@pytest.mark.parametrize("payoff", PAYOFFS)
+def test_a_step_of_an_option_on_two_shares_is_solved_from_its_payoff(payoff: str) -> None:
+    """Howard's policy iteration with SciPy's solver determines the price; few iterations suffice from the payoff."""
+    problem = everyday.option_on_two_shares(payoff, 49)
+    M, bound = problem.csr, problem.lower
+    price = bound
+    for _ in range(60):
+        is_held = M @ price + problem.q < price - bound  # the smaller term of the minimum
+        policy = sp.diags_array(is_held.astype(float))
+        rows = policy @ M + (sp.eye_array(problem.n) - policy)
+        improved = sp.linalg.spsolve(rows.tocsc(), np.where(is_held, -problem.q, bound))
+        if (improved == price).all():
+            break
+        price = improved
+    result = solve(problem, z0=bound).require_solved()
+    np.testing.assert_allclose(result.z, price, atol=1e-6 * bound.max())
+
+
+def test_a_step_of_a_call_on_two_shares_takes_few_iterations() -> None:
+    """The step of the larger grid ends after a few iterations rather than hundreds."""
+    problem = everyday.option_on_two_shares("call on the larger share", 99)
+    result = solve(problem, z0=problem.lower).require_solved()
+    assert result.iterations <= 30
+    assert worst_violation(problem, result.z) <= 1e-6
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_market_with_decimal_costs_ships_at_the_least_cost(seed: int) -> None:
+    """The flows of an equilibrium cost as much as those of HiGHS, and meet supply and demand."""
+    problem, costs, supplies, demands = everyday.market(np.random.default_rng(seed))
+    flows = solve(problem).require_solved().z[:24].reshape(4, 6)
+    program = linprog(costs.ravel(), -problem.M[24:, :24], np.concatenate([supplies, -demands]))
+    assert (flows.sum(axis=1) <= supplies + 1e-6).all()
+    assert (flows.sum(axis=0) >= demands - 1e-6).all()
+    assert (costs * flows).sum() == pytest.approx(program.fun, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_game_with_decimal_payoffs_and_ties_ends_at_an_equilibrium(seed: int) -> None:
+    """No player gains by another pure strategy."""
+    rng = np.random.default_rng(seed)
+    A, B = rng.integers(0, 10, (2, *rng.integers(2, 7, 2))) / 10
+    problem = LCP.from_game(A, B)
+    found = problem.origin.recover(solve(problem).require_solved())
+    x, y = found.row_strategy, found.column_strategy
+    assert (A @ y).max() <= x @ A @ y + 1e-8
+    assert (x @ B).max() <= x @ B @ y + 1e-8
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-17, 1e-15])
+@pytest.mark.parametrize("seed", range(4))
+def test_sliding_contacts_are_solved_with_noise_on_loaded_rows(seed: int, noise: float) -> None:
+    """A problem of friction with a solution is solved; a row without load gets no noise, which would leave none."""
+    rng = np.random.default_rng(seed)
+    exact, z = everyday.sliding_contacts(3, rng)
+    has_unknown = np.array(z > 0.0)
+    problem = LCP(
+        exact.M, exact.q + noise * abs(exact.q).max() * rng.normal(size=exact.n) * has_unknown
+    )
+    assert worst_violation(problem, solve(problem).require_solved().z) <= 1e-6
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_new_keynesian_model_with_a_zero_bound_is_optimal(seed: int) -> None:
+    """The rate of interest follows its rule or is at its bound in each quarter."""
+    for quarters, shock in [
+        next(everyday.zero_bound_models(np.random.default_rng([seed, k]))) for k in range(3)
+    ]:
+        gap, inflation, rate = (cp.Variable(quarters + 1) for _ in range(3))
+        shocks = np.r_[shock, np.zeros(quarters - 1)]
+        rows = [
+            gap[:-1] == gap[1:] - (rate[:-1] - inflation[1:] - shocks),
+            inflation[:-1] == 0.9 * inflation[1:] + 0.3 * gap[:-1],
+            gap[-1] == 0,
+            inflation[-1] == 0,
+            complements(rate >= -0.005, rate - 1.5 * inflation >= 0),
+        ]
+        problem = cp.Problem(cp.Minimize(0), rows)
+        problem.solve(method="LCP")
+        assert problem.status == cp.OPTIMAL
+        above, rule = rate.value + 0.005, rate.value - 1.5 * inflation.value
+        np.testing.assert_allclose(np.minimum(above, rule), 0.0, atol=1e-9)
+        assert max(constraint.violation().max() for constraint in rows[:4]) <= 1e-9
+
+
+@pytest.mark.filterwarnings("ignore:the solution may be inaccurate")
+@pytest.mark.parametrize("small", [1e-7, 1e-8, 1e-10])
+@pytest.mark.parametrize(
+    "function", [lambda x: cp.exp(x) - 1, lambda x: 1 - cp.exp(-x), lambda x: (1 + x) ** 3 - 1]
+)
+def test_a_smooth_equation_with_a_small_root_is_solved(function: Any, small: float) -> None:
+    """The root of f(x) = 1e-10 is found although f cancels to its rounding level there."""
+    x = cp.Variable()
+    x.value = 0.0
+    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, function(x) - small >= 0)])
+    problem.solve(method="LCP")
+    assert problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
+    assert abs((function(x) - small).value) <= 1e-12
+
+
+@pytest.mark.parametrize("n", [3, 12, 39])
+@pytest.mark.parametrize("kind", ["covariance", "gram", "laplacian"])
+def test_a_program_from_single_precision_has_the_optimum_of_clarabel(kind: str, n: int) -> None:
+    """P, indefinite by the rounding of single precision, counts as semidefinite; values agree to that precision."""
+    rng = np.random.default_rng(n)
+    P = everyday.single_precision(kind, n, rng)
+    c = 0.01 * rng.normal(size=n) * (kind == "covariance")
+    equations = {"A": np.ones((1, n)), "b": [1.0]} if kind == "covariance" else {}
+    low = 1.0 if kind == "laplacian" else 0.0
+    program = QuadraticProgram(P, c, lower=low, **equations)
+    x = cp.Variable(n)
+    rows = [x >= low, *([cp.sum(x) == 1] if equations else [])]
+    model = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) + c @ x), rows)
+    expected = model.solve(solver=cp.CLARABEL)
+    result = solve(program, max_seconds=5.0).require_solved()
+    assert result.x.min() >= low - 1e-9
+    assert program.objective(result.x) == pytest.approx(expected, abs=1e-6 * (1.0 + abs(P).max()))
+
+
+# --- Rounding noise changes no status --------------------------------------------------------------------------------
+
+
+class Rows:
+    """M = J Jᵀ, whose rows repeat one another, q, and the velocity Jᵀ z that every solution z has."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        J = rng.integers(-3, 4, (4, 5)) / 10
+        self.J = np.vstack([J, J[:2], J[1] + J[2]])
+        z, w = np.array([0.3, 0, 0, 0.7, 0, 0, 0]), np.zeros(7)
+        direction = np.linalg.lstsq(J, [0.0, 0.0, 0.2, 0.0], rcond=None)[0]
+        w = self.J @ direction  # q = w − M z stays in the range of J
+        self.M, self.q, self.velocity = self.J @ self.J.T, w - self.J @ (self.J.T @ z), self.J.T @ z
+
+
+def one_ulp(rows: Rows) -> None:
+    """Move each entry of q and of M to the next number."""
+    rows.q = np.nextafter(rows.q, np.inf)
+    rows.M = np.nextafter(rows.M, np.inf)
+
+
+def small_for_zero(rows: Rows) -> None:
+    """Replace the zeros of q and M by 1e-17."""
+    rows.q = np.where(rows.q == 0.0, 1e-17, rows.q)
+    rows.M = np.where(rows.M == 0.0, 1e-17, rows.M)
+
+
+def rotated_frame(rows: Rows) -> None:
+    """Multiply out J Jᵀ and J v in rotated coordinates."""
+    rotation = np.linalg.qr(np.random.default_rng(0).normal(size=(5, 5)))[0]
+    turned = rows.J @ rotation
+    rows.M, rows.q = turned @ turned.T, turned @ (rotation.T @ np.linalg.lstsq(rows.J, rows.q)[0])
+
+
+def power_of_two(rows: Rows) -> None:
+    """Multiply every row by 2⁴⁰."""
+    rows.q, rows.M = 2.0**40 * rows.q, 2.0**40 * rows.M
+
+
+def as_contacts(rows: Rows) -> Any:
+    """Return the points of contacts whose tangential rows are the identity."""
+    W, b = np.eye(14) * rows.M[0, 0], np.zeros(14)
+    W[::2, ::2], b[::2] = rows.M, rows.q
+    result = solve(FrictionalContact(W, b, 0.5, dimension=2))
+    return result.status, result.z[::2]
+
+
+def as_cvxpy(rows: Rows) -> Any:
+    """Return the value of a complementarity model."""
+    x = cp.Variable(7)
+    model = cp.Problem(cp.Minimize(0), [complements(x >= 0, rows.M @ x + rows.q >= 0)])
+    model.solve(method="LCP")
+    return (Status.SOLVED if model.status == cp.OPTIMAL else model.status), x.value
+
+
+def point_of(result: Any) -> Any:
+    """Return status and point of a result."""
+    return result.status, result.x if hasattr(result, "x") else result.z
+
+
+CHANGES = (one_ulp, small_for_zero, rotated_frame, power_of_two)
+CLASSES: dict[str, Callable[[Rows], Any]] = {
+    "LCP": lambda r: point_of(solve(LCP(r.M, r.q))),
+    "sparse": lambda r: point_of(solve(LCP(sp.csr_array(r.M), r.q))),
+    "batch": lambda r: point_of(solve_batch(r.M, [r.q, r.q])[1]),
+    "march": lambda r: point_of(march(LCP(r.M, r.q), [r.q] * 2, propagator=0.0)[1]),
+    "cones": lambda r: point_of(solve(ConeProblem(r.M, r.q, [("nonnegative", 7)]))),
+    "contacts": as_contacts,
+    "nonlinear": lambda r: point_of(
+        solve(NonlinearProblem(lambda z: r.M @ z + r.q, lambda z: r.M, 0.0), x0=np.zeros(7))
+    ),
+    "program": lambda r: point_of(solve(QuadraticProgram(0.5 * (r.M + r.M.T), r.q, lower=0.0))),
+    "cvxpy": as_cvxpy,
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("problem_class", CLASSES)
+def test_rounding_noise_changes_no_status(
+    problem_class: str, change: Callable[[Rows], None]
+) -> None:
+    """Redundant rows remain SOLVED, with the same velocity, in each class and after each change."""
+    for seed in range(3):
+        rows = Rows(seed)
+        for alter in (lambda rows: None, change):
+            alter(rows)
+            status, z = CLASSES[problem_class](rows)
+            assert status is Status.SOLVED
+            np.testing.assert_allclose(rows.J.T @ z, rows.velocity, atol=1e-6)
+
+
+@pytest.mark.parametrize("problem_class", refusals.CLASSES)
+def test_a_right_point_is_solved(problem_class: str, draws: Callable[..., range]) -> None:
+    """A planted solution, exact, one ulp off or with noise in q, is SOLVED where the run begins."""
+    for k in draws(400, 20):
+        rng = np.random.default_rng([1, k])
+        assert not [*refusals.refused(rng, problem_class)], k
+
+
+@pytest.mark.full
+def test_integer_problems_in_units_far_apart_are_not_solved_falsely() -> None:
+    """An exact solution in fractions is near each SOLVED point, and half of the problems are solved."""
+    found = [
+        line for k in range(200) for line in refusals.false_in_units(np.random.default_rng([2, k]))
+    ]
+    assert found.count("SOLVED") == len(found) > 60
+
+
+# --- Single inputs ---------------------------------------------------------------------------------------------------
+
+
+def test_a_wall_of_22_contacts_takes_no_search() -> None:
+    """A wall with more contacts than any enumeration of active sets can visit is solved within a second."""
+    contacts = everyday.wall(3, 3, 0.3)
+    assert len(contacts.normals) == 22
+    assert solve(contacts.lcp(), max_seconds=1.0).is_solved
+
+
+@pytest.mark.parametrize(
+    ("M", "q", "low", "z", "verdict"),
+    [
+        ([[0.1, -0.1], [-0.1, 0.1]], [0, 0], 0.3, [0.3, 0.3], "proved"),
+        ([[0, 0], [-1, 1]], [0, 1], 0.0, [5, 0], "disproved"),
+    ],
+)
+def test_certify_decides_as_fractions_do(M: Any, q: Any, low: float, z: Any, verdict: str) -> None:
+    """The verdict on a point is that of w = M z + q in fractions."""
+    w = [
+        sum(Fraction(m) * Fraction(x) for m, x in zip(row, z, strict=True)) + Fraction(b)
+        for row, b in zip(M, q, strict=True)
+    ]
+    is_right = all(v >= 0 and (v == 0 or x == low) for v, x in zip(w, z, strict=True))
+    assert ("proved" if is_right else "disproved") == verdict
+    assert certify(LCP(M, q, lower=low), z).verdict == verdict
+
+
+def test_a_problem_of_the_largest_numbers_is_solved() -> None:
+    """Terms that overflow when they are added do not refuse z = 1."""
+    result = solve(LCP(np.diag([1e308, 1e308]), [-1e308, -1e308]), max_seconds=1.0)
+    np.testing.assert_array_equal(result.require_solved().z, 1.0)
+
+
+def test_a_small_network_on_a_decimal_bound_is_at_rest() -> None:
+    """The rows of I + a Laplacian with decimal weights sum to 1: z = 0.3."""
+    M = [[1.1, -0.1, 0], [-0.1, 1.2, -0.1], [0, -0.1, 1.1]]
+    result = solve(LCP(M, np.full(3, -0.3), lower=0.3), max_seconds=1.0)
+    np.testing.assert_allclose(result.require_solved().z, 0.3, rtol=1e-9)

@@ -1,0 +1,174 @@
+"""Problems as people assemble them: zeros are 1e-17, bodies are at rest, and weights are decimal numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from lcp_plugin import LCP
+
+Generator = np.random.Generator
+GRAVITY = 0.0981  # velocity that a time step of 0.01 adds
+NOISE = (0.0, 1e-17, 1e-16, 1e-15, 1e-14, 1e-13, 1e-12)  # of a simulator, in velocities
+
+
+class Contacts(NamedTuple):
+    """Contacts without friction of bodies that fall, and that their supports keep at rest.
+
+    Attributes
+    ----------
+    normals : array, shape (contacts, coordinates)
+        Velocity of each contact per velocity of the coordinates.
+    inverse_mass : array, shape (coordinates,)
+    velocity : array, shape (coordinates,)
+        Velocity without contact.
+    """
+
+    normals: Any
+    inverse_mass: Any
+    velocity: Any
+
+    def lcp(self, noise: Any = 0.0) -> LCP:
+        """Return the LCP of the impulses; noise is added to the velocities of the contacts."""
+        M = (self.normals * self.inverse_mass) @ self.normals.T
+        return LCP(M, self.normals @ self.velocity + noise)
+
+    def velocity_after(self, impulses: Any) -> Any:
+        """Return the velocity of the coordinates after the impulses, shape (coordinates,)."""
+        return self.velocity + self.inverse_mass * (self.normals.T @ impulses)
+
+
+def wall(courses: int, bricks: int, angle: float) -> Contacts:
+    """Return a wall in running bond, two contacts per face, in a frame that is rotated by an angle."""
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    up = rotation @ [0.0, 1.0]
+    centers = [
+        (column + 0.5 * (course % 2), 0.5 * course)
+        for course in range(courses)
+        for column in range(bricks - course % 2)
+    ]
+    rows: list[Any] = []
+    for upper, (x, y) in enumerate(centers):
+        below = [k for k, (a, b) in enumerate(centers) if b == y - 0.5 and abs(a - x) < 1.0]
+        for lower in below or [None] * (y == 0.0):
+            left = x - 0.5 if lower is None else max(x, centers[lower][0]) - 0.5
+            right = x + 0.5 if lower is None else min(x, centers[lower][0]) + 0.5
+            for point in (left, right):
+                row = np.zeros((len(centers), 3))
+                for brick, sign in ((upper, 1.0), (lower, -1.0)):
+                    if brick is not None:
+                        arm = rotation @ (np.array([point, y - 0.25]) - centers[brick])
+                        row[brick] += sign * np.array([*up, arm[0] * up[1] - arm[1] * up[0]])
+                rows.append(row.ravel())
+    inertia = (1.0 + 0.5**2) / 12.0
+    inverse_mass = np.tile([1.0, 1.0, 1.0 / inertia], len(centers))
+    return Contacts(np.array(rows), inverse_mass, np.tile([*(-GRAVITY * up), 0.0], len(centers)))
+
+
+def doubled_stack(boxes: int, rng: Generator) -> Contacts:
+    """Return boxes on four corners each, and on four more contacts near these."""
+    rows = []
+    for box in range(boxes):
+        for k in range(8):
+            at = np.array([1 - 2 * (k & 1), (k & 2) - 1]) * (1.0 + 0.1 * rng.random(2) * (k > 3))
+            row = np.zeros((boxes, 3))
+            row[box] = 1.0, at[1], -at[0]
+            if box:
+                row[box - 1] = -row[box]
+            rows.append(row.ravel())
+    inverse_mass = np.repeat(10.0 ** rng.uniform(-0.5, 0.5, boxes), 3) * np.tile([1, 6, 6], boxes)
+    return Contacts(np.array(rows), inverse_mass, np.tile([-GRAVITY, 0.0, 0.0], boxes))
+
+
+def network(nodes: int, rng: Generator) -> Any:
+    """Return the Laplacian of a connected network whose weights have one decimal, shape (nodes, nodes)."""
+    weights = np.triu(rng.integers(0, 10, (nodes, nodes)) / 10, 1)
+    weights += 0.3 * np.eye(nodes, k=1)
+    weights += weights.T
+    return np.diag(weights.sum(axis=1)) - weights
+
+
+def rod(n: int) -> sp.csr_array:
+    """Return I + 0.1 K for the stiffness K of a free rod of n nodes: a step of time on springs."""
+    K = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    ends = sp.csr_array(([1.0, 1.0], ([0, n - 1], [0, n - 1])), shape=(n, n))
+    return (sp.eye_array(n) + 0.1 * (K - ends)).tocsr()
+
+
+PAYOFFS = {
+    "call on the larger share": lambda a, b: np.maximum(a, b) - 100.0,
+    "put on the smaller share": lambda a, b: 100.0 - np.minimum(a, b),
+    "put on the mean": lambda a, b: 100.0 - 0.5 * (a + b),
+    "spread": lambda a, b: a - b - 10.0,
+}
+
+
+def option_on_two_shares(payoff: str, n: int) -> LCP:
+    """Return an implicit step of an American option; the payoff, the lower bound, is 0 out of the money."""
+    x, step = np.linspace(-1.7, 1.7, n + 2, retstep=True)
+    second = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)) / step**2
+    first = sp.diags_array([-1.0, 0.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)) / (2.0 * step)
+    one, time_step, rate, variance = sp.eye_array(n), 1.0 / 60.0, 0.05, 0.04
+    L = 0.5 * variance * second + (rate - 0.1 - 0.5 * variance) * first
+    M = (1.0 + rate * time_step) * sp.eye_array(n * n) - time_step * (
+        sp.kron(L, one) + sp.kron(one, L)
+    )
+    shares = 100.0 * np.exp(x[1:-1])
+    value = PAYOFFS[payoff](*np.meshgrid(shares, shares, indexing="ij"))
+    bound = np.maximum(value, 0.0).ravel()
+    return LCP(M.tocsr(), -bound, lower=bound)
+
+
+def market(rng: Generator) -> tuple[LCP, Any, Any, Any]:
+    """Return the equilibrium of four factories and six towns, and costs (4, 6), supplies (4,), demands (6,)."""
+    costs, supplies = rng.integers(1, 20, (4, 6)) / 10, np.full(4, 3.0)
+    demands = 2.0 - 0.1 * rng.integers(0, 3, 6)
+    out = np.kron(np.eye(4), np.ones(6))
+    into = np.kron(np.ones(4), np.eye(6))
+    M = np.block(
+        [[np.zeros((24, 24)), out.T, -into.T], [-out, np.zeros((4, 10))], [into, np.zeros((6, 10))]]
+    )
+    return LCP(M, np.concatenate([costs.ravel(), supplies, -demands])), costs, supplies, demands
+
+
+def sliding_contacts(contacts: int, rng: Generator) -> tuple[LCP, Any]:
+    """Return contacts with a pyramid of four edges each and a solution chosen first; some contacts are not loaded."""
+    normals = rng.normal(size=(contacts, 6))
+    edges = np.repeat(rng.normal(size=(contacts, 2, 6)), 2, axis=1)
+    edges[:, 1::2] *= -1.0
+    J = np.vstack([normals, edges.reshape(-1, 6)])
+    E = np.kron(np.eye(contacts), np.ones((4, 1)))
+    none = np.zeros((contacts, contacts))
+    M = np.block([[J @ J.T, np.vstack([none, E])], [0.5 * np.eye(contacts), -E.T, none]])
+    is_loaded = rng.random(contacts) < 0.7
+    normal = np.where(is_loaded, rng.integers(2, 6, contacts), 0.0)
+    friction, slip = np.zeros((contacts, 4)), np.zeros(contacts)
+    open_speed = np.where(is_loaded, 0.0, 1.0)
+    friction[:, 0] = 0.5 * normal  # slides against the first edge
+    slip[is_loaded] = 1.0
+    speed = np.where(is_loaded[:, None], [0.0, 2.0, 1.0, 1.0], 1.0)
+    z = np.concatenate([normal, friction.ravel(), slip])
+    w = np.concatenate([open_speed, speed.ravel(), np.zeros(contacts)])
+    return LCP(M, w - M @ z), z
+
+
+def zero_bound_models(rng: Generator) -> Iterator[tuple[int, float]]:
+    """Yield numbers of quarters and shocks of a New Keynesian model."""
+    while True:
+        yield int(rng.integers(3, 13)), -0.01 * float(rng.integers(1, 6))
+
+
+def single_precision(kind: str, n: int, rng: Generator) -> Any:
+    """Return a semidefinite matrix that was stored in single precision, shape (n, n)."""
+    if kind == "covariance":
+        P = np.cov(rng.normal(size=(n // 2 + 2, n)).T)
+    elif kind == "gram":
+        G = rng.normal(size=(n, n // 2 + 1)).astype(np.float32)
+        P = G @ G.T
+    else:
+        P = network(n, rng) * 0.7
+    P = P.astype(np.float32).astype(float)
+    return 0.5 * (P + P.T)

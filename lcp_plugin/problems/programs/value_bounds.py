@@ -108,8 +108,6 @@ class DualBounds:
             points.append(self._with_slack(given, slack))
             yield self.value(points[-1])
         yield from map(self._exact_value, points)
-        # At x = 0, the bound also loses too much by rounding in s_j²/μ_j
-        yield self._exact_value(given, is_fixed=True)
 
     def admit(self, x: Vector, y: Vector) -> DualPoint:
         """Return the point with admissible multipliers: not negative, and 0 for rows that the box contains."""
@@ -189,19 +187,16 @@ class DualBounds:
         m = self.program.h.size
         return np.concatenate([np.ones(at.x.size, bool), at.y[:m] > 0.0, ~self._is_bound[m:]])
 
-    def _exact_value(self, at: DualPoint, *, is_fixed: bool = False) -> float:
-        """Return the bound of a nearby point with s exactly zero if required; −∞ if no point is found.
-
-        If x̂ is fixed, components with curvature are included, and only multipliers change.
-        """
+    def _exact_value(self, at: DualPoint) -> float:
+        """Return the bound of a nearby point with s exactly zero if required; −∞ if no point is found."""
         needs_rise, needs_fall = self._open_sides
         v, s, size = self._slopes(at)
         rounding = SLACKS[0] * size
         is_zero = (needs_rise & (s <= rounding)) | (needs_fall & (s >= -rounding))
-        zero = np.flatnonzero(is_zero | ((np.abs(s) <= rounding) if is_fixed else False))
+        zero = np.flatnonzero(is_zero)
         rows, m, n = [self._exact_stacked[j] for j in zero], self.program.h.size, at.x.size
         target = [-Fraction(self.program.c[j]) for j in zero.tolist()]
-        guess, movable = rational(v), self._is_movable(at) & (np.arange(v.size) >= n * is_fixed)
+        guess, movable = rational(v), self._is_movable(at)
         lots = independent_rows(
             [{j: entry for j, entry in row.items() if movable[j]} for row in rows]
         )

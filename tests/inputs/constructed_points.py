@@ -27,7 +27,8 @@ class Case(NamedTuple):
         """Fail if a point is SOLVED and is not the solution; further entries of z are not compared."""
         if is_solved:
             assert self.right is not None, f"no solution, but {z} is SOLVED"
-            np.testing.assert_allclose(z[: self.q.size], self.right, rtol=1e-4, atol=1e-3)
+            # A residual is not an error: a slack up to tolerance^(1/4) of the demand passes
+            np.testing.assert_allclose(z[: self.q.size], self.right, rtol=1e-2, atol=1e-3)
 
 
 TINY = 2.0**-17

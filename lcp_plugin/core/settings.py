@@ -250,7 +250,7 @@ class AlgorithmOptions(TypedDict, total=False):
 
 
 class Options(AlgorithmOptions, total=False):
-    """Options of `solve`; the table of problem classes says which of them a class takes."""
+    """Options of `solve`; each problem class takes some of them."""
 
     tolerance: float
     absolute_tolerance: float

@@ -447,8 +447,7 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
         c = int(wrong[0])
         raise InvalidProblem(
             f"normals and tangents must be orthogonal unit vectors, but contact {c} violates this by {least[c]:.2g} "
-            "in the translations of a body; divide each by its length, the lever arms with it; or, if the unknowns "
-            "are not translations, pass W = J m⁻¹ Jᵀ and the velocities J u"
+            "in translations; divide each by its length, or, if the unknowns are not translations, pass J m⁻¹ Jᵀ, J u"
         )
 
 

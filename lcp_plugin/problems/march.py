@@ -439,9 +439,8 @@ def _require_constant_bounds(forcing: ArrayLike, **bounds: ArrayLike | None) -> 
         if _axes(values) == _axes(forcing) == 2 and len(values) == len(forcing) > 1:  # type: ignore[arg-type]
             k = len(forcing)  # type: ignore[arg-type]
             raise InvalidProblem(
-                f"{name} has {k} rows, and forcing has {k} steps: bounds that change from step to step are not "
-                f"supported, so march step by step with solve and z0; for {k} marches with bounds of their own write "
-                "np.broadcast_to(forcing, (k, k, n))"
+                f"{name} has {k} rows, and forcing has {k} steps: march step by step with solve and z0 for these; "
+                f"for {k} marches with bounds of their own write np.broadcast_to(forcing, (k, k, n))"
             )
 
 
@@ -646,19 +645,19 @@ class Steps:
         return np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain else self.at(k).degenerate
 
     def jvp(
-        self, dM: Any, df: Vector, dC: Any, dlower: Vector, dupper: Vector, before: Vector
+        self, dM: Any, df: Vector, dC: Any, low: Vector, high: Vector, before: Vector
     ) -> Vector:
         """Return the changes of the solutions for changes of M, forcing, propagator and bounds.
 
         At the call, `before` is the change of the state before the first step; the last change is written to it.
         """
         given = np.broadcast_to(df, self.z.shape) + (dC @ self.states[:-1].T).T
-        value = np.where(self.sides < 0, dlower, np.where(self.sides > 0, dupper, 0.0))
+        value = np.where(self.sides < 0, low, np.where(self.sides > 0, high, 0.0))
 
         def solve_alone(k: int, before: Vector) -> Vector:
             alone = self.at(k)
             dq = given[k] + self.march.propagator @ before + dM @ alone.z
-            return alone.jvp(dq=dq, dlower=dlower, dupper=dupper)
+            return alone.jvp(dq=dq, dlower=low, dupper=high)
 
         forwards, right = np.arange(len(self)), given + (dM @ self.z.T).T
         dz, _ = self._follow(self.whole.band, forwards, value, right, before, solve_alone)

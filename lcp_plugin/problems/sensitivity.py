@@ -218,9 +218,7 @@ class ManyDerivatives:
             is_left[part.items[part.is_plain]] = False
         return np.flatnonzero(is_left).tolist()
 
-    def _fill(
-        self, tables: Any, of_part: Callable[[Any], Any], of_one: Callable[[int], Any]
-    ) -> None:
+    def _fill(self, rows: Any, of_part: Callable[[Any], Any], of_one: Callable[[int], Any]) -> None:
         """Write the rows of items with a derivative; some are treated one by one.
 
         These are the items outside of all stacks, and items with NaN in the first row of their stack. Errors are
@@ -230,12 +228,12 @@ class ManyDerivatives:
         for part in self._parts:
             answers = of_part(part)
             is_done = part.is_plain & ~np.isnan(answers[0]).any(axis=1)
-            for table, answer in zip(tables, answers, strict=True):
+            for table, answer in zip(rows, answers, strict=True):
                 table[part.items[is_done]] = answer[is_done]
             alone += part.items[part.is_plain & ~is_done].tolist()
         for k in alone:
             try:
-                for table, answer in zip(tables, of_one(k), strict=True):
+                for table, answer in zip(rows, of_one(k), strict=True):
                     table[k][:] = 0
                     table[k][: answer.size] = answer
             except LCPError as error:
@@ -649,11 +647,7 @@ class ContactBatchDerivative(ManyDerivatives):
         return np.arange(d * self.worlds.friction.shape[1]) < counts[:, np.newaxis]
 
 
-SINGULAR = (
-    "the block of M on the free rows is singular to working precision, too large for a generalised inverse or for a "
-    "factor where multigrid fails: z has no derivative that could be computed; regularise M, or fix what is not "
-    "determined"
-)
+SINGULAR = "M is singular on the free rows, too many for a generalised inverse; regularise M"
 
 
 def words_on_singular(system: FreeSystem) -> str:

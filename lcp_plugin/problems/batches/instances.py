@@ -225,9 +225,7 @@ def _solve_cones(data: Any, start: Any, tolerance: float, has_time: Any) -> Any:
     return pattern.flat(z), *others
 
 
-def _stacks_of(
-    base: BoundedLeastSquares, items: Any, stack: Callable[[Any], Any], tolerance: float
-) -> Stacks:
+def _stacks_of(base: BoundedLeastSquares, items: Any, stack: Any, tolerance: float) -> Stacks:
     """Yield least squares problems that share the matrices of `base`, in stacks whose arrays stay in the cache."""
     _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks
     is_compiled = suits_loop(items.size, base.shape[1])

@@ -18,7 +18,7 @@ from ...engines import engine_class, is_installed
 from ..many import rows_of_a_batch
 from ..programs.criterion import ProgramComponents, errors_of_each
 from ..programs.program import CANCELS, VECTORS, QuadraticProgram
-from ..programs.program_matrices import ProgramMatrices, as_array, fit_units_of, may_be_small
+from ..programs.program_matrices import ProgramMatrices, as_array, may_be_small
 from .instances import Instances, Stacks, have_values
 
 ENGINE = "daqp"
@@ -262,9 +262,7 @@ def block_matrices(P: Any, C: Any, m: int, count: int) -> ProgramMatrices:
     n, rows = P.shape[1], C.shape[1]
     stacks = (np.broadcast_to(one, (count, *one.shape[1:])) for one in (P, C[:, :m], C[:, m:]))
     matrices = ProgramMatrices(*map(block_diagonal, stacks))
-    units, of_rows = (np.broadcast_to(one, (count, one.shape[1])) for one in fit_units_of(P, C))
-    both = np.concatenate([of_rows[:, :m].ravel(), of_rows[:, m:].ravel()])
-    matrices.__dict__.update(fit=(units.ravel(), both), summands=(n, n, rows))
+    matrices.__dict__["summands"] = n, n, rows
     is_connected = [(one != 0.0).all(axis=2).any(axis=1) for one in (P, C)]  # by a row without 0
     if np.logical_or(*is_connected).all():
         of_unknown, *parts = (np.repeat(np.arange(count), size) for size in (n, m, rows - m))

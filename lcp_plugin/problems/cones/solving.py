@@ -40,13 +40,10 @@ SHARES = (0.01, 0.1, 0.001)  # of the largest velocity: distance of a path's sta
 ROUNDING = 2.0**-44  # of the largest entry of W: tolerated difference from its transpose
 WORDS = {
     Status.STALLED: (
-        "no method reduces the residual further; next: try another start z0, or less friction: with much friction or "
-        "a singular W, a contact problem need not have a solution"
+        "no method reduces the residual further; next: another start z0, or less friction: contact with much friction "
+        "or a singular W need not have a solution"
     ),
-    Status.INFEASIBLE: (
-        "no z in the cones has an M z + q in their duals (no impulses keep every contact from closing further), even "
-        "with errors as large as the tolerance; next: check the data; result.proof proves it"
-    ),
+    Status.INFEASIBLE: "no z in the cones has an M z + q in their duals; next: check the data (result.proof)",
 }
 SWEPT = "cheap sweeps over the blocks find most of the active set"
 

@@ -404,10 +404,9 @@ class ConeStack:
         z, answered = self.project(z), self.is_answered
         return np.where(answered[..., None], self.origin, z) if answered.any() else z
 
-    def derivative(
-        self, w: Array, case: Array, x: Array, tangent: Array, axis: Array
-    ) -> tuple[Array, Array]:
+    def derivative(self, w: Array, *found: Array) -> tuple[Array, Array]:
         """Return an element of the generalized derivative of R by z and by w of each block, (B, k, m, m)."""
+        case, x, tangent, axis = found
         mu, eye, tangents = self.mu, np.eye(self.m), np.diag(np.arange(self.m) > 0)
         away = x / np.maximum(tangent, TINY)[..., None]
         away[..., 0] = 0.0

@@ -255,19 +255,11 @@ ENDS = {  # SCIP's names
 BY_SCIP = "bound by SCIP, in floating point"
 ADVICE = {
     Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
-    Status.INFEASIBLE: (
-        "the linear constraints are inconsistent; next: print(result.conflict), which of them conflict"
-    ),
-    Status.NO_SOLUTION: (
-        "every complementarity piece is infeasible; next: check the pairs and the linear constraints "
-        "(proof: result.proof)"
-    ),
+    Status.INFEASIBLE: "the linear constraints are inconsistent; next: print(result.conflict)",
+    Status.NO_SOLUTION: "every complementarity piece is infeasible; next: check pairs and constraints",
     Status.MAX_ITERATIONS: "node limit reached; next: raise max_nodes",
     Status.MAX_SECONDS: "time limit reached; next: raise max_seconds",
-    Status.STALLED: (
-        "some complementarity piece was neither solved nor proved infeasible; next: bound the unknowns, or rescale the "
-        "data"
-    ),
+    Status.STALLED: "some complementarity piece is undecided; next: bound the unknowns, or rescale",
     Status.INTERRUPTED: "stopped by Ctrl-C or the callback",
 }
 
@@ -434,16 +426,13 @@ class EquilibriumResult(BaseResult):
             proof = "; prove=True asks for a proof" if self.problem.is_provable else ""
             return f"x is a solution, measured here; no better one by more than the tolerance: {BY_SCIP}{proof}"
         if self.status is Status.STALLED and self.outside is not None:
-            return (
-                f"SCIP, in floating point, reports {self.outside.status}, which could not be confirmed, so that "
-                "nothing is proved; next: bound the variables, or rescale the data"
-            )
+            said = f"SCIP, in floating point, reports {self.outside.status}, which could not be confirmed"
+            return f"{said}: nothing is proved; next: bound the variables, or rescale the data"
         if self.status is Status.STALLED and not self.problem.is_provable:
             return (
-                "an objective that is not convex, smooth rows and integers are minimized by SCIP, which is not "
-                "installed, or does not load; next: pip install pyscipopt (or lcp_plugin[global]); for a local way "
-                "leave out the objective and differentiate the followers: derivative(problem) in cvxpy, "
-                "derivative(result)"
+                "an objective that is not convex, smooth rows and integers need SCIP, which is not installed, or does "
+                "not load; next: pip install pyscipopt (or lcp_plugin[global]); for a local way leave out the "
+                "objective and differentiate the followers: derivative(result)"
             )
         return super()._advice_of_status()
 

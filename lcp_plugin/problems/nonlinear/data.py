@@ -87,8 +87,7 @@ class Differences:
         if pattern is None:
             if n > DENSE_PATTERN_UP_TO:
                 raise InvalidProblem(
-                    f"differences on all {n}×{n} places take {n} evaluations of F a derivative, and are made up to "
-                    f"n = {DENSE_PATTERN_UP_TO}; give a jacobian, or the pattern of its entries as a sparse array"
+                    f"differences on all places need n ≤ {DENSE_PATTERN_UP_TO}, got {n}; give a jacobian, or a pattern"
                 )
             return cls(sp.csc_array(np.ones((n, n))), np.arange(n, dtype=np.int32))
         met: list[set[int]] = [set() for _ in range(n)]  # groups of the columns that meet a row

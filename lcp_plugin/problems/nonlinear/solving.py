@@ -399,8 +399,7 @@ def begin_at(first: Linearization) -> tuple[Linearization, str]:
     if not (is_finite := np.isfinite(first.value)).all():
         i = int(np.argmin(is_finite))
         raise InvalidProblem(
-            f"F must be finite at the start, but F(x0)[{i}] = {first.value[i]} with x0[{i}] = {start[i]} after "
-            "projection onto the bounds; start where F is defined, or tighten the bounds"
+            f"F must be finite at the start, but F(x0)[{i}] = {first.value[i]} with x0[{i}] = {start[i]} in the bounds"
         )
     return first, ""
 
@@ -417,14 +416,8 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> Vector:
 
 WORDS = {
     Status.SOLVED: "the residual is within the tolerance, as measured on F",
-    Status.PRECISION_LIMIT: (
-        "the residual is above the tolerance, but no larger than rounding in F explains, as far as F tells at "
-        "points nearby; next: accept z, or scale F"
-    ),
-    Status.STALLED: (
-        "no step reduces the residual further; z may be a local minimum of the residual, F may have no solution or no "
-        "slope here, or its jacobian may be wrong; next: try another start x0"
-    ),
+    Status.PRECISION_LIMIT: "rounding in F, as estimated, explains the residual; next: accept z, or scale F",
+    Status.STALLED: "no step reduces the residual: z may be a local minimum of the residual; next: another start x0",
     Status.DIVERGED: "the residual left every reasonable range; next: try another start x0, or bounds near it",
     Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.z",
     Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.z",

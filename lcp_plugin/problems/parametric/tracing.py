@@ -107,9 +107,7 @@ def trace(
 
 
 @np.errstate(all="ignore")
-def trace_stated(
-    problem: Any, along: Any, start: float, stop: float, tolerance: float | None
-) -> Path:
+def trace_stated(problem: Any, along: Any, start: float, stop: float, tolerance: Any) -> Path:
     """Return the path of a problem of one of the three classes."""
     clock = Clock()
     path = _Trace(Line(problem, along, start, stop, tolerance)).run()
@@ -131,9 +129,7 @@ class Line:
         None means the tolerance of the problem class.
     """
 
-    def __init__(
-        self, problem: Any, along: Any, start: float, stop: float, tolerance: float | None
-    ) -> None:
+    def __init__(self, problem: Any, along: Any, start: float, stop: float, tolerance: Any) -> None:
         if (name := class_of(problem)) not in classes_of("trace"):
             raise InvalidOption(refusal("trace", problem))
         self.family = FAMILIES[name]

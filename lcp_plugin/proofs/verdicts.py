@@ -554,8 +554,6 @@ class MatrixReport:
     is_triangular = Claim("triangular", triangular)
     is_irreducible = Claim("irreducible", irreducible)
 
-    csr = _view(lambda matrix: matrix.csr)
-    diagonal = _view(lambda matrix: matrix.diagonal)
     v = _view(lambda matrix: getattr(h_verdict(matrix).certificate, "v", None))
     margin = _view(lambda matrix: getattr(h_verdict(matrix).certificate, "margin", None))
     not_h_vector = _view(lambda matrix: h_verdict(matrix).not_h_vector)

@@ -86,11 +86,8 @@ class ComparisonMatrix:
         for _ in range(60):
             if not np.linalg.norm(correction.residual) > goal or not correction.step():
                 break
-        if not np.linalg.norm(correction.residual) <= goal:
-            return None
-        x = np.empty(rhs.size)
-        correction.apply_to(np.zeros(rhs.size), x)
-        return _finite(x)
+        is_near = np.linalg.norm(correction.residual) <= goal
+        return _finite(correction.solution) if is_near else None
 
     def to_caller(self, x: Vector) -> Vector:
         """Return the unscaled vector for a vector x of the scaled matrix, shape (n,)."""

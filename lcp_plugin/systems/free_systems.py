@@ -521,8 +521,7 @@ class FreeSystem:
             steps, enough = 0, goal * begun / correction.unit
             while size(correction.residual * unit) > enough and steps < 60 and correction.step():
                 steps += 1
-            better = np.empty(right.size)
-            correction.apply_to(x, better)
+            better = x + correction.solution
             # Computed again: the residual of the steps is rounded on the way.
             remainder = np.where(self.free, right - matrix.array @ better, 0.0)
             if not size(remainder * unit) < size(left * unit):

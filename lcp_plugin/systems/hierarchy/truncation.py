@@ -288,12 +288,12 @@ class KrylovCorrection:
 
     def apply_within(self, origin: Vector, lower: Vector, upper: Vector, z: Vector) -> None:
         """Overwrite z by mid(lower, upper, origin + c)."""
-        np.clip(origin + self.unit * self._sum, lower, upper, out=z)
+        np.clip(origin + self.solution, lower, upper, out=z)
 
-    def apply_to(self, origin: Vector, z: Vector) -> None:
-        """Overwrite z by origin + c."""
-        np.multiply(self._sum, self.unit, out=z)
-        z += origin
+    @property
+    def solution(self) -> Vector:
+        """The approximate c, shape (n,)."""
+        return self.unit * self._sum
 
     def largest(self) -> float:
         """Return the largest scaled remaining residual."""

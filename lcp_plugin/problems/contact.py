@@ -335,7 +335,9 @@ def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, Floa
     component. `velocities` has shape (v,), or (k, d) of the contacts.
     """
     if len(contacts) != 3:
-        raise InvalidProblem(f"contacts must be W or three arrays, got {len(contacts)} arrays")
+        raise InvalidProblem(
+            f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays"
+        )
     names, flat = ("the mass matrix", "normals", "tangents"), list(contacts)
     if np.ndim(flat[2]) == 3:
         flat[2] = np.reshape(flat[2], (-1, np.shape(flat[2])[-1]))
@@ -349,7 +351,9 @@ def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, Floa
     v, k = mass.shape[1], normals.shape[0]
     check_symmetric(mass, "the mass matrix")
     if normals.shape[1] != v:
-        raise InvalidProblem(f"normals must have shape (k, {v}), as masses, got {normals.shape}")
+        raise InvalidProblem(
+            f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals.shape}"
+        )
     t = tangents.shape[0] // max(k, 1)
     shape = np.shape(contacts[2])
     is_of_others = len(shape) == 3 and shape[0] != k

@@ -84,7 +84,7 @@ class DeviceData(NamedTuple):
             named = zip(given, arrays, strict=True)
             got = ", ".join(f"{name} {one.shape} {one.dtype}" for name, one in named)
             raise InvalidProblem(
-                f"M must be (B, n, n) or (n, n), q (B, n) or (n,), real; got {got}"
+                f"M must have shape (B, n, n) or (n, n), q (B, n) or (n,), real; got {got}"
             )
         if not 0 < n <= MAX_UNKNOWNS:
             raise UnsuitableProblem(

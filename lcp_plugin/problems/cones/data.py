@@ -28,7 +28,10 @@ from ...core.representation import format_count
 from .stack import ConeStack
 
 CONES = ("free", "nonnegative", "box", "second_order")
-NEED_CONES = 'cones must list ("free", rows), ("nonnegative", rows), ("box", lower, upper), ("second_order", rows)'
+NEED_CONES = (
+    'cones must be a sequence of ("free", rows), ("nonnegative", rows), ("box", lower, upper) and '
+    '("second_order", rows)'
+)
 Starts = NDArray[np.int64]
 
 

@@ -81,7 +81,7 @@ class FrictionalContactBatch:
         k, matrices = n // d, real_array(W, f"W must have shape (B, {n}, {n}), {n} as b has")
         if matrices.shape not in ((n, n), (count, n, n)):
             raise InvalidProblem(
-                f"W must have shape (B, {n}, {n}), B = {count}, got {matrices.shape}"
+                f"W must have shape (B, {n}, {n}), B = {count} and {n} as b has, got {matrices.shape}"
             )
         if mu.shape not in ((), (k,), (count, k)):
             raise InvalidProblem(

@@ -29,7 +29,7 @@ from .stack import ConeStack
 
 CONES = ("free", "nonnegative", "box", "second_order")
 NEED_CONES = (
-    'cones must be a sequence of ("free", rows), ("nonnegative", rows), ("box", lower, upper), '
+    'cones must be a sequence of ("free", rows), ("nonnegative", rows), ("box", lower, upper) and '
     '("second_order", rows)'
 )
 Starts = NDArray[np.int64]

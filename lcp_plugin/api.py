@@ -12,14 +12,7 @@ if TYPE_CHECKING:
     from typing import Unpack
 
     from .core.algorithm import Algorithm
-    from .core.settings import (
-        ConeOptions,
-        EngineName,
-        EquilibriumOptions,
-        LCPOptions,
-        LeastSquaresOptions,
-        NonlinearOptions,
-    )
+    from .core.settings import EngineName, Options
     from .engines.engine import Engine
     from .problems.cones.data import ConeProblem
     from .problems.cones.frictional_contact import FrictionalContact
@@ -37,10 +30,8 @@ if TYPE_CHECKING:
 
 
 @overload
-def solve(problem: LCP, algorithm: Method = "auto", **options: Unpack[LCPOptions]) -> Result: ...
-@overload
 def solve(
-    problem: NonlinearProblem, algorithm: Method = "auto", **options: Unpack[NonlinearOptions]
+    problem: LCP | NonlinearProblem, algorithm: Method = "auto", **options: Unpack[Options]
 ) -> Result: ...
 @overload
 def solve(
@@ -48,21 +39,17 @@ def solve(
 ) -> QuadraticProgramResult: ...
 @overload
 def solve(
-    problem: QuadraticProgram, algorithm: Method | Engine = "auto", **options: Unpack[LCPOptions]
+    problem: QuadraticProgram, algorithm: Method | Engine = "auto", **options: Unpack[Options]
 ) -> QuadraticProgramResult: ...
 @overload
-def solve(
-    problem: EquilibriumProgram, **options: Unpack[EquilibriumOptions]
-) -> EquilibriumResult: ...
+def solve(problem: EquilibriumProgram, **options: Unpack[Options]) -> EquilibriumResult: ...
 @overload
-def solve(
-    problem: BoundedLeastSquares, **options: Unpack[LeastSquaresOptions]
-) -> LeastSquaresResult: ...
+def solve(problem: BoundedLeastSquares, **options: Unpack[Options]) -> LeastSquaresResult: ...
 @overload
 def solve(
     problem: ConeProblem | FrictionalContact,
     algorithm: str | ConeAlgorithm = "auto",
-    **options: Unpack[ConeOptions],
+    **options: Unpack[Options],
 ) -> ConeResult: ...
 def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
     """Return the solution of a problem, with its residual measured on the problem's own data.

@@ -27,6 +27,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
 
     Parameters
     ----------
+    problem : LCP
     path : str or PathLike
 
     Raises

@@ -67,14 +67,15 @@ def analysis_content(problem: LCP) -> dict[str, Any]:
         }
         for title, found in guarantees(problem)
     ]
-    return _finite({"matrix": analyze(problem).to_content(), "convergence": rows})
+    return finite({"matrix": analyze(problem).to_content(), "convergence": rows})
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Return JSON content with None for numbers that are not finite."""
     if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
+        return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
+        return [finite(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -33,11 +33,18 @@ from ..interfaces.program_files import MPS, load_problem, load_program
 from ..problems.cones.data import ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
+from .reports import finite
 
 if TYPE_CHECKING:
     from ..core.checks import Vector
     from ..solving.result import Sample
 
+#: Numbers of results, residuals first; each class of result has some of them.
+NUMBERS = (
+    "relative_residual natural_residual euclidean_residual bound_violation complementarity term_residual "
+    "primal_residual duality_gap optimality objective lower_bound gap programs work tolerance "
+    "absolute_tolerance setup_seconds seconds"
+)
 MAX_VALUES = 20  # values of x that are printed
 UPDATE_SECONDS = 0.1
 
@@ -79,7 +86,7 @@ def read_target(target: str, size: int | None = None) -> Target:
         scene = gallery.parse(f"{name}:{','.join(given)}")
         return Target(scene.problem, scene)
     path = Path(target)
-    if not (set(target) & set("/\\.") or path.exists() or Path(f"{target}M.mtx").exists()):
+    if not (set(target) & set("/\\.") or path.exists()):
         hint = did_you_mean(name, gallery.names(), is_listed=True)
         raise InvalidOption(f"{target!r} is neither a file nor a test problem{hint}")
     if size is not None:
@@ -136,8 +143,8 @@ def run(
     if bound:
         lines.append(str(lcp_plugin.error_bound(given.problem, answer.z)))
     if as_json:
-        content = answer.to_content() | ({} if objective is None else {"objective": objective})
-        typer.echo(json.dumps(content, indent=2))
+        content = json_content(answer) | ({} if objective is None else {"objective": objective})
+        typer.echo(json.dumps(finite(content), indent=2))
     else:
         if objective is not None and objective != answer.objective:
             lines.append(f"objective {objective:.9g}, as the file states it")
@@ -154,6 +161,23 @@ def run(
     if saved := [*filter(None, (plot, out))]:
         typer.echo(f"saved {', '.join(map(str, saved))}", err=as_json)
     return bool(answer.is_solved)
+
+
+def json_content(answer: Any) -> dict[str, Any]:
+    """Return status, residuals and counts of a result, without vectors."""
+    owners = [answer, getattr(answer, "certificate", None)]
+    owners += [] if answer.has_no_solution else [getattr(answer, "solution", None)]
+    found = {
+        name: getattr(one, name) for one in owners for name in NUMBERS.split() if hasattr(one, name)
+    }
+    return {
+        "status": answer.status.name,
+        "advice": answer.advice,
+        "algorithm": answer.algorithm,
+        "n": None if answer.x is None else len(answer.x),
+        "iterations": answer.iterations,
+        **{name: value for name, value in found.items() if value is not None},
+    }
 
 
 def _steps(

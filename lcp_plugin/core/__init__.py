@@ -7,8 +7,8 @@ Suggested reading order:
 3. ``certificates``: residuals with rounding errors, and the stopping criterion.
 4. ``algorithm`` and ``splittings``: the interface of algorithms; the sweeps of the paper and their relatives, with
    their compiled loops in ``kernels``.
-5. ``deadline``: the clock of a run. ``tuning``: the sizes from which each method is cheaper; ``files``; ``doors``: what
-   higher floors hang on the classes here.
+5. ``deadline``: the clock of a run. ``tuning``: the sizes from which each method is cheaper; ``files``; ``doors``:
+   functions of higher floors that the classes here offer.
 
 The loop of a run, its stages and its result are in :mod:`lcp_plugin.solving`.
 """

@@ -5,7 +5,6 @@ The reader of .mat files, of scipy, may end the process on a corrupt file: read 
 
 from __future__ import annotations
 
-import os
 import re
 import secrets
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -111,31 +110,27 @@ def read_matrix_market(source: Path) -> Any:
 
 
 def folder_arrays(source: Path, layout: str) -> tuple[Path, dict[str, Any]]:
-    """Return the file of M, and M, q, lower, upper of the Matrix Market files in a folder or with a prefix."""
-    if source.is_dir():
-        prefix = f"{source}{os.sep}"
-    else:
-        prefix = str(source).removesuffix("M.mtx") if source.name.endswith("M.mtx") else str(source)
-    if not Path(prefix + "M.mtx").exists():
-        if source.is_dir():
-            raise UnreadableFile(f"no such file: {prefix}M.mtx; a folder must hold M.mtx and q.mtx")
-        if source.is_file():
-            raise UnreadableFile(
-                f"cannot read {source}: expected an .npz, .mat, .nl, .qps, .mps, .lp or .h5 file, or M.mtx with "
-                f"q.mtx; {layout}"
-            )
-        tried = "" if source.suffix else f" (nor {prefix}M.mtx)"
-        raise UnreadableFile(f"no such file: {source}{tried}{in_folder(source)}")
-    if not Path(prefix + "q.mtx").exists():
-        raise UnreadableFile(f"{prefix}M.mtx has no companion {prefix}q.mtx; write q next to it")
-    found = {"M": read_matrix_market(Path(prefix + "M.mtx"))}
+    """Return the file of M, and M, q, lower, upper of the Matrix Market files in a folder."""
+    if source.is_file() and source.name != "M.mtx":
+        raise UnreadableFile(
+            f"cannot read {source}: expected an .npz, .mat, .nl, .qps, .mps, .lp or .h5 file, or a folder with M.mtx "
+            f"and q.mtx; {layout}"
+        )
+    folder = source.parent if source.name == "M.mtx" else source
+    if not folder.is_dir():
+        raise UnreadableFile(f"no such file: {source}{in_folder(source)}")
+    for name in ("M.mtx", "q.mtx"):
+        if not (folder / name).exists():
+            missing = f"no such file: {folder / name}"
+            raise UnreadableFile(f"{missing}; a folder must hold M.mtx and q.mtx")
+    found = {"M": read_matrix_market(folder / "M.mtx")}
     for name in ("q", "lower", "upper"):
-        if (file := Path(f"{prefix}{name}.mtx")).exists():
+        if (file := folder / f"{name}.mtx").exists():
             values = read_matrix_market(file)
             if max(values.shape) > max(found["M"].shape[0], 1):  # before a sparse one becomes dense
                 raise UnreadableFile(f"{file} has the shape {values.shape}, too large for M")
             found[name] = flat(values)
-    return Path(prefix + "M.mtx"), found
+    return folder / "M.mtx", found
 
 
 def read_mat(source: Path, wanted: Collection[str]) -> tuple[dict[str, Any], list[str]]:
@@ -202,7 +197,8 @@ LARGE_UNPACKED = 2**30  # bytes
 def save(problem: LCP, target: Path) -> None:
     """Write the problem to a ``.npz`` file or, for any other path, into a folder of Matrix Market files."""
     if target.suffix.lower() == ".npz":
-        save_arrays(target, arrays_of(problem, problem.csr), "an LCP")
+        M = {name: getattr(problem.csr, name) for name in MATRIX_KEYS}
+        save_arrays(target, M | {name: getattr(problem, name) for name in VECTORS}, "an LCP")
     else:
         _save_folder(problem, checked_folder(target))
 
@@ -215,12 +211,6 @@ def save_arrays(path: str | PathLike[str], arrays: Mapping[str, Any], what: str)
             f"cannot write {target}: {what} is saved in one .npz file; write {target.stem}.npz"
         )
     write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
-
-
-def arrays_of(problem: Any, M: sp.csr_array) -> dict[str, Any]:
-    """Return the arrays to save, by name, of a problem or of its local rows."""
-    arrays = {"data": M.data, "indices": M.indices, "indptr": M.indptr, "shape": np.array(M.shape)}
-    return arrays | {name: getattr(problem, name) for name in VECTORS}
 
 
 def checked_folder(target: Path) -> Path:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from .settings import ConeOptions, LeastSquaresOptions, NonlinearOptions
+#: Options of every run with iterations.
+WATCHED = "tolerance max_seconds max_iterations record threads verbose"
 
 
 class ProblemClass(NamedTuple):
@@ -17,8 +18,8 @@ class ProblemClass(NamedTuple):
         Module, from the package on, and function.
     functions : str
         Functions that take the class, or its results, in addition to `solve` and `solve_batch`.
-    options : type or None
-        Options that the solver passes on to Settings.
+    options : str
+        Options that the solver passes on to Settings; "" if it names all in its signature.
     criterion : str
         Module and function that return the data of the stopping criterion at a point, if `certify` measures it.
     batch : str
@@ -27,7 +28,7 @@ class ProblemClass(NamedTuple):
 
     solver: str
     functions: str = ""
-    options: Any = None
+    options: str = ""
     criterion: str = ""
     batch: str = "[problem]"
 
@@ -35,7 +36,7 @@ class ProblemClass(NamedTuple):
 CONES = ProblemClass(
     "problems.cones.solving:solve_cones",
     "march derivative certify",
-    ConeOptions,
+    f"{WATCHED} absolute_tolerance prove_infeasibility",
     "problems.cones.certificate:criterion_at",
 )
 CLASSES = {
@@ -48,7 +49,7 @@ CLASSES = {
     "NonlinearProblem": ProblemClass(
         "problems.nonlinear.solving:solve_nonlinear",
         "derivative certify",
-        NonlinearOptions,
+        f"{WATCHED} absolute_tolerance",
         "problems.nonlinear.solving:criterion_at",
     ),
     "QuadraticProgram": ProblemClass(
@@ -58,10 +59,7 @@ CLASSES = {
         "problems.equilibria.branch_and_bound:minimize_over_solutions"
     ),
     "BoundedLeastSquares": ProblemClass(
-        "problems.least_squares.solving:solve_least_squares",
-        "trace",
-        LeastSquaresOptions,
-        batch="problem, B",
+        "problems.least_squares.solving:solve_least_squares", "trace", WATCHED, batch="problem, B"
     ),
     "ConeProblem": CONES,
     "FrictionalContact": CONES,

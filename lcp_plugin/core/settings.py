@@ -230,29 +230,6 @@ def parse_options(words: Iterable[str]) -> dict[str, Any]:
 EngineName = Literal["piqp", "daqp", "clarabel", "highs"]
 
 
-class Limits(TypedDict, total=False):
-    """Tolerance and limits, which all problem classes have."""
-
-    tolerance: float
-    max_seconds: float | None
-
-
-class Watching(Limits, total=False):
-    """Options of a run with iterations that can be watched."""
-
-    max_iterations: int | None
-    record: bool
-    callback: Callable[[Any, Any], Any] | None
-    threads: int | None
-    verbose: bool
-
-
-class Residuals(Watching, total=False):
-    """Options of a run that compares residuals in the unit of z."""
-
-    absolute_tolerance: float
-
-
 class AlgorithmOptions(TypedDict, total=False):
     """Options of the named algorithms for an LCP."""
 
@@ -272,52 +249,33 @@ class AlgorithmOptions(TypedDict, total=False):
     hands_over: bool
 
 
-class LCPOptions(Residuals, AlgorithmOptions, total=False):
-    """Options for an LCP, and for a QuadraticProgram without an engine's own."""
+class Options(AlgorithmOptions, total=False):
+    """Options of `solve`; each problem class takes some of them."""
 
+    tolerance: float
+    absolute_tolerance: float
+    max_iterations: int | None
+    max_seconds: float | None
+    max_nodes: int | None
+    record: bool
+    callback: Callable[..., Any] | None
+    threads: int | None
+    verbose: bool
     z0: ArrayLike | None
+    x0: ArrayLike | None
     error_bound: bool
     prove_infeasibility: bool
+    prove: bool
     polish: bool
-
-
-class BatchOptions(Limits, total=False):
-    """Options of `solve_batch` for each problem, and of the batch."""
-
-    max_iterations: int | None
-    absolute_tolerance: float
-    prove_infeasibility: bool
-    threads: int | None
-
-
-class NonlinearOptions(Residuals, total=False):
-    """Options for a NonlinearProblem."""
-
-    x0: ArrayLike | None
-    z0: ArrayLike | None
     check_jacobian: bool
 
 
-class ConeOptions(Residuals, total=False):
-    """Options for a ConeProblem and a FrictionalContact."""
+class BatchOptions(TypedDict, total=False):
+    """Options of `solve_batch` for each problem, and of the batch."""
 
-    z0: ArrayLike | None
+    tolerance: float
+    absolute_tolerance: float
+    max_iterations: int | None
+    max_seconds: float | None
     prove_infeasibility: bool
-
-
-class LeastSquaresOptions(Watching, total=False):
-    """Options for a BoundedLeastSquares."""
-
-    x0: ArrayLike | None
-    z0: ArrayLike | None
-
-
-class EquilibriumOptions(Limits, total=False):
-    """Options for an EquilibriumProgram."""
-
-    x0: ArrayLike | None
-    z0: ArrayLike | None
-    max_nodes: int | None
-    callback: Callable[[Any], Any] | None
-    verbose: bool
-    prove: bool
+    threads: int | None

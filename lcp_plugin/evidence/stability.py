@@ -25,7 +25,7 @@ from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, di
 from ..core.files import checked_path, write_whole
 from ..core.lcp import LCP
 from ..core.matrix import scale_by
-from ..gallery.stencil import balanced_matrix, stencil_matrix, stiff_cells, upwind
+from ..gallery.problems import balanced_matrix, stencil_matrix, stiff_cells, upwind
 from ..proofs.exact import (
     exact_power_of_two,
     exact_slack,

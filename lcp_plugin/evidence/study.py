@@ -57,7 +57,6 @@ VALUES = {
     "error": "error",
     "residual": "relative residual",
 }
-VIEWS = ("curves", "profile", *VALUES)
 ERROR_LABELS = {
     TRUE_ERROR: "true error ‖z − z*‖∞",
     BOUND: "proved bound of the error ‖z − z*‖∞",
@@ -169,7 +168,7 @@ class Study:
 
         A cell of a method that did not reach the tolerance holds its status.
         """
-        _check_view(value, VALUES)
+        _check_choice("value", value, VALUES)
         tables = []
         for problem, rows in self._groups(lambda row: row.problem).items():
             cells = {(row.method, row.size): _cell(row, value) for row in rows}
@@ -182,40 +181,14 @@ class Study:
             tables.append(Table(f"{problem}: {VALUES[value]}", heads, lines))
         return tables
 
-    def profile(self, by: str = "work") -> dict[str, Vector]:
-        """Return Dolan and Moré's performance profile: the sorted ratios to the least "work" or "seconds" per problem.
+    def plot(self, against: str = "seconds", width: float | None = None) -> Any:
+        """Return a matplotlib figure of the error curves; `save` writes it into a file.
 
-        The share of problems that a method solves within a ratio is ``(ratios <= ratio).mean()``. The ratio is ∞ if the
-        method does not solve a problem. Problems that no method solves do not count.
-
-        References
-        ----------
-        Dolan, Moré, *Benchmarking optimization software with performance profiles*, Math. Program. 91, 2002,
-        doi:10.1007/s101070100263.
-        """
-        _check_view(by, LEAST)
-        labels = [*dict.fromkeys(row.method for row in self.rows if row.is_curve)]
-        ratios = []
-        for rows in self._groups(lambda row: (row.problem, row.size)).values():
-            costs = {row.method: max(row.last(by), LEAST[by]) for row in rows if row.is_solved}
-            if costs:
-                least = min(costs.values())
-                ratios.append([costs.get(label, math.inf) / least for label in labels])
-        return dict(zip(labels, np.sort(np.array(ratios).reshape(-1, len(labels)).T), strict=True))
-
-    def plot(
-        self, view: str = "curves", against: str = "seconds", width: float | None = None
-    ) -> Any:
-        """Return a matplotlib figure; `save` writes it into a file.
+        There is a panel per problem and size; against seconds with quartiles and references.
 
         Parameters
         ----------
-        view : str
-            "curves": error against seconds (with quartiles and references), work or iterations, a panel per problem
-            and size. "iterations", "work", "seconds", "error", "residual": that value of solved runs against n.
-            "profile": the performance profile by seconds or work.
         against : {"seconds", "work", "iterations"}
-            The axis of curves, the cost of a profile.
         width : float, optional
             Inches; by default a journal's column, or its page if there are several panels.
 
@@ -224,21 +197,15 @@ class Study:
         InvalidOption
             If an argument does not exist, or if no run has a point to show.
         """
-        _check_view(view, VIEWS)
-        _check_view(against, ("seconds", "work", "iterations"), "against must be")
-        is_curves = view == "curves"
-        shown = [row for row in self.rows if len(row.points) and (is_curves or row.is_solved)]
+        _check_choice("against", against, ("seconds", "work", "iterations"))
         points = ["polish", *(["reference"] if against == "seconds" else [])]
-        shown = [row for row in shown if row.is_curve or (is_curves and row.family in points)]
+        shown = [one for one in self.rows if len(one.points)]
+        shown = [one for one in shown if one.is_curve or one.family in points]
         if not shown:
             raise InvalidOption("no run has a result to draw; print() lists how each ended")
         labels = dict.fromkeys(row.method for row in shown)
         looks = {label: look_of(k) for k, label in enumerate(labels)}
-        if view == "profile":
-            with panels([f"performance profile by {against}"], width) as (axes,):
-                _draw_profile(axes, self.profile(against), against, looks)
-            return axes.figure
-        groups = self._groups(lambda row: (row.problem, row.size if is_curves else None))
+        groups = self._groups(lambda row: (row.problem, row.size))
         titles = [
             re.sub(r"([:,])", r"\1 ", problem) + ("" if size is None else f", n = {rows[0].n}")
             for (problem, size), rows in groups.items()
@@ -246,27 +213,19 @@ class Study:
         with panels(titles, width) as every:
             for axes, rows in zip(every, groups.values(), strict=True):
                 own = [row for row in rows if row in shown]
-                if not own:
-                    words = "no result: print() lists the reasons"
-                    axes.text(0.5, 0.5, words, ha="center", transform=axes.transAxes)
-                elif is_curves:
+                if own:
                     _draw_errors(axes, own, against, looks)
                 else:
-                    _draw_sizes(axes, own, view, looks)
+                    words = "no result: print() lists the reasons"
+                    axes.text(0.5, 0.5, words, ha="center", transform=axes.transAxes)
         return every[0].figure
 
     def to_csv(self) -> str:
         """Return a line per point of each measurement; the last line of a measurement is its result."""
         return csv_text([COLUMNS, *(line for row in self.rows for line in _lines(row))])
 
-    def save(self, path: str | PathLike[str], view: str = "", against: str = "seconds") -> None:
-        """Write a file: .csv every point, .md the tables of a value, .png, .pdf or .svg a plot.
-
-        Parameters
-        ----------
-        path : path
-        view, against : str
-            Arguments of `plot`; by default the curves, of a table the iterations.
+    def save(self, path: str | PathLike[str], against: str = "seconds") -> None:
+        """Write a file: .csv every point, .md the tables of iterations, .png, .pdf or .svg the plot.
 
         Raises
         ------
@@ -276,14 +235,12 @@ class Study:
         place = checked_path(path)
         ending = place.suffix.lower()
         if ending in FORMATS:
-            save(self.plot(view or "curves", against), place)
+            save(self.plot(against), place)
             return
         if ending not in (".csv", ".md"):
             endings = ", ".join([*FORMATS, ".csv", ".md"])
             raise InvalidOption(f"a study is saved as {endings}, got {place.name!r}")
-        text = self.to_csv()
-        if ending == ".md":
-            text = "\n".join(map(str, self.table(view or "iterations")))
+        text = self.to_csv() if ending == ".csv" else "\n".join(map(str, self.table()))
         write_whole({place: lambda file: file.write(text.encode("utf-8"))})
 
     def explain(self) -> str:
@@ -297,10 +254,10 @@ class Study:
     __str__ = explain
 
 
-def _check_view(view: Any, known: Iterable[str], words: str = "view must be") -> None:
+def _check_choice(name: str, given: Any, known: Iterable[str]) -> None:
     known = [*known]
-    if not isinstance(view, str) or view not in known:
-        raise InvalidOption(f"{words} one of {', '.join(known)}, got {view!r}")
+    if not isinstance(given, str) or given not in known:
+        raise InvalidOption(f"{name} must be one of {', '.join(known)}, got {given!r}")
 
 
 def _cell(row: Measurement, name: str) -> Any:
@@ -347,28 +304,6 @@ def _range(rows: Sequence[Measurement]) -> tuple[float, float]:
     ends = ends or [1e-16]
     low = max(min(ends), float(np.median(ends)) * 1e-3) / 2.0
     return low, 3.0 * max(starts or [1.0], default=1.0)
-
-
-def _draw_sizes(axes: Any, rows: Sequence[Measurement], view: str, looks: Any) -> None:
-    """Draw a value of solved runs against the number of unknowns."""
-    axes.set(xscale="log", yscale="log", xlabel="unknowns n", ylabel=VALUES[view])
-    for method in dict.fromkeys(row.method for row in rows):
-        own = [row for row in rows if row.method == method]
-        n, y = ([row.n for row in own], [row.last(view) for row in own])
-        draw_curve(axes, n, y, method, looks[method])
-
-
-def _draw_profile(axes: Any, profile: dict[str, Vector], by: str, looks: Any) -> None:
-    """Draw the share of problems that each method solves within a ratio to the least cost."""
-    finite = {label: ratios[np.isfinite(ratios)] for label, ratios in profile.items()}
-    end = 1.1 * max(2.0, *(ratio for ratios in finite.values() for ratio in ratios[-1:]))
-    axes.set(xscale="log", xlim=(1.0, end), ylim=(0.0, 1.03))
-    axes.set(xlabel=f"{by} ÷ the least", ylabel="share of the problems solved")
-    for label, ratios in finite.items():
-        shares = np.arange(ratios.size + 1) / max(profile[label].size, 1)
-        x, y = np.concatenate([[1.0], ratios, [end]]), np.append(shares, shares[-1])
-        if label in looks:
-            draw_curve(axes, x, y, label, looks[label], drawstyle="steps-post")
 
 
 def _lines(row: Measurement) -> Iterator[tuple[Any, ...]]:

@@ -4,12 +4,15 @@ A journal bearing with cavitation, and the elastic-plastic torsion of a bar.
 
 Games and options: Nash equilibria, the American put and the tree that checks it.
 
+Matrices that couple each node of a grid with its nearest neighbors.
+
 Problems with a solution chosen first: the paper's examples, and one with active constraints.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -21,8 +24,121 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.checks import Vector
 from ..core.lcp import LCP
 from ..problems.reformulations import lcp_from_bimatrix_game
-from . import stencil
 from .scene import Scene, require, scene_builder
+
+Field = NDArray[np.float64]
+Coefficient = float | Field
+Legs = tuple[list[Coefficient], list[Coefficient]]  # below and above, one coefficient per axis
+
+
+def nodes(low: float, high: float, size: int) -> Vector:
+    """Return `size` equidistant nodes inside [low, high] and its endpoints, shape (size + 2,)."""
+    return np.linspace(low, high, size + 2)
+
+
+def interior(dimension: int) -> tuple[slice, ...]:
+    """Return the index of the interior of a field that includes its boundary layer."""
+    return (slice(1, -1),) * dimension
+
+
+def stencil_matrix(
+    shape: tuple[int, ...],
+    centre: Coefficient,
+    below: Sequence[Coefficient],
+    above: Sequence[Coefficient],
+) -> sp.csr_array:
+    """Return the matrix of (centre u)_i + Σ_axis (below[axis] u_{i − e} + above[axis] u_{i + e}) on a grid.
+
+    Neighbors outside the grid are left out: their known values belong into q, see `dirichlet_terms`.
+
+    Parameters
+    ----------
+    shape
+        Number of nodes along each axis; unknowns are numbered in C order.
+    centre, below, above
+        Coefficients: numbers, or arrays that broadcast to `shape`; `below` and `above` hold one per axis.
+
+    Returns
+    -------
+    csr_array, shape (n, n)
+        Canonical, with 32-bit indices if they suffice.
+
+    Examples
+    --------
+    >>> stencil_matrix((3,), 2.0, [-1.0], [-1.0]).toarray()
+    array([[ 2., -1.,  0.],
+           [-1.,  2., -1.],
+           [ 0., -1.,  2.]])
+    """
+    n = math.prod(shape)
+    strides = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
+    # The far neighbor below comes first, the far neighbor above last: each row is born sorted.
+    offsets = [*(-stride for stride in strides), 0, *reversed(strides)]
+    entries = np.empty((*shape, len(offsets)))
+    for axis in range(len(shape)):
+        entries[..., axis] = below[axis]
+        entries[..., -1 - axis] = above[axis]
+        np.moveaxis(entries, axis, 0)[0, ..., axis] = 0.0
+        np.moveaxis(entries, axis, 0)[-1, ..., -1 - axis] = 0.0
+    entries[..., len(shape)] = centre
+
+    entries = entries.reshape(n, len(offsets))
+    present = entries != 0.0
+    index_type = np.int32 if entries.size < 2**31 else np.int64
+    columns = np.arange(n, dtype=index_type)[:, None] + np.array(offsets, dtype=index_type)
+    row_ends = np.zeros(n + 1, dtype=index_type)
+    np.cumsum(np.count_nonzero(present, axis=1), out=row_ends[1:])
+    return sp.csr_array((entries[present], columns[present], row_ends), shape=(n, n))
+
+
+def balanced_matrix(shape: tuple[int, ...], legs: Legs) -> sp.csr_array:
+    """Return the stencil whose centre balances its legs exactly: −∇·(k∇u) + b·∇u."""
+    below, above = legs
+    return stencil_matrix(shape, -sum(below) - sum(above), below, above)
+
+
+def stiff_cells(cells: Field) -> Legs:
+    """Return the legs of −∇·(k∇u), k given on each cell of the mesh; an edge takes the mean of its two cells."""
+    # edges along the first axis have the shape (size + 1, size)
+    across = (cells[:, :-1] + cells[:, 1:]) / 2.0
+    along = (cells[:-1, :] + cells[1:, :]) / 2.0
+    return [-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]
+
+
+def upwind(diffusion: float, wind: Sequence[Coefficient]) -> Legs:
+    """Return the legs of −diffusion Δu + wind·∇u by first-order upwind differences, on a mesh of width 1."""
+    return [-(diffusion + np.maximum(b, 0.0)) for b in wind], [
+        -(diffusion + np.maximum(-b, 0.0)) for b in wind
+    ]
+
+
+def dirichlet_terms(
+    field: Field, below: Sequence[Coefficient], above: Sequence[Coefficient]
+) -> Vector:
+    """Return the terms that known values on the boundary layer add to each row of the stencil, shape (n,).
+
+    Parameters
+    ----------
+    field : shape (size + 2 along each axis)
+        Values on the grid and its boundary layer; only the layer is used.
+    below, above
+        The coefficients given to `stencil_matrix`.
+
+    Examples
+    --------
+    >>> dirichlet_terms(np.array([5.0, 0, 0, 0, 7.0]), [-1.0], [-1.0])
+    array([-5.,  0., -7.])
+    """
+    inside = interior(field.ndim)
+    layer = field.copy()
+    layer[inside] = 0.0
+    terms = np.zeros_like(layer[inside])
+    for axis in range(field.ndim):
+        before, after = list(inside), list(inside)
+        before[axis], after[axis] = slice(None, -2), slice(2, None)
+        terms += below[axis] * layer[tuple(before)] + above[axis] * layer[tuple(after)]
+    return terms.ravel()
+
 
 CONTACT_RADIUS = 0.6979651482233735
 """The root r* in (0, 1) of r² (1 − log(r/2)) = 1."""
@@ -58,12 +174,12 @@ def obstacle_2d(*, size: int = 100, shifted: bool = False) -> Scene:
     Kinderlehrer, Stampacchia, *An Introduction to Variational Inequalities and Their Applications*, SIAM
     2000, doi:10.1137/1.9780898719451.
     """
-    axis = stencil.nodes(-HALF_SIDE, HALF_SIDE, size)
+    axis = nodes(-HALF_SIDE, HALF_SIDE, size)
     r = np.hypot(*np.ix_(axis, axis))
-    solution, radius, legs = sphere_solution(r), r[stencil.interior(2)], (-1.0, -1.0)
-    M = stencil.stencil_matrix(radius.shape, 4.0, legs, legs)
-    q, lower = stencil.dirichlet_terms(solution, legs, legs), sphere_obstacle(radius).ravel()
-    continuum = solution[stencil.interior(2)].ravel()
+    solution, radius, legs = sphere_solution(r), r[interior(2)], (-1.0, -1.0)
+    M = stencil_matrix(radius.shape, 4.0, legs, legs)
+    q, lower = dirichlet_terms(solution, legs, legs), sphere_obstacle(radius).ravel()
+    continuum = solution[interior(2)].ravel()
     if shifted:
         q, continuum, lower = M @ lower + q, continuum - lower, np.zeros(lower.size)
     return Scene(
@@ -76,14 +192,14 @@ def obstacle_2d(*, size: int = 100, shifted: bool = False) -> Scene:
     )
 
 
-def sphere_obstacle(r: stencil.Field) -> stencil.Field:
+def sphere_obstacle(r: Field) -> Field:
     """Return ψ(r) = √(1 − r²), continued by the tangent at r = 0.9; any shape."""
     slope = -CONE_BEGINS / math.sqrt(1.0 - CONE_BEGINS**2)
     sphere = np.sqrt(1.0 - np.minimum(r, CONE_BEGINS) ** 2)
     return sphere + slope * np.maximum(r - CONE_BEGINS, 0.0)
 
 
-def sphere_solution(r: stencil.Field) -> stencil.Field:
+def sphere_solution(r: Field) -> Field:
     """Return the analytic u(r); any shape."""
     strength = CONTACT_RADIUS**2 / math.sqrt(1.0 - CONTACT_RADIUS**2)
     free = -np.log(np.maximum(r, CONTACT_RADIUS) / 2.0)
@@ -115,8 +231,8 @@ def convection_diffusion(
     """
     h = 1.0 / (size + 1)
     scale = 1.0 / max(diffusion, h)
-    below, above = stencil.upwind(diffusion, (h * math.cos(wind_angle), h * math.sin(wind_angle)))
-    M = stencil.balanced_matrix(
+    below, above = upwind(diffusion, (h * math.cos(wind_angle), h * math.sin(wind_angle)))
+    M = balanced_matrix(
         (size, size), ([scale * leg for leg in below], [scale * leg for leg in above])
     )
     return pulled_membrane(M, size, scale)
@@ -124,9 +240,9 @@ def convection_diffusion(
 
 def pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0) -> Scene:
     """Return the test problem of a membrane above the ground that the force f pulls up and down."""
-    axis = stencil.nodes(0.0, 1.0, size)[1:-1]
+    axis = nodes(0.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
-    force: stencil.Field = 10.0 * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
+    force: Field = 10.0 * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
     q: Vector = (-scale / (size + 1) ** 2 * force).ravel()
     return Scene(
         problem=LCP(M, q),
@@ -167,8 +283,8 @@ def journal_bearing(
     """
     require(0.0 <= eccentricity < 1.0, f"eccentricity must lie in [0, 1), got {eccentricity}")
     require(half_length > 0.0, f"half_length must be a number > 0, got {half_length}")
-    angle = stencil.nodes(0.0, 2.0 * np.pi, size)
-    width = stencil.nodes(0.0, 2.0 * half_length, size)
+    angle = nodes(0.0, 2.0 * np.pi, size)
+    width = nodes(0.0, 2.0 * half_length, size)
     step, depth = angle[1] - angle[0], width[1] - width[0]
 
     def film_cubed(at: np.ndarray) -> np.ndarray:
@@ -177,7 +293,7 @@ def journal_bearing(
     middle = 0.5 * (angle[1:] + angle[:-1])
     around = film_cubed(middle) * (depth / step)
     across = film_cubed(angle[1:-1]) * (step / depth)
-    M = stencil.balanced_matrix((size, size), ([-around[:-1], -across], [-around[1:], -across]))
+    M = balanced_matrix((size, size), ([-around[:-1], -across], [-around[1:], -across]))
     source = eccentricity * np.sin(angle[1:-1]) * (step * depth)
     return Scene(
         problem=LCP(M, -np.repeat(source, size)),
@@ -220,7 +336,7 @@ def elastic_plastic_torsion(
     """
     require(section in ("square", "disc"), f"section must be 'square' or 'disc', got {section!r}")
     require(0.0 <= plastic_share < 1.0, f"plastic_share must lie in [0, 1), got {plastic_share}")
-    axis = stencil.nodes(-1.0, 1.0, size)[1:-1]
+    axis = nodes(-1.0, 1.0, size)[1:-1]
     x, y = np.ix_(axis, axis)
     r = np.hypot(x, y)
     distance = (
@@ -237,7 +353,7 @@ def elastic_plastic_torsion(
     legs = (-1.0, -1.0)
     return Scene(
         problem=LCP(
-            stencil.stencil_matrix((size, size), 4.0, legs, legs),
+            stencil_matrix((size, size), 4.0, legs, legs),
             -np.broadcast_to(load, (size, size)).ravel(),
             lower=-bound,
             upper=bound,
@@ -377,12 +493,12 @@ def american_put_march(
     for name, value in zip(names, (strike, volatility, maturity, log_range), strict=True):
         require(value > 0.0, f"{name} must be a number > 0, got {value}")
     time_step = maturity / steps
-    log_price = stencil.nodes(-log_range, log_range, size)
+    log_price = nodes(-log_range, log_range, size)
     payoff = strike * np.maximum(1.0 - np.exp(log_price), 0.0)
     below, above = _log_price_legs(rate, volatility, time_step, 2.0 * log_range / (size + 1))
-    M = stencil.stencil_matrix((size,), 1.0 + time_step * rate - below - above, [below], [above])
+    M = stencil_matrix((size,), 1.0 + time_step * rate - below - above, [below], [above])
     # boundary − values, as a partial function that can be sent to other processes
-    advance = partial(np.subtract, stencil.dirichlet_terms(payoff, [below], [above]))
+    advance = partial(np.subtract, dirichlet_terms(payoff, [below], [above]))
     inside = payoff[1:-1]
     return Scene(
         problem=LCP(M, advance(inside), lower=inside),
@@ -523,7 +639,7 @@ def paper_example_2(*, n: int = 100, delta: float = 4.0) -> Scene:
 
 def _paper_scene(n: int, delta: float, below: float, above: float) -> Scene:
     side = _side(n)
-    M = stencil.stencil_matrix((side, side), 4.0 + delta, (below, below), (above, above))
+    M = stencil_matrix((side, side), 4.0 + delta, (below, below), (above, above))
     exact = np.resize([1.0, 2.0], n)
     return Scene(
         problem=LCP(M, -(M @ exact)),
@@ -558,7 +674,7 @@ def half_active(
     complementarity: an iteration for the linear system alone would solve them.
     """
     side = _side(n)
-    M = stencil.stencil_matrix((side, side), 4.0 + delta, (-1.0, -1.0), (-1.0, -1.0))
+    M = stencil_matrix((side, side), 4.0 + delta, (-1.0, -1.0), (-1.0, -1.0))
     row, column = np.divmod(np.arange(n), side)
     is_active = (row // block + column // block) % 2 == 1
     values = np.resize([1.0, 2.0], n)

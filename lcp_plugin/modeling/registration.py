@@ -89,13 +89,29 @@ def build_from(problem: Any) -> Model:
 
 
 def lcp_stated_by(problem: Any) -> LCP:
-    """Return the LCP of a cvxpy problem, with the model as its origin."""
+    """Return the LCP that a cvxpy problem of complementarities states; its ``origin`` leads back to variables.
+
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+        Model that consists of :func:`lcp_plugin.complements` and equalities.
+
+    Raises
+    ------
+    UnsupportedModel
+        If it states another problem.
+    """
     model = build_from(problem)
     return model.lcp("LCP.from_cvxpy").with_origin(model)
 
 
 def stated_in_cvxpy(problem: LCP) -> Any:
-    """Return the cvxpy problem in one variable z that states an LCP."""
+    """Return the cvxpy problem in one variable z that states an LCP.
+
+    Parameters
+    ----------
+    problem : LCP
+    """
     if problem.n == 0:  # cvxpy 1.8 has no empty variables
         return cp.Problem(cp.Minimize(0))
     z = cp.Variable(problem.n, name="z")

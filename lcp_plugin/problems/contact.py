@@ -43,10 +43,7 @@ FloatArray = NDArray[np.float64]
 
 SYMMETRIC = 1e-8  # of the largest entry
 UNIT = 1e-6  # by which the length of a direction may differ from 1
-NOT_DEFINITE = (
-    "the mass matrix must be positive definite, and a factor of Cholesky shows that it is not; leave out bodies that "
-    "do not move, or give W"
-)
+NOT_DEFINITE = "the mass matrix must be positive definite, and is not; leave out bodies that do not move, or give W"
 # of soft rubber it is some 2; a larger one is probably an angle or a percentage
 MOST_FRICTION = 5.0
 
@@ -88,9 +85,8 @@ def motion_of(r: Any, u: Any, given: Any, after: Any = None) -> ContactMotion:
     still = 1e-8 * np.abs(given).max(axis=-1, initial=0.0)[..., np.newaxis]  # what is slower sticks
     with np.errstate(all="ignore"):
         touches, speeds = r[..., 0] > 0.0, np.hypot.reduce(np.abs(u[..., 1:]), axis=-1)
-    return ContactMotion(
-        r[..., 0], r[..., 1:], u[..., 0], u[..., 1:], touches, touches & (speeds <= still), after
-    )
+    sticks = touches & (speeds <= still)
+    return ContactMotion(r[..., 0], r[..., 1:], u[..., 0], u[..., 1:], touches, sticks, after)
 
 
 class Bodies(NamedTuple):
@@ -284,14 +280,11 @@ def contact_data(
 
 def checked_friction(friction: ArrayLike, k: int, need: str = "one a contact") -> FloatArray:
     """Return the coefficients of k contacts, shape (k,), given so or as a number."""
-    mu = _of_contacts(
-        friction, k, f"friction must be a number, or an array of shape ({k},): {need}"
-    )
+    need = f"friction must be a number, or an array of shape ({k},): {need}"
+    mu = _of_contacts(friction, k, need)
     if mu.min(initial=0.0) < 0.0:
         i = int(np.argmax(mu < 0.0))
-        raise InvalidProblem(
-            f"friction must not be negative, but friction[{i}] = {mu[i]}; give μ ≥ 0, 0 for none"
-        )
+        raise InvalidProblem(f"friction must not be negative, but friction[{i}] = {mu[i]}")
     return mu
 
 
@@ -307,9 +300,7 @@ def closing_speeds(gaps: ArrayLike | None, time_step: float | None, k: int) -> F
         return np.zeros(k)
     if gaps is None or time_step is None:
         missing = "gaps" if gaps is None else "time_step"
-        raise InvalidProblem(
-            f"gaps and time_step go together, but {missing} is missing; give both, in m and in s"
-        )
+        raise InvalidProblem(f"{missing} is missing; give both gaps, in m, and time_step, in s")
     if not is_number(time_step) or not 0.0 < time_step < np.inf:
         raise InvalidProblem(f"time_step must be a number of seconds > 0, got {time_step!r}")
     need = f"gaps must be a number, or a finite array of shape ({k},): one per contact"
@@ -344,9 +335,7 @@ def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, Floa
     component. `velocities` has shape (v,), or (k, d) of the contacts.
     """
     if len(contacts) != 3:
-        raise InvalidProblem(
-            f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays"
-        )
+        raise InvalidProblem(f"contacts must be W or three arrays, got {len(contacts)} arrays")
     names, flat = ("the mass matrix", "normals", "tangents"), list(contacts)
     if np.ndim(flat[2]) == 3:
         flat[2] = np.reshape(flat[2], (-1, np.shape(flat[2])[-1]))
@@ -354,16 +343,13 @@ def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, Floa
     # Velocities of bodies whose dense matrices stay dense
     is_sparse = any(map(sp.issparse, parts)) or parts[0].shape[0] > 300
     if is_sparse:
-        parts = [
-            canonical_csr(sp.csr_array(part), name) for part, name in zip(parts, names, strict=True)
-        ]
+        pairs = zip(parts, names, strict=True)
+        parts = [canonical_csr(sp.csr_array(part), name) for part, name in pairs]
     mass, normals, tangents = parts
     v, k = mass.shape[1], normals.shape[0]
     check_symmetric(mass, "the mass matrix")
     if normals.shape[1] != v:
-        raise InvalidProblem(
-            f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals.shape}"
-        )
+        raise InvalidProblem(f"normals must have shape (k, {v}), as masses, got {normals.shape}")
     t = tangents.shape[0] // max(k, 1)
     shape = np.shape(contacts[2])
     is_of_others = len(shape) == 3 and shape[0] != k
@@ -384,8 +370,7 @@ def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, Floa
     elif velocities.ndim == 1:
         raise InvalidProblem(
             f"velocities must have shape ({v},), of the bodies, or ({k}, {1 + t}), of the contacts, got "
-            f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}; give one for each row of the mass "
-            "matrix"
+            f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}"
         )
     return 0.5 * (W + W.T), velocities, Bodies(mass, inverse, J, own)
 
@@ -442,9 +427,8 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
     counts = np.bincount(mass.indices, minlength=v) if is_sparse else np.count_nonzero(mass, axis=0)
     alone = (counts == 1) & (diagonal != 0.0)
     windows = np.arange(max(v - d + 1, 0))[:, None] + np.arange(d)
-    windows = windows[
-        (alone[windows] & (diagonal[windows] == diagonal[windows[:, :1]])).all(axis=1)
-    ]
+    is_ball = (diagonal[windows] == diagonal[windows[:, :1]]) & alone[windows]
+    windows = windows[is_ball.all(axis=1)]
     if is_sparse:
         parts = sp.bsr_array(J[:, windows.ravel()], blocksize=(d, d))
         own, contact = parts.data, np.repeat(np.arange(k), np.diff(parts.indptr))
@@ -463,8 +447,7 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
         c = int(wrong[0])
         raise InvalidProblem(
             f"normals and tangents must be orthogonal unit vectors, but contact {c} violates this by {least[c]:.2g} "
-            "in the translations of a body; divide each by its length, the lever arms with it; or, if the unknowns "
-            "are not translations, pass W = J m⁻¹ Jᵀ and the velocities J u"
+            "in translations; divide each by its length, or, if the unknowns are not translations, pass J m⁻¹ Jᵀ, J u"
         )
 
 
@@ -496,14 +479,11 @@ def _array(values: Any, need: str) -> FloatArray:
 def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> None:
     """Raise InvalidProblem if max |m_ij − m_ji| exceeds `tolerance` times the largest entry."""
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
-        raise InvalidProblem(
-            f"{name} must be square, got shape {matrix.shape}; of masses it is np.diag(masses)"
-        )
+        raise InvalidProblem(f"{name} must be square, got shape {matrix.shape}; see np.diag")
     if not matrix.size:
         return
     difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()
     if difference > tolerance * largest:
         raise InvalidProblem(
-            f"{name} must be symmetric, but entries differ from those across the diagonal by {difference:.2g}; is it "
-            "J m⁻¹ Jᵀ with the same J on both sides?"
+            f"{name} must be symmetric, but entries differ by {difference:.2g}; is it J m⁻¹ Jᵀ, the same J twice?"
         )

@@ -86,10 +86,8 @@ class AnswerSequence(Sequence[T]):
         return "\n".join(lines)
 
     def _format_item(self) -> int:
-        return next(
-            (k for k, status in enumerate(self.status) if status is not Status.SOLVED),
-            len(self) - 1,
-        )
+        unsolved = (k for k, status in enumerate(self.status) if status is not Status.SOLVED)
+        return next(unsolved, len(self) - 1)
 
     def _describe(self, k: int, words: Callable[[T], str]) -> str:
         """Return a text on item k, or its error message."""
@@ -140,11 +138,8 @@ def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
         array = np.full(n, float(array))
     if array.ndim not in (1, 2) or array.shape[-1] != n:
         hint = "; give its transpose" if array.ndim == 2 and array.shape[0] == n else ""
-        hint = (
-            "; for one number a problem write it as a column, shape (B, 1), times np.ones(n)"
-            if is_bound
-            else hint
-        )
+        if is_bound:
+            hint = "; for one number per problem use a column, shape (B, 1), times np.ones(n)"
         raise InvalidProblem(f"{need}, got shape {array.shape}{hint}")
     return np.array(np.atleast_2d(array), order="C")
 
@@ -159,7 +154,5 @@ def length_of_all(counts: dict[str, int]) -> int:
     """
     if len(set(counts.values())) > 1:
         found = ", ".join(f"{name} {count}" for name, count in counts.items())
-        raise InvalidProblem(
-            f"all arrays with an axis for the problems must be equally long, got {found}"
-        )
+        raise InvalidProblem(f"arrays with an axis for problems must be equally long, got {found}")
     return next(iter(counts.values()), 1)

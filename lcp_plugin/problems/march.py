@@ -67,18 +67,16 @@ class BandSteps:
 
     Parameters
     ----------
-    problem : LCP
-        The matrix and the bounds.
+    done : March
+        Gives the matrix, the bounds and the propagator.
     band : Bands
-        Bands of its matrix.
-    propagator : csr_array, shape (n, n)
+        Bands of the matrix.
     settings : Settings
     """
 
-    def __init__(
-        self, problem: LCP, band: Bands, propagator: sp.csr_array, settings: Settings
-    ) -> None:
-        self.problem, self.band, self.propagate = problem, band, propagation(propagator)
+    def __init__(self, done: March, band: Bands, settings: Settings) -> None:
+        self.problem = problem = done.problem
+        self.band, self.propagate = band, propagation(done.propagator)
         self.tolerance, self.absolute = settings.tolerance, abs(problem.csr)
         self.most = settings.max_iterations
         self.of_nearest: Vector = problem.csr @ problem.nearest_to_zero
@@ -186,9 +184,8 @@ class March(AnswerSequence[Result]):
     def z(self) -> Vector:
         """The solution of each kept step, shape (k, n)."""
         if self._stacked is None:
-            self._stacked = read_only(
-                np.array(self._z).reshape(len(self), -1 if len(self) else self.z0.size)
-            )
+            shape = len(self), -1 if len(self) else self.z0.size
+            self._stacked = read_only(np.array(self._z).reshape(shape))
             self._z = [*self._stacked]  # views
         return self._stacked
 
@@ -231,27 +228,21 @@ class March(AnswerSequence[Result]):
         self.taken += 1
 
 
-def take_steps_on_band(
-    done: March, algorithm: str | Algorithm, wishes: dict[str, Any], limit: float
-) -> None:
+def take_steps_on_band(done: March, algorithm: Any, wishes: dict[str, Any], limit: float) -> None:
     """Take the steps of a march on a narrow band, until a time limit or an unsolved step."""
     problem, clock = done.problem, Clock()
     if not isinstance(problem, LCP) or not problem.n:
         return
     method, settings = parse_call(algorithm, wishes)
-    begin = next(plan(problem, method, settings.goal))
-    if (
-        settings.record
-        or settings.error_bound
-        or settings.verbose
-        or settings.max_iterations == 0
-        or wishes.get("callback") is not None
-        or not isinstance(begin.algorithm, Banded)
-        or (band := bands(problem.matrix)) is None
-        or connected_components(problem.matrix) is not None
-    ):
+    is_watched = settings.record or settings.error_bound or settings.verbose
+    if is_watched or settings.max_iterations == 0 or wishes.get("callback") is not None:
         return
-    steps, state = BandSteps(problem, band, done.propagator, settings), done.z0
+    begin = next(plan(problem, method, settings.goal))
+    is_banded = isinstance(begin.algorithm, Banded) and connected_components(problem.matrix) is None
+    band = bands(problem.matrix) if is_banded else None
+    if band is None:
+        return
+    steps, state = BandSteps(done, band, settings), done.z0
     while done.taken < len(done.forcing) and clock.read() < limit:
         forcing = done.forcing[done.taken : done.taken + BLOCK]
         solved = steps.solve(forcing, state)
@@ -268,9 +259,7 @@ def _result_at(problem: LCP, q: Vector, z: Vector, settings: Settings) -> Result
     return Result.at(problem.with_q(q), z, stage, settings)
 
 
-def take_steps(
-    done: March, algorithm: str | Algorithm, wishes: dict[str, Any], limit: float
-) -> None:
+def take_steps(done: March, algorithm: Any, wishes: dict[str, Any], limit: float) -> None:
     """Take the remaining steps of a march within a time limit, until one is not solved."""
     problem, propagator, total = done.problem, done.propagator, len(done.forcing)
     is_lcp, clock = isinstance(problem, LCP), Clock()
@@ -284,9 +273,8 @@ def take_steps(
             if is_lcp and begin is not None:
                 within = parse_call("auto", {**wishes, **left})[1]
                 near = checks.checked_start(stated, state)
-                found = run_on(
-                    stated, None, within, near, Clock(), wishes.get("callback"), begin=begin
-                )
+                watch = wishes.get("callback")
+                found = run_on(stated, None, within, near, Clock(), watch, begin=begin)
             elif is_lcp:
                 found = solve_lcp(stated, algorithm, z0=state, **{**wishes, **left})
             else:  # z° is not passed as a start, because over cones Newton's steps begin at a start
@@ -306,9 +294,7 @@ def take_steps(
             done.error, done.all_solved = error, False
 
 
-def checked_rows(
-    name: str, given: Any, shape: str, fits: Callable[[tuple[int, ...]], bool]
-) -> Vector:
+def checked_rows(name: str, given: Any, shape: str, fits: Callable[[Any], bool]) -> Vector:
     """Return a finite array with a fitting shape."""
     need = f"{name} must be a finite array of shape {shape}"
     rows = checks.real_array(given.toarray() if sp.issparse(given) else given, need)
@@ -427,7 +413,8 @@ def march(
     clock, limit = Clock(), Settings(max_seconds=max_seconds).max_seconds
     given = zip((*BOUNDS, "z0"), of_states, strict=True)
     states = {name: values for name, values in given if values is not None}
-    marches = _begin(problems, forcing, propagator, states, algorithm, wishes, are_many=are_many)
+    call = algorithm, wishes
+    marches = _begin(problems, forcing, propagator, states, call, are_many=are_many)
     every = 0 if keep == "last" else whole_number(keep, "keep", 1, ', or "last"')
     for k, one in enumerate(marches):
         one.keep, begun = every, clock.read()
@@ -452,9 +439,8 @@ def _require_constant_bounds(forcing: ArrayLike, **bounds: ArrayLike | None) -> 
         if _axes(values) == _axes(forcing) == 2 and len(values) == len(forcing) > 1:  # type: ignore[arg-type]
             k = len(forcing)  # type: ignore[arg-type]
             raise InvalidProblem(
-                f"{name} has {k} rows, and forcing has {k} steps: bounds that change from step to step are not "
-                f"supported, so march step by step with solve and z0; for {k} marches with bounds of their own write "
-                "np.broadcast_to(forcing, (k, k, n))"
+                f"{name} has {k} rows, and forcing has {k} steps: march step by step with solve and z0 for these; "
+                f"for {k} marches with bounds of their own write np.broadcast_to(forcing, (k, k, n))"
             )
 
 
@@ -467,45 +453,31 @@ def _axes(values: Any) -> int:
 
 
 def _begin(
-    problems: list[Any],
-    forcing: ArrayLike,
-    propagator: Any,
-    states: dict[str, Any],
-    algorithm: str | Algorithm,
-    wishes: dict[str, Any],
-    *,
-    are_many: bool,
+    problems: list[Any], forcing: Any, propagator: Any, states: Any, call: Any, *, are_many: bool
 ) -> list[March]:
     """Return the marches before their first steps; raise an error for invalid data."""
-    n = getattr(problems[0], "n", 0)
+    (algorithm, wishes), n = call, getattr(problems[0], "n", 0)
     for j, one in enumerate(problems):
         if class_of(one) not in classes_of("march"):
             raise InvalidOption(refusal("march", one))
         if not isinstance(one, LCP) and states.keys() - {"z0"}:
-            raise InvalidOption(
-                f"lower and upper of a march are bounds of an LCP; a {class_of(one)} has none"
-            )
+            raise InvalidOption(f"a {class_of(one)} has no lower and upper; leave them out")
         if one.n != n:
             raise InvalidProblem(
-                f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; "
-                "call march once per size"
+                f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; call march once per size"
             )
     others = "problem", "forcing", "propagator", *BOUNDS, "algorithm", "keep"  # no options of solve
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
-        raise InvalidOption(
-            f"march has no option {unknown[0]!r}{did_you_mean(unknown[0], (*others, *OF_SOLVE))}"
-        )
+        hint = did_you_mean(unknown[0], (*others, *OF_SOLVE))
+        raise InvalidOption(f"march has no option {unknown[0]!r}{hint}")
     shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row a step"
     axes = (2, 3) if are_many else (2,)
-    given = checked_rows(
-        "forcing", forcing, f"{shape}, n = {n}", lambda of: len(of) in axes and of[-1] == n
-    )
+    need = f"{shape}, n = {n}"
+    given = checked_rows("forcing", forcing, need, lambda of: len(of) in axes and of[-1] == n)
     each = propagator if _is_one_a_march(propagator) else [propagator]
-    several: dict[str, Any] = {
-        "problem": problems,
-        "forcing": [given] if given.ndim == 2 else list(given),
-        "propagator": [checked_propagator(C, n) for C in each],
-    }
+    rows = [given] if given.ndim == 2 else list(given)
+    propagators = [checked_propagator(C, n) for C in each]
+    several = {"problem": problems, "forcing": rows, "propagator": propagators}
     for name, values in states.items():
         several[name] = rows_of_a_batch(values, name, n) if are_many else [values]
     if isinstance(problems[0], LCP):
@@ -583,10 +555,8 @@ class Band(NamedTuple):
         right = right + self.propagate(np.array([before, *x[:-1]]))
         w, size = (self.M @ x.T).T + right, ((self.size @ np.abs(x).T).T + np.abs(right)) * unit
         given = np.abs((self.M @ np.where(is_free, 0.0, x).T).T + right) * unit
-        terms, given, left = (
-            np.max(one, axis=1, initial=0.0, where=is_free)
-            for one in (size, given, np.abs(w) * unit)
-        )
+        sizes = size, given, np.abs(w) * unit
+        terms, given, left = (one.max(axis=1, initial=0.0, where=is_free) for one in sizes)
         is_regular = (left <= 2.0**-40 * terms) & (terms <= CANCELLED * given)
         return (x, w, EPSILON * terms) if is_regular.all() else None
 
@@ -675,25 +645,19 @@ class Steps:
         return np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain else self.at(k).degenerate
 
     def jvp(
-        self,
-        dM: sp.csr_array,
-        dforcing: Vector,
-        dpropagator: sp.csr_array,
-        dlower: Vector,
-        dupper: Vector,
-        before: Vector,
+        self, dM: Any, df: Vector, dC: Any, low: Vector, high: Vector, before: Vector
     ) -> Vector:
-        """Return the changes of the solutions, and write the last change to `before`.
+        """Return the changes of the solutions for changes of M, forcing, propagator and bounds.
 
-        At the call, `before` is the change of the state before the first step.
+        At the call, `before` is the change of the state before the first step; the last change is written to it.
         """
-        given = np.broadcast_to(dforcing, self.z.shape) + (dpropagator @ self.states[:-1].T).T
-        value = np.where(self.sides < 0, dlower, np.where(self.sides > 0, dupper, 0.0))
+        given = np.broadcast_to(df, self.z.shape) + (dC @ self.states[:-1].T).T
+        value = np.where(self.sides < 0, low, np.where(self.sides > 0, high, 0.0))
 
         def solve_alone(k: int, before: Vector) -> Vector:
             alone = self.at(k)
             dq = given[k] + self.march.propagator @ before + dM @ alone.z
-            return alone.jvp(dq=dq, dlower=dlower, dupper=dupper)
+            return alone.jvp(dq=dq, dlower=low, dupper=high)
 
         forwards, right = np.arange(len(self)), given + (dM @ self.z.T).T
         dz, _ = self._follow(self.whole.band, forwards, value, right, before, solve_alone)
@@ -722,13 +686,7 @@ class Steps:
         return by_q[order]
 
     def _follow(
-        self,
-        band: Band | None,
-        order: NDArray[np.intp],
-        value: Vector,
-        right: Vector,
-        before: Vector,
-        solve_alone: Callable[[int, Vector], Vector],
+        self, band: Any, order: Any, value: Vector, right: Vector, before: Vector, solve_alone: Any
     ) -> tuple[Vector, Vector]:
         """Return x and w of the steps in this order, on the band if that decides, else one by one, with w = 0.
 
@@ -796,16 +754,13 @@ class MarchDerivative:
     def __init__(self, march: March, each: Callable[..., Derivative]) -> None:
         if march.keep != 1:
             raise UnsuitableProblem(
-                f"the derivative of a march needs all its steps, and keep={march.keep or 'last'} dropped some; "
-                "leave out keep"
+                f"keep={march.keep or 'last'} dropped steps that the derivative of a march needs; leave out keep"
             )
         if not (march.all_solved and len(march) == len(march.forcing)):
             last = len(march) - 1
-            why = march.error or (
-                "was the last one taken"
-                if march[last].is_solved
-                else f"ended {march[last].status.name}"
-            )
+            is_last = march[last].is_solved
+            ended = "was the last one taken" if is_last else f"ended {march[last].status.name}"
+            why = march.error or ended
             raise UnsuitableProblem(
                 f"only a march solved to its end has a derivative; it took {len(march)} of {len(march.forcing)} steps, "
                 f"and step {last} {why}; take derivative(march[k]) of single steps, or march along fewer of them"
@@ -899,9 +854,8 @@ class MarchDerivative:
             hint = "; the q of the steps change by dforcing" if name == "dq" else hint
             raise InvalidOption(f"jvp of a march has no option {name!r}{hint}")
         n, steps = self.march.problem.n, len(self)
-        rows = _rows(
-            np.zeros(n) if dforcing is None else dforcing, "dforcing", steps, n, "all steps"
-        )
+        dforcing = np.zeros(n) if dforcing is None else dforcing
+        rows = _rows(dforcing, "dforcing", steps, n, "all steps")
         none = sp.csr_array((n, n))
         dM = none if dM is None else sp.csr_array(checks.rectangular_matrix(dM, "dM", n, n))
         dC = none if dpropagator is None else checked_propagator(dpropagator, n, "dpropagator")
@@ -910,9 +864,8 @@ class MarchDerivative:
         before = checks.change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():
-            changes = part.jvp(
-                dM, rows[part.here] if rows.ndim > 1 else rows, dC, low, high, before
-            )
+            own = rows[part.here] if rows.ndim > 1 else rows
+            changes = part.jvp(dM, own, dC, low, high, before)
             if not only_last:
                 dz[part.here] = changes
         return before if only_last else dz
@@ -980,9 +933,8 @@ class MarchDerivative:
     @derived_property
     def transposed(self) -> Band | None:
         """The band of the transposed matrices."""
-        return Band.of(
-            Matrix(sp.csr_array(self.march.problem.csr.T)), sp.csr_array(self.march.propagator.T)
-        )
+        M, C = (sp.csr_array(one.T) for one in (self.march.problem.csr, self.march.propagator))
+        return Band.of(Matrix(M), C)
 
 
 def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> Vector:

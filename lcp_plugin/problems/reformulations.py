@@ -79,9 +79,7 @@ class GameOrigin:
         parts = np.split(np.maximum(checked_answer(answer, m + k), 0.0), [m])
         for part, player in zip(parts, ("row", "column"), strict=True):
             if not part.any():
-                raise NotConverged(
-                    f"z is not an equilibrium: the {player} player has no action; solve the problem first"
-                )
+                raise NotConverged(f"the {player} player has no action in z; solve the problem")
         x, y = (part / part.max() for part in parts)  # a sum of huge numbers would overflow
         return Equilibrium(self.A, self.B, x / x.sum(), y / y.sum())
 
@@ -127,15 +125,11 @@ def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
         A, B = _payoffs_of(A, B)
     elif B is None:
         given = type(A).__name__
-        raise InvalidProblem(
-            f"B is missing: a game is A and B, or one object with players, got {given} alone"
-        )
+        raise InvalidProblem(f"B is missing: a game is A and B, or has players, got {given} alone")
     row_payoffs = _dense(rectangular_matrix(A, "A", None, None))
     m, k = row_payoffs.shape
     if not m or not k:
-        raise InvalidProblem(
-            f"A must have at least one row and one column, got shape {row_payoffs.shape}"
-        )
+        raise InvalidProblem(f"A must have a row and a column, got shape {row_payoffs.shape}")
     column_payoffs = _dense(rectangular_matrix(B, "B", m, k))
     M = np.zeros((m + k, m + k))
     M[:m, m:] = _costs(row_payoffs, own=0)
@@ -146,9 +140,7 @@ def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
 def _payoffs_of(game: Any, B: Any) -> tuple[Any, Any]:
     """Return (A, B) of a game whose players have each a `payoff_array`, the own action first."""
     if B is not None:
-        raise InvalidProblem(
-            f"{type(game).__name__} brings the payoffs of both players; leave B out"
-        )
+        raise InvalidProblem(f"{type(game).__name__} has the payoffs of both players; leave B out")
     if len(game.players) != 2:
         raise InvalidProblem(f"a bimatrix game has two players, got a game of {len(game.players)}")
     row, column = (np.asarray(player.payoff_array) for player in game.players)
@@ -167,9 +159,8 @@ def _costs(payoffs: FloatMatrix, own: int) -> FloatMatrix:
     missed = payoffs.max(axis=own, keepdims=True) - payoffs
     if not missed.any():
         return np.ones_like(payoffs)
-    least, most = (
-        2.0 ** (math.frexp(size)[1] - 1) for size in (missed[missed > 0.0].min(), missed.max())
-    )
+    ends = missed[missed > 0.0].min(), missed.max()
+    least, most = (2.0 ** (math.frexp(size)[1] - 1) for size in ends)
     # Costs do not overflow
     unit = max(min(most, 2.0**3 * least), 2.0**-900)  # no difference is lost
     return 1.0 + missed / unit

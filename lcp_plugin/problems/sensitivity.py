@@ -98,9 +98,8 @@ class BatchPart(LinearizedSystem):
             step_of_free = blocks.solve(-w[wrong])
             z[wrong] = np.where(free[wrong], z[wrong] + step_of_free, bound[wrong])
         distance, slack = np.minimum(z - lower, upper - z) * scale, np.abs(w)
-        self.is_upper = np.where(
-            lower == upper, w < 0.0, at_upper | (free & (upper - z < z - lower))
-        )
+        is_nearer = free & (upper - z < z - lower)
+        self.is_upper = np.where(lower == upper, w < 0.0, at_upper | is_nearer)
         is_sized = diagonal >= 2.0**-10 * largest
         kink = (slack <= terms * size) & (distance <= terms * size) & is_sized & (lower < upper)
         is_clear = kink | (lower == upper) | (np.where(free, distance, slack) > HALF * size)
@@ -194,9 +193,8 @@ class ManyDerivatives:
         self._is_solved = np.asarray(batch.status == Status.SOLVED, np.bool_)
         for k in sorted({*np.flatnonzero(~self._is_solved).tolist()} - set(self.errors)):
             status = batch.status[k]
-            self.errors[k] = UnsuitableProblem(
-                f"only a solution has a derivative, and {batch.item} {k} ended {status.name}: {status.value}"
-            )
+            ended = f"{batch.item} {k} ended {status.name}: {status.value}"
+            self.errors[k] = UnsuitableProblem(f"only a solution has a derivative, and {ended}")
 
     def __len__(self) -> int:
         return len(self.batch)
@@ -220,13 +218,8 @@ class ManyDerivatives:
             is_left[part.items[part.is_plain]] = False
         return np.flatnonzero(is_left).tolist()
 
-    def _fill(
-        self,
-        tables: Sequence[Any],
-        of_part: Callable[[Any], Sequence[Any]],
-        of_one: Callable[[int], Sequence[Any]],
-    ) -> list[int]:
-        """Write the rows of items with a derivative; return the items treated one by one.
+    def _fill(self, rows: Any, of_part: Callable[[Any], Any], of_one: Callable[[int], Any]) -> None:
+        """Write the rows of items with a derivative; some are treated one by one.
 
         These are the items outside of all stacks, and items with NaN in the first row of their stack. Errors are
         stored in `errors`.
@@ -235,17 +228,16 @@ class ManyDerivatives:
         for part in self._parts:
             answers = of_part(part)
             is_done = part.is_plain & ~np.isnan(answers[0]).any(axis=1)
-            for table, answer in zip(tables, answers, strict=True):
+            for table, answer in zip(rows, answers, strict=True):
                 table[part.items[is_done]] = answer[is_done]
             alone += part.items[part.is_plain & ~is_done].tolist()
         for k in alone:
             try:
-                for table, answer in zip(tables, of_one(k), strict=True):
+                for table, answer in zip(rows, of_one(k), strict=True):
                     table[k][:] = 0
                     table[k][: answer.size] = answer
             except LCPError as error:
                 self.errors[k] = error
-        return alone
 
     @derived_property
     def z(self) -> Any:
@@ -257,21 +249,17 @@ class ManyDerivatives:
     @derived_property
     def degenerate(self) -> Any:
         """Rows with w = 0 at a bound, bool, shape (B, n), or degenerate contacts, shape (B, k)."""
-        found = np.zeros((len(self), self._pieces), np.bool_)
-        places = np.arange(self._pieces)
-        self._fill(
-            [found], lambda part: [part.degenerate], lambda k: [np.isin(places, self[k].degenerate)]
-        )
+        found = np.zeros(self._is_there(self.names[-1]).shape, np.bool_)
+
+        def of_one(k: int) -> Any:
+            return [np.isin(np.arange(found.shape[1]), self[k].degenerate)]
+
+        self._fill([found], lambda part: [part.degenerate], of_one)
         return found
 
-    @property
-    def _pieces(self) -> int:
-        """Number of rows, or contacts, of a problem."""
-        return int(self.batch.z.shape[1])
-
     def _is_there(self, name: str) -> Any:
-        """Return the rows, or contacts, of solved problems."""
-        return np.broadcast_to(self._is_solved[:, np.newaxis], (len(self), self._pieces))
+        """Return the mask of the rows, or contacts, of solved problems."""
+        return np.broadcast_to(self._is_solved[:, np.newaxis], self.batch.z.shape)
 
     def _rows(self, values: Any, name: str) -> Any:
         """Return a vector for each problem, 0 by default; rows of unsolved problems are ignored."""
@@ -298,13 +286,14 @@ class ManyDerivatives:
         given |= {name: self._rows(values, name) for name, values in others.items()}
         there = {name: self._is_there(name) for name in given}
         dz = np.full(given["dq"].shape, np.nan)
-        self._fill(
-            [dz],
-            lambda part: part.changes(*(rows[part.items] for rows in given.values())),
-            lambda k: [
-                self[k].jvp(**{name: one[k, there[name][k]] for name, one in given.items()})
-            ],
-        )
+
+        def changes_of(part: Any) -> Any:
+            return part.changes(*(rows[part.items] for rows in given.values()))
+
+        def change_of(k: int) -> Any:
+            return [self[k].jvp(**{name: one[k, there[name][k]] for name, one in given.items()})]
+
+        self._fill([dz], changes_of, change_of)
         return dz
 
     def vjp(self, g: Any, gw: Any = None) -> BatchGradient:
@@ -342,29 +331,21 @@ class ManyDerivatives:
             found = self[k].vjp(by_z[k, there[k]], by_w[k, there[k]])  # its M comes later
             return [getattr(found, name) for name in self.names]
 
-        left = self._fill(
-            tables, lambda part: part.gradients(by_z[part.items], by_w[part.items]), alone
-        )
-        self._forget_unasked(tables, g, gw)
+        def of_part(part: Any) -> Any:
+            return part.gradients(by_z[part.items], by_w[part.items])
+
+        self._fill(tables, of_part, alone)
+        given = [one for one in (g, gw) if one is not None]
+        does_depend = sum(np.any(one, axis=-1) for one in given) + np.zeros(len(self))
+        for table in tables:
+            table[[k for k in self.errors if not does_depend[k]]] = 0.0
         by = dict(zip(self.names, tables, strict=True))
-        return BatchGradient(lambda: self._by_M(tables[0], left), **by)
+        return BatchGradient(lambda: self._by_M(tables[0]), **by)
 
-    def _by_M(self, by_q: Any, left: Sequence[int]) -> Any:
-        z = self.z.copy()
-        for k in left:
-            z[k, : self[k].z.size] = self[k].z
-        for k in self.errors:
-            if not np.any(by_q[k]):  # the function does not depend on this problem
-                z[k] = 0.0
+    def _by_M(self, by_q: Any) -> Any:
+        """Return the gradients by M; 0 if the gradient by q is 0, also for an item without a z."""
+        z = np.where(by_q.any(axis=1)[:, np.newaxis], self.z, 0.0)
         return self.batch.problems.outer(by_q, z)
-
-    def _forget_unasked(self, tables: Sequence[Any], *given: Any) -> None:
-        """Write 0 for items without a derivative whose functions have zero gradients."""
-        for k in self.errors:
-            rows = [one[k] if np.ndim(one) > 1 else one for one in given if one is not None]
-            if not any(np.any(np.asarray(row) != 0.0) for row in rows):
-                for table in tables:
-                    table[k][:] = 0.0
 
     def _given(self, values: Any, name: str, is_there: Any) -> Any:
         """Return an array like `is_there`, 0 for absent entries; one row applies to all."""
@@ -447,10 +428,9 @@ class BatchDerivative(ManyDerivatives):
     @derived_property
     def _parts(self) -> list[BatchPart]:
         """The groups of small problems, with classified rows."""
-        return [
-            BatchPart(group, self.batch.z[group.items], self._is_solved[group.items])
-            for group in self.batch.problems.groups()
-        ]
+        groups = self.batch.problems.groups()
+        z, is_solved = self.batch.z, self._is_solved
+        return [BatchPart(one, z[one.items], is_solved[one.items]) for one in groups]
 
 
 class DeviceDerivative(ManyDerivatives):
@@ -506,11 +486,11 @@ class DeviceDerivative(ManyDerivatives):
             for table, row in zip(tables, of_host, strict=True):
                 table[k] = xp.asarray(row)
         names = dict(zip(("q", "lower", "upper"), map(batch.library, tables), strict=True))
-        is_shared = len(M) == 1
-        return BatchGradient(
-            lambda: batch.library(by_q.T @ z if is_shared else by_q[:, :, None] * z[:, None]),
-            **names,
-        )
+
+        def by_M() -> Any:
+            return batch.library(by_q.T @ z if len(M) == 1 else by_q[:, :, None] * z[:, None])
+
+        return BatchGradient(by_M, **names)
 
 
 NAMED = 5  # instances in a message
@@ -604,10 +584,8 @@ class ContactBatchDerivative(ManyDerivatives):
             for k in range(first, end):
                 own = slice(k * TOGETHER, (k + 1) * TOGETHER)
                 W = np.where(is_solved[own, :, np.newaxis], worlds.W[own], np.eye(worlds.n))
-                b, at, mu = (
-                    np.where(is_solved[own], one[own], 0.0)
-                    for one in (worlds.b, z, worlds.friction)
-                )
+                given = worlds.b, z, worlds.friction
+                b, at, mu = (np.where(is_solved[own], one[own], 0.0) for one in given)
                 stack = stack_of(*self.batch.problems.data(W, b, mu))
                 parts[k] = _Together(stack, at, np.arange(len(self))[own], self._is_solved[own])
 
@@ -627,20 +605,16 @@ class ContactBatchDerivative(ManyDerivatives):
     @property
     def advice(self) -> str:
         """Warning that derivatives are not unique, as text; "" if all are unique."""
-        named = {
-            "contacts on the edge of two cases: jvp is one-sided there, and vjp the gradient of one of the pieces that "
-            "meet": self.degenerate.any(axis=1),
-            "several impulses for one motion: dz is the least change, that of the motion is the same for all": (
-                self.is_singular
-            ),
-            "no derivative: see errors": ~self._is_solved,
-        }
-        return "; ".join(
-            f"{len(rows)} of {len(self)} worlds ({', '.join(map(str, rows[:NAMED]))}"
-            f"{', …' * (len(rows) > NAMED)}) have {words}"
-            for words, which in named.items()
-            if (rows := np.flatnonzero(which).tolist())
-        )
+        pieces = "contacts on the edge of two cases: jvp is one-sided there, and vjp the gradient of one piece"
+        least = "several impulses for one motion: dz is the least change, that of the motion is the same for all"
+        masks = self.degenerate.any(axis=1), self.is_singular, ~self._is_solved
+        named = zip((pieces, least, "no derivative: see errors"), masks, strict=True)
+        lines = []
+        for words, which in named:
+            if rows := np.flatnonzero(which).tolist():
+                shown = ", ".join(map(str, rows[:NAMED])) + ", …" * (len(rows) > NAMED)
+                lines.append(f"{len(rows)} of {len(self)} worlds ({shown}) have {words}")
+        return "; ".join(lines)
 
     def jvp(self, *, dq: Any = None, dM: Any = None, dfriction: Any = None) -> Any:
         """Return the changes dz for changes of the data, shape (B, n); one-sided at a kink.
@@ -666,23 +640,14 @@ class ContactBatchDerivative(ManyDerivatives):
         dw[[*self.errors]] = np.nan
         return dw
 
-    @property
-    def _pieces(self) -> int:
-        """Number of contacts per instance, absent contacts included."""
-        return int(self.worlds.friction.shape[1])
-
     def _is_there(self, name: str) -> Any:
         """Return the mask of the rows, or contacts, of solved instances."""
         d = 1 if name.endswith("friction") else self.worlds.dimension
         counts = np.where(self._is_solved, d * self.worlds.contacts, 0)
-        return np.arange(d * self._pieces) < counts[:, np.newaxis]
+        return np.arange(d * self.worlds.friction.shape[1]) < counts[:, np.newaxis]
 
 
-SINGULAR = (
-    "the block of M on the free rows is singular to working precision, too large for a generalised inverse or for a "
-    "factor where multigrid fails: z has no derivative that could be computed; regularise M, or fix what is not "
-    "determined"
-)
+SINGULAR = "M is singular on the free rows, too many for a generalised inverse; regularise M"
 
 
 def words_on_singular(system: FreeSystem) -> str:
@@ -692,11 +657,9 @@ def words_on_singular(system: FreeSystem) -> str:
         return SINGULAR
     same, rank = system.determined_slack, round(float(np.trace(inverse @ system.block)))
     is_same = same is not None and bool(same.all())
-    return (
-        f"M has rank {rank} on the {system.rows.size} free rows: z is one of several "
-        f"solutions, w {'the same' if is_same else 'not the same'} for all of them, and this the derivative of the "
-        "least change"
-    )
+    several = f"M has rank {rank} on the {system.rows.size} free rows: z is one of several"
+    alike = "the same" if is_same else "not the same"
+    return f"{several} solutions, w {alike} for all of them, and this the derivative of the least change"
 
 
 def solution(system: FreeSystem, right: Vector, *, transposed: bool = False) -> Vector:
@@ -804,8 +767,7 @@ def derivative(result: Any) -> Any:
     if isinstance(result, March):
         if not isinstance(result.problem, LCP):
             raise InvalidOption(
-                "march over cones is not differentiable as a whole; derivative(done[k]) differentiates step k with "
-                "respect to its q"
+                "a march over cones is not differentiable; derivative(done[k]) differentiates step k by its q"
             )
         return MarchDerivative(result, Derivative)
     if (derivative_of := foreign_function("derivative", result)) is not None:
@@ -1008,10 +970,8 @@ class Derivative(LinearizedSystem):
         # w stays 0 in free rows, and its part would cancel only up to rounding
         by_w = np.where(free, 0.0, by_w)
         by_q, by_bound, _ = self.adjoint(g, by_w)
-        lower, upper = (
-            np.where(free | (rows.is_upper != is_upper), 0.0, by_bound)
-            for is_upper in (False, True)
-        )
+        is_side = (free | (rows.is_upper != is_upper) for is_upper in (False, True))
+        lower, upper = (np.where(is_other, 0.0, by_bound) for is_other in is_side)
         return Gradient(by_q, lower, upper, outer_on_pattern(problem.matrix, by_q, self.z))
 
     def _change(self, dM: Any, dq: ArrayLike | None) -> Vector:

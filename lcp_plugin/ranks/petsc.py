@@ -117,7 +117,20 @@ class RowsOnPETSc(RowsOnRanks):
 
     @classmethod
     def from_petsc(cls, A: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf) -> RowsOnPETSc:
-        """Return the problem of a matrix; see :meth:`lcp_plugin.LCP.from_petsc`."""
+        """Return the problem of a PETSc matrix on its communicator.
+
+        Parameters
+        ----------
+        A : petsc4py.PETSc.Mat
+            Square, with equal parts of rows and columns. It must not change as long as the problem is in use.
+        q : petsc4py.PETSc.Vec
+        lower, upper : number or petsc4py.PETSc.Vec
+
+        Raises
+        ------
+        InvalidProblem
+            On every rank, if A is not such a matrix.
+        """
         # The ranges of all ranks: each rank refuses the same matrices.
         if not hasattr(A, "getValuesCSR") or not np.array_equal(
             A.getOwnershipRanges(), A.getOwnershipRangesColumn()

@@ -1,26 +1,22 @@
-"""An LCP whose rows are spread over MPI ranks, saved and loaded as a folder of chunks.
+"""An LCP whose rows are spread over MPI ranks.
 
 Bad input on one rank is rejected on all of them.
 """
 
 from __future__ import annotations
 
-import re
-import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
-from os import PathLike
-from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Self
 from zlib import crc32
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..core import checks, files
+from ..core import checks
 from ..core.certificates.worst import outside_row, put_on_bounds
-from ..core.errors import InvalidOption, InvalidProblem, UnreadableFile
+from ..core.errors import InvalidOption, InvalidProblem
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows, residual_scales
 from .halo import Halo, Ranks, numbered_over_all, own_rows
@@ -28,7 +24,6 @@ from .solving import ResultOnRanks, RowDataOnRanks, solve_on_ranks
 
 WIDEST = 2**31 - 1  # columns that 32 bits count
 UNLIKELY = 1e-10  # relative difference of xᵀM y and yᵀM x beyond which M is not symmetric
-CHUNK = re.compile(r"rows-(\d+)-(\d+)-of-(\d+)-(\w+)\.npz")
 
 
 class RowsOnRanks:
@@ -193,38 +188,6 @@ class RowsOnRanks:
         sizes = halo.largest(found.rows.violation), halo.largest(found.by_row.relative)
         return bool(found.passes) and not reason, *sizes, tolerance, reason
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write one chunk per rank into a folder that all ranks see, in place of older chunks.
-
-        A chunk ``rows-0-25-of-100-….npz`` holds the rows 0 to 24 of 100 of M in CSR (data, indices counted over all
-        ranks, indptr, shape), q, lower, upper. The names of one save end alike, so that `load` rejects a mixture.
-
-        Raises
-        ------
-        UnreadableFile
-            On every rank, if a rank cannot write, or the folder holds another file.
-        """
-        ranks = self.halo
-        folder = ranks.together(lambda: files.checked_path(path))
-        name = ranks.from_first(lambda: _emptied(folder))
-        ranks.together(lambda: _write_chunk(self, folder, name))
-
-    @classmethod
-    def load(cls, path: str | PathLike[str], comm: Any = None) -> RowsOnRanks:
-        """Return the problem of a folder of chunks, on any number of ranks.
-
-        Raises
-        ------
-        UnreadableFile, InvalidProblem
-            On every rank, if a chunk is missing or corrupt on one of them.
-        """
-        ranks = Ranks(comm)
-        source = ranks.together(lambda: files.checked_path(path))
-        chunks = ranks.together(lambda: _chunks(source))
-        first, last = equal_share(chunks[-1].last, ranks)
-        rows, *vectors = ranks.together(lambda: _read_rows(chunks, first, last))
-        return cls.from_rows(ranks.comm, rows, *vectors)
-
     def __repr__(self) -> str:
         return f"RowsOnRanks(n={self.n}, ranks={self.halo.size})"
 
@@ -250,65 +213,3 @@ def _checked_whole(problem: Any) -> sp.csr_array:
             f"from_problem needs an LCP, got {type(problem).__name__}; write LCP(M, q)"
         )
     return problem.csr
-
-
-class Chunk(NamedTuple):
-    """A saved file with the rows first ≤ i < last."""
-
-    path: Path
-    first: int
-    last: int
-
-
-def _emptied(folder: Path) -> str:
-    """Make the folder, or remove the chunks in it; return a name for the new ones."""
-    if folder.exists() and not (
-        folder.is_dir() and all(CHUNK.fullmatch(one.name) for one in folder.iterdir())
-    ):
-        raise UnreadableFile(f"{folder} holds more than chunks of a problem; choose another")
-    folder.mkdir(parents=True, exist_ok=True)
-    for one in folder.iterdir():
-        one.unlink()
-    return secrets.token_hex(8)
-
-
-def _write_chunk(problem: RowsOnRanks, folder: Path, name: str) -> None:
-    ranks = problem.halo
-    arrays = files.arrays_of(problem, numbered_over_all(problem.rows, ranks))
-    target = folder / f"rows-{ranks.first}-{ranks.last}-of-{ranks.n}-{name}.npz"
-    files.write_whole({target: lambda file: np.savez(file, **arrays)})
-
-
-def _chunks(source: Path) -> list[Chunk]:
-    """Return the chunks in order; raise UnreadableFile unless they are all chunks of one save."""
-    if not source.is_dir():
-        raise UnreadableFile(
-            f"cannot read {source}: it is a file; write RowsOnRanks.from_problem(LCP.load(file), comm)"
-            if source.exists()
-            else f"no such file or folder: {source}"
-        )
-    names = [match for one in source.iterdir() if (match := CHUNK.fullmatch(one.name))]
-    chunks = [Chunk(source / one[0], int(one[1]), int(one[2])) for one in names]
-    chunks.sort(key=lambda chunk: chunk[1:])
-    ends = [0, *(chunk.last for chunk in chunks)]
-    starts = [*(chunk.first for chunk in chunks), int(names[0][3]) if names else -1]
-    if ends != starts or len({(one[3], one[4]) for one in names}) > 1:
-        raise UnreadableFile(f"{source} must hold the chunks of one problem; use problem.save")
-    return chunks
-
-
-def _read_rows(chunks: Sequence[Chunk], first: int, last: int) -> tuple[Any, ...]:
-    """Return the rows first ≤ i < last of M, q, lower and upper."""
-    parts = []
-    for path, begin, end in chunks:
-        if begin < last and first < end:
-            keys = (*files.MATRIX_KEYS, *files.VECTORS)
-            content = files.read_npz(path, {*keys})
-            files.require_keys(path, content, keys, "write it with problem.save")
-            own, matrix = slice(max(first - begin, 0), last - begin), files.csr_in(path, content)
-            parts.append((matrix[own], *(content[name][own] for name in files.VECTORS)))
-    if not parts:
-        none = np.zeros(0)
-        return sp.csr_array((0, chunks[-1].last)), none, none, none
-    rows, *vectors = zip(*parts, strict=True)
-    return sp.vstack(rows, format="csr"), *map(np.concatenate, vectors)

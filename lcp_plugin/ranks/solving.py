@@ -1,4 +1,4 @@
-"""`solve` of an LCP whose rows are spread over ranks: the loop, the criterion, and a bound of the error."""
+"""`solve` of an LCP whose rows are spread over ranks: the loop and the criterion."""
 
 from __future__ import annotations
 
@@ -17,27 +17,22 @@ from ..core.certificates.criterion import RowData, VectorEnds, divide_nonnegativ
 from ..core.certificates.measured import Measured
 from ..core.checks import Vector, read_only
 from ..core.errors import InvalidOption, UnsuitableProblem
-from ..core.kernels.floats import EPSILON, TINY
 from ..core.kernels.threads import threads_for
 from ..core.matrix import largest_products
 from ..core.problem_classes import CLASSES
-from ..core.rounding import compensated_product, lower_end
+from ..core.rounding import compensated_product
 from ..core.settings import Settings, checked_callback
 from ..solving.progress import Progress
 from ..solving.result import BaseResult, Sample
 from ..solving.run import Run
 from ..solving.stage import Named, Stage, TerminationReason
-from ..systems.graph import comparison_of, comparison_product
-from ..systems.hierarchy.truncation import KrylovCorrection
 from .halo import Interruptions
-from .methods import TruncationOnRanks, build_hierarchy, chain
+from .methods import chain
 
 if TYPE_CHECKING:
     from .halo import Halo
     from .problem import RowsOnRanks
 
-GAINS = (1e-2, 1e-6)  # relative residuals of ⟨M⟩v = diag(M) after which v is tried
-MOST_STEPS = 30  # v grows indefinitely if M is not an H₊-matrix
 ONE_PROCESS_UP_TO = 100_000  # unknowns of a problem that rank 0 solves after multigrid
 
 
@@ -131,30 +126,6 @@ class RowDataOnRanks(RowData):
         return largest_products(self.absolute.rows, self.problem.halo.whole(x))
 
 
-@np.errstate(all="ignore")
-def error_bound(data: RowDataOnRanks, z: Vector) -> float:
-    """Return a proved bound of ‖z − z*‖∞ for an H₊-matrix; ∞ if M is not proved to be one.
-
-    z − r(z) solves the problem with q + (M − D) r in place of q, because mid(l, u, ·) sees the same w. With ⟨M⟩v > 0
-    its distance from z* is at most v · max_i (|M − D| |r|)_i / (⟨M⟩v)_i.
-    """
-    problem, d = data.problem, data.problem.diagonal
-    halo = problem.halo
-    if not halo.everywhere(d > 0.0):
-        return np.inf
-    at = data.rows(z)
-    r = data.residual_ends(z, at.w, at.rounding, d)[1]
-    moved = data.absolute @ r
-    change = moved - d * r + (np.diff(problem.rows.indptr) + 4) * EPSILON * moved + TINY
-    bound = np.inf
-    for v in _weights(problem):
-        margin = lower_end(*comparison_product(_square(problem), halo.whole(v)))[: problem.own]
-        if halo.everywhere((v > 0.0) & (margin > 0.0)):
-            share = halo.largest(change / margin)
-            bound = min(bound, halo.largest((r + v * share) * (1.0 + 8.0 * EPSILON)))
-    return bound
-
-
 def _square(problem: RowsOnRanks) -> Any:
     """Return the local rows followed by empty rows for the ghosts."""
     rows, width = problem.rows, problem.rows.shape[1]
@@ -162,33 +133,9 @@ def _square(problem: RowsOnRanks) -> Any:
     return sp.csr_array((rows.data, rows.indices, indptr), shape=(width, width))
 
 
-def _weights(problem: RowsOnRanks) -> Any:
-    """Yield vectors v that may have ⟨M⟩v > 0: ones, then approximate solutions of ⟨M⟩v = diag(M)."""
-    ones = np.ones(problem.own)
-    yield ones
-    comparison = comparison_of(problem.rows)
-    hierarchy = build_hierarchy(comparison, problem.halo, scales_rows=not problem.is_symmetric)
-    residual = problem.diagonal - comparison @ np.ones(comparison.shape[1])
-    solution = KrylovCorrection(TruncationOnRanks(hierarchy), residual, problem.is_symmetric)
-    begun, steps = solution.largest(), 0
-    for gain in GAINS:
-        while solution.largest() > gain * begun and steps < MOST_STEPS and solution.step():
-            steps += 1
-        solution.apply_to(ones, v := np.empty(problem.own))
-        yield v
-
-
 GROWTH = 1.05  # of the steps between two measurements
 OF_RUN = {
-    *[
-        "tolerance",
-        "absolute_tolerance",
-        "max_iterations",
-        "max_seconds",
-        "error_bound",
-        "verbose",
-        "threads",
-    ]
+    *("tolerance", "absolute_tolerance", "max_iterations", "max_seconds", "verbose", "threads")
 }
 
 
@@ -215,8 +162,6 @@ class ResultOnRanks(BaseResult):
         The values passed to `solve`.
     history : tuple
         Empty, because runs on ranks are not recorded; use a callback.
-    error_bound : float or None
-        A proved bound of ‖z − z*‖∞ if it was requested; ∞ if M is not proved to be an H₊-matrix.
     infeasibility : NoSolutionProof or None
         A proof that no solution exists, of a problem that one process has solved.
     """
@@ -227,7 +172,6 @@ class ResultOnRanks(BaseResult):
     certificate: CertificateOnRanks
     work: float
     absolute_tolerance: float = 0.0
-    error_bound: float | None = None
     infeasibility: Any = None
 
     @property
@@ -256,19 +200,8 @@ class ResultOnRanks(BaseResult):
         raise UnsuitableProblem("a result on ranks is local; plot problem.gathered(z) on rank 0")
 
     def describe_accuracy(self) -> str:
-        """Return the relative residual next to the tolerance, and the bound of the error if there is one."""
-        bound = "" if self.error_bound is None else f", rigorous error bound {self.error_bound:.1e}"
-        return f"relative residual {self.residual:.1e}, tolerance {self.tolerance:g}{bound}"
-
-    def _size(self) -> int:
-        return self.n
-
-    def _numbers(self) -> dict[str, float]:
-        names = "scaled_residual", "relative_residual", "term_residual"
-        found = {name: getattr(self.certificate, name) for name in names}
-        found |= {"work": self.work}
-        found |= {"absolute_tolerance": self.absolute_tolerance} if self.absolute_tolerance else {}
-        return found if self.error_bound is None else {**found, "error_bound": self.error_bound}
+        """Return the relative residual next to the tolerance."""
+        return f"relative residual {self.residual:.1e}, tolerance {self.tolerance:g}"
 
     def __str__(self) -> str:
         return f"{self.status.name} by {self._effort()}, {self.describe_accuracy()}"
@@ -288,7 +221,7 @@ def solve_on_ranks(
     Parameters
     ----------
     **options
-        tolerance, absolute_tolerance, max_iterations, max_seconds, error_bound, verbose, threads (1 by default), and
+        tolerance, absolute_tolerance, max_iterations, max_seconds, verbose, threads (1 by default), and
         options of the algorithm.
 
     Raises
@@ -432,7 +365,6 @@ class RunOnRanks(Run):
         rows, worst = found.by_row, data.worst
         relative = worst(divide_nonnegative(rows.high, rows.reference))
         sizes = worst(rows.high), relative, worst(rows.terms)
-        bound = error_bound(data, found.z) if self.settings.error_bound else None
         return ResultOnRanks(
             z=read_only(found.z),
             w=read_only(found.rows.w),
@@ -441,7 +373,6 @@ class RunOnRanks(Run):
             algorithm=" → ".join(stage.algorithm.name for stage in progress.stages),
             work=progress.work,
             absolute_tolerance=self.settings.absolute_tolerance,
-            error_bound=bound,
             infeasibility=self.proof,
             **{**common, "seconds": progress.halo.largest(common["seconds"])},
         )

@@ -51,9 +51,7 @@ def solver_of(name: str) -> Callable[..., Any]:
 def options_of(name: str) -> Mapping[str, Any]:
     """Return the options of the solver of a class; "options" is among them if it accepts an algorithm's options."""
     known = dict.fromkeys([*inspect.signature(solver_of(name)).parameters][1:])
-    if (typed := CLASSES[name].options) is not None:
-        known = dict.fromkeys([*known, *typed.__annotations__])
+    if typed := CLASSES[name].options:
+        known = dict.fromkeys([*known, *typed.split()])
         del known["options"]
-        if "x0" in known:  # which z0 is another name of
-            known.pop("z0")
     return known

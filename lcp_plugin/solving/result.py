@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -254,30 +252,6 @@ class BaseResult(Outcome):
             )
         return self
 
-    def to_json(self) -> str:
-        """Return status, residuals and counts (no vectors) as JSON text; non-finite numbers become null."""
-        return json.dumps(self.to_content(), indent=2)
-
-    def to_content(self) -> dict[str, Any]:
-        """Return the content of :meth:`to_json` as a dictionary."""
-        numbers = self._numbers() | {"tolerance": self.tolerance, "seconds": self.seconds}
-        return {
-            "status": self.status.name,
-            "advice": self.advice,
-            "algorithm": self.algorithm,
-            "n": self._size(),
-            "iterations": self.iterations,
-            **{name: value if math.isfinite(value) else None for name, value in numbers.items()},
-        }
-
-    def _size(self) -> int | None:
-        """Return the number of unknowns; None without a point."""
-        return None if self.x is None else len(self.x)
-
-    def _numbers(self) -> dict[str, float]:
-        """Return the other numbers of the result."""
-        return {} if self.objective is None else {"objective": self.objective}
-
     if TYPE_CHECKING:
 
         def plot(self, **how: Any) -> Any:
@@ -287,7 +261,8 @@ class BaseResult(Outcome):
         plot = Door()
 
     def __repr__(self) -> str:
-        size = "" if self.x is None else f"n={self._size()}, "
+        # on ranks, x is a part
+        size = "" if self.x is None else f"n={getattr(self, 'n', len(self.x))}, "
         value = "" if self.objective is None else f"objective {self.objective:.9g}, "
         return f"{type(self).__name__}({self.status.name}, {size}{value}{BaseResult._effort(self)})"
 
@@ -339,14 +314,6 @@ class Result(BaseResult):
     _asked: Algorithm | None = None  # None for "auto"
     _wants_bound: bool = False
     _advice: Mapping[Status, str] = field(default_factory=dict, kw_only=True)  # type: ignore[misc]
-
-    RESIDUALS: ClassVar[tuple[str, ...]] = (
-        "relative_residual",
-        "natural_residual",
-        "euclidean_residual",
-        "bound_violation",
-        "complementarity",
-    )
 
     @classmethod
     def at(
@@ -492,12 +459,3 @@ class Result(BaseResult):
         if not self.absolute_tolerance:
             return ""
         return f", or {self.absolute_tolerance:.3e} in the unit of z; that is {self.certificate.scaled_residual:.3e}"
-
-    def _numbers(self) -> dict[str, float]:
-        numbers = {name: getattr(self.certificate, name) for name in self.RESIDUALS}
-        numbers |= {"work": self.work, "setup_seconds": self.setup_seconds}
-        if self.absolute_tolerance:
-            numbers["absolute_tolerance"] = self.absolute_tolerance
-        if (bound := self.error_bound) is not None:
-            numbers |= {"error_bound": bound.infinity, "relative_error_bound": bound.relative}
-        return numbers

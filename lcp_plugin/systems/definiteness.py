@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ..core.checks import Vector
 from ..core.kernels.floats import EPSILON
@@ -15,53 +13,9 @@ from ..core.matrix import row_numbers, scale_by
 from ..core.tuning import FULL_CHOLESKY_UP_TO
 from .factors import PositiveFactor, factor_fits, positive_factor, positive_triangle
 
-FloatArray = NDArray[np.float64]
-Solver = Callable[[FloatArray], FloatArray]
-
 LARGEST_SHIFT = 1e-6  # a proof of semidefiniteness up to more than this is useless
 SMALLEST_PIVOT = 2.0**-900  # terms that underflow are negligible relative to it
 LARGEST_SUMMAND = 2.0**1023  # two below it have a sum
-
-
-def positive_definite_solver(P: Any) -> Solver | None:
-    """Return the function rhs ↦ P⁻¹ rhs if P is proven positive definite, else None (also if it is too large).
-
-    Parameters
-    ----------
-    P : ndarray or CSR array, shape (n, n)
-        Exactly symmetric.
-
-    Notes
-    -----
-    P is scaled to a unit diagonal. Its factorization has a backward error of at most n γ_{k+1} in the 2-norm, k the
-    longest row of the Cholesky factor. P is positive definite if the matrix minus twice that margin factorizes with
-    positive pivots. The result is None if P is indefinite, or so nearly singular (condition number about 1/(n k ε))
-    that double precision cannot decide. Cost: two factorizations, none for a diagonal P.
-
-    References
-    ----------
-    S. M. Rump, *Verification of positive definiteness*, BIT 46 (2006), doi:10.1007/s10543-006-0056-1.
-
-    Examples
-    --------
-    >>> solve = positive_definite_solver(np.array([[2.0, 1.0], [1.0, 2.0]]))
-    >>> solve(np.array([3.0, 3.0])).round(12)
-    array([1., 1.])
-    >>> positive_definite_solver(np.array([[1.0, 1.0], [1.0, 1.0]])) is None
-    True
-    """
-    diagonal: Vector = np.array(P.diagonal())
-    if not (diagonal > 0.0).all():
-        return None
-    if is_diagonal(P):
-        return lambda rhs: rhs / _column_like(diagonal, rhs)
-    scale = 1.0 / np.sqrt(diagonal)
-    unit = scaled_to(P, scale)
-    factor = None if unit is None else factorised(unit, 0.0)
-    if factor is None or factorised(unit, -_margin(scale.size, factor.terms)) is None:
-        return None
-    solve = factor.solve
-    return lambda rhs: _column_like(scale, rhs) * solve(_column_like(scale, rhs) * rhs)
 
 
 def is_semidefinite_to_rounding(P: Any) -> bool | None:
@@ -145,15 +99,18 @@ def is_positive_definite(P: Any) -> bool | None:
     >>> is_positive_definite(np.array([[1.0, 2.0], [2.0, 1.0]]))
     False
     """
-    if positive_definite_solver(P) is not None:
-        return True
     diagonal: Vector = np.array(P.diagonal())
     if not (diagonal > 0.0).all():
         return False
-    unit, shift = scaled_to(P, 1.0 / np.sqrt(diagonal)), _margin(diagonal.size, diagonal.size)
-    if unit is not None and shift <= LARGEST_SHIFT and factorised(unit, shift) is None:
-        return False
-    return None
+    if is_diagonal(P):
+        return True
+    n, unit = diagonal.size, scaled_to(P, 1.0 / np.sqrt(diagonal))
+    factor = None if unit is None else factorised(unit, 0.0)
+    if factor is not None:
+        return True if factorised(unit, -_margin(n, factor.terms)) is not None else None
+    shift = _margin(n, n)
+    is_indefinite = unit is not None and shift <= LARGEST_SHIFT and factorised(unit, shift) is None
+    return False if is_indefinite else None
 
 
 def symmetric_part(M: Any) -> Any:
@@ -199,10 +156,6 @@ def scaled_to(P: Any, scale: Vector) -> Any:
         return None
     scaled = scale_by(sp.csr_array(P), scale, scale).T  # by columns; it is symmetric
     return scaled if np.isfinite(scaled.data).all() else None
-
-
-def _column_like(scale: Vector, rhs: FloatArray) -> FloatArray:
-    return scale if rhs.ndim == 1 else scale[:, None]
 
 
 def factorised(unit: Any, shift: float) -> PositiveFactor | None:

@@ -242,7 +242,7 @@ SOLVE = "solve half_active:n=4 "
 BAD_INPUT = [
     ("solve missing", r"'missing' is neither a file nor a test problem.*known: "),
     ("solve empty", r"no such file: empty/M\.mtx"),
-    ("solve half", r"M\.mtx has no companion half/q\.mtx"),
+    ("solve half", r"no such file: half/q\.mtx; a folder must hold M\.mtx and q\.mtx"),
     ("solve qp.npz", r"qp\.npz lacks the keys .*a sparse P is P_data, P_indices"),
     (
         "solve half_activ",

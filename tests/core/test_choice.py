@@ -11,7 +11,7 @@ from inputs.textbook_scenes import murty
 
 from lcp_plugin import LCP, QuadraticProgram, Result, Status, gallery, solve
 from lcp_plugin.core.representation import format_count
-from lcp_plugin.gallery.stencil import stencil_matrix
+from lcp_plugin.gallery.problems import stencil_matrix
 from lcp_plugin.solving.plan import plan
 
 TARGET = 1e-8

@@ -458,6 +458,20 @@ def test_rounding_in_w_is_not_told():
 AT_REST = [[-1.0, -1.0], [-1.0, 2.0]], [-5.6e-17, 1.0]  # no solution, by rounding
 
 
+def test_contact_at_rest_is_accepted_or_at_the_rounding_level() -> None:
+    """A contradiction of rounding size is PRECISION_LIMIT, and an absolute tolerance as large accepts it."""
+    problem = LCP(*AT_REST)
+    plain = solve(problem)
+    assert plain.status is Status.PRECISION_LIMIT
+    assert plain.infeasibility is not None
+    value = 1.1 * max(plain.certificate.scaled_residual, plain.infeasibility.absolute_margin)
+    for algorithm in ("auto", "lemke", "newton", "interior_point"):
+        accepted = solve(problem, algorithm, absolute_tolerance=value)
+        assert accepted.is_solved
+        assert accepted.certificate.scaled_residual <= value
+    assert "in the unit of z" in str(accepted)
+
+
 def test_infeasible_beyond_the_tolerance_only() -> None:
     """Z ≥ 0, w = −z − gap violates by gap/1: INFEASIBLE if that exceeds both tolerances."""
     problem = LCP([[-1.0]], [-1e-3])

@@ -74,7 +74,6 @@ def calls(size: float) -> Calls:
         "batch of LCPs": lambda: solve_batch(LCP(P, ONES), several),
         "everything of a result": lambda: (
             solved := solve(LCP(P, c), error_bound=True, record=True),
-            solved.to_json(),
             str(solved.certificate),
             solved.certificate.is_at_rounding_level,
             solved.guarantee,

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-import tempfile
 import traceback
 import tracemalloc
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -23,7 +21,6 @@ from lcp_plugin.core.errors import (
     InvalidProblem,
     LCPError,
     NotConverged,
-    UnreadableFile,
     UnsuitableProblem,
 )
 from lcp_plugin.ranks.methods import TruncationOnRanks, build_hierarchy
@@ -106,17 +103,6 @@ def multigrid_needs_no_pyamg() -> None:
     with patch.dict(sys.modules, hidden):
         problem = gallery.build("obstacle_2d", size=80).problem
         assert RowsOnRanks.from_problem(problem).solve("multigrid").is_solved
-
-
-@claim
-def the_error_bound_holds() -> None:
-    for problem in scenes():
-        exact = solve(problem, tolerance=1e-13).z
-        rows = RowsOnRanks.from_problem(problem)
-        result = rows.solve(tolerance=1e-4, error_bound=True)
-        z = rows.gathered(result.z)
-        error = 0.0 if z is None else float(np.abs(z - exact).max())
-        assert COMM.bcast(error, root=0) <= result.error_bound * 1.001 + 1e-12 < np.inf
 
 
 @claim
@@ -233,7 +219,7 @@ def parts_of_different_kinds_end_on_all_ranks() -> None:
         rows = LCP.from_rows(COMM, problem.csr[own], q, lower=lower, upper=upper)
         start = None if z0 is None or seed % 3 == COMM.rank else z0[own]  # of one rank, or of both
         name = ("auto", "npsor")[seed % 2]
-        result = rows.solve(name, z0=start, max_iterations=100, error_bound=True)
+        result = rows.solve(name, z0=start, max_iterations=100)
         assert len(set(COMM.allgather(str(result)))) == 1
 
 
@@ -368,10 +354,7 @@ def a_result_has_what_every_result_promises() -> None:
     assert (result.history, result.begun, result.objective, result.proof) == ((), "", None, None)
     assert f"SOLVED, n={problem.n}, " in repr(result)
     assert "tolerance 1e-09" in result.explain()
-    content = json.loads(result.to_json())
-    assert content["n"] == problem.n
-    assert content["tolerance"] == 1e-9
-    for text in (repr(result), str(result), result.explain(), result.to_json()):
+    for text in (repr(result), str(result), result.explain()):
         assert len(set(COMM.allgather(text))) == 1
     assert "on ranks is local" in refused(UnsuitableProblem, result.plot)
     limited = rows.solve("npj", max_iterations=1)
@@ -384,24 +367,6 @@ def the_same_call_gives_the_same_bits() -> None:
     first, second = (rows.solve() for _ in range(2))
     watched = rows.solve(callback=lambda sample, z: None)
     assert first.z.tobytes() == second.z.tobytes() == watched.z.tobytes()
-
-
-@claim
-def a_saved_problem_is_read_again() -> None:
-    problem = mixed()
-    folder = Path(COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None, root=0), "saved")
-    RowsOnRanks.from_problem(problem).save(folder)
-    again = RowsOnRanks.load(folder)
-    whole = [again.gathered(getattr(again, name)) for name in ("q", "lower", "upper")]
-    if COMM.rank == 0:
-        for name, vector in zip(("q", "lower", "upper"), whole, strict=True):
-            assert np.array_equal(vector, getattr(problem, name))
-    assert again.solve().is_solved
-    COMM.Barrier()
-    if COMM.rank == 0:
-        sorted(folder.iterdir())[-1].write_bytes(b"damaged")
-    COMM.Barrier()
-    refused(UnreadableFile, lambda: RowsOnRanks.load(folder))
 
 
 for name in sys.argv[1:] or CLAIMS:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import time
 from typing import Any
 
 import numpy as np
@@ -156,6 +158,20 @@ def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
     runs = [run_engine(program, engine_class("daqp")(), 1e-6, GIVEN).solution for _ in range(5)]
     assert len({run.x.tobytes() for run in runs}) == 1
     assert np.abs(runs[0].x).max() <= 1e4
+
+
+def test_a_clock_chooses_no_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same engines run, and give the same bits, on a machine that slows down from call to call."""
+    program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1 / 3]], h=[1 / 3])
+    runs = [solve(program, tolerance=1e-40)]  # which no point reaches
+    ticks = (10.0**k for k in itertools.count())
+    monkeypatch.setattr(time, "thread_time", lambda: next(ticks))
+    monkeypatch.setattr(time, "process_time", lambda: next(ticks))
+    runs.append(solve(program, tolerance=1e-40))
+    first, second = ([stage.name for stage in run.stages] for run in runs)
+    assert first == second
+    assert len(first) > 2
+    assert runs[0].x.tobytes() == runs[1].x.tobytes()
 
 
 def test_piqp_without_steps_gives_the_same_point_in_each_call() -> None:

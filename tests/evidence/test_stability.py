@@ -133,7 +133,6 @@ def test_the_edge_of_the_number_range_is_never_silent(
     if case == "subnormal M and q":
         pytest.xfail("explain() meets an SVD that does not converge: 1/M overflows")
     assert result.explain()
-    assert result.to_json()
     if case in ("solution overflows", "diverging", "negative diagonal", "zero matrix"):
         assert result.status is not Status.SOLVED
     if case in ("subnormal q", "huge q"):

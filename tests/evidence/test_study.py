@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import signal
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -175,7 +174,6 @@ def test_iterates_and_their_polish_are_two_rows() -> None:
     assert iterates.last("residual") == last.residual > 1e-10 > polished.residual
     assert (polish.method, polish.family) == ("mine, polished", "polish")
     assert [len(polish.points), polish.last("residual")] == [1, polished.residual]
-    assert [*found.profile()] == ["mine"]
 
 
 def test_the_error_is_the_true_one_then_a_bound_then_the_residual() -> None:
@@ -280,17 +278,6 @@ def test_tables_tell_how_a_run_ended_without_a_result() -> None:
     assert str(table).startswith("p: iterations\n\n| method | n = 4 |")
 
 
-def test_profile_is_that_of_dolan_and_more() -> None:
-    """Ratios to the least of each problem; a method that fails or is left out has the ratio ∞."""
-    works = {"p": {"a": 10, "b": 20}, "q": {"a": 30, "b": -5}, "r": {"b": 7}, "s": {"a": -1}}
-    rows = [(name, 4, method, work) for name, own in works.items() for method, work in own.items()]
-    profile = made(*rows).profile("work")
-    assert profile["a"].tolist() == [1.0, 1.0, math.inf]
-    assert profile["b"].tolist() == [1.0, 2.0, math.inf]
-    assert (profile["b"] <= 1.0).mean() == pytest.approx(1 / 3)
-    assert made(("p", 4, "a", 1e-300), ("p", 4, "b", 3)).profile()["b"].tolist() == [3.0]
-
-
 def test_the_labels_of_a_figure_with_several_panels_are_drawn_whole() -> None:
     """A label of the vertical axis is no longer than its panel, for 1 to 4 panels, and within the figure."""
     every = [gallery.build("half_active", n=n).problem for n in (49, 64, 81, 100)]
@@ -323,16 +310,11 @@ def test_plot_names_every_curve_and_its_axis(tmp_path: Path) -> None:
     assert (tmp_path / "curves.svg").stat().st_size > 1000
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("view", ["curves", "profile", "iterations", "work", "seconds", "residual"])
-def test_every_view_is_a_picture(view: str, tmp_path: Path) -> None:
-    """Each view is drawn and saved; several problems make a page of panels, one a column."""
-    found = study([chain, "half_active"], ["npsor", "psor", Richardson()], [16, 64], repeats=1)
-    for ending in ("pdf", "svg", "png"):
-        found.save(tmp_path / f"v.{ending}", view)
-        assert (tmp_path / f"v.{ending}").stat().st_size > 2000
-    width = found.plot(view).get_size_inches()[0]
-    assert width == (3.5 if view == "profile" else 7.1)
+def test_several_problems_make_a_page_of_panels() -> None:
+    """One problem has the width of a column, several that of a page."""
+    found = study([chain, "half_active"], ["npsor", Richardson()], [16], repeats=1)
+    assert found.plot("work").get_size_inches()[0] == 7.1
+    assert Study(found.rows[:1]).plot("work").get_size_inches()[0] == 3.5
 
 
 @pytest.mark.full
@@ -354,16 +336,15 @@ def test_a_figure_for_a_journal_has_no_type_3_font(ending: str, tmp_path: Path) 
 
 
 def test_a_figure_without_data_is_refused_in_words(tmp_path: Path) -> None:
-    """Without a solved run there is no file with empty axes; a problem without one says so in its panel."""
-    failed = made(("p", 4, "a", -7.0))
+    """Without a point there is no file with empty axes; a problem without one says so in its panel."""
+    drawn, other = made(("p", 4, "a", 7.0), ("q", 4, "a", 7.0)).rows
+    nothing = replace(other, points=other.points[:0])
     with pytest.raises(InvalidOption, match="no run has a result to draw"):
-        failed.save(tmp_path / "v.png", "work")
+        Study((nothing,)).save(tmp_path / "v.png", "work")
     assert not (tmp_path / "v.png").exists()
-    figure = made(("p", 4, "a", -7.0), ("q", 4, "a", 7.0)).plot("work")
-    assert [text.get_text() for text in figure.axes[0].texts] == [
-        "no result: print() lists the reasons"
-    ]
-    assert not figure.axes[1].texts
+    first, second = Study((nothing, drawn)).plot("work").axes
+    assert [text.get_text() for text in first.texts] == ["no result: print() lists the reasons"]
+    assert all("no result" not in text.get_text() for text in second.texts)
 
 
 # --- What cannot be used --------------------------------------------------------------------------------------
@@ -394,8 +375,7 @@ def test_views_and_files_that_do_not_exist_are_refused(tmp_path: Path) -> None:
     """A misspelt view, another axis, another ending and a method without a row are named."""
     found = made(("p", 4, "a", 7.0))
     for call, words in (
-        (lambda: found.table("wrk"), "view must be one of iterations, work"),
-        (lambda: found.plot("results"), "view must be one of curves, profile"),
+        (lambda: found.table("wrk"), "value must be one of iterations, work"),
         (lambda: found.plot(against="time"), "against must be one of seconds"),
         (lambda: found.save(tmp_path / "r.txt"), r"is saved as .png, .pdf, .svg, .csv, .md"),
         (lambda: found.row("b"), "no row of 'b'"),

@@ -20,8 +20,8 @@ from lcp_plugin.gallery.problems import (
     CONTACT_RADIUS,
     sphere_obstacle,
     sphere_solution,
+    stencil_matrix,
 )
-from lcp_plugin.gallery.stencil import stencil_matrix
 
 # Every scene, and one line per variant, small enough for dense linear algebra and rational arithmetic.
 SMALL = [

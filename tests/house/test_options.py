@@ -15,29 +15,22 @@ from lcp_plugin.core import settings
 from lcp_plugin.core.problem_classes import CLASSES
 from lcp_plugin.core.settings import DEFAULTS, OF_SOLVE
 from lcp_plugin.engines import ENGINES
-from lcp_plugin.solving.dispatch import solver_of
+from lcp_plugin.solving.dispatch import options_of, solver_of
 
 
 @pytest.mark.parametrize("kind", [name for name, row in CLASSES.items() if row.options])
-def test_the_typed_options_of_a_class_are_those_of_its_solver(kind: str) -> None:
-    """Those that the solver does not name are fields of Settings; z0 is another name of x0."""
-    named = set(signature(solver_of(kind)).parameters) - {"problem", "algorithm", "options"}
-    typed = set(CLASSES[kind].options.__annotations__)
-    assert named - {"x0", "z0"} <= typed
-    assert typed - named - {"x0", "z0"} <= set(DEFAULTS)
+def test_the_options_of_a_class_are_those_of_its_solver(kind: str) -> None:
+    """Those of the table are fields of Settings, and the solver does not name them."""
+    own = set(CLASSES[kind].options.split())
+    assert own <= set(DEFAULTS) - set(signature(solver_of(kind)).parameters)
 
 
-def test_the_typed_options_of_an_equilibrium_program_are_those_of_its_solver() -> None:
-    """Neither has an option that the other lacks; z0 is another name of x0."""
-    taken = set(signature(solver_of("EquilibriumProgram")).parameters) - {"problem"}
-    assert set(settings.EquilibriumOptions.__annotations__) - {"z0"} == taken
-
-
-def test_the_typed_options_of_an_lcp_are_those_of_a_run_and_of_the_algorithms() -> None:
-    """An option of a new algorithm is added to the table."""
+def test_the_typed_options_are_those_of_all_solvers_and_algorithms() -> None:
+    """An option of a new algorithm or solver is added to the table."""
     of_algorithms = {field.name for name in REGISTRY for field in fields(algorithm_class(name))}
+    of_solvers = {name for kind in CLASSES for name in options_of(kind)} - {"algorithm", "options"}
     assert set(settings.AlgorithmOptions.__annotations__) == of_algorithms
-    assert set(settings.LCPOptions.__annotations__) == of_algorithms | set(OF_SOLVE)
+    assert set(settings.Options.__annotations__) == of_algorithms | of_solvers | set(OF_SOLVE)
     assert set(get_args(settings.EngineName)) == set(ENGINES)
 
 

@@ -12,17 +12,19 @@ import scipy.sparse as sp
 
 from lcp_plugin import LCP, gallery
 from lcp_plugin.core.settings import parse_options
-from lcp_plugin.gallery.problems import CONE_BEGINS, pulled_membrane, sphere_obstacle
-from lcp_plugin.gallery.scene import Scene
-from lcp_plugin.gallery.stencil import (
+from lcp_plugin.gallery.problems import (
+    CONE_BEGINS,
     Field,
     balanced_matrix,
     dirichlet_terms,
     interior,
     nodes,
+    pulled_membrane,
+    sphere_obstacle,
     stencil_matrix,
     stiff_cells,
 )
+from lcp_plugin.gallery.scene import Scene
 
 CONTACT_RADIUS = 0.7892441190408083  # the root r* in (0, 1) of 2 r² − r³/2 = 1
 MEMBRANE: dict[str, Any] = {"unknown": "height", "active_means": "on the obstacle"}

@@ -1,4 +1,4 @@
-"""Compilation of kernels: by numba at the first call, with numba's own cache; numba is imported at the first call, too.
+"""Compilation of kernels: by numba at the first call, with numba's own cache; the first call also imports numba.
 
 Python calls a `kernel`. Kernels call helpers: a `helper` remains a function, an `inline` function becomes a part of its
 callers. All functions divide as numpy does, and release the lock of the interpreter. Import numba's names from here.
@@ -30,7 +30,7 @@ uintp: Any = int  # numba's type in the files whose kernels are compiled
 
 @cache
 def _numba() -> Any:
-    """Return numba, which counts the seconds that it compiles, or None where it is not installed."""
+    """Return numba, which counts the seconds that it compiles, or None if it is not installed."""
     try:
         with pause_for_compilation():  # most of a second
             import numba

@@ -27,27 +27,6 @@ from ...systems.equilibration import power_of_two
 from ...systems.factors import sparse_lu
 from ...systems.minimum_degree import factor_sizes
 from . import tableau
-from .tableau import (
-    AT_LOWER,
-    AT_UPPER,
-    BASIC,
-    BETWEEN,
-    GOING_ON,
-    HIGH,
-    KEPT,
-    LOST,
-    LOW,
-    NOT_STARTED,
-    OTHER,
-    PLACE,
-    RAY,
-    RETURNED,
-    SIDE,
-    SOLVED,
-    START,
-    WIDTH,
-    shapes,
-)
 
 IndexVector = NDArray[np.intp]
 
@@ -311,15 +290,15 @@ class LemkePath:
         sizes[q == 0.0] = sizes.min(where=q != 0.0, initial=sizes.max(initial=0.0))
         self.q = q + TIE_BREAK * sizes * tilts
         self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
-        real, whole, matrix = shapes(n)
+        real, whole, matrix = tableau.shapes(n)
         self.real = np.zeros(real)
         self.whole = np.zeros(whole, dtype=np.int64)
         self.matrix = np.zeros(matrix)
-        self.real[WIDTH, :n] = upper
-        self.basis = self.whole[BASIC, :n]
-        self.others = self.whole[OTHER, : n + 1]
-        self.side = self.whole[SIDE, :n]
-        self.values, self.tableau = self.real[KEPT, :n], self.matrix[:n]
+        self.real[tableau.WIDTH, :n] = upper
+        self.basis = self.whole[tableau.BASIC, :n]
+        self.others = self.whole[tableau.OTHER, : n + 1]
+        self.side = self.whole[tableau.SIDE, :n]
+        self.values, self.tableau = self.real[tableau.KEPT, :n], self.matrix[:n]
         self.entries = self.reported = 0.0  # touched so far, and at the last report
         # Pivots until the tableau is computed again, at about that cost.
         self.fresh_for = max(25, n)
@@ -337,7 +316,7 @@ class LemkePath:
         if not np.all(covering[q < 0.0] > 0.0):
             return False
         level = np.where(covering > 0.0, -q / covering, -np.inf)
-        basis, side = n + np.arange(n), np.full(n, AT_LOWER)
+        basis, side = n + np.arange(n), np.full(n, tableau.AT_LOWER)
         return self.start_at_vertex(
             covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max()))
         )
@@ -345,10 +324,10 @@ class LemkePath:
     def start_in_cell(self, side: Any, z: Vector, w: Vector) -> bool:
         """Start at t = 1 from a complementary pair with the r that makes it exact; return False if it is singular."""
         n = self.n
-        basis = np.where(side == BETWEEN, np.arange(n), n + np.arange(n))
+        basis = np.where(side == tableau.BETWEEN, np.arange(n), n + np.arange(n))
         covering = w - self.M @ z - self.q
         is_started = self.start_at_vertex(covering, basis, side, 2 * n, -1.0, level=1.0)
-        self.whole[START, :n] = side
+        self.whole[tableau.START, :n] = side
         return is_started
 
     def start_at_vertex(
@@ -365,7 +344,7 @@ class LemkePath:
         self.covering = self.columns[:, self.n] = covering
         self.basis[:], self.side[:] = basis, side
         self.driven, self.value, self.direction = driven, level, direction
-        self.whole[START, : self.n] = NOT_STARTED
+        self.whole[tableau.START, : self.n] = tableau.NOT_STARTED
         self.pivots = 0
         return self._renew()
 
@@ -382,30 +361,22 @@ class LemkePath:
         A ray or an unreliable small pivot is tested again with a new tableau.
         """
         outcome = self._run(limit)
-        if outcome == RAY and self.t <= 2.0**-40 * np.abs(self.q).max(initial=0.0):
-            return SOLVED  # t is at rounding level
-        if outcome in (SOLVED, RETURNED):
+        if outcome == tableau.RAY and self.t <= 2.0**-40 * np.abs(self.q).max(initial=0.0):
+            return tableau.SOLVED  # t is at rounding level
+        if outcome in (tableau.SOLVED, tableau.RETURNED):
             return outcome
-        is_doubtful = outcome != GOING_ON and self.age > 0
+        is_doubtful = outcome != tableau.GOING_ON and self.age > 0
         if not self._is_sound(is_doubtful):
-            return LOST
+            return tableau.LOST
         if is_doubtful:
             outcome = self._run(limit)
-        return GOING_ON if outcome == LOST else outcome
+        return tableau.GOING_ON if outcome == tableau.LOST else outcome
 
     def _run(self, limit: int) -> int:
-        outcome, driven, value, direction, made = tableau.pivots(
-            self.real,
-            self.whole,
-            self.matrix,
-            self.n,
-            self.driven,
-            self.value,
-            self.direction,
-            self.age == 0,
-            limit,
-        )
-        self.driven, self.value, self.direction = int(driven), float(value), float(direction)
+        arrays = self.real, self.whole, self.matrix, self.n
+        driven = self.driven, self.value, self.direction
+        outcome, *moved, made = tableau.pivots(*arrays, *driven, self.age == 0, limit)
+        self.driven, self.value, self.direction = moved
         self.pivots += int(made)
         self.age += int(made)
         self.entries += float(made) * self.n * (self.n + 1.0)
@@ -420,9 +391,8 @@ class LemkePath:
             wrong = self._correct()
         if not wrong <= np.sqrt(ACCURATE):
             return False
-        outside = np.maximum(
-            self.real[LOW, : self.n] - self.values, self.values - self.real[HIGH, : self.n]
-        )
+        low, high = self.real[tableau.LOW, : self.n], self.real[tableau.HIGH, : self.n]
+        outside = np.maximum(low - self.values, self.values - high)
         return bool(
             np.all(outside <= FEASIBLE * max(1.0, float(np.abs(self.values).max(initial=0.0))))
         )
@@ -433,7 +403,8 @@ class LemkePath:
         is_other = np.ones(2 * n + 1, dtype=bool)
         is_other[basis] = False
         others = self.others[:] = np.flatnonzero(is_other)
-        self.whole[PLACE, basis], self.whole[PLACE, others] = np.arange(n), n + np.arange(n + 1)
+        place = self.whole[tableau.PLACE]
+        place[basis], place[others] = np.arange(n), n + np.arange(n + 1)
         inner, outer, is_slack, rows = self._sorted_out()
         columns, other_columns, slack_rows = (
             np.minimum(part, n) for part in (basis[inner], others[~is_slack], basis[outer] - n)
@@ -463,9 +434,9 @@ class LemkePath:
         else:
             self.tableau[:], self.values[:] = D[slack_rows], b[slack_rows]
         self.entries += float(rows.size) * (3.0 * float(rows.size) ** 2 + 2.0 * float(n) ** 2)
-        low, high = self.real[LOW, :n], self.real[HIGH, :n]
+        low, high = self.real[tableau.LOW, :n], self.real[tableau.HIGH, :n]
         is_above = np.ones(n, dtype=bool)
-        is_above[outer] = self.side[slack_rows] != AT_UPPER
+        is_above[outer] = self.side[slack_rows] != tableau.AT_UPPER
         low[:], high[:] = np.where(is_above, 0.0, -np.inf), np.where(is_above, np.inf, 0.0)
         is_z = basis < n
         high[is_z] = self.upper[basis[is_z]]
@@ -483,7 +454,7 @@ class LemkePath:
 
     def _right_hand_side(self) -> Vector:
         b = self.q.copy()
-        at_upper = self.side == AT_UPPER
+        at_upper = self.side == tableau.AT_UPPER
         if at_upper.any():
             b += self.M[:, at_upper] @ self.upper[at_upper]
         if self.driven == 2 * self.n:
@@ -517,7 +488,7 @@ class LemkePath:
     @property
     def z(self) -> Vector:
         """Current z, shape (n,)."""
-        z = np.where(self.side == AT_UPPER, self.upper, 0.0)
+        z = np.where(self.side == tableau.AT_UPPER, self.upper, 0.0)
         is_z = self.basis < self.n
         z[self.basis[is_z]] = self.values[is_z]
         return z
@@ -570,7 +541,7 @@ def _random_cell(path: LemkePath, generator: np.random.Generator) -> Start:
     inside = np.where(path.upper < np.inf, generator.uniform(0.1, 0.9, size=n) * path.upper, size)
     return partial(
         LemkePath.start_in_cell,
-        side=np.where(is_between, BETWEEN, AT_LOWER),
+        side=np.where(is_between, tableau.BETWEEN, tableau.AT_LOWER),
         z=np.where(is_between, inside, 0.0),
         w=np.where(is_between, 0.0, size),
     )
@@ -588,9 +559,9 @@ def _lemke_howson(path: LemkePath, players: NDArray[np.bool_], k: int) -> bool:
         return False
     covering = np.zeros(n)
     covering[k] = -1.0
-    basis, side = n + np.arange(n), np.full(n, AT_LOWER)
+    basis, side = n + np.arange(n), np.full(n, tableau.AT_LOWER)
     basis[[k, s]] = k, s
-    side[[k, s]] = BETWEEN
+    side[[k, s]] = tableau.BETWEEN
     if blocking == k:
         return path.start_at_vertex(covering, basis, side, 2 * n, -1.0)
     basis[blocking] = 2 * n

@@ -143,7 +143,7 @@ def search(
 def explore(
     problem: LCP, effort: Effort, *, first_only: bool = True, most: float = math.inf
 ) -> Iterator[list[Solution] | NoSolution | None]:
-    """Yield None after each case and within long ones, then the result of `search`; `effort` counts the work.
+    """Yield None after each case, then the result of `search`; `effort` counts the work.
 
     The search ends at `most` solutions.
     """

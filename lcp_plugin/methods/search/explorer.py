@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 from ...core.lcp import LCP
 from ...proofs.exact import integer_matrix, slack_bounds
@@ -58,11 +57,11 @@ class Explorer:
         self.path: list[tuple[int, str]] = []
 
     def run(self) -> Iterator[None]:
-        """Visit the complementarity pieces until the search ends; yield after each piece, and within long pieces.
+        """Visit the complementarity pieces until the search ends; yield after each piece.
 
         A face may have been added to `faces`. Choices that were made before hold in all pieces.
         """
-        yield from self.simplex.solve_equations()
+        self.simplex.solve_equations()
         stack = [(len(self.path), -1, "", self.tree)]
         while stack:
             depth, row, choice, case = stack.pop()
@@ -72,7 +71,7 @@ class Explorer:
                     self.simplex.set_bounds(x, *self.root_bounds[x])
             if row >= 0:
                 self.choose(row, choice)
-            branches = yield from self._examined(case)
+            branches = self._examined(case)
             stack.extend(
                 (len(self.path), case.row, branch, case.branches[branch])
                 for branch in reversed(branches)
@@ -83,9 +82,9 @@ class Explorer:
             if self.first_only and self.faces:
                 return
 
-    def _examined(self, case: Case) -> Generator[None, None, list[str]]:
+    def _examined(self, case: Case) -> list[str]:
         """Close the piece, record its face, or split it; return the branches to visit."""
-        case.y = yield from self.simplex.infeasibility_proof()
+        case.y = self.simplex.infeasibility_proof()
         if case.y is not None:
             return []
         decided = {i for i, _ in self.path}
@@ -93,7 +92,7 @@ class Explorer:
         closed, implied = self._conclusions()
         case.row, is_solution = self._row_to_split(undecided, closed, implied)
         if is_solution and (self.first_only or case.row < 0):
-            yield from self._record(undecided)
+            self._record(undecided)
             return []
         i = case.row
         for choice in self.choices[i]:
@@ -175,28 +174,28 @@ class Explorer:
             self.simplex.set_bounds(i, top, top)
             self.simplex.set_bounds(self.n + i, None, 0)
 
-    def _record(self, undecided: list[int]) -> Iterator[None]:
+    def _record(self, undecided: list[int]) -> None:
         """Add the face of the present pattern; undecided rows take the choices that the point satisfies."""
         for i in undecided:
             w = self.simplex.numerators()[self.n + i]
             self.choose(i, SLACKLESS if w == 0 else LOWER if w > 0 else UPPER)
         simplex = self.simplex
-        yield from simplex.infeasibility_proof()
-        yield from simplex.go_to_vertex()
+        simplex.infeasibility_proof()
+        simplex.go_to_vertex()
         pattern = dict(self.path)
         complete = tuple(pattern.get(i, self.choices[i][0]) for i in range(self.n))
         point = simplex.point()
         before = [simplex.bounds(x) for x in range(2 * self.n)]
-        is_point = (yield from simplex.release_fixed()) == 0
+        is_point = simplex.release_fixed() == 0
         tight = []
         for i, choice in enumerate(complete):
-            tight.append((yield from self._tight(i, choice, is_point)))
-        dimension = yield from simplex.release_fixed()
+            tight.append(self._tight(i, choice, is_point))
+        dimension = simplex.release_fixed()
         for x, bounds in enumerate(before):
             simplex.set_bounds(x, *bounds)
         self.faces.append(Face(complete, tuple(tight), point, dimension))
 
-    def _tight(self, i: int, choice: str, is_point: bool) -> Generator[None, None, frozenset[str]]:
+    def _tight(self, i: int, choice: str, is_point: bool) -> frozenset[str]:
         """Return the choices of row i that hold at every point of the face, and fix their variables."""
         if choice == FIXED or len(self.choices[i]) == 1:
             return frozenset(self.choices[i])
@@ -209,7 +208,7 @@ class Explorer:
         for other, x, at, direction in others:
             if at is None or self.simplex.position(x) != at:
                 continue
-            if is_point or not (yield from self.simplex.can_leave(x, direction)):
+            if is_point or not self.simplex.can_leave(x, direction):
                 self.simplex.set_bounds(x, at, at)
                 found.append(other)
         return frozenset(found)
@@ -218,7 +217,7 @@ class Explorer:
 def faces_around(problem: LCP, face: Face, effort: Effort) -> Generator[None, None, list[Face]]:
     """Return faces that contain a face, among them all maximal ones; yield as `run` does."""
     explorer = Explorer(problem, effort, first_only=False)
-    yield from explorer.simplex.solve_equations()
+    explorer.simplex.solve_equations()
     for i, choice in enumerate(face.pattern):
         if len(explorer.choices[i]) > 1 == len(face.tight[i]):
             explorer.choose(i, choice)
@@ -242,11 +241,11 @@ def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
     """
     explorer = Explorer(problem, Effort(), first_only=False)
     simplex = explorer.simplex
-    _finish(simplex.solve_equations())
+    simplex.solve_equations()
     for i, choice in enumerate(pattern):
         if len(explorer.choices[i]) > 1:
             explorer.choose(i, choice)
-    if _finish(simplex.infeasibility_proof()) is None:
+    if simplex.infeasibility_proof() is None:
         bounds = [
             (x, at) for x in range(2 * problem.n) for at in set(simplex.bounds(x)) if at is not None
         ]
@@ -259,7 +258,7 @@ def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
 
 def _corners(simplex: ExactSimplex, bounds: list[tuple[int, int]], first: int) -> Iterator[Point]:
     """Yield the points that remain when some of the bounds, from number `first` on, become equalities."""
-    dimension = _finish(simplex.release_fixed())
+    dimension = simplex.release_fixed()
     if dimension == 0:
         yield tuple(simplex.point())
         return
@@ -269,19 +268,7 @@ def _corners(simplex: ExactSimplex, bounds: list[tuple[int, int]], first: int) -
         if before == (at, at):
             continue
         simplex.set_bounds(x, at, at)
-        if (
-            _finish(simplex.infeasibility_proof()) is None
-            and _finish(simplex.release_fixed()) < dimension
-        ):
+        if simplex.infeasibility_proof() is None and simplex.release_fixed() < dimension:
             yield from _corners(simplex, bounds, k + 1)
         simplex.set_bounds(x, *before)
-        _finish(simplex.infeasibility_proof())
-
-
-def _finish(steps: Iterator[None]) -> Any:
-    """Return the return value of a generator."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value
+        simplex.infeasibility_proof()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import compress
@@ -11,12 +10,13 @@ from itertools import compress
 import numpy as np
 
 from ...core.checks import Vector
+from ...core.deadline import require_seconds
 from ...proofs.exact import IntegerMatrix, exact_power_of_two, integers
 
 Bound = int | None  # None: no bound
 Sides = tuple[Vector, Vector]  # lower, upper
 
-QUANTUM = 5_000_000  # products of digits between two yields: tens of milliseconds
+QUANTUM = 5_000_000  # products of digits between two looks at the clock: tens of milliseconds
 
 
 @dataclass
@@ -38,15 +38,14 @@ class Effort:
     products: int = 0
     due: int = 0
 
-    def add(self, entries: int, bits: int) -> bool:
-        """Count new entries of the given number of bits; return whether it is time to yield."""
+    def add(self, entries: int, bits: int) -> None:
+        """Count new entries of the given number of bits; raise OutOfTimeError if the time of a run is over."""
         self.entries += entries
         # A digit has 30 bits; the access to an entry takes as long as 100 products of digits.
         self.products += entries * (100 + (bits // 30) ** 2)
-        if self.products < self.due:
-            return False
-        self.due = self.products + QUANTUM
-        return True
+        if self.products >= self.due:
+            self.due = self.products + QUANTUM
+            require_seconds(0.0)
 
 
 @dataclass
@@ -75,8 +74,7 @@ class ExactSimplex:
     integers over one common `denominator` (basic), in one `unit`. Bounds can be narrowed and put back at any
     time; :meth:`infeasibility_proof` then repairs the point or proves that there is none.
 
-    Equations of free rows are solved at the beginning: later pivots skip their w and the z that they determine. Methods
-    that pivot are generators: they yield between two rows after enough work, and return their result.
+    Equations of free rows are solved at the beginning: later pivots skip their w and the z that they determine.
 
     Notes
     -----
@@ -107,7 +105,7 @@ class ExactSimplex:
         self._solved = Solved(1, [], [], {}, {})
         self._evaluate()
 
-    def solve_equations(self) -> Iterator[None]:
+    def solve_equations(self) -> None:
         """Solve the equations of free rows for as many free z as they determine, and set both aside."""
         for w in [w for w in self.basic if self._is_fixed(w)]:
             row = self.basic.index(w)
@@ -119,7 +117,7 @@ class ExactSimplex:
             )
             column = next(free, None)
             if column is not None:
-                yield from self._pivot(row, column, 0)
+                self._pivot(row, column, 0)
         gone = [x >= self.n for x in self.nonbasic]
         if not any(gone):
             return
@@ -146,7 +144,7 @@ class ExactSimplex:
         self.lower[x], self.upper[x] = lower, upper
         self.value[x] = _clipped(self.value[x], lower, upper)
 
-    def infeasibility_proof(self) -> Generator[None, None, list[Fraction] | None]:
+    def infeasibility_proof(self) -> list[Fraction] | None:
         """Move to a point within all bounds and return None, or return a Farkas vector y that there is none.
 
         sup (Mᵀy)ᵀz − yᵀw + qᵀy over the bounds is negative; shape (n,).
@@ -158,7 +156,7 @@ class ExactSimplex:
             column = self._entering(row, direction)
             if column is None:
                 return self.farkas(row, direction)
-            yield from self._pivot(row, column, target)
+            self._pivot(row, column, target)
             tries += 1
         return None
 
@@ -199,31 +197,31 @@ class ExactSimplex:
                 multipliers[w - self.n] = -sum(y * row[k] for y, row in of_w)
         return [Fraction(y * scale) for y, scale in zip(multipliers, self.row_scale, strict=True)]
 
-    def can_leave(self, x: int, direction: int) -> Generator[None, None, bool]:
+    def can_leave(self, x: int, direction: int) -> bool:
         """Return whether a variable can rise (+1) or fall (−1) within the bounds; the test may move the point."""
         start = self.position(x)
         while (self.position(x) - start) * direction <= 0:
             step = self._improving(x, direction)
             if step is None:
                 return False
-            if not (yield from self._move(*step)):
+            if not self._move(*step):
                 return True
         return True
 
-    def go_to_vertex(self) -> Iterator[None]:
+    def go_to_vertex(self) -> None:
         """Move every nonbasic variable to a bound, as far as such points exist."""
         for column in range(len(self.nonbasic)):
             low, high = self.bounds(x := self.nonbasic[column])
-            if self.value[x] not in (low, high) and not (yield from self._move(column, -1)):
-                yield from self._move(column, 1)
+            if self.value[x] not in (low, high) and not self._move(column, -1):
+                self._move(column, 1)
 
-    def release_fixed(self) -> Generator[None, None, int]:
+    def release_fixed(self) -> int:
         """Pivot variables with equal bounds out of the basis; return the dimension that is left."""
         for row in range(len(self.basic)):
             if self._is_fixed(self.basic[row]):
                 for column, x in enumerate(self.nonbasic):
                     if self.rows[row][column] and not self._is_fixed(x):
-                        yield from self._pivot(row, column, self.lower[self.basic[row]] or 0)
+                        self._pivot(row, column, self.lower[self.basic[row]] or 0)
                         break
         return sum(not self._is_fixed(x) for x in self.nonbasic)
 
@@ -295,7 +293,7 @@ class ExactSimplex:
             return None
         return column, direction if self.rows[row][column] > 0 else -direction
 
-    def _move(self, column: int, direction: int) -> Generator[None, None, bool]:
+    def _move(self, column: int, direction: int) -> bool:
         """Move a nonbasic variable as far as all bounds allow; return False, without a move, if no bound blocks it."""
         entering = self.nonbasic[column]
         best: tuple[Fraction, int, int, int] | None = None
@@ -315,17 +313,16 @@ class ExactSimplex:
             self.value[entering] = best[3]
             self._evaluate()
         else:
-            yield from self._pivot(best[2], column, best[3])
+            self._pivot(best[2], column, best[3])
         return True
 
-    def _pivot(self, row: int, column: int, target: int) -> Iterator[None]:
+    def _pivot(self, row: int, column: int, target: int) -> None:
         """Exchange the row's basic variable, which moves to the target, with the column's variable."""
         pivot, old = self.rows[row][column], self.denominator
         sign = 1 if pivot > 0 else -1
         pivot_row, bits = self.rows[row], max(pivot.bit_length(), old.bit_length())
         for i, other in enumerate(self.rows):
-            if self.effort.add(len(other), bits):
-                yield
+            self.effort.add(len(other), bits)
             if i != row:
                 factor = other[column]
                 if factor:

@@ -191,17 +191,14 @@ def solve_batch(
     if any(map(is_on_gpu, (M, q, lower, upper))):
         if not (z0 is callback is executor is None and algorithm == "auto"):
             raise InvalidOption(
-                "arrays on a GPU take no z0, callback, executor or algorithm; leave them out, or copy the arrays to "
-                "the host"
+                "arrays on a GPU take no z0, callback, executor or algorithm; leave them out, or copy the arrays"
             )
         bounds = 0.0 if lower is None else lower, np.inf if upper is None else upper
         return cast(BatchAnswers, DeviceAnswers(M, q, *bounds, given))
     programs = _programs_of(M, q, lower, upper, z0)
     if programs is not None:
         if z0 is not None or "absolute_tolerance" in given:
-            raise InvalidOption(
-                "a batch of programs takes no z0 or absolute_tolerance; leave them out"
-            )
+            raise InvalidOption("a program takes no z0 or absolute_tolerance; leave them out")
         given.setdefault("tolerance", PROGRAM_TOLERANCE)
         if not (isinstance(algorithm, str) and algorithm in ENGINES):
             method_of(algorithm, {})
@@ -223,15 +220,13 @@ def _problems_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> Any:
         _refuse_algorithm(q)
         return RightSides(M, q, lower, upper, z0)
     if (name := class_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
-        raise InvalidProblem(
-            f"solve_batch needs many problems, got one {name}; write solve_batch({CLASSES[name].batch})"
-        )
+        usage = f"solve_batch({CLASSES[name].batch})"
+        raise InvalidProblem(f"solve_batch needs many problems, got one {name}; write {usage}")
     if isinstance(M, Sequence) and (not len(M) or any(map(class_of, M))):
         for k, one in enumerate(M):
             if class_of(one) is None:
-                raise InvalidProblem(
-                    f"item {k} of the batch: {refusal('solve_batch', one)}; write LCP(M, q)"
-                )
+                wrong = refusal("solve_batch", one)
+                raise InvalidProblem(f"item {k} of the batch: {wrong}; write LCP(M, q)")
         _refuse_data("these problems", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
         return Listed(M, z0)
     held = M if isinstance(M, LCP) else None
@@ -249,12 +244,8 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> ProgramBatc
         if isinstance(q, np.ndarray) or (is_list and isinstance(q[0], (Sequence, np.ndarray))):
             return ProgramBatch.with_costs(M, q)
         return ProgramBatch.of(programs_for(M, q), M)
-    if (
-        z0 is None
-        and isinstance(M, Sequence)
-        and M
-        and all(isinstance(one, QuadraticProgram) for one in M)
-    ):
+    is_list = z0 is None and isinstance(M, Sequence) and bool(M)
+    if is_list and all(isinstance(one, QuadraticProgram) for one in M):
         _refuse_data("these problems", "QuadraticProgram(P, c, …)", q, lower, upper)
         return ProgramBatch.of(M, M[0])
     return None
@@ -263,14 +254,11 @@ def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> ProgramBatc
 def _refuse_algorithm(q: Any) -> None:
     if isinstance(q, str):
         raise InvalidOption(
-            f"the second argument of solve_batch is the vectors (q of an LCP, b of least squares, c of a program), "
-            f"got {q!r}; pass the algorithm as algorithm={q!r}"
+            f"the second argument is the vectors (q, or b, or c), got {q!r}; pass the algorithm as algorithm={q!r}"
         )
 
 
 def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:
     _refuse_algorithm(q)
     if not (q is None and lower is None and upper is None):
-        raise InvalidOption(
-            f"{what} already contain q and bounds; to change them, build new problems: {remedy}"
-        )
+        raise InvalidOption(f"{what} already contain q and bounds; for others write: {remedy}")

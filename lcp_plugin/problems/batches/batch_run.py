@@ -373,6 +373,5 @@ class BatchAnswers(AnswerSequence[Any]):
             return function(self.problems)
         except AttributeError as error:
             tables = ", ".join(one for one in BatchAnswers.__annotations__ if one in vars(self))
-            raise AttributeError(
-                f"BatchAnswers of these problems has no {name}; its arrays include {tables}"
-            ) from error
+            words = f"BatchAnswers of these problems has no {name}; its arrays include {tables}"
+            raise AttributeError(words) from error

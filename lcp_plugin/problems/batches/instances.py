@@ -92,6 +92,10 @@ class Instances:
         """Return the problems whose origin rejects the point, bool: a program, by its duality gap."""
         return np.False_
 
+    def outer(self, left: Any, right: Any) -> Any:
+        """Return products left_i right_j, shape (B, n, n)."""
+        return left[:, :, np.newaxis] * right[:, np.newaxis]
+
     def row(self, found: Any) -> Any:
         """Return the row of a result in the table of points."""
         return np.empty(0) if found.x is None else found.x
@@ -111,9 +115,7 @@ class Listed(Instances):
         self.problems, self.starts = problems, z0
         is_list = hasattr(z0, "__len__") and not isinstance(z0, str)
         if z0 is not None and not (is_list and len(z0) == len(problems)):
-            raise InvalidOption(
-                f"z0 must be a list of {len(problems)} starts, one per problem, or None"
-            )
+            raise InvalidOption(f"z0 must be a list of {len(problems)} starts, or None")
         self.are_lcps = all(isinstance(one, LCP) for one in problems)
 
     def __len__(self) -> int:
@@ -130,9 +132,8 @@ class Listed(Instances):
         """Return the problems whose origin rejects the point, bool."""
         origins = (getattr(self.problems[k], "origin", None) for k in items)
         tests = (getattr(origin, "rejects", None) for origin in origins)
-        return np.array(
-            [test is not None and test(at, tolerance) for test, at in zip(tests, z, strict=True)]
-        )
+        pairs = zip(tests, z, strict=True)
+        return np.array([test is not None and test(at, tolerance) for test, at in pairs])
 
     @property
     def points(self) -> list[Any]:
@@ -202,14 +203,12 @@ class Listed(Instances):
 
     def objectives(self, z: Any) -> Any:
         """Return the cost of least squares problems, NaN for others, shape (B,)."""
-        return np.array(
-            [
-                one.cost(x, one.product(x) - one.b)
-                if isinstance(one, BoundedLeastSquares) and x.size
-                else np.nan
-                for one, x in zip(self.problems, z, strict=True)
-            ]
-        )
+
+        def cost_of(one: Any, x: Any) -> float:
+            has_cost = isinstance(one, BoundedLeastSquares) and x.size
+            return one.cost(x, one.product(x) - one.b) if has_cost else np.nan
+
+        return np.array([*map(cost_of, self.problems, z)])
 
 
 def stack_of(has_friction: bool, starts: Any, M: Any, *vectors: Any) -> ConeStack:
@@ -226,12 +225,7 @@ def _solve_cones(data: Any, start: Any, tolerance: float, has_time: Any) -> Any:
     return pattern.flat(z), *others
 
 
-def _stacks_of(
-    base: BoundedLeastSquares,
-    items: Any,
-    stack: Callable[[Any], BoundedLeastSquares],
-    tolerance: float,
-) -> Stacks:
+def _stacks_of(base: BoundedLeastSquares, items: Any, stack: Any, tolerance: float) -> Stacks:
     """Yield least squares problems that share the matrices of `base`, in stacks whose arrays stay in the cache."""
     _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks
     is_compiled = suits_loop(items.size, base.shape[1])
@@ -313,13 +307,9 @@ class Stacked(Rows):
         self.M = given.matrix.array if given else M if sp.issparse(M) else real_array(M, need)
         n = self.M.shape[-1] if self.M.ndim else 0
         if self.M.ndim not in (2, 3) or self.M.shape[-2] != n:
-            raise InvalidProblem(
-                f"M must have shape (B, n, n), or (n, n) for all, got {self.M.shape}"
-            )
+            raise InvalidProblem(f"M must have shape (B, n, n), or (n, n), got {self.M.shape}")
         if q is None:
-            raise InvalidProblem(
-                "q is missing: an array of shape (B, n), or (n,) for all; a list of LCPs needs none"
-            )
+            raise InvalidProblem("q is missing: an array of shape (B, n), or (n,) for all")
         named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
         counts = {"M": len(self.M)} if self.M.ndim == 3 else {}
         super().__init__({name: (values, n) for name, values in named.items()}, counts)
@@ -345,7 +335,7 @@ class Stacked(Rows):
     def outer(self, left: Any, right: Any) -> Any:
         """Return products of shape (B, n, n), or their sum on the pattern of a shared M."""
         if self.base is None:
-            return left[:, :, np.newaxis] * right[:, np.newaxis, :]
+            return super().outer(left, right)
         if not sp.issparse(self.M):
             return left.T @ right
         total = outer_on_pattern(self.base.matrix, *np.zeros((2, left.shape[1])))
@@ -449,10 +439,6 @@ class Worlds(Instances):
     def slacks(self, z: Any) -> Any:
         """Return velocities after the impulses, shape (B, n)."""
         return np.einsum("bij,bj->bi", self.worlds.W, z) + self.worlds.b
-
-    def outer(self, left: Any, right: Any) -> Any:
-        """Return products of shape (B, n, n)."""
-        return left[:, :, np.newaxis] * right[:, np.newaxis]
 
     def data(self, W: Any, b: Any, friction: Any) -> tuple[Any, ...]:
         """Return the arguments of `stack_of` for instances with these data."""

@@ -70,8 +70,7 @@ class DeviceData(NamedTuple):
         for name, one in given.items():
             if not (is_on_gpu(one) or (name in ("lower", "upper") and np.ndim(one) == 0)):
                 raise InvalidProblem(
-                    f"{name} must be an array on the GPU, as others of this batch are, got {type(one).__name__}; copy "
-                    "it there, or the others to the host"
+                    f"{name} must be an array on the GPU, as others here are, got {type(one).__name__}; copy it there"
                 )
         arrays = [xp.asarray(one) for one in given.values()]
         shapes = [one.shape for one in arrays]
@@ -82,12 +81,10 @@ class DeviceData(NamedTuple):
             shape = ()
         is_real = all(one.dtype.kind in "biuf" for one in arrays)
         if not is_real or len(shape) != 2 or shape[1] != n or shapes[0][-2:] != (n, n):
+            named = zip(given, arrays, strict=True)
+            got = ", ".join(f"{name} {one.shape} {one.dtype}" for name, one in named)
             raise InvalidProblem(
-                "M must have shape (B, n, n) or (n, n), q and bounds (B, n) or (n,), all with real entries; got "
-                + ", ".join(
-                    f"{name} {one.shape} {one.dtype}"
-                    for name, one in zip(given, arrays, strict=True)
-                )
+                f"M must be (B, n, n) or (n, n), q (B, n) or (n,), real; got {got}"
             )
         if not 0 < n <= MAX_UNKNOWNS:
             raise UnsuitableProblem(
@@ -109,12 +106,7 @@ class DeviceData(NamedTuple):
 
 
 def launch(
-    gpu: tuple[Any, Any],
-    name: str,
-    arrays: Any,
-    shared: Any,
-    found: Any,
-    has_time: Callable[[], bool] = lambda: True,
+    gpu: Any, name: str, arrays: Any, shared: Any, found: Any, has_time: Any = lambda: True
 ) -> None:
     """Call a kernel for all problems, a thread for each, in parts whose tables fit into MAX_SCRATCH.
 
@@ -178,14 +170,8 @@ class DeviceAnswers(AnswerSequence[Any]):
         sides, z = xp.zeros((count, n), np.int64), xp.array(start, order="C")
         bound = xp.full(count, np.inf)
         shared = (xp.asarray(tilts(n)), float(self.settings.tolerance))
-        launch(
-            self.gpu,
-            "solve_each",
-            (*data, start),
-            shared,
-            (sides, z, bound),
-            lambda: clock.read() <= limit,
-        )
+        arrays, at = (*data, start), (sides, z, bound)
+        launch(self.gpu, "solve_each", arrays, shared, at, lambda: clock.read() <= limit)
         residual = xp.asnumpy(xp.where(have_values(low, high), bound, np.inf))
         self.status, self.errors = np.full(count, Status.SOLVED), dict[int, LCPError]()
         self._others: tuple[dict[int, int], Any] = {}, ()

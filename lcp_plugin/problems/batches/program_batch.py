@@ -18,7 +18,7 @@ from ...engines import engine_class, is_installed
 from ..many import rows_of_a_batch
 from ..programs.criterion import ProgramComponents, errors_of_each
 from ..programs.program import CANCELS, VECTORS, QuadraticProgram
-from ..programs.program_matrices import ProgramMatrices, as_array, fit_units_of, may_be_small
+from ..programs.program_matrices import ProgramMatrices, as_array, may_be_small
 from .instances import Instances, Stacks, have_values
 
 ENGINE = "daqp"
@@ -82,18 +82,15 @@ class ProgramBatch(Instances):
         # The vectors of an invalid program are NaN.
         none = {name: np.full(getattr(example, name).size, np.nan) for name in VECTORS}
         vectors = {
-            name: np.array([getattr(one, name, missing) for one in programs]).reshape(
-                len(programs), missing.size
-            )
+            name: np.stack([getattr(one, name, missing) for one in programs])
             for name, missing in none.items()
         }
         constant = np.array([getattr(one, "constant", np.nan) for one in programs])
         matrices: Any = (getattr(example, name) for name in "PGA")
         if not is_shared:
             stated = [example if isinstance(one, LCPError) else one for one in programs]
-            matrices = (
-                np.array([as_array(getattr(one, name)) for one in stated]) for name in "PGA"
-            )
+            stacks = ([as_array(getattr(one, name)) for one in stated] for name in "PGA")
+            matrices = map(np.array, stacks)
         P, G, A = matrices
         shared = example if is_shared else None
         return cls(len(programs), own.sizes, P, G, A, vectors, constant, shared, programs)
@@ -135,9 +132,8 @@ class ProgramBatch(Instances):
 
         Matrices are of shape (B or 1, …), vectors (B, …), C-contiguous and read-only.
         """
-        c, h, b, lower, upper = (
-            np.broadcast_to(rows, (self.count, rows.shape[1])) for rows in self.vectors.values()
-        )
+        shapes = ((rows, (self.count, rows.shape[1])) for rows in self.vectors.values())
+        c, h, b, lower, upper = (np.broadcast_to(*one) for one in shapes)
         P, G, A = map(_stack, (self.P, self.G, self.A))
         data = P, c, np.concatenate([G, A], 1), np.concatenate([h, b], 1), lower, upper
         return tuple(read_only(np.ascontiguousarray(array)) for array in data)
@@ -210,9 +206,9 @@ def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgr
         If it is not a sequence of mappings from the names of vectors.
     """
     if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
+        given = type(vectors).__name__
         raise InvalidProblem(
-            f'a program takes an array of c, shape (B, n), or a list of mappings, as [{{"b": b}}], '
-            f"got {type(vectors).__name__}"
+            f'a program takes c, shape (B, n), or a list of mappings, as [{{"b": b}}], got {given}'
         )
     programs: list[QuadraticProgram | LCPError] = []
     for k, one in enumerate(vectors):
@@ -266,9 +262,7 @@ def block_matrices(P: Any, C: Any, m: int, count: int) -> ProgramMatrices:
     n, rows = P.shape[1], C.shape[1]
     stacks = (np.broadcast_to(one, (count, *one.shape[1:])) for one in (P, C[:, :m], C[:, m:]))
     matrices = ProgramMatrices(*map(block_diagonal, stacks))
-    units, of_rows = (np.broadcast_to(one, (count, one.shape[1])) for one in fit_units_of(P, C))
-    both = np.concatenate([of_rows[:, :m].ravel(), of_rows[:, m:].ravel()])
-    matrices.__dict__.update(fit=(units.ravel(), both), summands=(n, n, rows))
+    matrices.__dict__["summands"] = n, n, rows
     is_connected = [(one != 0.0).all(axis=2).any(axis=1) for one in (P, C)]  # by a row without 0
     if np.logical_or(*is_connected).all():
         of_unknown, *parts = (np.repeat(np.arange(count), size) for size in (n, m, rows - m))

@@ -108,9 +108,8 @@ class ConeRows(RowData):
         """Return the measure of points of the cones, shape (B, k, m), snapped; numbers have the shape (B,)."""
         found = self.measure(self.flat(z), tolerance, absolute=absolute)
         shape = (self.stack.B,)
-        residual, passes, is_limited = (
-            np.broadcast_to(one, shape) for one in (found.residual, found.passes, found.is_limited)
-        )
+        numbers = found.residual, found.passes, found.is_limited
+        residual, passes, is_limited = (np.broadcast_to(one, shape) for one in numbers)
         return Measured(self.wide(found.z), residual, passes, is_limited, *found[4:])
 
     def of_blocks(self, values: Array) -> Array:
@@ -299,12 +298,9 @@ class ConeCertificate:
         return float(-0.5 * (self.z @ (self.problem.q + self.w)))
 
     def __str__(self) -> str:
-        lines = [
-            ("relative residual", self.relative_residual),
-            ("natural residual", self.natural_residual),
-            ("term residual", self.term_residual),
-            ("z · w", -self.dissipation),
-        ]
+        names = "relative_residual", "natural_residual", "term_residual"
+        lines = [(name.replace("_", " "), getattr(self, name)) for name in names]
+        lines.append(("z · w", -self.dissipation))
         return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
 
 
@@ -335,9 +331,8 @@ class ContactInfeasibility:
         """The certificate of w ≥ 0 for any z, without cones."""
         problem, (no, all_) = self.problem, (np.zeros(self.problem.n), np.ones(self.problem.n))
         bounds = -np.inf * all_, np.inf * all_
-        anything = LinearConstraints(
-            problem.rows.csr, problem.q, all_ > 0, all_ > 0, *bounds, all_, (no, no)
-        )
+        rows, all_true = problem.rows, all_ > 0
+        anything = LinearConstraints(rows.csr, rows.q, all_true, all_true, *bounds, all_, (no, no))
         y = {int(i): Fraction(float(self.y[i])) for i in np.flatnonzero(self.y)}
         return FarkasCertificate(anything, y)
 
@@ -376,9 +371,9 @@ class ContactInfeasibility:
             return False
         if self.is_exact or not (found.is_rounding() and found.is_wide_beside_terms()):
             return self.is_exact
-        return not is_nearly_symmetric(rows.matrix) or is_minimizer_beyond_radius(
-            rows.matrix.array, rows.q, self.y, found.left
-        )
+        if not is_nearly_symmetric(rows.matrix):
+            return True
+        return is_minimizer_beyond_radius(rows.matrix.array, rows.q, self.y, found.left)
 
     @derived_property
     def margin(self) -> float:
@@ -399,14 +394,11 @@ class ContactInfeasibility:
 
     def __str__(self) -> str:
         blocks = np.unique(self.problem.block_of_row[self.y != 0.0])
-        named = ", ".join(map(str, blocks[:5])) + (
-            "" if blocks.size <= 5 else f" and {blocks.size - 5} more"
-        )
+        rest = f" and {blocks.size - 5} more" if blocks.size > 5 else ""
+        named = ", ".join(map(str, blocks[:5])) + rest
         points = describe_radius(self.radius, "z") or "all z"
-        return (
-            f"blocks {named}: a sum of their slacks with weights of the dual cone is negative for {points}, by "
-            f"{self.margin:.1e} of the reference at the least"
-        )
+        by = f"{self.margin:.1e} of the reference at the least"
+        return f"blocks {named}: a sum of their slacks is negative for {points}, by {by}"
 
 
 def kind_of_row(problem: Blocks, row: int) -> tuple[bool, bool]:

@@ -28,10 +28,7 @@ from ...core.representation import format_count
 from .stack import ConeStack
 
 CONES = ("free", "nonnegative", "box", "second_order")
-NEED_CONES = (
-    'cones must be a sequence of ("free", rows), ("nonnegative", rows), ("box", lower, upper) and '
-    '("second_order", rows)'
-)
+NEED_CONES = 'cones must list ("free", rows), ("nonnegative", rows), ("box", lower, upper), ("second_order", rows)'
 Starts = NDArray[np.int64]
 
 
@@ -131,9 +128,8 @@ class Blocks:
         """Return the problem with another q, shape (n,), b of contacts; it shares the cached properties of M."""
         other = object.__new__(type(self))
         other.__dict__.update(self.__dict__)
-        given = checked_vector(
-            np.ravel(real_array(q, f"{self.offset} must be a vector")), self.offset, self.n
-        )
+        given = np.ravel(real_array(q, f"{self.offset} must be a vector"))
+        given = checked_vector(given, self.offset, self.n)
         other.rows = self.rows.with_q(given, lower=self.lower, upper=self.upper)
         if self.bodies is not None:  # b does not determine their velocities
             other.bodies = self.bodies._replace(velocities=None)
@@ -201,9 +197,8 @@ class ConeProblem(Blocks):
         sizes, lower, upper, self.cones = _blocks(cones, rows.n)
         rows = rows.with_q(rows.q, lower=lower, upper=upper)
         starts = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)]).astype(np.int64)
-        super().__init__(
-            rows, starts, np.where(np.asarray(sizes) > 1, 1.0, 0.0), has_friction=False
-        )
+        slope = (np.asarray(sizes) > 1).astype(np.float64)
+        super().__init__(rows, starts, slope, has_friction=False)
 
     @property
     def M(self) -> Any:
@@ -266,9 +261,7 @@ def _blocks(cones: Any, n: int) -> tuple[list[int], Vector, Vector, tuple[Any, .
         upper.append(high)
     if (total := sum(sizes)) != n:
         which = "too few" if total < n else "too many"
-        raise InvalidProblem(
-            f"the cones have {total} rows and M has {n}: {which}; {NEED_CONES}, one after the other"
-        )
+        raise InvalidProblem(f"the cones have {total} rows and M has {n}: {which}; {NEED_CONES}")
     return sizes, np.concatenate(lower), np.concatenate(upper), tuple(tuple(cone) for cone in cones)
 
 

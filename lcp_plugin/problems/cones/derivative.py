@@ -153,8 +153,7 @@ class StackDerivative(LinearizedSystem):
         x = self.system.least_solution(right, transposed=transposed)
         if x is None:
             raise UnsuitableProblem(
-                "several answers share the same motion, and their system is too large for a pseudo-inverse (500 rows): "
-                "state fewer contacts, or add a small compliance to the diagonal of W"
+                "more than 500 rows have several answers for one motion; add a small compliance to the diagonal of W"
             )
         return x
 
@@ -231,9 +230,7 @@ class ConeDerivative:
             given = np.full(k, dfriction) if checks.is_number(dfriction) else dfriction
             slopes = checks.checked_vector(given, "dfriction", k)[problem.block_of_row]
         else:
-            raise InvalidOption(
-                "dfriction is of a FrictionalContact; a ConeProblem has dq, dM, dlower and dupper"
-            )
+            raise InvalidOption("dfriction is of a FrictionalContact; a ConeProblem has none")
 
         def change(of: StackDerivative) -> Vector:
             """Return dz with the selected generalized derivative."""

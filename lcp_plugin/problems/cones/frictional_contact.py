@@ -81,17 +81,16 @@ class FrictionalContactBatch:
         k, matrices = n // d, real_array(W, f"W must have shape (B, {n}, {n}), {n} as b has")
         if matrices.shape not in ((n, n), (count, n, n)):
             raise InvalidProblem(
-                f"W must have shape (B, {n}, {n}), B = {count} and {n} as b has, got {matrices.shape}"
+                f"W must have shape (B, {n}, {n}), B = {count}, got {matrices.shape}"
             )
         if mu.shape not in ((), (k,), (count, k)):
             raise InvalidProblem(
                 f"friction must be a number, or have shape ({k},) or (B, {k}), B = {count}, got {mu.shape}"
             )
         self.contacts = _checked_counts(contacts, count, k)
-        own = [
-            np.ascontiguousarray(np.broadcast_to(array, shape), np.float64)
-            for array, shape in ((matrices, (count, n, n)), (offsets, (count, n)), (mu, (count, k)))
-        ]
+        given = (matrices, (count, n, n)), (offsets, (count, n)), (mu, (count, k))
+        wide = (np.broadcast_to(*one) for one in given)
+        own = [np.ascontiguousarray(one, np.float64) for one in wide]
         is_there = np.arange(k) < self.contacts[:, np.newaxis]
         if not is_there.all():
             is_row = np.repeat(is_there, d, axis=1)
@@ -132,9 +131,8 @@ class FrictionalContactBatch:
             If the file cannot be written, or has another extension.
         """
         arrays = {"W": self.W, "b": self.b, "mu": self.friction, "contacts": self.contacts}
-        save_arrays(
-            path, {**arrays, "dimension": np.array(self.dimension)}, "a batch of contact problems"
-        )
+        arrays["dimension"] = np.array(self.dimension)
+        save_arrays(path, arrays, "a batch of contact problems")
 
     __setstate__ = checks.restore_state
 
@@ -222,9 +220,7 @@ class FrictionalContact(Blocks):
         time_step: float | None = None,
         dimension: int | None = None,
     ) -> None:
-        need = (
-            "b must be a finite array of shape (d k,) or (k, d), d = 3 in space and 2 in the plane"
-        )
+        need = "b must be a finite array of shape (d k,) or (k, d), d = 3 (space) or 2 (plane)"
         velocities = real_array(b, need)
         if contact.is_of_bodies(W):
             is_sparse = any(map(sp.issparse, W))
@@ -237,7 +233,7 @@ class FrictionalContact(Blocks):
         if velocities.ndim == 2:
             if dimension not in (None, velocities.shape[1]):
                 raise InvalidProblem(
-                    f"b has {velocities.shape[1]} columns and dimension is {dimension}; leave one out"
+                    f"b has {velocities.shape[1]} columns and dimension is {dimension}"
                 )
             dimension = velocities.shape[1]
         offset = checks.checked_vector(velocities.ravel(), "b", None)
@@ -251,9 +247,8 @@ class FrictionalContact(Blocks):
         W = checks.rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
         contact.check_symmetric(W, "W", NEARLY_SYMMETRIC)
         rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
-        super().__init__(
-            rows, np.arange(0, offset.size + 1, d, dtype=np.int64), mu, has_friction=True
-        )
+        starts = np.arange(0, offset.size + 1, d, dtype=np.int64)
+        super().__init__(rows, starts, mu, has_friction=True)
         self.dimension = d
 
     @property
@@ -284,9 +279,7 @@ def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[n
     counts = np.asarray(contacts)
     is_whole = counts.shape == (count,) and counts.dtype.kind in "iu"
     if not is_whole or ((counts < 0) | (counts > k)).any():
-        raise InvalidProblem(
-            f"contacts must be {count} integers from 0 to {k}, one per instance, got {contacts!r}"
-        )
+        raise InvalidProblem(f"contacts must be {count} integers from 0 to {k}, got {contacts!r}")
     return counts.astype(np.int64)
 
 
@@ -311,12 +304,9 @@ def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int
     d = 3 if given is None and rows % 3 == 0 else 2 if given is None else given
     if isinstance(d, bool) or not isinstance(d, (int, np.integer)) or d not in (2, 3):
         raise InvalidProblem(
-            f"a contact has 3 rows (normal, tangent, tangent), or 2 in the plane, got {d!r}: {rows} rows and "
-            f"{count} coefficients of friction"
+            f"a contact has 3 rows, or 2 in the plane, got {d!r}: {rows} rows and {count} coefficients of friction"
         )
     if rows % d:
         need = "3, nor, in the plane, of 2" if given is None else d
-        raise InvalidProblem(
-            f"{rows} rows are not a multiple of {need}, the rows of a contact: normal, then tangents"
-        )
+        raise InvalidProblem(f"{rows} rows are not a multiple of {need}: normal, then tangents")
     return int(d)

@@ -186,10 +186,8 @@ def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Any, free: Any) -> t
         return whole_systems(stack, mixed[None], by_w[None])[0][np.ix_(rows, rows)], rows
     row, column = pattern.inner
     entry, indptr = pattern.entry(row, column), np.searchsorted(row, np.arange(pattern.n + 1))
-    of_w, of_z = (
-        sp.csr_array((part[None][entry][0], column, indptr), shape=pattern.M.shape)[rows]
-        for part in (by_w, mixed)
-    )
+    parts, shape = (part[None][entry][0] for part in (by_w, mixed)), pattern.M.shape
+    of_w, of_z = (sp.csr_array((part, column, indptr), shape=shape)[rows] for part in parts)
     return (of_w @ pattern.M + of_z)[:, rows], rows
 
 
@@ -411,9 +409,7 @@ class ConeNSGS(ConeAlgorithm):
 
     name = "nsgs"
     needs = "blocks on the diagonal that are positive definite"
-    solves = (
-        "cones without friction, M symmetric positive definite (descent by blocks); else observed"
-    )
+    solves = "cones without friction, M symmetric positive definite (by descent); else observed"
     cost = "one product with M a sweep"
     reference = "Jourdan, Alart, Jean 1998, doi:10.1016/S0045-7825(97)00137-1"
 
@@ -455,9 +451,7 @@ class ConeInteriorPoint(ConeAlgorithm):
     def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
         """Yield a point per factorization."""
         if not problem.has_friction:
-            raise UnsuitableProblem(
-                f'{self.name} takes contacts with friction; try algorithm="fixed_point"'
-            )
+            raise UnsuitableProblem(f'{self.name} needs friction; try algorithm="fixed_point"')
         return path_points(stack, np.zeros_like(z), 1.0, goal)
 
 
@@ -490,6 +484,5 @@ class FixedPoint(ConeAlgorithm):
         yield from newton_points(stack, best, 30, goal)
 
 
-METHODS: dict[str, type[ConeAlgorithm]] = {
-    one.name: one for one in (ConeNSGS, ConeNewton, ConeInteriorPoint, FixedPoint)
-}
+CLASSES = ConeNSGS, ConeNewton, ConeInteriorPoint, FixedPoint
+METHODS: dict[str, type[ConeAlgorithm]] = {one.name: one for one in CLASSES}

@@ -40,13 +40,10 @@ SHARES = (0.01, 0.1, 0.001)  # of the largest velocity: distance of a path's sta
 ROUNDING = 2.0**-44  # of the largest entry of W: tolerated difference from its transpose
 WORDS = {
     Status.STALLED: (
-        "no method reduces the residual further; next: try another start z0, or less friction: with much friction or "
-        "a singular W, a contact problem need not have a solution"
+        "no method reduces the residual further; next: another start z0, or less friction: contact with much friction "
+        "or a singular W need not have a solution"
     ),
-    Status.INFEASIBLE: (
-        "no z in the cones has an M z + q in their duals (no impulses keep every contact from closing further), even "
-        "with errors as large as the tolerance; next: check the data; result.proof proves it"
-    ),
+    Status.INFEASIBLE: "no z in the cones has an M z + q in their duals; next: check the data (result.proof)",
 }
 SWEPT = "cheap sweeps over the blocks find most of the active set"
 
@@ -158,10 +155,8 @@ class ConeRun(Run):
         Start passed by the user.
     chosen : str or ConeAlgorithm
         "auto" or a method.
-    whole : ConeRun, optional
-        The run on the entire problem, if `problem` is a component.
-    rows : array of bool, optional
-        The rows of the component.
+    place : tuple, optional
+        Point of the entire problem, the rows of the component and its share of the entries, if `problem` is one.
 
     Attributes
     ----------
@@ -174,16 +169,13 @@ class ConeRun(Run):
         problem: Blocks,
         progress: Progress,
         z: Vector | None,
-        chosen: str | ConeAlgorithm = "auto",
-        whole: ConeRun | None = None,
-        rows: Any = slice(None),
+        chosen: Any = "auto",
+        place: Any = None,
     ) -> None:
         super().__init__(progress)
         self.problem, self.chosen, self.stack = problem, chosen, ConeStack.of(problem)
         self.rows, stack = ConeRows(self.stack), self.stack
-        values = np.empty(problem.n) if whole is None else whole.place[0]
-        self.place: tuple[Vector, Any] = values, rows
-        self.share = 1.0 if whole is None else problem.nonzeros / max(whole.problem.nonzeros, 1)
+        self.place = place or (np.empty(problem.n), slice(None), 1.0)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
         reached = self.tolerance
         if self.absolute:
@@ -203,7 +195,7 @@ class ConeRun(Run):
 
     def shown(self, step: Step) -> Vector:
         """Return the point of the entire problem."""
-        whole, rows = self.place
+        whole, rows, _ = self.place
         whole[rows] = self.stack.pattern.flat(self.stack.snap(step.z))[0]
         return read_only(whole.copy())
 
@@ -240,15 +232,10 @@ class ConeRun(Run):
         if not self.settings.prove_infeasibility:
             words[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
         name = ", ".join(dict.fromkeys(stage.name for stage in self.progress.records()))
-        return self.result_at(
-            ConeCertificate(self.problem, self.rows, self.best),
-            self.status(end),
-            ConeResult,
-            algorithm=f"auto: {name}" if isinstance(self.chosen, str) else self.chosen.name,
-            infeasibility=self.proof,
-            _advice=words,
-            problem=self.problem,
-        )
+        name = f"auto: {name}" if isinstance(self.chosen, str) else self.chosen.name
+        named = {"algorithm": name, "infeasibility": self.proof, "_advice": words}
+        at = ConeCertificate(self.problem, self.rows, self.best)
+        return self.result_at(at, self.status(end), ConeResult, problem=self.problem, **named)
 
     # --- the plan -----------------------------------------------------------------------------------------
 
@@ -268,7 +255,7 @@ class ConeRun(Run):
             if step.z.ndim == 1:  # of an LCP
                 step.z = self.stack.pattern.wide(step.z[None])
                 step.residual = self.stack.relative_residual(step.z)
-            step.work *= self.share
+            step.work *= self.place[2]
             yield step
 
     def plan(self) -> Iterator[Stage]:
@@ -328,15 +315,12 @@ class ConeRun(Run):
             points = methods.sweep_points(self.stack, z, count, self.goal)
             yield (sweeps := self.stage(methods.ConeNSGS(), because, points))
             z = z if sweeps.z is None else sweeps.z
-            yield self._newton(
-                z, "Newton's steps solve for the active set that the sweeps found", steps
-            )
+            yield self._newton(z, "Newton's steps solve for the active set of the sweeps", steps)
         return z
 
     def _newton(self, z: Array, because: str, steps: int = methods.NEWTON_STEPS) -> Stage:
-        return self.stage(
-            methods.ConeNewton(), because, methods.newton_points(self.stack, z, steps, self.goal)
-        )
+        points = methods.newton_points(self.stack, z, steps, self.goal)
+        return self.stage(methods.ConeNewton(), because, points)
 
     def _path(self, share: float | None) -> Stage:
         """Return the central path from a cold start, or from near the best point."""
@@ -358,7 +342,9 @@ class ConeRun(Run):
             blocks = labels == label
             rows = blocks[pattern.of_row]
             start = pattern.flat(self.start)[0, rows] if self.is_warm else None
-            run = ConeRun(self.problem.part(blocks), self.progress, start, "auto", self, rows)
+            part = self.problem.part(blocks)
+            place = whole, rows, part.nonzeros / max(self.problem.nonzeros, 1)
+            run = ConeRun(part, self.progress, start, "auto", place)
             try:
                 run.follow_all(run.plan())
             except KeyboardInterrupt:
@@ -396,8 +382,6 @@ class ConeResult(Result):
 
     problem: Any = None
 
-    RESIDUALS = ("relative_residual", "natural_residual", "term_residual")
-
     @property
     def guarantee(self) -> None:  # type: ignore[override]
         """None: no convergence theorem of this package covers cones."""
@@ -407,9 +391,7 @@ class ConeResult(Result):
         """Impulses and velocities per contact, and masks of contacts that press and stick."""
         problem = self.problem
         if not isinstance(problem, FrictionalContact):
-            raise InvalidOption(
-                f"motion is of a FrictionalContact, got {type(problem).__name__}; read z and w"
-            )
+            raise InvalidOption(f"motion is of a FrictionalContact, got {type(problem).__name__}")
         r, u = self.z.reshape(-1, problem.dimension), self.w.reshape(-1, problem.dimension)
         after = None if problem.bodies is None else problem.bodies.velocities_after(self.z)
         return motion_of(r, u, problem.q, after)
@@ -418,10 +400,9 @@ class ConeResult(Result):
         return self.certificate.worst(self.tolerance, count)  # type: ignore[attr-defined]
 
     def _effort(self) -> str:
-        return (
-            f"{self.algorithm}: {format_count(self.iterations, 'iteration')}, {self.seconds:.3g} s, the work of "
-            f"{self.work:.1f} products of M with a vector"
-        )
+        work = f"the work of {self.work:.1f} products of M with a vector"
+        count = format_count(self.iterations, "iteration")
+        return f"{self.algorithm}: {count}, {self.seconds:.3g} s, {work}"
 
     def _remarks(self) -> list[str]:
         lines = [str(self.infeasibility)] if self.infeasibility is not None else []
@@ -438,7 +419,5 @@ class ConeResult(Result):
         ]
         asymmetry = float(abs(problem.W - problem.W.T).max()) if problem.n else 0.0
         if asymmetry > ROUNDING * float(abs(problem.W).max() if problem.n else 0.0):
-            lines.append(
-                f"W is not symmetric: entries differ by up to {asymmetry:.1e}; it was used as it is given"
-            )
+            lines.append(f"W is not symmetric, by up to {asymmetry:.1e}; it was used unchanged")
         return lines

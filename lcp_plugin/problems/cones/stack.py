@@ -101,9 +101,8 @@ class Arms:
             inverse = factorize_matrix(entries.reshape(v, v))
         else:
             indptr = np.searchsorted(self.pattern, np.arange(v + 1) * np.int64(v))
-            inverse = factorize_matrix(
-                sp.csr_array((entries, self.pattern % v, indptr), shape=(v, v))
-            )
+            entries = sp.csr_array((entries, self.pattern % v, indptr), shape=(v, v))
+            inverse = factorize_matrix(entries)
         KJ, at = KJ[free], columns[free]
 
         def solve(right: Any) -> Any:
@@ -291,27 +290,18 @@ class ConeStack:
     Parameters
     ----------
     pattern : Pattern
-    q : array, shape (B, n)
-    slope : array, shape (B, k)
-        μ.
-    lower, upper : array, shape (B, n) or (1, n)
-        Bounds of the blocks of one row.
+    *vectors : arrays
+        q, shape (B, n), the slopes μ, shape (B, k), and the lower and upper bounds of the blocks of one row, shape
+        (B, n) or (1, n).
     has_friction : bool
     arms : Arms, optional
         The bodies of one problem, if any.
     """
 
     def __init__(
-        self,
-        pattern: Pattern,
-        q: Array,
-        slope: Array,
-        lower: Array,
-        upper: Array,
-        *,
-        has_friction: bool,
-        arms: Any = None,
+        self, pattern: Pattern, *vectors: Array, has_friction: bool, arms: Any = None
     ) -> None:
+        q, slope, lower, upper = vectors
         self.pattern, self.has_friction, self.arms = pattern, has_friction, arms
         self.q, self.mu = pattern.wide(q), slope
         self.d, self.B, self.k, self.m = pattern.d, pattern.B, pattern.k, pattern.m
@@ -414,10 +404,9 @@ class ConeStack:
         z, answered = self.project(z), self.is_answered
         return np.where(answered[..., None], self.origin, z) if answered.any() else z
 
-    def derivative(
-        self, w: Array, case: Array, x: Array, tangent: Array, axis: Array
-    ) -> tuple[Array, Array]:
+    def derivative(self, w: Array, *found: Array) -> tuple[Array, Array]:
         """Return an element of the generalized derivative of R by z and by w of each block, (B, k, m, m)."""
+        case, x, tangent, axis = found
         mu, eye, tangents = self.mu, np.eye(self.m), np.diag(np.arange(self.m) > 0)
         away = x / np.maximum(tangent, TINY)[..., None]
         away[..., 0] = 0.0

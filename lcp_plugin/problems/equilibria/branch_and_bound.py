@@ -179,9 +179,8 @@ class BranchAndBound:
     @property
     def lower_bound(self) -> float:
         """Lower bound of the objective over all solutions."""
-        waiting = [bound for bound, _, _ in self._open[:1]] + (
-            [] if self._current is None else [self._current.bound]
-        )
+        current = [] if self._current is None else [self._current.bound]
+        waiting = [*(bound for bound, _, _ in self._open[:1]), *current]
         own = min([self._closed_at, *waiting]) if self.tree else -math.inf
         return min(self.value, max(own, -math.inf if self.outside is None else self.outside.bound))
 
@@ -263,9 +262,8 @@ class BranchAndBound:
             self.outside = ExternalBound("", bound)
             return ends()
 
-        found = engine(
-            self.problem, tolerance=self.tolerance, max_nodes=self.max_nodes, ends=report_progress
-        )
+        limits = {"tolerance": self.tolerance, "max_nodes": self.max_nodes}
+        found = engine(self.problem, **limits, ends=report_progress)
         self.nodes, self._outside_value = before + found.nodes, math.inf
         self.outside = ExternalBound(found.status, found.bound)
         if found.x is not None:
@@ -395,11 +393,9 @@ class BranchAndBound:
         # All further branches to which the point belongs
         size = 1.0 + float(np.abs(piece.point).max(initial=0.0))
         rows, pairs = np.nonzero(self.problem.distances(piece.point) <= 1e-7 * size)
-        promising = [
-            (int(i), CASES[k])
-            for k, i in zip(rows, pairs, strict=True)
-            if CASES[k] != piece.cases[i] and CASES[k] & self.problem.all_cases[i]
-        ]
+        others = self.problem.all_cases & ~piece.cases
+        found = ((int(i), CASES[k]) for k, i in zip(rows, pairs, strict=True))
+        promising = [(i, case) for i, case in found if case & others[i]]
         for chosen in [promising] * (len(promising) > 1) + [[one] for one in promising[:50]]:
             if is_over():
                 return None
@@ -434,22 +430,11 @@ class BranchAndBound:
                 status = Status.INFEASIBLE if self._is_infeasible else Status.NO_SOLUTION
         is_own = self.outside is None or self.tree
         by = ["SCIP"] * (self.outside is not None) + ["branch and bound"] * bool(is_own)
-        return EquilibriumResult(
-            self.problem,
-            None if best is None else best.point,
-            value,
-            lower,
-            bound_by,
-            self.relaxations.solved,
-            tuple(self.tree),
-            self.descent,
-            self.outside,
-            status=status,
-            algorithm=", ".join(by),
-            iterations=self.nodes,
-            seconds=self.clock.read(),
-            tolerance=self.tolerance,
-        )
+        point = None if best is None else best.point
+        found = point, value, lower, bound_by, self.relaxations.solved, tuple(self.tree)
+        named: Any = {"status": status, "algorithm": ", ".join(by), "tolerance": self.tolerance}
+        named |= {"iterations": self.nodes, "seconds": self.clock.read()}
+        return EquilibriumResult(self.problem, *found, self.descent, self.outside, **named)
 
 
 class _Log:
@@ -463,9 +448,6 @@ class _Log:
         if search.nodes >= self._next:
             self._next = max(search.nodes + 1, search.nodes * GROWTH)
             gap = search.value - search.lower_bound if math.isfinite(search.value) else math.inf
-            print(
-                f"{search.nodes:>8} {search.value:>17.9g} {search.lower_bound:>17.9g} "
-                f"{gap:>9.1e} {search.clock.read():>9.2f}",
-                flush=True,
-            )
+            numbers = f"{search.value:>17.9g} {search.lower_bound:>17.9g} {gap:>9.1e}"
+            print(f"{search.nodes:>8} {numbers} {search.clock.read():>9.2f}", flush=True)
         return False

@@ -14,15 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.checks import Vector, checked_bounds, checked_vector, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsupportedModel
 from ...core.matrix import largest_in_rows
-from ...proofs.exact import (
-    MOST_ENTRIES,
-    ZERO,
-    exact_rows,
-    rank_profile,
-    rational,
-    rational_rows,
-    solved_nearby,
-)
+from ...proofs import exact
 from ..nonlinear.data import NonlinearProblem
 from ..nonlinear.solving import solve_nonlinear
 from ..programs.program import QuadraticProgram
@@ -125,11 +117,10 @@ class EquilibriumProgram:
                     f"{name} must number variables from 0 to {n - 1}, got {given[(given < 0) | (given >= n)][0]}"
                 )
             object.__setattr__(self, name, given.astype(np.int64))
-        lower, upper = checked_bounds(
-            self.program.lower[self.first] if self.lower is None else self.lower,
-            self.program.upper[self.first] if self.upper is None else self.upper,
-            self.first.size,
-        )
+        own, k = self.program, self.first.size
+        low = own.lower[self.first] if self.lower is None else self.lower
+        high = own.upper[self.first] if self.upper is None else self.upper
+        lower, upper = checked_bounds(low, high, k)
         object.__setattr__(self, "lower", lower)
         object.__setattr__(self, "upper", upper)
 
@@ -154,18 +145,17 @@ class EquilibriumProgram:
         n, k = program.n, np.size(columns)
         rows = sp.csr_array(rectangular_matrix(M, "M", k, n))
         right = -checked_vector(q, "q", k)
-        nothing = sp.csr_array((k, k))
+        P, G, A = (sp.csr_array(one) for one in (program.P, program.G, program.A))
+        free = np.full(k, np.inf)
         wider = QuadraticProgram(
-            sp.block_diag([sp.csr_array(program.P), nothing], format="csr"),
+            sp.block_diag([P, sp.csr_array((k, k))], format="csr"),
             np.append(program.c, np.zeros(k)),
-            sp.hstack([sp.csr_array(program.G), sp.csr_array((program.h.size, k))], format="csr"),
+            sp.hstack([G, sp.csr_array((program.h.size, k))], format="csr"),
             program.h,
-            sp.block_array(
-                [[sp.csr_array(program.A), None], [rows, -sp.eye_array(k)]], format="csr"
-            ),
+            sp.block_array([[A, None], [rows, -sp.eye_array(k)]], format="csr"),
             np.append(program.b, right),
-            np.append(program.lower, np.full(k, -np.inf)),
-            np.append(program.upper, np.full(k, np.inf)),
+            np.append(program.lower, -free),
+            np.append(program.upper, free),
             program.constant,
         )
         return cls(wider, np.asarray(columns), np.arange(n, n + k))
@@ -184,9 +174,8 @@ class EquilibriumProgram:
         tied = set(map(frozenset, zip(A.indices[start], A.indices[start + 1], strict=True)))
         pairs = map(frozenset, zip(self.first, self.second, strict=True))
         has_own = np.array([pair not in tied for pair in pairs], bool)
-        lower, upper = (
-            np.isfinite(end) & (has_own | (end != 0.0)) for end in (self.lower, self.upper)
-        )
+        ends = (self.lower, self.upper)
+        lower, upper = (np.isfinite(end) & (has_own | (end != 0.0)) for end in ends)
         return (BETWEEN + LOWER * lower + UPPER * upper).astype(np.uint8)
 
     def bounds(self, cases: Cases) -> tuple[Vector, Vector]:
@@ -247,15 +236,16 @@ class EquilibriumProgram:
         is_free[np.concatenate([self.second, self.integers])] = False
         free = np.flatnonzero(is_free)
         columns = sp.csr_array(sp.vstack(rows, format="csc")[:, free].T)
-        if not 0 < columns.shape[0] * columns.shape[1] <= MOST_ENTRIES:
+        if not 0 < columns.shape[0] * columns.shape[1] <= exact.MOST_ENTRIES:
             return free[:0]
-        spanning = rank_profile(exact_rows(columns))[0]
-        rows_of_span = rational_rows(sp.csr_array(columns[spanning].T))
-        zeros, is_movable = [ZERO] * len(spanning), [True] * len(spanning)
+        spanning = exact.rank_profile(exact.exact_rows(columns))[0]
+        rows_of_span = exact.rational_rows(sp.csr_array(columns[spanning].T))
+        zeros, is_movable = [exact.ZERO] * len(spanning), [True] * len(spanning)
         is_redundant = np.zeros(free.size, dtype=bool)
         for j in np.delete(np.arange(free.size), spanning):
-            column = rational(columns[[j]].toarray()[0])
-            is_redundant[j] = solved_nearby(rows_of_span, column, zeros, is_movable) is not None
+            column = exact.rational(columns[[j]].toarray()[0])
+            found = exact.solved_nearby(rows_of_span, column, zeros, is_movable)
+            is_redundant[j] = found is not None
         return free[is_redundant]
 
     def answer(self, x: Vector) -> Vector | None:
@@ -313,20 +303,15 @@ class EquilibriumProgram:
             return A @ x - b, A
         is_equality = smooth.lower == smooth.upper
         value = (smooth.map.value(x)[1:] - smooth.lower)[is_equality]
-        return np.append(A @ x - b, value), sp.csr_array(
-            sp.vstack([A, sp.csr_array(smooth.map.jacobian(x))[1:][is_equality]])
-        )
+        slopes = sp.csr_array(smooth.map.jacobian(x))[1:][is_equality]
+        return np.append(A @ x - b, value), sp.csr_array(sp.vstack([A, slopes]))
 
     def distances(self, x: Vector) -> Vector:
         """Return the distance of x from the three branches of each pair, shape (3, k); ∞ for a missing branch."""
         z, w = x[self.first], x[self.second]
-        return np.array(
-            [
-                np.maximum(np.abs(z - self.lower), -w),
-                np.maximum(np.abs(w), np.maximum(self.lower - z, z - self.upper)),
-                np.maximum(np.abs(self.upper - z), w),
-            ]
-        )
+        below, above = self.lower - z, z - self.upper
+        between = np.maximum(np.abs(w), np.maximum(below, above))
+        return np.array([np.maximum(np.abs(below), -w), between, np.maximum(np.abs(above), w)])
 
     def violations(self, x: Vector) -> Vector:
         """Return the complementarity violation of each pair at x, shape (k,)."""
@@ -369,16 +354,12 @@ class EquilibriumProgram:
         found = [self.excess_of_rows(x), self.violations(x), np.abs(x - np.rint(x))[self.integers]]
         if self.smooth is not None:
             value, slopes = self.smooth.map.value(x), abs(self.smooth.map.jacobian(x))
-            ends = [
-                np.where(np.isfinite(end), np.abs(end), 0.0)
-                for end in (self.smooth.lower, self.smooth.upper)
-            ]
+            both = (self.smooth.lower, self.smooth.upper)
+            ends = [np.where(np.isfinite(end), np.abs(end), 0.0) for end in both]
             terms = np.maximum(*ends) + np.abs(value[1:]) + (slopes @ np.abs(x))[1:]
             missed = np.maximum(self.smooth.lower - value[1:], value[1:] - self.smooth.upper)
-            found += [
-                missed / np.where(terms > 0.0, terms, 1.0),
-                np.where(np.isfinite(value), 0.0, np.inf),
-            ]
+            found.append(missed / np.where(terms > 0.0, terms, 1.0))
+            found.append(np.where(np.isfinite(value), 0.0, np.inf))
         worst = max(float(one.max(initial=0.0)) for one in found)
         return math.inf if math.isnan(worst) else worst
 

@@ -147,9 +147,8 @@ class Relaxations:
         other = np.clip(np.where(is_tiny, 0.0, x), program.lower, program.upper)
         if np.array_equal(other, x):
             return x
-        misses, misses_less = (
-            self.problem.excess_of_rows(one).max(initial=0.0) for one in (x, other)
-        )
+        excess = self.problem.excess_of_rows
+        misses, misses_less = (excess(one).max(initial=0.0) for one in (x, other))
         return other if misses_less < misses else x
 
     def bound(self, program: QuadraticProgram, dual: tuple[Vector, Vector], enough: float) -> float:
@@ -169,9 +168,8 @@ class Relaxations:
         these as long as it falls: up to four programs. An objective that is not convex is linearized.
         """
         node, (lower, upper), whole = Node(cases), self.problem.bounds(cases), self.problem.integers
-        lower[whole] = upper[whole] = np.clip(
-            np.rint(near[whole]), np.ceil(lower[whole]), np.floor(upper[whole])
-        )
+        least, most = np.ceil(lower[whole]), np.floor(upper[whole])
+        lower[whole] = upper[whole] = np.clip(np.rint(near[whole]), least, most)
         if (lower > upper).any():
             return node
         x = np.clip(near, lower, upper)
@@ -221,22 +219,14 @@ class Relaxations:
             rows.append(slopes)
             low.append(smooth.lower + shift)
             high.append(smooth.upper + shift)
-        return QuadraticProgram.from_ranges(
-            P,
-            c,
-            sp.vstack(rows, format="csr"),
-            np.concatenate(low),
-            np.concatenate(high),
-            lower,
-            upper,
-        )
+        A, ends = sp.vstack(rows, format="csr"), (np.concatenate(low), np.concatenate(high))
+        return QuadraticProgram.from_ranges(P, c, A, *ends, lower, upper)
 
     def projected(self, x: Vector) -> Vector:
         """Return the point nearest to x that satisfies the affine rows and bounds, complementary or not."""
         own, n = self.problem.program, x.size
-        near = QuadraticProgram(
-            sp.eye_array(n), -x, own.G, own.h, own.A, own.b, own.lower, own.upper
-        )
+        rows = own.G, own.h, own.A, own.b, own.lower, own.upper
+        near = QuadraticProgram(sp.eye_array(n), -x, *rows)
         return np.clip(_solution_of(near).x, own.lower, own.upper)
 
     def _solve_in_box(self, program: QuadraticProgram) -> QPSolution:
@@ -244,11 +234,8 @@ class Relaxations:
         rows = program.constraints
         limits = np.abs(rows.limit) / program.matrices.row_sizes
         far = FAR * (1.0 + float(limits[rows.finite].max(initial=0.0)))
-        return _solution_of(
-            program.with_vectors(
-                lower=np.maximum(program.lower, -far), upper=np.minimum(program.upper, far)
-            )
-        )
+        lower, upper = np.maximum(program.lower, -far), np.minimum(program.upper, far)
+        return _solution_of(program.with_vectors(lower=lower, upper=upper))
 
 
 def _solution_of(program: QuadraticProgram) -> QPSolution:
@@ -268,19 +255,11 @@ ENDS = {  # SCIP's names
 BY_SCIP = "bound by SCIP, in floating point"
 ADVICE = {
     Status.SOLVED: "no solution is better by more than the tolerance, and result.verify() checks the proof",
-    Status.INFEASIBLE: (
-        "the linear constraints are inconsistent; next: print(result.conflict), which of them conflict"
-    ),
-    Status.NO_SOLUTION: (
-        "every complementarity piece is infeasible; next: check the pairs and the linear constraints "
-        "(proof: result.proof)"
-    ),
+    Status.INFEASIBLE: "the linear constraints are inconsistent; next: print(result.conflict)",
+    Status.NO_SOLUTION: "every complementarity piece is infeasible; next: check pairs and constraints",
     Status.MAX_ITERATIONS: "node limit reached; next: raise max_nodes",
     Status.MAX_SECONDS: "time limit reached; next: raise max_seconds",
-    Status.STALLED: (
-        "some complementarity piece was neither solved nor proved infeasible; next: bound the unknowns, or rescale the "
-        "data"
-    ),
+    Status.STALLED: "some complementarity piece is undecided; next: bound the unknowns, or rescale",
     Status.INTERRUPTED: "stopped by Ctrl-C or the callback",
 }
 
@@ -374,9 +353,8 @@ class EquilibriumResult(BaseResult):
             holds = self.x is None and self.lower_bound == math.inf and is_covered
         if not holds or self.lower_bound == -math.inf:  # a bound of −∞ needs no proof
             return holds
-        return self._tree_covers() and all(
-            self._leaf_holds(node, relaxations) for node in self.tree if node.pair < 0
-        )
+        leaves = (node for node in self.tree if node.pair < 0)
+        return self._tree_covers() and all(self._leaf_holds(leaf, relaxations) for leaf in leaves)
 
     def _x_holds(self) -> bool:
         if self.x is None:
@@ -390,13 +368,11 @@ class EquilibriumResult(BaseResult):
         if self.descent is None:
             return False
         cases, proof = self.descent
-        is_piece = bool(
-            ((case_counts(cases) == 1) & (cases & self.problem.all_cases == cases)).all()
-        )
+        is_open = cases & self.problem.all_cases == cases
+        is_piece = bool(((case_counts(cases) == 1) & is_open).all())
         program = relaxations.program(cases)
-        return (
-            is_piece and program is not None and _is_same(proof.program, program) and proof.verify()
-        )
+        is_proved = program is not None and _is_same(proof.program, program) and proof.verify()
+        return is_piece and is_proved
 
     def _tree_covers(self) -> bool:
         """Return whether the root has all branches, and children cover their node's branches."""
@@ -437,9 +413,8 @@ class EquilibriumResult(BaseResult):
     @property
     def proof(self) -> EquilibriumResult | None:
         """The result itself, which can ``verify()``, if the status is proved; otherwise None."""
-        return (
-            self if (self.is_solved or self.has_no_solution) and self.bound_by != "SCIP" else None
-        )
+        is_final = self.is_solved or self.has_no_solution
+        return self if is_final and self.bound_by != "SCIP" else None
 
     @property
     def _farkas_proof(self) -> QPInfeasibility | None:
@@ -451,16 +426,13 @@ class EquilibriumResult(BaseResult):
             proof = "; prove=True asks for a proof" if self.problem.is_provable else ""
             return f"x is a solution, measured here; no better one by more than the tolerance: {BY_SCIP}{proof}"
         if self.status is Status.STALLED and self.outside is not None:
-            return (
-                f"SCIP, in floating point, reports {self.outside.status}, which could not be confirmed, so that "
-                "nothing is proved; next: bound the variables, or rescale the data"
-            )
+            said = f"SCIP, in floating point, reports {self.outside.status}, which could not be confirmed"
+            return f"{said}: nothing is proved; next: bound the variables, or rescale the data"
         if self.status is Status.STALLED and not self.problem.is_provable:
             return (
-                "an objective that is not convex, smooth rows and integers are minimized by SCIP, which is not "
-                "installed, or does not load; next: pip install pyscipopt (or lcp_plugin[global]); for a local way "
-                "leave out the objective and differentiate the followers: derivative(problem) in cvxpy, "
-                "derivative(result)"
+                "an objective that is not convex, smooth rows and integers need SCIP, which is not installed, or does "
+                "not load; next: pip install pyscipopt (or lcp_plugin[global]); for a local way leave out the "
+                "objective and differentiate the followers: derivative(result)"
             )
         return super()._advice_of_status()
 
@@ -469,15 +441,6 @@ class EquilibriumResult(BaseResult):
             return []
         found = "no solution was found" if self.x is None else "x is the best solution found"
         return [f"{found} so far"]
-
-    def _numbers(self) -> dict[str, float]:
-        own = {
-            "lower_bound": self.lower_bound,
-            "gap": self.gap,
-            "programs": self.programs,
-            "tolerance": self.tolerance,
-        }
-        return {**super()._numbers(), **own}
 
     def describe_accuracy(self) -> str:
         """Return the value and the bound."""
@@ -491,14 +454,12 @@ class EquilibriumResult(BaseResult):
         return f"objective {self.value:.9g}, {bound}{gap}"
 
     def _effort(self) -> str:
-        return (
-            f"{self.algorithm}: {self.nodes} nodes, {self.programs} programs, {self.seconds:.3g} s"
-        )
+        counts = f"{self.nodes} nodes, {self.programs} programs"
+        return f"{self.algorithm}: {counts}, {self.seconds:.3g} s"
 
 
 def _is_same(one: QuadraticProgram, other: QuadraticProgram) -> bool:
     """Return whether two programs have one matrix and the same vectors."""
-    return one.matrices is other.matrices and all(
-        np.array_equal(getattr(one, name), getattr(other, name))
-        for name in ("c", "lower", "upper", "h", "b")
-    )
+    names = "c", "lower", "upper", "h", "b"
+    are_same = (np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
+    return one.matrices is other.matrices and all(are_same)

@@ -262,9 +262,8 @@ class _Model:
             def eventexec(self, _: Any) -> None:
                 try:
                     with own.terminal.given_back():
-                        is_over = (
-                            own.error is None and own.ends is not None and own.ends(*own._reached())
-                        )
+                        ends = own.ends
+                        is_over = own.error is None and ends is not None and ends(*own._reached())
                 except BaseException as error:
                     own.error, is_over = error, True
                 if is_over:
@@ -281,9 +280,8 @@ class _Model:
             (program.A, program.b, program.b),
         ):
             self._constrain(self._sums(matrix, self.x, np.zeros(low.size)), low, high)
-        goal = self._sums(
-            program.c[None] / self.unit, self.x, np.array([program.constant / self.unit])
-        )[0]
+        constant = np.array([program.constant / self.unit])
+        goal = self._sums(program.c[None] / self.unit, self.x, constant)[0]
         P = sp.coo_array(sp.csr_array(program.P))
         entries = zip(P.row.tolist(), P.col.tolist(), P.data.tolist(), strict=True)
         bent = [0.5 * a / self.unit * self.x[i] * self.x[j] for i, j, a in entries]
@@ -348,20 +346,15 @@ class _Model:
         columns = np.concatenate([one.matrix.indices for one in parts])
         uses = np.bincount(columns, minlength=program.result.matrix.shape[1])
         for level in program.levels:
-            sides = [
-                self._sums(argument.matrix, quantities, argument.offset)
-                for argument in level.arguments
-            ]
+            sides = [self._sums(one.matrix, quantities, one.offset) for one in level.arguments]
             values = [
                 self._applied(function.name, *(side[k] for side in sides[: function.arguments]))
                 for function, span in level.spans
                 for k in range(span.start, span.stop)
             ]
             shared = uses[len(quantities) : len(quantities) + len(values)] > 1
-            quantities += [
-                self._named(one) if twice else one
-                for one, twice in zip(values, shared, strict=True)
-            ]
+            pairs = zip(values, shared, strict=True)
+            quantities += [self._named(one) if twice else one for one, twice in pairs]
         return self._sums(program.result.matrix, quantities, program.result.offset)
 
     def _applied(self, name: str, *u: Any) -> Any:
@@ -401,7 +394,6 @@ class _Model:
 
 def _power_below(program: QuadraticProgram) -> float:
     """Return the power of two below the largest entry of c and P, or 1 if all are 0."""
-    largest = max(
-        float(np.abs(one).max(initial=0.0)) for one in (program.c, sp.csr_array(program.P).data)
-    )
+    costs = program.c, sp.csr_array(program.P).data
+    largest = max(float(np.abs(one).max(initial=0.0)) for one in costs)
     return math.ldexp(1.0, math.frexp(largest)[1] - 1) if largest > 0.0 else 1.0

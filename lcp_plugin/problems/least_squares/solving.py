@@ -372,9 +372,6 @@ class LeastSquaresResult(BaseResult):
         is_estimate = not self.is_proved and np.isfinite(self.fun).all()
         return [OF_OPERATORS[self.status]] if is_estimate and self.status in OF_OPERATORS else []
 
-    def _numbers(self) -> dict[str, float]:
-        return {**super()._numbers(), "optimality": self.optimality}
-
     def describe_accuracy(self) -> str:
         """Return the optimality and the tolerance, as text."""
         above = f", at most {self.gap:.1e} above the least" if self.is_solved else ""

@@ -87,8 +87,7 @@ class Differences:
         if pattern is None:
             if n > DENSE_PATTERN_UP_TO:
                 raise InvalidProblem(
-                    f"differences on all {n}×{n} places take {n} evaluations of F a derivative, and are made up to "
-                    f"n = {DENSE_PATTERN_UP_TO}; give a jacobian, or the pattern of its entries as a sparse array"
+                    f"differences on all places need n ≤ {DENSE_PATTERN_UP_TO}, got {n}; give a jacobian, or a pattern"
                 )
             return cls(sp.csc_array(np.ones((n, n))), np.arange(n, dtype=np.int32))
         met: list[set[int]] = [set() for _ in range(n)]  # groups of the columns that meet a row
@@ -190,13 +189,10 @@ class NonlinearProblem:
         for name, given in (("F", F), ("jacobian", jacobian)):
             if not callable(given) and (given is not None or name == "F"):
                 hint = "; for a matrix and a vector there is LCP(M, q)" if name == "F" else ""
-                raise InvalidProblem(
-                    f"{name} must be callable as {name}(x), got {type(given).__name__}{hint}"
-                )
+                kind = type(given).__name__
+                raise InvalidProblem(f"{name} must be callable as {name}(x), got {kind}{hint}")
         if not (jacobian is None or pattern is None):
-            raise InvalidProblem(
-                "pattern is for differences, and a jacobian was given as well; leave one out"
-            )
+            raise InvalidProblem("pattern is for differences, without a jacobian; leave one out")
         self.F, self.jacobian = F, jacobian
         self.pattern = None if pattern is None else _pattern(pattern)
         sizes = [np.shape(bound) for bound in (lower, upper) if np.ndim(bound)]
@@ -223,9 +219,7 @@ class NonlinearProblem:
         if self.n == n:
             return self
         if self.n is not None:
-            raise InvalidProblem(
-                f"the problem has {self.n} unknowns by its bounds or pattern, and x has length {n}"
-            )
+            raise InvalidProblem(f"the problem has {self.n} unknowns, and x has length {n}")
         sized = object.__new__(NonlinearProblem)
         sized.__dict__.update(self.__dict__, n=n)
         sized._set_bounds(n)
@@ -308,9 +302,7 @@ class NonlinearProblem:
         with np.errstate(all="ignore"):
             q = value - M @ x
             if not np.isfinite(q).all():
-                raise UndefinedDerivativeError(
-                    "F(x) − F′(x) x overflows; start nearer to 0, or scale F and x"
-                )
+                raise UndefinedDerivativeError("F(x) − F′(x) x overflows; start nearer to 0")
             return LCP(M, q, lower=problem.lower, upper=problem.upper, names=problem.names)
 
     def _point(self, x: ArrayLike) -> Vector:
@@ -339,14 +331,12 @@ def _floats(derivative: Any, n: int) -> Any:
     return entries if fits else np.zeros(0)
 
 
-def _replace_infinite_rows(
-    problem: NonlinearProblem, x: Vector, value: Vector, derivative: Any
-) -> Any:
+def _replace_infinite_rows(problem: NonlinearProblem, x: Vector, value: Vector, M: Any) -> Any:
     """Return the derivative with diagonal rows for rows with an infinite entry."""
     n = x.size
-    if not np.isinf(_floats(derivative, n)).any():
-        return derivative
-    M = sp.coo_array(derivative)
+    if not np.isinf(_floats(M, n)).any():
+        return M
+    is_sparse, M = sp.issparse(M), sp.coo_array(M)
     is_steep = np.zeros(n, dtype=bool)
     is_steep[M.row[np.isinf(M.data)]] = True
     slope = is_steep.astype(np.float64)
@@ -360,19 +350,16 @@ def _replace_infinite_rows(
     kept = ~is_steep[M.row]
     rows = sp.coo_array((M.data[kept], (M.row[kept], M.col[kept])), shape=(n, n))
     levelled = sp.csr_array(rows) + sp.diags_array(slope)
-    return sp.csr_array(levelled) if sp.issparse(derivative) else levelled.toarray()
+    return sp.csr_array(levelled) if is_sparse else levelled.toarray()
 
 
 def _pattern(pattern: Any) -> sp.csc_array:
     """Return the stored entries by columns, each with the value 1."""
     if not sp.issparse(pattern):
-        pattern = sp.coo_array(
-            checks.real_array(pattern, "pattern must be a sparse array of shape (n, n)")
-        )
+        need = "pattern must be a sparse array of shape (n, n)"
+        pattern = sp.coo_array(checks.real_array(pattern, need))
     if pattern.ndim != 2 or pattern.shape[0] != pattern.shape[1]:
-        raise InvalidProblem(
-            f"pattern must be a square sparse array (n×n), got shape {pattern.shape}"
-        )
+        raise InvalidProblem(f"pattern must be square, shape (n, n), got {pattern.shape}")
     places = sp.coo_array(pattern)
     stored = sp.csc_array((np.ones(places.nnz), (places.row, places.col)), shape=places.shape)
     stored.sum_duplicates()
@@ -406,9 +393,8 @@ class LinearizedRows(RowData):
         residual = np.abs(self.residual(self.start, origin_value))
         of_value = self.largest(np.where(np.isfinite(origin_value), residual, np.inf))
         of_value = np.where(of_value > 0.0, of_value, np.inf)
-        least, most = (
-            np.minimum(np.where(self.is_at_start, distance, end), of_value) for end in ends
-        )
+        bounded = (np.where(self.is_at_start, distance, end) for end in ends)
+        least, most = (np.minimum(one, of_value) for one in bounded)
         self.references = least, most
 
     def rows(self, z: Vector, w: Any = None) -> RowsAtPoint:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -43,14 +43,16 @@ SMALLEST_TOLERANCE = 1e-14
 RESTARTS = 4
 
 
-@dataclass(frozen=True, kw_only=True)
 class JosephyNewton(Algorithm):
     """Josephy–Newton with a non-monotone line search: x⁺ solves the LCP of M = F′(x), q = F(x) − F′(x) x.
 
     Parameters
     ----------
-    state : NewtonState
-        The current point and the options.
+    start : Linearization
+    linear : str or Algorithm
+        Algorithm for the linearizations.
+    tolerance : float
+        The requested relative residual.
 
     Notes
     -----
@@ -70,25 +72,6 @@ class JosephyNewton(Algorithm):
     name: ClassVar[str] = "josephy_newton"
     is_monotone: ClassVar[bool] = False
 
-    state: NewtonState = field(repr=False)
-
-    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
-        """Yield the start, then the point of each step, until no step or restart helps."""
-        return self.state.all_steps()
-
-
-class NewtonState:
-    """State of a run: the current point, the last points, and the work since the last step.
-
-    Parameters
-    ----------
-    start : Linearization
-    linear : str or Algorithm
-        Algorithm for the linearizations.
-    tolerance : float
-        The requested relative residual.
-    """
-
     def __init__(self, start: Linearization, linear: str | Algorithm, tolerance: float) -> None:
         self.first = self.here = start
         self.linear, self.tolerance = linear, tolerance
@@ -103,7 +86,7 @@ class NewtonState:
         self.weights: Vector = 1.0 / np.where(is_usable, unit, 1.0)
         self.random = np.random.default_rng(0)
 
-    def all_steps(self) -> Iterator[Step]:
+    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, then the point of each step, until no step or restart helps."""
         yield self.step()
         # Beyond 1000 unknowns a new start is too expensive
@@ -246,9 +229,9 @@ class NewtonState:
         step = lcp.with_q(w, lower=lcp.lower - x, upper=lcp.upper - x)
         relative = self.here.residual
         # A linearization needs no smaller residual than a tenth of the tolerance
-        enough = (
-            max(0.1 * self.tolerance / relative, SMALLEST_TOLERANCE) if relative > 0.0 else FORCING
-        )
+        enough = FORCING
+        if relative > 0.0:
+            enough = max(0.1 * self.tolerance / relative, SMALLEST_TOLERANCE)
         tolerance = min(max(relative, enough), FORCING)
         try:
             result = solve_within(step, self.linear, tolerance)
@@ -377,8 +360,7 @@ def solve_nonlinear(
     """
     if not isinstance(problem, NonlinearProblem):
         raise InvalidOption(
-            f"solve_nonlinear needs a NonlinearProblem, got {type(problem).__name__}; write NonlinearProblem(F), or "
-            "solve(problem) for an LCP"
+            f"solve_nonlinear needs a NonlinearProblem, got {type(problem).__name__}; write NonlinearProblem(F)"
         )
     settings = Settings(**options)
     method_of(algorithm, {})
@@ -388,15 +370,14 @@ def solve_nonlinear(
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with threads_for(settings.threads):
         first, begun = begin_at(Linearization(problem, start))
-        newton = JosephyNewton(state=NewtonState(first, algorithm, settings.goal))
+        newton = JosephyNewton(first, algorithm, settings.goal)
         has_doubts = check_jacobian and problem.jacobian is not None
         run = NonlinearRun(newton, progress, has_doubts=has_doubts)
         try:
             if has_doubts:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
-            end = run.follow_all(
-                [Stage(newton, TANGENTS, steps=newton.iterates(first.lcp, first.x))]
-            )
+            stage = Stage(newton, TANGENTS, steps=newton.iterates(first.lcp, first.x))
+            end = run.follow_all([stage])
         except KeyboardInterrupt:
             end = TerminationReason.INTERRUPTED
         return replace(run.result(end), begun=begun)
@@ -418,8 +399,7 @@ def begin_at(first: Linearization) -> tuple[Linearization, str]:
     if not (is_finite := np.isfinite(first.value)).all():
         i = int(np.argmin(is_finite))
         raise InvalidProblem(
-            f"F must be finite at the start, but F(x0)[{i}] = {first.value[i]} with x0[{i}] = {start[i]} after "
-            "projection onto the bounds; start where F is defined, or tighten the bounds"
+            f"F must be finite at the start, but F(x0)[{i}] = {first.value[i]} with x0[{i}] = {start[i]} in the bounds"
         )
     return first, ""
 
@@ -428,8 +408,7 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> Vector:
     if x0 is None:
         if problem.n is None:
             raise InvalidOption(
-                "x0 is needed because the number of unknowns is not known; pass x0 (z0 in solve_batch), or arrays "
-                "as bounds"
+                "x0 is needed because the number of unknowns is not known; pass x0 (z0 in solve_batch)"
             )
         return np.zeros(problem.n)
     return vector_option(x0, "x0", problem.n, may_be_number=True)
@@ -437,14 +416,8 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> Vector:
 
 WORDS = {
     Status.SOLVED: "the residual is within the tolerance, as measured on F",
-    Status.PRECISION_LIMIT: (
-        "the residual is above the tolerance, but no larger than rounding in F explains, as far as F tells at "
-        "points nearby; next: accept z, or scale F"
-    ),
-    Status.STALLED: (
-        "no step reduces the residual further; z may be a local minimum of the residual, F may have no solution or no "
-        "slope here, or its jacobian may be wrong; next: try another start x0"
-    ),
+    Status.PRECISION_LIMIT: "rounding in F, as estimated, explains the residual; next: accept z, or scale F",
+    Status.STALLED: "no step reduces the residual: z may be a local minimum of the residual; next: another start x0",
     Status.DIVERGED: "the residual left every reasonable range; next: try another start x0, or bounds near it",
     Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.z",
     Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.z",
@@ -452,10 +425,7 @@ WORDS = {
 }
 
 
-GROWING = (
-    "the unknowns grow without limit and F tends to 0, so that F may have no solution; next: try another start x0, or "
-    "bounds"
-)
+GROWING = "the unknowns grow without limit and F tends to 0: F may have no solution; next: another start x0, or bounds"
 
 
 class NonlinearRun(Run):
@@ -483,16 +453,14 @@ class NonlinearRun(Run):
 
     def _is_far(self, point: Linearization) -> bool:
         """Return whether an unknown is as large as at a point from which it grew."""
-        return bool((np.abs(point.x) >= self.newton.state.limit).any())
+        return bool((np.abs(point.x) >= self.newton.limit).any())
 
     def _passes(self, point: Linearization, power: float = POWER) -> bool:
         """Return whether a point passes, with differences also if they disagree with the jacobian."""
         if self._is_far(point) or not point.measure(self.settings, power).passes:
             return False
         there = with_trusted_derivative(point) if self.has_doubts else point
-        return there is point or (
-            there.is_defined and bool(there.measure(self.settings, power).passes)
-        )
+        return there is point or (there.is_defined and there.measure(self.settings, power).passes)
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the linearization after entries near bounds are moved there, unless only the point itself passes."""
@@ -510,10 +478,10 @@ class NonlinearRun(Run):
     def result(self, end: TerminationReason) -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
         newton, is_interrupted = self.newton, end is TerminationReason.INTERRUPTED
-        point: Linearization = newton.state.first if self.best is None else self.best.z
+        point: Linearization = newton.first if self.best is None else self.best.z
         # Rounding in one row decides which point is best, and other rows may be better at the last one
-        if not (self._passes(point) or is_interrupted) and newton.state.is_at_floor():
-            point = newton.state.here
+        if not (self._passes(point) or is_interrupted) and newton.is_at_floor():
+            point = newton.here
         if not is_interrupted:
             point = self._snap(point)
         certificate = point.certificate

@@ -24,6 +24,8 @@ from ...core.matrix import IntVector, largest_in_rows, scale_matrix
 from ...systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents
 from ..least_squares.data import BoundedLeastSquares
 
+#: begin, end, z and the steps of all rows: z[0] + (t − begin) z[1] solves the problem for begin ≤ t ≤ end.
+Line = tuple[float, float, Vector, IntVector]
 Change = tuple[int, int]  # a row, and +1 for the next step or −1 for the step before
 
 ROUNDING = 1e-12  # error of a z or a w relative to its terms; smaller rates count as 0
@@ -98,17 +100,12 @@ class MonotoneGraphs:
         return cls._of_staircases(columns, sizes, units, *parts)
 
     @classmethod
-    def _of_staircases(
-        cls,
-        columns: Any,
-        sizes: Vector,
-        units: Vector,
-        q: Vector,
-        lower: Vector,
-        upper: Vector,
-        penalty: Vector,
-    ) -> Self:
-        """Return the graphs of bounds, and of a penalty in rows whose penalty is not 0 at all t."""
+    def _of_staircases(cls, columns: Any, sizes: Vector, units: Vector, *vectors: Vector) -> Self:
+        """Return the graphs of bounds, and of a penalty in rows whose penalty is not 0 at all t.
+
+        The vectors are q, lower, upper and the penalty.
+        """
+        q, lower, upper, penalty = vectors
         has_kink, none = penalty.any(axis=0), np.array([[np.inf], [0.0]])
         top = np.broadcast_to(none, q.shape)
         corners = [lower, np.where(has_kink, 0.0, upper), np.where(has_kink, upper, none)]
@@ -144,16 +141,6 @@ class MonotoneGraphs:
             is_better = order * miss < best
             steps[is_better], best[is_better] = step, miss[is_better]
         return steps
-
-
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """Affine segment of the path, z = z[0] + (t − begin) z[1] for begin ≤ t ≤ end."""
-
-    begin: float
-    end: float
-    z: Vector
-    steps: IntVector
 
 
 class Motion(NamedTuple):
@@ -229,7 +216,7 @@ class Follower:
         is_off = motion is None or bool((motion.outside > 1e3).any())
         self.motion = None if is_off else motion
 
-    def lines(self, stop: float) -> Iterator[Segment]:
+    def lines(self, stop: float) -> Iterator[Line]:
         """Yield the lines up to stop, or to where the path is lost."""
         begin, stuck, changed = self.begin, 0, None
         for _ in range(200 * self.n + 10_000):
@@ -248,12 +235,8 @@ class Follower:
             # A piece of rounding alone, which the next one takes in
             if end - begin > 1e-14 * stop or is_last:
                 rate = motion.z[1]
-                yield Segment(
-                    begin,
-                    end,
-                    np.array([motion.z[0] + (begin - self.t) * rate, rate]),
-                    self.steps.copy(),
-                )
+                z = np.array([motion.z[0] + (begin - self.t) * rate, rate])
+                yield begin, end, z, self.steps.copy()
                 begin = end
             if is_last or changed is None:
                 return

@@ -320,10 +320,9 @@ class Path(Outcome):
         return len(self.pieces)
 
     def __repr__(self) -> str:
-        return (
-            f"Path({self.status.name}, {format_count(len(self.pieces), 'piece')}, "
-            f"{self.start:.6g} to {self.reached:.6g}, {self.seconds:.3g} s)"
-        )
+        count = format_count(len(self.pieces), "piece")
+        where = f"{self.start:.6g} to {self.reached:.6g}"
+        return f"Path({self.status.name}, {count}, {where}, {self.seconds:.3g} s)"
 
     def __str__(self) -> str:
         return self.explain()

@@ -21,7 +21,7 @@ from ..programs.conversion import conditions
 from ..programs.criterion import PROGRAM_TOLERANCE, QPSolution
 from ..programs.program import QuadraticProgram
 from ..programs.program_matrices import refuse_nonconvex
-from .following import Follower, MonotoneGraphs, Segment
+from .following import Follower, MonotoneGraphs
 from .path import Path, PathPoint, Piece
 
 MAX_ROWS = 6000  # of an LCP, of which a dense factorization is made
@@ -107,9 +107,7 @@ def trace(
 
 
 @np.errstate(all="ignore")
-def trace_stated(
-    problem: Any, along: Any, start: float, stop: float, tolerance: float | None
-) -> Path:
+def trace_stated(problem: Any, along: Any, start: float, stop: float, tolerance: Any) -> Path:
     """Return the path of a problem of one of the three classes."""
     clock = Clock()
     path = _Trace(Line(problem, along, start, stop, tolerance)).run()
@@ -131,25 +129,18 @@ class Line:
         None means the tolerance of the problem class.
     """
 
-    def __init__(
-        self, problem: Any, along: Any, start: float, stop: float, tolerance: float | None
-    ) -> None:
+    def __init__(self, problem: Any, along: Any, start: float, stop: float, tolerance: Any) -> None:
         if (name := class_of(problem)) not in classes_of("trace"):
             raise InvalidOption(refusal("trace", problem))
         self.family = FAMILIES[name]
-        usual = (
-            PROGRAM_TOLERANCE if isinstance(problem, QuadraticProgram) else DEFAULTS["tolerance"]
-        )
+        is_program = isinstance(problem, QuadraticProgram)
+        usual = PROGRAM_TOLERANCE if is_program else DEFAULTS["tolerance"]
         self.tolerance = Settings(tolerance=usual if tolerance is None else tolerance).tolerance
         self.problem, self.start, self.stop = problem, start, stop
         self.toward = 1.0 if stop >= start else -1.0
         if not isinstance(along, Mapping) or not along:
-            raise InvalidOption(
-                f'along must name the data that move, for example {{"q": direction}}, got {along!r}'
-            )
-        self.directions = {
-            str(name): self._check_change(name, change) for name, change in along.items()
-        }
+            raise InvalidOption(f'along must name data, as in {{"q": direction}}, got {along!r}')
+        self.directions = {str(name): self._check_change(name, one) for name, one in along.items()}
 
     def _check_change(self, name: str, change: Any) -> Vector:
         """Return the change of a vector for θ + 1, shape (size,)."""
@@ -160,19 +151,15 @@ class Line:
                 "takes a list of problems. If θ multiplies P, divide the objective by it and move c"
             )
         if name not in names:
-            raise InvalidOption(
-                f"along={{{name!r}: …}} is not a vector of {kind}{did_you_mean(name, names)}; "
-                f"{', '.join(names)} may move"
-            )
+            others = f"{did_you_mean(name, names)}; {', '.join(names)} may move"
+            raise InvalidOption(f"along={{{name!r}: …}} is not a vector of {kind}{others}")
         now: Vector = getattr(self.problem, name)
         if is_number(change):  # it moves all bounds that there are
             return read_only(np.where(np.isfinite(now), float(change), 0.0))
         step = checked_vector(change, name, now.size)
         if (moved := ~np.isfinite(now) & (step != 0.0)).any():
             i = int(np.argmax(moved))
-            raise InvalidOption(
-                f"{name}[{i}] is {now[i]} and cannot move; let along[{name!r}][{i}] be 0"
-            )
+            raise InvalidOption(f"{name}[{i}] is {now[i]} and cannot move; set its change to 0")
         return read_only(step)
 
     def slope(self, name: str) -> Vector:
@@ -205,10 +192,8 @@ class Line:
 
     def at(self, theta: float) -> Any:
         """Return the problem at θ."""
-        moved = {
-            name: getattr(self.problem, name) + theta * step
-            for name, step in self.directions.items()
-        }
+        present = ((name, getattr(self.problem, name)) for name in self.directions)
+        moved = {name: now + theta * self.directions[name] for name, now in present}
         if "upper" in moved:  # bounds that meet may cross by rounding
             moved["upper"] = np.maximum(moved["upper"], moved.get("lower", self.problem.lower))
         elif "lower" in moved:
@@ -271,8 +256,7 @@ def _matrix_conditions(line: Line) -> MonotoneGraphs:
         stated = conditions(stated)
     if stated.n > MAX_ROWS:
         raise UnsuitableProblem(
-            f"trace factorizes dense matrices of up to {MAX_ROWS} rows, and this problem has {stated.n}; "
-            "solve_batch(problem, Q) solves at given values"
+            f"trace takes up to {MAX_ROWS} rows, got {stated.n}; solve_batch(problem, Q) solves at given values"
         )
     *rows, lower, upper = map(line.slope, line.family.vectors)
     rest = np.zeros(stated.n - lower.size)  # bounds of multipliers
@@ -285,15 +269,11 @@ def _penalty_conditions(line: Line) -> MonotoneGraphs:
     """Return the normal equations of least squares; a penalty within bounds of both signs is a kink at 0."""
     problem = line.problem
     if not problem.has_entries:
-        raise UnsuitableProblem(
-            "trace needs the entries of A, no LinearOperator; give an array or a sparse array"
-        )
+        raise UnsuitableProblem("trace needs the entries of A; give an array or a sparse array")
     l1, lower, upper = (line.ends(name) for name in ("l1", *BOUNDS))
     if (least := np.minimum(*l1)).min(initial=0.0) < 0.0:
         j = int(np.argmin(least))
-        raise InvalidOption(
-            f"l1 must be ≥ 0, but l1[{j}] = {least[j]} at one end; trace to where it is 0"
-        )
+        raise InvalidOption(f"l1 must be ≥ 0, got l1[{j}] = {least[j]}; trace to where it is 0")
     has_penalty = np.maximum(*l1) > 0.0
     is_negative = has_penalty & (np.maximum(*upper) <= 0.0)
     has_kink = has_penalty & (np.minimum(*lower) < 0.0) & ~is_negative
@@ -346,8 +326,8 @@ class _Trace:
             self._reach_back(follower)
             failed += 1
             for line in follower.lines(self.end):
-                self._add(self._piece(line))
-                self.reached, failed = line.end, 0
+                self._add(*line)
+                failed = 0
             if self.reached == self.end and path.pieces:
                 path.beyond = None
                 break
@@ -391,26 +371,21 @@ class _Trace:
             follower.begin = begin
         else:
             z, rate = follower.motion.z
-            line = Segment(begin, t, np.array([z - (t - begin) * rate, rate]), follower.steps)
-            self._add(self._piece(line))
-            self.reached = t
+            self._add(begin, t, np.array([z - (t - begin) * rate, rate]), follower.steps)
 
-    def _add(self, piece: Piece) -> None:
+    def _add(self, t: float, end: float, line: Any, steps: Any) -> None:
         """Add a segment; record a jump or a line of solutions if the path is discontinuous."""
-        path = self.path
+        path, begin, toward = self.path, self.theta(t), self.line.toward
+        z, rate = self.problem.units * line
+        z += (toward * (begin - self.line.start) - t) * rate  # from the rounded θ of its begin
+        slope, n = toward * rate, self.line.problem.lower.size
+        has_kink = np.isfinite(self.problem.levels[0, 2])
+        case = np.where(has_kink, np.array([-1, 0, 2, 0, 1])[steps], steps - 1)
+        piece = Piece(begin, self.theta(end), z[:n], slope[:n], case, z, slope)
+        self.reached = end
         before = path.pieces[-1].z_at(piece.begin) if path.pieces else piece.z0
         change, size = (np.abs(one).max(initial=0.0) for one in (before - piece.z0, before))
         if change > SAME * (1.0 + size):
             # All solutions of a monotone problem are one convex set.
             (path.segments if self.line.is_monotone else path.jumps).append(piece.begin)
         path.pieces.append(piece)
-
-    def _piece(self, line: Segment) -> Piece:
-        """Return the segment as a `Piece`, from the rounded θ of its begin."""
-        begin, toward = self.theta(line.begin), self.line.toward
-        z, rate = self.problem.units * line.z
-        z += (toward * (begin - self.line.start) - line.begin) * rate
-        slope, n = toward * rate, self.line.problem.lower.size
-        has_kink = np.isfinite(self.problem.levels[0, 2])
-        case = np.where(has_kink, np.array([-1, 0, 2, 0, 1])[line.steps], line.steps - 1)
-        return Piece(begin, self.theta(line.end), z[:n], slope[:n], case, z, slope)

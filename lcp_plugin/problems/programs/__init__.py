@@ -5,8 +5,7 @@
 1. External solvers, in the order of `engine_calls.ATTEMPTS`: rows of one variable become bounds (`reductions`), the
    program is scaled (`engines.scaling`), first with unknowns fixed that a huge cost forbids; the point, without
    noise and polished (`engines.polish`), is tested
-   (`criterion`). If the solver reports infeasible or unbounded, `no_minimum` searches for a proof. No further solver
-   begins after 20 times the seconds of the first one, and at least 2 s of the processor.
+   (`criterion`). If the solver reports infeasible or unbounded, `no_minimum` searches for a proof.
 2. A run on the complementarity problem (`conversion`), if the program is small; as the first step, if the program is
    large and has bounds only.
 3. A proof of infeasibility or unboundedness; otherwise PRECISION_LIMIT or STALLED with the two measures of the best

@@ -23,13 +23,13 @@ from ...core.checks import Vector, checked_vector, derived_property, is_number, 
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.doors import foreign_function
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
-from ...core.kernels.floats import EPSILON, LARGEST
+from ...core.kernels.floats import LARGEST
 from ...core.matrix import largest_products
 from ...core.problem_classes import CLASSES, class_of, refusal
 from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance, whole_number
-from ...proofs.bounds import constrained_curvature, norm_above
-from ...proofs.exact import quotient_above, sum_above
+from ...proofs.bounds import constrained_curvature
+from ...proofs.exact import sum_above
 from ...solving.result import BaseResult
 from . import value_bounds
 from .criterion import QPSolution, excused_rows, least_size, worst_constraints
@@ -83,8 +83,8 @@ def certify(
         "proved" means that x has the optimal value f* and is feasible: |f(x) − f*| ≤ tolerance · (Σ|c_j x_j|
         + |xᵀP x|), or 10⁻⁸ · tolerance of the rows' terms with their multipliers if that is more, and each c·x ≤ d or
         = d holds to tolerance · max(|d|, largest |c_j x_j|), or to rounding of the unknowns that matter. If all terms
-        of the objective are 0 the comparison is exact. x may still be far from the minimizer if the objective is flat;
-        `distance` bounds how far. "infeasible" is proved if every x violates a constraint by more than the tolerance,
+        of the objective are 0 the comparison is exact. x may still be far from the minimizer if the objective is flat.
+        "infeasible" is proved if every x violates a constraint by more than the tolerance,
         in the unit of the constraint, so that no x can be proved to be optimal.
     max_seconds : float, optional
         Approximate limit in seconds; claims that are not decided by then stay "unproved".
@@ -132,8 +132,8 @@ def certify(
     >>> from lcp_plugin import QuadraticProgram
     >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
     >>> answer = certify(program, [0.5, 1.5])
-    >>> answer.verdict, round(answer.lower, 12), round(answer.upper, 12), answer.distance < 1e-6
-    ('proved', -4.5, -4.5, True)
+    >>> answer.verdict, round(answer.lower, 12), round(answer.upper, 12)
+    ('proved', -4.5, -4.5)
     >>> certify(program, [0.5, 1.51]).reason
     'a constraint is violated by 0.01'
     >>> certify(program, claim="infeasible").verdict
@@ -337,8 +337,6 @@ class Certification:
         A bound of the distance of f(x) from `lower`; None without an x or a lower bound.
     reason : str
         Reason of the verdict.
-    distance : float or None
-        Upper bound of ‖x − x*‖₂, √(2 gap/μ) with the curvature μ; None if the optimal x* is not proved to be unique.
     rows : callable or None
         Function that computes :meth:`worst`.
     """
@@ -350,7 +348,6 @@ class Certification:
     upper: float | None = None
     gap: float | None = None
     reason: str = ""
-    distance: float | None = None
     rows: Callable[[int], WorstRows] | None = field(default=None, repr=False)
 
     __setstate__ = restore_state
@@ -363,7 +360,7 @@ class Certification:
     def __str__(self) -> str:
         numbers = (
             f"{name} {value:.3g}"
-            for name in ("violation", "gap", "distance")
+            for name in ("violation", "gap")
             if (value := getattr(self, name)) is not None
         )
         return f"{self.claim}: {self.verdict} ({', '.join([*numbers, self.reason])})"
@@ -408,24 +405,22 @@ class ProgramProofs:
             allowed = 1e-9 * size_of_objective(self.program, x)[0]
         return self.bounds.best(x, y[: self.program.constraints.rows], value - allowed)
 
-    def upper(
-        self, *near: Vector, exactly: bool = True, by_own: bool = True
-    ) -> list[value_bounds.FeasiblePoint]:
-        """Return points that are proved feasible: near the given points and our solution, or else any point.
+    def upper(self, *near: Vector, exactly: bool = True, by_own: bool = True) -> float:
+        """Return a double above the objective of a feasible point: near given points, our solution, or inside; or ∞.
 
         If floating point proves no point and `exactly` is set, rational arithmetic searches for a point. A new solve
         requires a small program and `by_own`.
         """
         has_own = "own_solution" in self.__dict__ or (self.is_small and by_own)
         own = [self.own_solution.x] if has_own and self.own_solution is not None else []
-        found = [value_bounds.point_near(self.program, x) for x in (*near, *own)]
-        if exactly and not any(found):
+        found = [value_bounds.value_near(self.program, x) for x in (*near, *own)]
+        if exactly and all(value is None for value in found):
             found = [self._inside]
-        return [point for point in found if point is not None]
+        return min((value for value in found if value is not None), default=math.inf)
 
     @derived_property
-    def _inside(self) -> value_bounds.FeasiblePoint | None:
-        return value_bounds.point_inside(self.program)
+    def _inside(self) -> float | None:
+        return value_bounds.value_inside(self.program)
 
     @derived_property
     def no_minimum(self) -> NoMinimum | None:
@@ -450,13 +445,11 @@ class ProgramProofs:
             if isinstance(proof, QPInfeasibility) and (least := proof.least_violation) <= tolerance:
                 return Certification("unproved", claim, reason=f"{proof}, but by {least:.2g} only")
             return Certification("proved", claim, reason=str(proof))
-        points = self.upper()
-        upper = min((point.value for point in points), default=math.inf)
-        lower = self.own_lower
+        upper, lower = self.upper(), self.own_lower
         unproved = Certification(
             "unproved", claim, lower=_if_finite(lower), upper=_if_finite(upper), reason=NOTHING
         )
-        if claim == "infeasible" and points:
+        if claim == "infeasible" and upper < math.inf:
             return replace(unproved, verdict="disproved", reason="a feasible point is proved")
         if claim == "unbounded" and lower > -np.inf:
             return replace(
@@ -474,9 +467,9 @@ class ProgramProofs:
         if given is not None:
             lower = self.lower(x, given, value[0], tolerance * size[0])
             complaint = multiplier_error(program, x, given, tolerance, size[0])
-        points = self.upper(x, exactly=False, by_own=False)
+        upper = self.upper(x, exactly=False, by_own=False)
         constant = program.constant
-        found = ProvenBounds(value, violation, lower, points, tolerance, size, constant)
+        found = ProvenBounds(value, violation, lower, upper, tolerance, size, constant)
         is_enough = found.is_proved() and not found.violation_may_lower_objective()
         if not is_enough or (self.is_small and (given is None or complaint)):
             lower = max(lower, self.own_lower)
@@ -487,15 +480,15 @@ class ProgramProofs:
                 elif np.isfinite(y).all():
                     least = least_size(program, x, y)
                     size = max(size[0], least), max(size[1], least)
-            points = self.upper(x, exactly=False) or self.upper(x, exactly=not violation.is_missed)
-            found = replace(found, lower=lower, points=points, size=size)
+            upper = self.upper(x, exactly=not violation.is_missed)
+            found = replace(found, lower=lower, upper=upper, size=size)
             if (
                 found.violation_may_lower_objective()
                 and not replace(found, lower=self.own_lower).is_proved()
             ):
                 bought = f"its violation of {violation.largest:.2g} may buy more than the tolerance"
                 complaint = complaint or bought
-        return found.certification(self, x, complaint)
+        return found.certification(self, complaint)
 
 
 def size_of_objective(program: QuadraticProgram, x: Vector) -> tuple[float, float]:
@@ -561,7 +554,8 @@ class ProvenBounds:
     violation : Violation
     lower : float
         Lower bound of the optimal value; −∞ if there is no bound.
-    points : list of FeasiblePoint
+    upper : float
+        Upper bound of the optimal value; ∞ without a feasible point.
     tolerance : float
     size : pair of float
         Doubles below and above Σ|c_j x_j| + |xᵀP x|, the reference of errors of values.
@@ -572,15 +566,10 @@ class ProvenBounds:
     value: tuple[float, float]
     violation: Violation
     lower: float
-    points: list[value_bounds.FeasiblePoint] = field(repr=False)
+    upper: float
     tolerance: float
     size: tuple[float, float]
     constant: float
-
-    @property
-    def upper(self) -> float:
-        """Upper bound of the optimal value; ∞ without a feasible point."""
-        return min((point.value for point in self.points), default=math.inf)
 
     @property
     def gap(self) -> float:
@@ -615,7 +604,7 @@ class ProvenBounds:
         allowed = self.value[1] + self.tolerance * self.size[0]
         return self.violation.largest > 0.0 and self.upper > allowed
 
-    def certification(self, proofs: ProgramProofs, x: Vector, complaint: str) -> Certification:
+    def certification(self, proofs: ProgramProofs, complaint: str) -> Certification:
         """Return the verdict and its numbers."""
         disproof, is_proved = self.disproof() or self._no_minimum(proofs), self.is_proved()
         verdict = "disproved" if disproof else "proved" if is_proved else "unproved"
@@ -631,7 +620,6 @@ class ProvenBounds:
             _if_finite(self.upper),
             _if_finite(self.gap),
             reason,
-            _if_finite(distance(proofs, x, self.points, self.lower)),
         )
 
     def _no_minimum(self, proofs: ProgramProofs) -> str:
@@ -639,7 +627,7 @@ class ProvenBounds:
 
         The search requires that x violates a constraint by more than the tolerance, or that no lower bound is known.
         """
-        is_missed = self.violation.largest > self.tolerance and not self.points
+        is_missed = self.violation.largest > self.tolerance and self.upper == math.inf
         if is_over() or not (is_missed or self.lower == -math.inf):
             return ""
         proof = proofs.no_minimum
@@ -659,26 +647,6 @@ class ProvenBounds:
         if not self.violation.is_met:
             return f"a constraint is violated by up to {self.violation.largest:.3g}"
         return f"the objective is only proved to be within {self.gap:.3g} of the optimum"
-
-
-def distance(
-    proofs: ProgramProofs, x: Vector, points: Sequence[value_bounds.FeasiblePoint], lower: float
-) -> float:
-    """Return an upper bound of ‖x − x*‖₂; ∞ if the optimal x* is not proved to be unique.
-
-    For a feasible y, Σ μ_i (y_i − x*_i)² ≤ 2 (f(y) − lower): a value that is optimal to t leaves x an error of √t.
-    """
-    curvature, near = proofs.bounds.curvature, math.inf
-    least = float(curvature.weights.min(initial=math.inf))
-    if lower == -math.inf or not curvature.is_semidefinite or not 0.0 < least < math.inf:
-        return near
-    for point in points:
-        off = np.abs(x - point.near)
-        gap = 2.0 * max(float(sum_above(point.value, -lower)), 0.0)
-        blur = float(norm_above(point.radius + EPSILON * off))
-        blur += OUTWARD * math.sqrt(float(quotient_above(gap, least)))
-        near = min(near, (float(norm_above(off)) + blur) * OUTWARD)
-    return near
 
 
 def _if_finite(value: float) -> float | None:

@@ -5,8 +5,8 @@ cleans them: a wrong sign becomes 0, and the gradient r = P x + c + Cᵀy gives 
 decide:
 
 - **primal**: the violation of a row relative to max(|d_i|, max_j |c_ij x_j|); of a bound relative to |x_j| or itself.
-  The violation of a row without coefficients is relative to 1. A violation is tolerated if it is at most 2⁻⁴⁴
-  (rounding) of |c_ij| times the unknowns that matter in its component.
+  The size of a row without coefficients is at least 10⁻⁵ of the largest right-hand side. A violation is tolerated if
+  it is at most 2⁻⁴⁴ (rounding) of |c_ij| times the unknowns that matter in its component.
 - **gap**, of each connected component: Σ |y_i| |slack_i| + Σ (|r_j| − blur_j)⁺ reach_j + Σ blur_j shake_j, and the
   price of repairing tolerated rows, relative to the objective's terms. reach_j is the distance to the bound in the
   descent direction −r_j, at most 10⁴ times the size of x_j; blur_j is the rounding error of r_j, and is not counted
@@ -14,19 +14,19 @@ decide:
 
 A point that passes violates no row beyond rounding, and no unknown that moves to its bound or to 10⁴ times its size
 gains more than the tolerance. Plain sums decide most points, because all sizes that they use are on the safe side. For
-the remaining points, the test uses sums without rounding, fitted units and multipliers of least norm. The user's
-summary is ``examples/manual/solved.md``.
+the remaining points, the test uses sums without rounding and the multipliers y'. The user's summary is
+``examples/manual/solved.md``.
 
 Sizes:
 
 - The size of x_j is the largest of |x_j|, the size of the gap divided by the largest term of r_j, and the size of the
   other unknowns in a scaling fitted to P and C (Curtis, Reid). shake_j is the larger of |x_j| and the last of them,
   which is at most the distance to the bound; blur_j shake_j is at most |r_j| reach_j.
-- The size of the gap is the smaller of Σ |c_j x_j| + |xᵀPx| and Σ |y_i d_i| + Σ |r_j bound_j| + |xᵀPx|, and at least
-  |cᵀx + xᵀPx|; y may be replaced by the vector of least norm with the same Cᵀy. If terms cancel, it is at least 1e-8
-  of them; for slacks and blur_j, at least 1e-8 of Σ |y'_i| (Σ |c_ij x_j| + |d_i|). y' are the multipliers of least norm
-  that balance P x + c at the unknowns that have room, if these are smaller than y. So y of 10³³, which a cost of 10³⁴
-  allows if x_j = 0, make no gap small, and the rounding error of their sums is part of |r_j|.
+- The size of the gap is the smaller of Σ |c_j x_j| + |xᵀPx| and Σ |y'_i d_i| + Σ |r_j bound_j| + |xᵀPx|, and at least
+  |cᵀx + xᵀPx|. If terms cancel, it is at least 1e-8 of them; for slacks and blur_j, at least 1e-8 of
+  Σ |y'_i| (Σ |c_ij x_j| + |d_i|). |y'_i| is the smaller of |y_i| and the largest |P x + c|_j of its component, in
+  fitted units, over the unknowns that have room. So y of 10³³, which a cost of 10³⁴ allows if x_j = 0, make no gap
+  small, and the rounding error of their sums is part of |r_j|.
 - blur_j shake_j is not counted if r_j is at the rounding level of |c_j| + Σ |c_ij y'_i|. If xᵀP x is the square of
   rounding errors of x, c_j + Σ c_ij y_i takes the place of r_j. So a point where all terms are 0 may be optimal.
 - The price of a tolerated violation is the price of its repair: unknowns move up to their bounds in the order of
@@ -46,7 +46,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...core.certificates.worst import WorstRow, WorstRows
 from ...core.checks import Vector, checked_vector, derived_property, read_only
@@ -106,7 +105,7 @@ class KKTErrors(NamedTuple):
                 gap = np.minimum(gap, point.gaps(has_units=True))
         if not (gap <= tolerance).all():
             point = PrimalDualPoint(program, x, y, is_exact=True)
-            primal, gap = point.row_errors(), point.gaps_without_rounding(tolerance)
+            primal, gap = point.row_errors(), point.gaps(has_units=True)
         worst = [np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap)]
         tolerated = point.tolerated() if point.is_exact else 0.0
         return cls(float(worst[0]), float(worst[1]), tolerated)
@@ -291,18 +290,10 @@ class PrimalDualPoint:
 
     # --- The gap -----------------------------------------------------------------------------------------------------
 
-    def gaps(self, has_units: bool, of_y: Vector | None = None) -> Vector:
-        """Return the gap of each component.
-
-        Parameters
-        ----------
-        has_units : bool
-            If not, no distance to a bound is thought too large to matter.
-        of_y : array, optional
-            Sizes of multipliers that are known to be needed; the gap is relative to the terms of the rows with them.
-        """
+    def gaps(self, has_units: bool) -> Vector:
+        """Return the gap of each component; without units, no distance to a bound is thought too large to matter."""
         of = self.matrices.components.of_unknown
-        size, least = self._size(of_y)
+        size, least = self._size()
         rest = np.maximum(np.abs(self.left) + self.doubt - self.blur, 0.0)
         reach = shake = self.room
         if has_units:
@@ -320,22 +311,11 @@ class PrimalDualPoint:
             most = np.abs(self.left) + self.doubt
             most = np.where(most > 0.0, most * reach, 0.0) - moves
             shakes = np.where(most < shakes, most, shakes)
-            if of_y is not None:
-                shakes = np.where(self._is_rounding(of_y), 0.0, shakes)
+            shakes = np.where(self._is_rounding, 0.0, shakes)
         held = np.where(self.slack > 0.0, self.of_y * self.slack, 0.0)
         return ratio(self._sums(moves, self.price), size) + ratio(
             self._sums(shakes, held), np.maximum(size, least)
         )
-
-    def gaps_without_rounding(self, tolerance: float) -> Vector:
-        """Return the gaps; multipliers of least norm are computed if the sizes that bound theirs do not decide."""
-        gap = self.gaps(has_units=True, of_y=self.of_y)
-        if (gap <= max(tolerance, PROGRAM_TOLERANCE)).all():
-            gap = self.gaps(has_units=True)
-            if not (gap <= tolerance).all():
-                of_y = np.minimum(self.of_y, self._least_norm)
-                gap = self.gaps(has_units=True, of_y=of_y)
-        return gap
 
     @cached_property
     def size_of_gradient(self) -> Vector:
@@ -353,7 +333,7 @@ class PrimalDualPoint:
         # Unknowns with smaller terms do not matter
         return np.where(self.size_of_gradient * self.of_x >= 1e-6 * part, self.of_x, 0.0)
 
-    def _size(self, of_y: Vector | None) -> tuple[Vector, Any]:
+    def _size(self) -> tuple[Vector, Any]:
         """Return the size of the gap of each component, and the least size for its terms at rounding level.
 
         The first is the smaller of the objective's terms and of its dual's, both at least |cᵀx + xᵀP x|. The second is
@@ -363,52 +343,40 @@ class PrimalDualPoint:
         value -= LEAST_SIZE * self.objective + self.hidden
         dual: Any = np.maximum(self.curved - 2.0 * self.hidden, value)
         least: Any = 0.0
-        if of_y is not None:
+        if self.is_exact:
             bound = np.where(self.distance <= self.of_x, np.abs(self.bound), 0.0)
-            terms = self._sums(np.abs(self.left) * bound, of_y * self.limits) + self.curved
+            terms = self._sums(np.abs(self.left) * bound, self.needed_y * self.limits) + self.curved
             dual = np.maximum(dual, terms)
-            least = LEAST_SIZE * self._sums(0.0 * self.x, of_y * self.terms_of_rows)
+            least = LEAST_SIZE * self._sums(0.0 * self.x, self.needed_y * self.terms_of_rows)
         own = self.objective
         if not self.cost.all():
             has_costs = self._sums(self.cost) > 0.0
             own = own + np.where(has_costs, 0.0, self._sums(self.of_x * self.bend))
         return np.maximum(np.minimum(self.objective, dual), LEAST_SIZE * own), least
 
-    def _is_rounding(self, of_y: Vector) -> Any:
+    @property
+    def _is_rounding(self) -> Any:
         """Return the unknowns whose gradient is the rounding error of a cost and multipliers, or of x where P x = 0."""
         y_alone = np.concatenate([np.zeros(self.x.size), self.y])
         pull, _, doubt = compensated_pair(self.matrices.gradient, y_alone, self.program.c)
         at_rest = self.curved <= BLUR * BLUR * self._sums(self.of_x * self.bend)
         at_rest = at_rest[self.matrices.components.of_unknown]
         most = np.where(at_rest, np.abs(pull) + doubt, np.abs(self.left) + self.doubt)
-        return most <= BLUR * (self.cost + self.matrices.measured[4] @ of_y)
+        return most <= BLUR * (self.cost + self.matrices.measured[4] @ self.needed_y)
 
-    @property
-    def _least_norm(self) -> Vector:
-        """The sizes of the multipliers of least norm that balance P x + c at the unknowns that have room.
+    @cached_property
+    def needed_y(self) -> Vector:
+        """Sizes of the multipliers, each at most the size that balances P x + c at the unknowns that have room.
 
         An unknown has none if its distance to a bound is at rounding level of the unknowns of its component: a cost of
         10³⁶ that keeps it there needs no multiplier of this size.
         """
-        units, row_units = self.matrices.fit
+        (units, row_units), parts = self.matrices.fit, self.matrices.components
         way = np.minimum(self.x - self.program.lower, self.program.upper - self.x)
-        sizes = self._largest_by_component(self.of_x / units)[self.matrices.components.of_unknown]
-        free, on = np.flatnonzero(way > EXCUSED * units * sizes), np.flatnonzero(self.y)
-        if not (free.size and on.size):
-            return np.zeros(self.y.size)
-        from scipy.sparse.linalg import lsmr
-
-        T = sp.csr_array(self.matrices.rows[on].T)[free]
-        pull, of_row = self.product + self.program.c, self.matrices.components.of_row[on]
-        pull, of_free = pull[free] * units[free], self.matrices.components.of_unknown[free]
-        part = np.zeros(self.matrices.components.number)
-        np.maximum.at(part, of_free, np.abs(pull))
-        part[part == 0.0] = 1.0
-        scaled = sp.diags_array(units[free]) @ T @ sp.diags_array(row_units[on])
-        found = lsmr(scaled, pull / part[of_free], atol=1e-3, btol=1e-3, maxiter=60)[0]
-        least = np.zeros(self.y.size)
-        least[on] = np.abs(row_units[on] * found * part[of_row])
-        return least
+        sizes = self._largest_by_component(self.of_x / units)[parts.of_unknown]
+        pull = units * np.abs(self.product + self.program.c)
+        pulls = np.where(way > EXCUSED * units * sizes, pull, 0.0)
+        return np.minimum(self.of_y, row_units * self._largest_by_component(pulls)[parts.of_row])
 
     def _sums(self, of_unknowns: Vector, of_rows: Vector | None = None) -> Vector:
         """Return the sums over each component."""
@@ -432,8 +400,7 @@ class PrimalDualPoint:
 def least_size(program: QuadraticProgram, x: Vector, y: Vector) -> float:
     """Return the size that a value at x has at least, 1e-8 of the rows' terms with the multipliers y."""
     point = PrimalDualPoint(program, x, y, is_exact=True)
-    of_y = np.minimum(point.of_y, point._least_norm)
-    return LEAST_SIZE * float(of_y @ point.terms_of_rows)
+    return LEAST_SIZE * float(point.needed_y @ point.terms_of_rows)
 
 
 def excused_rows(program: QuadraticProgram, x: Vector) -> Vector:

@@ -39,7 +39,7 @@ from ...proofs.exact import (
     solved_nearby,
 )
 from ...proofs.no_solution import is_at_rest, is_minimizer_beyond_radius, moved_unknowns
-from ...systems.definiteness import positive_definite_solver
+from ...systems.definiteness import is_positive_definite
 from ...systems.equilibration import equilibrating_exponents
 from .criterion import ROWS
 from .program_matrices import Constraints, FoldedRows, stationarity, sums_and_terms
@@ -460,7 +460,7 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
     Such a direction contradicts the conditions P x + c + Gᵀy + Aᵀv = 0, y ≥ 0, with the signs that bounds permit.
     """
     P = sp.csr_array(program.P)
-    if (P.diagonal() > 0.0).all() and positive_definite_solver(program.P) is not None:
+    if is_positive_definite(program.P):
         return None
     points: list[tuple[Fractions, ...]] = []
 

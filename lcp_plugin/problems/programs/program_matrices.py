@@ -161,10 +161,7 @@ class ProgramMatrices:
     @cached_property
     def fit(self) -> tuple[Vector, Vector]:
         """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
-        P, C = self.stacked
-        # The fit of up to 150 unknowns and rows is a dense system; without zeros, sums
-        is_iterative = sp.issparse(P) or (sum(C.shape) > 150 and not (P.all() and C.all()))
-        return (fitted_units if is_iterative else fit_units_of)(P, C)
+        return fitted_units(*self.stacked)
 
     @cached_property
     def is_small(self) -> bool:
@@ -322,34 +319,6 @@ def _conjugate_gradients(product: Callable[[Vector], Vector], diagonal: Any, b: 
         size, before = rest @ steepest, size
         direction = steepest + (size / before) * direction
     return x
-
-
-def fit_units_of(P: Vector, C: Vector) -> tuple[Vector, Vector]:
-    """Return the units of `fitted_units` for ndarrays or stacks of ndarrays, shapes (…, n, n) and (…, m, n).
-
-    If no entry is 0, the sums of the logarithms solve the normal equations.
-    """
-    (m, n), sizes = C.shape[-2:], (np.abs(P), np.abs(C))
-    if all(one.all() for one in sizes):
-        of_P, of_C = map(np.log2, sizes)
-        right = of_P.sum(axis=-1) + of_P.diagonal(axis1=-2, axis2=-1) + of_C.sum(axis=-2)
-        of_rows, count, each = of_C.sum(axis=-1), n + SINGULAR, n + m + 2.0 + SINGULAR
-        sums = of_rows.sum(axis=-1, keepdims=True)
-        of_units = (n * sums / count - right.sum(axis=-1, keepdims=True)) / (
-            each + n - n * m / count
-        )
-        both = of_units - (sums + m * of_units) / count
-        units = _powers(-np.concatenate([(right + both) / each, (of_rows + of_units) / count], -1))
-        return units[..., :n], units[..., n:]
-    K = np.zeros((max(len(one) for one in sizes),) * (P.ndim - 2) + (n + m, n + m))
-    K[..., :n, :n], K[..., n:, :n], K[..., :n, n:] = P, C, np.swapaxes(C, -1, -2)
-    is_entry = K != 0.0
-    twice = is_entry * (1.0 + np.eye(n + m))
-    logarithms = np.log2(np.abs(K, where=is_entry, out=np.ones_like(K)))
-    counts = (twice.sum(axis=-1) + SINGULAR)[..., np.newaxis] * np.eye(n + m)
-    exponents = np.linalg.solve(twice + counts, -(logarithms * twice).sum(axis=-1)[..., np.newaxis])
-    units = _powers(exponents[..., 0])
-    return units[..., :n], units[..., n:]
 
 
 def _root(sizes: Vector) -> Vector:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -367,7 +367,6 @@ def _free_rows(matrix, vectors, z, is_free, is_changed, residual, first, end):  
     return largest, changed
 
 
-T = TypeVar("T")
 AT_ONCE = 8192  # terms that are summed in one piece, too few for BLAS to share; they stay in the fastest cache
 
 
@@ -382,44 +381,6 @@ def dot(one: Vector, other: Vector) -> float:
 
     share(sum_pieces, sums.size, 1)
     return float(sums.sum())
-
-
-def add_to(to: Vector, factor: float, vector: Vector) -> None:
-    """Add factor · vector to the first vector."""
-
-    def add(part: slice) -> None:
-        to[part] += factor * vector[part]
-
-    _by_parts(add, vector.size)
-
-
-def add_within(
-    origin: Vector, factor: float, vector: Vector, lower: Vector, upper: Vector, z: Vector
-) -> None:
-    """Overwrite z by mid(lower, upper, origin + factor · vector)."""
-
-    def add(part: slice) -> None:
-        np.clip(origin[part] + factor * vector[part], lower[part], upper[part], out=z[part])
-
-    _by_parts(add, vector.size)
-
-
-def largest_product(one: Vector, other: Vector) -> float:
-    """Return the largest |one_i other_i|: NaN if a product is NaN, 0 for empty vectors."""
-    return float(
-        np.max(_by_parts(lambda part: span(one[part] * other[part]), one.size), initial=0.0)
-    )
-
-
-def _by_parts(work: Callable[[slice], T], size: int) -> list[T]:
-    """Return the results of `work` for consecutive parts of a vector of that size."""
-
-    def piece(first: int, end: int) -> list[T]:
-        return [
-            work(slice(begin, min(begin + AT_ONCE, end))) for begin in range(first, end, AT_ONCE)
-        ]
-
-    return [one for piece_of in share(piece, size, SHARED_FROM) for one in piece_of]
 
 
 def span(vector: Vector) -> float:

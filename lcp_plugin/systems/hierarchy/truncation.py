@@ -10,12 +10,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...core.checks import BoolVector, Vector, read_only
+from ...core.checks import BoolVector, Vector
 from ..equilibration import power_of_two
 from ..factors import Factor, dense_lu, lapack
 from . import kernels
 from .grids import Grid, Transfer
-from .kernels import add_to, add_within, dot, largest_product, span
+from .kernels import dot, span
 
 COARSEST_SWEEPS = 10  # forward and backward, on a large coarsest grid
 # of a singular coarsest matrix, relative to its diagonal; 2⁻⁴⁰ takes models without a solution to z of 1e12, past any
@@ -288,7 +288,7 @@ class KrylovCorrection:
 
     def apply_within(self, origin: Vector, lower: Vector, upper: Vector, z: Vector) -> None:
         """Overwrite z by mid(lower, upper, origin + c)."""
-        add_within(origin, self.unit, self._sum, read_only(lower), read_only(upper), z)
+        np.clip(origin + self.unit * self._sum, lower, upper, out=z)
 
     def apply_to(self, origin: Vector, z: Vector) -> None:
         """Overwrite z by origin + c."""
@@ -297,7 +297,7 @@ class KrylovCorrection:
 
     def largest(self) -> float:
         """Return the largest scaled remaining residual."""
-        scaled = largest_product(self.residual, self.truncation.grids[0].inverse)
+        scaled = span(self.residual * self.truncation.grids[0].inverse)
         return float(self.unit * self.truncation.largest(scaled))
 
     def step(self) -> bool:
@@ -305,16 +305,16 @@ class KrylovCorrection:
         p, product = self.truncation.direction(self.residual)
         for old_p, old_product, old_scale in self.directions:
             share = self._dot(self._against(old_p, old_product), product) / old_scale
-            add_to(p, -share, old_p)
-            add_to(product, -share, old_product)
+            p -= share * old_p
+            product -= share * old_product
         against = self._against(p, product)
         scale = self._dot(against, product)
         length = self._dot(against, self.residual) / scale if scale > 0.0 else np.nan
         if not np.isfinite(length):
             self.truncation.spare += [p, product]
             return False
-        add_to(self._sum, length, p)
-        add_to(self.residual, -length, product)
+        self._sum += length * p
+        self.residual -= length * product
         if self.is_symmetric:
             self._forget_directions()
         self.directions.append((p, product, scale))

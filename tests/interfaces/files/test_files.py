@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lcp_plugin import LCP, UnreadableFile
-from lcp_plugin.interfaces import files
+from lcp_plugin.core import files
 
 INF = math.inf
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 1 / 3]])
@@ -153,17 +153,6 @@ def test_huge_bounds_that_exclude_zero_come_back(
     problem = LCP(M, PROBLEM.q, **bounds)
     problem.save(tmp_path / path)
     assert_same(problem, LCP.load(tmp_path / path))
-
-
-@pytest.mark.parametrize("given_path", ["run1_", "run1_M.mtx"])
-def test_prefix(given_path: str, tmp_path: Path) -> None:
-    """Several problems may share a folder; the prefix or matrix file selects one."""
-    PROBLEM.save(tmp_path)
-    for file in tmp_path.glob("*.mtx"):
-        file.rename(tmp_path / f"run1_{file.name}")
-    LCP([[1.0]], [1.0]).save(tmp_path)
-    assert_same(PROBLEM, LCP.load(tmp_path / given_path))
-    assert LCP.load(tmp_path).n == 1
 
 
 def test_matrix_market_as_others_write_it(tmp_path: Path) -> None:

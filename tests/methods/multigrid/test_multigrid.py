@@ -15,7 +15,7 @@ from inputs.planted import planted_lcp
 from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, Result, Status, convergence_guarantee, gallery, solve
-from lcp_plugin.gallery.stencil import balanced_matrix
+from lcp_plugin.gallery.problems import balanced_matrix
 from lcp_plugin.methods.multigrid import SMOOTHERS, Multigrid
 from lcp_plugin.problems.batches.batch import prepare
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of

@@ -137,9 +137,8 @@ def test_a_small_problem_loads_no_numba(problem: str) -> None:
     code = (
         "import sys, numpy as np, lcp_plugin as lp\n"
         f"assert lp.solve(lp.LCP({problem})).is_solved\n"
-        "assert 'numba' not in sys.modules\n"
         "assert lp.solve_batch([[[2.0]]] * 10, [-1.0]).all_solved\n"
-        "assert 'lcp_plugin.core.kernels.small_lcps' not in sys.modules"
+        "assert 'numba' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 

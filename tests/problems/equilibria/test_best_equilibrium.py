@@ -14,7 +14,7 @@ from macmpec import COLLECTION
 from scipy.optimize import linprog
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, box, complements, solve
-from lcp_plugin.interfaces import scip
+from lcp_plugin.problems.equilibria import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import BranchAndBound, minimize_over_solutions
 
 

@@ -11,7 +11,7 @@ import pytest
 from macmpec import COLLECTION
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, optimal, solve
-from lcp_plugin.interfaces import scip
+from lcp_plugin.problems.equilibria import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
 

@@ -228,12 +228,12 @@ BENT = QuadraticProgram([[-1]], [1], lower=0, upper=1)
 REFUSED = [
     (TWO, {"M": 1}, 1, InvalidOption, "not M: the solution is not piecewise affine in M"),
     (TWO, {"Q": 1}, 1, InvalidOption, "did you mean 'q'"),
-    (TWO, {}, 1, InvalidOption, "along must name the data that move"),
+    (TWO, {}, 1, InvalidOption, "along must name data"),
     (TWO, {"q": 1}, INF, InvalidOption, "stop must be a finite number, got inf"),
     (TWO, {"upper": [1, 0]}, 1, InvalidOption, r"upper\[0\] is inf and cannot move"),
     (QuadraticProgram([[1]], [1]), {"P": 1}, 1, InvalidOption, "divide the objective by it"),
     (BENT, {"c": 1}, 1, UnsupportedModel, "not convex"),
-    (FIT, {"l1": 1}, -1, InvalidOption, r"l1\[0\] = -1.0 at one end"),
+    (FIT, {"l1": 1}, -1, InvalidOption, r"l1\[0\] = -1.0"),
     (HELD, {"lower": 1}, 2, UnsuitableProblem, "changes its sign"),
     ([1], {"q": 1}, 1, InvalidOption, "trace needs an LCP, .* BoundedLeastSquares, got list"),
 ]

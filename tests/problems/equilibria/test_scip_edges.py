@@ -22,7 +22,7 @@ import lcp_plugin.pyomo
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements
 from lcp_plugin.commands import ampl
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, UnsupportedModel
-from lcp_plugin.interfaces import scip
+from lcp_plugin.problems.equilibria import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 from lcp_plugin.problems.equilibria.equilibrium_program import SmoothPart
 

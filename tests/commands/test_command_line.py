@@ -67,17 +67,6 @@ def test_scene_is_solved(scene: str) -> None:
     assert any(line.startswith("SOLVED: ") for line in lines)
 
 
-@pytest.mark.parametrize("path", ["p.npz", "./p.npz", "folder", "folder/", "folder/M.mtx"])
-def test_file_is_solved(path: str) -> None:
-    """A problem saved in either form is solved from the path that a user would type."""
-    BOX.save("p.npz")
-    BOX.save("folder")
-    done = lcp_plugin("solve", path, "-a", "psor")
-    assert done.exit_code == 0
-    assert str(BOX) in done.stdout
-    assert "psor: " in done.stdout
-
-
 @pytest.mark.parametrize("name", REGISTRY)
 def test_every_algorithm_can_be_named(name: str) -> None:
     """Each registered algorithm runs from the command line and is named in the output."""
@@ -186,14 +175,6 @@ def test_march_prints_its_totals() -> None:
     lcp_plugin("solve", "american_put_march:size=31,steps=4", "--out", "z.npz")
     with np.load("z.npz") as saved:
         assert saved["z"].tobytes() == result.z.tobytes()
-
-
-def test_march_ends_where_a_step_fails() -> None:
-    """A step that is not solved ends the march, with exit code 1 and the number of steps done."""
-    done = lcp_plugin("solve", "american_put_march:size=31,steps=4", "--max-iterations", "0")
-    assert done.exit_code == 1
-    assert "march: 1 of 4 steps" in done.stdout
-    assert "MAX_ITERATIONS: " in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -341,18 +322,6 @@ def test_repeated_option_is_refused() -> None:
         done = lcp_plugin("solve", "half_active:n=4", "-a", "psor", *arguments.split())
         assert done.exit_code == 2
         assert re.match(r"lcp-plugin: .*(relaxation|sweep)", done.stderr)
-
-
-def test_memory_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A problem too large for the memory is one line with exit code 2."""
-
-    def too_large(text: str) -> None:
-        raise MemoryError("Unable to allocate 71 PiB")
-
-    monkeypatch.setattr(gallery, "parse", too_large)
-    done = lcp_plugin("solve", "obstacle_2d:size=100000000")
-    assert done.exit_code == 2
-    assert re.fullmatch(r"lcp-plugin: .*memory.*71 PiB.*smaller.*\n", done.stderr)
 
 
 def test_failing_write_is_told_and_leaves_nothing(

@@ -333,13 +333,3 @@ def test_a_problem_is_immutable(name: str) -> None:
         with pytest.raises(AttributeError, match="with_q"):
             setattr(one, name, np.zeros(2))
     assert Certificate.of(problem, solve(problem).z).relative_residual < 1e-12
-
-
-def test_a_scan_of_accelerations_keeps_no_vectors() -> None:
-    """A thousand values of `acceleration` add nothing to the facts about M."""
-    problem = LCP([[4.0, -1.0], [-1.0, 4.0]], [-3.0, 5.0])
-    solve(problem, "npaor", acceleration=0.5)
-    before = len(problem.matrix._facts)
-    for acceleration in np.linspace(0.0, 1.0, 20):
-        assert solve(problem, "npaor", acceleration=float(acceleration)).is_solved
-    assert len(problem.matrix._facts) == before

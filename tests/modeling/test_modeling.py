@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import gc
 import itertools
 import pickle
 from typing import Any
@@ -14,18 +13,7 @@ import pytest
 import scipy.sparse as sp
 from tools.processes import printed_by
 
-from lcp_plugin import (
-    LCP,
-    ModelWarning,
-    QPSolver,
-    UnsupportedModel,
-    box,
-    complements,
-    optimal,
-    solve,
-    solve_batch,
-)
-from lcp_plugin.modeling.model import Model
+from lcp_plugin import LCP, ModelWarning, UnsupportedModel, box, complements, optimal, solve
 from lcp_plugin.modeling.registration import build, is_complementarity_problem
 
 M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -2.0, 4.0]])
@@ -115,36 +103,6 @@ def test_slices_scalars_and_several_pairs_of_one_variable() -> None:
     assert s.value == pytest.approx(2.5)
 
 
-def test_verbose_prints_the_run_and_speaks_through_the_logger_of_cvxpy(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """With verbose the run is printed, and summarized in cvxpy's logger."""
-    told: list[str] = []
-    monkeypatch.setattr(cp.settings.LOGGER, "info", lambda message, *_: told.append(message))
-    x = cp.Variable(nonneg=True)
-    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, 2 * x - 3 >= 0)])
-    problem.solve(method="LCP")
-    assert told == []
-    assert capsys.readouterr().out == ""
-    problem.solve(method="LCP", verbose=True)
-    assert told == [problem.solver_stats.extra_stats.explain()]
-    header, _, *_, end = capsys.readouterr().out.splitlines()
-    assert header.startswith("LCP(n=1, ")
-    assert end.startswith("SOLVED: ")
-    cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.exp(x) - 3 >= 0)]).solve(
-        method="LCP", verbose=True
-    )
-    assert "\njosephy_newton: each iteration replaces F by its tangent" in capsys.readouterr().out
-    program = cp.Problem(cp.Minimize(cp.square(x - 1)))
-    program.solve(method="LCP")
-    program.solve(solver=QPSolver)
-    assert capsys.readouterr().out == ""
-    for wish in ({"method": "LCP"}, {"solver": QPSolver}):
-        told.clear()
-        program.solve(verbose=True, **wish)
-        assert any("SOLVED" in message for message in told)
-
-
 def test_free_variables_take_equations() -> None:
     """A free variable with G == 0, paired or as a plain equality row, whose dual value is that variable."""
     for paired in (True, False):
@@ -213,21 +171,6 @@ def test_copies_of_a_model_are_models() -> None:
         np.testing.assert_allclose(other.variables()[0].value, PLAIN.z, atol=1e-10)
     assert "complements" in str(problem)
     assert not is_complementarity_problem(cp.Problem(cp.Minimize(x[0]), [x >= 0]))
-
-
-def test_a_model_is_freed_without_the_collector() -> None:
-    """A model is freed without garbage collection, because it has no reference cycles."""
-    gc.collect()
-    gc.disable()
-    try:
-        x = cp.Variable(3)
-        problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, 2 * x - 1 >= 0)])
-        problem.solve(method="LCP")
-        del problem, x
-        # type(…), because isinstance(…) would access dead weak proxies of other packages
-        assert not [one for one in gc.get_objects() if type(one) is Model]
-    finally:
-        gc.enable()
 
 
 def test_limits_keep_the_values_and_warn() -> None:
@@ -516,20 +459,6 @@ def test_a_bound_that_a_pair_implies_may_be_stated(has_bound_x: bool, state: Any
         np.testing.assert_allclose([x.value, w.value], [[2.5, 0.0], [0.0, 3.5]], atol=1e-9)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_bounds_implied_from_above_are_recognised(sign: float) -> None:
-    """The pair implies w ≤ 0 at upper bounds; the opposite sign is not implied."""
-    x = cp.Variable(2, bounds=[-np.inf, 0.0])
-    w = cp.Variable(2, nonpos=sign > 0.0, nonneg=sign < 0.0, name="w")
-    constraints = [complements(x, w), w == 2 * x + [3.0, 1.0]]
-    problem = cp.Problem(cp.Minimize(0), constraints)
-    assert problem.solve(method="LCP") == 0.0
-    np.testing.assert_allclose(x.value, [-1.5, -0.5], atol=1e-7)
-    if sign < 0.0:
-        with pytest.raises(UnsupportedModel, match=r"w\[0\] has bounds that no pair implies"):
-            LCP.from_cvxpy(problem)
-
-
 @pytest.mark.parametrize(
     ("value", "expected"), [(lambda h: 0.0, [2.5, 0.0, 0.0]), (lambda h: h[0] + 1, [2.5, 0.0, 3.5])]
 )
@@ -683,25 +612,6 @@ def test_misuse_is_told(act: Any, pattern: str) -> None:
     x.value = np.zeros(3)
     with pytest.raises(UnsupportedModel, match=pattern):
         act(cp.Problem(cp.Minimize(0), [pair_of(x)]))
-
-
-def test_models_of_many_parameters_are_solved_as_one_batch() -> None:
-    """A Cournot market for many loads and a matrix parameter: a batch of its LCPs has the values of single solves."""
-    rng = np.random.default_rng(0)
-    x, y = cp.Variable(3, nonneg=True), cp.Variable()
-    load, slope = cp.Parameter(3), cp.Parameter((3, 3))
-    pair = complements(x, slope @ x + y - load)
-    problem = cp.Problem(cp.Minimize(0), [pair, y == 0.5 * cp.sum(x)])
-    stated, values = [], []
-    for _ in range(5):
-        load.value, slope.value = rng.normal(size=3), np.eye(3) + 0.1 * rng.random((3, 3))
-        stated.append(LCP.from_cvxpy(problem))
-        problem.solve(method="LCP", tolerance=1e-10)
-        values.append(x.value)
-    batch = solve_batch(stated, tolerance=1e-10)
-    assert batch.all_solved
-    for one, z, value in zip(stated, batch.z, values, strict=True):
-        np.testing.assert_allclose(one.origin.values(z)[x.id], value, atol=1e-9)
 
 
 @pytest.mark.parametrize("order", [1, -1])

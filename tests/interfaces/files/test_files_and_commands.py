@@ -161,63 +161,6 @@ def test_no_minimum_is_told_and_shows_no_point() -> None:
 # --- Mistakes ---------------------------------------------------------------------------------------------------
 
 
-def mistakes() -> dict[str, str]:
-    """Write invalid files, and return a part of their error messages by name."""
-    Path("nothing").mkdir()
-    Path("called.npz").mkdir()
-    for ending in (".npz", ".mat", ".qps", ".nl"):
-        Path(f"empty{ending}").write_bytes(b"")
-        Path(f"noise{ending}").write_bytes(bytes(range(256)) * 4)
-    Path("notes.txt").write_text("hello")
-    np.savez("no_q.npz", M=M)
-    np.savez("no_c.npz", P=M)
-    np.savez("nan.npz", M=M, q=[np.nan, 1.0])
-    np.savez("nan_qp.npz", P=M, q=[np.nan, 1.0])
-    np.savez("nan_fit.npz", A=M, b=[np.nan, 1.0])
-    np.savez("none.npz", P=M, q=q, G=None)
-    np.savez("other.npz", X=M)
-    damaged = [f"empty{ending}" for ending in (".npz", ".mat")] + [
-        f"noise{ending}" for ending in (".npz", ".mat")
-    ]
-    return {
-        "missing.npz": "no such file: missing.npz",
-        "missing.qps": "no such file|pip install highspy",
-        "missing.nl": "no such file: missing.nl",
-        "missing.mat": "no such file: missing.mat",
-        "lcp.npzz": "no such file: lcp.npzz",
-        "nothing": r"nothing/M\.mtx; a folder must hold|a program is an",
-        "called.npz": "cannot read called.npz",
-        "notes.txt": r"cannot read notes\.txt",
-        **dict.fromkeys(damaged, "cannot read (empty|noise)"),
-        "empty.qps": "QuadraticProgram",
-        "noise.qps": "QuadraticProgram",
-        "empty.nl": "empty.nl",
-        "noise.nl": "noise.nl",
-        "no_q.npz": r"lacks the keys \['q'\]|holds an LCP",
-        "no_c.npz": r"lacks the keys \['c'\]",
-        "nan.npz": "q must be finite|holds an LCP",
-        "nan_qp.npz": "c must be",
-        "nan_fit.npz": "b must be|least squares",
-        "none.npz": "pickled objects, which are never read",
-        "other.npz": "lacks the keys",
-    }
-
-
-@pytest.mark.parametrize("command", CELLS)
-def test_mistakes_cost_one_line(command: str) -> None:
-    """Missing, empty, corrupt or misnamed files give exit code 2 and a line with the name."""
-    for name, words in mistakes().items():
-        done = lcp_plugin(command, name)
-        assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), (
-            name,
-            done.stderr,
-            done.stdout,
-        )
-        assert re.match(rf"lcp-plugin: .*({words})", done.stderr), (name, done.stderr)
-        assert Path(name).stem in done.stderr
-        assert len(done.stderr) < 600, done.stderr
-
-
 def test_each_example_in_a_help_page_is_a_command() -> None:
     """The examples below each help page use existing subcommands and options."""
     group: Any = typer.main.get_command(app)

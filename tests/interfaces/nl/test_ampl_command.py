@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from binary_nl import write_form
-from random_nl_models import drawn_words, judged, random_model
 from tools.nl_files import content_of, read_sol
 
 from lcp_plugin.commands import ampl, cli
@@ -344,15 +342,3 @@ def test_pyomo_solves_through_the_executable(
     found = pe.SolverFactory("asl:lcp-plugin-ampl").solve(model, options={"tolerance": 1e-10})
     assert str(found.solver.termination_condition) == "optimal"
     assert [model.x[i].value for i in range(3)] == pytest.approx(Z, abs=1e-8)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_models_by_chance_are_answered_by_the_executable(
-    seed: int, tmp_path: Path, draws: Callable[[int], range]
-) -> None:
-    """A .sol with a code of AMPL's table and what read_nl says; what is solved meets rows, pairs and bounds."""
-    for case in draws(25):
-        rng = np.random.default_rng([seed, case])
-        content, words = random_model(rng), drawn_words(rng)
-        message = judged(content, words, tmp_path / "m")
-        assert not message[:2].isupper(), (case, words, message)

@@ -591,20 +591,6 @@ def test_watched_run_is_the_same_run_and_callback_may_end_it(
         solve(problem, threads=0)
 
 
-def test_label_names_the_methods_that_ran() -> None:
-    """Projected gradients and then an external solver are both named, with their iterations."""
-    n, rng = 600, np.random.default_rng(0)
-    D = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n))
-    A = sp.csr_array(sp.block_array([[sp.eye_array(n), None], [D, -sp.eye_array(n - 2)]]))
-    b = np.append(rng.standard_normal(n), np.zeros(n - 2))
-    weights = np.append(np.ones(n), np.full(n - 2, 1e4))
-    l1 = np.append(np.zeros(n), np.full(n - 2, 5.0))
-    result = solve(BoundedLeastSquares(A, b, lower=-INF, weights=weights, l1=l1)).require_solved()
-    assert result.algorithm == "projected gradients, piqp"
-    assert [stage.name for stage in result.stages] == ["projected gradients", "piqp"]
-    assert result.nit == sum(stage.iterations for stage in result.stages)
-
-
 @pytest.mark.parametrize("lower", [-np.inf, 0.0], ids=["free", "one-sided"])
 @pytest.mark.parametrize("seed", range(2))
 def test_the_gap_of_a_fit_of_full_rank_is_small_at_its_minimizer(seed: int, lower: float) -> None:

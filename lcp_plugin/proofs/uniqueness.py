@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.kernels.floats import EPSILON
+from ..core.kernels.floats import EPSILON, NORMAL
 from ..core.lcp import LCP
 from ..systems.free_systems import CONSISTENT, LEAST_SQUARES_UP_TO
 from .bounds import ActiveRows
@@ -70,7 +70,7 @@ def moving(directions: Array) -> NDArray[np.intp]:
 def _null_space(matrix: Array, tolerance: float = 0.0) -> Array:
     """Return a basis of {y: matrix · y = 0}, as columns."""
     columns = np.abs(matrix).max(axis=0, initial=0.0)
-    unit = 1.0 / np.where(columns > 0.0, columns, 1.0)
+    unit = 1.0 / np.where(columns > 0.0, np.maximum(columns, NORMAL), 1.0)
     scaled = matrix * unit
     largest = np.abs(scaled).max(axis=1, initial=0.0)
     scaled = scaled[largest > 0.0] / largest[largest > 0.0, np.newaxis]

@@ -201,7 +201,7 @@ class LCPRun(Run):
     def _is_at_floor(self) -> bool:
         """Return whether the best residual is small and no larger than rounding explains: no step is worth its work."""
         found = self.measured(self.z)
-        return bool(found.is_limited) and found.residual <= GAINED
+        return bool(found.passes or found.is_limited) and found.residual <= GAINED
 
     def end_of_proof(self, proof: Any) -> TerminationReason | None:
         """Keep a proof; the run ends if it excludes the tolerance, or if only the rounding of the data is left."""

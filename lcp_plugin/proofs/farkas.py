@@ -412,7 +412,7 @@ class FarkasProgram:
         y = y / np.abs(y).max()
         unscaled = y * self.rows
         yield unscaled / np.abs(unscaled).max()
-        # Multipliers of stated models are often whole numbers.
+        # Multipliers of stated models are often integers.
         for unit in (1.0, np.abs(y[np.abs(y) > NEGLIGIBLE]).min()):
             yield np.rint(y / unit) * self.rows
         if (repaired := self._repaired(y)) is not None:

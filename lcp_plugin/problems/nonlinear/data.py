@@ -408,7 +408,7 @@ class LinearizedRows(RowData):
     def measure_at(self, *given: Any, **how: Any) -> Measured:
         """Measure x; it passes only if also no unknown grows, and rounding errors of F are small."""
         found = super().measure_at(*given, **how)
-        # Smaller rounding errors of F do not count, for any tolerance; at z° there is no reference
+        # Smaller rounding errors of F do not count, for any tolerance; z° has none
         limit, at = max(given[2], 1e-8) * found.by_row.reference * self.scale, found.rows
         is_lost = (at.is_active & (limit > 0.0) & (EPSILON * at.terms > limit)).any()
         return found._replace(passes=found.passes and not (is_lost or self.growing.any()))

@@ -62,7 +62,7 @@ FOLLOWED: list[tuple[LCP, dict[str, Any]]] = [
     (LCP([[-1.0, 0.0], [0.0, 4.0]], [1.0, -1.0]), {"algorithm": "npsplitting", "scaling": None}),
     # without convergence
     (CONTACT, {"algorithm": "npsor"}),
-    *((indefinite(), {"algorithm": name}) for name in ("newton", "interior_point", "banded")),
+    *((indefinite(), {"algorithm": name}) for name in ("interior_point", "banded")),
     (FAR, {"algorithm": "psor", "relaxation": 1.9}),
     (TRAPPED, {"algorithm": "npsor", "scaling": None}),
     # a limit

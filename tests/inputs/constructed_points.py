@@ -53,10 +53,10 @@ TABLE: dict[str, tuple[Any, ...]] = {  # M, q, a wrong point, the right one or N
         [2.0**20, 2.0**20, 2.0**27 - 2.0**20],
         None,
     ),
-    "a contradiction next to 2^40": (
+    "a contradiction next to 2^36": (
         [[1, -1, 0], [-1, 1, 0], [1, 0, 1]],
-        [-1, 0, -(2.0**40)],
-        [2.0**20, 2.0**20, 2.0**40],
+        [-1, 0, -(2.0**36)],
+        [2.0**20, 2.0**20, 2.0**36],
         None,
     ),
     "a small row next to one twice as large": (

@@ -417,7 +417,9 @@ def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> Vector:
 WORDS = {
     Status.SOLVED: "the residual is within the tolerance, as measured on F",
     Status.PRECISION_LIMIT: "rounding in F, as estimated, explains the residual; next: accept z, or scale F",
-    Status.STALLED: "no step reduces the residual: z may be a local minimum of it; next: try another start x0",
+    Status.STALLED: (
+        "no step reduces the residual: z may be a local minimum of the residual; next: try another start x0"
+    ),
     Status.DIVERGED: "the residual left every reasonable range; next: try another start x0, or bounds near it",
     Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.z",
     Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.z",
@@ -425,7 +427,7 @@ WORDS = {
 }
 
 
-GROWING = "the unknowns grow and F tends to 0: F may have no solution; next: try another start x0, or bounds"
+GROWING = "the unknowns grow without limit and F tends to 0: F may have no solution; next: try another start x0, or bounds"
 
 
 class NonlinearRun(Run):

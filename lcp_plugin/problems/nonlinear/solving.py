@@ -427,7 +427,7 @@ WORDS = {
 }
 
 
-GROWING = "the unknowns grow without limit and F tends to 0: F may have no solution; next: try another start x0, or bounds"
+GROWING = "the unknowns grow without limit, and F tends to 0: has it a solution? next: try another start x0, or bounds"
 
 
 class NonlinearRun(Run):

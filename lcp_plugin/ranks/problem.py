@@ -182,7 +182,7 @@ class RowsOnRanks:
         halo.require_same("tolerance", tolerance, "give the same on every rank", InvalidOption)
         data = RowDataOnRanks(self)
         own, terms = data.absolute.rows[:, : self.own], data.rows(z).terms
-        z = put_on_bounds(z, self.lower, self.upper, own, terms)
+        z = put_on_bounds(z, self.lower, self.upper, data.references[1], own, terms)
         found, reason = data.measure_at(z, None, tolerance), ""
         for i in np.flatnonzero((z < self.lower) | (z > self.upper))[:1].tolist():
             bound = self.lower[i] if z[i] < self.lower[i] else self.upper[i]

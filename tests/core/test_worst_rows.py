@@ -466,3 +466,22 @@ def test_a_cone_run_that_ends_early_has_its_worst_rows() -> None:
     result = solve(cone, callback=lambda sample, z: True)
     assert result.status is Status.INTERRUPTED
     assert "in a cone" in result.explain()
+
+
+NEAR_BOUNDS = [  # M, q, lower, upper, z, verdict
+    ([[1.0]], [1e16], 0.0, np.inf, [1.0], "disproved"),
+    ([[1e-30]], [1.0], 0.0, np.inf, [1e10], "disproved"),
+    ([[1.0, 1e-17], [1e-17, 1e-17]], [-1.0, 1.0], 0.0, np.inf, [1.0, 50.0], "disproved"),
+    ([[1e-17]], [1.0], -10.0, 10.0, [5.0], "disproved"),
+    ([[1.0]], [-1e16], 0.0, 1.0, [1.0], "proved"),
+    ([[1e-12]], [-1.0], 0.0, 1e-4, [1e-4], "proved"),
+    ([[1.0]], [-5.0], 1.0, 1.0 + 2.0**-50, [1.0 + 2.0**-50], "proved"),
+]
+
+
+@pytest.mark.parametrize(("M", "q", "lower", "upper", "z", "verdict"), NEAR_BOUNDS)
+def test_certify_takes_for_a_bound_what_is_at_rounding_level_next_to_it(
+    M: Any, q: Any, lower: float, upper: float, z: Any, verdict: str
+) -> None:
+    """A distance that the slack does not notice is not one of rounding, and a point on a bound stays there."""
+    assert certify(LCP(M, q, lower=lower, upper=upper), z).verdict == verdict

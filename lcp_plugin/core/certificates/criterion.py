@@ -14,9 +14,9 @@ a_i = max(|w_i(z°)|, max_j |m_ij w_j(z°)|/d_j) is the demand of row i and its 
 Rounding errors are included. A row whose demand is below 2⁻⁴² of its terms is noise: this is the limit of the test. If
 the active set is known, after a linear solve, the exponent 1 replaces 3/4. Test 2 is omitted in rows with |r_i| ≤
 absolute tolerance. A run moves each z_i to a bound that is nearer than the step −w_i/d_i, and z to z° in components
-that z° solves; the moved point is measured and returned. ``certify`` measures the given point. The program of
-``LCP.from_qp`` also rejects a point with a large duality gap. A residual is not an error:
-``help("lcp_plugin.proofs")``.
+that z° solves; the moved point is measured and returned. ``certify`` measures the given point, with z_i on a bound
+that is as near as rounding. The program of ``LCP.from_qp`` also rejects a point with a large duality gap. Violations
+below the smallest normal double pass. A residual is not an error: ``help("lcp_plugin.proofs")``.
 """
 
 from __future__ import annotations

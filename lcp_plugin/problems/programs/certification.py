@@ -237,7 +237,7 @@ def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
     data, z, w, names = criterion(problem, x)
     lower, upper, terms = map(np.ravel, (data.lower, data.upper, data.rows(z, w).terms))
     sizes = data.absolute[0] if data.absolute.ndim == 3 else data.absolute
-    near = put_on_bounds(x, lower, upper, sizes, terms)
+    near = put_on_bounds(x, lower, upper, data.references[1], sizes, terms)
     if not np.array_equal(near, x):
         data, z, w, names = criterion(problem, near)
     found = data.measure_at(z, w, tolerance)

@@ -151,3 +151,16 @@ def test_a_point_of_nearly_singular_rows_passes_the_rule_at_a_tolerance_of_round
         problem = LCP(A @ A.T, rng.standard_normal(3))
         result = solve(problem, tolerance=1e-16)
         assert not result.is_solved or failures(problem, result.z, tolerance=1e-16) == []
+
+
+def test_the_far_field_of_a_batch_is_solved_to_its_terms() -> None:
+    """A chain decays by 10⁻³ from row to row: every row of every problem is right to 1e-6 of its terms."""
+    n, count = 6, 200
+    M = 2.0 * np.eye(n) - 1e-3 * (np.eye(n, k=1) + np.eye(n, k=-1))
+    q = np.zeros((count, n))
+    q[:, 0] = -1.0 - np.arange(count) / count
+    batch = solve_batch(M, q)
+    assert batch.all_solved
+    w, terms = batch.z @ M.T + q, batch.z @ np.abs(M).T + np.abs(q)
+    assert (np.abs(w) <= 1e-6 * terms).all()
+    assert (batch.z > 0.0).all()

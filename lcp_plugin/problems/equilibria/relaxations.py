@@ -432,7 +432,7 @@ class EquilibriumResult(BaseResult):
             return (
                 "an objective that is not convex, smooth rows and integers need SCIP, which is not installed, or does "
                 "not load; next: pip install pyscipopt (or lcp_plugin[global]); for a local way leave out the "
-                "objective and differentiate the followers: derivative(result)"
+                "objective and differentiate the followers: derivative(problem) in cvxpy, derivative(result)"
             )
         return super()._advice_of_status()
 

@@ -50,7 +50,8 @@ def measure_finished(
             break
         one = measure_finished(_item(data, z.shape, int(k)), z[k], tolerance, power, absolute)
         z[k], residual[k], passes[k] = one[:3]
-    return found._replace(z=z, residual=residual, passes=passes)
+    # Rows and residuals belong to the points before
+    return found._replace(z=z, residual=residual, passes=passes, rows=None, by_row=None)
 
 
 def _solved_again(data: RowData, z: Any, rows: Any) -> Any:

@@ -31,8 +31,8 @@ def convergence_guarantee(
     Returns
     -------
     Guarantee
-        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy; `spectral_radius` and
-        `jacobi_radius` on first access.
+        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy; `spectral_radius` on
+        first access.
 
     Raises
     ------

@@ -17,13 +17,6 @@ from numpy.typing import NDArray
 from ..core.checks import Arrays, Vector, freeze_csr
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnreadableFile
 
-try:
-    from mpi4py import MPI
-except (ImportError, RuntimeError) as error:  # mpi4py without an MPI library raises the latter
-    raise InvalidOption(
-        f"several ranks need mpi4py and an MPI library ({error}); pip install mpi4py mpich (or lcp_plugin[mpi])"
-    ) from None
-
 T = TypeVar("T")
 
 
@@ -31,6 +24,15 @@ class Ranks:
     """Processes of a communicator of mpi4py, and collective decisions; None is the whole job."""
 
     def __init__(self, comm: Any) -> None:
+        try:
+            from mpi4py import MPI
+        except (
+            ImportError,
+            RuntimeError,
+        ) as error:  # mpi4py without an MPI library raises the latter
+            raise InvalidOption(
+                f"several ranks need mpi4py and an MPI library ({error}); pip install mpi4py mpich (or lcp_plugin[mpi])"
+            ) from None
         self.comm = MPI.COMM_WORLD if comm is None else comm
         if not isinstance(self.comm, MPI.Intracomm) or self.comm == MPI.COMM_NULL:
             raise InvalidProblem(

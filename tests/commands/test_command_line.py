@@ -213,7 +213,9 @@ def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -
     """Without matplotlib, --plot ends with the command to install it, before any solve."""
     for module in ("matplotlib", "matplotlib.figure"):
         monkeypatch.setitem(sys.modules, module, None)
-    monkeypatch.setattr("lcp_plugin.api.solve", lambda *_, **__: pytest.fail("it was solved"))
+    monkeypatch.setattr(
+        "lcp_plugin.commands.solving.solve", lambda *_, **__: pytest.fail("it was solved")
+    )
     done = lcp_plugin("solve", "half_active:n=4", "--plot", "out.png")
     assert done.exit_code == 2
     assert re.fullmatch(

@@ -546,3 +546,11 @@ def test_bounds_by_position_and_with_q_of_a_program_are_refused_with_the_spellin
         LCP([[1.0]], [1.0], 0.0, 1.0)
     with pytest.raises(AttributeError, match=r"write program\.with_vectors"):
         QuadraticProgram([[1.0]], [1.0]).with_q([2.0])
+
+
+def test_rows_on_ranks_without_mpi4py(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names of LCP that need mpi4py are there without it, as help(LCP) shows; a call says what to install."""
+    monkeypatch.setitem(sys.modules, "mpi4py", None)
+    assert LCP.from_petsc.__doc__ is not None
+    with pytest.raises(InvalidOption, match="pip install mpi4py mpich"):
+        LCP.from_rows(None, sp.eye_array(2), np.zeros(2))

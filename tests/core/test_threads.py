@@ -26,7 +26,7 @@ def pieces(count: int, smallest: int) -> list[tuple[int, int]]:
 
 
 def test_an_error_waits_until_every_piece_has_ended() -> None:
-    """Nobody is at work when the error of the first piece that failed comes out; what follows is shared again."""
+    """Nobody is at work when the error of a piece that failed comes out; what follows is shared again."""
     together, ended = threading.Barrier(3, timeout=60.0), []
 
     def work(first: int, end: int) -> None:
@@ -37,7 +37,7 @@ def test_an_error_waits_until_every_piece_has_ended() -> None:
         ended.append(first)
 
     with threads_for(3):
-        with pytest.raises(ValueError, match="piece 0"):
+        with pytest.raises(ValueError, match="piece [01]"):
             share(work, 3, 1)
         assert ended == [2]
         assert pieces(3, 1) == [(0, 1), (1, 2), (2, 3)]

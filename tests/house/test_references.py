@@ -32,8 +32,6 @@ def defined_names() -> frozenset[str]:
 
 def resolve(target: str) -> object:
     """Import the longest module prefix of a dotted name, and return the attribute after it."""
-    from lcp_plugin import InvalidOption
-
     parts = target.split(".")
     for count in range(len(parts), 0, -1):
         try:
@@ -42,8 +40,6 @@ def resolve(target: str) -> object:
             if not target.startswith(str(error.name)):
                 return f"{error.name} is not installed"
             continue
-        except InvalidOption as error:  # MPI ranks without mpi4py
-            return str(error)
         for name in parts[count:]:
             fields = getattr(found, "__dataclass_fields__", {})
             found = fields[name] if name in fields else getattr(found, name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Iterator
 from fractions import Fraction
 from types import SimpleNamespace
 from typing import Any
@@ -24,6 +25,7 @@ from lcp_plugin import (
     Status,
     solve,
 )
+from lcp_plugin.algorithms import NPGS, Step
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from lcp_plugin.problems.programs.conversion import lcp_from_qp, qp_from_lcp
 from lcp_plugin.problems.programs.criterion import QPSolution
@@ -524,22 +526,36 @@ def test_conditions_of_a_program_of_low_rank_are_solved_at_its_value(
     assert not result.is_solved or abs(objective - value) <= 1e-6 * (1.0 + abs(value))
 
 
-def test_a_point_with_a_large_duality_gap_is_not_at_the_rounding_level() -> None:
-    """The advice names the duality gap and recommends to solve the program; the value of a solution is right."""
-    rng = np.random.default_rng(4000000000664)
-    program, value = convex_programs.planted("huge bounds", rng, 12)
+class Ends(NPGS):
+    """Steps that end at a point within 1e-9 of the minimizer x = (1, 1)."""
+
+    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+        yield Step(np.array([1.0 - 1e-9, 1.0 - 1e-9, 0.0]))
+
+
+def test_a_point_with_a_large_duality_gap_is_rejected_with_advice() -> None:
+    """Below a limit of 1e8 an error of 1e-9 in x may cost 1e-2; the advice is to solve the program."""
+    program = QuadraticProgram(np.eye(2), [-1.0, -1.0], G=[[1.0, 1.0]], h=[1e8])
     problem = lcp_from_qp(program)
-    for algorithm in ("auto", "lemke"):
-        result = solve(problem, algorithm)
-        objective = problem.origin.recover(result).objective
-        assert abs(objective / value - 1.0) <= 1e-6 or not result.is_solved
-    assert solve(problem).is_solved
-    rejected = solve(problem, "interior_point")
+    rejected = solve(problem, Ends(), polish=False)
     assert rejected.status is Status.STALLED
     assert rejected.residual <= rejected.tolerance
     assert "duality gap" in rejected.explain()
     assert rejected.advice.endswith("next: solve(problem.origin.program)")
-    assert abs(solve(problem.origin.program).objective - value) <= 1e-6 * (1.0 + abs(value))
+    assert solve(problem).z[:2] == pytest.approx([1.0, 1.0])
+
+
+def test_values_of_a_program_with_huge_bounds() -> None:
+    """Methods solve its conditions at its value, or not at all."""
+    rng = np.random.default_rng(4000000000664)
+    program, value = convex_programs.planted("huge bounds", rng, 12)
+    problem = lcp_from_qp(program)
+    for algorithm in ("auto", "lemke", "interior_point"):
+        result = solve(problem, algorithm)
+        objective = problem.origin.recover(result).objective
+        assert abs(objective / value - 1.0) <= 1e-6 or not result.is_solved
+    assert solve(problem).is_solved
+    assert abs(solve(program).objective - value) <= 1e-6 * (1.0 + abs(value))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -37,7 +37,7 @@ def test_an_error_waits_until_every_piece_has_ended() -> None:
         ended.append(first)
 
     with threads_for(3):
-        with pytest.raises(ValueError, match="piece [01]"):
+        with pytest.raises(ValueError, match=r"piece [01]"):
             share(work, 3, 1)
         assert ended == [2]
         assert pieces(3, 1) == [(0, 1), (1, 2), (2, 3)]

@@ -228,11 +228,9 @@ def test_duplicates_are_summed_as_doubles(form: str, kind: type) -> None:
         (np.array([value, value, value], dtype=kind), ([0, 0, 1], [0, 0, 1])), shape=(2, 2)
     )
     if form != "coo":  # scipy would add them up on the way
-        data, indices, pointer = (
-            np.array([value] * 3, dtype=kind),
-            np.array([0, 0, 1]),
-            np.array([0, 2, 3]),
-        )
+        data = np.array([value] * 3, dtype=kind)
+        indices = np.array([0, 0, 1])
+        pointer = np.array([0, 2, 3])
         kinds = {"csr": sp.csr_array, "csc": sp.csc_array, "bsr": sp.bsr_array}
         M = kinds[form](
             (data.reshape(3, 1, 1) if form == "bsr" else data, indices, pointer), shape=(2, 2)

@@ -172,10 +172,8 @@ SHARED_BY_TWO = {
 def test_agents_with_entries_of_one_vector_share_a_row_that_holds_their_entries(form: str) -> None:
     """Two of three agents share x₀ + x₁ ≤ 4; the third one has no entry in it, and its own minimum."""
     x = cp.Variable(3, value=np.ones(3))
-    row, goals = (
-        SHARED_BY_TWO[form](x),
-        [x[0] ** 2 - 8 * x[0], x[1] ** 2 - 6 * x[1], (x[2] - 2) ** 2],
-    )
+    row = SHARED_BY_TWO[form](x)
+    goals = [x[0] ** 2 - 8 * x[0], x[1] ** 2 - 6 * x[1], (x[2] - 2) ** 2]
     agents = [
         optimal(cp.Problem(cp.Minimize(goals[i]), [row]), over=[x[i]], shared=row) for i in (0, 1)
     ]
@@ -411,10 +409,8 @@ TERMS = {
 @pytest.mark.parametrize("name", TERMS)
 def test_the_gradient_of_a_smooth_term_agrees_with_differences(name: str) -> None:
     """By central differences of cvxpy's values; rounding and the step's square bound the error."""
-    at, term = (
-        np.array([0.7, 1.3, 2.1]),
-        cp.sum(cp.multiply(np.arange(1.0, TERMS[name].size + 1), TERMS[name])),
-    )
+    at = np.array([0.7, 1.3, 2.1])
+    term = cp.sum(cp.multiply(np.arange(1.0, TERMS[name].size + 1), TERMS[name]))
     best = optimal(cp.Problem(cp.Minimize(term)), over=[U], check="local")
     U.value = at
     found = best.conditions.stationarity.second.expression.value

@@ -434,10 +434,8 @@ def test_bounds_that_no_pair_states_hold(make: Any, status: str) -> None:
 
 
 def pair_of_named(has_bound_x: bool, has_bound_w: bool) -> tuple[Any, Any, Any]:
-    x, w = (
-        cp.Variable(2, nonneg=has_bound_x, name="x"),
-        cp.Variable(2, nonneg=has_bound_w, name="w"),
-    )
+    x = cp.Variable(2, nonneg=has_bound_x, name="x")
+    w = cp.Variable(2, nonneg=has_bound_w, name="w")
     return x, w, w == np.array([[2.0, 1.0], [1.0, 2.0]]) @ x + [-5.0, 1.0]
 
 

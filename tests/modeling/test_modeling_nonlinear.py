@@ -205,10 +205,8 @@ def test_planted_answers_are_found(seed: int) -> None:
     """A monotone F with x and w chosen first, bounds on both sides and free rows: x is found."""
     generator = np.random.default_rng(seed)
     n = 6
-    lower, upper = (
-        generator.choice([-1.0, -np.inf], size=n),
-        generator.choice([2.0, np.inf], size=n),
-    )
+    lower = generator.choice([-1.0, -np.inf], size=n)
+    upper = generator.choice([2.0, np.inf], size=n)
     low, high = np.where(np.isfinite(lower), lower, -0.5), np.where(np.isfinite(upper), upper, 0.7)
     where = generator.integers(0, 3, size=n)
     planted = np.where(

@@ -52,11 +52,9 @@ def planted(kind: str, count: int, seed: int = 0) -> tuple[list[QuadraticProgram
 def dense(count: int, n: int = 6, m: int = 12, seed: int = 0) -> tuple[Any, ...]:
     """Stacked P, c, G, h of strictly convex programs whose rows meet at a point."""
     rng = np.random.default_rng(seed)
-    factor, G, x = (
-        rng.normal(size=(count, n, n)),
-        rng.normal(size=(count, m, n)),
-        rng.normal(size=(count, n)),
-    )
+    factor = rng.normal(size=(count, n, n))
+    G = rng.normal(size=(count, m, n))
+    x = rng.normal(size=(count, n))
     P = factor @ factor.transpose(0, 2, 1) + 0.1 * np.eye(n)
     h = np.einsum("kij,kj->ki", G, x) + rng.random((count, m))
     return (P + P.transpose(0, 2, 1)) / 2, 3.0 * rng.normal(size=(count, n)), G, h

@@ -324,11 +324,9 @@ def test_other_velocities_of_contacts_do_not_tell_those_of_bodies() -> None:
 
 def test_pyramids_of_many_edges_come_near_to_the_cone() -> None:
     """64 edges give bodies and gaps nearly the velocities of the cone."""
-    bodies, friction, velocities = (
-        (np.diag([2.0] * 3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]),
-        0.4,
-        [1.0, 2.0, -3.0],
-    )
+    bodies = (np.diag([2.0] * 3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
+    friction = 0.4
+    velocities = [1.0, 2.0, -3.0]
     exact = FrictionalContact(bodies, velocities, friction, gaps=0.01, time_step=0.1)
     moved = solve(exact, tolerance=1e-12).require_solved().motion.body_velocities
     speed = np.hypot(1.0, 2.0)
@@ -512,10 +510,8 @@ def test_towers_that_get_heavier_upwards_stand(masses: Any) -> None:
     mass = np.outer(masses, [1.0, 1.0, 1.0, 0.02, 0.02, 0.03]).ravel()
     pull = np.tile([0.0, 0.0, -0.0981, 0.0, 0.0, 0.0], count)
     result = solve(FrictionalContact((J / mass) @ J.T, J @ pull, 0.5, dimension=3)).require_solved()
-    carried, weights = (
-        result.motion.normal.reshape(count, 4).sum(axis=1),
-        0.0981 * np.cumsum(masses[::-1])[::-1],
-    )
+    carried = result.motion.normal.reshape(count, 4).sum(axis=1)
+    weights = 0.0981 * np.cumsum(masses[::-1])[::-1]
     np.testing.assert_allclose(carried, weights, rtol=1e-5)
     assert "from a point nearby" not in result.explain()
 

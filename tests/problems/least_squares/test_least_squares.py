@@ -58,10 +58,8 @@ def of_condition(m: int, n: int, condition: float, seed: int = 0) -> np.ndarray:
     """A dense matrix of that condition."""
     rng = np.random.default_rng(seed)
     k = min(m, n)
-    left, right = (
-        np.linalg.qr(rng.standard_normal((m, k)))[0],
-        np.linalg.qr(rng.standard_normal((n, k)))[0],
-    )
+    left = np.linalg.qr(rng.standard_normal((m, k)))[0]
+    right = np.linalg.qr(rng.standard_normal((n, k)))[0]
     return left @ np.diag(np.logspace(0.0, -np.log10(condition), k)) @ right.T
 
 
@@ -321,10 +319,8 @@ def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None
     """
     rng = np.random.default_rng(seed)
     case = campaign.draw(campaign.KINDS[seed % 3], rng)
-    rows, columns = (
-        2.0 ** rng.integers(-30, 31, case.b.size),
-        2.0 ** rng.integers(-30, 31, case.lower.size),
-    )
+    rows = 2.0 ** rng.integers(-30, 31, case.b.size)
+    columns = 2.0 ** rng.integers(-30, 31, case.lower.size)
     alone = bounded_least_squares(case.A, case.b, case.lower, case.upper, tolerance=tolerance)
     plain = bounded_least_squares(
         case.A, case.b, case.lower, case.upper, weights=np.ones(case.b.size), tolerance=tolerance

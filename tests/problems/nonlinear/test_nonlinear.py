@@ -167,11 +167,9 @@ def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
     """Scaling the rows of F, and changing the unit of x, does not change the relative residual."""
     rng = np.random.default_rng(seed)
     one = planted(rng, "monotone polynomial", n)
-    x, rows, unit = (
-        rng.standard_normal(n),
-        2.0 ** rng.integers(-20, 20, n),
-        2.0 ** int(rng.integers(-20, 20)),
-    )
+    x = rng.standard_normal(n)
+    rows = 2.0 ** rng.integers(-20, 20, n)
+    unit = 2.0 ** int(rng.integers(-20, 20))
     other = NonlinearProblem(
         lambda y: rows * one.F(y / unit),
         lambda y: rows[:, None] * one.jacobian(y / unit) / unit,

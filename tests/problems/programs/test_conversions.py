@@ -199,10 +199,8 @@ def test_round_trip_of_symmetric_problems(n: int, sparse: bool) -> None:
     factor = rng.normal(size=(n, n))
     M = factor @ factor.T
     M = (M + M.T) / 2
-    lower, upper = (
-        np.array([0.0, -np.inf, -1.0, -np.inf, 2.0])[:n],
-        np.array([np.inf, np.inf, 1.0, 3.0, 2.0])[:n],
-    )
+    lower = np.array([0.0, -np.inf, -1.0, -np.inf, 2.0])[:n]
+    upper = np.array([np.inf, np.inf, 1.0, 3.0, 2.0])[:n]
     problem = LCP(sp.csr_array(M) if sparse else M, rng.normal(size=n), lower=lower, upper=upper)
     again = lcp_from_qp(qp_from_lcp(problem))
     np.testing.assert_array_equal(again.csr.toarray(), problem.csr.toarray())
@@ -290,10 +288,8 @@ def test_bimatrix_games(name: str) -> None:
 @pytest.mark.full
 def test_a_game_of_players_is_taken_as_it_is() -> None:
     """A game of two by three actions equals (A, B), with the player's action on the first axis."""
-    A, B = (
-        np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]]),
-        np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]]),
-    )
+    A = np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]])
+    B = np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]])
     expected = lcp_from_bimatrix_game(A, B)
     games = [game_of(A, B.T)]
     try:

@@ -410,7 +410,7 @@ class Result(BaseResult):
         return [] if is_decided else [stage.remark for stage in self.stages if stage.remark]
 
     def _remarks(self) -> list[str]:
-        from .misleading import what_may_mislead
+        from .explanation import what_may_mislead
 
         lines = []
         if self.is_polished:
@@ -445,14 +445,9 @@ class Result(BaseResult):
         return worst_pairs(data, found, self.certificate.problem.names, self.tolerance, count)
 
     def _mistake(self) -> str:
-        from .mistakes import likely_mistake, reversed_row
+        from .explanation import likely_mistake_of
 
-        problem = self.certificate.problem
-        if self.status is Status.NO_SOLUTION and isinstance(problem, LCP):
-            return reversed_row(problem)
-        if self.status in (*LIMITS, *PROVEN, Status.INTERRUPTED) or not isinstance(problem, LCP):
-            return ""  # of a right model too the last point may look wrong
-        return likely_mistake(problem, self.z, self.w)
+        return likely_mistake_of(self)
 
     @property
     def _or_absolute(self) -> str:

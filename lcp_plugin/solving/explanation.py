@@ -16,12 +16,11 @@ from ..core.checks import Vector
 from ..core.errors import UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.names import Names, listed
-from ..core.settings import PROVEN, Status
+from ..core.settings import LIMITS, PROVEN, Status
 from ..proofs.bounds import error_bound, estimated_error, free_rows, settled_rows
 from ..proofs.farkas import without_rounding
 from ..proofs.uniqueness import directions_of_solutions, moving
 from ..systems.free_systems import CONSISTENT, LEAST_SQUARES_UP_TO, FreeSystem
-from .result import LIMITS
 
 if TYPE_CHECKING:
     from .result import Result
@@ -75,8 +74,8 @@ def _other_solutions(result: Result) -> str:
 def _stiffness(result: Result) -> str:
     """Return the warning that a small residual goes, or may go, with a much larger error, or ""."""
     relative = result.certificate.relative_residual
-    if result.error_bound is not None:
-        factor = result.error_bound.relative / relative if relative > 0.0 else 0.0
+    if (bound := vars(result).get("error_bound")) is not None:
+        factor = bound.relative / relative if relative > 0.0 else 0.0
         # An error so much larger than the residual is worth a word
         if not factor > 1e3:
             return ""
@@ -120,9 +119,9 @@ def _nearness_to_singular(result: Result) -> str:
 
 
 def _advised(result: Result) -> str:
-    """Return the advice to request a bound, unless the request already failed."""
-    advice = "; error_bound=True computes a bound of it, where M allows one"
-    return "" if result.no_error_bound else advice
+    """Return the advice to read a bound, unless it was read."""
+    is_computed = "error_bound" in vars(result)
+    return "" if is_computed else "; result.error_bound is a bound of it, where M allows one"
 
 
 def likely_mistake_of(result: Result) -> str:

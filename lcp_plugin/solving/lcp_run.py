@@ -27,13 +27,13 @@ from ..core.kernels.floats import DATA_ROUNDING
 from ..core.kernels.threads import threads_for
 from ..core.lcp import LCP
 from ..core.representation import format_count
-from ..core.settings import Settings, Status
+from ..core.settings import LIMITS, Settings, Status
 from ..methods.finishing import measure_finished
 from ..methods.newton import polish_active_set
 from ..proofs.guarantees import guarantee_of
 from .plan import plan
 from .progress import Progress
-from .result import LIMITS, Callback, Result
+from .result import Callback, Result
 from .run import Run
 from .stage import FAILED, Stage, TerminationReason
 
@@ -231,7 +231,6 @@ class LCPRun(Run):
             infeasibility=self.proof,
             is_polished=self.is_polished,
             _asked=self.chosen,
-            _wants_bound=self.settings.error_bound and bool(chain),
             _advice={} if is_solved else self._advice(found, end),
         )
 

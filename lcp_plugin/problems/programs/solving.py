@@ -383,7 +383,7 @@ def solve_program(
     """
     clock = Clock()
     wishes = {name: options.pop(name) for name in OF_SOLVE if name in options}
-    for name in ("error_bound", "absolute_tolerance", "polish"):
+    for name in ("absolute_tolerance", "polish"):
         if name in wishes and wishes.pop(name) not in (None, DEFAULTS[name]):
             raise InvalidOption(f"solve takes no {name} for a QuadraticProgram")
     wishes = {name: wish for name, wish in wishes.items() if wish is not None}

@@ -13,8 +13,7 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from ..core.algorithm import Step
-from ..core.certificates.criterion import RowData, VectorEnds, divide_nonnegative
-from ..core.certificates.measured import Measured
+from ..core.certificates.criterion import Measured, RowData, VectorEnds, divide_nonnegative
 from ..core.checks import Vector, read_only
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.threads import threads_for

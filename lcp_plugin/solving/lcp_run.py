@@ -13,12 +13,12 @@ from ..core.algorithm import Algorithm, Step
 from ..core.certificates.criterion import (
     GAINED,
     POWER,
+    Measured,
     divide_nonnegative,
     measured_residual,
     rounding_of_data,
     row_data,
 )
-from ..core.certificates.measured import Measured
 from ..core.certificates.residuals import Certificate
 from ..core.checks import Vector, read_only
 from ..core.deadline import Clock

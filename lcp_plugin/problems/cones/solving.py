@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Step
-from ...core.certificates.measured import Measured
-from ...core.certificates.worst import WorstRows
+from ...core.certificates.criterion import Measured
+from ...core.certificates.residuals import WorstRows
 from ...core.checks import Vector, checked_start, derived_property, read_only
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for

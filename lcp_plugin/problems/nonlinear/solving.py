@@ -16,8 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Algorithm, Step
-from ...core.certificates.criterion import POWER, RowData, row_data
-from ...core.certificates.measured import Measured
+from ...core.certificates.criterion import POWER, Measured, RowData, row_data
 from ...core.checks import Vector, read_only, vector_option
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...core.algorithm import Step
-from ...core.certificates.worst import WorstRows
+from ...core.certificates.residuals import WorstRows
 from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
@@ -59,7 +59,7 @@ TOLERANCES = MappingProxyType(
 
 
 class ProgramPoint(NamedTuple):
-    """Measured point of a run, as :class:`~lcp_plugin.core.certificates.measured.Measured`.
+    """Measured point of a run, as :class:`~lcp_plugin.core.certificates.criterion.Measured`.
 
     Attributes
     ----------

@@ -12,8 +12,7 @@ from inputs import membranes
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, Certificate, Result, solve
-from lcp_plugin.core.certificates.criterion import RowData
-from lcp_plugin.core.certificates.measured import Measured
+from lcp_plugin.core.certificates.criterion import Measured, RowData
 from lcp_plugin.evidence import cross_check
 from lcp_plugin.evidence.cross_check import GAP, PLAIN, cross_validate
 

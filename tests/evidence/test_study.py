@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cvxpy  # noqa: F401 - sets warning filters where it is loaded
 import numpy as np
 import pytest
 import scipy.sparse as sp

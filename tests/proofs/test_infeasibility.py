@@ -134,6 +134,7 @@ def test_exact_solves_satisfy_their_equations(seed: int) -> None:
     assert (x is None) == (rank < k)
     if x is not None:
         assert [sum(a * v for a, v in zip(row, x, strict=True)) for row in A] == b
+    assert solve_exactly([[1, 2], [2, 4]], [1, 1]) is None
 
 
 def test_signs_of_one_row_prove_a_large_problem_infeasible() -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, solve, solve_batch
+from lcp_plugin import LCP, FrictionalContact, solve, solve_batch
 from lcp_plugin.core.errors import InvalidProblem
 
 GRAVITY, STEP = 9.81, 0.01
@@ -68,24 +69,24 @@ BODY = (np.eye(3), [[0, 0, 1]], [[[1, 0, 0], [0, 1, 0]]])
 
 
 @refusals(r"""
-LCP.from_contacts(*(EYE, [-0.5], FALL)) → friction must not be negative, but friction\[0\] = -0.5
-LCP.from_contacts(*(EYE, [0.5, 0.5], FALL)) → array of shape \(1,\)
-LCP.from_contacts(*((np.eye(3), [[0, 0, 1]], [[[2, 0, 0], [0, 1, 0]]]), 0.5, np.zeros(3)))
+LCP.from_contacts(EYE, [-0.5], FALL) → friction must not be negative, but friction\[0\] = -0.5
+LCP.from_contacts(EYE, [0.5, 0.5], FALL) → array of shape \(1,\)
+LCP.from_contacts((np.eye(3), [[0, 0, 1]], [[[2, 0, 0], [0, 1, 0]]]), 0.5, np.zeros(3))
     → must be orthogonal unit vectors, but contact 0 violates this by .* divide
-LCP.from_contacts(*(np.eye(6), 0.5, FALL)) → must have shape \(2, 3\).*got shape \(1, 3\)
-LCP.from_contacts(*(BODY, 0.5, np.zeros(2))) → velocities must have shape \(3,\).*too few
-LCP.from_contacts(*(EYE, 0.5, [[0.0] * 3] * 2)) → \(1, 3\).*got shape \(2, 3\)
-LCP.from_contacts(*(EYE, 0.5, np.zeros(3))) → must have shape \(1, 3\)
-LCP.from_contacts(*(EYE, 0.5, [[np.nan, 0.0, 0.0]])) → velocities .* entry \[0, 0\] is nan
-LCP.from_contacts(*(np.tri(3), 0.5, FALL)) → W must be symmetric.*same J
-LCP.from_contacts(*(np.ones((3, 2)), 0.5, FALL)) → W must be square
-LCP.from_contacts(*((np.diag([1.0, 1.0, 0.0]), *BODY[1:]), 0.5, np.zeros(3))) → positive definite
-LCP.from_contacts(*(BODY[:2], 0.5, FALL)) → got 2 arrays
-LCP.from_contacts(*((EYE, [[0, 1]], [[[1, 0]]]), 0.5, FALL)) → normals must have shape \(k, 3\)
-LCP.from_contacts(*((EYE, [[0, 0, 1]], [[[1, 0, 0]]] * 2), 0.5, FALL)) → tangents must .*k = 1
-LCP.from_contacts(*(EYE, 0.5, FALL, 2)) → even number ≥ 4, got 2; leave directions out in the plane
-LCP.from_contacts(*(EYE, 0.5, FALL, 5)) → even number ≥ 4.*got 5
-LCP.from_contacts(*(EYE, 0.5, [FALL, FALL])) → must have shape \(1, 3\)
+LCP.from_contacts(np.eye(6), 0.5, FALL) → must have shape \(2, 3\).*got shape \(1, 3\)
+LCP.from_contacts(BODY, 0.5, np.zeros(2)) → velocities must have shape \(3,\).*too few
+LCP.from_contacts(EYE, 0.5, [[0.0] * 3] * 2) → \(1, 3\).*got shape \(2, 3\)
+LCP.from_contacts(EYE, 0.5, np.zeros(3)) → must have shape \(1, 3\)
+LCP.from_contacts(EYE, 0.5, [[np.nan, 0.0, 0.0]]) → velocities .* entry \[0, 0\] is nan
+LCP.from_contacts(np.tri(3), 0.5, FALL) → W must be symmetric.*same J
+LCP.from_contacts(np.ones((3, 2)), 0.5, FALL) → W must be square
+LCP.from_contacts((np.diag([1.0, 1.0, 0.0]), *BODY[1:]), 0.5, np.zeros(3)) → positive definite
+LCP.from_contacts(BODY[:2], 0.5, FALL) → got 2 arrays
+LCP.from_contacts((EYE, [[0, 1]], [[[1, 0]]]), 0.5, FALL) → normals must have shape \(k, 3\)
+LCP.from_contacts((EYE, [[0, 0, 1]], [[[1, 0, 0]]] * 2), 0.5, FALL) → tangents must .*k = 1
+LCP.from_contacts(EYE, 0.5, FALL, 2) → even number ≥ 4, got 2; leave directions out in the plane
+LCP.from_contacts(EYE, 0.5, FALL, 5) → even number ≥ 4.*got 5
+LCP.from_contacts(EYE, 0.5, [FALL, FALL]) → must have shape \(1, 3\)
 """)
 def test_a_mistake_is_refused_in_words(call: str, words: str) -> None:
     """What does not state contacts is an InvalidProblem that says what is needed."""
@@ -108,8 +109,15 @@ def test_rotations_of_length_one_are_no_mistake() -> None:
         [[3, 1, 0], [0, 5, 0]],
         [[5, 0, 0.1], [0, 5, 0]],
         [[1, 0, 0], [0.6, 0.8, 0]],
+        [[0, 0, 0], [0, 0, 0]],
+        [[1, 0, 0], [0, 0, 0]],
+        [[1, 0, 0], [1, 0, 0]],
+        [[0, 0, 1], [1, 0, 0]],
     ],
-    ids=["long and skew", "longer", "along the normal", "unit and skew"],
+    ids=[
+        *("long and skew", "longer", "along the normal", "unit and skew"),
+        *("zero", "one is zero", "equal", "equal to the normal"),
+    ],
 )
 def test_tangents_of_a_free_body_are_orthogonal_unit_vectors(tangents: list[list[float]]) -> None:
     """What is skew is refused as well, with a way out for unknowns that are no translations."""
@@ -118,6 +126,10 @@ def test_tangents_of_a_free_body_are_orthogonal_unit_vectors(tangents: list[list
         InvalidProblem, match=r"must be orthogonal unit vectors.*or, if the unknowns are not transl"
     ):
         LCP.from_contacts(bodies, 0.4, [0.5, 0.3, -1.0])
+    far = 2.0 * np.eye(6), np.eye(1, 6, 5), np.hstack([np.zeros((2, 3)), tangents])
+    for given in (far, tuple(map(sp.csr_array, far))):
+        with pytest.raises(InvalidProblem, match="orthogonal unit vectors, but contact 0"):
+            FrictionalContact(given, np.zeros(6), 0.4)
 
 
 def test_an_answer_to_another_q_has_its_own_velocities() -> None:

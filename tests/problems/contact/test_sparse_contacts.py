@@ -122,6 +122,7 @@ FrictionalContact((MASS, NORMALS), VELOCITIES, 0.5)
 FrictionalContact((MASS + sp.eye_array(24, k=1), NORMALS, TANGENTS), VELOCITIES, 0.5)
     → the mass matrix must be symmetric
 FrictionalContact((MASS * np.nan, NORMALS, TANGENTS), VELOCITIES, 0.5) → the mass matrix must be finite
+FrictionalContact((MASS, NORMALS[:0], TANGENTS[:0]), VELOCITIES, 0.5) → a contact has 3 rows, .*: 0 rows
 """)
 def test_what_does_not_fit_is_refused_in_words(call: str, words: str) -> None:
     """Shapes, definiteness, directions, numbers."""

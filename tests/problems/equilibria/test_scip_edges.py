@@ -97,6 +97,11 @@ def bilinear(**more: Any) -> EquilibriumProgram:
     return EquilibriumProgram(program, [0], [2])
 
 
+def test_more_nodes_than_scip_can_count_are_no_limit() -> None:
+    """The bound is that of a run without a limit."""
+    assert minimize_over_solutions(bilinear(), max_nodes=10**30).value == pytest.approx(2.0)
+
+
 # --- No SCIP, and a SCIP that fails ---
 
 

@@ -25,7 +25,6 @@ from .lemke.pivoting_path import bimatrix_players, is_game
 from .newton import classify, is_near, signature, solve_active_set
 
 SAME = 1e-12  # entries that differ by less, relatively, are equal up to rounding
-CASES = 5  # that follow from a point of an engine; from a start, one
 STEPS = 60  # of PIQP: 10 to 30 if M is monotone by more than rounding
 
 
@@ -89,7 +88,8 @@ class InteriorPoint(Algorithm):
             z, steps = program.answer(engine(max_iter=STEPS, **options))
             if not np.isfinite(z).all():
                 return
-            cases = _cases(problem, z, CASES)
+            # Cases that follow from a point of an engine; from a start, one
+            cases = _cases(problem, z, 5)
             sharp = next(cases, Step(z))
             sharp.work += steps * (1.0 + operations / max(problem.nonzeros, 1))
             sharp.remark = f"{engine.name} took {steps} steps"

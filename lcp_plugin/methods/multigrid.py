@@ -212,7 +212,6 @@ def smooth_units(matrix: Matrix) -> tuple[Vector, Matrix] | None:
     return v, Matrix(sp.diags_array(v) @ M @ sp.diags_array(v))
 
 
-SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
 GAINED = 0.5  # a round of cycles and sweeps that reduces the least residual by less has failed
 
 
@@ -467,7 +466,8 @@ class MultigridRun:
             # Krylov steps pay from this contraction on.
             is_slow = largest > 0.1 * before
             before = largest
-            if is_slow and changed <= max(SETTLED * self.size, 1):
+            # A thousandth of the unknowns may still change sides
+            if is_slow and changed <= max(1e-3 * self.size, 1):
                 yield from self._krylov(z, is_settled=not changed)
             else:
                 self._correct(0, z)

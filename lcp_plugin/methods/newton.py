@@ -205,7 +205,6 @@ class NewtonState:
 
 
 PATIENT_ROWS = 250
-ROUNDS = 3
 
 SHIFT = 1e-3  # keeps the Jacobian regular if M is only P₀
 
@@ -271,7 +270,7 @@ class Newton(Algorithm):
 
 def rounds(state: NewtonState) -> Generator[Step, None, bool]:
     """Yield full steps and damped steps alternately; return whether an active set settled."""
-    for _ in range(ROUNDS):
+    for _ in range(3):
         if (yield from full_steps(state)):
             return True
         before = state.best

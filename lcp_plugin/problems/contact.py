@@ -41,7 +41,6 @@ from ..solving.result import Result
 
 FloatArray = NDArray[np.float64]
 
-SYMMETRIC = 1e-8  # of the largest entry
 UNIT = 1e-6  # by which the length of a direction may differ from 1
 NOT_DEFINITE = "the mass matrix must be positive definite, and is not; leave out bodies that do not move, or give W"
 # of soft rubber it is some 2; a larger one is probably an angle or a percentage
@@ -482,7 +481,7 @@ def _array(values: Any, need: str) -> FloatArray:
 
 
 @np.errstate(all="ignore")
-def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> None:
+def check_symmetric(matrix: Any, name: str, tolerance: float = 1e-8) -> None:
     """Raise InvalidProblem if max |m_ij − m_ji| exceeds `tolerance` times the largest entry."""
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise InvalidProblem(

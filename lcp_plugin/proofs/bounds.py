@@ -227,7 +227,6 @@ class ActiveSetSteps:
 
 
 GOAL = 1e-6  # of a linear solve in such a step, if it is iterative
-EXACT = 1e-14  # relative error after a step
 ROUNDING = 4.0  # times the rounding floor: the residual accepted by PRECISION_LIMIT
 
 
@@ -317,7 +316,7 @@ def _settled(
         if following is None:
             return None
         change, at = np.abs((following.high - at.high) + (following.low - at.low)), following
-        allowed = EXACT * np.abs(at.high).max(initial=0.0)
+        allowed = 1e-14 * np.abs(at.high).max(initial=0.0)  # all digits
         if steps.is_settled(at) and GOAL * change.max(initial=0.0) <= allowed:
             return at, steps.system, GOAL * change
     return (at, steps.system, GOAL * change) if change.max(initial=0.0) <= allowed else None
@@ -508,7 +507,6 @@ def _rounding(matrix: Any, factor: PositiveFactor) -> float:
 
 
 SMALL = 1000  # up to here every stage is cheap
-REFINEMENT_STEPS = 12  # each takes two digits off the bound, and a third of a linear solve
 
 NO_PROOF = (
     "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite symmetric "
@@ -685,7 +683,7 @@ def _sharpen(found: BestBound, family: Family) -> None:
     problem = found.at.problem
     steps = ActiveSetSteps(problem)
     point = found.at
-    for _ in range(REFINEMENT_STEPS):
+    for _ in range(12):  # each takes two digits off the bound, and a third of a linear solve
         following = steps.next_point(point)
         if following is None:
             return

@@ -259,7 +259,6 @@ NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear pr
 # times the unit: sizes that a linear program distinguishes from ∞ and from 0
 MOST, LEAST = 1e5, 1e-6
 ENOUGH = 1e-6  # a tolerance: a proof that excludes it ends the search
-KEPT = 0.55  # share of the optimum kept in the search for slack: enough in spite of rounding
 
 
 Multipliers = Vector | Sequence[Rational]
@@ -387,12 +386,13 @@ class FarkasProgram:
         shares = shares if shares.any() else np.ones(shares.size)
         size, largest = shares.size, 0.1 * shares.size / self.norm.sum()
         both = sp.hstack([sp.eye_array(size), sp.csc_array(shares[:, None])], format="csc")
+        # Enough in spite of rounding
         result = linear_program(
             np.append(np.zeros(size), -1.0),
             self.equations @ both,
             0.0,
             np.repeat([[0.0, np.inf], [0.0, largest]], [size, 1], axis=0),
-            (np.stack([self.norm, self.cost]) @ both, [1.0, KEPT * answer.fun]),
+            (np.stack([self.norm, self.cost]) @ both, [1.0, 0.55 * answer.fun]),
             self.pivots,
         )
         return None if result is None or result.fun > -LP_TOLERANCE else np.asarray(both @ result.x)

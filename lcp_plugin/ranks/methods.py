@@ -248,9 +248,6 @@ class TruncationOnRanks(Truncation):
 
 
 Iterates = Iterator[tuple[Vector, float]]  # z, shape (own,), and passes over M since the last
-OUT_OF_HAND = 100.0  # times the least residual
-SHRUNK = 0.9  # of the least residual: a cycle that gains less is idle
-PATIENCE = 12  # idle cycles
 # contraction of a cycle, and share of changed rows, at which Krylov steps pay
 SLOW, SETTLED = (0.1, 1e-3)
 KRYLOV_STEPS, KRYLOV_GAIN = 24, 1e-2
@@ -320,9 +317,10 @@ def multigrid(problem: RowsOnRanks, z: Vector) -> Iterates:
         run.sweep(whole)
         largest, changed = run.look(whole)
         yield whole[own], run.take_work()
-        idle = 0 if largest < SHRUNK * least else idle + 1
+        idle = 0 if largest < 0.9 * least else idle + 1  # a cycle that gains less is idle
         least = min(least, largest)
-        if not largest <= OUT_OF_HAND * least or idle >= PATIENCE:
+        # A residual a hundred times the least, or a dozen idle cycles, end the run
+        if not largest <= 100.0 * least or idle >= 12:
             return
         if largest > SLOW * before and changed <= max(SETTLED * problem.n, 1.0):
             run.add_krylov_steps(whole)

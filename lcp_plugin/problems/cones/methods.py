@@ -43,10 +43,7 @@ EXACT_OF_BODIES = 2.0**-36
 HARDER, EASIER = 100.0, 0.01  # times ε: for a singular system, and after a full step without GAIN
 MEMORY = 5  # a step may rise to the largest of so many residuals
 HALVINGS, DECREASE = 14, 1e-4
-LAST_STEPS = 2
 NEWTON_GAIN, EXACT = 0.9, 2.0**-46  # a relative residual at rounding level of the linear systems
-PATIENCE = 60  # points without GAIN; each halving is a point
-STACKED_UP_TO = 12  # unknowns of one problem that are solved without leaving open blocks out
 
 
 def newton_steps(
@@ -62,7 +59,8 @@ def newton_steps(
     norms, widest = np.repeat(found.norm[:, None], MEMORY, 1), np.full(here.B, PROXIMAL)
     best, since, least = found.norm.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
     for count in range(steps):
-        going = np.isfinite(found.norm) & (found.largest > goal) & (since < PATIENCE)
+        # Points without a gain; each halving is a point
+        going = np.isfinite(found.norm) & (found.largest > goal) & (since < 60)
         if not going.any():
             return
         if not going.all():
@@ -118,7 +116,7 @@ def polish_points(stack: ConeStack, z: Any) -> tuple[Any, Any]:
     least, exact = accuracy_of(stack)
     found = stack.measure(z)
     best, smallest, shift = z, found.largest, least * stack.d[..., None, None]
-    for _ in range(LAST_STEPS):
+    for _ in range(2):
         if (found.largest <= exact).all():
             break
         by_z, by_w = stack.derivative(*found[1:6])
@@ -142,7 +140,8 @@ def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
         For a singular matrix.
     """
     pattern = stack.pattern
-    if stack.B > 1 or (not pattern.is_sparse and pattern.n <= STACKED_UP_TO):
+    # Few unknowns: open blocks are not left out
+    if stack.B > 1 or (not pattern.is_sparse and pattern.n <= 12):
         J = whole_systems(stack, mixed, by_w)
 
         def solve_all(right: Any) -> Any:
@@ -193,7 +192,6 @@ def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Any, free: Any) -> t
 
 Cones = NDArray[np.float64]  # shape (k, d)
 
-LEAST_SLOPE = 1e-3  # of the cones of the path; Newton's steps use the user's cones
 TO_THE_BOUNDARY = 0.9
 SHORT, CENTRED = 0.1, (0.5, 0.9)  # after a shorter step a centering step is tried, with these σ
 
@@ -211,7 +209,8 @@ def central_path(stack: ConeStack, z: Any, share: float) -> Iterator[tuple[Any, 
         Distance of the start from z, relative to the largest velocity.
     """
     scale = np.ones((stack.k, stack.m))
-    scale[:, 0] = np.maximum(stack.mu[0], LEAST_SLOPE)
+    # Of the cones of the path; Newton's steps use the user's cones
+    scale[:, 0] = np.maximum(stack.mu[0], 1e-3)
     speed = share * (float(np.abs(stack.q[0] / scale).max(initial=0.0)) or 1.0)
     x, y = scale * z[0], np.zeros_like(scale)
     d: Any = np.median(stack.d[0]) if stack.k else 1.0

@@ -20,9 +20,7 @@ import scipy.sparse as sp
 from ...systems.factors import factorise
 from ...systems.free_systems import solved
 
-ACCURATE = 1e-4  # of the right-hand side: a larger residual means that the matrix is singular
 LAPACK_UP_TO = 600  # unknowns of a dense system
-DENSE_SYSTEMS_UP_TO = 150  # unknowns of a sparse system that is solved as dense
 FEW = 60  # unknowns: up to here the system of the bodies does not pay
 
 
@@ -41,7 +39,7 @@ def factorize_matrix(J: Any) -> Factors:
     LinAlgError
         For a singular matrix; raised by the solver if only its solutions reveal this.
     """
-    if sp.issparse(J) and J.shape[0] <= DENSE_SYSTEMS_UP_TO:
+    if sp.issparse(J) and J.shape[0] <= 150:  # a small sparse system is solved as dense
         J = J.toarray()
     if (factor := factorise(J)) is None:
         raise np.linalg.LinAlgError
@@ -50,7 +48,8 @@ def factorize_matrix(J: Any) -> Factors:
         found = factor.solve(right)
         if sp.issparse(J):
             found = found + factor.solve(right - J @ found)
-            most = ACCURATE * np.abs(right).max(initial=0.0)
+            # A larger residual means that the matrix is singular
+            most = 1e-4 * np.abs(right).max(initial=0.0)
             if not np.abs(J @ found - right).max(initial=0.0) <= most:
                 raise np.linalg.LinAlgError
         return found
@@ -119,8 +118,6 @@ class Arms:
 OUT, WITHIN, ON = 0, 1, 2  # location of a projection: apex or bound, interior, boundary of a cone
 TINY = np.finfo(np.float64).tiny
 LEAST_DIAGONAL = 2.0**-20  # relative to the largest entry of its row: a smaller one is not a scale
-DENSE_UP_TO = 300  # unknowns of a sparse problem that is stored as dense
-INSIDE = 1.0 + 2.0**-50  # times μ z_N: so that the projection of a projection is the same
 Array = Any
 
 
@@ -324,7 +321,8 @@ class ConeStack:
         facts, M = problem._facts, problem.rows.M
         with np.errstate(all="ignore"):
             if "stack" not in facts:
-                if sp.issparse(M) and problem.bodies is None and problem.n <= DENSE_UP_TO:
+                # A small sparse problem is stored as dense
+                if sp.issparse(M) and problem.bodies is None and problem.n <= 300:
                     M = M.toarray()
                 pattern = Pattern(M[None] if isinstance(M, np.ndarray) else M, problem.starts)
                 bodies = problem.bodies
@@ -391,7 +389,8 @@ class ConeStack:
         on_axis = (normal + self.mu * tangent) / (1.0 + self.mu**2)
         found = (self.mu * on_axis)[..., None] * (z / np.maximum(tangent, TINY)[..., None])
         found[..., 0] = on_axis
-        is_inside = tangent <= self.mu * normal * INSIDE
+        # So that the projection of a projection is the same
+        is_inside = tangent <= self.mu * normal * (1.0 + 2.0**-50)
         found = np.where(is_inside[..., None], z, found)
         found = np.where((on_axis <= 0.0)[..., None], 0.0, found)
         if self.pattern.has_rows:

@@ -55,8 +55,6 @@ from .program_matrices import FoldedRows
 
 # of the terms of a component: small and large, above the rounding of least squares
 SLACKS = (2.0**-46, 2.0**-36)
-# Rounds of least squares: a repair of some components may break components that were correct before
-ROUNDS = 4
 Box = tuple[Vector, Vector]
 
 
@@ -160,7 +158,7 @@ class DualBounds:
         sign = np.where(needs_rise, 1.0, -1.0)
         columns = sp.csr_array(self.program.matrices.rows.T)
         largest = largest_in_rows(columns) * np.abs(at.y).max(initial=0.0)
-        for _ in range(ROUNDS):
+        for _ in range(4):  # a repair of some components may break others
             v, s, size = self._slopes(at)
             size = np.maximum(size, largest)
             target = np.where(is_free, 0.0, sign * np.maximum(sign * s, slack * size))

@@ -133,7 +133,7 @@ def rescaled(stress: str, case: StressCase, row: Any, column: Any) -> StressCase
     )
 
 
-SIDE = 10
+SIDE = 10  # unknowns in each direction of the grids
 
 
 def stiffness() -> Iterator[StressCase]:

@@ -246,7 +246,7 @@ Numbers = Sequence[int] | Indices
 BEGUN = (
     "started from the values of the variables, which are the last solution unless others were set"
 )
-MOST_NAMES = 5
+MOST_NAMES = 5  # in a message
 OUTSIDE = 1e-8  # of 1 + |x|: a bound that no pair states is violated beyond
 #: The names of a status in AMPL, cvxpy and Pyomo.
 STATUS_ELSEWHERE = {

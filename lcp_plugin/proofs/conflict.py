@@ -32,6 +32,7 @@ from ..core.deadline import is_over, time_limit
 from ..core.names import listed
 from ..core.representation import describe_radius
 from .exact import (
+    MOST_ENTRIES,
     ZERO,
     Fractions,
     integer_rows,
@@ -50,8 +51,6 @@ from .farkas import (
 )
 
 Multipliers = Mapping[int, Fraction]
-
-MOST_ENTRIES = 4_000_000  # of the dense matrix whose rank is computed: some seconds
 
 
 @dataclass(frozen=True, eq=False)

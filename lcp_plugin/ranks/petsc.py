@@ -19,7 +19,7 @@ from .problem import RowsOnRanks
 from .solving import ResultOnRanks
 
 ACCURACY, MOST_STEPS = 1e-9, 200  # of GMRES
-LEAST_FALL, SHORTEST = 1e-4, 1e-9  # of the squares, and length of a step
+LEAST_FALL, SHORTEST_STEP = 1e-4, 1e-9  # of the squares, and length of a step
 
 
 def newton(problem: Any, z: Vector) -> Iterates:
@@ -36,7 +36,7 @@ def newton(problem: Any, z: Vector) -> Iterates:
         phi = fischer_burmeister(problem, z, problem.slack(z))
         following = searched(problem, z, phi, newton_step(problem, natural_map(problem, z)), 1.0)
         if following is None:
-            following = searched(problem, z, phi, newton_step(problem, phi), SHORTEST)
+            following = searched(problem, z, phi, newton_step(problem, phi), SHORTEST_STEP)
 
 
 def searched(

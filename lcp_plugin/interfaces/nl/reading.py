@@ -177,7 +177,7 @@ OPERATOR_NAMES: dict[int, dict[int, str]] = {
 }
 ARITY = {number: arity for arity, names in OPERATOR_NAMES.items() for number in names}
 PARTNER = 5  # the kind of a complementarity row
-MOST_OPTIONS = 9
+MOST_OPTIONS = 9  # in the first line; as other readers of .nl take
 WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
 # the kinds of arithmetic that can be read; 0 is the writer's own
 LITTLE_ENDIAN, BIG_ENDIAN = (1, 2)

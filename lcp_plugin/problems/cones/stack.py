@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.kernels.floats import NEGLIGIBLE_DIAGONAL, NORMAL
 from ...systems.factors import factorise
 from ...systems.free_systems import solved
 
@@ -116,8 +117,6 @@ class Arms:
 
 
 OUT, WITHIN, ON = 0, 1, 2  # location of a projection: apex or bound, interior, boundary of a cone
-TINY = np.finfo(np.float64).tiny
-LEAST_DIAGONAL = 2.0**-20  # relative to the largest entry of its row: a smaller one is not a scale
 Array = Any
 
 
@@ -194,7 +193,7 @@ class Pattern:
         root, most = np.tile(np.sqrt(self.sizes), B), np.zeros(B * k)
         np.maximum.at(most, of_block[0], sums * (1.0 / root)[of_block[1]])
         most = (most / root).reshape(B, k)
-        usable = (own > 0.0) & (own >= LEAST_DIAGONAL * most)
+        usable = (own > 0.0) & (own >= NEGLIGIBLE_DIAGONAL * most)
         self.d = np.where(usable, own, np.where(most > 0.0, most, 1.0))
         self.labels = None
         if sums.size < B * k**2:
@@ -361,7 +360,7 @@ class ConeStack:
         tangent, above = length(x[..., 1:]), x[..., 0]
         if self.has_friction:
             slip = length(w[..., 1:])
-            sums = np.maximum(tangent + slip, TINY)[..., None]
+            sums = np.maximum(tangent + slip, NORMAL)[..., None]
             above = above + mu * (at[..., 1:] * ((x[..., 1:] - w[..., 1:]) / sums)).sum(-1)
             v[..., 0] += mu * (slip / self.d)
         else:
@@ -369,7 +368,7 @@ class ConeStack:
         axis = above / (1.0 + mu * mu)
         case = np.where(above <= 0.0, OUT, np.where(tangent <= mu * axis, WITHIN, ON))
         share = (mu * axis / self.d)[..., None]
-        edge = z - share * (x / np.maximum(tangent, TINY)[..., None])
+        edge = z - share * (x / np.maximum(tangent, NORMAL)[..., None])
         edge[..., 0] = z[..., 0] - axis / self.d
         where = case[..., None]
         R = np.where(where == OUT, z, np.where(where == WITHIN, v, edge))
@@ -387,7 +386,7 @@ class ConeStack:
         """Return the point of the cones nearest to z."""
         tangent, normal = length(z[..., 1:]), z[..., 0]
         on_axis = (normal + self.mu * tangent) / (1.0 + self.mu**2)
-        found = (self.mu * on_axis)[..., None] * (z / np.maximum(tangent, TINY)[..., None])
+        found = (self.mu * on_axis)[..., None] * (z / np.maximum(tangent, NORMAL)[..., None])
         found[..., 0] = on_axis
         # So that the projection of a projection is the same
         is_inside = tangent <= self.mu * normal * (1.0 + 2.0**-50)
@@ -407,12 +406,12 @@ class ConeStack:
         """Return an element of the generalized derivative of R by z and by w of each block, (B, k, m, m)."""
         case, x, tangent, axis = found
         mu, eye, tangents = self.mu, np.eye(self.m), np.diag(np.arange(self.m) > 0)
-        away = x / np.maximum(tangent, TINY)[..., None]
+        away = x / np.maximum(tangent, NORMAL)[..., None]
         away[..., 0] = 0.0
         edge = mu[..., None] * away
         edge[..., 0] = 1.0
         across = tangents - away[..., :, None] * away[..., None, :]
-        radius = (mu * (axis / np.maximum(tangent, TINY)))[..., None, None]
+        radius = (mu * (axis / np.maximum(tangent, NORMAL)))[..., None, None]
         P = edge[..., :, None] * edge[..., None, :] / (1.0 + mu * mu)[..., None, None]
         P += radius * across
         is_apex = (axis == 0.0) & (tangent == 0.0) & ~self.pattern.is_row  # belongs to all modes
@@ -422,7 +421,7 @@ class ConeStack:
         P[(case == OUT) & ~is_apex], P[is_whole] = 0.0, eye
         by_w = P / self.d[..., None, None]
         if self.has_friction:
-            slide = mu[..., None] * w[..., 1:] / np.maximum(length(w[..., 1:]), TINY)[..., None]
+            slide = mu[..., None] * w[..., 1:] / np.maximum(length(w[..., 1:]), NORMAL)[..., None]
             by_w[..., 1:] += by_w[..., :1] * slide[..., None, :]
         return eye - P, by_w
 

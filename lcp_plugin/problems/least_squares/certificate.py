@@ -38,9 +38,9 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, Vector, derived_property
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
-from ...core.kernels.floats import EPSILON, TINY
+from ...core.kernels.floats import EPSILON, OUTWARD, TINY
 from ...core.rounding import compensated_product
-from .data import NOTHING, OUTWARD, Ball, BoundedLeastSquares, Enclosures, clip, shortest_solution
+from .data import NOTHING, Ball, BoundedLeastSquares, Enclosures, clip, shortest_solution
 from .engines import is_within_reach
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from ...core import checks
 from ...core.checks import BoolVector, Vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
-from ...core.kernels.floats import EPSILON, TINY
+from ...core.kernels.floats import EPSILON, OUTWARD, TINY
 from ...core.matrix import Matrix
 from ...core.rounding import gamma
 from ...proofs.bounds import smallest_eigenvalue_bound
@@ -412,7 +412,6 @@ Ball = tuple[Vector, Vector]
 """Values and radii: the exact values lie within."""
 
 # more than the rounding of a sum of 2²⁰ terms of one sign, or of a few operations
-OUTWARD = 1.0 + 2.0**-30
 NOTHING = np.empty(0)
 
 

@@ -35,7 +35,7 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, Vector
 from ...core.deadline import seconds_left
-from ...core.kernels.floats import EPSILON
+from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
 from ...engines import installed_engine
 from ...engines.engine import EngineAnswer, ProgramData, SolverLimits
@@ -43,7 +43,7 @@ from ...engines.polish import polish_steps
 from ...systems.minimum_degree import factor_sizes
 from .data import BoundedLeastSquares, ScaledLeastSquares, clip, shortest_solution
 
-ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
+SLOPE_ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
 
 
 class FacePoint:
@@ -118,7 +118,9 @@ class FacePoint:
     @property
     def noise(self) -> float:
         """Size of a gradient that may be only rounding."""
-        return ROUNDING * float(sum(map(np.linalg.norm, (self.residual, self.x, self.problem.b))))
+        return SLOPE_ROUNDING * float(
+            sum(map(np.linalg.norm, (self.residual, self.x, self.problem.b)))
+        )
 
     def curvature(self, direction: Vector, product: Vector) -> float:
         """Return dᵀ(AᵀA + ridge)d for a direction d and A d."""
@@ -197,7 +199,7 @@ def _spectral_steps(
         if not (slope < 0.0 < curvature):  # any further gain is at rounding level
             return point, 0.0
         share = 1.0
-        # The gradient promises slope: a step keeps a share of it
+        # A step keeps a small share of the slope
         if point.cost + slope + 0.5 * curvature > max(costs) + 1e-4 * slope:
             share = min(1.0, -slope / curvature)
         after = point.move(direction, product, share)
@@ -243,7 +245,6 @@ def _steps_on_face(point: FacePoint) -> Generator[FacePoint, None, tuple[FacePoi
     return point, False
 
 
-NOISE = 2.0**-44  # of the largest entry of x that rounding may be
 RIDGE = "normal equations"
 FACTORS = 20  # that PIQP makes, about
 
@@ -497,7 +498,7 @@ def _step_to_minimum(point: FacePoint, free: Any, A: Vector, b: Vector) -> FaceP
     if not np.isfinite(step).all():
         return point
     x = point.project(step, point.problem.product(step)).x
-    noise, lower, upper = NOISE * np.abs(x).max(), point.problem.lower, point.problem.upper
+    noise, lower, upper = DATA_ROUNDING * np.abs(x).max(), point.problem.lower, point.problem.upper
     for bound in (lower, upper, 0.0):
         x = np.where(np.abs(x - bound) <= noise, bound, x)
     return FacePoint(point.problem, clip(x, lower, upper))

@@ -28,11 +28,8 @@ from .certificate import Optimality, duality_gap, measure_stack
 from .data import BoundedLeastSquares, Enclosures, clip, times
 
 START = "start"  # instead of a method, if the start is optimal
-# Projected steps before PIQP on a large dense A ÷ its smaller dimension: as long as PIQP
-PATIENCE = 0.05
 # Columns or rows, whichever are fewer: a penalty leaves few columns free, which steps may find
 LASSO_COLUMNS = 400
-SPARSE_PATIENCE = 300  # the same on a large sparse A
 
 
 @np.errstate(all="ignore")
@@ -200,7 +197,9 @@ class LeastSquaresRun(Run):
         is_at_rest = not engines.FacePoint(problem.scaled, self.nearest).natural_residual.any()
         if self.start is not None or is_at_rest:
             yield Stage(Named(START), steps=[Step(self.nearest, work=0.0, iterations=0)])
-        few = SPARSE_PATIENCE if problem.is_sparse else math.ceil(PATIENCE * min(problem.shape))
+        # PIQP takes as long as so many projected steps
+        # The same on a large sparse A
+        few = 300 if problem.is_sparse else math.ceil(0.05 * min(problem.shape))
         is_lasso = problem.is_dense and problem.l1.any() and min(problem.shape) >= LASSO_COLUMNS
         if is_lasso or not problem.is_small:
             yield self._projected(few if problem.has_entries else most)

@@ -24,6 +24,7 @@ from .no_minimum import NoMinimum, QPInfeasibility, proof_of_contradiction, proo
 from .program_matrices import Constraints, FoldedRows, ProgramMatrices
 
 VECTORS = "c", "h", "b", "lower", "upper"
+CANCELS = 1e-9  # of the objective: more rounding is worth an exact sum
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -291,7 +292,7 @@ class QuadraticProgram:
         value = float(0.5 * (point @ (self.P @ point)) + self.c @ point) + self.constant
         sizes = np.abs(point)
         terms = float(sizes @ (abs(self.P) @ sizes) + np.abs(self.c) @ sizes)
-        if not 1e-9 * abs(value) < (self.n + 4) * EPSILON * terms < np.inf:  # rounding is small
+        if not CANCELS * abs(value) < (self.n + 4) * EPSILON * terms < np.inf:
             return value
         high, low, _ = compensated_pair(self.matrices.sparse_P, point)
         row = sp.csr_array(np.concatenate([0.5 * high, 0.5 * low, self.c])[np.newaxis])

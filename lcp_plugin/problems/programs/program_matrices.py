@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 Indices = NDArray[np.intp]
-FIT_TO = 1e-3
+FIT_TO = 1e-3  # of the right-hand side: enough for powers of two
 ROUNDING_OF_ENTRIES = 2.0 ** np.arange(-48.0, -23.0, 4.0)  # from double to single precision
 WITHIN_ROUNDING = (
     "within rounding: P has a negative eigenvalue, which rounding of its entries explains"

@@ -24,7 +24,6 @@ from .program_matrices import FULL_UP_TO
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-NOISE = 2.0**-40  # of b: residuals that are all rounding errors
 Outward = Callable[[Vector], tuple[Vector, Vector]]
 
 
@@ -95,7 +94,8 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
 
     def outward(point: Vector) -> tuple[Vector, Vector]:
         every, gradient, residual = np.zeros(n), np.zeros(n), problem.product(point) - b
-        if np.abs(residual).max() <= NOISE * np.abs(b).max():  # an exact fit
+        # Residuals that are all rounding errors
+        if np.abs(residual).max() <= 2.0**-40 * np.abs(b).max():  # an exact fit
             residual = np.zeros(p)
         every[columns], every[residuals] = point, -residual / scales
         every[t] = np.abs(g * every[x]) / k

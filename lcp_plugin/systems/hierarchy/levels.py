@@ -33,7 +33,7 @@ from .grids import Grid, Hierarchy, Operator, Transfer, blocks_of, pivots
 # anisotropy, weak couplings are misleading.
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.4
 NOTEWORTHY_LONELY = 5e-4  # share of the unknowns that depend on others, but on no coarse one
-COARSEST = 60
+COARSEST = 60  # rows that are not coarsened
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
 
 
@@ -114,7 +114,7 @@ def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
 
 def grid_of(matrix: Operator, *, may_cut: bool = False) -> Grid:
     """Return the grid of a matrix; whether it `may_cut` sweeps."""
-    split, inverse = pivots(matrix, kernels.SMALLEST_PIVOT)
+    split, inverse = pivots(matrix, kernels.INVERTIBLE)
     blocks = blocks_of(matrix.arrays, inverse.size, may_cut=may_cut)
     return Grid(matrix, split, blocks, inverse)
 

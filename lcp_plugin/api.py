@@ -87,9 +87,6 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         Called as ``callback(sample, z)`` at every step with a read-only view of z; a truthy return value ends the
         run with status INTERRUPTED. Its exceptions propagate. For an external solver it is called with the first and
         the last point.
-    error_bound : bool
-        Compute a bound of |z − z*| when ``result.error_bound`` is read. None if M allows no bound; see
-        :func:`lcp_plugin.error_bound`.
     prove_infeasibility : bool
         If no solution is found, search for a proof that none exists. False saves this work: such a run then ends
         STALLED.

@@ -55,6 +55,7 @@ class Status(Enum):
     )
 
 
+LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 # by a proof whose margin exceeds the tolerance
 PROVEN = (Status.INFEASIBLE, Status.NO_SOLUTION, Status.UNBOUNDED)
 
@@ -73,8 +74,8 @@ class Settings:
         Wall-clock seconds; None means unlimited.
     absolute_tolerance : float
         ‖r(z)‖∞, in the unit of z, that is accepted without a reference; ≥ 0 and finite.
-    record, error_bound : bool
-        Whether to keep samples, and whether to bound the error.
+    record : bool
+        Whether to keep samples.
     threads : int or None
         At least 1; None means all that the process may use.
     verbose : bool
@@ -95,7 +96,6 @@ class Settings:
     max_seconds: Any = None
     absolute_tolerance: Any = 0.0
     record: Any = False
-    error_bound: Any = False
     threads: Any = field(default=None, repr=False, compare=False)
     verbose: Any = False
     prove_infeasibility: Any = True
@@ -181,7 +181,6 @@ CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "max_seconds": _number,
     "absolute_tolerance": _number,
     "record": _flag,
-    "error_bound": _flag,
     "threads": checked_threads,
     "verbose": _flag,
     "prove_infeasibility": _flag,
@@ -260,7 +259,6 @@ class Options(AlgorithmOptions, total=False):
     verbose: bool
     z0: ArrayLike | None
     x0: ArrayLike | None
-    error_bound: bool
     prove_infeasibility: bool
     prove: bool
     polish: bool

@@ -234,7 +234,7 @@ def take_steps_on_band(done: March, algorithm: Any, wishes: dict[str, Any], limi
     if not isinstance(problem, LCP) or not problem.n:
         return
     method, settings = parse_call(algorithm, wishes)
-    is_watched = settings.record or settings.error_bound or settings.verbose
+    is_watched = settings.record or settings.verbose
     if is_watched or settings.max_iterations == 0 or wishes.get("callback") is not None:
         return
     begin = next(plan(problem, method, settings.goal))

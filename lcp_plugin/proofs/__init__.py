@@ -7,7 +7,7 @@
 True
 >>> convergence_guarantee(problem, "npsor").verdict  # also the theorem, and the rate that it proves
 'guaranteed'
->>> result = solve(problem, error_bound=True, tolerance=1e-12)
+>>> result = solve(problem, tolerance=1e-12)
 >>> result.status.name, result.error_bound.infinity <= 1e-10
 ('SOLVED', True)
 >>> bound = error_bound(problem, [0.8, 0.0, 0.2])  # of any z; row by row in bound.componentwise
@@ -24,7 +24,7 @@ the value of δ.
 rounding errors. Other matrices have no bound. If a factorization would fill in too much (3-D grids above about 40³,
 random graphs above about 1000 unknowns) and no cheaper test decides, neither a verdict nor a bound exists.
 
-**In a result.** With ``error_bound=True`` the bound is an attribute of the result, computed on first access
+**In a result.** ``result.error_bound`` is the bound, computed on first access, or None; ``explain()`` then prints it
 (its time is ``result.error_bound.seconds``).
 
 **Without a bound.** SOLVED refers to the residual; on stiff data a small residual can go with a larger error in z.

@@ -41,7 +41,7 @@ def solve_lcp(
     clock = Clock()
     method, settings = parse_call(algorithm, options)
     start = problem.nearest_to_zero if z0 is None else checked_start(problem, z0)
-    is_watched = settings.record or settings.error_bound or settings.verbose
+    is_watched = settings.record or settings.verbose
     is_limited = settings.max_seconds < math.inf or not settings.max_iterations
     is_plain = not (is_watched or is_limited or settings.absolute_tolerance)
     is_plain = is_plain and method is None and callback is None

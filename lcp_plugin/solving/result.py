@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
@@ -10,9 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from ..core.algorithm import Algorithm
-from ..core.certificates.criterion import RowsAtPoint
-from ..core.certificates.residuals import Certificate
-from ..core.certificates.worst import SHOWN, WorstRows, worst_pairs
+from ..core.certificates.criterion import RowData, RowsAtPoint
+from ..core.certificates.residuals import SHOWN, Certificate, WorstRows, worst_pairs
 from ..core.checks import Vector, restore_state
 from ..core.doors import Door
 from ..core.errors import NotConverged, UnsuitableMatrix
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from ..proofs.bounds import ErrorBound
     from ..proofs.guarantees import Guarantee
 
-LIMITS = (Status.MAX_ITERATIONS, Status.MAX_SECONDS)
 NEXT = "; next: "  # between the event and the next step
 
 
@@ -312,7 +311,6 @@ class Result(BaseResult):
     absolute_tolerance: float = 0.0
     is_polished: bool = False
     _asked: Algorithm | None = None  # None for "auto"
-    _wants_bound: bool = False
     _advice: Mapping[Status, str] = field(default_factory=dict, kw_only=True)  # type: ignore[misc]
 
     @classmethod
@@ -356,29 +354,19 @@ class Result(BaseResult):
             stages=(stage,),
         )
 
-    @property
+    @cached_property
     def error_bound(self) -> ErrorBound | None:
-        """Bound of the error, if requested and if M allows one; computed on first access.
+        """Bound of the error of a linear problem, computed on first access; None if M allows no bound.
 
         The time of its computation is ``error_bound.seconds``; the run's seconds do not include it.
+        :func:`lcp_plugin.error_bound` raises the reason.
         """
-        return self._bound_or_reason[0]
-
-    @property
-    def no_error_bound(self) -> str:
-        """The reason why a requested bound does not exist; otherwise empty."""
-        return self._bound_or_reason[1]
-
-    @cached_property
-    def _bound_or_reason(self) -> tuple[ErrorBound | None, str]:
-        if not self._wants_bound:
-            return None, ""
         from ..proofs.bounds import error_bound  # with proofs, which a solve does without
 
-        try:
-            return error_bound(self.certificate.problem, self.z), ""
-        except UnsuitableMatrix as error:
-            return None, str(error)
+        if type(self.certificate.criterion) is not RowData:
+            return None
+        with suppress(UnsuitableMatrix):
+            return error_bound(self.certificate.problem, self.z)
 
     @cached_property
     def guarantee(self) -> Guarantee:
@@ -410,7 +398,7 @@ class Result(BaseResult):
         return [] if is_decided else [stage.remark for stage in self.stages if stage.remark]
 
     def _remarks(self) -> list[str]:
-        from .misleading import what_may_mislead
+        from .explanation import what_may_mislead
 
         lines = []
         if self.is_polished:
@@ -419,8 +407,6 @@ class Result(BaseResult):
             lines += [stage.remark for stage in self.stages[-1:] if stage.remark]
         if self.infeasibility is not None and not self.has_no_solution:
             lines.append(str(self.infeasibility))
-        if self.no_error_bound:
-            lines.append(f"no error bound: {self.no_error_bound}")
         return [*lines, *what_may_mislead(self)]
 
     def _effort(self) -> str:
@@ -435,7 +421,7 @@ class Result(BaseResult):
         if self.has_no_solution:
             return str(self.infeasibility)
         residual, asked = f"relative residual {self.residual:.3e}", f"tolerance {self.tolerance:g}"
-        bound, *proven = str(self.error_bound or "").splitlines() or [""]
+        bound, *proven = str(vars(self).get("error_bound") or "").splitlines() or [""]
         lines = [f"{residual}, {asked}{self._or_absolute}", *filter(None, [bound])]
         return "\n".join(["; ".join(lines), *proven])
 
@@ -445,14 +431,9 @@ class Result(BaseResult):
         return worst_pairs(data, found, self.certificate.problem.names, self.tolerance, count)
 
     def _mistake(self) -> str:
-        from .mistakes import likely_mistake, reversed_row
+        from .explanation import likely_mistake_of
 
-        problem = self.certificate.problem
-        if self.status is Status.NO_SOLUTION and isinstance(problem, LCP):
-            return reversed_row(problem)
-        if self.status in (*LIMITS, *PROVEN, Status.INTERRUPTED) or not isinstance(problem, LCP):
-            return ""  # of a right model too the last point may look wrong
-        return likely_mistake(problem, self.z, self.w)
+        return likely_mistake_of(self)
 
     @property
     def _or_absolute(self) -> str:

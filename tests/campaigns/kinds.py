@@ -200,7 +200,6 @@ def optional(rng: Generator, name: str) -> Found:
         else rng.normal(size=problem.n) * 10.0 ** rng.integers(-9, 10),
         "max_iterations": int(rng.choice([0, 3, 50, 1000])),
         "record": bool(rng.random() < 0.3),
-        "error_bound": bool(rng.random() < 0.5),
         "callback": (lambda sample, z: sample.iteration >= 20) if rng.random() < 0.2 else None,
     }
     start = bits(options["z0"])

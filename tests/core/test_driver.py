@@ -30,10 +30,8 @@ from lcp_plugin import (
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.solving.progress import Progress
 from lcp_plugin.solving.result import Sample
-from lcp_plugin.solving.run import Run
-from lcp_plugin.solving.stage import Stage, TerminationReason
+from lcp_plugin.solving.run import Progress, Run, Stage
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
 OBSTACLE = gallery.build("obstacle_2d", size=20)
@@ -353,13 +351,13 @@ def stiff_m_matrix(n: int = 60, contrast: float = 1e10) -> tuple[LCP, np.ndarray
 
 
 def test_error_bound_goes_into_the_result() -> None:
-    """Option error_bound=True bounds the true error, and explain() reports the bound."""
-    result = solve(EXAMPLE.problem, error_bound=True)
+    """The bound of a result bounds the true error, and explain() reports the bound once it was read."""
+    result = solve(EXAMPLE.problem)
+    assert "‖z − z*‖∞ ≤" not in result.explain()
     assert result.error_bound is not None
     assert EXAMPLE.exact is not None
     assert np.all(np.abs(result.z - EXAMPLE.exact) <= result.error_bound.componentwise)
     assert "‖z − z*‖∞ ≤" in result.explain()
-    assert solve(EXAMPLE.problem).error_bound is None
 
 
 @pytest.mark.parametrize(
@@ -373,12 +371,10 @@ def test_copies_of_a_result_are_read_only(duplicate: Callable[[Result], Result])
             array[0] = 1.0
 
 
-def test_where_no_bound_exists_the_result_says_why() -> None:
-    """If a matrix allows no bound, error_bound=True gives None and the reason."""
+def test_where_no_bound_exists_the_result_has_none() -> None:
+    """If a matrix allows no bound, error_bound is None."""
     game = LCP([[0.0, 1.0], [1.0, 0.0]], [-1.0, -1.0])
-    result = solve(game, error_bound=True)
-    assert result.error_bound is None
-    assert "no error bound: an error bound needs" in result.explain()
+    assert solve(game).error_bound is None
 
 
 @pytest.mark.parametrize("form", [np.array, sp.csr_array], ids=["dense", "sparse"])
@@ -414,7 +410,7 @@ def test_what_a_pile_leaves_undecided_is_no_alarm() -> None:
 def test_stiff_data_tell_the_truth() -> None:
     """A z wrong by half has a small residual on stiff data, but its rows are wrong; the bound shows by how much."""
     problem, exact = stiff_m_matrix(contrast=1e6)
-    fooled = solve(problem, "pgs", error_bound=True, tolerance=1e-7)
+    fooled = solve(problem, "pgs", tolerance=1e-7)
     assert (fooled.status, fooled.residual <= 1e-7) == (Status.MAX_ITERATIONS, True)
     assert "a theorem proves convergence" in fooled.advice
     assert fooled.error_bound is not None
@@ -472,11 +468,11 @@ def test_a_callback_ends_the_run_at_a_step_that_ends_its_stage() -> None:
     """No further method begins after a callback returned True, also if its step had stalled."""
 
     class Stalling(Run):
-        def end_of(self, stage: Stage, step: Step, found: Any) -> TerminationReason:
-            return TerminationReason.STALLED
+        def end_of(self, stage: Stage, step: Step, found: Any) -> Status:
+            return Status.STALLED
 
     seen: list[str] = []
     progress = Progress(None, Settings(), lambda sample, z: seen.append(sample.label) or True)
     stages = [Stage(SimpleNamespace(name=name), steps=[Step(np.zeros(1))]) for name in ("a", "b")]
     end = Stalling(progress).follow_all(stages)
-    assert (end, seen) == (TerminationReason.INTERRUPTED, ["a"])
+    assert (end, seen) == (Status.INTERRUPTED, ["a"])

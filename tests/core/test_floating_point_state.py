@@ -73,10 +73,11 @@ def calls(size: float) -> Calls:
         "batch of programs": lambda: solve_batch([QuadraticProgram(P, c)] * 3),
         "batch of LCPs": lambda: solve_batch(LCP(P, ONES), several),
         "everything of a result": lambda: (
-            solved := solve(LCP(P, c), error_bound=True, record=True),
+            solved := solve(LCP(P, c), record=True),
             str(solved.certificate),
             solved.certificate.is_at_rounding_level,
             solved.guarantee,
+            solved.error_bound,
         ),
         "cones": lambda: solve(ConeProblem(P, c, [("second_order", 3)])).explain(),
         "contact": lambda: solve(FrictionalContact(P, c, 0.5)).explain(),

@@ -26,7 +26,7 @@ from lcp_plugin import (
     friction_cone,
     solve,
 )
-from lcp_plugin.solving.mistakes import likely_mistake
+from lcp_plugin.solving.explanation import likely_mistake
 
 
 def drawn(kind: str, seed: int) -> tuple[Any, Any, dict[str, Fraction]]:

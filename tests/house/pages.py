@@ -39,6 +39,7 @@ GUIDES = (
     *TRADES,
     *(
         "agents",
+        "scenarios",
         "nonlinear",
         "what_is_proved",
         "layers",

@@ -54,6 +54,8 @@ learn_friction | 10 mm of noise by # | 0.01
 general_equilibrium | markets differ from cleared ones by # units | 0.001
 cournot_oligopoly | the published outputs differ by # | 0.0001
 cournot_oligopoly | alone no firm could earn more than # besides | 1e-06
+permit_market | prices differ from Clarabel's by # EUR | 1e-04
+permit_market | their slopes at 3 t differ from differences of Clarabel by # EUR/t | 1e-06
 elastic_transport | sales differ from those of the greatest surplus by # cases | 0.02
 self_heating | which differs from the integral by # | 0.0001
 network_tolls | the income of an integer program differs by #; | 0.0001

@@ -249,7 +249,7 @@ def test_nothing_given_changes(form: str) -> None:
     problem = LCP(M, q, lower=lower, upper=upper)
     inner = data_of(problem)
     for name in ("auto", *BOUNDED):
-        solve(problem, name, z0=z0, record=True, error_bound=True)
+        solve(problem, name, z0=z0, record=True)
     solve_batch(problem, Q.T[:2])
     analyze(M)
     error_bound(problem, z0)

@@ -536,7 +536,6 @@ WISHES: dict[str, Any] = {
     "max_seconds": 60.0,
     "absolute_tolerance": 1e-12,
     "record": True,
-    "error_bound": True,
     "threads": 1,
     "verbose": True,
     "prove_infeasibility": False,

@@ -56,8 +56,8 @@ def test_free_rows_carry_a_body_s_velocity_from_step_to_step() -> None:
 
 def test_what_no_march_over_cones_does_is_named() -> None:
     """Options, sizes, derivatives."""
-    with pytest.raises(InvalidOption, match="solve takes no error_bound for a FrictionalContact"):
-        march(PAD, pulled(0.1), SLIP, error_bound=True)
+    with pytest.raises(InvalidOption, match="solve takes no polish for a FrictionalContact"):
+        march(PAD, pulled(0.1), SLIP, polish=False)
     with pytest.raises(InvalidProblem, match=r"shape \(k, n\), a row a step, n = 3"):
         march(PAD, np.zeros((2, 2)), SLIP)
     done = march(PAD, pulled(0.1, 0.2), SLIP)

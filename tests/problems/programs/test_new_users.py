@@ -101,8 +101,8 @@ def test_the_tolerance_is_the_one_that_is_tested() -> None:
     found = solve(program).solution
     assert found.is_optimal(1e-4)
     assert not type(found).of_rows(off, found.x, found.multipliers).is_optimal(1e-4)
-    with pytest.raises(InvalidOption, match="error_bound"):
-        solve(program, error_bound=True)
+    with pytest.raises(InvalidOption, match="polish"):
+        solve(program, polish=False)
 
 
 @pytest.mark.filterwarnings("ignore:Solution may be inaccurate")

@@ -1,0 +1,210 @@
+"""Rules of `explain()`: errors behind a small residual, a method without a theorem, the likely mistake of a model.
+
+The likely mistake of a model without a solution is named by a fact of M, or F′, at the last point.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ..core.checks import Vector
+from ..core.errors import UnsuitableMatrix
+from ..core.lcp import LCP
+from ..core.names import Names, listed
+from ..core.settings import LIMITS, PROVEN, Status
+from ..proofs.bounds import error_bound, estimated_error, free_rows, settled_rows
+from ..proofs.farkas import without_rounding
+from ..proofs.uniqueness import directions_of_solutions, moving
+from ..systems.free_systems import CONSISTENT, LEAST_SQUARES_UP_TO, FreeSystem
+
+if TYPE_CHECKING:
+    from .result import Result
+
+Numbers = NDArray[np.intp]
+INDEX = re.compile(r"(\[[^\[\]]*\]|, entry .*)$")  # of a row of a constraint
+FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
+
+
+def what_may_mislead(result: Result) -> list[str]:
+    """Return a line for each."""
+    return [*filter(None, (_uncovered(result), _other_solutions(result) or _stiffness(result)))]
+
+
+def _uncovered(result: Result) -> str:
+    """Return the warning after a failure of a chosen method that no theorem covers, or ""."""
+    if result.status not in FAILED or result._asked is None:  # by "auto"
+        return ""
+    guarantee = result.guarantee
+    if guarantee.is_guaranteed or not guarantee.remedy:
+        return ""
+    unproven = (
+        f"nothing proves that {result.algorithm} converges on this matrix ({guarantee.theorem})"
+    )
+    is_said = all('algorithm="auto"' in said for said in (guarantee.remedy, result.advice))
+    return unproven if is_said else f"{unproven}; remedy: {guarantee.remedy}"
+
+
+def _other_solutions(result: Result) -> str:
+    """Return the warning that other solutions exist, with the names of the unknowns that differ, or ""."""
+    problem = result.certificate.problem
+    if not result.is_solved or free_rows(problem, result.z, result.w).sum() > LEAST_SQUARES_UP_TO:
+        return ""
+    rows = settled_rows(problem, result.z, result.w)
+    directions = directions_of_solutions(problem, rows)
+    if directions is None or not directions.size:
+        return ""
+    names = listed(map(problem.names.unknown, moving(directions).tolist()))
+    changes = np.abs(problem.matrix.csr @ directions).max(axis=1)
+    terms = (abs(problem.matrix.csr) @ np.abs(directions)).max(axis=1)
+    is_same = bool((changes <= CONSISTENT * terms.max()).all())
+    same = "; w is the same for all of them" if is_same else ""
+    return f"z is one of several solutions: the data do not determine {names}{same}; to choose one, add an objective"
+
+
+def _stiffness(result: Result) -> str:
+    """Return the warning that a small residual goes, or may go, with a much larger error, or ""."""
+    relative = result.certificate.relative_residual
+    if (bound := vars(result).get("error_bound")) is not None:
+        factor = bound.relative / relative if relative > 0.0 else 0.0
+        # An error so much larger than the residual is worth a word
+        if not factor > 1e3:
+            return ""
+        return f"stiff: the error may be {factor:.0e} times the residual; trust the bound"
+    if not result.is_solved:
+        return ""
+    scale = result.certificate.problem.residual_scale
+    spread = float(scale.max(initial=1.0) / scale.min(initial=np.inf))
+    if not spread > 1e6:
+        return _nearness_to_singular(result)
+    stiff = f"stiff: the diagonal of M spans a factor of {spread:.0e}, where a small residual may hide a large error"
+    problem = result.certificate.problem
+    # A bound costs less than a run of 100 passes over M, or is of few unknowns
+    if problem.n > 1000 and result.work < 100.0:
+        return f"{stiff} of z{_advised(result)}"
+    try:
+        bound = error_bound(problem, result.z)
+    except UnsuitableMatrix:
+        return f"{stiff} of z, and nothing about M allows a bound of it"
+    return (
+        f"{stiff} of z: here it is proved to be at most {bound.infinity:.1e}, which is {bound.relative:.1e} times the "
+        "largest |z_i|"
+    )
+
+
+def _nearness_to_singular(result: Result) -> str:
+    """Return the warning that M is nearly singular on the free rows, so that z may have a large error, or ""."""
+    problem = result.certificate.problem
+    residual, size = result.certificate.scaled_residual, float(np.abs(result.z).max(initial=0.0))
+    error = estimated_error(problem, result.z, result.w, residual)
+    if error is None or not error > 1e-2 * size:  # part of ‖z‖∞
+        return ""
+    system = FreeSystem(problem.matrix, free_rows(problem, result.z, result.w))
+    known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
+    wrong = ": z may be wrong in every digit" if error > size else ""
+    return (
+        f"near-singular: the system of the {system.rows.size} unknowns between their bounds magnifies errors: a "
+        f"residual of {residual:.0e} goes with an error of z {known}, while the largest |z_i| is {size:.0e}{wrong}"
+        f"{_advised(result)}"
+    )
+
+
+def _advised(result: Result) -> str:
+    """Return the advice to read a bound, unless it was read."""
+    is_computed = "error_bound" in vars(result)
+    return "" if is_computed else "; result.error_bound is a bound of it, where M allows one"
+
+
+def likely_mistake_of(result: Result) -> str:
+    """Return the likely mistake of the model of a result, or ""; of a right model too the last point may look wrong."""
+    problem, status = result.certificate.problem, result.status
+    if isinstance(problem, LCP) and status is Status.NO_SOLUTION:
+        return reversed_row(problem)
+    is_open = isinstance(problem, LCP) and status not in (*LIMITS, *PROVEN, Status.INTERRUPTED)
+    return likely_mistake(problem, result.z, result.w) if is_open else ""
+
+
+def reversed_row(problem: LCP, *, is_linearized: bool = False) -> str:
+    """Return the row, or the rows of one constraint, with the signs of their unknowns' columns, if only these; or "".
+
+    For a linear problem, also the row of the only negative diagonal entry.
+    """
+    M, names, negative = problem.matrix.csr, problem.names, np.flatnonzero(problem.diagonal < 0.0)
+    if negative.size == 1 < problem.n and not is_linearized:
+        return f"the sign of {names.pair(negative[0])[0]} may be wrong: only its diagonal entry is negative"
+    products = sp.coo_array((M - sp.diags_array(M.diagonal())).multiply(M.T))
+    is_equal = products.data > 0.0
+    equal = np.bincount(products.row[is_equal], minlength=problem.n)
+    alone = np.flatnonzero(2 * equal == is_equal.sum())[:1]
+    for block in (alone, *_blocks(names, equal)):
+        inside = np.zeros(problem.n, np.bool_)
+        inside[block] = True
+        crosses = inside[products.row] != inside[products.col]
+        is_likely = np.array_equal(crosses, is_equal) and 2 < is_equal.sum() < products.nnz
+        if is_likely and (block.size > 1 or M[block[0], block[0]] <= 0.0):
+            break
+    else:
+        return ""
+    if block.size > 1:
+        name = INDEX.sub("", names.row(block[0]))
+        return (
+            f"the sign of {name} may be wrong, in all {block.size} rows: with the other sign they have, as all others, "
+            "the opposite signs of the terms of their unknowns in other rows"
+        )
+    row, unknown = names.pair(block[0])
+    return (
+        f"the sign of {row} may be wrong: its terms have the signs of the terms of {unknown} in other rows, where all "
+        "others have opposite signs"
+    )
+
+
+def _blocks(names: Names, equal: Numbers) -> list[Numbers]:
+    """Return the rows of each constraint with several rows, at most 30, by their names without the index."""
+    found: dict[str, list[int]] = {}
+    for i in range(equal.size if equal.any() else 0):
+        found.setdefault(INDEX.sub("", names.row(i)), []).append(i)
+    blocks = [np.array(rows) for rows in found.values() if len(rows) > 1]
+    return [rows for rows in blocks if equal[rows].all()][:30]  # constraints whose sign is tried
+
+
+def likely_mistake(problem: LCP, z: Vector, w: Vector) -> str:
+    """Return a row that its unknown cannot correct, a row of two units, or dependent rows: the first of them, or ""."""
+    from scipy.sparse.csgraph import connected_components  # slow to import
+
+    M, names = problem.matrix.csr, problem.names
+    if wrong_sign := reversed_row(problem, is_linearized=True):
+        return wrong_sign
+    # w_i depends on z_i, also through other pairs, only if both are on a cycle of the pattern.
+    component = connected_components(M, connection="strong")[1]
+    is_apart = (np.bincount(component)[component] == 1) & (M.diagonal() == 0.0)
+    is_wrong = np.where(w < 0.0, problem.upper == np.inf, problem.lower == -np.inf)
+    wrong = np.abs(w) / problem.residual_scale * (is_apart & is_wrong)
+    if wrong.max(initial=0.0) > 0.0:
+        i = int(np.argmax(wrong))
+        row, unknown = names.pair(i)
+        return (
+            f"{row} is {w[i]:.6g}, and {unknown} has no effect on it; see whether a term is missing"
+        )
+    inverse = abs(without_rounding(M))
+    inverse.data = 1.0 / inverse.data
+    ratio = problem.matrix.row_largest * inverse.max(axis=1).toarray().ravel()
+    if ratio.max(initial=1.0) >= 1e12:  # two coefficients in different units
+        i = int(np.argmax(ratio))
+        return f"the coefficients of {names.row(i)} differ by a factor of {ratio[i]:.0e}; see its units"
+    free = np.flatnonzero(free_rows(problem, z, w))
+    if not 1 < free.size <= 400:  # singular vectors of larger matrices take more than .1 s
+        return ""
+    block = M[free][:, free].toarray()
+    lengths = np.linalg.norm(block, axis=1, keepdims=True)
+    left, values, _ = np.linalg.svd(block / np.where(lengths > 0.0, lengths, 1.0))
+    part = np.abs(left[:, -1]) >= 0.1 * np.abs(left[:, -1]).max()  # rows with less are not named
+    if values[-1] > 1e-6 * values[0] or part.sum() == 1:  # derivatives may be differences
+        return ""
+    return (
+        f"the rows {listed(map(names.row, free[part]))} are dependent at this point; if they are everywhere, fix an "
+        "unknown, as the price of a numeraire"
+    )

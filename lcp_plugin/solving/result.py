@@ -12,8 +12,7 @@ import numpy as np
 
 from ..core.algorithm import Algorithm
 from ..core.certificates.criterion import RowData, RowsAtPoint
-from ..core.certificates.residuals import Certificate
-from ..core.certificates.worst import SHOWN, WorstRows, worst_pairs
+from ..core.certificates.residuals import SHOWN, Certificate, WorstRows, worst_pairs
 from ..core.checks import Vector, restore_state
 from ..core.doors import Door
 from ..core.errors import NotConverged, UnsuitableMatrix

@@ -129,7 +129,7 @@ class BandSteps:
         return RowData(problem.csr, self.absolute, *vectors, start=problem.nearest_to_zero)
 
 
-BLOCK = 64  # steps between two checks for Ctrl-C; results of earlier blocks are kept
+STEPS_TOGETHER = 64  # steps between two checks for Ctrl-C; results of earlier blocks are kept
 
 
 class March(AnswerSequence[Result]):
@@ -244,7 +244,7 @@ def take_steps_on_band(done: March, algorithm: Any, wishes: dict[str, Any], limi
         return
     steps, state = BandSteps(done, band, settings), done.z0
     while done.taken < len(done.forcing) and clock.read() < limit:
-        forcing = done.forcing[done.taken : done.taken + BLOCK]
+        forcing = done.forcing[done.taken : done.taken + STEPS_TOGETHER]
         solved = steps.solve(forcing, state)
         for q, state in zip(*solved, strict=True):
             row, z = (q, state) if done.keep == 1 else (q.copy(), read_only(state.copy()))
@@ -504,9 +504,8 @@ def _is_one_a_march(propagator: Any) -> bool:
 
 LEFT = 2.0**-20  # relative to the last change: bound of the remaining error
 CLEAR = 64.0  # times the rounding error
-CANCELLED = 2.0**40  # terms relative to their sum: the block is nearly singular
 KINK = 2  # times the side of a row at this bound with w = 0
-NEGLIGIBLE = 2.0**-960  # below, a row's distance and slack have underflown: it is at its bound
+UNDERFLOWN = 2.0**-960  # below, a row's distance and slack have underflown: it is at its bound
 
 
 class Band(NamedTuple):
@@ -557,7 +556,8 @@ class Band(NamedTuple):
         given = np.abs((self.M @ np.where(is_free, 0.0, x).T).T + right) * unit
         sizes = size, given, np.abs(w) * unit
         terms, given, left = (one.max(axis=1, initial=0.0, where=is_free) for one in sizes)
-        is_regular = (left <= 2.0**-40 * terms) & (terms <= CANCELLED * given)
+        # Otherwise the block is nearly singular
+        is_regular = (left <= 2.0**-40 * terms) & (terms <= 2.0**40 * given)
         return (x, w, EPSILON * terms) if is_regular.all() else None
 
 
@@ -609,7 +609,7 @@ class Steps:
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
             above, below = z - lower, upper - z
             nearest = np.minimum(above, below) * scale
-            is_negligible = (nearest < NEGLIGIBLE) & (np.abs(w) < NEGLIGIBLE)
+            is_negligible = (nearest < UNDERFLOWN) & (np.abs(w) < UNDERFLOWN)
             found = np.where(above * scale <= w, -1, np.where(-below * scale >= w, 1, 0))
             found = np.where(is_negligible, np.where(above <= below, -1, 1), found)
             found = np.where(lower == upper, np.where(w < 0.0, 1, -1), found)
@@ -920,10 +920,10 @@ class MarchDerivative:
     def _parts(self, *, backwards: bool = False) -> Iterator[Steps]:
         """Yield the steps in blocks, with their classified rows."""
         march = self.march
-        starts = range(0, len(march), BLOCK)
+        starts = range(0, len(march), STEPS_TOGETHER)
         for first in reversed(starts) if backwards else starts:
             before = march.z[first - 1] if first else march.z0
-            yield Steps(self, first, np.vstack([before, march.z[first : first + BLOCK]]))
+            yield Steps(self, first, np.vstack([before, march.z[first : first + STEPS_TOGETHER]]))
 
     @derived_property
     def band(self) -> Band | None:

@@ -494,7 +494,7 @@ class DeviceDerivative(ManyDerivatives):
 
 
 NAMED = 5  # instances in a message
-TOGETHER = 512  # instances whose arrays fit into the cache
+INSTANCES_TOGETHER = 512  # instances whose arrays fit into the cache
 
 
 class _Together(StackDerivative):
@@ -578,11 +578,11 @@ class ContactBatchDerivative(ManyDerivatives):
     def _parts(self) -> list[_Together]:
         """Derivatives of the instances, in groups."""
         worlds, z, is_solved = self.worlds, self.batch.z, self._is_solved[:, np.newaxis]
-        parts: list[Any] = [None] * max(-(-len(self) // TOGETHER), 1)
+        parts: list[Any] = [None] * max(-(-len(self) // INSTANCES_TOGETHER), 1)
 
         def derive(first: int, end: int) -> None:
             for k in range(first, end):
-                own = slice(k * TOGETHER, (k + 1) * TOGETHER)
+                own = slice(k * INSTANCES_TOGETHER, (k + 1) * INSTANCES_TOGETHER)
                 W = np.where(is_solved[own, :, np.newaxis], worlds.W[own], np.eye(worlds.n))
                 given = worlds.b, z, worlds.friction
                 b, at, mu = (np.where(is_solved[own], one[own], 0.0) for one in given)

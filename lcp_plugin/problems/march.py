@@ -46,7 +46,7 @@ from ..solving.lcp_solver import solve_lcp
 from ..solving.plan import plan
 from ..solving.result import Result, StageRecord
 from ..systems.factors import BANDED_UP_TO, Bands, bands
-from ..systems.graph import bandwidth
+from ..systems.graph import bandwidth, sum_of_outer
 from .cones.data import Blocks
 from .many import AnswerSequence, length_of_all, rows_of_a_batch
 
@@ -561,11 +561,6 @@ class Band(NamedTuple):
         return (x, w, EPSILON * terms) if is_regular.all() else None
 
 
-def _outer_on(A: sp.csr_array, left: Vector, right: Vector) -> Vector:
-    """Return Σ_k left_ki right_kj at the entries of A."""
-    return np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
-
-
 class Steps:
     """Consecutive steps of a march; `here` is the slice of their indices.
 
@@ -910,8 +905,8 @@ class MarchDerivative:
             elif part.here.stop == steps:
                 own[-1] = rows
             by_q = forcing[part.here] = part.vjp(own, after, of_bounds)
-            of_M += _outer_on(M, by_q, part.z)
-            of_C += _outer_on(propagator, by_q, part.states[:-1])
+            of_M += sum_of_outer(M, by_q, part.z).data
+            of_C += sum_of_outer(propagator, by_q, part.states[:-1]).data
         z0 = propagator.T @ after if steps else rows if rows.ndim == 1 else after
         by_M = sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n))
         by_C = sp.csr_array((of_C, propagator.indices, propagator.indptr), shape=(n, n))

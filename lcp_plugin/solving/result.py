@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
@@ -351,8 +350,10 @@ class Result(BaseResult):
 
         if type(self.certificate.criterion) is not RowData:
             return None
-        with suppress(UnsuitableMatrix):
+        try:
             return error_bound(self.certificate.problem, self.z)
+        except UnsuitableMatrix:
+            return None
 
     @cached_property
     def guarantee(self) -> Guarantee:

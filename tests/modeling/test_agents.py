@@ -674,7 +674,7 @@ REFUSED: dict[str, Any] = {
             cp.Problem(cp.Minimize(x), [optimal(cp.Problem(cp.Minimize(x * y)), over=[y])]),
             over=[x],
         ),
-        "neither an equation nor an inequality",
+        "several leaders over followers .EPEC. are not supported; keep one leader",
     ),
     "over is None": (
         lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=None),

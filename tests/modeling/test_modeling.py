@@ -584,7 +584,8 @@ def test_parameters_of_a_box_belong_to_the_problem() -> None:
 @pytest.mark.parametrize(
     ("act", "pattern"),
     [
-        (lambda p: p.solve(method="LCP", gp=True), "gp"),
+        (lambda p: p.solve(method="LCP", gp=True), "no geometric or quasiconvex program, got gp"),
+        (lambda p: p.solve(method="LCP", nlp=True), "has no option nlp"),
         (
             lambda p: cp.Problem(cp.Minimize(cp.sum(p.variables()[0])), p.constraints).solve(
                 method="LCP", algorithm="newton"

@@ -37,7 +37,7 @@ from .finishing import measure_finished
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
 RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
 ROUNDS, IDLE = 12, 2  # most active-set iterations; most of them in a row without fewer changes
-WELL_CONDITIONED = 1e8
+WELL_CONDITIONED = 1e8  # size of the eliminated columns up to which half of the digits remain
 LOOP_FROM, LOOP_UP_TO = 32, 128  # problems, unknowns; fewer problems do not wait for a compilation
 
 

@@ -11,13 +11,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cvxpy  # noqa: F401 - sets warning filters where it is loaded
 import numpy as np
 import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg
 from legends import hides_nothing
+from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnknownAlgorithm, gallery, solve
+from lcp_plugin import LCP, InvalidOption, gallery, solve
 from lcp_plugin.algorithms import Algorithm, Step, paper_options
 from lcp_plugin.core.matrix import Matrix, fact
 from lcp_plugin.evidence.drawing import draw
@@ -380,37 +382,22 @@ def test_a_figure_without_data_is_refused_in_words(tmp_path: Path) -> None:
 # --- What cannot be used --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("arguments", "options", "error", "words"),
-    [
-        ((5, ["psor"]), {}, InvalidOption, "problems must be problems"),
-        ((QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]), {}, InvalidOption, "QuadraticProgram"),
-        ((chain, ["psr"], [4]), {}, UnknownAlgorithm, "did you mean 'psor'"),
-        ((chain, 5, [4]), {}, InvalidOption, r'methods must be names .* got 5; write \["psor"\]'),
-        ((chain, [Richardson], [4]), {}, InvalidOption, "a method is a name, an Algorithm object"),
-        ((chain, ["psor"], [0]), {}, InvalidOption, "each of sizes must be an integer ≥ 1"),
-        ((chain, ["psor"], [4]), {"tolerance": -1.0}, InvalidOption, "tolerance must be"),
-        ((chain, ["psor"], [4]), {"stopping": "Res"}, InvalidOption, "stopping must be one of criterion, paper"),
-        ((chain, ["psor"], [4]), {"references": ["OSQPP"]}, InvalidOption, "cvxpy has no solver 'OSQPP'"),
-    ],
-)  # fmt: skip
-def test_arguments_are_refused_before_anything_runs(
-    arguments: Any, options: dict[str, Any], error: type[Exception], words: str
-) -> None:
-    """A misspelt name, another kind of problem, a size of 0: one line says what to write."""
-    with pytest.raises(error, match=words):
-        study(*arguments, **options)
-
-
-def test_views_and_files_that_do_not_exist_are_refused(tmp_path: Path) -> None:
-    """A misspelt view, another axis, another ending and a method without a row are named."""
-    found = made(("p", 4, "a", 7.0))
-    for call, words in (
-        (lambda: found.table("wrk"), "value must be one of iterations, work"),
-        (lambda: found.plot(against="time"), "against must be one of seconds"),
-        (lambda: found.save(tmp_path / "r.txt"), r"is saved as .png, .pdf, .svg, .csv, .md, .tex"),
-        (lambda: found.row("b"), "no row of 'b'"),
-        (lambda: error_against_time(np.eye(2)), "needs an LCP, got ndarray"),
-    ):
-        with pytest.raises(InvalidOption, match=words):
-            call()
+@refusals(r"""
+study(5, ["psor"]) → InvalidOption: problems must be problems
+study(QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]) → InvalidOption: QuadraticProgram
+study(chain, ["psr"], [4]) → UnknownAlgorithm: did you mean 'psor'
+study(chain, 5, [4]) → InvalidOption: methods must be names .* got 5; write \["psor"\]
+study(chain, [3], [4]) → InvalidOption: a method is a name, an Algorithm object
+study(chain, ["psor"], [0]) → InvalidOption: each of sizes must be an integer ≥ 1
+study(chain, ["psor"], [4], tolerance=-1.0) → InvalidOption: tolerance must be
+study(chain, ["psor"], [4], stopping="Res") → InvalidOption: stopping must be one of criterion, paper
+study(chain, ["psor"], [4], references=["OSQPP"]) → InvalidOption: cvxpy has no solver 'OSQPP'
+found.table("wrk") → InvalidOption: value must be one of iterations, work
+found.plot(against="time") → InvalidOption: against must be one of seconds
+found.save("r.txt") → InvalidOption: is saved as .png, .pdf, .svg, .csv, .md, .tex
+found.row("b") → InvalidOption: no row of 'b'
+error_against_time(np.eye(2)) → InvalidOption: needs an LCP, got ndarray
+""")
+def test_arguments_are_refused_before_anything_runs(call: str, words: str) -> None:
+    """A misspelt name, view, axis or ending, another kind of problem: one line says what to write."""
+    assert_refused(call, words, {**globals(), "found": made(("p", 4, "a", 7.0))})

@@ -13,10 +13,10 @@ from ..core.algorithm import Algorithm
 from ..core.certificates.criterion import RowData, RowsAtPoint
 from ..core.certificates.residuals import SHOWN, Certificate, WorstRows, worst_pairs
 from ..core.checks import Vector, restore_state
-from ..core.doors import Door
 from ..core.errors import NotConverged, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.names import format_count, remark_on_labels
+from ..core.problem_classes import Door
 from ..core.settings import PROVEN, Settings, Status
 
 if TYPE_CHECKING:

@@ -351,9 +351,11 @@ class StepData:
                 raise InvalidProblem(f"{need}, got shape {rows[name].shape}")
         self.bounds: dict[str, Vector] = {name: np.empty((k, n)) for name in rows}
         for step in range(k if rows else 0):
-            own = [rows[name][step] if name in rows else getattr(problem, name) for name in BOUNDS]
+            low, high = (
+                rows[one][step] if one in rows else getattr(problem, one) for one in BOUNDS
+            )
             try:
-                pair = checks.checked_bounds(*own, n, names=("lower_at", "upper_at"))
+                pair = checks.checked_bounds(low, high, n, names=("lower_at", "upper_at"))
             except InvalidProblem as error:
                 raise InvalidProblem(f"step {step}: {error}") from error
             for name, values in zip(BOUNDS, pair, strict=True):
@@ -388,7 +390,7 @@ class StepData:
 
 
 def _wrong_count(name: str, count: int, k: int) -> str:
-    missing = f"step {count} has none" if count < k else f"there is no step {k}"
+    missing = f"step {count} has none" if count < k else f"step {k} does not exist"
     return f"{name} must have one entry per step, {k} as forcing has rows, got {count}: {missing}"
 
 
@@ -430,8 +432,8 @@ def march(
         that moves.
     M_at : sequence of k arrays or sparse arrays, shape (n, n), or callable, optional
         Matrix of each step, for all marches, in place of the matrix of `problem`, such as of a local volatility. A
-        callable returns it for the number of a step, from 0; `derivative` calls it again. Return the same object for
-        equal matrices in a row: their factors are shared.
+        callable gets the number of a step, from 0; `derivative` calls it again. Consecutive steps with the same object
+        share its factors.
     z0 : array, shape (n,) or (m, n), optional
         The state before the first step; by default the point of [lower, upper] nearest to 0.
     max_seconds : float, optional
@@ -1062,7 +1064,8 @@ class MarchDerivative:
         by_M: Any = sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n))
         by_M = by_M if data.matrices is None else each
         by_C = sp.csr_array((of_C, propagator.indices, propagator.indptr), shape=(n, n))
-        return MarchGradient(z0, *of_bounds.sum(axis=1), by_M, by_C, forcing, *of_bounds)
+        lower, upper = of_bounds.sum(axis=1)
+        return MarchGradient(z0, lower, upper, by_M, by_C, forcing, of_bounds[0], of_bounds[1])
 
     def _change(self, dM_at: Any, k: int) -> sp.csr_array:
         """Return the change of the matrix of step k."""

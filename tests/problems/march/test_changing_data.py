@@ -72,7 +72,7 @@ def local(x: Any, to_maturity: float) -> Any:
 
 def test_a_put_of_local_volatility_is_that_of_a_tree() -> None:
     """An American put by M_at, within 1e-3 of a trinomial tree over the same prices in time."""
-    x, k = np.linspace(np.log(STRIKE) - 1.5, np.log(STRIKE) + 1.5, 301), 1200
+    x, k = np.linspace(np.log(STRIKE) - 1.5, np.log(STRIKE) + 1.5, 501), 800
     payoff, identity = np.maximum(STRIKE - np.exp(x), 0.0), sp.eye_array(x.size)
 
     def matrix(step: int) -> Any:
@@ -160,7 +160,7 @@ def test_a_band_has_the_derivative_by_the_bounds_of_each_step() -> None:
             {"lower_at": np.zeros((4, 6))},
             "lower_at must have one entry per step, 5 .*step 4 has none",
         ),
-        ({"upper_at": np.full((7, 6), 9.0)}, "upper_at must have .*got 7: there is no step 5"),
+        ({"upper_at": np.full((7, 6), 9.0)}, "upper_at must have .*got 7: step 5 does not exist"),
         ({"M_at": [np.eye(6)] * 4}, "M_at must have one entry per step.*step 4 has none"),
         ({"M_at": [np.eye(6)] * 4 + [np.eye(5)]}, "M_at of step 4: "),
         (

@@ -149,7 +149,13 @@ def measure(data: RowData, z: Vector, tolerance: float) -> Measured:
 
 def suits_loop(count: int, n: int) -> bool:
     """Return whether the compiled loop solves so many problems of n unknowns; it never depends on what is compiled."""
-    return count >= LOOP_FROM and n <= LOOP_UP_TO and find_spec("numba") is not None
+    return count >= LOOP_FROM and n <= LOOP_UP_TO and has_numba()
+
+
+@cache
+def has_numba() -> bool:
+    """Return whether numba is installed."""
+    return find_spec("numba") is not None
 
 
 def solve_stack(
@@ -198,10 +204,7 @@ def _solve_in_loop(
             side = np.where(step >= z[items] - low, LOW, FREE + (step <= z[items] - high))
         else:
             side = _ends_of_paths(A, b, low, high)
-        x, bound = active_set_points(A, b, low, high, side, True), np.empty(items.size)
-        is_lost = np.isnan(x[:, 0])
-        bound_residuals(*own, float(tolerance), np.empty((2, q.shape[1])), x, bound)
-        x[is_lost, 0], bound[is_lost] = np.nan, np.inf
+        x, bound = _bounded_points(*own, side, tolerance)
         z[items], residual[items] = x, bound
         items = items[bound == np.inf]
     is_solved = residual < np.inf
@@ -210,6 +213,51 @@ def _solve_in_loop(
         found = measure(stack_of(*_select((M, q, lower, upper), rest)), z[rest], tolerance)
         z[rest], residual[rest], is_solved[rest] = found[:3]
     return z, residual, is_solved
+
+
+def _bounded_points(
+    M: Vector, q: Vector, lower: Any, upper: Any, start: Any, sides: Any, tolerance: float
+) -> tuple[Vector, Vector]:
+    """Return the points of active sets and bounds of their residuals, by kernels; NaN and ∞ if a system is singular."""
+    (count, n), z = q.shape, np.empty(q.shape)
+    solve_active_sets(
+        M,
+        q,
+        lower,
+        upper,
+        read_only(np.ascontiguousarray(sides)),
+        np.empty((n, n + 1)),
+        np.empty(n, np.int64),
+        z,
+    )
+    is_lost, bound = np.isnan(z[:, 0]), np.empty(count)
+    bound_residuals(M, q, lower, upper, start, float(tolerance), np.empty((2, n)), z, bound)
+    if is_lost.any():
+        z[is_lost, 0], bound[is_lost] = np.nan, np.inf
+    return z, bound
+
+
+def path_points(
+    problem: LCP, tolerance: float, z0: Vector | None = None
+) -> Iterator[tuple[Vector, float]]:
+    """Yield the point of the active set of z0 and the end of Lemke's compiled path, with bounds of their residuals.
+
+    A stack of one: the bits are those of the compiled loop. A bound of ∞ means that the sufficient test does not
+    decide. Points that do not exist are left out.
+    """
+    vectors = problem.q, problem.lower, problem.upper, problem.nearest_to_zero
+    own = problem.matrix.toarray()[None], *(one[None] for one in vectors)
+    M, q, lower, upper, _ = own = tuple(map(read_only, own))
+    for is_path in (False, True) if z0 is not None else (True,):
+        if is_path:
+            sides = _ends_of_paths(M, q, lower, upper)
+        else:
+            step = problem.slack(z0) / problem.residual_scale
+            is_low, is_high = step >= z0 - problem.lower, step <= z0 - problem.upper
+            sides = np.where(is_low, LOW, FREE + is_high)[None]
+        z, bound = _bounded_points(*own, sides, tolerance)
+        if math.isfinite(z[0, 0]):
+            yield read_only(z[0]), float(bound[0])
 
 
 def _select(arrays: Any, items: Any) -> list[Any]:

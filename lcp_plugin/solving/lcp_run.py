@@ -107,7 +107,9 @@ class LCPRun(Run):
     def steps_of(self, stage: Stage) -> Iterator[Step]:
         """Yield the steps; none if a method of auto does not take this problem."""
         try:
-            yield from stage.algorithm.iterates(self.problem, self.z.copy())
+            algorithm = stage.algorithm
+            steps = algorithm.named_iterates if algorithm is self.chosen else algorithm.iterates
+            yield from steps(self.problem, self.z.copy())
         except (UnsuitableMatrix, UnsuitableProblem):
             if len(self.progress.stages) == 1 or stage.iterations > 0:
                 raise

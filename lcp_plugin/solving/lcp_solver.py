@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.algorithm import Algorithm
+from ..core.certificates.criterion import row_data
 from ..core.checks import checked_start, read_only
 from ..core.deadline import Clock
 from ..core.lcp import LCP
-from ..methods.small import first_candidate
+from ..methods.finishing import measure_finished
+from ..methods.small import first_candidate, path_points
 from .choice import GUESSED, parse_call, takes_rounds
-from .result import Callback, Result, StageRecord
+from .result import NOTHING_TO_DO, Callback, Result, StageRecord
 
 
 @np.errstate(all="ignore")
@@ -44,7 +46,19 @@ def solve_lcp(
     is_watched = settings.record or settings.verbose
     is_limited = settings.max_seconds < math.inf or not settings.max_iterations
     is_plain = not (is_watched or is_limited or settings.absolute_tolerance)
-    is_plain = is_plain and method is None and callback is None
+    is_plain = is_plain and callback is None
+    if is_plain and z0 is None and method is not None and method.is_compiled_for(problem):
+        for z, bound in path_points(problem, settings.tolerance):
+            if bound == math.inf or problem.origin is not None:
+                point = measure_finished(row_data(problem), z, settings.goal, power=1.0)
+                if not point.passes:
+                    continue
+                z = read_only(point.z)
+            is_start = np.array_equal(z, start)
+            said = (NOTHING_TO_DO, 0, 0.0) if is_start else ("", 1, float(problem.n))
+            stage = StageRecord(method.name, *said)
+            return Result.at(problem, z, stage, settings, clock.read(), asked=method)
+    is_plain = is_plain and method is None
     if is_plain and getattr(problem.origin, "form", "") != "kkt" and takes_rounds(problem):
         found = first_candidate(problem, start, settings.tolerance)
         if found is not None:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ..proofs.bounds import ErrorBound
     from ..proofs.guarantees import Guarantee
 
+NOTHING_TO_DO = "the residual of the start is within the tolerance already; no iteration was needed"
 NEXT = "; next: "  # between the event and the next step
 
 
@@ -323,6 +324,7 @@ class Result(BaseResult):
         settings: Settings,
         seconds: float = 0.0,
         rows: RowsAtPoint | None = None,
+        asked: Algorithm | None = None,
     ) -> Result:
         """Return the result at a point that is measured as SOLVED, without another solve or measurement.
 
@@ -338,6 +340,8 @@ class Result(BaseResult):
             Seconds of the computation of z.
         rows : RowsAtPoint, optional
             The values of the rows at z, measured on :func:`~lcp_plugin.core.certificates.criterion.row_data`.
+        asked : Algorithm, optional
+            The algorithm of the call; None for "auto".
         """
         certificate = Certificate.at(problem, z, rows=rows)
         return cls(
@@ -345,7 +349,7 @@ class Result(BaseResult):
             w=certificate.w,
             status=Status.SOLVED,
             certificate=certificate,
-            algorithm=f"auto: {stage.name}",
+            algorithm=stage.name if asked else f"auto: {stage.name}",
             iterations=stage.iterations,
             work=stage.work,
             seconds=seconds,
@@ -353,6 +357,7 @@ class Result(BaseResult):
             tolerance=settings.tolerance,
             absolute_tolerance=settings.absolute_tolerance,
             stages=(stage,),
+            _asked=asked,
         )
 
     @cached_property

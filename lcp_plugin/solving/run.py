@@ -17,12 +17,11 @@ from ..core.deadline import OutOfTimeError, time_limit
 from ..core.errors import InvalidOption
 from ..core.settings import Status
 from .progress import Progress
-from .result import Callback, Result
+from .result import NOTHING_TO_DO, Callback, Result
 from .stage import FAILED, Stage, TerminationReason
 
 __all__ = ["Callback", "Run"]
 
-NOTHING_TO_DO = "the residual of the start is within the tolerance already; no iteration was needed"
 STATUS_OF = {
     TerminationReason.STEP_LIMIT: Status.MAX_ITERATIONS,
     TerminationReason.TIME_LIMIT: Status.MAX_SECONDS,

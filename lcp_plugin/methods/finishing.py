@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.certificates.criterion import POWER, RowData, times
-from ..core.certificates.measured import Measured
+from ..core.certificates.criterion import POWER, Measured, RowData, times
 from ..core.deadline import is_over
 from ..core.kernels.floats import NEGLIGIBLE
 from ..core.matrix import Matrix

@@ -26,8 +26,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from ..core.algorithm import Algorithm, Step
-from ..core.certificates.criterion import RowData, row_data, times
-from ..core.certificates.measured import Measured
+from ..core.certificates.criterion import Measured, RowData, row_data, times
 from ..core.checks import BoolVector, Vector, read_only
 from ..core.kernels.floats import FREE, HIGH, LOW, PERTURBED, SMALLEST, SMALLEST_PIVOT
 from ..core.kernels.small_lcps import LOST, bound_residuals, follow_paths, solve_active_sets

@@ -281,7 +281,7 @@ def contact_data(
 def checked_friction(friction: ArrayLike, k: int, need: str = "one a contact") -> FloatArray:
     """Return the coefficients of k contacts, shape (k,), given so or as a number."""
     need = f"friction must be a number, or an array of shape ({k},): {need}"
-    mu = _of_contacts(friction, k, need)
+    mu = _of_contacts(friction, (k,), need)
     if mu.min(initial=0.0) < 0.0:
         i = int(np.argmax(mu < 0.0))
         raise InvalidProblem(
@@ -296,25 +296,29 @@ def is_of_bodies(contacts: Any) -> bool:
     return is_list or isinstance(contacts, tuple)
 
 
-def closing_speeds(gaps: ArrayLike | None, time_step: float | None, k: int) -> FloatArray:
-    """Return gaps / time_step, shape (k,); 0 without both."""
+def closing_speeds(
+    gaps: ArrayLike | None, time_step: float | None, k: int, count: int | None = None
+) -> FloatArray:
+    """Return gaps / time_step, shape (k,), or (count, k) of a batch; 0 without both."""
+    shape = (k,) if count is None else (count, k)
     if gaps is None and time_step is None:
-        return np.zeros(k)
+        return np.zeros(shape)
     if gaps is None or time_step is None:
         missing = "gaps" if gaps is None else "time_step"
         raise InvalidProblem(f"{missing} is missing; give both gaps, in m, and time_step, in s")
     if not is_number(time_step) or not 0.0 < time_step < np.inf:
         raise InvalidProblem(f"time_step must be a number of seconds > 0, got {time_step!r}")
-    need = f"gaps must be a number, or a finite array of shape ({k},): one per contact"
-    return _of_contacts(gaps, k, need) / time_step
+    batch = "" if count is None else f" or {shape}"
+    need = f"gaps must be a number, or a finite array of shape ({k},){batch}: one per contact"
+    return _of_contacts(gaps, shape, need) / time_step
 
 
-def _of_contacts(values: ArrayLike, k: int, need: str) -> FloatArray:
-    """Return a number per contact, shape (k,), from such an array or one number."""
+def _of_contacts(values: ArrayLike, shape: tuple[int, ...], need: str) -> FloatArray:
+    """Return a number per contact from an array of this shape, or of its last axis, or from one number."""
     given = _array(values, need)
-    if given.shape not in ((), (k,)):
+    if given.shape not in ((), shape[-1:], shape):
         raise InvalidProblem(f"{need}, got shape {given.shape}")
-    return np.broadcast_to(given, k).copy()
+    return np.broadcast_to(given, shape).copy()
 
 
 def warn_of_much_friction(friction: FloatArray, level: int) -> None:
@@ -425,7 +429,7 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
 
     Columns in which the mass matrix is m times the identity, with zeros elsewhere, are translations of a free body, or
     rotations of one with three equal moments of inertia. Normal and tangents are linearly independent there for
-    translations only: r × n, r × t and r × s lie in a plane.
+    translations only: r × n, r × t and r × s lie in a plane. A normal of length 1 there shows a translation.
     """
     (k, v), diagonal = J.shape, mass.diagonal()
     k //= d
@@ -444,6 +448,7 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
     products = own @ np.swapaxes(own, 1, 2)
     lengths = np.sqrt(np.einsum("kii->ki", products)) + np.finfo(float).tiny
     are = np.linalg.det(products / lengths[:, :, None] / lengths[:, None]) > UNIT
+    are |= np.abs(lengths[:, 0] - 1.0) < UNIT
     off = np.abs(products - np.eye(d)).max(axis=(1, 2))[are]
     least = np.full(k, np.inf)
     # one body in whose translations they are unit vectors is enough

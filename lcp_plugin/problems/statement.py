@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.certificates.worst import WorstRow, outside_row
+from ..core.certificates.residuals import WorstRow, outside_row
 from ..core.checks import BoolVector, Vector
 from ..core.deadline import time_limit
 from ..core.errors import NotSquare, UnsupportedModel

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..core import checks
-from ..core.certificates.worst import outside_row, put_on_bounds
+from ..core.certificates.residuals import outside_row, put_on_bounds
 from ..core.errors import InvalidOption, InvalidProblem
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows, residual_scales

@@ -13,19 +13,16 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from ..core.algorithm import Step
-from ..core.certificates.criterion import RowData, VectorEnds, divide_nonnegative
-from ..core.certificates.measured import Measured
+from ..core.certificates.criterion import Measured, RowData, VectorEnds, divide_nonnegative
 from ..core.checks import Vector, read_only
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.threads import threads_for
 from ..core.matrix import largest_products
 from ..core.problem_classes import CLASSES
 from ..core.rounding import compensated_product
-from ..core.settings import Settings, checked_callback
-from ..solving.progress import Progress
+from ..core.settings import Settings, Status, checked_callback
 from ..solving.result import BaseResult, Sample
-from ..solving.run import Run
-from ..solving.stage import Named, Stage, TerminationReason
+from ..solving.run import Named, Progress, Run, Stage
 from .halo import Interruptions
 from .methods import chain
 
@@ -282,9 +279,9 @@ class ProgressOnRanks(Progress):
         is_late = self.clock.elapsed >= self.max_seconds
         late, interrupted = self.halo.all_largest(float(is_late), float(self.is_interrupted()))
         if interrupted:
-            self.end = TerminationReason.INTERRUPTED
+            self.end = Status.INTERRUPTED
         elif late:
-            self.end = TerminationReason.TIME_LIMIT
+            self.end = Status.MAX_SECONDS
         else:
             self.limit()
 
@@ -348,17 +345,17 @@ class RunOnRanks(Run):
         absolute = settings.absolute_tolerance
         return self.data.measure(step.z, settings.tolerance, absolute=absolute)
 
-    def end_of(self, stage: Stage, step: Step, found: Any) -> TerminationReason | None:
+    def end_of(self, stage: Stage, step: Step, found: Any) -> Status | None:
         """Return STALLED at rounding level, and if a residual is not finite."""
         if found is None or not (found.is_limited or not math.isfinite(found.residual)):
             return None
-        return TerminationReason.STALLED
+        return Status.STALLED
 
-    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
+    def end_of_stage(self, stage: Stage, end: Status) -> Status:
         """Return the reason why the stage ended: the next method may do better at rounding level."""
         return end
 
-    def result(self, end: TerminationReason) -> ResultOnRanks:
+    def result(self, end: Status) -> ResultOnRanks:
         """Return the result, the same on all ranks except z and w."""
         found, progress, data = self.best, self.progress, self.data
         common = self.common_fields(self.status(end))

@@ -45,7 +45,7 @@ from ..proofs.verdicts import analyze, is_negative
 from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
 from ..systems.factors import factor_fits, sizes_of_factor
 from .convergence import last_resort
-from .stage import Stage
+from .run import Stage
 
 SEARCHED = "few enough unknowns to try every choice of bounds to the end"
 AGAIN = "the other methods found no solution"

@@ -1,4 +1,4 @@
-"""Rules of `explain()`: what a small residual hides, a method without a theorem, and the likely mistake of a model.
+"""Rules of `explain()`: errors behind a small residual, a method without a theorem, the likely mistake of a model.
 
 The likely mistake of a model without a solution is named by a fact of M, or F′, at the last point.
 """
@@ -136,7 +136,7 @@ def likely_mistake_of(result: Result) -> str:
 def reversed_row(problem: LCP, *, is_linearized: bool = False) -> str:
     """Return the row, or the rows of one constraint, with the signs of their unknowns' columns, if only these; or "".
 
-    Of a linear problem, also the row of the only negative diagonal entry.
+    For a linear problem, also the row of the only negative diagonal entry.
     """
     M, names, negative = problem.matrix.csr, problem.names, np.flatnonzero(problem.diagonal < 0.0)
     if negative.size == 1 < problem.n and not is_linearized:

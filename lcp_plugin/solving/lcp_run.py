@@ -13,12 +13,12 @@ from ..core.algorithm import Algorithm, Step
 from ..core.certificates.criterion import (
     GAINED,
     POWER,
+    Measured,
     divide_nonnegative,
     measured_residual,
     rounding_of_data,
     row_data,
 )
-from ..core.certificates.measured import Measured
 from ..core.certificates.residuals import Certificate
 from ..core.checks import Vector, read_only
 from ..core.deadline import Clock
@@ -32,10 +32,8 @@ from ..methods.finishing import measure_finished
 from ..methods.newton import polish_active_set
 from ..proofs.guarantees import guarantee_of
 from .plan import plan
-from .progress import Progress
 from .result import Callback, Result
-from .run import Run
-from .stage import FAILED, Stage, TerminationReason
+from .run import FAILED, Progress, Run, Stage
 
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
 
@@ -167,62 +165,62 @@ class LCPRun(Run):
         if (z := self.unmeasured) is not None:
             self.keep(Measured(z, self.data.estimate(z), passes=False))
 
-    def end_of(self, stage: Stage, step: Step, found: Measured | None) -> TerminationReason | None:
+    def end_of(self, stage: Stage, step: Step, found: Measured | None) -> Status | None:
         """Return the reason that the stage ends with this step, or None."""
         algorithm, progress = stage.algorithm, self.progress
         if found is None:
             is_lost = step.increment is not None and not math.isfinite(step.increment)
-            return TerminationReason.DIVERGED if is_lost else None
+            return Status.DIVERGED if is_lost else None
         # A method that is not monotone may rise, but not to ∞.
         is_lost = algorithm.is_monotone and stage.rises >= 10
         is_lost = is_lost or not math.isfinite(found.residual)
         is_lost = is_lost and not found.residual <= 1e8 * max(1.0, self.start_residual)
         # A contraction in a weighted norm may multiply the residual before it falls.
         if is_lost and not (math.isfinite(found.residual) and self.is_guaranteed):
-            return TerminationReason.DIVERGED
+            return Status.DIVERGED
         left = self.settings.max_iterations - progress.iteration
         if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
             return None  # because a limit is reached
         # z° solves what is left, up to rounding
         if found.is_limited and found.residual <= self.goal:
-            return TerminationReason.AT_FLOOR
+            return Status.PRECISION_LIMIT
         if stage.is_flat() and self._is_at_floor():
-            return TerminationReason.AT_FLOOR
+            return Status.PRECISION_LIMIT
         is_watched = algorithm.is_monotone or algorithm.is_watched
         if is_watched and stage.is_stalled(self.problem.n, self.goal, left):
             too_few = self.is_guaranteed
-            return TerminationReason.STEP_LIMIT if too_few else TerminationReason.STALLED
+            return Status.MAX_ITERATIONS if too_few else Status.STALLED
         return None
 
-    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
-        """Return the reason, or AT_FLOOR if rounding explains the residual of the best point."""
+    def end_of_stage(self, stage: Stage, end: Status) -> Status:
+        """Return the reason, or PRECISION_LIMIT if rounding explains the residual of the best point."""
         self._measure_last()
         is_at_floor = end in FAILED and self.best is not None and self._is_at_floor()
-        return TerminationReason.AT_FLOOR if is_at_floor else end
+        return Status.PRECISION_LIMIT if is_at_floor else end
 
     def _is_at_floor(self) -> bool:
         """Return whether the best residual is small and no larger than rounding explains: no step is worth its work."""
         found = self.measured(self.z)
         return bool(found.passes or found.is_limited) and found.residual <= GAINED
 
-    def end_of_proof(self, proof: Any) -> TerminationReason | None:
+    def end_of_proof(self, proof: Any) -> Status | None:
         """Keep a proof; the run ends if it excludes the tolerance, or if only the rounding of the data is left."""
         end = super().end_of_proof(proof)
         if end is None and self.best is not None and self._is_within_rounding_of_data(self.z):
-            return TerminationReason.AT_FLOOR
+            return Status.PRECISION_LIMIT
         return end
 
     # --- the end ----------------------------------------------------------------------------------------
 
-    def result(self, end: TerminationReason) -> Result:
+    def result(self, end: Status) -> Result:
         """Return the result: the best iterate, cleaned and polished, with the status of its certificate."""
         self._measure_last()
         found = self._final(self.z, end)
         is_limited = found.is_limited or self._is_within_rounding_of_data(found.z)
         self.best = found._replace(is_limited=is_limited)
         # If one of several algorithms diverged, the best z need not have.
-        is_chain = end is TerminationReason.DIVERGED and len(self.progress.stages) > 1
-        status = self.status(TerminationReason.STALLED if is_chain else end)
+        is_chain = end is Status.DIVERGED and len(self.progress.stages) > 1
+        status = self.status(Status.STALLED if is_chain else end)
         name = "auto" if self.chosen is None else self.chosen.name
         chain = [stage.name for stage in self.progress.records()]
         is_solved = status is Status.SOLVED
@@ -236,10 +234,10 @@ class LCPRun(Run):
             _advice={} if is_solved else self._advice(found, end),
         )
 
-    def _advice(self, found: Measured, reason: TerminationReason) -> dict[Status, str]:
+    def _advice(self, found: Measured, reason: Status) -> dict[Status, str]:
         """Return the advice of each status; of the problem's origin if it rejects the point."""
-        said = advice_of_run(self.problem, self.chosen, self.settings)
-        if reason is TerminationReason.NOTHING_LEFT and self.chosen is not None:
+        said, stages = advice_of_run(self.problem, self.chosen, self.settings), self.progress.stages
+        if reason is Status.STALLED and self.chosen is not None and stages[-1].has_ended:
             steps = max(self.progress.iteration, 0)
             _, _, rest = said[Status.STALLED].partition("; ")
             said[Status.STALLED] = f"iterates ended after {format_count(steps, 'step')}; {rest}"
@@ -251,7 +249,7 @@ class LCPRun(Run):
             said[Status.MAX_ITERATIONS] = end.replace(begin, why)
         return said
 
-    def _final(self, z: Vector, end: TerminationReason) -> Measured:
+    def _final(self, z: Vector, end: Status) -> Measured:
         """Return the measure of z, or of z after a last step of the method or on its active set if no worse."""
         settings, stages = self.settings, self.progress.stages
         found = self.best if self.best is not None and self.best.passes else self.measured(z)
@@ -262,14 +260,14 @@ class LCPRun(Run):
         if not (stages and settings.polish):
             return found
         last = stages[-1]
-        is_cut_short = end in (TerminationReason.INTERRUPTED, TerminationReason.TIME_LIMIT)
+        is_cut_short = end in (Status.INTERRUPTED, Status.MAX_SECONDS)
         if not is_cut_short and np.isfinite(z).all():
             finished = last.algorithm.finish(self.problem, z)
             if finished is not z:
                 found = better_of(found, self.measured(finished))
         return found if last.algorithm.ends_on_active_set else self._polish(found, last, end)
 
-    def _polish(self, found: Measured, last: Stage, end: TerminationReason) -> Measured:
+    def _polish(self, found: Measured, last: Stage, end: Status) -> Measured:
         """Return the measure of the solution of the linear system on the active set of z, if it is no worse.
 
         A residual is not an error: if M is ill-conditioned, as of heavy bodies on light ones, a small one allows any z,
@@ -279,7 +277,7 @@ class LCPRun(Run):
         most = math.inf if self.chosen is None else 0.0
         if found.passes:
             most = 0.1 * self.progress.work - 20.0
-        elif end not in (TerminationReason.CONVERGED, TerminationReason.AT_FLOOR, *FAILED):
+        elif end not in (Status.SOLVED, Status.PRECISION_LIMIT, *FAILED):
             return found
         if most <= 0.0:
             return found

@@ -47,7 +47,7 @@ from ..methods.search import FeasibilityCheck, NearbyPoints, has_few_active_sets
 from ..methods.small import Rounds
 from .choice import GUESSED, takes_rounds
 from .direct import SEARCHED, direct_methods, factor_passes
-from .stage import Stage
+from .run import Stage
 
 ASKED_EVERY = 20
 PATIENCE = 1.5  # a stage is left if its work exceeds this multiple of the next one's

@@ -12,8 +12,7 @@ import numpy as np
 
 from ..core.algorithm import Algorithm
 from ..core.certificates.criterion import RowData, RowsAtPoint
-from ..core.certificates.residuals import Certificate
-from ..core.certificates.worst import SHOWN, WorstRows, worst_pairs
+from ..core.certificates.residuals import SHOWN, Certificate, WorstRows, worst_pairs
 from ..core.checks import Vector, restore_state
 from ..core.doors import Door
 from ..core.errors import NotConverged, UnsuitableMatrix
@@ -277,8 +276,8 @@ class Result(BaseResult):
 
     Attributes
     ----------
-    z, w : ndarray, shape (n,)
-        The best iterate and its slack M z + q, read-only; `x` is z.
+    z : ndarray, shape (n,)
+        The best iterate, read-only; `x` is z.
     status : Status
         Derived from the certificate; if the certificate does not pass, the reason for termination.
     certificate : Certificate
@@ -305,7 +304,6 @@ class Result(BaseResult):
     """
 
     z: Vector
-    w: Vector
     certificate: Certificate
     work: float
     setup_seconds: float
@@ -343,12 +341,10 @@ class Result(BaseResult):
         asked : Algorithm, optional
             The algorithm of the call; None for "auto".
         """
-        certificate = Certificate.at(problem, z, rows=rows)
         return cls(
             z=z,
-            w=certificate.w,
             status=Status.SOLVED,
-            certificate=certificate,
+            certificate=Certificate.at(problem, z, rows=rows),
             algorithm=stage.name if asked else f"auto: {stage.name}",
             iterations=stage.iterations,
             work=stage.work,
@@ -383,6 +379,11 @@ class Result(BaseResult):
         from .convergence import guarantee_of_choice
 
         return guarantee_of_choice(self.certificate.problem, self._asked)
+
+    @cached_property
+    def w(self) -> Vector:
+        """The slack M z + q, shape (n,), read-only; computed on first access."""
+        return self.certificate.w
 
     @property
     def x(self) -> Vector:

@@ -1,33 +1,327 @@
 """The loop of a run: methods propose points, each point is measured, and the run ends at the first reason to do so.
 
 One loop serves every problem class. A class derives its run from :class:`Run`, defines `measure` and `result`, and
-yields the stages of its plan.
+yields the stages of its plan. The reason to end is a status: SOLVED of a point that passes, PRECISION_LIMIT of one at
+rounding level, STALLED also where a method has no further step, or another method takes over.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from ..core.algorithm import Step
-from ..core.checks import read_only
-from ..core.deadline import OutOfTimeError, time_limit
+from ..core.checks import Vector, read_only
+from ..core.deadline import Clock, OutOfTimeError, time_limit
 from ..core.errors import InvalidOption
-from ..core.settings import Status
-from .progress import Progress
-from .result import NOTHING_TO_DO, Callback, Result
-from .stage import FAILED, Stage, TerminationReason
+from ..core.lcp import LCP
+from ..core.settings import LIMITS, Settings, Status, checked_callback
+from ..proofs.verdicts import classes_in_words, sign_remark
+from .result import NOTHING_TO_DO, Callback, Result, Sample, StageRecord
 
-__all__ = ["Callback", "Run"]
+FIRST_CHECK = 10  # iteration of the first residual that the method does not report
+FIRST_FLOOR_CHECK = 25  # iterations without a fall
+PROGRESS = 0.99  # a residual that has not fallen below this share of an earlier one has not fallen
+FAILED = (Status.STALLED, Status.DIVERGED)  # another algorithm may do better
+CUT_SHORT = (
+    *LIMITS,
+    Status.INTERRUPTED,
+    Status.DIVERGED,
+)  # the status of a point that does not pass
 
-STATUS_OF = {
-    TerminationReason.STEP_LIMIT: Status.MAX_ITERATIONS,
-    TerminationReason.TIME_LIMIT: Status.MAX_SECONDS,
-    TerminationReason.INTERRUPTED: Status.INTERRUPTED,
-    TerminationReason.DIVERGED: Status.DIVERGED,
-}  # of a point that does not pass; of any other end it is STALLED
+
+class Named(NamedTuple):
+    """Name of a stage that runs no algorithm of this package."""
+
+    name: str
+
+
+@dataclass(eq=False)
+class Stage:
+    """Method of a run, with its budget and progress.
+
+    Attributes
+    ----------
+    algorithm : Algorithm, or another object with a `name`
+    because : str
+        The reason for it, for readers.
+    is_over : callable or None
+        Budget, checked after each step: if it returns True, the next method takes over. None means no budget.
+    steps : iterable of Step
+        The proposed points, unless the run takes them from the algorithm.
+    iterations, work : int, float
+        Work in passes over M.
+    z : ndarray, shape (n,), or None
+        The latest iterate, as long as the stage lasts.
+    residuals : list of (int, float)
+        Iteration and relative residual: the first measured ones and the latest, at most 512.
+    rises : int
+        Number of latest residuals that exceed the one before each.
+    parts : list of (str, int, float)
+        Label, iterations and work, if the algorithm labels its steps.
+    remark : str
+        A clause for the advice.
+    has_ended : bool
+        Whether the method had no further step.
+    """
+
+    algorithm: Any
+    because: str = ""
+    is_over: Callable[[Stage], bool] | None = None
+    steps: Iterable[Step] = ()
+    iterations: int = 0
+    work: float = 0.0
+    z: Vector | None = None
+    residuals: list[tuple[int, float]] = field(default_factory=list)
+    rises: int = 0
+    parts: list[tuple[str, int, float]] = field(default_factory=list)
+    remark: str = ""
+    has_ended: bool = False
+    _settles: bool = False
+    _best: float = math.inf
+    _fall: tuple[int, float] = (0, math.inf)
+    _floor_check: int = FIRST_FLOOR_CHECK
+    _window: tuple[int, float] | None = None
+    _next_check: int = FIRST_CHECK
+    _residual_per_increment: float = 1.0
+
+    def count(self, step: Step, iterations: int = 1) -> None:
+        """Record a step, which may be no iteration, and its work, for the part of its label if there is one."""
+        self.z = step.z
+        self.iterations += iterations
+        self.work += step.work
+        self.remark = step.remark or self.remark
+        if step.is_settling:
+            self._settles, self._window = True, None
+        label, work = step.label or (self.algorithm.name if self.parts else ""), step.work
+        if label and self.parts and self.parts[-1][0] == label:
+            _, before, spent = self.parts.pop()
+            iterations, work = before + iterations, spent + work
+        if label:
+            self.parts.append((label, iterations, work))
+
+    def records(self) -> list[StageRecord]:
+        """Return the parts as a result shows them."""
+        parts = self.parts or [(self.algorithm.name, self.iterations, self.work)]
+        records = [
+            StageRecord(name, "" if k else self.because, iterations, work)
+            for k, (name, iterations, work) in enumerate(parts)
+        ]
+        return [*records[:-1], records[-1]._replace(remark=self.remark)]
+
+    # --- residuals --------------------------------------------------------------------------------------
+
+    def is_due(self, increment: float | None, goal: float) -> bool:
+        """Return whether the run must measure the residual: at geometric intervals, and if it may be small enough.
+
+        Parameters
+        ----------
+        increment : float or None
+            Increment of the step, relative to the reference; it estimates the residual.
+        goal : float
+        """
+        if increment is None or self.iterations >= self._next_check:
+            return True
+        return increment * self._residual_per_increment <= goal
+
+    def record(self, residual: float, increment: float | None = None) -> None:
+        """Record the relative residual of the present iteration.
+
+        With the increment of a step whose residual had to be measured, the next one is due at 1.5 times the iterations.
+        """
+        if increment is not None:
+            latest = max(self.iterations, FIRST_CHECK)
+            self._next_check = max(self.iterations + 1, math.ceil(latest * 1.5))
+            if increment > 0.0:
+                self._residual_per_increment = residual / increment
+        before = self.residuals[-1][1] if self.residuals else math.inf
+        self.rises = self.rises + 1 if residual > before else 0
+        self._best = min(self._best, residual)
+        if len(self.residuals) >= 512:
+            self.residuals.pop()
+        self.residuals.append((self.iterations, residual))
+
+    def is_flat(self) -> bool:
+        """Return whether it is time to compare with rounding: no fall for 25, 50, 100, … iterations."""
+        since, value = self._fall
+        if self._best < PROGRESS * value:
+            self._fall, self._floor_check = (self.iterations, self._best), FIRST_FLOOR_CHECK
+        elif self.iterations - since >= self._floor_check:
+            self._floor_check *= 2
+            return True
+        return False
+
+    def is_stalled(self, n: int, goal: float, iterations_left: int) -> bool:
+        """Return whether the residual fell by less than 1 % in a window, and the rest will not reach the goal.
+
+        A front that crosses the unknowns, one in a sweep, does not change the largest residual until it has passed. So
+        a window has 200 to 2000 iterations, n if that is between, and half as many as the stage had before it.
+        """
+        if self._window is None:
+            self._window = (self.iterations, self._best)
+        since, value = self._window
+        if self.iterations - since < max(200, min(n, 2000), since // 2):
+            return False
+        self._window = (self.iterations, self._best)
+        if self._best < PROGRESS * value:
+            return False
+        best = self._best
+        fall = math.log(value / best) / (self.iterations - since) if 0.0 < best < value else 0.0
+        needed = math.log(best / goal) if 0.0 < goal < best else math.inf
+        return needed > fall * iterations_left
+
+    def steps_to_go(self, goal: float) -> float:
+        """Return the number of further iterations to that residual, at the rate of the second half of the stage.
+
+        At the rate of all of it if steps settle, as psor's do: each trial of a relaxation raises the residual.
+        """
+        if not self.residuals:
+            return math.inf
+        last_step, last = self.residuals[-1]
+        if last <= goal:
+            return 0.0
+        since = 0 if self._settles else last_step // 2
+        first_step, first = next(entry for entry in self.residuals if entry[0] >= since)
+        if last_step == first_step or not (goal > 0.0 and 0.0 < last < first):
+            return math.inf
+        rate = (last / first) ** (1.0 / (last_step - first_step))
+        return math.log(goal / last) / math.log(rate) if 0.0 < rate < 1.0 else math.inf
+
+
+class Progress:
+    """Counters, samples and limits of one call, shared by the runs on parts of its problem.
+
+    Parameters
+    ----------
+    problem : object
+    settings : Settings
+    callback : callable or None
+    clock : Clock, optional
+        Running.
+
+    Attributes
+    ----------
+    stages : list of Stage
+        The stages that began, in order.
+    samples : list of Sample
+    iteration : int
+        Number of iterations; −1 before the first step.
+    work, seconds, setup_seconds : float
+    end : Status or None
+        The limit, the callback or Ctrl-C that ended the call.
+    """
+
+    def __init__(
+        self,
+        problem: Any,
+        settings: Settings,
+        callback: Callback | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        self.settings, self.callback = settings, checked_callback(callback)
+        self.clock = Clock() if clock is None else clock
+        self.is_watched = settings.record or settings.verbose or callback is not None
+        self.stages: list[Stage] = []
+        self.samples: list[Sample] = []
+        self.iteration, self.work, self.seconds, self.setup_seconds = -1, 0.0, 0.0, 0.0
+        self.end: Status | None = None
+        self._next_sample = self._next_line = 0
+        if settings.verbose:
+            with self.clock.pause():
+                is_lcp = isinstance(problem, LCP)
+                classes = f"; M {classes_in_words(problem.matrix)}" if is_lcp else ""
+                say(f"{problem}{classes}")
+                if is_lcp and (remark := sign_remark(problem.matrix)):
+                    say(remark)
+                say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
+
+    def begin(self, stage: Stage) -> None:
+        """Record that a stage begins, or continues if it is in the list."""
+        self._next_line = 0
+        if self.settings.verbose:
+            say(stage.algorithm.name + (stage.because and f": {stage.because}"))
+        if self.stages:
+            self.stages[-1].z = None
+        if stage not in self.stages:
+            self.stages.append(stage)
+
+    def count(self, stage: Stage, step: Step) -> None:
+        """Count a step, its iterations and its work."""
+        self.seconds = self.clock.read()
+        is_start = stage.z is None
+        iterations = step.iterations
+        if iterations is None:
+            iterations = 0 if is_start else 1
+        stage.count(step, iterations)
+        self.work += step.work
+        self.iteration = max(self.iteration, 0) + iterations
+        if is_start and self.iteration == 0:
+            self.setup_seconds = self.seconds
+
+    def limit(self) -> Status | None:
+        """Return the limit that is reached, or None; the clock was read at the last step."""
+        if self.iteration >= self.settings.max_iterations:
+            self.end = Status.MAX_ITERATIONS
+        elif self.clock.elapsed >= self.settings.max_seconds:
+            self.end = Status.MAX_SECONDS
+        return self.end
+
+    def report(self, run: Any, stage: Stage, step: Step, found: Any, *, is_last: bool) -> bool:
+        """Record, print and call back, with the clock paused; return whether the callback returned True.
+
+        Parameters
+        ----------
+        run : Run
+            Has the methods `shown` and `residual_of`.
+        stage, step : Stage, Step
+        found : Measured or None
+            None if the step was not measured.
+        is_last : bool
+            The run ends with this step.
+        """
+        callback, iterations = self.callback, stage.iterations
+        residual = None if found is None else found.residual
+        with self.clock.pause():
+            seconds, name = self.seconds, stage.algorithm.name
+            sample = Sample(self.iteration, self.work, seconds, residual, name)
+            wants_to_stop = callback is not None and bool(callback(sample, run.shown(step)))
+            is_recorded = self.settings.record and (
+                self.iteration >= self._next_sample or is_last or wants_to_stop
+            )
+            is_printed = self.settings.verbose and iterations >= self._next_line
+            if residual is None and (is_recorded or is_printed):
+                sample = Sample(self.iteration, self.work, seconds, run.residual_of(step), name)
+            if is_printed:
+                self._next_line = max(iterations + 1, math.ceil(iterations * 1.5))
+                shown = "–" if sample.residual is None else f"{sample.residual:.2e}"
+                say(f"{sample.iteration:>12} {sample.work:>10.1f} {shown:>19} {seconds:>9.3f}")
+            if is_recorded:  # at geometric intervals
+                self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * 1.05))
+                self.samples.append(sample)
+        return wants_to_stop
+
+    def records(self) -> tuple[StageRecord, ...]:
+        """Return the stages as a result shows them."""
+        return tuple(record for stage in self.stages for record in stage.records())
+
+    def conclude(self, result: Result) -> None:
+        """Print the status, the residual and the advice."""
+        if self.settings.verbose:
+            say(
+                f"{result.status.name}: relative residual {result.residual:.2e} after {result.iterations} "
+                f"iterations, the work of {result.work:.1f} products of M with a vector, {result.seconds:.3g} s; "
+                f"{result.advice}"
+            )
+
+
+def say(line: str) -> None:
+    """Print a line; characters that the terminal cannot show are replaced."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    print(line.encode(encoding, "replace").decode(encoding), flush=True)
 
 
 class Run:
@@ -62,11 +356,11 @@ class Run:
         """Return the point of a step as :class:`Measured`; None if no measurement is due."""
         return step.measured
 
-    def end_of(self, stage: Stage, step: Step, found: Any) -> TerminationReason | None:
+    def end_of(self, stage: Stage, step: Step, found: Any) -> Status | None:
         """Return a reason of this problem class to end the stage with this step, or None."""
         return None
 
-    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
+    def end_of_stage(self, stage: Stage, end: Status) -> Status:
         """Return why a stage ended; the run continues with the next stage if this reason is one of FAILED.
 
         A class that measures its best point only here replaces this function.
@@ -74,8 +368,8 @@ class Run:
         if end not in FAILED or self.best is None:
             return end
         if self.best.passes:
-            return TerminationReason.CONVERGED
-        return TerminationReason.AT_FLOOR if self.best.is_limited else end
+            return Status.SOLVED
+        return Status.PRECISION_LIMIT if self.best.is_limited else end
 
     def steps_of(self, stage: Stage) -> Iterator[Step]:
         """Return the steps of a stage."""
@@ -85,7 +379,7 @@ class Run:
         """Return the point z of a step that is passed to the user's callback; it cannot be modified."""
         return read_only(step.z)
 
-    def result(self, end: TerminationReason) -> Any:
+    def result(self, end: Status) -> Any:
         """Return the result of the run."""
         raise NotImplementedError
 
@@ -111,7 +405,6 @@ class Run:
             common["stages"] = tuple(stages)
         result = kind(
             z=certificate.z,
-            w=certificate.w,
             certificate=certificate,
             absolute_tolerance=self.settings.absolute_tolerance,
             work=progress.work,
@@ -137,15 +430,15 @@ class Run:
         except KeyboardInterrupt:
             if self.progress.iteration < 0:
                 raise
-            self.progress.end = TerminationReason.INTERRUPTED
-            return self.result(TerminationReason.INTERRUPTED)
+            self.progress.end = Status.INTERRUPTED
+            return self.result(Status.INTERRUPTED)
 
-    def follow_all(self, plan: Iterable[Stage]) -> TerminationReason:
+    def follow_all(self, plan: Iterable[Stage]) -> Status:
         """Run the stages one after the other, until one of them ends the run or the time is over; return the reason.
 
         Ctrl-C ends it with KeyboardInterrupt, because it also ends the runs around this one.
         """
-        progress, end = self.progress, TerminationReason.NOTHING_LEFT
+        progress, end = self.progress, Status.STALLED
         left = self.settings.max_seconds - progress.clock.read()
         try:
             with nullcontext() if left == math.inf else time_limit(left, is_enforced=True):
@@ -154,10 +447,10 @@ class Run:
                     if end not in FAILED or progress.end is not None:
                         break
         except OutOfTimeError:
-            progress.end = TerminationReason.TIME_LIMIT
+            progress.end = Status.MAX_SECONDS
         return progress.end or end
 
-    def follow(self, stage: Stage) -> TerminationReason:
+    def follow(self, stage: Stage) -> Status:
         """Take the steps of a stage until the run, the budget of the stage or its steps end."""
         progress = self.progress
         progress.begin(stage)
@@ -165,15 +458,15 @@ class Run:
             if (end := self._take(stage, step)) is not None:
                 break
             if stage.is_over is not None and stage.is_over(stage):
-                return TerminationReason.OVER_BUDGET
+                return Status.STALLED
         else:
             progress.clock.read()  # steps may end by themselves because time is over
-            end = TerminationReason.NOTHING_LEFT
+            stage.has_ended, end = True, Status.STALLED
             if progress.clock.elapsed >= self.settings.max_seconds:
-                end = progress.end = TerminationReason.TIME_LIMIT
+                end = progress.end = Status.MAX_SECONDS
         return self.end_of_stage(stage, end)
 
-    def _take(self, stage: Stage, step: Any) -> TerminationReason | None:
+    def _take(self, stage: Stage, step: Any) -> Status | None:
         """Count, measure and report one step; return why the run ends with it, or None."""
         progress = self.progress
         if not isinstance(step, Step):  # of an algorithm from outside
@@ -184,16 +477,16 @@ class Run:
         found = self.latest = self.measure(stage, step)
         if found is not None:
             self.keep(found)
-        end: TerminationReason | None
+        end: Status | None
         if found is not None and found.passes:
-            end = TerminationReason.CONVERGED
+            end = Status.SOLVED
         else:
             end = self.end_of(stage, step, found) or progress.limit()
         if progress.is_watched and progress.report(
             self, stage, step, found, is_last=end is not None
         ):
-            progress.end = progress.end or TerminationReason.INTERRUPTED
-            end = end or TerminationReason.INTERRUPTED
+            progress.end = progress.end or Status.INTERRUPTED
+            end = end or Status.INTERRUPTED
         if end is None and step.proof is not None:
             end = self.end_of_proof(step.proof)
         return end
@@ -208,7 +501,7 @@ class Run:
             self.best = found
             self.residual = math.inf if math.isnan(found.residual) else float(found.residual)
 
-    def end_of_proof(self, proof: Any) -> TerminationReason | None:
+    def end_of_proof(self, proof: Any) -> Status | None:
         """Store a verified proof; return NO_SOLUTION if it shows that no point can satisfy the tolerance, else None."""
         if not proof.verify():
             return None
@@ -216,14 +509,14 @@ class Run:
         is_best = excludes or self.proof is None or proof.margin > self.proof.margin
         if is_best and self.settings.prove_infeasibility:
             self.proof = proof
-        return TerminationReason.NO_SOLUTION if excludes else None
+        return Status.NO_SOLUTION if excludes else None
 
-    def status(self, end: TerminationReason) -> Status:
+    def status(self, end: Status) -> Status:
         """Return the status of the best point or of a proof, or else of the reason for the end of the run."""
         if self.best is not None and self.best.passes:
             return Status.SOLVED
-        if end is TerminationReason.NO_SOLUTION and self.proof is not None:
+        if end is Status.NO_SOLUTION and self.proof is not None:
             return self.proof.status
         if self.best is not None and self.best.is_limited:
             return Status.PRECISION_LIMIT
-        return STATUS_OF.get(end, Status.STALLED)
+        return end if end in CUT_SHORT else Status.STALLED

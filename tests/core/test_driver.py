@@ -30,10 +30,8 @@ from lcp_plugin import (
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.solving.progress import Progress
 from lcp_plugin.solving.result import Sample
-from lcp_plugin.solving.run import Run
-from lcp_plugin.solving.stage import Stage, TerminationReason
+from lcp_plugin.solving.run import Progress, Run, Stage
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
 OBSTACLE = gallery.build("obstacle_2d", size=20)
@@ -470,11 +468,11 @@ def test_a_callback_ends_the_run_at_a_step_that_ends_its_stage() -> None:
     """No further method begins after a callback returned True, also if its step had stalled."""
 
     class Stalling(Run):
-        def end_of(self, stage: Stage, step: Step, found: Any) -> TerminationReason:
-            return TerminationReason.STALLED
+        def end_of(self, stage: Stage, step: Step, found: Any) -> Status:
+            return Status.STALLED
 
     seen: list[str] = []
     progress = Progress(None, Settings(), lambda sample, z: seen.append(sample.label) or True)
     stages = [Stage(SimpleNamespace(name=name), steps=[Step(np.zeros(1))]) for name in ("a", "b")]
     end = Stalling(progress).follow_all(stages)
-    assert (end, seen) == (TerminationReason.INTERRUPTED, ["a"])
+    assert (end, seen) == (Status.INTERRUPTED, ["a"])

@@ -11,8 +11,7 @@ import scipy.sparse as sp
 from inputs import membranes
 
 from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Result, solve
-from lcp_plugin.core.certificates.criterion import RowData
-from lcp_plugin.core.certificates.measured import Measured
+from lcp_plugin.core.certificates.criterion import Measured, RowData
 from lcp_plugin.evidence import cross_check
 from lcp_plugin.evidence.cross_check import GAP, PLAIN, cross_validate
 

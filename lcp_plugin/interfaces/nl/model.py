@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ... import __version__
-from ...core.certificates.worst import WorstRow, outside_row
+from ...core.certificates.residuals import WorstRow, outside_row
 from ...core.checks import BoolVector, Vector
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.lcp import LCP

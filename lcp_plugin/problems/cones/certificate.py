@@ -40,9 +40,14 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.criterion import RowData, RowsAtPoint, VectorEnds, divide_nonnegative
-from ...core.certificates.measured import Measured
-from ...core.certificates.worst import WorstRows, worst_pairs
+from ...core.certificates.criterion import (
+    Measured,
+    RowData,
+    RowsAtPoint,
+    VectorEnds,
+    divide_nonnegative,
+)
+from ...core.certificates.residuals import WorstRows, worst_pairs
 from ...core.checks import Vector, derived_property, read_only
 from ...core.kernels.floats import EPSILON, NORMAL
 from ...core.matrix import is_nearly_symmetric

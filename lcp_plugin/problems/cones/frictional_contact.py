@@ -35,6 +35,8 @@ class FrictionalContactBatch:
         Number of contacts of each instance, by default k. Later rows are ignored.
     dimension : int, optional
         See :class:`FrictionalContact`.
+    gaps, time_step : optional
+        Array, shape (k,) or (B, k), or number, in m; number, in s. gaps / time_step is added to the normal rows of b.
 
     Raises
     ------
@@ -68,6 +70,8 @@ class FrictionalContactBatch:
         *,
         contacts: ArrayLike | None = None,
         dimension: int | None = None,
+        gaps: ArrayLike | None = None,
+        time_step: float | None = None,
     ) -> None:
         need = "b must have shape (B, d k) or (B, k, d), d = 3 in space and 2 in the plane"
         offsets = real_array(b, need)
@@ -88,6 +92,9 @@ class FrictionalContactBatch:
                 f"friction must be a number, or have shape ({k},) or (B, {k}), B = {count}, got {mu.shape}"
             )
         self.contacts = _checked_counts(contacts, count, k)
+        if gaps is not None or time_step is not None:
+            offsets = offsets.copy()
+            offsets[:, ::d] += contact.closing_speeds(gaps, time_step, k, count)
         given = (matrices, (count, n, n)), (offsets, (count, n)), (mu, (count, k))
         wide = (np.broadcast_to(*one) for one in given)
         own = [np.ascontiguousarray(one, np.float64) for one in wide]

@@ -10,18 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Step
-from ...core.certificates.measured import Measured
-from ...core.certificates.worst import WorstRows
+from ...core.certificates.criterion import Measured
+from ...core.certificates.residuals import WorstRows
 from ...core.checks import Vector, checked_start, derived_property, read_only
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.representation import format_count
 from ...core.settings import Settings, Status
 from ...methods.search import ExhaustiveSearch, is_searchable
-from ...solving.progress import Progress
 from ...solving.result import Callback, Result
-from ...solving.run import Run
-from ...solving.stage import FAILED, Stage, TerminationReason
+from ...solving.run import FAILED, Progress, Run, Stage
 from ..contact import ContactMotion, motion_of
 from . import methods
 from .certificate import ConeCertificate, ConeRows, ContactInfeasibility, infeasibility_proof
@@ -199,7 +197,7 @@ class ConeRun(Run):
         whole[rows] = self.stack.pattern.flat(self.stack.snap(step.z))[0]
         return read_only(whole.copy())
 
-    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
+    def end_of_stage(self, stage: Stage, end: Status) -> Status:
         """Measure the best point, except after sweeps that leave a residual."""
         is_swept = isinstance(stage.algorithm, methods.ConeNSGS) and end in FAILED
         if is_swept and self.goal < self.residual < np.inf:
@@ -217,15 +215,15 @@ class ConeRun(Run):
             z = self.stack.snap(z)
             self.best = self.rows.measure_blocks(z, self.tolerance, self.absolute)
 
-    def status(self, end: TerminationReason) -> Status:
+    def status(self, end: Status) -> Status:
         """Return the status; a proof of a component, or of the entire problem, excludes a solution."""
         is_excluded = end in FAILED and self._is_excluded()
-        return super().status(TerminationReason.NO_SOLUTION if is_excluded else end)
+        return super().status(Status.NO_SOLUTION if is_excluded else end)
 
     def _is_excluded(self) -> bool:
         return self.proof is not None and self.proof.excludes(self.tolerance, self.absolute)
 
-    def result(self, end: TerminationReason) -> Result:
+    def result(self, end: Status) -> Result:
         """Return the result."""
         self.measure_best()
         words = dict(WORDS)
@@ -348,7 +346,7 @@ class ConeRun(Run):
             try:
                 run.follow_all(run.plan())
             except KeyboardInterrupt:
-                self.progress.end = TerminationReason.INTERRUPTED
+                self.progress.end = Status.INTERRUPTED
             run.measure_best()
             whole[rows] = run.stack.pattern.flat(run.best.z)[0]
             if run.proof is not None and not self._is_excluded():

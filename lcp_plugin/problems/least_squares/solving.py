@@ -19,10 +19,8 @@ from ...core.deadline import OutOfTimeError, is_over
 from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import Settings, Status
 from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
-from ...solving.progress import Progress, say
 from ...solving.result import BaseResult
-from ...solving.run import STATUS_OF, Callback, Run
-from ...solving.stage import FAILED, Named, Stage, TerminationReason
+from ...solving.run import CUT_SHORT, FAILED, Callback, Named, Progress, Run, Stage, say
 from . import engines
 from .certificate import Optimality, duality_gap, measure_stack
 from .data import BoundedLeastSquares, Enclosures, clip, times
@@ -163,10 +161,10 @@ class LeastSquaresRun(Run):
         ):
             self.best = found
 
-    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
+    def end_of_stage(self, stage: Stage, end: Status) -> Status:
         """Return the reason; external solvers may improve a point at rounding level."""
         is_solved = end in FAILED and self.best is not None and self.best.passes
-        return TerminationReason.CONVERGED if is_solved else end
+        return Status.SOLVED if is_solved else end
 
     def shown(self, step: Step) -> Vector:
         """Return the x of a step."""
@@ -174,16 +172,16 @@ class LeastSquaresRun(Run):
             return read_only(step.z)
         return read_only(self.problem.scaled.to_caller(step.z))
 
-    def status(self, end: TerminationReason) -> Status:
+    def status(self, end: Status) -> Status:
         """Return the status; a limit precedes the rounding level, because further steps may improve the point."""
-        if not self.best.passes and end in STATUS_OF:
-            return STATUS_OF[end]
+        if not self.best.passes and end in CUT_SHORT:
+            return end
         return super().status(end)
 
-    def result(self, end: TerminationReason) -> LeastSquaresResult:
+    def result(self, end: Status) -> LeastSquaresResult:
         """Return the result of the run with its best point."""
-        is_short = end in (TerminationReason.TIME_LIMIT, TerminationReason.INTERRUPTED)
-        if self.best is None or (not self.best.passes and end in STATUS_OF):
+        is_short = end in (Status.MAX_SECONDS, Status.INTERRUPTED)
+        if self.best is None or (not self.best.passes and end in CUT_SHORT):
             x = self.problem.scaled.to_caller(self.nearest)
             self.keep(self.certify(x, math.inf if is_short else None))
         common = self.common_fields(self.status(end))

@@ -43,8 +43,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
-from ...core.certificates.criterion import POWER, RowData, RowsAtPoint, row_data
-from ...core.certificates.measured import Measured
+from ...core.certificates.criterion import POWER, Measured, RowData, RowsAtPoint, row_data
 from ...core.certificates.residuals import Certificate
 from ...core.checks import BoolVector, Vector, derived_property, read_only
 from ...core.errors import InvalidProblem

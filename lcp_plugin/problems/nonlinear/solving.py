@@ -16,8 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Algorithm, Step
-from ...core.certificates.criterion import POWER, RowData, row_data
-from ...core.certificates.measured import Measured
+from ...core.certificates.criterion import POWER, Measured, RowData, row_data
 from ...core.checks import Vector, read_only, vector_option
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem
@@ -30,10 +29,8 @@ from ...methods.newton import Newton, fischer_burmeister
 from ...solving.choice import method_of, takes_rounds
 from ...solving.lcp_run import LCPRun
 from ...solving.plan import plan
-from ...solving.progress import Progress
 from ...solving.result import Callback, Result
-from ...solving.run import Run
-from ...solving.stage import Stage, TerminationReason
+from ...solving.run import Progress, Run, Stage
 from .data import DENSE_PATTERN_UP_TO, Linearization, NonlinearProblem
 
 MEMORY = 4  # the line search compares with the worst of so many points
@@ -379,7 +376,7 @@ def solve_nonlinear(
             stage = Stage(newton, TANGENTS, steps=newton.iterates(first.lcp, first.x))
             end = run.follow_all([stage])
         except KeyboardInterrupt:
-            end = TerminationReason.INTERRUPTED
+            end = Status.INTERRUPTED
         return replace(run.result(end), begun=begun)
 
 
@@ -473,13 +470,13 @@ class NonlinearRun(Run):
         is_no_worse = moved.residual <= point.residual if meets[0] == meets[1] else meets[1]
         return moved if is_no_worse else point
 
-    def end_of(self, stage: Stage, step: Step, found: Measured) -> TerminationReason | None:
+    def end_of(self, stage: Stage, step: Step, found: Measured) -> Status | None:
         """Return DIVERGED if a residual is not a number."""
-        return TerminationReason.DIVERGED if math.isnan(found.residual) else None
+        return Status.DIVERGED if math.isnan(found.residual) else None
 
-    def result(self, end: TerminationReason) -> Result:
+    def result(self, end: Status) -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
-        newton, is_interrupted = self.newton, end is TerminationReason.INTERRUPTED
+        newton, is_interrupted = self.newton, end is Status.INTERRUPTED
         point: Linearization = newton.first if self.best is None else self.best.z
         # Rounding in one row decides which point is best, and other rows may be better at the last one
         if not (self._passes(point) or is_interrupted) and newton.is_at_floor():

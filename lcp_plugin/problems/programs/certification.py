@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.worst import WorstRow, WorstRows, put_on_bounds, worst_pairs
+from ...core.certificates.residuals import WorstRow, WorstRows, put_on_bounds, worst_pairs
 from ...core.checks import Vector, checked_vector, derived_property, is_number, restore_state
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.doors import foreign_function

@@ -47,7 +47,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ...core.certificates.worst import WorstRow, WorstRows
+from ...core.certificates.residuals import WorstRow, WorstRows
 from ...core.checks import Vector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from ...core.matrix import largest_products

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...core.algorithm import Step
-from ...core.certificates.worst import WorstRows
+from ...core.certificates.residuals import WorstRows
 from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
@@ -27,10 +27,8 @@ from ...engines.polish import ROUNDS, polish_steps
 from ...methods.interior_point import InteriorPoint
 from ...solving.choice import parse_call
 from ...solving.lcp_solver import solve_lcp
-from ...solving.progress import Progress, say
 from ...solving.result import NEXT, BaseResult, Sample
-from ...solving.run import Run
-from ...solving.stage import Named, Stage, TerminationReason
+from ...solving.run import Named, Progress, Run, Stage, say
 from .conversion import optimality_conditions
 from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors, QPSolution, worst_constraints
 from .no_minimum import NoMinimum, QPUnboundedness, numbers
@@ -61,7 +59,7 @@ TOLERANCES = MappingProxyType(
 
 
 class ProgramPoint(NamedTuple):
-    """Measured point of a run, as :class:`~lcp_plugin.core.certificates.measured.Measured`.
+    """Measured point of a run, as :class:`~lcp_plugin.core.certificates.criterion.Measured`.
 
     Attributes
     ----------
@@ -415,7 +413,7 @@ def solve_program(
         run.proof = program.facts.proof_of_contradiction()
         if run.proof is None:
             raise
-        return run.result(TerminationReason.NO_SOLUTION)
+        return run.result(Status.NO_SOLUTION)
     return run.solve(run.with_proof(plan))
 
 
@@ -440,10 +438,10 @@ def _engine(algorithm: Any, options: dict[str, Any]) -> Engine | None:
 class ProgramProgress(Progress):
     """Progress of a run whose limit of iterations holds for each external solver."""
 
-    def limit(self) -> TerminationReason | None:
+    def limit(self) -> Status | None:
         """Return the limit that the call, or a run on the complementarity problem, has reached."""
         if self.end is None and is_over():
-            self.end = TerminationReason.TIME_LIMIT
+            self.end = Status.MAX_SECONDS
         return self.end
 
 
@@ -560,7 +558,7 @@ class ProgramRun(Run):
             """Return whether the run ends: x passes the test, or the callback stops it."""
             nonlocal passing
             if progress.callback is not None and progress.callback(sample, z):
-                progress.end = TerminationReason.INTERRUPTED
+                progress.end = Status.INTERRUPTED
                 return True
             if sample.label == ends_before:
                 return True
@@ -582,16 +580,16 @@ class ProgramRun(Run):
         solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
         found = ProgramPoint.of(solution, tolerance, result.algorithm, result.iterations)
         if result.status is Status.MAX_ITERATIONS and "max_iterations" in self.wishes:
-            progress.end = progress.end or TerminationReason.STEP_LIMIT
+            progress.end = progress.end or Status.MAX_ITERATIONS
         elif result.status is Status.MAX_SECONDS:
-            progress.end = progress.end or TerminationReason.TIME_LIMIT
+            progress.end = progress.end or Status.MAX_SECONDS
         is_watched, progress.is_watched = progress.is_watched, False
         yield Step(solution.x, iterations=result.iterations, measured=found, label=result.algorithm)
         progress.is_watched = is_watched
 
     # --- Selection of the result -------------------------------------------------------------------------------------
 
-    def end_of_stage(self, stage: Stage, end: TerminationReason) -> TerminationReason:
+    def end_of_stage(self, stage: Stage, end: Status) -> Status:
         """Return the reason, or NO_SOLUTION if a proof is found; some points start a search."""
         found = self.latest
         if found is None or not self.settings.prove_infeasibility:
@@ -601,7 +599,7 @@ class ProgramRun(Run):
         is_in_doubt = tolerated > 1.0 or primal > 1e-10 or self._is_far(found.solution.x)
         if (found.passes and is_in_doubt) or found.says in NO_MINIMUM:
             self._search_proof()
-        return end if self.proof is None else TerminationReason.NO_SOLUTION
+        return end if self.proof is None else Status.NO_SOLUTION
 
     def _search_proof(self) -> None:
         """Keep the proof that the program has no solution, or the one that shows this except for rounding."""
@@ -619,7 +617,7 @@ class ProgramRun(Run):
         limits = np.abs(self.program.constraints.limit)
         return bool(size > FAR * limits[np.isfinite(limits)].max(initial=1.0))
 
-    def status(self, end: TerminationReason) -> Status:
+    def status(self, end: Status) -> Status:
         """Return the status: of the proof, SOLVED, of a limit, or for the accuracy of the best point."""
         if self.proof is not None:
             return self.proof.status
@@ -640,7 +638,7 @@ class ProgramRun(Run):
         primal, gap, _ = self.best.errors
         return bool(primal <= NEARLY.primal and gap <= max(self.settings.tolerance, NEARLY.gap))
 
-    def result(self, end: TerminationReason) -> QuadraticProgramResult:
+    def result(self, end: Status) -> QuadraticProgramResult:
         """Return the result."""
         program, status, best = self.program, self.status(end), self.best
         is_rounding = status is Status.PRECISION_LIMIT and not self._is_nearly_optimal

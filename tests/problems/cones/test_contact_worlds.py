@@ -126,6 +126,23 @@ def test_what_no_batch_of_contacts_takes_is_refused_in_words() -> None:
     )
 
 
+def test_gaps_of_a_batch_are_the_gaps_of_each() -> None:
+    """The speed gaps / time_step is added to the normal rows of every instance, for a number and for each shape."""
+    rng = np.random.default_rng(0)
+    b = rng.normal(size=(3, 4, 2))
+    for gaps in (0.01, rng.normal(size=4), rng.normal(size=(3, 4))):
+        batch = FrictionalContact.worlds(np.eye(8), b, 0.3, gaps=gaps, time_step=0.1)
+        for k, own in enumerate(np.broadcast_to(gaps, (3, 4))):
+            single = FrictionalContact(np.eye(8), b[k], 0.3, gaps=own, time_step=0.1)
+            np.testing.assert_array_equal(batch[k].b, single.b)
+    for wrong, words in (
+        ({"gaps": np.zeros(3)}, r"gaps .*\(4,\) or \(3, 4\)"),
+        ({}, "gaps is missing"),
+    ):
+        with pytest.raises(InvalidProblem, match=words):
+            FrictionalContact.worlds(np.eye(8), b, 0.3, time_step=0.1, **wrong)
+
+
 @pytest.mark.parametrize("index", [slice(0, 1), 0.0, "first"])
 def test_instances_are_taken_one_by_one(index: Any) -> None:
     """An index that is no integer is refused, with what to write."""

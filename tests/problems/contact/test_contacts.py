@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
-from lcp_plugin import LCP, solve, solve_batch
+from lcp_plugin import LCP, FrictionalContact, solve, solve_batch
 from lcp_plugin.core.errors import InvalidProblem
 
 GRAVITY, STEP = 9.81, 0.01
@@ -132,8 +133,15 @@ def test_rotations_of_length_one_are_no_mistake() -> None:
         [[3, 1, 0], [0, 5, 0]],
         [[5, 0, 0.1], [0, 5, 0]],
         [[1, 0, 0], [0.6, 0.8, 0]],
+        [[0, 0, 0], [0, 0, 0]],
+        [[1, 0, 0], [0, 0, 0]],
+        [[1, 0, 0], [1, 0, 0]],
+        [[0, 0, 1], [1, 0, 0]],
     ],
-    ids=["long and skew", "longer", "along the normal", "unit and skew"],
+    ids=[
+        *("long and skew", "longer", "along the normal", "unit and skew"),
+        *("zero", "one is zero", "equal", "equal to the normal"),
+    ],
 )
 def test_tangents_of_a_free_body_are_orthogonal_unit_vectors(tangents: list[list[float]]) -> None:
     """What is skew is refused as well, with a way out for unknowns that are no translations."""
@@ -142,6 +150,10 @@ def test_tangents_of_a_free_body_are_orthogonal_unit_vectors(tangents: list[list
         InvalidProblem, match=r"must be orthogonal unit vectors.*or, if the unknowns are not transl"
     ):
         LCP.from_contacts(bodies, 0.4, [0.5, 0.3, -1.0])
+    far = 2.0 * np.eye(6), np.eye(1, 6, 5), np.hstack([np.zeros((2, 3)), tangents])
+    for given in (far, tuple(map(sp.csr_array, far))):
+        with pytest.raises(InvalidProblem, match="orthogonal unit vectors, but contact 0"):
+            FrictionalContact(given, np.zeros(6), 0.4)
 
 
 def test_an_answer_to_another_q_has_its_own_velocities() -> None:

@@ -66,10 +66,8 @@ class Rounds(Algorithm):
                 yield Step(data.snap(normal(data, z))[0], work=entries / unit, label=label)
 
 
-def first_candidate(
-    problem: LCP, z0: Vector, tolerance: float
-) -> tuple[Measured, str, float] | None:
-    """Return the first point of :func:`candidates`, its method and its work; None unless the point is a solution.
+def first_candidate(problem: LCP, z0: Vector, tolerance: float) -> Any:
+    """Return the first point of :func:`candidates`, its rows, method and work; None unless the point is a solution.
 
     The result is also None if z0 or z° is a solution already, because a step is then superfluous.
     """
@@ -78,7 +76,22 @@ def first_candidate(
         return None
     label, z, entries = next(candidates(data, z0))
     found = measure(data, z, tolerance)
-    return (found, label, entries / max(problem.matrix.nonzeros, 1)) if found.passes else None
+    rows = found.rows if problem.matrix.is_dense else None  # of the stored M
+    work = entries / max(problem.matrix.nonzeros, 1)
+    return (found.z, rows, label, work) if found.passes else None
+
+
+def first_path_point(problem: LCP, tolerance: float) -> Any:
+    """Return the end of Lemke's compiled path, None, its method and its work, 0 at z°; None unless it is a solution."""
+    for z, bound in path_points(problem, tolerance):
+        if bound == math.inf or problem.origin is not None:
+            found = measure_finished(row_data(problem), z, tolerance, power=1.0)
+            if not found.passes:
+                return None
+            z = found.z  # noqa: PLW2901
+        is_start = (z == problem.nearest_to_zero).all()
+        return z, None, "lemke", 0.0 if is_start else float(problem.n)
+    return None
 
 
 def is_small(problem: LCP) -> bool:
@@ -244,9 +257,9 @@ def path_points(
     A stack of one: the bits are those of the compiled loop. A bound of ∞ means that the sufficient test does not
     decide. Points that do not exist are left out.
     """
-    vectors = problem.q, problem.lower, problem.upper, problem.nearest_to_zero
-    own = problem.matrix.toarray()[None], *(one[None] for one in vectors)
-    M, q, lower, upper, _ = own = tuple(map(read_only, own))
+    M = read_only(problem.matrix.toarray()[None])
+    q, lower, upper = problem.q[None], problem.lower[None], problem.upper[None]
+    own = M, q, lower, upper, problem.nearest_to_zero[None]
     for is_path in (False, True) if z0 is not None else (True,):
         if is_path:
             sides = _ends_of_paths(M, q, lower, upper)

@@ -20,8 +20,8 @@ from ...core.matrix import connected_components
 from ...core.settings import whole_number
 from ...core.tuning import PIVOTED_UP_TO
 from ...systems.graph import block_rows
-from ..small import LOOP_UP_TO, has_numba, path_points
 from ..newton import classify, is_near, solve_active_set
+from ..small import LOOP_UP_TO, has_numba, path_points
 from .pivoting_path import CanonicalBox, LemkePath, canonical_box, starts
 from .tableau import AT_LOWER, AT_UPPER, BETWEEN, GOING_ON, RAY, SOLVED
 

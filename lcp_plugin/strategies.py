@@ -75,8 +75,8 @@ __all__ = [
     "z_matrices",
 ]
 
-LARGEST_ENTRY = 9
-LARGEST_SIZE = 8
+LARGEST_ENTRY = 9  # small integers: sums are exact, examples are short
+LARGEST_SIZE = 8  # rows: all active sets can be enumerated
 
 Sizes = int | st.SearchStrategy[int] | None
 Numbers = st.SearchStrategy[Any]

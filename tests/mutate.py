@@ -86,10 +86,8 @@ def is_killed(mutant: Mutant, tree: Path, rng: random.Random) -> bool:
     text, node = file.read_bytes(), mutant.node
     rows = text.splitlines(keepends=True)
     head, tail = rows[: node.lineno - 1], rows[node.end_lineno :]
-    first, last = (
-        rows[node.lineno - 1][: node.col_offset],
-        rows[node.end_lineno - 1][node.end_col_offset :],
-    )
+    first = rows[node.lineno - 1][: node.col_offset]
+    last = rows[node.end_lineno - 1][node.end_col_offset :]
     file.write_bytes(b"".join([*head, first, mutant.after.encode(), last, *tail]))
     folder = mutant.file.parent.name
     order = sorted(mutant.tests, key=lambda test: (folder not in test, rng.random()))

@@ -23,8 +23,8 @@ from ..core.errors import LCPError
 
 __all__ = ["app", "run"]
 
-EXIT_UNSOLVED = 1
-EXIT_BAD_INPUT = 2
+EXIT_UNSOLVED = 1  # exit code of a run without a solution
+EXIT_BAD_INPUT = 2  # exit code for a wrong file or option, as in typer
 
 
 def scene_names(incomplete: str) -> list[str]:

@@ -46,7 +46,7 @@ NUMBERS = (
     "absolute_tolerance setup_seconds seconds"
 )
 MAX_VALUES = 20  # values of x that are printed
-UPDATE_SECONDS = 0.1
+UPDATE_SECONDS = 0.1  # between two updates of the line of progress
 
 
 class Target(NamedTuple):

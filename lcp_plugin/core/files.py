@@ -190,7 +190,7 @@ VECTORS = ("q", "lower", "upper")
 PARTS = {key: "M" for key in MATRIX_KEYS} | {f"{M}_{key}": M for M in "PAG" for key in MATRIX_KEYS}
 # matrices; everything else in a .mat file is a vector
 DENSE = ("M", "W", "P", "A", "G", "H", "Aeq")
-MOST_ROWS = 10**8
+MOST_ROWS = 10**8  # a header with more is damaged: vectors alone would take 1 GB
 LARGE_UNPACKED = 2**30  # bytes
 
 

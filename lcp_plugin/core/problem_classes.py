@@ -53,23 +53,22 @@ CLASSES = {
         "problems.nonlinear.solving:criterion_at",
     ),
     "QuadraticProgram": ProblemClass(
-        "problems.programs.solving:solve_program", "prepare trace certify", batch="program, C"
+        "problems.programs.solving:solve_program",
+        "prepare trace derivative certify",
+        batch="program, C",
     ),
     "EquilibriumProgram": ProblemClass(
         "problems.equilibria.branch_and_bound:minimize_over_solutions"
     ),
     "BoundedLeastSquares": ProblemClass(
-        "problems.least_squares.solving:solve_least_squares", "trace", WATCHED, batch="problem, B"
+        "problems.least_squares.solving:solve_least_squares",
+        "trace derivative",
+        WATCHED,
+        batch="problem, B",
     ),
     "ConeProblem": CONES,
     "FrictionalContact": CONES,
 }
-
-
-FROM_QP = (
-    "; of a program write derivative(solve(LCP.from_qp(P, c, G, h, A, b, lower=…, upper=…))), of least squares with "
-    "P = AᵀA and c = −Aᵀb"
-)
 
 
 def classes_of(function: str) -> list[str]:
@@ -105,12 +104,10 @@ def refusal(function: str, given: Any) -> str:
         if class_of(given) in classes_of(function):
             step = "; write derivative(solve(problem))"
         elif given is not results[0] and all(
-            hasattr(one, "certificate") or isinstance(one, Sequence)
+            hasattr(one, "status") or isinstance(one, Sequence)
             for one in results  # a march is a sequence
         ):
             step = "; write [derivative(result) for result in results]"
-        elif any(type(one).__module__.startswith("lcp_plugin.") for one in results):
-            step = FROM_QP
     elif function == "solve":
         step = "; for a matrix M and a vector q write solve(LCP(M, q))"
     return f"{function} needs {needs}, got {type(given).__name__}{step}"

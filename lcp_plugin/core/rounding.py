@@ -20,7 +20,7 @@ from .checks import Vector
 from .errors import InvalidProblem
 from .kernels.floats import TINY, UNIT
 
-BLOCK = 2**15  # entries whose temporary vectors stay in a processor's cache
+ENTRIES_TOGETHER = 2**15  # entries whose temporary vectors stay in a processor's cache
 MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
 Sums = tuple[Vector, Vector, Vector]
 
@@ -93,8 +93,8 @@ def compensated_pair(M: Any, x: Vector, q: Vector | None = None) -> Sums:
         )
     sums, first = np.empty((3, rows)), 0
     while first < rows:  # so many rows that their entries stay in the cache
-        end = int(np.searchsorted(M.indptr, M.indptr[first] + BLOCK, "right")) - 1
-        end = min(max(end, first + 1), first + BLOCK)
+        end = int(np.searchsorted(M.indptr, M.indptr[first] + ENTRIES_TOGETHER, "right")) - 1
+        end = min(max(end, first + 1), first + ENTRIES_TOGETHER)
         entries, part = slice(M.indptr[first], M.indptr[end]), slice(first, end)
         starts = M.indptr[first : end + 1] - M.indptr[first]
         with np.errstate(all="ignore"):

@@ -13,11 +13,7 @@ from ..core.checks import Vector
 from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from .polish import shifted_solver
 
-MAX_STEPS = 100
-BOUNDARY_SHARE = 0.995  # of the step to the boundary
-SHIFT = 2.0**-46  # of the diagonal, relative to the row's largest entry: the factorization exists
 IDLE_STEPS = 20  # without a smaller residual, they end a run
-OPTIMAL_RESIDUAL = 1e-7  # relative; the polish and the criterion of programs follow
 
 
 class Mehrotra(Engine):
@@ -51,7 +47,7 @@ class Mehrotra(Engine):
         x, y, z, steps, residual = _minimize(P, C, A, program.c, d, program.b, until)
         multipliers = np.zeros(m + p)
         multipliers[:m][rows], multipliers[m:] = z[: np.count_nonzero(rows)], y
-        is_optimal = residual <= OPTIMAL_RESIDUAL
+        is_optimal = residual <= 1e-7  # the polish and the criterion of programs follow
         says = EngineStatus.OPTIMAL if is_optimal else EngineStatus.GAVE_UP
         return EngineAnswer(x, multipliers, steps, says)
 
@@ -67,7 +63,7 @@ def _minimize(
     s, z = np.maximum(gap, shift), np.full(d.size, shift)
     sizes = [1.0 + float(np.abs(one).max(initial=0.0)) for one in (c, d, b)]
     best, idle, kept, count = math.inf, 0, (x, y, z), 0
-    while count < MAX_STEPS and idle <= IDLE_STEPS and time.perf_counter() <= until:
+    while count < 100 and idle <= IDLE_STEPS and time.perf_counter() <= until:
         dual, primal, equal = P @ x + c + C.T @ z + A.T @ y, C @ x + s - d, A @ x - b
         mu = float(s @ z) / k
         parts = zip((dual, primal, equal), sizes, strict=True)
@@ -89,7 +85,8 @@ def _minimize(
             (dx, dy), solver = _solve_reduced(P, C, A, z / s, *rights, solver)
             ds = -primal - C @ dx
             dz = (to_target - z * ds) / s - z
-            steps = [min(1.0, BOUNDARY_SHARE * _largest_step(*one)) for one in ((s, ds), (z, dz))]
+            # Of the step to the boundary
+            steps = [min(1.0, 0.995 * _largest_step(*one)) for one in ((s, ds), (z, dz))]
             ahead = float((s + steps[0] * ds) @ (z + steps[1] * dz)) / k
             target = min(ahead / mu, 1.0) ** 3 * mu if mu > 0.0 else 0.0
         first, second = [min(steps)] * 2 if has_curvature else steps
@@ -107,7 +104,8 @@ def _solve_reduced(
     P: Any, C: Any, A: Any, weights: Vector, first: Vector, second: Vector, solver: Any = None
 ) -> tuple[tuple[Vector, Vector], Any]:
     """Return the solution of [P + Cᵀ W C, Aᵀ; A, 0], refined, and the solver of its shifted factorization."""
-    solver = solver or shifted_solver(P + (C.T * weights) @ C, A, SHIFT)
+    # Relative to the row's largest entry; with it, the factorization exists
+    solver = solver or shifted_solver(P + (C.T * weights) @ C, A, 2.0**-46)
     x, y = np.zeros(first.size), np.zeros(second.size)
     for _ in range(4):
         of_x = first - P @ x - C.T @ (weights * (C @ x)) - A.T @ y

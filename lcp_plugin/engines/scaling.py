@@ -16,7 +16,6 @@ from .engine import EngineAnswer, ProgramData
 
 FORBIDDING = 1e14  # times the lower quartile of all costs: larger ones forbid x_j off its bound
 MODEST = 2.0**-30  # costs between this and its inverse are left unchanged
-MOST = 0.9  # share of costs and right-hand sides that scaling brings to at most about 1
 
 
 class ScaledProgram(NamedTuple):
@@ -154,4 +153,5 @@ def _typical_size(*values: Vector) -> float:
     """Return the power of two near the size that most of the values do not exceed; 1 if all are 0 or infinite."""
     sizes = np.abs(np.concatenate(values))
     sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
-    return float(np.exp2(np.round(np.log2(np.quantile(sizes, MOST))))) if sizes.size else 1.0
+    # Nine tenths of the sizes become at most about 1
+    return float(np.exp2(np.round(np.log2(np.quantile(sizes, 0.9))))) if sizes.size else 1.0

@@ -106,7 +106,6 @@ def _call_daqp(
     return np.asarray(x), np.asarray(info["lam"]), flag, info["iterations"]
 
 
-INVALID_SETTINGS = -10  # status of PIQP
 PIQP_SAYS = {
     1: EngineStatus.OPTIMAL,
     -1: EngineStatus.STOPPED,
@@ -161,7 +160,7 @@ class PIQP(Engine):
             fit = limits.seconds / (time.perf_counter() - begun) - 1.0
             solver.settings.max_iter = int(min(max(fit, 1.0), steps))
         code, found = int(solver.solve()), solver.result
-        if code == INVALID_SETTINGS:
+        if code == -10:  # invalid settings
             # Of no step, for instance: the vectors of the result are uninitialized
             x = np.clip(0.0, program.lower, program.upper)
             return EngineAnswer(x, np.zeros(m + p), 0, EngineStatus.GAVE_UP)

@@ -49,7 +49,7 @@ Verdict = Literal["agree", "mismatch", "not comparable"]
 
 PLAIN, GAP, SADDLE = "quadratic program", "gap quadratic program", "quadratic program with rows"
 ACCURATE_TOLERANCE = 1e-7  # of our criterion, for a point to be compared
-POLISH_ROUNDS = 3
+POLISH_ROUNDS = 3  # rounds of a polish for the points of first-order methods
 CLARABEL_OPTIONS = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-11)
 TIME_LIMITS = {
     **dict.fromkeys(("CLARABEL", "HIGHS", "OSQP"), "time_limit"),

@@ -36,7 +36,7 @@ STYLE: Any = {
     **{"grid.color": "#e9e9e9", "svg.fonttype": "path"},
 }
 HEIGHTS = "cividis"
-LABEL_SIZE = 7.0
+LABEL_SIZE = 7.0  # points
 MARKERS = "osD^v<>phX*P"
 DASHES = ("-", "--", "-.", ":")
 JOURNAL = {"font.size": 8.0, "axes.titlesize": 8.5}

@@ -31,7 +31,7 @@ from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows
 from ..solving.result import Result
 
-FAR = 1.5  # the level of a node that no bound is near to
+UNTOUCHED = 1.5  # the level of a node that no bound is near to
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def contact_level(problem: LCP, z: Vector, w: Vector) -> Vector:
     M = problem.csr
     rows = np.repeat(np.arange(problem.n), np.diff(M.indptr))
     coupling = largest_in_rows(M, np.where(rows == M.indices, 0.0, np.abs(M.data)))
-    level = np.full(problem.n, FAR)
+    level = np.full(problem.n, UNTOUCHED)
     for sign, bound in ((1.0, problem.lower), (-1.0, problem.upper)):
         known = np.isfinite(bound)
         if not known.any():
@@ -123,7 +123,7 @@ def contact_level(problem: LCP, z: Vector, w: Vector) -> Vector:
         presses = force > 1e-12 * (abs(M) @ np.abs(np.where(known, bound, z)) + np.abs(problem.q))
         pulls = np.where(presses, force, 1.0)
         pressed = np.where(presses, np.clip(0.5 - sign * w / pulls, -0.5, 0.5), -0.5)
-        free = np.where(presses, np.minimum(0.5 + coupling * gap / pulls, FAR), 0.5)
+        free = np.where(presses, np.minimum(0.5 + coupling * gap / pulls, UNTOUCHED), 0.5)
         level = np.where(known, np.minimum(level, np.where(touches, pressed, free)), level)
     return level
 

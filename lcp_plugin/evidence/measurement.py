@@ -55,7 +55,7 @@ class Measurement:
     error_kind : {"true error", "rigorous bound", "residual"}
         Kind of the errors; the first two in the unit of z.
     tolerance : float
-        Relative residual requested.
+        Relative residual requested; NaN with the paper's stopping rule.
     points : ndarray, shape (k, 7)
         Iteration, work (passes over M), seconds (median over the repeats) with quartiles, error and relative residual.
         The first point is the set-up, the last one the last iterate. A reference and a polish have one point.
@@ -139,9 +139,17 @@ def fresh(problem: LCP) -> LCP:
 
 
 def run(
-    problem: LCP, algorithm: str | Algorithm, measure: Measure, z0: Vector | None, **limits: Any
+    problem: LCP,
+    algorithm: str | Algorithm,
+    measure: Measure,
+    z0: Vector | None,
+    paper_tolerance: float = 0.0,
+    **limits: Any,
 ) -> tuple[Result, list[tuple[float, ...]]]:
     """Return a result and its samples (iteration, work, seconds, error, residual) at geometric intervals.
+
+    With `paper_tolerance`, a run also ends at the first iterate whose ‖z − mid(lower, upper, z − w)‖₂ is below it. The
+    status of the result is INTERRUPTED then, and the last sample is this iterate.
 
     Raises
     ------
@@ -149,17 +157,22 @@ def run(
         After Ctrl-C, on which `solve` keeps the best iterate.
     """
     samples: list[tuple[float, ...]] = []
-    due = 0
+    due, is_last = 0, False
 
     def record(sample: Sample, z: Vector) -> bool:
-        nonlocal due
-        if sample.iteration >= due:
+        nonlocal due, is_last
+        if paper_tolerance:
+            moved = np.clip(z - problem.slack(z), problem.lower, problem.upper)
+            is_last = bool(np.linalg.norm(z - moved) < paper_tolerance)
+        if is_last or sample.iteration >= due:
             # The iterations of two samples have this ratio
             due = max(sample.iteration + 1, math.ceil(sample.iteration * 1.08))
             samples.append((sample.iteration, sample.work, sample.seconds, *measure(z)))
-        return False
+        return is_last
 
     result = solve(fresh(problem), algorithm, z0=z0, callback=record, **limits)
+    if is_last:
+        return result, samples
     if result.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     if len(samples) > 1 and samples[-1][0] >= result.iterations:
@@ -189,7 +202,8 @@ def measure_method(
         if all(place in run for run in times):
             low, middle, high = np.percentile([run[place] for run in times], (25.0, 50.0, 75.0))
             points.append((*one[:2], middle, low, high, *one[3:]))
-    return result.status.name, np.array(points)
+    status = "SOLVED" if result.status is Status.INTERRUPTED else result.status.name
+    return status, np.array(points)  # by the paper's rule
 
 
 def measure_polish(

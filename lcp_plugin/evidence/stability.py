@@ -41,7 +41,6 @@ from .study import csv_text
 Progress = Callable[[int, int, str], Any]
 ExactPoint = tuple[Fraction, ...]
 
-LARGEST_INTEGER = 9
 ALIKE = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries near 1
 
 
@@ -89,7 +88,7 @@ def pattern(
     The active rows are here and there, or the first ones.
     """
     generator = np.random.default_rng(0)
-    z, w = generator.integers(1, LARGEST_INTEGER + 1, size=(2, n)).astype(np.float64)
+    z, w = generator.integers(1, 10, size=(2, n)).astype(np.float64)
     order, count = generator.permutation(n) if is_scattered else np.arange(n), int(active * n)
     z[order[:count]] = 0.0
     w[order[count:]] = 0.0
@@ -134,7 +133,7 @@ def rescaled(stress: str, case: StressCase, row: Any, column: Any) -> StressCase
     )
 
 
-SIDE = 10
+SIDE = 10  # unknowns in each direction of the grids
 
 
 def stiffness() -> Iterator[StressCase]:

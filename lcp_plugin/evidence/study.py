@@ -81,7 +81,7 @@ class Table:
     columns : sequence of str
         Headings.
     rows : sequence of sequences
-        Texts, numbers and None. CSV keeps all digits, Markdown three.
+        Texts, numbers and None. CSV keeps all digits, Markdown and LaTeX three.
 
     Examples
     --------
@@ -108,6 +108,15 @@ class Table:
         texts = ([*map(_text_of, row)] for row in self.rows)
         lines = [f"| {' | '.join(cells)} |" for cells in (self.columns, *texts)]
         return "\n".join([lines[0], f"|{'|'.join(marks)}|", *lines[1:], ""])
+
+    def to_latex(self) -> str:
+        """Return the table as a tabular environment of LaTeX, without packages."""
+        lines = [[*map(_text_of, row)] for row in (self.columns, *self.rows)]
+        lines = [[re.sub(r"([&%$#_{}])", r"\\\1", one) for one in line] for line in lines]
+        head, *body = (" & ".join(line) + r" \\" for line in lines)
+        marks = "l" + "r" * (len(self.columns) - 1)
+        inside = [r"\hline", head, r"\hline", *body, r"\hline"]
+        return "\n".join([rf"\begin{{tabular}}{{{marks}}}", *inside, r"\end{tabular}", ""])
 
 
 def _text_of(value: Any) -> str:
@@ -225,7 +234,7 @@ class Study:
         return csv_text([COLUMNS, *(line for row in self.rows for line in _lines(row))])
 
     def save(self, path: str | PathLike[str], against: str = "seconds") -> None:
-        """Write a file: .csv every point, .md the tables of iterations, .png, .pdf or .svg the plot.
+        """Write a file: .csv every point, .md or .tex the tables of iterations, .png, .pdf or .svg the plot.
 
         Raises
         ------
@@ -237,10 +246,15 @@ class Study:
         if ending in FORMATS:
             save(self.plot(against), place)
             return
-        if ending not in (".csv", ".md"):
-            endings = ", ".join([*FORMATS, ".csv", ".md"])
+        writers: dict[str, Callable[[], str]] = {
+            ".csv": self.to_csv,
+            ".md": lambda: "\n".join(map(str, self.table())),
+            ".tex": lambda: "\n".join(table.to_latex() for table in self.table()),
+        }
+        if ending not in writers:
+            endings = ", ".join([*FORMATS, *writers])
             raise InvalidOption(f"a study is saved as {endings}, got {place.name!r}")
-        text = self.to_csv() if ending == ".csv" else "\n".join(map(str, self.table()))
+        text = writers[ending]()
         write_whole({place: lambda file: file.write(text.encode("utf-8"))})
 
     def explain(self) -> str:
@@ -289,7 +303,7 @@ def _draw_errors(axes: Any, rows: Sequence[Measurement], against: str, looks: An
     for row in (row for row in rows if not row.is_curve):
         look = looks[row.method] | {"linestyle": "none", "markersize": 5}
         axes.plot([row.last(against)], [max(row.error, low)], label=row.method, zorder=5, **look)
-    if kind == RESIDUAL:
+    if kind == RESIDUAL and not math.isnan(rows[0].tolerance):
         draw_tolerance(axes, rows[0].tolerance)
     axes.set_ylim(low / 1.5, high)
 
@@ -325,7 +339,9 @@ def study(
     sizes: Sequence[int] | None = None,
     *,
     repeats: int = 3,
-    tolerance: float = 1e-8,
+    tolerance: float | None = None,
+    stopping: str = "criterion",
+    polish: bool = True,
     max_seconds: float = 20.0,
     references: Sequence[str] = (),
     out: str | PathLike[str] | None = None,
@@ -340,14 +356,21 @@ def study(
         LCPs, test problems of the gallery or their names, and functions of a size that return an LCP, a test problem
         or (M, q).
     methods : an algorithm, a sequence, or a mapping of labels to its items; optional
-        Names, Algorithm objects and pairs as in ``("npsor", {"relaxation": 1.5})``. By default the projected-type
+        Names, Algorithm objects and pairs as in ``("npsor", {"relaxation": 1.5})``. Tables and plots show the labels,
+        as in ``{"NPSOR(1.7)": ("npsor", {"relaxation": 1.7})}``; without them a name and the options that differ from
+        the defaults. By default the projected-type
         methods (ours and with the paper's settings), their relatives and ``"auto"``.
     sizes : sequence of int, optional
         Arguments of each function, ``size`` or ``n`` of each test problem.
     repeats : int
         Runs per median of seconds, after a warm-up; ≥ 1.
-    tolerance : float
-        Relative residual at which a run ends.
+    tolerance : float, optional
+        Residual at which a run ends: relative, 1e-8 by default; with the paper's rule 1e-5 by default.
+    stopping : {"criterion", "paper"}
+        Stopping rule: the criterion of `solve`, or the paper's Res = ‖min(z, M z + q)‖₂ < tolerance, for bounds
+        ‖z − mid(lower, upper, z − w)‖₂, tested at every iterate. A run by the paper's rule has no polish.
+    polish : bool
+        Whether the polish that `solve` would make is a row of its own.
     max_seconds : float
         Limit of each run in seconds.
     references : sequence of str
@@ -365,7 +388,8 @@ def study(
     -------
     Study
         Measurements, after Ctrl-C the finished ones. The rows of a method hold its iterates. If
-        :func:`lcp_plugin.solve` would replace the last one by a polish, that point is a row of its own. A rejected
+        :func:`lcp_plugin.solve` would replace the last one by a polish, that point is a row of its own, unless
+        `polish` is False. A rejected
         problem or size, and a method that raises, are rows with the status REFUSED or ERROR and the reason.
 
     Raises
@@ -391,6 +415,9 @@ def study(
     whole_number(repeats, "repeats", 1)
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be a callable that takes a text, got {progress!r}")
+    _check_choice("stopping", stopping, ("criterion", "paper"))
+    is_paper = stopping == "paper"
+    tolerance = (1e-5 if is_paper else 1e-8) if tolerance is None else tolerance
     Settings(tolerance=tolerance, max_seconds=max_seconds)
     entrants, built, wanted = methods_of(methods), _label_problems(problems), _checked_sizes(sizes)
     if not isinstance(references, list | tuple):
@@ -401,7 +428,7 @@ def study(
     if file is not None:
         write_whole({file: lambda f: f.write(csv_text([COLUMNS]).encode("utf-8"))})
     jobs = [
-        (Measurement(label, size, 0, 0, "", "", "", "", tolerance), given)
+        (Measurement(label, size, 0, 0, "", "", "", "", math.nan if is_paper else tolerance), given)
         for label, given in built.items()
         for size in wanted
     ]
@@ -410,7 +437,10 @@ def study(
         methods=entrants,
         references=references,
         repeats=repeats,
+        has_polish=polish and not is_paper,
         max_seconds=max_seconds,
+        tolerance=0.0 if is_paper else tolerance,
+        paper_tolerance=tolerance if is_paper else 0.0,
     )
     work = partial(_measured_job, measure)
     here = ((k, measure(*job, progress or str)) for k, job in enumerate(jobs))
@@ -487,7 +517,8 @@ def _measurements(
     methods: Sequence[Method],
     references: Sequence[str],
     repeats: int,
-    max_seconds: float,
+    has_polish: bool,
+    **limits: Any,
 ) -> Iterator[Measurement | str]:
     """Yield a row per method and reference, and notes; an exception in code of the user is a row."""
     label = blank.problem
@@ -499,18 +530,18 @@ def _measurements(
             yield _row(blank, method, "REFUSED", note=_line(error))
         return
     say(f"{label}: kind of the error")
-    kind, measure, reason = error_measure(scene, max_seconds)
+    kind, measure, reason = error_measure(scene, limits["max_seconds"])
     blank = replace(blank, n=scene.n, nonzeros=scene.problem.nonzeros, error_kind=kind)
     if reason:
         yield f"{label}: {reason}"
-    limits = {"tolerance": blank.tolerance, "max_seconds": max_seconds}
     for method in methods:
         say(f"{label}, n = {scene.n}: {method.label}")
         try:
             status, points = measure_method(scene, method, measure, repeats, **limits)
             yield _row(blank, method, status, points, method.note)
-            polish = measure_polish(scene, method, measure, **limits) if status in ENDED else None
-            if polish is not None:
+            if not has_polish or status not in ENDED:
+                continue
+            if (polish := measure_polish(scene, method, measure, **limits)) is not None:
                 yield _row(blank, Method(f"{method.label}, polished", "", "polish"), *polish)
         except (UnsuitableMatrix, UnsuitableProblem) as error:
             yield _row(blank, method, "REFUSED", note=str(error))
@@ -524,7 +555,7 @@ def _measurements(
         return
     for name in references:
         say(f"{label}, n = {scene.n}: {name}")
-        z, seconds, told = convex.solve_by(name, max_seconds)
+        z, seconds, told = convex.solve_by(name, limits["max_seconds"])
         method, status, points = Method(name, name, "reference"), "ERROR", NO_POINTS
         if z is not None:
             status = told.upper()

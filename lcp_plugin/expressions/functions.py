@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-NORMAL = 2.0**-1022  # the smallest normal double: below it results may be flushed to zero
+from ..core.kernels.floats import NORMAL
 
 
 @dataclass(frozen=True)

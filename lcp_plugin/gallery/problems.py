@@ -146,7 +146,7 @@ CONTACT_RADIUS = 0.6979651482233735
 CONE_BEGINS = 0.9
 """From this radius on the sphere is continued by its tangent cone, so that ψ is finite everywhere."""
 
-HALF_SIDE = 2.0
+HALF_SIDE = 2.0  # of the square of the membrane
 
 
 @scene_builder

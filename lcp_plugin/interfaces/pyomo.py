@@ -547,7 +547,6 @@ def imported(model: Any, name: str) -> Any:
 
 # --- The pairs of square models ------------------------------------------------------------------------------------
 
-SHOWN = 5  # names of a singular block in a message
 Family = dict[Any, Any]  # members of a component by their indices, in blocks too
 
 
@@ -706,8 +705,8 @@ def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> 
         partners = maximum_bipartite_matching(matrix, perm_type="column").tolist()
         if -1 in partners:
             block, reached = _dulmage_mendelsohn_block(matrix, partners)
-            names = listed((own[k].name for k in block), SHOWN)
-            few = listed((others[k].name for k in reached), SHOWN) or "that are fixed"
+            names = listed((own[k].name for k in block), SOME)
+            few = listed((others[k].name for k in reached), SOME) or "that are fixed"
             raise UnsupportedModel(
                 f"the model is structurally singular: {names} {words} {few}, which is one too "
                 "few; see whether a constraint is missing or redundant, or a pair is wrong"

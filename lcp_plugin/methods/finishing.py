@@ -18,11 +18,6 @@ from ..core.matrix import Matrix
 from ..systems.factors import factor_operations
 from ..systems.free_systems import FreeSystem
 
-ROUNDS = 5  # of linear solves
-GROWTH = 2.0**8  # of the size of the rows that are solved, from round to round
-LARGEST_STACK = 10**7  # entries of the matrices of a stack that are solved in one call
-MOST_PASSES = 500.0  # over M, which a factorization may take
-
 
 def measure_finished(
     data: RowData, z: Any, tolerance: float, power: float = POWER, absolute: float = 0.0
@@ -38,7 +33,8 @@ def measure_finished(
         return _finished(data, found, tolerance, power, absolute)
     z, residual, passes = np.array(found.z), np.array(found.residual), np.array(found.passes)
     fails = ~passes & (residual <= tolerance)
-    if data.M.ndim == 3 and fails.sum() * data.M[0].size <= LARGEST_STACK:
+    # Entries of the matrices that are solved in one call
+    if data.M.ndim == 3 and fails.sum() * data.M[0].size <= 10**7:
         tried = np.where(fails[:, np.newaxis], _solved_again(data, z, fails), z)
         again = data.measure_at(tried, None, tolerance, power, absolute)
         is_better = fails & again.passes
@@ -95,11 +91,12 @@ def _finished(
     if again.passes:
         return again
     matrix, again, joined = Matrix(data.M), found, np.zeros(z.shape, np.bool_)
-    most, system = MOST_PASSES * matrix.nonzeros, None
-    for k in range(ROUNDS):
+    most, system = 500.0 * matrix.nonzeros, None  # a factorization may take 500 passes over M
+    for k in range(5):  # rounds of linear solves
         fails, sizes = again.by_row.terms > tolerance, again.rows.terms / data.scale
         before = joined
-        joined = joined | (sizes <= GROWTH**k * data.largest(fails * sizes))
+        # Rows join whose size is at most 2⁸ times that of the rows before
+        joined = joined | (sizes <= 256.0**k * data.largest(fails * sizes))
         if k and (joined == before).all():
             break
         for _ in range(2):

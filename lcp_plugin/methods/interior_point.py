@@ -25,8 +25,7 @@ from .lemke.pivoting_path import bimatrix_players, is_game
 from .newton import classify, is_near, signature, solve_active_set
 
 SAME = 1e-12  # entries that differ by less, relatively, are equal up to rounding
-CASES = 5  # that follow from a point of an engine; from a start, one
-STEPS = 60  # of PIQP: 10 to 30 if M is monotone by more than rounding
+PIQP_STEPS = 60  # of PIQP: 10 to 30 if M is monotone by more than rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,15 +85,16 @@ class InteriorPoint(Algorithm):
         # A second run is sharper: M is singular on many active sets.
         for options in ({}, {"eps_abs": 1e-13, "eps_rel": 1e-13}):
             require_seconds(seconds)
-            z, steps = program.answer(engine(max_iter=STEPS, **options))
+            z, steps = program.answer(engine(max_iter=PIQP_STEPS, **options))
             if not np.isfinite(z).all():
                 return
-            cases = _cases(problem, z, CASES)
+            # Complementarity pieces near a point of an engine; of a start, one
+            cases = _cases(problem, z, 5)
             sharp = next(cases, Step(z))
             sharp.work += steps * (1.0 + operations / max(problem.nonzeros, 1))
             sharp.remark = f"{engine.name} took {steps} steps"
             yield from chain([sharp, Step(z)], cases)
-            if steps in (0, STEPS):  # PIQP gave up
+            if steps in (0, PIQP_STEPS):  # PIQP gave up
                 return
 
 

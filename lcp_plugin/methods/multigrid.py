@@ -74,7 +74,7 @@ from ..systems.hierarchy.levels import grid_of, hierarchy_of
 from ..systems.hierarchy.truncation import KrylovCorrection, Truncation
 
 SMOOTHERS = ("pgs", "psor")
-SMOOTHING_SWEEPS = 60
+SMOOTHING_SWEEPS = 60  # of a vector that shows how units differ
 ROUGH = 1e-3  # share of the rows in which units may differ
 
 
@@ -212,8 +212,7 @@ def smooth_units(matrix: Matrix) -> tuple[Vector, Matrix] | None:
     return v, Matrix(sp.diags_array(v) @ M @ sp.diags_array(v))
 
 
-SETTLED = 1e-3  # share of the unknowns that may still change sides while they do
-GAINED = 0.5  # a round of cycles and sweeps that reduces the least residual by less has failed
+ROUND_FALL = 0.5  # a round of cycles and sweeps that reduces the least residual by less has failed
 
 
 class Safeguard:
@@ -269,7 +268,7 @@ class Safeguard:
         Another method should take over if cycles and sweeps have barely reduced the least residual three times and the
         energy has not fallen beyond rounding. If the run `hands_over`, the energy is not tested.
         """
-        is_gain = self.least < GAINED * self._least_of_round
+        is_gain = self.least < ROUND_FALL * self._least_of_round
         if not is_gain and self.is_symmetric and not hands_over:
             change, noise, _ = self._energy_change(z)
             is_gain = change < -noise
@@ -326,10 +325,10 @@ class GridProblem:
         )
 
 
-COARSEST_SWEEPS = 50
+COARSEST_SWEEPS = 50  # of the coarsest grid, which has few rows
 LONG_CONJUGATE = 24  # if M is symmetric: conjugate gradients keep no directions
 MOST_ROUNDS = 20  # of Krylov steps, each on the free set that the one before has left
-ROUND_GAIN = 0.1
+ROUND_GAIN = 0.1  # of the residual: reduction by Krylov steps on a free set before it changes
 
 
 class MultigridRun:
@@ -467,7 +466,8 @@ class MultigridRun:
             # Krylov steps pay from this contraction on.
             is_slow = largest > 0.1 * before
             before = largest
-            if is_slow and changed <= max(SETTLED * self.size, 1):
+            # A thousandth of the unknowns may still change sides
+            if is_slow and changed <= max(1e-3 * self.size, 1):
                 yield from self._krylov(z, is_settled=not changed)
             else:
                 self._correct(0, z)
@@ -562,7 +562,7 @@ class MultigridRun:
         before = np.inf
         while True:
             change = yield from self._fall_back(z)
-            if not (goes_on or change < GAINED * before):
+            if not (goes_on or change < ROUND_FALL * before):
                 return
             before = change
 

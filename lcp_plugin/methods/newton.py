@@ -24,7 +24,7 @@ from ..systems.factors import factor_operations, factorise
 from ..systems.free_systems import FreeSystem
 from ..systems.graph import bandwidth
 
-LARGE_PATIENCE = 20
+LARGE_PATIENCE = 20  # rounds without a gain, if many rows change at once
 
 
 class ActiveSetSolution(NamedTuple):
@@ -204,8 +204,7 @@ class NewtonState:
         return solution
 
 
-PATIENT_ROWS = 250
-ROUNDS = 3
+PATIENT_ROWS = 250  # a round on fewer rows costs little
 
 SHIFT = 1e-3  # keeps the Jacobian regular if M is only P₀
 
@@ -271,7 +270,7 @@ class Newton(Algorithm):
 
 def rounds(state: NewtonState) -> Generator[Step, None, bool]:
     """Yield full steps and damped steps alternately; return whether an active set settled."""
-    for _ in range(ROUNDS):
+    for _ in range(3):
         if (yield from full_steps(state)):
             return True
         before = state.best

@@ -37,7 +37,7 @@ from .finishing import measure_finished
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
 RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
 ROUNDS, IDLE = 12, 2  # most active-set iterations; most of them in a row without fewer changes
-WELL_CONDITIONED = 1e8
+WELL_CONDITIONED = 1e8  # size of the eliminated columns up to which half of the digits remain
 LOOP_FROM, LOOP_UP_TO = 32, 128  # problems, unknowns; fewer problems do not wait for a compilation
 
 
@@ -208,7 +208,7 @@ def _solve_in_loop(
     for attempt in range(0 if starts is not None else ROUNDS, ROUNDS + 1):
         if not items.size:
             break
-        own = _select(arrays, items)
+        own: Any = _select(arrays, items)
         A, b, low, high, _ = own
         if attempt < ROUNDS:
             scale = residual_scales(A.diagonal(axis1=-2, axis2=-1), np.abs(A).max(-1, initial=0.0))
@@ -254,18 +254,18 @@ def path_points(
 ) -> Iterator[tuple[Vector, float]]:
     """Yield the point of the active set of z0 and the end of Lemke's compiled path, with bounds of their residuals.
 
-    A stack of one: the bits are those of the compiled loop. A bound of ∞ means that the sufficient test does not
+    A stack of one: the compiled loop has the same bits. A bound of ∞ means that the sufficient test does not
     decide. Points that do not exist are left out.
     """
     M = read_only(problem.matrix.toarray()[None])
     q, lower, upper = problem.q[None], problem.lower[None], problem.upper[None]
     own = M, q, lower, upper, problem.nearest_to_zero[None]
-    for is_path in (False, True) if z0 is not None else (True,):
-        if is_path:
+    for start in (None,) if z0 is None else (z0, None):
+        if start is None:
             sides = _ends_of_paths(M, q, lower, upper)
         else:
-            step = problem.slack(z0) / problem.residual_scale
-            is_low, is_high = step >= z0 - problem.lower, step <= z0 - problem.upper
+            step = problem.slack(start) / problem.residual_scale
+            is_low, is_high = step >= start - problem.lower, step <= start - problem.upper
             sides = np.where(is_low, LOW, FREE + is_high)[None]
         z, bound = _bounded_points(*own, sides, tolerance)
         if math.isfinite(z[0, 0]):

@@ -35,7 +35,7 @@ from ..core.names import UNLABELED, listed
 from ..expressions.rows import uniform
 from ..problems.statement import STATUS_ELSEWHERE
 
-LONGEST_NAME = 80
+LONGEST_NAME = 80  # characters of a constraint in a message
 NUMBERS = re.compile(
     r"\[ *-?\d+\.|…$"
 )  # in a text of cvxpy: an array of numbers, or an end that is cut

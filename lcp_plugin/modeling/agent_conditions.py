@@ -49,12 +49,6 @@ def _positive_power(u: Any, p: float) -> Any:
     return cp.power(cp.sqrt(u), 2 * p)
 
 
-#: Key of the first subexpression that the agent does not influence: larger than any id of a variable.
-FIRST_KEY = 2**61
-OUTSIDE = 1e-8  # of max(1, |x|): a condition of the domain is violated beyond
-NO_BOUND = (
-    1e30  # of a bound that is an expression, whose constants must be finite; box reads it as ∞
-)
 #: The atom of an elementary function, and its derivatives by its arguments; r is its value.
 FUNCTIONS: dict[str, tuple[Any, Any]] = {
     functions.SAME.name: (lambda u: u, lambda r, u: [np.ones(u.shape)]),
@@ -284,7 +278,8 @@ class AgentProgram:
         self.place[numbers] = np.arange(numbers.size)
         self.reader = Reader(takes_integers=True)
         self.roots = [self.goal, *(one.expression for one in self.standard)]
-        nodes = enumerate(uninfluenced(self.roots, self.own), FIRST_KEY)
+        # Keys larger than any id of a variable
+        nodes = enumerate(uninfluenced(self.roots, self.own), 2**61)
         sources = {one.id if isinstance(one, cp.Variable) else k: one for k, one in nodes}
         self.reader.hold(sources)
         sources |= {one.id: one for one, _ in self.entries}
@@ -430,7 +425,8 @@ class AgentProgram:
             stated = [one for one in stated if not isinstance(one.bound, cp.Expression)]
         found: list[Any] = []
         for sign, extreme in ((-1.0, "maximum"), (1.0, "minimum")):
-            none = sign * (np.inf if is_numeric else NO_BOUND)
+            # The constants of an expression must be finite; box reads 1e30 as ∞
+            none = sign * (np.inf if is_numeric else 1e30)
             found.append(np.full(self.decisions.size, none))
             for one in stated:
                 rows = np.flatnonzero(sign * one.weights > 0.0)
@@ -528,7 +524,8 @@ def violated_domain(roots: Iterable[Any], own: set[int]) -> Any:
     """Return a condition of the domain that present values violate; None if there is none."""
     for one, _ in domain_of(roots, own):
         size = max(np.abs(dense(each.value)).max(initial=1.0) for each in one.variables())
-        if not np.all(dense(one.expr.value) <= OUTSIDE * size):
+        # Size is max(1, |x|): a condition of the domain is violated by more than rounding
+        if not np.all(dense(one.expr.value) <= 1e-8 * size):
             return one
     return None
 

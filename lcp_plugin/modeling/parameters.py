@@ -39,8 +39,6 @@ from .reading import Reader, restricting_attribute
 from .registration import build_from, is_complementarity_problem
 
 Changes = dict[int, Any]
-#: Relative to z and w. A larger difference of w shows that parameters have changed since the solve.
-SAME = 1e-8
 
 
 class ParametricRows:
@@ -359,7 +357,8 @@ def _is_solved_by(model: Model, result: Result) -> bool:
     then: Any = result.certificate.problem if rows is now else getattr(result, "problem", None)
     slack = now.value(z) if isinstance(now, NonlinearProblem) else rows.M @ z + rows.q
     size = 1.0 + np.abs(z).max(initial=0.0) + np.abs(w).max(initial=0.0)
-    return bool((np.abs(slack - w) <= SAME * size).all()) and all(
+    # A larger difference shows that parameters have changed since the solve
+    return bool((np.abs(slack - w) <= 1e-8 * size).all()) and all(
         np.array_equal(getattr(now, name, 0.0), getattr(then, name, 0.0))
         for name in ("lower", "upper", "friction")
     )
@@ -386,8 +385,6 @@ def differentiable_parameters(problem: Any) -> list[Any]:
     return parameters
 
 
-AFFINE_TO = 1e-9  # of the largest entry: by how much a vector in between may be off the line
-BETWEEN = 0.3819660112501051  # position of the test point between start and stop
 VECTORS = {LCP: ("q", "lower", "upper"), QuadraticProgram: ("c", "h", "b", "lower", "upper")}
 MATRICES = {LCP: ("M",), QuadraticProgram: ("P", "G", "A")}
 Back = Callable[[Any], dict[int, Any]]
@@ -501,7 +498,8 @@ def trace_model(
     lines = parameter_lines(problem, along)
     stated = _pairs if is_complementarity_problem(problem) else _program
     other = stop if stop != start else start + 1.0
-    values = (start, other, start + BETWEEN * (other - start))
+    # A test point that no simple fraction hits
+    values = (start, other, start + 0.3819660112501051 * (other - start))
     found = []
     for theta in values:
         with moved_to(lines, theta):
@@ -550,9 +548,8 @@ def _line(
         slope = (there - here) / (end - begin)
         off = np.abs(here + (between - begin) * slope - inside)
         is_fixed = (one == other) & (one == seen)
-        if (off > AFFINE_TO * np.abs(inside).max(initial=0.0)).any() or not (
-            moves | is_fixed
-        ).all():
+        # A vector in between is off the line by more than rounding
+        if (off > 1e-9 * np.abs(inside).max(initial=0.0)).any() or not (moves | is_fixed).all():
             raise UnsupportedModel(
                 f"{name} of the program that cvxpy compiles is not affine in the parameter between {begin:.6g} and "
                 f"{end:.6g}; make the nonlinear expression a parameter"

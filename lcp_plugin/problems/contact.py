@@ -41,8 +41,7 @@ from ..solving.result import Result
 
 FloatArray = NDArray[np.float64]
 
-SYMMETRIC = 1e-8  # of the largest entry
-UNIT = 1e-6  # by which the length of a direction may differ from 1
+UNIT_LENGTH = 1e-6  # by which the length of a direction may differ from 1
 NOT_DEFINITE = "the mass matrix must be positive definite, and is not; leave out bodies that do not move, or give W"
 # of soft rubber it is some 2; a larger one is probably an angle or a percentage
 MOST_FRICTION = 5.0
@@ -447,13 +446,13 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
         contact = np.repeat(np.arange(k), len(windows))
     products = own @ np.swapaxes(own, 1, 2)
     lengths = np.sqrt(np.einsum("kii->ki", products)) + np.finfo(float).tiny
-    are = np.linalg.det(products / lengths[:, :, None] / lengths[:, None]) > UNIT
-    are |= np.abs(lengths[:, 0] - 1.0) < UNIT
+    are = np.linalg.det(products / lengths[:, :, None] / lengths[:, None]) > UNIT_LENGTH
+    are |= np.abs(lengths[:, 0] - 1.0) < UNIT_LENGTH
     off = np.abs(products - np.eye(d)).max(axis=(1, 2))[are]
     least = np.full(k, np.inf)
     # one body in whose translations they are unit vectors is enough
     np.minimum.at(least, contact[are], off)
-    wrong = np.flatnonzero((least > UNIT) & (least < np.inf))
+    wrong = np.flatnonzero((least > UNIT_LENGTH) & (least < np.inf))
     if wrong.size:
         c = int(wrong[0])
         raise InvalidProblem(
@@ -473,7 +472,7 @@ def _edges(tangents: int, directions: int) -> FloatArray:
         return np.array([[1.0], [-1.0]])
     angle = 2.0 * np.pi / directions * np.arange(directions // 2)
     half = np.column_stack([np.cos(angle), np.sin(angle)])
-    half[np.abs(half) < UNIT] = 0.0
+    half[np.abs(half) < UNIT_LENGTH] = 0.0
     return np.vstack([half, -half])
 
 
@@ -487,7 +486,7 @@ def _array(values: Any, need: str) -> FloatArray:
 
 
 @np.errstate(all="ignore")
-def check_symmetric(matrix: Any, name: str, tolerance: float = SYMMETRIC) -> None:
+def check_symmetric(matrix: Any, name: str, tolerance: float = 1e-8) -> None:
     """Raise InvalidProblem if max |m_ij − m_ji| exceeds `tolerance` times the largest entry."""
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise InvalidProblem(

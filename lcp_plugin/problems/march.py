@@ -46,7 +46,7 @@ from ..solving.lcp_solver import solve_lcp
 from ..solving.plan import plan
 from ..solving.result import Result, StageRecord
 from ..systems.factors import BANDED_UP_TO, Bands, bands
-from ..systems.graph import bandwidth
+from ..systems.graph import bandwidth, sum_of_outer
 from .cones.data import Blocks
 from .many import AnswerSequence, length_of_all, rows_of_a_batch
 
@@ -129,7 +129,7 @@ class BandSteps:
         return RowData(problem.csr, self.absolute, *vectors, start=problem.nearest_to_zero)
 
 
-BLOCK = 64  # steps between two checks for Ctrl-C; results of earlier blocks are kept
+STEPS_TOGETHER = 64  # steps between two checks for Ctrl-C; results of earlier blocks are kept
 
 
 class March(AnswerSequence[Result]):
@@ -244,7 +244,7 @@ def take_steps_on_band(done: March, algorithm: Any, wishes: dict[str, Any], limi
         return
     steps, state = BandSteps(done, band, settings), done.z0
     while done.taken < len(done.forcing) and clock.read() < limit:
-        forcing = done.forcing[done.taken : done.taken + BLOCK]
+        forcing = done.forcing[done.taken : done.taken + STEPS_TOGETHER]
         solved = steps.solve(forcing, state)
         for q, state in zip(*solved, strict=True):
             row, z = (q, state) if done.keep == 1 else (q.copy(), read_only(state.copy()))
@@ -504,9 +504,8 @@ def _is_one_a_march(propagator: Any) -> bool:
 
 LEFT = 2.0**-20  # relative to the last change: bound of the remaining error
 CLEAR = 64.0  # times the rounding error
-CANCELLED = 2.0**40  # terms relative to their sum: the block is nearly singular
 KINK = 2  # times the side of a row at this bound with w = 0
-NEGLIGIBLE = 2.0**-960  # below, a row's distance and slack have underflown: it is at its bound
+UNDERFLOWN = 2.0**-960  # below, a row's distance and slack have underflown: it is at its bound
 
 
 class Band(NamedTuple):
@@ -557,13 +556,9 @@ class Band(NamedTuple):
         given = np.abs((self.M @ np.where(is_free, 0.0, x).T).T + right) * unit
         sizes = size, given, np.abs(w) * unit
         terms, given, left = (one.max(axis=1, initial=0.0, where=is_free) for one in sizes)
-        is_regular = (left <= 2.0**-40 * terms) & (terms <= CANCELLED * given)
+        # Otherwise the block is nearly singular
+        is_regular = (left <= 2.0**-40 * terms) & (terms <= 2.0**40 * given)
         return (x, w, EPSILON * terms) if is_regular.all() else None
-
-
-def _outer_on(A: sp.csr_array, left: Vector, right: Vector) -> Vector:
-    """Return Σ_k left_ki right_kj at the entries of A."""
-    return np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
 
 
 class Steps:
@@ -609,7 +604,7 @@ class Steps:
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
             above, below = z - lower, upper - z
             nearest = np.minimum(above, below) * scale
-            is_negligible = (nearest < NEGLIGIBLE) & (np.abs(w) < NEGLIGIBLE)
+            is_negligible = (nearest < UNDERFLOWN) & (np.abs(w) < UNDERFLOWN)
             found = np.where(above * scale <= w, -1, np.where(-below * scale >= w, 1, 0))
             found = np.where(is_negligible, np.where(above <= below, -1, 1), found)
             found = np.where(lower == upper, np.where(w < 0.0, 1, -1), found)
@@ -910,8 +905,8 @@ class MarchDerivative:
             elif part.here.stop == steps:
                 own[-1] = rows
             by_q = forcing[part.here] = part.vjp(own, after, of_bounds)
-            of_M += _outer_on(M, by_q, part.z)
-            of_C += _outer_on(propagator, by_q, part.states[:-1])
+            of_M += sum_of_outer(M, by_q, part.z).data
+            of_C += sum_of_outer(propagator, by_q, part.states[:-1]).data
         z0 = propagator.T @ after if steps else rows if rows.ndim == 1 else after
         by_M = sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n))
         by_C = sp.csr_array((of_C, propagator.indices, propagator.indptr), shape=(n, n))
@@ -920,10 +915,10 @@ class MarchDerivative:
     def _parts(self, *, backwards: bool = False) -> Iterator[Steps]:
         """Yield the steps in blocks, with their classified rows."""
         march = self.march
-        starts = range(0, len(march), BLOCK)
+        starts = range(0, len(march), STEPS_TOGETHER)
         for first in reversed(starts) if backwards else starts:
             before = march.z[first - 1] if first else march.z0
-            yield Steps(self, first, np.vstack([before, march.z[first : first + BLOCK]]))
+            yield Steps(self, first, np.vstack([before, march.z[first : first + STEPS_TOGETHER]]))
 
     @derived_property
     def band(self) -> Band | None:

@@ -47,10 +47,6 @@ from .equilibria.equilibrium_program import EquilibriumProgram, SmoothPart
 from .nonlinear.data import NonlinearProblem
 from .programs.program import QuadraticProgram
 
-SMALLEST_PIVOT = 1e-8  # relative to the largest entry of its row
-MOST_FILL = 4  # times the entries there were
-MOST_DEFINITIONS = 500
-
 
 @dataclass(eq=False)
 class Elimination:
@@ -125,9 +121,9 @@ def eliminate_definitions(
     n = is_free.size
     back: sp.csr_array | None = None
     offset, is_open, left = np.zeros(n), is_free.copy(), np.ones(owner.size, dtype=bool)
-    limit = MOST_FILL * (equations[0].nnz + functions[0].nnz) + 10 * n
+    limit = 4 * (equations[0].nnz + functions[0].nnz) + 10 * n  # times the entries there were
     used: list[tuple[Indices, Indices]] = [(np.zeros(0, dtype=np.int64),) * 2]
-    for number in range(min(int(owner.max(initial=-1)) + 1, MOST_DEFINITIONS)):
+    for number in range(min(int(owner.max(initial=-1)) + 1, 500)):
         rows, columns = _pivots(equations[0], np.flatnonzero(owner == number), is_open, variable_of)
         if not rows.size:
             continue
@@ -189,7 +185,7 @@ def _pivots(
     )
     times = np.bincount(part.indices, minlength=is_open.size)
     fits = is_open[part.indices] & (times[part.indices] == 1) & (count[pair] == 1)
-    fits &= np.abs(part.data) >= SMALLEST_PIVOT * largest[place]
+    fits &= np.abs(part.data) >= 1e-8 * largest[place]  # relative to the largest entry of its row
     if not fits.any():
         return rows[:0], rows[:0]
     counts = np.bincount(variables[fits])
@@ -250,8 +246,7 @@ Numbers = Sequence[int] | Indices
 BEGUN = (
     "started from the values of the variables, which are the last solution unless others were set"
 )
-MOST_NAMES = 5
-DISAGREEMENT = 1e-9  # relative to the terms of a row
+MOST_NAMES = 5  # in a message
 OUTSIDE = 1e-8  # of 1 + |x|: a bound that no pair states is violated beyond
 #: The names of a status in AMPL, cvxpy and Pyomo.
 STATUS_ELSEWHERE = {
@@ -266,7 +261,6 @@ STATUS_ELSEWHERE = {
     Status.STALLED: (500, "user_limit", "noSolution"),
     Status.DIVERGED: (501, "solver_error", "noSolution"),
 }
-UNCERTAIN = 1e-3  # in place of zero or infinite entries of a derivative where equations are matched
 
 
 class MissingPair(NotSquare):
@@ -397,7 +391,7 @@ class SquareModel:
             matrix, order, largest = self.problem.linearize(z).csr, left, max(largest, 1.0)
         terms = np.abs(values) + np.abs(expected)
         terms[order] += abs(matrix) @ np.abs(unknowns)
-        allowed = DISAGREEMENT * terms
+        allowed = 1e-9 * terms  # relative to the terms of a row
         # Terms may be rounding errors of larger unknowns
         allowed[order] += DATA_ROUNDING * largest * (abs(matrix) @ np.ones(unknowns.size))
         is_wrong = np.isfinite(expected) & ~(np.abs(values - expected) <= allowed)
@@ -795,7 +789,8 @@ def _generic_point(lower: Vector, upper: Vector) -> Vector:
 def _filled(derivative: sp.csr_array) -> sp.csr_array:
     """Return a derivative without zeros and without entries that are not finite."""
     sizes = np.where(np.isfinite(derivative.data), derivative.data, 0.0)
-    derivative.data = np.where(sizes == 0.0, UNCERTAIN, sizes)
+    # In place of zero or infinite entries of a derivative where equations are matched
+    derivative.data = np.where(sizes == 0.0, 1e-3, sizes)
     return derivative
 
 

@@ -65,7 +65,7 @@ from ..core.certificates.criterion import row_data, scaled_residual
 from ..core.checks import BoolVector, Vector, checked_vector
 from ..core.deadline import is_over
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ..core.kernels.floats import TINY, UNIT
+from ..core.kernels.floats import OUTWARD, TINY, UNDERFLOW, UNIT
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, connected_components, fact, scale_matrix
 from ..core.problem_classes import refusal
@@ -227,8 +227,7 @@ class ActiveSetSteps:
 
 
 GOAL = 1e-6  # of a linear solve in such a step, if it is iterative
-EXACT = 1e-14  # relative error after a step
-ROUNDING = 4.0  # times the rounding floor: the residual accepted by PRECISION_LIMIT
+FLOORS = 4.0  # times the rounding floor: the residual accepted by PRECISION_LIMIT
 
 
 class ActiveRows(NamedTuple):
@@ -291,7 +290,7 @@ def settled_rows(
     near = floor * np.minimum(scale / problem.matrix.row_largest, 1.0) + error
     slight = floor + abs(problem.matrix.array) @ error / scale
     is_fixed, step = problem.lower == problem.upper, w / scale
-    degenerate = (within.min(axis=0) <= ROUNDING * near) & (np.abs(step) <= ROUNDING * slight)
+    degenerate = (within.min(axis=0) <= FLOORS * near) & (np.abs(step) <= FLOORS * slight)
     degenerate &= ~is_fixed
     above, below = within
     is_upper = np.where(is_fixed, w < 0.0, below < above)
@@ -317,7 +316,7 @@ def _settled(
         if following is None:
             return None
         change, at = np.abs((following.high - at.high) + (following.low - at.low)), following
-        allowed = EXACT * np.abs(at.high).max(initial=0.0)
+        allowed = 1e-14 * np.abs(at.high).max(initial=0.0)  # all digits
         if steps.is_settled(at) and GOAL * change.max(initial=0.0) <= allowed:
             return at, steps.system, GOAL * change
     return (at, steps.system, GOAL * change) if change.max(initial=0.0) <= allowed else None
@@ -363,9 +362,7 @@ def estimated_error(problem: LCP, z: Vector, w: Vector, residual: float) -> floa
     return residual / reciprocal if reciprocal > 0.0 else np.inf
 
 
-SPARSE_UP_TO = 30_000
-OUTWARD = 1.0 + 2.0**-36  # more than the rounding of sums of 2 · SPARSE_UP_TO terms of one sign
-UNDERFLOW = 1e-290  # far more than all that underflows in a factorization of a matrix of unit size
+SPARSE_UP_TO = 30_000  # rows of a sparse matrix that is factorized for a bound
 
 
 class EigenvalueBound(NamedTuple):
@@ -507,8 +504,7 @@ def _rounding(matrix: Any, factor: PositiveFactor) -> float:
     return float(float(by_row.max()) * OUTWARD + n * UNDERFLOW)
 
 
-SMALL = 1000  # up to here every stage is cheap
-REFINEMENT_STEPS = 12  # each takes two digits off the bound, and a third of a linear solve
+CHEAP_UP_TO = 1000  # up to here every stage is cheap
 
 NO_PROOF = (
     "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite symmetric "
@@ -660,7 +656,7 @@ class BestBound:
     def is_sharp(self) -> bool:
         """True if the error is proved to be nearly as large as its bound."""
         # Possible improvement, relative to a lower bound of the error
-        enough = 0.05 if self.z.size <= SMALL else 0.5
+        enough = 0.05 if self.z.size <= CHEAP_UP_TO else 0.5
         distance = distance_above(self.near.high, self.near.low, self.z)
         error = float((distance - self.near_y).max(initial=0.0))
         return float(self.y.max(initial=0.0)) <= (1.0 + enough) * error
@@ -685,7 +681,7 @@ def _sharpen(found: BestBound, family: Family) -> None:
     problem = found.at.problem
     steps = ActiveSetSteps(problem)
     point = found.at
-    for _ in range(REFINEMENT_STEPS):
+    for _ in range(12):  # each takes two digits off the bound, and a third of a linear solve
         following = steps.next_point(point)
         if following is None:
             return
@@ -694,11 +690,11 @@ def _sharpen(found: BestBound, family: Family) -> None:
         before = float(found.near_y.max(initial=0.0))
         if not float(y.max(initial=0.0)) < 0.5 * before:
             # A step of the active-set method may lead astray before it leads home.
-            if problem.n > SMALL or before == 0.0 or found.is_sharp:
+            if problem.n > CHEAP_UP_TO or before == 0.0 or found.is_sharp:
                 return
             continue
         found.go_to(point, y)
-        if found.is_sharp and problem.n > SMALL:
+        if found.is_sharp and problem.n > CHEAP_UP_TO:
             return
 
 

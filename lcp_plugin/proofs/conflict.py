@@ -32,6 +32,7 @@ from ..core.deadline import is_over, time_limit
 from ..core.names import listed
 from ..core.representation import describe_radius
 from .exact import (
+    MOST_ENTRIES,
     ZERO,
     Fractions,
     integer_rows,
@@ -50,12 +51,6 @@ from .farkas import (
 )
 
 Multipliers = Mapping[int, Fraction]
-
-MOST_NAMED = 12  # members in the text
-MOST_ENTRIES = 4_000_000  # of the dense matrix whose rank is computed: some seconds
-MOST_IN_PROGRAM = 200_000  # entries of a matrix of which all rows are in the program: some seconds
-MOST_FILTERED = 30  # members that are each left out in turn: a linear program for each
-SECONDS = 60.0  # of a search without another limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,14 +150,14 @@ class Conflict:
         points = describe_radius(self.radius, "x")
         checked = f", checked for {points}" if points else ""
         together = f"these {count} of {others} constraints cannot hold together{checked}; {least}"
-        return f"{together}: {listed(self.names, MOST_NAMED, ' · ')}"
+        return f"{together}: {listed(self.names, 12, ' · ')}"
 
 
 def find_conflict(
     rows: LinearConstraints,
     name: Callable[[int], str],
     multipliers: Multipliers,
-    max_seconds: float = SECONDS,
+    max_seconds: float = 60.0,
 ) -> Conflict:
     """Return a set of constraints that conflict, irreducible if the search ends.
 
@@ -176,12 +171,13 @@ def find_conflict(
     y: Multipliers = {i: value for i, value in multipliers.items() if value}
     with time_limit(max_seconds):
         every, own = np.arange(rows.q.size), np.array(sorted(y))
-        chosen = every if rows.matrix.nnz <= MOST_IN_PROGRAM else own
+        chosen = every if rows.matrix.nnz <= 200_000 else own  # entries: some seconds
         few = _part(rows, chosen)
         place = {int(i): k for k, i in enumerate(chosen)}
         sparse = _sparse_program(few, {place[i]: value for i, value in y.items()})
         y = _smaller(rows, y, chosen, chain([sparse], _programs(few)))
-        for member in sorted(y) if len(y) <= MOST_FILTERED else ():
+        # A linear program for each member that is left out
+        for member in sorted(y) if len(y) <= 30 else ():
             others = np.array([i for i in sorted(y) if i != member])
             if member in y and others.size:
                 y = _smaller(rows, y, others, _programs(_part(rows, others)))

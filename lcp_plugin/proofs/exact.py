@@ -278,11 +278,11 @@ def slack_bounds(problem: LCP) -> tuple[Vector, Vector]:
 
 
 EXACT_SIZE = 10  # rows; minors of doubles are long numbers
-MOST_UNKNOWNS = 600
-MOST_ENTRIES = 4_000_000
+MOST_UNKNOWNS = 600  # of an exact elimination, whose numbers grow with each step
+MOST_ENTRIES = 4_000_000  # of a dense matrix whose rank is computed: some seconds
 # Below 2^25, so that 2^13 products add up in 64 bits; a matrix singular modulo all three is taken for singular.
 PRIMES = (33554393, 33554383, 33554371)
-LIMB = 22
+LIMB = 22  # bits: products with digits below 2²⁵ add up in 64 bits
 
 Integers = NDArray[np.int64]
 IntegerRows = Sequence[Sequence[int]]
@@ -615,7 +615,7 @@ def _by_largest_block(rows: list[Row], right: Fractions, guess: Fractions) -> Ro
     return solution if list(found) == right else None
 
 
-LEAST = -LARGEST
+LOWEST = -LARGEST  # the lowest double
 
 
 def sum_above(a: Any, b: Any) -> Vector:
@@ -639,7 +639,7 @@ def quotient_above(a: Any, b: Any) -> Vector:
 def _above(value: Any) -> Vector:
     """Return a float64 above the value, by one or two steps; the least finite number for −∞."""
     # In [1, 2) ulps; the product underflows only if TINY is the ulp.
-    return _choice(value < LEAST, LEAST, value + np.maximum(np.abs(value) * EPSILON, TINY))
+    return _choice(value < LOWEST, LOWEST, value + np.maximum(np.abs(value) * EPSILON, TINY))
 
 
 def _choice(which: Any, one: Any, other: Any) -> Vector:

@@ -252,14 +252,13 @@ def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
     return exact_power_of_two(exponent) * sum(map(operator.mul, factors, whole))
 
 
-NEGLIGIBLE = 1e-12
+NO_MULTIPLIER = 1e-12  # of the unit: a smaller y of a linear program is 0
 TIGHT = 1e-7  # of its terms: a smaller sum of a linear program is 0
-LP_TOLERANCE = 1e-9
+LP_TOLERANCE = 1e-9  # a tenth of it is the least that HiGHS takes
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
 # times the unit: sizes that a linear program distinguishes from ∞ and from 0
-MOST, LEAST = 1e5, 1e-6
+MOST_UNITS, LEAST = 1e5, 1e-6
 ENOUGH = 1e-6  # a tolerance: a proof that excludes it ends the search
-KEPT = 0.55  # share of the optimum kept in the search for slack: enough in spite of rounding
 
 
 Multipliers = Vector | Sequence[Rational]
@@ -338,7 +337,7 @@ class FarkasProgram:
         self.equations.data *= np.repeat(self.signed, np.diff(self.equations.indptr))
         self.norm = np.where(norm > 0.0, np.clip(scale * norm, *NORMS), 0.0)
         cost = self.signed * cost
-        self.cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST, MOST))
+        self.cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST_UNITS, MOST_UNITS))
         at_most = self.norm[None, :], [1.0]
         return linear_program(self.cost, self.equations, 0.0, (0.0, None), at_most, self.pivots)
 
@@ -387,12 +386,13 @@ class FarkasProgram:
         shares = shares if shares.any() else np.ones(shares.size)
         size, largest = shares.size, 0.1 * shares.size / self.norm.sum()
         both = sp.hstack([sp.eye_array(size), sp.csc_array(shares[:, None])], format="csc")
+        # Enough in spite of rounding
         result = linear_program(
             np.append(np.zeros(size), -1.0),
             self.equations @ both,
             0.0,
             np.repeat([[0.0, np.inf], [0.0, largest]], [size, 1], axis=0),
-            (np.stack([self.norm, self.cost]) @ both, [1.0, KEPT * answer.fun]),
+            (np.stack([self.norm, self.cost]) @ both, [1.0, 0.55 * answer.fun]),
             self.pivots,
         )
         return None if result is None or result.fun > -LP_TOLERANCE else np.asarray(both @ result.x)
@@ -413,7 +413,7 @@ class FarkasProgram:
         unscaled = y * self.rows
         yield unscaled / np.abs(unscaled).max()
         # Multipliers of stated models are often integers.
-        for unit in (1.0, np.abs(y[np.abs(y) > NEGLIGIBLE]).min()):
+        for unit in (1.0, np.abs(y[np.abs(y) > NO_MULTIPLIER]).min()):
             yield np.rint(y / unit) * self.rows
         if (repaired := self._repaired(y)) is not None:
             yield repaired
@@ -429,7 +429,7 @@ class FarkasProgram:
             rows = self.matrix.T.tocsr()[tight][:, support].toarray()
             for _ in range(2):  # the second removes the rounding of the first
                 y = y.copy()
-                y[support] -= np.linalg.lstsq(rows, rows @ y[support], rcond=NEGLIGIBLE)[0]
+                y[support] -= np.linalg.lstsq(rows, rows @ y[support], rcond=NO_MULTIPLIER)[0]
         return y * self.rows
 
     def _repaired(self, y: Vector) -> list[Fraction] | None:
@@ -496,7 +496,7 @@ def distinct_units(units: Sequence[float]) -> Iterator[float]:
     """Yield the units that a linear program in one of those before cannot replace."""
     tried = list[float]()
     for unit in units:
-        if not any(LEAST * one <= unit <= MOST * one for one in tried):
+        if not any(LEAST * one <= unit <= MOST_UNITS * one for one in tried):
             tried.append(unit)
             yield unit
 

@@ -61,7 +61,7 @@ import scipy.sparse as sp
 from ..core.algorithm import Algorithm
 from ..core.checks import Vector, read_only
 from ..core.errors import UnsuitableMatrix, UnsuitableProblem
-from ..core.kernels.floats import EPSILON, TINY
+from ..core.kernels.floats import EPSILON, TINY, UNDERFLOW
 from ..core.lcp import LCP
 from ..core.matrix import (
     MODULUS,
@@ -77,7 +77,6 @@ from ..core.matrix import (
 )
 from .verdicts import analyze, comparison_certificate, h_plus
 
-NEGLIGIBLE = 1e-280  # below, products may have underflowed
 Weights = Vector | float
 
 
@@ -207,7 +206,7 @@ def gaps(bound: RowBound, v: Vector, sums: tuple[Vector, Vector], terms: int) ->
     scale = (size - bound.feedback * updated) * (1.0 + slop) + 2.0 * slop * bound.feedback * updated
     for case in bound.cases:
         load = case.lower * updated + case.upper * rest
-        surplus = (case.free * v - load) - slop * (size + load) - NEGLIGIBLE
+        surplus = (case.free * v - load) - slop * (size + load) - UNDERFLOW
         np.minimum(smallest, surplus / scale, out=smallest)
     usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
     smallest = smallest - 4.0 * EPSILON * np.abs(smallest)

@@ -39,7 +39,6 @@ from .farkas import DECISIVE, WIDE, FarkasCertificate, FarkasProgram, LinearCons
 
 # Relative to the terms of P d, averaged over its rows; to √(p_ii p_jj) |d_j| in each row. More is data (a weak spring).
 MEAN_ROUNDING, ROW_ROUNDING = 8.0 * EPSILON, 256.0 * EPSILON
-NAMED = 4
 NAMELESS = Names()
 
 
@@ -55,8 +54,8 @@ def moved_unknowns(d: Any, names: Names = NAMELESS) -> str:
     """
     sizes = np.abs(np.array([float(value) for value in d]))
     moving = np.flatnonzero(sizes > 1e-6 * sizes.max(initial=0.0)).tolist()
-    named = ", ".join(names.unknown(j, "{}") for j in moving[:NAMED])
-    if len(moving) > NAMED:
+    named = ", ".join(names.unknown(j, "{}") for j in moving[:4])
+    if len(moving) > 4:
         return f"unknowns {named}, … ({len(moving)} of {len(d)})"
     return f"unknown{'s' * (len(moving) != 1)} {named}"
 

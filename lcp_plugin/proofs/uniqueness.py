@@ -13,8 +13,6 @@ from .bounds import ActiveRows
 from .farkas import linear_program
 
 Array = NDArray[np.float64]
-ROUNDED = 8.0  # times the tolerance of numpy's matrix_rank: the entries are rounded also
-HELD = 0.5  # of a slack that is 0 or 1
 
 
 @np.errstate(all="ignore")
@@ -77,7 +75,8 @@ def _null_space(matrix: Array, tolerance: float = 0.0) -> Array:
     if not scaled.size:
         return np.eye(matrix.shape[1])
     _, values, right = np.linalg.svd(scaled)
-    least = max(ROUNDED * max(scaled.shape) * EPSILON, tolerance) * values[0]
+    # Times the tolerance of numpy's matrix_rank: the entries are rounded also
+    least = max(8.0 * max(scaled.shape) * EPSILON, tolerance) * values[0]
     rank = int((values > least).sum())
     basis = unit[:, np.newaxis] * right[rank:].T
     return np.asarray(basis / np.abs(basis).max(axis=0, initial=0.0))
@@ -97,4 +96,4 @@ def _span(cone: Array) -> Array:
     result = linear_program(cost, sp.csr_array((0, k + m)), 0.0, bounds, at_most)
     if result is None:
         return np.zeros((k, 0))
-    return _null_space(cone[result.x[k:] < HELD], CONSISTENT)
+    return _null_space(cone[result.x[k:] < 0.5], CONSISTENT)  # slacks that are 0, not 1

@@ -216,7 +216,7 @@ def is_p_matrix_by_recursion(M: Any) -> bool | None:
     return None if len(rows) > 10 and bits > 160 else has_positive_minors(rows)
 
 
-SYMMETRIC_TO_ROUNDING = 64 * UNIT
+SYMMETRIC_TO_ROUNDING = 64 * UNIT  # relative
 UNDECIDED = "undecided: singular up to rounding"
 
 

@@ -115,7 +115,7 @@ def pivot_weight(rows: Any, halo: Halo, relaxation: float) -> Vector:
 def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> GridOnRanks:
     indptr, indices, data = matrix.arrays
     first = Operator(indptr[: own + 1], indices[: indptr[own]], data[: indptr[own]])
-    split, inverse = pivots(first, kernels.SMALLEST_PIVOT)
+    split, inverse = pivots(first, kernels.INVERTIBLE)
     weight = np.zeros(own)
     if not (halo.is_empty or scales_rows):
         rows = sp.csr_array((first.data, first.indices, first.indptr), (own, own + halo.foreign))
@@ -248,14 +248,10 @@ class TruncationOnRanks(Truncation):
 
 
 Iterates = Iterator[tuple[Vector, float]]  # z, shape (own,), and passes over M since the last
-OUT_OF_HAND = 100.0  # times the least residual
-SHRUNK = 0.9  # of the least residual: a cycle that gains less is idle
-PATIENCE = 12  # idle cycles
 # contraction of a cycle, and share of changed rows, at which Krylov steps pay
-SLOW, SETTLED = (0.1, 1e-3)
+SLOW_CYCLES, SETTLED = (0.1, 1e-3)
 KRYLOV_STEPS, KRYLOV_GAIN = 24, 1e-2
 COARSE_CYCLES, MOST_COARSE_CYCLES, COARSE_CHANGES = 2, 10, 5e-4  # of nested iteration
-COARSEST_SWEEPS = 50
 
 
 def sweep(problem: RowsOnRanks, z: Vector, relaxation: float = 1.0) -> Iterates:
@@ -320,11 +316,12 @@ def multigrid(problem: RowsOnRanks, z: Vector) -> Iterates:
         run.sweep(whole)
         largest, changed = run.look(whole)
         yield whole[own], run.take_work()
-        idle = 0 if largest < SHRUNK * least else idle + 1
+        idle = 0 if largest < 0.9 * least else idle + 1  # a cycle that gains less is idle
         least = min(least, largest)
-        if not largest <= OUT_OF_HAND * least or idle >= PATIENCE:
+        # A residual a hundred times the least, or a dozen idle cycles, end the run
+        if not largest <= 100.0 * least or idle >= 12:
             return
-        if largest > SLOW * before and changed <= max(SETTLED * problem.n, 1.0):
+        if largest > SLOW_CYCLES * before and changed <= max(SETTLED * problem.n, 1.0):
             run.add_krylov_steps(whole)
         else:
             run.add_cycle(whole)
@@ -372,7 +369,7 @@ class GridProblemOnRanks:
         z = np.zeros(self.grid.width)
         if not self.hierarchy.transfers:
             z[: self.n] = np.clip(0.0, *self.vectors[2:])
-            for k in range(COARSEST_SWEEPS):
+            for k in range(50):
                 self.sweep(z, backward=k % 2 == 1)
             return z
         self.start_from_coarser(z)

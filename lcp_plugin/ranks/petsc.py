@@ -18,10 +18,8 @@ from .methods import Iterates
 from .problem import RowsOnRanks
 from .solving import ResultOnRanks
 
-LARGEST_FACTORIZATION = 20_000  # free rows; more are first solved by GMRES with multigrid
 ACCURACY, MOST_STEPS = 1e-9, 200  # of GMRES
-FIXED = 1e-10  # quotient of the derivatives by w/d and z of an unknown at a bound
-LEAST_FALL, SHORTEST = 1e-4, 1e-9  # of the squares, and length of a step
+LEAST_FALL, SHORTEST_STEP = 1e-4, 1e-9  # of the squares, and length of a step
 
 
 def newton(problem: Any, z: Vector) -> Iterates:
@@ -38,7 +36,7 @@ def newton(problem: Any, z: Vector) -> Iterates:
         phi = fischer_burmeister(problem, z, problem.slack(z))
         following = searched(problem, z, phi, newton_step(problem, natural_map(problem, z)), 1.0)
         if following is None:
-            following = searched(problem, z, phi, newton_step(problem, phi), SHORTEST)
+            following = searched(problem, z, phi, newton_step(problem, phi), SHORTEST_STEP)
 
 
 def searched(
@@ -72,7 +70,7 @@ def newton_step(problem: Any, phi: LinearizedPhi) -> Vector | None:
     from petsc4py import PETSc
 
     halo, A = problem.halo, problem.A
-    is_free = phi.by_w > FIXED * phi.by_z
+    is_free = phi.by_w > 1e-10 * phi.by_z  # an unknown at a bound
     step = np.where(is_free, 0.0, -phi.value / phi.by_z)
     count = halo.total(float(np.count_nonzero(is_free)))
     if not count:
@@ -92,7 +90,7 @@ def newton_step(problem: Any, phi: LinearizedPhi) -> Vector | None:
     solver.setOperators(block)
     solver.setTolerances(rtol=ACCURACY, max_it=MOST_STEPS)
     kinds = [("preonly", "lu" if halo.size == 1 else "redundant")]
-    if count > LARGEST_FACTORIZATION:
+    if count > 20_000:  # more free rows are first solved by GMRES with multigrid
         kinds.insert(0, ("gmres", "gamg"))
     for krylov, preconditioner in kinds:
         solver.setType(krylov)

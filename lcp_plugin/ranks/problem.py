@@ -23,7 +23,6 @@ from .halo import Halo, Ranks, own_rows
 from .solving import ResultOnRanks, RowDataOnRanks, solve_on_ranks
 
 WIDEST = 2**31 - 1  # columns that 32 bits count
-UNLIKELY = 1e-10  # relative difference of xᵀM y and yᵀM x beyond which M is not symmetric
 
 
 class RowsOnRanks:
@@ -167,7 +166,8 @@ class RowsOnRanks:
         sums = float(y @ x_product), float(x @ y_product), float(np.sum((unit * x_product) ** 2))
         forward, backward, size = map(self.halo.total, sums)
         difference = abs(forward - backward)
-        return bool(difference <= UNLIKELY * np.sqrt(size * self.n) and np.isfinite(size))
+        # Relative difference of xᵀM y and yᵀM x beyond which M is not symmetric
+        return bool(difference <= 1e-10 * np.sqrt(size * self.n) and np.isfinite(size))
 
     def solve(self, algorithm: str = "auto", **options: Any) -> ResultOnRanks:
         """Return the solution; see :func:`lcp_plugin.ranks.solving.solve_on_ranks`."""

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from .halo import Halo
     from .problem import RowsOnRanks
 
-ONE_PROCESS_UP_TO = 100_000  # unknowns of a problem that rank 0 solves after multigrid
-
 
 class ComponentsOnRanks:
     """The connected components of M's graph over all ranks."""
@@ -130,7 +128,6 @@ def _square(problem: RowsOnRanks) -> Any:
     return sp.csr_array((rows.data, rows.indices, indptr), shape=(width, width))
 
 
-GROWTH = 1.05  # of the steps between two measurements
 OF_RUN = {
     *("tolerance", "absolute_tolerance", "max_iterations", "max_seconds", "verbose", "threads")
 }
@@ -239,7 +236,8 @@ def solve_on_ranks(
     ranks.require_same(
         "what is asked of solve", (algorithm, options, settings), "ask for the same", InvalidOption
     )
-    is_gathered = algorithm == "auto" and problem.n <= ONE_PROCESS_UP_TO
+    # Unknowns that rank 0 solves after multigrid
+    is_gathered = algorithm == "auto" and problem.n <= 100_000
     if is_gathered:
         methods = methods[:-1]  # one process is faster than sweeps over the ranks
     start = problem.own_part(problem.nearest_to_zero if z0 is None else z0, "z0")
@@ -341,7 +339,8 @@ class RunOnRanks(Run):
         if not (is_due or is_costly or progress.is_watched):
             return None
         is_sweep = stage.algorithm.name != "multigrid"
-        self.next_check = math.ceil(progress.iteration * GROWTH) + is_sweep
+        # Five steps of a hundred are measured
+        self.next_check = math.ceil(progress.iteration * 1.05) + is_sweep
         absolute = settings.absolute_tolerance
         return self.data.measure(step.z, settings.tolerance, absolute=absolute)
 

@@ -27,11 +27,6 @@ if TYPE_CHECKING:
 
 Numbers = NDArray[np.intp]
 INDEX = re.compile(r"(\[[^\[\]]*\]|, entry .*)$")  # of a row of a constraint
-MOST_BLOCKS = 30  # constraints whose sign is tried
-UNITS = 1e12  # quotient of two coefficients of a row that suggests two units
-MOST_ROWS = 400  # of a matrix whose singular vectors are computed: 0.1 s
-DEPENDENT = 1e-6  # quotient of singular values that counts as 0: derivatives may be differences
-PART = 0.1  # of the largest entry of a singular vector: rows with less are not named
 FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
 
 
@@ -173,7 +168,7 @@ def _blocks(names: Names, equal: Numbers) -> list[Numbers]:
     for i in range(equal.size if equal.any() else 0):
         found.setdefault(INDEX.sub("", names.row(i)), []).append(i)
     blocks = [np.array(rows) for rows in found.values() if len(rows) > 1]
-    return [rows for rows in blocks if equal[rows].all()][:MOST_BLOCKS]
+    return [rows for rows in blocks if equal[rows].all()][:30]  # constraints whose sign is tried
 
 
 def likely_mistake(problem: LCP, z: Vector, w: Vector) -> str:
@@ -197,17 +192,17 @@ def likely_mistake(problem: LCP, z: Vector, w: Vector) -> str:
     inverse = abs(without_rounding(M))
     inverse.data = 1.0 / inverse.data
     ratio = problem.matrix.row_largest * inverse.max(axis=1).toarray().ravel()
-    if ratio.max(initial=1.0) >= UNITS:
+    if ratio.max(initial=1.0) >= 1e12:  # two coefficients in different units
         i = int(np.argmax(ratio))
         return f"the coefficients of {names.row(i)} differ by a factor of {ratio[i]:.0e}; see its units"
     free = np.flatnonzero(free_rows(problem, z, w))
-    if not 1 < free.size <= MOST_ROWS:
+    if not 1 < free.size <= 400:  # singular vectors of larger matrices take more than .1 s
         return ""
     block = M[free][:, free].toarray()
     lengths = np.linalg.norm(block, axis=1, keepdims=True)
     left, values, _ = np.linalg.svd(block / np.where(lengths > 0.0, lengths, 1.0))
-    part = np.abs(left[:, -1]) >= PART * np.abs(left[:, -1]).max()
-    if values[-1] > DEPENDENT * values[0] or part.sum() == 1:
+    part = np.abs(left[:, -1]) >= 0.1 * np.abs(left[:, -1]).max()  # rows with less are not named
+    if values[-1] > 1e-6 * values[0] or part.sum() == 1:  # derivatives may be differences
         return ""
     return (
         f"the rows {listed(map(names.row, free[part]))} are dependent at this point; if they are everywhere, fix an "

@@ -49,7 +49,7 @@ from .choice import GUESSED, takes_rounds
 from .direct import SEARCHED, direct_methods, factor_passes
 from .run import Stage
 
-ASKED_EVERY = 20
+ASKED_EVERY = 20  # iterations between two forecasts
 PATIENCE = 1.5  # a stage is left if its work exceeds this multiple of the next one's
 
 

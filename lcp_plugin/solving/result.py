@@ -322,7 +322,7 @@ class Result(BaseResult):
         settings: Settings,
         seconds: float = 0.0,
         rows: RowsAtPoint | None = None,
-        asked: Algorithm | None = None,
+        chosen: Algorithm | None = None,
     ) -> Result:
         """Return the result at a point that is measured as SOLVED, without another solve or measurement.
 
@@ -338,14 +338,14 @@ class Result(BaseResult):
             Seconds of the computation of z.
         rows : RowsAtPoint, optional
             The values of the rows at z, measured on :func:`~lcp_plugin.core.certificates.criterion.row_data`.
-        asked : Algorithm, optional
+        chosen : Algorithm, optional
             The algorithm of the call; None for "auto".
         """
         return cls(
             z=z,
             status=Status.SOLVED,
             certificate=Certificate.at(problem, z, rows=rows),
-            algorithm=stage.name if asked else f"auto: {stage.name}",
+            algorithm=stage.name if chosen else f"auto: {stage.name}",
             iterations=stage.iterations,
             work=stage.work,
             seconds=seconds,
@@ -353,7 +353,7 @@ class Result(BaseResult):
             tolerance=settings.tolerance,
             absolute_tolerance=settings.absolute_tolerance,
             stages=(stage,),
-            _asked=asked,
+            _asked=chosen,
         )
 
     @cached_property

@@ -14,7 +14,6 @@ from ..core.tuning import FULL_CHOLESKY_UP_TO
 from .factors import PositiveFactor, factor_fits, positive_factor, positive_triangle
 
 LARGEST_SHIFT = 1e-6  # a proof of semidefiniteness up to more than this is useless
-SMALLEST_PIVOT = 2.0**-900  # terms that underflow are negligible relative to it
 LARGEST_SUMMAND = 2.0**1023  # two below it have a sum
 
 
@@ -61,7 +60,8 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
             diagonal = diagonal[filled]
     # Relative to √(p_ii p_jj), Cholesky's backward error is as small as for the scaled matrix (Demmel).
     if isinstance(P, np.ndarray):
-        if (diagonal >= SMALLEST_PIVOT).all() and positive_triangle(P) is not None:
+        # Terms that underflow are negligible relative to it
+        if (diagonal >= 2.0**-900).all() and positive_triangle(P) is not None:
             return True
         if is_diagonal(P):
             return True

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from ..core.checks import Vector
 from ..core.matrix import Exponents, row_numbers
 
-LARGEST_RATIO = 10.0  # log2 of |m_ij|/|m_ii| up to which no scaling is needed
-DIAGONAL_SPREAD = 20.0  # log2 of the spread of the diagonal up to which no scaling is needed
 EQUILIBRATING_PASSES = (0.5, 0.5, 0.5, 0.5, 1.0)  # as `equilibrating_exponents` takes them
 
 
@@ -44,7 +42,8 @@ def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
     pivots = np.abs(M.diagonal())
     diagonal: Vector = np.log2(pivots)
     ratios = np.log2(np.abs(M.data)) - diagonal[row_numbers(M)]
-    if np.ptp(diagonal) <= DIAGONAL_SPREAD and ratios.max() <= LARGEST_RATIO:
+    # Exponents of 2: so small a spread of the diagonal and of |m_ij|/|m_ii| needs no scaling
+    if np.ptp(diagonal) <= 20.0 and ratios.max() <= 10.0:
         return None
     if is_symmetric:
         return unit_diagonal(pivots)

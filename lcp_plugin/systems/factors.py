@@ -17,14 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Vector, read_only
+from ..core.checks import DENSE_ABOVE_DENSITY, Vector, read_only
 from ..core.deadline import enforced_seconds_left, require_seconds
 from ..core.matrix import Matrix, fact, largest_in_rows, row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
 from .equilibration import power_of_two
 from .minimum_degree import factor_sizes
 
-DENSE_ABOVE_DENSITY = 0.25
 BANDED_UP_TO = 64  # sub- plus superdiagonals up to which LAPACK's band is faster than SuperLU
 # SuperLU keeps the diagonal pivot if it is at least this share of the column's largest
 SYMMETRIC_PIVOT = 0.01

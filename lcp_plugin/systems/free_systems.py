@@ -198,13 +198,11 @@ def have_one_unit(blocks: Any) -> Any:
     return is_diagonal_large.all(1) | (sides.max(1) <= 2.0**10 * smallest)
 
 
-REFINEMENTS = 3
+REFINEMENTS = 3  # each takes some digits off the error
 RIDGE = 1e-8  # of the residual scale, added to the diagonal of a singular block
 CONSISTENT = 1e-10  # backward error below which a singular system counts as solved
 LEAST_SQUARES_UP_TO = 500  # rows
 KRYLOV_GOAL = 1e-13  # of ‖right‖₂ that steps leave; rounding leaves as much
-# relative residual; a larger one means no convergence, unless it is at rounding level
-CONVERGED = 1e-9
 # times its right-hand side: terms that cancel so much leave no digit of the solution
 SINGULAR = 1e13
 
@@ -531,7 +529,8 @@ class FreeSystem:
                 return x
         terms = np.where(self.free, np.abs(right) + abs(matrix.array) @ np.abs(x), 0.0)
         # 2⁻⁴⁴ of the terms of a row is the rounding level.
-        allowed = max(CONVERGED * begun, size(2.0**-44 * terms * unit))
+        # A larger residual is not convergence, unless it is at rounding level
+        allowed = max(1e-9 * begun, size(2.0**-44 * terms * unit))
         return x if size(left * unit) <= allowed else None
 
 

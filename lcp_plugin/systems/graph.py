@@ -87,9 +87,13 @@ def outer_on_pattern(matrix: Matrix, left: Vector, right: Vector) -> sp.csr_arra
     array([[ 2., 10.],
            [ 0., 15.]])
     """
-    rows = matrix.csr
-    data = left[row_numbers(rows)] * right[rows.indices]
-    return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
+    return sum_of_outer(matrix.csr, left[np.newaxis], right[np.newaxis])
+
+
+def sum_of_outer(A: sp.csr_array, left: Vector, right: Vector) -> sp.csr_array:
+    """Return Σ_k left_ki right_kj on the sparsity pattern of A; shapes (k, m) and (k, n)."""
+    data = np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
+    return sp.csr_array((data, A.indices, A.indptr), shape=A.shape)
 
 
 @fact

@@ -63,10 +63,8 @@ def on_a_floor(
     q[2 * node[:, -1] + 1] = pressure * h * np.where(np.isin(np.arange(nx + 1), [0, nx]), 0.5, 1.0)
     lower[2 * node[:, 0] + 1] = -gap * metre * (np.linspace(0.0, length, nx + 1)) ** 2
     if spring:
-        K, kept = (
-            K + sp.diags_array(np.tile([spring * young, 0.0], node.size)),
-            np.arange(2 * node.size),
-        )
+        K = K + sp.diags_array(np.tile([spring * young, 0.0], node.size))
+        kept = np.arange(2 * node.size)
     else:
         kept = np.setdiff1d(np.arange(2 * node.size), 2 * node[0])
     K = sp.csr_array(K[kept][:, kept])

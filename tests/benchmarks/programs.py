@@ -126,10 +126,8 @@ def portfolio(assets: int, factors: int, rng: np.random.Generator) -> Case:
             sp.csr_array(np.append(np.ones(assets), np.zeros(factors))[None]),
         ]
     )
-    c, b = (
-        np.append(-rng.standard_normal(assets), np.zeros(factors)),
-        np.append(np.zeros(factors), 1.0),
-    )
+    c = np.append(-rng.standard_normal(assets), np.zeros(factors))
+    b = np.append(np.zeros(factors), 1.0)
     lower = np.append(np.zeros(assets), np.full(factors, -np.inf))
     return Case(
         f"portfolio {assets}", (sp.csr_array(P), c, None, None, sp.csr_array(A), b, lower, np.inf)

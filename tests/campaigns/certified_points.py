@@ -55,10 +55,8 @@ def draw(rng: np.random.Generator, door: str) -> Case:
         lower + rng.integers(int(door == "pyomo"), 4, n),
         np.where(kind == 2, 2.0, np.inf),
     )
-    low, high = (
-        np.maximum(lower, np.minimum(upper, 0.0) - 3.0),
-        np.minimum(upper, np.maximum(lower, 0.0) + 3.0),
-    )
+    low = np.maximum(lower, np.minimum(upper, 0.0) - 3.0)
+    high = np.minimum(upper, np.maximum(lower, 0.0) + 3.0)
     z = np.clip(np.round(rng.uniform(low - 2.0, high + 2.0)), lower, upper)
     size = rng.integers(0, 4, n) * (rng.random(n) < 0.8)
     w = np.where(z == lower, size, 0.0) - np.where(z == upper, size * (z != lower), 0.0)

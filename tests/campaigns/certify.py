@@ -108,11 +108,9 @@ def is_near_optimal(given: Case, x: Any) -> bool:
 def faults(given: Case, x: Any, said: Certification) -> list[str]:
     """Return what is false in what was said about x; exact."""
     program, found = given.program, []
-    value, missed, is_optimal = (
-        objective(program, x),
-        violation(program, x),
-        is_near_optimal(given, x),
-    )
+    value = objective(program, x)
+    missed = violation(program, x)
+    is_optimal = is_near_optimal(given, x)
     if said.lower is not None and Fraction(said.lower) > given.value:
         found.append("lower")
     if said.upper is not None and Fraction(said.upper) < given.value:

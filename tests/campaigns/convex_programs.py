@@ -202,10 +202,8 @@ def constraints_and_curvature(
     structure = recipe.structures[int(rng.integers(len(recipe.structures)))]
     if recipe.fixed:
         n = min(n, 600)
-        A, G = (
-            entries(n, n, rng, recipe.integers, structure == "dense"),
-            entries(n // 3, n, rng, recipe.integers),
-        )
+        A = entries(n, n, rng, recipe.integers, structure == "dense")
+        G = entries(n // 3, n, rng, recipe.integers)
     elif structure in ("sparse", "dense"):
         n = min(n, 300) if structure == "dense" else n
         p, m = int(rng.integers(0, n // 2 + 1)), int(rng.integers(1, n + 1))
@@ -406,11 +404,9 @@ def finished(
         h = np.append(h, -most - 10.0 ** rng.uniform(-3, 1) * (1.0 + size + abs(most)))
     if recipe.spoilt == "unbounded":
         P = sp.block_diag([P, sp.csr_array((2, 2))])
-        c, lower, upper = (
-            np.append(c, [-1.0, 0.5]),
-            np.append(lower, [0.0, 0.0]),
-            np.append(upper, [INF] * 2),
-        )
+        c = np.append(c, [-1.0, 0.5])
+        lower = np.append(lower, [0.0, 0.0])
+        upper = np.append(upper, [INF] * 2)
         G, A = (sp.hstack([rows, rows[:, [0]], -rows[:, [0]]]) for rows in (G, A))
         n += 2
     rows, equations, columns = (

@@ -142,10 +142,8 @@ def rate_violations(
     found = []
     if guarantee.speaks_of == "x":
         Omega = algorithm.facts(problem).omega
-        x_start, x_exact = (
-            start - problem.lower,
-            exact - problem.lower - problem.slack(exact) / Omega,
-        )
+        x_start = start - problem.lower
+        x_exact = exact - problem.lower - problem.slack(exact) / Omega
         first = weighted(x_start - x_exact, v)
         found += [
             f"step {k}: modulus error above cᵏ"

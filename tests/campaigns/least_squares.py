@@ -256,10 +256,8 @@ def complaint(case: Case, exact: Exact, x: Any, tolerance: float = TOLERANCE) ->
     def rounding(x: Any) -> float:
         return float(np.linalg.norm(root * EPSILON * (np.abs(case.A) @ np.abs(x) + np.abs(case.b))))
 
-    length, shortest = (
-        np.sqrt(2.0 * float(cost)),
-        np.sqrt(2.0 * float(least) / max(1.0 - tolerance, EPSILON)),
-    )
+    length = np.sqrt(2.0 * float(cost))
+    shortest = np.sqrt(2.0 * float(least) / max(1.0 - tolerance, EPSILON))
     if length <= shortest + 8.0 * (case.A.shape[1] + 4) * rounding(x):
         return "above by rounding" if least else "attained 0"
     return "out of reach" if rounding([float(v) for v in exact.answer]) >= length else "FALSE"

@@ -363,10 +363,8 @@ def odd_program(rng: Generator, *, linear: bool, is_small: bool = False) -> tupl
     x0 = draw(n)
     G, A, c = draw(m, n), draw(p, n), draw(n)
     G = G * (rng.random(G.shape) < rng.choice([0.4, 1.0]))
-    h, b = (
-        G @ x0 + (rng.integers(0, 3, m) if not real else rng.random(m) * (rng.random(m) < 0.5)),
-        A @ x0,
-    )
+    h = G @ x0 + (rng.integers(0, 3, m) if not real else rng.random(m) * (rng.random(m) < 0.5))
+    b = A @ x0
     L = draw(n, max(1, n - int(rng.integers(0, 2))))
     P = (
         None

@@ -25,10 +25,8 @@ def random_family(rng: np.random.Generator, largest: int) -> tuple[LCP, np.ndarr
     is_whole, rank = rng.random() < 0.3, int(rng.integers(1, n + 1))
     B, K = rng.standard_normal((n, rank)), rng.standard_normal((n, n))
     if is_whole:
-        B, K = (
-            rng.integers(-2, 3, (n, rank)).astype(float),
-            rng.integers(-1, 2, (n, n)).astype(float),
-        )
+        B = rng.integers(-2, 3, (n, rank)).astype(float)
+        K = rng.integers(-1, 2, (n, n)).astype(float)
     M = B @ B.T * (1.0 if is_whole else 1.0 / n) + rng.choice([0.0, 1.0]) * (K - K.T)
     if rng.random() < 0.4:
         M += np.diag(rng.integers(1, 4, n).astype(float))

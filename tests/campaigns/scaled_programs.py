@@ -59,10 +59,8 @@ def planted(case: int, rng: np.random.Generator, largest: int = 24) -> Planted:
     y = np.where(
         meets & ((rng.random(m) < 0.5) | (kind != "degenerate")), rng.uniform(0.5, 2.0, m), 0.0
     )
-    v, low = (
-        rng.normal(size=p),
-        np.where(is_low, rng.uniform(0.5, 2.0, n) * (rng.random(n) < 0.7), 0.0),
-    )
+    v = rng.normal(size=p)
+    low = np.where(is_low, rng.uniform(0.5, 2.0, n) * (rng.random(n) < 0.7), 0.0)
     if kind in ("degenerate", "rank deficient") and p:  # rows twice
         C, v, p = np.vstack([C, 2.0 * C[m:]]), np.append(v, 0.0 * v), 2 * p
     G, A, P = C[:m], C[m:], B.T @ B
@@ -109,11 +107,9 @@ def rescaled(
             else np.ones(count)
         )
 
-    objective, rows, unknowns = (
-        float(drawn(1, "objective")[0]),
-        drawn(m + p, "rows"),
-        drawn(n, "unknowns"),
-    )
+    objective = float(drawn(1, "objective")[0])
+    rows = drawn(m + p, "rows")
+    unknowns = drawn(n, "unknowns")
 
     def scaled(matrix: Any, of_rows: Any) -> Any:
         made = sp.diags_array(of_rows) @ sp.csr_array(matrix) @ sp.diags_array(unknowns)

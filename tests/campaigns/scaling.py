@@ -41,11 +41,9 @@ def friction(rng: np.random.Generator, n: int) -> Entries:
     """Pyramids: normal impulses, four directions each, and a multiplier with a zero on the diagonal."""
     c = max(1, n // 6)
     J = rng.standard_normal((5 * c, 3 * c + 2))
-    A, E, U = (
-        J @ J.T + 0.1 * np.eye(5 * c),
-        np.kron(np.eye(c), np.ones((4, 1))),
-        np.diag(0.3 + rng.random(c)),
-    )
+    A = J @ J.T + 0.1 * np.eye(5 * c)
+    E = np.kron(np.eye(c), np.ones((4, 1)))
+    U = np.diag(0.3 + rng.random(c))
     right = np.vstack([np.zeros((c, c)), E])
     return np.block([[A, right], [np.hstack([U, -E.T]), np.zeros((c, c))]])
 
@@ -80,10 +78,8 @@ def answered(kind: Any, seed: int) -> tuple[Entries, Entries, Entries]:
     is_free = rng.random(len(M)) < 0.6
     is_free[[0, -1]] = True  # so that q is nonzero in both blocks of a game
     sizes = np.exp(rng.uniform(-1.0, 1.0, (2, len(M))))
-    z, w = (
-        np.where(is_free, sizes[0], 0.0),
-        np.where(is_free, 0.0, sizes[1] * np.abs(M).max(axis=1)),
-    )
+    z = np.where(is_free, sizes[0], 0.0)
+    w = np.where(is_free, 0.0, sizes[1] * np.abs(M).max(axis=1))
     return M, w - M @ z, z
 
 

@@ -163,10 +163,8 @@ def has_solution_near(linear: LCP, z: np.ndarray) -> bool:
         if any(state and end is None for state, end in zip(states, ends, strict=True)):
             continue
         for i, (state, end, (low, high)) in enumerate(zip(states, ends, near, strict=True)):
-            low, high = (
-                max(x for x in (low, search.lower[i], end) if x is not None),
-                min(x for x in (high, search.upper[i], end) if x is not None),
-            )
+            low = max(x for x in (low, search.lower[i], end) if x is not None)
+            high = min(x for x in (high, search.upper[i], end) if x is not None)
             simplex.low[i], simplex.high[i] = low, high
             simplex.low[n + i] = None if state > 0 else zero[i] - slack[i]
             simplex.high[n + i] = None if state < 0 else zero[i] + slack[i]

@@ -169,10 +169,8 @@ def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
 def test_least_squares_that_stop_are_told_what_helps() -> None:
     """The advice at a limit names x0=result.x, from which the run continues."""
     rng = np.random.default_rng(0)
-    A, b = (
-        rng.standard_normal((400, 300)) @ np.diag(np.logspace(0, -4, 300)),
-        rng.standard_normal(400),
-    )
+    A = rng.standard_normal((400, 300)) @ np.diag(np.logspace(0, -4, 300))
+    b = rng.standard_normal(400)
     first = bounded_least_squares(A, b, max_iterations=0)
     assert first.status is Status.MAX_ITERATIONS
     assert "continue from x0=result.x" in first.advice

@@ -380,10 +380,8 @@ def test_where_no_bound_exists_the_result_has_none() -> None:
 @pytest.mark.parametrize("form", [np.array, sp.csr_array], ids=["dense", "sparse"])
 def test_a_nearly_singular_matrix_is_named(form: Any) -> None:
     """SOLVED by a z of length 1 where the solution has 256, though the diagonal is even: `explain()` warns."""
-    matrix, q = (
-        np.array([[5.0, -5.0 + 2.0**-36], [-5.0 + 2.0**-36, 5.0]]),
-        np.array([-3.0, 3.0 - 2.0**-27]),
-    )
+    matrix = np.array([[5.0, -5.0 + 2.0**-36], [-5.0 + 2.0**-36, 5.0]])
+    q = np.array([-3.0, 3.0 - 2.0**-27])
     assert (np.linalg.solve(matrix, -q) > 255.0).all()
     far = solve(LCP(form(matrix), q), "psor")
     assert (far.status, float(far.z.max()) < 1.0) == (Status.SOLVED, True)

@@ -45,11 +45,9 @@ def scaled(values: Any, size: float) -> Any:
 def calls(size: float) -> Calls:
     """Every verb on data of a size."""
     rng = np.random.default_rng(0)
-    plain, right, several = (
-        rng.normal(size=(6, 3)),
-        rng.normal(size=6),
-        scaled(rng.normal(size=(4, 3)), size),
-    )
+    plain = rng.normal(size=(6, 3))
+    right = rng.normal(size=6)
+    several = scaled(rng.normal(size=(4, 3)), size)
     A, b, P = scaled(plain, size), scaled(right, size), scaled(plain.T @ plain, size)
     c, opposite = A[0].copy(), np.stack([A[0], -A[0]])
     return {

@@ -13,8 +13,9 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
+from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, BoundedLeastSquares, Certificate, ConeProblem, LCPError, solve
+from lcp_plugin import LCP, Certificate, solve
 from lcp_plugin.problems.programs.conversion import QuadraticProgram
 
 A = np.array(
@@ -228,11 +229,9 @@ def test_duplicates_are_summed_as_doubles(form: str, kind: type) -> None:
         (np.array([value, value, value], dtype=kind), ([0, 0, 1], [0, 0, 1])), shape=(2, 2)
     )
     if form != "coo":  # scipy would add them up on the way
-        data, indices, pointer = (
-            np.array([value] * 3, dtype=kind),
-            np.array([0, 0, 1]),
-            np.array([0, 2, 3]),
-        )
+        data = np.array([value] * 3, dtype=kind)
+        indices = np.array([0, 0, 1])
+        pointer = np.array([0, 2, 3])
         kinds = {"csr": sp.csr_array, "csc": sp.csc_array, "bsr": sp.bsr_array}
         M = kinds[form](
             (data.reshape(3, 1, 1) if form == "bsr" else data, indices, pointer), shape=(2, 2)
@@ -300,28 +299,18 @@ def test_with_q_changes_q_and_the_bounds_given() -> None:
 # --- copies and attributes -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        (lambda: LCP(np.eye(2), [[1.0], [2.0]]), r"got shape \(2, 1\); write np.ravel\(q\)"),
-        (
-            lambda: LCP(np.eye(2), np.ones(2), lower=np.zeros((1, 2))),
-            r"got shape \(1, 2\); write np.ravel\(lower\)",
-        ),
-        (lambda: solve(LCP(np.eye(2), np.ones(2)), np.zeros(2)), "a start is z0=…"),
-        (lambda: solve(BoundedLeastSquares(np.eye(2), np.ones(2)), np.zeros(2)), "a start is z0=…"),
-        (
-            lambda: solve(ConeProblem(np.eye(2), np.ones(2), [("second_order", 2)]), [0.0, 0.0]),
-            "a start is z0=…",
-        ),
-    ],
-)
+@refusals(r"""
+LCP(np.eye(2), [[1.0], [2.0]]) → got shape \(2, 1\); write np.ravel\(q\)
+LCP(np.eye(2), np.ones(2), lower=np.zeros((1, 2))) → got shape \(1, 2\); write np.ravel\(lower\)
+solve(LCP(np.eye(2), np.ones(2)), np.zeros(2)) → a start is z0=…
+solve(BoundedLeastSquares(np.eye(2), np.ones(2)), np.zeros(2)) → a start is z0=…
+solve(ConeProblem(np.eye(2), np.ones(2), [('second_order', 2)]), [0.0, 0.0]) → a start is z0=…
+""")
 def test_a_row_a_column_and_a_start_in_the_wrong_place_are_told_what_to_write(
-    wrong: Any, words: str
+    call: str, words: str
 ) -> None:
     """Common mistakes in the first call of every problem class raise errors with the remedy."""
-    with pytest.raises(LCPError, match=words):
-        wrong()
+    assert_refused(call, words, {})
 
 
 @pytest.mark.parametrize("name", ["q", "lower", "upper", "matrix", "n", "other"])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -15,45 +14,24 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs.families import MODULUS
+from tools.refusals import BUILTIN_BASE, assert_refused, refusals
 
 from lcp_plugin import (
     LCP,
-    Certificate,
     QuadraticProgram,
+    algorithms,
     convergence_guarantee,
     error_bound,
     gallery,
-    march,
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
-from lcp_plugin.core.errors import (
-    InvalidOption,
-    InvalidProblem,
-    LCPError,
-    NotConverged,
-    UnknownAlgorithm,
-    UnreadableFile,
-    UnsuitableMatrix,
-    UnsuitableProblem,
-    UnsupportedModel,
-)
-from lcp_plugin.core.splittings import NPSOR, PSOR
+from lcp_plugin.core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.stability import Atlas, stability_atlas
 from lcp_plugin.evidence.study import Study, error_against_time
 from lcp_plugin.solving.result import Sample
 
-BUILTIN_BASE = {
-    InvalidProblem: ValueError,
-    InvalidOption: TypeError,
-    UnsuitableMatrix: ValueError,
-    UnsuitableProblem: ValueError,
-    UnknownAlgorithm: LookupError,
-    UnreadableFile: OSError,
-    NotConverged: RuntimeError,
-    UnsupportedModel: ValueError,
-}
 NAN, INF = float("nan"), float("inf")
 KINDS = {name: algorithm_class(name) for name in REGISTRY}
 OPTIONS = {name: [field.name for field in fields(kind)] for name, kind in KINDS.items()}
@@ -62,64 +40,19 @@ NEEDS_POSITIVE_DIAGONAL = [
 ]
 
 
-class Given:
-    """Fresh data for one rejected call, and their state, which the call must not change."""
-
-    def __init__(self) -> None:
-        self.M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]])
-        self.csr = sp.csr_array(self.M)
-        self.q = np.array([-1.0, 2.0, -3.0])
-        self.problem = LCP(self.csr, self.q, upper=[INF, 5.0, INF])
-        self.plain = LCP(self.csr, self.q)
-
-    def arrays(self) -> Iterator[np.ndarray]:
-        yield from (self.M, self.q, self.csr.data, self.csr.indices, self.csr.indptr)
-        for problem in (self.problem, self.plain):
-            yield from (
-                problem.q,
-                problem.lower,
-                problem.upper,
-                problem.diagonal,
-                problem.residual_scale,
-            )
-            yield from (problem.csr.data, problem.csr.indices, problem.csr.indptr)
-
-    def state(self) -> list[Any]:
-        """Every byte and every flag, and what is global: random numbers, floating-point errors, warning filters."""
-        arrays = [(a.tobytes(), a.shape, a.dtype, a.flags.writeable) for a in self.arrays()]
-        generator = np.random.get_state()  # noqa: NPY002 - that it is left alone is the claim
-        return [arrays, generator[1].tobytes(), generator[2], np.geterr(), list(warnings.filters)]
-
-
-def assert_readable(message: str) -> None:
-    """Require one readable sentence of moderate length, without traceback and object addresses."""
-    assert not re.search(
-        r"Traceback|File \"|<class |<function |<bound | at 0x|gufunc|\w+Error\(", message
-    ), message
-    assert "\n" not in message
-    assert 20 <= len(message) <= 400
-
-
-def assert_refused(error: type[LCPError], pattern: str, call: Callable[[Given], object]) -> None:
-    given = Given()
-    before = given.state()
-    with pytest.raises(LCPError) as caught:
-        call(given)
-    assert type(caught.value) is error
-    assert isinstance(caught.value, BUILTIN_BASE[error])
-    message = str(caught.value)
-    assert_readable(message)
-    assert re.search(pattern, message), message
-    assert given.state() == before
-
-
-def row(error: type[LCPError], pattern: str, call: Callable[[Given], object]) -> Any:
-    return pytest.param(error, pattern, call, id=pattern)
-
-
-def matrix(M: Any, pattern: str) -> Any:
-    """A row that no matrix of a problem can pass."""
-    return row(InvalidProblem, pattern, lambda g: LCP(M, g.q))
+def given() -> dict[str, Any]:
+    """Return fresh data for one rejected call, which the call must not change."""
+    M = np.array([[4.0, -1.0, 0.0], [-1.0, 4.0, -1.0], [0.0, -1.0, 4.0]])
+    csr, q = sp.csr_array(M), np.array([-1.0, 2.0, -3.0])
+    problem = LCP(csr, q, upper=[INF, 5.0, INF])
+    return {
+        **globals(),
+        "algorithms": algorithms,
+        "M": M,
+        "q": q,
+        "problem": problem,
+        "plain": LCP(csr, q),
+    }
 
 
 def with_entry(i: int, j: int, value: Any, dtype: Any = float) -> np.ndarray:
@@ -133,16 +66,10 @@ def damaged_csr(
 ) -> sp.csr_array:
     """A 3 × 3 CSR array whose own arrays were overwritten behind scipy's back."""
     M = sp.csr_array((3, 3))
-    M.data, M.indices, M.indptr = (
-        np.array(data),
-        np.array(indices, np.int32),
-        np.array(indptr, np.int32),
-    )
+    M.data = np.array(data)
+    M.indices = np.array(indices, np.int32)
+    M.indptr = np.array(indptr, np.int32)
     return M
-
-
-SQUARE = r"square matrix.*got shape "
-HUGE = np.array([[np.longdouble("1e4000")]])
 
 
 class TensorWithGradient:
@@ -154,133 +81,74 @@ class TensorWithGradient:
         )
 
 
-MATRICES = [
-    matrix(np.ones((2, 3)), SQUARE + r"\(2, 3\)"),
-    matrix(with_entry(1, 2, NAN), r"M must be finite.*M\[1, 2\] = nan.*repair"),
-    matrix(damaged_csr([1e308, 1e308, 1.0], [0, 0, 2], [0, 2, 2, 3]), r"M\[0, 0\] = inf"),
-    matrix(HUGE, r"M must be finite.*M\[0, 0\] = "),
-    matrix(with_entry(0, 1, 1j, complex), r"M must hold real numbers.*complex.*convert"),
-    matrix(None, r"M must hold real numbers"),
-    matrix("4 1; 1 4", r"M must hold real numbers.*text"),
-    matrix([[1.0, 2.0], [3.0]], r"M .*rectangular array.*check its rows"),
-    matrix(np.ma.array(np.eye(3), mask=np.eye(3)), r"M .*masked array.*fill"),
-    matrix(TensorWithGradient(), r"M must hold real numbers: .*Use tensor.detach"),
-    matrix(damaged_csr(indices=[0, 5, 2]), r"damaged sparse.*< 3.*rebuild it"),
-    matrix(damaged_csr(indptr=[0, 2, 1, 3]), r"damaged sparse.*decreasing"),
-    matrix(damaged_csr(indptr=[0, 1, 3]), r"damaged sparse.*4"),
-]
-
-
-def offset(q: Any, pattern: str) -> Any:
-    return row(InvalidProblem, pattern, lambda g: LCP(g.M, q))
-
-
-VECTOR = r"q must be a finite vector of length 3.*"
-
-OFFSETS = [
-    offset([1.0, 2.0], VECTOR + r"\(2,\)"),
-    offset([1.0, NAN, 3.0], r"q must be finite, but q\[1\] = nan; repair"),
-    offset(None, r"q must .*got None"),
-    offset(
-        sp.csr_array([[1.0, 2.0, 3.0]]),
-        r"q must be .*vector of length 3.*sparse.*toarray\(\)\.ravel",
-    ),
-    row(InvalidProblem, VECTOR + r"\(2,\): 1 too few", lambda g: g.problem.with_q([1.0, 2.0])),
-    row(
-        InvalidProblem,
-        r"lower\[1\] = 6.0 and upper\[1\] = 5.0",
-        lambda g: g.problem.with_q(g.q, lower=6.0),
-    ),
-]
-
-
-def bounds(pattern: str, **given: Any) -> Any:
-    return row(InvalidProblem, pattern, lambda g: LCP(g.M, g.q, **given))
-
-
-BOUNDS = [
-    bounds(r"lower must be a number or a vector of length 3.*\(2,\): 1 too few", lower=[0.0, 0.0]),
-    bounds(r"lower must not hold NaN.*lower\[0\] = nan.*-inf", lower=NAN),
-    bounds(r"upper must not hold NaN.*upper\[1\] = nan.*inf", upper=[1.0, NAN, 1.0]),
-    bounds(
-        r"lower ≤ upper.*lower\[1\] = 2.0 and upper\[1\] = 1.0; swap",
-        lower=[0.0, 2.0, 0.0],
-        upper=1.0,
-    ),
-    bounds(r"lower ≤ upper.*upper\[0\] = -inf", lower=-INF, upper=-INF),
-    bounds(r"lower must .*got None", lower=None),
-]
-
-
-def run(
-    pattern: str, *algorithm: Any, error: type[LCPError] = InvalidOption, **settings: Any
-) -> Any:
-    return row(error, pattern, lambda g: solve(g.plain, *algorithm, **settings))
-
-
-LENGTH_3 = r"z0 must be a finite vector of length 3"
-WHOLE = r"max_iterations must be an integer ≥ 0, got "
-
-RUNS = [
-    run(r"unknown algorithm 'psr'; did you mean 'psor'\?", "psr", error=UnknownAlgorithm),
-    run(r"unknown algorithm 'gurobi'.*known", "gurobi", error=UnknownAlgorithm),
-    run(r"piqp is an engine.*solve\(problem\.to_qp\(\), 'piqp'", "piqp", error=UnknownAlgorithm),
-    run(r"did you mean 'clarabel'\?", "clarable", error=UnknownAlgorithm),
-    run(r"algorithm must be a name or an object.*PSOR\(", PSOR, error=UnknownAlgorithm),
-    run(r"such as PSOR\(relaxation=1.5\), got the class LCP$", LCP, error=UnknownAlgorithm),
-    run(
-        r"psor has no option 'relaxtion'; did you mean 'relaxation'\?.*sweep", "psor", relaxtion=1.0
-    ),
-    run(r"npgs has no option 'relaxation'.*scaling", "npgs", relaxation=1.5),
-    run(r"verbose must be True or False, got 1", verbose=1),
-    run(r"'max_iter'; did you mean 'max_iterations'\?.*known: sweep", "pj", max_iter=5),
-    run(r"auto.*\['max_iter'\].*did you mean 'max_iterations'\?", max_iter=5),
-    run(
-        r"scaling='None' is not offered; did you mean None\? \(known: None, auto",
-        "npsor",
-        scaling="None",
-    ),
-    run(r"'relaxation'.*with an algorithm object.*NPSOR\(", NPSOR(), relaxation=1.5),
-    row(
-        InvalidOption,
-        r"march has no option 'tol'; did you mean 'tolerance'\? \(known: absolute_tolerance, ",
-        lambda g: march(g.plain, np.zeros((1, 3)), tol=1e-5),
-    ),
-    run(r"auto.*\['relaxation'\].*name an algorithm", relaxation=1.5),
-    run(r"solve takes no x0 for an LCP; the start is called z0", x0=[0.0, 0.0, 0.0]),
-    run(r"tolerance must be finite and not negative, got -1e-08", tolerance=-1e-8),
-    run(r"tolerance must be .*number, got '1e-8'", tolerance="1e-8"),
-    run(WHOLE + "-1", max_iterations=-1),
-    run(r"max_seconds must be finite and not negative, got -1", max_seconds=-1),
-    run(r"callback must be .*got 3", callback=3),
-    run(LENGTH_3 + r".*\(2,\)", z0=[1.0, 2.0]),
-    run(r"z0 must be finite, but z0\[1\] = nan; repair", z0=[1.0, NAN, 1.0]),
-    *(
-        run(r"^mgs: omega must be", "mgs", omega=omega)
-        for omega in (1j, [1.0, 2.0], [1.0, -1.0, 1.0])
-    ),
-    run(r"^npsplitting: .*\bsplitting\b.*None", "npsplitting", splitting=None),
-    run(r"splitting\b.*finite.*\[1, 2\] = nan", "npsplitting", splitting=with_entry(1, 2, NAN)),
-    row(
-        InvalidOption, r"solve needs an LCP.* got ndarray; .*LCP\(M, q\)", lambda g: solve(g.M, g.q)
-    ),
-    row(InvalidOption, r"solve needs an LCP.* got NoneType", lambda g: solve(None)),
-]
-
-LENGTH_OF_Z = r"z must be a.* vector of length 3"
-
-POINTS = [
-    row(InvalidProblem, LENGTH_OF_Z + pattern, lambda g, z=z: Certificate.of(g.problem, z))
-    for z, pattern in [([1.0, 2.0], r".*\(2,\)"), (None, "")]
-]
-
-
-@pytest.mark.parametrize(
-    ("error", "pattern", "call"), [*MATRICES, *OFFSETS, *BOUNDS, *RUNS, *POINTS]
-)
-def test_refused(error: type[LCPError], pattern: str, call: Callable[[Given], object]) -> None:
+@refusals(r"""
+LCP(np.ones((2, 3)), q) → InvalidProblem: square matrix.*got shape \(2, 3\)
+LCP(with_entry(1, 2, NAN), q) → InvalidProblem: M must be finite.*M\[1, 2\] = nan.*repair
+LCP(damaged_csr([1e308, 1e308, 1.0], [0, 0, 2], [0, 2, 2, 3]), q) → InvalidProblem: M\[0, 0\] = inf
+LCP([[np.longdouble("1e4000")]], q) → InvalidProblem: M must be finite.*M\[0, 0\] =
+LCP(with_entry(0, 1, 1j, complex), q) → InvalidProblem: M must hold real numbers.*complex.*convert
+LCP(None, q) → InvalidProblem: M must hold real numbers
+LCP("4 1; 1 4", q) → InvalidProblem: M must hold real numbers.*text
+LCP([[1.0, 2.0], [3.0]], q) → InvalidProblem: M .*rectangular array.*check its rows
+LCP(np.ma.array(np.eye(3), mask=np.eye(3)), q) → InvalidProblem: M .*masked array.*fill
+LCP(TensorWithGradient(), q) → InvalidProblem: M must hold real numbers: .*Use tensor.detach
+LCP(damaged_csr(indices=[0, 5, 2]), q) → InvalidProblem: damaged sparse.*< 3.*rebuild it
+LCP(damaged_csr(indptr=[0, 2, 1, 3]), q) → InvalidProblem: damaged sparse.*decreasing
+LCP(damaged_csr(indptr=[0, 1, 3]), q) → InvalidProblem: damaged sparse.*4
+LCP(M, [1.0, 2.0]) → InvalidProblem: q must be a finite vector of length 3.*\(2,\)
+LCP(M, [1.0, NAN, 3.0]) → InvalidProblem: q must be finite, but q\[1\] = nan; repair
+LCP(M, None) → InvalidProblem: q must .*got None
+LCP(M, sp.csr_array([[1.0, 2.0, 3.0]]))
+    → InvalidProblem: q must be .*vector of length 3.*sparse.*toarray\(\)\.ravel
+problem.with_q([1.0, 2.0]) → InvalidProblem: q must be a finite vector of length 3.*\(2,\): 1 too few
+problem.with_q(q, lower=6.0) → InvalidProblem: lower\[1\] = 6.0 and upper\[1\] = 5.0
+LCP(M, q, lower=[0.0, 0.0]) → InvalidProblem: lower must be a number or a vector of length 3.*\(2,\): 1 too few
+LCP(M, q, lower=NAN) → InvalidProblem: lower must not hold NaN.*lower\[0\] = nan.*-inf
+LCP(M, q, upper=[1.0, NAN, 1.0]) → InvalidProblem: upper must not hold NaN.*upper\[1\] = nan.*inf
+LCP(M, q, lower=[0.0, 2.0, 0.0], upper=1.0)
+    → InvalidProblem: lower ≤ upper.*lower\[1\] = 2.0 and upper\[1\] = 1.0; swap
+LCP(M, q, lower=-INF, upper=-INF) → InvalidProblem: lower ≤ upper.*upper\[0\] = -inf
+LCP(M, q, lower=None) → InvalidProblem: lower must .*got None
+LCP(M, q, 0.0, 1.0) → InvalidOption: LCP\(M, q, lower=l, upper=u\)
+solve(plain, "psr") → UnknownAlgorithm: unknown algorithm 'psr'; did you mean 'psor'\?
+solve(plain, "gurobi") → UnknownAlgorithm: unknown algorithm 'gurobi'.*known
+solve(plain, "piqp") → UnknownAlgorithm: piqp is an engine.*solve\(problem\.to_qp\(\), 'piqp'
+solve(plain, "clarable") → UnknownAlgorithm: did you mean 'clarabel'\?
+solve(plain, algorithms.PSOR) → UnknownAlgorithm: algorithm must be a name or an object.*PSOR\(
+solve(plain, LCP) → UnknownAlgorithm: such as PSOR\(relaxation=1.5\), got the class LCP$
+solve(plain, "psor", relaxtion=1.0) → InvalidOption: psor has no option 'relaxtion'; did you mean 'relaxation'\?.*sweep
+solve(plain, "npgs", relaxation=1.5) → InvalidOption: npgs has no option 'relaxation'.*scaling
+solve(plain, verbose=1) → InvalidOption: verbose must be True or False, got 1
+solve(plain, "pj", max_iter=5) → InvalidOption: 'max_iter'; did you mean 'max_iterations'\?.*known: sweep
+solve(plain, max_iter=5) → InvalidOption: auto.*\['max_iter'\].*did you mean 'max_iterations'\?
+solve(plain, "npsor", scaling="None")
+    → InvalidOption: scaling='None' is not offered; did you mean None\? \(known: None, auto
+solve(plain, algorithms.NPSOR(), relaxation=1.5) → InvalidOption: 'relaxation'.*with an algorithm object.*NPSOR\(
+march(plain, np.zeros((1, 3)), tol=1e-5)
+    → InvalidOption: march has no option 'tol'; did you mean 'tolerance'\? \(known: absolute_tolerance,
+solve(plain, relaxation=1.5) → InvalidOption: auto.*\['relaxation'\].*name an algorithm
+solve(plain, x0=[0.0, 0.0, 0.0]) → InvalidOption: solve takes no x0 for an LCP; the start is called z0
+solve(plain, tolerance=-1e-8) → InvalidOption: tolerance must be finite and not negative, got -1e-08
+solve(plain, tolerance="1e-8") → InvalidOption: tolerance must be .*number, got '1e-8'
+solve(plain, max_iterations=-1) → InvalidOption: max_iterations must be an integer ≥ 0, got -1
+solve(plain, max_seconds=-1) → InvalidOption: max_seconds must be finite and not negative, got -1
+solve(plain, callback=3) → InvalidOption: callback must be .*got 3
+solve(plain, z0=[1.0, 2.0]) → InvalidOption: z0 must be a finite vector of length 3.*\(2,\)
+solve(plain, z0=[1.0, NAN, 1.0]) → InvalidOption: z0 must be finite, but z0\[1\] = nan; repair
+solve(plain, "mgs", omega=1j) → InvalidOption: ^mgs: omega must be
+solve(plain, "mgs", omega=[1.0, 2.0]) → InvalidOption: ^mgs: omega must be
+solve(plain, "mgs", omega=[1.0, -1.0, 1.0]) → InvalidOption: ^mgs: omega must be
+solve(plain, "npsplitting", splitting=None) → InvalidOption: ^npsplitting: .*\bsplitting\b.*None
+solve(plain, "npsplitting", splitting=with_entry(1, 2, NAN))
+    → InvalidOption: splitting\b.*finite.*\[1, 2\] = nan
+solve(M, q) → InvalidOption: solve needs an LCP.* got ndarray; .*LCP\(M, q\)
+solve(None) → InvalidOption: solve needs an LCP.* got NoneType
+Certificate.of(problem, [1.0, 2.0]) → InvalidProblem: z must be a.* vector of length 3.*\(2,\)
+Certificate.of(problem, None) → InvalidProblem: z must be a.* vector of length 3
+""")
+def test_refused(call: str, words: str) -> None:
     """A wrong argument raises an error that names the argument, without side effects."""
-    assert_refused(error, pattern, call)
+    assert_refused(call, words, given())
 
 
 # --- options of every algorithm ----------------------------------------------------------------------------
@@ -328,15 +196,16 @@ def test_every_option_has_bad_values() -> None:
 def test_option_out_of_range(name: str, option: str, value: Any) -> None:
     """An invalid option value raises an error with algorithm, option and value."""
     pattern = rf"^{name}\b.*\b{option}\b.*{re.escape(repr(value))}"
-    assert_refused(InvalidOption, pattern, lambda g: solve(g.plain, name, **{option: value}))
-    assert_refused(InvalidOption, pattern, lambda g: KINDS[name](**{option: value}))
+    names = {**given(), "option": {option: value}}
+    assert_refused(f"solve(plain, {name!r}, **option)", pattern, names, InvalidOption)
+    assert_refused(f"KINDS[{name!r}](**option)", pattern, names, InvalidOption)
 
 
 def test_numpy_numbers_are_numbers() -> None:
     """NumPy integers and floats, zero limits and a zero tolerance are accepted."""
-    given = Given()
+    names = given()
     result = solve(
-        given.problem,
+        names["problem"],
         "psor",
         relaxation=np.float32(1.5),
         tolerance=np.float64(1e-6),
@@ -345,9 +214,11 @@ def test_numpy_numbers_are_numbers() -> None:
         z0=np.array([1, 2, 3], dtype=np.int8),
     )
     assert result.is_solved
-    assert solve(given.problem, "npsor", relaxation=np.int32(1)).is_solved
-    assert solve(given.plain, "mgs", omega=np.float64(0.5)).is_solved
-    assert solve(given.problem, "pgs", max_iterations=0, max_seconds=0, tolerance=0).iterations == 0
+    assert solve(names["problem"], "npsor", relaxation=np.int32(1)).is_solved
+    assert solve(names["plain"], "mgs", omega=np.float64(0.5)).is_solved
+    assert (
+        solve(names["problem"], "pgs", max_iterations=0, max_seconds=0, tolerance=0).iterations == 0
+    )
     # in a compiled loop
     assert solve(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]), max_iterations=10**30).is_solved
 
@@ -367,7 +238,8 @@ def with_diagonal(value: float | None) -> LCP:
 def test_diagonal_must_be_positive(name: str, value: float | None) -> None:
     """Zero, missing, negative or too small to invert: a method that divides by the diagonal names the entry."""
     pattern = rf"^{name} needs a positive diagonal.*M\[2, 2\] = {re.escape(str(value or 0.0))}; try algorithm=\"auto"
-    assert_refused(UnsuitableMatrix, pattern, lambda g: solve(with_diagonal(value), name))
+    names = {"problem": with_diagonal(value)}
+    assert_refused(f"solve(problem, {name!r})", pattern, names, UnsuitableMatrix)
 
 
 @pytest.mark.parametrize(
@@ -382,9 +254,8 @@ def test_diagonal_must_be_positive(name: str, value: float | None) -> None:
 def test_pivot_must_be_positive(name: str, value: float, options: dict[str, Any]) -> None:
     """If d/α + d + 2 ≤ 0 in a row, NP* raises an error with the row, the diagonal and the pivot."""
     pattern = rf"^{name} needs d/α \+ d \+ 2 > 0.*M\[2, 2\] = {re.escape(str(value))} gives (-|0)"
-    assert_refused(
-        UnsuitableMatrix, pattern, lambda g: solve(with_diagonal(value), name, **options)
-    )
+    names = {"problem": with_diagonal(value), "options": options}
+    assert_refused(f"solve(problem, {name!r}, **options)", pattern, names, UnsuitableMatrix)
 
 
 @pytest.mark.parametrize(
@@ -414,11 +285,9 @@ def test_diagonal_near_the_largest_double_is_no_obstacle(
 )
 def test_singular_splitting_is_refused(M: Any, options: dict[str, Any]) -> None:
     """If the matrix of npsplitting is singular, the error recommends another splitting."""
-    assert_refused(
-        UnsuitableMatrix,
-        r"^npsplitting: .*is singular.*choose another splitting",
-        lambda g: solve(LCP(M, [1.0, -1.0]), "npsplitting", **options),
-    )
+    words = r"^npsplitting: .*is singular.*choose another splitting"
+    names = {"problem": LCP(M, [1.0, -1.0]), "options": options}
+    assert_refused("solve(problem, 'npsplitting', **options)", words, names, UnsuitableMatrix)
 
 
 @pytest.mark.parametrize("name", MODULUS)
@@ -434,11 +303,12 @@ def test_modulus_methods_need_lower_bounds_only(
     name: str, lower: Any, upper: Any, interval: str
 ) -> None:
     """Modulus methods reject free rows and upper bounds with row, bounds and alternative."""
-    assert_refused(
-        UnsuitableProblem,
-        rf"^{name} needs a finite lower and no upper bound.*{interval}.*; try algorithm=\"auto\"$",
-        lambda g: solve(LCP(g.M, g.q, lower=lower, upper=upper), name),
+    words = (
+        rf"^{name} needs a finite lower and no upper bound.*{interval}.*; try algorithm=\"auto\"$"
     )
+    names = {**given(), "lower": lower, "upper": upper}
+    call = f"solve(LCP(M, q, lower=lower, upper=upper), {name!r})"
+    assert_refused(call, words, names, UnsuitableProblem)
 
 
 # --- error handling ------------------------------------------------------------------------------------------
@@ -456,7 +326,7 @@ def test_nothing_runs_before_a_refusal() -> None:
     ]
     for settings in refusals:
         with pytest.raises(LCPError):
-            solve(Given().plain, callback=lambda sample, z: seen.append(sample), **settings)
+            solve(given()["plain"], callback=lambda sample, z: seen.append(sample), **settings)
     with pytest.raises(UnsuitableMatrix):
         solve(with_diagonal(0.0), "psor", callback=lambda sample, z: seen.append(sample))
     assert seen == []
@@ -537,13 +407,11 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
 def test_an_argument_of_a_wrong_kind_is_refused_in_words(what: str, kind: str) -> None:
     """An argument of a wrong type ends in an LCPError, not in a TypeError of another package."""
     with pytest.raises(LCPError):
-        TAKE[what](Given().plain, WRONG[kind])
+        TAKE[what](given()["plain"], WRONG[kind])
 
 
-def test_bounds_by_position_and_with_q_of_a_program_are_refused_with_the_spelling() -> None:
+def test_with_q_of_a_program_is_refused_with_the_spelling() -> None:
     """The message has the call that works."""
-    with pytest.raises(InvalidOption, match=r"LCP\(M, q, lower=l, upper=u\)"):
-        LCP([[1.0]], [1.0], 0.0, 1.0)
     with pytest.raises(AttributeError, match=r"write program\.with_vectors"):
         QuadraticProgram([[1.0]], [1.0]).with_q([2.0])
 

@@ -106,6 +106,10 @@ def test_every_class_names_its_worst_row() -> None:
     excess = np.array([[2.0, 1.0], [1.0, 2.0]]) @ price - np.array([3.0, 5.0])
     model = cp.Problem(cp.Minimize(0), [complements(price, excess)])
     assert "= -2 < 0 while price[1] = 1" in str(certify(model).worst(1))
+    y = cp.Variable(2, name="y", value=[1.0, 1.0])
+    price.value = [0.0, 0.0]
+    rows = [y == 2 * price + 1, complements(price >= 0, y - 3 >= 0)]
+    assert str(certify(cp.Problem(cp.Minimize(0), rows)).worst(1)).startswith("y + ")
     with pytest.raises(InvalidOption, match=r"certify\(problem, x\)"):
         certify(LCP([[1.0]], [1.0]))
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs import membranes
+from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, Certificate, InvalidOption, InvalidProblem, Result, solve
+from lcp_plugin import LCP, Certificate, Result, solve
 from lcp_plugin.core.certificates.criterion import Measured, RowData
 from lcp_plugin.evidence import cross_check
 from lcp_plugin.evidence.cross_check import GAP, PLAIN, cross_validate
@@ -192,10 +193,8 @@ def test_planted_wrong_answer_is_caught(target: str, by: float) -> None:
 def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """If our measure of a residual were blind, the distance to the reference would still betray a wrong answer."""
     problem = membranes.parse("obstacle_2d:size=8").problem
-    right, wrong = (
-        solve(problem, tolerance=1e-15),
-        altered(solve(problem, tolerance=1e-9), 20, 1e-3),
-    )
+    right = solve(problem, tolerance=1e-15)
+    wrong = altered(solve(problem, tolerance=1e-9), 20, 1e-3)
     monkeypatch.setattr(
         cross_check, "scaled_residual", lambda problem, z, w, scale: np.zeros_like(z)
     )
@@ -289,17 +288,15 @@ def test_a_solver_is_not_compared_with_itself() -> None:
     assert cross_validate(problem, reference="piqp", algorithm="psor").agrees
 
 
-def test_arguments_that_cannot_be_used() -> None:
+@refusals(r"""
+cross_validate(LCP([[2.0]], [-1.0]), reference="osq") → InvalidOption: cvxpy has no solver 'osq'
+cross_validate(np.eye(2)) → InvalidOption: needs an LCP, got ndarray
+cross_validate(LCP([[2.0]], [-1.0]), [0.5]) → InvalidOption: result must be a Result of solve
+cross_validate(LCP([[2.0]], [-1.0]), solve(LCP(np.eye(2), [-1.0, -1.0]))) → InvalidProblem: z must be
+""")
+def test_arguments_that_cannot_be_used(call: str, words: str) -> None:
     """Wrong arguments are named, with what is needed."""
-    problem = LCP([[2.0]], [-1.0])
-    with pytest.raises(InvalidOption, match="cvxpy has no solver 'osq'"):
-        cross_validate(problem, reference="osq")
-    with pytest.raises(InvalidOption, match="needs an LCP, got ndarray"):
-        cross_validate(np.eye(2))  # type: ignore[arg-type]
-    with pytest.raises(InvalidOption, match="result must be a Result of solve"):
-        cross_validate(problem, [0.5])  # type: ignore[arg-type]
-    with pytest.raises(InvalidProblem, match="z must be"):
-        cross_validate(problem, solve(LCP(np.eye(2), [-1.0, -1.0])))
+    assert_refused(call, words, {"cross_validate": cross_validate})
 
 
 def test_explain_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:

@@ -15,8 +15,9 @@ from hypothesis import given, settings
 from inputs import drawn_scaling
 from oracles.exact import exact_solution
 from test_stability import assert_honest
+from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, InvalidOption, UnknownAlgorithm, solve
+from lcp_plugin import LCP, InvalidOption, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence import stability as atlas
@@ -124,25 +125,15 @@ def test_a_refused_problem_is_a_cell_with_its_reason() -> None:
     assert "upper bound" in refused.note
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        ((["psr"],), UnknownAlgorithm, "unknown algorithm 'psr'; did you mean 'psor'"),
-        (
-            (None, ["stifness"]),
-            InvalidOption,
-            "unknown stress 'stifness'; did you mean 'stiffness'",
-        ),
-        ((None, "stiffness"), InvalidOption, "stresses must be a list of names"),
-        ((5,), InvalidOption, "methods must be names or Algorithm objects, got 5"),
-    ],
-)
-def test_wrong_names_are_refused(
-    arguments: tuple[Any, ...], error: type[Exception], message: str
-) -> None:
+@refusals(r"""
+stability_atlas(*(['psr'],)) → UnknownAlgorithm: unknown algorithm 'psr'; did you mean 'psor'
+stability_atlas(*(None, ['stifness'])) → InvalidOption: unknown stress 'stifness'; did you mean 'stiffness'
+stability_atlas(*(None, 'stiffness')) → InvalidOption: stresses must be a list of names
+stability_atlas(*(5,)) → InvalidOption: methods must be names or Algorithm objects, got 5
+""")
+def test_wrong_names_are_refused(call: str, words: str) -> None:
     """An unknown algorithm or stress raises an error before anything runs."""
-    with pytest.raises(error, match=message):
-        stability_atlas(*arguments)
+    assert_refused(call, words, globals())
 
 
 def test_overflow_is_never_silent(monkeypatch: pytest.MonkeyPatch) -> None:

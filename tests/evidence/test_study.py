@@ -11,18 +11,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cvxpy  # noqa: F401 - sets warning filters where it is loaded
 import numpy as np
 import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg
 from legends import hides_nothing
+from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, InvalidOption, QuadraticProgram, UnknownAlgorithm, gallery, solve
-from lcp_plugin.algorithms import Algorithm, Step
+from lcp_plugin import LCP, InvalidOption, gallery, solve
+from lcp_plugin.algorithms import Algorithm, Step, paper_options
 from lcp_plugin.core.matrix import Matrix, fact
 from lcp_plugin.evidence.drawing import draw
 from lcp_plugin.evidence.measurement import Measurement
-from lcp_plugin.evidence.study import COLUMNS, Study, error_against_time, study
+from lcp_plugin.evidence.study import COLUMNS, Study, Table, error_against_time, study
 from lcp_plugin.proofs.bounds import error_bound
 
 NAP = 0.06
@@ -176,6 +178,34 @@ def test_iterates_and_their_polish_are_two_rows() -> None:
     assert [len(polish.points), polish.last("residual")] == [1, polished.residual]
 
 
+def test_the_stopping_rule_of_the_paper_ends_runs_where_its_tables_do() -> None:
+    """Table 2 of the paper, n = 100 and 900; the last point is the first iterate with Res < 1e-5, without a polish."""
+    printed = {"npgs": (18, 21), "npsor": (12, 13), "mgs": (24, 26), "msor": (14, 14)}
+    relaxations = {"npsor": 1.7, "msor": 0.88}
+    methods = {name: (name, paper_options(name, relaxations.get(name))) for name in printed}
+    found = study("paper_example_2", methods, [100, 900], stopping="paper", repeats=1)
+    for name, counts in printed.items():
+        assert [row.iterations for row in found.rows if row.method == name] == [*counts]
+    assert {row.status for row in found.rows} == {"SOLVED"}
+    own = study({"own": LCP(*chain(60))}, {"mine": Richardson()}, stopping="paper", tolerance=0.1)
+    (row,) = own.rows
+    problem, z, count = LCP(*chain(60)), np.zeros(60), 0
+    while np.linalg.norm(np.minimum(z, problem.slack(z))) >= 0.1:
+        z, count = (z - 0.1 * problem.slack(z)).clip(0.0), count + 1
+    assert (row.iterations, row.last("iteration")) == (count, count)
+    assert own.plot("work") is not None
+    few = study(
+        problem, Richardson(), stopping="paper", tolerance=1e-9, max_seconds=1e-9, repeats=1
+    )
+    assert few.rows[0].status == "MAX_SECONDS"
+
+
+def test_a_study_without_polishes_has_rows_of_iterates_only() -> None:
+    """With polish=False no method has a second row."""
+    found = study(LCP(*chain(60)), {"mine": Richardson()}, repeats=1, polish=False)
+    assert [row.method for row in found.rows] == ["mine"]
+
+
 def test_the_error_is_the_true_one_then_a_bound_then_the_residual() -> None:
     """The error is the true one if z* is known, a bound that is never too small for H₊, else the residual."""
     bumps = gallery.build("obstacle_2d", size=12)
@@ -275,6 +305,8 @@ def test_tables_tell_how_a_run_ended_without_a_result() -> None:
     (table,) = made(("p", 4, "a", 7.0), ("p", 4, "b", -7.0)).table("iterations")
     assert [list(row) for row in table.rows] == [["a", 7], ["b", "stalled"]]
     assert table.to_markdown().splitlines()[2:] == ["| a | 7 |", "| b | stalled |"]
+    assert table.to_latex().splitlines()[2:5] == [r"method & n = 4 \\", r"\hline", r"a & 7 \\"]
+    assert Table("", ("a_b",), [["5 %"], [None]]).to_latex().count(r"a\_b \\") == 1
     assert str(table).startswith("p: iterations\n\n| method | n = 4 |")
 
 
@@ -350,36 +382,22 @@ def test_a_figure_without_data_is_refused_in_words(tmp_path: Path) -> None:
 # --- What cannot be used --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("arguments", "options", "error", "words"),
-    [
-        ((5, ["psor"]), {}, InvalidOption, "problems must be problems"),
-        ((QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]), {}, InvalidOption, "QuadraticProgram"),
-        ((chain, ["psr"], [4]), {}, UnknownAlgorithm, "did you mean 'psor'"),
-        ((chain, 5, [4]), {}, InvalidOption, r'methods must be names .* got 5; write \["psor"\]'),
-        ((chain, [Richardson], [4]), {}, InvalidOption, "a method is a name, an Algorithm object"),
-        ((chain, ["psor"], [0]), {}, InvalidOption, "each of sizes must be an integer ≥ 1"),
-        ((chain, ["psor"], [4]), {"tolerance": -1.0}, InvalidOption, "tolerance must be"),
-        ((chain, ["psor"], [4]), {"references": ["OSQPP"]}, InvalidOption, "cvxpy has no solver 'OSQPP'"),
-    ],
-)  # fmt: skip
-def test_arguments_are_refused_before_anything_runs(
-    arguments: Any, options: dict[str, Any], error: type[Exception], words: str
-) -> None:
-    """A misspelt name, another kind of problem, a size of 0: one line says what to write."""
-    with pytest.raises(error, match=words):
-        study(*arguments, **options)
-
-
-def test_views_and_files_that_do_not_exist_are_refused(tmp_path: Path) -> None:
-    """A misspelt view, another axis, another ending and a method without a row are named."""
-    found = made(("p", 4, "a", 7.0))
-    for call, words in (
-        (lambda: found.table("wrk"), "value must be one of iterations, work"),
-        (lambda: found.plot(against="time"), "against must be one of seconds"),
-        (lambda: found.save(tmp_path / "r.txt"), r"is saved as .png, .pdf, .svg, .csv, .md"),
-        (lambda: found.row("b"), "no row of 'b'"),
-        (lambda: error_against_time(np.eye(2)), "needs an LCP, got ndarray"),
-    ):
-        with pytest.raises(InvalidOption, match=words):
-            call()
+@refusals(r"""
+study(5, ["psor"]) → InvalidOption: problems must be problems
+study(QuadraticProgram(np.eye(2), [1.0, 1.0]), ["psor"]) → InvalidOption: QuadraticProgram
+study(chain, ["psr"], [4]) → UnknownAlgorithm: did you mean 'psor'
+study(chain, 5, [4]) → InvalidOption: methods must be names .* got 5; write \["psor"\]
+study(chain, [3], [4]) → InvalidOption: a method is a name, an Algorithm object
+study(chain, ["psor"], [0]) → InvalidOption: each of sizes must be an integer ≥ 1
+study(chain, ["psor"], [4], tolerance=-1.0) → InvalidOption: tolerance must be
+study(chain, ["psor"], [4], stopping="Res") → InvalidOption: stopping must be one of criterion, paper
+study(chain, ["psor"], [4], references=["OSQPP"]) → InvalidOption: cvxpy has no solver 'OSQPP'
+found.table("wrk") → InvalidOption: value must be one of iterations, work
+found.plot(against="time") → InvalidOption: against must be one of seconds
+found.save("r.txt") → InvalidOption: is saved as .png, .pdf, .svg, .csv, .md, .tex
+found.row("b") → InvalidOption: no row of 'b'
+error_against_time(np.eye(2)) → InvalidOption: needs an LCP, got ndarray
+""")
+def test_arguments_are_refused_before_anything_runs(call: str, words: str) -> None:
+    """A misspelt name, view, axis or ending, another kind of problem: one line says what to write."""
+    assert_refused(call, words, {**globals(), "found": made(("p", 4, "a", 7.0))})

@@ -20,6 +20,7 @@ from tools.processes import printed_by
 
 from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
+from lcp_plugin.core.kernels import floats
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "lcp_plugin"
@@ -41,6 +42,7 @@ HEAVY = (
     "h5py",
 )
 LAZY = 25  # imports of package files inside functions, which are for weight
+MOST_CONSTANTS = 250  # numbers with a name: a reader has to carry each from file to file
 
 
 def module_of(file: Path) -> str:
@@ -116,19 +118,40 @@ def circles() -> list[list[str]]:
     return [[[*FILES][k] for k in one] for one in found]
 
 
-def constants() -> dict[str, set[float]]:
-    """Return the values of the numeric constants of all modules, by name."""
-    found: dict[str, set[float]] = defaultdict(set)
+def constants() -> Iterator[tuple[Path, ast.Assign, str, float]]:
+    """Yield the numeric constants of all modules: file, statement, name, value."""
     for file in FILES.values():
         for node in ast.parse(file.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
                 try:
-                    value = eval(ast.unparse(node.value), {"__builtins__": {}})
+                    value = eval(ast.unparse(node.value), {"__builtins__": {}}, vars(floats))
                 except Exception:
                     continue
                 if isinstance(value, (int, float)) and not isinstance(value, bool):
-                    found[node.targets[0].id].add(float(value))
+                    yield file, node, node.targets[0].id, float(value)
+
+
+def values_of_constants() -> dict[str, set[float]]:
+    """Return the values of the numeric constants of all modules, by name."""
+    found: dict[str, set[float]] = defaultdict(set)
+    for _, _, name, value in constants():
+        found[name].add(value)
     return found
+
+
+def test_a_number_has_one_name_and_one_value() -> None:
+    """No name of a numeric constant has two values, and there are few such names."""
+    found = values_of_constants()
+    assert [name for name, values in found.items() if len(values) > 1] == []
+    assert len(found) <= MOST_CONSTANTS
+
+
+def test_a_number_with_a_name_has_a_reason() -> None:
+    """A comment beside or above each numeric constant, or a text below it, says why it has this value."""
+    for file, node, name, _ in constants():
+        lines = file.read_text(encoding="utf-8").splitlines()
+        around = lines[node.lineno - 2 : node.end_lineno + 1]
+        assert "#" in "".join(around[:-1]) or around[-1].startswith('"""'), (file, name)
 
 
 def test_no_import_leads_up() -> None:
@@ -259,7 +282,7 @@ def test_the_table_of_algorithms_is_the_registry() -> None:
 
 def print_numbers() -> None:
     """Print the numbers of the house."""
-    values = constants()
+    values = values_of_constants()
     print(f"files: {len(FILES)}")
     print(f"largest circle of files: {max(map(len, circles()), default=1)}")
     print(f"upward imports: {len(upward())}")

@@ -58,10 +58,8 @@ def planted_cones(
     cones: list[Any] = []
     z, w = [np.empty(0)], [np.empty(0)]
     for _ in range(blocks):
-        kind, rows = (
-            str(rng.choice(["free", "nonnegative", "box", "second_order"])),
-            int(rng.integers(1, 6)),
-        )
+        kind = str(rng.choice(["free", "nonnegative", "box", "second_order"]))
+        rows = int(rng.integers(1, 6))
         at, values = rng.integers(0, 3, rows), rng.uniform(0.1, 2.0, rows)
         if kind == "free":
             cones.append((kind, rows))
@@ -129,12 +127,10 @@ def exact_residuals(problem: Any, z: Any) -> list[Any]:
             w[i] += mpf(float(M.data[p])) * mpf(float(z[M.indices[p]]))
     sizes = []
     for k in range(scale.size):
-        first, end, d, mu = (
-            problem.starts[k],
-            problem.starts[k + 1],
-            mpf(scale[k]),
-            mpf(problem.slope[k]),
-        )
+        first = problem.starts[k]
+        end = problem.starts[k + 1]
+        d = mpf(scale[k])
+        mu = mpf(problem.slope[k])
         own, at = w[first:end], [mpf(float(v)) for v in z[first:end]]
         if end - first == 1:
             low, high = (mpf(float(bound[first])) for bound in (problem.lower, problem.upper))

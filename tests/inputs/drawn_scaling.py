@@ -82,10 +82,8 @@ def strict(solved: st.SearchStrategy[Solved]) -> st.SearchStrategy[Solved]:
 
     def without_degenerate_rows(drawn: Solved) -> Solved:
         problem, z = drawn
-        at_lower, at_upper = (
-            np.array(z, dtype=float) == problem.lower,
-            np.array(z, dtype=float) == problem.upper,
-        )
+        at_lower = np.array(z, dtype=float) == problem.lower
+        at_upper = np.array(z, dtype=float) == problem.upper
         idle = np.array(
             [value == 0 for value in exact_slack(problem, np.array(z, dtype=float))], dtype=bool
         )

@@ -118,10 +118,8 @@ def membrane(size: int) -> tuple[NonlinearProblem, Any]:
     second = sp.diags_array([-ones[:-1], 2.0 * ones, -ones[:-1]], offsets=[-1, 0, 1])
     A = sp.csr_array(sp.kron(sp.eye_array(size), second) + sp.kron(second, sp.eye_array(size)))
     x, y = np.meshgrid(*2 * (np.linspace(h, 1.0 - h, size),))
-    obstacle, force = (
-        (0.3 - 2.0 * ((x - 0.5) ** 2 + (y - 0.5) ** 2)).ravel(),
-        (10.0 * np.sin(2 * np.pi * x)).ravel(),
-    )
+    obstacle = (0.3 - 2.0 * ((x - 0.5) ** 2 + (y - 0.5) ** 2)).ravel()
+    force = (10.0 * np.sin(2 * np.pi * x)).ravel()
 
     def F(u: np.ndarray) -> np.ndarray:
         return A @ u + h * h * (5.0 * np.exp(u) + 10.0 * u**3 - force)

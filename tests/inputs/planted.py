@@ -30,10 +30,8 @@ def planted(
     )
     upper = np.where((rng.random((count, n)) < fixed) & (lower > -INF), lower, upper)
     draw = rng.random((count, n))
-    at_lower, at_upper = (
-        (draw < 0.4) & (lower > -INF),
-        (draw > np.where(lower == upper, 0.4, 0.7)) & (upper < INF),
-    )
+    at_lower = (draw < 0.4) & (lower > -INF)
+    at_upper = (draw > np.where(lower == upper, 0.4, 0.7)) & (upper < INF)
     inside = np.where(
         upper < INF, 0.5 * (np.maximum(lower, upper - 2.0) + upper), np.maximum(lower, -5.0) + 1.0
     )

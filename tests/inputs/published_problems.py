@@ -79,10 +79,8 @@ class PublishedProgram:
     def read(cls, name: str) -> PublishedProgram:
         """The program of a file."""
         of = read(f"qp_{name}")
-        low, high = (
-            np.where(of["l"] <= -INFINITE, -np.inf, of["l"]),
-            np.where(of["u"] >= INFINITE, np.inf, of["u"]),
-        )
+        low = np.where(of["l"] <= -INFINITE, -np.inf, of["l"])
+        high = np.where(of["u"] >= INFINITE, np.inf, of["u"])
         value = MORE_DIGITS.get(name, float(of["optimal_value"]))
         digits = 1e-9 if name == "KSIP" else 1e-6
         return cls(of["P"], of["q"], float(of["r"]), of["A"], low, high, value, digits)

@@ -11,17 +11,9 @@ import numpy as np
 import pytest
 from campaigns import agents as campaign
 from inputs.nonlinear_models import NASH_5_SOLUTION
+from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import (
-    LCP,
-    InvalidOption,
-    ModelWarning,
-    UnsupportedModel,
-    complements,
-    derivative,
-    optimal,
-    trace,
-)
+from lcp_plugin import LCP, ModelWarning, UnsupportedModel, complements, derivative, optimal, trace
 
 
 def solved(
@@ -172,10 +164,8 @@ SHARED_BY_TWO = {
 def test_agents_with_entries_of_one_vector_share_a_row_that_holds_their_entries(form: str) -> None:
     """Two of three agents share x₀ + x₁ ≤ 4; the third one has no entry in it, and its own minimum."""
     x = cp.Variable(3, value=np.ones(3))
-    row, goals = (
-        SHARED_BY_TWO[form](x),
-        [x[0] ** 2 - 8 * x[0], x[1] ** 2 - 6 * x[1], (x[2] - 2) ** 2],
-    )
+    row = SHARED_BY_TWO[form](x)
+    goals = [x[0] ** 2 - 8 * x[0], x[1] ** 2 - 6 * x[1], (x[2] - 2) ** 2]
     agents = [
         optimal(cp.Problem(cp.Minimize(goals[i]), [row]), over=[x[i]], shared=row) for i in (0, 1)
     ]
@@ -248,28 +238,22 @@ def set_value(parameter: cp.Parameter, value: float) -> cp.Parameter:
     return parameter
 
 
-@pytest.mark.parametrize(
-    ("row", "expected"),
-    [
-        (lambda v: v >= np.inf, "no value of the variables satisfies inf <= v"),
-        (lambda v: v <= -np.inf, "no value of the variables satisfies v <= -inf"),
-        (lambda v: 2 * v >= np.inf, "no value of the variables satisfies inf <= 2.0 . v"),
-        (lambda v: cp.NonNeg(v - np.inf), "no value of the variables satisfies"),
-        (lambda v: v <= set_value(cp.Parameter(name="cap"), np.inf), "parameter cap of v <= cap"),
-        (lambda v: v <= np.nan, "no value of the variables satisfies v <= nan"),
-        (lambda v: v**2 <= np.inf, "only affine inequalities"),
-        (lambda v: cp.abs(v) <= -np.inf, "only affine inequalities"),
-        (lambda v: v == np.inf, "v == inf in an agent's program"),
-    ],
-)
-def test_an_infinite_bound_that_excludes_or_hides_values_is_refused(
-    row: Any, expected: str
-) -> None:
+@refusals(r"""
+v >= np.inf → no value of the variables satisfies inf <= v
+v <= -np.inf → no value of the variables satisfies v <= -inf
+2 * v >= np.inf → no value of the variables satisfies inf <= 2.0 . v
+cp.NonNeg(v - np.inf) → no value of the variables satisfies
+v <= set_value(cp.Parameter(name="cap"), np.inf) → parameter cap of v <= cap
+v <= np.nan → no value of the variables satisfies v <= nan
+v**2 <= np.inf → only affine inequalities
+cp.abs(v) <= -np.inf → only affine inequalities
+v == np.inf → v == inf in an agent's program
+""")
+def test_an_infinite_bound_that_excludes_or_hides_values_is_refused(call: str, words: str) -> None:
     """No finite v satisfies v ≥ ∞; the message has the user's constraint."""
-    v = cp.Variable(name="v")
-    best = optimal(cp.Problem(cp.Minimize((v - 3) ** 2), [row(v)]), over=[v])
-    with pytest.raises(UnsupportedModel, match=expected):
-        cp.Problem(cp.Minimize(0), [best]).solve(method="LCP")
+    call = f"solved([optimal(cp.Problem(cp.Minimize((v - 3) ** 2), [{call}]), over=[v])])"
+    names = {**globals(), "v": cp.Variable(name="v")}
+    assert_refused(call, words, names, UnsupportedModel)
 
 
 def test_the_gap_of_a_program_that_is_not_convex_is_known_where_its_least_value_is_zero() -> None:
@@ -411,10 +395,8 @@ TERMS = {
 @pytest.mark.parametrize("name", TERMS)
 def test_the_gradient_of_a_smooth_term_agrees_with_differences(name: str) -> None:
     """By central differences of cvxpy's values; rounding and the step's square bound the error."""
-    at, term = (
-        np.array([0.7, 1.3, 2.1]),
-        cp.sum(cp.multiply(np.arange(1.0, TERMS[name].size + 1), TERMS[name])),
-    )
+    at = np.array([0.7, 1.3, 2.1])
+    term = cp.sum(cp.multiply(np.arange(1.0, TERMS[name].size + 1), TERMS[name]))
     best = optimal(cp.Problem(cp.Minimize(term)), over=[U], check="local")
     U.value = at
     found = best.conditions.stationarity.second.expression.value
@@ -649,96 +631,39 @@ def test_a_trader_with_constant_returns_gains_nothing_by_rounding(form: str, mar
 # --- messages ---
 
 
-def _undecided(x: Any, y: Any) -> Any:
-    return cp.Problem(cp.Minimize(0), [optimal(cp.Problem(cp.Minimize((x - y) ** 2)), over=[x])])
+def agent(cost: Any, *rows: Any, **given: Any) -> Any:
+    """Return the minimization of one agent."""
+    return optimal(cp.Problem(cp.Minimize(cost), list(rows)), **given)
 
 
-REFUSED: dict[str, Any] = {
-    "a variable of no agent": (_undecided, "list them in over="),
-    "a variable of another problem": (
-        lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[y]),
-        "does not occur",
-    ),
-    "an expression": (
-        lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[2 * x]),
-        "neither a variable nor entries",
-    ),
-    "no decision": (lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[]), "over must be"),
-    "no program": (lambda x, y: optimal(x**2, over=[x]), "cvxpy problem"),
-    "a cone": (
-        lambda x, y: optimal(cp.Problem(cp.Minimize(x), [cp.SOC(y, cp.hstack([x, 1]))]), over=[x]),
-        "second-order cone as cp.sum_squares",
-    ),
-    "an agent inside": (
-        lambda x, y: optimal(
-            cp.Problem(cp.Minimize(x), [optimal(cp.Problem(cp.Minimize(x * y)), over=[y])]),
-            over=[x],
-        ),
-        "neither an equation nor an inequality",
-    ),
-    "over is None": (
-        lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=None),
-        "list of variables",
-    ),
-    "shared is None": (
-        lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=[x], shared=None),
-        "list of constraints",
-    ),
-    "over is an array": (
-        lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=np.array(1.0)),
-        "list of variables",
-    ),
-    "shared is an array": (
-        lambda x, y: optimal(cp.Problem(cp.Minimize(x)), over=[x], shared=np.array(1.0)),
-        "list of constraints",
-    ),
-    "a foreign shared constraint": (
-        lambda x, y: optimal(cp.Problem(cp.Minimize(x**2)), over=[x], shared=[x >= 0]),
-        "not a constraint of the program",
-    ),
-    "an exponent": (
-        lambda x, y: cp.Problem(
-            cp.Minimize(0),
-            [optimal(cp.Problem(cp.Minimize(cp.power(x, cp.Parameter(value=2)))), over=[x])],
-        ),
-        "no derivative reaches",
-    ),
-    "a norm": (
-        lambda x, y: cp.Problem(
-            cp.Minimize(0),
-            [optimal(cp.Problem(cp.Minimize(x + cp.norm(cp.hstack([x, 1])))), over=[x])],
-        ),
-        "sum_squares",
-    ),
-    "kinks without convexity": (
-        lambda x, y: cp.Problem(
-            cp.Minimize(0), [optimal(cp.Problem(cp.Minimize(cp.square(x) - cp.abs(x))), over=[x])]
-        ),
-        "not smooth",
-    ),
-    "a variable of two agents": (
-        lambda x, y: cp.Problem(
-            cp.Minimize(0), [optimal(cp.Problem(cp.Minimize(x**2)), over=[x]) for _ in range(2)]
-        ),
-        "over=.* twice",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_a_program_that_has_no_conditions_raises_an_error_that_names_the_part(case: str) -> None:
+@refusals(r"""
+solved([agent((x - y) ** 2, over=[x])]) → list them in over=
+agent(x**2, over=[y]) → does not occur
+agent(x**2, over=[2 * x]) → neither a variable nor entries
+agent(x**2, over=[]) → over must be
+optimal(x**2, over=[x]) → cvxpy problem
+solved([agent(x, cp.SOC(y, cp.hstack([x, 1])), over=[x])]) → second-order cone as cp.sum_squares
+solved([agent(x, agent(x * y, over=[y]), over=[x])]) → neither an equation nor an inequality
+agent(x, over=None) → list of variables
+agent(x, over=[x], shared=None) → list of constraints
+agent(x, over=np.array(1.0)) → list of variables
+agent(x, over=[x], shared=np.array(1.0)) → list of constraints
+agent(x**2, over=[x], shared=[x >= 0]) → not a constraint of the program
+solved([agent(cp.power(x, cp.Parameter(value=2)), over=[x])]) → no derivative reaches
+solved([agent(x + cp.norm(cp.hstack([x, 1])), over=[x])]) → sum_squares
+solved([agent(cp.square(x) - cp.abs(x), over=[x])]) → not smooth
+solved([agent(x**2, over=[x]), agent(x**2, over=[x])]) → over=.* twice
+agent(cp.sum_squares(z), over=[z, z[0]]) → lists var\d+ twice
+agent(cp.sum_squares(z), over=[z[-1], z[2]]) → lists var\d+ twice
+agent(cp.sum_squares(z), over=[z, z]) → lists var\d+ twice
+agent(x**2, over=[x], check="none") → InvalidOption: local
+""")
+def test_a_program_that_has_no_conditions_raises_an_error_that_names_the_part(
+    call: str, words: str
+) -> None:
     """What is not an agent's program, decision or constraint: when it is stated, or when it is solved."""
-    state, expected = REFUSED[case]
-    with pytest.raises(UnsupportedModel, match=expected):
-        state(cp.Variable(), cp.Variable()).solve(method="LCP")
-
-
-@pytest.mark.parametrize("listed", [lambda z: [z, z[0]], lambda z: [z[-1], z[2]], lambda z: [z, z]])
-def test_decisions_that_are_listed_twice_are_refused_at_the_call(listed: Any) -> None:
-    """Also an entry next to its variable, and an index from the end next to the same from the start."""
-    z = cp.Variable(3)
-    with pytest.raises(UnsupportedModel, match=r"lists var\d+ twice"):
-        optimal(cp.Problem(cp.Minimize(cp.sum_squares(z))), over=listed(z))
+    names = {**globals(), "x": cp.Variable(), "y": cp.Variable(), "z": cp.Variable(3)}
+    assert_refused(call, words, names, UnsupportedModel)
 
 
 @pytest.mark.parametrize("attribute", ["integer", "boolean"])
@@ -751,13 +676,6 @@ def test_integer_decisions_have_no_conditions(attribute: str) -> None:
     follower = optimal(cp.Problem(cp.Minimize((y - 3 * x) ** 2)), over=[y])
     cp.Problem(cp.Minimize((y - 2) ** 2), [follower]).solve(method="LCP")
     assert float(x.value) == pytest.approx(1.0)
-
-
-def test_check_has_two_values() -> None:
-    """Any other one is an invalid option."""
-    x = cp.Variable()
-    with pytest.raises(InvalidOption, match="local"):
-        optimal(cp.Problem(cp.Minimize(x**2)), over=[x], check="none")
 
 
 def test_cvxpy_names_the_call_that_solves_agents() -> None:

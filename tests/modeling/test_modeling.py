@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from tools.processes import printed_by
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, ModelWarning, UnsupportedModel, box, complements, optimal, solve
 from lcp_plugin.modeling.registration import build, is_complementarity_problem
@@ -226,37 +227,22 @@ def with_other_bounds(y: Any) -> Any:
     return complements(y >= -1, 2 * y + cp.sum(y) - 9 >= 0)
 
 
-REFUSED: dict[str, tuple[Any, str]] = {
-    "shapes": (lambda x: [complements(x >= 0, cp.sum(x) >= 0)], "same shape"),
-    "not smooth": (lambda x: [complements(x >= 0, cp.abs(x) >= 0)], "not smooth"),
-    "twice": (lambda x: [pair_of(x), complements(x >= 0, 3 * x - 1 >= 0)], "as many equations"),
-    "two equalities": (lambda x: [complements(x == 0, 2 * x == 1)], "two equalities"),
-    "unpaired variable": (
-        lambda x: [complements(x[:2] >= 0, 2 * x[:2] - x[2] >= 0)],
-        "1 unknown without",
-    ),
-    "too many equations": (lambda x: [pair_of(x), cp.sum(x) == 1], "as many equations"),
-    "integer": (lambda x: [pair_of(cp.Variable(3, integer=True))], "integer"),
-    "PSD": (lambda x: [pair_of(cp.Variable((2, 2), PSD=True))], "PSD"),
-    "contradicting bounds": (
-        lambda x: [with_other_bounds(cp.Variable(3, nonneg=True))],
-        "other bounds",
-    ),
-    "second-order cone": (
-        lambda x: [complements(cp.SOC(x[0], x[1:]), x >= 0)],
-        "a cone, and the other is",
-    ),
-    "box with equality": (lambda x: [complements(box(x, 0, 1), x == 1)], "needs an expression"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_models_beyond_complementarity_are_refused(case: str) -> None:
+@refusals(r"""
+model(complements(x >= 0, cp.sum(x) >= 0)) → same shape
+model(complements(x >= 0, cp.abs(x) >= 0)) → not smooth
+model(pair_of(x), complements(x >= 0, 3 * x - 1 >= 0)) → as many equations
+model(complements(x == 0, 2 * x == 1)) → two equalities
+model(complements(x[:2] >= 0, 2 * x[:2] - x[2] >= 0)) → 1 unknown without
+model(pair_of(x), cp.sum(x) == 1) → as many equations
+model(pair_of(cp.Variable(3, integer=True))) → integer
+model(pair_of(cp.Variable((2, 2), PSD=True))) → PSD
+model(with_other_bounds(cp.Variable(3, nonneg=True))) → other bounds
+model(complements(cp.SOC(x[0], x[1:]), x >= 0)) → a cone, and the other is
+model(complements(box(x, 0, 1), x == 1)) → needs an expression
+""")
+def test_models_beyond_complementarity_are_refused(call: str, words: str) -> None:
     """Models that are not complementarity problems raise errors with the remedy."""
-    make, pattern = REFUSED[case]
-    x = cp.Variable(3)
-    with pytest.raises(UnsupportedModel, match=pattern):
-        model(*make(x))
+    assert_refused(call, words, {**globals(), "x": cp.Variable(3)}, UnsupportedModel)
 
 
 @pytest.mark.parametrize("goal", [lambda x: 0, lambda x: 0 * cp.sum(x)])
@@ -434,10 +420,8 @@ def test_bounds_that_no_pair_states_hold(make: Any, status: str) -> None:
 
 
 def pair_of_named(has_bound_x: bool, has_bound_w: bool) -> tuple[Any, Any, Any]:
-    x, w = (
-        cp.Variable(2, nonneg=has_bound_x, name="x"),
-        cp.Variable(2, nonneg=has_bound_w, name="w"),
-    )
+    x = cp.Variable(2, nonneg=has_bound_x, name="x")
+    w = cp.Variable(2, nonneg=has_bound_w, name="w")
     return x, w, w == np.array([[2.0, 1.0], [1.0, 2.0]]) @ x + [-5.0, 1.0]
 
 
@@ -581,37 +565,22 @@ def test_parameters_of_a_box_belong_to_the_problem() -> None:
         np.testing.assert_allclose(x.value, value)
 
 
-@pytest.mark.parametrize(
-    ("act", "pattern"),
-    [
-        (lambda p: p.solve(method="LCP", gp=True), "gp"),
-        (
-            lambda p: cp.Problem(cp.Minimize(cp.sum(p.variables()[0])), p.constraints).solve(
-                method="LCP", algorithm="newton"
-            ),
-            "newton.*leave it out",
-        ),
-        (lambda p: p.solve(method="LCP", solver="OSQP"), "solver"),
-        (lambda p: LCP.from_cvxpy(3), "cvxpy problem is needed, got int"),
-        (lambda p: complements(None, p.variables()[0]), "None"),
-        (
-            lambda p: complements(p.variables()[0] >= 0, -np.ones(3) >= 0),
-            r"Booleans, \[False False False\].*Constant",
-        ),
-        (lambda p: complements([True, False, True], p.variables()[0]), "Booleans"),
-        (lambda p: box(None, 0, 1), "not a cvxpy expression"),
-        (
-            lambda p: complements(p.constraints[0], p.variables()[0]),
-            r"is complements\(.*must be an",
-        ),
-    ],
-)
-def test_misuse_is_told(act: Any, pattern: str) -> None:
+@refusals(r"""
+p.solve(method='LCP', gp=True) → gp
+cp.Problem(cp.Minimize(cp.sum(x)), p.constraints).solve(method='LCP', algorithm='newton') → newton.*leave it out
+p.solve(method='LCP', solver='OSQP') → solver
+LCP.from_cvxpy(3) → cvxpy problem is needed, got int
+complements(None, x) → None
+complements(x >= 0, -np.ones(3) >= 0) → Booleans, \[False False False\].*Constant
+complements([True, False, True], x) → Booleans
+box(None, 0, 1) → not a cvxpy expression
+complements(p.constraints[0], x) → is complements\(.*must be an
+""")
+def test_misuse_is_told(call: str, words: str) -> None:
     """Unsupported methods, flags and objects raise errors with a message."""
-    x = cp.Variable(3)
-    x.value = np.zeros(3)
-    with pytest.raises(UnsupportedModel, match=pattern):
-        act(cp.Problem(cp.Minimize(0), [pair_of(x)]))
+    x = cp.Variable(3, value=np.zeros(3))
+    names = {**globals(), "x": x, "p": cp.Problem(cp.Minimize(0), [pair_of(x)])}
+    assert_refused(call, words, names, UnsupportedModel)
 
 
 @pytest.mark.parametrize("order", [1, -1])

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import pytest
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
-    LCP,
     ConeProblem,
     FrictionalContact,
-    InvalidOption,
-    LCPError,
     box,
     complements,
     derivative,
@@ -133,61 +130,36 @@ def test_the_order_of_the_sides_is_free() -> None:
 
 
 t, x, y = cp.Variable(), cp.Variable(2), cp.Variable(3)
-REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
-    "an inequality": (lambda: complements(cp.SOC(t, x), y >= 0), r"must be an expression F, or a cone like it"),
-    "another shape": (lambda: complements(cp.SOC(t, x), x - 1), r"same shape, got \(3,\)"),
-    "friction and a cone": (lambda: complements(friction_cone(y, 1.0), cp.SOC(t, x)), "needs the velocities u"),
-    "a matrix": (lambda: friction_cone(cp.Variable((2, 3)), 1.0), "needs a vector of impulses"),
-    "no contacts": (lambda: friction_cone(cp.Variable(7), 1.0), "multiple of"),
-    "coefficients": (lambda: friction_cone(cp.Variable(6), [1.0, 2.0, 3.0], dimension=3), "one per contact of 3 rows"),
-    "a smooth side": (
-        lambda: solved(complements(cp.SOC(t, x), cp.exp(cp.hstack([t, x])))), "must be affine"
-    ),
-    "a smooth pair beside": (
-        lambda: solved(complements(cp.SOC(t, x), cp.hstack([t, x])), complements(y >= 0, cp.exp(y) >= 2)),
-        "with affine sides only",
-    ),
-    "friction beside a pair": (
-        lambda: solved(complements(friction_cone(y, 1.0), y - 1), complements(x >= 0, x)),
-        "has impulses as its only unknowns",
-    ),
-    "negative friction": (
-        lambda: solved(complements(friction_cone(y, -1.0), y - 1)), "not be negative"
-    ),
-    "an objective": (
-        lambda: cp.Problem(cp.Minimize(t), [complements(cp.SOC(t, x), cp.hstack([t, x]))]).solve(method="LCP"),
-        "the best of its solutions cannot be computed",
-    ),
-    "bounds of entries": (
-        lambda: solved(complements(cp.SOC(t, z := cp.Variable(2, nonneg=True)), cp.hstack([t, z]))),
-        "holds variables with bounds",
-    ),
-    "LCP.from_cvxpy": (
-        lambda: LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [complements(friction_cone(y, 1.0), y - 1)])),
-        "takes no cones",
-    ),
-    "an option": (
-        lambda: solved(complements(friction_cone(y, 1.0), y - 1), relaxation=1), "takes no relaxation"
-    ),
-}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_no_model_over_cones_is_refused_in_words(name: str) -> None:
+@refusals(r"""
+complements(cp.SOC(t, x), y >= 0) → must be an expression F, or a cone like it
+complements(cp.SOC(t, x), x - 1) → same shape, got \(3,\)
+complements(friction_cone(y, 1.0), cp.SOC(t, x)) → needs the velocities u
+friction_cone(cp.Variable((2, 3)), 1.0) → needs a vector of impulses
+friction_cone(cp.Variable(7), 1.0) → multiple of
+friction_cone(cp.Variable(6), [1.0, 2.0, 3.0], dimension=3) → one per contact of 3 rows
+solved(complements(cp.SOC(t, x), cp.exp(cp.hstack([t, x])))) → must be affine
+solved(complements(cp.SOC(t, x), cp.hstack([t, x])), complements(y >= 0, cp.exp(y) >= 2)) → with affine sides only
+solved(complements(friction_cone(y, 1.0), y - 1), complements(x >= 0, x)) → has impulses as its only unknowns
+solved(complements(friction_cone(y, -1.0), y - 1)) → not be negative
+cp.Problem(cp.Minimize(t), [complements(cp.SOC(t, x), cp.hstack([t, x]))]).solve(method='LCP')
+    → the best of its solutions cannot be computed
+solved(complements(cp.SOC(t, (z := cp.Variable(2, nonneg=True))), cp.hstack([t, z]))) → holds variables with bounds
+LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [complements(friction_cone(y, 1.0), y - 1)])) → takes no cones
+solved(complements(friction_cone(y, 1.0), y - 1), relaxation=1) → takes no relaxation
+""")
+def test_what_is_no_model_over_cones_is_refused_in_words(call: str, words: str) -> None:
     """Saying what was given and what is needed."""
-    call, words = REFUSED[name]
-    with pytest.raises((LCPError, InvalidOption), match=words):
-        call()
+    assert_refused(call, words, globals())
 
 
 def with_friction(rng: Any) -> tuple[Any, list[Any]]:
     """Six contacts that open, stick and slide; coefficients of three are one parameter, those of the others three."""
     J = rng.standard_normal((18, 24)) / 5.0
     r, b = cp.Variable(18, name="r"), cp.Parameter(18, value=rng.standard_normal(18))
-    same, each = (
-        cp.Parameter(nonneg=True, value=0.4),
-        cp.Parameter(3, nonneg=True, value=[0.2, 0.5, 0.9]),
-    )
+    same = cp.Parameter(nonneg=True, value=0.4)
+    each = cp.Parameter(3, nonneg=True, value=[0.2, 0.5, 0.9])
     u = J @ J.T @ r + b
     pairs = [
         complements(friction_cone(r[:9], 2 * same), u[:9]),

@@ -200,11 +200,9 @@ def definitions_and_equations(r: Any) -> Parts:
 
 
 def two_functions(r: Any) -> Parts:
-    q, k, x = (
-        cp.Parameter(4, value=10 * r.standard_normal(4)),
-        cp.Parameter(value=1.2),
-        cp.Variable(4),
-    )
+    q = cp.Parameter(4, value=10 * r.standard_normal(4))
+    k = cp.Parameter(value=1.2)
+    x = cp.Variable(4)
     pair = complements((k * dominant(r, 4)) @ x + q * k >= 0, dominant(r, 4) @ x - q >= 0)
     return (
         cp.Problem(cp.Minimize(0), [pair]),
@@ -216,14 +214,10 @@ def two_functions(r: Any) -> Parts:
 
 def several_pairs(r: Any) -> Parts:
     X, y, B = cp.Variable((2, 3)), cp.Variable(4, bounds=[-1, 1]), 0.3 * r.standard_normal((4, 6))
-    P, Q = (
-        cp.Parameter((2, 2), value=dominant(r, 2)),
-        cp.Parameter((2, 3), value=4 * r.standard_normal((2, 3))),
-    )
-    t, psi = (
-        cp.Parameter(pos=True, value=2.0),
-        cp.Parameter((2, 3), value=r.standard_normal((2, 3))),
-    )
+    P = cp.Parameter((2, 2), value=dominant(r, 2))
+    Q = cp.Parameter((2, 3), value=4 * r.standard_normal((2, 3)))
+    t = cp.Parameter(pos=True, value=2.0)
+    psi = cp.Parameter((2, 3), value=r.standard_normal((2, 3)))
     F = P @ X + X + Q - cp.reshape(B.T @ y, (2, 3), order="F")
     first = complements(psi <= X, F >= 0)
     second = complements(y, 5 * t * y + B @ cp.vec(X, order="F") - cp.sum(Q) / t)
@@ -236,10 +230,8 @@ def several_pairs(r: Any) -> Parts:
 
 
 def bounds_of_the_variable(r: Any) -> Parts:
-    lower, upper = (
-        cp.Parameter(5, value=-r.uniform(0.1, 1, 5)),
-        cp.Parameter(5, value=r.uniform(0.1, 1, 5)),
-    )
+    lower = cp.Parameter(5, value=-r.uniform(0.1, 1, 5))
+    upper = cp.Parameter(5, value=r.uniform(0.1, 1, 5))
     try:
         x = cp.Variable(5, bounds=[lower, upper])
     except ValueError as error:
@@ -262,10 +254,8 @@ def chain_of_definitions(r: Any) -> Parts:
 
 
 def fixed_by_a_parameter(r: Any) -> Parts:
-    q, at = (
-        cp.Parameter(4, value=10 * r.standard_normal(4)),
-        cp.Parameter(4, value=r.standard_normal(4)),
-    )
+    q = cp.Parameter(4, value=10 * r.standard_normal(4))
+    at = cp.Parameter(4, value=r.standard_normal(4))
     x = cp.Variable(4)
     pair = complements(box(x, at, at), dominant(r, 4) @ x + q)
     return cp.Problem(cp.Minimize(0), [pair]), [q, at], [x], [pair]
@@ -316,10 +306,8 @@ def test_derivatives_agree_with_differences_of_solves(
     found = [changed[one] for one in owners]
     given_gradients = changes(owners, 1)
     gradients = solution.vjp(dict(zip(owners, given_gradients, strict=True)))
-    forward, adjoint = (
-        dot(given_gradients, found),
-        dot([gradients[parameter] for parameter in parameters], moved),
-    )
+    forward = dot(given_gradients, found)
+    adjoint = dot([gradients[parameter] for parameter in parameters], moved)
     size = dot([np.abs(one) for one in given_gradients], [np.abs(change) for change in found])
     assert abs(forward - adjoint) <= 1e-12 * size
     base, ends = [parameter.value for parameter in parameters], []

@@ -14,6 +14,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, NonlinearProblem, Status, box, complements, derivative, solve
 from lcp_plugin.core.errors import InvalidOption, LCPError, ModelWarning, UnsupportedModel
@@ -205,10 +206,8 @@ def test_planted_answers_are_found(seed: int) -> None:
     """A monotone F with x and w chosen first, bounds on both sides and free rows: x is found."""
     generator = np.random.default_rng(seed)
     n = 6
-    lower, upper = (
-        generator.choice([-1.0, -np.inf], size=n),
-        generator.choice([2.0, np.inf], size=n),
-    )
+    lower = generator.choice([-1.0, -np.inf], size=n)
+    upper = generator.choice([2.0, np.inf], size=n)
     low, high = np.where(np.isfinite(lower), lower, -0.5), np.where(np.isfinite(upper), upper, 0.7)
     where = generator.integers(0, 3, size=n)
     planted = np.where(
@@ -371,31 +370,22 @@ def with_parameter(value: Any) -> Any:
 
 
 X = cp.Variable(2)
-REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
-    "absolute value": (
-        lambda: complements(X >= 0, cp.abs(X) - 1 >= 0),
-        r"abs\(.*not smooth.*and a pair",
-    ),
-    "unknown atom": (
-        lambda: complements(X[0] >= 0, cp.lambda_max(cp.diag(X)) >= 0),
-        "lambda_max.*no derivative",
-    ),
-    "NaN parameter": (lambda: with_parameter(np.array([np.nan, 1.0])), "finite"),
-    "two expressions of too many variables": (
-        lambda: complements(cp.exp(X[:1]) >= 1, cp.exp(X[1:]) >= 3),
-        "1 equation, 1 of them from pairs of two expressions and 2 unknowns",
-    ),
-    "two values": (lambda: complements(cp.exp(X) - 1, cp.exp(X) - 3), "has no sign.*y == side"),
-    "not square": (lambda: complements(X[0] >= 0, cp.exp(X[0]) + X[1] >= 0), "1 unknown without"),
-}
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_what_is_refused_is_refused_in_words(case: str) -> None:
+@refusals(r"""
+cp.Problem(cp.Minimize(0), [complements(X >= 0, cp.abs(X) - 1 >= 0)]).solve(method="LCP")
+    → abs\(.*not smooth.*and a pair
+cp.Problem(cp.Minimize(0), [complements(X[0] >= 0, cp.lambda_max(cp.diag(X)) >= 0)]).solve(method="LCP")
+    → lambda_max.*no derivative
+cp.Problem(cp.Minimize(0), [with_parameter(np.array([np.nan, 1.0]))]).solve(method="LCP") → finite
+cp.Problem(cp.Minimize(0), [complements(cp.exp(X[:1]) >= 1, cp.exp(X[1:]) >= 3)]).solve(method="LCP")
+    → 1 equation, 1 of them from pairs of two expressions and 2 unknowns
+cp.Problem(cp.Minimize(0), [complements(cp.exp(X) - 1, cp.exp(X) - 3)]).solve(method="LCP") → has no sign.*y == side
+cp.Problem(cp.Minimize(0), [complements(X[0] >= 0, cp.exp(X[0]) + X[1] >= 0)]).solve(method="LCP") → 1 unknown without
+""")
+def test_what_is_refused_is_refused_in_words(call: str, words: str) -> None:
     """The error names the expression and the remedy."""
-    make, pattern = REFUSED[case]
-    with pytest.raises(UnsupportedModel, match=pattern):
-        cp.Problem(cp.Minimize(0), [make()]).solve(method="LCP")
+    assert_refused(call, words, globals(), UnsupportedModel)
 
 
 def test_roads_for_affine_models_refuse_nonlinear_ones() -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cvxpy as cp
 import numpy as np
 import pytest
+from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import InvalidOption, QPSolver, Status, UnsupportedModel, complements, trace
+from lcp_plugin import QPSolver, Status, complements, trace
 
 
 def test_lasso_in_cvxpy_follows_its_penalty() -> None:
@@ -64,35 +67,26 @@ def test_infeasible_from_a_value_on() -> None:
     assert path.reached == pytest.approx(2.0, abs=1e-9)
 
 
-def test_what_is_not_affine_is_refused_in_words() -> None:
-    """A parameter in a matrix, one that bends, one of another problem, one of several entries."""
+@refusals(r"""
+trace(least(p * cp.sum_squares(x) + cp.sum(x)), p, 1, 2) → UnsupportedModel: divide the objective by it
+trace(least(cp.sum_squares(x), p * x[0] + x[1] >= 1), p, 1, 2) → UnsupportedModel: enters the matrix
+trace(plain, p, 1, 2) → InvalidOption: not a parameter of the problem
+trace(plain, v, 1, 2) → InvalidOption: has 2 entries
+trace(plain, {v: [1, 1]}, 1, 2) → InvalidOption: has no value
+trace(plain, "v", 1, 2) → InvalidOption: is a Parameter
+trace(least(cp.sum_squares(x), x >= p), p, 1, 2).value(cp.Variable(), 1.5)
+    → UnsupportedModel: not a variable of the problem
+trace(least(cp.sum_squares(x), cp.sum(x) >= cp.square(p)), p, 0.0, 1.0)
+    → UnsupportedModel: make the nonlinear expression a parameter
+trace(least(cp.sum_squares(x), cp.sum(x) >= p), p, -1.0, 1.0)
+    → InvalidOption: does not accept its value at θ = -1
+""")
+def test_what_is_not_affine_is_refused_in_words(call: str, words: str) -> None:
+    """A parameter in a matrix, one that bends, one of another problem, one of several entries, one below its bound."""
+
+    def least(cost: Any, *rows: Any) -> cp.Problem:
+        return cp.Problem(cp.Minimize(cost), list(rows))
+
     x, p, v = cp.Variable(2), cp.Parameter(nonneg=True, value=1.0), cp.Parameter(2)
-    quadratic = cp.Problem(cp.Minimize(p * cp.sum_squares(x) + cp.sum(x)))
-    with pytest.raises(UnsupportedModel, match="divide the objective by it"):
-        trace(quadratic, p, 1, 2)
-    with pytest.raises(UnsupportedModel, match="enters the matrix"):
-        trace(cp.Problem(cp.Minimize(cp.sum_squares(x)), [p * x[0] + x[1] >= 1]), p, 1, 2)
-    plain = cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= v])
-    with pytest.raises(InvalidOption, match="not a parameter of the problem"):
-        trace(plain, p, 1, 2)
-    with pytest.raises(InvalidOption, match="has 2 entries"):
-        trace(plain, v, 1, 2)
-    with pytest.raises(InvalidOption, match="has no value"):
-        trace(plain, {v: [1, 1]}, 1, 2)
-    with pytest.raises(InvalidOption, match="is a Parameter"):
-        trace(plain, "v", 1, 2)
-    with pytest.raises(UnsupportedModel, match="not a variable of the problem"):
-        trace(cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= p]), p, 1, 2).value(
-            cp.Variable(), 1.5
-        )
-
-
-def test_parameters_that_bend_or_may_not_move_are_named() -> None:
-    """A parameter within a square, and a nonnegative one below zero, are refused in words."""
-    y, h, positive = cp.Variable(2), cp.Parameter(value=1.0), cp.Parameter(nonneg=True)
-    with pytest.raises(UnsupportedModel, match="make the nonlinear expression a parameter"):
-        trace(cp.Problem(cp.Minimize(cp.sum_squares(y)), [cp.sum(y) >= cp.square(h)]), h, 0.0, 1.0)
-    with pytest.raises(InvalidOption, match="does not accept its value at θ = -1"):
-        trace(
-            cp.Problem(cp.Minimize(cp.sum_squares(y)), [cp.sum(y) >= positive]), positive, -1.0, 1.0
-        )
+    plain = least(cp.sum_squares(x), x >= v)
+    assert_refused(call, words, {"cp": cp, "x": x, "p": p, "v": v, "least": least, "plain": plain})

@@ -51,12 +51,10 @@ def portfolio() -> tuple[Any, list[Any]]:
 
 
 def elastic_net() -> tuple[Any, list[Any]]:
-    A, b, x, v = (
-        RNG.standard_normal((20, 9)),
-        RNG.standard_normal(20),
-        cp.Variable(9),
-        cp.Variable(),
-    )
+    A = RNG.standard_normal((20, 9))
+    b = RNG.standard_normal(20)
+    x = cp.Variable(9)
+    v = cp.Variable()
     costs = cp.sum_squares(cp.multiply(RNG.uniform(0.5, 2.0, 20), A @ x + v - b))
     constraints = [x[:4] >= -0.1, -x[2:] >= -0.2]
     return cp.Problem(cp.Minimize(costs + cp.norm1(x[3:])), constraints), constraints

@@ -153,10 +153,8 @@ def verified(
 def _holds(problem: LCP, i: int, z: Fraction, w: Fraction) -> bool:
     """Whether row i is complementary, exactly."""
     low, high = float(problem.lower[i]), float(problem.upper[i])
-    is_low, is_high = (
-        math.isfinite(low) and z == Fraction(low),
-        math.isfinite(high) and z == Fraction(high),
-    )
+    is_low = math.isfinite(low) and z == Fraction(low)
+    is_high = math.isfinite(high) and z == Fraction(high)
     if (math.isfinite(low) and z < Fraction(low)) or (math.isfinite(high) and z > Fraction(high)):
         return False
     if is_low and is_high:

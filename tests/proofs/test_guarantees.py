@@ -18,12 +18,12 @@ from inputs import membranes, textbook_scenes
 from inputs.drawn_scaling import scaled_matrices
 from inputs.families import UNPROVEN
 from inputs.planted import planted_lcp
+from tools.refusals import assert_refused, refusals
 from typer.testing import CliRunner
 
 from lcp_plugin import LCP, Status, analyze, convergence_guarantee, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.commands.cli import app
-from lcp_plugin.core.errors import InvalidOption, UnknownAlgorithm
 from lcp_plugin.methods.npsplitting import NPSplitting
 from lcp_plugin.proofs.guarantees import bound_of_errors, theorem_4_1
 from lcp_plugin.proofs.verdicts import sign_remark
@@ -269,17 +269,15 @@ def test_an_algorithm_of_the_user_is_not_covered() -> None:
     assert convergence_guarantee(with_matrix(np.eye(2)), Still()).verdict == "not covered"
 
 
-def test_arguments_are_checked() -> None:
+@refusals(r"""
+convergence_guarantee(eye, "psr") → UnknownAlgorithm: psor
+convergence_guarantee(eye, "npgs", relaxation=1.0) → InvalidOption: relaxation
+convergence_guarantee(np.eye(2), "npgs") → InvalidOption: LCP
+convergence_guarantee(eye, "npgs", scaling_factor=2.0) → InvalidOption: needs scaling="diagonal"
+""")
+def test_arguments_are_checked(call: str, words: str) -> None:
     """Unknown names and options raise the errors of solve; automatic scaling takes no factor."""
-    problem = with_matrix(np.eye(2))
-    with pytest.raises(UnknownAlgorithm, match="psor"):
-        convergence_guarantee(problem, "psr")
-    with pytest.raises(InvalidOption, match="relaxation"):
-        convergence_guarantee(problem, "npgs", relaxation=1.0)
-    with pytest.raises(InvalidOption, match="LCP"):
-        convergence_guarantee(np.eye(2), "npgs")
-    with pytest.raises(InvalidOption, match='needs scaling="diagonal"'):
-        convergence_guarantee(problem, "npgs", scaling_factor=2.0)
+    assert_refused(call, words, {"eye": with_matrix(np.eye(2))})
 
 
 # --- At the limit of a theorem -------------------------------------------------------------------------------

@@ -134,6 +134,7 @@ def test_exact_solves_satisfy_their_equations(seed: int) -> None:
     assert (x is None) == (rank < k)
     if x is not None:
         assert [sum(a * v for a, v in zip(row, x, strict=True)) for row in A] == b
+    assert solve_exactly([[1, 2], [2, 4]], [1, 1]) is None
 
 
 def test_signs_of_one_row_prove_a_large_problem_infeasible() -> None:
@@ -235,10 +236,8 @@ def test_the_reference_is_bounded_from_above(seed: int) -> None:
     kind = rng.integers(0, 4, n)
     lower, upper = np.where(kind == 3, -np.inf, 0.3 * kind), np.where(kind == 0, np.inf, 1e3)
     problem = LCP(M, rng.standard_normal(n), lower=lower, upper=upper)
-    exact, bound = (
-        max(exact_residuals(problem, problem.nearest_to_zero)),
-        row_data(problem).references[1].max(),
-    )
+    exact = max(exact_residuals(problem, problem.nearest_to_zero))
+    bound = row_data(problem).references[1].max()
     assert exact <= Fraction(bound)
     assert bound <= float(exact) * (1.0 + 1e-12) + 1e-300
 

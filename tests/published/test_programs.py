@@ -28,10 +28,8 @@ def one_sided(of: PublishedProgram) -> tuple[Any, ...]:
     rows, low, high, lower, upper = of.split()
     is_equation = low == high
     above, below = np.isfinite(high) & ~is_equation, np.isfinite(low) & ~is_equation
-    G, h = (
-        sp.csc_matrix(sp.vstack([rows[above], -rows[below]])),
-        np.concatenate([high[above], -low[below]]),
-    )
+    G = sp.csc_matrix(sp.vstack([rows[above], -rows[below]]))
+    h = np.concatenate([high[above], -low[below]])
     return G, h, sp.csc_matrix(rows[is_equation]), high[is_equation], lower, upper
 
 

@@ -13,6 +13,7 @@ from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 from inputs.drawn_scaling import nearly_singular, scaled_matrices, scaled_solved, skewed, strict
 from oracles.exact import determinant, exact_rows, has_positive_pivots, principal_minors
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, analyze
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem
@@ -427,22 +428,6 @@ def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
     assert assert_solves(careless, error_tolerance=np.inf, max_examples=30, **inactive) == 30
 
 
-def test_the_judge_refuses_wrong_options() -> None:
-    """Options out of range raise errors before anything is drawn."""
-    for options, message in (
-        (
-            {"matrices": np.eye(2)},
-            r"matrices must be a strategy such as p_matrices\(4\), got ndarray",
-        ),
-        ({"max_examples": 0}, "max_examples must be an integer ≥ 1, got 0"),
-        ({"tolerance": -1.0}, "tolerance must be a number ≥ 0, got -1.0"),
-    ):
-        with pytest.raises(InvalidOption, match=message):
-            assert_solves(exact_diagonal, **options)
-    with pytest.raises(InvalidOption, match="solver must be callable"):
-        assert_solves(np.eye(2))
-
-
 # --- Everything occurs ------------------------------------------------------------------------------------
 
 
@@ -459,18 +444,19 @@ def test_h_plus_matrices_shrink_to_the_identity(name: str) -> None:
 # --- Errors -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: h_plus_matrices(-1), "size must be an integer ≥ 0 or a strategy of such, got -1"),
-        (lambda: h_plus_matrices(density=1.5), r"density must lie in \[0, 1\], got 1.5"),
-        (lambda: not_h_matrices(0), "size must be an integer ≥ 1 or a strategy of such, got 0"),
-    ],
-)
-def test_wrong_options_are_refused_at_once(build: object, message: str) -> None:
-    """An option out of range raises an error with the value and the range at once."""
-    with pytest.raises(InvalidOption, match=message):
-        build()
+@refusals(r"""
+h_plus_matrices(-1) → size must be an integer ≥ 0 or a strategy of such, got -1
+h_plus_matrices(density=1.5) → density must lie in \[0, 1\], got 1.5
+not_h_matrices(0) → size must be an integer ≥ 1 or a strategy of such, got 0
+assert_solves(exact_diagonal, matrices=np.eye(2))
+    → matrices must be a strategy such as p_matrices\(4\), got ndarray
+assert_solves(exact_diagonal, max_examples=0) → max_examples must be an integer ≥ 1, got 0
+assert_solves(exact_diagonal, tolerance=-1.0) → tolerance must be a number ≥ 0, got -1.0
+assert_solves(np.eye(2)) → solver must be callable
+""")
+def test_wrong_options_are_refused_at_once(call: str, words: str) -> None:
+    """An option out of range raises an error with the value and the range, before anything is drawn."""
+    assert_refused(call, words, globals(), InvalidOption)
 
 
 @pytest.mark.parametrize(

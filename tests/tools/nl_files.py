@@ -98,10 +98,8 @@ def read_sol(path: Path) -> SolContent:
     """Return the content of a ``.sol`` file in text."""
     lines = path.read_text(encoding="utf-8").splitlines()
     begin = next(k for k, line in enumerate(lines) if line.strip() == OPTIONS)
-    message, rest = (
-        "\n".join(line for line in lines[:begin] if line.strip()),
-        iter(lines[begin + 1 :]),
-    )
+    message = "\n".join(line for line in lines[:begin] if line.strip())
+    rest = iter(lines[begin + 1 :])
     count, *options = (int(next(rest)) for _ in range(3))
     has_tolerance = options[1] == WITH_TOLERANCE
     count -= 2 * has_tolerance

@@ -39,7 +39,7 @@ from ...solving.result import Outcome, Result
 from .expressions import UNKNOWNS, Expressions
 from .reading import Indices, NLContent, Token, read_content
 
-FEASIBLE = 1e-6  # by which a side condition may be violated, or ten times the tolerance
+SIDE_CONDITION = 1e-6  # by which a side condition may be violated, or ten times the tolerance
 
 
 def values_and_slopes(content: NLContent, x: Vector, rows: Indices) -> tuple[Vector, sp.csr_array]:
@@ -241,7 +241,7 @@ class ComplementarityModel(NLModel):
         status, words = found.status, found.status.name.lower()
         if status is Status.SOLVED:
             tolerance = options.get("tolerance", Settings.tolerance)
-            if wrong := self._violated(x, max(FEASIBLE, 10.0 * tolerance)):
+            if wrong := self._violated(x, max(SIDE_CONDITION, 10.0 * tolerance)):
                 if (other := self._another(options, found)) is not None:
                     why = f"; {wrong}" if other.result.has_no_solution else ""
                     return replace(other, message=other.message + why)
@@ -273,7 +273,7 @@ class ComplementarityModel(NLModel):
         content, at = self.content, x[self.content.partners[self.pairs]]
         both = (pair_bounds(content, self.pairs, as_stated=one) for one in (False, True))
         for word, own, stated in zip(("lower", "upper"), *both, strict=True):
-            is_near = np.abs(at - own) <= FEASIBLE * np.maximum(1.0, np.abs(own))
+            is_near = np.abs(at - own) <= SIDE_CONDITION * np.maximum(1.0, np.abs(own))
             for k in self.pairs[is_near & (own != stated)][:1].tolist():
                 j = content.partners[k]
                 return (

@@ -176,10 +176,8 @@ OPERATOR_NAMES: dict[int, dict[int, str]] = {
     PIECEWISE: _table("64 piecewise-linear term"),
 }
 ARITY = {number: arity for arity, names in OPERATOR_NAMES.items() for number in names}
-SUFFIX_IS_REAL = 4  # a bit of the first number of an S segment
-PLUS = 0  # the number of the operator
 PARTNER = 5  # the kind of a complementarity row
-MOST_OPTIONS = 9
+MOST_OPTIONS = 9  # in the first line; as other readers of .nl take
 WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
 # the kinds of arithmetic that can be read; 0 is the writer's own
 LITTLE_ENDIAN, BIG_ENDIAN = (1, 2)
@@ -225,7 +223,8 @@ class Trees:
         """Return the trees with a number added to each, shape (k,)."""
         is_added = constants != 0.0
         at, k = np.repeat(self.starts[:-1][is_added], 2), int(is_added.sum())
-        values = np.column_stack([np.full(k, PLUS), constants[is_added]]).ravel()
+        # 0 is the number of the operator +
+        values = np.column_stack([np.full(k, 0), constants[is_added]]).ravel()
         return Trees(
             np.insert(self.kinds, at, [Token.OPERATOR, Token.NUMBER] * k),
             np.insert(self.values, at, values),
@@ -330,7 +329,6 @@ TOKENS = dict.fromkeys(NUMBERS, Token.NUMBER) | {"v": Token.VARIABLE, "o": Token
 NO_SEGMENT = f"no segment begins here; the letters are {' '.join(HEADS)}"
 NO_PART = "a part of an expression is needed here"
 HAVE_LOWER, HAVE_UPPER = (0, 2, 4), (0, 1, 4)  # kinds of bounds
-IS_AS_STATED = 4  # a bound with this code may be 1e20
 LINES = 10  # of the head, which are text in binary files too
 #: Lines of the head after the first: how many numbers are required, and their names; a star marks a number of items
 #: in the file, each of at least a byte.
@@ -508,7 +506,8 @@ class _Reader:
             if letter in SKIPPED:
                 self._skip(SKIPPED[letter], numbers[0])
             if letter == "S":  # text has real numbers for whole ones also
-                is_real = numbers[0] & SUFFIX_IS_REAL or not header.is_binary
+                # A bit of the first number of an S segment
+                is_real = numbers[0] & 4 or not header.is_binary
                 self._skip("id" if is_real else "ii", numbers[1])
 
     def _owner(self, letter: str, numbers: list[int]) -> int:
@@ -597,7 +596,7 @@ class _Reader:
                 self.source.fail("a bound is not a number")
             low = numbers[0] if kind in HAVE_LOWER else -math.inf
             high = numbers[-1] if kind in HAVE_UPPER else math.inf
-            if kind != IS_AS_STATED:
+            if kind != 4:  # a bound of kind 4 may be 1e20
                 low = -math.inf if low <= -INFINITE_LIMIT else low
                 high = math.inf if high >= INFINITE_LIMIT else high
             self.bounds[letter].append((low, high, -1, 0))

@@ -264,10 +264,10 @@ def bimatrix_players(M: NDArray[np.float64], q: Vector) -> NDArray[np.bool_] | N
 
 FloatMatrix = NDArray[np.float64]
 
-ACCURATE = 1e-12
+ACCURATE = 1e-12  # relative residual of the basis up to which no new factorization is needed
 # relative to each |q|, and to the smallest nonzero |q| where q is 0: no two rows block at once
 TIE_BREAK = 2.0**-48
-FEASIBLE = 1e-7
+FEASIBLE = 1e-7  # of the largest basic variable: how far one may be out of its bounds
 CANCELLED = 2.0**-44  # of the terms: a smaller difference is set to 0
 
 

@@ -20,7 +20,7 @@ KEPT, WIDTH, LOW, HIGH, DISTANCE = np.arange(5)  # rows of `real`
 SIDE, BASIC, PLACE, OTHER, START = range(5)  # rows of `whole`
 AT_LOWER, BETWEEN, AT_UPPER, FIXED, NOT_STARTED = 0, 1, 2, 3, 4
 HELD = 8  # pivots whose products are added to a large tableau at once
-TIE = 1e-12
+TIE = 1e-12  # relative: ratios that differ by less are equal up to rounding
 OWN_BOUND, NOTHING = -1, -2
 GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
 

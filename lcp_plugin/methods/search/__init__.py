@@ -30,9 +30,9 @@ from .explorer import Explorer, Face, Point, extreme_points, faces_around
 from .simplex import QUANTUM, Effort
 
 LARGEST_CHOICES = 24  # rows with more than one choice
-LARGEST_SIZE = 60
-DEFAULT_NODES = 200_000
-SHOWN = 6  # vertices of a face in a printed solution
+MOST_SEARCHED = 60  # rows of an exhaustive search
+DEFAULT_NODES = 200_000  # of a search that the caller does not limit
+VERTICES_SHOWN = 6  # vertices of a face in a printed solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +91,12 @@ class Solution:
     def __str__(self) -> str:
         if self.is_isolated:
             return f"z = {_in_fractions(self.exact_z)}, isolated"
-        some = list(islice(extreme_points(self.problem, self.pattern), SHOWN + 2))
+        some = list(islice(extreme_points(self.problem, self.pattern), VERTICES_SHOWN + 2))
         if not some:
             place = f"on a face of dimension {self.dimension} that contains a line"
             return f"z = {_in_fractions(self.exact_z)}, {place}"
         others = [_in_fractions(vertex) for vertex in sorted(some) if vertex != self.exact_z]
-        shown = [*others[:SHOWN], *["…"] * (len(others) > SHOWN)]
+        shown = [*others[:VERTICES_SHOWN], *["…"] * (len(others) > VERTICES_SHOWN)]
         rest = f"; others: {', '.join(shown)}" if others else ""
         return f"z = {_in_fractions(self.exact_z)}, a vertex of a face of dimension {self.dimension}{rest}"
 
@@ -264,7 +264,7 @@ def _in_doubles(values: Sequence[Fraction], name: str) -> Vector:
 
 def is_searchable(problem: LCP) -> bool:
     """Return whether the problem is small enough for a search."""
-    return _choices(problem) <= LARGEST_CHOICES and problem.n <= LARGEST_SIZE
+    return _choices(problem) <= LARGEST_CHOICES and problem.n <= MOST_SEARCHED
 
 
 def has_few_active_sets(problem: LCP) -> bool:
@@ -314,7 +314,7 @@ def _require_small(problem: LCP) -> None:
         raise InvalidProblem(refusal("all_solutions", problem))
     if not is_searchable(problem):
         raise UnsuitableProblem(
-            f"the exhaustive search takes at most {LARGEST_CHOICES} rows that leave a choice and n ≤ {LARGEST_SIZE}, "
+            f"the exhaustive search takes at most {LARGEST_CHOICES} rows that leave a choice and n ≤ {MOST_SEARCHED}, "
             f"got {_choices(problem)} and n = {problem.n}; solve(problem) looks for one solution"
         )
 

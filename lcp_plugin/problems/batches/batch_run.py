@@ -227,11 +227,11 @@ class BatchRun:
                 named = {"status": Status.SOLVED, "algorithm": "normal equations"}
                 return LeastSquaresResult.at(point, **named, **run)
         if isinstance(problem, LCP):
-            asked = None if self.algorithm == "auto" else method_of(self.algorithm, {})
-            name = "rounds" if asked is None else asked.name
+            chosen = method_of(self.algorithm, {})
+            name = "rounds" if chosen is None else chosen.name
             stage = StageRecord(name, "one of a stack of small problems", iterations, 0.0)
             z = read_only(z[: problem.n])
-            return Result.at(problem, z, stage, settings, share, asked=asked)
+            return Result.at(problem, z, stage, settings, share, chosen=chosen)
         found = solve_one(problem, z[: problem.n], self.algorithm, self.options)
         stage = StageRecord("nsgs", "one of a stack over the same cones", iterations, iterations)
         named = {"iterations": iterations, "work": iterations + 1.0, "stages": (stage,)}

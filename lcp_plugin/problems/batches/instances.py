@@ -17,7 +17,7 @@ from ...core.lcp import LCP
 from ...methods.small import LOOP_UP_TO, SMALL_DENSE, has_numba, is_small, solve_stack, suits_loop
 from ...solving.choice import takes_rounds
 from ...systems.free_systems import products
-from ...systems.graph import outer_on_pattern
+from ...systems.graph import outer_on_pattern, sum_of_outer
 from ..cones.data import Blocks
 from ..cones.frictional_contact import FrictionalContact, FrictionalContactBatch
 from ..cones.solving import solve_cone_stack
@@ -108,6 +108,9 @@ class Instances:
     def outer(self, left: Any, right: Any) -> Any:
         """Return products left_i right_j, shape (B, n, n)."""
         return left[:, :, np.newaxis] * right[:, np.newaxis]
+
+    def least_squares(self) -> BoundedLeastSquares | None:
+        """Return the problems as a stack if they are least squares that share A, weights and ridge."""
 
     def row(self, found: Any) -> Any:
         """Return the row of a result in the table of points."""
@@ -208,6 +211,13 @@ class Listed(Instances):
         for items in alike.values():
             base = self.problems[items[0]]
             yield from _stacks_of(base, np.array(items), partial(self._stack, base), tolerance)
+
+    def least_squares(self) -> BoundedLeastSquares | None:
+        """Return the problems as a stack if they are least squares that share A, weights and ridge."""
+        if not all(isinstance(one, BoundedLeastSquares) for one in self.problems):
+            return None
+        are_one = len({(id(one.A), id(one.weights), one.ridge) for one in self.problems}) == 1
+        return self._stack(self.problems[0], range(len(self))) if are_one else None
 
     def _stack(self, base: BoundedLeastSquares, items: Any) -> BoundedLeastSquares:
         chosen = [self.problems[k] for k in items]
@@ -351,10 +361,7 @@ class Stacked(Rows):
             return super().outer(left, right)
         if not sp.issparse(self.M):
             return left.T @ right
-        total = outer_on_pattern(self.base.matrix, *np.zeros((2, left.shape[1])))
-        for a, b in zip(left, right, strict=True):
-            total.data += outer_on_pattern(self.base.matrix, a, b).data
-        return total
+        return sum_of_outer(self.base.matrix.csr, left, right)
 
     def groups(self, suits: Callable[[LCP], bool] = is_small) -> Iterator[Group]:
         """Yield the problems without errors, if `suits` is true for their matrix."""
@@ -389,6 +396,10 @@ class RightSides(Rows):
 
     def __getitem__(self, k: int) -> BoundedLeastSquares:
         return self.base.with_vectors(*(self._row(name, k) for name in ("b", "lower", "upper")))
+
+    def least_squares(self) -> BoundedLeastSquares:
+        """Return all problems as a stack."""
+        return self.stack(slice(None))
 
     def stack(self, items: Any) -> BoundedLeastSquares:
         """Return these problems as a stack."""

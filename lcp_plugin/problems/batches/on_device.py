@@ -24,7 +24,7 @@ from ..many import AnswerSequence
 from .batch_run import BatchRun
 from .instances import Stacked, have_values
 
-MAX_UNKNOWNS = 70
+MAX_UNKNOWNS = 70  # each thread has a tableau of its own
 MAX_SCRATCH = 2**30  # bytes of the tables of one launch
 THREADS = 32  # per block: one warp, so that a small batch occupies many processors
 ON_GPU = 2, 13  # device types of DLPack: memory of CUDA, managed memory of CUDA

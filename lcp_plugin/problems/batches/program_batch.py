@@ -23,9 +23,8 @@ from .instances import Instances, Stacks, have_values
 
 ENGINE = "daqp"
 PROXIMAL = {"eta_prox": 1e-13, "eps_prox": -1e-3}  # for singular P, because no polish follows
-BLOCKS_A_THREAD = 4
-ROUNDING = 4.0 * EPSILON  # of eigenvalues, relative to the largest and per unknown
-TOGETHER = 2**18  # entries per evaluation of the criterion
+BLOCKS_A_THREAD = 4  # so that threads end at the same time
+EIGENVALUE_ROUNDING = 4.0 * EPSILON  # of eigenvalues, relative to the largest and per unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +165,8 @@ class ProgramBatch(Instances):
         data = self.arrays
         may = self.may_be_stated & _are_semidefinite(data[0])
         share = 1 if threads == 1 else BLOCKS_A_THREAD * threads
-        size = max(min(TOGETHER // entries, -(-count // share)), 1)
+        # Entries per evaluation of the criterion
+        size = max(min(2**18 // entries, -(-count // share)), 1)
         shared = cache(partial(block_matrices, data[0], data[2], m))
         for first in range(0, count, size):
             own = slice(first, min(first + size, count))
@@ -299,4 +299,4 @@ def _are_semidefinite(P: Any) -> Any:
         return np.ones(len(P), np.bool_)
     is_finite = np.isfinite(P).all(axis=(1, 2))
     values = np.linalg.eigvalsh(np.where(is_finite[:, np.newaxis, np.newaxis], P, 0.0))
-    return is_finite & (values[:, 0] >= -ROUNDING * P.shape[1] * np.abs(values[:, -1]))
+    return is_finite & (values[:, 0] >= -EIGENVALUE_ROUNDING * P.shape[1] * np.abs(values[:, -1]))

@@ -310,9 +310,6 @@ class ConeCertificate:
 
 
 DIGITS = 2.0**-20  # of the largest |y_i|: y is rounded to multiples, so that sums cancel exactly
-UNUSED = 1e-6  # of the largest |y_i|: Clarabel's points reach 0 to about 1e-8
-FEW_ROWS = 1000  # of y: a least squares problem of a second
-MARGIN = 1e-3  # reduction of the margin, for the rounding error of its sums
 
 
 @dataclass(frozen=True, eq=False)
@@ -391,7 +388,8 @@ class ContactInfeasibility:
         references = np.maximum.reduceat(of_rows, problem.starts[:-1])
         shares = np.where(weights > 0.0, weights * references, 0.0)
         value = self._found.plain if self.is_exact else self._found.size
-        return float(float(value) / shares.sum() * (1.0 - MARGIN))
+        # Less, for the rounding error of the sums
+        return float(float(value) / shares.sum() * (1.0 - 1e-3))
 
     def excludes(self, tolerance: float, absolute_tolerance: float) -> bool:
         """Return whether the proof excludes SOLVED for every point."""
@@ -450,8 +448,9 @@ def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
 
 def without_pull(problem: Blocks, y: Vector) -> Vector:
     """Return y near a given one with Mᵀy = 0 to rounding, without its entries at rounding level."""
-    used = np.flatnonzero(np.abs(y) > UNUSED)
-    columns = problem.rows.csr[used].toarray().T if used.size <= FEW_ROWS else np.zeros((0, 0))
+    used = np.flatnonzero(np.abs(y) > 1e-6)  # Clarabel's points reach 0 to about 1e-8
+    # A least squares problem of a second
+    columns = problem.rows.csr[used].toarray().T if used.size <= 1000 else np.zeros((0, 0))
     x, found = y[used], np.zeros(problem.n)
     for _ in range(3 if columns.size else 0):
         x = x - np.linalg.lstsq(columns, columns @ x, rcond=DIGITS)[0]

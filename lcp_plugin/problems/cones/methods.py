@@ -31,22 +31,20 @@ from numpy.typing import NDArray
 from ...core.algorithm import Step
 from ...core.checks import Vector
 from ...core.errors import UnsuitableProblem
+from ...core.kernels.floats import NORMAL
 from ...core.settings import whole_number
 from ...systems.free_systems import solved
 from .data import minimizers
-from .stack import TINY, ConeStack, Factors, NaturalMap, factorize_matrix, length
+from .stack import ConeStack, Factors, NaturalMap, factorize_matrix, length
 from .sweeps import sweep_blocks
 
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d
 LEAST_OF_BODIES = 1e-8  # the system of the velocities contains 1/ε
-EXACT_OF_BODIES = 2.0**-36
+EXACT_OF_BODIES = 2.0**-36  # 1/ε enlarges rounding errors by so much
 HARDER, EASIER = 100.0, 0.01  # times ε: for a singular system, and after a full step without GAIN
-MEMORY = 5  # a step may rise to the largest of so many residuals
+RECENT = 5  # a step may rise to the largest of so many residuals
 HALVINGS, DECREASE = 14, 1e-4
-LAST_STEPS = 2
 NEWTON_GAIN, EXACT = 0.9, 2.0**-46  # a relative residual at rounding level of the linear systems
-PATIENCE = 60  # points without GAIN; each halving is a point
-STACKED_UP_TO = 12  # unknowns of one problem that are solved without leaving open blocks out
 
 
 def newton_steps(
@@ -59,10 +57,11 @@ def newton_steps(
     open_ones, here, at = np.arange(stack.B), stack, z
     found = here.measure(at)
     yield open_ones, at, found.largest, 1.0
-    norms, widest = np.repeat(found.norm[:, None], MEMORY, 1), np.full(here.B, PROXIMAL)
+    norms, widest = np.repeat(found.norm[:, None], RECENT, 1), np.full(here.B, PROXIMAL)
     best, since, least = found.norm.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
     for count in range(steps):
-        going = np.isfinite(found.norm) & (found.largest > goal) & (since < PATIENCE)
+        # Points without a gain; each halving is a point
+        going = np.isfinite(found.norm) & (found.largest > goal) & (since < 60)
         if not going.any():
             return
         if not going.all():
@@ -96,7 +95,7 @@ def newton_steps(
         is_poor = (t < 1.0) | (found.norm >= before)
         narrower = np.where(found.norm > NEWTON_GAIN * before, EASIER * epsilon, widest)
         widest = np.where(is_poor, PROXIMAL, narrower)
-        norms[:, count % MEMORY] = found.norm
+        norms[:, count % RECENT] = found.norm
         tried = 1 - np.log2(t).astype(np.int64)  # each halving costs as much as a step
         since = np.where(found.norm < NEWTON_GAIN * best, 0, since + tried)
         best = np.minimum(best, found.norm)
@@ -118,7 +117,7 @@ def polish_points(stack: ConeStack, z: Any) -> tuple[Any, Any]:
     least, exact = accuracy_of(stack)
     found = stack.measure(z)
     best, smallest, shift = z, found.largest, least * stack.d[..., None, None]
-    for _ in range(LAST_STEPS):
+    for _ in range(2):
         if (found.largest <= exact).all():
             break
         by_z, by_w = stack.derivative(*found[1:6])
@@ -142,7 +141,8 @@ def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
         For a singular matrix.
     """
     pattern = stack.pattern
-    if stack.B > 1 or (not pattern.is_sparse and pattern.n <= STACKED_UP_TO):
+    # Few unknowns: open blocks are not left out
+    if stack.B > 1 or (not pattern.is_sparse and pattern.n <= 12):
         J = whole_systems(stack, mixed, by_w)
 
         def solve_all(right: Any) -> Any:
@@ -193,8 +193,7 @@ def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Any, free: Any) -> t
 
 Cones = NDArray[np.float64]  # shape (k, d)
 
-LEAST_SLOPE = 1e-3  # of the cones of the path; Newton's steps use the user's cones
-TO_THE_BOUNDARY = 0.9
+TO_THE_BOUNDARY = 0.9  # share of the way to the boundary of the cones that a step goes
 SHORT, CENTRED = 0.1, (0.5, 0.9)  # after a shorter step a centering step is tried, with these σ
 
 
@@ -211,7 +210,8 @@ def central_path(stack: ConeStack, z: Any, share: float) -> Iterator[tuple[Any, 
         Distance of the start from z, relative to the largest velocity.
     """
     scale = np.ones((stack.k, stack.m))
-    scale[:, 0] = np.maximum(stack.mu[0], LEAST_SLOPE)
+    # The cones of the path have a slope; Newton's steps use the user's cones
+    scale[:, 0] = np.maximum(stack.mu[0], 1e-3)
     speed = share * (float(np.abs(stack.q[0] / scale).max(initial=0.0)) or 1.0)
     x, y = scale * z[0], np.zeros_like(scale)
     d: Any = np.median(stack.d[0]) if stack.k else 1.0
@@ -232,7 +232,7 @@ def take_step(
     H, root = nesterov_todd_scaling(x, y)
     eye = np.eye(stack.m)
     G = np.tile(eye, (stack.k, 1, 1))
-    G[:, 0, 1:] -= scale[:, :1] * y[:, 1:] / np.maximum(length(y[:, 1:]), TINY)[:, None]
+    G[:, 0, 1:] -= scale[:, :1] * y[:, 1:] / np.maximum(length(y[:, 1:]), NORMAL)[:, None]
     left = apply(G, scale * y) - stack.slack((x / scale)[None])[0]
     by_z = G * scale[:, None] @ H * scale[:, None]
     if not (np.isfinite(by_z).all() and np.isfinite(left).all()):
@@ -316,11 +316,10 @@ def longest(x: Cones, step: Cones) -> float:
 
 Points = Iterator[Step]  # z of shape (1, k, m), its relative residual without rounding, work
 
-SWEEPS_PER_STEP = 10
+SWEEPS_PER_STEP = 10  # between two residuals
 STOP = 1e-2  # of the goal: smaller changes end the sweeps
 STANDSTILL, SLOW = 100, 0.2  # steps of sweeps without a gain, and their share of all
-GAIN = 0.9
-NEWTON_STEPS = 300
+NEWTON_STEPS = 300  # of one call
 PATH_STEPS, NO_GAIN = 40, 8  # of the central path, and steps without a new best
 NEAR, NEARER = 1e-3, 1e-2  # residual below which Newton's steps are tried, and its later reduction
 PROGRAMS, PROGRAM_WORK = 5, 20.0  # convex programs without a gain, and the work of one
@@ -344,7 +343,7 @@ def sweep_points(
         residual = stack.relative_residual(z)
         if not np.isfinite(residual):
             return
-        least, since = (residual, 0) if residual < GAIN * least else (least, since + 1)
+        least, since = (residual, 0) if residual < NEWTON_GAIN * least else (least, since + 1)
         steps += 1
         yield Step(z, residual=residual, work=each + 1.0, iterations=1)
 
@@ -476,7 +475,7 @@ class FixedPoint(ConeAlgorithm):
         for found in minimizers(problem, stack.pattern.flat(z)[0]):
             z = stack.pattern.wide(found[None])
             residual = stack.relative_residual(z)
-            is_gain = residual < GAIN * least
+            is_gain = residual < NEWTON_GAIN * least
             best, least, since = (z, residual, 0) if is_gain else (best, least, since + 1)
             yield Step(z, residual=residual, work=PROGRAM_WORK, iterations=1)
             if least <= goal or since >= PROGRAMS:

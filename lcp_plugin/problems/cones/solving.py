@@ -14,6 +14,7 @@ from ...core.certificates.criterion import Measured
 from ...core.certificates.residuals import WorstRows
 from ...core.checks import Vector, checked_start, derived_property, read_only
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
+from ...core.kernels.floats import DATA_ROUNDING
 from ...core.kernels.threads import threads_for
 from ...core.representation import format_count
 from ...core.settings import Settings, Status
@@ -35,7 +36,6 @@ SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's met
 STACK_SCHEDULE = (*SCHEDULE, (1000, 100))
 LONG_SCHEDULE = tuple((count, methods.NEWTON_STEPS) for count in (2500, 7500, 10000))
 SHARES = (0.01, 0.1, 0.001)  # of the largest velocity: distance of a path's start from a point
-ROUNDING = 2.0**-44  # of the largest entry of W: tolerated difference from its transpose
 WORDS = {
     Status.STALLED: (
         "no method reduces the residual further; next: another start z0, or less friction: contact with much friction "
@@ -416,6 +416,7 @@ class ConeResult(Result):
             f"{self.certificate.lost_energy + 0.0:.4g} J in SI units"  # type: ignore[attr-defined]
         ]
         asymmetry = float(abs(problem.W - problem.W.T).max()) if problem.n else 0.0
-        if asymmetry > ROUNDING * float(abs(problem.W).max() if problem.n else 0.0):
+        # Of the largest entry of W: tolerated difference from its transpose
+        if asymmetry > DATA_ROUNDING * float(abs(problem.W).max() if problem.n else 0.0):
             lines.append(f"W is not symmetric, by up to {asymmetry:.1e}; it was used unchanged")
         return lines

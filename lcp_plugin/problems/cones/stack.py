@@ -17,12 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.kernels.floats import NEGLIGIBLE_DIAGONAL, NORMAL
 from ...systems.factors import factorise
 from ...systems.free_systems import solved
 
-ACCURATE = 1e-4  # of the right-hand side: a larger residual means that the matrix is singular
 LAPACK_UP_TO = 600  # unknowns of a dense system
-DENSE_SYSTEMS_UP_TO = 150  # unknowns of a sparse system that is solved as dense
 FEW = 60  # unknowns: up to here the system of the bodies does not pay
 
 
@@ -41,7 +40,7 @@ def factorize_matrix(J: Any) -> Factors:
     LinAlgError
         For a singular matrix; raised by the solver if only its solutions reveal this.
     """
-    if sp.issparse(J) and J.shape[0] <= DENSE_SYSTEMS_UP_TO:
+    if sp.issparse(J) and J.shape[0] <= 150:  # a small sparse system is solved as dense
         J = J.toarray()
     if (factor := factorise(J)) is None:
         raise np.linalg.LinAlgError
@@ -50,7 +49,8 @@ def factorize_matrix(J: Any) -> Factors:
         found = factor.solve(right)
         if sp.issparse(J):
             found = found + factor.solve(right - J @ found)
-            most = ACCURATE * np.abs(right).max(initial=0.0)
+            # A larger residual means that the matrix is singular
+            most = 1e-4 * np.abs(right).max(initial=0.0)
             if not np.abs(J @ found - right).max(initial=0.0) <= most:
                 raise np.linalg.LinAlgError
         return found
@@ -117,10 +117,6 @@ class Arms:
 
 
 OUT, WITHIN, ON = 0, 1, 2  # location of a projection: apex or bound, interior, boundary of a cone
-TINY = np.finfo(np.float64).tiny
-LEAST_DIAGONAL = 2.0**-20  # relative to the largest entry of its row: a smaller one is not a scale
-DENSE_UP_TO = 300  # unknowns of a sparse problem that is stored as dense
-INSIDE = 1.0 + 2.0**-50  # times μ z_N: so that the projection of a projection is the same
 Array = Any
 
 
@@ -197,7 +193,7 @@ class Pattern:
         root, most = np.tile(np.sqrt(self.sizes), B), np.zeros(B * k)
         np.maximum.at(most, of_block[0], sums * (1.0 / root)[of_block[1]])
         most = (most / root).reshape(B, k)
-        usable = (own > 0.0) & (own >= LEAST_DIAGONAL * most)
+        usable = (own > 0.0) & (own >= NEGLIGIBLE_DIAGONAL * most)
         self.d = np.where(usable, own, np.where(most > 0.0, most, 1.0))
         self.labels = None
         if sums.size < B * k**2:
@@ -324,7 +320,8 @@ class ConeStack:
         facts, M = problem._facts, problem.rows.M
         with np.errstate(all="ignore"):
             if "stack" not in facts:
-                if sp.issparse(M) and problem.bodies is None and problem.n <= DENSE_UP_TO:
+                # A small sparse problem is stored as dense
+                if sp.issparse(M) and problem.bodies is None and problem.n <= 300:
                     M = M.toarray()
                 pattern = Pattern(M[None] if isinstance(M, np.ndarray) else M, problem.starts)
                 bodies = problem.bodies
@@ -363,7 +360,7 @@ class ConeStack:
         tangent, above = length(x[..., 1:]), x[..., 0]
         if self.has_friction:
             slip = length(w[..., 1:])
-            sums = np.maximum(tangent + slip, TINY)[..., None]
+            sums = np.maximum(tangent + slip, NORMAL)[..., None]
             above = above + mu * (at[..., 1:] * ((x[..., 1:] - w[..., 1:]) / sums)).sum(-1)
             v[..., 0] += mu * (slip / self.d)
         else:
@@ -371,7 +368,7 @@ class ConeStack:
         axis = above / (1.0 + mu * mu)
         case = np.where(above <= 0.0, OUT, np.where(tangent <= mu * axis, WITHIN, ON))
         share = (mu * axis / self.d)[..., None]
-        edge = z - share * (x / np.maximum(tangent, TINY)[..., None])
+        edge = z - share * (x / np.maximum(tangent, NORMAL)[..., None])
         edge[..., 0] = z[..., 0] - axis / self.d
         where = case[..., None]
         R = np.where(where == OUT, z, np.where(where == WITHIN, v, edge))
@@ -389,9 +386,10 @@ class ConeStack:
         """Return the point of the cones nearest to z."""
         tangent, normal = length(z[..., 1:]), z[..., 0]
         on_axis = (normal + self.mu * tangent) / (1.0 + self.mu**2)
-        found = (self.mu * on_axis)[..., None] * (z / np.maximum(tangent, TINY)[..., None])
+        found = (self.mu * on_axis)[..., None] * (z / np.maximum(tangent, NORMAL)[..., None])
         found[..., 0] = on_axis
-        is_inside = tangent <= self.mu * normal * INSIDE
+        # So that the projection of a projection is the same
+        is_inside = tangent <= self.mu * normal * (1.0 + 2.0**-50)
         found = np.where(is_inside[..., None], z, found)
         found = np.where((on_axis <= 0.0)[..., None], 0.0, found)
         if self.pattern.has_rows:
@@ -408,12 +406,12 @@ class ConeStack:
         """Return an element of the generalized derivative of R by z and by w of each block, (B, k, m, m)."""
         case, x, tangent, axis = found
         mu, eye, tangents = self.mu, np.eye(self.m), np.diag(np.arange(self.m) > 0)
-        away = x / np.maximum(tangent, TINY)[..., None]
+        away = x / np.maximum(tangent, NORMAL)[..., None]
         away[..., 0] = 0.0
         edge = mu[..., None] * away
         edge[..., 0] = 1.0
         across = tangents - away[..., :, None] * away[..., None, :]
-        radius = (mu * (axis / np.maximum(tangent, TINY)))[..., None, None]
+        radius = (mu * (axis / np.maximum(tangent, NORMAL)))[..., None, None]
         P = edge[..., :, None] * edge[..., None, :] / (1.0 + mu * mu)[..., None, None]
         P += radius * across
         is_apex = (axis == 0.0) & (tangent == 0.0) & ~self.pattern.is_row  # belongs to all modes
@@ -423,7 +421,7 @@ class ConeStack:
         P[(case == OUT) & ~is_apex], P[is_whole] = 0.0, eye
         by_w = P / self.d[..., None, None]
         if self.has_friction:
-            slide = mu[..., None] * w[..., 1:] / np.maximum(length(w[..., 1:]), TINY)[..., None]
+            slide = mu[..., None] * w[..., 1:] / np.maximum(length(w[..., 1:]), NORMAL)[..., None]
             by_w[..., 1:] += by_w[..., :1] * slide[..., None, :]
         return eye - P, by_w
 

@@ -12,7 +12,7 @@ from ...core.kernels.compilation import helper, kernel
 from .stack import Array, ConeStack
 
 LOCAL_STEPS = 30  # of Newton's method on the angle of sliding, or of projections
-ACCURATE = 1e-14
+ANGLE_ACCURACY = 1e-14  # relative change or force across: rounding level
 TURN = 0.5  # radians: largest change of the angle per step
 
 
@@ -50,7 +50,7 @@ def _solve_contact(A, inverse, b, f, x):  # type: ignore[no-untyped-def]
         dv = by_y * change + f * n * (A[2, 2] * co - A[2, 1] * si)
         across, along = co * v - si * u, co * u + si * v
         slope = co * dv - si * du - along
-        if f == 0.0 or (abs(across) <= ACCURATE * size and along <= 0.0):
+        if f == 0.0 or (abs(across) <= ANGLE_ACCURACY * size and along <= 0.0):
             x[0], x[1], x[2] = n, f * n * co, f * n * si
             return True
         if slope > 0.0:
@@ -87,7 +87,7 @@ def _project_steps(A, b, f, friction, step, size, x, w):  # type: ignore[no-unty
                 new = f * axis * (w[i] / slip) if i else axis
             change, longest = max(change, abs(new - x[i])), max(longest, abs(new))
             x[i] = new
-        if change <= ACCURATE * longest:
+        if change <= ANGLE_ACCURACY * longest:
             return
 
 

@@ -38,10 +38,7 @@ from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .relaxations import ENDS, EquilibriumResult, ExternalBound, Node, Relaxations
 from .scip import minimize_or_none
 
-MET = 1e-9  # of 1 + |z|: largest violation of a pair that counts as complementary
-SHARE = 0.5  # of the tolerance: a node is closed if its bound is this close to the best value
 OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0", "prove")
-GROWTH = 1.5  # of the nodes from one line of the log to the next
 
 
 @np.errstate(all="ignore")
@@ -188,7 +185,8 @@ class BranchAndBound:
     def cutoff(self) -> float:
         """The least bound that closes a node."""
         value = self.best_value
-        return value - SHARE * self.allowed if value < math.inf else math.inf
+        # A node is closed if its bound is this close to the best value
+        return value - 0.5 * self.allowed if value < math.inf else math.inf
 
     @property
     def allowed(self) -> float:
@@ -343,7 +341,8 @@ class BranchAndBound:
         x = node.point
         assert x is not None
         violations = self.problem.violations(x)
-        is_wrong = violations > MET * (1.0 + np.abs(x[self.problem.first]))
+        # Such a pair counts as complementary
+        is_wrong = violations > 1e-9 * (1.0 + np.abs(x[self.problem.first]))
         wrong = np.flatnonzero((case_counts(node.cases) > 1) & is_wrong)
         if not wrong.size:
             return -1
@@ -446,7 +445,8 @@ class _Log:
 
     def __call__(self, search: BranchAndBound) -> bool:
         if search.nodes >= self._next:
-            self._next = max(search.nodes + 1, search.nodes * GROWTH)
+            # Half as many nodes again to the next line
+            self._next = max(search.nodes + 1, search.nodes * 1.5)
             gap = search.value - search.lower_bound if math.isfinite(search.value) else math.inf
             numbers = f"{search.value:>17.9g} {search.lower_bound:>17.9g} {gap:>9.1e}"
             print(f"{search.nodes:>8} {numbers} {search.clock.read():>9.2f}", flush=True)

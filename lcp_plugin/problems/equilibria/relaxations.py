@@ -30,10 +30,7 @@ from ..programs.solving import GIVEN, run_engine, solve_program
 from ..programs.value_bounds import DualBounds, implied_box
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 
-TINY = 1e-9  # of ‖x‖∞
 FEASIBLE = 1e-7  # largest violation of a row by a solution, relative to its terms
-ENOUGH = 0.1  # of the tolerance: a bound this close to the value is not repaired
-FAR = 1e4  # times the size of x in the data: a point of larger norm counts as unbounded
 
 
 @dataclass(eq=False)
@@ -104,7 +101,8 @@ class Relaxations:
         node.parent = parent
         if node.dual is not None and program is not None:
             size = self.problem.objective_size(node.dual[0])
-            enough = node.value - ENOUGH * self.tolerance * size
+            # A bound this close to the value is not repaired
+            enough = node.value - 0.1 * self.tolerance * size
             node.bound = self.bound(program, node.dual, enough)
             # A vertex has more zeros than multipliers to repair them by
             if node.bound == -math.inf:
@@ -143,7 +141,7 @@ class Relaxations:
 
     def _round_small(self, x: Vector, program: QuadraticProgram) -> Vector:
         """Return x with components below 1e-9 ‖x‖∞ set to 0 if this reduces violations."""
-        is_tiny = np.abs(x) <= TINY * np.abs(x).max(initial=0.0)
+        is_tiny = np.abs(x) <= 1e-9 * np.abs(x).max(initial=0.0)  # of ‖x‖∞
         other = np.clip(np.where(is_tiny, 0.0, x), program.lower, program.upper)
         if np.array_equal(other, x):
             return x
@@ -233,7 +231,8 @@ class Relaxations:
         """Return the solution within a large box, at its edge if the program is unbounded."""
         rows = program.constraints
         limits = np.abs(rows.limit) / program.matrices.row_sizes
-        far = FAR * (1.0 + float(limits[rows.finite].max(initial=0.0)))
+        # Times the size of x in the data: a point of larger norm counts as unbounded
+        far = 1e4 * (1.0 + float(limits[rows.finite].max(initial=0.0)))
         lower, upper = np.maximum(program.lower, -far), np.minimum(program.upper, far)
         return _solution_of(program.with_vectors(lower=lower, upper=upper))
 

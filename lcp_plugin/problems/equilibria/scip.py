@@ -41,11 +41,11 @@ from ..programs.program import QuadraticProgram
 from .equilibrium_program import LOWER, UPPER, EquilibriumProgram
 from .relaxations import ENDS
 
-LARGEST = 1e20  # what is farther is infinite for SCIP, seconds as well
+SCIP_INFINITY = 1e20  # what is farther is infinite for SCIP, seconds as well
 SHARE = 0.25  # of the requested gap
 BOX, BOX_MARGIN = 1e6, 1e-3  # a box for unbounded relaxations, and what is near it, relatively
 FEASIBLE = 1e-7  # tightened to 1e-10; with less, a build without GMP prints a line per program
-STDERR = 2
+STDERR = 2  # number of the standard error of a process
 FAILED = "SCIP:"  # start of SCIP's error messages
 
 Watcher = Callable[[float, float, int], bool]
@@ -131,7 +131,7 @@ def minimize(
     if within.status.startswith(FAILED) and not is_unbounded:
         return within
     is_far = within.x is not None and np.abs(within.x).max(initial=0.0) > BOX * (1.0 - BOX_MARGIN)
-    is_deep = within.value <= -LARGEST * (1.0 - BOX_MARGIN)
+    is_deep = within.value <= -SCIP_INFINITY * (1.0 - BOX_MARGIN)
     if is_unbounded or is_far or is_deep:
         return within._replace(status="unbounded", bound=-math.inf)
     return within
@@ -193,8 +193,8 @@ class _Model:
         lower[redundant] = upper[redundant] = 0.0
         self.x = [
             self.model.addVar(
-                lb=None if low <= -LARGEST else low,
-                ub=None if high >= LARGEST else high,
+                lb=None if low <= -SCIP_INFINITY else low,
+                ub=None if high >= SCIP_INFINITY else high,
                 vtype=kind,
             )
             for low, high, kind in zip(lower.tolist(), upper.tolist(), kinds.tolist(), strict=True)
@@ -205,7 +205,7 @@ class _Model:
         """True if the first relaxation may be unbounded; its bound is ∞ after a first point."""
         lower, upper = self.problem.bounds(self.problem.all_cases)
         has_bounds = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
-        is_infinite = abs(self.model.getDualboundRoot()) >= LARGEST
+        is_infinite = abs(self.model.getDualboundRoot()) >= SCIP_INFINITY
         return not has_bounds and self.model.getNTotalNodes() > 1 and is_infinite
 
     def solved(self, tolerance: float, max_nodes: float, feasible: float) -> ScipAnswer:
@@ -213,7 +213,7 @@ class _Model:
         model = self.model
         model.setParams(
             {
-                "limits/time": min(seconds_left(), LARGEST),
+                "limits/time": min(seconds_left(), SCIP_INFINITY),
                 "limits/gap": SHARE * tolerance,
                 "limits/absgap": SHARE * tolerance,
                 "numerics/feastol": feasible,
@@ -237,13 +237,13 @@ class _Model:
         value, bound, nodes = self._reached()
         if model.getNSols():
             x = np.array([model.getSolVal(model.getBestSol(), one) for one in self.x])
-            x = x if (np.abs(x) < LARGEST).all() else None
+            x = x if (np.abs(x) < SCIP_INFINITY).all() else None
         return ScipAnswer(status, x, value, bound, nodes)
 
     def _reached(self) -> tuple[float, float, int]:
         """Return value, bound and nodes."""
         value, bound = (
-            math.copysign(math.inf, one) if abs(one) >= LARGEST else one * self.unit
+            math.copysign(math.inf, one) if abs(one) >= SCIP_INFINITY else one * self.unit
             for one in (self.model.getPrimalbound(), self.model.getDualbound())
         )
         return value if self.model.getNSols() else math.inf, bound, int(self.model.getNTotalNodes())
@@ -306,9 +306,9 @@ class _Model:
         for term, least, most in zip(terms, low.tolist(), high.tolist(), strict=True):
             if least == most:
                 self.model.addCons(term == most)
-            if -LARGEST < least < most:
+            if -SCIP_INFINITY < least < most:
                 self.model.addCons(term >= least)
-            if least < most < LARGEST:
+            if least < most < SCIP_INFINITY:
                 self.model.addCons(term <= most)
 
     def _pair(self, i: int, cases: int) -> None:

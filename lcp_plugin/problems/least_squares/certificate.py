@@ -38,16 +38,10 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, Vector, derived_property
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
-from ...core.kernels.floats import EPSILON, TINY
+from ...core.kernels.floats import EPSILON, OUTWARD, TINY
 from ...core.rounding import compensated_product
-from .data import NOTHING, OUTWARD, Ball, BoundedLeastSquares, Enclosures, clip, shortest_solution
+from .data import NOTHING, Ball, BoundedLeastSquares, Enclosures, clip, shortest_solution
 from .engines import is_within_reach
-
-REPAIR_STEPS = 300  # for a p; more than A of condition 100 needs
-ACCURACY = 1e-8  # to which a dual point is made orthogonal to the free columns
-NEARLY = 1e-9  # of a cost that rounding may be
-ENOUGH = 0.8  # of the target 1 of (AᵀWp)_j, in units of column j
-IN_DOUBT = 1e-6  # of the largest multiplier: columns with smaller multipliers may be free
 
 
 @dataclass(eq=False)
@@ -115,9 +109,10 @@ class Optimality:
     def sharp_residual(self) -> Vector:
         """A x − b, computed by compensated sums if rounding is more than 1e-9 of the cost."""
         problem, (r, slip) = self.enclosures.problem, self.misfit
+        # A smaller difference of costs may be rounding
         if not problem.has_entries or not problem.apply_weights(slip) @ np.abs(
             r
-        ) > NEARLY * problem.cost(self.x, r):
+        ) > 1e-9 * problem.cost(self.x, r):
             return r
         return compensated_product(sp.csr_array(problem.A), self.x, -problem.b)[0]
 
@@ -218,7 +213,7 @@ def _dual_points(judged: Optimality) -> Iterator[tuple[Vector, Ball]]:
     yield from _with_zeros(enclosures, x, r, slip)
     free = (problem.lower < x) & (x < problem.upper) & ((x != 0.0) | (problem.l1 == 0.0))
     wrong = np.where(free, (at_r[0] + np.copysign(problem.l1, x)) / problem.column_scales, 0.0)
-    orthogonal = r - _push(problem, wrong, free, ACCURACY)
+    orthogonal = r - _push(problem, wrong, free, 1e-8)  # orthogonal to the free columns
     slope = enclosures.gradient_at(x, orthogonal)
     yield orthogonal, slope
     yield from _with_zeros(enclosures, x, orthogonal, slip)
@@ -354,7 +349,8 @@ def _repair(
     wanted = np.isposinf(problem.upper).astype(float) - np.isneginf(problem.lower)
     wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
     sizes = (wanted * slope[0] + problem.l1) / problem.column_scales
-    in_doubt = sizes <= IN_DOUBT * np.max(np.abs(sizes), initial=0.0)
+    # Columns with smaller multipliers may be free
+    in_doubt = sizes <= 1e-6 * np.max(np.abs(sizes), initial=0.0)
     missing = np.maximum(slope[1] - wanted * slope[0] - problem.l1, 0.0)
     lacking = (wanted != 0.0) & (missing > 0.0)
     for push in _pushes(problem, np.where(in_doubt, wanted, 0.0), wanted):
@@ -374,8 +370,9 @@ def _pushes(problem: BoundedLeastSquares, *wanted: Vector) -> Iterator[Vector]:
     """Yield candidates for p: A times the first wanted signs, which suits entries ≥ 0; then the shortest p."""
     yield problem.product(wanted[0] / problem.column_scales)
     for signs in wanted:
+        # A bit less than the target 1 of (AᵀWp)_j, in units of column j
         yield _push(
-            problem, signs, signs != 0.0, ENOUGH / math.sqrt(max(int(np.count_nonzero(signs)), 1))
+            problem, signs, signs != 0.0, 0.8 / math.sqrt(max(int(np.count_nonzero(signs)), 1))
         )
 
 
@@ -416,7 +413,7 @@ def _push_by_products(
     across = LinearOperator(
         (columns.size, m), lambda push: scaled.apply_transpose(push)[columns], back, dtype=float
     )
-    steps = min(REPAIR_STEPS, 2 * columns.size + 1)
+    steps = min(300, 2 * columns.size + 1)  # more than A of condition 100 needs
     push, *_, left = lsmr(across, wanted, atol=0.0, btol=accuracy, conlim=0.0, maxiter=steps)[:4]
     if left > accuracy * np.linalg.norm(wanted) and problem.is_sparse and is_within_reach(scaled):
         push = _push_by_factorization(scaled.matrix(is_dense=False)[:, columns], wanted, push)

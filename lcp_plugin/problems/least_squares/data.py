@@ -16,15 +16,13 @@ from numpy.typing import ArrayLike
 from ...core import checks
 from ...core.checks import BoolVector, Vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
-from ...core.kernels.floats import EPSILON, TINY
+from ...core.kernels.floats import EPSILON, OUTWARD, TINY
 from ...core.matrix import Matrix
 from ...core.rounding import gamma
 from ...proofs.bounds import smallest_eigenvalue_bound
 from ...systems.equilibration import power_of_two
 
 MAX_DENSE_ENTRIES = 10**6  # of A: dense copies cost little
-PROBES = 8  # products with Aᵀ that estimate the lengths of an operator's columns, to about 25 %
-LARGEST_PENALTY = 1e300  # after scaling: such a column is 0
 LARGEST_SCALE = 500  # exponent of a scale, so that squares of scales are in range
 SQUARED_RANGE = 1e-130, 1e145  # of a largest entry: squares, also of rounding errors, are doubles
 
@@ -247,7 +245,8 @@ class BoundedLeastSquares:
         return np.asarray(unit * np.sqrt(squares.sum(axis=0)))
 
     def _estimated_lengths(self) -> Vector:
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (PROBES, self.shape[0]))
+        # Eight products estimate the lengths of an operator's columns to about 25 %
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (8, self.shape[0]))
         seen = np.array([self.apply_transpose(self.root_weights * row) for row in signs])
         unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0), LARGEST_SCALE)
         lengths = unit * np.sqrt(np.square(seen / unit).mean(axis=0))
@@ -309,7 +308,8 @@ class ScaledLeastSquares:
         self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
         self.b = self._root * problem.b / self.size
         self.ridge = problem.ridge / self.columns / self.columns
-        self.l1 = np.minimum(problem.l1 / self.columns / self.size, LARGEST_PENALTY)
+        # A column with this penalty is 0
+        self.l1 = np.minimum(problem.l1 / self.columns / self.size, 1e300)
         self.linear = np.where(self.upper <= 0.0, -self.l1, self.l1)
         self.has_no_corner = not (problem.bounds_per_column.any() or self.l1.any())
         self.has_kink = (self.l1 > 0.0) & (self.lower < 0.0) & (self.upper > 0.0)
@@ -412,9 +412,7 @@ Ball = tuple[Vector, Vector]
 """Values and radii: the exact values lie within."""
 
 # more than the rounding of a sum of 2²⁰ terms of one sign, or of a few operations
-OUTWARD = 1.0 + 2.0**-30
 NOTHING = np.empty(0)
-GRAM_UP_TO = 3000  # columns; AᵀWA is factorized
 
 
 class Enclosures:
@@ -502,7 +500,8 @@ class Enclosures:
     def convexity(self) -> Vector | None:
         """A d > 0, shape (n,), with AᵀWA + ridge − diag(d) proved positive semidefinite, or None."""
         problem, n = self.problem, self.problem.shape[1]
-        if not problem.has_entries or not 0 < n <= min(GRAM_UP_TO, problem.shape[0]):
+        # Up to 3000 columns AᵀWA is factorized
+        if not problem.has_entries or not 0 < n <= min(3000, problem.shape[0]):
             return None
         scaled = problem.scaled
         A = scaled.matrix(is_dense=problem.is_small)

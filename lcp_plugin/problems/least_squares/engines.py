@@ -35,7 +35,7 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, Vector
 from ...core.deadline import seconds_left
-from ...core.kernels.floats import EPSILON
+from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
 from ...engines import installed_engine
 from ...engines.engine import EngineAnswer, ProgramData, SolverLimits
@@ -43,11 +43,7 @@ from ...engines.polish import polish_steps
 from ...systems.minimum_degree import factor_sizes
 from .data import BoundedLeastSquares, ScaledLeastSquares, clip, shortest_solution
 
-ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
-REMEMBERED = 10  # costs, the largest of which a projected step has to undercut
-SUFFICIENT = 1e-4  # share of the fall that the gradient promises
-CHANGES = 0.01  # of the columns: conjugate gradients pay before the face has settled completely
-LEFT_BEHIND = 0.1  # of the pull out of an orthant: a smaller residual in it is not worth a step
+SLOPE_ROUNDING = 4.0 * EPSILON  # of the largest gradient there could be
 
 
 class FacePoint:
@@ -122,7 +118,9 @@ class FacePoint:
     @property
     def noise(self) -> float:
         """Size of a gradient that may be only rounding."""
-        return ROUNDING * float(sum(map(np.linalg.norm, (self.residual, self.x, self.problem.b))))
+        return SLOPE_ROUNDING * float(
+            sum(map(np.linalg.norm, (self.residual, self.x, self.problem.b)))
+        )
 
     def curvature(self, direction: Vector, product: Vector) -> float:
         """Return dᵀ(AᵀA + ridge)d for a direction d and A d."""
@@ -164,7 +162,8 @@ def projected_steps(start: FacePoint) -> Iterator[FacePoint]:
         for point in steps_in_orthant(FacePoint(orthant, point.x, point.residual)):  # noqa: B020 - each begins where one ended
             yield point
             pull = point.pull_across
-            if pull > point.noise and LEFT_BEHIND * pull > point.residual_in_orthant:
+            # A smaller residual in the orthant is not worth a step
+            if pull > point.noise and 0.1 * pull > point.residual_in_orthant:
                 break
         if not point.pull_across > max(point.noise, point.residual_in_orthant):
             return
@@ -190,7 +189,8 @@ def _spectral_steps(
     point: FacePoint, length: float
 ) -> Generator[FacePoint, None, tuple[FacePoint, float]]:
     """Take projected gradient steps until the face hardly changes; return the last point and step length."""
-    costs, settled = deque([point.cost], maxlen=REMEMBERED), 0
+    # A projected step has to undercut the largest of ten costs
+    costs, settled = deque([point.cost], maxlen=10), 0
     while settled < 2:  # steps in a row that hardly change the face
         problem = point.problem
         direction = clip(point.x - length * point.gradient, problem.lower, problem.upper) - point.x
@@ -199,12 +199,14 @@ def _spectral_steps(
         if not (slope < 0.0 < curvature):  # any further gain is at rounding level
             return point, 0.0
         share = 1.0
-        if point.cost + slope + 0.5 * curvature > max(costs) + SUFFICIENT * slope:
+        # A step keeps a small share of the slope
+        if point.cost + slope + 0.5 * curvature > max(costs) + 1e-4 * slope:
             share = min(1.0, -slope / curvature)
         after = point.move(direction, product, share)
         length = float(direction @ direction) / curvature
         changes = np.count_nonzero(after.is_free != point.is_free)
-        settled = settled + 1 if changes <= CHANGES * problem.n else 0
+        # Conjugate gradients pay before the face has settled completely
+        settled = settled + 1 if changes <= 0.01 * problem.n else 0
         point = after
         costs.append(point.cost)
         yield point
@@ -243,32 +245,25 @@ def _steps_on_face(point: FacePoint) -> Generator[FacePoint, None, tuple[FacePoi
     return point, False
 
 
-MAX_NNLS_COLUMNS = 600  # or rows, whichever are fewer: nnls frees one column at a time
-NNLS_STEPS = 10  # times the number of columns
-MAX_FACES = 30
-NOISE = 2.0**-44  # of the largest entry of x that rounding may be
-SAME_COST = 1.0 + 1e-12  # a step may cost so much more, by rounding
 RIDGE = "normal equations"
 FACTORS = 20  # that PIQP makes, about
-PATIENCE = 60.0  # seconds for that
-SECONDS_PER_ENTRY = 1e-6  # of the factorization of a sparse A with little fill
-LARGEST_FILL = 1e8  # entries of a factorization
-LARGEST_SLOPE = 1e6  # relative to b and columns of size 1: x is 0
 
 
 def is_within_reach(problem: ScaledLeastSquares) -> bool:
     """Return whether A has entries and PIQP, which cannot be stopped, is predicted to end in the remaining time."""
-    whole, (m, n), seconds = problem.problem, problem.problem.shape, min(seconds_left(), PATIENCE)
+    # A minute, if there is no limit
+    whole, (m, n), seconds = problem.problem, problem.problem.shape, min(seconds_left(), 60.0)
     if not whole.has_entries or whole.is_small:
         return whole.has_entries
     if whole.is_dense:
         return bool(FACTORS * min(m, n) ** 2 * max(m, n) < seconds * DENSE_OPERATIONS)
     A = problem.matrix(is_dense=False)
-    if FACTORS * SECONDS_PER_ENTRY * (A.nnz + m + n) > seconds:
+    # A microsecond for each entry of a sparse A with little fill
+    if FACTORS * 1e-6 * (A.nnz + m + n) > seconds:
         return False
     both = sp.csr_array(sp.block_array([[None, A], [A.T, None]]))
     most = seconds / FACTORS * SPARSE_OPERATIONS
-    return bool(factor_sizes(both, LARGEST_FILL, most)[0] < np.inf)
+    return bool(factor_sizes(both, 1e8, most)[0] < np.inf)  # entries of a factorization
 
 
 def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, Vector]]:
@@ -331,7 +326,7 @@ def ridge_solution(problem: ScaledLeastSquares) -> Vector:
 
 def is_for_nnls(problem: BoundedLeastSquares) -> bool:
     """Return whether each column of a small A has one bound, and no penalty."""
-    is_small = problem.is_small and 0 < min(problem.shape) <= MAX_NNLS_COLUMNS
+    is_small = problem.is_small and 0 < min(problem.shape) <= 600  # nnls frees one column at a time
     return bool(is_small and (problem.bounds_per_column == 1).all() and not problem.l1.any())
 
 
@@ -358,7 +353,7 @@ def _solve_by_nnls(problem: Any, A: Vector, b: Vector) -> Vector:
     if bound.any():
         b = b - A @ (sign * bound)
     try:
-        z = nnls(A, b, maxiter=NNLS_STEPS * n)[0]
+        z = nnls(A, b, maxiter=10 * n)[0]
     except (RuntimeError, ValueError, np.linalg.LinAlgError):
         return np.full(n, np.nan)
     return np.asarray(bound + sign * z)
@@ -381,9 +376,10 @@ class Split(NamedTuple):
         is_filled = np.bincount(A.indices, minlength=problem.n) > 0 if is_sparse else A.any(axis=0)
         lower = np.where(is_filled, problem.lower, problem.nearest_to_zero)
         upper = np.where(is_filled, problem.upper, problem.nearest_to_zero)
+        # Relative to b and columns of size 1: x is 0
         return cls(
             E,
-            np.minimum(np.append(problem.linear, problem.l1[kink]), LARGEST_SLOPE),
+            np.minimum(np.append(problem.linear, problem.l1[kink]), 1e6),
             np.append(np.where(problem.has_kink, 0.0, lower), np.zeros(kink.size)),
             np.append(upper, -lower[kink]),
             kink,
@@ -462,7 +458,7 @@ def minimize_on_face(point: FacePoint, A: Vector, b: Vector) -> FacePoint:
     order = np.argsort(-np.abs(A).max(axis=1, initial=0.0), kind="stable")
     A, b, before = A[order], b[order], b""
     is_filled = A.any(axis=0)
-    for _ in range(MAX_FACES):
+    for _ in range(30):
         orthant = point.problem.whole.orthant(point.x, point.slope)
         point = FacePoint(orthant, point.x, point.residual)
         pull = np.where(is_filled, np.abs(point.pull), 0.0)
@@ -473,7 +469,8 @@ def minimize_on_face(point: FacePoint, A: Vector, b: Vector) -> FacePoint:
             if face == before or not free.size:
                 return point
             after = _step_to_minimum(point, free, A, b)
-            if after.cost <= SAME_COST * point.cost and (after.x != point.x).any():
+            # A step may cost more, by rounding
+            if after.cost <= (1.0 + 1e-12) * point.cost and (after.x != point.x).any():
                 break
         else:
             return point
@@ -501,7 +498,7 @@ def _step_to_minimum(point: FacePoint, free: Any, A: Vector, b: Vector) -> FaceP
     if not np.isfinite(step).all():
         return point
     x = point.project(step, point.problem.product(step)).x
-    noise, lower, upper = NOISE * np.abs(x).max(), point.problem.lower, point.problem.upper
+    noise, lower, upper = DATA_ROUNDING * np.abs(x).max(), point.problem.lower, point.problem.upper
     for bound in (lower, upper, 0.0):
         x = np.where(np.abs(x - bound) <= noise, bound, x)
     return FacePoint(point.problem, clip(x, lower, upper))

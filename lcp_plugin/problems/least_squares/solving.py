@@ -26,13 +26,8 @@ from .certificate import Optimality, duality_gap, measure_stack
 from .data import BoundedLeastSquares, Enclosures, clip, times
 
 START = "start"  # instead of a method, if the start is optimal
-NARROWER = 0.05  # the steepness at which a point is certified next ÷ the last such steepness
-# Projected steps before PIQP on a large dense A ÷ its smaller dimension: as long as PIQP
-PATIENCE = 0.05
 # Columns or rows, whichever are fewer: a penalty leaves few columns free, which steps may find
 LASSO_COLUMNS = 400
-SPARSE_PATIENCE = 300  # the same on a large sparse A
-WINDOW = 200  # steps, or half of all earlier steps: a run ends if its steepness falls by less than 1 % in a window
 
 
 @np.errstate(all="ignore")
@@ -141,7 +136,8 @@ class LeastSquaresRun(Run):
         else:
             if not step.residual <= self.aim:
                 return None
-            self.aim = NARROWER * step.residual
+            # The next point is certified at a twentieth of the steepness
+            self.aim = 0.05 * step.residual
         return self.certify(self.problem.scaled.to_caller(step.z))
 
     def certify(self, x: Vector, tolerance: float | None = None) -> Optimality:
@@ -199,7 +195,9 @@ class LeastSquaresRun(Run):
         is_at_rest = not engines.FacePoint(problem.scaled, self.nearest).natural_residual.any()
         if self.start is not None or is_at_rest:
             yield Stage(Named(START), steps=[Step(self.nearest, work=0.0, iterations=0)])
-        few = SPARSE_PATIENCE if problem.is_sparse else math.ceil(PATIENCE * min(problem.shape))
+        # PIQP takes as long as so many projected steps
+        # The same on a large sparse A
+        few = 300 if problem.is_sparse else math.ceil(0.05 * min(problem.shape))
         is_lasso = problem.is_dense and problem.l1.any() and min(problem.shape) >= LASSO_COLUMNS
         if is_lasso or not problem.is_small:
             yield self._projected(few if problem.has_entries else most)
@@ -243,7 +241,8 @@ class LeastSquaresRun(Run):
             yield Step(point.x, size, work=2.0, iterations=min(k, 1))
             if k >= most:
                 break
-            if k - since >= max(WINDOW, since // 2):
+            # A run ends if its steepness falls by less than 1 % in so many steps
+            if k - since >= max(200, since // 2):
                 if smallest >= 0.99 * before:
                     break
                 since, before = k, smallest
@@ -376,10 +375,6 @@ class LeastSquaresResult(BaseResult):
         return f"optimality {self.optimality:.1e}, tolerance {self.tolerance:g}; cost {self.cost:.9g}{above}"
 
 
-# Entries of the vectors of a stack: allocating larger arrays costs more than the sums
-RESIDUALS = 2**15
-
-
 def suits_stack(problem: BoundedLeastSquares) -> bool:
     """Return whether the normal equations of the problem are a small LCP; a penalty may not have a kink."""
     has_kink = (problem.l1 > 0.0) & (problem.lower < 0.0) & (problem.upper > 0.0)
@@ -390,7 +385,7 @@ def suits_stack(problem: BoundedLeastSquares) -> bool:
 def length_of_stack(problem: BoundedLeastSquares) -> int:
     """Return the number of problems in a stack whose arrays stay in the cache."""
     m, n = problem.shape
-    return int(max(1, RESIDUALS // max(m, n)))
+    return int(max(1, 2**15 // max(m, n)))  # allocating larger arrays costs more than the sums
 
 
 def solve_least_squares_stack(

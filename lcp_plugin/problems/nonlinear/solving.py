@@ -36,8 +36,8 @@ from .data import DENSE_PATTERN_UP_TO, Linearization, NonlinearProblem
 MEMORY = 4  # the line search compares with the worst of so many points
 SHIFTS = 0.0, 1e-3, 1e-1, 10.0  # of the residual scale: Newton, then proximal steps
 FORCING = 0.01  # of the residual here: tolerance of a linearization far from a solution
-SMALLEST_TOLERANCE = 1e-14
-RESTARTS = 4
+SMALLEST_TOLERANCE = 1e-14  # relative residuals of linearizations are rounding below it
+RESTARTS = 4  # from random points, after a run that stalled
 
 
 class JosephyNewton(Algorithm):

@@ -29,8 +29,6 @@ Line = tuple[float, float, Vector, IntVector]
 Change = tuple[int, int]  # a row, and +1 for the next step or −1 for the step before
 
 ROUNDING = 1e-12  # error of a z or a w relative to its terms; smaller rates count as 0
-CONSISTENT = 1e-9  # of the terms of a free row: largest residual of a singular system
-LOST = 1e5  # times ROUNDING: largest violation of its step by a row on a path
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +219,7 @@ class Follower:
         begin, stuck, changed = self.begin, 0, None
         for _ in range(200 * self.n + 10_000):
             motion = self.motion
-            if motion is None or (motion.outside > LOST).any():
+            if motion is None or (motion.outside > 1e5).any():  # a row violates its step
                 return
             if changed is not None:
                 row, way = changed
@@ -300,4 +298,4 @@ def _solve_block(block: Vector, right: Vector, sizes: Vector, near: Vector) -> V
     found = there + np.linalg.lstsq(block, missing.T, rcond=1e-12)[0].T
     terms = np.abs(right) + sizes * np.abs(found).sum(axis=1, keepdims=True)
     left = np.abs(right - found @ block.T)
-    return found if (left <= CONSISTENT * terms).all() else None
+    return found if (left <= 1e-9 * terms).all() else None  # largest residual of a singular system

@@ -22,7 +22,7 @@ from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..programs.criterion import QPSolution
 
-SHOWN = 8  # breakpoints in a paragraph
+BREAKPOINTS_SHOWN = 8  # breakpoints in a paragraph
 SINGULAR = "the solution determines no way on, a singular case; solve_batch solves at given values"
 WORST_FIRST = Status.STALLED, Status.PRECISION_LIMIT, Status.SOLVED
 
@@ -289,8 +289,10 @@ class Path(Outcome):
     def explain(self) -> str:
         """Return a summary of the path in a few lines."""
         inner = self.breakpoints[1:-1]
-        shown = ", ".join(f"{value:.6g}" for value in inner[:SHOWN])
-        rest = f", and {inner.size - SHOWN} more" if inner.size > SHOWN else ""
+        shown = ", ".join(f"{value:.6g}" for value in inner[:BREAKPOINTS_SHOWN])
+        rest = (
+            f", and {inner.size - BREAKPOINTS_SHOWN} more" if inner.size > BREAKPOINTS_SHOWN else ""
+        )
         count, reached = format_count(len(self.pieces), "piece"), f"{self.reached:.9g}"
         lines = [
             f"{self.status.name}: {count}, affine in θ, from {self.start:.6g} to {reached}{self._why}",

@@ -27,7 +27,6 @@ from .path import Path, PathPoint, Piece
 MAX_ROWS = 6000  # of an LCP, of which a dense factorization is made
 BOUNDS = ("lower", "upper")
 BEYOND = 1e-9, 1e-7, 1e-5, 1e-3  # of the way: distances at which a lost path is restarted
-SAME = 1e-4  # largest change of a solution over the shortest of these distances
 
 
 def trace(
@@ -385,7 +384,8 @@ class _Trace:
         self.reached = end
         before = path.pieces[-1].z_at(piece.begin) if path.pieces else piece.z0
         change, size = (np.abs(one).max(initial=0.0) for one in (before - piece.z0, before))
-        if change > SAME * (1.0 + size):
+        # The solution moves no farther over the shortest of these distances
+        if change > 1e-4 * (1.0 + size):
             # All solutions of a monotone problem are one convex set.
             (path.segments if self.line.is_monotone else path.jumps).append(piece.begin)
         path.pieces.append(piece)

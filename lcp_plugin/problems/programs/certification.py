@@ -23,7 +23,7 @@ from ...core.checks import Vector, checked_vector, derived_property, is_number, 
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.doors import foreign_function
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
-from ...core.kernels.floats import LARGEST
+from ...core.kernels.floats import LARGEST, OUTWARD
 from ...core.matrix import largest_products
 from ...core.problem_classes import CLASSES, class_of, refusal
 from ...core.rounding import compensated_product
@@ -40,7 +40,6 @@ from .solving import QuadraticProgramResult, solve_program
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
 SMALL = 400  # variables and rows of a program that is solved again for a tighter bound
-OUTWARD = 1.0 + 2.0**-30
 NOTHING = "nothing can be proved"
 NOT_BY_A_ROW = (
     "each row passes, but by its derivative F may tend to 0 as x diverges, or is at rounding level"

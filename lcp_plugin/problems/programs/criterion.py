@@ -50,6 +50,7 @@ import numpy as np
 from ...core.certificates.residuals import WorstRow, WorstRows
 from ...core.checks import Vector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
+from ...core.kernels.floats import UNIT
 from ...core.matrix import largest_products
 from ...core.rounding import compensated_pair
 from ...core.settings import checked_tolerance
@@ -62,11 +63,10 @@ PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
 ROWS = 1e-9  # of the rows, at every tolerance
 NOISE = 1e-5  # of the coefficients of a row: ROWS of this on the right counts as a rounded 0
 EXCUSED = 2.0**-44  # of the unknowns that matter: rounding error of a row
-UNIT = 2.0**-53
 BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 # The objective's terms, and the rows' with their multipliers, may cancel to this share
 LEAST_SIZE = 1e-8
-TINY = 2.0**-1000
+LEAST_SIZE_OF_TERMS = 2.0**-1000  # quotients by it are finite
 
 
 class KKTErrors(NamedTuple):
@@ -299,7 +299,7 @@ class PrimalDualPoint:
         if has_units:
             units = self.matrices.fit[0]
             at_most = units * self._largest_by_component(self.matters / units)[of]
-            by_terms = size[of] / np.maximum(self.size_of_gradient, TINY)
+            by_terms = size[of] / np.maximum(self.size_of_gradient, LEAST_SIZE_OF_TERMS)
             # An unknown without a bound is moved so many times its size
             far = 1e4 * np.maximum(np.maximum(self.of_x, by_terms), at_most)
             reach = np.where(self.objective[of] > 0.0, np.minimum(reach, far), reach)
@@ -419,7 +419,7 @@ class ProgramComponents(NamedTuple):
 
 def ratio(errors: Vector, sizes: Vector) -> Vector:
     """Return the quotients, 0 / 0 = 0."""
-    return np.where(errors > 0.0, errors / np.maximum(sizes, TINY), errors)
+    return np.where(errors > 0.0, errors / np.maximum(sizes, LEAST_SIZE_OF_TERMS), errors)
 
 
 MULTIPLIERS = "inequality", "equality", "lower", "upper"

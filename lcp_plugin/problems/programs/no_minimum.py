@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 MET = 1e-8  # residual of a row, in units of the data, that is attributed to rounding
-CANCELS = 1e-6  # of the terms of a sum that a linear program takes for 0
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
 
 
@@ -425,7 +424,8 @@ def balance_multipliers(program: QuadraticProgram, y: Vector) -> Vector:
     used, rows = np.flatnonzero(y), program.matrices.rows
     sums, terms = sums_and_terms(rows, y)
     is_open = np.isinf(program.lower) | np.isinf(program.upper)
-    open_columns = np.flatnonzero(is_open & (np.abs(sums) <= CANCELS * terms) & (terms > 0.0))
+    # A linear program takes such sums for 0
+    open_columns = np.flatnonzero(is_open & (np.abs(sums) <= 1e-6 * terms) & (terms > 0.0))
     T = sp.csr_array(rows[used].T)[open_columns]
     solve = shifted_solver(sp.csr_array(sp.eye_array(used.size)), T, 2.0**-50)
     if solve is None:

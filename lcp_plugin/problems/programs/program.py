@@ -24,7 +24,7 @@ from .no_minimum import NoMinimum, QPInfeasibility, proof_of_contradiction, proo
 from .program_matrices import Constraints, FoldedRows, ProgramMatrices
 
 VECTORS = "c", "h", "b", "lower", "upper"
-CANCELS = 1e-9  # of the objective: rounding that matters
+CANCELS = 1e-9  # of the objective: more rounding is worth an exact sum
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

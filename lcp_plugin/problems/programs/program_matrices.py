@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from .program import QuadraticProgram
 
 Indices = NDArray[np.intp]
-SINGULAR = 1e-6  # the fit of units has null spaces: 2ᵗ of unknowns, 2⁻ᵗ of rows
-FIT_TO = 1e-3
+FIT_TO = 1e-3  # of the right-hand side: enough for powers of two
 ROUNDING_OF_ENTRIES = 2.0 ** np.arange(-48.0, -23.0, 4.0)  # from double to single precision
 WITHIN_ROUNDING = (
     "within rounding: P has a negative eigenvalue, which rounding of its entries explains"
@@ -282,7 +281,7 @@ def fitted_units(P: Any, C: Any) -> tuple[Vector, Vector]:
     """
     (in_P, log_P), (in_C, log_C) = map(_pattern_and_logarithms, (P, C))
     pattern, n, ones = _bordered(in_P, in_C), P.shape[0], np.ones(sum(C.shape))
-    counts = pattern(ones) + SINGULAR
+    counts = pattern(ones) + 1e-6  # the fit has null spaces: 2ᵗ of unknowns, 2⁻ᵗ of rows
     diagonal = counts + np.append(2.0 * in_P.diagonal(), np.zeros(C.shape[0]))
     sums = _bordered(log_P, log_C)(ones)
     units = _powers(_conjugate_gradients(lambda x: pattern(x) + counts * x, diagonal, -sums))
@@ -494,9 +493,6 @@ def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
     )
 
 
-ROUNDED = 1e-2  # of the largest eigenvalue: a negative one that rounding to some digits may cause
-
-
 def refuse_nonconvex(program: QuadraticProgram) -> None:
     """Raise if P is not convex to the rounding of single precision: P + n 2⁻²⁴ diag(P) is not semidefinite.
 
@@ -528,7 +524,8 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     if program.n <= 1000:  # unknowns of a P whose eigenvalues are computed for a message
         values = np.linalg.eigvalsh(as_array(P))
         shown = f"the smallest eigenvalue of P is {values[0]:.3g}"
-        if -values[0] <= ROUNDED * values[-1]:
+        # Rounding to some digits may cause so negative an eigenvalue
+        if -values[0] <= 1e-2 * values[-1]:
             repair = (
                 "if P is rounded, replace it by the nearest semidefinite matrix: w, V = numpy.linalg.eigh(P); "
                 "P = V * w.clip(0) @ V.T; otherwise "

@@ -24,9 +24,6 @@ from .program_matrices import FULL_UP_TO
 if TYPE_CHECKING:
     from .program import QuadraticProgram
 
-NOISE = 2.0**-40  # of b: residuals that are all rounding errors
-# Of AᵀWb: below it residuals, hence multipliers, are differences of rounded numbers
-SMALLEST_PENALTY = 1e-6
 Outward = Callable[[Vector], tuple[Vector, Vector]]
 
 
@@ -83,7 +80,8 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     place, rows = np.cumsum(~(is_residual | is_size)) - 1, np.zeros((p, columns.size))
     inner = ~is_residual[A.indices]
     rows[row_numbers(A)[inner], place[A.indices[inner]]] = A.data[inner]
-    if l1.any() and l1.max() < SMALLEST_PENALTY * unit * np.abs(rows.T @ b).max(initial=0.0):
+    # Below, residuals and hence multipliers are differences of rounded numbers
+    if l1.any() and l1.max() < 1e-6 * unit * np.abs(rows.T @ b).max(initial=0.0):
         return None
     bounds = program.lower[columns], program.upper[columns]
     penalties: dict[str, Any] = {"ridge": d[columns[0]] / unit, "l1": l1[columns] / unit}
@@ -96,7 +94,8 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
 
     def outward(point: Vector) -> tuple[Vector, Vector]:
         every, gradient, residual = np.zeros(n), np.zeros(n), problem.product(point) - b
-        if np.abs(residual).max() <= NOISE * np.abs(b).max():  # an exact fit
+        # Residuals that are all rounding errors
+        if np.abs(residual).max() <= 2.0**-40 * np.abs(b).max():  # an exact fit
             residual = np.zeros(p)
         every[columns], every[residuals] = point, -residual / scales
         every[t] = np.abs(g * every[x]) / k

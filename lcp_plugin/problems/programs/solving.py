@@ -37,7 +37,6 @@ from .program_matrices import refuse_nonconvex
 from .regression import Outward, regression_of, solutions
 
 NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
-NOISE = 2.0**-40  # of the largest: an interior point reaches 0 only to this
 GIVEN, FITTED, SIDES = "the caller's units", "fitted units", "units of limits and costs"
 # PIQP's points for 29 published programs fail the test more often at 1e-11 than at 1e-12, and 1e-13 takes 1.5 times the
 # steps for some of them. Dense kernel matrices of 1 000 rows reach neither, after all 150 steps.
@@ -202,7 +201,8 @@ def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iter
 def _without_noise(values: Vector) -> Vector:
     """Return the values with 0 at rounding level of the largest."""
     sizes = np.abs(values)
-    return np.where(sizes <= NOISE * sizes.max(initial=0.0), 0.0, values)
+    # An interior point reaches 0 only to this
+    return np.where(sizes <= 2.0**-40 * sizes.max(initial=0.0), 0.0, values)
 
 
 def _statements(reduced: QuadraticProgram, units: str) -> Iterator[scaling.ScaledProgram]:

@@ -33,6 +33,7 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, Vector
 from ...core.deadline import is_over
+from ...core.kernels.floats import OUTWARD, UNDERFLOW
 from ...core.matrix import largest_in_rows, row_numbers
 from ...core.rounding import compensated_pair, compensated_product, gamma, lower_end, upper_end
 from ...proofs.bounds import Curvature
@@ -55,8 +56,6 @@ from .program_matrices import FoldedRows
 
 # of the terms of a component: small and large, above the rounding of least squares
 SLACKS = (2.0**-46, 2.0**-36)
-# Rounds of least squares: a repair of some components may break components that were correct before
-ROUNDS = 4
 Box = tuple[Vector, Vector]
 
 
@@ -160,7 +159,7 @@ class DualBounds:
         sign = np.where(needs_rise, 1.0, -1.0)
         columns = sp.csr_array(self.program.matrices.rows.T)
         largest = largest_in_rows(columns) * np.abs(at.y).max(initial=0.0)
-        for _ in range(ROUNDS):
+        for _ in range(4):  # a repair of some components may break others
             v, s, size = self._slopes(at)
             size = np.maximum(size, largest)
             target = np.where(is_free, 0.0, sign * np.maximum(sign * s, slack * size))
@@ -339,10 +338,6 @@ def _tighten(rows: sp.csr_array, limit: Vector, lower: Vector, upper: Vector) ->
     np.maximum.at(lower, column[below], -most_of_x[below])
 
 
-TINY = 1e-290  # above the underflow of a sum
-OUTWARD = 1.0 + 2.0**-30  # above the rounding of a sum of nonnegative terms
-
-
 def value_near(program: QuadraticProgram, x: Vector) -> float | None:
     """Return a double above the objective of a feasible point near x; None if floating point proves no such point."""
     values = (_value_of_enclosed(program, at) for at in _near(program, x))
@@ -390,7 +385,9 @@ def _value_of_enclosed(program: QuadraticProgram, x: Vector) -> float | None:
     if radius is None or (excess[others] > 0.0).any():
         return None
     sizes = abs(rows.matrix[np.flatnonzero(others)])
-    spread = (sizes @ radius + np.where(sizes.astype(bool) @ (radius > 0.0), TINY, 0.0)) * OUTWARD
+    spread = (
+        sizes @ radius + np.where(sizes.astype(bool) @ (radius > 0.0), UNDERFLOW, 0.0)
+    ) * OUTWARD
     if not (sum_above(excess[others], spread) <= 0.0).all():
         return None
     return objective_bounds(program, x, radius)[1]
@@ -428,12 +425,12 @@ def distance_of_equations(program: QuadraticProgram, x: Vector, excess: Vector) 
     except np.linalg.LinAlgError:
         return None
     left = np.abs(np.eye(p) - R @ product) + gamma(p + 3) * (np.abs(R) @ np.abs(product) + 1.0)
-    left += gamma(n + 3) * (np.abs(R) @ sizes) + TINY * (1.0 + np.abs(R).sum())
+    left += gamma(n + 3) * (np.abs(R) @ sizes) + UNDERFLOW * (1.0 + np.abs(R).sum())
     alpha = float(left.sum(axis=1).max(initial=0.0)) * OUTWARD
     if not alpha <= 0.5:
         return None
-    largest = float((np.abs(R) @ r).max(initial=0.0)) * OUTWARD / (1.0 - alpha) + TINY
-    radius[free] = (np.abs(B).sum(axis=0) * largest + TINY) * OUTWARD
+    largest = float((np.abs(R) @ r).max(initial=0.0)) * OUTWARD / (1.0 - alpha) + UNDERFLOW
+    radius[free] = (np.abs(B).sum(axis=0) * largest + UNDERFLOW) * OUTWARD
     return radius
 
 

@@ -1,7 +1,7 @@
 """The matrix of the coarser grid, PᵀMP, and its truncation; compiled, arrays only.
 
 Truncation to a set of free unknowns zeroes the rows of P of all fixed unknowns, and of fine unknowns with nearly all
-couplings to fixed unknowns (`vectors.HELD`). P would interpolate such a fine unknown from its coarse neighbors, and if
+couplings to fixed unknowns (`HELD_SHARE`). P would interpolate such a fine unknown from its coarse neighbors, and if
 couplings jump, conjugate gradients would take ten times as many steps. A row of the coarse matrix changes only if it
 meets an unknown whose row of P is zeroed or restored, or a changed row of the finer matrix. Only such rows are computed
 again.
@@ -41,7 +41,7 @@ from .grids import Operator, RowBlocks, pivots
 if TYPE_CHECKING:
     from .grids import Transfer
 
-SMALLEST_PIVOT = 1e-300  # its inverse is finite
+INVERTIBLE = 1e-300  # its inverse is finite
 
 
 def product(
@@ -59,7 +59,7 @@ def product(
     )
     pattern.sort_indices()
     entries = Operator(pattern.indptr, pattern.indices, np.zeros(pattern.nnz))
-    split, inverse = pivots(entries, SMALLEST_PIVOT)
+    split, inverse = pivots(entries, INVERTIBLE)
     values = np.empty(pattern.nnz)
     all_rows, flags = np.ones(width, np.bool_), (np.zeros(columns, np.bool_) for _ in range(3))
     coarse = *entries.arrays[:2], values, split, inverse.copy(), *flags
@@ -160,7 +160,7 @@ def _update_rows(matrix, flags, prolongation, restriction, coarse, space, first,
             c_data[c] = sums[uintp(c_indices[c])]
         products += added
         pivot = c_data[uintp(c_diagonal[row])]
-        free = pivot > SMALLEST_PIVOT
+        free = pivot > INVERTIBLE
         c_inverse[row] = 1.0 / pivot if free else 0.0
         c_free_changed[row] = free != c_is_free[row]
         c_is_free[row] = free
@@ -389,7 +389,7 @@ def span(vector: Vector) -> float:
 
 
 # share of its couplings; no simple fraction, which rounding would decide on regular grids
-HELD = 0.13
+HELD_SHARE = 0.13
 NO_FLAGS = np.zeros(0, np.bool_)
 
 
@@ -454,7 +454,9 @@ def find_held(  # type: ignore[no-untyped-def]
                 elif is_free[j]:
                     left -= values[k]
             is_held = (
-                pivot > 0.0 and pivot_before > 0.0 and left / pivot < HELD * (before / pivot_before)
+                pivot > 0.0
+                and pivot_before > 0.0
+                and left / pivot < HELD_SHARE * (before / pivot_before)
             )
         interpolates = is_free[i] and not is_held
         is_changed[i] = interpolates != is_interpolated[i] and not became

@@ -33,9 +33,8 @@ from .grids import Grid, Hierarchy, Operator, Transfer, blocks_of, pivots
 # anisotropy, weak couplings are misleading.
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.4
 NOTEWORTHY_LONELY = 5e-4  # share of the unknowns that depend on others, but on no coarse one
-COARSEST = 60
+COARSEST = 60  # rows that are not coarsened
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
-MOST_PRODUCTS = 45.0  # per entry of M; at most 32 occurred in cases that multigrid helps
 
 
 @np.errstate(all="ignore")
@@ -93,7 +92,8 @@ def build_hierarchy(
         # Products of three entries in PᵀMP; integers could overflow
         sizes = np.diff(prolongation.indptr).astype(np.float64)
         products += float(sizes @ (kernels.pattern_of(grid.matrix, sizes.size) @ sizes))
-        if P.shape[1] > LARGEST_GRID_SHARE * grid.n or products > MOST_PRODUCTS * entries:
+        # At most 32 occurred in cases that multigrid helps
+        if P.shape[1] > LARGEST_GRID_SHARE * grid.n or products > 45.0 * entries:
             return Hierarchy(alone, (), work, is_helpful=False)
         require_seconds(0.0)
         coarse = kernels.product(grid.matrix, prolongation, restriction, P.shape[1])
@@ -114,7 +114,7 @@ def hierarchy_of(matrix: Matrix, coarsest: int) -> Hierarchy:
 
 def grid_of(matrix: Operator, *, may_cut: bool = False) -> Grid:
     """Return the grid of a matrix; whether it `may_cut` sweeps."""
-    split, inverse = pivots(matrix, kernels.SMALLEST_PIVOT)
+    split, inverse = pivots(matrix, kernels.INVERTIBLE)
     blocks = blocks_of(matrix.arrays, inverse.size, may_cut=may_cut)
     return Grid(matrix, split, blocks, inverse)
 

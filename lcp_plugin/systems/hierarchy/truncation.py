@@ -17,10 +17,10 @@ from . import kernels
 from .grids import Grid, Transfer
 from .kernels import dot, span
 
-COARSEST_SWEEPS = 10  # forward and backward, on a large coarsest grid
+CLOSING_SWEEPS = 21  # forward and backward, on a large coarsest grid
 # of a singular coarsest matrix, relative to its diagonal; 2⁻⁴⁰ takes models without a solution to z of 1e12, past any
 # proof. A regular matrix has none: towers with masses of a ratio 1e6 converge too slowly with it, to a wrong point.
-RIDGE, SMALLEST_PIVOT = 2.0**-26, 2.0**-40
+REGULARIZING, SINGULAR_PIVOT = 2.0**-26, 2.0**-40
 
 
 class TruncatedGrid:
@@ -60,8 +60,8 @@ class TruncatedGrid:
         dense[is_fixed, is_fixed] = 1.0
         # singular if two coarse unknowns have the same one free fine unknown left
         diagonal = dense.diagonal().copy()
-        if n and (np.abs(lapack().dgetrf(dense)[0].diagonal()) <= SMALLEST_PIVOT * diagonal).any():
-            np.fill_diagonal(dense, (1.0 + RIDGE) * diagonal)
+        if n and (np.abs(lapack().dgetrf(dense)[0].diagonal()) <= SINGULAR_PIVOT * diagonal).any():
+            np.fill_diagonal(dense, (1.0 + REGULARIZING) * diagonal)
         self._factor, self._is_factorised = dense_lu(dense), True
         return self._factor, n**3 / 3.0
 
@@ -246,12 +246,12 @@ class Truncation:
         return bool(np.isfinite(x).all())
 
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
-        for sweep in range(2 * COARSEST_SWEEPS + 1):
+        for sweep in range(CLOSING_SWEEPS):
             level.fetch(level.x)
             kernels.sweep(
                 level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x
             )
-        self.work += (2.0 * COARSEST_SWEEPS + 1.0) * level.values.size
+        self.work += CLOSING_SWEEPS * level.values.size
 
 
 class KrylovCorrection:

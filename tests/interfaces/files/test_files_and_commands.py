@@ -171,3 +171,10 @@ def test_each_example_in_a_help_page_is_a_command() -> None:
         for words in map(str.split, lines):
             assert words[0] == name
             assert {word for word in words if word.startswith("-")} <= known, words
+
+
+def test_a_maximum_of_0_is_printed_without_a_sign(tmp_path: Path) -> None:
+    """The objective of a file to be maximized is the negative one of the program, and 0 is not −0."""
+    path = tmp_path / "p.lp"
+    path.write_text(LP.replace("2 first + 4", "- first - 4"))
+    assert '"objective": 0.0' in lcp_plugin("solve", str(path), "--json").stdout

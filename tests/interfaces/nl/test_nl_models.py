@@ -318,10 +318,8 @@ def test_all_kinds_of_bounds_in_any_order(seed: int) -> None:
 
 
 P = np.array([[2.0, -1.0, 0.0], [-1.0, 4.0, 1.0], [0.0, 1.0, 6.0]])
-COST, ROWS = (
-    np.array([1.0, -2.0, -3.0]),
-    np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.0, 1.0, 2.0]]),
-)
+COST = np.array([1.0, -2.0, -3.0])
+ROWS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.0, 1.0, 2.0]])
 
 
 def quadratic(kind: str) -> tuple[Tree, list[Tree]]:

@@ -281,10 +281,8 @@ def braess() -> Published:
     m.sum = pe.Constraint(
         m.road, rule=lambda m, r: m.use[r] == sum(m.flow[p] for p in m.path if r in p.split())
     )
-    fixed, rise = (
-        {"ab": 0, "cd": 0, "ac": 50, "bd": 50, "bc": 10},
-        {"ab": 10, "cd": 10, "ac": 1, "bd": 1, "bc": 1},
-    )
+    fixed = {"ab": 0, "cd": 0, "ac": 50, "bd": 50, "bc": 10}
+    rise = {"ab": 10, "cd": 10, "ac": 1, "bd": 1, "bc": 1}
     m.wardrop = Complementarity(
         m.path,
         rule=lambda m, p: complements(

@@ -183,10 +183,8 @@ def test_wild_units() -> None:
     """Rows scaled by 1e±150 and unknowns by 1e±30 make no difference."""
     generator = np.random.default_rng(0)
     B = generator.standard_normal((6, 6))
-    rows, columns = (
-        10.0 ** generator.integers(-150, 150, size=6),
-        10.0 ** generator.integers(-30, 30, size=6),
-    )
+    rows = 10.0 ** generator.integers(-150, 150, size=6)
+    columns = 10.0 ** generator.integers(-30, 30, size=6)
     problem = LCP((B @ B.T) * rows[:, None] * columns, generator.standard_normal(6) * rows)
     assert best(problem).relative_residual <= 1e-12
 
@@ -331,10 +329,8 @@ def test_independent_free_rows_are_eliminated_next_to_a_singular_one() -> None:
 
 def test_a_square_system_is_one_factorization() -> None:
     """Without bounds, auto solves a sparse nonsymmetric system with a negative diagonal by newton, in one step."""
-    line, one = (
-        sp.diags_array([1.5, -2.0, 0.25], offsets=[-1, 0, 1], shape=(75, 75)),
-        sp.eye_array(75),
-    )
+    line = sp.diags_array([1.5, -2.0, 0.25], offsets=[-1, 0, 1], shape=(75, 75))
+    one = sp.eye_array(75)
     M = sp.csr_array(sp.kron(line, one) + sp.kron(one, line))
     result = solve(LCP(M, np.ones(5625), lower=-INF))
     assert (result.status, result.algorithm, result.iterations) == (

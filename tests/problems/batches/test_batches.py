@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs.small_families import FAMILIES, definite_stack, draw, told
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
     LCP,
@@ -97,21 +98,17 @@ def test_a_bad_problem_costs_that_one_alone() -> None:
     assert "4 no problem" in repr(batch)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((np.eye(3), None), "q is missing"),
-        ((np.ones((2, 3)), np.ones(3)), r"M must have shape \(B, n, n\)"),
-        ((np.ones((4, 3, 3)), np.ones((5, 3))), "equally long, got q 5, M 4"),
-        ((np.ones((4, 3, 3)), np.ones((4, 2))), r"q must have shape \(B, n\) or \(n,\), n = 3"),
-        ((np.ones((4, 3, 3)), 1.0), "q must have shape"),
-        ((["M"], np.ones(3)), "real numbers|M must"),
-    ],
-)
-def test_shapes_that_do_not_fit_are_refused(arguments: Any, message: str) -> None:
+@refusals(r"""
+solve_batch(*(np.eye(3), None)) → q is missing
+solve_batch(*(np.ones((2, 3)), np.ones(3))) → M must have shape \(B, n, n\)
+solve_batch(*(np.ones((4, 3, 3)), np.ones((5, 3)))) → equally long, got q 5, M 4
+solve_batch(*(np.ones((4, 3, 3)), np.ones((4, 2)))) → q must have shape \(B, n\) or \(n,\), n = 3
+solve_batch(*(np.ones((4, 3, 3)), 1.0)) → q must have shape
+solve_batch(*(['M'], np.ones(3))) → real numbers|M must
+""")
+def test_shapes_that_do_not_fit_are_refused(call: str, words: str) -> None:
     """Before anything is solved, with what was given and what is needed."""
-    with pytest.raises(InvalidProblem, match=message):
-        solve_batch(*arguments)
+    assert_refused(call, words, {}, InvalidProblem)
 
 
 def test_batches_of_nothing_of_one_and_of_sparse_matrices() -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from inputs.planted import planted_program
 from inputs.stacked_programs import programs_of
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
     LCP,
@@ -16,7 +16,6 @@ from lcp_plugin import (
     InvalidProblem,
     QuadraticProgram,
     Status,
-    UnknownAlgorithm,
     UnsupportedModel,
     solve,
     solve_batch,
@@ -52,11 +51,9 @@ def planted(kind: str, count: int, seed: int = 0) -> tuple[list[QuadraticProgram
 def dense(count: int, n: int = 6, m: int = 12, seed: int = 0) -> tuple[Any, ...]:
     """Stacked P, c, G, h of strictly convex programs whose rows meet at a point."""
     rng = np.random.default_rng(seed)
-    factor, G, x = (
-        rng.normal(size=(count, n, n)),
-        rng.normal(size=(count, m, n)),
-        rng.normal(size=(count, n)),
-    )
+    factor = rng.normal(size=(count, n, n))
+    G = rng.normal(size=(count, m, n))
+    x = rng.normal(size=(count, n))
     P = factor @ factor.transpose(0, 2, 1) + 0.1 * np.eye(n)
     h = np.einsum("kij,kj->ki", G, x) + rng.random((count, m))
     return (P + P.transpose(0, 2, 1)) / 2, 3.0 * rng.normal(size=(count, n)), G, h
@@ -202,21 +199,18 @@ def test_empty_batches_and_programs_without_rows_or_variables() -> None:
 ONE = (np.eye(2), [1.0, 2.0])
 
 
-def test_an_error_of_all_programs_is_raised_before_the_first() -> None:
+@refusals(r"""
+solve_batch(one, [[1.0, 2.0]], z0=[0.0, 0.0]) → InvalidOption: takes no z0
+solve_batch(one, [[1.0, 2.0]], lower=1.0) → InvalidOption: the vectors already contain
+solve_batch(one, [[1.0, 2.0]], threads=0) → InvalidOption: threads
+solve_batch(one, [[1.0, 2.0]], tolerance=-1.0) → InvalidOption: tolerance
+solve_batch(one, [[1.0, 2.0]], algorithm="interior_pont") → UnknownAlgorithm: interior_point
+solve_batch(QuadraticProgram([[1.0, 2.0], [2.0, 1.0]], [0, 0]), np.zeros((5, 2)))
+    → UnsupportedModel: the smallest eigenvalue of P is -1
+""")
+def test_an_error_of_all_programs_is_raised_before_the_first(call: str, words: str) -> None:
     """Options that a batch of programs does not take, unknown algorithms, a P for all that is not convex."""
-    ask: Any = partial(solve_batch, QuadraticProgram(*ONE), [[1.0, 2.0]])
-    for options, words in (
-        ({"z0": [0.0, 0.0]}, "takes no z0"),
-        ({"lower": 1.0}, "the vectors already contain"),
-        ({"threads": 0}, "threads"),
-        ({"tolerance": -1.0}, "tolerance"),
-    ):
-        with pytest.raises(InvalidOption, match=words):
-            ask(**options)
-    with pytest.raises(UnknownAlgorithm, match="interior_point"):
-        ask(algorithm="interior_pont")
-    with pytest.raises(UnsupportedModel, match="the smallest eigenvalue of P is -1"):
-        solve_batch(QuadraticProgram([[1.0, 2.0], [2.0, 1.0]], [0, 0]), np.zeros((5, 2)))
+    assert_refused(call, words, {"one": QuadraticProgram(*ONE)})
 
 
 def test_terms_that_cancel_excuse_an_error_beside_them_alone() -> None:

@@ -21,6 +21,7 @@ from inputs.cone_families import (
 from inputs.contact_families import rows_of_bodies
 from inputs.published_problems import errors_of_contact
 from scipy.linalg import block_diag
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
     LCP,
@@ -41,48 +42,28 @@ from lcp_plugin.problems.cones.methods import METHODS
 
 ONE = np.eye(3), [-1.0, 3.0, 4.0], 0.5
 FC, CP = FrictionalContact, ConeProblem
-BAD: dict[str, tuple[Any, str]] = {
-    "W is not symmetric": (
-        lambda: FC([[1, 2, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 0], 0.5),
-        "symmetric",
-    ),
-    "μ < 0": (lambda: FC(*ONE[:2], -0.1), r"friction\[0\] = -0.1"),
-    "two coefficients": (lambda: FC(*ONE[:2], [0.1, 0.2]), "no multiple|coefficients|shape"),
-    "b is NaN": (lambda: FC(np.eye(3), [0, np.nan, 0], 0.1), r"b\[1\] = nan"),
-    "b has other columns": (
-        lambda: FC(np.eye(3), [[-1, 0, 0]], 0.5, dimension=2),
-        "b has 3 columns and dimension is 2",
-    ),
-    "b does not fit": (lambda: FC(np.eye(3), np.zeros(6), 0.1, dimension=3), r"shape \(6, 6\)"),
-    "no tuples": (lambda: CP(np.eye(3), np.zeros(3), "second_order"), "sequence of"),
-    "a name without rows": (
-        lambda: CP(np.eye(3), np.zeros(3), ["nonnegative"]),
-        r"cones\[0\] = 'nonnegative' is a text; write a list of tuples.*\(\"nonnegative\", 3\)",
-    ),
-    "a tuple without a list": (
-        lambda: CP(np.eye(2), np.zeros(2), ("box", 0, 1)),
-        r"cones\[0\] = 'box' is a text; write a list of tuples",
-    ),
-    "a name": (lambda: CP(np.eye(3), np.zeros(3), [("second_ordr", 3)]), "second_order"),
-    "too few rows": (
-        lambda: CP(np.eye(3), np.zeros(3), [("second_order", 2)]),
-        "2 rows and M has 3: too few",
-    ),
-    "half a row": (lambda: CP(np.eye(3), np.zeros(3), [("free", 2.5)]), "integer"),
-    "bounds in another order": (
-        lambda: CP(np.eye(1), np.zeros(1), [("box", 1.0, 0.0)]),
-        "lower ≤ upper",
-    ),
-    "M is not square": (lambda: CP(np.ones((2, 3)), np.zeros(2), [("free", 2)]), "square"),
-}
 
 
-@pytest.mark.parametrize("name", BAD)
-def test_bad_input_is_refused_in_words(name: str) -> None:
+@refusals(r"""
+FC([[1, 2, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 0], 0.5) → symmetric
+FC(*ONE[:2], -0.1) → friction\[0\] = -0.1
+FC(*ONE[:2], [0.1, 0.2]) → no multiple|coefficients|shape
+FC(np.eye(3), [0, np.nan, 0], 0.1) → b\[1\] = nan
+FC(np.eye(3), [[-1, 0, 0]], 0.5, dimension=2) → b has 3 columns and dimension is 2
+FC(np.eye(3), np.zeros(6), 0.1, dimension=3) → shape \(6, 6\)
+CP(np.eye(3), np.zeros(3), 'second_order') → sequence of
+CP(np.eye(3), np.zeros(3), ['nonnegative'])
+    → cones\[0\] = 'nonnegative' is a text; write a list of tuples.*\(\"nonnegative\", 3\)
+CP(np.eye(2), np.zeros(2), ('box', 0, 1)) → cones\[0\] = 'box' is a text; write a list of tuples
+CP(np.eye(3), np.zeros(3), [('second_ordr', 3)]) → second_order
+CP(np.eye(3), np.zeros(3), [('second_order', 2)]) → 2 rows and M has 3: too few
+CP(np.eye(3), np.zeros(3), [('free', 2.5)]) → integer
+CP(np.eye(1), np.zeros(1), [('box', 1.0, 0.0)]) → lower ≤ upper
+CP(np.ones((2, 3)), np.zeros(2), [('free', 2)]) → square
+""")
+def test_bad_input_is_refused_in_words(call: str, words: str) -> None:
     """The error message contains the invalid value and the requirement."""
-    make, words = BAD[name]
-    with pytest.raises(InvalidProblem, match=words):
-        make()
+    assert_refused(call, words, globals(), InvalidProblem)
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -230,26 +211,19 @@ def test_derivatives_are_those_of_differences(seed: int) -> None:
     assert total == pytest.approx(g @ dz, rel=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("cone", "words"),
-    [
-        (
-            ("box", np.zeros((2, 2)), np.ones((2, 2))),
-            r"shapes \(2, 2\) and \(2, 2\); write np.ravel\(lower\)",
-        ),
-        (("box", np.zeros(2), np.ones(3)), r"shapes \(2,\) and \(3,\); write .* of one length"),
-        (
-            ("box", None, 1.0),
-            r"lower and upper of cones\[0\] must be real numbers or vectors of the box's rows, got None",
-        ),
-        (("box", np.full(4, np.nan), 1.0), r"lower of cones\[0\] must not hold NaN"),
-        (("second_order", np.inf), "must name an integer of rows"),
-    ],
-)
-def test_a_cone_of_a_wrong_shape_is_told_what_to_write(cone: Any, words: str) -> None:
+@refusals(r"""
+ConeProblem(np.eye(4), -np.ones(4), [('box', np.zeros((2, 2)), np.ones((2, 2)))])
+    → shapes \(2, 2\) and \(2, 2\); write np.ravel\(lower\)
+ConeProblem(np.eye(4), -np.ones(4), [('box', np.zeros(2), np.ones(3))])
+    → shapes \(2,\) and \(3,\); write .* of one length
+ConeProblem(np.eye(4), -np.ones(4), [('box', None, 1.0)])
+    → lower and upper of cones\[0\] must be real numbers or vectors of the box's rows, got None
+ConeProblem(np.eye(4), -np.ones(4), [('box', np.full(4, np.nan), 1.0)]) → lower of cones\[0\] must not hold NaN
+ConeProblem(np.eye(4), -np.ones(4), [('second_order', np.inf)]) → must name an integer of rows
+""")
+def test_a_cone_of_a_wrong_shape_is_told_what_to_write(call: str, words: str) -> None:
     """Never an exception of numpy's, nor a box of as many rows as both shapes make together."""
-    with pytest.raises(LCPError, match=words):
-        ConeProblem(np.eye(4), -np.ones(4), [cone])
+    assert_refused(call, words, {})
 
 
 def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path: Path) -> None:
@@ -324,11 +298,9 @@ def test_other_velocities_of_contacts_do_not_tell_those_of_bodies() -> None:
 
 def test_pyramids_of_many_edges_come_near_to_the_cone() -> None:
     """64 edges give bodies and gaps nearly the velocities of the cone."""
-    bodies, friction, velocities = (
-        (np.diag([2.0] * 3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]),
-        0.4,
-        [1.0, 2.0, -3.0],
-    )
+    bodies = (np.diag([2.0] * 3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
+    friction = 0.4
+    velocities = [1.0, 2.0, -3.0]
     exact = FrictionalContact(bodies, velocities, friction, gaps=0.01, time_step=0.1)
     moved = solve(exact, tolerance=1e-12).require_solved().motion.body_velocities
     speed = np.hypot(1.0, 2.0)
@@ -512,10 +484,8 @@ def test_towers_that_get_heavier_upwards_stand(masses: Any) -> None:
     mass = np.outer(masses, [1.0, 1.0, 1.0, 0.02, 0.02, 0.03]).ravel()
     pull = np.tile([0.0, 0.0, -0.0981, 0.0, 0.0, 0.0], count)
     result = solve(FrictionalContact((J / mass) @ J.T, J @ pull, 0.5, dimension=3)).require_solved()
-    carried, weights = (
-        result.motion.normal.reshape(count, 4).sum(axis=1),
-        0.0981 * np.cumsum(masses[::-1])[::-1],
-    )
+    carried = result.motion.normal.reshape(count, 4).sum(axis=1)
+    weights = 0.0981 * np.cumsum(masses[::-1])[::-1]
     np.testing.assert_allclose(carried, weights, rtol=1e-5)
     assert "from a point nearby" not in result.explain()
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
     FrictionalContact,
@@ -104,33 +105,13 @@ def test_what_the_loop_leaves_and_what_has_no_derivative() -> None:
     assert derived(np.eye(3), np.zeros((0, 3)), 0.5).vjp(np.zeros(3)).M.shape == (0, 3, 3)
 
 
-REFUSED: dict[str, tuple[Any, type[Exception], str]] = {
-    "g too long": (
-        lambda found: found.vjp(np.zeros(4)),
-        InvalidProblem,
-        r"g must have shape \(B, n\) or \(n,\), here",
-    ),
-    "dM of one row": (
-        lambda found: found.jvp(dM=np.zeros(3)),
-        InvalidProblem,
-        r"dM must have shape \(B, n, n\)",
-    ),
-    "dfriction of two": (
-        lambda found: found.jvp(dfriction=[1.0, 2.0]),
-        InvalidProblem,
-        r"dfriction must have shape",
-    ),
-    "not finite": (
-        lambda found: found.jvp(dq=[np.nan, 0.0, 0.0]),
-        InvalidProblem,
-        r"dq\[0, 0\] = nan",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_wrong_changes_are_refused_in_words(name: str) -> None:
+@refusals(r"""
+found.vjp(np.zeros(4)) → g must have shape \(B, n\) or \(n,\), here
+found.jvp(dM=np.zeros(3)) → dM must have shape \(B, n, n\)
+found.jvp(dfriction=[1.0, 2.0]) → dfriction must have shape
+found.jvp(dq=[np.nan, 0.0, 0.0]) → dq\[0, 0\] = nan
+""")
+def test_wrong_changes_are_refused_in_words(call: str, words: str) -> None:
     """Wrong changes raise errors with the required shapes."""
-    ask, error, words = REFUSED[name]
-    with pytest.raises(error, match=words):
-        ask(derived(np.eye(3)[None], np.array([[-1.0, 3.0, 4.0]]), 0.5))
+    found = derived(np.eye(3)[None], np.array([[-1.0, 3.0, 4.0]]), 0.5)
+    assert_refused(call, words, {"found": found}, InvalidProblem)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from inputs.cone_families import exact_relative_residual, planted_contacts
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import FrictionalContact, InvalidOption, InvalidProblem, Status, solve, solve_batch
 
@@ -80,36 +81,18 @@ def test_one_world_harms_no_other() -> None:
 
 
 TWO = np.zeros((2, 6))
-REFUSED: dict[str, tuple[Any, str]] = {
-    "W of another size": (
-        lambda: FrictionalContact.worlds(np.eye(4), TWO, 0.5, dimension=3),
-        r"W must have shape \(B, 6, 6\)",
-    ),
-    "b a number": (
-        lambda: FrictionalContact.worlds(np.eye(3)[None], 1.0, 0.5),
-        r"b must have shape \(B, d k\)",
-    ),
-    "four coefficients": (
-        lambda: FrictionalContact.worlds(np.eye(6), TWO, np.ones(4)),
-        r"shape \(2,\) or \(B, 2\), B = 2, got",
-    ),
-    "lengths that differ": (
-        lambda: FrictionalContact.worlds(np.zeros((3, 6, 6)), TWO, 0.5, dimension=3),
-        r"B = 2 and 6 as b has, got \(3, 6, 6\)",
-    ),
-    "too many contacts": (
-        lambda: FrictionalContact.worlds(np.eye(6), TWO, 0.5, dimension=3, contacts=[1, 3]),
-        "from 0 to 2",
-    ),
-}
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_wrong_arrays_are_refused_in_words(name: str) -> None:
+@refusals(r"""
+FrictionalContact.worlds(np.eye(4), TWO, 0.5, dimension=3) → W must have shape \(B, 6, 6\)
+FrictionalContact.worlds(np.eye(3)[None], 1.0, 0.5) → b must have shape \(B, d k\)
+FrictionalContact.worlds(np.eye(6), TWO, np.ones(4)) → shape \(2,\) or \(B, 2\), B = 2, got
+FrictionalContact.worlds(np.zeros((3, 6, 6)), TWO, 0.5, dimension=3) → B = 2 and 6 as b has, got \(3, 6, 6\)
+FrictionalContact.worlds(np.eye(6), TWO, 0.5, dimension=3, contacts=[1, 3]) → from 0 to 2
+""")
+def test_wrong_arrays_are_refused_in_words(call: str, words: str) -> None:
     """With what they must be."""
-    make, words = REFUSED[name]
-    with pytest.raises(InvalidProblem, match=words):
-        make()
+    assert_refused(call, words, globals(), InvalidProblem)
 
 
 def test_what_no_batch_of_contacts_takes_is_refused_in_words() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from inputs.contact_families import rows_of_bodies
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, FrictionalContact, solve
 from lcp_plugin.core.errors import InvalidProblem, ModelWarning
@@ -88,20 +89,16 @@ def test_bodies_have_velocities_after_the_impulses() -> None:
     np.testing.assert_array_equal(back.body_velocities, motion.body_velocities)
 
 
-def test_gaps_need_a_time_step_and_gaps() -> None:
+@refusals(r"""
+LCP.from_contacts(body, 0.5, [0.0, -1.0], gaps=0.1) → time_step is missing
+LCP.from_contacts(body, 0.5, [0.0, -1.0], time_step=0.1) → gaps is missing
+LCP.from_contacts(body, 0.5, [0.0, -1.0], gaps=0.1, time_step=0) → time_step must be a number of seconds > 0, got 0
+LCP.from_contacts(body, 0.5, [0.0, -1.0], gaps=[0, 0], time_step=1)
+    → gaps must be a number, or .* of shape \(1,\).*got shape \(2,\)
+""")
+def test_gaps_need_a_time_step_and_gaps(call: str, words: str) -> None:
     """One without the other, another number of gaps, or a step that takes no time is refused in words."""
-    body = np.eye(2), [[0, 1]], [[1, 0]]
-    for words, wrong in (
-        ("time_step is missing", {"gaps": 0.1}),
-        ("gaps is missing", {"time_step": 0.1}),
-        ("time_step must be a number of seconds > 0, got 0", {"gaps": 0.1, "time_step": 0}),
-        (
-            r"gaps must be a number, or .* of shape \(1,\).*got shape \(2,\)",
-            {"gaps": [0, 0], "time_step": 1},
-        ),
-    ):
-        with pytest.raises(InvalidProblem, match=words):
-            LCP.from_contacts(body, 0.5, [0.0, -1.0], **wrong)
+    assert_refused(call, words, {"body": (np.eye(2), [[0, 1]], [[1, 0]])}, InvalidProblem)
 
 
 def test_more_friction_than_any_material_has_is_warned_of() -> None:

@@ -453,18 +453,14 @@ def monteiro() -> cp.Problem:
     a, b, least_bid, largest_bid, most = np.array(list(PLANTS.values())).T
     plants, buyers, d = node[list(PLANTS)], node[list(DEMANDS)], np.array(list(DEMANDS.values()))
     mine, others = slice(3, 6), slice(0, 3)
-    bid, supply, demand, price = (
-        cp.Variable(6),
-        cp.Variable(6),
-        cp.Variable(d.size),
-        cp.Variable(30),
-    )
-    flow, scarcity, full, voltage = (
-        cp.Variable(len(lines)),
-        cp.Variable(6),
-        cp.Variable(len(lines)),
-        cp.Variable(12),
-    )
+    bid = cp.Variable(6)
+    supply = cp.Variable(6)
+    demand = cp.Variable(d.size)
+    price = cp.Variable(30)
+    flow = cp.Variable(len(lines))
+    scarcity = cp.Variable(6)
+    full = cp.Variable(len(lines))
+    voltage = cp.Variable(12)
     profit = 40 * cp.sum(demand) - d @ cp.square(demand) - capacity @ full - a @ supply
     profit -= b[mine] / 2 @ cp.square(supply[mine]) + b[others] @ cp.square(supply[others])
     profit -= most[others] @ scarcity[others]

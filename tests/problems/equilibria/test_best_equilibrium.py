@@ -65,10 +65,8 @@ def test_two_pairs_may_give_one_variable_different_bounds() -> None:
 
 def test_a_cost_far_above_the_others_leaves_the_only_solution() -> None:
     """Of an LCP with one solution it is the best, where the least multipliers of a cost of 3e9 are none."""
-    M, q = (
-        np.array([[1.0, 0.0, 0.0], [0.0, 6.0, -3.0], [0.0, -3.0, 4.0]]),
-        np.array([-1000003.0, -1e-7, 0.0]),
-    )
+    M = np.array([[1.0, 0.0, 0.0], [0.0, 6.0, -3.0], [0.0, -3.0, 4.0]])
+    q = np.array([-1000003.0, -1e-7, 0.0])
     lower, cost = np.append(np.zeros(3), np.full(3, -np.inf)), [1.0, -2.0, -3e9, 0.0, 0.0, 0.0]
     program = QuadraticProgram(None, cost, A=np.hstack([M, -np.eye(3)]), b=-q, lower=lower)
     result = solve(EquilibriumProgram(program, [0, 1, 2], [3, 4, 5]))

@@ -97,6 +97,11 @@ def bilinear(**more: Any) -> EquilibriumProgram:
     return EquilibriumProgram(program, [0], [2])
 
 
+def test_more_nodes_than_scip_can_count_are_no_limit() -> None:
+    """The bound is that of a run without a limit."""
+    assert minimize_over_solutions(bilinear(), max_nodes=10**30).value == pytest.approx(2.0)
+
+
 # --- No SCIP, and a SCIP that fails ---
 
 
@@ -338,11 +343,9 @@ def test_a_point_does_not_hide_that_the_objective_falls_for_ever() -> None:
 def hard_followers(seed: int, pairs: int = 42) -> EquilibriumProgram:
     """Return leaders x within [−1, 1]⁴ and followers z ⟂ M z + C x + q with a known solution."""
     rng = np.random.default_rng(seed)
-    M, C, leaders = (
-        rng.standard_normal((pairs, pairs)),
-        rng.standard_normal((pairs, 4)),
-        rng.uniform(-1.0, 1.0, 4),
-    )
+    M = rng.standard_normal((pairs, pairs))
+    C = rng.standard_normal((pairs, 4))
+    leaders = rng.uniform(-1.0, 1.0, 4)
     is_active = rng.random(pairs) < 0.5
     z, w = (rng.uniform(0.1, 2.0, pairs) * side for side in (~is_active, is_active))
     q, n = w - M @ z - C @ leaders, 4 + 2 * pairs

@@ -41,10 +41,8 @@ def planted(
     penalty is what the slope s = AᵀWy + ridge x then needs.
     """
     rng = np.random.default_rng(seed)
-    A, y = (
-        rng.integers(-spread, spread + 1, (m, n)).astype(float),
-        rng.integers(-spread, spread + 1, m).astype(float),
-    )
+    A = rng.integers(-spread, spread + 1, (m, n)).astype(float)
+    y = rng.integers(-spread, spread + 1, m).astype(float)
     weights = rng.integers(1, 4, m).astype(float)
     place = rng.choice(["free", "held", "degenerate", "one side", "upper", "lower"], n)
     x = np.where(

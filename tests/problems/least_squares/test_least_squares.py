@@ -17,9 +17,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear, nnls
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import Status, solve
-from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, NotConverged
+from lcp_plugin.core.errors import InvalidOption, InvalidProblem, NotConverged
 from lcp_plugin.problems.least_squares.certificate import duality_gap
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
 
@@ -58,10 +59,8 @@ def of_condition(m: int, n: int, condition: float, seed: int = 0) -> np.ndarray:
     """A dense matrix of that condition."""
     rng = np.random.default_rng(seed)
     k = min(m, n)
-    left, right = (
-        np.linalg.qr(rng.standard_normal((m, k)))[0],
-        np.linalg.qr(rng.standard_normal((n, k)))[0],
-    )
+    left = np.linalg.qr(rng.standard_normal((m, k)))[0]
+    right = np.linalg.qr(rng.standard_normal((n, k)))[0]
     return left @ np.diag(np.logspace(0.0, -np.log10(condition), k)) @ right.T
 
 
@@ -321,10 +320,8 @@ def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None
     """
     rng = np.random.default_rng(seed)
     case = campaign.draw(campaign.KINDS[seed % 3], rng)
-    rows, columns = (
-        2.0 ** rng.integers(-30, 31, case.b.size),
-        2.0 ** rng.integers(-30, 31, case.lower.size),
-    )
+    rows = 2.0 ** rng.integers(-30, 31, case.b.size)
+    columns = 2.0 ** rng.integers(-30, 31, case.lower.size)
     alone = bounded_least_squares(case.A, case.b, case.lower, case.upper, tolerance=tolerance)
     plain = bounded_least_squares(
         case.A, case.b, case.lower, case.upper, weights=np.ones(case.b.size), tolerance=tolerance
@@ -448,66 +445,36 @@ def test_data_whose_squares_are_no_doubles_are_refused(size: float) -> None:
 
 A_OF_THREE = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 B_OF_THREE = np.array([2.0, 1.0, -1.0])
-REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
-    (
-        {"A": [1.0, 2.0, 3.0]},
-        InvalidProblem,
-        r"A must be a real matrix.*shape \(3,\); write a single row",
-    ),
-    ({"A": A_OF_THREE * 1j}, InvalidProblem, "A must be a real matrix.*complex entries"),
-    ({"A": np.full((3, 2), np.nan)}, InvalidProblem, r"A must be finite, but A\[0, 0\] = nan"),
-    ({"A": None}, InvalidProblem, "A must be a real matrix.*got None"),
-    (
-        {"A": LinearOperator((3, 2), matvec=lambda x: A_OF_THREE @ x, dtype=float)},
-        InvalidProblem,
-        "needs rmatvec",
-    ),
-    (
-        {"b": [1.0, 2.0]},
-        InvalidProblem,
-        r"b must be a vector of length 3.*got shape \(2,\): 1 too few",
-    ),
-    ({"b": [[1.0], [2.0], [3.0]]}, InvalidProblem, r"write np\.ravel\(b\)"),
-    ({"b": [[1.0, 2.0], [3.0], [4.0]]}, InvalidProblem, "got no rectangular array"),
-    (
-        {"b": np.ones((3, 4))},
-        InvalidProblem,
-        r"for many right-hand sides: solve_batch\(.*got shape \(3, 4\)",
-    ),
-    (
-        {"A": np.ones((3, 4)), "lower": (0, 1)},
-        InvalidProblem,
-        r"lower must be a number or a vector of length 4, got shape \(2,\)",
-    ),
-    ({"b": [1.0, np.nan, 2.0]}, InvalidProblem, r"b must be finite, but b\[1\] = nan"),
-    ({"lower": 1.0, "upper": [2.0, 0.0]}, InvalidProblem, r"lower\[1\] = 1.0 and upper\[1\] = 0.0"),
-    (
-        {"lower": [0.0]},
-        InvalidProblem,
-        r"lower must be a number or a vector of length 2, got shape \(1,\)",
-    ),
-    ({"upper": np.nan}, InvalidProblem, "upper must not hold NaN"),
-    (
-        {"weights": [1.0, -1.0, 1.0]},
-        InvalidProblem,
-        r"≥ 0, but weights\[1\] = -1.0; 0 leaves a row out",
-    ),
-    ({"weights": [1.0]}, InvalidProblem, "weights must be a vector of length 3"),
-    ({"ridge": -1.0}, InvalidOption, "ridge must be a finite number ≥ 0, got -1.0"),
-    ({"x0": [1.0]}, InvalidOption, "x0 must be a vector of length 2"),
-    ({"tolerance": -1e-8}, InvalidOption, "tolerance must be finite and not negative"),
-    ({"max_iterations": 1.5}, InvalidOption, "max_iterations must be an integer"),
-    ({"max_seconds": "1"}, InvalidOption, "max_seconds must be a finite number"),
-]
 
 
-@pytest.mark.parametrize(("change", "error", "words"), REFUSED)
-def test_mistakes_are_refused_in_words(
-    change: dict[str, Any], error: type[LCPError], words: str
-) -> None:
+@refusals(r"""
+fit([1.0, 2.0, 3.0], B) → InvalidProblem: A must be a real matrix.*shape \(3,\); write a single row
+fit(A * 1j, B) → InvalidProblem: A must be a real matrix.*complex entries
+fit(np.full((3, 2), np.nan), B) → InvalidProblem: A must be finite, but A\[0, 0\] = nan
+fit(None, B) → InvalidProblem: A must be a real matrix.*got None
+fit(LinearOperator((3, 2), matvec=A.__matmul__, dtype=float), B) → InvalidProblem: needs rmatvec
+fit(A, [1.0, 2.0]) → InvalidProblem: b must be a vector of length 3.*got shape \(2,\): 1 too few
+fit(A, [[1.0], [2.0], [3.0]]) → InvalidProblem: write np\.ravel\(b\)
+fit(A, [[1.0, 2.0], [3.0], [4.0]]) → InvalidProblem: got no rectangular array
+fit(A, np.ones((3, 4))) → InvalidProblem: for many right-hand sides: solve_batch\(.*got shape \(3, 4\)
+fit(np.ones((3, 4)), B, (0, 1)) → InvalidProblem: lower must be a number or a vector of length 4, got shape \(2,\)
+fit(A, [1.0, np.nan, 2.0]) → InvalidProblem: b must be finite, but b\[1\] = nan
+fit(A, B, 1.0, [2.0, 0.0]) → InvalidProblem: lower\[1\] = 1.0 and upper\[1\] = 0.0
+fit(A, B, [0.0]) → InvalidProblem: lower must be a number or a vector of length 2, got shape \(1,\)
+fit(A, B, upper=np.nan) → InvalidProblem: upper must not hold NaN
+fit(A, B, weights=[1.0, -1.0, 1.0]) → InvalidProblem: ≥ 0, but weights\[1\] = -1.0; 0 leaves a row out
+fit(A, B, weights=[1.0]) → InvalidProblem: weights must be a vector of length 3
+fit(A, B, ridge=-1.0) → InvalidOption: ridge must be a finite number ≥ 0, got -1.0
+fit(A, B, x0=[1.0]) → InvalidOption: x0 must be a vector of length 2
+fit(A, B, tolerance=-1e-8) → InvalidOption: tolerance must be finite and not negative
+fit(A, B, max_iterations=1.5) → InvalidOption: max_iterations must be an integer
+fit(A, B, max_seconds="1") → InvalidOption: max_seconds must be a finite number
+""")
+def test_mistakes_are_refused_in_words(call: str, words: str) -> None:
     """Error messages state the invalid value, its place, and the requirement."""
-    with pytest.raises(error, match=words):
-        bounded_least_squares(**({"A": A_OF_THREE, "b": B_OF_THREE} | change))
+    data = {"A": np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), "B": np.array([2.0, 1.0, -1.0])}
+    names = {"fit": bounded_least_squares, "LinearOperator": LinearOperator}
+    assert_refused(call, words, data | names)
 
 
 # --- Numbers far from the others -----------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import marches
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
     LCP,
@@ -250,25 +251,19 @@ def test_kinks_are_held_backwards_and_one_sided_forwards() -> None:
     assert derivative(marched(*drawn(20, 1, z=True), 6, 1)).is_unique is True
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"dz0": np.zeros(2)}, "dz0 must be"),
-        (
-            {"dforcing": np.zeros((2, 5))},
-            r"dforcing must be a finite array of shape \(4, 5\), or \(5,\) for all steps",
-        ),
-        ({"dforcing": np.full((4, 5), np.nan)}, r"dforcing must be .* but dforcing\[0, 0\] = nan"),
-        ({"dM": np.eye(4)}, "dM must be"),
-        ({"dpropagator": np.eye(4)}, "dpropagator must be"),
-        ({"dlower": np.inf}, "dlower must be finite"),
-    ],
-)
-def test_what_changes_are_refused(given: dict[str, Any], message: str) -> None:
+@refusals(r"""
+found.jvp(**{'dz0': np.zeros(2)}) → dz0 must be
+found.jvp(**{'dforcing': np.zeros((2, 5))})
+    → dforcing must be a finite array of shape \(4, 5\), or \(5,\) for all steps
+found.jvp(**{'dforcing': np.full((4, 5), np.nan)}) → dforcing must be .* but dforcing\[0, 0\] = nan
+found.jvp(**{'dM': np.eye(4)}) → dM must be
+found.jvp(**{'dpropagator': np.eye(4)}) → dpropagator must be
+found.jvp(**{'dlower': np.inf}) → dlower must be finite
+""")
+def test_what_changes_are_refused(call: str, words: str) -> None:
     """Changes of another shape, or not finite; and marches that did not get to their end."""
     found = derivative(heated(5, 4))
-    with pytest.raises(InvalidProblem, match=message):
-        found.jvp(**given)
+    assert_refused(call, words, {"found": found}, InvalidProblem)
 
 
 def test_what_has_no_derivative() -> None:
@@ -330,26 +325,6 @@ def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) 
         for one, z in zip(same, states, strict=True)
     )
     assert [len(one) for one in march(problem, forcing[:, :0], propagator)] == [0] * 6
-
-
-def test_what_marches_of_several_matrices_refuse() -> None:
-    """Different sizes, different numbers of marches and other classes raise errors at once."""
-    one, two = LCP(np.eye(3), np.zeros(3)), LCP(np.eye(2), np.zeros(2))
-    forcing = np.zeros((2, 3))
-    with pytest.raises(
-        InvalidProblem,
-        match="must have one size, got n = 3, and 2 of problem 1; call march once per size",
-    ):
-        march([one, two], forcing)
-    with pytest.raises(InvalidProblem, match="must be equally long, got problem 2, propagator 3"):
-        march([one, one], forcing, [np.eye(3)] * 3)
-    with pytest.raises(InvalidProblem, match="must be equally long, got problem 2, z0 3"):
-        march([one, one], forcing, z0=np.zeros((3, 3)))
-    with pytest.raises(
-        InvalidOption, match="march needs an LCP, ConeProblem or FrictionalContact, got ndarray"
-    ):
-        march([one, np.eye(3)], forcing)
-    assert march([], forcing) == []
 
 
 def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
@@ -484,30 +459,24 @@ def test_a_march_ends_where_a_step_is_not_solved() -> None:
     assert not idle.z[2].any()
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (
-            {"forcing": np.zeros(3)},
-            r"forcing must be .* \(k, n\), a row a step, n = 3, got shape \(3,\)",
-        ),
-        ({"forcing": [[0.0, np.nan, 0.0]]}, r"forcing\[0, 1\] = nan; repair it"),
-        (
-            {"propagator": np.eye(2)},
-            r"propagator must be a real matrix of shape \(3, 3\), got shape \(2, 2\)",
-        ),
-        ({"propagator": np.full((3, 3), np.inf)}, r"propagator\[0, 0\] = inf; repair it"),
-        ({"z0": np.zeros(2)}, "z0 must be"),
-    ],
-)
-def test_what_a_march_refuses(given: dict[str, Any], message: str) -> None:
+@refusals(r"""
+march(still, np.zeros(3)) → forcing must be .* \(k, n\), a row a step, n = 3, got shape \(3,\)
+march(still, [[0.0, np.nan, 0.0]]) → forcing\[0, 1\] = nan; repair it
+march(still, [[0, 0, 0]], np.eye(2)) → propagator must be a real matrix of shape \(3, 3\), got shape \(2, 2\)
+march(still, [[0, 0, 0]], np.full((3, 3), np.inf)) → propagator\[0, 0\] = inf; repair it
+march(still, [[0, 0, 0]], z0=np.zeros(2)) → z0 must be
+march(np.eye(3), [[0, 0, 0]]) → InvalidOption: march needs an LCP, ConeProblem or FrictionalContact, got ndarray
+march([still, LCP([[1]], [0])], [[0, 0, 0]])
+    → must have one size, got n = 3, and 1 of problem 1; call march once per size
+march([still] * 2, np.zeros((2, 3)), [np.eye(3)] * 3) → must be equally long, got problem 2, propagator 3
+march([still] * 2, np.zeros((2, 3)), z0=np.zeros((3, 3))) → must be equally long, got problem 2, z0 3
+march([still, np.eye(3)], np.zeros((2, 3)))
+    → InvalidOption: march needs an LCP, ConeProblem or FrictionalContact, got ndarray
+""")
+def test_what_a_march_refuses(call: str, words: str) -> None:
     """Data of another shape, or not finite, raise errors before the first step."""
-    with pytest.raises(InvalidProblem, match=message):
-        march(LCP(np.eye(3), np.zeros(3)), **{"forcing": np.zeros((1, 3)), **given})
-    with pytest.raises(
-        InvalidOption, match="march needs an LCP, ConeProblem or FrictionalContact, got ndarray"
-    ):
-        march(np.eye(3), np.zeros((1, 3)))
+    assert_refused(call, words, {"still": LCP(np.eye(3), np.zeros(3))}, InvalidProblem)
+    assert march([], [[0, 0, 0]]) == []
 
 
 def test_a_march_keeps_what_it_has() -> None:

@@ -85,10 +85,8 @@ class Planted:
 
 def planted(rng: np.random.Generator, kind: str, n: int) -> Planted:
     """A random problem of that kind and size."""
-    is_exponential, is_far = (
-        "exp" in kind or ("scaled" in kind and rng.random() < 0.5),
-        "far" in kind,
-    )
+    is_exponential = "exp" in kind or ("scaled" in kind and rng.random() < 0.5)
+    is_far = "far" in kind
     is_triangular = is_far or "triangular" in kind
     density = min(1.0, 5.0 / n)
     with np.errstate(invalid="ignore"):
@@ -144,10 +142,8 @@ def _bounds(rng: np.random.Generator, n: int) -> tuple[Any, ...]:
     inside = np.where(np.isnan(inside) & np.isfinite(lower), lower + 2 * middle, inside)
     inside = np.where(np.isnan(inside) & np.isfinite(upper), upper - 2 * middle, inside)
     inside = np.where(np.isnan(inside), rng.uniform(-2, 2, n), inside)
-    at_lower, at_upper = (
-        np.isin(state, (1, 3)) & np.isfinite(lower),
-        (state == 2) & np.isfinite(upper),
-    )
+    at_lower = np.isin(state, (1, 3)) & np.isfinite(lower)
+    at_upper = (state == 2) & np.isfinite(upper)
     x = np.where(at_lower, lower, np.where(at_upper, upper, inside))
     size = rng.uniform(0.01, 2, n) * (state != 3)
     return lower, upper, x, np.where(at_lower, size, np.where(at_upper, -size, 0.0))

@@ -13,12 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from inputs import nonlinear_models as models
 from nonlinear_families import KINDS, planted
+from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, NonlinearProblem, Result, Status, derivative, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.errors import (
-    InvalidOption,
-    InvalidProblem,
     NotConverged,
     UnknownAlgorithm,
     UnsuitableMatrix,
@@ -167,11 +166,9 @@ def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
     """Scaling the rows of F, and changing the unit of x, does not change the relative residual."""
     rng = np.random.default_rng(seed)
     one = planted(rng, "monotone polynomial", n)
-    x, rows, unit = (
-        rng.standard_normal(n),
-        2.0 ** rng.integers(-20, 20, n),
-        2.0 ** int(rng.integers(-20, 20)),
-    )
+    x = rng.standard_normal(n)
+    rows = 2.0 ** rng.integers(-20, 20, n)
+    unit = 2.0 ** int(rng.integers(-20, 20))
     other = NonlinearProblem(
         lambda y: rows * one.F(y / unit),
         lambda y: rows[:, None] * one.jacobian(y / unit) / unit,
@@ -618,47 +615,27 @@ def test_the_lcp_solver_can_be_chosen() -> None:
 # --- mistakes ----------------------------------------------------------------------------------------------------
 
 NP, run = NonlinearProblem, solve_nonlinear
-MISTAKES: list[tuple[Callable[[], Any], type[Exception], str]] = [
-    (
-        lambda: NP(np.eye(2)),
-        InvalidProblem,
-        r"F must be callable as F\(x\), got ndarray; .* LCP\(M, q\)",
-    ),
-    (lambda: NP(np.sin, 3), InvalidProblem, "jacobian must be callable"),
-    (lambda: NP(np.sin, np.diag, pattern=np.eye(2)), InvalidProblem, "leave one out"),
-    (lambda: NP(np.sin, pattern=np.ones((2, 3))), InvalidProblem, "square"),
-    (
-        lambda: NP(np.sin, lower=[0, 0], upper=[1, 1, 1]),
-        InvalidProblem,
-        "upper must be a number or a vec",
-    ),
-    (
-        lambda: solve(NP(np.sin)),
-        InvalidOption,
-        "x0 is needed because the number of unknowns is not known",
-    ),
-    (lambda: run(LCP([[1]], [1]), [1]), InvalidOption, "needs a NonlinearProblem, got LCP"),
-    (lambda: run(NP(np.sin, lower=[0, 0]), [1.0]), InvalidOption, "x0 must be .* length 2"),
-    (lambda: run(NP(lambda x: x[:1]), np.ones(2)), InvalidProblem, r"length 2 .* shape \(1,\)"),
-    (lambda: run(NP(lambda x: None), np.ones(2)), InvalidProblem, "got None"),
-    (
-        lambda: run(NP(lambda x: np.log(x - 5), lower=-INF), [-1.0]),
-        InvalidProblem,
-        r"F\(x0\)\[0\] = nan",
-    ),
-    (lambda: run(NP(np.sin, lambda x: np.eye(3)), [1.0]), InvalidProblem, r"shape \(1, 1\)"),
-    (lambda: run(NP(np.sin, lambda x: [[np.nan]]), [1.0]), InvalidProblem, "jacobian.*finite"),
-    (lambda: run(NP(np.sin), np.ones(1001)), InvalidProblem, "pattern"),
-]
 
 
-@pytest.mark.parametrize(("mistake", "error", "words"), MISTAKES)
-def test_mistakes_are_refused_in_words(
-    mistake: Callable[[], Any], error: type[Exception], words: str
-) -> None:
+@refusals(r"""
+NP(np.eye(2)) → InvalidProblem: F must be callable as F\(x\), got ndarray; .* LCP\(M, q\)
+NP(np.sin, 3) → InvalidProblem: jacobian must be callable
+NP(np.sin, np.diag, pattern=np.eye(2)) → InvalidProblem: leave one out
+NP(np.sin, pattern=np.ones((2, 3))) → InvalidProblem: square
+NP(np.sin, lower=[0, 0], upper=[1, 1, 1]) → InvalidProblem: upper must be a number or a vec
+solve(NP(np.sin)) → InvalidOption: x0 is needed because the number of unknowns is not known
+run(LCP([[1]], [1]), [1]) → InvalidOption: needs a NonlinearProblem, got LCP
+run(NP(np.sin, lower=[0, 0]), [1.0]) → InvalidOption: x0 must be .* length 2
+run(NP(lambda x: x[:1]), np.ones(2)) → InvalidProblem: length 2 .* shape \(1,\)
+run(NP(lambda x: None), np.ones(2)) → InvalidProblem: got None
+run(NP(lambda x: np.log(x - 5), lower=-INF), [-1.0]) → InvalidProblem: F\(x0\)\[0\] = nan
+run(NP(np.sin, lambda x: np.eye(3)), [1.0]) → InvalidProblem: shape \(1, 1\)
+run(NP(np.sin, lambda x: [[np.nan]]), [1.0]) → InvalidProblem: jacobian.*finite
+run(NP(np.sin), np.ones(1001)) → InvalidProblem: pattern
+""")
+def test_mistakes_are_refused_in_words(call: str, words: str) -> None:
     """Every mistake is named, with what is needed instead."""
-    with pytest.raises(error, match=words):
-        mistake()
+    assert_refused(call, words, globals())
 
 
 def test_a_wrong_jacobian_is_named() -> None:

@@ -205,10 +205,8 @@ def test_penalties_within_bounds_weights_and_a_ridge() -> None:
     """Bounds on both sides of 0, on one side, columns without a penalty, weights and a ridge, sparse and dense."""
     rng = np.random.default_rng(5)
     A, b = lasso(5, 25, 6)
-    lower, upper = (
-        np.array([-INF, -0.5, 0.0, -2.0, -INF, -1.0]),
-        np.array([INF, 0.5, INF, 0.0, INF, 1.0]),
-    )
+    lower = np.array([-INF, -0.5, 0.0, -2.0, -INF, -1.0])
+    upper = np.array([INF, 0.5, INF, 0.0, INF, 1.0])
     weights, change = rng.random(25), np.array([1.0, 1, 1, 1, 0, 2])
     for matrix in (A, sp.csr_array(A)):
         problem = BoundedLeastSquares(matrix, b, lower, upper, weights=weights, ridge=0.3)

@@ -16,19 +16,9 @@ from campaigns import multipliers as multipliers_campaign
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import exact
+from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import (
-    InvalidOption,
-    InvalidProblem,
-    LCPError,
-    NonlinearProblem,
-    QuadraticProgram,
-    Status,
-    UnsupportedModel,
-    certify,
-    complements,
-    solve,
-)
+from lcp_plugin import NonlinearProblem, QuadraticProgram, Status, certify, solve
 from lcp_plugin.problems.programs.certification import SMALL
 from lcp_plugin.problems.programs.criterion import QPSolution
 from lcp_plugin.problems.programs.solving import solve_program
@@ -441,51 +431,32 @@ def unsolved(constraints: Any = (), **attributes: Any) -> cp.Problem:
 
 CURVED = NonlinearProblem(lambda x: x**3 - 1.0)
 
-REFUSED: list[tuple[Any, type[LCPError], str]] = [
-    (lambda: certify(unsolved()), InvalidProblem, r"status is None, .*; call problem\.solve\(\)"),
-    (
-        lambda: certify(unsolved([lambda x: cp.norm2(x) <= 1])),
-        UnsupportedModel,
-        "is not piecewise linear",
-    ),
-    (lambda: certify(unsolved(integer=True)), UnsupportedModel, "is integer"),
-    (lambda: certify(unsolved([lambda x: cp.sqrt(x) <= 1])), UnsupportedModel, "convex"),
-    (
-        lambda: certify(unsolved([lambda x: complements(x >= 0, x >= 1)])),
-        UnsupportedModel,
-        "with complementarity requires the best",
-    ),
-    (lambda: certify(cp.Problem(cp.Minimize(3))), UnsupportedModel, "no variables"),
-    (lambda: certify(SIMPLE), InvalidProblem, "needs the x"),
-    (lambda: certify(SIMPLE, [1.0]), InvalidProblem, r"length 2, got shape \(1,\)"),
-    (lambda: certify(SIMPLE, [1.0, np.nan]), InvalidProblem, r"x\[1\] = nan"),
-    (lambda: certify(SIMPLE, [0.5, 1.5], [1.0]), InvalidProblem, "must be a pair"),
-    (lambda: certify(SIMPLE, [0.5, 1.5], ([np.nan], [])), InvalidProblem, r"inequality\[0\] = nan"),
-    (
-        lambda: certify(QuadraticProgram([[1, 2], [2, 1]], [0, 0]), [0.0, 0.0]),
-        UnsupportedModel,
-        "not convex",
-    ),
-    (lambda: certify(SIMPLE, claim="optimum"), InvalidOption, "did you mean 'optimal'"),
-    (
-        lambda: certify(SIMPLE, [0.5, 1.5], tolerance=0.0),
-        InvalidOption,
-        "tolerance must be a number > 0",
-    ),
-    (lambda: certify(SIMPLE, [0.5, 1.5], tolerance=5), InvalidOption, "must be less than 1, got 5"),
-    (lambda: certify(SIMPLE, [0.5, 1.5], max_seconds=-1), InvalidOption, "max_seconds must be"),
-    (lambda: certify(unsolved(), [1.0, 2.0]), InvalidOption, "a cvxpy problem has its own"),
-    (lambda: certify([[1.0]]), InvalidProblem, "got list"),
-    (lambda: certify(CURVED), InvalidOption, "needs a point of the NonlinearProblem"),
-    (lambda: certify(CURVED, [1.0], claim="optimal"), InvalidOption, "go with a QuadraticProgram"),
-]
 
-
-@pytest.mark.parametrize(("call", "kind", "words"), REFUSED, ids=[words for _, _, words in REFUSED])
-def test_mistakes_are_refused_in_words(call: Any, kind: type[LCPError], words: str) -> None:
+@refusals(r"""
+certify(unsolved()) → InvalidProblem: status is None, .*; call problem\.solve\(\)
+certify(unsolved([lambda x: cp.norm2(x) <= 1])) → UnsupportedModel: is not piecewise linear
+certify(unsolved(integer=True)) → UnsupportedModel: is integer
+certify(unsolved([lambda x: cp.sqrt(x) <= 1])) → UnsupportedModel: convex
+certify(unsolved([lambda x: complements(x >= 0, x >= 1)])) → UnsupportedModel: with complementarity requires the best
+certify(cp.Problem(cp.Minimize(3))) → UnsupportedModel: no variables
+certify(SIMPLE) → InvalidProblem: needs the x
+certify(SIMPLE, [1.0]) → InvalidProblem: length 2, got shape \(1,\)
+certify(SIMPLE, [1.0, np.nan]) → InvalidProblem: x\[1\] = nan
+certify(SIMPLE, [0.5, 1.5], [1.0]) → InvalidProblem: must be a pair
+certify(SIMPLE, [0.5, 1.5], ([np.nan], [])) → InvalidProblem: inequality\[0\] = nan
+certify(QuadraticProgram([[1, 2], [2, 1]], [0, 0]), [0.0, 0.0]) → UnsupportedModel: not convex
+certify(SIMPLE, claim='optimum') → InvalidOption: did you mean 'optimal'
+certify(SIMPLE, [0.5, 1.5], tolerance=0.0) → InvalidOption: tolerance must be a number > 0
+certify(SIMPLE, [0.5, 1.5], tolerance=5) → InvalidOption: must be less than 1, got 5
+certify(SIMPLE, [0.5, 1.5], max_seconds=-1) → InvalidOption: max_seconds must be
+certify(unsolved(), [1.0, 2.0]) → InvalidOption: a cvxpy problem has its own
+certify([[1.0]]) → InvalidProblem: got list
+certify(CURVED) → InvalidOption: needs a point of the NonlinearProblem
+certify(CURVED, [1.0], claim='optimal') → InvalidOption: go with a QuadraticProgram
+""")
+def test_mistakes_are_refused_in_words(call: str, words: str) -> None:
     """Invalid arguments raise errors that state the requirement."""
-    with pytest.raises(kind, match=words):
-        call()
+    assert_refused(call, words, globals())
 
 
 # --- Small multipliers, and time -----------------------------------------------------------------------------------

@@ -133,10 +133,8 @@ def test_a_direction_that_leaves_the_rows_is_no_recession_direction(
     k: int, is_inequality: bool
 ) -> None:
     """Rows (1, 1) and (1, 1 + 2⁻ᵏ) meet in (−1, 2), the least x₁; along (−1, 1) the second one changes by 2⁻ᵏ."""
-    rows, right = (
-        np.array([[1.0, 1.0], [1.0, 1.0 + 2.0**-k]]),
-        np.array([1.0, 1.0 + 2.0 ** (1 - k)]),
-    )
+    rows = np.array([[1.0, 1.0], [1.0, 1.0 + 2.0**-k]])
+    right = np.array([1.0, 1.0 + 2.0 ** (1 - k)])
     signs = np.array([-1.0, 1.0])
     limited = {"G": signs[:, None] * rows, "h": signs * right}
     program = QuadraticProgram(

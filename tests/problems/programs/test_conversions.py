@@ -14,19 +14,10 @@ import pytest
 import scipy.sparse as sp
 from campaigns import convex_programs
 from campaigns.convex_programs import SOLVABLE, case
+from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import (
-    LCP,
-    Certificate,
-    InvalidOption,
-    InvalidProblem,
-    NotConverged,
-    QuadraticProgram,
-    Status,
-    solve,
-)
+from lcp_plugin import LCP, Certificate, InvalidProblem, QuadraticProgram, Status, solve
 from lcp_plugin.algorithms import NPGS, Step
-from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from lcp_plugin.problems.programs.conversion import lcp_from_qp, qp_from_lcp
 from lcp_plugin.problems.programs.criterion import QPSolution
 from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
@@ -199,10 +190,8 @@ def test_round_trip_of_symmetric_problems(n: int, sparse: bool) -> None:
     factor = rng.normal(size=(n, n))
     M = factor @ factor.T
     M = (M + M.T) / 2
-    lower, upper = (
-        np.array([0.0, -np.inf, -1.0, -np.inf, 2.0])[:n],
-        np.array([np.inf, np.inf, 1.0, 3.0, 2.0])[:n],
-    )
+    lower = np.array([0.0, -np.inf, -1.0, -np.inf, 2.0])[:n]
+    upper = np.array([np.inf, np.inf, 1.0, 3.0, 2.0])[:n]
     problem = LCP(sp.csr_array(M) if sparse else M, rng.normal(size=n), lower=lower, upper=upper)
     again = lcp_from_qp(qp_from_lcp(problem))
     np.testing.assert_array_equal(again.csr.toarray(), problem.csr.toarray())
@@ -290,10 +279,8 @@ def test_bimatrix_games(name: str) -> None:
 @pytest.mark.full
 def test_a_game_of_players_is_taken_as_it_is() -> None:
     """A game of two by three actions equals (A, B), with the player's action on the first axis."""
-    A, B = (
-        np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]]),
-        np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]]),
-    )
+    A = np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]])
+    B = np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]])
     expected = lcp_from_bimatrix_game(A, B)
     games = [game_of(A, B.T)]
     try:
@@ -314,99 +301,41 @@ def test_a_game_of_players_is_taken_as_it_is() -> None:
 
 EYE, QP, INVALID = np.eye(2), QuadraticProgram, InvalidProblem
 game = lcp_from_bimatrix_game
-REFUSED = {
-    "P rectangular": (INVALID, "P must be a real matrix of shape", lambda: QP([[1, 2]], [1, 2])),
-    "P not symmetric": (
-        INVALID,
-        r"P\[0, 1\] = 1.0 and P\[1, 0\] = 0.0",
-        lambda: QP([[1, 1], [0, 1]], [1, 2]),
-    ),
-    "P in two units": (
-        INVALID,
-        "P must be symmetric",
-        lambda: QP([[1e20, 0, 0], [0, 1, 0.5], [0, 0.4, 1]], [1, 2, 3]),
-    ),
-    "P complex": (INVALID, "complex", lambda: QP(EYE * 1j, [1, 2])),
-    "P not finite": (INVALID, r"P\[1, 1\] = nan", lambda: QP([[1, 0], [0, np.nan]], [1, 2])),
-    "c not a vector": (INVALID, r"c must be a vector.*shape \(1, 2\)", lambda: QP(EYE, [[1, 2]])),
-    "G transposed": (
-        INVALID,
-        r"got shape \(4, 3\); did you mean G.T\?",
-        lambda: QP(np.eye(4), [1, 2, 3, 4], np.ones((4, 3)), [1, 2, 3]),
-    ),
-    "A transposed, sparse": (
-        INVALID,
-        r"got shape \(2, 3\); did you mean A.T\?",
-        lambda: LCP.from_qp(EYE, [1, 2], A=sp.csr_array(np.ones((2, 3))), b=[1, 2, 3]),
-    ),
-    "ranges transposed": (
-        INVALID,
-        r"did you mean A.T\?",
-        lambda: QP.from_ranges(EYE, [1, 2], np.ones((2, 3)), np.zeros(3), np.ones(3)),
-    ),
-    "G too wide": (
-        INVALID,
-        r"got shape \(3, 4\)$",
-        lambda: QP(EYE, [1, 2], np.ones((3, 4)), [1, 2, 3]),
-    ),
-    "G a vector": (INVALID, r"as \[\[…\]\]", lambda: QP(EYE, [1, 2], [1, 2], [1])),
-    "not convex": (
-        UnsupportedModel,
-        "smallest eigenvalue of P is -3",
-        lambda: solve(QP(-3 * EYE, [1, 2])),
-    ),
-    "program without a bound": (
-        NotConverged,
-        "UNBOUNDED.*add bounds for the unknowns",
-        lambda: solve(QP(None, [-1, 0], [[0, 1]], [1])).require_solved(),
-    ),
-    "bound a NaN": (
-        INVALID,
-        r"lower\[1\] = nan; use -inf",
-        lambda: QP(EYE, [1, 2], lower=[0, np.nan]),
-    ),
-    "G without h": (INVALID, "got G without h", lambda: QP(EYE, [1, 2], EYE)),
-    "h too short": (INVALID, "h must be a vector of length 2", lambda: QP(EYE, [1, 2], EYE, [1])),
-    "h at −∞": (INVALID, r"h\[0\] = -inf", lambda: QP(EYE, [1, 2], EYE, [-np.inf, 1])),
-    "bounds crossed": (INVALID, "lower ≤ upper", lambda: QP(EYE, [1, 2], lower=1, upper=0)),
-    "recover": (
-        INVALID,
-        "z must be a vector of length 2",
-        lambda: lcp_from_qp(QP(EYE, [1, 2])).origin.recover([1]),
-    ),
-    "gap of a box": (
-        UnsuitableProblem,
-        r"z\[0\] has two bounds",
-        lambda: qp_from_lcp(LCP([[1, 1], [0, 1]], [1, 1], upper=1)),
-    ),
-    "gap not monotone": (
-        UnsuitableMatrix,
-        "semidefinite",
-        lambda: qp_from_lcp(LCP([[1, 4], [0, 1]], [1, 1])),
-    ),
-    "tolerance": (InvalidOption, "tolerance must be", lambda: planted(0).is_optimal(-1)),
-    "game shapes": (INVALID, r"B must be.*\(2, 2\)", lambda: game(EYE, [[1, 2]])),
-    "game, payoffs twice": (INVALID, "leave B out", lambda: game(game_of(EYE, EYE), EYE)),
-    "game of three": (
-        INVALID,
-        "two players, got a game of 3",
-        lambda: game(game_of(EYE, EYE, EYE)),
-    ),
-    "game empty": (INVALID, "at least one row", lambda: game(np.zeros((0, 2)), EYE)),
-    "game unsolved": (
-        NotConverged,
-        "row player",
-        lambda: game(EYE, EYE).origin.recover(np.zeros(4)),
-    ),
-}
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_refused(case: str) -> None:
+@refusals(r"""
+QP([[1, 2]], [1, 2]) → InvalidProblem: P must be a real matrix of shape
+QP([[1, 1], [0, 1]], [1, 2]) → InvalidProblem: P\[0, 1\] = 1.0 and P\[1, 0\] = 0.0
+QP([[1e+20, 0, 0], [0, 1, 0.5], [0, 0.4, 1]], [1, 2, 3]) → InvalidProblem: P must be symmetric
+QP(EYE * 1j, [1, 2]) → InvalidProblem: complex
+QP([[1, 0], [0, np.nan]], [1, 2]) → InvalidProblem: P\[1, 1\] = nan
+QP(EYE, [[1, 2]]) → InvalidProblem: c must be a vector.*shape \(1, 2\)
+QP(np.eye(4), [1, 2, 3, 4], np.ones((4, 3)), [1, 2, 3]) → InvalidProblem: got shape \(4, 3\); did you mean G.T\?
+LCP.from_qp(EYE, [1, 2], A=sp.csr_array(np.ones((2, 3))), b=[1, 2, 3])
+    → InvalidProblem: got shape \(2, 3\); did you mean A.T\?
+QP.from_ranges(EYE, [1, 2], np.ones((2, 3)), np.zeros(3), np.ones(3)) → InvalidProblem: did you mean A.T\?
+QP(EYE, [1, 2], np.ones((3, 4)), [1, 2, 3]) → InvalidProblem: got shape \(3, 4\)$
+QP(EYE, [1, 2], [1, 2], [1]) → InvalidProblem: as \[\[…\]\]
+solve(QP(-3 * EYE, [1, 2])) → UnsupportedModel: smallest eigenvalue of P is -3
+solve(QP(None, [-1, 0], [[0, 1]], [1])).require_solved() → NotConverged: UNBOUNDED.*add bounds for the unknowns
+QP(EYE, [1, 2], lower=[0, np.nan]) → InvalidProblem: lower\[1\] = nan; use -inf
+QP(EYE, [1, 2], EYE) → InvalidProblem: got G without h
+QP(EYE, [1, 2], EYE, [1]) → InvalidProblem: h must be a vector of length 2
+QP(EYE, [1, 2], EYE, [-np.inf, 1]) → InvalidProblem: h\[0\] = -inf
+QP(EYE, [1, 2], lower=1, upper=0) → InvalidProblem: lower ≤ upper
+lcp_from_qp(QP(EYE, [1, 2])).origin.recover([1]) → InvalidProblem: z must be a vector of length 2
+qp_from_lcp(LCP([[1, 1], [0, 1]], [1, 1], upper=1)) → UnsuitableProblem: z\[0\] has two bounds
+qp_from_lcp(LCP([[1, 4], [0, 1]], [1, 1])) → UnsuitableMatrix: semidefinite
+planted(0).is_optimal(-1) → InvalidOption: tolerance must be
+game(EYE, [[1, 2]]) → InvalidProblem: B must be.*\(2, 2\)
+game(game_of(EYE, EYE), EYE) → InvalidProblem: leave B out
+game(game_of(EYE, EYE, EYE)) → InvalidProblem: two players, got a game of 3
+game(np.zeros((0, 2)), EYE) → InvalidProblem: at least one row
+game(EYE, EYE).origin.recover(np.zeros(4)) → NotConverged: row player
+""")
+def test_refused(call: str, words: str) -> None:
     """Invalid data and options raise errors with the value and the next step."""
-    error, message, attempt = REFUSED[case]
-    with pytest.raises(error, match=message):
-        attempt()
+    assert_refused(call, words, globals())
 
 
 def test_rounding_in_the_symmetry_is_averaged_away() -> None:

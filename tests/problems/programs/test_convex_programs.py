@@ -467,12 +467,10 @@ def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
 def test_conditions_written_by_hand_are_solved(rank: int, turned: float) -> None:
     """Stationarity, feasibility and pairs of a QP have its value, whichever way its equations are turned."""
     rng = np.random.default_rng(rank)
-    F, G, A, x0 = (
-        rng.normal(size=(8, rank)),
-        rng.normal(size=(5, 8)),
-        rng.normal(size=(3, 8)),
-        rng.normal(size=8),
-    )
+    F = rng.normal(size=(8, rank))
+    G = rng.normal(size=(5, 8))
+    A = rng.normal(size=(3, 8))
+    x0 = rng.normal(size=8)
     P, h, b = F @ F.T, G @ x0 + rng.random(5), A @ x0
     c = -(P @ x0 + G.T @ rng.random(5) + A.T @ rng.normal(size=3))
     x, inequality, equality = cp.Variable(8), cp.Variable(5), cp.Variable(3)

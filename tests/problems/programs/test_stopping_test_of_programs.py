@@ -356,10 +356,8 @@ def beside_a_large_part(rng: Generator) -> tuple[Any, ...]:
     P = np.diag(np.append(np.zeros(n), 10.0 ** rng.uniform(-13, 0)))
     P[:n, :n] = basis @ np.diag(sizes) @ basis.T
     P = 0.5 * (P + P.T) + least * np.diag(np.append(np.ones(n), 0.0))
-    c, m = (
-        np.append(basis @ 10.0 ** rng.uniform(-8, 1, n), -(10.0 ** rng.uniform(-3, 3))),
-        int(rng.integers(0, 3)),
-    )
+    c = np.append(basis @ 10.0 ** rng.uniform(-8, 1, n), -(10.0 ** rng.uniform(-3, 3)))
+    m = int(rng.integers(0, 3))
     return (
         P,
         c,

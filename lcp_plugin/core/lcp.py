@@ -13,8 +13,7 @@ from .checks import Vector, checked_bounds, checked_vector, read_only, restore_s
 from .doors import Door
 from .errors import InvalidOption
 from .matrix import Matrix
-from .names import Names, checked_names
-from .representation import describe_lcp
+from .names import Names, checked_names, describe_lcp
 
 if TYPE_CHECKING:
     from .. import lcp

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,8 +17,7 @@ from ..core.checks import Vector, restore_state
 from ..core.doors import Door
 from ..core.errors import NotConverged, UnsuitableMatrix
 from ..core.lcp import LCP
-from ..core.names import remark_on_labels
-from ..core.representation import format_count
+from ..core.names import format_count, remark_on_labels
 from ..core.settings import PROVEN, Settings, Status
 
 if TYPE_CHECKING:
@@ -37,18 +36,6 @@ class StageRecord(NamedTuple):
     iterations: int
     work: float
     remark: str = ""
-
-
-def stage_lines(stages: Sequence[StageRecord]) -> list[str]:
-    """Return a line per stage: method, iterations, share of the work, reason; a single stage only with a reason."""
-    if len(stages) == 1:
-        return [f"  {stages[0].name}: {stages[0].because}"] if stages[0].because else []
-    total = sum(stage.work for stage in stages) or 1.0
-    return [
-        f"  {stage.name}, {format_count(stage.iterations, 'iteration')}, {stage.work / total:.0%} of the work"
-        + (stage.because and f": {stage.because}")
-        for stage in stages
-    ]
 
 
 @dataclass(frozen=True)
@@ -198,12 +185,24 @@ class BaseResult(Outcome):
     def explain(self) -> str:
         """Return the event, its certainty and the next step, one line each; then the reasons and the methods."""
         gains = [agent.describe_gap() for agent in self.agents]
-        course = [self._effort(), *filter(None, [self.begun]), *gains, *stage_lines(self.stages)]
+        course = [self._effort(), *filter(None, [self.begun]), *gains]
+        if len(stages := self.stages) == 1:
+            course += [f"  {stage.name}: {stage.because}" for stage in stages if stage.because]
+        total = sum(stage.work for stage in stages) or 1.0
+        course += [
+            f"  {stage.name}, {format_count(stage.iterations, 'iteration')}, {stage.work / total:.0%} of the work"
+            + (stage.because and f": {stage.because}")
+            for stage in (stages if len(stages) > 1 else ())
+        ]
         is_decided = self.is_solved or self.has_no_solution
         worst = str("" if is_decided else self._worst(SHOWN) or "").splitlines()
         lines = worst if self.is_solved else [*worst, self._mistake()]
         rows = ["the worst rows:"] * bool(worst) + [f"  {line}" for line in lines if line]
-        text = "\n".join([*self._verdict(), *course, *self._remarks(), *rows])
+        happened, begins, to_do = self.advice.partition(NEXT)
+        what, *why = happened.split("; ")
+        sure, *more = self.describe_accuracy().splitlines()
+        verdict = [f"{self.status.name}: {what}", sure, *filter(None, [begins[2:] + to_do])]
+        text = "\n".join([*verdict, *why, *more, *course, *self._remarks(), *rows])
         return "\n".join(filter(None, (text, remark_on_labels(text))))
 
     def _worst(self, count: int) -> WorstRows:
@@ -217,19 +216,6 @@ class BaseResult(Outcome):
     def _remarks(self) -> list[str]:
         """Return the last lines of the explanation."""
         return []
-
-    def _verdict(self) -> list[str]:
-        """Return lines with the event, its certainty, the next step, and further facts."""
-        happened, _, to_do = self.advice.partition(NEXT)
-        what, *why = happened.split("; ")
-        sure, *more = self.describe_accuracy().splitlines()
-        return [
-            f"{self.status.name}: {what}",
-            sure,
-            *([f"next: {to_do}"] if to_do else []),
-            *why,
-            *more,
-        ]
 
     def _effort(self) -> str:
         """Return the name of the algorithm, its iterations and seconds."""
@@ -376,7 +362,7 @@ class Result(BaseResult):
 
         See :func:`lcp_plugin.convergence_guarantee`.
         """
-        from .convergence import guarantee_of_choice
+        from .explanation import guarantee_of_choice
 
         return guarantee_of_choice(self.certificate.problem, self._asked)
 
@@ -429,7 +415,10 @@ class Result(BaseResult):
             return str(self.infeasibility)
         residual, asked = f"relative residual {self.residual:.3e}", f"tolerance {self.tolerance:g}"
         bound, *proven = str(vars(self).get("error_bound") or "").splitlines() or [""]
-        lines = [f"{residual}, {asked}{self._or_absolute}", *filter(None, [bound])]
+        if self.absolute_tolerance:
+            reached = self.certificate.scaled_residual
+            asked += f", or {self.absolute_tolerance:.3e} in the unit of z; that is {reached:.3e}"
+        lines = [f"{residual}, {asked}", *filter(None, [bound])]
         return "\n".join(["; ".join(lines), *proven])
 
     def _worst(self, count: int) -> WorstRows:
@@ -441,9 +430,3 @@ class Result(BaseResult):
         from .explanation import likely_mistake_of
 
         return likely_mistake_of(self)
-
-    @property
-    def _or_absolute(self) -> str:
-        if not self.absolute_tolerance:
-            return ""
-        return f", or {self.absolute_tolerance:.3e} in the unit of z; that is {self.certificate.scaled_residual:.3e}"

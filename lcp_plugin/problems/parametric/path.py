@@ -15,7 +15,7 @@ from ...core.checks import Vector, derived_property, is_number, read_only
 from ...core.doors import Door
 from ...core.errors import InvalidOption, NotConverged
 from ...core.lcp import LCP
-from ...core.representation import format_count
+from ...core.names import format_count
 from ...core.settings import Status
 from ...solving.result import Outcome
 from ..least_squares.certificate import Optimality

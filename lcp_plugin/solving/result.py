@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
@@ -14,10 +13,10 @@ from ..core.algorithm import Algorithm
 from ..core.certificates.criterion import RowData, RowsAtPoint
 from ..core.certificates.residuals import SHOWN, Certificate, WorstRows, worst_pairs
 from ..core.checks import Vector, restore_state
-from ..core.doors import Door
 from ..core.errors import NotConverged, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.names import format_count, remark_on_labels
+from ..core.problem_classes import Door
 from ..core.settings import PROVEN, Settings, Status
 
 if TYPE_CHECKING:
@@ -353,8 +352,10 @@ class Result(BaseResult):
 
         if type(self.certificate.criterion) is not RowData:
             return None
-        with suppress(UnsuitableMatrix):
+        try:
             return error_bound(self.certificate.problem, self.z)
+        except UnsuitableMatrix:
+            return None
 
     @cached_property
     def guarantee(self) -> Guarantee:

@@ -208,15 +208,14 @@ def _solve_in_loop(
     for attempt in range(0 if starts is not None else ROUNDS, ROUNDS + 1):
         if not items.size:
             break
-        own: Any = _select(arrays, items)
-        A, b, low, high, _ = own
+        A, b, low, high, begin = _select(arrays, items)
         if attempt < ROUNDS:
             scale = residual_scales(A.diagonal(axis1=-2, axis2=-1), np.abs(A).max(-1, initial=0.0))
             step = (times(A, z[items]) + b) / scale
             side = np.where(step >= z[items] - low, LOW, FREE + (step <= z[items] - high))
         else:
             side = _ends_of_paths(A, b, low, high)
-        x, bound = _bounded_points(*own, side, tolerance)
+        x, bound = _bounded_points(A, b, low, high, begin, side, tolerance)
         z[items], residual[items] = x, bound
         items = items[bound == np.inf]
     is_solved = residual < np.inf

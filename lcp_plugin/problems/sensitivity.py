@@ -26,13 +26,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
 from ..core.checks import BoolVector, Vector, derived_property
-from ..core.doors import foreign_function
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
 from ..core.matrix import residual_scales
 from ..core.names import listed
-from ..core.problem_classes import refusal
+from ..core.problem_classes import foreign_function, refusal
 from ..core.settings import Status
 from ..methods.small import is_small
 from ..proofs.bounds import ActiveRows, settled_rows

@@ -28,7 +28,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from .core.doors import DOORS
+from .core.problem_classes import DOORS
 
 __version__ = "0.1.0"
 

@@ -41,7 +41,7 @@ from .problems.programs.program import QuadraticProgram as QuadraticProgram
 from .problems.sensitivity import derivative as derivative
 from .proofs.bounds import error_bound as error_bound
 from .proofs.verdicts import analyze as analyze
-from .solving.convergence import convergence_guarantee as convergence_guarantee
+from .solving.explanation import convergence_guarantee as convergence_guarantee
 from .solving.result import Result as Result
 
 __version__: str

@@ -15,7 +15,7 @@ from ..evidence.measurement import PAPER_MSOR
 from ..problems.cones.methods import METHODS
 from ..proofs.guarantees import Guarantee
 from ..proofs.verdicts import analyze, wrapped
-from ..solving.convergence import convergence_guarantee
+from ..solving.explanation import convergence_guarantee
 
 PAPER_VARIANTS: dict[str, dict[str, Any]] = {
     **{

@@ -140,10 +140,13 @@ def run(
         objective = answer.objective
         if objective is not None:
             objective = given.sign * objective + 0.0
+    content: dict[str, Any] = {} if objective is None else {"objective": objective}
     if bound:
-        lines.append(str(lcp_plugin.error_bound(given.problem, answer.z)))
+        proved = lcp_plugin.error_bound(given.problem, answer.z)
+        lines.append(str(proved))
+        content["error_bound"] = proved.infinity
     if as_json:
-        content = json_content(answer) | ({} if objective is None else {"objective": objective})
+        content = json_content(answer) | content
         typer.echo(json.dumps(finite(content), indent=2))
     else:
         if objective is not None and objective != answer.objective:

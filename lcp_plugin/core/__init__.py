@@ -7,8 +7,8 @@ Suggested reading order:
 3. ``certificates``: residuals with rounding errors, and the stopping criterion.
 4. ``algorithm`` and ``splittings``: the interface of algorithms; the sweeps of the paper and their relatives, with
    their compiled loops in ``kernels``.
-5. ``deadline``: the clock of a run. ``tuning``: the sizes from which each method is cheaper; ``files``; ``doors``:
-   functions of higher floors that the classes here offer.
+5. ``deadline``: the clock of a run. ``tuning``: the sizes from which each method is cheaper; ``files``;
+   ``problem_classes``: the tables of classes, and of functions of higher floors that the classes here offer.
 
 The loop of a run, its stages and its result are in :mod:`lcp_plugin.solving`.
 """

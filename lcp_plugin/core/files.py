@@ -286,15 +286,6 @@ def _save_folder(problem: LCP, folder: Path) -> None:
     write_whole(contents)
 
 
-def require_keys(
-    source: Path, content: Mapping[str, Any], keys: Collection[str], remedy: str
-) -> None:
-    """Raise UnreadableFile if one of the arrays is missing."""
-    missing = [key for key in keys if key not in content]
-    if missing:
-        raise UnreadableFile(f"{source} lacks the keys {missing}; {remedy}")
-
-
 def csr_in(source: Path, content: Mapping[str, Any], kind: Any = sp.csr_array) -> sp.csr_array:
     """Return the matrix of a file's CSR or CSC arrays; raise UnreadableFile if they are invalid."""
     for key in ("indices", "indptr", "shape"):
@@ -339,7 +330,9 @@ def arrays_in(source: Path, wanted: Collection[str]) -> dict[str, Any]:
         if any(part in found for part in parts):
             kind = sp.csr_array if matrix == "M" else sp.csc_array
             form = "CSR" if matrix == "M" else "CSC"
-            require_keys(source, found, parts, f"a sparse {matrix} is {', '.join(parts)} ({form})")
+            if missing := [part for part in parts if part not in found]:
+                is_form = f"a sparse {matrix} is {', '.join(parts)} ({form})"
+                raise UnreadableFile(f"{source} lacks the keys {missing}; {is_form}")
             arrays = dict(zip(MATRIX_KEYS, map(found.pop, parts), strict=True))
             found[matrix] = csr_in(source, arrays, kind)
     return found

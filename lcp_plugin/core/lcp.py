@@ -10,11 +10,10 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from .checks import Vector, checked_bounds, checked_vector, read_only, restore_state
-from .doors import Door
 from .errors import InvalidOption
 from .matrix import Matrix
-from .names import Names, checked_names
-from .representation import describe_lcp
+from .names import Names, checked_names, describe_lcp
+from .problem_classes import Door
 
 if TYPE_CHECKING:
     from .. import lcp

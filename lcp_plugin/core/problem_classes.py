@@ -1,8 +1,15 @@
-"""The table of problem classes: solver, functions that take them, typed options, form of a batch."""
+"""The table of problem classes: solver, functions that take them, typed options, form of a batch.
+
+The second table has functions of higher floors that a class or a function of a lower floor offers, by name.
+``lcp_plugin/__init__.py`` is above all floors and fills it, so no file names a file of a higher floor.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from operator import attrgetter
+from types import MethodType
 from typing import Any, NamedTuple
 
 #: Options of every run with iterations.
@@ -53,23 +60,22 @@ CLASSES = {
         "problems.nonlinear.solving:criterion_at",
     ),
     "QuadraticProgram": ProblemClass(
-        "problems.programs.solving:solve_program", "prepare trace certify", batch="program, C"
+        "problems.programs.solving:solve_program",
+        "prepare trace derivative certify",
+        batch="program, C",
     ),
     "EquilibriumProgram": ProblemClass(
         "problems.equilibria.branch_and_bound:minimize_over_solutions"
     ),
     "BoundedLeastSquares": ProblemClass(
-        "problems.least_squares.solving:solve_least_squares", "trace", WATCHED, batch="problem, B"
+        "problems.least_squares.solving:solve_least_squares",
+        "trace derivative",
+        WATCHED,
+        batch="problem, B",
     ),
     "ConeProblem": CONES,
     "FrictionalContact": CONES,
 }
-
-
-FROM_QP = (
-    "; of a program write derivative(solve(LCP.from_qp(P, c, G, h, A, b, lower=…, upper=…))), of least squares with "
-    "P = AᵀA and c = −Aᵀb"
-)
 
 
 def classes_of(function: str) -> list[str]:
@@ -105,12 +111,10 @@ def refusal(function: str, given: Any) -> str:
         if class_of(given) in classes_of(function):
             step = "; write derivative(solve(problem))"
         elif given is not results[0] and all(
-            hasattr(one, "certificate") or isinstance(one, Sequence)
+            hasattr(one, "status") or isinstance(one, Sequence)
             for one in results  # a march is a sequence
         ):
             step = "; write [derivative(result) for result in results]"
-        elif any(type(one).__module__.startswith("lcp_plugin.") for one in results):
-            step = FROM_QP
     elif function == "solve":
         step = "; for a matrix M and a vector q write solve(LCP(M, q))"
     return f"{function} needs {needs}, got {type(given).__name__}{step}"
@@ -119,3 +123,51 @@ def refusal(function: str, given: Any) -> str:
 def with_article(word: str) -> str:
     """Return a word with its article."""
     return f"an {word}" if word[0] in "AEIOU" or word.startswith("LCP") else f"a {word}"
+
+
+DOORS: dict[
+    str, str
+] = {}  # "Class.name" or "function package" → "module:function", from the package on
+
+
+class Door:
+    """Method of a class, or function if `is_static`, that is loaded on first access.
+
+    Parameters
+    ----------
+    is_static : bool
+    """
+
+    def __init__(self, *, is_static: bool = False) -> None:
+        self.is_static = is_static
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        """Note the name under which the table has the function."""
+        self.name = f"{owner.__name__}.{name}"
+
+    def __get__(self, instance: Any, owner: type) -> Any:
+        """Return the function, bound to the instance unless it is static."""
+        function = _function(self.name)
+        return function if self.is_static or instance is None else MethodType(function, instance)
+
+
+def foreign_function(name: str, model: Any) -> Callable[..., Any] | None:
+    """Return the function of that name for a model of another package; None for any other object.
+
+    Examples
+    --------
+    >>> foreign_function("certify", 1.0) is None
+    True
+    """
+    for kind in type(model).__mro__:
+        package = kind.__module__.partition(".")[0]
+        for owner in (package, ".".join(kind.__module__.split(".")[:2])):
+            if f"{name} {owner}" in DOORS:
+                return _function(f"{name} {owner}")
+    return None
+
+
+def _function(name: str) -> Callable[..., Any]:
+    module, _, path = DOORS[name].partition(":")
+    found: Callable[..., Any] = attrgetter(path)(import_module(f"lcp_plugin.{module}"))
+    return found

@@ -68,7 +68,9 @@ def compensated_product(M: Any, x: Vector, q: Vector | None = None) -> tuple[Vec
     >>> bool(0.0 < radius[1] < 1e-16)
     True
     """
-    return round_sums(*compensated_pair(M, x, q))
+    high, low, radius = compensated_pair(M, x, q)
+    low = np.abs(low)
+    return high, np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))
 
 
 def compensated_pair(M: Any, x: Vector, q: Vector | None = None) -> Sums:
@@ -193,9 +195,3 @@ def upper_end(value: Vector, radius: Vector) -> Vector:
     """Return an upper bound of value + radius, exact where the radius is 0, and ∞ where either is not finite."""
     end = np.where(radius == 0.0, value, np.nextafter(value + radius, np.inf))
     return np.where(np.isfinite(radius) & np.isfinite(value), end, np.inf)
-
-
-def round_sums(high: Vector, low: Vector, radius: Vector) -> tuple[Vector, Vector]:
-    """Return (value, radius) of sums (high, low, radius): the value is `high`, and `low` counts as an error."""
-    low = np.abs(low)
-    return high, np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))

@@ -13,6 +13,7 @@ from ast import literal_eval
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from enum import Enum
+from functools import partial
 from typing import Any, Literal, TypedDict
 
 import numpy as np
@@ -146,10 +147,6 @@ def checked_tolerance(value: Any, name: str = "tolerance", *, may_be_zero: bool 
     return float(value)
 
 
-def _count(value: Any, name: str) -> int:
-    return whole_number(value, name, 0)
-
-
 def whole_number(value: Any, name: str, least: int, otherwise: str = "") -> int:
     """Return an integer of at least `least`; raise InvalidOption for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
@@ -177,7 +174,7 @@ def checked_threads(threads: Any, name: str = "threads") -> int:
 
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "tolerance": checked_tolerance,
-    "max_iterations": _count,
+    "max_iterations": partial(whole_number, least=0),
     "max_seconds": _number,
     "absolute_tolerance": _number,
     "record": _flag,
@@ -187,6 +184,7 @@ CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "polish": _flag,
 }
 NONE_MEANS = {"max_iterations": 100_000, "max_seconds": math.inf}
+DEFAULT = Settings()  # of a call without options
 
 
 def checked_callback(callback: Any) -> Callable[..., Any] | None:

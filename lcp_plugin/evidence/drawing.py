@@ -18,7 +18,7 @@ import numpy as np
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, LCPError, UnsuitableProblem
 from ..core.files import write_whole
-from ..core.representation import format_count
+from ..core.names import format_count
 from ..gallery.scene import Scene
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..solving.result import BaseResult, Result

@@ -26,8 +26,7 @@ from pyomo.repn.util import categorize_valid_components
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from ..core.errors import InvalidOption, InvalidProblem, UnsupportedModel
-from ..core.names import listed
-from ..core.representation import format_count
+from ..core.names import format_count, listed
 from ..core.settings import Status
 from ..problems.programs.certification import Certification
 from .nl.model import NLAnswer, ProgramModel, certify_values, model_of, values_and_slopes

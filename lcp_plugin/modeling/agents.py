@@ -76,6 +76,12 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
     if check not in ("convex", "local"):
         raise InvalidOption(f'check must be "convex" or "local", got {check!r}')
     for one in program.constraints:
+        if isinstance(one, Condition):
+            raise UnsupportedModel(
+                f"the agent's program has the equilibrium {name_of(one):.60}… among its constraints: several leaders "
+                "over followers (EPEC) are not supported; keep one leader, the objective of the solved problem, "
+                "and let the others follow"
+            )
         if not isinstance(one, (*EQUATIONS, *INEQUALITIES)):
             raise UnsupportedModel(
                 f"the constraint {name_of(one)} of an agent's program is neither an equation nor an inequality; write "

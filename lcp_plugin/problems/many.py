@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..core.checks import real_array
 from ..core.errors import InvalidProblem, LCPError, NotConverged
 from ..core.kernels.threads import MAX_THREADS, shared_among
-from ..core.representation import format_count
+from ..core.names import format_count
 from ..core.settings import Status
 
 T = TypeVar("T")

@@ -17,6 +17,7 @@ Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,14 +26,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
 from ..core.checks import BoolVector, Vector, derived_property
-from ..core.doors import foreign_function
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
 from ..core.matrix import residual_scales
 from ..core.names import listed
-from ..core.problem_classes import refusal
+from ..core.problem_classes import foreign_function, refusal
 from ..core.settings import Status
+from ..methods.small import is_small
 from ..proofs.bounds import ActiveRows, settled_rows
 from ..proofs.uniqueness import directions_of_solutions, moving
 from ..solving.lcp_solver import solve_lcp
@@ -40,14 +41,18 @@ from ..solving.result import Result
 from ..systems.free_systems import CONSISTENT, FreeBlocks, FreeSystem, LinearizedSystem, products
 from ..systems.graph import outer_on_pattern
 from .batches.batch_run import BatchAnswers
-from .batches.instances import Group, Worlds, stack_of
+from .batches.instances import Group, Stacked, Worlds, stack_of
 from .batches.on_device import DeviceAnswers, launch
+from .batches.program_batch import ProgramBatch
 from .cones.derivative import ConeDerivative, StackDerivative
 from .cones.methods import whole_systems
 from .cones.solving import ConeResult
 from .cones.stack import ConeStack
+from .least_squares.solving import LeastSquaresResult
 from .many import run_in_chunks
 from .march import March, MarchDerivative
+from .programs.derivative import ProgramData, ProgramDerivative, least_squares_data, program_data
+from .programs.solving import QuadraticProgramResult
 
 HALF = 2.0**-26  # half of the digits of double precision
 STEPS = 6  # active-set iterations; from a solved problem one or two classify all rows
@@ -433,6 +438,62 @@ class BatchDerivative(ManyDerivatives):
         return [BatchPart(one, z[one.items], is_solved[one.items]) for one in groups]
 
 
+class Conditions:
+    """Optimality conditions of a batch of programs: LCPs, with their solutions z and the status of the programs."""
+
+    def __init__(self, batch: BatchAnswers, problems: Stacked, z: Any) -> None:
+        self.problems, self.z, self.item, self.status = problems, z, batch.item, batch.status
+        self.errors = {**problems.errors, **batch.errors}
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+
+class ConditionsBatchDerivative(BatchDerivative):
+    """Derivatives of the conditions of a batch, with the errors of :class:`ConditionsDerivative`.
+
+    Parameters
+    ----------
+    batch : Conditions
+    part, is_strict
+        As of :class:`ConditionsDerivative`.
+    """
+
+    def __init__(self, batch: Conditions, part: Callable[..., str], *, is_strict: bool) -> None:
+        super().__init__(batch)
+        self.part, self.is_strict = part, is_strict
+
+    def __getitem__(self, k: int) -> ConditionsDerivative:
+        if k not in self._each:
+            problem, z = self.batch.problems[k], self.batch.z[k]
+            found = ConditionsDerivative(problem, z, self.part, is_strict=self.is_strict)
+            self._each[k] = found
+        return self._each[k]
+
+    @derived_property
+    def _parts(self) -> list[BatchPart]:
+        parts = super()._parts
+        for part in parts:
+            part.is_plain &= part.blocks.is_regular
+            if self.is_strict:
+                part.is_plain &= ~part.degenerate.any(axis=1)
+        return parts
+
+    @property
+    def degenerate_parts(self) -> Any:
+        """Mask of the degenerate rows, shape (B, N)."""
+        return self.degenerate
+
+    @derived_property
+    def is_unique(self) -> Any:
+        """Problems with a derivative, bool, shape (B,)."""
+        found = np.zeros(len(self), np.bool_)
+        for part in self._parts:
+            found[part.items] = part.is_plain & ~part.degenerate.any(axis=1)
+        found[self._left] = [self[k].is_unique for k in self._left]
+        return found
+
+
 class DeviceDerivative(ManyDerivatives):
     """The gradients of a batch in arrays on a GPU, computed there; ``found[k]`` is the derivative of result k.
 
@@ -721,7 +782,7 @@ class Gradient(NamedTuple):
 
 @np.errstate(all="ignore")
 def derivative(result: Any) -> Any:
-    """Return the derivative of the solution of an LCP, a batch or steps in time with respect to the data.
+    """Return the derivative of the solution of an LCP, a program, a batch or steps in time with respect to the data.
 
     For a cvxpy problem with complementarities, solved by ``method="LCP"``, the derivative is with respect to its
     parameters; see ``help("lcp_plugin.modeling")``.
@@ -732,11 +793,13 @@ def derivative(result: Any) -> Any:
         SOLVED result of an LCP or of a NonlinearProblem, for which dq is a change of F. The derivative uses the
         hierarchy of M built in the run, and M is not copied: do not change its entries between the solve and this
         call.
+        For a QuadraticProgram or BoundedLeastSquares see
+        :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative`.
         For cones see :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative`.
 
     Returns
     -------
-    Derivative or BatchDerivative or DeviceDerivative or ContactBatchDerivative or MarchDerivative
+    Derivative or BatchDerivative or DeviceDerivative or ContactBatchDerivative or MarchDerivative or ProgramDerivative
         All quantities are computed on first access. ``errors`` of a batch derivative lists the problems without one.
 
     Raises
@@ -772,28 +835,59 @@ def derivative(result: Any) -> Any:
         return MarchDerivative(result, Derivative)
     if (derivative_of := foreign_function("derivative", result)) is not None:
         return derivative_of(result)
-    if not isinstance(result, Result):
+    if not isinstance(result, (Result, QuadraticProgramResult, LeastSquaresResult)):
         raise InvalidOption(refusal("derivative", result))
     if not result.is_solved:
         why = f"this run ended {result.status.name}: {result.advice}"
         raise UnsuitableProblem(f"only a solution has a derivative, and {why}")
     if isinstance(result, ConeResult):
         return ConeDerivative(result.problem, result.z)
+    if isinstance(result, QuadraticProgramResult):
+        solution = result.solution
+        z = np.concatenate([result.x, solution.inequality, solution.equality])
+        return _derivative_of_program(program_data(result.program), z)
+    if isinstance(result, LeastSquaresResult):
+        return _derivative_of_program(least_squares_data(result.problem, result.x), result.x)
     certificate = result.certificate
     return Derivative(certificate.problem, result.z, result.w)
 
 
-def _derivative_of_batch(batch: BatchAnswers) -> BatchDerivative | ContactBatchDerivative:
+def _derivative_of_batch(batch: BatchAnswers) -> Any:
     problems = batch.problems
     if isinstance(problems, Worlds):
         return ContactBatchDerivative(batch)
     if problems.are_lcps and isinstance(batch.z, np.ndarray):
         return BatchDerivative(batch)
+    if isinstance(problems, ProgramBatch):
+        shared = problems.shared  # without it, some program is valid
+        example = shared or next(problems[k] for k in range(len(batch)) if k not in batch.errors)
+        arrays = {name: getattr(problems, name) for name in "PGA"}
+        for name, rows in problems.vectors.items():
+            arrays[name] = np.broadcast_to(rows, (len(batch), rows.shape[1]))
+        data: Any = ProgramData(example, arrays)
+        z = np.concatenate([batch.x, batch.inequality, batch.equality], axis=1)
+        return _derivative_of_program(data, z, batch)
+    if (stack := problems.least_squares()) is not None:
+        return _derivative_of_program(least_squares_data(stack, batch.x), batch.x, batch)
     if problems.are_lcps:
         raise InvalidOption(
             "the derivative of a batch takes problems of one size; write [derivative(answer) for answer in batch]"
         )
     raise InvalidOption(refusal("derivative", batch))
+
+
+def _derivative_of_program(data: Any, z: Any, batch: Any = None) -> ProgramDerivative:
+    """Return the derivative of a program or least squares problem, or of a batch, at the z of its conditions."""
+    problem = data.problem(partial(Stacked, z0=None))
+
+    def conditions(is_strict: bool) -> Any:
+        if batch is None:
+            return ConditionsDerivative(problem, z, data.part, is_strict=is_strict)
+        return ConditionsBatchDerivative(
+            Conditions(batch, problem, z), data.part, is_strict=is_strict
+        )
+
+    return ProgramDerivative(data, conditions)
 
 
 class Derivative(LinearizedSystem):
@@ -993,3 +1087,87 @@ class Derivative(LinearizedSystem):
 
     def _solve_free(self, right: Vector, *, transposed: bool = False) -> Vector:
         return solution(self._system, right, transposed=transposed)
+
+
+class ConditionsDerivative(Derivative):
+    """The derivative at a solution of a program's conditions, which raises an error where it is not unique.
+
+    Parameters
+    ----------
+    problem : LCP
+    z : array, shape (n,)
+    part : callable
+        Returns the name of the part of the program that belongs to an index, and for a bound to "lower" or "upper".
+    is_strict : bool
+        Whether degenerate rows raise an error as well.
+    """
+
+    def __init__(
+        self, problem: LCP, z: Vector, part: Callable[..., str], *, is_strict: bool
+    ) -> None:
+        super().__init__(problem, z, problem.slack(z))
+        self.part, self.is_strict = part, is_strict
+
+    @property
+    def degenerate_parts(self) -> list[str]:
+        """Names of the parts of the program that are active with multiplier 0."""
+        sides = np.where(self._rows.is_upper, "upper", "lower")
+        return [self.part(k, sides[k]) for k in self.degenerate.tolist()]
+
+    def jvp(self, **changes: Any) -> Vector:
+        """Return the change dz; see :meth:`Derivative.jvp`."""
+        self._require_unique()
+        return super().jvp(**changes)
+
+    def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
+        """Return the gradients; see :meth:`Derivative.vjp`."""
+        self._require_unique()
+        return super().vjp(g, gw)
+
+    @derived_property
+    def _part(self) -> BatchPart | None:
+        """The problem as a batch of one, if it is small and its derivative exists: four times as fast."""
+        if not is_small(self.problem):
+            return None
+        problem = self.problem
+        data = problem.matrix.toarray(), problem.q, problem.lower, problem.upper
+        M, q, lower, upper = (array[np.newaxis] for array in data)
+        group = Group(np.zeros(1, np.intp), M, q, lower, upper, np.empty((1, 0)))
+        part = BatchPart(group, self._found[0][np.newaxis].copy(), np.ones(1, np.bool_))
+        is_regular = part.is_plain & part.blocks.is_regular & ~part.degenerate.any()
+        return part if is_regular[0] else None
+
+    @derived_property
+    def _rows(self) -> ActiveRows:
+        if (part := self._part) is None:
+            return settled_rows(self.problem, *self._found)
+        free, is_upper = part.free[0], part.is_upper[0]
+        sides = ~free & ~is_upper, ~free & is_upper
+        return ActiveRows(free, *sides, part.degenerate[0], is_upper, part.points[0], None)
+
+    def _solve_free(self, right: Vector, *, transposed: bool = False) -> Vector:
+        if self._part is None:
+            return super()._solve_free(right, transposed=transposed)
+        found: Vector = self._part.blocks.solve(right[np.newaxis], transposed=transposed)[0]
+        return found
+
+    @property
+    def is_unique(self) -> bool:
+        """See :attr:`Derivative.is_unique`."""
+        return self._part is not None or super().is_unique
+
+    def _require_unique(self) -> None:
+        """Raise UnsuitableProblem, with the names of the parts of the program for which no derivative exists."""
+        if self._part is not None:
+            return
+        if self.is_strict and self.degenerate.size:
+            raise UnsuitableProblem(
+                f"x has a kink here: {listed(self.degenerate_parts)} active with multiplier 0; "
+                "derivative(result).one_sided() has one-sided changes, and the gradient of one piece"
+            )
+        if self._system.is_singular:
+            others = np.flatnonzero(~self.determined).tolist()
+            names = listed(map(self.part, others)) or "linearly dependent rows"
+            raise UnsuitableProblem(
+                f"x or its multipliers have several values: {names}; make P definite there, or leave out dependent rows"
+            )

@@ -26,8 +26,7 @@ from ..core.errors import NotSquare, UnsupportedModel
 from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, largest_in_rows, row_numbers
-from ..core.names import Names
-from ..core.representation import format_count
+from ..core.names import Names, format_count
 from ..core.settings import Status
 from ..expressions import functions
 from ..expressions.rows import (

@@ -443,11 +443,6 @@ def two_norm_bound(at: RowInequality, eigenvalue: EigenvalueBound) -> Vector:
     return np.where(np.isnan(bound), np.inf, bound)
 
 
-def norm_above(x: Vector) -> np.float64:
-    """Return a double above ‖x‖₂ for x ≥ 0, also with underflow."""
-    return np.float64(norms_above(x, np.zeros(x.size, np.int64)).max(initial=0.0))
-
-
 def norms_above(x: Vector, labels: Any) -> Vector:
     """Return a double above ‖x_P‖₂, x ≥ 0, for each set P of entries with one label; also with underflow."""
     largest = np.zeros(int(labels.max(initial=-1)) + 1)

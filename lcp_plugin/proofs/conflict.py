@@ -29,8 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.deadline import is_over, time_limit
-from ..core.names import listed
-from ..core.representation import describe_radius
+from ..core.names import describe_radius, listed
 from .exact import (
     MOST_ENTRIES,
     ZERO,

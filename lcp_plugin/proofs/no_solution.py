@@ -30,8 +30,7 @@ from ..core.checks import Vector, derived_property
 from ..core.kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE
 from ..core.lcp import LCP
 from ..core.matrix import is_nearly_symmetric
-from ..core.names import Names
-from ..core.representation import describe_radius
+from ..core.names import Names, describe_radius
 from ..core.settings import Status
 from .conflict import Conflict, find_conflict
 from .exact import ZERO, Rational, integer_matrix, rounded_down

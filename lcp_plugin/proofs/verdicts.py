@@ -48,7 +48,6 @@ from ..core.matrix import Matrix, fact, largest_in_rows, row_numbers, triangular
 from ..core.problem_classes import class_of, refusal
 from ..core.rounding import lower_end, upper_end
 from ..systems import graph
-from ..systems.comparison import ComparisonMatrix
 from ..systems.definiteness import (
     LARGEST_SUMMAND,
     is_positive_definite,
@@ -57,6 +56,7 @@ from ..systems.definiteness import (
     symmetric_part,
 )
 from ..systems.factors import factor_fits
+from ..systems.graph import ComparisonMatrix
 from .exact import (
     EXACT_SIZE,
     exact_rows,

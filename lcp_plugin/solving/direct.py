@@ -44,7 +44,7 @@ from ..proofs.no_solution import contradictory_row
 from ..proofs.verdicts import analyze, is_negative
 from ..systems.definiteness import is_semidefinite_to_rounding, symmetric_part
 from ..systems.factors import factor_fits, sizes_of_factor
-from .convergence import last_resort
+from .explanation import last_resort
 from .run import Stage
 
 SEARCHED = "few enough unknowns to try every choice of bounds to the end"

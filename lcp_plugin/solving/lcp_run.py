@@ -26,7 +26,7 @@ from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.kernels.threads import threads_for
 from ..core.lcp import LCP
-from ..core.representation import format_count
+from ..core.names import format_count
 from ..core.settings import LIMITS, Settings, Status
 from ..methods.finishing import measure_finished
 from ..methods.newton import polish_active_set
@@ -105,7 +105,9 @@ class LCPRun(Run):
     def steps_of(self, stage: Stage) -> Iterator[Step]:
         """Yield the steps; none if a method of auto does not take this problem."""
         try:
-            yield from stage.algorithm.iterates(self.problem, self.z.copy())
+            is_chosen = stage.algorithm is self.chosen
+            steps = stage.algorithm.named_iterates if is_chosen else stage.algorithm.iterates
+            yield from steps(self.problem, self.z.copy())
         except (UnsuitableMatrix, UnsuitableProblem):
             if len(self.progress.stages) == 1 or stage.iterations > 0:
                 raise
@@ -282,8 +284,7 @@ class LCPRun(Run):
         polish = polish_active_set(self.problem, found.z, min(most, self.progress.work + 20.0))
         if polish is None:
             return found
-        self.progress.work += polish.work
-        last.count(Step(polish.z, work=polish.work), iterations=0)
+        self.progress.count(last, Step(polish.z, work=polish.work, iterations=0))
         polished = np.clip(polish.z, self.problem.lower, self.problem.upper)
         better = better_of(found, self.measured(polished))
         self.is_polished = better is not found

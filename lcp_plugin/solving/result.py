@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
@@ -14,17 +13,17 @@ from ..core.algorithm import Algorithm
 from ..core.certificates.criterion import RowData, RowsAtPoint
 from ..core.certificates.residuals import SHOWN, Certificate, WorstRows, worst_pairs
 from ..core.checks import Vector, restore_state
-from ..core.doors import Door
 from ..core.errors import NotConverged, UnsuitableMatrix
 from ..core.lcp import LCP
-from ..core.names import remark_on_labels
-from ..core.representation import format_count
+from ..core.names import format_count, remark_on_labels
+from ..core.problem_classes import Door
 from ..core.settings import PROVEN, Settings, Status
 
 if TYPE_CHECKING:
     from ..proofs.bounds import ErrorBound
     from ..proofs.guarantees import Guarantee
 
+NOTHING_TO_DO = "the residual of the start is within the tolerance already; no iteration was needed"
 NEXT = "; next: "  # between the event and the next step
 
 
@@ -36,18 +35,6 @@ class StageRecord(NamedTuple):
     iterations: int
     work: float
     remark: str = ""
-
-
-def stage_lines(stages: Sequence[StageRecord]) -> list[str]:
-    """Return a line per stage: method, iterations, share of the work, reason; a single stage only with a reason."""
-    if len(stages) == 1:
-        return [f"  {stages[0].name}: {stages[0].because}"] if stages[0].because else []
-    total = sum(stage.work for stage in stages) or 1.0
-    return [
-        f"  {stage.name}, {format_count(stage.iterations, 'iteration')}, {stage.work / total:.0%} of the work"
-        + (stage.because and f": {stage.because}")
-        for stage in stages
-    ]
 
 
 @dataclass(frozen=True)
@@ -197,12 +184,24 @@ class BaseResult(Outcome):
     def explain(self) -> str:
         """Return the event, its certainty and the next step, one line each; then the reasons and the methods."""
         gains = [agent.describe_gap() for agent in self.agents]
-        course = [self._effort(), *filter(None, [self.begun]), *gains, *stage_lines(self.stages)]
+        course = [self._effort(), *filter(None, [self.begun]), *gains]
+        if len(stages := self.stages) == 1:
+            course += [f"  {stage.name}: {stage.because}" for stage in stages if stage.because]
+        total = sum(stage.work for stage in stages) or 1.0
+        course += [
+            f"  {stage.name}, {format_count(stage.iterations, 'iteration')}, {stage.work / total:.0%} of the work"
+            + (stage.because and f": {stage.because}")
+            for stage in (stages if len(stages) > 1 else ())
+        ]
         is_decided = self.is_solved or self.has_no_solution
         worst = str("" if is_decided else self._worst(SHOWN) or "").splitlines()
         lines = worst if self.is_solved else [*worst, self._mistake()]
         rows = ["the worst rows:"] * bool(worst) + [f"  {line}" for line in lines if line]
-        text = "\n".join([*self._verdict(), *course, *self._remarks(), *rows])
+        happened, begins, to_do = self.advice.partition(NEXT)
+        what, *why = happened.split("; ")
+        sure, *more = self.describe_accuracy().splitlines()
+        verdict = [f"{self.status.name}: {what}", sure, *filter(None, [begins[2:] + to_do])]
+        text = "\n".join([*verdict, *why, *more, *course, *self._remarks(), *rows])
         return "\n".join(filter(None, (text, remark_on_labels(text))))
 
     def _worst(self, count: int) -> WorstRows:
@@ -216,19 +215,6 @@ class BaseResult(Outcome):
     def _remarks(self) -> list[str]:
         """Return the last lines of the explanation."""
         return []
-
-    def _verdict(self) -> list[str]:
-        """Return lines with the event, its certainty, the next step, and further facts."""
-        happened, _, to_do = self.advice.partition(NEXT)
-        what, *why = happened.split("; ")
-        sure, *more = self.describe_accuracy().splitlines()
-        return [
-            f"{self.status.name}: {what}",
-            sure,
-            *([f"next: {to_do}"] if to_do else []),
-            *why,
-            *more,
-        ]
 
     def _effort(self) -> str:
         """Return the name of the algorithm, its iterations and seconds."""
@@ -275,8 +261,8 @@ class Result(BaseResult):
 
     Attributes
     ----------
-    z, w : ndarray, shape (n,)
-        The best iterate and its slack M z + q, read-only; `x` is z.
+    z : ndarray, shape (n,)
+        The best iterate, read-only; `x` is z.
     status : Status
         Derived from the certificate; if the certificate does not pass, the reason for termination.
     certificate : Certificate
@@ -303,7 +289,6 @@ class Result(BaseResult):
     """
 
     z: Vector
-    w: Vector
     certificate: Certificate
     work: float
     setup_seconds: float
@@ -322,6 +307,7 @@ class Result(BaseResult):
         settings: Settings,
         seconds: float = 0.0,
         rows: RowsAtPoint | None = None,
+        chosen: Algorithm | None = None,
     ) -> Result:
         """Return the result at a point that is measured as SOLVED, without another solve or measurement.
 
@@ -337,14 +323,14 @@ class Result(BaseResult):
             Seconds of the computation of z.
         rows : RowsAtPoint, optional
             The values of the rows at z, measured on :func:`~lcp_plugin.core.certificates.criterion.row_data`.
+        chosen : Algorithm, optional
+            The algorithm of the call; None for "auto".
         """
-        certificate = Certificate.at(problem, z, rows=rows)
         return cls(
             z=z,
-            w=certificate.w,
             status=Status.SOLVED,
-            certificate=certificate,
-            algorithm=f"auto: {stage.name}",
+            certificate=Certificate.at(problem, z, rows=rows),
+            algorithm=stage.name if chosen else f"auto: {stage.name}",
             iterations=stage.iterations,
             work=stage.work,
             seconds=seconds,
@@ -352,6 +338,7 @@ class Result(BaseResult):
             tolerance=settings.tolerance,
             absolute_tolerance=settings.absolute_tolerance,
             stages=(stage,),
+            _asked=chosen,
         )
 
     @cached_property
@@ -365,8 +352,10 @@ class Result(BaseResult):
 
         if type(self.certificate.criterion) is not RowData:
             return None
-        with suppress(UnsuitableMatrix):
+        try:
             return error_bound(self.certificate.problem, self.z)
+        except UnsuitableMatrix:
+            return None
 
     @cached_property
     def guarantee(self) -> Guarantee:
@@ -374,9 +363,14 @@ class Result(BaseResult):
 
         See :func:`lcp_plugin.convergence_guarantee`.
         """
-        from .convergence import guarantee_of_choice
+        from .explanation import guarantee_of_choice
 
         return guarantee_of_choice(self.certificate.problem, self._asked)
+
+    @cached_property
+    def w(self) -> Vector:
+        """The slack M z + q, shape (n,), read-only; computed on first access."""
+        return self.certificate.w
 
     @property
     def x(self) -> Vector:
@@ -422,7 +416,10 @@ class Result(BaseResult):
             return str(self.infeasibility)
         residual, asked = f"relative residual {self.residual:.3e}", f"tolerance {self.tolerance:g}"
         bound, *proven = str(vars(self).get("error_bound") or "").splitlines() or [""]
-        lines = [f"{residual}, {asked}{self._or_absolute}", *filter(None, [bound])]
+        if self.absolute_tolerance:
+            reached = self.certificate.scaled_residual
+            asked += f", or {self.absolute_tolerance:.3e} in the unit of z; that is {reached:.3e}"
+        lines = [f"{residual}, {asked}", *filter(None, [bound])]
         return "\n".join(["; ".join(lines), *proven])
 
     def _worst(self, count: int) -> WorstRows:
@@ -434,9 +431,3 @@ class Result(BaseResult):
         from .explanation import likely_mistake_of
 
         return likely_mistake_of(self)
-
-    @property
-    def _or_absolute(self) -> str:
-        if not self.absolute_tolerance:
-            return ""
-        return f", or {self.absolute_tolerance:.3e} in the unit of z; that is {self.certificate.scaled_residual:.3e}"

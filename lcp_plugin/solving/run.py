@@ -21,7 +21,7 @@ from ..core.errors import InvalidOption
 from ..core.lcp import LCP
 from ..core.settings import LIMITS, Settings, Status, checked_callback
 from ..proofs.verdicts import classes_in_words, sign_remark
-from .result import Callback, Result, Sample, StageRecord
+from .result import NOTHING_TO_DO, Callback, Result, Sample, StageRecord
 
 FIRST_CHECK = 10  # iteration of the first residual that the method does not report
 FIRST_FLOOR_CHECK = 25  # iterations without a fall
@@ -32,7 +32,6 @@ CUT_SHORT = (
     Status.INTERRUPTED,
     Status.DIVERGED,
 )  # the status of a point that does not pass
-NOTHING_TO_DO = "the residual of the start is within the tolerance already; no iteration was needed"
 
 
 class Named(NamedTuple):
@@ -66,8 +65,10 @@ class Stage:
         Label, iterations and work, if the algorithm labels its steps.
     remark : str
         A clause for the advice.
-    has_ended : bool
-        Whether the method had no further step.
+    has_ended, settles : bool
+        Whether the method had no further step; whether it has changed a parameter.
+    window : (int, float), optional
+        Start of the present test of progress, and the best residual there.
     """
 
     algorithm: Any
@@ -82,39 +83,13 @@ class Stage:
     parts: list[tuple[str, int, float]] = field(default_factory=list)
     remark: str = ""
     has_ended: bool = False
-    _settles: bool = False
+    settles: bool = False
     _best: float = math.inf
     _fall: tuple[int, float] = (0, math.inf)
     _floor_check: int = FIRST_FLOOR_CHECK
-    _window: tuple[int, float] | None = None
+    window: tuple[int, float] | None = None
     _next_check: int = FIRST_CHECK
     _residual_per_increment: float = 1.0
-
-    def count(self, step: Step, iterations: int = 1) -> None:
-        """Record a step, which may be no iteration, and its work, for the part of its label if there is one."""
-        self.z = step.z
-        self.iterations += iterations
-        self.work += step.work
-        self.remark = step.remark or self.remark
-        if step.is_settling:
-            self._settles, self._window = True, None
-        label, work = step.label or (self.algorithm.name if self.parts else ""), step.work
-        if label and self.parts and self.parts[-1][0] == label:
-            _, before, spent = self.parts.pop()
-            iterations, work = before + iterations, spent + work
-        if label:
-            self.parts.append((label, iterations, work))
-
-    def records(self) -> list[StageRecord]:
-        """Return the parts as a result shows them."""
-        parts = self.parts or [(self.algorithm.name, self.iterations, self.work)]
-        records = [
-            StageRecord(name, "" if k else self.because, iterations, work)
-            for k, (name, iterations, work) in enumerate(parts)
-        ]
-        return [*records[:-1], records[-1]._replace(remark=self.remark)]
-
-    # --- residuals --------------------------------------------------------------------------------------
 
     def is_due(self, increment: float | None, goal: float) -> bool:
         """Return whether the run must measure the residual: at geometric intervals, and if it may be small enough.
@@ -162,12 +137,12 @@ class Stage:
         A front that crosses the unknowns, one in a sweep, does not change the largest residual until it has passed. So
         a window has 200 to 2000 iterations, n if that is between, and half as many as the stage had before it.
         """
-        if self._window is None:
-            self._window = (self.iterations, self._best)
-        since, value = self._window
+        if self.window is None:
+            self.window = (self.iterations, self._best)
+        since, value = self.window
         if self.iterations - since < max(200, min(n, 2000), since // 2):
             return False
-        self._window = (self.iterations, self._best)
+        self.window = (self.iterations, self._best)
         if self._best < PROGRESS * value:
             return False
         best = self._best
@@ -185,7 +160,7 @@ class Stage:
         last_step, last = self.residuals[-1]
         if last <= goal:
             return 0.0
-        since = 0 if self._settles else last_step // 2
+        since = 0 if self.settles else last_step // 2
         first_step, first = next(entry for entry in self.residuals if entry[0] >= since)
         if last_step == first_step or not (goal > 0.0 and 0.0 < last < first):
             return math.inf
@@ -230,7 +205,7 @@ class Progress:
         self.samples: list[Sample] = []
         self.iteration, self.work, self.seconds, self.setup_seconds = -1, 0.0, 0.0, 0.0
         self.end: Status | None = None
-        self._next_sample = self._next_line = 0
+        self._next_sample = self.next_line = 0
         if settings.verbose:
             with self.clock.pause():
                 is_lcp = isinstance(problem, LCP)
@@ -240,26 +215,21 @@ class Progress:
                     say(remark)
                 say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
 
-    def begin(self, stage: Stage) -> None:
-        """Record that a stage begins, or continues if it is in the list."""
-        self._next_line = 0
-        if self.settings.verbose:
-            say(stage.algorithm.name + (stage.because and f": {stage.because}"))
-        if self.stages:
-            self.stages[-1].z = None
-        if stage not in self.stages:
-            self.stages.append(stage)
-
     def count(self, stage: Stage, step: Step) -> None:
-        """Count a step, its iterations and its work."""
+        """Count a step, which may be no iteration, and its work, for the part of its label if there is one."""
         self.seconds = self.clock.read()
-        is_start = stage.z is None
-        iterations = step.iterations
+        is_start, iterations = stage.z is None, step.iterations
         if iterations is None:
-            iterations = 0 if is_start else 1
-        stage.count(step, iterations)
-        self.work += step.work
-        self.iteration = max(self.iteration, 0) + iterations
+            iterations = int(not is_start)
+        stage.z, stage.remark = step.z, step.remark or stage.remark
+        stage.iterations, stage.work = stage.iterations + iterations, stage.work + step.work
+        if step.is_settling:
+            stage.settles, stage.window = True, None
+        if label := step.label or (stage.algorithm.name if stage.parts else ""):
+            is_same = bool(stage.parts) and stage.parts[-1][0] == label
+            _, before, spent = stage.parts.pop() if is_same else ("", 0, 0.0)
+            stage.parts.append((label, before + iterations, spent + step.work))
+        self.iteration, self.work = max(self.iteration, 0) + iterations, self.work + step.work
         if is_start and self.iteration == 0:
             self.setup_seconds = self.seconds
 
@@ -293,11 +263,11 @@ class Progress:
             is_recorded = self.settings.record and (
                 self.iteration >= self._next_sample or is_last or wants_to_stop
             )
-            is_printed = self.settings.verbose and iterations >= self._next_line
+            is_printed = self.settings.verbose and iterations >= self.next_line
             if residual is None and (is_recorded or is_printed):
                 sample = Sample(self.iteration, self.work, seconds, run.residual_of(step), name)
             if is_printed:
-                self._next_line = max(iterations + 1, math.ceil(iterations * 1.5))
+                self.next_line = max(iterations + 1, math.ceil(iterations * 1.5))
                 shown = "–" if sample.residual is None else f"{sample.residual:.2e}"
                 say(f"{sample.iteration:>12} {sample.work:>10.1f} {shown:>19} {seconds:>9.3f}")
             if is_recorded:  # at geometric intervals
@@ -307,16 +277,16 @@ class Progress:
 
     def records(self) -> tuple[StageRecord, ...]:
         """Return the stages as a result shows them."""
-        return tuple(record for stage in self.stages for record in stage.records())
-
-    def conclude(self, result: Result) -> None:
-        """Print the status, the residual and the advice."""
-        if self.settings.verbose:
-            say(
-                f"{result.status.name}: relative residual {result.residual:.2e} after {result.iterations} "
-                f"iterations, the work of {result.work:.1f} products of M with a vector, {result.seconds:.3g} s; "
-                f"{result.advice}"
-            )
+        found: list[StageRecord] = []
+        for stage in self.stages:
+            parts = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
+            becauses = [stage.because, *[""] * (len(parts) - 1)]
+            found += [
+                StageRecord(name, because, iterations, work)
+                for because, (name, iterations, work) in zip(becauses, parts, strict=True)
+            ]
+            found[-1] = found[-1]._replace(remark=stage.remark)
+        return tuple(found)
 
 
 def say(line: str) -> None:
@@ -406,7 +376,6 @@ class Run:
             common["stages"] = tuple(stages)
         result = kind(
             z=certificate.z,
-            w=certificate.w,
             certificate=certificate,
             absolute_tolerance=self.settings.absolute_tolerance,
             work=progress.work,
@@ -414,7 +383,11 @@ class Run:
             **common,
             **others,
         )
-        progress.conclude(result)
+        if self.settings.verbose:
+            say(
+                f"{status.name}: relative residual {result.residual:.2e} after {result.iterations} iterations, "
+                f"the work of {result.work:.1f} products of M with a vector, {result.seconds:.3g} s; {result.advice}"
+            )
         return result
 
     # --- the loop -----------------------------------------------------------------------------------------
@@ -455,7 +428,13 @@ class Run:
     def follow(self, stage: Stage) -> Status:
         """Take the steps of a stage until the run, the budget of the stage or its steps end."""
         progress = self.progress
-        progress.begin(stage)
+        progress.next_line = 0
+        if self.settings.verbose:
+            say(stage.algorithm.name + (stage.because and f": {stage.because}"))
+        if progress.stages:
+            progress.stages[-1].z = None
+        if stage not in progress.stages:  # otherwise it continues
+            progress.stages.append(stage)
         for step in self.steps_of(stage):
             if (end := self._take(stage, step)) is not None:
                 break

@@ -2,29 +2,43 @@
 
 Distance of a matrix from its transpose, for verdicts: exactly per entry, and relative to the size of the rows.
 
-The comparison matrix ⟨M⟩ and its row sums: with a rigorous bound of the rounding error, and exact.
+The comparison matrix ⟨M⟩ and its row sums: with a rigorous bound of the rounding error, and exact. Approximate
+solutions of its equilibrated systems: none is rigorous, :mod:`lcp_plugin.proofs.verdicts` verifies them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from fractions import Fraction
+from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import Vector, read_only
 from ..core.matrix import (
+    ROUNDED,
+    Exponents,
     IntVector,
     Matrix,
     connected_components,
     fact,
     largest_in_rows,
+    mismatch,
     row_numbers,
+    scale_matrix,
+    times_power,
 )
 from ..core.rounding import compensated_product, lower_end, upper_end
+from .equilibration import scaling_exponents
+from .factors import dense_lu, diagonal_pivot_factor, factor_fits
+from .hierarchy.levels import build_hierarchy
+from .hierarchy.truncation import KrylovCorrection, Truncation
+
+if TYPE_CHECKING:
+    from .hierarchy.grids import Hierarchy
 
 
 def comparison_of(M: Any) -> sp.csr_array:
@@ -87,9 +101,13 @@ def outer_on_pattern(matrix: Matrix, left: Vector, right: Vector) -> sp.csr_arra
     array([[ 2., 10.],
            [ 0., 15.]])
     """
-    rows = matrix.csr
-    data = left[row_numbers(rows)] * right[rows.indices]
-    return sp.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
+    return sum_of_outer(matrix.csr, left[np.newaxis], right[np.newaxis])
+
+
+def sum_of_outer(A: sp.csr_array, left: Vector, right: Vector) -> sp.csr_array:
+    """Return Σ_k left_ki right_kj on the sparsity pattern of A; shapes (k, m) and (k, n)."""
+    data = np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
+    return sp.csr_array((data, A.indices, A.indptr), shape=A.shape)
 
 
 @fact
@@ -171,3 +189,79 @@ def asymmetry(matrix: Matrix) -> float:
     ours, theirs = (np.asarray(M[places]).ravel() for places in (at, at[::-1]))
     larger = np.maximum(np.abs(ours), np.abs(theirs))
     return float(np.abs(ours / larger - theirs / larger).max())
+
+
+Solver = Callable[[Vector], Vector]
+
+
+class ComparisonMatrix:
+    """⟨M⟩ scaled by powers of two to a diagonal near 1 if M needs it, and approximate solutions of its systems.
+
+    Parameters
+    ----------
+    M : CSR array, shape (n, n)
+        Matrix with a nonzero diagonal.
+
+    Attributes
+    ----------
+    matrix : CSR array, shape (n, n)
+        ⟨M⟩ with entries scaled by 2^(row_i + column_j).
+    exponents : Exponents or None
+        None if nothing was scaled.
+    diagonal : array, shape (n,)
+        Diagonal of `matrix`, positive.
+    """
+
+    def __init__(self, M: Any) -> None:
+        self.is_symmetric = mismatch(M, np.abs(M.diagonal()), ROUNDED)[1] is None
+        self.exponents: Exponents | None = scaling_exponents(M, self.is_symmetric)
+        self.matrix = scale_matrix(comparison_of(M), self.exponents)
+        self.diagonal: Vector = self.matrix.diagonal()
+        self._multigrid_failed = False
+
+    @cached_property
+    def hierarchy(self) -> Hierarchy:
+        """The grids of the matrix."""
+        return build_hierarchy(self.matrix)
+
+    @cached_property
+    def direct_solver(self) -> Solver | None:
+        """Rhs ↦ matrix⁻¹ rhs by a factorization; None if the matrix is singular or too large."""
+        if not factor_fits(self.matrix):
+            return None
+        # A dense LU of so few rows is faster than a sparse one.
+        is_small = self.matrix.shape[0] <= 300
+        factor = dense_lu(self.matrix.toarray()) if is_small else diagonal_pivot_factor(self.matrix)
+        return None if factor is None else factor.solve
+
+    def solve(self, rhs: Vector, tolerance: float = 0.1) -> Vector | None:
+        """Return an approximate solution, shape (n,), or None if no method applies.
+
+        The matrix is then singular, or too large for a factorization if multigrid fails. `tolerance` bounds
+        ‖residual‖₂/‖rhs‖₂ if the solution is iterative.
+        """
+        # Below, a sparse LU is as fast as a hierarchy.
+        if rhs.size > 5_000 and not self._multigrid_failed:
+            x = self.iterated(rhs, tolerance)
+            if x is not None:
+                return x
+            self._multigrid_failed = True
+        return None if self.direct_solver is None else _finite(np.asarray(self.direct_solver(rhs)))
+
+    def iterated(self, rhs: Vector, tolerance: float) -> Vector | None:
+        """Return x with ‖rhs − matrix x‖₂ ≤ tolerance ‖rhs‖₂ by Krylov steps, or None within a number of them."""
+        correction = KrylovCorrection(Truncation(self.hierarchy), rhs.copy(), self.is_symmetric)
+        goal = tolerance * np.linalg.norm(correction.residual)
+        for _ in range(60):
+            if not np.linalg.norm(correction.residual) > goal or not correction.step():
+                break
+        is_near = np.linalg.norm(correction.residual) <= goal
+        return _finite(correction.solution) if is_near else None
+
+    def to_caller(self, x: Vector) -> Vector:
+        """Return the unscaled vector for a vector x of the scaled matrix, shape (n,)."""
+        return times_power(x, None if self.exponents is None else self.exponents.column)
+
+
+def _finite(x: Vector) -> Vector | None:
+    return x if np.isfinite(x).all() else None

@@ -13,6 +13,7 @@ BENCHMARKS = {
     "multigrid": "multigrid and auto on obstacle, bearing, wind, jumps … against a linear solve by pyamg",
     "small": "small dense problems, one by one and in batches, next to a compiled Lemke",
     "cones": "contact with exact friction cones: a batch, from scratch, warm, and its gradient",
+    "data": "least squares with x ≥ 0, lasso and support vectors, next to scipy's nnls and scikit-learn",
     "programs": "quadratic programs against PIQP and Clarabel, to 2000 rows and above",
     "public": "published problems by several packages: solved, wrong, unsolved, time; FILE gets all outcomes as JSON",
 }

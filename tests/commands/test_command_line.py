@@ -129,6 +129,14 @@ def test_json_is_all_there_is_on_stdout() -> None:
     assert "saved z.npz" in done.stderr
 
 
+def test_json_has_the_error_bound() -> None:
+    """``--json --error-bound`` prints the bound of ‖z − z*‖∞ as a number."""
+    done = lcp_plugin("solve", "obstacle_2d:size=6", "--json", "--error-bound")
+    problem = gallery.build("obstacle_2d", size=6).problem
+    distance = np.abs(solve(problem).z - solve(problem, "lemke").z).max()
+    assert distance <= json.loads(done.stdout)["error_bound"] < 1e-9
+
+
 def test_json_of_an_unsolved_run_is_json() -> None:
     """Also where nothing is solved, and numbers may not be finite, the output is JSON by the book; exit code 1."""
     LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 1.0]).save("p.npz")

@@ -10,7 +10,7 @@ from inputs.small_families import falling_bodies
 from inputs.textbook_scenes import murty
 
 from lcp_plugin import LCP, QuadraticProgram, Result, Status, gallery, solve
-from lcp_plugin.core.representation import format_count
+from lcp_plugin.core.names import format_count
 from lcp_plugin.gallery.problems import stencil_matrix
 from lcp_plugin.solving.plan import plan
 

@@ -101,7 +101,7 @@ KINDS = {
         *("cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     ),
     "QuadraticProgram": (
-        *("solve", "solve_batch", "prepare", "trace", "certify", "pickle"),
+        *("solve", "solve_batch", "prepare", "trace", "derivative", "certify", "pickle"),
         *LANGUAGES,
         "lcp-plugin solve",
     ),
@@ -109,7 +109,7 @@ KINDS = {
         *("solve", "solve_batch", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     ),
     "BoundedLeastSquares": (
-        *("solve", "solve_batch", "trace", "pickle"),
+        *("solve", "solve_batch", "trace", "derivative", "pickle"),
         *LANGUAGES,
         "lcp-plugin solve",
     ),
@@ -211,8 +211,13 @@ def by_trace(sample: Sample, folder: Path) -> None:
 def by_derivative(sample: Sample, folder: Path) -> None:
     answer = solved(sample)
     if answer.is_solved:
-        n = answer.z.size
-        assert derivative(answer).jvp(dq=np.ones(n)).shape == (n,)
+        n = answer.x.size
+        name = {"QuadraticProgram": "dc", "BoundedLeastSquares": "db"}.get(sample.kind, "dq")
+        size = sample.problem.shape[0] if name == "db" else n
+        found = derivative(answer)
+        if name != "dq":
+            found = found.one_sided()
+        assert found.jvp(**{name: np.ones(size)}).shape == (n,)
     else:
         with pytest.raises(UnsuitableProblem, match=answer.status.name):
             derivative(answer)

@@ -643,7 +643,7 @@ agent(x**2, over=[2 * x]) → neither a variable nor entries
 agent(x**2, over=[]) → over must be
 optimal(x**2, over=[x]) → cvxpy problem
 solved([agent(x, cp.SOC(y, cp.hstack([x, 1])), over=[x])]) → second-order cone as cp.sum_squares
-solved([agent(x, agent(x * y, over=[y]), over=[x])]) → neither an equation nor an inequality
+solved([agent(x, agent(x * y, over=[y]), over=[x])]) → .EPEC. are not supported; keep one leader
 agent(x, over=None) → list of variables
 agent(x, over=[x], shared=None) → list of constraints
 agent(x, over=np.array(1.0)) → list of variables

@@ -186,7 +186,7 @@ def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> 
     h_plus, rotation = gallery.half_active(n=100).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     assert "lemke: M is a P-matrix" in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
-    monkeypatch.setattr("lcp_plugin.solving.convergence.PIVOTED_UP_TO", 1)
+    monkeypatch.setattr("lcp_plugin.solving.explanation.PIVOTED_UP_TO", 1)
     assert "psor: " in convergence_guarantee(h_plus).theorem
     assert not convergence_guarantee(rotation).is_guaranteed
 

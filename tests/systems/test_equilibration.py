@@ -6,8 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin import gallery
-from lcp_plugin.systems.comparison import ComparisonMatrix
 from lcp_plugin.systems.free_systems import have_one_unit
+from lcp_plugin.systems.graph import ComparisonMatrix
 
 
 def test_small_units_are_seen() -> None:

@@ -39,6 +39,9 @@ derivative raises an error. If the block of M on the free rows is singular, they
 axis becomes a batch axis; in PyTorch ``backward()``, ``torch.func.grad`` and ``torch.func.vjp``. For forward mode
 use :meth:`BatchDerivative.jvp` in numpy.
 
+**Quadratic programs.** ``qp_layer(P, c, G, h, A, b)`` returns x of min ½ xᵀP x + cᵀx, G x ≤ h, A x = b, with the
+gradients of :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative`; arguments as in qpth and OptNet.
+
 **Contact with friction.** ``contact_layer(W, b, friction)`` returns the impulses of a batch, with the gradients of
 :class:`~lcp_plugin.problems.sensitivity.ContactBatchDerivative`.
 
@@ -58,8 +61,10 @@ import numpy as np
 from ...core.errors import InvalidProblem, LCPError, NotConverged
 from ...problems.batches.batch import solve_batch
 from ...problems.batches.batch_run import BatchAnswers
+from ...problems.batches.program_batch import ProgramBatch, programs_for
 from ...problems.cones.frictional_contact import FrictionalContact
-from ...problems.sensitivity import BatchGradient, derivative
+from ...problems.programs.program import VECTORS, QuadraticProgram
+from ...problems.sensitivity import derivative
 
 
 class Layer(ABC):
@@ -80,8 +85,17 @@ class Layer(ABC):
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         """Return the results of the problems in arrays with these axes in front of the axes of a problem."""
 
+    @staticmethod
+    def axes_of(*shapes: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the batch axes of arrays with these shapes; raise InvalidProblem if they do not fit."""
+        return common_axes(*shapes)
+
+    def _differentiated(self, answers: BatchAnswers) -> Any:
+        """Return the derivative of the results."""
+        return derivative(answers)
+
     @abstractmethod
-    def _by(self, gradient: BatchGradient) -> Sequence[Any]:
+    def _by(self, gradient: Any) -> Sequence[Any]:
         """Return the gradients by all arrays."""
 
     def solve(self, *data: Any, z0: Any = None) -> tuple[Any, Any]:
@@ -94,10 +108,10 @@ class Layer(ABC):
         NotConverged
             If a problem is not solved. A layer with `mask` raises neither of them.
         """
-        self.data, self.axes = data, common_axes(*(array.shape for array in data))
+        self.data, self.axes = data, self.axes_of(*(array.shape for array in data))
         n = data[1].shape[-1]
         start = {} if z0 is None else {"z0": stacked(z0, self.axes, (n,))}
-        self.found: Any = derivative(self._solved(self.axes, data, self.options | start))
+        self.found: Any = self._differentiated(self._solved(self.axes, data, self.options | start))
         errors = self.found.errors
         if errors and not self.mask:
             is_none = any(isinstance(error, InvalidProblem) for error in errors.values())
@@ -152,9 +166,78 @@ class LCPLayer(Layer):
         M = matrices(data[0], axes) if self.M is None else self.M
         return solve_batch(M, q, lower=lower, upper=upper, **options)
 
-    def _by(self, gradient: BatchGradient) -> Sequence[Any]:
+    def _by(self, gradient: Any) -> Sequence[Any]:
         M = gradient.M if self.M is None else np.zeros((0, 0))
         return M, gradient.q, gradient.lower, gradient.upper
+
+
+class QPLayer(Layer):
+    """Quadratic programs as a function of P, c, G, h, A, b, lower and upper; P by its symmetric part."""
+
+    @staticmethod
+    def axes_of(*shapes: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the batch axes; the error names the array that does not fit."""
+        names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
+        n, m, p = (
+            shapes[k][-end] if len(shapes[k]) > 1 else 0 for k, end in ((0, 1), (2, 2), (4, 2))
+        )
+        own = (n, n), (n,), (m, n), (m,), (p, n), (p,), (n,), (n,)
+        for name, shape, wanted in zip(names, shapes, own, strict=True):
+            is_number = name in ("lower", "upper") and shape[-1:] in ((), (1,))
+            if shape[-len(wanted) :] != wanted and not is_number:
+                need = "(…, " + ", ".join(map(str, wanted)) + ")"
+                raise InvalidProblem(f"{name} must have shape {need}, got {shape}")
+        fronts = (shape[: -len(wanted)] for shape, wanted in zip(shapes, own, strict=True))
+        try:
+            return np.broadcast_shapes(*fronts)
+        except ValueError:
+            given = ", ".join(f"{name} {shape}" for name, shape in zip(names, shapes, strict=True))
+            raise InvalidProblem(f"the axes in front must broadcast, got {given}") from None
+
+    def solve(self, *data: Any, z0: Any = None) -> tuple[Any, Any]:
+        """Return the solutions, and which are solved; a program takes no start."""
+        return super().solve(*data)
+
+    def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
+        P, n = 0.5 * (data[0] + data[0].swapaxes(-1, -2)), data[1].shape[-1:]
+        vectors = [
+            stacked(data[k], axes, data[k].shape[-1:] if k < 6 else n) for k in (1, 3, 5, 6, 7)
+        ]
+        own = [matrices(one, axes) for one in (P, data[2], data[4])]
+        named = [dict(zip(VECTORS, rows, strict=True)) for rows in zip(*vectors, strict=True)]
+        if all(one.ndim == 2 for one in own):
+            c, h, b = (np.zeros(rows.shape[1]) for rows in vectors[:3])
+            base = QuadraticProgram(own[0], c, own[1], h, own[2], b)
+            programs = programs_for(base, named)
+        else:
+            stacks = ([*stacked(one, axes, one.shape[-2:])] for one in (P, data[2], data[4]))
+            programs = [*map(_program, *stacks, named)]
+            good = (one for one in programs if isinstance(one, QuadraticProgram))
+            if (found := next(good, None)) is None:
+                raise programs[0]  # type: ignore[misc]
+            base = found
+        batch = ProgramBatch.of(programs, base)
+        if batch is None:
+            raise InvalidProblem(
+                f"programs of {n[0]} unknowns with a matrix each are too large for a layer; share P, G and A"
+            )
+        return solve_batch(batch, **options)
+
+    def _differentiated(self, answers: BatchAnswers) -> Any:
+        return derivative(answers).one_sided()
+
+    def _by(self, gradient: Any) -> Sequence[Any]:
+        return tuple(
+            getattr(gradient, name) for name in ("P", "c", "G", "h", "A", "b", "lower", "upper")
+        )
+
+
+def _program(P: Any, G: Any, A: Any, vectors: dict[str, Any]) -> QuadraticProgram | LCPError:
+    """Return a program, or its error."""
+    try:
+        return QuadraticProgram(P, G=G, A=A, **vectors)
+    except LCPError as error:
+        return error
 
 
 class ContactLayer(Layer):
@@ -169,7 +252,7 @@ class ContactLayer(Layer):
         worlds = FrictionalContact.worlds(matrices(W, axes), b, friction, **of_worlds)
         return solve_batch(worlds, **others)
 
-    def _by(self, gradient: BatchGradient) -> Sequence[Any]:
+    def _by(self, gradient: Any) -> Sequence[Any]:
         return gradient.M, gradient.q, gradient.friction
 
 
@@ -208,6 +291,26 @@ def check_bounds(q: Any, **bounds: Any) -> None:
             raise InvalidProblem(
                 f"{name} must be a number or have the length of q, {q.shape[-1]}, got shape {tuple(bound.shape)}"
             )
+
+
+def with_empty_rows(**data: Any) -> dict[str, Any]:
+    """Return the data of a program with G, h, A and b of no rows in place of None and of empty arrays.
+
+    Raises
+    ------
+    InvalidProblem
+        If a matrix has no right-hand side, or the reverse.
+    """
+    n = np.shape(data["c"])[-1:] or (0,)
+    for rows, right in (("G", "h"), ("A", "b")):
+        are_none = [data[one] is None or 0 in np.shape(data[one]) for one in (rows, right)]
+        if are_none[0] != are_none[1]:
+            raise InvalidProblem(
+                f"{rows} and {right} belong together: {rows} x ≤ {right} or = {right}"
+            )
+        if are_none[0]:
+            data[rows], data[right] = np.zeros((0, *n)), np.zeros(0)
+    return data
 
 
 def stacked(array: Any, axes: tuple[int, ...], own: tuple[int, ...]) -> Any:

@@ -22,9 +22,9 @@ import jax.numpy as jnp
 
 from ...core.checks import check_kind, real_array
 from ...core.errors import InvalidOption, InvalidProblem
-from . import ContactLayer, Layer, LCPLayer, check_bounds, common_axes
+from . import ContactLayer, Layer, LCPLayer, QPLayer, check_bounds, common_axes, with_empty_rows
 
-__all__ = ["contact_layer", "lcp_layer"]
+__all__ = ["contact_layer", "lcp_layer", "qp_layer"]
 
 
 def lcp_layer(
@@ -87,6 +87,75 @@ def lcp_layer(
     else:
         M = jnp.broadcast_to(M, (*axes, *M.shape[-2:]))
     found = _solution(layer, (M, *data))
+    return found if mask else found[0]
+
+
+def qp_layer(
+    P: Any,
+    c: Any,
+    G: Any = None,
+    h: Any = None,
+    A: Any = None,
+    b: Any = None,
+    lower: Any = -np.inf,
+    upper: Any = np.inf,
+    *,
+    mask: bool = False,
+    **options: Any,
+) -> Any:
+    """Return the solutions x of quadratic programs, differentiable by all data.
+
+    Parameters
+    ----------
+    P, c, G, h, A, b : array, shapes (…, n, n), (…, n), (…, m, n), (…, m), (…, p, n) and (…, p)
+        min ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b; no rows by default, or with an empty array. Leading axes are
+        batch axes; all arguments broadcast. Float64. Only the symmetric part of P matters; it must be positive
+        semidefinite.
+    lower, upper : array, shape (…, n), or number
+    mask : bool
+        As in `lcp_layer`.
+    **options
+        ``algorithm``, ``tolerance``, ``max_seconds``, ``threads`` of :func:`lcp_plugin.solve_batch`.
+
+    Returns
+    -------
+    array, shape (…, n), or with `mask` a pair of it and an array of bool, shape (…)
+
+    Raises
+    ------
+    InvalidOption
+        If JAX does not calculate in double precision.
+    InvalidProblem
+        If an array has another type or shape, or its numbers are not a valid program; the message names it.
+    NotConverged
+        If a program of the batch is not solved, without `mask`.
+    UnsuitableProblem
+        If a derivative does not exist.
+
+    Notes
+    -----
+    If a row is active with multiplier 0, the gradient belongs to one of the pieces that meet there, as for a ReLU at
+    0. If x or its multipliers are not unique, `backward` raises UnsuitableProblem, which names the rows.
+
+    Examples
+    --------
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> c, G, h = jnp.array([-1.0, -2.0]), jnp.ones((1, 2)), jnp.array([2.0])
+    >>> jax.jacrev(qp_layer, 1)(jnp.eye(2), c, G, h).round(6).tolist()
+    [[-0.5, 0.5], [0.5, -0.5]]
+    """
+    _require_double("qp_layer")
+    given = with_empty_rows(P=P, c=c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
+    data = [_array(one, name) for name, one in given.items()]
+    axes, n = QPLayer.axes_of(*(one.shape for one in data)), data[1].shape[-1:]
+    own = [one.shape[-2:] if k in (0, 2, 4) else one.shape[-1:] for k, one in enumerate(data[:6])]
+    wide = [
+        one.reshape(*(1 for _ in axes), *shape)  # one matrix for all
+        if len(shape) == 2 and math.prod(one.shape[:-2]) == 1
+        else jnp.broadcast_to(one, (*axes, *shape))
+        for one, shape in zip(data, [*own, n, n], strict=True)
+    ]
+    found = _solution(QPLayer(mask=mask, **options), tuple(wide))
     return found if mask else found[0]
 
 

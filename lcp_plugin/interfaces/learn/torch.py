@@ -16,9 +16,9 @@ except ImportError:
 
 from ...core.checks import real_array
 from ...core.errors import InvalidProblem, UnsupportedModel
-from . import ContactLayer, Layer, LCPLayer, check_bounds
+from . import ContactLayer, Layer, LCPLayer, QPLayer, check_bounds, with_empty_rows
 
-__all__ = ["contact_layer", "lcp_layer"]
+__all__ = ["contact_layer", "lcp_layer", "qp_layer"]
 
 
 def lcp_layer(
@@ -74,6 +74,70 @@ def lcp_layer(
     layer = LCPLayer(M if is_constant else None, mask=mask, **options)
     found = _Solution.apply(
         layer, _tensor(np.zeros((0, 0)) if is_constant else M, "M"), q, lower, upper
+    )
+    return found if mask else found[0]
+
+
+def qp_layer(
+    P: Any,
+    c: Any,
+    G: Any = None,
+    h: Any = None,
+    A: Any = None,
+    b: Any = None,
+    lower: Any = -np.inf,
+    upper: Any = np.inf,
+    *,
+    mask: bool = False,
+    **options: Any,
+) -> Any:
+    """Return the solutions x of quadratic programs, differentiable by all data.
+
+    Parameters
+    ----------
+    P, c, G, h, A, b : tensor, shapes (…, n, n), (…, n), (…, m, n), (…, m), (…, p, n) and (…, p)
+        min ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b; no rows by default, or with an empty tensor. Leading axes are
+        batch axes; all arguments broadcast. Float64, on the CPU. Only the symmetric part of P matters; it must be
+        positive semidefinite.
+    lower, upper : tensor, shape (…, n), or number
+    mask : bool
+        As in `lcp_layer`.
+    **options
+        ``algorithm``, ``tolerance``, ``max_seconds``, ``threads`` of :func:`lcp_plugin.solve_batch`.
+
+    Returns
+    -------
+    tensor, shape (…, n), or with `mask` a pair of it and a tensor of bool, shape (…)
+
+    Raises
+    ------
+    InvalidProblem
+        If a tensor has another type, device or shape, or its numbers are not a valid program; the message names it.
+    NotConverged
+        If a program of the batch is not solved, without `mask`.
+    UnsuitableProblem, UnsupportedModel
+        If a derivative does not exist, or a second derivative is requested.
+
+    Notes
+    -----
+    If a row is active with multiplier 0, the gradient belongs to one of the pieces that meet there, as for a ReLU at
+    0. If x or its multipliers are not unique, `backward` raises UnsuitableProblem, which names the rows.
+
+    Examples
+    --------
+    >>> P = torch.eye(2, dtype=torch.float64)
+    >>> c = torch.tensor([[-1.0, -2.0], [-1.0, -0.5]], dtype=torch.float64, requires_grad=True)
+    >>> G, h = torch.ones(1, 2, dtype=torch.float64), torch.tensor([2.0], dtype=torch.float64)
+    >>> x = qp_layer(P, c, G, h)
+    >>> x.detach().round(decimals=6).tolist()
+    [[0.5, 1.5], [1.0, 0.5]]
+    >>> x[:, 0].sum().backward()
+    >>> c.grad.round(decimals=6).tolist()
+    [[-0.5, 0.5], [-1.0, 0.0]]
+    """
+    given = with_empty_rows(P=P, c=c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
+    found = _Solution.apply(
+        QPLayer(mask=mask, **options), *(_tensor(one, name) for name, one in given.items())
     )
     return found if mask else found[0]
 

@@ -20,8 +20,8 @@ from ...core.certificates.residuals import WorstRow, outside_row
 from ...core.checks import BoolVector, Vector
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.lcp import LCP
+from ...core.names import format_count
 from ...core.problem_classes import with_article
-from ...core.representation import format_count
 from ...core.settings import Settings, Status
 from ...expressions.rows import Program, Rows
 from ...problems.nonlinear.data import NonlinearProblem

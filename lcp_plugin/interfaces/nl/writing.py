@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.doors import foreign_function
 from ...core.errors import InvalidProblem
 from ...core.files import checked_path, write_whole
 from ...core.lcp import LCP
 from ...core.matrix import entries_of_row
+from ...core.problem_classes import foreign_function
 from .reading import ARITY, NARY, PARTNER, PIECEWISE, WITH_TOLERANCE, NLContent, Token, Trees
 
 LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o"}

@@ -237,6 +237,8 @@ def _problems_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> Any:
 
 def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> ProgramBatch | None:
     """Return programs of one shape, from any of three forms; None for other data or with starts."""
+    if isinstance(M, ProgramBatch):
+        return M
     if isinstance(M, QuadraticProgram) and q is not None:
         _refuse_algorithm(q)
         _refuse_data("the vectors", '[{"lower": …, "upper": …}]', None, lower, upper)

@@ -51,8 +51,7 @@ from ...core.certificates.residuals import WorstRows, worst_pairs
 from ...core.checks import Vector, derived_property, read_only
 from ...core.kernels.floats import EPSILON, NORMAL
 from ...core.matrix import is_nearly_symmetric
-from ...core.names import Names
-from ...core.representation import describe_radius
+from ...core.names import Names, describe_radius
 from ...core.settings import Status
 from ...proofs.farkas import FarkasCertificate, LinearConstraints
 from ...proofs.no_solution import is_minimizer_beyond_radius

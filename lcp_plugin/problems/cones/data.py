@@ -24,7 +24,7 @@ from ...core.deadline import seconds_left
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.files import MATRIX_KEYS, save_arrays
 from ...core.lcp import LCP
-from ...core.representation import format_count
+from ...core.names import format_count
 from .stack import ConeStack
 
 CONES = ("free", "nonnegative", "box", "second_order")

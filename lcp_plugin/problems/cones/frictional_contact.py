@@ -16,7 +16,7 @@ from ...core.checks import Vector, real_array
 from ...core.errors import InvalidProblem, LCPError, ModelWarning
 from ...core.files import save_arrays
 from ...core.lcp import LCP
-from ...core.representation import format_count
+from ...core.names import format_count
 from .. import contact
 from ..contact import Bodies
 from .data import Blocks

@@ -16,7 +16,7 @@ from ...core.checks import Vector, checked_start, derived_property, read_only
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.floats import DATA_ROUNDING
 from ...core.kernels.threads import threads_for
-from ...core.representation import format_count
+from ...core.names import format_count
 from ...core.settings import Settings, Status
 from ...methods.search import ExhaustiveSearch, is_searchable
 from ...solving.result import Callback, Result

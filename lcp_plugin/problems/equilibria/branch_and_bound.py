@@ -216,7 +216,10 @@ class BranchAndBound:
         if engine is None:
             return None
         ended = self._ask(engine, ends)
-        if ended is not None or (self._is_closed() and not prove):
+        is_closed = (
+            self.best_value < math.inf and self.best_value - self.lower_bound <= self.allowed
+        )
+        if ended is not None or (is_closed and not prove):
             return ended
         is_said_infeasible = self.outside is not None and self.outside.status == "infeasible"
         if is_provable or (self.problem.is_convex and is_said_infeasible):  # integers or not
@@ -269,10 +272,6 @@ class BranchAndBound:
         if self.best_value < found.bound - self.allowed:  # a better point refutes the bound
             self.outside = ExternalBound(found.status, -math.inf)
         return ENDS.get(found.status)
-
-    def _is_closed(self) -> bool:
-        value = self.best_value
-        return value < math.inf and value - self.lower_bound <= self.allowed
 
     def _search(self, ends: Callable[[], bool], most: float) -> Status | None:
         """Branch on at most `most` nodes; return the status of a limit reached, or None."""

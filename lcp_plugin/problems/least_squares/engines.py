@@ -175,7 +175,9 @@ def steps_in_orthant(start: FacePoint) -> Iterator[FacePoint]:
     point, length = start, _cauchy_length(start)
     while length > 0.0 and point.natural_residual.any():
         point, length = yield from _spectral_steps(point, length)
-        point = yield from _conjugate_steps(point)
+        is_on = True
+        while is_on:  # conjugate gradients on a face, then on the next one, until columns at a bound pull harder
+            point, is_on = yield from _steps_on_face(point)
 
 
 def _cauchy_length(point: FacePoint) -> float:
@@ -211,17 +213,6 @@ def _spectral_steps(
         costs.append(point.cost)
         yield point
     return point, length
-
-
-def _conjugate_steps(point: FacePoint) -> Generator[FacePoint, None, FacePoint]:
-    """Take conjugate gradient steps on a face, then on the next one, until columns at a bound pull harder.
-
-    A run that meets a bound in its first step is the last.
-    """
-    is_on = True
-    while is_on:
-        point, is_on = yield from _steps_on_face(point)
-    return point
 
 
 def _steps_on_face(point: FacePoint) -> Generator[FacePoint, None, tuple[FacePoint, bool]]:

@@ -19,8 +19,8 @@ from ...core.deadline import OutOfTimeError, is_over
 from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import Settings, Status
 from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
-from ...solving.result import BaseResult
-from ...solving.run import CUT_SHORT, FAILED, Callback, Named, Progress, Run, Stage, say
+from ...solving.result import BaseResult, Callback
+from ...solving.run import CUT_SHORT, FAILED, Named, Progress, Run, Stage, say
 from . import engines
 from .certificate import Optimality, duality_gap, measure_stack
 from .data import BoundedLeastSquares, Enclosures, clip, times

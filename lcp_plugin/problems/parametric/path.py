@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from ...core.certificates.criterion import row_data
 from ...core.certificates.residuals import Certificate
 from ...core.checks import Vector, derived_property, is_number, read_only
-from ...core.doors import Door
 from ...core.errors import InvalidOption, NotConverged
 from ...core.lcp import LCP
-from ...core.representation import format_count
+from ...core.names import format_count
+from ...core.problem_classes import Door
 from ...core.settings import Status
 from ...solving.result import Outcome
 from ..least_squares.certificate import Optimality

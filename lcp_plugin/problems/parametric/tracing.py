@@ -10,10 +10,9 @@ import numpy as np
 
 from ...core.checks import Vector, checked_vector, is_number, read_only
 from ...core.deadline import Clock
-from ...core.doors import foreign_function
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
-from ...core.problem_classes import class_of, classes_of, refusal
+from ...core.problem_classes import class_of, classes_of, foreign_function, refusal
 from ...core.settings import DEFAULTS, Settings
 from ...solving.dispatch import solve
 from ...systems.definiteness import is_semidefinite_to_rounding

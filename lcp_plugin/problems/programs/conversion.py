@@ -13,7 +13,7 @@ from ...core.errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .criterion import PROGRAM_TOLERANCE, KKTErrors, QPSolution
-from .program import QuadraticProgram, asymmetry_of
+from .program import VECTORS, QuadraticProgram, asymmetry_of
 from .program_matrices import refuse_nonconvex
 
 __all__ = ["QuadraticProgram", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
@@ -81,15 +81,21 @@ def optimality_conditions(program: QuadraticProgram, tolerance: float = PROGRAM_
 
 def conditions(program: QuadraticProgram) -> LCP:
     """Return the optimality conditions of (x, inequality, equality); rows without a limit have no multiplier."""
-    matrices, limits = program.matrices, program.constraints.right
-    m, p = matrices.sizes[:2]
-    is_limit = np.isfinite(limits)
-    return LCP(
-        matrices.kkt if m + p else matrices.hessian,
-        np.concatenate([program.c, np.where(is_limit, limits, 0.0)]),
-        lower=np.concatenate([program.lower, np.zeros(m), np.full(p, -np.inf)]),
-        upper=np.concatenate([program.upper, np.where(is_limit, np.inf, 0.0)]),
+    matrices = program.matrices
+    q, lower, upper = condition_vectors(*(getattr(program, name) for name in VECTORS))
+    M = matrices.kkt if sum(matrices.sizes[:2]) else matrices.hessian
+    return LCP(M, q, lower=lower, upper=upper)
+
+
+def condition_vectors(c: Any, h: Any, b: Any, lower: Any, upper: Any) -> tuple[Any, Any, Any]:
+    """Return q, lower and upper of the conditions, for vectors of one program or with an axis for many."""
+    is_limit = np.isfinite(h)
+    q = np.concatenate([c, np.where(is_limit, h, 0.0), b], axis=-1)
+    below = np.concatenate([lower, np.zeros(h.shape), np.full(b.shape, -np.inf)], axis=-1)
+    above = np.concatenate(
+        [upper, np.where(is_limit, np.inf, 0.0), np.full(b.shape, np.inf)], axis=-1
     )
+    return q, below, above
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:

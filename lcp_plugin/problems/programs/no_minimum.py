@@ -21,8 +21,7 @@ from ...core.checks import Vector, derived_property
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ...core.matrix import largest_products
-from ...core.names import listed
-from ...core.representation import describe_radius
+from ...core.names import describe_radius, listed
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
 from ...proofs import farkas

@@ -19,7 +19,7 @@ from ...core.certificates.residuals import WorstRows
 from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
-from ...core.representation import describe_radius, three_digits_below
+from ...core.names import describe_radius, three_digits_below
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
 from ...engines import ENGINES, engine_class, installed_engine, is_installed, scaling
 from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits

@@ -25,6 +25,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from itertools import chain
 from operator import add, sub
 from typing import NamedTuple
 
@@ -340,14 +341,9 @@ def _tighten(rows: sp.csr_array, limit: Vector, lower: Vector, upper: Vector) ->
 
 def value_near(program: QuadraticProgram, x: Vector) -> float | None:
     """Return a double above the objective of a feasible point near x; None if floating point proves no such point."""
-    values = (_value_of_enclosed(program, at) for at in _near(program, x))
+    points = chain([x], (_move_off(program, x, slack) for slack in SLACKS))
+    values = (_value_of_enclosed(program, at) for at in points)
     return next((value for value in values if value is not None), None)
-
-
-def _near(program: QuadraticProgram, x: Vector) -> Iterator[Vector]:
-    """Yield x, and points near it with more and more slack."""
-    yield x
-    yield from (_move_off(program, x, slack) for slack in SLACKS)
 
 
 def value_inside(program: QuadraticProgram) -> float | None:

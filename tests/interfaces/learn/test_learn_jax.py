@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from inputs.planted import planted, planted_worlds
+from inputs.stacked_programs import differentiable_programs
 
 jax = pytest.importorskip("jax")
 
@@ -26,7 +27,7 @@ from lcp_plugin import (  # noqa: E402
     solve,
     solve_batch,
 )
-from lcp_plugin.interfaces.learn.jax import contact_layer, lcp_layer  # noqa: E402
+from lcp_plugin.interfaces.learn.jax import contact_layer, lcp_layer, qp_layer  # noqa: E402
 
 
 @pytest.fixture(autouse=True)
@@ -164,3 +165,22 @@ def test_mask_replaces_the_error_of_a_failed_instance() -> None:
     assert (z.tolist(), is_solved.tolist()) == ([[1.0, 0.0], [0.0, 0.0]], [True, False])
     by_q = jax.jit(jax.grad(lambda q: lcp_layer(jnp.eye(2), q, mask=True)[0].sum()))(q)
     assert by_q.tolist() == [[-1.0, 0.0], [0.0, 0.0]]
+
+
+@pytest.mark.parametrize("names", [(), ("c", "h"), ("P", "c")])
+def test_gradients_of_programs_are_those_of_differences(names: tuple[str, ...]) -> None:
+    """check_grads in all data, plain and compiled, these with an axis of a batch; vmap; names of wrong arrays."""
+    data = differentiable_programs(3, names)
+    for layer in (qp_layer, jax.jit(qp_layer)):
+        check_grads(layer, tuple(map(jnp.array, data.values())), order=1, modes=["rev"], eps=1e-6)
+    single = differentiable_programs(3)
+
+    def loss(c: Any) -> Any:
+        return qp_layer(*(data | {"P": single["P"], "h": single["h"], "c": c}).values()).sum()
+
+    costs = single["c"] + 0.01 * jnp.arange(3.0)[:, None]
+    assert np.allclose(jax.vmap(jax.grad(loss))(costs)[1], jax.grad(loss)(costs[1]), atol=1e-12)
+    with pytest.raises(InvalidProblem, match="h must have shape"):
+        qp_layer(*(data | {"h": np.ones(7)}).values())
+    with pytest.raises(InvalidProblem, match="c must be an array of float64, got float32"):
+        qp_layer(single["P"], jnp.ones(single["c"].size, dtype=jnp.float32))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs.planted import planted, planted_worlds
+from inputs.stacked_programs import differentiable_programs
 
 torch = pytest.importorskip("torch")
 
@@ -19,12 +20,13 @@ from lcp_plugin import (  # noqa: E402
     LCP,
     InvalidProblem,
     NotConverged,
+    UnsuitableProblem,
     UnsupportedModel,
     derivative,
     gallery,
     solve,
 )
-from lcp_plugin.interfaces.learn.torch import contact_layer, lcp_layer  # noqa: E402
+from lcp_plugin.interfaces.learn.torch import contact_layer, lcp_layer, qp_layer  # noqa: E402
 
 pytestmark = [
     pytest.mark.filterwarnings(
@@ -206,7 +208,7 @@ def test_contact_has_the_gradients_of_differences() -> None:
     )
     one = torch.tensor(0.4, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(
-        lambda mu: contact_layer(W[0].detach(), b.detach(), mu), (one,), atol=1e-4
+        lambda mu: contact_layer(W[0].detach(), b.detach(), mu, dimension=3), (one,), atol=1e-4
     )
 
 
@@ -225,3 +227,45 @@ def test_mask_replaces_the_error_of_a_failed_instance() -> None:
     assert is_solved.tolist() == [True, False]
     assert r[1].tolist() == b.grad[1].tolist() == [0.0, 0.0, 0.0]
     assert b.grad[0].abs().sum() > 0.0
+
+
+@pytest.mark.parametrize("names", [(), ("c", "h"), ("P", "c"), ("G", "b", "lower")])
+def test_gradients_of_programs_are_those_of_differences(names: tuple[str, ...]) -> None:
+    """torch.autograd.gradcheck in all data, these with an axis of a batch; rows in None or empty as in qpth."""
+    data = leaves(*differentiable_programs(3, names).values())
+    assert torch.autograd.gradcheck(qp_layer, data)
+    P, c, G, h = data[:4]
+    empty = torch.empty(0)
+    assert torch.equal(qp_layer(P, c, G, h, empty, empty), qp_layer(P, c, G, h))
+
+
+def test_a_program_layer_names_what_does_not_fit() -> None:
+    """The array with a wrong shape or type, a program without a solution, dependent rows; kinks have a gradient."""
+    data = differentiable_programs(2)
+    n = data["c"].size
+    for name, wrong in (
+        ("G", np.ones((3, n + 1))),
+        ("h", np.ones(7)),
+        ("b", np.ones(7)),
+        ("c", np.ones(n + 1)),
+    ):
+        with pytest.raises(InvalidProblem, match=f"{name} must have shape"):
+            qp_layer(*leaves(*(data | {name: wrong}).values()))
+    with pytest.raises(
+        InvalidProblem, match=r"P must be a tensor of float64, got torch.float32; write P.double"
+    ):
+        qp_layer(torch.eye(2), torch.ones(2).double())
+    with pytest.raises(InvalidProblem, match="G and h belong together"):
+        qp_layer(torch.eye(2).double(), torch.ones(2).double(), torch.eye(2).double())
+    eye, ones = torch.eye(2).double(), torch.ones(1, 2).double()
+    limits = torch.tensor([[1.0], [-1.0]]).double()
+    with pytest.raises(NotConverged, match=r"problem \(1,\) of the batch"):
+        qp_layer(eye, torch.zeros(2).double(), ones, limits, lower=0.0)
+    is_solved = qp_layer(eye, torch.zeros(2).double(), ones, limits, lower=0.0, mask=True)[1]
+    assert is_solved.tolist() == [True, False]
+    c = torch.zeros(2, dtype=torch.float64, requires_grad=True)
+    qp_layer(eye, c, lower=0.0).sum().backward()  # as a ReLU at 0
+    assert c.grad.isfinite().all()
+    rows, right = torch.ones(2, 2).double(), torch.ones(2).double()
+    with pytest.raises(UnsuitableProblem, match="row 0 of A, row 1 of A"):
+        qp_layer(eye, c, A=rows, b=right).sum().backward()

@@ -1,0 +1,394 @@
+"""Derivative of the solution of a quadratic program or of bounded least squares, by the LCP of its conditions.
+
+With z = (x, inequality, equality), the conditions of ``min ½ xᵀP x + cᵀx, G x ≤ h, A x = b`` are the LCP of
+:func:`~lcp_plugin.problems.programs.conversion.conditions`. A change of the data changes its q by
+
+    (dP x + dc + dGᵀ inequality + dAᵀ equality, dh − dG x, db − dA x),
+
+and the transposed map turns the gradient by q into the gradients by P, c, G, h, A and b. Least squares have the
+gradient AᵀW(A x − b) + ridge x ± l1, where the sign is the sign of x_j; a row with a penalty ends at 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ...core import checks
+from ...core.checks import Vector
+from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem, did_you_mean
+from ...core.lcp import LCP
+from ...systems.free_systems import products
+from ...systems.graph import sum_of_outer
+from ..least_squares.data import BoundedLeastSquares
+from .conversion import condition_vectors, conditions
+from .program import VECTORS, QuadraticProgram
+
+
+class ProgramGradient(NamedTuple):
+    """Gradient of a function of x with respect to the data of a program.
+
+    Attributes
+    ----------
+    P, G, A : array, shapes (n, n), (m, n) and (p, n), or csr_array
+        P symmetric; on the sparsity pattern of a sparse matrix. With an axis in front for a batch, or the sum over
+        the batch if all its programs share the matrices.
+    c, h, b, lower, upper : array, shapes (n,), (m,), (p,), (n,) and (n,), or (B, …)
+        0 for inactive rows and bounds.
+    """
+
+    P: Any
+    c: Vector
+    G: Any
+    h: Vector
+    A: Any
+    b: Vector
+    lower: Vector
+    upper: Vector
+
+
+class LeastSquaresGradient(NamedTuple):
+    """Gradient of a function of x with respect to the data of a least squares problem.
+
+    Attributes
+    ----------
+    A : array, shape (m, n), or csr_array on its pattern
+        With an axis in front for a batch, or the sum over the batch if all its problems share A.
+    b, lower, upper, l1, weights, ridge : array, shapes (m,), (n,), (n,), (n,), (m,) and (), or (B, …)
+    """
+
+    A: Any
+    b: Vector
+    lower: Vector
+    upper: Vector
+    l1: Vector
+    weights: Vector
+    ridge: Any
+
+
+def apply(matrix: Any, x: Vector, *, transposed: bool = False) -> Vector:
+    """Return the product with x, or with each row of x; the matrix may have an axis in front."""
+    if matrix.ndim == 3:
+        return np.asarray(products(matrix.swapaxes(1, 2) if transposed else matrix, x))
+    matrix = matrix.T if transposed else matrix
+    return np.asarray(matrix @ x if x.ndim == 1 else (matrix @ x.T).T)
+
+
+def outer(matrix: Any, *pairs: tuple[Vector, Vector]) -> Any:
+    """Return Σ left_i right_j over the pairs, in the format of the matrix; one matrix for many rows gets their sum."""
+    if matrix.ndim == 3:
+        return sum(left[:, :, np.newaxis] * right[:, np.newaxis] for left, right in pairs)
+    left, right = (np.concatenate([*map(np.atleast_2d, part)]) for part in zip(*pairs, strict=True))
+    return sum_of_outer(matrix, left, right) if sp.issparse(matrix) else left.T @ right
+
+
+class ProgramData:
+    """Data of a program, or of a batch with an axis in front, and their map to the data of the LCP.
+
+    Parameters
+    ----------
+    program : QuadraticProgram
+        The program, or one of the shape of all.
+    data : dict
+        P, G, A, c, h, b, lower and upper.
+    """
+
+    def __init__(self, program: QuadraticProgram, data: dict[str, Any]) -> None:
+        m, p, n, _ = program.matrices.sizes
+        self.program, self.data, self.ends = program, data, (n, n + m)
+        of_vectors = {"c": (n,), "h": (m,), "b": (p,), "lower": (n,), "upper": (n,)}
+        self.shapes = {"P": (n, n), "G": (m, n), "A": (p, n), **of_vectors}
+
+    def problem(self, stack: Callable[..., Any]) -> Any:
+        """Return the conditions as an LCP, or by `stack` as a batch of LCPs."""
+        vectors = [self.data[name] for name in VECTORS]
+        if vectors[0].ndim == 1:
+            return conditions(self.program)
+        M: Any = conditions(self.program)
+        if self.data["P"].ndim == 3:
+            P, G, A = (self.data[name] for name in "PGA")
+            C = np.concatenate([G, A], axis=1)
+            none = np.zeros((len(P), C.shape[1], C.shape[1]))
+            M = np.block([[P, C.swapaxes(1, 2)], [-C, none]])
+        return stack(M, *condition_vectors(*vectors))
+
+    def change(self, z: Vector, d: dict[str, Any]) -> Vector:
+        """Return the change of q for changes of the data."""
+        x, y, v = np.split(z, self.ends, axis=-1)
+        parts = [np.zeros(z.shape)[..., : one.shape[-1]] + d.get(name, 0.0)
+                 for one, name in ((x, "c"), (y, "h"), (v, "b"))]  # fmt: skip
+        if "P" in d:
+            parts[0] += 0.5 * (apply(d["P"], x) + apply(d["P"], x, transposed=True))
+        for k, name, multipliers in ((1, "G", y), (2, "A", v)):
+            if name in d:
+                parts[0] += apply(d[name], multipliers, transposed=True)
+                parts[k] -= apply(d[name], x)
+        return np.concatenate(parts, axis=-1)
+
+    def gradient(self, z: Vector, by_q: Vector, lower: Vector, upper: Vector) -> ProgramGradient:
+        """Return the gradients by the data, from the gradients by q and the bounds."""
+        (x, y, v), (c, h, b) = (np.split(one, self.ends, axis=-1) for one in (z, by_q))
+        P, G, A = (self.data[name] for name in "PGA")
+        by_P = outer(P, (0.5 * c, x), (0.5 * x, c))
+        by_G, by_A = outer(G, (y, c), (-h, x)), outer(A, (v, c), (-b, x))
+        n = self.ends[0]
+        return ProgramGradient(by_P, c, by_G, h, by_A, b, lower[..., :n], upper[..., :n])
+
+    def part(self, k: int, side: str = "") -> str:
+        """Return the name of an unknown of the LCP: of a bound, of x_k, or of the row of a multiplier."""
+        m, p, n, _ = self.program.matrices.sizes
+        if k >= n:
+            return self.program.name(k - n)
+        if side:
+            return self.program.name(m + p + k + (n if side == "upper" else 0))
+        return self.program.names.unknown(k, "x[{}]")
+
+
+class LeastSquaresData:
+    """Data of bounded least squares, or of a batch that shares A, weights and ridge, and their map to the LCP.
+
+    Parameters
+    ----------
+    data : dict
+        A, b, lower, upper, l1, weights and ridge.
+    x : array, shape (n,) or (B, n)
+        The solution, which determines the signs of the penalties.
+    """
+
+    def __init__(self, data: dict[str, Any], x: Vector) -> None:
+        self.data, (m, n) = data, data["A"].shape[-2:]
+        self.ends = (n,)
+        of_n = {name: (n,) for name in ("lower", "upper", "l1")}
+        self.shapes = {"A": (m, n), "b": (m,), **of_n, "weights": (m,), "ridge": ()}
+        slope = apply(data["A"], self._forces(x), transposed=True) + data["ridge"] * x
+        lower, upper = data["lower"], data["upper"]
+        self.is_kink = (data["l1"] > 0.0) & (lower < 0.0) & (upper > 0.0)
+        falls = self.is_kink & ((x < 0.0) | ((x == 0.0) & (slope > 0.0)))
+        self.sign = np.where(falls | (upper <= 0.0), -1.0, 1.0)
+        self.lower = np.where(self.is_kink & ~falls, 0.0, lower)
+        self.upper = np.where(falls, 0.0, upper)
+
+    def _forces(self, x: Vector) -> Vector:
+        """Return W (A x − b)."""
+        return np.asarray(self.data["weights"] * (apply(self.data["A"], x) - self.data["b"]))
+
+    def problem(self, stack: Callable[..., Any]) -> Any:
+        """Return the conditions as an LCP, or by `stack` as a batch of LCPs."""
+        A, weights, n = self.data["A"], self.data["weights"], self.ends[0]
+        ridge = self.data["ridge"] * (sp.eye_array(n) if sp.issparse(A) else np.eye(n))
+        M = (A.T @ sp.diags_array(weights) if sp.issparse(A) else A.T * weights) @ A + ridge
+        q = self.data["l1"] * self.sign - apply(A, weights * self.data["b"], transposed=True)
+        if q.ndim == 1:
+            return LCP(M, q, lower=self.lower, upper=self.upper)
+        return stack(M, q, self.lower, self.upper)
+
+    def change(self, x: Vector, d: dict[str, Any]) -> Vector:
+        """Return the change of q for changes of the data."""
+        forces = self._forces(x)
+        moved = -np.asarray(d.get("b", 0.0)) + (apply(d["A"], x) if "A" in d else 0.0)
+        residual = apply(self.data["A"], x) - self.data["b"]
+        moved = self.data["weights"] * moved + d.get("weights", 0.0) * residual
+        q = apply(self.data["A"], moved, transposed=True) + self.sign * d.get("l1", 0.0)
+        q += np.asarray(d.get("ridge", 0.0))[..., np.newaxis] * x
+        return q + apply(d["A"], forces, transposed=True) if "A" in d else q
+
+    def gradient(
+        self, x: Vector, by_q: Vector, lower: Vector, upper: Vector
+    ) -> LeastSquaresGradient:
+        """Return the gradients by the data, from the gradients by q and the bounds."""
+        A, weights, forces = self.data["A"], self.data["weights"], self._forces(x)
+        along = apply(A, by_q)
+        by_A = outer(A, (forces, by_q), (weights * along, x))
+        low, high = (
+            np.where(self.is_own(side), by, 0.0)
+            for side, by in (("lower", lower), ("upper", upper))
+        )
+        by_weights = along * (apply(A, x) - self.data["b"])
+        by_l1, by_ridge = self.sign * by_q, (by_q * x).sum(axis=-1)
+        return LeastSquaresGradient(by_A, -weights * along, low, high, by_l1, by_weights, by_ridge)
+
+    def is_own(self, side: str) -> Any:
+        """Return the mask of the rows whose bound on this side is the user's, and not the 0 of a penalty."""
+        return getattr(self, side) == self.data[side]
+
+    def part(self, k: int, side: str = "") -> str:
+        """Return the name of a bound, of a penalty that holds x_k at 0, or of x_k."""
+        is_penalty = bool(side) and bool(np.any(self.is_kink[..., k]))
+        return f"l1[{k}]" if is_penalty else f"{side or 'x'}[{k}]"
+
+
+class ProgramDerivative:
+    """The derivative of the solution of a QuadraticProgram, or BoundedLeastSquares, or of a batch of these.
+
+    Parameters
+    ----------
+    data : ProgramData or LeastSquaresData
+    conditions : callable
+        Returns the derivative of the LCP, of a single problem or of a batch; its argument is whether degenerate parts
+        raise an error.
+
+    Notes
+    -----
+    The data are P, c, G, h, A, b, lower and upper of a program, and A, b, lower, upper, l1, weights and ridge of least
+    squares. Only the symmetric part of a change of P matters. If x or the multipliers of the active rows are not
+    unique, or if a part of the program is active with multiplier 0, no derivative exists: `jvp` and `vjp` raise
+    UnsuitableProblem, which names this part. In a batch these problems have NaN, and an entry in `errors`. For
+    multipliers, differentiate the LCP: ``derivative(solve(LCP.from_qp(…)))``.
+
+    Examples
+    --------
+    The point of x₀ + x₁ ≤ 2 nearest to (1, 2), and its changes with h and with the point:
+
+    >>> from lcp_plugin import QuadraticProgram, derivative, solve
+    >>> found = derivative(solve(QuadraticProgram(np.eye(2), [-1, -2], G=[[1, 1]], h=[2])))
+    >>> found.jvp(dh=[1.0]), found.jvp(dc=[-1.0, 0.0])
+    (array([0.5, 0.5]), array([ 0.5, -0.5]))
+    >>> gradient = found.vjp([1.0, 0.0])
+    >>> gradient.h, gradient.G
+    (array([0.5]), array([[-0.5, -0.5]]))
+    """
+
+    def __init__(
+        self, data: Any, conditions: Callable[[bool], Any], *, is_strict: bool = True
+    ) -> None:
+        self.data, self._conditions_of, self.conditions = data, conditions, conditions(is_strict)
+
+    def one_sided(self) -> ProgramDerivative:
+        """Return the derivative that accepts degenerate parts.
+
+        There `jvp` is one-sided, and `vjp` the gradient of one of the pieces that meet, as of a ReLU at 0.
+        """
+        return ProgramDerivative(self.data, self._conditions_of, is_strict=False)
+
+    def __len__(self) -> int:
+        return len(self.conditions)
+
+    @property
+    def errors(self) -> dict[int, Any]:
+        """Error of each problem of a batch without a derivative; calls of `jvp` and `vjp` add theirs."""
+        found: dict[int, Any] = self.conditions.errors
+        return found
+
+    @property
+    def z(self) -> Vector:
+        """The solution x at which the derivative is evaluated, shape (n,) or (B, n)."""
+        return np.asarray(self.conditions.z[..., : self.data.ends[0]])
+
+    @property
+    def degenerate(self) -> Any:
+        """Parts that are active with multiplier 0: their names, or of a batch a mask of x and the rows."""
+        return self.conditions.degenerate_parts
+
+    @property
+    def is_unique(self) -> Any:
+        """Whether the derivative exists, bool, or of a batch an array of bool, shape (B,)."""
+        return self.conditions.is_unique
+
+    def jvp(self, **changes: Any) -> Vector:
+        """Return the change dx for changes of the data.
+
+        Parameters
+        ----------
+        **changes
+            dP, dc, dG, dh, dA, db, dlower, dupper of a program; dA, db, dlower, dupper, dl1, dweights, dridge of
+            least squares. Shapes as the data, in a batch also with an axis in front. dlower and dupper may be numbers.
+
+        Returns
+        -------
+        array, shape (n,) or (B, n)
+
+        Raises
+        ------
+        InvalidOption
+            For another name.
+        InvalidProblem
+            For another shape, or numbers that are not finite.
+        UnsuitableProblem
+            If no derivative exists; the message names the part of the program.
+        """
+        known = [f"d{name}" for name in self.data.shapes]
+        for name in changes:
+            if name not in known:
+                raise InvalidOption(
+                    f"jvp of this problem has no option {name!r}{did_you_mean(name, known)}; it takes "
+                    f"{', '.join(known)}"
+                )
+        given = {
+            name[1:]: self._checked(name, values)
+            for name, values in changes.items()
+            if values is not None
+        }
+        z, is_own = self.conditions.z, getattr(self.data, "is_own", lambda side: True)
+        named = {"dq": self.data.change(z, given)}
+        for side in given.keys() & {"lower", "upper"}:
+            named[f"d{side}"] = self._widened(np.where(is_own(side), given[side], 0.0))
+        return np.asarray(self.conditions.jvp(**named)[..., : self.data.ends[0]])
+
+    def vjp(self, g: ArrayLike) -> Any:
+        """Return the gradients of a function L(x) by the data.
+
+        Parameters
+        ----------
+        g : array, shape (n,), or (B, n) for a batch
+            ∂L/∂x.
+
+        Returns
+        -------
+        ProgramGradient or LeastSquaresGradient
+
+        Raises
+        ------
+        InvalidProblem, UnsuitableProblem
+            As `jvp`.
+        """
+        n = self.data.ends[0]
+        found = self.conditions.vjp(self._widened(self._checked("g", g, (n,))))
+        q, z = np.asarray(found.q), np.asarray(self.conditions.z)
+        z = np.where(q.any(axis=-1, keepdims=True), z, 0.0)
+        return self.data.gradient(z, q, found.lower, found.upper)
+
+    def _widened(self, rows: Any) -> Any:
+        """Return vectors of x with zeros for the multipliers."""
+        shape = self.conditions.z.shape
+        rows = np.broadcast_to(rows, (*shape[:-1], self.data.ends[0]))
+        return np.concatenate([rows, np.zeros(shape)[..., self.data.ends[0] :]], axis=-1)
+
+    def _checked(self, name: str, values: Any, own: tuple[int, ...] | None = None) -> Any:
+        """Return the finite change of an array, in its shape, or with the axis of a batch in front."""
+        own = self.data.shapes[name[1:]] if own is None else own
+        if sp.issparse(values) and len(own) == 2:
+            return checks.rectangular_matrix(values, name, *own)
+        shapes = [own, *[(*self.conditions.z.shape[:-1], *own)][: self.conditions.z.ndim - 1]]
+        need = f"{name} must have shape {' or '.join(map(str, shapes))}"
+        given = checks.real_array(values, need)
+        if given.shape not in (*shapes, () if name in ("dlower", "dupper", "dl1") else own):
+            raise InvalidProblem(f"{need}, got shape {given.shape}")
+        checks.require_finite(given, name)
+        return given
+
+
+def program_data(program: QuadraticProgram) -> ProgramData:
+    """Return the data of a single program."""
+    return ProgramData(program, {name: getattr(program, name) for name in (*"PGA", *VECTORS)})
+
+
+def least_squares_data(problem: BoundedLeastSquares, x: Vector) -> LeastSquaresData:
+    """Return the data of one least squares problem, or of a stack that shares A.
+
+    Raises
+    ------
+    UnsuitableProblem
+        If A is a LinearOperator.
+    """
+    if not problem.has_entries:
+        raise UnsuitableProblem(
+            "the derivative of least squares needs the entries of A, got a LinearOperator; pass an array"
+        )
+    weights = problem.weights if problem.weights is not None else np.ones(problem.shape[0])
+    names = ("A", "b", "lower", "upper", "l1", "ridge")
+    data = {name: getattr(problem, name) for name in names}
+    return LeastSquaresData(data | {"weights": weights}, x)

@@ -1,0 +1,254 @@
+"""Derivatives of programs and least squares: those of differences, also of another solver; refusals name a part."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from inputs.stacked_programs import differentiable_program
+
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    InvalidOption,
+    InvalidProblem,
+    QuadraticProgram,
+    UnsuitableProblem,
+    derivative,
+    solve,
+    solve_batch,
+)
+
+STEP = 1e-6
+NAMES = "P", "c", "G", "h", "A", "b", "lower", "upper"
+
+
+def changes(data: dict[str, Any], seed: int) -> dict[str, Any]:
+    """Return a random change of all data."""
+    rng = np.random.default_rng([32, seed])
+    d = {name: rng.normal(size=np.shape(value)) for name, value in data.items()}
+    return d | {"P": d["P"] + d["P"].T}
+
+
+def shifted(data: dict[str, Any], d: dict[str, Any], step: float) -> dict[str, Any]:
+    return {name: value + step * d[name] for name, value in data.items()}
+
+
+def inner(gradient: Any, d: dict[str, Any]) -> float:
+    """Return the change of a function with this gradient."""
+    return float(sum(np.sum(getattr(gradient, name) * d[name]) for name in d))
+
+
+def agree(found: Any, dx: Any, d: dict[str, Any], accuracy: float) -> None:
+    """Compare jvp, and vjp along the same change, with dx."""
+    named = {f"d{name}": one for name, one in d.items()}
+    size = max(1.0, np.abs(dx).max())
+    np.testing.assert_allclose(found.jvp(**named), dx, rtol=0.0, atol=accuracy * size)
+    g = np.random.default_rng(5).normal(size=dx.size)
+    assert inner(found.vjp(g), d) == pytest.approx(g @ dx, abs=accuracy * size * np.abs(g).sum())
+
+
+@pytest.mark.parametrize("first", range(0, 300, 100))
+def test_the_derivative_of_a_program_is_that_of_differences(first: int) -> None:
+    """300 random programs, in all data at once, to 1e-6; every tenth is sparse."""
+    for seed in range(first, first + 100):
+        data = differentiable_program(seed)
+        d = changes(data, seed)
+        ahead, behind = (solve(QuadraticProgram(**shifted(data, d, s))).x for s in (STEP, -STEP))
+        stored = data
+        if seed % 10 == 0:
+            stored = data | {name: sp.csr_array(data[name]) for name in "PGA"}
+        found = derivative(solve(QuadraticProgram(**stored)))
+        assert found.is_unique
+        assert found.degenerate == []
+        agree(found, (ahead - behind) / (2.0 * STEP), d, 1e-6)
+
+
+def test_degenerate_programs_are_refused_by_the_name_of_the_part() -> None:
+    """60 random ones; one-sided derivatives are those of differences on that side."""
+    for seed in range(60):
+        data = differentiable_program(seed, is_degenerate=True)
+        result = solve(QuadraticProgram(**data))
+        found = derivative(result)
+        part = "lower[0]" if seed % 2 else "row 0 of G"
+        assert found.degenerate == [part]
+        assert found.is_unique is False
+        with pytest.raises(UnsuitableProblem, match=rf"kink here: {part.replace('[', '.')}"):
+            found.vjp(result.x)
+        with pytest.raises(UnsuitableProblem, match="kink here"):
+            found.jvp(dc=result.x)
+        d = changes(data, seed)
+        ahead = solve(QuadraticProgram(**shifted(data, d, STEP))).x
+        named = {f"d{name}": one for name, one in d.items()}
+        dx = (ahead - result.x) / STEP
+        size = max(1.0, np.abs(dx).max())
+        assert np.allclose(found.one_sided().jvp(**named), dx, rtol=0.0, atol=1e-3 * size)
+        assert np.isfinite(found.one_sided().vjp(result.x).c).all()
+
+
+def test_the_derivative_of_a_program_is_that_of_clarabel() -> None:
+    """20 random programs, by central differences of Clarabel's solutions."""
+    clarabel = pytest.importorskip("clarabel")
+
+    def solved(data: dict[str, Any]) -> Any:
+        n, settings = data["c"].size, clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-13
+        rows = sp.csc_array(np.vstack([data["A"], data["G"], -np.eye(n), np.eye(n)]))
+        limits = np.concatenate([data["b"], data["h"], -data["lower"], data["upper"]])
+        p = data["b"].size
+        cones = [clarabel.ZeroConeT(p), clarabel.NonnegativeConeT(limits.size - p)]
+        P = sp.csc_array(np.triu(data["P"]))
+        return np.array(
+            clarabel.DefaultSolver(P, data["c"], rows, limits, cones, settings).solve().x
+        )
+
+    for seed in range(20):
+        data = differentiable_program(1000 + seed)
+        d = changes(data, seed)
+        ahead, behind = (solved(shifted(data, d, s)) for s in (1e-5, -1e-5))
+        agree(derivative(solve(QuadraticProgram(**data))), (ahead - behind) / 2e-5, d, 1e-5)
+
+
+def test_a_program_without_a_derivative_names_the_part() -> None:
+    """Several solutions, dependent rows, a status that is not SOLVED; names of the user appear."""
+    several = QuadraticProgram(
+        None, [-1.0, -1.0], [[1.0, 1.0]], [2.0], lower=0.0, names=["coal", "gas"]
+    )
+    with pytest.raises(UnsuitableProblem, match="several values: coal, gas"):
+        derivative(solve(several)).vjp([1.0, 0.0])
+    twice = QuadraticProgram(np.eye(2), [0.0, -1.0], A=[[1.0, 1.0], [2.0, 2.0]], b=[2.0, 4.0])
+    with pytest.raises(UnsuitableProblem, match=r"row 0 of A, row 1 of A; .*dependent"):
+        derivative(solve(twice)).jvp(db=[1.0, 1.0])
+    with pytest.raises(UnsuitableProblem, match="INFEASIBLE"):
+        derivative(solve(QuadraticProgram(np.eye(1), [0.0], [[1.0], [-1.0]], [0.0, -1.0])))
+    found = derivative(solve(QuadraticProgram(np.eye(2), [-1.0, 1.0], lower=0.0)))
+    with pytest.raises(InvalidOption, match=r"no option 'dq'.*it takes dP, dG, dA, dc"):
+        found.jvp(dq=[1.0, 0.0])
+    with pytest.raises(InvalidProblem, match=r"dc must have shape \(2,\), got shape \(3,\)"):
+        found.jvp(dc=np.ones(3))
+    with pytest.raises(InvalidProblem, match="g must be finite"):
+        found.vjp([np.nan, 0.0])
+
+
+@pytest.mark.parametrize("is_shared", [True, False])
+def test_a_batch_has_the_derivatives_of_its_programs(is_shared: bool) -> None:
+    """Rows agree with single derivatives; a degenerate and an infeasible program have errors and NaN."""
+    data = differentiable_program(8)
+    program, n = QuadraticProgram(**data), data["c"].size
+    rng = np.random.default_rng(3)
+    programs = [program.with_vectors(c=data["c"] + 0.1 * rng.normal(size=n)) for _ in range(20)]
+    degenerate = differentiable_program(8, is_degenerate=True)
+    programs[3] = program.with_vectors(**{name: degenerate[name] for name in ("c", "h", "b")})
+    if not is_shared:
+        programs = [
+            QuadraticProgram(one.P * (1.0 + 0.01 * k), *(getattr(one, name) for name in NAMES[1:]))
+            for k, one in enumerate(programs)
+        ]
+        programs[3] = QuadraticProgram(**degenerate)
+    programs[5] = program.with_vectors(h=data["h"] - 100.0)
+    batch = solve_batch(programs)
+    found, g = derivative(batch), rng.normal(size=n)
+    assert found.is_unique.tolist() == [k not in (3, 5) for k in range(20)]
+    d = changes(data, 1)
+    dx = found.jvp(**{f"d{name}": one for name, one in d.items()})
+    gradient = found.vjp(g)
+    assert set(found.errors) == {3, 5}
+    assert np.isnan(dx[[3, 5]]).all()
+    total = 0.0
+    for k, result in enumerate(batch):
+        if k in found.errors:
+            continue
+        one = derivative(result)
+        own = one.jvp(**{f"d{name}": value for name, value in d.items()})
+        np.testing.assert_allclose(dx[k], own, rtol=1e-9, atol=1e-9)
+        alone = one.vjp(g)
+        np.testing.assert_allclose(gradient.h[k], alone.h, rtol=1e-9, atol=1e-9)
+        if not is_shared:
+            np.testing.assert_allclose(gradient.G[k], alone.G, rtol=1e-9, atol=1e-9)
+        total += alone.G
+    if is_shared:  # the sum, in which the degenerate program is NaN
+        good = [one for k, one in enumerate(programs) if k not in (3, 5)]
+        summed = derivative(solve_batch(good)).vjp(g).G
+        np.testing.assert_allclose(summed, total, rtol=1e-9, atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["nonnegative", "lasso", "boxes"])
+def test_the_derivative_of_least_squares_is_that_of_differences(kind: str) -> None:
+    """In A, b, bounds, penalties, weights and ridge at once; single, sparse and in a batch."""
+    rng = np.random.default_rng(4)
+    data = {"A": rng.normal(size=(9, 5)), "b": rng.normal(size=9), "weights": rng.uniform(0.5, 2.0, 9),
+            "ridge": 0.1, "l1": np.full(5, 0.01)}  # fmt: skip
+    if kind == "lasso":
+        data |= {"lower": -np.inf, "l1": rng.uniform(0.5, 3.0, 5)}
+    if kind == "boxes":
+        data |= {"lower": np.full(5, -0.1), "upper": np.full(5, 0.2)}
+    d = {name: rng.normal(size=np.shape(value)) for name, value in data.items()}
+    if kind == "lasso":
+        del d["lower"]
+    moved = [
+        {**data, **{name: data[name] + s * one for name, one in d.items()}} for s in (STEP, -STEP)
+    ]
+    ahead, behind = (solve(BoundedLeastSquares(**one), tolerance=1e-12).x for one in moved)
+    result = solve(BoundedLeastSquares(**data))
+    assert 0 < np.count_nonzero(result.active_mask) + np.count_nonzero(result.x == 0.0) < 9
+    found = derivative(result)
+    agree(found, (ahead - behind) / (2.0 * STEP), d, 1e-6)
+    sparse = derivative(solve(BoundedLeastSquares(**data | {"A": sp.csr_array(data["A"])})))
+    agree(sparse, (ahead - behind) / (2.0 * STEP), d, 1e-6)
+    batch = derivative(
+        solve_batch(BoundedLeastSquares(**data), np.stack([data["b"], data["b"] + 0.1]))
+    )
+    named = {f"d{name}": one for name, one in d.items()}
+    np.testing.assert_allclose(batch.jvp(**named)[0], found.jvp(**named), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        batch.vjp(np.ones(5)).b[0], found.vjp(np.ones(5)).b, rtol=1e-9, atol=1e-9
+    )
+
+
+def test_least_squares_name_their_parts() -> None:
+    """A penalty whose gradient it just balances, and an operator, are refused."""
+    with pytest.raises(UnsuitableProblem, match=r"kink here: l1.0. active"):
+        derivative(solve(BoundedLeastSquares(np.eye(2), [1.0, 3.0], -np.inf, l1=1.0))).vjp(
+            [1.0, 1.0]
+        )
+    operator = sp.linalg.aslinearoperator(np.eye(2))
+    with pytest.raises(UnsuitableProblem, match="needs the entries of A"):
+        derivative(solve(BoundedLeastSquares(operator, [1.0, 3.0])))
+
+
+def test_the_derivative_of_a_program_is_that_of_its_lcp() -> None:
+    """The way users went before, LCP.from_qp, has the same numbers."""
+    data = differentiable_program(2)
+    n = data["c"].size
+    lcp = LCP.from_qp(*(data[name] for name in NAMES[:6]), lower=data["lower"], upper=data["upper"])
+    dq = np.random.default_rng(6).normal(size=lcp.n)
+    by_lcp = derivative(solve(lcp)).jvp(dq=dq)
+    m = data["h"].size
+    found = derivative(solve(QuadraticProgram(**data)))
+    ours = found.jvp(dc=dq[:n], dh=dq[n : n + m], db=dq[n + m :])
+    np.testing.assert_allclose(ours, by_lcp[:n], rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.full
+def test_a_gradient_takes_less_than_two_solves() -> None:
+    """Processor time of a batch of 2000, and of a single program."""
+    data = differentiable_program(8)
+    program = QuadraticProgram(**data)
+    rng = np.random.default_rng(9)
+    costs = data["c"] + 0.1 * rng.normal(size=(2000, data["c"].size))
+
+    def seconds(function: Any) -> float:
+        times = []
+        for _ in range(5):
+            begun = time.process_time()
+            function()
+            times.append(time.process_time() - begun)
+        return min(times)
+
+    batch = solve_batch(program, costs)
+    own = seconds(lambda: solve_batch(program, costs))
+    assert seconds(lambda: derivative(batch).vjp(np.ones(program.n))) < 2.0 * own

@@ -17,6 +17,7 @@ True
 from __future__ import annotations
 
 from dataclasses import MISSING, fields
+from functools import cache
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
@@ -122,7 +123,13 @@ def create(name: str, options: dict[str, Any]) -> Algorithm:
     UnknownAlgorithm, InvalidOption
         With the right names and a guess, or the names of options that have no default.
     """
-    return made(algorithm_class(name), name, options)
+    return made(algorithm_class(name), name, options) if options else _by_default(name)
+
+
+@cache
+def _by_default(name: str) -> Any:
+    """Return the named algorithm with its default options: one object, which is frozen."""
+    return made(algorithm_class(name), name, {})
 
 
 def paper_options(name: str, relaxation: float | None = None) -> dict[str, Any]:

@@ -130,6 +130,14 @@ class Algorithm(ABC):
             Before the first step; the message names the unsuitable row.
         """
 
+    def named_iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
+        """Yield the steps of a run whose caller chose this algorithm; "auto" calls `iterates`."""
+        return self.iterates(problem, z0)
+
+    def is_compiled_for(self, problem: LCP) -> bool:
+        """Return whether the first point of `named_iterates` after the start is the end of Lemke's compiled path."""
+        return False
+
     def finish(self, problem: LCP, z: Vector) -> Vector:
         """Return z after a last clean-up; the driver keeps it only if its certificate is no worse."""
         return z

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -22,6 +23,7 @@ DENSE_ABOVE_DENSITY = (
     0.25  # a denser matrix is an array: indices save little memory, and BLAS is fast
 )
 DENSE_UP_TO_SIZE = 5000  # rows: an array of .2 GB
+SHARED_UP_TO = 1000  # entries of bounds that problems share
 INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # files may hold 9.999999999999999e19
 
 
@@ -35,7 +37,7 @@ class derived_property(cached_property[T]):  # noqa: N801 - a decorator
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return a view that cannot be written to."""
     view = array.view()
-    view.flags.writeable = False
+    view.setflags(write=False)
     return view
 
 
@@ -330,6 +332,12 @@ def replace_huge_bounds_by_inf(lower: Vector, upper: Vector) -> tuple[Vector, Ve
     return read_only(lower), read_only(np.where(upper >= INFINITE_LIMIT, np.inf, upper))
 
 
+@lru_cache(16)
+def _equal_bounds(lower: float, upper: float, n: int) -> tuple[Vector, Vector]:
+    """Return bounds of n equal entries; problems share short ones."""
+    return read_only(np.full(n, lower)), read_only(np.full(n, upper))
+
+
 def checked_bounds(
     lower: Any, upper: Any, n: int, *, names: tuple[str, str] = ("lower", "upper")
 ) -> tuple[Vector, Vector]:
@@ -342,8 +350,8 @@ def checked_bounds(
     """
     are_numbers = type(lower) is type(upper) is float
     if are_numbers and -INFINITE_LIMIT < lower < INFINITE_LIMIT and lower <= upper:
-        ends = lower, upper if upper < INFINITE_LIMIT else np.inf
-        return read_only(np.full(n, ends[0])), read_only(np.full(n, ends[1]))
+        upper = upper if upper < INFINITE_LIMIT else math.inf
+        return (_equal_bounds if n <= SHARED_UP_TO else _equal_bounds.__wrapped__)(lower, upper, n)
     below, above = replace_huge_bounds_by_inf(
         checked_bound(lower, names[0], n), checked_bound(upper, names[1], n)
     )

@@ -184,6 +184,7 @@ CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "polish": _flag,
 }
 NONE_MEANS = {"max_iterations": 100_000, "max_seconds": math.inf}
+DEFAULT = Settings()  # of a call without options
 
 
 def checked_callback(callback: Any) -> Callable[..., Any] | None:

@@ -66,10 +66,8 @@ class Rounds(Algorithm):
                 yield Step(data.snap(normal(data, z))[0], work=entries / unit, label=label)
 
 
-def first_candidate(
-    problem: LCP, z0: Vector, tolerance: float
-) -> tuple[Measured, str, float] | None:
-    """Return the first point of :func:`candidates`, its method and its work; None unless the point is a solution.
+def first_candidate(problem: LCP, z0: Vector, tolerance: float) -> Any:
+    """Return the first point of :func:`candidates`, its rows, method and work; None unless the point is a solution.
 
     The result is also None if z0 or z° is a solution already, because a step is then superfluous.
     """
@@ -78,7 +76,22 @@ def first_candidate(
         return None
     label, z, entries = next(candidates(data, z0))
     found = measure(data, z, tolerance)
-    return (found, label, entries / max(problem.matrix.nonzeros, 1)) if found.passes else None
+    rows = found.rows if problem.matrix.is_dense else None  # of the stored M
+    work = entries / max(problem.matrix.nonzeros, 1)
+    return (found.z, rows, label, work) if found.passes else None
+
+
+def first_path_point(problem: LCP, tolerance: float) -> Any:
+    """Return the end of Lemke's compiled path, None, its method and its work, 0 at z°; None unless it is a solution."""
+    for z, bound in path_points(problem, tolerance):
+        if bound == math.inf or problem.origin is not None:
+            found = measure_finished(row_data(problem), z, tolerance, power=1.0)
+            if not found.passes:
+                return None
+            z = found.z  # noqa: PLW2901
+        is_start = (z == problem.nearest_to_zero).all()
+        return z, None, "lemke", 0.0 if is_start else float(problem.n)
+    return None
 
 
 def is_small(problem: LCP) -> bool:
@@ -148,7 +161,13 @@ def measure(data: RowData, z: Vector, tolerance: float) -> Measured:
 
 def suits_loop(count: int, n: int) -> bool:
     """Return whether the compiled loop solves so many problems of n unknowns; it never depends on what is compiled."""
-    return count >= LOOP_FROM and n <= LOOP_UP_TO and find_spec("numba") is not None
+    return count >= LOOP_FROM and n <= LOOP_UP_TO and has_numba()
+
+
+@cache
+def has_numba() -> bool:
+    """Return whether numba is installed."""
+    return find_spec("numba") is not None
 
 
 def solve_stack(
@@ -189,18 +208,14 @@ def _solve_in_loop(
     for attempt in range(0 if starts is not None else ROUNDS, ROUNDS + 1):
         if not items.size:
             break
-        own = _select(arrays, items)
-        A, b, low, high, _ = own
+        A, b, low, high, begin = _select(arrays, items)
         if attempt < ROUNDS:
             scale = residual_scales(A.diagonal(axis1=-2, axis2=-1), np.abs(A).max(-1, initial=0.0))
             step = (times(A, z[items]) + b) / scale
             side = np.where(step >= z[items] - low, LOW, FREE + (step <= z[items] - high))
         else:
             side = _ends_of_paths(A, b, low, high)
-        x, bound = active_set_points(A, b, low, high, side, True), np.empty(items.size)
-        is_lost = np.isnan(x[:, 0])
-        bound_residuals(*own, float(tolerance), np.empty((2, q.shape[1])), x, bound)
-        x[is_lost, 0], bound[is_lost] = np.nan, np.inf
+        x, bound = _bounded_points(A, b, low, high, begin, side, tolerance)
         z[items], residual[items] = x, bound
         items = items[bound == np.inf]
     is_solved = residual < np.inf
@@ -209,6 +224,51 @@ def _solve_in_loop(
         found = measure(stack_of(*_select((M, q, lower, upper), rest)), z[rest], tolerance)
         z[rest], residual[rest], is_solved[rest] = found[:3]
     return z, residual, is_solved
+
+
+def _bounded_points(
+    M: Vector, q: Vector, lower: Any, upper: Any, start: Any, sides: Any, tolerance: float
+) -> tuple[Vector, Vector]:
+    """Return the points of active sets and bounds of their residuals, by kernels; NaN and ∞ if a system is singular."""
+    (count, n), z = q.shape, np.empty(q.shape)
+    solve_active_sets(
+        M,
+        q,
+        lower,
+        upper,
+        read_only(np.ascontiguousarray(sides)),
+        np.empty((n, n + 1)),
+        np.empty(n, np.int64),
+        z,
+    )
+    is_lost, bound = np.isnan(z[:, 0]), np.empty(count)
+    bound_residuals(M, q, lower, upper, start, float(tolerance), np.empty((2, n)), z, bound)
+    if is_lost.any():
+        z[is_lost, 0], bound[is_lost] = np.nan, np.inf
+    return z, bound
+
+
+def path_points(
+    problem: LCP, tolerance: float, z0: Vector | None = None
+) -> Iterator[tuple[Vector, float]]:
+    """Yield the point of the active set of z0 and the end of Lemke's compiled path, with bounds of their residuals.
+
+    A stack of one: the compiled loop has the same bits. A bound of ∞ means that the sufficient test does not
+    decide. Points that do not exist are left out.
+    """
+    M = read_only(problem.matrix.toarray()[None])
+    q, lower, upper = problem.q[None], problem.lower[None], problem.upper[None]
+    own = M, q, lower, upper, problem.nearest_to_zero[None]
+    for start in (None,) if z0 is None else (z0, None):
+        if start is None:
+            sides = _ends_of_paths(M, q, lower, upper)
+        else:
+            step = problem.slack(start) / problem.residual_scale
+            is_low, is_high = step >= start - problem.lower, step <= start - problem.upper
+            sides = np.where(is_low, LOW, FREE + is_high)[None]
+        z, bound = _bounded_points(*own, sides, tolerance)
+        if math.isfinite(z[0, 0]):
+            yield read_only(z[0]), float(bound[0])
 
 
 def _select(arrays: Any, items: Any) -> list[Any]:

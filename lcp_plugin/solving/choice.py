@@ -8,7 +8,7 @@ from ..algorithms import create, refusal_of_engine
 from ..core.algorithm import Algorithm
 from ..core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ..core.lcp import LCP
-from ..core.settings import BESIDE, OF_SOLVE, Settings
+from ..core.settings import BESIDE, DEFAULT, OF_SOLVE, Settings
 from ..engines.engine import Engine
 from ..methods.banded import banded_passes
 from ..methods.small import is_small
@@ -20,6 +20,8 @@ def parse_call(
     algorithm: str | Algorithm, wishes: dict[str, Any]
 ) -> tuple[Algorithm | None, Settings]:
     """Return the method (None for auto) and the settings of a call; `wishes` may contain z0 and callback."""
+    if not wishes:
+        return method_of(algorithm, wishes), DEFAULT
     settings = Settings(
         **{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE}
     )

@@ -105,7 +105,9 @@ class LCPRun(Run):
     def steps_of(self, stage: Stage) -> Iterator[Step]:
         """Yield the steps; none if a method of auto does not take this problem."""
         try:
-            yield from stage.algorithm.iterates(self.problem, self.z.copy())
+            is_chosen = stage.algorithm is self.chosen
+            steps = stage.algorithm.named_iterates if is_chosen else stage.algorithm.iterates
+            yield from steps(self.problem, self.z.copy())
         except (UnsuitableMatrix, UnsuitableProblem):
             if len(self.progress.stages) == 1 or stage.iterations > 0:
                 raise

@@ -12,9 +12,9 @@ from ..core.algorithm import Algorithm
 from ..core.checks import checked_start, read_only
 from ..core.deadline import Clock
 from ..core.lcp import LCP
-from ..methods.small import first_candidate
+from ..methods.small import first_candidate, first_path_point
 from .choice import GUESSED, parse_call, takes_rounds
-from .result import Callback, Result, StageRecord
+from .result import NOTHING_TO_DO, Callback, Result, StageRecord
 
 
 @np.errstate(all="ignore")
@@ -41,18 +41,20 @@ def solve_lcp(
     clock = Clock()
     method, settings = parse_call(algorithm, options)
     start = problem.nearest_to_zero if z0 is None else checked_start(problem, z0)
-    is_watched = settings.record or settings.verbose
+    is_watched = settings.record or settings.verbose or callback is not None
     is_limited = settings.max_seconds < math.inf or not settings.max_iterations
-    is_plain = not (is_watched or is_limited or settings.absolute_tolerance)
-    is_plain = is_plain and method is None and callback is None
-    if is_plain and getattr(problem.origin, "form", "") != "kkt" and takes_rounds(problem):
-        found = first_candidate(problem, start, settings.tolerance)
+    if not (is_watched or is_limited or settings.absolute_tolerance):
+        found = None
+        if method is not None:
+            if z0 is None and method.is_compiled_for(problem):
+                found = first_path_point(problem, settings.tolerance)
+        elif getattr(problem.origin, "form", "") != "kkt" and takes_rounds(problem):
+            found = first_candidate(problem, start, settings.tolerance)
         if found is not None:
-            point, label, work = found
-            stage = StageRecord(label, GUESSED, 1, work)
-            rows = point.rows if problem.matrix.is_dense else None  # of the stored M
-            z = read_only(point.z)
-            return Result.at(problem, z, stage, settings, clock.read(), rows)
+            z, rows, label, work = found
+            reason = GUESSED if method is None else "" if work else NOTHING_TO_DO
+            stage = StageRecord(label, reason, int(work > 0.0), work)
+            return Result.at(problem, read_only(z), stage, settings, clock.read(), rows, method)
     from .lcp_run import run_on  # with all methods, which a small problem does without
 
     return run_on(problem, method, settings, start, clock, callback)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ..proofs.bounds import ErrorBound
     from ..proofs.guarantees import Guarantee
 
+NOTHING_TO_DO = "the residual of the start is within the tolerance already; no iteration was needed"
 NEXT = "; next: "  # between the event and the next step
 
 
@@ -260,8 +261,8 @@ class Result(BaseResult):
 
     Attributes
     ----------
-    z, w : ndarray, shape (n,)
-        The best iterate and its slack M z + q, read-only; `x` is z.
+    z : ndarray, shape (n,)
+        The best iterate, read-only; `x` is z.
     status : Status
         Derived from the certificate; if the certificate does not pass, the reason for termination.
     certificate : Certificate
@@ -288,7 +289,6 @@ class Result(BaseResult):
     """
 
     z: Vector
-    w: Vector
     certificate: Certificate
     work: float
     setup_seconds: float
@@ -307,6 +307,7 @@ class Result(BaseResult):
         settings: Settings,
         seconds: float = 0.0,
         rows: RowsAtPoint | None = None,
+        chosen: Algorithm | None = None,
     ) -> Result:
         """Return the result at a point that is measured as SOLVED, without another solve or measurement.
 
@@ -322,14 +323,14 @@ class Result(BaseResult):
             Seconds of the computation of z.
         rows : RowsAtPoint, optional
             The values of the rows at z, measured on :func:`~lcp_plugin.core.certificates.criterion.row_data`.
+        chosen : Algorithm, optional
+            The algorithm of the call; None for "auto".
         """
-        certificate = Certificate.at(problem, z, rows=rows)
         return cls(
             z=z,
-            w=certificate.w,
             status=Status.SOLVED,
-            certificate=certificate,
-            algorithm=f"auto: {stage.name}",
+            certificate=Certificate.at(problem, z, rows=rows),
+            algorithm=stage.name if chosen else f"auto: {stage.name}",
             iterations=stage.iterations,
             work=stage.work,
             seconds=seconds,
@@ -337,6 +338,7 @@ class Result(BaseResult):
             tolerance=settings.tolerance,
             absolute_tolerance=settings.absolute_tolerance,
             stages=(stage,),
+            _asked=chosen,
         )
 
     @cached_property
@@ -364,6 +366,11 @@ class Result(BaseResult):
         from .explanation import guarantee_of_choice
 
         return guarantee_of_choice(self.certificate.problem, self._asked)
+
+    @cached_property
+    def w(self) -> Vector:
+        """The slack M z + q, shape (n,), read-only; computed on first access."""
+        return self.certificate.w
 
     @property
     def x(self) -> Vector:

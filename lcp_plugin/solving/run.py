@@ -21,7 +21,7 @@ from ..core.errors import InvalidOption
 from ..core.lcp import LCP
 from ..core.settings import LIMITS, Settings, Status, checked_callback
 from ..proofs.verdicts import classes_in_words, sign_remark
-from .result import Callback, Result, Sample, StageRecord
+from .result import NOTHING_TO_DO, Callback, Result, Sample, StageRecord
 
 FIRST_CHECK = 10  # iteration of the first residual that the method does not report
 FIRST_FLOOR_CHECK = 25  # iterations without a fall
@@ -32,7 +32,6 @@ CUT_SHORT = (
     Status.INTERRUPTED,
     Status.DIVERGED,
 )  # the status of a point that does not pass
-NOTHING_TO_DO = "the residual of the start is within the tolerance already; no iteration was needed"
 
 
 class Named(NamedTuple):
@@ -377,7 +376,6 @@ class Run:
             common["stages"] = tuple(stages)
         result = kind(
             z=certificate.z,
-            w=certificate.w,
             certificate=certificate,
             absolute_tolerance=self.settings.absolute_tolerance,
             work=progress.work,

@@ -20,6 +20,7 @@ from ...core.executors import one_blas_thread, run_on
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status, checked_callback, checked_threads
 from ...methods.small import LOOP_UP_TO
+from ...solving.choice import method_of
 from ...solving.dispatch import solve
 from ...solving.result import BaseResult, Result, StageRecord
 from ..least_squares.certificate import Optimality
@@ -115,11 +116,13 @@ class BatchRun:
         problems, settings = self.problems, self.settings
         if self.algorithm not in problems.stacked_by or settings.absolute_tolerance:
             return
-        if settings.max_iterations < problems.fewest_iterations:
+        is_path = self.algorithm == "lemke" and not isinstance(problems, ProgramBatch)
+        if settings.max_iterations < (1 if is_path else problems.fewest_iterations):
             return
         has_time = partial(is_before, time.time() + self.seconds_left)  # of the day, on all workers
         threads = self.threads if executor is None else MAX_JOBS
-        stacks = [*problems.stacks(settings.tolerance, has_time, threads)]
+        kind = problems.path_stacks if is_path else problems.stacks
+        stacks = [*kind(settings.tolerance, has_time, threads)]
         if executor is not None:
             for k, found in self._finished(executor, [solve_stack for _, solve_stack in stacks]):
                 self._take(stacks[k][0], *found)
@@ -224,8 +227,11 @@ class BatchRun:
                 named = {"status": Status.SOLVED, "algorithm": "normal equations"}
                 return LeastSquaresResult.at(point, **named, **run)
         if isinstance(problem, LCP):
-            stage = StageRecord("rounds", "one of a stack of small problems", iterations, 0.0)
-            return Result.at(problem, read_only(z[: problem.n]), stage, settings, share)
+            chosen = method_of(self.algorithm, {})
+            name = "rounds" if chosen is None else chosen.name
+            stage = StageRecord(name, "one of a stack of small problems", iterations, 0.0)
+            z = read_only(z[: problem.n])
+            return Result.at(problem, z, stage, settings, share, chosen=chosen)
         found = solve_one(problem, z[: problem.n], self.algorithm, self.options)
         stage = StageRecord("nsgs", "one of a stack over the same cones", iterations, iterations)
         named = {"iterations": iterations, "work": iterations + 1.0, "stages": (stage,)}

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ...core.checks import checked_start, read_only, real_array, replace_huge_bounds_by_inf
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
-from ...methods.small import SMALL_DENSE, is_small, solve_stack, suits_loop
+from ...methods.small import LOOP_UP_TO, SMALL_DENSE, has_numba, is_small, solve_stack, suits_loop
 from ...solving.choice import takes_rounds
 from ...systems.free_systems import products
 from ...systems.graph import outer_on_pattern, sum_of_outer
@@ -64,11 +64,14 @@ class Group(NamedTuple):
         shape = self.items.size, self.M.shape[1]
         return [np.broadcast_to(getattr(self, name), shape) for name in names]
 
-    def stacks(self, tolerance: float) -> Stacks:
-        """Yield stacks of at most 5 to 10 ms, eight or more in a large batch: each thread has a part."""
+    def stacks(self, tolerance: float, *, is_path: bool = False) -> Stacks:
+        """Yield stacks of at most 5 to 10 ms, eight or more in a large batch: each thread has a part.
+
+        If `is_path`, the compiled loop takes any number of problems, as Lemke's method of that name.
+        """
         n, count = self.M.shape[1], self.items.size
         size = max(min(WORK // n**2, max(SHORTEST, count // 8)), 1)
-        is_compiled = suits_loop(count, n)
+        is_compiled = is_path or suits_loop(count, n)
         for first in range(0, count, size):
             part = self.select(slice(first, first + size))
             names = ("q", "lower", "upper", *(["starts"] if part.starts.shape[1] else []))
@@ -79,14 +82,24 @@ class Group(NamedTuple):
 class Instances:
     """The instances of a batch."""
 
-    item, are_lcps = "problem", False
+    item, are_lcps, is_cold = "problem", False, False
     #: Algorithms that stacks replace, and the fewest max_iterations with which they do.
-    stacked_by: tuple[str, ...] = ("auto",)
+    stacked_by: tuple[str, ...] = ("auto", "lemke")
     fewest_iterations = 200
     errors: Mapping[int, LCPError] = MappingProxyType({})
 
     def start(self, k: int) -> Any:
         """Return the start of problem k, or None."""
+
+    def groups(self) -> Iterator[Group]:
+        """Yield the small LCPs, grouped by size."""
+        return iter(())
+
+    def path_stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
+        """Yield the LCPs for which "lemke" is the compiled path: without starts, at most 128 unknowns."""
+        for group in self.groups() if self.is_cold and has_numba() else ():
+            if group.M.shape[1] <= LOOP_UP_TO:
+                yield from group.stacks(tolerance, is_path=True)
 
     def are_rejected(self, items: Any, z: Any, tolerance: float) -> Any:
         """Return the problems whose origin rejects the point, bool: a program, by its duality gap."""
@@ -115,7 +128,7 @@ class Listed(Instances):
     """
 
     def __init__(self, problems: Sequence[Any], z0: Any) -> None:
-        self.problems, self.starts = problems, z0
+        self.problems, self.starts, self.is_cold = problems, z0, z0 is None
         is_list = hasattr(z0, "__len__") and not isinstance(z0, str)
         if z0 is not None and not (is_list and len(z0) == len(problems)):
             raise InvalidOption(f"z0 must be a list of {len(problems)} starts, or None")
@@ -323,7 +336,7 @@ class Stacked(Rows):
         named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
         counts = {"M": len(self.M)} if self.M.ndim == 3 else {}
         super().__init__({name: (values, n) for name, values in named.items()}, counts)
-        self.base = given
+        self.base, self.is_cold = given, z0 is None
         if given is None and self.M.ndim == 2:
             self.base = LCP(self.M, np.zeros(n))
         is_good = np.isfinite(self.rows["q"]).all(1)

@@ -164,3 +164,25 @@ def test_the_far_field_of_a_batch_is_solved_to_its_terms() -> None:
     w, terms = batch.z @ M.T + q, batch.z @ np.abs(M).T + np.abs(q)
     assert (np.abs(w) <= 1e-6 * terms).all()
     assert (batch.z > 0.0).all()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_lemke_by_name_has_the_bits_of_a_batch_and_of_a_watched_run(
+    family: str, draws: Callable[..., range]
+) -> None:
+    """The compiled path solves a problem by itself, in a batch of any size and under watch or limits with one z."""
+    problems = draw(family, len(draws(6, 2)), 9)
+    batch = solve_batch(problems, algorithm="lemke", prove_infeasibility=False)
+    for k, drawn in enumerate(problems):
+        how = {"prove_infeasibility": False}
+        alone = solve(drawn, "lemke", **how)
+        assert not alone.is_solved or not ExactData(drawn).is_lie(alone.z, 1e-8)
+        for watch in (
+            {"record": True},
+            {"callback": lambda sample, z: False},
+            {"max_seconds": 60.0},
+            {"z0": drawn.nearest_to_zero},
+        ):
+            assert told(solve(drawn, "lemke", **how, **watch)) == told(alone)
+        assert alone.status is batch.status[k]
+        assert not alone.is_solved or alone.z.tobytes() == batch[k].z.tobytes()

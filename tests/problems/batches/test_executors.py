@@ -78,7 +78,7 @@ BATCHES: dict[str, tuple[tuple[Any, ...], dict[str, Any]]] = {
     "a list that starts without a start": ((PAIR,), {"z0": [None, np.ones(2)]}),
     "one matrix": ((LCP(M[0], Q[0]), Q), {"upper": 1.0}),
     "a list": (([LCP(M[k], Q[k]) for k in range(9)] + [LCP([[2.0]], [-1.0])],), {}),
-    "a named algorithm": ((M, Q), {"algorithm": "lemke"}),
+    "a named algorithm": ((M, Q), {"algorithm": "newton"}),
     "least squares": ((FIT, RNG.normal(size=(30, 7))), {}),
     "programs": ((PROGRAM, RNG.normal(size=(30, 3))), {}),
     "contacts": (
@@ -120,7 +120,7 @@ def test_a_batch_on_an_executor_has_the_results_of_one_process(name: str) -> Non
 def test_processes_solve_a_batch_and_use_one_thread(pool: ProcessPoolExecutor) -> None:
     """Two spawned processes return the points of this one; the progress is reported in numbers of problems."""
     seen: list[tuple[int, int]] = []
-    named: dict[str, Any] = {"algorithm": "lemke", "executor": pool}
+    named: dict[str, Any] = {"algorithm": "newton", "executor": pool}
     found = solve_batch(M, Q, callback=lambda *counts: seen.append(counts), **named)
     np.testing.assert_allclose(found.x, solve_batch(M, Q).x, atol=1e-9)
     assert seen[-1] == (40, 40)
@@ -155,7 +155,7 @@ def test_a_lost_chunk_ends_a_batch_and_the_finished_results_stay(breaks: bool) -
     """The results before the loss keep their status; nothing is submitted a second time."""
     executor = Here((3,), breaks=breaks)
     with pytest.raises(BrokenProcessPool, match="a worker died") as lost:
-        solve_batch(M, Q, algorithm="lemke", executor=executor)
+        solve_batch(M, Q, algorithm="newton", executor=executor)
     finished: Any = lost.value.finished  # type: ignore[attr-defined]
     solved = [one is Status.SOLVED for one in finished.status]
     assert solved[:3] == [True] * 3
@@ -244,7 +244,7 @@ def test_a_wrong_option_and_an_error_of_the_solver_are_raised_as_without_an_exec
 
 def test_a_callback_ends_a_batch_on_an_executor() -> None:
     """Problems without a result are INTERRUPTED after the callback."""
-    named: dict[str, Any] = {"algorithm": "lemke", "executor": Here()}
+    named: dict[str, Any] = {"algorithm": "newton", "executor": Here()}
     ended = solve_batch(M, Q, callback=lambda *_: True, **named)
     assert {*ended.status} == {Status.INTERRUPTED, Status.SOLVED}
 

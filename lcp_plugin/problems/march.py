@@ -32,7 +32,7 @@ from ..core.certificates.criterion import RowData
 from ..core.checks import Vector, derived_property, read_only
 from ..core.deadline import Clock
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem, did_you_mean
-from ..core.kernels.floats import EPSILON
+from ..core.kernels.floats import EPSILON, MAY_UNDERFLOW
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, connected_components, row_numbers
 from ..core.problem_classes import class_of, classes_of, refusal
@@ -46,7 +46,7 @@ from ..solving.lcp_solver import solve_lcp
 from ..solving.plan import plan
 from ..solving.result import Result, StageRecord
 from ..systems.factors import BANDED_UP_TO, Bands, bands
-from ..systems.graph import bandwidth, sum_of_outer
+from ..systems.graph import bandwidth, outer_on_pattern, sum_of_outer
 from .cones.data import Blocks
 from .many import AnswerSequence, length_of_all, rows_of_a_batch
 
@@ -138,11 +138,13 @@ class March(AnswerSequence[Result]):
     Parameters
     ----------
     problem, forcing, propagator, z0 : problem, array of shape (k, n), csr_array of shape (n, n), array of shape (n,)
-    keep : int
-        The arguments of :func:`march`; keep 0 means the last step only.
+    data : StepData
+        The data that change from step to step.
 
     Attributes
     ----------
+    keep : int
+        The argument of :func:`march`; 0 means the last step only.
     z : array, shape (k, n)
         The solution of each kept step, a row each.
     steps : list of int
@@ -159,10 +161,10 @@ class March(AnswerSequence[Result]):
     all_solved = True
 
     def __init__(
-        self, problem: Any, forcing: Vector, propagator: sp.csr_array, z0: Vector, keep: int = 1
+        self, problem: Any, forcing: Vector, propagator: sp.csr_array, z0: Vector, data: StepData
     ) -> None:
         self.problem, self.forcing, self.propagator, self.z0 = problem, forcing, propagator, z0
-        self.keep, self.steps, self.taken = keep, list[int](), 0
+        self.data, self.keep, self.steps, self.taken = data, 1, list[int](), 0
         self.seconds = 0.0
         self.error: LCPError | None = None
         self.is_interrupted = False
@@ -231,7 +233,7 @@ class March(AnswerSequence[Result]):
 def take_steps_on_band(done: March, algorithm: Any, wishes: dict[str, Any], limit: float) -> None:
     """Take the steps of a march on a narrow band, until a time limit or an unsolved step."""
     problem, clock = done.problem, Clock()
-    if not isinstance(problem, LCP) or not problem.n:
+    if not isinstance(problem, LCP) or not problem.n or done.data.changes:
         return
     method, settings = parse_call(algorithm, wishes)
     is_watched = settings.record or settings.verbose
@@ -268,7 +270,8 @@ def take_steps(done: March, algorithm: Any, wishes: dict[str, Any], limit: float
     while done.taken < total and done.all_solved:
         step = done.taken
         try:
-            stated = problem.with_q(done.forcing[step] + propagator @ state)
+            stated = done.data.problem_at(problem, step)
+            stated = stated.with_q(done.forcing[step] + propagator @ state)
             left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
             if is_lcp and begin is not None:
                 within = parse_call("auto", {**wishes, **left})[1]
@@ -312,6 +315,83 @@ def checked_propagator(propagator: Any, n: int, name: str = "propagator") -> sp.
 
 
 BOUNDS = "lower", "upper"
+AT = "lower_at", "upper_at", "M_at"
+
+
+class StepData:
+    """Bounds and matrices that change from step to step, checked.
+
+    Parameters
+    ----------
+    k, n : int
+        Numbers of steps and of unknowns.
+    M_at : sequence of k matrices, callable or None
+    **bounds
+        Arrays of shape (k, n), or None for the bounds of the problem.
+
+    Raises
+    ------
+    InvalidProblem
+        If a number of rows is not k, or the data of a step are invalid; the message names the step.
+    """
+
+    def __init__(self, k: int, n: int, M_at: Any, problem: Any, **bounds: ArrayLike | None) -> None:
+        self.matrices: Any = M_at
+        is_list = M_at is not None and not callable(M_at)
+        if is_list and len(M_at) != k:
+            raise InvalidProblem(_wrong_count("M_at", len(M_at), k))
+        given = {name: values for name, values in bounds.items() if values is not None}
+        rows = {}
+        for name, values in given.items():
+            need = f"{name}_at must be an array of shape ({k}, {n}), a row per step"
+            rows[name] = checks.real_array(values, need)
+            if rows[name].ndim == 2 and len(rows[name]) != k:
+                raise InvalidProblem(_wrong_count(f"{name}_at", len(rows[name]), k))
+            if rows[name].shape != (k, n):
+                raise InvalidProblem(f"{need}, got shape {rows[name].shape}")
+        self.bounds: dict[str, Vector] = {name: np.empty((k, n)) for name in rows}
+        for step in range(k if rows else 0):
+            low, high = (
+                rows[one][step] if one in rows else getattr(problem, one) for one in BOUNDS
+            )
+            try:
+                pair = checks.checked_bounds(low, high, n, names=("lower_at", "upper_at"))
+            except InvalidProblem as error:
+                raise InvalidProblem(f"step {step}: {error}") from error
+            for name, values in zip(BOUNDS, pair, strict=True):
+                if name in rows:
+                    self.bounds[name][step] = values
+        self._last: Any = None, None
+        for step in range(k if is_list else 0):
+            self._with_matrix(problem, step)
+
+    @property
+    def changes(self) -> bool:
+        """Whether anything changes."""
+        return self.matrices is not None or bool(self.bounds)
+
+    def problem_at(self, problem: Any, step: int) -> Any:
+        """Return the problem of a step, with any q."""
+        problem = problem if self.matrices is None else self._with_matrix(problem, step)
+        rows = {name: bounds[step] for name, bounds in self.bounds.items()}
+        return problem.with_q(problem.q, **rows) if rows else problem
+
+    def _with_matrix(self, problem: LCP, step: int) -> LCP:
+        """Return the problem with the matrix of a step; equal objects in a row share the facts about it."""
+        M = self.matrices(step) if callable(self.matrices) else self.matrices[step]
+        if M is not self._last[0]:
+            try:
+                made = LCP(M, problem.q, lower=problem.lower, upper=problem.upper)
+            except InvalidProblem as error:
+                raise InvalidProblem(f"M_at of step {step}: {error}") from error
+            self._last = M, made
+        found: LCP = self._last[1]
+        return found
+
+
+def _wrong_count(name: str, count: int, k: int) -> str:
+    missing = f"step {count} has none" if count < k else f"step {k} does not exist"
+    return f"{name} must have one entry per step, {k} as forcing has rows, got {count}: {missing}"
 
 
 @np.errstate(all="ignore")
@@ -322,6 +402,9 @@ def march(
     *,
     lower: ArrayLike | None = None,
     upper: ArrayLike | None = None,
+    lower_at: ArrayLike | None = None,
+    upper_at: ArrayLike | None = None,
+    M_at: Any = None,
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
     max_seconds: float | None = None,
@@ -344,6 +427,13 @@ def march(
         implicit Euler step (I + Δt A) z = z_before has −1.
     lower, upper : number or array, shape (n,) or (m, n), optional
         Replace the bounds of an LCP in all steps. If k marches of k steps are meant, give forcing the shape (k, k, n).
+    lower_at, upper_at : array, shape (k, n), optional
+        Bounds of each step, for all marches, such as the dates of a Bermudan option (−∞ between them) or an obstacle
+        that moves.
+    M_at : sequence of k arrays or sparse arrays, shape (n, n), or callable, optional
+        Matrix of each step, for all marches, in place of the matrix of `problem`, such as of a local volatility. A
+        callable gets the number of a step, from 0; `derivative` calls it again. Consecutive steps with the same object
+        share its factors.
     z0 : array, shape (n,) or (m, n), optional
         The state before the first step; by default the point of [lower, upper] nearest to 0.
     max_seconds : float, optional
@@ -397,6 +487,9 @@ def march(
     >>> caps = [[1, 1], [0.5, 1], [0.25, 1]]
     >>> [done.z[-1].round(3).tolist() for done in march(rod, [[-1, 0], [-1, 0]], z0=[1, 1], upper=caps)]
     [[0.781, 0.469], [0.5, 0.333], [0.25, 0.222]]
+    >>> march(rod, [[-1, 0], [-1, 0]], z0=[1, 1], lower_at=[[0, 0], [0, 0.6]]).z.round(3)
+    array([[0.875, 0.625],
+           [0.825, 0.6  ]])
     >>> stiffer = LCP([[4, -2], [-2, 4]], [0, 0], upper=1)
     >>> [done.z[-1].round(3) for done in march([rod, stiffer], [[-1, 0], [-1, 0]], z0=[1, 1])]
     [array([0.781, 0.469]), array([0.722, 0.528])]
@@ -414,7 +507,11 @@ def march(
     given = zip((*BOUNDS, "z0"), of_states, strict=True)
     states = {name: values for name, values in given if values is not None}
     call = algorithm, wishes
-    marches = _begin(problems, forcing, propagator, states, call, are_many=are_many)
+    at = {"lower": lower_at, "upper": upper_at, "M_at": M_at}
+    for name in BOUNDS:
+        if name in states and at[name] is not None:
+            raise InvalidOption(f"{name} and {name}_at exclude each other; leave out {name}")
+    marches = _begin(problems, forcing, propagator, states, at, call, are_many=are_many)
     every = 0 if keep == "last" else whole_number(keep, "keep", 1, ', or "last"')
     for k, one in enumerate(marches):
         one.keep, begun = every, clock.read()
@@ -439,7 +536,7 @@ def _require_constant_bounds(forcing: ArrayLike, **bounds: ArrayLike | None) -> 
         if _axes(values) == _axes(forcing) == 2 and len(values) == len(forcing) > 1:  # type: ignore[arg-type]
             k = len(forcing)  # type: ignore[arg-type]
             raise InvalidProblem(
-                f"{name} has {k} rows, and forcing has {k} steps: march step by step with solve and z0 for these; "
+                f"{name} has {k} rows, and forcing has {k} steps: write {name}_at={name} for bounds of the steps; "
                 f"for {k} marches with bounds of their own write np.broadcast_to(forcing, (k, k, n))"
             )
 
@@ -453,20 +550,37 @@ def _axes(values: Any) -> int:
 
 
 def _begin(
-    problems: list[Any], forcing: Any, propagator: Any, states: Any, call: Any, *, are_many: bool
+    problems: list[Any],
+    forcing: Any,
+    propagator: Any,
+    states: Any,
+    at: dict[str, Any],
+    call: Any,
+    *,
+    are_many: bool,
 ) -> list[March]:
     """Return the marches before their first steps; raise an error for invalid data."""
     (algorithm, wishes), n = call, getattr(problems[0], "n", 0)
     for j, one in enumerate(problems):
         if class_of(one) not in classes_of("march"):
             raise InvalidOption(refusal("march", one))
-        if not isinstance(one, LCP) and states.keys() - {"z0"}:
-            raise InvalidOption(f"a {class_of(one)} has no lower and upper; leave them out")
+        if not isinstance(one, LCP) and (
+            states.keys() - {"z0"} or any(values is not None for values in at.values())
+        ):
+            raise InvalidOption(f"a {class_of(one)} has no lower, upper and M_at; leave them out")
         if one.n != n:
             raise InvalidProblem(
                 f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; call march once per size"
             )
-    others = "problem", "forcing", "propagator", *BOUNDS, "algorithm", "keep"  # no options of solve
+    others = (
+        "problem",
+        "forcing",
+        "propagator",
+        *BOUNDS,
+        *AT,
+        "algorithm",
+        "keep",
+    )  # no options of solve
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         hint = did_you_mean(unknown[0], (*others, *OF_SOLVE))
         raise InvalidOption(f"march has no option {unknown[0]!r}{hint}")
@@ -489,7 +603,8 @@ def _begin(
         stated, bounds = own["problem"], {name: own[name] for name in BOUNDS if name in own}
         stated = stated.with_q(stated.q, **bounds) if bounds else stated
         state = checks.checked_vector(own["z0"], "z0", n) if "z0" in own else stated.nearest_to_zero
-        marches.append(March(stated, own["forcing"], own["propagator"], state))
+        data = StepData(len(own["forcing"]), n, problem=stated, **at)
+        marches.append(March(stated, own["forcing"], own["propagator"], state, data))
     return marches
 
 
@@ -505,7 +620,6 @@ def _is_one_a_march(propagator: Any) -> bool:
 LEFT = 2.0**-20  # relative to the last change: bound of the remaining error
 CLEAR = 64.0  # times the rounding error
 KINK = 2  # times the side of a row at this bound with w = 0
-UNDERFLOWN = 2.0**-960  # below, a row's distance and slack have underflown: it is at its bound
 
 
 class Band(NamedTuple):
@@ -604,7 +718,7 @@ class Steps:
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
             above, below = z - lower, upper - z
             nearest = np.minimum(above, below) * scale
-            is_negligible = (nearest < UNDERFLOWN) & (np.abs(w) < UNDERFLOWN)
+            is_negligible = (nearest < MAY_UNDERFLOW) & (np.abs(w) < MAY_UNDERFLOW)
             found = np.where(above * scale <= w, -1, np.where(-below * scale >= w, 1, 0))
             found = np.where(is_negligible, np.where(above <= below, -1, 1), found)
             found = np.where(lower == upper, np.where(w < 0.0, 1, -1), found)
@@ -629,9 +743,12 @@ class Steps:
 
     def at(self, k: int) -> Derivative:
         """Return the derivative of a step by the data of the step."""
-        problem, z = self.march.problem.with_q(self.q[k]), self.states[k + 1]
+        march, z = self.march, self.states[k + 1]
+        problem = march.data.problem_at(march.problem, self.here.start + k).with_q(self.q[k])
         # The last factorization is used again if it fits
-        found = self.whole.derivative_at(problem, z, problem.slack(z), before=self.whole.before)
+        before = self.whole.before
+        before = before if before and before.problem.matrix is problem.matrix else None
+        found = self.whole.derivative_at(problem, z, problem.slack(z), before=before)
         self.whole.before = found
         return found
 
@@ -642,25 +759,28 @@ class Steps:
     def jvp(
         self, dM: Any, df: Vector, dC: Any, low: Vector, high: Vector, before: Vector
     ) -> Vector:
-        """Return the changes of the solutions for changes of M, forcing, propagator and bounds.
+        """Return the changes of the solutions for changes of M, forcing, propagator and bounds, a row per step.
 
-        At the call, `before` is the change of the state before the first step; the last change is written to it.
+        dM is one change for all steps, or a list of the changes of these steps. At the call, `before` is the change of
+        the state before the first step; the last change is written to it.
         """
         given = np.broadcast_to(df, self.z.shape) + (dC @ self.states[:-1].T).T
         value = np.where(self.sides < 0, low, np.where(self.sides > 0, high, 0.0))
 
         def solve_alone(k: int, before: Vector) -> Vector:
             alone = self.at(k)
-            dq = given[k] + self.march.propagator @ before + dM @ alone.z
-            return alone.jvp(dq=dq, dlower=low, dupper=high)
+            own = dM[k] if is_list else dM
+            dq = given[k] + self.march.propagator @ before + own @ alone.z
+            return alone.jvp(dq=dq, dlower=low[k], dupper=high[k])
 
-        forwards, right = np.arange(len(self)), given + (dM @ self.z.T).T
+        is_list, forwards = isinstance(dM, list), np.arange(len(self))
+        right = given if is_list else given + (dM @ self.z.T).T
         dz, _ = self._follow(self.whole.band, forwards, value, right, before, solve_alone)
         before[:] = dz[-1]
         return dz
 
     def vjp(self, g: Vector, after: Vector, of_bounds: Vector) -> Vector:
-        """Return the gradients by q, and add the gradients by the bounds to `of_bounds`.
+        """Return the gradients by q, and write the gradients by the bounds of each step to `of_bounds`.
 
         `after` is the gradient by q of the next step (0 if there is none), and is overwritten by the gradient of
         the first of these steps.
@@ -670,13 +790,13 @@ class Steps:
             alone = self.at(k)
             gradient = alone.vjp(g[k] + self.march.propagator.T @ after)
             self.z[k] = alone.z
-            of_bounds[:] += gradient.lower, gradient.upper
+            of_bounds[:, k] = gradient.lower, gradient.upper
             return np.asarray(gradient.q)
 
         order, none = np.arange(len(self))[::-1], np.zeros(g.shape)
         by_q, w = self._follow(self.whole.transposed, order, none, g[order], after, solve_alone)
         side = self.sides[order]
-        of_bounds[:] += (w * (side < 0)).sum(axis=0), (w * (side > 0)).sum(axis=0)
+        of_bounds[:, order] += w * (side < 0), w * (side > 0)
         after[:] = by_q[-1]
         return by_q[order]
 
@@ -711,16 +831,19 @@ class MarchGradient(NamedTuple):
         Gradients by the state before the first step, also for the default z0, and by the bounds of all steps.
     M, propagator : csr_array, shape (n, n)
         Gradients by the entries of M and the propagator, on their sparsity patterns. For a number as propagator, use
-        the sum of the diagonal.
-    forcing : array, shape (k, n)
+        the sum of the diagonal. With `M_at`, M is a list of the gradients by the matrix of each step.
+    forcing, lower_at, upper_at : array, shape (k, n)
+        Gradients by the forcing and the bounds of each step.
     """
 
     z0: Vector
     lower: Vector
     upper: Vector
-    M: sp.csr_array
+    M: Any
     propagator: sp.csr_array
     forcing: Vector
+    lower_at: Vector
+    upper_at: Vector
 
 
 class MarchDerivative:
@@ -804,6 +927,9 @@ class MarchDerivative:
         dz0: Any = None,
         dlower: Any = None,
         dupper: Any = None,
+        dlower_at: Any = None,
+        dupper_at: Any = None,
+        dM_at: Any = None,
         only_last: bool = False,
         **unknown: Any,
     ) -> Vector:
@@ -820,6 +946,10 @@ class MarchDerivative:
         dz0 : array, shape (n,), optional
         dlower, dupper : number or array, shape (n,), optional
             Changes of the bounds; only active bounds matter.
+        dlower_at, dupper_at : array, shape (k, n), optional
+            Changes of the bounds of each step, in addition.
+        dM_at : sequence of k arrays or sparse arrays, shape (n, n), or callable, optional
+            Changes of the matrix of each step; a callable returns the change for the number of a step.
         only_last : bool
             If True, return only the change of the last solution.
 
@@ -844,7 +974,15 @@ class MarchDerivative:
                [0.15625, 0.09375]])
         """
         if unknown:
-            known = "dM", "dforcing", "dpropagator", "dz0", "dlower", "dupper", "only_last"
+            known = (
+                "dM",
+                "dforcing",
+                "dpropagator",
+                "dz0",
+                "dlower",
+                "dupper",
+                *(f"d{one}" for one in AT),
+            )
             name, hint = next(iter(unknown)), did_you_mean(next(iter(unknown)), known)
             hint = "; the q of the steps change by dforcing" if name == "dq" else hint
             raise InvalidOption(f"jvp of a march has no option {name!r}{hint}")
@@ -854,13 +992,22 @@ class MarchDerivative:
         none = sp.csr_array((n, n))
         dM = none if dM is None else sp.csr_array(checks.rectangular_matrix(dM, "dM", n, n))
         dC = none if dpropagator is None else checked_propagator(dpropagator, n, "dpropagator")
-        low = checks.change_of_vector(dlower, "dlower", n, may_be_number=True)
-        high = checks.change_of_vector(dupper, "dupper", n, may_be_number=True)
+        given = {"dlower": (dlower, dlower_at), "dupper": (dupper, dupper_at)}
+        low, high = (
+            np.broadcast_to(checks.change_of_vector(one, name, n, may_be_number=True), (steps, n))
+            + (0.0 if each is None else _rows(each, f"{name}_at", steps, n, "all steps"))
+            for name, (one, each) in given.items()
+        )
+        if dM_at is not None and not callable(dM_at) and len(dM_at) != steps:
+            raise InvalidProblem(_wrong_count("dM_at", len(dM_at), steps))
         before = checks.change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():
             own = rows[part.here] if rows.ndim > 1 else rows
-            changes = part.jvp(dM, own, dC, low, high, before)
+            of_M = (
+                dM if dM_at is None else [dM + self._change(dM_at, k) for k in _numbers(part.here)]
+            )
+            changes = part.jvp(of_M, own, dC, low[part.here], high[part.here], before)
             if not only_last:
                 dz[part.here] = changes
         return before if only_last else dz
@@ -896,21 +1043,33 @@ class MarchDerivative:
         n, steps = self.march.problem.n, len(self)
         rows = np.array(_rows(g, "g", steps, n, "the last answer alone"))
         M, propagator = self.march.problem.csr, self.march.propagator
-        after, of_bounds, forcing = np.zeros(n), np.zeros((2, n)), np.empty((steps, n))
-        of_M, of_C = np.zeros(M.nnz), np.zeros(propagator.nnz)
+        after, of_bounds, forcing = np.zeros(n), np.zeros((2, steps, n)), np.empty((steps, n))
+        of_M, of_C, each = np.zeros(M.nnz), np.zeros(propagator.nnz), list[Any]()
+        data = self.march.data
         for part in self._parts(backwards=True):
             own = np.zeros(part.z.shape)
             if rows.ndim > 1:
                 own[:] = rows[part.here]
             elif part.here.stop == steps:
                 own[-1] = rows
-            by_q = forcing[part.here] = part.vjp(own, after, of_bounds)
-            of_M += sum_of_outer(M, by_q, part.z).data
+            by_q = forcing[part.here] = part.vjp(own, after, of_bounds[:, part.here])
+            if data.matrices is None:
+                of_M += sum_of_outer(M, by_q, part.z).data
+            else:
+                at = (data.problem_at(self.march.problem, k).matrix for k in _numbers(part.here))
+                each[:0] = [*map(outer_on_pattern, at, by_q, part.z)]
             of_C += sum_of_outer(propagator, by_q, part.states[:-1]).data
         z0 = propagator.T @ after if steps else rows if rows.ndim == 1 else after
-        by_M = sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n))
+        by_M: Any = sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n))
+        by_M = by_M if data.matrices is None else each
         by_C = sp.csr_array((of_C, propagator.indices, propagator.indptr), shape=(n, n))
-        return MarchGradient(z0, of_bounds[0], of_bounds[1], by_M, by_C, forcing)
+        lower, upper = of_bounds.sum(axis=1)
+        return MarchGradient(z0, lower, upper, by_M, by_C, forcing, of_bounds[0], of_bounds[1])
+
+    def _change(self, dM_at: Any, k: int) -> sp.csr_array:
+        """Return the change of the matrix of step k."""
+        n, given = self.march.problem.n, dM_at(k) if callable(dM_at) else dM_at[k]
+        return sp.csr_array(checks.rectangular_matrix(given, f"dM_at of step {k}", n, n))
 
     def _parts(self, *, backwards: bool = False) -> Iterator[Steps]:
         """Yield the steps in blocks, with their classified rows."""
@@ -922,14 +1081,22 @@ class MarchDerivative:
 
     @derived_property
     def band(self) -> Band | None:
-        """The march's band, None if M has no narrow one."""
+        """The march's band, None if M has no narrow one, or if data change from step to step."""
+        if self.march.data.changes:
+            return None
         return Band.of(self.march.problem.matrix, self.march.propagator)
 
     @derived_property
     def transposed(self) -> Band | None:
         """The band of the transposed matrices."""
+        if self.march.data.changes:
+            return None
         M, C = (sp.csr_array(one.T) for one in (self.march.problem.csr, self.march.propagator))
         return Band.of(Matrix(M), C)
+
+
+def _numbers(here: slice) -> range:
+    return range(here.start, here.stop)
 
 
 def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> Vector:

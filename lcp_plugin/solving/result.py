@@ -350,7 +350,7 @@ class Result(BaseResult):
         """
         from ..proofs.bounds import error_bound  # with proofs, which a solve does without
 
-        if type(self.certificate.criterion) is not RowData:
+        if type(getattr(self.certificate, "criterion", None)) is not RowData:
             return None
         try:
             return error_bound(self.certificate.problem, self.z)

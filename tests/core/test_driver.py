@@ -19,7 +19,9 @@ from inputs.families import BOUNDED, DIRECT
 
 from lcp_plugin import (
     LCP,
+    FrictionalContact,
     InvalidOption,
+    NonlinearProblem,
     NotConverged,
     QuadraticProgram,
     Result,
@@ -372,9 +374,11 @@ def test_copies_of_a_result_are_read_only(duplicate: Callable[[Result], Result])
 
 
 def test_where_no_bound_exists_the_result_has_none() -> None:
-    """If a matrix allows no bound, error_bound is None."""
+    """If a matrix allows no bound, and for contacts and nonlinear problems, error_bound is None."""
     game = LCP([[0.0, 1.0], [1.0, 0.0]], [-1.0, -1.0])
-    assert solve(game).error_bound is None
+    contact = FrictionalContact(np.eye(2), [-1.0, 0.5], 0.5)
+    for problem, start in ((game, None), (contact, None), (NonlinearProblem(np.expm1), 0.5)):
+        assert solve(problem, **({} if start is None else {"x0": start})).error_bound is None
 
 
 @pytest.mark.parametrize("form", [np.array, sp.csr_array], ids=["dense", "sparse"])

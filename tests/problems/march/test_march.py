@@ -53,7 +53,8 @@ def test_bounds_with_as_many_rows_as_steps_are_refused(name: str) -> None:
     rod, forcing = LCP([[3.0, -1.0], [-1.0, 3.0]], [0.0, 0.0]), -np.ones((3, 2))
     ends = 0.1 * np.arange(6.0).reshape(3, 2)
     with pytest.raises(
-        InvalidProblem, match=rf"{name} has 3 rows, and forcing has 3 steps.*step by"
+        InvalidProblem,
+        match=rf"{name} has 3 rows, and forcing has 3 steps.*write {name}_at={name} ",
     ):
         march(rod, forcing, **{name: ends})
     many = march(rod, np.broadcast_to(forcing, (3, 3, 2)), **{name: ends})

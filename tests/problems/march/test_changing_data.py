@@ -1,0 +1,210 @@
+"""Marches whose bounds or matrix change from step to step: option prices, derivatives, refusals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.interpolate import CubicSpline
+
+from lcp_plugin import (
+    LCP,
+    FrictionalContact,
+    InvalidOption,
+    InvalidProblem,
+    derivative,
+    march,
+    solve,
+)
+
+STRIKE, RATE = 40.0, 0.06
+SPOTS = np.array([36.0, 38.0, 40.0, 42.0, 44.0])
+# Longstaff, Schwartz 2001, doi:10.1093/rfs/14.1.113, Table 1: σ = .2, T = 1, 50 dates, finite differences
+PUBLISHED = [4.478, 3.250, 2.314, 1.617, 1.110]
+
+
+def black_scholes(x: Any, volatility: Any) -> sp.csr_array:
+    """Return the negative generator in log prices x, with zero rows at both ends."""
+    h = x[1] - x[0]
+    variance = np.broadcast_to(volatility, x.shape) ** 2
+    diffusion, drift = 0.5 * variance / h**2, (RATE - 0.5 * variance) / (2.0 * h)
+    rows = np.stack([drift - diffusion, 2.0 * diffusion + RATE, -drift - diffusion])
+    rows[:, [0, -1]] = 0.0
+    return sp.diags_array([rows[0, 1:], rows[1], rows[2, :-1]], offsets=[-1, 0, 1], format="csr")
+
+
+def binomial(spot: float, dates: int, each: int) -> float:
+    """Return the value of a Bermudan put on a binomial tree with so many steps for each date."""
+    steps = dates * each
+    dt = 1.0 / steps
+    up = np.exp(0.2 * np.sqrt(dt))
+    p, discount = (np.exp(RATE * dt) - 1.0 / up) / (up - 1.0 / up), np.exp(-RATE * dt)
+    value = np.maximum(STRIKE - spot * up ** (2.0 * np.arange(steps + 1) - steps), 0.0)
+    for i in range(steps - 1, -1, -1):
+        value = discount * (p * value[1:] + (1.0 - p) * value[:-1])
+        if i % each == 0:
+            value = np.maximum(value, STRIKE - spot * up ** (2.0 * np.arange(i + 1) - i))
+    return float(value[0])
+
+
+def test_bermudan_puts_have_their_published_values() -> None:
+    """In one call, within 2e-3 of Longstaff and Schwartz, and within 1e-3 of a binomial tree with 50 dates."""
+    x, dates, each = np.linspace(np.log(STRIKE) - 1.5, np.log(STRIKE) + 1.5, 401), 50, 20
+    k, payoff = dates * each, np.maximum(STRIKE - np.exp(x), 0.0)
+    A, dt = black_scholes(x, 0.2), 1.0 / (dates * each)
+    M, C = sp.eye_array(x.size) + 0.5 * dt * A, 0.5 * dt * A - sp.eye_array(x.size)
+    lower_at = np.full((k, x.size), -np.inf)
+    lower_at[each - 1 :: each] = payoff
+    done = march(LCP(M, np.zeros(x.size)), np.zeros((k, x.size)), C, lower_at=lower_at, z0=payoff)
+    assert done.all_solved
+    found = CubicSpline(x, done.z[-1])(np.log(SPOTS))
+    np.testing.assert_allclose(found, PUBLISHED, rtol=0.0, atol=2e-3)
+    trees = [binomial(spot, dates, 40) for spot in SPOTS]
+    np.testing.assert_allclose(found, trees, rtol=0.0, atol=1e-3)
+
+
+def local(x: Any, to_maturity: float) -> Any:
+    """Return a local volatility, larger at low prices and early."""
+    return 0.2 + 0.1 * np.exp(-((x - np.log(30.0)) ** 2) / 0.1) * (0.5 + to_maturity)
+
+
+def test_a_put_of_local_volatility_is_that_of_a_tree() -> None:
+    """An American put by M_at, within 1e-3 of a trinomial tree over the same prices in time."""
+    x, k = np.linspace(np.log(STRIKE) - 1.5, np.log(STRIKE) + 1.5, 501), 800
+    payoff, identity = np.maximum(STRIKE - np.exp(x), 0.0), sp.eye_array(x.size)
+
+    def matrix(step: int) -> Any:
+        return identity + black_scholes(x, local(x, (step + 1.0) / k)) / k
+
+    put = LCP(matrix(0), np.zeros(x.size), lower=payoff)
+    done = march(put, np.zeros((k, x.size)), M_at=matrix, z0=payoff)
+    assert done.all_solved
+    fine, steps = np.linspace(x[0], x[-1], 601), 6000
+    h, dt, exercise = fine[1] - fine[0], 1.0 / steps, np.maximum(STRIKE - np.exp(fine), 0.0)
+    value = exercise.copy()
+    for i in range(steps):
+        variance = local(fine, i * dt) ** 2
+        drift = (RATE - 0.5 * variance) * dt / h
+        second = variance * dt / h**2 + drift**2
+        up, down = 0.5 * (second + drift)[1:-1], 0.5 * (second - drift)[1:-1]
+        inner = up * value[2:] + down * value[:-2] + (1.0 - up - down) * value[1:-1]
+        value[1:-1] = np.maximum(inner / (1.0 + RATE * dt), exercise[1:-1])
+    ours = CubicSpline(x, done.z[-1])(np.log(SPOTS))
+    tree = CubicSpline(fine, value)(np.log(SPOTS))
+    np.testing.assert_allclose(ours, tree, rtol=0.0, atol=1e-3)
+
+
+def moving(n: int = 6, k: int = 5) -> dict[str, Any]:
+    """Return the arguments of a march with matrices and bounds of each step, some of which are active."""
+    rng = np.random.default_rng(12)
+    M_at = 0.2 * rng.normal(size=(k, n, n)) + 3.0 * np.eye(n)
+    data = {"problem": LCP(M_at[0], np.zeros(n)), "M_at": M_at, "z0": rng.normal(size=n)}
+    forcing, lower, upper = rng.normal(size=(3, k, n))
+    return data | {"forcing": forcing, "lower_at": lower - 0.3, "upper_at": upper + 3.0}
+
+
+@pytest.mark.parametrize("is_sparse", [False, True])
+def test_changes_of_the_data_of_steps_are_those_of_differences(is_sparse: bool) -> None:
+    """Jvp of all data at once, and vjp along the same changes, within 1e-5; steps are those of solve."""
+    data = moving()
+    if is_sparse:
+        data["M_at"] = [*map(sp.csr_array, data["M_at"])]
+    names = ("lower_at", "upper_at", "M_at", "forcing", "z0")
+    rng, moved = np.random.default_rng(3), {name: np.array(moving()[name]) for name in names}
+    d = {name: rng.normal(size=value.shape) for name, value in moved.items()}
+    done, z = march(**data), data["z0"]
+    assert done.all_solved
+    for step, at in enumerate(done.z):
+        bounds = {name[:5]: data[name][step] for name in names[:2]}
+        z = solve(LCP(data["M_at"][step], data["forcing"][step] - z, **bounds)).z
+        np.testing.assert_allclose(at, z, rtol=1e-7, atol=1e-8)
+
+    def shifted(step: float) -> Any:
+        now = {name: value + step * d[name] for name, value in moved.items()}
+        return march(data["problem"], tolerance=1e-13, **now).z
+
+    dz = (shifted(1e-6) - shifted(-1e-6)) / 2e-6
+    found = derivative(done)
+    changes = {f"d{name}": d[name] for name in names}
+    np.testing.assert_allclose(found.jvp(**changes), dz, rtol=0.0, atol=1e-5)
+    by_step = changes | {"dM_at": lambda step: d["M_at"][step]}
+    np.testing.assert_allclose(found.jvp(**by_step, only_last=True), dz[-1], rtol=0.0, atol=1e-5)
+    g = rng.normal(size=dz.shape)
+    gradient = found.vjp(g)
+    total = sum((by.toarray() * d["M_at"][k]).sum() for k, by in enumerate(gradient.M))
+    total += sum((getattr(gradient, name) * d[name]).sum() for name in names if name != "M_at")
+    assert total == pytest.approx((g * dz).sum(), abs=1e-5 * np.abs(g).sum())
+    np.testing.assert_allclose(gradient.lower, gradient.lower_at.sum(axis=0))
+
+
+def test_a_band_has_the_derivative_by_the_bounds_of_each_step() -> None:
+    """Constant bounds given as lower_at agree with the march in one loop, and its gradients."""
+    n, k = 40, 70
+    M = sp.diags_array([[-1.0] * (n - 1), [3.0] * n, [-1.0] * (n - 1)], offsets=[-1, 0, 1])
+    lower = np.where(np.arange(n) < 15, 0.5, -9.0)
+    forcing = np.broadcast_to(np.sin(np.arange(n)), (k, n))
+    plain = march(LCP(M, np.zeros(n), lower=lower), forcing)
+    each = march(LCP(M, np.zeros(n)), forcing, lower_at=np.broadcast_to(lower, (k, n)), z0=plain.z0)
+    np.testing.assert_allclose(each.z, plain.z, rtol=1e-7, atol=1e-8)
+    one, other = (derivative(done).vjp(np.ones(n)) for done in (plain, each))
+    np.testing.assert_allclose(one.lower_at, other.lower_at, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(one.M.toarray(), other.M.toarray(), rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (
+            {"lower_at": np.zeros((4, 6))},
+            "lower_at must have one entry per step, 5 .*step 4 has none",
+        ),
+        ({"upper_at": np.full((7, 6), 9.0)}, "upper_at must have .*got 7: step 5 does not exist"),
+        ({"M_at": [np.eye(6)] * 4}, "M_at must have one entry per step.*step 4 has none"),
+        ({"M_at": [np.eye(6)] * 4 + [np.eye(5)]}, "M_at of step 4: "),
+        (
+            {"M_at": lambda step: np.eye(6) * (np.nan if step == 0 else 1.0)},
+            "M_at of step 0: .*nan",
+        ),
+        (
+            {"lower_at": np.full((5, 6), 9.0)},
+            r"step 0: bounds must satisfy lower ≤ upper.*lower_at\[0\]",
+        ),
+        ({"lower_at": np.where(np.arange(30).reshape(5, 6) == 20, np.nan, 0.0)}, "step 3: .*nan"),
+        ({"lower_at": np.zeros(6)}, r"lower_at must be an array of shape \(5, 6\)"),
+    ],
+)
+def test_data_of_a_step_that_do_not_fit_name_the_step(
+    changed: dict[str, Any], message: str
+) -> None:
+    """Wrong numbers of steps, NaN, crossed bounds, a matrix of another size."""
+    data = moving() | {"upper_at": np.full((5, 6), 3.0)} | changed
+    with pytest.raises(InvalidProblem, match=message):
+        march(**data)
+
+
+def test_an_invalid_matrix_of_a_later_step_ends_the_march() -> None:
+    """The steps before it are kept, and the error names the step."""
+    done = march(**moving() | {"M_at": lambda step: np.eye(6) * (np.nan if step == 3 else 3.0)})
+    assert len(done) == 3
+    assert "M_at of step 3" in str(done.error)
+
+
+def test_data_of_steps_exclude_those_of_all_steps() -> None:
+    """Lower with lower_at, cones, and a wrong number of changes are refused."""
+    data = moving()
+    with pytest.raises(InvalidOption, match="lower and lower_at exclude each other"):
+        march(**data, lower=0.0)
+    contact = FrictionalContact(np.eye(3), [-1.0, 0.0, 0.0], 0.5)
+    with pytest.raises(InvalidOption, match="has no lower, upper and M_at"):
+        march(contact, np.zeros((2, 3)), M_at=[np.eye(3)] * 2)
+    with pytest.raises(InvalidProblem, match="dM_at must have one entry per step"):
+        derivative(march(**data)).jvp(dM_at=[np.eye(6)])
+    many = march(
+        data["problem"],
+        np.stack([data["forcing"]] * 2),
+        M_at=data["M_at"],
+        lower_at=data["lower_at"],
+    )
+    assert [len(one) for one in many] == [5, 5]

@@ -11,6 +11,7 @@ import numpy as np
 
 from .errors import InvalidProblem
 
+MOST_NAMES = 5  # in a message
 UNLABELED = "constraint"  # of cvxpy, before its number
 Naming = Sequence[str] | Callable[[int], str] | None
 

@@ -18,10 +18,9 @@ import numpy as np
 
 from .checks import Vector
 from .errors import InvalidProblem
-from .kernels.floats import TINY, UNIT
+from .kernels.floats import MAY_UNDERFLOW, TINY, UNIT
 
 ENTRIES_TOGETHER = 2**15  # entries whose temporary vectors stay in a processor's cache
-MAY_UNDERFLOW = 2.0**-960  # the rounding error of a larger product is a double
 Sums = tuple[Vector, Vector, Vector]
 
 

@@ -26,7 +26,7 @@ from pyomo.repn.util import categorize_valid_components
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from ..core.errors import InvalidOption, InvalidProblem, UnsupportedModel
-from ..core.names import format_count, listed
+from ..core.names import MOST_NAMES, format_count, listed
 from ..core.settings import Status
 from ..problems.programs.certification import Certification
 from .nl.model import NLAnswer, ProgramModel, certify_values, model_of, values_and_slopes
@@ -44,7 +44,6 @@ INSTEAD = {
     "DerivativeVar": "discretise it, TransformationFactory('dae.collocation'), and add complementarities afterwards",
 }
 DISCRETISED = "DerivativeVar"  # these never report as active
-SOME = 5  # names that a message lists
 IN_ORDER = core.SortComponents.deterministic
 
 
@@ -297,7 +296,7 @@ def _require_known(model: Any) -> None:
         if kind.__name__ == DISCRETISED:
             unknown[kind] = list(model.component_objects(kind))
     for kind, components in sorted(unknown.items(), key=lambda each: each[0].__name__):
-        names = ", ".join(component.name for component in components[:SOME])
+        names = ", ".join(component.name for component in components[:MOST_NAMES])
         instead = INSTEAD.get(
             kind.__name__, "deactivate it, or state it as constraints and complementarities"
         )
@@ -525,7 +524,7 @@ class PyomoAnswer:
 def answered(model: Any, options: dict[str, Any], pairs: Any = None) -> PyomoAnswer:
     """Return the solution of a Pyomo model, which is not changed, by options of :func:`lcp_plugin.solve`."""
     statement = stated(model, pairs)
-    content, added = statement.content, sorted(statement.added)[:SOME]
+    content, added = statement.content, sorted(statement.added)[:MOST_NAMES]
     try:
         problem = model_of(content)
     except UnsupportedModel as error:
@@ -704,8 +703,8 @@ def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> 
         partners = maximum_bipartite_matching(matrix, perm_type="column").tolist()
         if -1 in partners:
             block, reached = _dulmage_mendelsohn_block(matrix, partners)
-            names = listed((own[k].name for k in block), SOME)
-            few = listed((others[k].name for k in reached), SOME) or "that are fixed"
+            names = listed((own[k].name for k in block), MOST_NAMES)
+            few = listed((others[k].name for k in reached), MOST_NAMES) or "that are fixed"
             raise UnsupportedModel(
                 f"the model is structurally singular: {names} {words} {few}, which is one too "
                 "few; see whether a constraint is missing or redundant, or a pair is wrong"

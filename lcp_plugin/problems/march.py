@@ -32,7 +32,7 @@ from ..core.certificates.criterion import RowData
 from ..core.checks import Vector, derived_property, read_only
 from ..core.deadline import Clock
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem, did_you_mean
-from ..core.kernels.floats import EPSILON
+from ..core.kernels.floats import EPSILON, MAY_UNDERFLOW
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, connected_components, row_numbers
 from ..core.problem_classes import class_of, classes_of, refusal
@@ -620,7 +620,6 @@ def _is_one_a_march(propagator: Any) -> bool:
 LEFT = 2.0**-20  # relative to the last change: bound of the remaining error
 CLEAR = 64.0  # times the rounding error
 KINK = 2  # times the side of a row at this bound with w = 0
-UNDERFLOWN = 2.0**-960  # below, a row's distance and slack have underflown: it is at its bound
 
 
 class Band(NamedTuple):
@@ -719,7 +718,7 @@ class Steps:
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
             above, below = z - lower, upper - z
             nearest = np.minimum(above, below) * scale
-            is_negligible = (nearest < UNDERFLOWN) & (np.abs(w) < UNDERFLOWN)
+            is_negligible = (nearest < MAY_UNDERFLOW) & (np.abs(w) < MAY_UNDERFLOW)
             found = np.where(above * scale <= w, -1, np.where(-below * scale >= w, 1, 0))
             found = np.where(is_negligible, np.where(above <= below, -1, 1), found)
             found = np.where(lower == upper, np.where(w < 0.0, 1, -1), found)

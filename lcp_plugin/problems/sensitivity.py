@@ -30,7 +30,7 @@ from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitablePro
 from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
 from ..core.matrix import residual_scales
-from ..core.names import listed
+from ..core.names import MOST_NAMES, listed
 from ..core.problem_classes import foreign_function, refusal
 from ..core.settings import Status
 from ..methods.small import is_small
@@ -554,7 +554,6 @@ class DeviceDerivative(ManyDerivatives):
         return BatchGradient(by_M, **names)
 
 
-NAMED = 5  # instances in a message
 INSTANCES_TOGETHER = 512  # instances whose arrays fit into the cache
 
 
@@ -673,7 +672,7 @@ class ContactBatchDerivative(ManyDerivatives):
         lines = []
         for words, which in named:
             if rows := np.flatnonzero(which).tolist():
-                shown = ", ".join(map(str, rows[:NAMED])) + ", …" * (len(rows) > NAMED)
+                shown = ", ".join(map(str, rows[:MOST_NAMES])) + ", …" * (len(rows) > MOST_NAMES)
                 lines.append(f"{len(rows)} of {len(self)} worlds ({shown}) have {words}")
         return "; ".join(lines)
 
@@ -987,7 +986,9 @@ class Derivative(LinearizedSystem):
         singular = words_on_singular(system) if system.is_singular else ""
         kink = ""
         if rows.size:
-            named = ", ".join(map(str, rows[:NAMED].tolist())) + ", …" * (rows.size > NAMED)
+            named = ", ".join(map(str, rows[:MOST_NAMES].tolist())) + ", …" * (
+                rows.size > MOST_NAMES
+            )
             kink = (
                 f"{rows.size} rows ({named}) are at a bound with w = 0: jvp is one-sided, and vjp the gradient of one "
                 "of the pieces that meet there"

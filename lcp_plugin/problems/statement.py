@@ -26,7 +26,7 @@ from ..core.errors import NotSquare, UnsupportedModel
 from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, largest_in_rows, row_numbers
-from ..core.names import Names, format_count
+from ..core.names import MOST_NAMES, Names, format_count
 from ..core.settings import Status
 from ..expressions import functions
 from ..expressions.rows import (
@@ -245,7 +245,6 @@ Numbers = Sequence[int] | Indices
 BEGUN = (
     "started from the values of the variables, which are the last solution unless others were set"
 )
-MOST_NAMES = 5  # in a message
 OUTSIDE = 1e-8  # of 1 + |x|: a bound that no pair states is violated beyond
 #: The names of a status in AMPL, cvxpy and Pyomo.
 STATUS_ELSEWHERE = {

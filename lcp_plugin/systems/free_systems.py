@@ -25,6 +25,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import BoolVector, Vector
+from ..core.kernels.floats import DATA_ROUNDING
 from ..core.matrix import Exponents, Matrix, fact, is_nearly_symmetric, scale_matrix, times_power
 from ..core.tuning import DIRECT_UP_TO
 from .equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, unit_diagonal
@@ -528,9 +529,8 @@ class FreeSystem:
             if size(left * unit) <= 10.0 * goal * begun:
                 return x
         terms = np.where(self.free, np.abs(right) + abs(matrix.array) @ np.abs(x), 0.0)
-        # 2⁻⁴⁴ of the terms of a row is the rounding level.
         # A larger residual is not convergence, unless it is at rounding level
-        allowed = max(1e-9 * begun, size(2.0**-44 * terms * unit))
+        allowed = max(1e-9 * begun, size(DATA_ROUNDING * terms * unit))
         return x if size(left * unit) <= allowed else None
 
 

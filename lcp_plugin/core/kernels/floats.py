@@ -1,4 +1,8 @@
-"""Constants of double precision, and margins for rounding errors."""
+"""Constants of double precision, and margins above its errors, each with its derivation.
+
+A rounding is wrong by UNIT of its result, a sum of k terms of one sign by less than k UNIT, and a product that
+underflows by TINY.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,13 @@ UNIT = 2.0**-53  # the largest relative error of one rounding
 TINY = 2.0**-1074  # the smallest positive double; a product that underflows is wrong by up to this
 NORMAL = 2.0**-1022  # the smallest normal double: below it the next one is TINY away
 LARGEST = 1.7976931348623157e308  # the largest double
-DATA_ROUNDING = 2.0**-44  # as many roundings as a time step or an assembly adds up, with a margin
-OUTWARD = (
-    1.0 + 2.0**-30
-)  # above the rounding of a sum of up to 2²² terms of one sign, and of a few products
+# 2⁸ EPSILON: as many roundings as a time step or an assembly adds up, with a margin
+DATA_ROUNDING = 2.0**-44
+# above the error of a sum of 2²² terms of one sign, 2²² UNIT = 2⁻³¹ of it, and of a few products
+OUTWARD = 1.0 + 2.0**-30
 UNDERFLOW = 1e-290  # far more than all that underflows in a sum of products of numbers of size 1
+# the rounding error of a larger product has bits down to 2⁻¹⁰⁶⁶, so it is a double
+MAY_UNDERFLOW = 2.0**-960
 NEGLIGIBLE = 2.0**-42  # relative to the active terms at a solution: smaller terms are ignored
 # of the largest entry of its row: a smaller one is not the row's scale
 NEGLIGIBLE_DIAGONAL = 2.0**-20

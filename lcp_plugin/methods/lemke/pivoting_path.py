@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import Vector
 from ...core.deadline import is_over
+from ...core.kernels.floats import DATA_ROUNDING
 from ...core.lcp import LCP
 from ...core.matrix import equation_signs, fact
 from ...core.tuning import DENSE_OPERATIONS, PIVOTS_FIRST_UP_TO, SPARSE_OPERATIONS
@@ -268,7 +269,6 @@ ACCURATE = 1e-12  # relative residual of the basis up to which no new factorizat
 # relative to each |q|, and to the smallest nonzero |q| where q is 0: no two rows block at once
 TIE_BREAK = 2.0**-48
 FEASIBLE = 1e-7  # of the largest basic variable: how far one may be out of its bounds
-CANCELLED = 2.0**-44  # of the terms: a smaller difference is set to 0
 
 
 class LemkePath:
@@ -420,7 +420,7 @@ class LemkePath:
                 return False
             absolute = np.abs(inverse)
             # Entries that are zero in exact arithmetic must be zero here, because a pivot could otherwise use them.
-            inverse[absolute <= CANCELLED * (absolute @ np.abs(core) @ absolute)] = 0.0
+            inverse[absolute <= DATA_ROUNDING * (absolute @ np.abs(core) @ absolute)] = 0.0
             if is_over() or not inverse.any(axis=1).all():  # a row of nothing but rounding
                 return False
             beyond = D[np.ix_(slack_rows, columns)]
@@ -500,7 +500,7 @@ def _product(A: FloatMatrix, B: FloatMatrix, C: FloatMatrix | None = None) -> Fl
     if C is not None:
         product += C
         terms += np.abs(C)
-    product[np.abs(product) <= CANCELLED * terms] = 0.0
+    product[np.abs(product) <= DATA_ROUNDING * terms] = 0.0
     return product
 
 

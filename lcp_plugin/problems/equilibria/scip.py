@@ -39,12 +39,11 @@ from ...core.matrix import entries_of_row
 from ...expressions.rows import Program
 from ..programs.program import QuadraticProgram
 from .equilibrium_program import LOWER, UPPER, EquilibriumProgram
-from .relaxations import ENDS
+from .relaxations import ENDS, FEASIBLE
 
 SCIP_INFINITY = 1e20  # what is farther is infinite for SCIP, seconds as well
 SHARE = 0.25  # of the requested gap
 BOX, BOX_MARGIN = 1e6, 1e-3  # a box for unbounded relaxations, and what is near it, relatively
-FEASIBLE = 1e-7  # tightened to 1e-10; with less, a build without GMP prints a line per program
 STDERR = 2  # number of the standard error of a process
 FAILED = "SCIP:"  # start of SCIP's error messages
 
@@ -113,6 +112,7 @@ def minimize(
     lower, upper = problem.bounds(problem.all_cases)
     if (lower > upper).any():
         return ScipAnswer("infeasible", None, math.inf, math.inf, 0)
+    # SCIP takes a thousandth in its linear programs; with less, a build without GMP prints a line for each
     for feasible in (FEASIBLE, 1e-6):  # SCIP's own: its linear programs may do better
         model = _Model(problem, ends)
         found = model.solved(tolerance, max_nodes, feasible)

@@ -50,7 +50,7 @@ import numpy as np
 from ...core.certificates.residuals import WorstRow, WorstRows
 from ...core.checks import Vector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
-from ...core.kernels.floats import UNIT
+from ...core.kernels.floats import DATA_ROUNDING, UNIT
 from ...core.matrix import largest_products
 from ...core.rounding import compensated_pair
 from ...core.settings import checked_tolerance
@@ -62,7 +62,6 @@ if TYPE_CHECKING:
 PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
 ROWS = 1e-9  # of the rows, at every tolerance
 NOISE = 1e-5  # of the coefficients of a row: ROWS of this on the right counts as a rounded 0
-EXCUSED = 2.0**-44  # of the unknowns that matter: rounding error of a row
 BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 # The objective's terms, and the rows' with their multipliers, may cancel to this share
 LEAST_SIZE = 1e-8
@@ -237,7 +236,7 @@ class PrimalDualPoint:
         """Return the error of each row and of each bound; rounding in rows is tolerated if sums are exact."""
         own, of_bounds = self.own, self.outside
         if self.is_exact and (self.over > ROWS * own).any():
-            own = np.maximum(own, EXCUSED / ROWS * self.reached)
+            own = np.maximum(own, DATA_ROUNDING / ROWS * self.reached)
         if of_bounds.any():
             lower, upper = self.program.lower, self.program.upper
             bound = np.where(self.x == lower, np.abs(lower), np.abs(upper))
@@ -247,7 +246,7 @@ class PrimalDualPoint:
     def tolerated(self) -> float:
         """Return the largest violation beyond the terms of its row, relative to the rounding of its right-hand side."""
         over = np.where(self.over > ROWS * self.own, self.over, 0.0)
-        return float((over * (self.matrices.fit[1] / EXCUSED)).max(initial=0.0))
+        return float((over * (self.matrices.fit[1] / DATA_ROUNDING)).max(initial=0.0))
 
     @cached_property
     def reached(self) -> Vector:
@@ -271,7 +270,7 @@ class PrimalDualPoint:
         is_bad = self.over > ROWS * self.own
         if not (self.is_exact and is_bad.any()):
             return None
-        is_bad &= self.over <= EXCUSED * self.reached
+        is_bad &= self.over <= DATA_ROUNDING * self.reached
         price, rows = np.zeros(self.over.size), self.matrices.rows
         lower, upper = self.program.lower, self.program.upper
         for i in np.flatnonzero(is_bad):
@@ -375,7 +374,7 @@ class PrimalDualPoint:
         way = np.minimum(self.x - self.program.lower, self.program.upper - self.x)
         sizes = self._largest_by_component(self.of_x / units)[parts.of_unknown]
         pull = units * np.abs(self.product + self.program.c)
-        pulls = np.where(way > EXCUSED * units * sizes, pull, 0.0)
+        pulls = np.where(way > DATA_ROUNDING * units * sizes, pull, 0.0)
         return np.minimum(self.of_y, row_units * self._largest_by_component(pulls)[parts.of_row])
 
     def _sums(self, of_unknowns: Vector, of_rows: Vector | None = None) -> Vector:
@@ -406,7 +405,7 @@ def least_size(program: QuadraticProgram, x: Vector, y: Vector) -> float:
 def excused_rows(program: QuadraticProgram, x: Vector) -> Vector:
     """Return the violation of each row that counts as rounding at x."""
     point = PrimalDualPoint(program, x, np.zeros(program.constraints.right.size), is_exact=True)
-    return np.where(program.matrices.counts == 0, ROWS * point.own, EXCUSED * point.reached)
+    return np.where(program.matrices.counts == 0, ROWS * point.own, DATA_ROUNDING * point.reached)
 
 
 class ProgramComponents(NamedTuple):

@@ -34,7 +34,7 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, Vector
 from ...core.deadline import is_over
-from ...core.kernels.floats import OUTWARD, UNDERFLOW
+from ...core.kernels.floats import DATA_ROUNDING, OUTWARD, UNDERFLOW
 from ...core.matrix import largest_in_rows, row_numbers
 from ...core.rounding import compensated_pair, compensated_product, gamma, lower_end, upper_end
 from ...proofs.bounds import Curvature
@@ -100,7 +100,8 @@ class DualBounds:
     def _bounds(self, given: DualPoint) -> Iterator[float]:
         """Yield the bounds that a point and its repairs prove, the cheapest first."""
         sizes, points = np.abs(given.y), [given]
-        is_noise = sizes <= 2.0**-44 * sizes.max(initial=0.0)  # degenerate multipliers must be 0
+        # Degenerate multipliers must be 0
+        is_noise = sizes <= DATA_ROUNDING * sizes.max(initial=0.0)
         if not is_noise.all():
             points.append(given._replace(y=np.where(is_noise, 0.0, given.y)))
         yield from map(self.value, points)

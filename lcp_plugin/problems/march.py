@@ -377,9 +377,10 @@ class StepData:
         return problem.with_q(problem.q, **rows) if rows else problem
 
     def _with_matrix(self, problem: LCP, step: int) -> LCP:
-        """Return the problem with the matrix of a step; equal objects in a row share the facts about it."""
-        M = self.matrices(step) if callable(self.matrices) else self.matrices[step]
-        if M is not self._last[0]:
+        """Return the problem with the matrix of a step; equal objects in a list share the facts about it."""
+        is_called = callable(self.matrices)
+        M = self.matrices(step) if is_called else self.matrices[step]
+        if is_called or M is not self._last[0]:  # a function may use one array again
             try:
                 made = LCP(M, problem.q, lower=problem.lower, upper=problem.upper)
             except InvalidProblem as error:
@@ -433,7 +434,7 @@ def march(
     M_at : sequence of k arrays or sparse arrays, shape (n, n), or callable, optional
         Matrix of each step, for all marches, in place of the matrix of `problem`, such as of a local volatility. A
         callable gets the number of a step, from 0; `derivative` calls it again. Consecutive steps with the same object
-        share its factors.
+        in a list share its factors.
     z0 : array, shape (n,) or (m, n), optional
         The state before the first step; by default the point of [lower, upper] nearest to 0.
     max_seconds : float, optional

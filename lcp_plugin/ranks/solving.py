@@ -169,11 +169,6 @@ class ResultOnRanks(BaseResult):
     infeasibility: Any = None
 
     @property
-    def proof(self) -> Any:
-        """The proof `infeasibility` if the status is INFEASIBLE or NO_SOLUTION; otherwise None."""
-        return self.infeasibility if self.has_no_solution else None
-
-    @property
     def x(self) -> Vector:
         """The local part of the best iterate, z."""
         return self.z

@@ -142,7 +142,7 @@ class BaseResult(Outcome):
     @property
     def proof(self) -> Any:
         """Proof of the status, an object with ``verify()``; None if the status rests only on residuals."""
-        return None
+        return getattr(self, "infeasibility", None) if self.has_no_solution else None
 
     @property
     def conflict(self) -> Any:
@@ -376,11 +376,6 @@ class Result(BaseResult):
     def x(self) -> Vector:
         """The best iterate, z."""
         return self.z
-
-    @property
-    def proof(self) -> Any:
-        """The proof `infeasibility` if the status is INFEASIBLE or NO_SOLUTION; otherwise None."""
-        return self.infeasibility if self.has_no_solution else None
 
     @property
     def residual(self) -> float:

@@ -92,14 +92,6 @@ def test_no_algorithm_is_advised_to_itself(name: str) -> None:
             else:
                 told = result.advice
             assert f'algorithm="{name}"' not in told
-            if not told.startswith(Status.SOLVED.value):
-                for call in calls_in(told):
-                    assert (
-                        solve(
-                            problem, **call if "algorithm" in call else {"algorithm": name, **call}
-                        ).seconds
-                        >= 0.0
-                    )
 
 
 def hard(seed: int = 0) -> tuple[LCP, np.ndarray]:

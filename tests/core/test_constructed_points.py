@@ -47,11 +47,13 @@ def march_points(problem: LCP, case: Case) -> Points:
     """Yield the points of three steps with the same data, from the wrong point and from z°."""
     further = np.zeros(problem.n - case.q.size)
     for z0 in (np.concatenate([case.wrong, further]), problem.nearest_to_zero):
-        done = march(problem, np.broadcast_to(problem.q, (3, problem.n)), propagator=0.0, z0=z0)
-        for k, z in enumerate(done.z):
-            assert done[k].status is done.status[k]
-            assert done[k].z.tobytes() == z.tobytes()
-            yield z, done[k].is_solved
+        for at in ({}, {"lower_at": [problem.lower] * 3}, {"M_at": [problem.M] * 3}):
+            forcing: Any = np.broadcast_to(problem.q, (3, problem.n))
+            done = march(problem, forcing, propagator=0.0, z0=z0, **at)
+            for k, z in enumerate(done.z):
+                assert done[k].status is done.status[k]
+                assert done[k].z.tobytes() == z.tobytes()
+                yield z, done[k].is_solved
 
 
 def dense_march_points(case: Case) -> Points:

@@ -15,7 +15,6 @@ from numpy.testing import assert_allclose
 from lcp_plugin import LCP, Certificate
 from lcp_plugin.algorithms import REGISTRY, Algorithm, create
 from lcp_plugin.core.splittings import GFP, NPAOR, NPGS, NPJ, NPSOR, PAOR, PGS, PJ, PSOR
-from lcp_plugin.methods.modulus import MAOR, MGS, MJ, MSOR
 from lcp_plugin.methods.npsplitting import NPSplitting
 
 STEPS = 30
@@ -87,11 +86,6 @@ SAME = {
     "PAOR(1,0) ≡ PJ": (PAOR(relaxation=1.0, acceleration=0.0), PJ()),
     "GFP(1) ≡ PJ": (GFP(relaxation=1.0), PJ()),
 }
-SAME_MODULUS = {
-    "MAOR(α,α) ≡ MSOR(α)": (MAOR(relaxation=0.8, acceleration=0.8), MSOR(relaxation=0.8)),
-    "MAOR(1,1) ≡ MGS": (MAOR(relaxation=1.0, acceleration=1.0), MGS()),
-    "MAOR(1,0) ≡ MJ": (MAOR(relaxation=1.0, acceleration=0.0), MJ()),
-}
 
 
 @pytest.mark.parametrize("pair", SAME)
@@ -101,16 +95,6 @@ def test_special_cases_coincide(pair: str, kind: str, bounds: bool) -> None:
     """At these options the general method takes the same steps as the special one."""
     left, right = SAME[pair]
     problem = random_problem(kind, bounds=bounds)
-    assert_same(iterates(left, problem), iterates(right, problem))
-
-
-@pytest.mark.parametrize("pair", SAME_MODULUS)
-@EVERY_KIND
-@pytest.mark.parametrize("sweep", ["forward", "backward", "symmetric"])
-def test_special_cases_of_the_modulus_family_coincide(pair: str, kind: str, sweep: str) -> None:
-    """At these options MAOR takes the same steps as the special method, in every order of the rows."""
-    left, right = (replace(algorithm, sweep=sweep) for algorithm in SAME_MODULUS[pair])
-    problem = random_problem(kind, bounds=False)
     assert_same(iterates(left, problem), iterates(right, problem))
 
 

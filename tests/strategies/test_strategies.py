@@ -473,7 +473,7 @@ def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
 def test_a_counterexample_can_be_copied() -> None:
     """The judge prints the call that makes the problem, bounds included if there are any."""
     with pytest.raises(AssertionError) as caught:
-        assert_solves(lambda *data: data[1] + 9.0, matrices=h_plus_matrices(2), bounds=True)
+        assert_solves(lambda *data: data[1] + 9.0, matrices=h_plus_matrices(1), bounds=True)
     (call,) = re.findall(r"^problem = (LCP\(.*\))$", str(caught.value), re.M)
     problem = eval(call, {"LCP": LCP, "inf": np.inf})
-    assert problem.n == 2
+    assert problem.n == 1

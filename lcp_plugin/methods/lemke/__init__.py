@@ -41,6 +41,7 @@ class Lemke(Algorithm):
 
     Notes
     -----
+    If the caller names it without options, kernels follow the first path on at most 128 unknowns.
     The path is followed on 0 ≤ z ≤ u: an upper bound is a bound of the variables, not a row. Free rows are
     eliminated, if necessary together with rows that have one bound, of which z and w then change places. A free row
     that belongs to no well-conditioned block becomes two nonnegative variables. The active set of z0 is tried first, by

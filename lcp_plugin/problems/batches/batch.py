@@ -103,9 +103,9 @@ def solve_batch(
         :func:`prepare`, and its bounds, unless `lower` or `upper` is passed. For one program, pass a sequence of
         mappings instead of q, as ``[{"b": b}, …]``, with the arguments of ``program.with_vectors``.
         A sequence may contain problems of different sizes and of all classes; do not pass q, lower or upper with it.
-        At least 32 LCPs of one size with at most 128 unknowns are solved in a compiled loop; small problems over the
-        same cones and programs of one shape are solved as stacks; others are solved one by one. Arrays of shape
-        (B, n, n) are not copied: do not change their entries while you use the result.
+        LCPs of one size with at most 128 unknowns are solved in a compiled loop if there are 32, or by "lemke" any
+        number; small problems over the same cones and programs of one shape as stacks; others one by one. Arrays
+        of shape (B, n, n) are not copied: do not change their entries while you use the result.
         Arrays of PyTorch, CuPy or JAX on a GPU of NVIDIA stay there: M and q, n at most 70, and bounds. Each thread of
         the GPU solves one problem; problems whose points a sufficient test does not accept are solved on the host.
     q : array, shape (B, n) or (n,)

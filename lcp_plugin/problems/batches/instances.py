@@ -14,7 +14,15 @@ from numpy.typing import ArrayLike
 from ...core.checks import checked_start, read_only, real_array, replace_huge_bounds_by_inf
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
-from ...methods.small import LOOP_UP_TO, SMALL_DENSE, has_numba, is_small, solve_stack, suits_loop
+from ...methods.small import (
+    LOOP_FROM,
+    LOOP_UP_TO,
+    SMALL_DENSE,
+    has_numba,
+    is_small,
+    solve_stack,
+    suits_loop,
+)
 from ...solving.choice import takes_rounds
 from ...systems.free_systems import products
 from ...systems.graph import outer_on_pattern, sum_of_outer
@@ -251,7 +259,7 @@ def _solve_cones(data: Any, start: Any, tolerance: float, has_time: Any) -> Any:
 def _stacks_of(base: BoundedLeastSquares, items: Any, stack: Any, tolerance: float) -> Stacks:
     """Yield least squares problems that share the matrices of `base`, in stacks whose arrays stay in the cache."""
     _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks
-    is_compiled = suits_loop(items.size, base.shape[1])
+    is_compiled = items.size >= LOOP_FROM and has_numba()
     for first in range(0, items.size, size):
         part = items[first : first + size]
         yield part, partial(solve_least_squares_stack, stack(part), tolerance, is_compiled)

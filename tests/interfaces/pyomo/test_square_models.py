@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
 from typing import Any
 
 import cvxpy as cp
@@ -15,6 +13,7 @@ from inputs import nonlinear_models as models
 from pyomo.common.collections import ComponentMap
 from pyomo.mpec import Complementarity
 from pyomo_models import MODELS
+from tools.refusals import assert_refused, refusals
 
 import lcp_plugin.pyomo
 from lcp_plugin.core.errors import LCPError
@@ -202,31 +201,19 @@ def two(bounds: Any = (None, None)) -> Any:
     return m
 
 
-WRONG: dict[str, tuple[Callable[[Any], Any], str]] = {
-    "a word": (lambda m: "all", "pairs must be 'match' or a ComponentMap"),
-    "twice": (lambda m: {m.row[0]: m.y, m.row[1]: m.y}, "y is paired with row[0] and with row[1]"),
-    "two variables": (
-        lambda m: ComponentMap([(m.row, m.x), (m.row[0], m.y)]),
-        "row[0] is paired with x[0] and with y; a row has one variable",
-    ),
-    "variable first": (
-        lambda m: ComponentMap([(m.y, m.last)]),
-        "pairs has y in the place of a Constraint; state",
-    ),
-    "names": (lambda m: {"last": "y"}, "pairs has 'last' in the place of a Constraint; state"),
-    "no variable": (lambda m: {m.last: None}, "pairs has None in the place of a Var; state"),
-    "no bounds": (lambda m: {m.last: m.y}, "last cannot be the row of y"),
-    "no index": (lambda m: {m.last: m.x}, "pairs gives last no variable: x has no index None"),
-    "unmatched": (
-        lambda m: "match",
-        "last has no partner with the same indices (for an inequality, a variable with bounds)",
-    ),
-}
-
-
-@pytest.mark.parametrize(("pairs", "words"), WRONG.values(), ids=WRONG)
-def test_pairs_that_are_wrong_are_refused_by_name(pairs: Any, words: str) -> None:
+@refusals(r"""
+solve(m, 'all') → pairs must be 'match' or a ComponentMap
+solve(m, {m.row[0]: m.y, m.row[1]: m.y}) → y is paired with row\[0\] and with row\[1\]
+solve(m, ComponentMap([(m.row, m.x), (m.row[0], m.y)]))
+    → row\[0\] is paired with x\[0\] and with y; a row has one variable
+solve(m, ComponentMap([(m.y, m.last)])) → pairs has y in the place of a Constraint; state
+solve(m, {'last': 'y'}) → pairs has 'last' in the place of a Constraint; state
+solve(m, {m.last: None}) → pairs has None in the place of a Var; state
+solve(m, {m.last: m.y}) → last cannot be the row of y
+solve(m, {m.last: m.x}) → pairs gives last no variable: x has no index None
+solve(m, 'match') → last has no partner with the same indices \(for an inequality, a variable with bounds\)
+""")
+def test_pairs_that_are_wrong_are_refused_by_name(call: str, words: str) -> None:
     """The message names the constraint and the variable."""
     m = two()
-    with pytest.raises(LCPError, match=re.escape(words)):
-        solve(m, pairs(m))
+    assert_refused(call, words, {**globals(), "m": m, "ComponentMap": ComponentMap})

@@ -169,3 +169,14 @@ def test_one_program_takes_an_array_of_costs() -> None:
         solve_batch(program, C.T)
     large = QuadraticProgram(sp.eye_array(500), np.zeros(500), lower=0.0)
     assert np.array_equal(solve_batch(large, -np.ones((2, 500))).x, np.ones((2, 500)))
+
+
+def test_more_than_128_atoms_stay_in_the_compiled_loop() -> None:
+    """Fewer bands than atoms: each pixel has scipy's cost, and no pixel leaves the stack for a solve by itself."""
+    rng = np.random.default_rng(4)
+    A, B = rng.random((30, 160)), rng.random((32, 30))
+    answers = solve_batch(BoundedLeastSquares(A, B[0]), B)
+    assert {answers[k].algorithm for k in range(32)} == {"normal equations"}
+    for k, b in enumerate(B):
+        least = nnls(A, b)[1]
+        assert np.linalg.norm(A @ answers.x[k] - b) <= least * (1.0 + 1e-8)

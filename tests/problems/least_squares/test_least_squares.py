@@ -150,10 +150,10 @@ def test_conditions_hold_on_random_problems(m: int, n: int, seed: int, share: fl
 # --- other programs' answers --------------------------------------------------------------------------------
 
 
-def test_a_thousand_small_problems_as_by_scipy_nnls() -> None:
+def test_a_thousand_small_problems_as_by_scipy_nnls(draws: Callable[[int], range]) -> None:
     """Dense, m and n up to 30: the residual norm of scipy.optimize.nnls, and its x where that is unique."""
     rng = np.random.default_rng(0)
-    for _ in range(1000):
+    for _ in draws(1000):
         m, n = rng.integers(1, 31, 2)
         A, b = rng.standard_normal((m, n)), rng.standard_normal(m)
         x, norm = nnls(A, b, maxiter=100 * n)

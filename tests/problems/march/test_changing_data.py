@@ -184,6 +184,20 @@ def test_data_of_a_step_that_do_not_fit_name_the_step(
         march(**data)
 
 
+@pytest.mark.parametrize("convert", [np.asarray, sp.csr_array])
+def test_a_function_that_uses_one_array_again_has_its_own_steps(convert: Any) -> None:
+    """An array that a callable overwrites is read in each step."""
+    data = moving()
+    buffer = np.zeros((6, 6))
+
+    def matrix(step: int) -> Any:
+        buffer[:] = data["M_at"][step]
+        return convert(buffer)
+
+    same = march(**data | {"M_at": matrix})
+    np.testing.assert_allclose(same.z, march(**data).z, rtol=1e-9, atol=1e-9)
+
+
 def test_an_invalid_matrix_of_a_later_step_ends_the_march() -> None:
     """The steps before it are kept, and the error names the step."""
     done = march(**moving() | {"M_at": lambda step: np.eye(6) * (np.nan if step == 3 else 3.0)})

@@ -186,3 +186,19 @@ def test_lemke_by_name_has_the_bits_of_a_batch_and_of_a_watched_run(
             assert told(solve(drawn, "lemke", **how, **watch)) == told(alone)
         assert alone.status is batch.status[k]
         assert not alone.is_solved or alone.z.tobytes() == batch[k].z.tobytes()
+
+
+def test_lemke_by_name_and_its_batches_take_no_pivots_in_python(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The compiled path alone solves a problem and a batch of one; options of the method lead to its own steps."""
+    pytest.importorskip("numba")
+    monkeypatch.delattr("lcp_plugin.methods.lemke.Lemke._paths")
+    M, q = definite_stack(1, 10, 0)
+    one = solve(LCP(M[0], q[0]), "lemke")
+    batch = solve_batch(M, q, algorithm="lemke")
+    assert (one.status, one.iterations, one.algorithm) == (Status.SOLVED, 1, "lemke")
+    assert batch[0].algorithm == "lemke"
+    assert batch.z[0].tobytes() == one.z.tobytes()
+    with pytest.raises(AttributeError):
+        solve(LCP(M[0], q[0]), "lemke", restarts=0)

@@ -335,7 +335,8 @@ def replace_huge_bounds_by_inf(lower: Vector, upper: Vector) -> tuple[Vector, Ve
 @lru_cache(16)
 def _equal_bounds(lower: float, upper: float, n: int) -> tuple[Vector, Vector]:
     """Return bounds of n equal entries; problems share short ones."""
-    return read_only(np.full(n, lower)), read_only(np.full(n, upper))
+    below, above = (np.frombuffer(np.full(n, end).tobytes()) for end in (lower, upper))
+    return below, above  # views of bytes stay read-only
 
 
 def checked_bounds(

@@ -369,7 +369,7 @@ class Result(BaseResult):
 
     @cached_property
     def w(self) -> Vector:
-        """The slack M z + q, shape (n,), read-only; computed on first access."""
+        """The slack M z + q, shape (n,), read-only; computed on first access, so read it before M is overwritten."""
         return self.certificate.w
 
     @property

@@ -322,3 +322,9 @@ def test_a_problem_is_immutable(name: str) -> None:
         with pytest.raises(AttributeError, match="with_q"):
             setattr(one, name, np.zeros(2))
     assert Certificate.of(problem, solve(problem).z).relative_residual < 1e-12
+
+
+def test_equal_bounds_of_a_problem_cannot_be_changed() -> None:
+    """Short equal bounds are shared by problems: nobody can make those of all problems writable."""
+    with pytest.raises(ValueError, match="WRITEABLE"):
+        LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]).lower.flags.writeable = True

@@ -130,7 +130,7 @@ class Algorithm(ABC):
             Before the first step; the message names the unsuitable row.
         """
 
-    def named_iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
+    def named_iterates(self, problem: LCP, z0: Vector, tolerance: float) -> Iterator[Step]:
         """Yield the steps of a run whose caller chose this algorithm; "auto" calls `iterates`."""
         return self.iterates(problem, z0)
 

@@ -105,9 +105,11 @@ class LCPRun(Run):
     def steps_of(self, stage: Stage) -> Iterator[Step]:
         """Yield the steps; none if a method of auto does not take this problem."""
         try:
-            is_chosen = stage.algorithm is self.chosen
-            steps = stage.algorithm.named_iterates if is_chosen else stage.algorithm.iterates
-            yield from steps(self.problem, self.z.copy())
+            given, chosen = (self.problem, self.z.copy()), self.chosen
+            if chosen is not None and stage.algorithm is chosen:
+                yield from chosen.named_iterates(*given, self.settings.tolerance)
+            else:
+                yield from stage.algorithm.iterates(*given)
         except (UnsuitableMatrix, UnsuitableProblem):
             if len(self.progress.stages) == 1 or stage.iterations > 0:
                 raise

@@ -101,13 +101,13 @@ class Lemke(Algorithm):
                 z[rows] = np.clip(found, component.lower, component.upper)
                 yield Step(z, work=touched / entries, is_settling=True)
 
-    def named_iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
+    def named_iterates(self, problem: LCP, z0: Vector, tolerance: float) -> Iterator[Step]:
         """Yield the start, the points of the compiled path where it suits, then the steps of `iterates`."""
         steps = self.iterates(problem, z0)
         yield next(steps)
         if self.is_compiled_for(problem):
             is_cold = np.array_equal(z0, problem.nearest_to_zero)
-            for z, _ in path_points(problem, 0.0, None if is_cold else z0):
+            for z, _ in path_points(problem, tolerance, None if is_cold else z0):
                 yield Step(z, work=float(problem.n), is_settling=True)
         yield from steps
 

@@ -202,3 +202,16 @@ def test_lemke_by_name_and_its_batches_take_no_pivots_in_python(
     assert batch.z[0].tobytes() == one.z.tobytes()
     with pytest.raises(AttributeError):
         solve(LCP(M[0], q[0]), "lemke", restarts=0)
+
+
+def test_zeros_of_degenerate_problems_are_zeros_in_watched_runs_of_lemke() -> None:
+    """Whole numbers with z_i = w_i = 0: the noise that one way sets to a bound, the others set to it."""
+    rng = np.random.default_rng(25)
+    for _ in range(40):
+        n = int(rng.integers(2, 9))
+        B = rng.integers(-2, 3, (n, n)).astype(float)
+        z = np.where(rng.random(n) < 0.5, rng.integers(0, 3, n), 0.0)
+        w = np.where(z > 0.0, 0.0, rng.integers(0, 3, n))
+        problem = LCP(B - B.T, w - (B - B.T) @ z)
+        alone, watched = solve(problem, "lemke"), solve(problem, "lemke", record=True)
+        assert watched.z.tobytes() == alone.z.tobytes()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from ..core.algorithm import Algorithm
-from ..core.certificates.criterion import RowData, RowsAtPoint
+from ..core.certificates.criterion import RowData, RowsAtPoint, row_data
 from ..core.certificates.residuals import SHOWN, Certificate, WorstRows, worst_pairs
 from ..core.checks import Vector, restore_state
 from ..core.errors import NotConverged, UnsuitableMatrix
@@ -326,6 +326,8 @@ class Result(BaseResult):
         chosen : Algorithm, optional
             The algorithm of the call; None for "auto".
         """
+        if rows is None and not problem.matrix.is_dense:  # the caller may overwrite a sparse M
+            rows = row_data(problem).rows(z)
         return cls(
             z=z,
             status=Status.SOLVED,
@@ -369,7 +371,7 @@ class Result(BaseResult):
 
     @cached_property
     def w(self) -> Vector:
-        """The slack M z + q, shape (n,), read-only; computed on first access, so read it before M is overwritten."""
+        """The slack M z + q, shape (n,), read-only; computed on first access."""
         return self.certificate.w
 
     @property

@@ -318,3 +318,15 @@ def test_a_demand_of_one_ulp_next_to_the_data_is_noise() -> None:
     assert solve(ONE_ULP).is_solved
     for first in (0.0, 8.0):
         assert Certificate.of(ONE_ULP, [first, *ONE_ULP.lower[1:]]).relative_residual == 0.0
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "lemke"])
+def test_a_result_does_not_follow_a_sparse_matrix_that_the_caller_overwrites(
+    algorithm: str,
+) -> None:
+    """Slack and residual belong to the M of the solve."""
+    M = sp.csr_array(np.array([[2.0, 1.0], [1.0, 2.0]]))
+    result = solve(LCP(M, [-5.0, 1.0]), algorithm)
+    M.data[:] = 9.0
+    assert result.w == pytest.approx([0.0, 3.5], abs=1e-12)
+    assert result.residual <= 1e-14

@@ -878,15 +878,10 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
 def _derivative_of_program(data: Any, z: Any, batch: Any = None) -> ProgramDerivative:
     """Return the derivative of a program or least squares problem, or of a batch, at the z of its conditions."""
     problem = data.problem(partial(Stacked, z0=None))
-
-    def conditions(is_strict: bool) -> Any:
-        if batch is None:
-            return ConditionsDerivative(problem, z, data.part, is_strict=is_strict)
-        return ConditionsBatchDerivative(
-            Conditions(batch, problem, z), data.part, is_strict=is_strict
-        )
-
-    return ProgramDerivative(data, conditions)
+    if batch is None:
+        return ProgramDerivative(data, partial(ConditionsDerivative, problem, z, data.part))
+    conditions = Conditions(batch, problem, z)
+    return ProgramDerivative(data, partial(ConditionsBatchDerivative, conditions, data.part))
 
 
 class Derivative(LinearizedSystem):
@@ -1170,5 +1165,6 @@ class ConditionsDerivative(Derivative):
             others = np.flatnonzero(~self.determined).tolist()
             names = listed(map(self.part, others)) or "linearly dependent rows"
             raise UnsuitableProblem(
-                f"x or its multipliers have several values: {names}; make P definite there, or leave out dependent rows"
+                f"x or its multipliers have several values: {names}; "
+                "make P, or by a ridge AᵀA, definite there, or leave out dependent rows"
             )

@@ -227,7 +227,9 @@ class ActiveSetSteps:
 
 
 GOAL = 1e-6  # of a linear solve in such a step, if it is iterative
-FLOORS = 4.0  # times the rounding floor: the residual accepted by PRECISION_LIMIT
+FLOORS = (
+    64.0  # of rounding of a row, up to which w is 0: free rows amplify the rounding of the data
+)
 
 
 class ActiveRows(NamedTuple):

@@ -116,7 +116,7 @@ class Layer(ABC):
         if errors and not self.mask:
             is_none = any(isinstance(error, InvalidProblem) for error in errors.values())
             raise _first(errors, self.axes, InvalidProblem if is_none else NotConverged)
-        self.is_solved = np.ones(len(self.found), np.bool_)
+        self.is_solved = np.ones(math.prod(self.axes), np.bool_)
         self.is_solved[[*errors]] = False
         z = np.where(self.is_solved[:, np.newaxis], self.found.z, 0.0)
         return z.reshape(*self.axes, n), self.is_solved.reshape(self.axes)
@@ -129,7 +129,7 @@ class Layer(ABC):
         UnsuitableProblem
             If a problem that the loss depends on has no gradient.
         """
-        found, rows = self.found, g.reshape(len(self.found), g.shape[-1])
+        found, rows = self.found, g.reshape(math.prod(self.axes), g.shape[-1])
         rows = np.where(self.is_solved[:, np.newaxis], rows, 0.0)
         gradient = found.vjp(rows)
         if wrong := {k: error for k, error in found.errors.items() if rows[k].any()}:

@@ -135,7 +135,7 @@ def qp_layer(
     Notes
     -----
     If a row is active with multiplier 0, the gradient belongs to one of the pieces that meet there, as for a ReLU at
-    0. If x or its multipliers are not unique, `backward` raises UnsuitableProblem, which names the rows.
+    0. If x or its multipliers are not unique on that piece, `backward` raises UnsuitableProblem, which names the rows.
 
     Examples
     --------

@@ -228,8 +228,8 @@ class ProgramDerivative:
     ----------
     data : ProgramData or LeastSquaresData
     conditions : callable
-        Returns the derivative of the LCP, of a single problem or of a batch; its argument is whether degenerate parts
-        raise an error.
+        Returns the derivative of the LCP, of a single problem or of a batch; its option `is_strict` is whether
+        degenerate parts raise an error.
 
     Notes
     -----
@@ -253,9 +253,10 @@ class ProgramDerivative:
     """
 
     def __init__(
-        self, data: Any, conditions: Callable[[bool], Any], *, is_strict: bool = True
+        self, data: Any, conditions: Callable[..., Any], *, is_strict: bool = True
     ) -> None:
-        self.data, self._conditions_of, self.conditions = data, conditions, conditions(is_strict)
+        self.data, self._conditions_of = data, conditions
+        self.conditions = conditions(is_strict=is_strict)
 
     def one_sided(self) -> ProgramDerivative:
         """Return the derivative that accepts degenerate parts.
@@ -264,13 +265,10 @@ class ProgramDerivative:
         """
         return ProgramDerivative(self.data, self._conditions_of, is_strict=False)
 
-    def __len__(self) -> int:
-        return len(self.conditions)
-
     @property
     def errors(self) -> dict[int, Any]:
         """Error of each problem of a batch without a derivative; calls of `jvp` and `vjp` add theirs."""
-        found: dict[int, Any] = self.conditions.errors
+        found: dict[int, Any] = getattr(self.conditions, "errors", {})
         return found
 
     @property

@@ -338,8 +338,8 @@ class StepData:
     def __init__(self, k: int, n: int, M_at: Any, problem: Any, **bounds: ArrayLike | None) -> None:
         self.matrices: Any = M_at
         is_list = M_at is not None and not callable(M_at)
-        if is_list and len(M_at) != k:
-            raise InvalidProblem(_wrong_count("M_at", len(M_at), k))
+        if is_list:
+            _check_matrices(M_at, "M_at", k)
         given = {name: values for name, values in bounds.items() if values is not None}
         rows = {}
         for name, values in given.items():
@@ -381,13 +381,22 @@ class StepData:
         is_called = callable(self.matrices)
         M = self.matrices(step) if is_called else self.matrices[step]
         if is_called or M is not self._last[0]:  # a function may use one array again
-            try:
-                made = LCP(M, problem.q, lower=problem.lower, upper=problem.upper)
-            except InvalidProblem as error:
-                raise InvalidProblem(f"M_at of step {step}: {error}") from error
+            own = checks.rectangular_matrix(M, f"M_at of step {step}", problem.n, problem.n)
+            made = LCP(own, problem.q, lower=problem.lower, upper=problem.upper)
             self._last = M, made
         found: LCP = self._last[1]
         return found
+
+
+def _check_matrices(given: Any, name: str, k: int) -> None:
+    """Raise InvalidProblem unless `given` is a sequence of k matrices."""
+    if not hasattr(given, "__len__") or sp.issparse(given) or np.ndim(given[:1]) == 2:
+        raise InvalidProblem(
+            f"{name} must be a sequence of {k} matrices, or a callable step -> M, got {type(given).__name__}; "
+            f"for one matrix in all steps write [M] * {k}"
+        )
+    if len(given) != k:
+        raise InvalidProblem(_wrong_count(name, len(given), k))
 
 
 def _wrong_count(name: str, count: int, k: int) -> str:
@@ -983,6 +992,7 @@ class MarchDerivative:
                 "dlower",
                 "dupper",
                 *(f"d{one}" for one in AT),
+                "only_last",
             )
             name, hint = next(iter(unknown)), did_you_mean(next(iter(unknown)), known)
             hint = "; the q of the steps change by dforcing" if name == "dq" else hint
@@ -999,8 +1009,8 @@ class MarchDerivative:
             + (0.0 if each is None else _rows(each, f"{name}_at", steps, n, "all steps"))
             for name, (one, each) in given.items()
         )
-        if dM_at is not None and not callable(dM_at) and len(dM_at) != steps:
-            raise InvalidProblem(_wrong_count("dM_at", len(dM_at), steps))
+        if dM_at is not None and not callable(dM_at):
+            _check_matrices(dM_at, "dM_at", steps)
         before = checks.change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():

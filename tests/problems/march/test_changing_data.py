@@ -162,11 +162,12 @@ def test_a_band_has_the_derivative_by_the_bounds_of_each_step() -> None:
         ),
         ({"upper_at": np.full((7, 6), 9.0)}, "upper_at must have .*got 7: step 5 does not exist"),
         ({"M_at": [np.eye(6)] * 4}, "M_at must have one entry per step.*step 4 has none"),
-        ({"M_at": [np.eye(6)] * 4 + [np.eye(5)]}, "M_at of step 4: "),
-        (
-            {"M_at": lambda step: np.eye(6) * (np.nan if step == 0 else 1.0)},
-            "M_at of step 0: .*nan",
-        ),
+        ({"M_at": [np.eye(6)] * 4 + [np.eye(5)]}, r"M_at of step 4 must be .*shape \(6, 6\), got"),
+        ({"M_at": 3.0}, r"M_at must be a sequence of 5 matrices.*\[M\] \* 5"),
+        ({"M_at": np.eye(6)}, r"sequence of 5 matrices.*\[M\] \* 5"),
+        ({"M_at": sp.eye_array(6)}, r"sequence of 5 matrices.*\[M\] \* 5"),
+        ({"M_at": (np.eye(6) for _ in range(5))}, "sequence of 5 matrices, .* got generator"),
+        ({"M_at": lambda step: np.eye(6) * (np.nan if step == 0 else 1.0)}, "M_at of step 0.*nan"),
         (
             {"lower_at": np.full((5, 6), 9.0)},
             r"step 0: bounds must satisfy lower ≤ upper.*lower_at\[0\]",

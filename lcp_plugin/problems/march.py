@@ -350,12 +350,13 @@ class StepData:
             if rows[name].shape != (k, n):
                 raise InvalidProblem(f"{need}, got shape {rows[name].shape}")
         self.bounds: dict[str, Vector] = {name: np.empty((k, n)) for name in rows}
+        names: Any = tuple(f"{one}_at" if one in rows else one for one in BOUNDS)
         for step in range(k if rows else 0):
             low, high = (
                 rows[one][step] if one in rows else getattr(problem, one) for one in BOUNDS
             )
             try:
-                pair = checks.checked_bounds(low, high, n, names=("lower_at", "upper_at"))
+                pair = checks.checked_bounds(low, high, n, names=names)
             except InvalidProblem as error:
                 raise InvalidProblem(f"step {step}: {error}") from error
             for name, values in zip(BOUNDS, pair, strict=True):

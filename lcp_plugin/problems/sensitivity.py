@@ -30,7 +30,7 @@ from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitablePro
 from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
 from ..core.matrix import residual_scales
-from ..core.names import MOST_NAMES, listed
+from ..core.names import MOST_NAMES, format_count, listed
 from ..core.problem_classes import foreign_function, refusal
 from ..core.settings import Status
 from ..methods.small import is_small
@@ -985,8 +985,8 @@ class Derivative(LinearizedSystem):
                 rows.size > MOST_NAMES
             )
             kink = (
-                f"{rows.size} rows ({named}) are at a bound with w = 0: jvp is one-sided, and vjp the gradient of one "
-                "of the pieces that meet there"
+                f"w = 0 at a bound in {format_count(rows.size, 'row')} ({named}): jvp is one-sided, and vjp the "
+                "gradient of one of the pieces that meet there"
             )
         return "; ".join(filter(None, (kink, singular, several)))
 

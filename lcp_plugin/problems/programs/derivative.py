@@ -312,8 +312,7 @@ class ProgramDerivative:
         for name in changes:
             if name not in known:
                 raise InvalidOption(
-                    f"jvp of this problem has no option {name!r}{did_you_mean(name, known)}; it takes "
-                    f"{', '.join(known)}"
+                    f"jvp of this problem has no option {name!r}{did_you_mean(name, known)}"
                 )
         given = {
             name[1:]: self._checked(name, values)

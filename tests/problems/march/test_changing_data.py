@@ -223,3 +223,10 @@ def test_data_of_steps_exclude_those_of_all_steps() -> None:
         lower_at=data["lower_at"],
     )
     assert [len(one) for one in many] == [5, 5]
+
+
+def test_bounds_of_a_step_that_cross_the_bounds_of_the_problem_name_both() -> None:
+    """The problem's own bound has its own name."""
+    problem = LCP(np.eye(2), [1.0, 1.0], lower=0.0, upper=1.0)
+    with pytest.raises(InvalidProblem, match=r"step 0: .*lower_at\[0\] = 2.0 and upper\[0\] = 1.0"):
+        march(problem, np.zeros((3, 2)), lower_at=np.full((3, 2), 2.0))

@@ -87,7 +87,8 @@ class DAQP(Engine):
         above, below = np.concatenate([upper, d], axis=1), np.full((count, sense.size), -np.inf)
         below[:, :n], below[:, n + m :] = lower, d[:, m:]
         settings = self.settings | ({"time_limit": seconds} if seconds else {})
-        has_P, (P, c, C) = P.any(), (np.require(one, requirements=["C", "W"]) for one in (P, c, C))
+        # daqp takes no arrays that are read-only
+        has_P, (P, c, C) = P.any(), (np.array(one, order="C") for one in (P, c, C))
         of_P, of_C = (range(count) if len(one) > 1 else [0] * count for one in (P, C))
         for k in items:
             hessian = P[of_P[k]] if has_P else None

@@ -396,6 +396,8 @@ class PrimalDualPoint:
     def _largest_by_component(self, sizes: Vector) -> Vector:
         """Return the largest size in each component."""
         parts = self.matrices.components
+        if parts.number == 1:
+            return np.maximum.reduce(sizes, keepdims=True, initial=0.0)
         most = np.zeros(parts.number)
         np.maximum.at(most, parts.of_unknown, sizes)
         return most

@@ -928,6 +928,7 @@ class MarchDerivative:
             return False
         return True if all(self[k].is_unique for k in range(len(self))) else None
 
+    @checks.changes_by_name
     def jvp(
         self,
         *,
@@ -941,7 +942,6 @@ class MarchDerivative:
         dupper_at: Any = None,
         dM_at: Any = None,
         only_last: bool = False,
-        **unknown: Any,
     ) -> Vector:
         """Return the changes dz of the solutions for changes of the data; one-sided at a kink.
 
@@ -983,20 +983,6 @@ class MarchDerivative:
         array([[0.375  , 0.125  ],
                [0.15625, 0.09375]])
         """
-        if unknown:
-            known = (
-                "dM",
-                "dforcing",
-                "dpropagator",
-                "dz0",
-                "dlower",
-                "dupper",
-                *(f"d{one}" for one in AT),
-                "only_last",
-            )
-            name, hint = next(iter(unknown)), did_you_mean(next(iter(unknown)), known)
-            hint = "; the q of the steps change by dforcing" if name == "dq" else hint
-            raise InvalidOption(f"jvp of a march has no option {name!r}{hint}")
         n, steps = self.march.problem.n, len(self)
         dforcing = np.zeros(n) if dforcing is None else dforcing
         rows = _rows(dforcing, "dforcing", steps, n, "all steps")

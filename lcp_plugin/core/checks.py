@@ -293,7 +293,7 @@ def change_of_vector(values: Any, name: str, n: int, *, may_be_number: bool = Fa
 
 
 def changes_by_name(jvp: Method) -> Method:
-    """Decorate a method whose arguments are changes by name, so that it refuses other arguments with these names."""
+    """Decorate a method whose arguments are changes by name: other arguments raise InvalidOption."""
     known = [*(jvp.__kwdefaults__ or {})]
 
     @wraps(jvp)

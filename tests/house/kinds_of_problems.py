@@ -1,4 +1,4 @@
-"""Small problems of each kind that `lcp_plugin.kinds` lists, solvable and not.
+"""Small problems of each class in `CLASSES`, solvable and not.
 
 Each stated in every language.
 """

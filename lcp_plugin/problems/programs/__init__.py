@@ -2,7 +2,7 @@
 
 ``solve(QuadraticProgram(…))`` always runs `solving.solve_program`. In order, until one step decides:
 
-1. External solvers, in the order of `engine_calls.ATTEMPTS`: rows of one variable become bounds (`reductions`), the
+1. External solvers, in the order of `solving.ATTEMPTS`: rows of one variable become bounds (`program_matrices`), the
    program is scaled (`engines.scaling`), first with unknowns fixed that a huge cost forbids; the point, without
    noise and polished (`engines.polish`), is tested
    (`criterion`). If the solver reports infeasible or unbounded, `no_minimum` searches for a proof.

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import cached_property, lru_cache
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property, lru_cache, wraps
 from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InvalidOption, InvalidProblem
+from .errors import InvalidOption, InvalidProblem, did_you_mean
 
 Vector = NDArray[np.float64]
 T = TypeVar("T")
+Method = TypeVar("Method", bound=Callable[..., Any])
 BoolVector = NDArray[np.bool_]
 Arrays = tuple[NDArray[Any], NDArray[Any], Vector]  # of a sparse matrix: indptr, indices, data
 
@@ -205,7 +206,9 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
             f"{need}, got a masked array; fill it first, for instance with .filled(0.0)"
         )
     if sp.issparse(values):
-        raise InvalidProblem(f"{need}, got a sparse array; use .toarray().ravel()")
+        raise InvalidProblem(
+            f"{need}, got a sparse array of shape {values.shape}; use .toarray(), and for a vector also .ravel()"
+        )
     if values is None:
         raise InvalidProblem(f"{need}, got None")
     try:
@@ -290,6 +293,30 @@ def change_of_vector(values: Any, name: str, n: int, *, may_be_number: bool = Fa
     if values is None or (may_be_number and np.ndim(values) == 0):
         values = np.full(n, 0.0 if values is None else values)
     return checked_vector(values, name, n)
+
+
+def changes_by_name(jvp: Method) -> Method:
+    """Decorate a method whose arguments are changes by name: other arguments raise InvalidOption."""
+    known = [*(jvp.__kwdefaults__ or {})]
+
+    @wraps(jvp)
+    def checked(self: Any, *unnamed: Any, **changes: Any) -> Any:
+        require_known_changes(unnamed, changes, known)
+        return jvp(self, **changes)
+
+    return checked  # type: ignore[return-value]
+
+
+def require_known_changes(unnamed: Any, changes: Iterable[str], known: Sequence[str]) -> None:
+    """Raise InvalidOption for a change without a name, or with another than the known ones."""
+    if unnamed:
+        raise InvalidOption(
+            f"jvp takes changes of the data by name, got {type(unnamed[0]).__name__}; write "
+            f"jvp({known[0]}=…) (known: {', '.join(known)})"
+        )
+    for name in changes:
+        if name not in known:
+            raise InvalidOption(f"jvp has no option {name!r}{did_you_mean(name, known)}")
 
 
 def checked_answer(answer: Any, n: int) -> Vector:

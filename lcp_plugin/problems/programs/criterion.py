@@ -198,9 +198,9 @@ class PrimalDualPoint:
         terms = self.bend + self.cost + of_columns @ self.of_y
         self.terms_of_rows = of_C @ self.of_x + self.limits
         if is_exact:
-            self.product, _, _ = compensated_pair(self.matrices.sparse_P, x)
-            both = np.concatenate([x, y])
-            self.left, _, self.doubt = compensated_pair(self.matrices.gradient, both, program.c)
+            self.product, low, radius = compensated_pair(self.matrices.sparse_P, x)
+            self.left, doubt = self._exact_pull(self.product, low)
+            self.doubt = (doubt + radius) * (1.0 + 4.0 * UNIT)  # its own rounding included
             excess, _, _ = compensated_pair(self.matrices.rows, x, -sides)
             self.hidden: Any = 0.0
             row_doubt: Any = 0.0
@@ -356,8 +356,7 @@ class PrimalDualPoint:
     @property
     def _is_rounding(self) -> Any:
         """Return the unknowns whose gradient is the rounding error of a cost and multipliers, or of x where P x = 0."""
-        y_alone = np.concatenate([np.zeros(self.x.size), self.y])
-        pull, _, doubt = compensated_pair(self.matrices.gradient, y_alone, self.program.c)
+        pull, doubt = self._exact_pull(0.0 * self.x, 0.0 * self.x)
         at_rest = self.curved <= BLUR * BLUR * self._sums(self.of_x * self.bend)
         at_rest = at_rest[self.matrices.components.of_unknown]
         most = np.where(at_rest, np.abs(pull) + doubt, np.abs(self.left) + self.doubt)
@@ -376,6 +375,12 @@ class PrimalDualPoint:
         pull = units * np.abs(self.product + self.program.c)
         pulls = np.where(way > DATA_ROUNDING * units * sizes, pull, 0.0)
         return np.minimum(self.of_y, row_units * self._largest_by_component(pulls)[parts.of_row])
+
+    def _exact_pull(self, high: Vector, low: Vector) -> tuple[Vector, Vector]:
+        """Return c + Cᵀy + high + low, and a bound of its error: P x is summed once, although two tests need it."""
+        terms = np.concatenate([self.y, self.program.c, low])
+        pull, _, doubt = compensated_pair(self.matrices.columns, terms, high)
+        return pull, doubt
 
     def _sums(self, of_unknowns: Vector, of_rows: Vector | None = None) -> Vector:
         """Return the sums over each component."""

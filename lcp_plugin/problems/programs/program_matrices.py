@@ -174,6 +174,12 @@ class ProgramMatrices:
         return sp.csr_array(sp.hstack([self.sparse_P, sp.csr_array(self.rows.T)], format="csr"))
 
     @cached_property
+    def columns(self) -> sp.csr_array:
+        """[Gᵀ Aᵀ I I]: sums the terms of multipliers with two vectors."""
+        identity = sp.eye_array(self.P.shape[0], format="csr")
+        return sp.csr_array(sp.hstack([self.rows.T, identity, identity], format="csr"))
+
+    @cached_property
     def row_sizes(self) -> Vector:
         """Largest |entry| of each constraint; 1 for a row without entries."""
         return or_one(np.concatenate([largest_in_rows(self.rows), np.ones(2 * self.P.shape[0])]))

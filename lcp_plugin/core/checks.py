@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import cached_property, lru_cache
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property, lru_cache, wraps
 from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InvalidOption, InvalidProblem
+from .errors import InvalidOption, InvalidProblem, did_you_mean
 
 Vector = NDArray[np.float64]
 T = TypeVar("T")
+Method = TypeVar("Method", bound=Callable[..., Any])
 BoolVector = NDArray[np.bool_]
 Arrays = tuple[NDArray[Any], NDArray[Any], Vector]  # of a sparse matrix: indptr, indices, data
 
@@ -80,7 +81,7 @@ def assemble_csr(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -
 
 def checked_matrix(M: Any) -> tuple[Any, int]:
     """Return the square matrix as a CSR array, or as an ndarray if it is small and dense; and its nonzero entries."""
-    is_sparse = sp.issparse(M)
+    is_sparse = type(M) is not np.ndarray and sp.issparse(M)
     if is_sparse:
         check_kind(M.dtype, "M must hold real numbers")
     matrix = M if is_sparse else real_array(M, "M must hold real numbers")
@@ -93,8 +94,9 @@ def checked_matrix(M: Any) -> tuple[Any, int]:
     require_finite(matrix, "M")
     n, nonzeros = matrix.shape[0], int(np.count_nonzero(matrix))
     if n <= DENSE_UP_TO_SIZE and nonzeros > DENSE_ABOVE_DENSITY * n * n:
-        # the caller may change the original
-        return read_only(np.array(matrix, order="C")), nonzeros
+        matrix = np.array(matrix, order="C")  # the caller may change the original
+        matrix.setflags(write=False)
+        return matrix, nonzeros
     return freeze_csr(sp.csr_array(matrix)), nonzeros
 
 
@@ -141,7 +143,7 @@ def rectangular_matrix(
 def require_finite(array: NDArray[np.float64], name: str) -> None:
     """Raise InvalidProblem that shows the first entry that is not finite, if there is one."""
     is_finite = np.isfinite(array)
-    if not is_finite.all():
+    if not np.logical_and.reduce(is_finite, None):
         at = tuple(np.argwhere(~is_finite)[0].tolist())
         raise _not_finite(name, ", ".join(map(str, at)), array[at])
 
@@ -204,7 +206,9 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
             f"{need}, got a masked array; fill it first, for instance with .filled(0.0)"
         )
     if sp.issparse(values):
-        raise InvalidProblem(f"{need}, got a sparse array; use .toarray().ravel()")
+        raise InvalidProblem(
+            f"{need}, got a sparse array of shape {values.shape}; use .toarray(), and for a vector also .ravel()"
+        )
     if values is None:
         raise InvalidProblem(f"{need}, got None")
     try:
@@ -259,13 +263,15 @@ def checked_vector(
             f"{need}, got shape {vector.shape}{_hint_at_vector(vector, name, length)}"
         )
     is_valid = np.isfinite(vector)
-    if is_finite and not is_valid.all():
+    if is_finite and not np.logical_and.reduce(is_valid):
         is_valid |= (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
         if not is_valid.all():
             at = int(np.argmin(is_valid))
             need = "finite or inf" if allow_plus_infinity else "finite"
             raise _not_finite(name, at, vector[at], need)
-    return read_only(vector.copy())
+    vector = vector.copy()
+    vector.setflags(write=False)
+    return vector
 
 
 def _hint_at_vector(array: Vector, name: str, length: int | None) -> str:
@@ -287,6 +293,30 @@ def change_of_vector(values: Any, name: str, n: int, *, may_be_number: bool = Fa
     if values is None or (may_be_number and np.ndim(values) == 0):
         values = np.full(n, 0.0 if values is None else values)
     return checked_vector(values, name, n)
+
+
+def changes_by_name(jvp: Method) -> Method:
+    """Decorate a method whose arguments are changes by name: other arguments raise InvalidOption."""
+    known = [*(jvp.__kwdefaults__ or {})]
+
+    @wraps(jvp)
+    def checked(self: Any, *unnamed: Any, **changes: Any) -> Any:
+        require_known_changes(unnamed, changes, known)
+        return jvp(self, **changes)
+
+    return checked  # type: ignore[return-value]
+
+
+def require_known_changes(unnamed: Any, changes: Iterable[str], known: Sequence[str]) -> None:
+    """Raise InvalidOption for a change without a name, or with another than the known ones."""
+    if unnamed:
+        raise InvalidOption(
+            f"jvp takes changes of the data by name, got {type(unnamed[0]).__name__}; write "
+            f"jvp({known[0]}=…) (known: {', '.join(known)})"
+        )
+    for name in changes:
+        if name not in known:
+            raise InvalidOption(f"jvp has no option {name!r}{did_you_mean(name, known)}")
 
 
 def checked_answer(answer: Any, n: int) -> Vector:

@@ -233,6 +233,10 @@ class Study:
         """Return a line per point of each measurement; the last line of a measurement is its result."""
         return csv_text([COLUMNS, *(line for row in self.rows for line in _lines(row))])
 
+    def to_latex(self) -> str:
+        """Return the tables of iterations as tabular environments of LaTeX."""
+        return "\n".join(table.to_latex() for table in self.table())
+
     def save(self, path: str | PathLike[str], against: str = "seconds") -> None:
         """Write a file: .csv every point, .md or .tex the tables of iterations, .png, .pdf or .svg the plot.
 
@@ -249,7 +253,7 @@ class Study:
         writers: dict[str, Callable[[], str]] = {
             ".csv": self.to_csv,
             ".md": lambda: "\n".join(map(str, self.table())),
-            ".tex": lambda: "\n".join(table.to_latex() for table in self.table()),
+            ".tex": self.to_latex,
         }
         if ending not in writers:
             endings = ", ".join([*FORMATS, *writers])

@@ -28,7 +28,7 @@ from ..expressions.rows import Indices, Rows, as_matrix, is_definition
 from ..problems.cones.data import Blocks, ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.nonlinear.data import NonlinearProblem
-from ..problems.statement import SquareModel, StatedRows, Statement
+from ..problems.statement import SquareModel, Statement
 from . import _compat as compat
 from .reading import Reader, rewritten
 
@@ -124,7 +124,9 @@ def over_cones(found: SquareModel, pairs: Sequence[ConePair], name: Any) -> Squa
         found.elimination, kept=kept[order], expansion=sp.csr_array(expansion[:, order])
     )
     places, signs = found.places[order], found.signs[order]
-    return replace(found, problem=problem, elimination=elimination, places=places, signs=signs)
+    return replace(
+        found, problem=problem, elimination=elimination, places=places, signs=signs, whole=None
+    )
 
 
 @dataclass(eq=False)
@@ -275,8 +277,6 @@ class Model:
             return []
         rows, columns, weights, shift, low, high = self.read(side)
         is_new = columns is None or bool(self.statement.is_paired[columns].any())
-        if columns is not None and is_new:
-            self.statement.repeat(columns)
         if columns is None and other.kind == "value" and side.kind in ("nonnegative", "value"):
             raise UnsupportedModel(
                 f"{side} is not a variable, and {other} has no sign; write {other} >= 0 or <= 0, or give one side a "
@@ -382,8 +382,6 @@ class Model:
         # All unknowns that name expressions count as one more variable.
         variable_of[variable_of < 0] = len(self.variables)
         found = self.statement.square(variable_of)
-        if (remark := self.statement.repeated(at_least=3)) is not None:
-            warn(remark)
         if self.cones:
             found = over_cones(found, self.cones, self.statement.name_of)
         if self._equations:
@@ -451,49 +449,15 @@ class Model:
     @np.errstate(all="ignore")  # outside of a domain
     def present(self) -> Vector | None:
         """Return the present values of all unknowns; None if a variable has no value."""
-        z, missing = np.zeros(self.statement.lower.size), self._without_value(self.variables)
-        try:
-            left = [
-                one for one in self.statement.rows if one.slacks is None and one.origin is not None
-            ]
-            while left != (waiting := [one for one in left if not self._defines(one)]):
-                left = waiting
-            if self._without_value(missing):
-                return None
-            for one in self.variables:
-                z[self.spans[one.id]] = compat.by_columns(one.value)
-            for row in self.statement.rows:
-                if row.slacks is not None:
-                    z[row.slacks] = row.sign * compat.by_columns(row.origin.value)
-            return z
-        finally:
-            for one in missing:
-                one.save_value(None)
-
-    @staticmethod
-    def _without_value(variables: list[Any]) -> list[Any]:
-        return [one for one in variables if one.value is None]
-
-    def _defines(self, one: StatedRows) -> bool:
-        """Set the variable that an equation defines by variables with values; return whether it does."""
-        missing = self._without_value(one.origin.variables())
-        if len(missing) != 1 or (one.low != one.high).any():
-            return not missing
-        (variable,) = missing
-        block = as_matrix(one.rows.blocks.get(variable.id, 0.0), one.rows.size)
-        if variable.size != one.rows.size or not is_definition(block) or not block.data.all():
-            return False
-
-        def at(value: Vector) -> Vector:
-            variable.save_value(value.reshape(variable.shape, order="F"))
-            return np.asarray(compat.by_columns(one.origin.value) - one.low)
-
-        found = np.zeros(variable.size)
-        found[block.indices] = -at(found) / block.data
-        allowed = 1e-9 * (1.0 + np.abs(found).max(initial=0.0))
-        if not (is_defined := bool((np.abs(at(found)) <= allowed).all())):
-            variable.save_value(None)
-        return is_defined
+        if any(one.value is None for one in self.variables):
+            return None
+        z = np.zeros(self.statement.lower.size)
+        for one in self.variables:
+            z[self.spans[one.id]] = compat.by_columns(one.value)
+        for row in self.statement.rows:
+            if row.slacks is not None:
+                z[row.slacks] = row.sign * compat.by_columns(row.origin.value)
+        return z
 
     def write_back(
         self, problem: Any, result: Any, found: tuple[Vector, Vector, float] | None

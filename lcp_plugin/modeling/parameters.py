@@ -214,9 +214,10 @@ class ModelDerivative:
         found: Changes = {}
         for owner, value in given.items():
             if not any(owner is one for one in owners):
+                instead = ", the objects and not their names" if isinstance(owner, str) else ""
                 raise UnsupportedModel(
                     f"{_compat.name_of(owner)} has no {what} here; give one of "
-                    f"{', '.join(map(_compat.name_of, owners))}"
+                    f"{', '.join(map(_compat.name_of, owners))}{instead}"
                 )
             array = np.asarray(value)
             if (

@@ -456,8 +456,9 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
     if wrong.size:
         c = int(wrong[0])
         raise InvalidProblem(
-            f"normals and tangents must be orthogonal unit vectors, but contact {c} violates this by {least[c]:.2g} "
-            "in translations; divide each by its length, or, if the unknowns are not translations, pass J m⁻¹ Jᵀ, J u"
+            f"normals and tangents must be orthogonal unit vectors, but contact {c} has products that differ from 1 or "
+            f"0 by {least[c]:.2g}; divide each by its length, or, if the unknowns are not translations, pass J m⁻¹ Jᵀ, "
+            "J u"
         )
 
 

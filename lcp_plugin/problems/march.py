@@ -75,58 +75,52 @@ class BandSteps:
     """
 
     def __init__(self, done: March, band: Bands, settings: Settings) -> None:
-        self.problem = problem = done.problem
-        self.band, self.propagate = band, propagation(done.propagator)
-        self.tolerance, self.absolute = settings.tolerance, abs(problem.csr)
+        self.done, self.band, self.propagate = done, band, propagation(done.propagator)
+        self.tolerance, self.absolute = settings.tolerance, abs(done.problem.csr)
         self.most = settings.max_iterations
-        self.of_nearest: Vector = problem.csr @ problem.nearest_to_zero
-        #: 1 if a step is one pass from the lower bounds, −1 from the upper ones, else 0.
-        self.side, self.none = 0, read_only(np.zeros(problem.n, np.bool_))
-        if band.is_tridiagonal_z:
-            self.side = int(np.isinf(problem.upper).all()) or -int(np.isinf(problem.lower).all())
+        self.none = read_only(np.zeros(done.problem.n, np.bool_))
 
-    def solve(self, forcing: Vector, state: Vector) -> tuple[Vector, Vector]:
-        """Return q and z of the first steps that meet the criterion from this state, shapes (k, n).
+    def solve(self, here: slice, state: Vector) -> tuple[Vector, Vector]:
+        """Return q and z of the first of these steps that meet the criterion from this state, shapes (k, n).
 
         Parameters
         ----------
-        forcing : array, shape (k, n)
+        here : slice
+            The numbers of the steps.
         state : array, shape (n,)
         """
+        forcing, problem = self.done.forcing[here], self.done.problem
         Q, Z = np.empty(forcing.shape), np.empty(forcing.shape)
         fixed = read_only(Q)
         for k, given in enumerate(forcing):
             Q[k] = given + self.propagate(state)
-            found = self._step(fixed[k], state)
+            own = self.done.data.problem_at(problem, here.start + k)
+            found = self._step(own, fixed[k], state)
             if found is None:
                 Q, Z = Q[:k], Z[:k]
                 break
             state = Z[k] = found
-        measured = measure_finished(self._data(Q), Z, self.tolerance, power=1.0)
+        bounds = self.done.data.bounds_of(problem, slice(here.start, here.start + len(Q)))
+        data = RowData(problem.csr, self.absolute, Q, *bounds, problem.residual_scale)
+        measured = measure_finished(data, Z, self.tolerance, power=1.0)
         passes, moves = measured.passes, (measured.z != Z).any(axis=1)
         count = len(Q) if passes.all() else int(np.argmin(passes))
         if moves[:count].any():  # later steps were computed from the point before it was moved
             count = int(np.argmax(moves)) + 1
         return Q[:count], read_only(measured.z)[:count]
 
-    def _step(self, q: Vector, state: Vector) -> Vector | None:
-        """Return the solution of one step, or None if none was found."""
-        problem = self.problem
-        if self.side:
-            value = problem.lower if self.side > 0 else problem.upper
-            found = solve_one_sided(self.band.entries, q, self.side, value, self.none)[0]
-            return None if found is None else np.clip(found, problem.lower, problem.upper)
-        data = self._data(q)
-        reference = data.residual(data.start, self.of_nearest + q)
-        goal = 0.5 * self.tolerance * np.abs(reference).max(initial=0.0)
-        rounds = active_sets(problem, self.band, q, np.clip(state, problem.lower, problem.upper))
+    def _step(self, problem: LCP, q: Vector, state: Vector) -> Vector | None:
+        """Return the solution of one step with the bounds of a problem, or None if none was found."""
+        lower, upper = problem.lower, problem.upper
+        side = int(np.isinf(upper).all()) or -int(np.isinf(lower).all())
+        if side and self.band.is_tridiagonal_z:
+            value = lower if side > 0 else upper
+            found = solve_one_sided(self.band.entries, q, side, value, self.none)[0]
+            return None if found is None else np.clip(found, lower, upper)
+        reference = next(active_sets(problem, self.band, q, problem.nearest_to_zero))[1]
+        goal = 0.5 * self.tolerance * reference
+        rounds = active_sets(problem, self.band, q, np.clip(state, lower, upper))
         return next((z for z, residual in islice(rounds, self.most) if residual <= goal), None)
-
-    def _data(self, q: Vector) -> RowData:
-        """Return the data of the criterion of one step, q of shape (n,), or of several."""
-        problem = self.problem
-        vectors = q, problem.lower, problem.upper, problem.residual_scale
-        return RowData(problem.csr, self.absolute, *vectors, start=problem.nearest_to_zero)
 
 
 STEPS_TOGETHER = 64  # steps between two checks for Ctrl-C; results of earlier blocks are kept
@@ -233,7 +227,7 @@ class March(AnswerSequence[Result]):
 def take_steps_on_band(done: March, algorithm: Any, wishes: dict[str, Any], limit: float) -> None:
     """Take the steps of a march on a narrow band, until a time limit or an unsolved step."""
     problem, clock = done.problem, Clock()
-    if not isinstance(problem, LCP) or not problem.n or done.data.changes:
+    if not isinstance(problem, LCP) or not problem.n or done.data.matrices is not None:
         return
     method, settings = parse_call(algorithm, wishes)
     is_watched = settings.record or settings.verbose
@@ -246,19 +240,20 @@ def take_steps_on_band(done: March, algorithm: Any, wishes: dict[str, Any], limi
         return
     steps, state = BandSteps(done, band, settings), done.z0
     while done.taken < len(done.forcing) and clock.read() < limit:
-        forcing = done.forcing[done.taken : done.taken + STEPS_TOGETHER]
-        solved = steps.solve(forcing, state)
+        here = slice(done.taken, min(done.taken + STEPS_TOGETHER, len(done.forcing)))
+        solved = steps.solve(here, state)
         for q, state in zip(*solved, strict=True):
             row, z = (q, state) if done.keep == 1 else (q.copy(), read_only(state.copy()))
-            done.take(z, partial(_result_at, problem, row, z, settings))  # without its block
-        if len(solved[0]) < len(forcing):
+            own = partial(done.data.problem_at, problem, done.taken)
+            done.take(z, partial(_result_at, own, row, z, settings))  # without its block
+        if done.taken < here.stop:
             break
 
 
-def _result_at(problem: LCP, q: Vector, z: Vector, settings: Settings) -> Result:
+def _result_at(problem_of: Callable[[], LCP], q: Vector, z: Vector, settings: Settings) -> Result:
     """Return the result of a step on a band, which is measured already."""
     stage = StageRecord(Banded.name, "M is a narrow band: many steps in one loop", 1, 1.0)
-    return Result.at(problem.with_q(q), z, stage, settings)
+    return Result.at(problem_of().with_q(q), z, stage, settings)
 
 
 def take_steps(done: March, algorithm: Any, wishes: dict[str, Any], limit: float) -> None:
@@ -366,10 +361,13 @@ class StepData:
         for step in range(k if is_list else 0):
             self._with_matrix(problem, step)
 
-    @property
-    def changes(self) -> bool:
-        """Whether anything changes."""
-        return self.matrices is not None or bool(self.bounds)
+    def bounds_of(self, problem: LCP, here: slice) -> tuple[Vector, Vector]:
+        """Return the bounds of some steps, shape (n,) for constant ones, else a row per step."""
+        lower, upper = (
+            self.bounds[name][here] if name in self.bounds else getattr(problem, name)
+            for name in BOUNDS
+        )
+        return lower, upper
 
     def problem_at(self, problem: Any, step: int) -> Any:
         """Return the problem of a step, with any q."""
@@ -724,7 +722,8 @@ class Steps:
         change = before = np.full(z.shape, KINK, np.int8)
         if band is None:
             return z, before, False
-        lower, upper, scale = problem.lower, problem.upper, problem.residual_scale
+        lower, upper = self.march.data.bounds_of(problem, self.here)
+        scale = problem.residual_scale
         for is_last in (False, True):
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
             above, below = z - lower, upper - z
@@ -929,6 +928,7 @@ class MarchDerivative:
             return False
         return True if all(self[k].is_unique for k in range(len(self))) else None
 
+    @checks.changes_by_name
     def jvp(
         self,
         *,
@@ -942,7 +942,6 @@ class MarchDerivative:
         dupper_at: Any = None,
         dM_at: Any = None,
         only_last: bool = False,
-        **unknown: Any,
     ) -> Vector:
         """Return the changes dz of the solutions for changes of the data; one-sided at a kink.
 
@@ -984,20 +983,6 @@ class MarchDerivative:
         array([[0.375  , 0.125  ],
                [0.15625, 0.09375]])
         """
-        if unknown:
-            known = (
-                "dM",
-                "dforcing",
-                "dpropagator",
-                "dz0",
-                "dlower",
-                "dupper",
-                *(f"d{one}" for one in AT),
-                "only_last",
-            )
-            name, hint = next(iter(unknown)), did_you_mean(next(iter(unknown)), known)
-            hint = "; the q of the steps change by dforcing" if name == "dq" else hint
-            raise InvalidOption(f"jvp of a march has no option {name!r}{hint}")
         n, steps = self.march.problem.n, len(self)
         dforcing = np.zeros(n) if dforcing is None else dforcing
         rows = _rows(dforcing, "dforcing", steps, n, "all steps")
@@ -1093,15 +1078,15 @@ class MarchDerivative:
 
     @derived_property
     def band(self) -> Band | None:
-        """The march's band, None if M has no narrow one, or if data change from step to step."""
-        if self.march.data.changes:
+        """The march's band, None if M has no narrow one, or changes from step to step."""
+        if self.march.data.matrices is not None:
             return None
         return Band.of(self.march.problem.matrix, self.march.propagator)
 
     @derived_property
     def transposed(self) -> Band | None:
         """The band of the transposed matrices."""
-        if self.march.data.changes:
+        if self.band is None:
             return None
         M, C = (sp.csr_array(one.T) for one in (self.march.problem.csr, self.march.propagator))
         return Band.of(Matrix(M), C)

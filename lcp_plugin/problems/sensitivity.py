@@ -102,12 +102,18 @@ class BatchPart(LinearizedSystem):
             blocks = FreeBlocks(M if len(M) == 1 else M[wrong], free[wrong])
             step_of_free = blocks.solve(-w[wrong])
             z[wrong] = np.where(free[wrong], z[wrong] + step_of_free, bound[wrong])
-        distance, slack = np.minimum(z - lower, upper - z) * scale, np.abs(w)
+        within, slack = np.minimum(z - lower, upper - z), np.abs(w)
+        distance = within * scale
         is_nearer = free & (upper - z < z - lower)
         self.is_upper = np.where(lower == upper, w < 0.0, at_upper | is_nearer)
         is_sized = diagonal >= 2.0**-10 * largest
         kink = (slack <= terms * size) & (distance <= terms * size) & is_sized & (lower < upper)
-        is_clear = kink | (lower == upper) | (np.where(free, distance, slack) > HALF * size)
+        # a multiplier has no diagonal entry: the rows that it enters have its unit
+        is_far = distance > HALF * size
+        if (diagonal == 0.0).any():
+            seen = np.fmax.reduce(sizes / size[:, :, np.newaxis], axis=1)
+            is_far = np.where((diagonal == 0.0) & (seen > 0.0), within * seen > HALF, is_far)
+        is_clear = kink | (lower == upper) | np.where(free, is_far, slack > HALF * size)
         self.degenerate, self.free = kink, free & ~kink
         self.blocks = FreeBlocks(M, self.free)
         freed = np.flatnonzero(kink.any(axis=1) & ~self.blocks.is_regular)
@@ -174,7 +180,19 @@ class BatchGradient:
         return self._by_M()
 
 
-class ManyDerivatives:
+class DerivativeSequence:
+    """Derivatives of the results of a `batch`; ``found[k]`` is the derivative of result k."""
+
+    batch: Any
+
+    def __len__(self) -> int:
+        return len(self.batch)
+
+    def __getitem__(self, k: int) -> Any:
+        return derivative(self.batch[range(len(self))[k]])
+
+
+class ManyDerivatives(DerivativeSequence):
     """Derivatives of a batch; ``found[k]`` is the derivative of result k.
 
     Small problems share stacked systems, other problems are treated one by one.
@@ -201,13 +219,10 @@ class ManyDerivatives:
             ended = f"{batch.item} {k} ended {status.name}: {status.value}"
             self.errors[k] = UnsuitableProblem(f"only a solution has a derivative, and {ended}")
 
-    def __len__(self) -> int:
-        return len(self.batch)
-
     def __getitem__(self, k: int) -> Any:
         k = range(len(self))[k]
         if k not in self._each:
-            self._each[k] = derivative(self.batch[k])
+            self._each[k] = super().__getitem__(k)
         return self._each[k]
 
     @derived_property
@@ -400,6 +415,7 @@ class BatchDerivative(ManyDerivatives):
         self._fill([free], lambda part: [part.free], lambda k: [self[k].free])
         return free
 
+    @checks.changes_by_name
     def jvp(self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None) -> Any:
         """Return the change dz of each z for changes of the data; one-sided if rows are degenerate.
 
@@ -455,18 +471,24 @@ class ConditionsBatchDerivative(BatchDerivative):
     Parameters
     ----------
     batch : Conditions
-    part, is_strict
+    name_of, is_strict
         As of :class:`ConditionsDerivative`.
     """
 
-    def __init__(self, batch: Conditions, part: Callable[..., str], *, is_strict: bool) -> None:
+    def __init__(
+        self, batch: Conditions, name_of: Callable[..., str], *, is_strict: bool = True
+    ) -> None:
         super().__init__(batch)
-        self.part, self.is_strict = part, is_strict
+        self.name_of, self.is_strict = name_of, is_strict
+
+    def one_sided(self) -> ConditionsBatchDerivative:
+        """Return the derivatives that accept degenerate rows."""
+        return ConditionsBatchDerivative(self.batch, self.name_of, is_strict=False)
 
     def __getitem__(self, k: int) -> ConditionsDerivative:
         if k not in self._each:
             problem, z = self.batch.problems[k], self.batch.z[k]
-            found = ConditionsDerivative(problem, z, self.part, is_strict=self.is_strict)
+            found = ConditionsDerivative(problem, z, self.name_of, is_strict=self.is_strict)
             self._each[k] = found
         return self._each[k]
 
@@ -492,6 +514,22 @@ class ConditionsBatchDerivative(BatchDerivative):
             found[part.items] = part.is_plain & ~part.degenerate.any(axis=1)
         found[self._left] = [self[k].is_unique for k in self._left]
         return found
+
+
+class ProgramBatchDerivative(DerivativeSequence, ProgramDerivative):
+    """The derivatives of the solutions of a batch of programs, or of least squares problems.
+
+    ``found[k]`` is the :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative` of problem k; `jvp` and
+    `vjp` are as there, for all problems at once.
+    """
+
+    def __init__(self, data: Any, conditions: ConditionsBatchDerivative, batch: Any) -> None:
+        super().__init__(data, conditions)
+        self.batch = batch
+
+    def __getitem__(self, k: int) -> ProgramDerivative:
+        found: ProgramDerivative = super().__getitem__(k)
+        return found if self.conditions.is_strict else found.one_sided()
 
 
 class DeviceDerivative(ManyDerivatives):
@@ -676,6 +714,7 @@ class ContactBatchDerivative(ManyDerivatives):
                 lines.append(f"{len(rows)} of {len(self)} worlds ({shown}) have {words}")
         return "; ".join(lines)
 
+    @checks.changes_by_name
     def jvp(self, *, dq: Any = None, dM: Any = None, dfriction: Any = None) -> Any:
         """Return the changes dz for changes of the data, shape (B, n); one-sided at a kink.
 
@@ -858,8 +897,10 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
     if problems.are_lcps and isinstance(batch.z, np.ndarray):
         return BatchDerivative(batch)
     if isinstance(problems, ProgramBatch):
-        shared = problems.shared  # without it, some program is valid
-        example = shared or next(problems[k] for k in range(len(batch)) if k not in batch.errors)
+        valid = (problems[k] for k in range(len(batch)) if k not in batch.errors)
+        example = problems.shared or next(valid, None)
+        if example is None:
+            raise batch.errors[0]
         arrays = {name: getattr(problems, name) for name in "PGA"}
         for name, rows in problems.vectors.items():
             arrays[name] = np.broadcast_to(rows, (len(batch), rows.shape[1]))
@@ -879,9 +920,9 @@ def _derivative_of_program(data: Any, z: Any, batch: Any = None) -> ProgramDeriv
     """Return the derivative of a program or least squares problem, or of a batch, at the z of its conditions."""
     problem = data.problem(partial(Stacked, z0=None))
     if batch is None:
-        return ProgramDerivative(data, partial(ConditionsDerivative, problem, z, data.part))
+        return ProgramDerivative(data, ConditionsDerivative(problem, z, data.name_of))
     conditions = Conditions(batch, problem, z)
-    return ProgramDerivative(data, partial(ConditionsBatchDerivative, conditions, data.part))
+    return ProgramBatchDerivative(data, ConditionsBatchDerivative(conditions, data.name_of), batch)
 
 
 class Derivative(LinearizedSystem):
@@ -991,6 +1032,7 @@ class Derivative(LinearizedSystem):
         return "; ".join(filter(None, (kink, singular, several)))
 
     @np.errstate(all="ignore")
+    @checks.changes_by_name
     def jvp(
         self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None
     ) -> Vector:
@@ -1092,23 +1134,27 @@ class ConditionsDerivative(Derivative):
     ----------
     problem : LCP
     z : array, shape (n,)
-    part : callable
+    name_of : callable
         Returns the name of the part of the program that belongs to an index, and for a bound to "lower" or "upper".
     is_strict : bool
         Whether degenerate rows raise an error as well.
     """
 
     def __init__(
-        self, problem: LCP, z: Vector, part: Callable[..., str], *, is_strict: bool
+        self, problem: LCP, z: Vector, name_of: Callable[..., str], *, is_strict: bool = True
     ) -> None:
         super().__init__(problem, z, problem.slack(z))
-        self.part, self.is_strict = part, is_strict
+        self.name_of, self.is_strict = name_of, is_strict
+
+    def one_sided(self) -> ConditionsDerivative:
+        """Return the derivative that accepts degenerate rows."""
+        return ConditionsDerivative(self.problem, self._found[0], self.name_of, is_strict=False)
 
     @property
     def degenerate_parts(self) -> list[str]:
         """Names of the parts of the program that are active with multiplier 0."""
         sides = np.where(self._rows.is_upper, "upper", "lower")
-        return [self.part(k, sides[k]) for k in self.degenerate.tolist()]
+        return [self.name_of(k, sides[k]) for k in self.degenerate.tolist()]
 
     def jvp(self, **changes: Any) -> Vector:
         """Return the change dz; see :meth:`Derivative.jvp`."""
@@ -1163,7 +1209,7 @@ class ConditionsDerivative(Derivative):
             )
         if self._system.is_singular:
             others = np.flatnonzero(~self.determined).tolist()
-            names = listed(map(self.part, others)) or "linearly dependent rows"
+            names = listed(map(self.name_of, others)) or "linearly dependent rows"
             raise UnsuitableProblem(
                 f"x or its multipliers have several values: {names}; "
                 "make P, or by a ridge AᵀA, definite there, or leave out dependent rows"

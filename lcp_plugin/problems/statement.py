@@ -9,7 +9,6 @@ left are matched with the unknowns left: the diagonal that a splitting method di
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -315,7 +314,7 @@ class SquareModel:
     dropped : ndarray of int
         Unknowns with bounds that no pair states or implies: the problem does not have them.
     whole : callable or None
-        Returns the LCP of all unknowns before the elimination; None of a nonlinear problem.
+        Returns the model of all unknowns, without an elimination; None if there is nothing to eliminate.
     """
 
     problem: Any
@@ -325,18 +324,17 @@ class SquareModel:
     signs: Vector
     matched: Indices
     dropped: Indices
-    whole: Callable[[], LCP] | None = None
+    whole: Callable[[], SquareModel] | None = None
 
     def proved(self, result: Result) -> Result:
         """Return the result with a proof for the data of the model, because a substitution rounds products.
 
         INFEASIBLE becomes PRECISION_LIMIT without such a proof.
         """
-        is_lcp = isinstance(self.problem, LCP)
-        is_converted = self.elimination.expansion is not None and is_lcp
-        if self.whole is None or not is_converted or result.status is not Status.INFEASIBLE:
+        is_infeasible = result.status is Status.INFEASIBLE
+        if self.whole is None or self.elimination.expansion is None or not is_infeasible:
             return result
-        proof = find_infeasibility(self.whole())
+        proof = find_infeasibility(self.whole().problem)
         if proof is None or not proof.excludes(result.tolerance, result.absolute_tolerance):
             return replace(result, status=Status.PRECISION_LIMIT)
         return replace(result, infeasibility=proof)
@@ -430,7 +428,6 @@ class Statement:
         self.is_paired = np.zeros(lower.size, dtype=bool)
         self.rows: list[StatedRows] = []
         self.pairs: list[StatedRows] = []
-        self._repeated: list[int] = []  # unknowns of further pairs of which they are the variable
 
     def constrain(
         self, rows: Rows, low: Any = 0.0, high: Any = 0.0, origin: Any = None, name: Any = None
@@ -463,10 +460,6 @@ class Statement:
             return None
         return matrix.indices.astype(np.int64), matrix.data, offset
 
-    def repeat(self, columns: Indices) -> None:
-        """Note that unknowns which have a pair are the variable of another one."""
-        self._repeated += columns[self.is_paired[columns]].tolist()
-
     def named(self, rows: Rows, origin: Any = None, sign: Any = 1.0) -> Indices:
         """Return new unknowns, which an equation makes sign · rows."""
         first, free, zero = self.lower.size, np.full(rows.size, np.inf), np.zeros(rows.size)
@@ -485,13 +478,15 @@ class Statement:
 
     # --- a complementarity problem ---
 
-    def square(self, variable_of: Indices) -> SquareModel:
+    def square(self, variable_of: Indices, *, eliminates: bool = True) -> SquareModel:
         """Return the complementarity problem, with substituted definitions and matched equations.
 
         Parameters
         ----------
         variable_of : ndarray of int
             The variable of the language that each unknown is an entry of, by number.
+        eliminates : bool
+            Whether definitions are substituted.
 
         Raises
         ------
@@ -511,10 +506,8 @@ class Statement:
             raise self._not_square(free, sizes[1])
         lower, upper = self._bounds_of_pairs()
         bounded = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
-        dropped = free[:0]
-        if bounded.any():
-            dropped = self._dropped(free)
-            lower[free], upper[free] = -np.inf, np.inf
+        dropped = self._dropped(free) if bounded.any() else free[:0]
+        lower[free], upper[free] = -np.inf, np.inf
         columns, signs = _stacked(self.pairs, "z", "sign")
         columns, n, program, whole = columns.astype(np.int64), self.lower.size, None, None
         functions = [one.rows for one in self.pairs]
@@ -526,15 +519,13 @@ class Statement:
             program = Program.of(self.compiler, [*functions, *equations], self.first, n)
         else:
             (M, q), (E, e) = (assembled(rows, self.first, n) for rows in (functions, equations))
-            stored, whole = (
-                (M, E),
-                partial(self._whole, M, q, E, e, columns, free, signs, lower, upper),
-            )
-            if equations:
+            stored = M, E
+            if equations and eliminates:
                 owner = np.repeat(np.arange(len(equations)), [one.size for one in equations])
                 elimination, (E, e), (M, q) = eliminate_definitions(
                     (E, e), (M, q), owner, ~self.is_paired, variable_of
                 )
+                whole = partial(self.square, variable_of, eliminates=False)
         kept = elimination.kept
         place = np.zeros(self.lower.size, dtype=np.int64)
         place[kept] = np.arange(kept.size)
@@ -565,25 +556,6 @@ class Statement:
             problem = NonlinearProblem(program.value, program.jacobian, **own)
         return SquareModel(problem, elimination, stored, places, signs, kept[free], dropped, whole)
 
-    def _whole(
-        self,
-        M: sp.csr_array,
-        q: Vector,
-        E: sp.csr_array,
-        e: Vector,
-        columns: Any,
-        free: Indices,
-        signs: Vector,
-        lower: Vector,
-        upper: Vector,
-    ) -> LCP:
-        """Return the LCP of the stated rows, each at the place of its unknown, the equations in any order."""
-        places = np.argsort(np.concatenate([columns, free]), kind="stable")
-        signs = np.concatenate([signs, np.ones(free.size)])[places]
-        names = self._names([*self.pairs, *self.rows], places, np.arange(places.size))
-        arranged = _arranged(M, q, E, e, places, signs)
-        return LCP(*arranged, lower=lower, upper=upper, names=names)
-
     def _names(self, stated: list[StatedRows], rows: Numbers, kept: Numbers) -> Names:
         """Return the names of a problem with some of the stated rows and of the unknowns."""
         own = [(one.rows.size, one.name) for one in stated]
@@ -597,12 +569,10 @@ class Statement:
         names = [name for column in free[:MOST_NAMES].tolist() if (name := self.name_of(column))]
         names += ["…"] * (free.size > MOST_NAMES)
         way_out = ""
-        if equations > free.size and (reason := self._fixing_equation() or self.repeated()):
-            way_out = f"; {reason}"
-        elif equations > free.size:
+        if equations > free.size:
             way_out = (
-                "; if one fixes the scale of prices, as sum(p) == 1, drop a market that the others imply, or give "
-                "the equation a free multiplier, a variable in the rows of the pairs"
+                "; give an equation a free multiplier, a variable in the rows of the pairs, state an equation of a "
+                "variable with a pair as box(x, value, value) in the pair, and give each pair a variable of its own"
             )
         elif names:
             way_out = f"; give these a pair or an equation{self.other_way}"
@@ -612,30 +582,6 @@ class Statement:
             f"{format_count(free.size, 'unknown')} without a complementarity ({', '.join(names) or 'none'}); it needs "
             f"as many equations as such unknowns{way_out}"
         )
-
-    def repeated(self, at_least: int = 2) -> str | None:
-        """Return advice on the unknown that is the variable of most pairs, if of so many."""
-        column, others = (Counter(self._repeated).most_common(1) or [(0, 0)])[0]
-        if others + 1 < at_least:
-            return None
-        return (
-            f"{self.name_of(column)} is the variable of {others + 1} pairs, and each pair after the first needs a free "
-            "unknown or a variable of its own; give the pairs different variables"
-        )
-
-    def _fixing_equation(self) -> str:
-        """Return advice on an equation that fixes an unknown with a pair, or ""."""
-        for one in (one.rows for one in self.rows if one.slacks is None and not one.rows.level):
-            matrix, offset = assembled([one], self.first, self.lower.size)
-            for row in np.flatnonzero(np.diff(matrix.indptr) == 1).tolist():
-                column, weight = matrix.indices[matrix.indptr[row]], matrix.data[matrix.indptr[row]]
-                if self.is_paired[column] and weight:
-                    name, value = self.name_of(int(column)), f"{-offset[row] / weight:.9g}"
-                    return (
-                        f"an equation fixes {name}, which has a pair: fix it with box({name}, {value}, {value}) in "
-                        "that pair, and drop the equation"
-                    )
-        return ""
 
     def _bounds_of_pairs(self) -> tuple[Vector, Vector]:
         """Return the bounds of all unknowns; raise UnsupportedModel if a pair has wider ones than its unknown."""

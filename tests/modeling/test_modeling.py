@@ -608,39 +608,16 @@ def test_one_expression_in_two_boxes_keeps_the_bounds_of_each(order: int) -> Non
     assert max(pair.violation() for pair in pairs) <= 1e-10
 
 
-def test_a_variable_of_several_pairs_is_warned_of() -> None:
-    """Five pairs of x next to four free unknowns are solved, and a warning names x; without them the error does."""
-    x, u = cp.Variable(name="x"), [cp.Variable() for _ in range(4)]
-    pairs = [complements(x >= 0, x - 1 >= 0)]
-    pairs += [complements(x >= 0, x + one - k >= 0) for k, one in enumerate(u)]
-    with pytest.warns(ModelWarning, match="x is the variable of 5 pairs"):
-        assert model(*pairs).status == "optimal"
-    with pytest.raises(UnsupportedModel, match="x is the variable of 2 pairs"):
-        model(complements(x >= 0, x - 1 >= 0), complements(x >= 0, x - 2 >= 0))
-
-
-def test_an_equation_that_fixes_a_variable_of_a_pair_is_named() -> None:
-    """Next to a pair of x, x[1] == 2 has no unknown of its own: the advice is a box, not a market."""
+def test_a_variable_of_two_pairs_and_an_equation_that_fixes_one_are_advised() -> None:
+    """Without an unknown of its own a row is one too many: the advice is a variable, a multiplier, or a box."""
     x = cp.Variable(3, name="x")
-    with pytest.raises(UnsupportedModel, match=r"box\(x\[1\], 2, 2\)"):
+    advice = "as many equations as such unknowns; give an equation a free multiplier"
+    with pytest.raises(UnsupportedModel, match=advice):
+        model(complements(x >= 0, x - 1 >= 0), complements(x >= 0, x - 2 >= 0))
+    with pytest.raises(UnsupportedModel, match=advice):
         model(complements(x >= 0, x - 1 >= 0), 3 * x[1] == 6)
     model(complements(box(x, [0, 2, 0], [np.inf, 2, np.inf]), x - 1))
     np.testing.assert_allclose(x.value, [1.0, 2.0, 1.0])
-
-
-def test_definitions_start_at_their_value() -> None:
-    """Variables without a value that equations define, one by another, start at it; others leave no start."""
-    A, x = np.array([[1.0, 2.0], [3.0, 4.0]]), cp.Variable(2, nonneg=True, value=[1.0, 2.0])
-    d, e, free = cp.Variable(2), cp.Variable(2), cp.Variable()
-    rows = [2 * e[::-1] - cp.exp(d / 10) == 1, d == A @ x]
-    found = build([*rows, complements(x, x**3 + d + e - 5)])
-    start = found.present()
-    assert start is not None
-    values = found.split(start)
-    np.testing.assert_allclose(values[d.id], A @ [1.0, 2.0])
-    np.testing.assert_allclose(values[e.id], (1 + np.exp(values[d.id][::-1] / 10)) / 2)
-    assert d.value is None
-    assert build([*rows, free + cp.exp(free) == 2, complements(x, x + d + e)]).present() is None
 
 
 @pytest.mark.parametrize(("sign", "status"), [(-1.0, "infeasible"), (1.0, "optimal")])

@@ -53,18 +53,22 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 
-from ...core.errors import InvalidProblem, LCPError, NotConverged
+from ...core.errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
 from ...problems.batches.batch import solve_batch
 from ...problems.batches.batch_run import BatchAnswers
 from ...problems.batches.program_batch import ProgramBatch, programs_for
 from ...problems.cones.frictional_contact import FrictionalContact
 from ...problems.programs.program import VECTORS, QuadraticProgram
 from ...problems.sensitivity import derivative
+
+Convert = Callable[[Any, str], Any]  # of a library: the array of an argument with this name
+PROGRAM_ARRAYS = "P", "c", "G", "h", "A", "b", "lower", "upper"
 
 
 class Layer(ABC):
@@ -80,6 +84,19 @@ class Layer(ABC):
 
     def __init__(self, *, mask: bool = False, **options: Any) -> None:
         self.mask, self.options = mask, options
+
+    matrices_at: ClassVar[tuple[int, ...]] = (0,)  # places of the matrices among the arrays
+    bounds_at: ClassVar[tuple[int, ...]] = ()  # places of vectors of the length of the second array
+    alone: ClassVar[str]  # the problem of an instance, as `solve` takes it
+
+    @classmethod
+    def own_shapes(cls, *shapes: tuple[int, ...]) -> list[tuple[int, ...]]:
+        """Return the shapes of the arrays of one problem, from those of arrays with batch axes."""
+        own = (
+            shape[-2:] if k in cls.matrices_at else shapes[1 if k in cls.bounds_at else k][-1:]
+            for k, shape in enumerate(shapes)
+        )
+        return [*own]
 
     @abstractmethod
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
@@ -114,8 +131,10 @@ class Layer(ABC):
         self.found: Any = self._differentiated(self._solved(self.axes, data, self.options | start))
         errors = self.found.errors
         if errors and not self.mask:
-            is_none = any(isinstance(error, InvalidProblem) for error in errors.values())
-            raise _first(errors, self.axes, InvalidProblem if is_none else NotConverged)
+            kinds = (InvalidProblem, UnsupportedModel)
+            given = (kind for kind in kinds for one in errors.values() if isinstance(one, kind))
+            kind = next(given, NotConverged)
+            raise _first(errors, self.axes, kind, self.alone if kind is NotConverged else "")
         self.is_solved = np.ones(math.prod(self.axes), np.bool_)
         self.is_solved[[*errors]] = False
         z = np.where(self.is_solved[:, np.newaxis], self.found.z, 0.0)
@@ -147,6 +166,9 @@ class Layer(ABC):
         return np.asarray(by).reshape(shape)
 
 
+LayerCall = tuple[Layer, tuple[Any, ...]]
+
+
 class LCPLayer(Layer):
     """LCPs as a function of M, q, lower and upper.
 
@@ -156,9 +178,22 @@ class LCPLayer(Layer):
         M if it is a constant of the layer; the array in its place has no entries.
     """
 
+    bounds_at = 2, 3
+    alone = "LCP(M, q, lower, upper)"
+
     def __init__(self, M: Any = None, *, mask: bool = False, **options: Any) -> None:
         super().__init__(mask=mask, **options)
         self.M = M
+
+    @classmethod
+    def of(cls, convert: Convert, M: Any, q: Any, bounds: Any, **options: Any) -> LayerCall:
+        """Return the layer and its arrays."""
+        data = {"q": q, "lower": bounds[0], "upper": bounds[1]}
+        q, lower, upper = (convert(one, name) for name, one in data.items())
+        check_bounds(q, lower=lower, upper=upper)
+        is_constant = sp.issparse(M)
+        M_of_call = convert(np.zeros((0, 0)) if is_constant else M, "M")
+        return cls(M if is_constant else None, **options), (M_of_call, q, lower, upper)
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         own = data[1].shape[-1:]
@@ -174,14 +209,38 @@ class LCPLayer(Layer):
 class QPLayer(Layer):
     """Quadratic programs as a function of P, c, G, h, A, b, lower and upper; P by its symmetric part."""
 
-    @staticmethod
-    def axes_of(*shapes: tuple[int, ...]) -> tuple[int, ...]:
+    matrices_at = 0, 2, 4
+    bounds_at = 6, 7
+    alone = "QuadraticProgram(P, c, G, h, A, b, lower, upper)"
+
+    @classmethod
+    def of(cls, convert: Convert, data: dict[str, Any], **options: Any) -> LayerCall:
+        """Return the layer and its arrays; of P = None for a linear program, and no rows for None and empty arrays.
+
+        Raises
+        ------
+        InvalidProblem
+            If a matrix has no right-hand side, or the reverse.
+        """
+        n = np.shape(data["c"])[-1:]
+        if data["P"] is None:
+            data["P"] = np.zeros((*n, *n))
+        for rows, right in (("G", "h"), ("A", "b")):
+            are_none = [data[one] is None or 0 in np.shape(data[one]) for one in (rows, right)]
+            if are_none[0] != are_none[1]:
+                raise InvalidProblem(
+                    f"{rows} and {right} belong together: {rows} x ≤ {right} or = {right}"
+                )
+            if are_none[0]:
+                data[rows], data[right] = np.zeros((0, *n)), np.zeros(0)
+        return cls(**options), tuple(convert(data[name], name) for name in PROGRAM_ARRAYS)
+
+    @classmethod
+    def axes_of(cls, *shapes: tuple[int, ...]) -> tuple[int, ...]:
         """Return the batch axes; the error names the array that does not fit."""
-        names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
-        n, m, p = (
-            shapes[k][-end] if len(shapes[k]) > 1 else 0 for k, end in ((0, 1), (2, 2), (4, 2))
-        )
-        own = (n, n), (n,), (m, n), (m,), (p, n), (p,), (n,), (n,)
+        names, n = PROGRAM_ARRAYS, (*(shapes[0][-1:] or shapes[1][-1:]), "n")[0]
+        m, p = (shapes[k][-2] if len(shapes[k]) > 1 else name for k, name in ((2, "m"), (4, "p")))
+        own: Any = (n, n), (n,), (m, n), (m,), (p, n), (p,), (n,), (n,)
         for name, shape, wanted in zip(names, shapes, own, strict=True):
             is_number = name in ("lower", "upper") and shape[-1:] in ((), (1,))
             if shape[-len(wanted) :] != wanted and not is_number:
@@ -199,10 +258,11 @@ class QPLayer(Layer):
         return super().solve(*data)
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
-        P, n = 0.5 * (data[0] + data[0].swapaxes(-1, -2)), data[1].shape[-1:]
-        vectors = [
-            stacked(data[k], axes, data[k].shape[-1:] if k < 6 else n) for k in (1, 3, 5, 6, 7)
-        ]
+        P, shapes = (
+            0.5 * (data[0] + data[0].swapaxes(-1, -2)),
+            self.own_shapes(*(one.shape for one in data)),
+        )
+        vectors = [stacked(data[k], axes, shapes[k]) for k in (1, 3, 5, 6, 7)]
         own = [matrices(one, axes) for one in (P, data[2], data[4])]
         named = [dict(zip(VECTORS, rows, strict=True)) for rows in zip(*vectors, strict=True)]
         if all(one.ndim == 2 for one in own):
@@ -219,7 +279,7 @@ class QPLayer(Layer):
         batch = ProgramBatch.of(programs, base)
         if batch is None:
             raise InvalidProblem(
-                f"programs of {n[0]} unknowns with a matrix each are too large for a layer; share P, G and A"
+                f"programs of {P.shape[-1]} unknowns with a matrix each are too large for a layer; share P, G and A"
             )
         return solve_batch(batch, **options)
 
@@ -227,9 +287,7 @@ class QPLayer(Layer):
         return derivative(answers).one_sided()
 
     def _by(self, gradient: Any) -> Sequence[Any]:
-        return tuple(
-            getattr(gradient, name) for name in ("P", "c", "G", "h", "A", "b", "lower", "upper")
-        )
+        return tuple(getattr(gradient, name) for name in PROGRAM_ARRAYS)
 
 
 def _program(P: Any, G: Any, A: Any, vectors: dict[str, Any]) -> QuadraticProgram | LCPError:
@@ -242,6 +300,13 @@ def _program(P: Any, G: Any, A: Any, vectors: dict[str, Any]) -> QuadraticProgra
 
 class ContactLayer(Layer):
     """Contact problems with friction as a function of W, b and friction."""
+
+    alone = "FrictionalContact(W, b, friction)"
+
+    @classmethod
+    def of(cls, convert: Convert, W: Any, b: Any, friction: Any, **options: Any) -> LayerCall:
+        """Return the layer and its arrays."""
+        return cls(**options), (convert(W, "W"), convert(b, "b"), convert(friction, "friction"))
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         W, b, friction = data
@@ -293,26 +358,6 @@ def check_bounds(q: Any, **bounds: Any) -> None:
             )
 
 
-def with_empty_rows(**data: Any) -> dict[str, Any]:
-    """Return the data of a program with G, h, A and b of no rows in place of None and of empty arrays.
-
-    Raises
-    ------
-    InvalidProblem
-        If a matrix has no right-hand side, or the reverse.
-    """
-    n = np.shape(data["c"])[-1:] or (0,)
-    for rows, right in (("G", "h"), ("A", "b")):
-        are_none = [data[one] is None or 0 in np.shape(data[one]) for one in (rows, right)]
-        if are_none[0] != are_none[1]:
-            raise InvalidProblem(
-                f"{rows} and {right} belong together: {rows} x ≤ {right} or = {right}"
-            )
-        if are_none[0]:
-            data[rows], data[right] = np.zeros((0, *n)), np.zeros(0)
-    return data
-
-
 def stacked(array: Any, axes: tuple[int, ...], own: tuple[int, ...]) -> Any:
     """Return an array with one axis in place of these axes in front of its own ones."""
     return np.broadcast_to(array, (*axes, *own)).reshape(math.prod(axes), *own)
@@ -324,7 +369,9 @@ def matrices(M: Any, axes: tuple[int, ...]) -> Any:
     return M.reshape(own) if math.prod(M.shape[:-2]) == 1 else stacked(M, axes, own)
 
 
-def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError]) -> LCPError:
+def _first(
+    errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError], alone: str = ""
+) -> LCPError:
     """Return an error that reports the first failed problem and the numbers of the others."""
     places = {k: tuple(map(int, np.unravel_index(k, axes))) for k in sorted(errors)}
     first, *others = places
@@ -334,4 +381,5 @@ def _first(errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPErr
         else ""
     )
     where = f"problem {places[first]} of the batch" if axes else "the problem"
-    return kind(f"the layer found no solution for {where}{also}: {errors[first]}")
+    result = f" (with result = solve({alone}) of its numbers; mask=True skips it)" if alone else ""
+    return kind(f"the layer found no solution for {where}{also}: {errors[first]}{result}")

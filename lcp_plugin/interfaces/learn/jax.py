@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 try:
     import jax
@@ -22,7 +21,7 @@ import jax.numpy as jnp
 
 from ...core.checks import check_kind, real_array
 from ...core.errors import InvalidOption, InvalidProblem
-from . import ContactLayer, Layer, LCPLayer, QPLayer, check_bounds, common_axes, with_empty_rows
+from . import ContactLayer, Layer, LayerCall, LCPLayer, QPLayer
 
 __all__ = ["contact_layer", "lcp_layer", "qp_layer"]
 
@@ -75,19 +74,7 @@ def lcp_layer(
     [[-0.5, 0.0], [0.0, -0.5]]
     """
     _require_double("lcp_layer")
-    q, lower, upper = _array(q, "q"), _array(lower, "lower"), _array(upper, "upper")
-    check_bounds(q, lower=lower, upper=upper)
-    is_constant = sp.issparse(M)
-    layer = LCPLayer(M if is_constant else None, mask=mask, **options)
-    M = np.zeros((0, 0)) if is_constant else _array(M, "M")
-    axes = common_axes(*(array.shape for array in (M, q, lower, upper)))
-    data = [jnp.broadcast_to(vector, (*axes, q.shape[-1])) for vector in (q, lower, upper)]
-    if math.prod(M.shape[:-2]) == 1:  # one matrix for all
-        M = M.reshape(*(1 for _ in axes), *M.shape[-2:])
-    else:
-        M = jnp.broadcast_to(M, (*axes, *M.shape[-2:]))
-    found = _solution(layer, (M, *data))
-    return found if mask else found[0]
+    return _broadcast_solution(LCPLayer.of(_array, M, q, (lower, upper), mask=mask, **options))
 
 
 def qp_layer(
@@ -110,7 +97,7 @@ def qp_layer(
     P, c, G, h, A, b : array, shapes (…, n, n), (…, n), (…, m, n), (…, m), (…, p, n) and (…, p)
         min ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b; no rows by default, or with an empty array. Leading axes are
         batch axes; all arguments broadcast. Float64. Only the symmetric part of P matters; it must be positive
-        semidefinite.
+        semidefinite. None as P is a linear program.
     lower, upper : array, shape (…, n), or number
     mask : bool
         As in `lcp_layer`.
@@ -145,18 +132,8 @@ def qp_layer(
     [[-0.5, 0.5], [0.5, -0.5]]
     """
     _require_double("qp_layer")
-    given = with_empty_rows(P=P, c=c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
-    data = [_array(one, name) for name, one in given.items()]
-    axes, n = QPLayer.axes_of(*(one.shape for one in data)), data[1].shape[-1:]
-    own = [one.shape[-2:] if k in (0, 2, 4) else one.shape[-1:] for k, one in enumerate(data[:6])]
-    wide = [
-        one.reshape(*(1 for _ in axes), *shape)  # one matrix for all
-        if len(shape) == 2 and math.prod(one.shape[:-2]) == 1
-        else jnp.broadcast_to(one, (*axes, *shape))
-        for one, shape in zip(data, [*own, n, n], strict=True)
-    ]
-    found = _solution(QPLayer(mask=mask, **options), tuple(wide))
-    return found if mask else found[0]
+    data = dict(P=P, c=c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
+    return _broadcast_solution(QPLayer.of(_array, data, mask=mask, **options))
 
 
 def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **options: Any) -> Any:
@@ -196,12 +173,22 @@ def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **option
     [-5.0]
     """
     _require_double("contact_layer")
-    W, b, friction = _array(W, "W"), _array(b, "b"), _array(friction, "friction")
-    axes = common_axes(W.shape, b.shape, friction.shape)
-    own = (W, W.shape[-2:]), (b, b.shape[-1:]), (friction, friction.shape[-1:])
-    data = tuple(jnp.broadcast_to(one, (*axes, *shape)) for one, shape in own)
-    found = _solution(ContactLayer(mask=mask, **options), data)
-    return found if mask else found[0]
+    return _broadcast_solution(ContactLayer.of(_array, W, b, friction, mask=mask, **options))
+
+
+def _broadcast_solution(call: LayerCall) -> Any:
+    """Return the solutions, with a mask if the layer has one; `vmap` needs arrays with all batch axes."""
+    layer, data = call
+    shapes = [one.shape for one in data]
+    axes = layer.axes_of(*shapes)
+    wide = (
+        one.reshape(*(1 for _ in axes), *own)  # one matrix for all
+        if len(own) == 2 and math.prod(one.shape[:-2]) == 1
+        else jnp.broadcast_to(one, (*axes, *own))
+        for one, own in zip(data, layer.own_shapes(*shapes), strict=True)
+    )
+    found = _solution(layer, tuple(wide))
+    return found if layer.mask else found[0]
 
 
 def _require_double(name: str) -> None:

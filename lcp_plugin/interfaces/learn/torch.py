@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 try:
     import torch
@@ -16,7 +15,7 @@ except ImportError:
 
 from ...core.checks import real_array
 from ...core.errors import InvalidProblem, UnsupportedModel
-from . import ContactLayer, Layer, LCPLayer, QPLayer, check_bounds, with_empty_rows
+from . import ContactLayer, Layer, LayerCall, LCPLayer, QPLayer
 
 __all__ = ["contact_layer", "lcp_layer", "qp_layer"]
 
@@ -68,14 +67,7 @@ def lcp_layer(
     >>> q.grad.tolist()
     [[-0.5, 0.0], [0.0, -0.5]]
     """
-    q, lower, upper = _tensor(q, "q"), _tensor(lower, "lower"), _tensor(upper, "upper")
-    check_bounds(q, lower=lower, upper=upper)
-    is_constant = sp.issparse(M)
-    layer = LCPLayer(M if is_constant else None, mask=mask, **options)
-    found = _Solution.apply(
-        layer, _tensor(np.zeros((0, 0)) if is_constant else M, "M"), q, lower, upper
-    )
-    return found if mask else found[0]
+    return _solution(LCPLayer.of(_tensor, M, q, (lower, upper), mask=mask, **options))
 
 
 def qp_layer(
@@ -98,7 +90,7 @@ def qp_layer(
     P, c, G, h, A, b : tensor, shapes (…, n, n), (…, n), (…, m, n), (…, m), (…, p, n) and (…, p)
         min ½ xᵀP x + cᵀx subject to G x ≤ h, A x = b; no rows by default, or with an empty tensor. Leading axes are
         batch axes; all arguments broadcast. Float64, on the CPU. Only the symmetric part of P matters; it must be
-        positive semidefinite.
+        positive semidefinite. None as P is a linear program.
     lower, upper : tensor, shape (…, n), or number
     mask : bool
         As in `lcp_layer`.
@@ -135,11 +127,8 @@ def qp_layer(
     >>> c.grad.round(decimals=6).tolist()
     [[-0.5, 0.5], [-1.0, 0.0]]
     """
-    given = with_empty_rows(P=P, c=c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
-    found = _Solution.apply(
-        QPLayer(mask=mask, **options), *(_tensor(one, name) for name, one in given.items())
-    )
-    return found if mask else found[0]
+    data = dict(P=P, c=c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
+    return _solution(QPLayer.of(_tensor, data, mask=mask, **options))
 
 
 def contact_layer(
@@ -186,11 +175,16 @@ def contact_layer(
     >>> round(friction.grad.item(), 6)
     -5.0
     """
-    W, b, friction = _tensor(W, "W"), _tensor(b, "b"), _tensor(friction, "friction")
     if z0 is not None:
         options["z0"] = _numpy(_tensor(z0, "z0"))
-    found = _Solution.apply(ContactLayer(mask=mask, **options), W, b, friction)
-    return found if mask else found[0]
+    return _solution(ContactLayer.of(_tensor, W, b, friction, mask=mask, **options))
+
+
+def _solution(call: LayerCall) -> Any:
+    """Return the solutions, with a mask if the layer has one."""
+    layer, data = call
+    found = _Solution.apply(layer, *data)
+    return found if layer.mask else found[0]
 
 
 class _Solution(torch.autograd.Function):  # type: ignore[misc]

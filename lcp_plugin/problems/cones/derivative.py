@@ -194,6 +194,7 @@ class ConeDerivative:
         """Blocks on the boundary of two modes, where the derivative is not unique."""
         return np.flatnonzero(self._of.degenerate[0])
 
+    @checks.changes_by_name
     def jvp(
         self,
         *,

@@ -12,7 +12,8 @@ gradient AᵀW(A x − b) + ridge x ± l1, where the sign is the sign of x_j; a 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from copy import copy
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from ...core import checks
 from ...core.checks import Vector
-from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem, did_you_mean
+from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
 from ...systems.free_systems import products
 from ...systems.graph import sum_of_outer
@@ -70,7 +71,7 @@ class LeastSquaresGradient(NamedTuple):
     ridge: Any
 
 
-def apply(matrix: Any, x: Vector, *, transposed: bool = False) -> Vector:
+def multiply(matrix: Any, x: Vector, *, transposed: bool = False) -> Vector:
     """Return the product with x, or with each row of x; the matrix may have an axis in front."""
     if matrix.ndim == 3:
         return np.asarray(products(matrix.swapaxes(1, 2) if transposed else matrix, x))
@@ -78,7 +79,7 @@ def apply(matrix: Any, x: Vector, *, transposed: bool = False) -> Vector:
     return np.asarray(matrix @ x if x.ndim == 1 else (matrix @ x.T).T)
 
 
-def outer(matrix: Any, *pairs: tuple[Vector, Vector]) -> Any:
+def outer_products(matrix: Any, *pairs: tuple[Vector, Vector]) -> Any:
     """Return Σ left_i right_j over the pairs, in the format of the matrix; one matrix for many rows gets their sum."""
     if matrix.ndim == 3:
         return sum(left[:, :, np.newaxis] * right[:, np.newaxis] for left, right in pairs)
@@ -105,10 +106,10 @@ class ProgramData:
 
     def problem(self, stack: Callable[..., Any]) -> Any:
         """Return the conditions as an LCP, or by `stack` as a batch of LCPs."""
+        M: Any = conditions(self.program)
         vectors = [self.data[name] for name in VECTORS]
         if vectors[0].ndim == 1:
-            return conditions(self.program)
-        M: Any = conditions(self.program)
+            return M
         if self.data["P"].ndim == 3:
             P, G, A = (self.data[name] for name in "PGA")
             C = np.concatenate([G, A], axis=1)
@@ -116,29 +117,36 @@ class ProgramData:
             M = np.block([[P, C.swapaxes(1, 2)], [-C, none]])
         return stack(M, *condition_vectors(*vectors))
 
-    def change(self, z: Vector, d: dict[str, Any]) -> Vector:
+    def change_of_q(self, z: Vector, d: dict[str, Any]) -> Vector:
         """Return the change of q for changes of the data."""
-        x, y, v = np.split(z, self.ends, axis=-1)
-        parts = [np.zeros(z.shape)[..., : one.shape[-1]] + d.get(name, 0.0)
-                 for one, name in ((x, "c"), (y, "h"), (v, "b"))]  # fmt: skip
+        x, inequality, equality = np.split(z, self.ends, axis=-1)
+        dq = [
+            np.zeros(z.shape)[..., : part.shape[-1]] + d.get(name, 0.0)
+            for part, name in ((x, "c"), (inequality, "h"), (equality, "b"))
+        ]
         if "P" in d:
-            parts[0] += 0.5 * (apply(d["P"], x) + apply(d["P"], x, transposed=True))
-        for k, name, multipliers in ((1, "G", y), (2, "A", v)):
+            dq[0] += 0.5 * (multiply(d["P"], x) + multiply(d["P"], x, transposed=True))
+        for k, name, multipliers in ((1, "G", inequality), (2, "A", equality)):
             if name in d:
-                parts[0] += apply(d[name], multipliers, transposed=True)
-                parts[k] -= apply(d[name], x)
-        return np.concatenate(parts, axis=-1)
+                dq[0] += multiply(d[name], multipliers, transposed=True)
+                dq[k] -= multiply(d[name], x)
+        return np.concatenate(dq, axis=-1)
 
     def gradient(self, z: Vector, by_q: Vector, lower: Vector, upper: Vector) -> ProgramGradient:
         """Return the gradients by the data, from the gradients by q and the bounds."""
-        (x, y, v), (c, h, b) = (np.split(one, self.ends, axis=-1) for one in (z, by_q))
-        P, G, A = (self.data[name] for name in "PGA")
-        by_P = outer(P, (0.5 * c, x), (0.5 * x, c))
-        by_G, by_A = outer(G, (y, c), (-h, x)), outer(A, (v, c), (-b, x))
+        x, inequality, equality = np.split(z, self.ends, axis=-1)
+        c, h, b = np.split(by_q, self.ends, axis=-1)
+        P = outer_products(self.data["P"], (0.5 * c, x), (0.5 * x, c))
+        G = outer_products(self.data["G"], (inequality, c), (-h, x))
+        A = outer_products(self.data["A"], (equality, c), (-b, x))
         n = self.ends[0]
-        return ProgramGradient(by_P, c, by_G, h, by_A, b, lower[..., :n], upper[..., :n])
+        return ProgramGradient(P, c, G, h, A, b, lower[..., :n], upper[..., :n])
 
-    def part(self, k: int, side: str = "") -> str:
+    def has_own_bound(self, side: str) -> Any:
+        """Return the mask of the unknowns whose bound of the LCP is a bound of the data: all."""
+        return True
+
+    def name_of(self, k: int, side: str = "") -> str:
         """Return the name of an unknown of the LCP: of a bound, of x_k, or of the row of a multiplier."""
         m, p, n, _ = self.program.matrices.sizes
         if k >= n:
@@ -164,60 +172,61 @@ class LeastSquaresData:
         self.ends = (n,)
         of_n = {name: (n,) for name in ("lower", "upper", "l1")}
         self.shapes = {"A": (m, n), "b": (m,), **of_n, "weights": (m,), "ridge": ()}
-        slope = apply(data["A"], self._forces(x), transposed=True) + data["ridge"] * x
+        weighted = data["weights"] * self._residual(x)
+        slope = multiply(data["A"], weighted, transposed=True) + data["ridge"] * x
         lower, upper = data["lower"], data["upper"]
-        self.is_kink = (data["l1"] > 0.0) & (lower < 0.0) & (upper > 0.0)
-        falls = self.is_kink & ((x < 0.0) | ((x == 0.0) & (slope > 0.0)))
-        self.sign = np.where(falls | (upper <= 0.0), -1.0, 1.0)
-        self.lower = np.where(self.is_kink & ~falls, 0.0, lower)
-        self.upper = np.where(falls, 0.0, upper)
+        self.has_kink = (data["l1"] > 0.0) & (lower < 0.0) & (upper > 0.0)
+        is_negative = self.has_kink & ((x < 0.0) | ((x == 0.0) & (slope > 0.0)))
+        self.sign = np.where(is_negative | (upper <= 0.0), -1.0, 1.0)
+        self.lower = np.where(self.has_kink & ~is_negative, 0.0, lower)
+        self.upper = np.where(is_negative, 0.0, upper)
 
-    def _forces(self, x: Vector) -> Vector:
-        """Return W (A x − b)."""
-        return np.asarray(self.data["weights"] * (apply(self.data["A"], x) - self.data["b"]))
+    def _residual(self, x: Vector) -> Vector:
+        """Return A x − b."""
+        return np.asarray(multiply(self.data["A"], x) - self.data["b"])
 
     def problem(self, stack: Callable[..., Any]) -> Any:
         """Return the conditions as an LCP, or by `stack` as a batch of LCPs."""
         A, weights, n = self.data["A"], self.data["weights"], self.ends[0]
         ridge = self.data["ridge"] * (sp.eye_array(n) if sp.issparse(A) else np.eye(n))
         M = (A.T @ sp.diags_array(weights) if sp.issparse(A) else A.T * weights) @ A + ridge
-        q = self.data["l1"] * self.sign - apply(A, weights * self.data["b"], transposed=True)
+        q = self.data["l1"] * self.sign - multiply(A, weights * self.data["b"], transposed=True)
         if q.ndim == 1:
             return LCP(M, q, lower=self.lower, upper=self.upper)
         return stack(M, q, self.lower, self.upper)
 
-    def change(self, x: Vector, d: dict[str, Any]) -> Vector:
+    def change_of_q(self, x: Vector, d: dict[str, Any]) -> Vector:
         """Return the change of q for changes of the data."""
-        forces = self._forces(x)
-        moved = -np.asarray(d.get("b", 0.0)) + (apply(d["A"], x) if "A" in d else 0.0)
-        residual = apply(self.data["A"], x) - self.data["b"]
-        moved = self.data["weights"] * moved + d.get("weights", 0.0) * residual
-        q = apply(self.data["A"], moved, transposed=True) + self.sign * d.get("l1", 0.0)
-        q += np.asarray(d.get("ridge", 0.0))[..., np.newaxis] * x
-        return q + apply(d["A"], forces, transposed=True) if "A" in d else q
+        A, weights, residual = self.data["A"], self.data["weights"], self._residual(x)
+        of_residual = -np.asarray(d.get("b", 0.0)) + (multiply(d["A"], x) if "A" in d else 0.0)
+        of_weighted = weights * of_residual + d.get("weights", 0.0) * residual
+        dq = multiply(A, of_weighted, transposed=True) + self.sign * d.get("l1", 0.0)
+        dq += np.asarray(d.get("ridge", 0.0))[..., np.newaxis] * x
+        return dq + multiply(d["A"], weights * residual, transposed=True) if "A" in d else dq
 
     def gradient(
         self, x: Vector, by_q: Vector, lower: Vector, upper: Vector
     ) -> LeastSquaresGradient:
         """Return the gradients by the data, from the gradients by q and the bounds."""
-        A, weights, forces = self.data["A"], self.data["weights"], self._forces(x)
-        along = apply(A, by_q)
-        by_A = outer(A, (forces, by_q), (weights * along, x))
-        low, high = (
-            np.where(self.is_own(side), by, 0.0)
-            for side, by in (("lower", lower), ("upper", upper))
+        A, weights, residual = self.data["A"], self.data["weights"], self._residual(x)
+        product = multiply(A, by_q)
+        return LeastSquaresGradient(
+            A=outer_products(A, (weights * residual, by_q), (weights * product, x)),
+            b=-weights * product,
+            lower=np.where(self.has_own_bound("lower"), lower, 0.0),
+            upper=np.where(self.has_own_bound("upper"), upper, 0.0),
+            l1=self.sign * by_q,
+            weights=product * residual,
+            ridge=(by_q * x).sum(axis=-1),
         )
-        by_weights = along * (apply(A, x) - self.data["b"])
-        by_l1, by_ridge = self.sign * by_q, (by_q * x).sum(axis=-1)
-        return LeastSquaresGradient(by_A, -weights * along, low, high, by_l1, by_weights, by_ridge)
 
-    def is_own(self, side: str) -> Any:
-        """Return the mask of the rows whose bound on this side is the user's, and not the 0 of a penalty."""
+    def has_own_bound(self, side: str) -> Any:
+        """Return the mask of the unknowns whose bound of the LCP is a bound of the data, and not the 0 of a penalty."""
         return getattr(self, side) == self.data[side]
 
-    def part(self, k: int, side: str = "") -> str:
+    def name_of(self, k: int, side: str = "") -> str:
         """Return the name of a bound, of a penalty that holds x_k at 0, or of x_k."""
-        is_penalty = bool(side) and bool(np.any(self.is_kink[..., k]))
+        is_penalty = bool(side) and bool(np.any(self.has_kink[..., k]))
         return f"l1[{k}]" if is_penalty else f"{side or 'x'}[{k}]"
 
 
@@ -227,9 +236,8 @@ class ProgramDerivative:
     Parameters
     ----------
     data : ProgramData or LeastSquaresData
-    conditions : callable
-        Returns the derivative of the LCP, of a single problem or of a batch; its option `is_strict` is whether
-        degenerate parts raise an error.
+    conditions : ConditionsDerivative or ConditionsBatchDerivative
+        The derivative of the LCP of the conditions.
 
     Notes
     -----
@@ -252,18 +260,17 @@ class ProgramDerivative:
     (array([0.5]), array([[-0.5, -0.5]]))
     """
 
-    def __init__(
-        self, data: Any, conditions: Callable[..., Any], *, is_strict: bool = True
-    ) -> None:
-        self.data, self._conditions_of = data, conditions
-        self.conditions = conditions(is_strict=is_strict)
+    def __init__(self, data: Any, conditions: Any) -> None:
+        self.data, self.conditions = data, conditions
 
-    def one_sided(self) -> ProgramDerivative:
+    def one_sided(self) -> Self:
         """Return the derivative that accepts degenerate parts.
 
         There `jvp` is one-sided, and `vjp` the gradient of one of the pieces that meet, as of a ReLU at 0.
         """
-        return ProgramDerivative(self.data, self._conditions_of, is_strict=False)
+        found = copy(self)
+        found.conditions = self.conditions.one_sided()
+        return found
 
     @property
     def errors(self) -> dict[int, Any]:
@@ -286,7 +293,7 @@ class ProgramDerivative:
         """Whether the derivative exists, bool, or of a batch an array of bool, shape (B,)."""
         return self.conditions.is_unique
 
-    def jvp(self, **changes: Any) -> Vector:
+    def jvp(self, *unnamed: Any, **changes: Any) -> Vector:
         """Return the change dx for changes of the data.
 
         Parameters
@@ -308,21 +315,21 @@ class ProgramDerivative:
         UnsuitableProblem
             If no derivative exists; the message names the part of the program.
         """
-        known = [f"d{name}" for name in self.data.shapes]
-        for name in changes:
-            if name not in known:
-                raise InvalidOption(
-                    f"jvp of this problem has no option {name!r}{did_you_mean(name, known)}"
-                )
+        if changes.keys() & {"dlower_rows", "dupper_rows"}:
+            raise InvalidOption(
+                "the derivative is by the rows G x ≤ h and A x = b of the program; from_ranges makes h of the upper "
+                "bounds, then of the negative lower ones, and b of equal bounds: pass dh, db, dG, dA"
+            )
+        checks.require_known_changes(unnamed, changes, [f"d{name}" for name in self.data.shapes])
         given = {
             name[1:]: self._checked(name, values)
             for name, values in changes.items()
             if values is not None
         }
-        z, is_own = self.conditions.z, getattr(self.data, "is_own", lambda side: True)
-        named = {"dq": self.data.change(z, given)}
+        named = {"dq": self.data.change_of_q(self.conditions.z, given)}
         for side in given.keys() & {"lower", "upper"}:
-            named[f"d{side}"] = self._widened(np.where(is_own(side), given[side], 0.0))
+            own = np.where(self.data.has_own_bound(side), given[side], 0.0)
+            named[f"d{side}"] = self._with_multipliers(own)
         return np.asarray(self.conditions.jvp(**named)[..., : self.data.ends[0]])
 
     def vjp(self, g: ArrayLike) -> Any:
@@ -342,17 +349,17 @@ class ProgramDerivative:
         InvalidProblem, UnsuitableProblem
             As `jvp`.
         """
-        n = self.data.ends[0]
-        found = self.conditions.vjp(self._widened(self._checked("g", g, (n,))))
+        g = self._checked("g", g, self.data.ends[:1])
+        found = self.conditions.vjp(self._with_multipliers(g))
         q, z = np.asarray(found.q), np.asarray(self.conditions.z)
         z = np.where(q.any(axis=-1, keepdims=True), z, 0.0)
         return self.data.gradient(z, q, found.lower, found.upper)
 
-    def _widened(self, rows: Any) -> Any:
-        """Return vectors of x with zeros for the multipliers."""
-        shape = self.conditions.z.shape
-        rows = np.broadcast_to(rows, (*shape[:-1], self.data.ends[0]))
-        return np.concatenate([rows, np.zeros(shape)[..., self.data.ends[0] :]], axis=-1)
+    def _with_multipliers(self, of_x: Any) -> Any:
+        """Return vectors of the unknowns of the LCP: these for x, and zeros for the multipliers."""
+        found, n = np.zeros(self.conditions.z.shape), self.data.ends[0]
+        found[..., :n] = of_x
+        return found
 
     def _checked(self, name: str, values: Any, own: tuple[int, ...] | None = None) -> Any:
         """Return the finite change of an array, in its shape, or with the axis of a batch in front."""

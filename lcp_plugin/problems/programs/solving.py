@@ -386,7 +386,9 @@ def solve_program(
     wishes = {name: options.pop(name) for name in OF_SOLVE if name in options}
     for name in ("absolute_tolerance", "polish"):
         if name in wishes and wishes.pop(name) not in (None, DEFAULTS[name]):
-            raise InvalidOption(f"solve takes no {name} for a QuadraticProgram")
+            raise InvalidOption(
+                f"solve takes no {name} for a QuadraticProgram; leave it out, or pass it with LCP.from_qp(P, c, …)"
+            )
     wishes = {name: wish for name, wish in wishes.items() if wish is not None}
     callback, start = wishes.pop("callback", None), wishes.pop("z0", None)
     if start is not None:

@@ -263,9 +263,26 @@ def test_a_program_layer_names_what_does_not_fit() -> None:
         qp_layer(eye, torch.zeros(2).double(), ones, limits, lower=0.0)
     is_solved = qp_layer(eye, torch.zeros(2).double(), ones, limits, lower=0.0, mask=True)[1]
     assert is_solved.tolist() == [True, False]
+    with pytest.raises(NotConverged, match=r"result = solve\(QuadraticProgram\(P, c, G"):
+        qp_layer(eye, torch.zeros(2).double(), ones, limits[1], lower=0.0)
+    with pytest.raises(InvalidProblem, match=r"G must have shape \(…, m, 2\), got \(2,\)"):
+        qp_layer(eye, torch.zeros(2).double(), ones[0], limits[0])
+    for P in (-eye, torch.stack([eye, -eye]), torch.stack([-eye, -eye])):
+        with pytest.raises(UnsupportedModel, match="not convex"):
+            qp_layer(P, torch.zeros(2).double(), lower=-1.0, upper=1.0)
     c = torch.zeros(2, dtype=torch.float64, requires_grad=True)
     qp_layer(eye, c, lower=0.0).sum().backward()  # as a ReLU at 0
     assert c.grad.isfinite().all()
     rows, right = torch.ones(2, 2).double(), torch.ones(2).double()
     with pytest.raises(UnsuitableProblem, match="row 0 of A, row 1 of A"):
         qp_layer(eye, c, A=rows, b=right).sum().backward()
+
+
+def test_a_layer_without_P_is_a_linear_program() -> None:
+    """The cheaper unknown is at the limit of the row, and moves with it."""
+    c = torch.tensor([-1.0, -2.0]).double()
+    h = torch.tensor([2.0], dtype=torch.float64, requires_grad=True)
+    x = qp_layer(None, c, torch.ones(1, 2).double(), h, lower=0.0)
+    x[1].backward()
+    assert x.tolist() == pytest.approx([0.0, 2.0])
+    assert h.grad.tolist() == pytest.approx([1.0])

@@ -72,7 +72,7 @@ BODY = (np.eye(3), [[0, 0, 1]], [[[1, 0, 0], [0, 1, 0]]])
 LCP.from_contacts(EYE, [-0.5], FALL) → friction must not be negative, but friction\[0\] = -0.5
 LCP.from_contacts(EYE, [0.5, 0.5], FALL) → array of shape \(1,\)
 LCP.from_contacts((np.eye(3), [[0, 0, 1]], [[[2, 0, 0], [0, 1, 0]]]), 0.5, np.zeros(3))
-    → must be orthogonal unit vectors, but contact 0 violates this by .* divide
+    → must be orthogonal unit vectors, but contact 0 has products that differ from 1 or 0 by .* divide
 LCP.from_contacts(np.eye(6), 0.5, FALL) → must have shape \(2, 3\).*got shape \(1, 3\)
 LCP.from_contacts(BODY, 0.5, np.zeros(2)) → velocities must have shape \(3,\).*too few
 LCP.from_contacts(EYE, 0.5, [[0.0] * 3] * 2) → \(1, 3\).*got shape \(2, 3\)

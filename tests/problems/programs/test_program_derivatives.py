@@ -13,11 +13,13 @@ from inputs.stacked_programs import differentiable_program
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
+    FrictionalContact,
     InvalidOption,
     InvalidProblem,
     QuadraticProgram,
     UnsuitableProblem,
     derivative,
+    march,
     solve,
     solve_batch,
 )
@@ -255,3 +257,46 @@ def test_a_derivative_can_be_sent_to_another_process() -> None:
         sent = pickle.loads(pickle.dumps(found))
         assert np.array_equal(sent.jvp(dc=program.c), found.jvp(dc=program.c))
         assert found.errors == {}
+
+
+def test_derivatives_of_a_batch_of_programs_are_a_sequence() -> None:
+    """len, [k] and a one-sided [k], as of a batch of LCPs."""
+    programs = [QuadraticProgram(np.eye(2), [-1, -2], G=[[1, 1]], h=[h]) for h in (2.0, 3.0)]
+    found = derivative(solve_batch(programs))
+    assert len(found) == 2
+    np.testing.assert_allclose(found[0].jvp(dh=[1.0]), found.jvp(dh=[1.0])[0], atol=1e-9)
+    with pytest.raises(UnsuitableProblem, match="kink"):
+        found[1].jvp(dh=[1.0])
+    np.testing.assert_allclose(found.one_sided()[1].jvp(dh=[-1.0]), [-0.5, -0.5], atol=1e-9)
+    with pytest.raises(IndexError):
+        found[2]
+
+
+def test_a_jvp_names_what_it_takes() -> None:
+    """Changes without a name, in every kind of derivative, and rows of from_ranges."""
+    lcp, contact = LCP(np.eye(2), [-1.0, -1.0]), FrictionalContact(np.eye(3), [-1.0, 0.3, 0.0], 0.5)
+    program = QuadraticProgram.from_ranges(np.eye(2), [-1, -2], [[1, 1]], [0], [2])
+    results = solve(lcp), solve_batch([lcp, lcp]), solve(contact), solve(program)
+    for result in (*results, march(lcp, np.ones((2, 2)))):
+        with pytest.raises(InvalidOption, match=r"by name, got list; write jvp\(d\w+=…\)"):
+            derivative(result).jvp([1.0, 0.0])
+    with pytest.raises(InvalidOption, match="from_ranges makes h"):
+        derivative(solve(program)).jvp(dupper_rows=[1.0])
+
+
+@pytest.mark.parametrize("seed", [11, 14, 58])
+def test_a_kink_is_found_in_units_far_apart(seed: int) -> None:
+    """A multiplier of 0 is a kink, and one of 1e-3 is none, in units of x and of the rows up to 1e8 apart."""
+    rng = np.random.default_rng(seed)
+    B, G, x = rng.normal(size=(4, 4)), rng.normal(size=(3, 4)), rng.normal(size=4)
+    of_x, of_rows = 10.0 ** rng.uniform(-4, 4, 4), 10.0 ** rng.uniform(-4, 4, 3)
+    P, G, x = (
+        (B @ B.T + 0.3 * np.eye(4)) * np.outer(of_x, of_x),
+        G * np.outer(of_rows, of_x),
+        x / of_x,
+    )
+    for small, is_unique in ((0.0, False), (1e-3, True)):
+        c = -P @ x - G.T @ (np.array([1.0, small, 0.0]) / of_rows)
+        found = derivative(solve(QuadraticProgram(P, c, G, G @ x + [0.0, 0.0, of_rows[2]])))
+        assert found.is_unique == is_unique
+        assert is_unique or found.degenerate == ["row 1 of G"]

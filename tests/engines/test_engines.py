@@ -156,7 +156,7 @@ def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
         2.0 * np.eye(2), [0, 0], A=[[1, -1], [1, -1]], b=[1e3, 1e3 * (1 + 2e-6)]
     )
     runs = [
-        run_engine(program, engine_class("daqp")(), 1e-6, is_fitted=False).solution
+        run_engine(program, engine_class("daqp")(), 1e-6, is_scaled=False).solution
         for _ in range(5)
     ]
     assert len({run.x.tobytes() for run in runs}) == 1
@@ -185,7 +185,7 @@ def test_piqp_without_steps_gives_the_same_point_in_each_call() -> None:
         # leaves numbers in freed memory
         solve(QuadraticProgram(np.eye(4), draws.standard_normal(4)), "piqp")
         program = QuadraticProgram(np.eye(4), -np.ones(4), G=np.ones((1, 4)), h=[1.0], lower=0.1)
-        points.add(run_engine(program, none, 1e-6, is_fitted=False).solution.x.tobytes())
+        points.add(run_engine(program, none, 1e-6, is_scaled=False).solution.x.tobytes())
     assert len(points) == 1
 
 

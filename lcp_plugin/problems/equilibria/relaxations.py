@@ -107,7 +107,7 @@ class Relaxations:
             # A vertex has more zeros than multipliers to repair them by
             if node.bound == -math.inf:
                 clarabel = installed_engine("clarabel")()
-                inside = run_engine(program, clarabel, self.tolerance, is_fitted=False).solution
+                inside = run_engine(program, clarabel, self.tolerance, is_scaled=False).solution
                 dual = inside.x, np.concatenate([inside.inequality, inside.equality])
                 node.bound, node.dual = self.bound(program, dual, enough), dual
         if parent is not None and parent.bound > node.bound:

@@ -470,6 +470,7 @@ def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
         find(solved_lcps(st.just(matrix)), lambda drawn: False, settings=FIRST)
 
 
+@pytest.mark.full
 def test_a_counterexample_can_be_copied() -> None:
     """The judge prints the call that makes the problem, bounds included if there are any."""
     with pytest.raises(AssertionError) as caught:

@@ -81,23 +81,31 @@ def first_candidate(problem: LCP, z0: Vector, tolerance: float) -> Any:
     The result is also None if z0 or z° is a solution already, because a step is then superfluous.
     """
     data = dense_data(problem)
-    is_cold = z0 is data.start
-    if not is_cold and (data.is_at_start.any() or measure(data, z0, tolerance).passes):
+    is_warm = z0 is not data.start
+    if is_warm and (data.is_at_start.any() or measure(data, z0, tolerance).passes):
         return None
+    label, found, entries = first_measured(data, z0, tolerance)
+    if not found.passes or (found.rows is not None and data.is_at_start.any()):
+        return None
+    rows = found.rows if problem.matrix.is_dense else None  # of the stored M
+    return found.z, rows, label, entries / max(problem.matrix.nonzeros, 1)
+
+
+def first_measured(data: RowData, z0: Vector, tolerance: float) -> tuple[str, Measured, float]:
+    """Return the first of :func:`candidates`, measured; without its rows if the sufficient test decides."""
     label, z, entries = next(candidates(data, z0))
-    z, rows = normal(data, z), None
-    if not (is_cold and is_surely_solved(data, z, tolerance)):
-        found = measure_finished(data, z, tolerance, power=1.0)
-        if data.is_at_start.any() or not found.passes:
-            return None
-        z, rows = found.z, found.rows if problem.matrix.is_dense else None  # of the stored M
-    return z, rows, label, entries / max(problem.matrix.nonzeros, 1)
+    z = normal(data, z)
+    bound = bound_residual(data, z, tolerance)
+    if bound < math.inf:
+        return label, Measured(z, bound, passes=True), entries
+    return label, measure_finished(data, z, tolerance, power=1.0), entries
 
 
-def is_surely_solved(data: RowData, z: Vector, tolerance: float) -> bool:
-    """Return whether a sufficient test shows that z passes the criterion and z° = 0 does not; z is within its bounds.
+def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
+    """Return an upper bound of the relative residual of z that the criterion accepts; ∞ if in doubt.
 
-    The test implies the criterion (:mod:`lcp_plugin.core.certificates.criterion`) at exponent 1, because
+    z is within its bounds; if the bound is finite, z° = 0 is not a solution. The test implies the criterion
+    (:mod:`lcp_plugin.core.certificates.criterion`) at exponent 1, because
 
     - with one component the maxima over all rows are its ‖r‖∞ and its reference, and no slack at 0 is rounded;
     - r_i is at most the violation divided by d_i, to which `rounding` adds more than the criterion does;
@@ -106,7 +114,7 @@ def is_surely_solved(data: RowData, z: Vector, tolerance: float) -> bool:
     - each violation is at most 2⁻⁴³ T_i, half of the limit of the componentwise test at any tolerance.
     """
     if data.labels is not None or data.start.any() or hasattr(data.origin, "rejects"):
-        return False
+        return math.inf
     w, terms = data.M @ z + data.q, data.absolute @ np.abs(z) + np.abs(data.q)
     above, below = z - data.lower, data.upper - z
     is_above, is_below = above > 0.0, below > 0.0
@@ -118,8 +126,9 @@ def is_surely_solved(data: RowData, z: Vector, tolerance: float) -> bool:
     gap = np.minimum(np.where(is_above, above, np.inf), np.where(is_below, below, np.inf))
     limit = min(first, np.maximum.reduce(of_free))
     is_right = (step < 0.999 * gap) & (violation <= 0.5 * NEGLIGIBLE * terms)
-    is_small = first < np.inf and np.maximum.reduce(step) <= 0.499 * tolerance * limit < np.inf
-    return bool(is_small and np.logical_and.reduce(is_right))
+    bound = float(1.001 * np.maximum.reduce(step) / limit)
+    is_small = first < np.inf and bound <= 0.5 * tolerance
+    return bound if is_small and np.logical_and.reduce(is_right) else math.inf
 
 
 def first_path_point(problem: LCP, tolerance: float) -> Any:
@@ -231,7 +240,7 @@ def solve_stack(
     """
     data = M, q, lower, upper, starts, tolerance
     z, residual, is_solved = _solve_in_loop(*data) if is_compiled else _solve_each(*data)
-    begun = np.clip(0.0, lower, upper) if starts is None else starts
+    begun = np.minimum(np.maximum(0.0, lower), upper) if starts is None else starts
     return z, residual, (z != begun).any(1).astype(int), is_solved
 
 
@@ -243,7 +252,7 @@ def _solve_in_loop(
     A start names an active set, from which active-set iterations begin; a path follows if they end at no solution. The
     criterion measures the points on which the sufficient test does not decide.
     """
-    arrays = M, q, lower, upper, np.clip(0.0, lower, upper)
+    arrays = M, q, lower, upper, np.minimum(np.maximum(0.0, lower), upper)
     z, items = np.array(arrays[4] if starts is None else starts), np.arange(len(q))
     residual = np.full(len(q), np.inf)
     for attempt in range(0 if starts is not None else ROUNDS, ROUNDS + 1):
@@ -358,8 +367,8 @@ def _solve_each(
     z, residual, is_solved = np.empty(q.shape), np.empty(len(q)), np.zeros(len(q), bool)
     for k in range(len(q)):
         data = dense_data(LCP(M[k % len(M)], q[k], lower=lower[k], upper=upper[k]))
-        _, point, _ = next(candidates(data, data.start if starts is None else starts[k]))
-        z[k], residual[k], is_solved[k] = measure(data, point, tolerance)[:3]
+        _, found, _ = first_measured(data, data.start if starts is None else starts[k], tolerance)
+        z[k], residual[k], is_solved[k] = found[:3]
     return z, residual, is_solved
 
 

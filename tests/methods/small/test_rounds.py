@@ -17,7 +17,7 @@ from oracles.truth import ExactData
 from lcp_plugin import LCP, Status, solve, solve_batch
 from lcp_plugin.core.certificates.criterion import row_data
 from lcp_plugin.core.checks import read_only
-from lcp_plugin.methods.small import dense_data, is_surely_solved, suits_loop
+from lcp_plugin.methods.small import bound_residual, dense_data, suits_loop
 
 INF = np.inf
 
@@ -131,10 +131,11 @@ def test_a_point_that_the_quick_test_of_one_problem_accepts_passes_the_criterion
         data, solved = dense_data(drawn), solve(drawn).z
         for size in (0.0, 1e-16, 1e-13, 1e-8):
             z = np.clip(solved * (1.0 + size * rng.normal(size=drawn.n)), drawn.lower, drawn.upper)
-            if is_surely_solved(data, z, 1e-8):
+            if (bound := bound_residual(data, z, 1e-8)) < INF:
                 accepted += 1
                 found = data.measure(z, 1e-8, power=1.0)
                 assert found.passes
+                assert found.residual <= bound
                 assert np.array_equal(found.z, z)
                 assert not data.is_at_start.any()
     assert accepted > 100

@@ -81,7 +81,7 @@ def assemble_csr(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -
 
 def checked_matrix(M: Any) -> tuple[Any, int]:
     """Return the square matrix as a CSR array, or as an ndarray if it is small and dense; and its nonzero entries."""
-    is_sparse = sp.issparse(M)
+    is_sparse = type(M) is not np.ndarray and sp.issparse(M)
     if is_sparse:
         check_kind(M.dtype, "M must hold real numbers")
     matrix = M if is_sparse else real_array(M, "M must hold real numbers")
@@ -94,8 +94,9 @@ def checked_matrix(M: Any) -> tuple[Any, int]:
     require_finite(matrix, "M")
     n, nonzeros = matrix.shape[0], int(np.count_nonzero(matrix))
     if n <= DENSE_UP_TO_SIZE and nonzeros > DENSE_ABOVE_DENSITY * n * n:
-        # the caller may change the original
-        return read_only(np.array(matrix, order="C")), nonzeros
+        matrix = np.array(matrix, order="C")  # the caller may change the original
+        matrix.setflags(write=False)
+        return matrix, nonzeros
     return freeze_csr(sp.csr_array(matrix)), nonzeros
 
 
@@ -142,7 +143,7 @@ def rectangular_matrix(
 def require_finite(array: NDArray[np.float64], name: str) -> None:
     """Raise InvalidProblem that shows the first entry that is not finite, if there is one."""
     is_finite = np.isfinite(array)
-    if not is_finite.all():
+    if not np.logical_and.reduce(is_finite, None):
         at = tuple(np.argwhere(~is_finite)[0].tolist())
         raise _not_finite(name, ", ".join(map(str, at)), array[at])
 
@@ -262,13 +263,15 @@ def checked_vector(
             f"{need}, got shape {vector.shape}{_hint_at_vector(vector, name, length)}"
         )
     is_valid = np.isfinite(vector)
-    if is_finite and not is_valid.all():
+    if is_finite and not np.logical_and.reduce(is_valid):
         is_valid |= (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
         if not is_valid.all():
             at = int(np.argmin(is_valid))
             need = "finite or inf" if allow_plus_infinity else "finite"
             raise _not_finite(name, at, vector[at], need)
-    return read_only(vector.copy())
+    vector = vector.copy()
+    vector.setflags(write=False)
+    return vector
 
 
 def _hint_at_vector(array: Vector, name: str, length: int | None) -> str:

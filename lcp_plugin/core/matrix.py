@@ -57,15 +57,20 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
 
     def __call__(self, matrix: Any, *args: P.args, **kwargs: P.kwargs) -> T:
         """Return the cached value; compute it at the first call."""
-        key = (self, *args)
-        try:
-            value: T = matrix._facts[key]
-        except KeyError:
-            with getattr(matrix, "matrix", matrix)._lock:  # of the matrix of a problem
-                if key not in matrix._facts:
-                    with np.errstate(all="ignore"):  # an overflow shows in the value
-                        matrix._facts[key] = self._compute(matrix, *args, **kwargs)
-                value = matrix._facts[key]
+        key, facts = (self, *args), matrix._facts
+        if key not in facts:
+            owner = getattr(matrix, "matrix", matrix)  # of a problem
+            with owner._lock:
+                if key not in facts and owner._is_computing:  # another fact needs this one
+                    facts[key] = self._compute(matrix, *args, **kwargs)
+                elif key not in facts:
+                    owner._is_computing = True
+                    try:
+                        with np.errstate(all="ignore"):  # an overflow shows in the value
+                            facts[key] = self._compute(matrix, *args, **kwargs)
+                    finally:
+                        owner._is_computing = False
+        value: T = facts[key]
         return value
 
     def is_known(self, matrix: Matrix, *args: Hashable) -> bool:
@@ -108,7 +113,7 @@ class Matrix:
         self.n: int = self.array.shape[0]
         self.is_dense = isinstance(self.array, np.ndarray)
         self._facts: dict[Hashable, Any] = {}
-        self._lock = threading.RLock()
+        self._lock, self._is_computing = threading.RLock(), False
 
     @cached_property
     def csr(self) -> sp.csr_array:
@@ -133,8 +138,8 @@ class Matrix:
         d_i = m_ii where m_ii ≥ 2⁻²⁰ max_j |m_ij|, else max_j |m_ij|, and 1 for an empty row.
         """
         entries, diagonal = self.array if self.is_dense else self.array.data, self.diagonal
-        largest = max(entries.max(initial=0.0), -entries.min(initial=0.0))
-        smallest = diagonal.min(initial=np.inf)
+        least, most = (ends.reduce(entries, None, initial=0.0) for ends in (np.minimum, np.maximum))
+        largest, smallest = max(most, -least), np.minimum.reduce(diagonal, initial=np.inf)
         if smallest > 0.0 and smallest >= NEGLIGIBLE_DIAGONAL * largest:
             return diagonal  # without a search in each row
         return read_only(residual_scales(diagonal, largest_in_rows(self.array)))

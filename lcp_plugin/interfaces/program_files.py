@@ -139,78 +139,47 @@ def _contacts(source: Path, name: str, group: Any) -> FrictionalContact:
 # --- The classes and their arrays --------------------------------------------------------------------------------
 
 
-def _numbers(content: Arrays, *names: str) -> Arrays:
-    """Return the arrays of these names that are there; a single number stands for all rows."""
-    found = {name: np.asarray(content[name]) for name in names if name in content}
-    return {name: one.reshape(()) if one.size == 1 else one for name, one in found.items()}
-
-
-def _number(content: Arrays, name: str) -> float:
-    array = np.asarray(content.get(name, 0.0))
-    if array.size != 1:
-        raise InvalidProblem(f"{name} must be a number, got shape {array.shape}")
-    return float(array.item())
-
-
-def _lcp(content: Arrays) -> LCP:
-    M, q = content["M"], content["q"]
+def _lcp(M: Any, q: Any, **bounds: Any) -> LCP:
     # Before M becomes CSR, which takes memory for every row that a sparse matrix announces.
     if sp.issparse(M) and q.shape != M.shape[:1]:
         raise InvalidProblem(
             f"q must be a finite vector of length {M.shape[0]}, got shape {q.shape}"
         )
-    return LCP(M, q, **_numbers(content, "lower", "upper"))
+    return LCP(M, q, **bounds)
 
 
-def _contact(content: Arrays) -> Any:
-    if "dimension" in content:
-        content["dimension"] = int(content["dimension"])
-    state = FrictionalContact.worlds if content["W"].ndim == 3 else FrictionalContact
-    return state(**content)
+def _contact(W: Any, b: Any, friction: Any, **others: Any) -> Any:
+    state = FrictionalContact.worlds if W.ndim == 3 else FrictionalContact
+    return state(W, b, friction, **others)
 
 
-def _cones(content: Arrays) -> ConeProblem:
-    kinds, sizes = content["cone_kinds"].tolist(), content["cone_rows"].tolist()
+def _cones(M: Any, q: Any, cone_kinds: Any, cone_rows: Any, **ends: Any) -> ConeProblem:
+    kinds, sizes = cone_kinds.tolist(), cone_rows.tolist()
     if not set(kinds) <= {*range(len(CONES))}:
         raise InvalidProblem(f"cone_kinds must be 0 to {len(CONES) - 1}, got {kinds}")
     cones: list[Any] = []
     for kind, size, end in zip(kinds, sizes, np.cumsum(sizes, dtype=np.int64), strict=True):
         own = slice(end - size, end)
         is_box = CONES[kind] == "box"
-        bounds = [content[name][own] for name in ("lower", "upper") if is_box]
+        bounds = [ends[name][own] for name in ("lower", "upper") if is_box]
         if any(bound.shape != (size,) for bound in bounds):
             raise InvalidProblem("lower and upper must have an entry per row if there are boxes")
         cones.append((CONES[kind], *bounds) if is_box else (CONES[kind], size))
-    return ConeProblem(content["M"], content["q"], cones)
+    return ConeProblem(M, q, cones)
 
 
-def _least_squares(content: Arrays) -> BoundedLeastSquares:
-    return BoundedLeastSquares(
-        content["A"],
-        content["b"],
-        weights=content.get("weights"),
-        ridge=_number(content, "ridge"),
-        **_numbers(content, "lower", "upper", "l1"),
-    )
-
-
-def _program(content: Arrays) -> LoadedProgram:
-    P, c, A, constant = content.get("P"), content["c"], content.get("A"), _number(content, "r")
+def _program(c: Any, P: Any = None, l: Any = None, u: Any = None, **others: Any) -> LoadedProgram:
     P = sp.csr_array((c.size, c.size)) if P is None else _symmetric(P)
-    bounds = _numbers(content, "lower", "upper")
-    kind, limits = QuadraticProgram, _numbers(content, "l", "u")
-    if not limits:
-        rows = {name: content[name] for name in ("G", "h", "A", "b") if name in content}
-        return LoadedProgram(kind(P, c, **rows, **bounds, constant=constant))
-    if A is None:
+    if l is None and u is None:
+        return LoadedProgram(QuadraticProgram(P, c, **others))
+    if "A" not in others:
         raise InvalidProblem(
             "it holds l or u, the limits of A x, and no A; bounds of x are lower and upper"
         )
-    if others := sorted(content.keys() & {"G", "h", "b"}):
-        raise InvalidProblem(f"{', '.join(others)} and l, u state rows; l, u are the limits of all")
-    limits = {"l": -np.inf, "u": np.inf} | limits
-    program = kind.from_ranges(P, c, A, limits["l"], limits["u"], **bounds, constant=constant)
-    return LoadedProgram(program)
+    if rows := sorted(others.keys() & {"G", "h", "b"}):
+        raise InvalidProblem(f"{', '.join(rows)} and l, u state rows; l, u are the limits of all")
+    limits = -np.inf if l is None else l, np.inf if u is None else u
+    return LoadedProgram(QuadraticProgram.from_ranges(P, c, others.pop("A"), *limits, **others))
 
 
 def _symmetric(P: Any) -> Any:
@@ -232,7 +201,7 @@ class Layout(NamedTuple):
     """Names in a file of each argument of a problem class, and its required arguments."""
 
     kind: type
-    build: Callable[[Arrays], Any]
+    build: Callable[..., Any]
     names: dict[str, tuple[str, ...]]
     needed: tuple[str, ...]
     text: str
@@ -267,25 +236,27 @@ LAYOUTS = {
     "quadprog": Layout(
         QuadraticProgram,
         _program,
-        _named("P=H c=f G=A h=b A=Aeq b=beq lower=lb,lower upper=ub,upper r"),
+        _named("P=H c=f G=A h=b A=Aeq b=beq lower=lb,lower upper=ub,upper constant=r"),
         ("c",),
         OF_PROGRAM,
     ),
     "QuadraticProgram": Layout(
         QuadraticProgram,
         _program,
-        _named("P c=c,q A l u G h b lower=lower,lb upper=upper,ub r"),
+        _named("P c=c,q A l u G h b lower=lower,lb upper=upper,ub constant=r"),
         ("c",),
         OF_PROGRAM,
     ),
     "BoundedLeastSquares": Layout(
         BoundedLeastSquares,
-        _least_squares,
+        BoundedLeastSquares,
         _named("A b lower=lower,lb upper=upper,ub weights ridge l1"),
         ("A", "b"),
         "a least squares problem holds A, b and, if wanted, lower and upper",
     ),
 }
+#: Arguments that may be one number, of all rows.
+NUMBERS = {"lower", "upper", "l", "u", "l1", "ridge", "constant", "dimension"}
 STRANGERS = {"quadprog": {"P", "c", "G", "h", "l", "u", "q"}}  # names of the other layout
 
 
@@ -327,12 +298,13 @@ def _built(source: Path, layout: str, found: Mapping[str, Any]) -> Any:
                 f"{source} holds {' and '.join(given)}, which are two names for one thing; leave one of them out"
             )
         if given:
-            content[argument] = found[given[0]]
+            array = found[given[0]]
+            content[argument] = array.item() if argument in NUMBERS and array.size == 1 else array
     if strangers := sorted(found.keys() & STRANGERS.get(layout, set())):
         raise UnreadableFile(f"{source} holds {strangers[0]} with names of quadprog; {text}")
     if missing := [names[argument][0] for argument in needed if argument not in content]:
         raise UnreadableFile(f"{source} lacks the keys {missing}; {text}")
-    return _stated(source, kind, lambda: build(content))
+    return _stated(source, kind, lambda: build(**content))
 
 
 def _stated(source: Path, kind: type, build: Callable[[], Any]) -> Any:

@@ -28,7 +28,16 @@ from numpy.linalg import LinAlgError
 from ..core.algorithm import Algorithm, Step
 from ..core.certificates.criterion import Measured, RowData, row_data, times
 from ..core.checks import BoolVector, Vector, read_only
-from ..core.kernels.floats import FREE, HIGH, LOW, PERTURBED, SMALLEST, SMALLEST_PIVOT
+from ..core.kernels.floats import (
+    EPSILON,
+    FREE,
+    HIGH,
+    LOW,
+    NEGLIGIBLE,
+    PERTURBED,
+    SMALLEST,
+    SMALLEST_PIVOT,
+)
 from ..core.kernels.small_lcps import LOST, bound_residuals, follow_paths, solve_active_sets
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, residual_scales
@@ -72,13 +81,54 @@ def first_candidate(problem: LCP, z0: Vector, tolerance: float) -> Any:
     The result is also None if z0 or z° is a solution already, because a step is then superfluous.
     """
     data = dense_data(problem)
-    if data.is_at_start.any() or (z0 is not data.start and measure(data, z0, tolerance).passes):
+    is_warm = z0 is not data.start
+    if is_warm and (data.is_at_start.any() or measure(data, z0, tolerance).passes):
         return None
-    label, z, entries = next(candidates(data, z0))
-    found = measure(data, z, tolerance)
+    label, found, entries = first_measured(data, z0, tolerance)
+    if not found.passes or (found.rows is not None and data.is_at_start.any()):
+        return None
     rows = found.rows if problem.matrix.is_dense else None  # of the stored M
-    work = entries / max(problem.matrix.nonzeros, 1)
-    return (found.z, rows, label, work) if found.passes else None
+    return found.z, rows, label, entries / max(problem.matrix.nonzeros, 1)
+
+
+def first_measured(data: RowData, z0: Vector, tolerance: float) -> tuple[str, Measured, float]:
+    """Return the first of :func:`candidates`, measured; without its rows if the sufficient test decides."""
+    label, z, entries = next(candidates(data, z0))
+    z = normal(data, z)
+    bound = bound_residual(data, z, tolerance)
+    if bound < math.inf:
+        return label, Measured(z, bound, passes=True), entries
+    return label, measure_finished(data, z, tolerance, power=1.0), entries
+
+
+def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
+    """Return an upper bound of the relative residual of z that the criterion accepts; ∞ if in doubt.
+
+    z is within its bounds; if the bound is finite, z° = 0 is not a solution. The test implies the criterion
+    (:mod:`lcp_plugin.core.certificates.criterion`) at exponent 1, because
+
+    - with one component the maxima over all rows are its ‖r‖∞ and its reference, and no slack at 0 is rounded;
+    - r_i is at most the violation divided by d_i, to which `rounding` adds more than the criterion does;
+    - a violation below d_i times the distance from the bounds does not let the criterion move z;
+    - ‖r‖∞ with rounding is at most half of the tolerance times `limit`, and `limit` is below the reference;
+    - each violation is at most 2⁻⁴³ T_i, half of the limit of the componentwise test at any tolerance.
+    """
+    if data.labels is not None or data.start.any() or hasattr(data.origin, "rejects"):
+        return math.inf
+    w, terms = data.M @ z + data.q, data.absolute @ np.abs(z) + np.abs(data.q)
+    above, below = z - data.lower, data.upper - z
+    is_above, is_below = above > 0.0, below > 0.0
+    violation = np.maximum(w * is_above, -w * is_below)
+    rounding = (2.0 * EPSILON * (z.size + 8)) * terms + SMALLEST**2
+    step, at_0 = (violation + rounding) / data.scale, data.q / data.scale
+    first = np.maximum.reduce(np.abs(np.minimum(np.maximum(at_0, -data.upper), -data.lower)))
+    of_free = np.where(is_above & is_below, terms / data.scale, 0.0)
+    gap = np.minimum(np.where(is_above, above, np.inf), np.where(is_below, below, np.inf))
+    limit = min(first, np.maximum.reduce(of_free))
+    is_right = (step < 0.999 * gap) & (violation <= 0.5 * NEGLIGIBLE * terms)
+    bound = float(1.001 * np.maximum.reduce(step) / limit)
+    is_small = first < np.inf and bound <= 0.5 * tolerance
+    return bound if is_small and np.logical_and.reduce(is_right) else math.inf
 
 
 def first_path_point(problem: LCP, tolerance: float) -> Any:
@@ -190,7 +240,7 @@ def solve_stack(
     """
     data = M, q, lower, upper, starts, tolerance
     z, residual, is_solved = _solve_in_loop(*data) if is_compiled else _solve_each(*data)
-    begun = np.clip(0.0, lower, upper) if starts is None else starts
+    begun = np.minimum(np.maximum(0.0, lower), upper) if starts is None else starts
     return z, residual, (z != begun).any(1).astype(int), is_solved
 
 
@@ -202,7 +252,7 @@ def _solve_in_loop(
     A start names an active set, from which active-set iterations begin; a path follows if they end at no solution. The
     criterion measures the points on which the sufficient test does not decide.
     """
-    arrays = M, q, lower, upper, np.clip(0.0, lower, upper)
+    arrays = M, q, lower, upper, np.minimum(np.maximum(0.0, lower), upper)
     z, items = np.array(arrays[4] if starts is None else starts), np.arange(len(q))
     residual = np.full(len(q), np.inf)
     for attempt in range(0 if starts is not None else ROUNDS, ROUNDS + 1):
@@ -317,8 +367,8 @@ def _solve_each(
     z, residual, is_solved = np.empty(q.shape), np.empty(len(q)), np.zeros(len(q), bool)
     for k in range(len(q)):
         data = dense_data(LCP(M[k % len(M)], q[k], lower=lower[k], upper=upper[k]))
-        _, point, _ = next(candidates(data, data.start if starts is None else starts[k]))
-        z[k], residual[k], is_solved[k] = measure(data, point, tolerance)[:3]
+        _, found, _ = first_measured(data, data.start if starts is None else starts[k], tolerance)
+        z[k], residual[k], is_solved[k] = found[:3]
     return z, residual, is_solved
 
 
@@ -345,17 +395,19 @@ def guess(data: RowData) -> Vector | None:
     L is the block of M below its first half of rows and columns: every choice of L has the paper's theorem. The result
     is None if a row that is not free has no diagonal entry, or a negligible one, so that d_i is another entry.
     """
-    free = (data.lower == -np.inf) & (data.upper == np.inf)
-    if not ((data.M.diagonal() == data.scale) | free).all():
-        return None
+    is_own = data.M.diagonal() == data.scale
+    if not np.logical_and.reduce(is_own):
+        is_own |= (data.lower == -np.inf) & (data.upper == np.inf)
+        if not is_own.all():
+            return None
     z: Vector = data.start
-    pivot, half = 1.0 / RELAXATION + 3.0, z.shape[-1] // 2
+    pivot, half = 1.0 / RELAXATION + 3.0, z.size // 2
     for _ in range(SWEEPS):
-        step = (times(data.M, z) + data.q) / data.scale
+        step = (data.M @ z + data.q) / data.scale
         change = np.minimum(np.maximum(step, z - data.upper), z - data.lower) * (2.0 / pivot)
         new = np.minimum(np.maximum(z - change, data.lower), data.upper)
-        more = times(data.M[..., half:, :half], new[..., :half] - z[..., :half])
-        change[..., half:] += more / (pivot * data.scale[..., half:])
+        more = data.M[half:, :half] @ (new[:half] - z[:half])
+        change[half:] += more / (pivot * data.scale[half:])
         z = np.minimum(np.maximum(z - change, data.lower), data.upper)
     return z
 
@@ -412,7 +464,7 @@ def rounds(data: RowData, z: Vector) -> Vector:
     for _ in range(ROUNDS):
         step = (M @ z + q) / scale
         side = np.where(step >= z - lower, LOW, FREE + (step <= z - upper))
-        changes = z.size if before is None else int(np.count_nonzero(side != before))
+        changes = z.size if before is None else int(np.add.reduce(side != before))
         idle, fewest = (idle + 1, fewest) if changes >= fewest else (0, changes)
         if not changes or idle > IDLE or not step @ step >= 0.0:  # NaN: a singular block
             break

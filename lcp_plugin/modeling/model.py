@@ -30,7 +30,7 @@ from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.statement import SquareModel, Statement
 from . import _compat as compat
-from .reading import Reader, rewritten
+from .reading import Reader
 
 if TYPE_CHECKING:
     from .constraint import Complements, Side
@@ -520,15 +520,6 @@ class Model:
             f"{compat.name_of(stated[owner].origin)}{less} is {theirs[row]:.9g} in one entry at the values of its "
             f"variables, and {expected:.9g} was computed"
         )
-
-
-def with_values(expression: Any, values: dict[int, Any]) -> Any:
-    """Return an expression with values, by id, in place of its variables."""
-
-    def change(node: Any) -> Any:
-        return cp.Constant(values[node.id]) if isinstance(node, cp.Variable) else node
-
-    return rewritten(expression, change)
 
 
 def spans_of(leaves: dict[int, Any]) -> tuple[dict[int, slice], int]:

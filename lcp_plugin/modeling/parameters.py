@@ -32,8 +32,8 @@ from ..problems.programs.program import QuadraticProgram
 from ..problems.sensitivity import derivative
 from ..solving.result import Result
 from . import _compat
-from ._compat import dense, leaf_value, name_of
-from .model import Model, spans_of, with_values
+from ._compat import leaf_value, name_of
+from .model import Model, spans_of
 from .qp_solver import CompiledProblem
 from .reading import Reader, restricting_attribute
 from .registration import build_from, is_complementarity_problem
@@ -393,20 +393,19 @@ Lines = dict[cp.Parameter, tuple[Vector, Vector]]
 
 
 class ModelPath(Path):
-    """Path of a cvxpy problem, with values of the variables and the objective.
+    """Path of a cvxpy problem, with values of the variables.
 
     Pieces, ``at(θ)`` and ``derivative(θ)`` belong to the LCP or program that cvxpy's problem becomes.
     """
 
-    _problem: Any
     _lines: Lines
     _back: Back
 
     @classmethod
-    def of(cls, path: Path, problem: Any, lines: Lines, back: Back) -> ModelPath:
+    def of(cls, path: Path, lines: Lines, back: Back) -> ModelPath:
         """Return a path with a map back to cvxpy's variables."""
         made = cls.__new__(cls)
-        made.__dict__.update(path.__dict__, _problem=problem, _lines=lines, _back=back)
+        made.__dict__.update(path.__dict__, _lines=lines, _back=back)
         return made
 
     def value(self, variable: cp.Variable, theta: ArrayLike) -> Any:
@@ -417,16 +416,6 @@ class ModelPath(Path):
                 f"{name_of(variable)} is not a variable of the problem; pass one of its variables"
             )
         return np.reshape([one[variable.id] for one in found], (*np.shape(theta), *variable.shape))
-
-    def objective(self, thetas: ArrayLike) -> Vector:
-        """Return the value of the user's objective at many θ, shape (k,)."""
-
-        def at(theta: float) -> float:
-            values = self._values(theta)
-            with moved_to(self._lines, theta):
-                return float(dense(with_values(self._problem.objective.args[0], values).value))
-
-        return np.array([at(theta) for theta in np.ravel(np.asarray(thetas, float)).tolist()])
 
     def _values(self, theta: float) -> dict[int, Any]:
         with moved_to(self._lines, theta):
@@ -508,7 +497,7 @@ def trace_model(
     (first, back), (last, _), (middle, _) = found
     base, directions = _line(first, last, middle, values)
     path = trace_stated(base, directions, start, stop, tolerance)
-    return ModelPath.of(path, problem, lines, back)
+    return ModelPath.of(path, lines, back)
 
 
 def _pairs(problem: Any) -> tuple[LCP, Back]:

@@ -39,7 +39,6 @@ from ._compat import (
     dense_value,
     entry_of,
     leaf_value,
-    name_of,
     row_of,
     sense_of,
     solver_errors,
@@ -271,37 +270,19 @@ def name_rows(problem: Any, program: QuadraticProgram, compiled: Any = None) -> 
 def _names_of(problem: Any, data: Any, entries: dict[int, Entries]) -> Names:
     """Return the names of the rows and unknowns of the program that cvxpy compiles, in the user's words.
 
-    A row that cvxpy adds, as for abs(x) <= 1, has the name of the constraint that shares an added variable with it.
+    A row that cvxpy adds, as for abs(x) <= 1, has no name.
     """
-    stated, columns = data[settings.PARAM_PROB].constraints, data[settings.PARAM_PROB].var_id_to_col
-    known = {int(one.places[0]) for one in entries.values() if one.places.size}
-    owner: dict[int, Any] = {one.id: one for one in problem.constraints}  # or of an added variable
-    own, before = {*owner}, 0
+    stated = data[settings.PARAM_PROB].constraints
     numbers = {one.id: k for k, one in enumerate(problem.constraints)}
-    while len(owner) > before:
-        before = len(owner)
-        for one in stated:
-            added = [each.id for each in one.variables() if columns.get(each.id) not in known]
-            keys = one.id, *added
-            if found := [owner[key] for key in keys if key in owner]:
-                owner |= {key: found[0] for key in keys if key not in owner}
+    owner = {one.id: partial(row_of, one, number=numbers[one.id]) for one in problem.constraints}
     rows: list[tuple[int, Any]] = []
     for kind in (False, True):  # rows of G, then of A
         rows += [
-            (one.size, partial(_row_name, owner.get(one.id), one.id in own, numbers))
-            for one in stated
-            if isinstance(one, EQUATIONS) is kind
+            (one.size, owner.get(one.id)) for one in stated if isinstance(one, EQUATIONS) is kind
         ]
     places = [(one, entries[one.id].places) for one in problem.variables()]
     count = sum(size for size, _ in rows)
     return Names(partial(name_of_row, rows, range(count)), partial(_unknown_name, places))
-
-
-def _row_name(stated: Any, is_own: bool, numbers: dict[int, int], k: int) -> str:
-    if stated is None:
-        return ""
-    # the objective has no name
-    return row_of(stated, k, number=numbers.get(stated.id)) if is_own else name_of(stated)
 
 
 def _unknown_name(places: list[tuple[Any, Indices]], column: int) -> str:

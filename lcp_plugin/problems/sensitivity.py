@@ -102,12 +102,18 @@ class BatchPart(LinearizedSystem):
             blocks = FreeBlocks(M if len(M) == 1 else M[wrong], free[wrong])
             step_of_free = blocks.solve(-w[wrong])
             z[wrong] = np.where(free[wrong], z[wrong] + step_of_free, bound[wrong])
-        distance, slack = np.minimum(z - lower, upper - z) * scale, np.abs(w)
+        within, slack = np.minimum(z - lower, upper - z), np.abs(w)
+        distance = within * scale
         is_nearer = free & (upper - z < z - lower)
         self.is_upper = np.where(lower == upper, w < 0.0, at_upper | is_nearer)
         is_sized = diagonal >= 2.0**-10 * largest
         kink = (slack <= terms * size) & (distance <= terms * size) & is_sized & (lower < upper)
-        is_clear = kink | (lower == upper) | (np.where(free, distance, slack) > HALF * size)
+        # a multiplier has no diagonal entry: the rows that it enters have its unit
+        is_far = distance > HALF * size
+        if (diagonal == 0.0).any():
+            seen = np.fmax.reduce(sizes / size[:, :, np.newaxis], axis=1)
+            is_far = np.where((diagonal == 0.0) & (seen > 0.0), within * seen > HALF, is_far)
+        is_clear = kink | (lower == upper) | np.where(free, is_far, slack > HALF * size)
         self.degenerate, self.free = kink, free & ~kink
         self.blocks = FreeBlocks(M, self.free)
         freed = np.flatnonzero(kink.any(axis=1) & ~self.blocks.is_regular)

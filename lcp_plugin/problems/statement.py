@@ -331,8 +331,8 @@ class SquareModel:
 
         INFEASIBLE becomes PRECISION_LIMIT without such a proof.
         """
-        is_converted = self.elimination.expansion is not None and self.whole is not None
-        if not is_converted or result.status is not Status.INFEASIBLE:
+        is_infeasible = result.status is Status.INFEASIBLE
+        if self.whole is None or self.elimination.expansion is None or not is_infeasible:
             return result
         proof = find_infeasibility(self.whole().problem)
         if proof is None or not proof.excludes(result.tolerance, result.absolute_tolerance):

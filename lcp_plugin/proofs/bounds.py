@@ -67,7 +67,7 @@ from ..core.deadline import is_over
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.kernels.floats import OUTWARD, TINY, UNDERFLOW, UNIT
 from ..core.lcp import LCP
-from ..core.matrix import Matrix, connected_components, fact, scale_matrix
+from ..core.matrix import Matrix, connected_components, fact, largest_products, scale_matrix
 from ..core.problem_classes import refusal
 from ..core.rounding import compensated_pair, compensated_product, gamma, lower_end
 from ..systems.definiteness import is_semidefinite_to_rounding, semidefinite_margin
@@ -289,7 +289,11 @@ def settled_rows(
     scale, data = problem.residual_scale, row_data(problem)
     floor = data.rounding_floor(data.rows(z).terms)
     # by a tiny diagonal entry no row moves z_i
-    near = floor * np.minimum(scale / problem.matrix.row_largest, 1.0) + error
+    near = floor * np.minimum(scale / problem.matrix.row_largest, 1.0)
+    # a multiplier has no diagonal entry, and no unit in common with its row: it is 0 if all rows see only rounding
+    sizes = abs(problem.matrix.csr)
+    seen = largest_products(sp.csr_array(sizes.T), 1.0 / (floor * scale))
+    near = np.where((problem.diagonal == 0.0) & (seen > 0.0), 1.0 / seen, near) + error
     slight = floor + abs(problem.matrix.array) @ error / scale
     is_fixed, step = problem.lower == problem.upper, w / scale
     degenerate = (within.min(axis=0) <= FLOORS * near) & (np.abs(step) <= FLOORS * slight)

@@ -6,18 +6,28 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
+from itertools import chain
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
+import scipy.sparse as sp
 from inputs.small_families import spectrum
+from scipy.linalg import solve_banded
 from scipy.optimize import linprog, nnls
 
-from lcp_plugin.api import solve
-from lcp_plugin.core.lcp import LCP
-from lcp_plugin.problems.batches.batch import solve_batch
-from lcp_plugin.problems.cones.frictional_contact import FrictionalContact
-from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
-from lcp_plugin.problems.programs.program import QuadraticProgram
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    FrictionalContact,
+    QuadraticProgram,
+    complements,
+    march,
+    solve,
+    solve_batch,
+    trace,
+)
+from lcp_plugin.gallery import american_put_march
 
 from .timing import rounds
 
@@ -30,7 +40,9 @@ REPEATS, SECONDS = 7, 0.02  # of processor time in each repetition
 def run(*, quick: bool = False) -> Iterator[str]:
     """Yield a line for each row: microseconds of ours and of the rival, the ratio and its goal."""
     yield f"{'problem':44} {'ours':>9} {'instead':>9} µs  ratio   goal"
-    for name, goal, ours, rival, instead, count in _rows(quick):
+    for name, goal, ours, rival, instead, count in chain(
+        _lcps(quick), _programs(quick), _models(quick)
+    ):
         times = {}
         for key, call in (("ours", ours), ("instead", instead)):
             call()  # compiles and loads
@@ -60,96 +72,156 @@ def _repeated(call: Call, times: int) -> None:
         call()
 
 
-def _rows(quick: bool) -> Iterator[Row]:
-    """Yield the rows of the table whose rival is installed."""
-    rng = np.random.default_rng(0)
+def _lcps(quick: bool) -> Iterator[Row]:
+    """Yield the rows of LCPs, contacts and marches whose rival is installed."""
+    rng, many = np.random.default_rng(0), 50 if quick else 1000
+    J = rng.normal(size=(15, 6))
+    W, v, friction = J @ J.T + np.eye(15), rng.normal(size=15), np.full(5, 0.5)
     if find_spec("quantecon") is not None:
-        lemke = import_module("quantecon.optimize.lcp_lemke").lcp_lemke
+        lemke, rival = import_module("quantecon.optimize.lcp_lemke").lcp_lemke, "QuantEcon's Lemke"
+        stack = [spectrum(10, 1e2, 0.4, k) for k in range(many)]
+        Ms, qs = (np.array([getattr(one, name) for one in stack]) for name in ("M", "q"))
         for n in (10, 30, 100):
             one = spectrum(n, 1e2, 0.4, 0)
             M, q = np.array(one.M), np.array(one.q)
-            rival = "quantecon.lcp_lemke", partial(lemke, M, q), 1
-            named = partial(_solve_lcp, M, q, "lemke")
-            yield f"LCP(M, q) and solve, lemke, n = {n}", 17.0, named, *rival
-            yield f"LCP(M, q) and solve, auto, n = {n}", 37.0, partial(_solve_lcp, M, q), *rival
-        M, q = np.array(spectrum(10, 1e2, 0.4, 0).M), np.array(spectrum(10, 1e2, 0.4, 0).q)
-        single = partial(solve_batch, M[None], q[None], algorithm="lemke", threads=1)
-        yield (
-            "batch of one, lemke, n = 10",
-            40.0,
-            single,
-            "quantecon.lcp_lemke",
-            partial(lemke, M, q),
-            1,
-        )
-        many = 50 if quick else 1000
-        stack = [spectrum(10, 1e2, 0.4, k) for k in range(many)]
-        Ms, qs = (np.array([getattr(one, name) for one in stack]) for name in ("M", "q"))
-        together = partial(solve_batch, Ms, qs, algorithm="lemke", threads=1)
-        loop = partial(_each, lemke, Ms, qs)
-        yield f"batch of {many}, lemke, n = 10, per problem", 2.0, together, "in a loop", loop, many
+            other = partial(lemke, M, q)
+            yield (
+                f"LCP of {n} rows, lemke",
+                17.0,
+                partial(_solve_lcp, M, q, "lemke"),
+                rival,
+                other,
+                1,
+            )
+            yield f"LCP of {n} rows, auto", 37.0, partial(_solve_lcp, M, q), rival, other, 1
+        for count, goal in ((1, 40.0), (many, 2.0)):
+            data = Ms[:count], qs[:count]
+            batch = partial(solve_batch, *data, algorithm="lemke", threads=1)
+            loop = partial(_each, lemke, *data)
+            yield f"batch of {count}, 10 rows, per problem", goal, batch, rival, loop, count
+        P, p = _pyramid(W, v, friction)
+        other = partial(lemke, P, p)
+        yield "5 contacts, pyramids, as an LCP", 10.0, partial(_solve_lcp, P, p), rival, other, 1
+    step, rival = partial(_solve_contact, W, v, friction), "numpy.linalg.solve"
+    yield "5 contacts, exact cones", 20.0, step, rival, partial(np.linalg.solve, W, v), 1
+    steps = 20 if quick else 200
+    put = american_put_march(size=301, steps=steps)
+    forcing = np.broadcast_to(put.advance(np.zeros(put.problem.n)), (steps, put.problem.n))
+    priced = partial(march, put.problem, forcing, z0=put.problem.lower)
+    tridiagonal = np.zeros((3, put.problem.n))
+    for row, k in enumerate((1, 0, -1)):
+        diagonal = put.problem.M.diagonal(k)
+        tridiagonal[row, max(k, 0) : put.problem.n + min(k, 0)] = diagonal
+    bare = partial(_repeated, partial(solve_banded, (1, 1), tridiagonal, forcing[0]), steps)
+    yield f"put of 301 prices in {steps} steps", 1.0, priced, "solve_banded in each step", bare, 1
+
+
+def _programs(quick: bool) -> Iterator[Row]:
+    """Yield the rows of programs and least squares in arrays."""
+    rng = np.random.default_rng(0)
+    G, c, h = rng.normal(size=(11, 4)), rng.normal(size=4), np.ones(11)
     if find_spec("daqp") is not None:
-        daqp = import_module("daqp")
-        G, c = rng.normal(size=(11, 4)), rng.normal(size=4)
-        program = partial(_solve_program, np.eye(4), c, G, np.ones(11))
-        rows = np.ascontiguousarray(G), np.ones(11), np.full(11, -1e30), np.zeros(11, np.int32)
+        rows = np.ascontiguousarray(G), h, np.full(11, -1e30), np.zeros(11, np.int32)
+        other = partial(import_module("daqp").solve, np.eye(4), c, *rows)
         yield (
             "QP, 4 unknowns, 11 rows",
             15.0,
-            program,
+            partial(_solve_program, np.eye(4), c, G, h),
             "daqp",
-            partial(daqp.solve, np.eye(4), c, *rows),
+            other,
             1,
         )
     A, b = rng.random((60, 30)), rng.random(60)
-    fit = partial(_solve_fit, A, b)
-    yield (
-        "nonnegative least squares, 60 × 30",
-        4.0,
-        fit,
-        "scipy.optimize.nnls",
-        partial(nnls, A, b),
-        1,
-    )
+    yield "NNLS 60 × 30", 4.0, partial(_solve_fit, A, b), "scipy's nnls", partial(nnls, A, b), 1
     A, B = rng.random((50, 200)), rng.random((40, 50))
-    pixels, loop = partial(_solve_pixels, A, B), partial(_each, nnls, [A] * 40, B)
-    yield "40 pixels, 50 bands × 200 atoms, per pixel", 2.0, pixels, "scipy.optimize.nnls", loop, 40
-    G, h, c = rng.normal(size=(22, 4)), np.ones(22), rng.normal(size=4)
-    G[11:], h[:] = -G[:11], -1.0
-    no = partial(_solve_program, np.zeros((4, 4)), c, G, h)
-    yield (
-        "infeasible LP, 4 unknowns, 22 rows",
-        4.0,
-        no,
-        "HiGHS by linprog",
-        partial(linprog, c, G, h, bounds=(None, None)),
-        1,
-    )
-    J = rng.normal(size=(15, 6))
-    W, v = J @ J.T + np.eye(15), rng.normal(size=15)
-    step = partial(_solve_contact, W, v, np.full(5, 0.5))
-    yield (
-        "5 contacts, exact cones (a linear solve)",
-        20.0,
-        step,
-        "numpy.linalg.solve",
-        partial(np.linalg.solve, W, v),
-        1,
-    )
+    other = partial(_each, nnls, [A] * 40, B)
+    yield "NNLS 50 × 200, per pixel", 2.0, partial(_solve_pixels, A, B), "scipy's nnls", other, 40
+    K, k = np.vstack([G, -G]), -np.ones(22)
+    other = partial(linprog, c, K, k, bounds=(None, None))
+    no = partial(_solve_program, np.zeros((4, 4)), c, K, k)
+    yield "infeasible LP, 4 unknowns, 22 rows", 4.0, no, "HiGHS by linprog", other, 1
+    n = 10 if quick else 60
+    none, costs, one = sp.csr_array((n * n, n * n)), rng.random(n * n), np.ones((1, n))
+    E = sp.csr_array(sp.vstack([sp.kron(sp.eye_array(n), one), sp.kron(one, sp.eye_array(n))]))
+    sums = np.ones(2 * n)
+    assign = partial(_solve_program, none, costs, A=E, b=sums, lower=0.0)
+    other = partial(linprog, costs, A_eq=E, b_eq=sums)
+    yield f"assignment {n} × {n}", 3.0, assign, "HiGHS by linprog", other, 1
+    A = rng.normal(size=(20, 40) if quick else (200, 400))
+    b = A[:, :5].sum(1) + 0.1 * rng.normal(size=len(A))
+    if find_spec("sklearn") is not None:
+        lars = import_module("sklearn.linear_model").lars_path
+        other = partial(lars, A, b, method="lasso")
+        path = partial(_trace_lasso, A, b)
+        yield f"lasso path {len(A)} × {A.shape[1]}", 8.0, path, "sklearn's lars_path", other, 1
     if find_spec("piqp") is not None:
+        by_piqp = partial(_by_piqp, import_module("piqp"))
         S, ones = np.cov(rng.normal(size=(200, 50))), np.ones((1, 200))
-        for name, lower in (("free", -np.inf), ("long only", 0.0)):
-            ours = partial(_solve_portfolio, S, lower)
-            rival = partial(_by_piqp, import_module("piqp"), S, ones, lower)
-            yield f"minimum variance, 200 assets, 50 days, {name}", 3.0, ours, "PIQP", rival, 1
+        for name, one, end in (
+            ("free", S, (-np.inf, np.inf)),
+            ("long only", S, (0.0, np.inf)),
+            ("float32, −1 ≤ x ≤ 1", S.astype(np.float32).astype(float), (-1.0, 1.0)),
+        ):
+            data = one, np.zeros(200), ones, [1.0], *end
+            ours, other = partial(_solve_bounded, *data), partial(by_piqp, *data)
+            yield f"minimum variance, 200 assets, {name}", 3.0, ours, "PIQP", other, 1
+        n = 50 if quick else 1500
+        X = rng.normal(size=(n, 2))
+        label = np.sign(X[:, 0] * X[:, 1])
+        Q = np.exp(-((X[:, None] - X) ** 2).sum(2)) * np.outer(label, label)
+        data = Q, -np.ones(n), label[None], [0.0], 0.0, 1.0
+        ours, other = partial(_solve_bounded, *data), partial(by_piqp, *data)
+        yield f"SVM dual, {n} points", 1.5, ours, "PIQP", other, 1
+
+
+def _models(quick: bool) -> Iterator[Row]:
+    """Yield the rows of models in cvxpy."""
+    rng = np.random.default_rng(5)
+    R = rng.random((50 if quick else 1000, 40))
+    apart, inlined = partial(_solve_shares, R, False), partial(_solve_shares, R, True)
+    yield f"{len(R)} definitions d == A @ x, 40 pairs", 3.0, apart, "inlined", inlined, 1
+
+
+def _solve_shares(R: Any, is_inlined: bool) -> None:
+    """Solve the growth-optimal shares, with the returns as unknowns or inlined."""
+    count, size = R.shape
+    d, w, v = cp.Variable(count), cp.Variable(size), cp.Variable()
+    w.value, v.value, d.value = np.full(size, 1.0 / size), 1.0, R.mean(1)
+    returns = R @ w if is_inlined else d
+    pairs = complements(w >= 0, v - R.T @ cp.power(returns, -1) / count >= 0)
+    rows = [pairs, cp.sum(w) == 1, *([] if is_inlined else [d == R @ w])]
+    cp.Problem(cp.Minimize(0), rows).solve(method="LCP")
+
+
+def _pyramid(W: Any, b: Any, friction: Any) -> tuple[Any, Any]:
+    """Return M and q of contacts with four directions of friction each, normals first in each block of W."""
+    count = len(friction)
+    normals, tangents = (
+        np.eye(3 * count)[:, ::3],
+        np.eye(3 * count)[:, np.arange(3 * count) % 3 > 0],
+    )
+    D, E = (
+        np.hstack([normals, tangents, -tangents]),
+        np.tile(np.repeat(np.eye(count), 2, 0), (2, 1)),
+    )
+    size = 5 * count
+    M = np.zeros((size + count, size + count))
+    M[:size, :size], M[count:size, size:] = D.T @ W @ D, E
+    M[size:, :count], M[size:, count:size] = np.diag(friction), -E.T
+    return M, np.concatenate([D.T @ b, np.zeros(count)])
+
+
+def _trace_lasso(A: Any, b: Any) -> None:
+    most = np.abs(A.T @ b).max()
+    trace(BoundedLeastSquares(A, b, lower=-np.inf), {"l1": 1.0}, 1.1 * most, 1e-3 * most)
 
 
 def _solve_lcp(M: Any, q: Any, algorithm: str = "auto") -> None:
     solve(LCP(M, q), algorithm)
 
 
-def _solve_program(P: Any, c: Any, G: Any, h: Any) -> None:
-    solve(QuadraticProgram(P, c, G, h))
+def _solve_program(*data: Any, **named: Any) -> None:
+    solve(QuadraticProgram(*data, **named))
 
 
 def _solve_fit(A: Any, b: Any) -> None:
@@ -164,16 +236,14 @@ def _solve_contact(W: Any, b: Any, friction: Any) -> None:
     solve(FrictionalContact(W, b, friction, dimension=3))
 
 
-def _solve_portfolio(S: Any, lower: float) -> None:
-    solve(QuadraticProgram(S, np.zeros(len(S)), A=np.ones((1, len(S))), b=[1.0], lower=lower))
+def _solve_bounded(P: Any, c: Any, A: Any, b: Any, lower: float, upper: float) -> None:
+    solve(QuadraticProgram(P, c, A=A, b=b, lower=lower, upper=upper))
 
 
-def _by_piqp(piqp: Any, S: Any, ones: Any, lower: float) -> None:
-    solver = piqp.DenseSolver()
-    n = len(S)
-    solver.setup(
-        S, np.zeros(n), ones, np.ones(1), None, None, None, np.full(n, lower), np.full(n, np.inf)
-    )
+def _by_piqp(piqp: Any, P: Any, c: Any, A: Any, b: Any, lower: float, upper: float) -> None:
+    solver, n = piqp.DenseSolver(), len(c)
+    ends = np.full(n, lower), np.full(n, upper)
+    solver.setup(P, c, A, np.array(b), None, None, None, *ends)
     solver.solve()
 
 

@@ -7,13 +7,12 @@ error costs more. A program whose every plan needs a forbidden pair is not count
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
 
-from lcp_plugin import QuadraticProgram, certify, solve
+from lcp_plugin import QuadraticProgram
 
 SHAPES = (3, 3), (3, 4), (4, 4)
 
@@ -62,22 +61,3 @@ def draw(seed: int) -> tuple[QuadraticProgram, float] | None:
 def is_wrong(value: float, known: float) -> bool:
     """Return whether an objective differs from the cost of plans without forbidden pairs."""
     return not abs(value - known) <= 1e-6 * abs(known) + 1e-12
-
-
-def main(cases: int, seed: int) -> Counter[str]:
-    """Draw, solve and certify programs; print each fault, and return the counts."""
-    found: Counter[str] = Counter()
-    for k in range(seed, seed + cases):
-        if (drawn := draw(k)) is None:
-            continue
-        program, known = drawn
-        result = solve(program)
-        verdict = certify(program, result).verdict
-        found.update([result.status.name, verdict])
-        if result.is_solved:
-            found.update([result.algorithm])
-        is_false = is_wrong(result.objective or 0.0, known)
-        if is_false and (result.is_solved or verdict == "proved"):
-            found["false"] += 1
-            print(f"{k}: {result.status.name}, {verdict}: {result.objective}, not {known}")
-    return found

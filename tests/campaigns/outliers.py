@@ -1,4 +1,4 @@
-"""Campaign of problems with outliers in their data, for every problem class, checked externally.
+"""Campaign of LCPs and programs with outliers in their data, checked externally; cones are in ``cones.py``.
 
 ``run(kind, seed, k)`` returns the outcome of one problem; ``python tests/campaign.py --only outlier`` runs all kinds.
 
@@ -26,7 +26,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from inputs.cone_families import violation as violation_in_digits
 from oracles.exact import FREE, LOWER, UPPER, exact_rows, solve_fractions, verified
 from oracles.truth import ExactData
 from scipy.linalg import block_diag
@@ -728,129 +727,13 @@ def march_case(rng: Generator) -> Outcome:
     return Outcome(RIGHT)
 
 
-# --- Least squares, cones, contacts, nonlinear ----------------------------------------------------------------------
-
-
-def cone_case(rng: Generator) -> Outcome:
-    """Draw a strongly monotone cone problem; blocks are checked relative to their terms."""
-    sizes = [int(rng.choice([1, 2, 3])) for _ in range(int(rng.integers(1, 4)))]
-    n, ends = sum(sizes), np.cumsum([0, *sizes])
-    L, K = integers(rng, n, n), integers(rng, n, n)
-    M = L @ L.T + rng.choice([1.0, 1e-3]) * np.eye(n) + (K - K.T) * (rng.random() < 0.5)
-    word = str(rng.choice(["plain", "ridge", "blocks", "noise", "rounded", "diagonal"]))
-    if word == "ridge":
-        M = L[:, :1] @ L[:, :1].T + 1e-9 * np.eye(n)
-    elif word == "blocks":
-        scale = np.repeat(rng.choice((1.0, 1e-6, 1e4), len(sizes)), sizes)
-        M = scale[:, None] * M * scale
-    elif word == "noise":
-        M = np.where(M == 0, COSINE, M)
-    elif word == "rounded":
-        M = (K - K.T) / 10 + 2.0**-54 * np.eye(n)
-    elif word == "diagonal":
-        M = K - K.T + np.diag(rng.choice((1e-9, 1e-6, 1.0), n))
-    z, w = np.zeros(n), np.zeros(n)
-    for a, b in itertools.pairwise(ends):
-        direction = rng.standard_normal(b - a - 1)
-        direction /= max(np.linalg.norm(direction), 1e-9)
-        state = rng.integers(0, 4)
-        first, second = np.append(1.0, direction), np.append(1.0, -direction)
-        if b - a == 1:
-            z[a], w[a] = (rng.integers(1, 4), 0) if state % 2 else (0, rng.integers(1, 4))
-        elif state == 0:
-            z[a] = 2.0
-        elif state == 1:
-            w[a] = 2.0
-        else:
-            z[a:b], w[a:b] = (
-                first * (state == 2 or rng.random() < 0.7),
-                second * (state == 3 or rng.random() < 0.7),
-            )
-    z *= rng.choice([1.0, 1e6, 1e-6])
-    w *= rng.choice([1.0, 1e6, 1e-6])
-    q = w - M @ z
-    cones = [("nonnegative", size) if size == 1 else ("second_order", size) for size in sizes]
-    problem = lp.ConeProblem(M, q, cones)
-    result = lp.solve(problem, max_seconds=SECONDS)
-    text = f"{word}: ConeProblem({M.tolist()}, {q.tolist()}, {cones}), planted {z.tolist()}"
-    if result.status.name != "SOLVED":
-        return Outcome(
-            FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}"
-        )
-    x = result.z
-    if (
-        abs(x - z).max() <= NEAR * abs(z).max()
-        or (wrong := violation_in_digits(problem, x)) <= HOLDS
-    ):
-        return Outcome(RIGHT)
-    return Outcome(FALSE, f"SOLVED {x.tolist()}, wrong by {wrong:.1e}: {text}")
-
-
-def contact_case(rng: Generator) -> Outcome:
-    """Draw one or two groups of contacts, or a tower; friction is checked in each group."""
-    d, groups, qs, planted = int(rng.integers(2, 4)), [], [], []
-    word = str(rng.choice(["one", "groups", "tower", "masses"]))
-    mu = []
-    for group in range(1 + (word == "groups")):
-        k = int(rng.integers(1, 4))
-        friction = rng.choice([0.0, 0.3, 0.5], k)
-        scale = 1.0 if group == 0 else float(rng.choice((1e-7, 1e-3, 1e7)))
-        if word == "tower":
-            mass = rng.choice((1.0, 1e4, 1e6, 1e8), k)
-            J = np.eye(k) - np.eye(k, k=-1)
-            W = np.kron(J @ np.diag(1 / mass) @ J.T, np.eye(d))
-            q = np.zeros(d * k)
-            q[0] = -0.04905
-            r = np.zeros(d * k)
-            r[::d] = 0.04905 * np.cumsum(mass[::-1])[::-1]
-        else:
-            size = d * k + 1
-            J = integers(rng, d * k, size)
-            mass = rng.choice((1.0, 1e4, 1e8) if word == "masses" else (1.0, 2.0), size)
-            W = J @ np.diag(1 / mass) @ J.T + np.eye(d * k) * 0.1
-            r, u = np.zeros(d * k), np.zeros(d * k)
-            for i in range(k):
-                state, direction = rng.integers(0, 3), rng.standard_normal(d - 1)
-                direction /= np.linalg.norm(direction)
-                at = slice(d * i + 1, d * i + d)
-                if state == 0:
-                    u[d * i], u[at] = 1.0, direction
-                else:
-                    r[d * i] = 1.0
-                    r[at] = friction[i] * direction * (1.0 if state == 2 else 0.5)
-                    u[at] = -direction * 2.0 * (state == 2)
-            r, q = scale * r, scale * (u - W @ r)
-        groups.append(W)
-        qs.append(q)
-        planted.append(r)
-        mu.append(friction)
-    W = sp.block_diag([*map(sp.csr_array, groups)], format="csr")
-    q, r, friction = map(np.concatenate, (qs, planted, mu))
-    problem = lp.FrictionalContact(W, q, friction, dimension=d)
-    result = lp.solve(problem, max_seconds=SECONDS)
-    text = f"{word}: W={W.toarray().tolist()}, b={q.tolist()}, mu={friction.tolist()}, planted {r.tolist()}"
-    if result.status.name != "SOLVED":
-        return Outcome(
-            FALSE if result.has_no_solution else REFUSED, f"{result.status.name}: {text}"
-        )
-    x, ends = result.x, np.cumsum([0, *(len(offset) for offset in qs)])
-    is_near = all(
-        abs(x[a:b] - r[a:b])[::d].max() <= NEAR * abs(r[a:b]).max()
-        for a, b in itertools.pairwise(ends)
-    )
-    if is_near or (word != "tower" and violation_in_digits(problem, x) <= 1e-6):
-        return Outcome(RIGHT)
-    return Outcome(FALSE, f"SOLVED {x.tolist()}: {text}")
-
-
 def tiny_case(rng: Generator) -> Outcome:
     return lcp_case(rng, tiny_diagonal)
 
 
 KINDS: dict[str, Callable[[Generator], Outcome]] = {
     "lcp": lcp_case, "program": program_case, "linear": linear_case,
-    "cones": cone_case, "contacts": contact_case, "batch": batch_case, "march": march_case,
-    "tiny diagonal": tiny_case,
+    "batch": batch_case, "march": march_case, "tiny diagonal": tiny_case,
 }  # fmt: skip
 
 

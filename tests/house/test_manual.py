@@ -29,7 +29,6 @@ from pages import (
 import lcp_plugin.ranks
 
 BLOCK = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?", re.S | re.M)
-ONE_SCREEN = 60  # lines
 
 
 @pytest.fixture
@@ -59,19 +58,6 @@ def test_the_code_of_a_guide_prints_what_stands_below_it(name: str) -> None:
         with contextlib.redirect_stdout(found):
             exec(compile(code, name, "exec", dont_inherit=True), namespace)
         assert masked(found.getvalue()) == masked(printed)
-
-
-@pytest.mark.parametrize("name", TRADES)
-def test_a_trade_is_told_on_one_screen(name: str) -> None:
-    """Words, code that prints, a picture, what was checked and the time, in this order and in at most 60 lines."""
-    screen = guide(name).partition("\n## ")[0]
-    places = [
-        screen.find(part)
-        for part in ("```python", "```text", "![", "**Validation.**", "**Run time.** On ")
-    ]
-    assert -1 not in places
-    assert places == sorted(places)
-    assert len(screen.splitlines()) <= ONE_SCREEN
 
 
 def test_the_pictures_of_the_pages_are_small_and_are_those_of_examples() -> None:

@@ -174,22 +174,6 @@ def test_the_version_is_written_once() -> None:
     assert f"Programming Language :: Python :: 3.{sys.version_info.minor}" in PROJECT["classifiers"]
 
 
-def test_ci_runs_everything_after_the_readme_s_command() -> None:
-    """Nothing that the suite without --full leaves out is left out altogether."""
-    script = ROOT / ".ci" / "run"
-    if not script.exists():
-        pytest.skip("a source archive has no .ci")
-    text = script.read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines() if line.startswith(("bash", "python "))]
-    assert [line.partition(" </dev/null")[0] for line in lines] == [
-        'bash -euo pipefail -c "$command"',
-        'python -m pytest --full -n 2 "${strict[@]}"',
-        "python -m pytest --full -rs tests/distributed tests/interfaces/learn tests/problems/batches/test_executors.py",
-        "python .ci/plain_english.py --check",
-        "python -m sphinx -q -W -c examples/manual examples site",
-    ]
-
-
 def test_a_release_with_a_placeholder_is_refused(tmp_path: Path) -> None:
     """publish.yml first runs the check, which names each placeholder; with addresses and a dated version it passes."""
     workflows = ROOT / ".github" / "workflows"

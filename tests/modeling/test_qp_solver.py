@@ -185,12 +185,12 @@ def test_duals_of_an_infeasible_problem_prove_it_and_name_its_constraints(sense:
 
 
 @has_duals
-def test_a_constraint_that_cannot_hold_is_named_alone() -> None:
-    """Of |x| ≤ −1 the answer says so, whatever cvxpy adds to state it."""
+def test_a_constraint_that_cannot_hold_is_named() -> None:
+    """The proof of |x| ≤ −1 names it, and the rows that cvxpy adds by their numbers."""
     x = cp.Variable(name="x")
     problem = cp.Problem(cp.Minimize(x), [cp.abs(x) <= -1, x >= -5])
     problem.solve(method="LCP")
-    assert "cannot hold, abs(x) <= -1.0" in problem.solver_stats.extra_stats.explain()
+    assert "inconsistent, abs(x) <= -1.0" in problem.solver_stats.extra_stats.explain()
 
 
 def integer_program() -> Any:

@@ -246,7 +246,7 @@ class ComplementarityModel(NLModel):
                     why = f"; {wrong}" if other.result.has_no_solution else ""
                     return replace(other, message=other.message + why)
                 wrong += ", and no other solution was found"
-            status, words = (Status.STALLED, wrong) if wrong else (status, words + self._remark(x))
+            status, words = (Status.STALLED, wrong) if wrong else (status, words)
         message = self._message(words, found.residual, found.iterations)
         return NLAnswer(x, duals, status, message, found, None)
 
@@ -267,20 +267,6 @@ class ComplementarityModel(NLModel):
         except UnsupportedModel:
             return None
         return other if other.is_solved or other.result.has_no_solution else None
-
-    def _remark(self, x: Vector) -> str:
-        """Return the name of a variable at a bound that its pair does not state; else ""."""
-        content, at = self.content, x[self.content.partners[self.pairs]]
-        both = (pair_bounds(content, self.pairs, as_stated=one) for one in (False, True))
-        for word, own, stated in zip(("lower", "upper"), *both, strict=True):
-            is_near = np.abs(at - own) <= SIDE_CONDITION * np.maximum(1.0, np.abs(own))
-            for k in self.pairs[is_near & (own != stated)][:1].tolist():
-                j = content.partners[k]
-                return (
-                    f"; {content.variable(j)} stops at its own {word} bound {x[j]:g}, which counts although "
-                    f"its complementarity, {content.row(k)}, does not state it"
-                )
-        return ""
 
     def values(self, z: Vector, w: Vector) -> tuple[Vector, Vector]:
         """Return the variables, and the values of the complementarity rows, 0 for other rows."""

@@ -184,7 +184,8 @@ def solve_batch(
         hint = "; pass starts as z0, one for each problem" if unknown[0] == "x0" else hint
         raise InvalidOption(f"solve_batch has no option {unknown[0]!r}{hint}")
     given = {name: value for name, value in options.items() if value is not None}
-    Settings(**given)
+    if given:
+        Settings(**given)  # a wrong option is an error of its own, before the data
     for name in ("absolute_tolerance", "prove_infeasibility"):  # which some classes lack
         if name in given and given[name] == DEFAULTS[name]:
             del given[name]

@@ -18,7 +18,7 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.executors import one_blas_thread, run_on
 from ...core.lcp import LCP
-from ...core.settings import Settings, Status, checked_callback, checked_threads
+from ...core.settings import DEFAULT, Settings, Status, checked_callback, checked_threads
 from ...methods.small import LOOP_UP_TO
 from ...solving.choice import method_of
 from ...solving.dispatch import solve
@@ -56,7 +56,8 @@ class BatchRun:
     def __init__(self, problems: Any, algorithm: Any, options: dict[str, Any]) -> None:
         self.problems, self.algorithm, count = problems, algorithm, len(problems)
         self.item = problems.item
-        self.settings, self.threads = Settings(**options), checked_threads(options.get("threads"))
+        self.settings = Settings(**options) if options else DEFAULT
+        self.threads = checked_threads(options.get("threads"))
         self.options = {name: options[name] for name in options.keys() - {"max_seconds", "threads"}}
         self.errors, self.z = {**problems.errors}, problems.points
         for k in self.errors if isinstance(self.z, np.ndarray) else ():

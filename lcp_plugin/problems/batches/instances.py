@@ -70,7 +70,8 @@ class Group(NamedTuple):
     def vectors(self, *names: str) -> list[Any]:
         """Return these vectors of all problems, each of shape (k, n)."""
         shape = self.items.size, self.M.shape[1]
-        return [np.broadcast_to(getattr(self, name), shape) for name in names]
+        given = (getattr(self, name) for name in names)
+        return [one if one.shape == shape else np.broadcast_to(one, shape) for one in given]
 
     def stacks(self, tolerance: float, *, is_path: bool = False) -> Stacks:
         """Yield stacks of at most 5 to 10 ms, eight or more in a large batch: each thread has a part.
@@ -81,7 +82,7 @@ class Group(NamedTuple):
         size = max(min(WORK // n**2, max(SHORTEST, count // 8)), 1)
         is_compiled = is_path or suits_loop(count, n)
         for first in range(0, count, size):
-            part = self.select(slice(first, first + size))
+            part = self.select(slice(first, first + size)) if size < count else self
             names = ("q", "lower", "upper", *(["starts"] if part.starts.shape[1] else []))
             data = partial(solve_stack, part.M, *part.vectors(*names))
             yield part.items, partial(data, tolerance=tolerance, is_compiled=is_compiled)

@@ -169,11 +169,10 @@ def test_what_may_be_stated(name: str) -> None:
     assert campaign.picture(m) == before
 
 
-OF_ITS_OWN = {  # the model, its side and bound, and the row there
-    "upper": (made(least(7), x=(None, 5)), "upper", 5.0, -2.0),
+OF_ITS_OWN = {  # the model, its bound, and the row there
+    "upper": (made(least(7), x=(None, 5)), 5.0, -2.0),
     "smooth": (
         made(lambda m: (pe.exp(m.x) - 50 >= 0, m.x >= 0), x=(None, 2)),
-        "upper",
         2.0,
         np.exp(2.0) - 50.0,
     ),
@@ -182,23 +181,17 @@ OF_ITS_OWN = {  # the model, its side and bound, and the row there
 
 @pytest.mark.parametrize("name", OF_ITS_OWN)
 def test_bounds_of_a_variable_belong_to_its_pair(name: str, tmp_path: Path) -> None:
-    """Bounds of a variable belong to its pair, as in PATH and AMPL; the message names the bound."""
-    build, side, bound, row = OF_ITS_OWN[name]
+    """Bounds of a variable belong to its pair, as in PATH and AMPL."""
+    build, bound, row = OF_ITS_OWN[name]
     m = model(build)
     m.dual = pe.Suffix(direction=pe.Suffix.IMPORT)
     results = SOLVER.solve(m)
     pe.assert_optimal_termination(results)
     assert m.x.value == pytest.approx(bound, abs=1e-9)
     assert m.dual[m.c] == pytest.approx(row)
-    assert (
-        f"x stops at its own {side} bound {bound:g}, which counts although"
-        in results.solver.message
-    )
-    assert "c, does not state it" in results.solver.message
     write_nl(m, tmp_path / "m.nl")
     again = read_nl(tmp_path / "m.nl").solve()
     assert (again.is_solved, again.x.tolist()) == (True, pytest.approx([bound]))
-    assert "of its own" not in again.message  # in a file every finite bound is stated
 
 
 def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
@@ -296,7 +289,7 @@ REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
     ),
     "held twice": (
         made(least(2), lambda m: (m.x >= 0, m.x >= 3)),
-        "the unknown for d: its pair holds no variable, or one that another pair holds",
+        "give each pair a variable of its own",
     ),
     "a disjunction": (
         disjunction,

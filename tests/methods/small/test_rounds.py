@@ -17,7 +17,7 @@ from oracles.truth import ExactData
 from lcp_plugin import LCP, Status, solve, solve_batch
 from lcp_plugin.core.certificates.criterion import row_data
 from lcp_plugin.core.checks import read_only
-from lcp_plugin.methods.small import suits_loop
+from lcp_plugin.methods.small import bound_residual, dense_data, suits_loop
 
 INF = np.inf
 
@@ -122,6 +122,23 @@ def test_a_point_that_the_sufficient_test_accepts_passes_the_criterion() -> None
                 assert found.residual <= bound[0]
                 assert np.array_equal(found.z, z)
     assert accepted > 500
+
+
+def test_a_point_that_the_quick_test_of_one_problem_accepts_passes_the_criterion() -> None:
+    """The criterion does not move the point, and z° does not pass."""
+    rng, accepted = np.random.default_rng(0), 0
+    for drawn in (one for family in FAMILIES for one in draw(family, 20, 8)):
+        data, solved = dense_data(drawn), solve(drawn).z
+        for size in (0.0, 1e-16, 1e-13, 1e-8):
+            z = np.clip(solved * (1.0 + size * rng.normal(size=drawn.n)), drawn.lower, drawn.upper)
+            if (bound := bound_residual(data, z, 1e-8)) < INF:
+                accepted += 1
+                found = data.measure(z, 1e-8, power=1.0)
+                assert found.passes
+                assert found.residual <= bound
+                assert np.array_equal(found.z, z)
+                assert not data.is_at_start.any()
+    assert accepted > 100
 
 
 @pytest.mark.parametrize(

@@ -282,3 +282,21 @@ def test_a_jvp_names_what_it_takes() -> None:
             derivative(result).jvp([1.0, 0.0])
     with pytest.raises(InvalidOption, match="from_ranges makes h"):
         derivative(solve(program)).jvp(dupper_rows=[1.0])
+
+
+@pytest.mark.parametrize("seed", [11, 14, 58])
+def test_a_kink_is_found_in_units_far_apart(seed: int) -> None:
+    """A multiplier of 0 is a kink, and one of 1e-3 is none, in units of x and of the rows up to 1e8 apart."""
+    rng = np.random.default_rng(seed)
+    B, G, x = rng.normal(size=(4, 4)), rng.normal(size=(3, 4)), rng.normal(size=4)
+    of_x, of_rows = 10.0 ** rng.uniform(-4, 4, 4), 10.0 ** rng.uniform(-4, 4, 3)
+    P, G, x = (
+        (B @ B.T + 0.3 * np.eye(4)) * np.outer(of_x, of_x),
+        G * np.outer(of_rows, of_x),
+        x / of_x,
+    )
+    for small, is_unique in ((0.0, False), (1e-3, True)):
+        c = -P @ x - G.T @ (np.array([1.0, small, 0.0]) / of_rows)
+        found = derivative(solve(QuadraticProgram(P, c, G, G @ x + [0.0, 0.0, of_rows[2]])))
+        assert found.is_unique == is_unique
+        assert is_unique or found.degenerate == ["row 1 of G"]

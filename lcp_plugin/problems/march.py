@@ -338,7 +338,7 @@ class StepData:
         given = {name: values for name, values in bounds.items() if values is not None}
         rows = {}
         for name, values in given.items():
-            need = f"{name}_at must be an array of shape ({k}, {n}), a row per step"
+            need = f"{name}_at must be an array of shape ({k}, {n}), a row per step ({name}= is for all steps)"
             rows[name] = checks.real_array(values, need)
             if rows[name].ndim == 2 and len(rows[name]) != k:
                 raise InvalidProblem(_wrong_count(f"{name}_at", len(rows[name]), k))

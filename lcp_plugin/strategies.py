@@ -19,7 +19,7 @@ them CSR arrays.
 
 assert_solves: test any solver on problems with known solutions, in exact arithmetic.
 
-Strategies for matrices of a certain class: by signs of xᵀM x, sums of rows, principal minors, or a planted cycle.
+Strategies for matrices of a certain class: by signs of xᵀM x, sums of rows, or principal minors.
 
 Strategies for linear complementarity problems: any, solved exactly, and without solution.
 
@@ -65,14 +65,11 @@ __all__ = [
     "h_plus_matrices",
     "infeasible_lcps",
     "lcps",
-    "m_matrices",
-    "not_h_matrices",
     "p_matrices",
     "positive_definite_matrices",
     "positive_semidefinite_matrices",
     "solved_lcps",
     "strictly_dominant_matrices",
-    "z_matrices",
 ]
 
 LARGEST_ENTRY = 9  # small integers: sums are exact, examples are short
@@ -110,7 +107,6 @@ def entries(density: float) -> Numbers:
 
 POSITIVE = st.integers(1, LARGEST_ENTRY)
 SIGNED = st.integers(-LARGEST_ENTRY, LARGEST_ENTRY)
-ONE_FIRST = st.sampled_from([*range(1, LARGEST_ENTRY + 1), 0, *range(-1, -LARGEST_ENTRY - 1, -1)])
 SIGNS = st.sampled_from([1, -1])
 UNITS = st.sampled_from([1, 2, 4])
 
@@ -147,23 +143,19 @@ def blocks(height: int, width: int, values: Numbers) -> st.SearchStrategy[Matrix
 Build = Callable[[st.DrawFn, int, Numbers], Matrix]
 
 
-def matrices(smallest: int = 0) -> Callable[[Build], Callable[..., st.SearchStrategy[Any]]]:
-    """Turn a function that draws a matrix of n ≥ `smallest` rows into a strategy with checked size and density."""
+def matrices(build: Build) -> Callable[..., st.SearchStrategy[Any]]:
+    """Turn a function that draws a matrix of n rows into a strategy with checked size and density."""
+    drawn = st.composite(lambda draw, rows, values: build(draw, draw(rows), values))
 
-    def strategy_of(build: Build) -> Callable[..., st.SearchStrategy[Any]]:
-        drawn = st.composite(lambda draw, rows, values: build(draw, draw(rows), values))
+    @wraps(build)
+    def strategy(size: Sizes = None, *, density: float = 1.0) -> st.SearchStrategy[Any]:
+        return drawn(sizes(size), entries(density))
 
-        @wraps(build)
-        def strategy(size: Sizes = None, *, density: float = 1.0) -> st.SearchStrategy[Any]:
-            return drawn(sizes(size, smallest), entries(density))
-
-        del strategy.__wrapped__  # help and signature list size and density
-        return strategy
-
-    return strategy_of
+    del strategy.__wrapped__  # help and signature list size and density
+    return strategy
 
 
-@matrices()
+@matrices
 def positive_definite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for positive definite matrices, xᵀM x > 0 for x ≠ 0; usually they are not H₊-matrices.
 
@@ -200,7 +192,7 @@ def positive_definite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matr
     return _definite(draw, n, values)
 
 
-@matrices()
+@matrices
 def positive_semidefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for symmetric positive semidefinite matrices of every rank from 0 to their size.
 
@@ -226,7 +218,7 @@ def positive_semidefinite_matrices(draw: st.DrawFn, n: int, values: Numbers) -> 
     return L @ L.T
 
 
-@matrices()
+@matrices
 def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for H₊-matrices: positive diagonal, and ⟨M⟩v > 0 for some v > 0.
 
@@ -249,48 +241,7 @@ def h_plus_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     return _h_plus(draw, n, values)
 
 
-@matrices()
-def m_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    """Return a strategy for nonsingular M-matrices, usually not symmetric: m_ij ≤ 0 off the diagonal, M⁻¹ ≥ 0.
-
-    Parameters
-    ----------
-    size, density
-        As in :func:`h_plus_matrices`.
-
-    Examples
-    --------
-    >>> from hypothesis import Phase, find, settings
-    >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
-    >>> shrunk = settings(quick, phases=[Phase.generate, Phase.shrink])
-    >>> find(m_matrices(2), lambda M: M[0, 1] != 0, settings=shrunk)
-    array([[ 2., -1.],
-           [ 0.,  1.]])
-    """
-    return _off_diagonal_negated(_h_plus(draw, n, values))
-
-
-@matrices()
-def z_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    """Return a strategy for Z-matrices: m_ij ≤ 0 off the diagonal; M-matrices, singular and indefinite ones among them.
-
-    Parameters
-    ----------
-    size, density
-        As in :func:`h_plus_matrices`.
-
-    Examples
-    --------
-    >>> from hypothesis import Phase, find, settings
-    >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
-    >>> shrunk = settings(quick, phases=[Phase.generate, Phase.shrink])
-    >>> find(z_matrices(1), lambda M: M[0, 0] < 0, settings=shrunk)
-    array([[-1.]])
-    """
-    return _off_diagonal_negated(_by_row_sums(draw, n, values, ONE_FIRST))
-
-
-@matrices()
+@matrices
 def strictly_dominant_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for matrices with m_ii > Σ_j≠i |m_ij| in every row.
 
@@ -311,7 +262,7 @@ def strictly_dominant_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matr
     return _by_row_sums(draw, n, values)
 
 
-@matrices()
+@matrices
 def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return a strategy for P-matrices, all principal minors positive: exactly one solution for every q and all bounds.
 
@@ -347,51 +298,6 @@ def p_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     return A[np.ix_(order, order)]
 
 
-@matrices(1)
-def not_h_matrices(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
-    """Return a strategy for matrices that are not H-matrices: no scaling of rows and columns makes them dominant.
-
-    Parameters
-    ----------
-    size : int or strategy of int, optional
-        Rows and columns, at least 1 (a 1 × 1 matrix is [0]); up to 8 by default.
-    density : float
-        Share of nonzeros of the parts, in [0, 1], roughly; the cycle is added.
-
-    Raises
-    ------
-    InvalidOption
-        If an option is out of its range; while drawing, if a drawn size is too small.
-
-    Notes
-    -----
-    The construction has a cycle i₁ → i₂ → … → i₁ with |m_ij| ≥ |m_ii| on each arrow i → j, of length 1 a zero on the
-    diagonal. Its product of |m_ij|/|m_ii| is at least 1 in any scaling, so that ρ(D⁻¹|B|) ≥ 1.
-
-    Examples
-    --------
-    >>> from hypothesis import Phase, find, settings
-    >>> quick = settings(phases=[Phase.generate], derandomize=True, database=None)
-    >>> shrunk = settings(quick, phases=[Phase.generate, Phase.shrink])
-    >>> find(not_h_matrices(), lambda M: len(M) > 1, settings=shrunk)
-    array([[1., 1.],
-           [1., 1.]])
-    """
-    diagonal, order = draw(vectors(n, ONE_FIRST)), draw(orders(n))
-    # 0, 1, … mean a cycle of length 2, 3, …, and the last a zero on the diagonal: shrinking prefers the former.
-    length = draw(st.integers(0, n - 1))
-    signs, surpluses = draw(vectors(n, SIGNS)), draw(vectors(n, st.integers(0, 9)))
-    A = draw(blocks(n, n, values))
-    np.fill_diagonal(A, diagonal)
-    if length == n - 1:
-        A[order[0], order[0]] = 0.0
-    else:
-        cycle = order[: length + 2]
-        for i, j, sign, surplus in zip(cycle, np.roll(cycle, -1), signs, surpluses, strict=False):
-            A[i, j] = sign * (abs(A[i, i]) + surplus)
-    return A
-
-
 def _definite(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     """Return B Bᵀ + E: symmetric positive definite."""
     E = np.diag(draw(vectors(n, POSITIVE)))
@@ -399,17 +305,13 @@ def _definite(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
     return np.asarray(B @ B.T + E)
 
 
-def _by_row_sums(draw: st.DrawFn, n: int, values: Numbers, surpluses: Numbers = POSITIVE) -> Matrix:
-    """Return a matrix whose diagonal entries exceed the sums of the others' sizes by the surpluses."""
-    surplus = draw(vectors(n, surpluses))
+def _by_row_sums(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
+    """Return a matrix whose diagonal entries exceed the sums of the others' sizes by integers from 1 to 9."""
+    surplus = draw(vectors(n, POSITIVE))
     A = draw(blocks(n, n, values))
     np.fill_diagonal(A, 0.0)
     np.fill_diagonal(A, abs(A).sum(axis=1) + surplus)
     return A
-
-
-def _off_diagonal_negated(A: Matrix) -> Matrix:
-    return np.where(np.eye(len(A)) > 0.0, A, 0.0 - abs(A))
 
 
 def _h_plus(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:

@@ -43,7 +43,7 @@ EXAMPLES = {"few": (3, 30), "default": (6, 80), "many": (12, 150)}
 # Folders with tests of functions that are not public; core/test_floating_point_state.py calls those that are.
 INNER = {"core", "engines", "methods", "problems", "proofs", "systems"}
 DURATIONS = Path(__file__).with_name("durations.json")  # milliseconds of each row of each table
-SHARE = 150  # milliseconds that a table may use without --full, so that the quick suite takes about a minute
+SHARE = 100  # milliseconds that a table may use without --full, so that the quick suite takes about a minute
 UNMEASURED = 50  # milliseconds of a row that is not in the file
 # Doctests of seconds; tests/interfaces and tests/strategies have short ones of the same.
 SLOW = ("lcp_plugin.interfaces", "lcp_plugin.strategies.assert_solves")

@@ -7,11 +7,10 @@ import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, partial
 from itertools import product
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from ..algorithms import REGISTRY
 from ..core.algorithm import Algorithm
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..core.files import checked_path, write_whole
 from ..core.lcp import LCP
 from ..core.matrix import scale_by
 from ..gallery.problems import balanced_matrix, stencil_matrix, stiff_cells, upwind
@@ -36,7 +34,6 @@ from ..proofs.exact import (
 from ..solving.dispatch import solve
 from ..systems.equilibration import equilibrating_exponents
 from .measurement import Method, methods_of
-from .study import csv_text
 
 Progress = Callable[[int, int, str], Any]
 ExactPoint = tuple[Fraction, ...]
@@ -446,15 +443,6 @@ class Atlas:
         return "\n".join(lines)
 
     __str__ = explain
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write a .csv file with a line per cell."""
-        place = checked_path(path)
-        if place.suffix.lower() != ".csv":
-            raise InvalidOption(f"an atlas is saved as .csv, got {place.name!r}")
-        names = [field.name for field in fields(Cell)]
-        rows = ([getattr(cell, name) for name in names] for cell in self.cells)
-        write_whole({place: lambda file: file.write(csv_text([names, *rows]).encode("utf-8"))})
 
 
 def stability_atlas(

@@ -33,30 +33,15 @@ in full, is below p_i v_i, the sweep contracts in ‖x‖_v = max |x_i|/v_i, by
 
 if |e⁺_j| ≤ c v_j for all rows j before i, then |e⁺_i| ≤ c v_i. All |L|v and |U|v here are rows of M divided by the
 scale of the residual, so that no unit of a row can overflow them.
-
-The spectral radius of the matrices that bound the errors of an iteration.
-
-Each step of these families satisfies |z_{k+1} − z*| ≤ |P⁻¹| R |z_k − z*| in every component, with R ≥ 0:
-
-    projected type        P = 𝓜 + 2I + D, row i of R is row i of |𝓜 + D| or of |P − 2M|, or between them
-    projected relaxation  P = I − |βL|, R = |1 − ω| I + |ω − β| |L| + |ω U|, of M scaled to unit diagonal
-    modulus               P = 𝓜 + Ω, R = |𝓜 − M| + |Ω − M|, for x
-
-A row of the projected type moves between its two rows with the projection. Its spectral radius is the largest of all
-choices of rows; the T of the paper's Theorem 4.1 sums the parts of both rows, so that ρ(T) is larger, often above 1.
-A radius below 1 makes the iteration converge from every start, and it is at most `rate`, up to rounding. ρ of the
-iteration matrix itself may be less. The radius is a float, not a proof; the proof is `rate`.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm
 from ..core.checks import Vector, read_only
@@ -219,46 +204,6 @@ def longest_row(matrix: Matrix) -> int:
     return int(np.diff(matrix.csr.indptr).max(initial=0))
 
 
-# unknowns: two seconds; beyond, products of a matrix far from normal are inexact
-DENSE_UP_TO = 1000
-
-
-def bound_of_errors(problem: LCP, facts: IterationFacts) -> Any:
-    """Return |P⁻¹| R with the rows of R whose radius is the largest, shape (n, n), dense; None if P is singular."""
-    (alpha, beta), eye = numbers(facts), np.eye(problem.n)
-    is_relaxation = facts.family == PROJECTED_RELAXATION
-    scaling = 1.0 / problem.diagonal if is_relaxation else facts.scaling
-    M = problem.csr.toarray() * (1.0 if scaling is None else np.reshape(scaling, (-1, 1)))
-    D = np.diag(M.diagonal())
-    below, above = np.tril(M, -1), np.triu(M, 1)
-    if facts.sweep == "backward":
-        below, above = above, below
-    splitting = (D + beta * below) / alpha
-    if facts.family == PROJECTED_SPLITTING:
-        of_caller = sp.csr_array(facts.splitting).toarray()
-        splitting = of_caller if scaling is None else scaling[:, np.newaxis] * of_caller
-    rest = splitting - M
-    if is_relaxation:
-        P = eye - abs(beta * below)
-        rights = [abs(1.0 - alpha) * eye + abs((alpha - beta) * below) + abs(alpha * above)]
-    elif facts.family == MODULUS:
-        omega = np.diag(np.asarray(facts.omega))
-        P, rights = splitting + omega, [abs(rest) + abs(omega - M)]
-    else:
-        P = splitting + 2.0 * eye + D
-        rights = [abs(splitting + D), abs(P - 2.0 * M)]
-    try:
-        inverse = np.abs(np.linalg.inv(P))
-    except np.linalg.LinAlgError:
-        return None
-    v = np.ones(problem.n)
-    for _ in range(200 if len(rights) > 1 else 0):
-        grown = inverse @ np.max([R @ v for R in rights], axis=0)
-        v = 0.5 * (v + grown / grown.max(initial=1e-300))
-    row = np.argmax([R @ v for R in rights], axis=0)
-    return inverse @ np.choose(row[:, np.newaxis], rights)
-
-
 PAPER = "Kumar, Deepmala, Das"
 CRYER = "Cryer 1971, doi:10.1137/0309028; Mangasarian 1977, doi:10.1007/BF01268170"
 BAI = "Bai 2010, doi:10.1002/nla.680"
@@ -272,6 +217,7 @@ MOMENTUM = (
     "{}; cycles of momentum are undone where the step does not fall, so it converges wherever the plain iteration "
     "contracts (momentum=None has a rate)"
 )
+DENSE_UP_TO = 1000  # unknowns of a splitting whose matrix T of Theorem 4.1 is computed: two seconds
 ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also if it is subnormal
 FloatMatrix = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -296,8 +242,8 @@ class Guarantee:
     speaks_of : {"z", "x"}
         The rate of a modulus method is one of its x, z = lower + max(x, 0):
         ‖z_k − z*‖_v ≤ cᵏ ‖x_0 − x*‖_v with x* = z* − lower − Ω⁻¹w*.
-    facts, problem : IterationFacts and LCP, or None
-        The iteration of `spectral_radius`; None if the method is not a splitting.
+    facts : IterationFacts or None
+        Parameters of the iteration; None if the method is not a splitting.
     """
 
     verdict: str
@@ -307,24 +253,6 @@ class Guarantee:
     remedy: str = ""
     speaks_of: str = "z"
     facts: IterationFacts | None = field(default=None, repr=False)
-    problem: LCP | None = field(default=None, repr=False)
-
-    @cached_property
-    def spectral_radius(self) -> float | None:
-        """Largest ρ(T) of the matrices T ≥ 0 with |z_{k+1} − z*| ≤ T |z_k − z*|, a float without proof.
-
-        It is at most `rate` and below 1 if the row theorems apply; the paper's Theorem 4.1 has a larger T. ρ of the
-        iteration matrix itself may be less. None if the method is not a splitting, for a symmetric sweep, and for more
-        than 1000 unknowns. Computed on first access.
-        """
-        if (facts := self.facts) is None or self.problem is None or self.problem.n > DENSE_UP_TO:
-            return None
-        if facts.sweep == "symmetric" and facts.family != PROJECTED_SPLITTING:
-            return None
-        T = bound_of_errors(self.problem, facts)
-        if T is None or not np.isfinite(T).all():
-            return None
-        return float(np.abs(np.linalg.eigvals(T)).max(initial=0.0))
 
     @property
     def is_guaranteed(self) -> bool:
@@ -440,7 +368,7 @@ def guarantee_of(problem: LCP, algorithm: Algorithm) -> Guarantee:
     if facts is None:
         about = f"no theorem here is about {algorithm.name} on such a problem"
         return Guarantee(NOT_COVERED, about)
-    found = replace(_full(problem, facts), facts=facts, problem=problem)
+    found = replace(_full(problem, facts), facts=facts)
     if not (facts.has_momentum and found.is_guaranteed):
         return found
     return replace(found, theorem=MOMENTUM.format(found.theorem), rate=None, v=None)

@@ -233,8 +233,7 @@ def convergence_guarantee(
     Returns
     -------
     Guarantee
-        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy; `spectral_radius` on
-        first access.
+        ``verdict`` "guaranteed" or "not covered", with theorem, rate, weights v and a remedy.
 
     Raises
     ------
@@ -254,8 +253,6 @@ def convergence_guarantee(
     >>> guarantee = convergence_guarantee(problem, "npsor", momentum=None)
     >>> guarantee.verdict, round(guarantee.rate, 3)
     ('guaranteed', 0.648)
-    >>> round(guarantee.spectral_radius, 3)
-    0.599
     """
     if not isinstance(problem, LCP):
         raise InvalidOption(refusal("convergence_guarantee", problem))

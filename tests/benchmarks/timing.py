@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -32,13 +31,6 @@ def rounds(
     """Return all runs of each call, in rounds of all of them in turn."""
     runs = [{name: timed(call, clock) for name, call in calls.items()} for _ in range(repeats)]
     return {name: [run[name] for run in runs] for name in calls}
-
-
-def medians(calls: Calls, repeats: int) -> dict[str, float]:
-    """Return the median seconds of each call over some rounds of all of them, after one warm-up round."""
-    rounds(calls, 1)
-    every = rounds(calls, repeats)
-    return {name: statistics.median(one.seconds for one in runs) for name, runs in every.items()}
 
 
 def quickest(calls: Calls, repeats: int = 2) -> dict[str, Timed]:

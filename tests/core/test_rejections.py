@@ -28,7 +28,7 @@ from lcp_plugin import (
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence.cross_check import cross_validate
-from lcp_plugin.evidence.stability import Atlas, stability_atlas
+from lcp_plugin.evidence.stability import stability_atlas
 from lcp_plugin.evidence.study import Study, error_against_time
 from lcp_plugin.solving.result import Sample
 
@@ -398,7 +398,6 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
     "gallery build": lambda p, wrong: gallery.build(wrong),
     "study against": lambda p, wrong: Study(()).plot(against=wrong),
     "study save": lambda p, wrong: Study(()).save(wrong),
-    "atlas save": lambda p, wrong: Atlas(()).save(wrong),
 }
 
 

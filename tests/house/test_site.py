@@ -1,13 +1,11 @@
-"""The site of the manual: no warning, no dead link, no network."""
+"""The site of the manual: no warning, which a dead link is, and no network."""
 
 from __future__ import annotations
 
 import re
 import subprocess
 import sys
-from html.parser import HTMLParser
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
 
 import pytest
 
@@ -32,42 +30,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-class Links(HTMLParser):
-    """Targets of links and pictures, and the anchors of a page."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.targets: list[str] = []
-        self.anchors: set[str] = set()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Collect the link and the anchor of a tag."""
-        found = dict(attrs)
-        self.anchors.add(found.get("id") or "")
-        self.targets += [found.get("href") or "", found.get("src") or ""]
-
-
-def read_links(page: Path) -> Links:
-    """Return the links of a page."""
-    links = Links()
-    links.feed(page.read_text(encoding="utf-8"))
-    return links
-
-
-def test_every_internal_link_has_a_target(site: Path) -> None:
-    """Each link leads to a file of the site and to an anchor of it; scripts, styles and pictures come with the site."""
-    pages = {page: read_links(page) for page in site.rglob("*.html")}
-    for page, links in pages.items():
-        for target in filter(None, links.targets):
-            parts = urlsplit(target)
-            if parts.scheme in ("https", "http", "data", "mailto"):
-                continue
-            file = (page.parent / unquote(parts.path)).resolve() if parts.path else page
-            assert file.exists(), f"{page.name} → {target}"
-            if parts.fragment and file in pages:
-                assert unquote(parts.fragment) in pages[file].anchors, f"{page.name} → {target}"
-
-
 def test_pages_load_nothing_from_the_network(site: Path) -> None:
     """No page has a script, a style or a picture from another host."""
     for page in site.rglob("*.html"):
@@ -77,7 +39,8 @@ def test_pages_load_nothing_from_the_network(site: Path) -> None:
 
 def test_reference_has_every_public_name(site: Path) -> None:
     """The reference has an anchor for each public name, except the gallery, which is a module."""
-    anchors = read_links(site / "manual" / "reference.html").anchors
+    page = (site / "manual" / "reference.html").read_text(encoding="utf-8")
+    anchors = set(re.findall(r'\bid="([^"]*)"', page))
     names = {name for name in lcp_plugin.__all__ if name[0] != "_"} - {"gallery"}
     assert names <= {anchor.removeprefix("lcp_plugin.") for anchor in anchors}
 

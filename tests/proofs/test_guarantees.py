@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from inputs import membranes, textbook_scenes
 from inputs.drawn_scaling import scaled_matrices
 from inputs.families import UNPROVEN
-from inputs.planted import planted_lcp
 from tools.refusals import assert_refused, refusals
 from typer.testing import CliRunner
 
@@ -25,7 +24,7 @@ from lcp_plugin import LCP, Status, analyze, convergence_guarantee, gallery, sol
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.commands.cli import app
 from lcp_plugin.methods.npsplitting import NPSplitting
-from lcp_plugin.proofs.guarantees import bound_of_errors, theorem_4_1
+from lcp_plugin.proofs.guarantees import theorem_4_1
 from lcp_plugin.proofs.verdicts import sign_remark
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
@@ -361,7 +360,6 @@ def test_a_splitting_of_one_s_own_is_covered_by_theorem_4_1() -> None:
         guarantee = convergence_guarantee(problem, NPSplitting(splitting=sp.csr_array(1.1 * M)))
         assert guarantee.is_guaranteed == covered
         assert covered or "n > 1000" in guarantee.theorem
-        assert (guarantee.spectral_radius is None) == (not covered)
 
 
 # --- The command ---------------------------------------------------------------------------------------------
@@ -432,82 +430,6 @@ def test_the_remark_says_what_is_proved(M: Any, words: str) -> None:
         assert analyze(-np.array(M)).is_m_matrix
 
 
-# --- The spectral radius of the matrix that bounds an iteration's errors ---
-
-METHODS: list[tuple[str, dict[str, Any]]] = [
-    ("npj", {"scaling": None}),
-    ("npaor", {"relaxation": 1.2, "acceleration": 0.7}),
-    ("pj", {}),
-    ("pgs", {"sweep": "backward"}),
-    ("paor", {"relaxation": 0.9, "acceleration": 0.4}),
-    ("msor", {"relaxation": 0.9}),
-    ("maor", {"relaxation": 0.8, "acceleration": 0.6}),
-]
-
-
-def planted(seed: int, n: int = 12) -> tuple[LCP, np.ndarray]:
-    """A strictly dominant M of both signs, and an answer chosen first."""
-    random = np.random.default_rng(seed)
-    M = random.uniform(-1, 1, (n, n))
-    np.fill_diagonal(M, 1.2 * np.abs(M).sum(axis=1))
-    return planted_lcp(M, random, bounds=False)
-
-
-@pytest.mark.parametrize(("name", "options"), METHODS, ids=[name for name, _ in METHODS])
-@pytest.mark.parametrize("seed", range(3))
-def test_errors_stay_below_the_matrix_of_which_it_is_the_radius(
-    name: str, options: dict[str, Any], seed: int
-) -> None:
-    """The largest weighted error falls by ρ(T), with the Perron vector of T as weights, in every step on z."""
-    problem, exact = planted(seed)
-    algorithm = create(name, options)
-    T = bound_of_errors(problem, algorithm.facts(problem))
-    z0 = np.random.default_rng(seed + 50).random(problem.n) * 3
-    iterates = [
-        step.z.copy() for step, _ in zip(algorithm.iterates(problem, z0), range(8), strict=False)
-    ]
-    if name.startswith("m"):  # only |z − z*| ≤ |x − x*|: the radius applies to the errors of x
-        iterates = []
-    v = T @ np.linalg.matrix_power(T / np.abs(T).max(), 60) @ np.ones(problem.n)
-    for before, after in pairwise(iterates):
-        bound = float(np.max(abs(before - exact) / v)) * (T @ v)
-        assert (abs(after - exact) <= bound * (1 + 1e-9) + 1e-13).all()
-    assert convergence_guarantee(problem, algorithm).spectral_radius == pytest.approx(
-        max(abs(np.linalg.eigvals(T)))
-    )
-
-
-def test_it_is_jacobis_or_gauss_seidels() -> None:
-    """The radius ρ(T) of a projected relaxation of a tridiagonal matrix is the known one."""
-    n = 40
-    M = sp.diags_array([-np.ones(n - 1), 2.5 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
-    problem = LCP(M, -np.ones(n))
-    cosine = 2 * np.cos(np.pi / (n + 1)) / 2.5
-    jacobi, seidel = (convergence_guarantee(problem, name) for name in ("pj", "pgs"))
-    assert jacobi.spectral_radius == pytest.approx(cosine)
-    assert seidel.spectral_radius == pytest.approx(cosine**2)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_spectral_radius_of_a_guaranteed_iteration_is_at_most_its_rate(seed: int) -> None:
-    """A proved rate is never next to a radius above 1: all families, with and without row scaling."""
-    random = np.random.default_rng(seed)
-    n = int(random.integers(2, 12))
-    M = random.uniform(-1, 1, (n, n)) * (random.random((n, n)) < 0.6)
-    np.fill_diagonal(M, 0.0)
-    M += np.diag(random.uniform(1.0, 1.6, n) * (abs(M).sum(axis=1) + 0.1))
-    problem = LCP(M * 10.0 ** random.uniform(-1, 1, (n, 1)), random.standard_normal(n))
-    of_np: list[tuple[str, dict[str, Any]]] = [
-        (name, options)
-        for name in ("npj", "npgs", "npsor", "npaor", "npsplitting")
-        for options in ({}, UNSCALED)
-    ]
-    for name, options in [*METHODS, *of_np]:
-        found = convergence_guarantee(problem, name, **options)
-        if found.rate is not None:
-            assert found.spectral_radius <= found.rate * (1 + 1e-9), (name, options)
-
-
 def test_guaranteed_run_that_is_slow_ends_at_its_limit_of_steps() -> None:
     """A sweep whose convergence is proved is never STALLED or DIVERGED, and the advice has the reason."""
     n = 400
@@ -523,12 +445,3 @@ def test_guaranteed_run_that_is_slow_ends_at_its_limit_of_steps() -> None:
     result = solve(growing, "pj")
     assert result.guarantee.is_guaranteed
     assert result.status is Status.SOLVED
-
-
-def test_what_has_none_says_none() -> None:
-    """A direct method has no such matrix; a symmetric sweep of two halves gives none here."""
-    problem, _ = planted(0)
-    assert convergence_guarantee(problem, "lemke").spectral_radius is None
-    assert convergence_guarantee(problem, "pgs", sweep="symmetric").spectral_radius is None
-    large = gallery.build("obstacle_2d", size=33).problem
-    assert convergence_guarantee(large, "pgs").spectral_radius is None

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 from inputs.drawn_scaling import nearly_singular, scaled_matrices, scaled_solved, skewed, strict
-from oracles.exact import determinant, exact_rows, has_positive_pivots, principal_minors
+from oracles.exact import exact_rows, has_positive_pivots, principal_minors
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, analyze
@@ -22,14 +22,11 @@ from lcp_plugin.strategies import (
     convex_qps,
     h_plus_matrices,
     infeasible_lcps,
-    m_matrices,
-    not_h_matrices,
     p_matrices,
     positive_definite_matrices,
     positive_semidefinite_matrices,
     solved_lcps,
     strictly_dominant_matrices,
-    z_matrices,
 )
 
 FIRST = settings(max_examples=5, phases=[Phase.generate])
@@ -188,22 +185,8 @@ def rank(rows: list[list[Fraction]]) -> int:
     return found
 
 
-def is_z(matrix: object) -> bool:
-    return all(
-        value <= 0
-        for i, row in enumerate(exact_rows(matrix))
-        for j, value in enumerate(row)
-        if i != j
-    )
-
-
 def is_dominant(matrix: object) -> bool:
     return all(2 * abs(row[i]) > sum(map(abs, row)) for i, row in enumerate(exact_rows(matrix)))
-
-
-def is_h(matrix: np.ndarray) -> bool:
-    diagonal = matrix.diagonal()
-    return is_h_plus(matrix - np.diag(diagonal) + np.diag(abs(diagonal)))
 
 
 def is_definite(matrix: object) -> bool:
@@ -220,50 +203,31 @@ def is_p(matrix: object) -> bool:
 
 FEW = st.integers(1, 5)
 SOME = st.integers(2, 5)
-# strategy, oracle, verdict of analyze and its value
+# strategy, oracle, verdict of analyze
 CLASSES = {
-    "z": (z_matrices(FEW, density=0.6), is_z, "is_z_matrix", True),
-    "m": (m_matrices(FEW), lambda M: is_z(M) and is_h_plus(M), "is_m_matrix", True),
-    "m in units": (scaled_matrices(m_matrices(FEW), 99, 99), is_h_plus, "is_m_matrix", True),
-    "dominant": (strictly_dominant_matrices(FEW), is_dominant, "is_h_plus", True),
-    "nearly singular": (nearly_singular(), is_dominant, "is_strictly_dominant", True),
-    "definite": (
-        skewed(positive_definite_matrices(FEW)),
-        is_definite,
-        "is_positive_definite",
-        True,
-    ),
+    "dominant": (strictly_dominant_matrices(FEW), is_dominant, "is_h_plus"),
+    "nearly singular": (nearly_singular(), is_dominant, "is_strictly_dominant"),
+    "definite": (skewed(positive_definite_matrices(FEW)), is_definite, "is_positive_definite"),
     "semidefinite": (
         positive_semidefinite_matrices(FEW),
         is_semidefinite,
         "is_positive_semidefinite",
-        True,
     ),
-    "p": (p_matrices(FEW), is_p, "is_p_matrix", True),
-    "p in units": (scaled_matrices(p_matrices(FEW), 9, 9), is_p, "is_p_matrix", True),
-    "not h": (not_h_matrices(FEW), lambda M: not is_h(M), "is_h_matrix", False),
-    "sparse, not h": (
-        not_h_matrices(SOME, density=0.2),
-        lambda M: not is_h(M),
-        "is_h_matrix",
-        False,
-    ),
+    "p": (p_matrices(FEW), is_p, "is_p_matrix"),
+    "p in units": (scaled_matrices(p_matrices(FEW), 9, 9), is_p, "is_p_matrix"),
 }
 
 
 @pytest.mark.parametrize("name", CLASSES)
 def test_classes_hold_in_fractions(name: str) -> None:
-    """Every matrix drawn is of its class in fractions, and `analyze` finds it, unless ⟨M⟩ is singular."""
-    strategy, oracle, verdict, value = CLASSES[name]
+    """Every matrix drawn is of its class in fractions, and `analyze` finds it."""
+    strategy, oracle, verdict = CLASSES[name]
 
     @settings.get_profile("few")
     @given(strategy)
     def check(matrix: np.ndarray) -> None:
         assert oracle(matrix)
-        found = getattr(analyze(matrix), verdict)
-        comparison = 2.0 * np.diag(abs(matrix.diagonal())) - abs(matrix)
-        is_singular = determinant(exact_rows(comparison)) == 0
-        assert found is value or (found is None and verdict == "is_h_matrix" and is_singular)
+        assert getattr(analyze(matrix), verdict) is True
 
     check()
 
@@ -447,7 +411,6 @@ def test_h_plus_matrices_shrink_to_the_identity(name: str) -> None:
 @refusals(r"""
 h_plus_matrices(-1) → size must be an integer ≥ 0 or a strategy of such, got -1
 h_plus_matrices(density=1.5) → density must lie in \[0, 1\], got 1.5
-not_h_matrices(0) → size must be an integer ≥ 1 or a strategy of such, got 0
 assert_solves(exact_diagonal, matrices=np.eye(2))
     → matrices must be a strategy such as p_matrices\(4\), got ndarray
 assert_solves(exact_diagonal, max_examples=0) → max_examples must be an integer ≥ 1, got 0
@@ -470,6 +433,7 @@ def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
         find(solved_lcps(st.just(matrix)), lambda drawn: False, settings=FIRST)
 
 
+@pytest.mark.full
 def test_a_counterexample_can_be_copied() -> None:
     """The judge prints the call that makes the problem, bounds included if there are any."""
     with pytest.raises(AssertionError) as caught:

@@ -436,3 +436,16 @@ def test_what_is_proven_about_multigrid() -> None:
     assert not convergence_guarantee(
         LCP([[2.0, -1.0], [-0.5, 2.0]], [0.0, 0.0]), "multigrid"
     ).is_guaranteed
+
+
+def test_a_row_at_a_bound_stays_there_in_units_that_differ() -> None:
+    """Iterates in columns of other units have the numbers of the bounds, which units times quotients round."""
+    grid = gallery.obstacle_2d(size=40).problem
+    rng = np.random.default_rng(0)
+    units = sp.diags_array(10.0 ** rng.uniform(-1.0, 1.0, grid.n))
+    lower = rng.uniform(0.1, 0.9, grid.n)
+    problem = LCP(units @ grid.csr @ units, np.ones(grid.n), lower=lower)
+    *_, last = Multigrid().iterates(problem, lower)
+    is_near = last.z - lower <= 4.0 * np.spacing(lower)
+    assert is_near.sum() > grid.n / 2
+    np.testing.assert_array_equal(last.z[is_near], lower[is_near])

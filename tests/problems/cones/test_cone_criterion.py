@@ -17,7 +17,6 @@ LINK[0, 3] = LINK[3, 0] = 2.0**-40
 PLANE = np.array([0, 1, 3, 4])
 SPACE = [-1, 1e7, 0, -1e9, 0, 0]
 AHEAD, TURNED = [0, 0, 0, 1e9, 0, 0], [0.9990905, 0.0, -0.49954525, 1e9, 0, 0]
-OBLIQUE = [-1, 3, 4, 1, 0, 1e9]  # of a second-order cone whose slack is large
 
 
 def slides(W: Any, b: Any, dimension: int) -> FrictionalContact:

@@ -65,12 +65,11 @@ def test_two_pairs_may_give_one_variable_different_bounds() -> None:
 
 def test_a_cost_far_above_the_others_leaves_the_only_solution() -> None:
     """Of an LCP with one solution it is the best, where the least multipliers of a cost of 3e9 are none."""
-    M = np.array([[1.0, 0.0, 0.0], [0.0, 6.0, -3.0], [0.0, -3.0, 4.0]])
-    q = np.array([-1000003.0, -1e-7, 0.0])
-    lower, cost = np.append(np.zeros(3), np.full(3, -np.inf)), [1.0, -2.0, -3e9, 0.0, 0.0, 0.0]
-    program = QuadraticProgram(None, cost, A=np.hstack([M, -np.eye(3)]), b=-q, lower=lower)
-    result = solve(EquilibriumProgram(program, [0, 1, 2], [3, 4, 5]))
-    np.testing.assert_allclose(result.x[:3], [1000003.0, 4e-7 / 15, 2e-8], rtol=1e-6)
+    M, q = np.array([[6.0, -3.0], [-3.0, 4.0]]), np.array([-1e-7, 0.0])
+    lower, cost = np.append(np.zeros(2), np.full(2, -np.inf)), [-2.0, -3e9, 0.0, 0.0]
+    program = QuadraticProgram(None, cost, A=np.hstack([M, -np.eye(2)]), b=-q, lower=lower)
+    result = solve(EquilibriumProgram(program, [0, 1], [2, 3]))
+    np.testing.assert_allclose(result.x[:2], [4e-7 / 15, 2e-8], rtol=1e-6)
 
 
 @pytest.mark.full

@@ -443,9 +443,6 @@ def test_data_whose_squares_are_no_doubles_are_refused(size: float) -> None:
 
 # --- errors -------------------------------------------------------------------------------------------------
 
-A_OF_THREE = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-B_OF_THREE = np.array([2.0, 1.0, -1.0])
-
 
 @refusals(r"""
 fit([1.0, 2.0, 3.0], B) → InvalidProblem: A must be a real matrix.*shape \(3,\); write a single row

@@ -125,6 +125,15 @@ def test_value_and_violations_are_those_published(
     agrees(of, *way(of, name))
 
 
+@pytest.mark.parametrize("name", ["QBORE3D", "QCAPRI", "QSC205"])
+def test_numbers_of_an_engine_at_rounding_level_are_zero(name: str) -> None:
+    """An interior point ends near 0, not at 0; rows where all terms are such numbers are violated by their own size."""
+    of = PublishedProgram.read(name)
+    result = solve(QuadraticProgram.from_ranges(of.P, of.q, of.A, of.l, of.u, constant=of.r))
+    assert result.is_solved
+    agrees(of, result.x, result.objective)
+
+
 @pytest.mark.parametrize("name", SMALL)
 def test_units_of_unknowns_and_rows_change_no_value(name: str) -> None:
     """Each unknown and each row in a unit of its own, from 2⁻²⁰ to 2²⁰."""

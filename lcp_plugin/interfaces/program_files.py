@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
@@ -359,8 +358,7 @@ def load_problem(path: str | PathLike[str]) -> Any:
     Parameters
     ----------
     path : str or Path
-        ``.qps``, ``.mps`` and ``.lp`` state programs, which HiGHS reads; it drops entries of rows that are not
-        declared. ``.npz`` and ``.mat`` with M and q state an
+        ``.qps``, ``.mps`` and ``.lp`` state programs, which HiGHS reads. ``.npz`` and ``.mat`` with M and q state an
         LCP; with P, q, A, l, u, or the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq,
         lb, ub a program; with A and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares;
         with mu and a matrix a FrictionalContact, of many worlds if W has three axes; with cone_kinds a ConeProblem. No
@@ -393,10 +391,6 @@ def load_problem(path: str | PathLike[str]) -> Any:
 
 
 # --- MPS and LP -------------------------------------------------------------------------------------------------
-
-
-#: A section MAX, or OBJSENSE with it: HiGHS minimizes if it does not understand the form.
-UNREAD_SENSE = re.compile(r"^(OBJSENSE\W+)?MAX", re.MULTILINE | re.IGNORECASE)
 
 
 def _from_mps(source: Path) -> LoadedProgram:
@@ -433,10 +427,6 @@ def _from_mps(source: Path) -> LoadedProgram:
         )
     linear, hessian = reader.getLp(), reader.getModel().hessian_
     n, sign = linear.num_col_, -1.0 if linear.sense_ == highspy.ObjSense.kMaximize else 1.0
-    if sign > 0.0 and UNREAD_SENSE.search(source.read_text(errors="replace")):
-        raise UnreadableFile(
-            f"{source} states its sense in a form that HiGHS does not read; write OBJSENSE, and MAX in the next line"
-        )
     kinds = zip(linear.col_names_, linear.integrality_, strict=False)
     if integers := [name for name, kind in kinds if kind != highspy.HighsVarType.kContinuous]:
         raise UnsupportedModel(

@@ -261,15 +261,6 @@ def test_a_maximum_in_mps_is_read_on_one_line_and_on_two(sense: str, tmp_path: P
     assert solve(load_problem(tmp_path / "q.mps")).objective == pytest.approx(12.0)
 
 
-@pytest.mark.parametrize("sense", ["OBJSENSE: MAX\n", "OBJSENSE MAXIMIZE\n", "MAX\n"])
-def test_a_maximum_that_highs_does_not_understand_is_refused(sense: str, tmp_path: Path) -> None:
-    """HiGHS minimizes without a remark; the error says which form it reads."""
-    path = tmp_path / "p.mps"
-    path.write_text(MPS.format(sense=sense, right="2", constant="", bounds=" UP BND x 3\n"))
-    with pytest.raises(UnreadableFile, match="write OBJSENSE, and MAX in the next line"):
-        load_problem(path)
-
-
 def test_a_repeated_bound_in_mps_is_told(tmp_path: Path) -> None:
     """HiGHS keeps the first bound, and the ModelWarning says how to see its remarks."""
     bounds = " UP BND x 5\n UP BND x 3\n"

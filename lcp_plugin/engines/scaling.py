@@ -88,6 +88,17 @@ def _power_below(sizes: Any) -> Any:
     return np.where(sizes > 0.0, np.ldexp(1.0, np.frexp(sizes)[1] - 1), 1.0)
 
 
+def with_sides_about_one(fitted: ScaledProgram) -> ScaledProgram:
+    """Return the program scaled so that most right-hand sides and most costs are at most about 1."""
+    one = fitted.statement
+    t = _typical_size(one.h, one.b, one.lower, one.upper)
+    units, rows, objective = fitted.units * t, fitted.rows / t, 1.0 / _typical_size(one.c * t)
+    statement = ScaledProgram.from_units(
+        one, units / fitted.units, rows / fitted.rows, objective
+    ).statement
+    return ScaledProgram(statement, units, rows, fitted.objective * objective)
+
+
 def without_forbidden(given: ProgramData) -> ProgramData:
     """Return the program with x_j fixed at the bound to which an extreme cost pushes it; the same object if none is.
 
@@ -136,3 +147,11 @@ def without_far_limits(given: ProgramData) -> ProgramData:
     if all(map(np.array_equal, (h, lower, upper), (given.h, given.lower, given.upper))):
         return given
     return given._replace(h=h, lower=lower, upper=upper)
+
+
+def _typical_size(*values: Vector) -> float:
+    """Return the power of two near the size that most of the values do not exceed; 1 if all are 0 or infinite."""
+    sizes = np.abs(np.concatenate(values))
+    sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
+    # Nine tenths of the sizes become at most about 1
+    return float(np.exp2(np.round(np.log2(np.quantile(sizes, 0.9))))) if sizes.size else 1.0

@@ -26,7 +26,7 @@ from ...solving.result import BaseResult
 from ..programs.criterion import QPSolution
 from ..programs.no_minimum import QPInfeasibility, QPUnboundedness, prove_infeasible
 from ..programs.program import QuadraticProgram
-from ..programs.solving import run_engine, solve_program
+from ..programs.solving import GIVEN, run_engine, solve_program
 from ..programs.value_bounds import DualBounds, implied_box
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 
@@ -107,7 +107,7 @@ class Relaxations:
             # A vertex has more zeros than multipliers to repair them by
             if node.bound == -math.inf:
                 clarabel = installed_engine("clarabel")()
-                inside = run_engine(program, clarabel, self.tolerance, is_scaled=False).solution
+                inside = run_engine(program, clarabel, self.tolerance, GIVEN).solution
                 dual = inside.x, np.concatenate([inside.inequality, inside.equality])
                 node.bound, node.dual = self.bound(program, dual, enough), dual
         if parent is not None and parent.bound > node.bound:

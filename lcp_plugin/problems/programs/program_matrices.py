@@ -105,8 +105,17 @@ class ProgramMatrices:
     @cached_property
     def engine_units(self) -> tuple[Vector, Vector]:
         """Units of unknowns and of rows, from the fit, in which the largest entries of P, G and A are about 1."""
-        (units, rows), (of_P, of_C, of_columns) = self.fit, self.measured[2:]
-        for _ in range(3):
+        return self._equilibrate(*self.fit, 3)
+
+    @cached_property
+    def largest_units(self) -> tuple[Vector, Vector]:
+        """Units in which the largest entries are about 1, without a fit, so that tiny entries have no influence."""
+        n, m = self.P.shape[0], self.rows.shape[0]
+        return self._equilibrate(np.ones(n), np.ones(m), 10)
+
+    def _equilibrate(self, units: Vector, rows: Vector, passes: int) -> tuple[Vector, Vector]:
+        of_P, of_C, of_columns = self.measured[2:]
+        for _ in range(passes):
             most = units * np.maximum(
                 largest_products(of_P, units), largest_products(of_columns, rows)
             )

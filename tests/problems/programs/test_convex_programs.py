@@ -160,6 +160,14 @@ def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> No
         assert result.iterations <= 2000
 
 
+def test_auto_solves_a_long_chain_of_differences_in_units_of_limits_and_costs() -> None:
+    """A program that no external solver solves in fitted or given units is solved in a further attempt."""
+    program, value = chain(2400, np.random.default_rng(3))
+    result = solve(program)
+    assert result.is_solved
+    assert result.objective == pytest.approx(value, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("family", "seed", "case"),
     [

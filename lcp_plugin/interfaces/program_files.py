@@ -1,21 +1,28 @@
-"""Problems from files: a table of the arrays of each class; MPS, QPS and LP files by HiGHS."""
+"""Problems from files: a table of the arrays of each class; MPS and QPS files in both formats; LP files by HiGHS."""
 
 from __future__ import annotations
 
-import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import groupby
 from os import PathLike
 from pathlib import Path
-from shutil import copyfile
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import InvalidProblem, ModelWarning, UnreadableFile, UnsupportedModel
-from ..core.files import PARTS, arrays_in, checked_path, folder_arrays, in_folder, names_in, opened
+from ..core.files import (
+    PARTS,
+    arrays_in,
+    checked_path,
+    folder_arrays,
+    in_folder,
+    names_in,
+    opened,
+    read_number,
+)
 from ..core.lcp import LCP
 from ..core.names import Names
 from ..core.problem_classes import with_article
@@ -25,6 +32,196 @@ from ..problems.contact import inverse_by_components
 from ..problems.least_squares.data import BoundedLeastSquares
 from ..problems.programs.program import QuadraticProgram
 from .nl.model import lcp_in_nl
+
+Lines = list[list[str]]  # the words of each line
+Entries = dict[tuple[int, int], float]
+Read = tuple[float, Names, list[str], Any]
+WITH_WORDS = ("NAME", "OBJSENSE", "QSECTION")  # headers that other words may follow
+SECTIONS = (*WITH_WORDS, "ROWS", "COLUMNS", "RHS", "RANGES", "BOUNDS", "QUADOBJ", "QMATRIX")
+FIELDS = ((1, 3), (4, 12), (14, 22), (24, 36), (39, 47), (49, 61))
+MARKED = "columns between markers of integers"
+INTEGER = ("BV", "LI", "UI", "SC")
+BOUNDS = ("LO", "UP", "FX", "FR", "MI", "PL", *INTEGER)
+
+
+class NumberOf(dict[str, int]):
+    """Numbers of the rows or of the columns by their names."""
+
+    def __init__(self, section: str, names: Iterable[str], remarks: list[str]) -> None:
+        self.section, self.remarks = section, remarks
+        for name in names:
+            if name in self:
+                raise InvalidProblem(
+                    f"{name} in {section} is stated twice; rename one, or join them"
+                )
+            self[name] = len(self)
+
+    def find(self, name: str, section: str, words: list[str]) -> int:
+        """Return the number of a name in a line of a section; an unknown column is new, without coefficients."""
+        if name not in self:
+            fault = f'{name} of the line "{" ".join(words)}" in {section} is not in {self.section}'
+            if self.section == "ROWS":
+                raise InvalidProblem(fault)
+            self.remarks.append(f"{fault}; it is a new variable")
+            self[name] = len(self)
+        return self[name]
+
+
+def read_mps(source: Path, remarks: list[str]) -> Read:
+    """Return −1 if the file maximizes, else 1; names of all, of integers; the arguments of `from_ranges`.
+
+    Parameters
+    ----------
+    source : Path
+    remarks : list of str
+        Remarks for the user are appended.
+
+    Raises
+    ------
+    InvalidProblem, ValueError
+        If the file states no program.
+    """
+    lines = source.read_bytes().decode("utf-8", "replace").splitlines()
+    sections = _sections(lines, str.split)
+    has_blanks = any(len(words) != 2 for words in sections["ROWS"])
+    if has_blanks or any(len(words) % 2 == 0 for words in sections["COLUMNS"]):  # fixed format
+        fields = [slice(*places) for places in FIELDS]
+        sections = _sections(
+            lines, lambda line: [*filter(None, (line[one].strip() for one in fields))]
+        )
+    sense = [words[-1].upper()[:3] for words in sections["OBJSENSE"]] or ["MIN"]
+    kinds = np.array([words[0].upper() for words in sections["ROWS"]], dtype=np.str_)
+    if strange := {*kinds.tolist()} - {*"NLGE"} or {*sense} - {"MIN", "MAX"}:
+        raise InvalidProblem(f"{strange.pop()} is not a row N, L, G, E or a sense MIN, MAX")
+    rows = NumberOf("ROWS", (words[-1] for words in sections["ROWS"]), remarks)
+    names = (name for name, _ in groupby(words[0] for words in sections["COLUMNS"]))
+    columns = NumberOf("COLUMNS", names, remarks)
+    integers = [words[0] for words in sections[MARKED]]
+    entries = _entries(sections, "COLUMNS", rows, columns)
+    right, ranges = (_entries(sections, section, rows) for section in ("RHS", "RANGES"))
+    lower, upper = _bounds(sections["BOUNDS"], columns, integers)
+    products = [_entries(sections, name, columns, columns) for name in ("QUADOBJ", "QMATRIX")]
+    n, m, sign = len(columns), len(rows), -1.0 if sense[-1] == "MAX" else 1.0
+    A = _matrix(entries, (n, m)).T.tocsr()
+    triangle, whole = (_matrix(one, (n, n)) for one in products)
+    P = sign * (triangle + triangle.T - sp.diags_array(triangle.diagonal()) + whole)
+    b, width = _row(right, 0.0, m), _row(ranges, np.nan, m)
+    reach = np.where(np.isnan(width), np.inf, np.abs(width))
+    low = np.where((kinds == "L") | ((kinds == "E") & (width < 0.0)), b - reach, b)
+    high = np.where((kinds == "G") | ((kinds == "E") & (width > 0.0)), b + reach, b)
+    first, is_row = np.flatnonzero(kinds == "N")[:1], kinds != "N"
+    limits = low[is_row], high[is_row], _row(lower, 0.0, n), _row(upper, np.inf, n)
+    c, constant = sign * A[first].sum(axis=0), 0.0 - sign * b[first].sum()
+    both = Names([name for name, k in rows.items() if is_row[k]], [*columns])
+    return sign, both, [*dict.fromkeys(integers)], (P, c, A[is_row], *limits, constant)
+
+
+def _sections(lines: list[str], split: Callable[[str], list[str]]) -> dict[str, Lines]:
+    """Return the lines of each section, without comments."""
+    found: dict[str, Lines] = {name: [] for name in (*SECTIONS, MARKED)}
+    section, known = "NAME", set[str]()  # other words that begin with $ are comments
+    for line in lines:
+        is_header = not line[:1].isspace()
+        words = line.split() if is_header else split(line)
+        if "$" in line:
+            known |= {"ROWS": {*words[1:2]}, "COLUMNS": {*words[:1]}}.get(section, set())
+            ends = (k for k, word in enumerate(words) if word[0] == "$" and word not in known)
+            words = words[: next(ends, None)]
+        if not words or words[0][0] == "*":
+            continue
+        name = words[0].upper().rstrip(":")
+        if words[1:2] == ["'MARKER'"]:
+            section = MARKED if words[-1] == "'INTORG'" else "COLUMNS"
+        elif not is_header or not (len(words) == 1 or name in WITH_WORDS):
+            found[section].append(words)
+        elif name == "ENDATA":
+            return found
+        elif name[:3] in ("MAX", "MIN"):
+            found["OBJSENSE"].append(words)
+        elif name not in SECTIONS:
+            raise InvalidProblem(f"{words[0]} is not one of the sections {', '.join(SECTIONS)}")
+        else:
+            section = "QUADOBJ" if name == "QSECTION" else name
+            found["OBJSENSE"] += [words] if name == "OBJSENSE" and words[1:] else []
+    raise InvalidProblem("it has no line ENDATA: is it complete?")
+
+
+def _number_in(text: str, words: list[str], section: str) -> float:
+    """Return a number of a line of a section; it may be infinite in RANGES and BOUNDS."""
+    try:
+        value: float = read_number(text)
+    except ValueError:
+        value = np.nan
+    if np.isnan(value) or (np.isinf(value) and section not in ("RANGES", "BOUNDS")):
+        raise InvalidProblem(
+            f'{text} of the line "{" ".join(words)}" in {section} is not a finite number'
+        )
+    return value
+
+
+def _entries(
+    sections: dict[str, Lines], section: str, names: NumberOf, columns: NumberOf | None = None
+) -> Entries:
+    """Return the values by the number of a line's column, 0 if there is none, and of the name before the value."""
+    found: Entries = {}
+    kept, repeated = "first" if columns is not names else "sum", ""
+    for words in sections[section]:
+        start = len(words) % 2 if columns is None else 1
+        i = 0 if columns is None else columns.find(words[0], section, words)
+        for name, text in zip(words[start::2], words[start + 1 :: 2], strict=True):
+            j = names[name] if name in names else names.find(name, section, words)
+            key, value = (i, j), _number_in(text, words, section)
+            key = (max(key), min(key)) if section == "QUADOBJ" else key
+            if key in found:
+                repeated = repeated or " ".join(sorted([name, *words[: columns is not None]]))
+                value = found[key] + value if kept == "sum" else found[key]
+            found[key] = value
+    if repeated:
+        names.remarks.append(f"repeated entry of {repeated} in {section}; the {kept} holds")
+    return found
+
+
+def _bounds(lines: Lines, columns: NumberOf, integers: list[str]) -> tuple[Entries, Entries]:
+    """Return the lower and upper bounds; of several for one variable the last one holds.
+
+    The lower bound is −∞ for a negative upper bound without a lower one.
+    """
+    lower, upper = Entries(), Entries()
+    for words in lines:
+        kind, value = words[0].upper(), np.inf
+        if kind not in BOUNDS or len(words) < 2:
+            fault = f'"{" ".join(words)}" in BOUNDS begins with none of {", ".join(BOUNDS)}'
+            raise InvalidProblem(fault)
+        if kind in ("FR", "MI", "PL", "BV"):  # perhaps with a number
+            name = next((word for word in words[:0:-1] if word in columns), words[-1])
+        else:
+            name, value = words[:4][-2], _number_in(words[:4][-1], words, "BOUNDS")
+        key = 0, columns.find(name, "BOUNDS", words)
+        if kind in INTEGER:
+            integers.append(name)
+        if kind not in ("UP", "PL"):
+            lower[key] = value if kind in ("LO", "FX") else -np.inf
+        if kind not in ("LO", "MI"):
+            upper[key] = value
+    for _, j in sorted(key for key in upper if upper[key] < 0.0 and key not in lower):
+        lower[0, j] = -np.inf
+        columns.remarks.append(
+            f"{list(columns)[j]} has the upper bound {upper[0, j]:g} and no lower bound; it is −∞, as in other readers "
+            "of MPS files: write MI for −∞, or LO"
+        )
+    return lower, upper
+
+
+def _matrix(entries: Entries, shape: tuple[int, int]) -> sp.csr_array:
+    places = np.array(list(entries), dtype=np.int64).reshape(-1, 2).T
+    return sp.csr_array((list(entries.values()), tuple(places)), shape=shape)
+
+
+def _row(entries: Entries, default: float, size: int) -> Any:
+    values = np.full(size, default)
+    values[[j for _, j in entries]] = list(entries.values())
+    return values
+
 
 ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps", ".lp"), ".nl"
 Arrays = dict[str, Any]
@@ -162,7 +359,7 @@ def _cones(M: Any, q: Any, cone_kinds: Any, cone_rows: Any, **ends: Any) -> Cone
     for kind, size, end in zip(kinds, sizes, np.cumsum(sizes, dtype=np.int64), strict=True):
         own = slice(end - size, end)
         is_box = CONES[kind] == "box"
-        bounds = [ends[name][own] for name in ("lower", "upper") if is_box]
+        bounds = [np.atleast_1d(ends[name])[own] for name in ("lower", "upper") if is_box]
         if any(bound.shape != (size,) for bound in bounds):
             raise InvalidProblem("lower and upper must have an entry per row if there are boxes")
         cones.append((CONES[kind], *bounds) if is_box else (CONES[kind], size))
@@ -359,8 +556,7 @@ def load_problem(path: str | PathLike[str]) -> Any:
     Parameters
     ----------
     path : str or Path
-        ``.qps``, ``.mps`` and ``.lp`` state programs, which HiGHS reads; it drops entries of rows that are not
-        declared. ``.npz`` and ``.mat`` with M and q state an
+        ``.qps``, ``.mps`` and ``.lp`` state programs; highspy reads .lp. ``.npz`` and ``.mat`` with M and q state an
         LCP; with P, q, A, l, u, or the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq,
         lb, ub a program; with A and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares;
         with mu and a matrix a FrictionalContact, of many worlds if W has three axes; with cone_kinds a ConeProblem. No
@@ -395,20 +591,30 @@ def load_problem(path: str | PathLike[str]) -> Any:
 # --- MPS and LP -------------------------------------------------------------------------------------------------
 
 
-#: A section MAX, or OBJSENSE with it: HiGHS minimizes if it does not understand the form.
-UNREAD_SENSE = re.compile(r"^(OBJSENSE\W+)?MAX", re.MULTILINE | re.IGNORECASE)
-
-
 def _from_mps(source: Path) -> LoadedProgram:
-    """Return the program of an MPS, QPS or LP file, read by HiGHS."""
+    if not source.is_file():
+        raise UnreadableFile(f"no such file: {source}{in_folder(source)}")
+    read, remarks = read_lp if source.suffix.lower() == ".lp" else read_mps, list[str]()
+    sign, names, integers, parts = _stated(source, QuadraticProgram, lambda: read(source, remarks))
+    if integers:
+        raise UnsupportedModel(
+            f"{source} has {len(integers)} integer variables, the first is {integers[0]}; a program has continuous "
+            "ones: state it in cvxpy, or as an EquilibriumProgram with integers=…"
+        )
+    if remarks:
+        warnings.warn(f"{source}: {'; '.join(remarks[:3])}", ModelWarning, stacklevel=2)
+    program = _stated(source, QuadraticProgram, lambda: QuadraticProgram.from_ranges(*parts))
+    return LoadedProgram(program.with_names(names), sign, names.unknowns)
+
+
+def read_lp(source: Path, remarks: list[str]) -> Read:
+    """Return the program of an LP file by HiGHS, as :func:`read_mps` does."""
     try:
         import highspy
     except ImportError as error:
         raise UnreadableFile(
             f"{source} is read by HiGHS; install it with: pip install highspy"
         ) from error
-    if not source.is_file():
-        raise UnreadableFile(f"no such file: {source}{in_folder(source)}")
 
     class QuietHighs(highspy.Highs):
         """HiGHS without its banner, which the constructor prints when callbacks are switched on."""
@@ -418,31 +624,10 @@ def _from_mps(source: Path) -> LoadedProgram:
             super().enableCallbacks()  # type: ignore[no-untyped-call]
 
     reader: Any = QuietHighs()  # type: ignore[no-untyped-call]
-    with TemporaryDirectory() as folder:  # HiGHS accepts the endings .mps and .lp
-        known = Path(folder) / ("p.lp" if source.suffix.lower() == ".lp" else "p.mps")
-        copyfile(source, known)
-        status = reader.readModel(str(known))
-    if status == highspy.HighsStatus.kError:
+    if reader.readModel(str(source)) == highspy.HighsStatus.kError:
         raise UnreadableFile(f"cannot read {source}: HiGHS finds no program in it")
-    if status == highspy.HighsStatus.kWarning:
-        warnings.warn(
-            f"HiGHS reads {source} with a remark, for example on a repeated name or bound; the first holds; "
-            f'highspy.Highs().readModel("{source.name}") prints the lines',
-            ModelWarning,
-            stacklevel=2,
-        )
     linear, hessian = reader.getLp(), reader.getModel().hessian_
     n, sign = linear.num_col_, -1.0 if linear.sense_ == highspy.ObjSense.kMaximize else 1.0
-    if sign > 0.0 and UNREAD_SENSE.search(source.read_text(errors="replace")):
-        raise UnreadableFile(
-            f"{source} states its sense in a form that HiGHS does not read; write OBJSENSE, and MAX in the next line"
-        )
-    kinds = zip(linear.col_names_, linear.integrality_, strict=False)
-    if integers := [name for name, kind in kinds if kind != highspy.HighsVarType.kContinuous]:
-        raise UnsupportedModel(
-            f"{source} has {len(integers)} integer variables, the first is {integers[0]}; a program has continuous "
-            "ones: state it in cvxpy, or as an EquilibriumProgram with integers=…"
-        )
 
     def matrix(of: Any, rows: int) -> Any:
         return sp.csr_array(sp.csc_array((np.array(of.value_), of.index_, of.start_), (rows, n)))
@@ -450,10 +635,7 @@ def _from_mps(source: Path) -> LoadedProgram:
     P = _symmetric(matrix(hessian, n)) if hessian.dim_ else sp.csr_array((n, n))
     limits = linear.row_lower_, linear.row_upper_, linear.col_lower_, linear.col_upper_
     parts = sign * P, sign * np.array(linear.col_cost_), matrix(linear.a_matrix_, linear.num_row_)
-    names: list[str] | None = linear.col_names_ or None
-    constant = sign * linear.offset_ + 0.0
-    program = _stated(
-        source, QuadraticProgram, lambda: QuadraticProgram.from_ranges(*parts, *limits, constant)
-    )
-    named = program.with_names(Names(linear.row_names_ or None, names))
-    return LoadedProgram(named, sign, names)
+    kinds = zip(linear.col_names_, linear.integrality_, strict=False)
+    integers = [name for name, kind in kinds if kind != highspy.HighsVarType.kContinuous]
+    names = Names(linear.row_names_ or None, linear.col_names_ or None)
+    return sign, names, integers, (*parts, *limits, sign * linear.offset_ + 0.0)

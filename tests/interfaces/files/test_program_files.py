@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -237,19 +239,42 @@ ENDATA
 """
 
 
-def test_a_negative_upper_bound_in_mps_needs_a_lower_bound(tmp_path: Path) -> None:
-    """HiGHS keeps the lower bound 0, which excludes every point; MI or LO states another one."""
-    path = tmp_path / "p.mps"
-    text = MPS.format(sense="", right="-6", constant="", bounds=" UP BND x -3\n{} BND x{}\n")
-    for kind, number, lower in (("MI", "", -np.inf), ("LO", " -5", -5.0)):
-        path.write_text(text.format(f" {kind}", number))
-        assert load_problem(path).lower.tolist() == [lower, 0.0]
-    path.write_text(text.replace("{} BND x{}\n", ""))
-    with pytest.raises(UnreadableFile, match="lower"):
-        load_problem(path)
+@pytest.mark.parametrize(
+    ("bounds", "lower", "objective"),
+    [
+        (" UP BND x -3\n", -np.inf, -6.0),
+        (" UP BND x -3\n MI BND x\n", -np.inf, -6.0),
+        (" UP BND x -3\n LO BND x -5\n", -5.0, -5.0),
+        (" UP BND x 0\n", 0.0, 0.0),
+    ],
+)
+def test_a_negative_upper_bound_in_mps_leaves_no_lower_bound_of_0(
+    bounds: str, lower: float, objective: float, tmp_path: Path
+) -> None:
+    """X + 2 y over x + y ≥ −6, 0 ≤ y ≤ 4 and x ≤ −3: the lower bound of x is −∞ unless the file gives one."""
+    text = MPS.format(sense="", right="-6", constant="", bounds=bounds)
+    (tmp_path / "p.mps").write_text(text)
+    is_told = bounds == " UP BND x -3\n"
+    with pytest.warns(ModelWarning, match="x has the upper bound -3") if is_told else nullcontext():
+        program = load_problem(tmp_path / "p.mps")
+    assert program.lower.tolist() == [lower, 0.0]
+    assert solve(program).require_solved().objective == pytest.approx(objective)
+    (tmp_path / "q.mps").write_text(text.replace("BOUNDS", "BOUNDS\n LO BND x 0"))
+    if "LO" not in bounds and "MI" not in bounds and lower < 0.0:
+        with pytest.raises(UnreadableFile, match="lower"):
+            load_problem(tmp_path / "q.mps")
 
 
-@pytest.mark.parametrize("sense", ["OBJSENSE MAX\n", "OBJSENSE\n    MAXIMIZE\n"])
+@pytest.mark.parametrize(
+    "sense",
+    [
+        "OBJSENSE MAXIMUM\n",
+        "OBJSENSE: MAX\n",
+        "OBJSENSE MAX $ the profit\n",
+        "OBJSENSE\n    MAXIMIZE\n",
+        "MAX\n",
+    ],
+)
 def test_a_maximum_in_mps_is_read_on_one_line_and_on_two(sense: str, tmp_path: Path) -> None:
     """The largest x + 2 y + 10 over x + y ≥ 2, x ≤ 3, y ≤ 4 is 21; without the line, the least one is 12."""
     text = MPS.format(sense=sense, right="2", constant="\n RHS obj -10", bounds=" UP BND x 3\n")
@@ -261,29 +286,38 @@ def test_a_maximum_in_mps_is_read_on_one_line_and_on_two(sense: str, tmp_path: P
     assert solve(load_problem(tmp_path / "q.mps")).objective == pytest.approx(12.0)
 
 
-@pytest.mark.parametrize("sense", ["OBJSENSE: MAX\n", "OBJSENSE MAXIMIZE\n", "MAX\n"])
-def test_a_maximum_that_highs_does_not_understand_is_refused(sense: str, tmp_path: Path) -> None:
-    """HiGHS minimizes without a remark; the error says which form it reads."""
+@pytest.mark.parametrize(
+    ("bounds", "lower", "upper"),
+    [
+        (" FR BND x\n UP BND x -1\n", -np.inf, -1.0),
+        (" UP BND x -1\n FR BND x\n", -np.inf, np.inf),
+        (" UP BND x 5\n UP BND x 3\n", 0.0, 3.0),
+        (" FX BND x 1\n UP BND x 4\n", 1.0, 4.0),
+        (" FR x\n LO x -4\n", -4.0, np.inf),
+    ],
+)
+def test_a_later_bound_in_mps_replaces_an_earlier_one(
+    bounds: str, lower: float, upper: float, tmp_path: Path
+) -> None:
+    """The bounds of x are read in the order of the lines."""
+    text = MPS.format(sense="", right="2", constant="", bounds=bounds)
+    (tmp_path / "p.mps").write_text(text)
+    program = load_problem(tmp_path / "p.mps")
+    assert (program.lower[0], program.upper[0]) == (lower, upper)
+    assert (program.lower[1], program.upper[1]) == (0.0, 4.0)
+
+
+def test_an_mps_file_that_leaves_something_out_is_read_with_a_message(tmp_path: Path) -> None:
+    """The right-hand side of a second free row is no constant; a repeated entry warns; ENDATA is required."""
     path = tmp_path / "p.mps"
-    path.write_text(MPS.format(sense=sense, right="2", constant="", bounds=" UP BND x 3\n"))
-    with pytest.raises(UnreadableFile, match="write OBJSENSE, and MAX in the next line"):
-        load_problem(path)
-
-
-def test_a_repeated_bound_in_mps_is_told(tmp_path: Path) -> None:
-    """HiGHS keeps the first bound, and the ModelWarning says how to see its remarks."""
-    bounds = " UP BND x 5\n UP BND x 3\n"
-    (tmp_path / "p.mps").write_text(MPS.format(sense="", right="2", constant="", bounds=bounds))
-    with pytest.warns(ModelWarning, match="HiGHS reads .* with a remark.*readModel"):
-        assert load_problem(tmp_path / "p.mps").upper.tolist() == [5.0, 4.0]
-
-
-def test_an_mps_file_that_is_cut_off_is_refused(tmp_path: Path) -> None:
-    """A file without ENDATA states no program."""
-    path = tmp_path / "p.mps"
-    text = MPS.format(sense="", right="2", constant="", bounds="")
+    text = MPS.format(sense="", right="2", constant="\n RHS other 5", bounds="")
+    path.write_text(text.replace(" G c1", " N other\n G c1"))
+    assert load_problem(path).constant == 0.0
+    path.write_text(text.replace(" RHS other 5\n", "").replace("RHS\n", " y c1 7\nRHS\n", 1))
+    with pytest.warns(ModelWarning, match="entry of c1 y in COLUMNS; the first holds"):
+        assert load_problem(path).G.toarray().tolist() == [[-1.0, -1.0]]
     path.write_text(text.replace("ENDATA\n", ""))
-    with pytest.raises(UnreadableFile, match="HiGHS finds no program"):
+    with pytest.raises(UnreadableFile, match="no line ENDATA"):
         load_problem(path)
 
 
@@ -309,6 +343,117 @@ ENDATA
 """
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (" G r1\n", " G r1\n L r1\n", "r1 in ROWS is stated twice"),
+        ("RHS\n", " x r1 7\nRHS\n", "x in COLUMNS is stated twice"),
+        ("y obj 1 r1 1", "y obj 1 r8 1", 'r8 of the line "y obj 1 r8 1" in COLUMNS is not in ROWS'),
+        ("RHS r1 4", "RHS r7 4", 'r7 of the line "RHS r7 4" in RHS is not in ROWS'),
+    ],
+)
+def test_names_of_an_mps_file_that_are_repeated_or_unknown_are_refused(
+    old: str, new: str, expected: str, tmp_path: Path
+) -> None:
+    """HiGHS adds a second unknown or row of the name, and ignores or misreads the unknown row."""
+    path = tmp_path / "p.mps"
+    path.write_text(QPS)
+    assert load_problem(path).P.toarray().tolist() == [[2.0, 1.0], [1.0, 2.0]]
+    path.write_text(QPS.replace(old, new, 1))
+    with pytest.raises(UnreadableFile, match=expected):
+        load_problem(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("UP BND x 3", "UP BND z 3", '"UP BND z 3" in BOUNDS'),
+        ("UP BND x 3", "FR BND z", '"FR BND z" in BOUNDS'),
+        (" x y 1", " x z 1", '"x z 1" in QUADOBJ'),
+    ],
+)
+def test_a_column_of_an_mps_file_without_coefficients_is_told(
+    old: str, new: str, line: str, tmp_path: Path
+) -> None:
+    """HiGHS writes a variable without cost and rows only in BOUNDS and QUADOBJ; it may be a wrong name also."""
+    path = tmp_path / "p.mps"
+    path.write_text(QPS.replace(old, new, 1))
+    with pytest.warns(ModelWarning, match=f"z of the line {line} is not in COLUMNS; it is a new"):
+        assert load_problem(path).P.shape == (3, 3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected", "entries"),
+    [
+        ("r1 4", "r1 4 r1 5", "entry of r1 in RHS; the first", [[2, 1], [1, 2]]),
+        (" R r1 2", " R r1 2\n R r1 3", "entry of r1 in RANGES; the first", [[2, 1], [1, 2]]),
+        (" x y 1", " x y 1\n y x 1", "entry of x y in QUADOBJ; the sum", [[2, 2], [2, 2]]),
+        (" x x 2", " x x 2\n x x 2", "entry of x x in QUADOBJ; the sum", [[4, 1], [1, 2]]),
+    ],
+)
+def test_repeated_entries_of_an_mps_file_are_told_with_the_one_that_holds(
+    old: str, new: str, expected: str, entries: Any, tmp_path: Path
+) -> None:
+    """4 ≤ x + y ≤ 6, by the first right-hand side and the first range; quadratic terms are summed."""
+    path = tmp_path / "p.mps"
+    path.write_text(QPS.replace(old, new, 1))
+    with pytest.warns(ModelWarning, match=expected):
+        program = load_problem(path)
+    assert sorted(program.h.tolist()) == [-4.0, 6.0]
+    assert program.P.toarray().tolist() == entries
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("x obj 1", "x obj 1a", '1a of the line "x obj 1a'),
+        ("x obj 1", "x obj 1_0", '1_0 of the line "x obj 1_0'),
+        ("x obj 1", "x obj \u0661\u0662", "is not a finite number"),
+        ("x obj 1", "x obj nan", "nan of the line"),
+        ("UP BND x 3", "UP BND x 3_0", '3_0 of the line "UP BND x 3_0" in BOUNDS'),
+        ("UP BND x 3", "UP BND x nan", 'nan of the line "UP BND x nan" in BOUNDS'),
+        ("UP BND x", "XX BND x", '"XX BND x 3" in BOUNDS begins with none of LO, UP'),
+        ("RANGES", "SOS", "SOS is not one of the sections NAME, OBJSENSE"),
+        ("ROWS", "OBJSENSE FEW\nROWS", "FEW is not a row N, L, G, E or a sense MIN, MAX"),
+        (" G r1", " H r1", "H is not a row N, L, G, E"),
+        ("QUADOBJ", "QMATRIX", "P must be symmetric"),
+    ],
+)
+def test_faults_of_an_mps_file_are_named(old: str, new: str, fault: str, tmp_path: Path) -> None:
+    """A number, a type of bound or row, a section or a sense that the format lacks is not passed over."""
+    path = tmp_path / "p.mps"
+    path.write_text(QPS.replace(old, new, 1))
+    with pytest.raises(UnreadableFile, match=re.escape(fault)):
+        load_problem(path)
+
+
+@pytest.mark.parametrize("section", ["RHS", "RANGES", "QUADOBJ"])
+@pytest.mark.parametrize("number", ["1_0", "\u0661", "nan"])
+def test_every_section_of_an_mps_file_takes_ascii_numbers_only(
+    section: str, number: str, tmp_path: Path
+) -> None:
+    """The last number of the first line of a section is replaced; the message names the line."""
+    before, after = QPS.split(f"\n{section}\n")
+    line, rest = after.split("\n", 1)
+    line = f"{line.rsplit(None, 1)[0]} {number}"
+    path = tmp_path / "p.mps"
+    path.write_text(f"{before}\n{section}\n{line}\n{rest}", encoding="utf-8")
+    with pytest.raises(UnreadableFile, match=f'{number} of the line "{line.strip()}" in {section}'):
+        load_problem(path)
+
+
+def test_an_infinite_right_hand_side_of_an_mps_file_is_named(tmp_path: Path) -> None:
+    """RHS −∞ of a row is a fault of its line."""
+    before, after = QPS.split("\nRHS\n")
+    line, rest = after.split("\n", 1)
+    path = tmp_path / "p.mps"
+    path.write_text(f"{before}\nRHS\n{line.rsplit(None, 1)[0]} -inf\n{rest}")
+    with pytest.raises(
+        UnreadableFile, match=r'-inf of the line ".*" in RHS is not a finite number'
+    ):
+        load_problem(path)
+
+
 def test_integers_of_an_mps_file_are_named(tmp_path: Path) -> None:
     """Columns between markers, and bounds of integers, are rejected by the name of the first."""
     path = tmp_path / "p.mps"
@@ -318,6 +463,20 @@ def test_integers_of_an_mps_file_are_named(tmp_path: Path) -> None:
         name = "y" if marker in text else "x"
         with pytest.raises(UnsupportedModel, match=f"has 1 integer variables, the first is {name}"):
             load_problem(path)
+
+
+def test_a_dollar_begins_a_comment_unless_a_name_does(tmp_path: Path) -> None:
+    """Comments after $ and * change nothing, and $y remains the name of a column."""
+    path = tmp_path / "p.mps"
+    path.write_text(QPS)
+    plain = load_program(path).program
+    text = QPS.replace("x obj 1", "x obj 1 $ cost").replace("RHS\n", "* data\nRHS $ b\n", 1)
+    path.write_text(text.replace("BND x 3", "BND x 3 $ at most").replace(" y", " $y"))
+    read = load_program(path)
+    assert read.names == ["x", "$y"]
+    for name in ("c", "h", "lower", "upper"):
+        assert getattr(read.program, name).tolist() == getattr(plain, name).tolist()
+    assert (read.program.P != plain.P).nnz == (read.program.G != plain.G).nnz == 0
 
 
 def test_names_with_blanks_have_fixed_places(tmp_path: Path) -> None:
@@ -335,7 +494,7 @@ def test_names_with_blanks_have_fixed_places(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_mps_files_of_highs_have_the_arrays_that_were_written(seed: int, tmp_path: Path) -> None:
+def test_mps_files_of_highs_are_read_as_highs_reads_them(seed: int, tmp_path: Path) -> None:
     """A random program that HiGHS wrote has the arrays that HiGHS holds, with ranges, free rows and all bounds."""
     highspy = pytest.importorskip("highspy")
     rng = np.random.default_rng(seed)
@@ -361,6 +520,7 @@ def test_mps_files_of_highs_have_the_arrays_that_were_written(seed: int, tmp_pat
     highs.changeObjectiveOffset(float(seed))
     assert highs.writeModel(str(tmp_path / "p.mps")) != highspy.HighsStatus.kError
     program, sign, _ = load_program(tmp_path / "p.mps")
+    highs.readModel(str(tmp_path / "p.mps"))  # a range is written by its width, which rounds
     linear = highs.getLp()
     bounds = (linear.row_lower_, linear.row_upper_, linear.col_lower_, linear.col_upper_)
     cost, zero = sign * np.array(linear.col_cost_), np.zeros((n, n))
@@ -368,12 +528,11 @@ def test_mps_files_of_highs_have_the_arrays_that_were_written(seed: int, tmp_pat
     assert sign == (-1.0 if seed % 2 else 1.0)
     assert program.constant == expected.constant
     for name in ("c", "G", "h", "A", "b", "lower", "upper"):
-        np.testing.assert_allclose(  # a range is written by its width, which rounds
+        np.testing.assert_array_equal(
             *(
                 one.toarray() if sp.issparse(one) else one
                 for one in (getattr(program, name), getattr(expected, name))
-            ),
-            rtol=1e-12,
+            )
         )
 
 

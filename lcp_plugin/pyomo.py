@@ -36,7 +36,7 @@ convex or not: SCIP searches if it is installed (``pip install '.[global]'``). W
 ``prove=True``, rows are affine and the objective convex quadratic, and the gap is proved.
 
 - Without an objective, all bounds of a variable belong to its pair, stated there or not, as PATH and AMPL take them:
-  at an upper bound the row may be < 0. The message names such a bound if a variable stops at it.
+  at an upper bound the row may be < 0.
 - Inequalities next to complementarities, and bounds of variables without a pair, are checked at the solution of the
   pairs. If one is violated, another solution of the pairs is searched, as with an objective. If none is found, the
   message names the violated condition.

@@ -311,12 +311,14 @@ def require_known_changes(unnamed: Any, changes: Iterable[str], known: Sequence[
     """Raise InvalidOption for a change without a name, or with another than the known ones."""
     if unnamed:
         raise InvalidOption(
-            f"jvp takes changes of the data by name, got {type(unnamed[0]).__name__}; write "
-            f"jvp({known[0]}=…) (known: {', '.join(known)})"
+            f"jvp takes changes of the data by name, got {type(unnamed[0]).__name__}; write jvp(name=…) with a "
+            f"name of {', '.join(known)}"
         )
+    vector = next((name for name in ("dforcing", "dc") if name in known), "")
     for name in changes:
         if name not in known:
-            raise InvalidOption(f"jvp has no option {name!r}{did_you_mean(name, known)}")
+            hint = f"; the change of q is {vector}" if name == "dq" and vector else ""
+            raise InvalidOption(f"jvp has no option {name!r}{hint or did_you_mean(name, known)}")
 
 
 def checked_answer(answer: Any, n: int) -> Vector:

@@ -524,7 +524,16 @@ class PyomoAnswer:
 def answered(model: Any, options: dict[str, Any], pairs: Any = None) -> PyomoAnswer:
     """Return the solution of a Pyomo model, which is not changed, by options of :func:`lcp_plugin.solve`."""
     statement = stated(model, pairs)
-    problem = model_of(statement.content)
+    content, added = statement.content, sorted(statement.added)[:MOST_NAMES]
+    try:
+        problem = model_of(content)
+    except UnsupportedModel as error:
+        if not (added and content.row_lower.size > content.lower.size):
+            raise
+        names = ", ".join(map(content.variable, added))
+        raise UnsupportedModel(
+            f"{error}; one of the equations is for {names}: its pair holds no variable, or one that another pair holds"
+        ) from error
     return PyomoAnswer(statement, problem.solve(**options), isinstance(problem, ProgramModel))
 
 
@@ -673,7 +682,7 @@ def _name(family: Family) -> str:
 
 
 def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> None:
-    """Raise UnsupportedModel, naming a row or a variable, if no one-to-one match of the pattern exists.
+    """Raise UnsupportedModel, naming a block, if no one-to-one match of the pattern exists.
 
     A row also has an entry for the variable of its pair, because the variable at its bound may replace the row.
     """
@@ -687,13 +696,28 @@ def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> 
     pattern = sp.lil_array((len(rows), len(variables)))
     for i, columns in enumerate(inside):
         pattern[i, [place[id(one)] for one in columns if not one.fixed]] = 1.0
-    for own, matrix, lacks in (
-        (rows, pattern.tocsr(), "no variable"),
-        (variables, pattern.T.tocsr(), "no constraint"),
+    for own, others, matrix, words in (
+        (rows, variables, pattern.tocsr(), "contain only the variables"),
+        (variables, rows, pattern.T.tocsr(), "appear only in the constraints"),
     ):
         partners = maximum_bipartite_matching(matrix, perm_type="column").tolist()
         if -1 in partners:
+            block, reached = _dulmage_mendelsohn_block(matrix, partners)
+            names = listed((own[k].name for k in block), MOST_NAMES)
+            few = listed((others[k].name for k in reached), MOST_NAMES) or "that are fixed"
             raise UnsupportedModel(
-                f"the model is structurally singular: {own[partners.index(-1)].name} has {lacks} that no other one "
-                "needs; see whether a constraint is missing or redundant, or a pair is wrong"
+                f"the model is structurally singular: {names} {words} {few}, which is one too "
+                "few; see whether a constraint is missing or redundant, or a pair is wrong"
             )
+
+
+def _dulmage_mendelsohn_block(matrix: Any, partners: list[int]) -> tuple[list[int], list[int]]:
+    """Return the rows and columns on alternating paths from the first row without a match; it comes first."""
+    row_of = {column: row for row, column in enumerate(partners) if column >= 0}
+    rows, columns = [partners.index(-1)], dict[int, None]()
+    for row in rows:
+        for column in matrix.indices[matrix.indptr[row] : matrix.indptr[row + 1]].tolist():
+            if column not in columns:
+                columns[column] = None
+                rows.append(row_of[column])
+    return rows, [*columns]

@@ -102,16 +102,11 @@ def first_measured(data: RowData, z0: Vector, tolerance: float) -> tuple[str, Me
 
 
 def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
-    """Return an upper bound of the relative residual of z that the criterion accepts; ∞ if in doubt.
+    """Return an upper bound of the relative residual of z, within its bounds; ∞ if the test does not decide.
 
-    z is within its bounds; if the bound is finite, z° = 0 is not a solution. The test implies the criterion
-    (:mod:`lcp_plugin.core.certificates.criterion`) at exponent 1, because
-
-    - with one component the maxima over all rows are its ‖r‖∞ and its reference, and no slack at 0 is rounded;
-    - r_i is at most the violation divided by d_i, to which `rounding` adds more than the criterion does;
-    - a violation below d_i times the distance from the bounds does not let the criterion move z;
-    - ‖r‖∞ with rounding is at most half of the tolerance times `limit`, and `limit` is below the reference;
-    - each violation is at most 2⁻⁴³ T_i, half of the limit of the componentwise test at any tolerance.
+    A finite bound shows that z° = 0 is not a solution, and that the criterion accepts z as
+    :func:`lcp_plugin.core.kernels.small_lcps.bound_residuals` proves it for stacks. Here M is connected and z° = 0, so
+    w(z°) = q exactly, and the origin rejects no point. The factors .999 and 1.001 cover the rounding of the last lines.
     """
     if data.labels is not None or data.start.any() or hasattr(data.origin, "rejects"):
         return math.inf
@@ -120,14 +115,16 @@ def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
     is_above, is_below = above > 0.0, below > 0.0
     violation = np.maximum(w * is_above, -w * is_below)
     rounding = (2.0 * EPSILON * (z.size + 8)) * terms + SMALLEST**2
-    step, at_0 = (violation + rounding) / data.scale, data.q / data.scale
-    first = np.maximum.reduce(np.abs(np.minimum(np.maximum(at_0, -data.upper), -data.lower)))
+    largest_r, at_0 = (violation + rounding) / data.scale, data.q / data.scale
+    residual_at_0 = np.maximum.reduce(
+        np.abs(np.minimum(np.maximum(at_0, -data.upper), -data.lower))
+    )
     of_free = np.where(is_above & is_below, terms / data.scale, 0.0)
     gap = np.minimum(np.where(is_above, above, np.inf), np.where(is_below, below, np.inf))
-    limit = min(first, np.maximum.reduce(of_free))
-    is_right = (step < 0.999 * gap) & (violation <= 0.5 * NEGLIGIBLE * terms)
-    bound = float(1.001 * np.maximum.reduce(step) / limit)
-    is_small = first < np.inf and bound <= 0.5 * tolerance
+    reference = min(residual_at_0, np.maximum.reduce(of_free))  # or less
+    is_right = (largest_r < 0.999 * gap) & (violation <= 0.5 * NEGLIGIBLE * terms)
+    bound = float(1.001 * np.maximum.reduce(largest_r) / reference)
+    is_small = residual_at_0 < np.inf and bound <= 0.5 * tolerance
     return bound if is_small and np.logical_and.reduce(is_right) else math.inf
 
 

@@ -105,41 +105,115 @@ class StandardRows(NamedTuple):
     origin : cvxpy constraint
     expression : cvxpy expression
     is_equation : bool
+    kept : ndarray of int or slice
+        Entries of the constraint, column by column, that the expression holds.
     """
 
     origin: Any
     expression: Any
     is_equation: bool
+    kept: Any = slice(None)
 
     @classmethod
-    def of(cls, constraint: Any, change: Any = lambda node: node) -> StandardRows:
-        """Return the rows of a cvxpy constraint, each node changed.
+    def of(cls, constraint: Any, change: Any = lambda node: node) -> list[StandardRows]:
+        """Return the rows of a cvxpy constraint, each node changed; none if all entries hold for all variables.
 
         Raises
         ------
         UnsupportedModel
-            If data are NaN or infinite.
+            If data are NaN or infinite, except for constants that make entries of an affine inequality always hold.
         """
-        for leaf in (*constraint.constants(), *constraint.parameters()):
-            if leaf.value is not None and not np.isfinite(_entries(leaf.value)).all():
-                of = f"the parameter {leaf.name()} of " if isinstance(leaf, cp.Parameter) else ""
-                raise UnsupportedModel(
-                    f"{of}{name_of(constraint)} in an agent's program is not finite; repair the data, or leave the "
-                    "infinite entries out"
-                )
-        expression = rewritten(expression_of(constraint), change)
+        expression, is_equation = expression_of(constraint), isinstance(constraint, EQUATIONS)
+        kept: Any = entries_with_a_limit(constraint)
+        if kept is None:
+            expression, kept = rewritten(expression, change), slice(None)
+        elif not kept.size:
+            return []
+        else:
+            expression = vector_of(rewritten(expression, _finite))[kept]
         if isinstance(constraint, cp.constraints.NonNeg):
             expression = -expression
-        return cls(constraint, expression, isinstance(constraint, EQUATIONS))
+        return [cls(constraint, expression, is_equation, kept)]
 
-    def shaped(self, values: Any) -> Any:
-        """Return values of the rows in the shape of the constraint; None for None."""
-        shape = expression_of(self.origin).shape
-        return None if values is None else by_columns(values).reshape(shape, order="F")
+    def whole(self, values: Any) -> Any:
+        """Return values of the rows in the shape of the constraint, 0 in other entries; None for None."""
+        if values is None:
+            return None
+        found = np.zeros(expression_of(self.origin).shape).ravel()
+        found[self.kept] = by_columns(values)
+        return found.reshape(expression_of(self.origin).shape, order="F")
+
+
+def entries_with_a_limit(constraint: Any) -> Indices | None:
+    """Return the entries of an inequality that exclude some values; None if all its data are finite.
+
+    Raises
+    ------
+    UnsupportedModel
+        As `StandardRows.of`.
+    """
+    wrong = [
+        leaf
+        for leaf in (*constraint.constants(), *constraint.parameters())
+        if leaf.value is not None and not np.isfinite(_entries(leaf.value)).all()
+    ]
+    if not wrong:
+        return None
+    expression, words = expression_of(constraint), f"{name_of(constraint)} in an agent's program"
+    parameters = [
+        f"the parameter {one.name()} of " for one in wrong if isinstance(one, cp.Parameter)
+    ]
+    if parameters or isinstance(constraint, EQUATIONS) or not expression.is_affine():
+        raise UnsupportedModel(
+            f"{''.join(parameters[:1])}{words} is not finite, as only affine inequalities may be, by their constants; "
+            "repair the data, or leave the constraint out"
+        )
+    value, left = (_constant_part(one) for one in (expression, rewritten(expression, _finite)))
+    if isinstance(constraint, cp.constraints.NonNeg):
+        value, left = -value, -left
+    if not (value < np.inf).all():  # NaN also
+        raise UnsupportedModel(f"no value of the variables satisfies {words}; repair its data")
+    kept = np.flatnonzero(np.isfinite(value))
+    if not np.array_equal(value[kept], left[kept]):
+        raise UnsupportedModel(
+            f"{words} has a function of an infinite constant and a parameter; leave the infinite entries out"
+        )
+    return kept
+
+
+def _constant_part(expression: Any) -> Vector:
+    """Return the value of an expression where all variables are 0, and 1 parameters that have no value."""
+
+    def change(node: Any) -> Any:
+        if isinstance(node, cp.Variable):
+            return cp.Constant(np.zeros(node.shape))
+        is_unknown = isinstance(node, cp.Parameter) and node.value is None
+        return cp.Constant(np.ones(node.shape)) if is_unknown else node
+
+    return np.asarray(by_columns(rewritten(expression, change).value))
 
 
 def _entries(value: Any) -> Any:
     return value.data if sp.issparse(value) else value
+
+
+def _finite(node: Any) -> Any:
+    """Return a node of numbers as a constant, and any other node with 0 in place of ±∞ in its constants.
+
+    Only entries without limit hold such a constant, and they are left out.
+    """
+    if not node.variables() and not node.parameters():
+        return cp.Constant(node.value)
+    infinite = [isinstance(k, cp.Constant) and np.isinf(_entries(k.value)).any() for k in node.args]
+    if not any(infinite):
+        return node
+    pairs = zip(node.args, infinite, strict=True)
+    return node.copy([_without_infinity(k) if is_infinite else k for k, is_infinite in pairs])
+
+
+def _without_infinity(constant: Any) -> Any:
+    value = dense(constant.value)
+    return cp.Constant(np.where(np.isinf(value), 0.0, value))
 
 
 class AgentProgram:
@@ -192,8 +266,8 @@ class AgentProgram:
 
         self.goal = rewritten(program.objective.args[0], change)
         stated = {one.id: one for one in program.constraints}.values()  # each once
-        self.standard = [StandardRows.of(one, change) for one in stated]
-        self.standard += [StandardRows.of(one) for one in epigraphs]
+        self.standard = [row for one in stated for row in StandardRows.of(one, change)]
+        self.standard += [row for one in epigraphs for row in StandardRows.of(one)]
         self.has_kinks = bool(new)
         self.entries = [*agent.entries, *((one, np.arange(one.size)) for one in new.values())]
         self.decisions = joined([*agent.decisions, *new.values()])
@@ -229,6 +303,10 @@ class AgentProgram:
         for one, own in left + [row for row in inside if self._simple(*row) is None]:
             multiplier = cp.Variable(one.expression.shape)
             if one.origin.id in self.agent.shared:
+                if one.expression.size < expression_of(one.origin).size:
+                    raise UnsupportedModel(
+                        f"the shared constraint {name_of(one.origin)} is infinite in some entries; leave them out"
+                    )
                 multiplier = one.origin.dual_variables[0]
             if multiplier.value is None and self.decisions.value is not None:
                 multiplier.value = np.zeros(multiplier.shape)  # a start for the run
@@ -248,7 +326,7 @@ class AgentProgram:
 
     def _inside(self, domain: Domain) -> Iterator[tuple[StandardRows, Rows]]:
         """Yield the rows of a condition of the domain that bounds, signs and slopes do not imply."""
-        expression = StandardRows.of(domain.condition).expression
+        expression = StandardRows.of(domain.condition)[0].expression
         rows = self.reader.rows(expression)
         largest = rows.offset.copy()
         for key, block in rows.blocks.items():
@@ -258,7 +336,7 @@ class AgentProgram:
             i, j, a = matrix.row[used], matrix.col[used], matrix.data[used]
             np.add.at(largest, i, a * np.where(a > 0.0, high[j], low[j]))
         if (needed := np.flatnonzero(largest > 0.0)).size:
-            one = StandardRows.of(vector_of(expression)[needed] <= 0)
+            (one,) = StandardRows.of(vector_of(expression)[needed] <= 0)
             rows = rows.taken(needed)
             if not domain.is_steep or self._simple(one, rows) is not None:
                 yield one, rows
@@ -306,7 +384,7 @@ class AgentProgram:
     def duals(self) -> dict[int, Any]:
         """Return the dual values by the id of the constraint; the tightest bound takes w⁺ or w⁻ of its decision."""
         found = {
-            one.origin.id: one.shaped(self.rows[one.origin.id][1].value)
+            one.origin.id: one.whole(self.rows[one.origin.id][1].value)
             for one in self.standard
             if one.origin.id in self.rows
         }
@@ -322,7 +400,7 @@ class AgentProgram:
                 dual[is_tight] = left[is_upper][places] / np.abs(one.weights[is_tight])
                 left[is_upper][places] = 0.0
             if one.rows is not None:
-                found[one.rows.origin.id] = one.rows.shaped(dual)
+                found[one.rows.origin.id] = one.rows.whole(dual)
         zeros = {
             one.id: np.zeros(expression_of(one).shape) for one in self.agent.program.constraints
         }

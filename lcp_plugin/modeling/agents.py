@@ -32,8 +32,9 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
     Parameters
     ----------
     program : cvxpy.Problem
-        The program of one agent, with affine equations, convex inequalities and finite data. Decisions stay in the
-        domain of cvxpy's rules: ``log(y)`` and ``y**3`` require y ≥ 0.
+        The program of one agent, with affine equations and convex inequalities. An affine inequality that an infinite
+        constant makes true for all variables is left out, by entries; parameters must be finite. Decisions stay in
+        the domain of cvxpy's rules: ``log(y)`` and ``y**3`` require y ≥ 0.
     over : list of cvxpy.Variable, or of entries of variables
         The agent's decisions, for example ``[x]`` or ``[x[0]]``. Other variables of the program are data of it.
     shared : cvxpy constraint, or list of them
@@ -276,7 +277,7 @@ def _check_program(agent: Optimal, rules: Convexity) -> None:
     """Issue a ModelWarning if the program may not be convex; raise UnsupportedModel if it has kinks also."""
     program, has_kinks = agent.program, agent.conditions.has_kinks
     # raises for parameters that are not finite
-    stated = [StandardRows.of(one) for one in program.constraints]
+    stated = [row for one in program.constraints for row in StandardRows.of(one)]
     if agent.check == "local" and not has_kinks:
         return
     goal = StandardRows(None, sense_of(program) * program.objective.args[0], False)
@@ -300,15 +301,16 @@ def _check_program(agent: Optimal, rules: Convexity) -> None:
 
 def _check_shared(constraint: Any, agents: Sequence[Optimal], rules: Convexity) -> None:
     """Raise UnsupportedModel unless all agents of a shared constraint share it, and it is jointly convex."""
-    row = StandardRows.of(constraint)
-    inside = rules.unknowns_in(row.expression)
+    if not (rows := StandardRows.of(constraint)):
+        return
+    inside = rules.unknowns_in(rows[0].expression)
     involved = [one for one in agents if not inside.isdisjoint(rules.unknowns_of(one.entries))]
     if others := [one for one in involved if constraint.id not in one.shared]:
         raise UnsupportedModel(
             f"the shared constraint {name_of(constraint)} holds decisions of {others[0]!r}, which does not share it; "
             "list it in the program and in shared=[…] of each of its agents"
         )
-    if not rules.hold(row, [e for one in involved for e in one.entries]):
+    if not rules.hold(rows[0], [e for one in involved for e in one.entries]):
         raise UnsupportedModel(
             f"the shared constraint {name_of(constraint)} is not known to be convex in the decisions of all its agents "
             "together; without shared=[…] each agent has a multiplier of its own"
@@ -334,11 +336,13 @@ class Convexity:
         for one in self.stated:
             if not isinstance(one, INEQUALITIES) or not one.args[0].is_affine():
                 continue
-            rows = self.model.reader.rows(StandardRows.of(one).expression)
-            columns, weights, shift = self.model.statement.entries(rows) or ([], np.ones(0), 1.0)
-            for end, sign in ((lower, -1.0), (upper, 1.0)):
-                tighter = np.where(sign * weights > 0.0, -shift / weights, sign * np.inf)
-                end[columns] = sign * np.minimum(sign * end[columns], sign * tighter)
+            for row in StandardRows.of(one):
+                rows = self.model.reader.rows(row.expression)
+                found = self.model.statement.entries(rows)
+                columns, weights, shift = found or ([], np.ones(0), 1.0)
+                for end, sign in ((lower, -1.0), (upper, 1.0)):
+                    tighter = np.where(sign * weights > 0.0, -shift / weights, sign * np.inf)
+                    end[columns] = sign * np.minimum(sign * end[columns], sign * tighter)
         data = {}
         for one in self.model.variables:
             span = self.model.spans[one.id]

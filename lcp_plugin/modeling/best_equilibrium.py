@@ -143,7 +143,9 @@ def possible_gain(agent: Any) -> float | None:
     smooth, sense = agent.conditions, compat.sense_of(agent.program)
     values = {one.id: cp.Constant(one.value) for one in agent.program.variables()}
     change = with_data(smooth.entries, values)
-    stated = {one.id: StandardRows.of(one).expression for one in agent.program.constraints}
+    stated = {
+        one.id: row.expression for one in agent.program.constraints for row in StandardRows.of(one)
+    }
     held = [rewritten(one.condition.expr, change) <= 0 for one in smooth.domain]
     deciding, violation = {one.id for one, _ in agent.entries}, 0.0
     for one in smooth.standard:

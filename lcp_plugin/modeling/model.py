@@ -209,6 +209,7 @@ class Model:
         name = partial(_name_of, self.variables, self.spans)
         self.statement = Statement(self.reader.compiler, first, lower, upper, name)
         self.statement.other_way = ", or list them in over=[…] of an agent"
+        self.statement.way_to_fix = "fix it with box({name}, {value}, {value})"
         self.is_defined = np.zeros(size, dtype=bool)
         self.reports: list[DualReport] = []
         self.agents: list[Any] = []
@@ -277,6 +278,8 @@ class Model:
             return []
         rows, columns, weights, shift, low, high = self.read(side)
         is_new = columns is None or bool(self.statement.is_paired[columns].any())
+        if columns is not None and is_new:
+            self.statement.repeat(columns)
         if columns is None and other.kind == "value" and side.kind in ("nonnegative", "value"):
             raise UnsupportedModel(
                 f"{side} is not a variable, and {other} has no sign; write {other} >= 0 or <= 0, or give one side a "
@@ -382,6 +385,8 @@ class Model:
         # All unknowns that name expressions count as one more variable.
         variable_of[variable_of < 0] = len(self.variables)
         found = self.statement.square(variable_of)
+        if (remark := self.statement.repeated(at_least=3)) is not None:
+            warn(remark)
         if self.cones:
             found = over_cones(found, self.cones, self.statement.name_of)
         if self._equations:

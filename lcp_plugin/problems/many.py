@@ -20,6 +20,13 @@ from ..core.settings import Status
 T = TypeVar("T")
 
 
+def item_number(k: int, count: int) -> int:
+    """Return the number of a result, counted from 0; raise IndexError if it is none of `count`."""
+    if not -count <= index(k) < count:
+        raise IndexError(f"there are {count} results, and none has the number {k}")
+    return index(k) % count
+
+
 class AnswerSequence(Sequence[T]):
     """The results of a batch, in order; ``self.at(k)`` returns item k, 0 ≤ k < len(self).
 
@@ -50,9 +57,7 @@ class AnswerSequence(Sequence[T]):
     def __getitem__(self, k: int | slice) -> T | list[T]:
         if isinstance(k, slice):
             return [self.at(i) for i in range(len(self))[k]]
-        if not -len(self) <= index(k) < len(self):
-            raise IndexError(f"there are {len(self)} results, and none has the number {k}")
-        return self.at(index(k) % len(self))
+        return self.at(item_number(k, len(self)))
 
     @property
     def all_solved(self) -> bool:

@@ -593,7 +593,7 @@ def _begin(
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         hint = did_you_mean(unknown[0], (*others, *OF_SOLVE))
         raise InvalidOption(f"march has no option {unknown[0]!r}{hint}")
-    shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row a step"
+    shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row per step"
     axes = (2, 3) if are_many else (2,)
     need = f"{shape}, n = {n}"
     given = checked_rows("forcing", forcing, need, lambda of: len(of) in axes and of[-1] == n)

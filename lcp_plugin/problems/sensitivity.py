@@ -49,7 +49,7 @@ from .cones.methods import whole_systems
 from .cones.solving import ConeResult
 from .cones.stack import ConeStack
 from .least_squares.solving import LeastSquaresResult
-from .many import run_in_chunks
+from .many import item_number, run_in_chunks
 from .march import March, MarchDerivative
 from .programs.derivative import ProgramData, ProgramDerivative, least_squares_data, program_data
 from .programs.solving import QuadraticProgramResult
@@ -189,7 +189,7 @@ class DerivativeSequence:
         return len(self.batch)
 
     def __getitem__(self, k: int) -> Any:
-        return derivative(self.batch[range(len(self))[k]])
+        return derivative(self.batch[k])
 
 
 class ManyDerivatives(DerivativeSequence):
@@ -220,7 +220,7 @@ class ManyDerivatives(DerivativeSequence):
             self.errors[k] = UnsuitableProblem(f"only a solution has a derivative, and {ended}")
 
     def __getitem__(self, k: int) -> Any:
-        k = range(len(self))[k]
+        k = item_number(k, len(self))
         if k not in self._each:
             self._each[k] = super().__getitem__(k)
         return self._each[k]

@@ -9,6 +9,7 @@ left are matched with the unknowns left: the diagonal that a splitting method di
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -413,6 +414,7 @@ class Statement:
     """
 
     other_way = ""  # of the language of the model, to give an unknown a condition
+    way_to_fix = "set both bounds of {name} to {value}"  # of the language also
 
     def __init__(
         self,
@@ -428,6 +430,7 @@ class Statement:
         self.is_paired = np.zeros(lower.size, dtype=bool)
         self.rows: list[StatedRows] = []
         self.pairs: list[StatedRows] = []
+        self._repeated: list[int] = []  # unknowns of further pairs of which they are the variable
 
     def constrain(
         self, rows: Rows, low: Any = 0.0, high: Any = 0.0, origin: Any = None, name: Any = None
@@ -459,6 +462,10 @@ class Statement:
         if not is_definition(matrix) or not matrix.data.all():
             return None
         return matrix.indices.astype(np.int64), matrix.data, offset
+
+    def repeat(self, columns: Indices) -> None:
+        """Note that unknowns which have a pair are the variable of another one."""
+        self._repeated += columns[self.is_paired[columns]].tolist()
 
     def named(self, rows: Rows, origin: Any = None, sign: Any = 1.0) -> Indices:
         """Return new unknowns, which an equation makes sign · rows."""
@@ -569,10 +576,12 @@ class Statement:
         names = [name for column in free[:MOST_NAMES].tolist() if (name := self.name_of(column))]
         names += ["…"] * (free.size > MOST_NAMES)
         way_out = ""
-        if equations > free.size:
+        if equations > free.size and (reason := self._fixing_equation() or self.repeated()):
+            way_out = f"; {reason}"
+        elif equations > free.size:
             way_out = (
-                "; give an equation a free multiplier, a variable in the rows of the pairs, state an equation of a "
-                "variable with a pair as box(x, value, value) in the pair, and give each pair a variable of its own"
+                "; if one fixes the scale of prices, as sum(p) == 1, drop a market that the others imply, or give "
+                "the equation a free multiplier, a variable in the rows of the pairs"
             )
         elif names:
             way_out = f"; give these a pair or an equation{self.other_way}"
@@ -582,6 +591,34 @@ class Statement:
             f"{format_count(free.size, 'unknown')} without a complementarity ({', '.join(names) or 'none'}); it needs "
             f"as many equations as such unknowns{way_out}"
         )
+
+    def repeated(self, at_least: int = 2) -> str | None:
+        """Return advice on the unknown that is the variable of most pairs, if of so many."""
+        column, others = (Counter(self._repeated).most_common(1) or [(0, 0)])[0]
+        if others + 1 < at_least:
+            return None
+        return (
+            f"{self.name_of(column)} is the variable of {others + 1} pairs, and each pair after the first needs a free "
+            "unknown or a variable of its own; give the pairs different variables"
+        )
+
+    def _fixing_equation(self) -> str:
+        """Return advice on an equation that fixes an unknown with a pair, or ""."""
+        for one in self.rows:
+            if one.slacks is not None or one.rows.level:
+                continue
+            matrix, offset = assembled([one.rows], self.first, self.lower.size)
+            for row in np.flatnonzero(np.diff(matrix.indptr) == 1).tolist():
+                column, weight = matrix.indices[matrix.indptr[row]], matrix.data[matrix.indptr[row]]
+                if self.is_paired[column] and weight:
+                    value = f"{(one.low[row] - offset[row]) / weight + 0.0:.9g}"
+                    name = self.name_of(int(column))
+                    way_out = self.way_to_fix.format(name=name, value=value)
+                    return (
+                        f"an equation fixes {name}, which has a pair: {way_out} in that pair, and drop "
+                        "the equation"
+                    )
+        return ""
 
     def _bounds_of_pairs(self) -> tuple[Vector, Vector]:
         """Return the bounds of all unknowns; raise UnsupportedModel if a pair has wider ones than its unknown."""

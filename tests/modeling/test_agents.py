@@ -177,6 +177,58 @@ def test_agents_with_entries_of_one_vector_share_a_row_that_holds_their_entries(
         cp.Problem(cp.Minimize(0), [agents[0], third]).solve(method="LCP")
 
 
+@pytest.mark.parametrize("cap", [np.inf, np.array([1.0, np.inf])], ids=["number", "array"])
+def test_an_infinite_bound_is_no_bound(cap: Any) -> None:
+    """The minimum of ‖x − 3‖² with x ≤ cap is min(3, cap); the dual value of an infinite bound is 0."""
+    x = cp.Variable(2)
+    program = cp.Problem(cp.Minimize(cp.sum_squares(x - 3)), [x <= cap, 2 * x >= -np.inf])
+    best = optimal(program, over=[x])
+    solved([best])
+    expected = np.minimum(3.0, cap + np.zeros(2))
+    np.testing.assert_allclose(x.value, expected)
+    np.testing.assert_allclose(best.dual_value, [2 * (3 - expected), np.zeros(2)])
+
+
+INFINITE = {
+    "unbounded": ([-1.0, -1.0], lambda x: x[0] + x[1] <= np.inf, None),
+    "scaled": (
+        [1e6, 3.0],
+        lambda x: cp.multiply([1e25, 1.0], x) <= np.array([np.inf, 2.0]),
+        [0, 2],
+    ),
+    "some rows": ([3.0, 3.0], lambda x: np.ones((2, 2)) @ x <= np.array([np.inf, 2.0]), [0, 4]),
+    "NonNeg": ([3.0, 3.0], lambda x: cp.NonNeg(np.array([np.inf, 2.0]) - x), [0, 2]),
+    "of constants": (
+        [3.0, 3.0],
+        lambda x: x + x <= cp.minimum([np.inf, np.inf], [np.inf, 2.0]),
+        [0, 2],
+    ),
+    "matrix": ([3.0, 3.0], lambda x: x[:, None] <= np.array([[np.inf], [2.0]]), [[0], [2]]),
+}
+
+
+@pytest.mark.parametrize("name", INFINITE)
+def test_a_row_with_an_infinite_constant_is_left_out(name: str) -> None:
+    """The minimum of ‖x − t‖² has the prices of the rows with a finite side only; without such a row 0 is the price."""
+    target, row, prices = INFINITE[name]
+    x = cp.Variable(2)
+    goal = cp.sum_squares(x - target) if prices is not None else np.array(target) @ x
+    best = optimal(cp.Problem(cp.Minimize(goal), [row(x)]), over=[x])
+    problem = cp.Problem(cp.Minimize(0), [best])
+    problem.solve(method="LCP")
+    if prices is None:
+        assert problem.status == cp.INFEASIBLE
+        return
+    bound = np.array(prices, dtype=float)
+    scale = 2.0 if name == "of constants" else 1.0
+    if name == "some rows":
+        np.testing.assert_allclose(x.value, [1.0, 1.0])
+    else:
+        np.testing.assert_allclose(x.value, [target[0], 2.0 / scale])
+        bound = bound * (target[1] - 2.0 / scale) / scale
+    np.testing.assert_allclose(best.dual_value[0], bound, atol=1e-8)
+
+
 def set_value(parameter: cp.Parameter, value: float) -> cp.Parameter:
     """Set the value; skip the test if cvxpy raises ValueError for ∞ (up to 1.8)."""
     try:
@@ -187,15 +239,18 @@ def set_value(parameter: cp.Parameter, value: float) -> cp.Parameter:
 
 
 @refusals(r"""
-v >= np.inf → inf <= v in an agent's program is not finite
-v <= np.array([np.inf, 1.0]) → leave the infinite entries out
-cp.NonNeg(v - np.inf) → is not finite
-v <= set_value(cp.Parameter(name="cap"), np.inf) → the parameter cap of v <= cap
-v <= np.nan → v <= nan in an agent's program
+v >= np.inf → no value of the variables satisfies inf <= v
+v <= -np.inf → no value of the variables satisfies v <= -inf
+2 * v >= np.inf → no value of the variables satisfies inf <= 2.0 . v
+cp.NonNeg(v - np.inf) → no value of the variables satisfies
+v <= set_value(cp.Parameter(name="cap"), np.inf) → parameter cap of v <= cap
+v <= np.nan → no value of the variables satisfies v <= nan
+v**2 <= np.inf → only affine inequalities
+cp.abs(v) <= -np.inf → only affine inequalities
 v == np.inf → v == inf in an agent's program
 """)
-def test_infinite_data_of_an_agent_are_refused(call: str, words: str) -> None:
-    """The message has the user's constraint, and says that infinite entries can be left out."""
+def test_an_infinite_bound_that_excludes_or_hides_values_is_refused(call: str, words: str) -> None:
+    """No finite v satisfies v ≥ ∞; the message has the user's constraint."""
     call = f"solved([optimal(cp.Problem(cp.Minimize((v - 3) ** 2), [{call}]), over=[v])])"
     names = {**globals(), "v": cp.Variable(name="v")}
     assert_refused(call, words, names, UnsupportedModel)

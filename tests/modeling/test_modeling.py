@@ -608,13 +608,21 @@ def test_one_expression_in_two_boxes_keeps_the_bounds_of_each(order: int) -> Non
     assert max(pair.violation() for pair in pairs) <= 1e-10
 
 
-def test_a_variable_of_two_pairs_and_an_equation_that_fixes_one_are_advised() -> None:
-    """Without an unknown of its own a row is one too many: the advice is a variable, a multiplier, or a box."""
-    x = cp.Variable(3, name="x")
-    advice = "as many equations as such unknowns; give an equation a free multiplier"
-    with pytest.raises(UnsupportedModel, match=advice):
+def test_a_variable_of_several_pairs_is_warned_of() -> None:
+    """Five pairs of x next to four free unknowns are solved, and a warning names x; without them the error does."""
+    x, u = cp.Variable(name="x"), [cp.Variable() for _ in range(4)]
+    pairs = [complements(x >= 0, x - 1 >= 0)]
+    pairs += [complements(x >= 0, x + one - k >= 0) for k, one in enumerate(u)]
+    with pytest.warns(ModelWarning, match="x is the variable of 5 pairs"):
+        assert model(*pairs).status == "optimal"
+    with pytest.raises(UnsupportedModel, match="x is the variable of 2 pairs"):
         model(complements(x >= 0, x - 1 >= 0), complements(x >= 0, x - 2 >= 0))
-    with pytest.raises(UnsupportedModel, match=advice):
+
+
+def test_an_equation_that_fixes_a_variable_of_a_pair_is_named() -> None:
+    """Next to a pair of x, x[1] == 2 has no unknown of its own: the advice is a box, not a market."""
+    x = cp.Variable(3, name="x")
+    with pytest.raises(UnsupportedModel, match=r"box\(x\[1\], 2, 2\)"):
         model(complements(x >= 0, x - 1 >= 0), 3 * x[1] == 6)
     model(complements(box(x, [0, 2, 0], [np.inf, 2, np.inf]), x - 1))
     np.testing.assert_allclose(x.value, [1.0, 2.0, 1.0])

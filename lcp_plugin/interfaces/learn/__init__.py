@@ -228,9 +228,8 @@ class QPLayer(Layer):
         for rows, right in (("G", "h"), ("A", "b")):
             are_none = [data[one] is None or 0 in np.shape(data[one]) for one in (rows, right)]
             if are_none[0] != are_none[1]:
-                raise InvalidProblem(
-                    f"{rows} and {right} belong together: {rows} x ≤ {right} or = {right}"
-                )
+                given, missing = (right, rows) if are_none[0] else (rows, right)
+                raise InvalidProblem(f"{given} is given without {missing}; pass both, or neither")
             if are_none[0]:
                 data[rows], data[right] = np.zeros((0, *n)), np.zeros(0)
         return cls(**options), tuple(convert(data[name], name) for name in PROGRAM_ARRAYS)

@@ -137,7 +137,7 @@ class TextWriter:
             (0, 0),
             (in_rows, in_objectives, min(in_rows, in_objectives)),
             (0, 0, self.arithmetic, 1),
-            (0, integers, 0, 0, 0),
+            (0, *integers),
             (content.linear.nnz, content.objective_linear.nnz),
             (_longest(content.row_names), _longest(content.names)),
             (content.defined_trees.size, 0, 0, 0, 0),
@@ -211,8 +211,8 @@ def _longest(names: list[str] | None) -> int:
     return max(map(len, names or []), default=0)
 
 
-def _groups(content: NLContent) -> tuple[int, int, int]:
-    """Return the last nonlinear variable of rows and of objectives, from 1 on, and the number of integers."""
+def _groups(content: NLContent) -> tuple[int, int, tuple[int, int, int, int]]:
+    """Return up to which variable the rows and the objectives are nonlinear, and the integers of each group."""
     n = content.lower.size
 
     def most(*forests: Trees) -> int:
@@ -222,13 +222,22 @@ def _groups(content: NLContent) -> tuple[int, int, int]:
     in_rows = most(content.trees, content.defined_trees)
     in_objectives = most(content.objective_trees, content.defined_trees)
     in_objectives = max(in_objectives, in_rows) if in_objectives else 0
-    integers = int(content.is_integer.sum())
-    if not content.is_integer[n - integers :].all():
+    integers = np.flatnonzero(content.is_integer)
+    if not integers.size:
+        return in_rows, in_objectives, (0, 0, 0, 0)
+    is_last = content.is_integer & ~np.append(content.is_integer[1:], False)
+    first = int(np.flatnonzero(is_last)[0]) + 1
+    first = first if first >= max(in_rows, in_objectives) else n
+    own = int(content.is_integer[:first].sum())  # the last of the nonlinear group
+    others = integers.size - own
+    if not (
+        content.is_integer[first - own : first].all() and content.is_integer[n - others :].all()
+    ):
         raise InvalidProblem(
-            f"variable {np.flatnonzero(content.is_integer)[0]} is integer and one behind it is not; order the "
-            "variables so that the integer ones come last"
+            f"variable {integers[0]} is integer and one behind it is not; the integer variables of an "
+            ".nl file must come last, or last of those that are nonlinear; order the variables so"
         )
-    return in_rows, in_objectives, integers
+    return first, first, (others, own, 0, 0)
 
 
 OPTIONS = "Options"

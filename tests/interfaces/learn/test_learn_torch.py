@@ -255,7 +255,7 @@ def test_a_program_layer_names_what_does_not_fit() -> None:
         InvalidProblem, match=r"P must be a tensor of float64, got torch.float32; write P.double"
     ):
         qp_layer(torch.eye(2), torch.ones(2).double())
-    with pytest.raises(InvalidProblem, match="G and h belong together"):
+    with pytest.raises(InvalidProblem, match="G is given without h"):
         qp_layer(torch.eye(2).double(), torch.ones(2).double(), torch.eye(2).double())
     eye, ones = torch.eye(2).double(), torch.ones(1, 2).double()
     limits = torch.tensor([[1.0], [-1.0]]).double()

@@ -194,6 +194,28 @@ def test_bounds_of_a_variable_belong_to_its_pair(name: str, tmp_path: Path) -> N
     assert (again.is_solved, again.x.tolist()) == (True, pytest.approx([bound]))
 
 
+@pytest.mark.parametrize(
+    ("inside", "outside"), [("x", "n"), ("n", "x")], ids=["linear", "before a continuous one"]
+)
+def test_an_integer_of_a_nonlinear_term_stays_one_in_a_file(
+    inside: str, outside: str, tmp_path: Path
+) -> None:
+    """SCIP reads n as an integer, 2, if a nonlinear term of the objective holds it, and the row holds x or n."""
+    scip = pytest.importorskip("pyscipopt")
+    m = pe.ConcreteModel()
+    m.x = pe.Var(bounds=(0, None), initialize=1)
+    m.n = pe.Var(domain=pe.Integers, bounds=(0, 5), initialize=1)
+    m.c = pe.Constraint(expr=getattr(m, inside) ** 2 + getattr(m, outside) >= 2.5)
+    m.o = pe.Objective(expr=(m.n - 1.4) ** 2 + m.x)
+    write_nl(m, tmp_path / "m.nl")
+    read = scip.Model()
+    read.hideOutput()
+    read.readProblem(str(tmp_path / "m.nl"))
+    read.optimize()
+    (n,) = (one for one in read.getVars() if one.name == "n")
+    assert (n.vtype(), read.getVal(n)) == ("INTEGER", pytest.approx(2.0))
+
+
 def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
     """model.write raises ValueError for pairs; write_nl writes pairs and other rows, with names."""
     m = MODELS["oligomcp"]().model
@@ -289,7 +311,11 @@ REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
     ),
     "held twice": (
         made(least(2), lambda m: (m.x >= 0, m.x >= 3)),
-        "give each pair a variable of its own",
+        "the unknown for d: its pair holds no variable, or one that another pair holds",
+    ),
+    "fixed by an equation": (
+        made(least(2), e=lambda m: 3 * m.x == 6),
+        "an equation fixes x, which has a pair: set both bounds of x to 2 in that pair, and drop",
     ),
     "a disjunction": (
         disjunction,

@@ -58,7 +58,7 @@ def test_what_no_march_over_cones_does_is_named() -> None:
     """Options, sizes, derivatives."""
     with pytest.raises(InvalidOption, match="solve takes no polish for a FrictionalContact"):
         march(PAD, pulled(0.1), SLIP, polish=False)
-    with pytest.raises(InvalidProblem, match=r"shape \(k, n\), a row a step, n = 3"):
+    with pytest.raises(InvalidProblem, match=r"shape \(k, n\), a row per step, n = 3"):
         march(PAD, np.zeros((2, 2)), SLIP)
     done = march(PAD, pulled(0.1, 0.2), SLIP)
     with pytest.raises(InvalidOption, match=r"derivative\(done\[k\]\)"):

@@ -461,7 +461,7 @@ def test_a_march_ends_where_a_step_is_not_solved() -> None:
 
 
 @refusals(r"""
-march(still, np.zeros(3)) → forcing must be .* \(k, n\), a row a step, n = 3, got shape \(3,\)
+march(still, np.zeros(3)) → forcing must be .* \(k, n\), a row per step, n = 3, got shape \(3,\)
 march(still, [[0.0, np.nan, 0.0]]) → forcing\[0, 1\] = nan; repair it
 march(still, [[0, 0, 0]], np.eye(2)) → propagator must be a real matrix of shape \(3, 3\), got shape \(2, 2\)
 march(still, [[0, 0, 0]], np.full((3, 3), np.inf)) → propagator\[0, 0\] = inf; repair it

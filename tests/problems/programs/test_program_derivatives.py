@@ -142,8 +142,8 @@ def test_a_program_without_a_derivative_names_the_part() -> None:
     with pytest.raises(UnsuitableProblem, match="INFEASIBLE"):
         derivative(solve(QuadraticProgram(np.eye(1), [0.0], [[1.0], [-1.0]], [0.0, -1.0])))
     found = derivative(solve(QuadraticProgram(np.eye(2), [-1.0, 1.0], lower=0.0)))
-    with pytest.raises(InvalidOption, match="no option 'dq'; known: dA, dG, dP, db"):
-        found.jvp(dq=[1.0, 0.0])
+    with pytest.raises(InvalidOption, match="no option 'dqq'; known: dA, dG, dP, db"):
+        found.jvp(dqq=[1.0, 0.0])
     with pytest.raises(InvalidProblem, match=r"dc must have shape \(2,\), got shape \(3,\)"):
         found.jvp(dc=np.ones(3))
     with pytest.raises(InvalidProblem, match="g must be finite"):
@@ -278,8 +278,11 @@ def test_a_jvp_names_what_it_takes() -> None:
     program = QuadraticProgram.from_ranges(np.eye(2), [-1, -2], [[1, 1]], [0], [2])
     results = solve(lcp), solve_batch([lcp, lcp]), solve(contact), solve(program)
     for result in (*results, march(lcp, np.ones((2, 2)))):
-        with pytest.raises(InvalidOption, match=r"by name, got list; write jvp\(d\w+=…\)"):
+        with pytest.raises(InvalidOption, match=r"by name, got list; write jvp\(name=…\)"):
             derivative(result).jvp([1.0, 0.0])
+    for result, name in ((solve(program), "dc"), (march(lcp, np.ones((2, 2))), "dforcing")):
+        with pytest.raises(InvalidOption, match=f"no option 'dq'; the change of q is {name}"):
+            derivative(result).jvp(dq=[1.0, 0.0])
     with pytest.raises(InvalidOption, match="from_ranges makes h"):
         derivative(solve(program)).jvp(dupper_rows=[1.0])
 

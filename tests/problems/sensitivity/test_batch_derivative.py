@@ -197,6 +197,8 @@ def test_a_bad_problem_costs_itself_alone() -> None:
     assert np.isnan(found.z[[1, 2]]).all()
     with pytest.raises(UnsuitableProblem, match="only a solution has a derivative"):
         found[2]
+    with pytest.raises(IndexError, match="there are 8 results, and none has the number 8"):
+        found[8]
     g = np.ones((8, 4))
     g[[1, 2, 3]] = 0.0  # a function that does not look at them
     silent = found.vjp(g)

@@ -99,7 +99,7 @@ LCP(M, [1.0, 2.0]) → InvalidProblem: q must be a finite vector of length 3.*\(
 LCP(M, [1.0, NAN, 3.0]) → InvalidProblem: q must be finite, but q\[1\] = nan; repair
 LCP(M, None) → InvalidProblem: q must .*got None
 LCP(M, sp.csr_array([[1.0, 2.0, 3.0]]))
-    → InvalidProblem: q must be .*vector of length 3.*sparse.*toarray\(\)\.ravel
+    → InvalidProblem: q must be .*vector of length 3.*sparse.*toarray\(\), and for a vector also .ravel
 problem.with_q([1.0, 2.0]) → InvalidProblem: q must be a finite vector of length 3.*\(2,\): 1 too few
 problem.with_q(q, lower=6.0) → InvalidProblem: lower\[1\] = 6.0 and upper\[1\] = 5.0
 LCP(M, q, lower=[0.0, 0.0]) → InvalidProblem: lower must be a number or a vector of length 3.*\(2,\): 1 too few

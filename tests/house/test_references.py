@@ -82,6 +82,27 @@ def test_every_help_command_opens_a_page() -> None:
             assert getattr(found, "__doc__", None), f"{file.name}: {module or name}"
 
 
+def test_install_commands_use_the_clone() -> None:
+    """No file installs lcp_plugin from an index: the name is not uploaded yet, so that a stranger could own it.
+
+    Messages name the extra of the installed package in parentheses.
+    """
+    files = [*SOURCES, *PAGES, *(ROOT / "examples").glob("*.py")]
+    for file in files:
+        for command in re.findall(r"pip install [^`\n(]+", file.read_text(encoding="utf-8")):
+            assert not re.search(r"lcp[_-]plugin", command), f"{file.name}: {command}"
+
+
+def test_extras_of_install_commands_exist() -> None:
+    """Every extra that a message or a page installs is defined in pyproject.toml."""
+    import tomllib
+
+    project = tomllib.loads(ROOT.joinpath("pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for file in (*SOURCES, *PAGES):
+        for extra in re.findall(r"'\.\[(\w+)\]'", file.read_text(encoding="utf-8")):
+            assert extra in project["optional-dependencies"], f"{file.name}: {extra}"
+
+
 def test_examples_import_public_modules_only() -> None:
     """Each import of a script or a page is of a module that CHANGELOG.md lists as public."""
     text = (ROOT / "examples" / "manual" / "CHANGELOG.md").read_text(encoding="utf-8")

@@ -168,6 +168,10 @@ def _entries(
     for words in sections[section]:
         start = len(words) % 2 if columns is None else 1
         i = 0 if columns is None else columns.find(words[0], section, words)
+        if (len(words) - start) % 2:
+            raise InvalidProblem(
+                f'the line "{" ".join(words)}" in {section} has a name without a number'
+            )
         for name, text in zip(words[start::2], words[start + 1 :: 2], strict=True):
             j = names[name] if name in names else names.find(name, section, words)
             key, value = (i, j), _number_in(text, words, section)

@@ -350,6 +350,7 @@ ENDATA
         ("RHS\n", " x r1 7\nRHS\n", "x in COLUMNS is stated twice"),
         ("y obj 1 r1 1", "y obj 1 r8 1", 'r8 of the line "y obj 1 r8 1" in COLUMNS is not in ROWS'),
         ("RHS r1 4", "RHS r7 4", 'r7 of the line "RHS r7 4" in RHS is not in ROWS'),
+        (" x y 1\n", " x y\n", 'the line "x y" in QUADOBJ has a name without a number'),
     ],
 )
 def test_names_of_an_mps_file_that_are_repeated_or_unknown_are_refused(

@@ -290,10 +290,12 @@ def settled_rows(
     floor = data.rounding_floor(data.rows(z).terms)
     # by a tiny diagonal entry no row moves z_i
     near = floor * np.minimum(scale / problem.matrix.row_largest, 1.0)
-    # a multiplier has no diagonal entry, and no unit in common with its row: it is 0 if all rows see only rounding
-    sizes = abs(problem.matrix.csr)
-    seen = largest_products(sp.csr_array(sizes.T), 1.0 / (floor * scale))
-    near = np.where((problem.diagonal == 0.0) & (seen > 0.0), 1.0 / seen, near) + error
+    if (has_no_diagonal := problem.diagonal == 0.0).any():
+        # a multiplier, without a unit in common with its row: it is 0 if the rows that it enters see only rounding
+        columns = sp.csr_array(abs(problem.matrix.csr).T)
+        seen = largest_products(columns, 1.0 / (floor * scale))
+        near = np.where(has_no_diagonal & (seen > 0.0), 1.0 / seen, near)
+    near = near + error
     slight = floor + abs(problem.matrix.array) @ error / scale
     is_fixed, step = problem.lower == problem.upper, w / scale
     degenerate = (within.min(axis=0) <= FLOORS * near) & (np.abs(step) <= FLOORS * slight)

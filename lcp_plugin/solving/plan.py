@@ -166,13 +166,6 @@ def has_flow(matrix: Matrix) -> bool:
 
     The median of their ratio is 1 to 1.1 for diffusion, for any scaling of the rows; 7 to 9 for flows of which the mesh
     resolves no layer; and above 1000 for random units of the unknowns, which hide a flow.
-
-    Examples
-    --------
-    >>> from lcp_plugin import gallery
-    >>> scenes = gallery.convection_diffusion(size=40), gallery.obstacle_2d(size=40)
-    >>> [has_flow(scene.problem.matrix) for scene in scenes]
-    [True, False]
     """
     M = matrix.csr
     i = np.linspace(0, matrix.n - 1, 1000).astype(np.int64)

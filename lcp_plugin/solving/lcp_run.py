@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -354,8 +355,7 @@ def run_on(
     start: Vector,
     clock: Clock,
     callback: Callback | None = None,
-    *,
-    begin: str | None = None,
+    first: Stage | None = None,
 ) -> Result:
     """Return the result of a run with a method, or with auto for None.
 
@@ -365,10 +365,11 @@ def run_on(
         Within the bounds.
     clock : Clock
         Running.
-    begin : str, optional
-        For auto: the method that solved a problem with this M before.
+    first : Stage, optional
+        Stage before those of the plan.
     """
     proofs = settings.prove_infeasibility
     with threads_for(settings.threads):
         run = LCPRun(problem, method, settings, callback, clock, start)
-        return run.solve(plan(problem, method, run.goal, prove_infeasibility=proofs, begin=begin))
+        stages = plan(problem, method, run.goal, prove_infeasibility=proofs)
+        return run.solve(stages if first is None else chain([first], stages))

@@ -188,22 +188,6 @@ def test_a_thousand_small_problems_as_by_scipy_nnls(draws: Callable[[int], range
             np.testing.assert_allclose(result.x, x, atol=1e-8)
 
 
-@pytest.mark.full
-def test_boxed_problems_as_by_scipy_bvls() -> None:
-    """Boxes, one-sided and free columns: no more than the cost of scipy.optimize.lsq_linear(method="bvls")."""
-    rng = np.random.default_rng(1)
-    for _ in range(150):
-        m, n = rng.integers(1, 25, 2)
-        A, b = rng.standard_normal((m, n)), rng.standard_normal(m)
-        lower, upper = -rng.random(n), rng.random(n)
-        lower[rng.random(n) < 0.2], upper[rng.random(n) < 0.2] = -INF, INF
-        other = lsq_linear(A, b, (lower, upper), method="bvls", tol=1e-14)
-        result = bounded_least_squares(A, b, lower, upper).require_solved()
-        assert abs(result.cost - other.cost) <= 1e-9 * (b @ b)
-        if m >= 2 * n:
-            np.testing.assert_allclose(result.x, other.x, atol=1e-7)
-
-
 # --- ranks below full -----------------------------------------------------------------------------------------
 
 

@@ -37,6 +37,9 @@ from .stack import FEW, Array, ConeStack
 from .sweeps import sweep_blocks
 
 QUICK_STEPS = 20  # of sweeps over a small problem, which cost less than one of Newton's steps
+LEAST_GOAL = (
+    1e-8  # with an absolute tolerance: relative residuals far above the rounding level EXACT
+)
 CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals exclude rounding errors
 SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's method
 # A problem that a stack leaves takes a hundred times as long
@@ -182,12 +185,12 @@ class ConeRun(Run):
         stack = self.stack
         self.place = place or (np.empty(problem.n), slice(None), 1.0)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
-        reached = self.tolerance
+        self.reached = self.tolerance
         if self.absolute:
-            reached = max(self.tolerance, 2.0**-200)
-            least = np.maximum(stack.reference, self.absolute / reached)
+            self.reached = max(self.tolerance, LEAST_GOAL)
+            least = np.maximum(self.tolerance * stack.reference, self.absolute) / self.reached
             stack.weight = np.where(stack.is_answered, 0.0, 1.0 / least)
-        self.goal = CLOSER * reached
+        self.goal = CLOSER * self.reached
         self.start = stack.origin if z is None else stack.snap(stack.pattern.wide(z[None]))
         self.is_warm = z is not None and bool((self.start != stack.origin).any())
         self.best = Measured(self.start, np.inf, passes=False)
@@ -282,7 +285,7 @@ class ConeRun(Run):
         yield from self._sweep_to_rounding()
         if self.is_warm or stack.is_answered.all():
             residual = stack.relative_residual(self.start)
-            if residual <= self.tolerance:
+            if residual <= self.reached:
                 yield self.stage(methods.ConeNSGS(), SWEPT, iter(()))
             self.residual = residual
         z = yield from self._sweeps_and_newton(self.start, SCHEDULE[:1])

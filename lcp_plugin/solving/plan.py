@@ -43,8 +43,7 @@ from ..methods.banded import Banded, banded_passes
 from ..methods.lemke.pivoting_path import is_game
 from ..methods.multigrid import Multigrid
 from ..methods.search import FeasibilityCheck, NearbyPoints, has_few_active_sets, points_nearby
-from ..methods.small import Rounds
-from .choice import GUESSED, takes_rounds
+from ..methods.small import GUESSED, Rounds, takes_rounds
 from .direct import SEARCHED, direct_methods, factor_passes
 from .result import StageRecord
 from .run import Stage

@@ -129,15 +129,6 @@ def test_standstill_is_stalled_after_four_hundred_steps() -> None:
     assert result.iterations == 400
 
 
-def test_rounding_level_is_a_precision_limit() -> None:
-    """A tolerance below rounding ends as PRECISION_LIMIT, soon, at an answer good to all digits."""
-    for name in ("npgs", "pgs", "mgs"):
-        result = solve(EXAMPLE.problem, name, tolerance=0.0)
-        assert result.status in (Status.PRECISION_LIMIT, Status.SOLVED)
-        assert result.iterations < 200
-        np.testing.assert_allclose(result.z, EXAMPLE.exact, rtol=1e-14)
-
-
 def test_warm_start_is_used_and_left_alone() -> None:
     """A start at the solution needs no iteration, is not modified, and is projected if outside."""
     answer = np.array(EXAMPLE.exact)

@@ -31,7 +31,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 
@@ -47,19 +46,18 @@ from ..methods.search import FeasibilityCheck, NearbyPoints, has_few_active_sets
 from ..methods.small import Rounds
 from .choice import GUESSED, takes_rounds
 from .direct import SEARCHED, direct_methods, factor_passes
+from .result import StageRecord
 from .run import Stage
 
 ASKED_EVERY = 20  # iterations between two forecasts
+SWEEPING: dict[str, Algorithm] = {
+    one.name: one for one in (NPSOR(scaling="diagonal"), PSOR(), Multigrid(hands_over=True))
+}
 PATIENCE = 1.5  # a stage is left if its work exceeds this multiple of the next one's
 
 
 def plan(
-    problem: LCP,
-    method: Algorithm | None,
-    goal: float,
-    *,
-    prove_infeasibility: bool = True,
-    begin: str | None = None,
+    problem: LCP, method: Algorithm | None, goal: float, *, prove_infeasibility: bool = True
 ) -> Iterator[Stage]:
     """Yield the stages of ``algorithm="auto"``, each after the one before has ended, or the stage of a method.
 
@@ -72,8 +70,6 @@ def plan(
         The relative residual that the run needs.
     prove_infeasibility : bool
         If False, no method looks for proofs.
-    begin : {"npsor", "psor", "multigrid"}, optional
-        The method that solved a problem with this M before.
     """
     if method is not None:
         yield Stage(method)
@@ -81,31 +77,34 @@ def plan(
         if prove_infeasibility and not is_unfit:
             yield Stage(FeasibilityCheck(), f"{method.name} found no solution: is there one?")
         return
-    direct = partial(direct_methods, problem, goal, prove_infeasibility=prove_infeasibility)
-    if begin is None:
-        is_program = getattr(problem.origin, "form", "") == "kkt"
-        if not is_program and takes_rounds(problem):
-            is_few = has_few_active_sets(problem)
-            yield Stage(Rounds(restarts=not is_few), GUESSED)
-            if is_few and not prove_infeasibility and (near := points_nearby(problem)) is not None:
-                if not near.size:
-                    return
-                yield Stage(NearbyPoints(), SEARCHED)
-            yield from direct()
-            return
-        if is_program or is_game(problem):
-            yield from direct()
-            return
+    is_program = getattr(problem.origin, "form", "") == "kkt"
+    if not is_program and takes_rounds(problem):
+        is_few = has_few_active_sets(problem)
+        yield Stage(Rounds(restarts=not is_few), GUESSED)
+        if is_few and not prove_infeasibility and (near := points_nearby(problem)) is not None:
+            if not near.size:
+                return
+            yield Stage(NearbyPoints(), SEARCHED)
+    elif not (is_program or is_game(problem)):
         passes = count_driven_sweeps(problem, banded_passes(problem.matrix))
         if passes <= BANDED_PASSES:
             time = "one sweep" if passes < 1.5 else f"{passes:.0f} sweeps"
             yield Stage(Banded(), f"M is a narrow band, solved in about the time of {time}")
-    if has_positive_diagonal(problem.matrix).all():
-        yield from _sweeping_stages(problem, goal, begin)
-    yield from direct()
+        if has_positive_diagonal(problem.matrix).all():
+            yield from _sweeping_stages(problem, goal)
+    yield from direct_methods(problem, goal, prove_infeasibility=prove_infeasibility)
 
 
-def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[Stage]:
+def repeated(last: StageRecord) -> Stage | None:
+    """Return the method that solved the step before, with thrice its work; None if auto plans the step anew."""
+    algorithm = SWEEPING.get(last.name)
+    if algorithm is None:
+        return None
+    most = 3.0 * last.work + ASKED_EVERY
+    return Stage(algorithm, "solved the step before", lambda stage: stage.work > most)
+
+
+def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
     """Yield npsor, psor and multigrid, which need a positive diagonal."""
     direct, cycles = _direct_passes(problem), _cycle_passes(problem)
 
@@ -122,14 +121,11 @@ def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[S
             return False
         return stage.work + stage.steps_to_go(goal) > PATIENCE * min(direct, cycles)
 
-    sweeps = 0.0
-    if begin in (None, "npsor"):
-        why = "cheap sweeps over the rows come first; their rate decides the next stage"
-        npsor = Stage(NPSOR(scaling="diagonal"), why, is_trial_over)
-        yield npsor
-        sweeps = max(npsor.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
-    if begin != "multigrid" and _psor_passes(sweeps) <= min(direct, cycles):
-        yield Stage(PSOR(), "sweeps with automatic relaxation", is_too_slow)
+    why = "cheap sweeps over the rows come first; their rate decides the next stage"
+    yield (npsor := Stage(SWEEPING["npsor"], why, is_trial_over))
+    sweeps = max(npsor.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
+    if _psor_passes(sweeps) <= min(direct, cycles):
+        yield Stage(SWEEPING["psor"], "sweeps with automatic relaxation", is_too_slow)
     if cycles < math.inf:
 
         def is_no_grid(stage: Stage) -> bool:
@@ -140,9 +136,9 @@ def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[S
             return needed > (passes := factor_passes(problem)) and stage.work > 0.5 * passes
 
         why = "a sparse M with many rows: work in proportion to them"
-        yield Stage(Multigrid(hands_over=True), why, is_no_grid)
+        yield Stage(SWEEPING["multigrid"], why, is_no_grid)
         if factor_passes(problem) == math.inf:
-            yield Stage(PSOR(), "a factorization of M is predicted to be too large")
+            yield Stage(SWEEPING["psor"], "a factorization of M is predicted to be too large")
 
 
 def _psor_passes(sweeps: float) -> float:
@@ -166,13 +162,6 @@ def has_flow(matrix: Matrix) -> bool:
 
     The median of their ratio is 1 to 1.1 for diffusion, for any scaling of the rows; 7 to 9 for flows of which the mesh
     resolves no layer; and above 1000 for random units of the unknowns, which hide a flow.
-
-    Examples
-    --------
-    >>> from lcp_plugin import gallery
-    >>> scenes = gallery.convection_diffusion(size=40), gallery.obstacle_2d(size=40)
-    >>> [has_flow(scene.problem.matrix) for scene in scenes]
-    [True, False]
     """
     M = matrix.csr
     i = np.linspace(0, matrix.n - 1, 1000).astype(np.int64)

@@ -37,9 +37,7 @@ from .stack import FEW, Array, ConeStack
 from .sweeps import sweep_blocks
 
 QUICK_STEPS = 20  # of sweeps over a small problem, which cost less than one of Newton's steps
-LEAST_GOAL = (
-    1e-8  # with an absolute tolerance: relative residuals far above the rounding level EXACT
-)
+LEAST_GOAL = 1e-8  # of a run with an absolute tolerance: far above the rounding level EXACT
 CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals exclude rounding errors
 SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's method
 # A problem that a stack leaves takes a hundred times as long
@@ -185,9 +183,8 @@ class ConeRun(Run):
         stack = self.stack
         self.place = place or (np.empty(problem.n), slice(None), 1.0)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
-        self.reached = self.tolerance
+        self.reached = max(self.tolerance, LEAST_GOAL) if self.absolute else self.tolerance
         if self.absolute:
-            self.reached = max(self.tolerance, LEAST_GOAL)
             least = np.maximum(self.tolerance * stack.reference, self.absolute) / self.reached
             stack.weight = np.where(stack.is_answered, 0.0, 1.0 / least)
         self.goal = CLOSER * self.reached

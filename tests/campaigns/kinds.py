@@ -170,8 +170,6 @@ def random_options(name: str, rng: Generator) -> dict[str, Any]:
         "acceleration": lambda: float(rng.uniform(-0.5, 1.9)),
         "omega": lambda: float(rng.uniform(0.1, 5.0)),
         "splitting": lambda: str(rng.choice(["diagonal", "tridiagonal", "lower"])),
-        "smoother": lambda: str(rng.choice(["pgs", "psor"])),
-        "nested": lambda: bool(rng.random() < 0.5),
         "coarsest": lambda: int(rng.integers(1, 9)),
         "max_pivots": lambda: int(rng.integers(1, 30)),
     }

@@ -39,8 +39,7 @@ from ..core.problem_classes import class_of, classes_of, refusal
 from ..core.settings import OF_SOLVE, Settings, Status, whole_number
 from ..methods.banded import Banded, active_sets, held_entries, solve_held, solve_one_sided
 from ..methods.finishing import measure_finished
-from ..solving.choice import parse_call
-from ..solving.dispatch import solve
+from ..solving.dispatch import parse_call, solve
 from ..solving.lcp_run import run_on
 from ..solving.lcp_solver import solve_lcp
 from ..solving.plan import plan, repeated

@@ -25,7 +25,7 @@ from ...engines import ENGINES, engine_class, installed_engine, is_installed, sc
 from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from ...engines.polish import ROUNDS, polish_steps
 from ...methods.interior_point import InteriorPoint
-from ...solving.choice import parse_call
+from ...solving.dispatch import parse_call
 from ...solving.lcp_solver import solve_lcp
 from ...solving.result import NEXT, BaseResult, Sample
 from ...solving.run import Named, Progress, Run, Stage, say

@@ -22,7 +22,7 @@ from tools.refusals import assert_refused, refusals
 from lcp_plugin import Status, solve
 from lcp_plugin.core.errors import InvalidProblem, NotConverged
 from lcp_plugin.problems.least_squares.certificate import duality_gap
-from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
+from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, Enclosures
 
 INF = np.inf
 
@@ -105,6 +105,30 @@ def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
     np.testing.assert_allclose(result.x, x, atol=1e-6)
     assert result.is_proved == (form is not aslinearoperator)
     assert result.gap <= (1e-8 if result.is_proved else 1e-6) * result.cost
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_products_alone_solve_a_fit_with_a_large_ridge(seed: int) -> None:
+    """With A as a LinearOperator and a ridge of the size of AᵀA, x is scipy's of the stacked problem."""
+    rng = np.random.default_rng(seed)
+    A, b = rng.normal(size=(30, 12)), 3.0 * rng.normal(size=30)
+    found = bounded_least_squares(
+        aslinearoperator(A), b, -0.2, 0.3, ridge=20.0, max_iterations=1000
+    )
+    stacked = np.vstack([A, np.sqrt(20.0) * np.eye(12)]), np.append(b, np.zeros(12))
+    best = lsq_linear(*stacked, bounds=(-0.2, 0.3), tol=1e-14)
+    np.testing.assert_allclose(found.require_solved().x, best.x, atol=1e-7)
+
+
+def test_no_convexity_is_claimed_below_the_rounding_of_the_products() -> None:
+    """AᵀA − diag(d) has no negative determinant, in fractions, for columns that differ by 10⁻² … 10⁻⁹."""
+    for digits in range(2, 10):
+        A = np.array([[1.0, 1.0], [0.0, 10.0**-digits], [0.0, 0.0]])
+        d = Enclosures(BoundedLeastSquares(A, np.ones(3))).convexity
+        assert d is not None or digits > 5
+        if d is not None:
+            first, second, slant = (Fraction(float(one)) for one in (*d, A[1, 1]))
+            assert (1 - first) * (1 + slant**2 - second) >= 1
 
 
 @pytest.mark.parametrize("lower", [0.0, -INF])

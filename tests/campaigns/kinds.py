@@ -329,7 +329,7 @@ def path(rng: Generator, kind: str) -> Found:
 def rescaled_program(rng: Generator, kind: str) -> Found:
     """The same program in euros and in millions."""
     judge = module("scaled_programs")
-    for text in judge.one(int(rng.integers(2**31)), int(rng.integers(10**6))):
+    for text in judge.one(str(rng.choice(judge.FAMILIES)), int(rng.integers(2**31))):
         yield Finding(CLAIM, text)
 
 

@@ -35,14 +35,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import (
-    canonical_csr,
-    checked_vector,
-    is_number,
-    real_array,
-    rectangular_matrix,
-    require_finite,
-)
+from ..core import checks
+from ..core.checks import canonical_csr, checked_vector, is_number, real_array, rectangular_matrix
 from ..core.errors import InvalidProblem, ModelWarning
 from ..solving.result import Result
 
@@ -486,7 +480,7 @@ def _edges(tangents: int, directions: int) -> FloatArray:
 
 def _array(values: Any, need: str) -> FloatArray:
     array = real_array(values.toarray() if sp.issparse(values) else values, need).copy()
-    require_finite(array, need.split(maxsplit=1)[0])
+    checks.require_finite(array, need.split(maxsplit=1)[0])
     return array
 
 

@@ -240,12 +240,9 @@ class ConeRun(Run):
     def result(self, end: Status) -> Result:
         """Return the result."""
         self.measure_best()
-        words = dict(WORDS)
-        if not self.settings.prove_infeasibility:
-            words[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
         name = ", ".join(dict.fromkeys(stage.name for stage in self.progress.records()))
         name = f"auto: {name}" if isinstance(self.chosen, str) else self.chosen.name
-        named = {"algorithm": name, "infeasibility": self.proof, "_advice": words}
+        named = {"algorithm": name, "infeasibility": self.proof, "_advice": WORDS}
         z = read_only(self.stack.pattern.flat(self.best.z)[0].copy())
         found = None if self.best.rows is None else self.best
         at = ConeCertificate(self.problem, z, self.tolerance, found)

@@ -12,6 +12,7 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,18 +54,6 @@ def in_a_process(*arguments: str, **environment: str) -> subprocess.CompletedPro
 
 
 # --- solve -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("scene", SMALL_SCENES)
-def test_scene_is_solved(scene: str) -> None:
-    """Every test problem is solved: exit code 0, and the output names problem, size and status."""
-    done = lcp_plugin("solve", scene)
-    assert done.exit_code == 0
-    assert done.stderr == ""
-    lines = done.stdout.splitlines()
-    assert lines[0].startswith(f"Scene({scene.partition(':')[0]}")
-    assert lines[1].startswith(f"LCP(n={gallery.parse(scene).problem.n}, ")
-    assert any(line.startswith("SOLVED: ") for line in lines)
 
 
 def test_settings_reach_the_run() -> None:
@@ -150,6 +139,22 @@ def test_out_holds_the_solution() -> None:
     assert list(Path().iterdir()) == [Path("z.npz")]
 
 
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [
+        ({"P": np.eye(2), "c": np.ones(2)}, "x inequality equality lower upper"),
+        ({"A": np.eye(2), "b": np.ones(2)}, "x"),
+    ],
+    ids=["program", "least squares"],
+)
+def test_out_holds_the_vectors_of_the_class(given: Any, names: str) -> None:
+    """--out writes x and the multipliers of a program, x of least squares, and the status."""
+    np.savez("p.npz", **given)
+    assert lcp_plugin("solve", "p.npz", "--out", "z.npz").exit_code == 0
+    with np.load("z.npz") as saved:
+        assert set(saved.files) == {*names.split(), "status"}
+
+
 def test_out_replaces_an_earlier_answer_but_not_the_problem() -> None:
     """Option --out overwrites an earlier result, but not the file of the problem."""
     BOX.save("p.npz")
@@ -198,10 +203,14 @@ def test_unsolved_is_exit_code_one_with_advice(limit: str, status: Status) -> No
 
 
 @pytest.mark.parametrize("scene", SMALL_SCENES)
-def test_every_scene_has_a_picture(scene: str) -> None:
-    """--plot writes a PNG for one, two and three dimensions, no grid, and a single unknown."""
+def test_every_scene_is_solved_and_has_a_picture(scene: str) -> None:
+    """Exit code 0, problem, size and status; a PNG for one, two and three dimensions, no grid, and a single unknown."""
     done = lcp_plugin("solve", scene, "--plot", "out.png")
-    assert done.exit_code == 0
+    assert (done.exit_code, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith(f"Scene({scene.partition(':')[0]}")
+    assert lines[1].startswith(f"LCP(n={gallery.parse(scene).problem.n}, ")
+    assert any(line.startswith("SOLVED: ") for line in lines)
     picture = Path("out.png").read_bytes()
     assert picture.startswith(PNG)
     assert len(picture) > 5000

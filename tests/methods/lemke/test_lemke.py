@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from typing import Any
@@ -23,7 +24,7 @@ from lcp_plugin.core.algorithm import Step
 from lcp_plugin.core.errors import UnsuitableProblem
 from lcp_plugin.methods.lemke import Lemke, rows_of_components
 from lcp_plugin.methods.lemke.pivoting_path import LemkePath, canonical_box, starts
-from lcp_plugin.methods.lemke.tableau import GOING_ON, LOST
+from lcp_plugin.methods.lemke.tableau import GOING_ON, LOST, SOLVED
 from lcp_plugin.strategies import solved_lcps
 
 INF = np.inf
@@ -347,3 +348,16 @@ def test_elimination_of_a_free_row_of_rank_one_leaves_zeros() -> None:
         v = np.random.default_rng(seed).integers(1, 100, 9).astype(float)
         problem = LCP(np.outer(v, v), -v, lower=np.where(np.arange(9), 0.0, -np.inf))
         assert not canonical_box(problem).M.any()
+
+
+def test_each_label_of_a_game_has_a_path_to_an_equilibrium() -> None:
+    """Lemke, Howson (1964): whichever label is dropped, the path of a nondegenerate game ends in a solution."""
+    rng = np.random.default_rng(0)
+    for n in (2, 3, 4):
+        problem = LCP.from_game(rng.random((n, n)), rng.random((n, n)))
+        box = canonical_box(problem)
+        path = LemkePath(box.M, box.q, box.upper)
+        for start in itertools.islice(starts(path, 0), 2 * n):
+            assert start(path)
+            assert path.advance(100) == SOLVED
+            assert Certificate.of(problem, box.recover(path.z)).relative_residual <= 1e-10

@@ -311,3 +311,10 @@ def test_a_solution_far_beyond_the_data_leaves_zero_unproved() -> None:
         assert result.is_solved == result.verify()
     # PIQP 0.6 finds a point whose rows hold within 1e-9 of their terms.
     assert not result.is_solved or result.value < -1e16
+
+
+def test_an_objective_of_zero_has_no_gap() -> None:
+    """The gap is 0 if value and bound are equal, also relative to an objective without terms."""
+    program = QuadraticProgram(None, [0.0, 0.0], [[-1.0, -1.0]], [-1.0], lower=0.0, upper=4.0)
+    result = solve(EquilibriumProgram(program, [0], [1]))
+    assert (result.value, result.gap) == (0.0, 0.0)

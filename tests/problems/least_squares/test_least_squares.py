@@ -129,6 +129,8 @@ def test_no_convexity_is_claimed_below_the_rounding_of_the_products() -> None:
         if d is not None:
             first, second, slant = (Fraction(float(one)) for one in (*d, A[1, 1]))
             assert (1 - first) * (1 + slant**2 - second) >= 1
+    operator = BoundedLeastSquares(aslinearoperator(np.eye(3)), np.ones(3))
+    assert Enclosures(operator).convexity is None
 
 
 @pytest.mark.parametrize("lower", [0.0, -INF])

@@ -41,6 +41,7 @@ The solution of a quadratic program: primal and dual values, and their Karush–
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -52,7 +53,7 @@ from ...core.checks import Vector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import DATA_ROUNDING, UNIT
 from ...core.matrix import largest_products
-from ...core.rounding import compensated_pair
+from ...core.rounding import compensated_pair, split_sum
 from ...core.settings import checked_tolerance
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ NOISE = 1e-5  # of the coefficients of a row: ROWS of this on the right counts a
 BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 # The objective's terms, and the rows' with their multipliers, may cancel to this share
 LEAST_SIZE = 1e-8
+FAR_MOVE = 1e4  # of the size of an unknown without a bound
 LEAST_SIZE_OF_TERMS = 2.0**-1000  # quotients by it are finite
 
 
@@ -98,16 +100,19 @@ class KKTErrors(NamedTuple):
         point = PrimalDualPoint(program, x, y, is_exact=False)
         primal, gap = point.row_errors(), np.full(1, np.inf)
         if (primal <= ROWS).all():
-            if np.isfinite(point.room).all():
-                gap = point.gaps(has_units=False)
+            gap = point.gaps_by_curvature()
+            if not (gap <= tolerance).all() and np.isfinite(point.room).all():
+                gap = np.minimum(gap, point.gaps(has_units=False))
             if not (gap <= tolerance).all():
                 gap = np.minimum(gap, point.gaps(has_units=True))
         if not (gap <= tolerance).all():
             point = PrimalDualPoint(program, x, y, is_exact=True)
-            primal, gap = point.row_errors(), point.gaps(has_units=True)
-        worst = [np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap)]
+            primal = point.row_errors()
+            gap = np.minimum(point.gaps(has_units=True), point.gaps_by_curvature())
+        worst = [float(np.maximum.reduce(one, initial=0.0)) for one in (primal, gap)]
         tolerated = point.tolerated() if point.is_exact else 0.0
-        return cls(float(worst[0]), float(worst[1]), tolerated)
+        of_rows, of_gaps = (math.inf if math.isnan(one) else one for one in worst)
+        return cls(of_rows, of_gaps, tolerated)
 
 
 def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: int) -> WorstRows:
@@ -187,8 +192,8 @@ class PrimalDualPoint:
         d, lower, upper = np.concatenate([program.h, program.b]), program.lower, program.upper
         is_limit = np.isfinite(d)
         sides = np.where(is_limit, d, 0.0)
-        self.outside = np.maximum(np.maximum(lower - x, x - upper), 0.0)
-        self.given, x = np.abs(x), np.minimum(np.maximum(x, lower), upper)
+        self.given, x = x, np.minimum(np.maximum(x, lower), upper)
+        self.outside = np.abs(self.given - x)
         y = np.where(is_limit, y, 0.0)
         np.maximum(y[:m], 0.0, out=y[:m])
         self.x, self.y, self.of_x, self.of_y = x, y, np.abs(x), np.abs(y)
@@ -198,9 +203,15 @@ class PrimalDualPoint:
         terms = self.bend + self.cost + of_columns @ self.of_y
         self.terms_of_rows = of_C @ self.of_x + self.limits
         if is_exact:
-            self.product, low, radius = compensated_pair(self.matrices.sparse_P, x)
-            self.left, doubt = self._exact_pull(self.product, low)
-            self.doubt = (doubt + radius) * (1.0 + 4.0 * UNIT)  # its own rounding included
+            self.product, low, radius = compensated_pair(P, x)
+            pull, more, doubt = compensated_pair(self.matrices.columns, y, program.c)
+            self.pull = np.abs(pull) + doubt
+            high, rest = split_sum(pull, self.product)
+            rest += low + more
+            self.left = high + rest
+            # Two sums of rests are rounded, each of which is at most u times a rounded sum
+            self.doubt = (doubt + radius + 4.0 * UNIT * np.abs(rest)) * (1.0 + 4.0 * UNIT)
+            self.doubt += 4.0 * UNIT * (np.abs(low) + np.abs(more))
             excess, _, _ = compensated_pair(self.matrices.rows, x, -sides)
             self.hidden: Any = 0.0
             row_doubt: Any = 0.0
@@ -240,7 +251,7 @@ class PrimalDualPoint:
         if of_bounds.any():
             lower, upper = self.program.lower, self.program.upper
             bound = np.where(self.x == lower, np.abs(lower), np.abs(upper))
-            of_bounds = ratio(of_bounds, np.maximum(bound, self.given))
+            of_bounds = ratio(of_bounds, np.maximum(bound, np.abs(self.given)))
         return np.concatenate([ratio(self.over, own), of_bounds])
 
     def tolerated(self) -> float:
@@ -300,7 +311,7 @@ class PrimalDualPoint:
             at_most = units * self._largest_by_component(self.matters / units)[of]
             by_terms = size[of] / np.maximum(self.size_of_gradient, LEAST_SIZE_OF_TERMS)
             # An unknown without a bound is moved so many times its size
-            far = 1e4 * np.maximum(np.maximum(self.of_x, by_terms), at_most)
+            far = FAR_MOVE * np.maximum(np.maximum(self.of_x, by_terms), at_most)
             reach = np.where(self.objective[of] > 0.0, np.minimum(reach, far), reach)
             shake = np.minimum(shake, at_most)
         # NaN, which is the gradient of an overflow, stays NaN
@@ -311,10 +322,32 @@ class PrimalDualPoint:
             most = np.where(most > 0.0, most * reach, 0.0) - moves
             shakes = np.where(most < shakes, most, shakes)
             shakes = np.where(self._is_rounding, 0.0, shakes)
-        held = np.where(self.slack > 0.0, self.of_y * self.slack, 0.0)
         return ratio(self._sums(moves, self.price), size) + ratio(
-            self._sums(shakes, held), np.maximum(size, least)
+            self._sums(shakes, self.held), np.maximum(size, least)
         )
+
+    def gaps_by_curvature(self) -> Vector:
+        """Return a bound of the gap of each component if P is small and far from singular, else ∞.
+
+        Split r = s + e, where s_j = r_j if the bound in the direction −r_j is finite, else 0. A feasible move by d
+        changes the objective by at least −Σ |s_j| distance_j − Σ |y_i slack_i| + eᵀd + ½ dᵀP d, and the last two terms
+        are at least −½ eᵀP⁻¹e. This gain is quadratic in e. So 10⁴ times its root, relative to the size, bounds it, and
+        requires an e as small as the gain of moves by 10⁴ times x does. No units are needed.
+        """
+        if (weights := self.matrices.compliance) is None:
+            return np.full(self.objective.shape, np.inf)
+        is_bounded, sizes = np.isfinite(self.distance), np.abs(self.left)
+        paid = np.where(is_bounded, sizes * self.distance, 0.0)
+        error = np.where(is_bounded, 0.0, sizes) + self.doubt
+        rows = self.held if self.price is None else self.held + self.price
+        size = self._size()[0]
+        gain = ratio(self._sums(0.5 * weights * error * error), size)
+        return ratio(self._sums(paid, rows), size) + FAR_MOVE * np.sqrt(gain)
+
+    @cached_property
+    def held(self) -> Vector:
+        """|y_i| |slack_i| of each row."""
+        return np.where(self.slack > 0.0, self.of_y * self.slack, 0.0)
 
     @cached_property
     def size_of_gradient(self) -> Vector:
@@ -356,10 +389,9 @@ class PrimalDualPoint:
     @property
     def _is_rounding(self) -> Any:
         """Return the unknowns whose gradient is the rounding error of a cost and multipliers, or of x where P x = 0."""
-        pull, doubt = self._exact_pull(0.0 * self.x, 0.0 * self.x)
         at_rest = self.curved <= BLUR * BLUR * self._sums(self.of_x * self.bend)
         at_rest = at_rest[self.matrices.components.of_unknown]
-        most = np.where(at_rest, np.abs(pull) + doubt, np.abs(self.left) + self.doubt)
+        most = np.where(at_rest, self.pull, np.abs(self.left) + self.doubt)
         return most <= BLUR * (self.cost + self.matrices.measured[4] @ self.needed_y)
 
     @cached_property
@@ -375,12 +407,6 @@ class PrimalDualPoint:
         pull = units * np.abs(self.product + self.program.c)
         pulls = np.where(way > DATA_ROUNDING * units * sizes, pull, 0.0)
         return np.minimum(self.of_y, row_units * self._largest_by_component(pulls)[parts.of_row])
-
-    def _exact_pull(self, high: Vector, low: Vector) -> tuple[Vector, Vector]:
-        """Return c + Cᵀy + high + low, and a bound of its error: P x is summed once, although two tests need it."""
-        terms = np.concatenate([self.y, self.program.c, low])
-        pull, _, doubt = compensated_pair(self.matrices.columns, terms, high)
-        return pull, doubt
 
     def _sums(self, of_unknowns: Vector, of_rows: Vector | None = None) -> Vector:
         """Return the sums over each component."""
@@ -501,7 +527,8 @@ class QPSolution:
         """
         folded = program.folded
         reduced, m = folded.reduced, folded.reduced.h.size
-        y = np.append(np.maximum(y[:m], 0.0), y[m:])
+        y = y.copy()
+        np.maximum(y[:m], 0.0, out=y[:m])
         P, C = reduced.matrices.stacked
         left = P @ x + reduced.c + C.T @ y
         at_lower = np.where(np.isfinite(reduced.lower), np.maximum(left, 0.0), 0.0)

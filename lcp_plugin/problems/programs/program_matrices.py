@@ -28,6 +28,7 @@ from ...core.settings import Status
 from ...proofs.exact import Row, like, rational_rows
 from ...proofs.farkas import LinearConstraints
 from ...systems.definiteness import factorised, is_semidefinite_to_rounding, scaled_to
+from ...systems.factors import lapack, positive_triangle
 from .criterion import BLUR, NOISE, ROWS, ProgramComponents
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ ROUNDING_OF_ENTRIES = 2.0 ** np.arange(-48.0, -23.0, 4.0)  # from double to sing
 WITHIN_ROUNDING = (
     "within rounding: P has a negative eigenvalue, which rounding of its entries explains"
 )
+COMPLIANCE_UP_TO = 100  # unknowns for which an inverse of P takes less time than a fit of units
 # Unknowns and rows of a program that dense arithmetic takes in place of sparse matrices
 FULL_UP_TO = 3000
 
@@ -125,7 +127,7 @@ class ProgramMatrices:
     @cached_property
     def counts(self) -> Indices:
         """Number of entries of each row of [G; A]."""
-        return np.concatenate([entries_of_rows(self.G), entries_of_rows(self.A)])
+        return entries_of_rows(self.stacked[1])
 
     @cached_property
     def components(self) -> ProgramComponents:
@@ -174,10 +176,10 @@ class ProgramMatrices:
         return sp.csr_array(sp.hstack([self.sparse_P, sp.csr_array(self.rows.T)], format="csr"))
 
     @cached_property
-    def columns(self) -> sp.csr_array:
-        """[Gᵀ Aᵀ I I]: sums the terms of multipliers with two vectors."""
-        identity = sp.eye_array(self.P.shape[0], format="csr")
-        return sp.csr_array(sp.hstack([self.rows.T, identity, identity], format="csr"))
+    def columns(self) -> Any:
+        """[Gᵀ Aᵀ]: an ndarray or a CSR array."""
+        C = self.stacked[1]
+        return sp.csr_array(C.T) if sp.issparse(C) else C.T
 
     @cached_property
     def row_sizes(self) -> Vector:
@@ -187,7 +189,11 @@ class ProgramMatrices:
     @cached_property
     def entries(self) -> tuple[int, int]:
         """Numbers of nonzeros of P and of [G; A]."""
-        return int(entries_of_rows(self.P).sum()), int(self.counts.sum())
+        of_P, of_G, of_A = (
+            int(one.nnz if sp.issparse(one) else np.count_nonzero(one))
+            for one in (self.P, self.G, self.A)
+        )
+        return of_P, of_G + of_A
 
     @property
     def has_curvature(self) -> bool:
@@ -210,7 +216,22 @@ class ProgramMatrices:
     @cached_property
     def is_semidefinite(self) -> bool | None:
         """True if P is positive semidefinite to rounding; None if P is too large for the test."""
-        return is_semidefinite_to_rounding(self.P)
+        return self.compliance is not None or is_semidefinite_to_rounding(self.P)
+
+    @cached_property
+    def compliance(self) -> Vector | None:
+        """Weights w with rᵀP⁻¹r ≤ Σ w_j r_j² for every r; None unless P is small, dense and far from singular."""
+        # D = diag(P): the largest eigenvalue of D^½ P⁻¹ D^½ is at most its trace. If this is at most 2²⁴, the errors of
+        # Cholesky's factor and of the inverse, of order n² u in the units of D (Demmel), do not double it.
+        P, n = self.arrays[0], self.P.shape[0]
+        if not 0 < n <= COMPLIANCE_UP_TO or sp.issparse(P):
+            return None
+        diagonal = P.diagonal()
+        is_in_range = (diagonal > 2.0**-400) & (diagonal < 2.0**400)
+        if not is_in_range.all() or (triangle := positive_triangle(P)) is None:
+            return None
+        trace = float(lapack().dpotri(triangle, lower=1)[0].diagonal() @ diagonal)
+        return 2.0 * trace / diagonal if trace <= 2.0**24 else None
 
     @property
     def is_nearly_semidefinite(self) -> bool:

@@ -9,6 +9,7 @@ Program without rows of one variable, and the inverse transformation of solution
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -76,7 +77,8 @@ class ProgramMatrices:
     @cached_property
     def rows(self) -> sp.csr_array:
         """[G; A]."""
-        return sp.vstack([as_csr(self.G), as_csr(self.A)], format="csr")
+        G, A = self.arrays[1:]
+        return sp.vstack([G, A], "csr") if sp.issparse(G) else sp.csr_array(self.stacked[1])
 
     @cached_property
     def sparse_P(self) -> sp.csr_array:
@@ -127,7 +129,7 @@ class ProgramMatrices:
     @cached_property
     def counts(self) -> Indices:
         """Number of entries of each row of [G; A]."""
-        return entries_of_rows(self.stacked[1])
+        return np.concatenate([entries_of_rows(self.G), entries_of_rows(self.A)])
 
     @cached_property
     def components(self) -> ProgramComponents:
@@ -189,11 +191,7 @@ class ProgramMatrices:
     @cached_property
     def entries(self) -> tuple[int, int]:
         """Numbers of nonzeros of P and of [G; A]."""
-        of_P, of_G, of_A = (
-            int(one.nnz if sp.issparse(one) else np.count_nonzero(one))
-            for one in (self.P, self.G, self.A)
-        )
-        return of_P, of_G + of_A
+        return int(entries_of_rows(self.P).sum()), int(self.counts.sum())
 
     @property
     def has_curvature(self) -> bool:
@@ -249,7 +247,7 @@ class ProgramMatrices:
         if self.is_semidefinite or d.min() < -BLUR * abs(P).max():
             return P if self.is_semidefinite else None
         diagonal: Any = sp.diags_array if sp.issparse(P) else np.diag
-        least, d = np.minimum(d, 0.0), np.where(d > 0.0, d, largest_in_rows(self.sparse_P))
+        least, d = np.minimum(d, 0.0), np.where(d > 0.0, d, largest_in_rows(P))
         unit = scaled_to(P - diagonal(least), 1.0 / np.sqrt(or_one(d)))
         if unit is None:
             return P
@@ -258,7 +256,7 @@ class ProgramMatrices:
             return None
         if self.is_semidefinite is None:
             return P
-        shift = next(one for one in shifts if factorised(unit, one) is not None)
+        shift = shifts[bisect_left(shifts, True, key=lambda one: factorised(unit, one) is not None)]
         found = P + diagonal(shift * d - least)
         return freeze_csr(found) if sp.issparse(P) else read_only(found)
 

@@ -27,7 +27,7 @@ from ...engines.polish import ROUNDS, polish_steps
 from ...methods.interior_point import InteriorPoint
 from ...solving.choice import parse_call
 from ...solving.lcp_solver import solve_lcp
-from ...solving.result import NEXT, BaseResult, Sample, StageRecord
+from ...solving.result import NEXT, BaseResult, Sample
 from ...solving.run import Named, Progress, Run, Stage, say
 from .conversion import optimality_conditions
 from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors, QPSolution, worst_constraints
@@ -183,14 +183,10 @@ def run_engine(
 
 
 def nearest(program: QuadraticProgram) -> tuple[Vector, Vector]:
-    """Return x nearest to 0 within the bounds, without multipliers; in a linear program, x moved by its costs."""
+    """Return x nearest to 0 within the bounds, without multipliers."""
     reduced = program.folded.reduced
-    x = np.clip(0.0, reduced.lower, reduced.upper)
     rows = reduced.h.size + reduced.b.size
-    if not rows and not reduced.matrices.has_curvature:
-        end = np.where(reduced.c > 0.0, reduced.lower, reduced.upper)
-        x = np.where((reduced.c != 0.0) & np.isfinite(end), end, x)
-    return x, np.zeros(rows)
+    return np.clip(0.0, reduced.lower, reduced.upper), np.zeros(rows)
 
 
 def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iterator[EngineAnswer]:
@@ -404,6 +400,12 @@ def solve_program(
     )[1]
     name = algorithm if isinstance(algorithm, str) else algorithm.name
     run = ProgramRun(program, name, settings, wishes, callback, clock, start)
+    if engine is not None:
+        plan = run.engine_stages(engine)
+    elif name == "auto":
+        plan = run.all_stages()
+    else:
+        plan = iter([run.lcp_stage(algorithm, options)])
     try:
         with time_limit(settings.max_seconds):
             refuse_nonconvex(program)
@@ -414,14 +416,6 @@ def solve_program(
         if run.proof is None:
             raise
         return run.result(Status.NO_SOLUTION)
-    if engine is not None:
-        plan = run.engine_stages(engine)
-    elif name != "auto":
-        plan = iter([run.lcp_stage(algorithm, options)])
-    else:
-        if (found := run.try_first_engine()) is not None:
-            return found
-        plan = run.all_stages()
     return run.solve(run.with_proof(plan))
 
 
@@ -478,35 +472,6 @@ class ProgramRun(Run):
         super().__init__(ProgramProgress(program, settings, callback, clock))
         self.program, self.name, self.wishes, self.start = program, name, wishes, start
         self.doubtful: NoMinimum | None = None
-        self.first: ProgramPoint | None = None  # of the first attempt, until its stage begins
-
-    def try_first_engine(self) -> QuadraticProgramResult | None:
-        """Return the result of a small program with curvature if the point of the first engine passes, without a loop.
-
-        A run with options has a loop. A point that does not pass is the first point of the loop.
-        """
-        if self.wishes or self.start is not None or self.progress.callback is not None:
-            return None
-        reduced = self.program.folded.reduced
-        matrices = reduced.matrices
-        if not (matrices.is_small and matrices.has_curvature and is_installed("daqp")):
-            return None
-        if regression_of(reduced) is not None:
-            return None
-        engine, units = next(attempts(self.program))
-        found = self.first = run_engine(self.program, engine, self.settings.tolerance, units)
-        if not found.passes or self._is_in_doubt(found):
-            return None
-        return QuadraticProgramResult(
-            found.solution,
-            status=Status.SOLVED,
-            algorithm=f"auto: {engine.name}",
-            iterations=found.iterations,
-            seconds=self.progress.clock.read(),
-            tolerance=self.settings.tolerance,
-            # The work of the two steps of a loop
-            stages=(StageRecord(engine.name, engine.solves, found.iterations, 2.0),),
-        )
 
     # --- The plan ----------------------------------------------------------------------------------------------------
 
@@ -514,13 +479,6 @@ class ProgramRun(Run):
         """Yield the stages of auto; a program with bounds only is a complementarity problem of n unknowns."""
         reduced = self.program.folded.reduced
         rows, matrices = reduced.h.size + reduced.b.size, reduced.matrices
-        if not rows and not matrices.has_curvature:
-            solution = QPSolution.from_reduced(self.program, *nearest(self.program))
-            found = ProgramPoint.of(solution, self.settings.tolerance, "costs")
-            if not found.passes:
-                found = found._replace(says=EngineStatus.UNBOUNDED)
-            vertex = Step(solution.x, iterations=0, measured=found)
-            yield Stage(Named("costs"), "boxes", steps=[vertex])
         is_lcp_first = not rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
             # Pivots on thousands of rows take minutes; external solvers are next.
@@ -560,10 +518,9 @@ class ProgramRun(Run):
     def _engine_steps(self, engine: Engine, units: str) -> Iterator[Step]:
         """Yield the start and the point of an external solver."""
         yield Step(nearest(self.program)[0], iterations=0)
-        found, self.first = self.first, None
-        if found is None:
-            tolerance, is_verbose = self.settings.tolerance, self.settings.verbose
-            found = run_engine(self.program, engine, tolerance, units, is_verbose=is_verbose)
+        found = run_engine(
+            self.program, engine, self.settings.tolerance, units, is_verbose=self.settings.verbose
+        )
         yield Step(found.solution.x, iterations=found.iterations, measured=found)
 
     def _regression_steps(self, problem: Any, outward: Outward) -> Iterator[Step]:
@@ -632,14 +589,12 @@ class ProgramRun(Run):
         found = self.latest
         if found is None or not self.settings.prove_infeasibility:
             return end
-        if (found.passes and self._is_in_doubt(found)) or found.says in NO_MINIMUM:
+        primal, _, tolerated = found.errors
+        # If rows are violated, a proof of infeasibility is searched first
+        is_in_doubt = tolerated > 1.0 or primal > 1e-10 or self._is_far(found.solution.x)
+        if (found.passes and is_in_doubt) or found.says in NO_MINIMUM:
             self._search_proof()
         return end if self.proof is None else Status.NO_SOLUTION
-
-    def _is_in_doubt(self, found: ProgramPoint) -> bool:
-        """Return whether a point that passes violates rows, or is so large, that a proof is searched first."""
-        primal, _, tolerated = found.errors
-        return tolerated > 1.0 or primal > 1e-10 or self._is_far(found.solution.x)
 
     def _search_proof(self) -> None:
         """Keep the proof that the program has no solution, or the one that shows this except for rounding."""

@@ -22,8 +22,7 @@ from ..core.lcp import LCP
 from ..core.settings import Status
 from ..gallery.scene import Scene
 from ..proofs.bounds import error_bound
-from ..solving.choice import method_of
-from ..solving.dispatch import solve
+from ..solving.dispatch import method_of, solve
 from ..solving.result import Result, Sample
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"

@@ -1,4 +1,4 @@
-"""Test problems: membranes over an obstacle, and in a wind.
+"""Test problems: membranes over an obstacle.
 
 A journal bearing with cavitation, and the elastic-plastic torsion of a bar.
 
@@ -204,53 +204,6 @@ def sphere_solution(r: Field) -> Field:
     strength = CONTACT_RADIUS**2 / math.sqrt(1.0 - CONTACT_RADIUS**2)
     free = -np.log(np.maximum(r, CONTACT_RADIUS) / 2.0)
     return np.where(r < CONTACT_RADIUS, sphere_obstacle(r), strength * free)
-
-
-# --- Wind -------------------------------------------------------------------------------------------------------
-
-
-@scene_builder
-def convection_diffusion(
-    *, size: int = 100, diffusion: float = 1e-3, wind_angle: float = 0.6
-) -> Scene:
-    """Membrane above the ground in a constant wind: upwind differences, nonsymmetric M-matrix.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size², mesh width h = 1/(size + 1).
-    diffusion
-        ε ≥ 0; below h the wind dominates.
-    wind_angle
-        Between the wind, which has length 1, and the first axis, radian.
-
-    Notes
-    -----
-    −ε Δu + b·∇u ≥ f, u ≥ 0, complementary, u = 0 on the boundary, f = 10 sin 3πx sin 2πy, by first-order upwind
-    differences. Rows are scaled by h²/max(ε, h).
-    """
-    h = 1.0 / (size + 1)
-    scale = 1.0 / max(diffusion, h)
-    below, above = upwind(diffusion, (h * math.cos(wind_angle), h * math.sin(wind_angle)))
-    M = balanced_matrix(
-        (size, size), ([scale * leg for leg in below], [scale * leg for leg in above])
-    )
-    return pulled_membrane(M, size, scale)
-
-
-def pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0) -> Scene:
-    """Return the test problem of a membrane above the ground that the force f pulls up and down."""
-    axis = nodes(0.0, 1.0, size)[1:-1]
-    x, y = np.ix_(axis, axis)
-    force: Field = 10.0 * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
-    q: Vector = (-scale / (size + 1) ** 2 * force).ravel()
-    return Scene(
-        problem=LCP(M, q),
-        coordinates=(axis, axis),
-        axis_labels=("x", "y"),
-        unknown="height",
-        active_means="on the ground",
-    )
 
 
 @scene_builder

@@ -41,8 +41,10 @@ from ..core.kernels.floats import (
 from ..core.kernels.small_lcps import LOST, bound_residuals, follow_paths, solve_active_sets
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, residual_scales
+from .banded import banded_passes
 from .finishing import measure_finished
 
+GUESSED = "small: a few sweeps guess the active set"
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
 RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
 ROUNDS, IDLE = 12, 2  # most active-set iterations; most of them in a row without fewer changes
@@ -144,6 +146,11 @@ def first_path_point(problem: LCP, tolerance: float) -> Any:
 def is_small(problem: LCP) -> bool:
     """Return whether rounds on a dense M suit the problem."""
     return 0 < problem.n <= (SMALL_DENSE if problem.matrix.is_dense else SMALL_SPARSE)
+
+
+def takes_rounds(problem: LCP) -> bool:
+    """Return whether auto begins with rounds on a dense M: a small problem, no tridiagonal M-matrix kept sparse."""
+    return is_small(problem) and (problem.is_dense or banded_passes(problem.matrix) > 10)
 
 
 def dense_data(problem: LCP) -> RowData:

@@ -129,13 +129,15 @@ class ModelDerivative:
         """Warning that the derivative is not unique, with the names of unknowns that are not determined; or ""."""
         return getattr(self._at, "advice", "")
 
-    def jvp(self, changes: Mapping[Any, Any]) -> dict[Any, Any]:
+    def jvp(self, changes: Mapping[Any, Any] | None = None, **by_name: Any) -> dict[Any, Any]:
         """Return the change of each variable, and of the dual value of each constraint, by parameter changes.
 
         Parameters
         ----------
         changes : dict
             Change of a parameter, in its shape; parameters that are missing do not change.
+        **by_name
+            None: parameters of cvxpy need not have different names.
 
         Raises
         ------
@@ -143,7 +145,8 @@ class ModelDerivative:
             If a key is not a parameter of the model, or a change is not finite or has another shape.
         """
         model, at = self._model, self._at
-        changed = self._parametric.change(self._checked(changes, self._parameters, "change"))
+        given = self._checked({**(changes or {}), **by_name}, self._parameters, "change")
+        changed = self._parametric.change(given)
         rows, moved = changed[self._rows], np.zeros(model.square.elimination.offset.size)
         if self._definitions is not None:
             matrix, defining, solved = self._definitions

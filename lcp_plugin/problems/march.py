@@ -39,12 +39,12 @@ from ..core.problem_classes import class_of, classes_of, refusal
 from ..core.settings import OF_SOLVE, Settings, Status, whole_number
 from ..methods.banded import Banded, active_sets, held_entries, solve_held, solve_one_sided
 from ..methods.finishing import measure_finished
-from ..solving.choice import parse_call
-from ..solving.dispatch import solve
+from ..solving.dispatch import parse_call, solve
 from ..solving.lcp_run import run_on
 from ..solving.lcp_solver import solve_lcp
-from ..solving.plan import plan
+from ..solving.plan import plan, repeated
 from ..solving.result import Result, StageRecord
+from ..solving.run import Stage
 from ..systems.factors import BANDED_UP_TO, Bands, bands
 from ..systems.graph import bandwidth, outer_on_pattern, sum_of_outer
 from .cones.data import Blocks
@@ -261,18 +261,18 @@ def take_steps(done: March, algorithm: Any, wishes: dict[str, Any], limit: float
     problem, propagator, total = done.problem, done.propagator, len(done.forcing)
     is_lcp, clock = isinstance(problem, LCP), Clock()
     state = done._z[-1] if done._z else done.z0
-    begin: str | None = None  # the iteration that finished the step before
+    first: Stage | None = None  # the method that solved the step before
     while done.taken < total and done.all_solved:
         step = done.taken
         try:
             stated = done.data.problem_at(problem, step)
             stated = stated.with_q(done.forcing[step] + propagator @ state)
             left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
-            if is_lcp and begin is not None:
+            if is_lcp and first is not None:
                 within = parse_call("auto", {**wishes, **left})[1]
                 near = checks.checked_start(stated, state)
                 watch = wishes.get("callback")
-                found = run_on(stated, None, within, near, Clock(), watch, begin=begin)
+                found = run_on(stated, None, within, near, Clock(), watch, first)
             elif is_lcp:
                 found = solve_lcp(stated, algorithm, z0=state, **{**wishes, **left})
             else:  # z° is not passed as a start, because over cones Newton's steps begin at a start
@@ -282,8 +282,7 @@ def take_steps(done: March, algorithm: Any, wishes: dict[str, Any], limit: float
             done.is_interrupted = found.status is Status.INTERRUPTED
             if is_lcp and algorithm == "auto" and found.is_solved and found.iterations:
                 # The first step does not count, because it may start far from its solution.
-                last = found.stages[-1].name
-                begin = last if step and last in ("npsor", "psor", "multigrid") else None
+                first = repeated(found.stages[-1]) if step else None
             done.take(found.z, found)
             state = found.z
         except InvalidProblem as error:

@@ -27,7 +27,7 @@ from ..proofs.farkas import without_rounding
 from ..proofs.guarantees import GUARANTEED, NOT_COVERED, Guarantee, guarantee_of
 from ..proofs.uniqueness import directions_of_solutions, moving
 from ..systems.free_systems import CONSISTENT, LEAST_SQUARES_UP_TO, FreeSystem
-from .choice import method_of
+from .dispatch import method_of
 
 if TYPE_CHECKING:
     from .result import Result

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -180,8 +181,10 @@ class LCPRun(Run):
         # A contraction in a weighted norm may multiply the residual before it falls.
         if is_lost and not (math.isfinite(found.residual) and self.is_guaranteed):
             return Status.DIVERGED
-        left = self.settings.max_iterations - progress.iteration
-        if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
+        if (
+            progress.iteration >= self.settings.max_iterations
+            or progress.clock.elapsed >= self.settings.max_seconds
+        ):
             return None  # because a limit is reached
         # z° solves what is left, up to rounding
         if found.is_limited and found.residual <= self.goal:
@@ -189,7 +192,7 @@ class LCPRun(Run):
         if stage.is_flat() and self._is_at_floor():
             return Status.PRECISION_LIMIT
         is_watched = algorithm.is_monotone or algorithm.is_watched
-        if is_watched and stage.is_stalled(self.problem.n, self.goal, left):
+        if is_watched and stage.is_stalled(self.problem.n):
             too_few = self.is_guaranteed
             return Status.MAX_ITERATIONS if too_few else Status.STALLED
         return None
@@ -354,8 +357,7 @@ def run_on(
     start: Vector,
     clock: Clock,
     callback: Callback | None = None,
-    *,
-    begin: str | None = None,
+    first: Stage | None = None,
 ) -> Result:
     """Return the result of a run with a method, or with auto for None.
 
@@ -365,10 +367,11 @@ def run_on(
         Within the bounds.
     clock : Clock
         Running.
-    begin : str, optional
-        For auto: the method that solved a problem with this M before.
+    first : Stage, optional
+        Stage before those of the plan.
     """
     proofs = settings.prove_infeasibility
     with threads_for(settings.threads):
         run = LCPRun(problem, method, settings, callback, clock, start)
-        return run.solve(plan(problem, method, run.goal, prove_infeasibility=proofs, begin=begin))
+        stages = plan(problem, method, run.goal, prove_infeasibility=proofs)
+        return run.solve(stages if first is None else chain([first], stages))

@@ -12,8 +12,8 @@ from ..core.algorithm import Algorithm
 from ..core.checks import checked_start, read_only
 from ..core.deadline import Clock
 from ..core.lcp import LCP
-from ..methods.small import first_candidate, first_path_point
-from .choice import GUESSED, parse_call, takes_rounds
+from ..methods.small import GUESSED, first_candidate, first_path_point, takes_rounds
+from .dispatch import parse_call
 from .result import NOTHING_TO_DO, Callback, Result, StageRecord
 
 

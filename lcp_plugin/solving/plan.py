@@ -16,13 +16,7 @@ that guess the active set, active-set iterations and Lemke's path. Larger proble
 So the projected-type iteration comes first if no faster way is seen: it converges for every H₊-matrix and costs no
 analysis of M. A stage of sweeps is over if its work so far and the sweeps that it still needs at its rate exceed 1.5
 times the work of the next stage. The work of psor is predicted as 3 √s sweeps if npsor needs s, at least 20; the work
-of multigrid as 90 passes and its calls, 2.5 times that for a flow (`has_flow`); the work of the direct methods by n.
-
-The first sweeps are the quickest: they smooth the error, and only then its slowest part shows. So after one sweep on a
-large symmetric M the free unknowns F are measured too: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by a
-factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
-below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps, because in
-the plane a localized residual falls as 1/k².
+of multigrid as 90 passes and its calls; the work of the direct methods by n.
 
 Decisions never depend on measured time, so that a repeated call gives the identical result.
 """
@@ -31,35 +25,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import partial
-
-import numpy as np
 
 from ..core.algorithm import Algorithm, count_driven_sweeps
 from ..core.lcp import LCP
-from ..core.matrix import Matrix, fact, has_positive_diagonal, is_nearly_symmetric
+from ..core.matrix import has_positive_diagonal, is_nearly_symmetric
 from ..core.splittings import NPSOR, PSOR
 from ..core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
 from ..methods.banded import Banded, banded_passes
 from ..methods.lemke.pivoting_path import is_game
 from ..methods.multigrid import Multigrid
 from ..methods.search import FeasibilityCheck, NearbyPoints, has_few_active_sets, points_nearby
-from ..methods.small import Rounds
-from .choice import GUESSED, takes_rounds
+from ..methods.small import GUESSED, Rounds, takes_rounds
 from .direct import SEARCHED, direct_methods, factor_passes
+from .result import StageRecord
 from .run import Stage
 
 ASKED_EVERY = 20  # iterations between two forecasts
+SWEEPING: dict[str, Algorithm] = {
+    one.name: one for one in (NPSOR(scaling="diagonal"), PSOR(), Multigrid(hands_over=True))
+}
 PATIENCE = 1.5  # a stage is left if its work exceeds this multiple of the next one's
 
 
 def plan(
-    problem: LCP,
-    method: Algorithm | None,
-    goal: float,
-    *,
-    prove_infeasibility: bool = True,
-    begin: str | None = None,
+    problem: LCP, method: Algorithm | None, goal: float, *, prove_infeasibility: bool = True
 ) -> Iterator[Stage]:
     """Yield the stages of ``algorithm="auto"``, each after the one before has ended, or the stage of a method.
 
@@ -72,8 +61,6 @@ def plan(
         The relative residual that the run needs.
     prove_infeasibility : bool
         If False, no method looks for proofs.
-    begin : {"npsor", "psor", "multigrid"}, optional
-        The method that solved a problem with this M before.
     """
     if method is not None:
         yield Stage(method)
@@ -81,37 +68,38 @@ def plan(
         if prove_infeasibility and not is_unfit:
             yield Stage(FeasibilityCheck(), f"{method.name} found no solution: is there one?")
         return
-    direct = partial(direct_methods, problem, goal, prove_infeasibility=prove_infeasibility)
-    if begin is None:
-        is_program = getattr(problem.origin, "form", "") == "kkt"
-        if not is_program and takes_rounds(problem):
-            is_few = has_few_active_sets(problem)
-            yield Stage(Rounds(restarts=not is_few), GUESSED)
-            if is_few and not prove_infeasibility and (near := points_nearby(problem)) is not None:
-                if not near.size:
-                    return
-                yield Stage(NearbyPoints(), SEARCHED)
-            yield from direct()
-            return
-        if is_program or is_game(problem):
-            yield from direct()
-            return
+    is_program = getattr(problem.origin, "form", "") == "kkt"
+    if not is_program and takes_rounds(problem):
+        is_few = has_few_active_sets(problem)
+        yield Stage(Rounds(restarts=not is_few), GUESSED)
+        if is_few and not prove_infeasibility and (near := points_nearby(problem)) is not None:
+            if not near.size:
+                return
+            yield Stage(NearbyPoints(), SEARCHED)
+    elif not (is_program or is_game(problem)):
         passes = count_driven_sweeps(problem, banded_passes(problem.matrix))
         if passes <= BANDED_PASSES:
             time = "one sweep" if passes < 1.5 else f"{passes:.0f} sweeps"
             yield Stage(Banded(), f"M is a narrow band, solved in about the time of {time}")
-    if has_positive_diagonal(problem.matrix).all():
-        yield from _sweeping_stages(problem, goal, begin)
-    yield from direct()
+        if has_positive_diagonal(problem.matrix).all():
+            yield from _sweeping_stages(problem, goal)
+    yield from direct_methods(problem, goal, prove_infeasibility=prove_infeasibility)
 
 
-def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[Stage]:
+def repeated(last: StageRecord) -> Stage | None:
+    """Return the method that solved the step before, with thrice its work; None if auto plans the step anew."""
+    algorithm = SWEEPING.get(last.name)
+    if algorithm is None:
+        return None
+    most = 3.0 * last.work + ASKED_EVERY
+    return Stage(algorithm, "solved the step before", lambda stage: stage.work > most)
+
+
+def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
     """Yield npsor, psor and multigrid, which need a positive diagonal."""
     direct, cycles = _direct_passes(problem), _cycle_passes(problem)
 
     def is_trial_over(stage: Stage) -> bool:
-        if stage.iterations == 1 and cycles < math.inf:
-            return fewest_sweeps(problem, stage, goal) > PATIENCE**2 * cycles
         if stage.iterations < 3:
             return False
         needed, best = stage.steps_to_go(goal), min(_psor_passes(0.0), direct)
@@ -122,14 +110,10 @@ def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[S
             return False
         return stage.work + stage.steps_to_go(goal) > PATIENCE * min(direct, cycles)
 
-    sweeps = 0.0
-    if begin in (None, "npsor"):
-        why = "cheap sweeps over the rows come first; their rate decides the next stage"
-        npsor = Stage(NPSOR(scaling="diagonal"), why, is_trial_over)
-        yield npsor
-        sweeps = max(npsor.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
-    if begin != "multigrid" and _psor_passes(sweeps) <= min(direct, cycles):
-        yield Stage(PSOR(), "sweeps with automatic relaxation", is_too_slow)
+    why = "cheap sweeps over the rows come first; their rate decides the next stage"
+    yield (npsor := Stage(SWEEPING["npsor"], why, is_trial_over))
+    if _psor_passes(npsor.steps_to_go(goal)) <= min(direct, cycles):
+        yield Stage(SWEEPING["psor"], "sweeps with automatic relaxation", is_too_slow)
     if cycles < math.inf:
 
         def is_no_grid(stage: Stage) -> bool:
@@ -140,9 +124,9 @@ def _sweeping_stages(problem: LCP, goal: float, begin: str | None) -> Iterator[S
             return needed > (passes := factor_passes(problem)) and stage.work > 0.5 * passes
 
         why = "a sparse M with many rows: work in proportion to them"
-        yield Stage(Multigrid(hands_over=True), why, is_no_grid)
+        yield Stage(SWEEPING["multigrid"], why, is_no_grid)
         if factor_passes(problem) == math.inf:
-            yield Stage(PSOR(), "a factorization of M is predicted to be too large")
+            yield Stage(SWEEPING["psor"], "a factorization of M is predicted to be too large")
 
 
 def _psor_passes(sweeps: float) -> float:
@@ -154,34 +138,8 @@ def _cycle_passes(problem: LCP) -> float:
     """Return the predicted work of multigrid in passes over M; ∞ if it does not suit."""
     if problem.matrix.is_dense or problem.n <= DIRECT_UP_TO:
         return math.inf
-    # On few rows the calls on all levels cost as much as the passes. With a flow, a solve takes the time of 260 to 930
-    # sweeps, otherwise of 190 to 310.
-    passes = 90.0 + 350_000.0 / problem.n
-    return 2.5 * passes if has_flow(problem.matrix) else passes
-
-
-@fact
-def has_flow(matrix: Matrix) -> bool:
-    """Return whether neighbors weigh differently upstream and downstream: m_ij/m_ii and m_ji/m_jj, in 1000 rows.
-
-    The median of their ratio is 1 to 1.1 for diffusion, for any scaling of the rows; 7 to 9 for flows of which the mesh
-    resolves no layer; and above 1000 for random units of the unknowns, which hide a flow.
-
-    Examples
-    --------
-    >>> from lcp_plugin import gallery
-    >>> scenes = gallery.convection_diffusion(size=40), gallery.obstacle_2d(size=40)
-    >>> [has_flow(scene.problem.matrix) for scene in scenes]
-    [True, False]
-    """
-    M = matrix.csr
-    i = np.linspace(0, matrix.n - 1, 1000).astype(np.int64)
-    j = M.indices[M.indptr[i]]  # of the first entry of each row
-    one, other = (abs(M[a, b]) / matrix.diagonal[a] for a, b in ((i, j), (j, i)))
-    least, most = np.minimum(one, other), np.maximum(one, other)
-    is_pair = (i != j) & (least > 0.0)
-    ratios = most[is_pair] / least[is_pair]
-    return bool(ratios.size) and 2.0 < float(np.median(ratios)) < 100.0
+    # On few rows the calls on all levels cost as much as the passes.
+    return 90.0 + 350_000.0 / problem.n
 
 
 def _direct_passes(problem: LCP) -> float:
@@ -193,23 +151,3 @@ def _direct_passes(problem: LCP) -> float:
         return math.inf
     entries = min(12_500.0 * problem.n, 0.06 * problem.n**3)  # that factorizations touch
     return max(10.0, count_driven_sweeps(problem, entries / max(problem.matrix.nonzeros, 1)))
-
-
-def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
-    """Return the sweeps that an error needs that is constant on the free unknowns; 0 if that is unknown."""
-    z = stage.z
-    if z is None or problem.matrix.is_dense or problem.n <= DIRECT_UP_TO:
-        return 0.0
-    if not (stage.residuals and goal > 0.0 and is_nearly_symmetric(problem.matrix)):
-        return 0.0
-    gain = stage.residuals[-1][1] / goal
-    margin = 1e-2 * max(z.max(), -z.min())  # npsor approaches a bound without reaching it
-    is_free = (problem.lower + margin < z) & (z < problem.upper - margin)
-    free = is_free.astype(np.float64)
-    sums, diagonal = problem.matrix.csr @ free, problem.matrix.diagonal
-    share = free @ sums / (free @ diagonal)
-    least = (sums / diagonal).min(initial=1.0, where=is_free)
-    slowest = max(0.5 * (math.pi * share) ** 2, least)
-    if not (gain > 1.0 and 0.0 < slowest < 1.0):
-        return 0.0
-    return float(min(math.sqrt(gain), 0.5 * math.log(gain) / slowest))

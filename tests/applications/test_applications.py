@@ -3,26 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
-import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from . import entries
-from .references import NoReference, active_sets, checked
-from .table import (
-    UNITS,
-    Case,
-    Key,
-    Measured,
-    all_runs,
-    differences,
-    path_of,
-    read,
-    regressions,
-    written,
-)
+from .table import UNITS, Case, all_runs, path_of, read, regressions, written
 
 
 def worse(*, full: bool, name: str, everything: bool = False) -> list[str]:
@@ -84,45 +69,3 @@ def test_every_application_has_its_rows(full: bool) -> None:
 def test_every_application_has_a_source(name: str) -> None:
     """The docstring describes the application and cites its source."""
     assert re.search(r"; .*\(\d{4}\)|Kumar, Deepmala, Das", entries()[name].build.__doc__ or "")
-
-
-KEY = Key("obstacle_2d side=30", "auto", "own")
-BEFORE = Measured(900, "SOLVED", 100.0, 1e-9)
-
-
-def test_rounding_and_improvements_are_no_regressions() -> None:
-    """Errors below 1e-12 are rounding, as are five passes more; what was false or unsolved may end so at more cost."""
-    few = replace(BEFORE, work=13.0)
-    assert regressions({KEY: few}, {KEY: replace(few, work=15.2)}) == []
-    false, stalled = replace(BEFORE, error=0.5), replace(BEFORE, status="STALLED", work=50.0)
-    for before, after in (
-        (replace(BEFORE, error=1e-16), replace(BEFORE, error=9e-12)), (false, stalled), (stalled, BEFORE),
-        (stalled, replace(stalled, work=500.0)),
-    ):  # fmt: skip
-        assert regressions({KEY: before}, {KEY: after}) == []
-        assert list(differences({KEY: before}, {KEY: after})) != []
-    assert regressions({KEY: stalled}, {KEY: false}) != []
-
-
-def test_units_are_exact() -> None:
-    """A scaled problem is equivalent: w at the scaled z is scaled exactly."""
-    case = Case("circuit", {"n": 30})
-    for units in UNITS[1:]:
-        problem, c = case.in_units(units)
-        assert np.count_nonzero(c) in {"one": [1], "rows": [0]}.get(units, range(20, 31))
-        z = np.ldexp(np.arange(30.0), -c)
-        moved = np.log2(problem.slack(z) / case.in_units("own")[0].slack(np.arange(30.0)))
-        np.testing.assert_array_equal(moved, np.round(moved))
-
-
-def test_references_are_checked() -> None:
-    """A wrong reference raises NoReference; active sets find one from any start, if it exists."""
-    M = sp.csr_array(np.array([[2.0, -1.0], [-1.0, 2.0]]))
-    problem = (M, np.array([-1.0, 5.0]), np.zeros(2), np.full(2, np.inf))
-    np.testing.assert_array_equal(active_sets(problem, [np.array([0.0, 9.0])]), [0.5, 0.0])
-    with pytest.raises(NoReference, match="of a row's terms"):
-        checked(problem, np.array([0.5, 1e-9]))
-    with pytest.raises(NoReference):
-        active_sets(
-            (sp.csr_array(-np.eye(1)), np.array([-1.0]), np.zeros(1), np.full(1, np.inf)), []
-        )

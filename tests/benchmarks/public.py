@@ -25,9 +25,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from collection import all_entries
+from inputs.membranes import parse
 from inputs.published_problems import COMPLEMENTARITY, PROGRAMS, PublishedProgram, read
 
-from lcp_plugin import LCP, QuadraticProgram, Status, gallery, solve
+from lcp_plugin import LCP, QuadraticProgram, Status, solve
 
 SECONDS, SHIFT, ENOUGH = 5.0, 1e-3, 1e-6  # limit; of the geometric mean; the residual of a solution
 TIGHT = {"eps_abs": 1e-8, "eps_rel": 1e-8}  # as Clarabel and PIQP by default
@@ -97,7 +98,7 @@ def items(*, quick: bool) -> Iterator[tuple[str, list[Item]]]:
         for one in all_entries()
         if one.truth == "solvable" and "made for this collection" not in one.source
     ]
-    grids = [(name, gallery.parse(name).problem) for name in GALLERY[: 1 if quick else None]]
+    grids = [(name, parse(name).problem) for name in GALLERY[: 1 if quick else None]]
     files = [(name, read(name)) for name in COMPLEMENTARITY[: 1 if quick else None]]
     yield "textbooks and articles", [_as_item(*one) for one in stated[: 5 if quick else None]]
     yield "grids", [_as_item(*one) for one in grids]

@@ -342,21 +342,6 @@ def derivative(rng: Generator, kind: str) -> Found:
         yield Finding(CLAIM, text)
 
 
-def cvxpy_program(rng: Generator, kind: str) -> Found:
-    """Programs in cvxpy, against its other solvers."""
-    outcome, case, ours, theirs = module("cvxpy_programs").judged(0, int(rng.integers(10**6)))
-    if outcome.startswith("wrong"):
-        yield Finding(CLAIM, f"{outcome}: {ours}, others {theirs}; {case.atoms}")
-    elif outcome != "agreed":
-        yield Finding(OPEN, outcome)
-
-
-def pyomo_model(rng: Generator, kind: str) -> Found:
-    """Check Pyomo models by Pyomo's expressions."""
-    judge = module("random_pyomo_models")
-    yield from (Finding(CLAIM, text) for text in judge.faults_of(judge.planted(rng)))
-
-
 def least_cost(rng: Generator, kind: str) -> Found:
     """Bounded least squares, the minimum in rational arithmetic."""
     judge = least_squares
@@ -448,8 +433,6 @@ ROUND: dict[str, tuple[Case, tuple[Any, ...], int]] = {
     "path": (path, ("any",), 4),
     "units": (rescaled_program, ("any",), 6),
     "derivative": (derivative, DERIVATIVES, 10),
-    "cvxpy": (cvxpy_program, ("any",), 4),
-    "pyomo": (pyomo_model, ("any",), 2),
     "least_squares": (least_cost, (*least_squares.KINDS, least_squares.ODD), 16),
     "equilibrium": (equilibrium, ("any",), 2),
     "cone": (cone, ("any",), 10),

@@ -67,14 +67,6 @@ def test_scene_is_solved(scene: str) -> None:
     assert any(line.startswith("SOLVED: ") for line in lines)
 
 
-@pytest.mark.parametrize("name", REGISTRY)
-def test_every_algorithm_can_be_named(name: str) -> None:
-    """Each registered algorithm runs from the command line and is named in the output."""
-    done = lcp_plugin("solve", "paper_example_1:n=100", "--algorithm", name)
-    assert done.exit_code == 0
-    assert f"\n{name}: " in done.stdout
-
-
 def test_settings_reach_the_run() -> None:
     """Tolerance, relaxation and options have the same effect as in solve."""
     arguments = (

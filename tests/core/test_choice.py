@@ -7,14 +7,10 @@ import pytest
 import scipy.sparse as sp
 from applications.table import Case
 from inputs.small_families import falling_bodies
-from inputs.textbook_scenes import murty
 
 from lcp_plugin import LCP, QuadraticProgram, Result, Status, gallery, solve
 from lcp_plugin.core.names import format_count
 from lcp_plugin.gallery.problems import stencil_matrix
-from lcp_plugin.solving.plan import plan
-
-TARGET = 1e-8
 
 
 def names(result: Result) -> list[str]:
@@ -22,34 +18,6 @@ def names(result: Result) -> list[str]:
 
 
 # --- The first table ---------------------------------------------------------------------------------------------
-
-
-def band(width: int, diagonal: float, coupling: float, n: int = 2000) -> LCP:
-    """As many full diagonals on either side."""
-    sides = [k for k in range(-width, width + 1) if k]
-    M = sp.diags_array([coupling] * len(sides) + [diagonal], offsets=[*sides, 0], shape=(n, n))
-    return LCP(M, -np.ones(n))
-
-
-@pytest.mark.parametrize(
-    ("problem", "first"),
-    [
-        (band(1, 2.0, -1.0), "banded"),
-        (band(40, 1.0, 0.5), "npsor"),
-        (band(1, 2.0, 1.0, n=128), "rounds"),
-    ],
-)
-def test_the_plan_begins_with_a_stage_that_suits_the_matrix(problem: LCP, first: str) -> None:
-    """Narrow bands and small problems have a stage of their own; npsor begins otherwise."""
-    assert next(plan(problem, None, TARGET)).algorithm.name == first
-
-
-@pytest.mark.parametrize("orientation", ["upper", "lower"])
-def test_murty_s_exponential_problem_takes_no_time(orientation: str) -> None:
-    """Either orientation, n = 200, is solved by three sweeps."""
-    result = solve(murty(n=200, orientation=orientation).problem)
-    assert result.is_solved
-    assert result.iterations <= 3
 
 
 # --- The second table --------------------------------------------------------------------------------------------

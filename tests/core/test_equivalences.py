@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from lcp_plugin import LCP, Certificate
 from lcp_plugin.algorithms import REGISTRY, Algorithm, create
-from lcp_plugin.core.splittings import GFP, NPAOR, NPGS, NPJ, NPSOR, PAOR, PGS, PJ, PSOR
+from lcp_plugin.core.splittings import NPAOR, NPGS, NPJ, NPSOR
 from lcp_plugin.methods.npsplitting import NPSplitting
 
 STEPS = 30
@@ -70,34 +70,6 @@ def assert_same(left: np.ndarray, right: np.ndarray) -> None:
 
 # --- Families ----------------------------------------------------------------------------------------------
 
-SAME = {
-    "NPAOR(α,α) ≡ NPSOR(α)": (NPAOR(relaxation=1.3, acceleration=1.3), NPSOR(relaxation=1.3)),
-    "NPSOR(1) ≡ NPGS, scaled": (
-        NPSOR(relaxation=1.0, scaling="diagonal"),
-        NPGS(scaling="diagonal"),
-    ),
-    "NPAOR(1,0) ≡ NPJ": (NPAOR(relaxation=1.0, acceleration=0.0), NPJ()),
-    "NPSplitting(diagonal) ≡ NPJ": (
-        NPSplitting(splitting="diagonal", scaling=None),
-        NPJ(scaling=None),
-    ),
-    "PAOR(ω,ω) ≡ PSOR(ω)": (PAOR(relaxation=1.1, acceleration=1.1), PSOR(relaxation=1.1)),
-    "PSOR(1) ≡ PGS": (PSOR(relaxation=1.0), PGS()),
-    "PAOR(1,0) ≡ PJ": (PAOR(relaxation=1.0, acceleration=0.0), PJ()),
-    "GFP(1) ≡ PJ": (GFP(relaxation=1.0), PJ()),
-}
-
-
-@pytest.mark.parametrize("pair", SAME)
-@EVERY_KIND
-@EVERY_BOUND
-def test_special_cases_coincide(pair: str, kind: str, bounds: bool) -> None:
-    """At these options the general method takes the same steps as the special one."""
-    left, right = SAME[pair]
-    problem = random_problem(kind, bounds=bounds)
-    assert_same(iterates(left, problem), iterates(right, problem))
-
-
 # --- The paper's own formulation, and its misprints --------------------------------------------------------
 
 
@@ -148,23 +120,6 @@ def test_the_residual_of_a_step_is_the_residual_of_its_certificate(name: str) ->
 
 
 # --- Bounds and shifts -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", REGISTRY)
-@pytest.mark.parametrize("exponent", [-300, 60])  # beyond, a bound is none
-def test_another_unit_of_z_changes_no_bit(name: str, exponent: int) -> None:
-    """With q, bounds and start multiplied by a power of two, every iterate is, exactly."""
-    problem = random_problem("sparse", bounds=name in BOUNDED)
-    start = start_for(problem)
-    other = problem.with_q(
-        np.ldexp(problem.q, exponent),
-        lower=np.ldexp(problem.lower, exponent),
-        upper=np.ldexp(problem.upper, exponent),
-    )
-    path = iterates(create(name, {}), problem, start)
-    assert np.array_equal(
-        iterates(create(name, {}), other, np.ldexp(start, exponent)), np.ldexp(path, exponent)
-    )
 
 
 # --- Scaling -----------------------------------------------------------------------------------------------

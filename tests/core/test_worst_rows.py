@@ -114,38 +114,6 @@ def test_every_class_names_its_worst_row() -> None:
         certify(LCP([[1.0]], [1.0]))
 
 
-def test_a_pyomo_model_is_measured_at_its_values() -> None:
-    """The pair and its variable have Pyomo's names."""
-    pyo = pytest.importorskip("pyomo.environ")
-    mpec = pytest.importorskip("pyomo.mpec")
-    m = pyo.ConcreteModel()
-    m.x = pyo.Var(["coal", "steel"], within=pyo.NonNegativeReals, initialize=1.0)
-    goal = {"coal": np.e, "steel": 2.0}
-    m.market = mpec.Complementarity(
-        ["coal", "steel"],
-        rule=lambda m, i: mpec.complements(m.x[i] >= 0, pyo.exp(m.x[i]) >= goal[i]),
-    )
-    assert [row.name for row in certify(m).worst(5)] == ["market[steel]"]
-    assert "market[steel] = 0.718282 while x[steel] = 1 > 0" in str(certify(m).worst(5))
-
-
-def test_the_wrong_market_of_a_benchmark_stands_first() -> None:
-    """Ten sectors that clear at prices and activities of 1, with one wrong entry in the table of flows."""
-    rng = np.random.default_rng(0)
-    flows = rng.uniform(1.0, 5.0, (10, 10))
-    demand = rng.uniform(5.0, 9.0, 10)
-    supply = flows.sum(axis=1) + demand
-    wrong = flows.copy()
-    wrong[6, 2] *= 1.5
-    n = np.zeros((10, 10))
-    M = np.block([[n, np.diag(supply) - wrong], [-(np.diag(supply) - flows).T, n]])
-    q = np.concatenate([-demand, (np.diag(supply) - flows).T @ np.ones(10)])
-    names = [*(f"market[{i}]" for i in range(10)), *(f"profit[{i}]" for i in range(10))]
-    assert [row.name for row in certify(LCP(M, q, names=names), np.ones(20)).worst(5)] == [
-        "market[6]"
-    ]
-
-
 def test_a_run_that_fails_ends_with_its_worst_rows() -> None:
     """A method that stalls, and a system without a root, name the rows."""
     names = ["a", "b", "c"]

@@ -13,6 +13,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from inputs import membranes
 from mpi4py import MPI
 
 from lcp_plugin import LCP, Status, certify, gallery, solve
@@ -51,7 +52,7 @@ def mixed(n: int = 90) -> LCP:
 
 def scenes() -> list[LCP]:
     sizes = {"obstacle_2d": 20, "journal_bearing": 12, "convection_diffusion": 20}
-    return [mixed(), *(gallery.build(name, size=size).problem for name, size in sizes.items())]
+    return [mixed(), *(membranes.build(name, size=size).problem for name, size in sizes.items())]
 
 
 def refused(kind: type[LCPError], attempt: Callable[[], Any]) -> str:
@@ -83,7 +84,7 @@ def every_algorithm_finds_the_solution_of_one_process() -> None:
 
 @claim
 def a_nonsymmetric_matrix_is_solved_by_auto() -> None:
-    problem = gallery.build("convection_diffusion", size=30).problem
+    problem = membranes.build("convection_diffusion", size=30).problem
     result = RowsOnRanks.from_problem(problem).solve()
     assert result.is_solved
     assert result.algorithm == "multigrid"

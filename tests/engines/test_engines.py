@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs.planted import planted_program
+from scipy.optimize import linprog
 
 from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProblem, solve
 from lcp_plugin.engines import ENGINES, engine_class
 from lcp_plugin.engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
-from lcp_plugin.problems.programs.solving import GIVEN, run_engine
+from lcp_plugin.problems.programs.solving import GIVEN, attempts, run_engine
 
 INF = np.inf
 QUADRATIC = [name for name in ENGINES if not engine_class(name).is_for_linear_alone]
@@ -286,3 +287,36 @@ def test_a_minimum_at_0_with_multipliers_is_solved(kind: Any, rank: int, draws: 
         found = solve(QuadraticProgram(kind(F @ F.T + np.eye(n)), cost, kind(G), np.zeros(m)))
         assert found.is_solved, seed
         assert np.abs(found.x).max() <= 1e-12
+
+
+def test_a_factorization_that_fills_in_is_not_begun() -> None:
+    """Flows of 40 goods through 400 shared arcs: HiGHS pivots 632 times, PIQP's first step took 10 s; value of linprog.
+
+    A chain of as many rows goes to PIQP, and a quadratic program to Clarabel.
+    """
+    rng, nodes, goods = np.random.default_rng(0), 100, 40
+    tails, heads = np.repeat(np.arange(nodes), 4), rng.integers(0, nodes, 4 * nodes)
+    heads[::4] = (tails[::4] + 1) % nodes
+    arcs, pairs = np.arange(tails.size), rng.choice(nodes, (goods, 2))
+    network = sp.csr_array((np.ones(tails.size), (tails, arcs)), shape=(nodes, tails.size))
+    network -= sp.csr_array((np.ones(tails.size), (heads, arcs)), shape=(nodes, tails.size))
+    b = (np.eye(nodes)[pairs[:, 0]] - np.eye(nodes)[pairs[:, 1]]).ravel()
+    A = sp.csr_array(sp.kron(sp.eye_array(goods), network))
+    G, h = sp.csr_array(sp.kron(np.ones((1, goods)), sp.eye_array(tails.size))), np.full(400, 5.0)
+    c = np.tile(rng.random(tails.size) + 0.1, goods)
+    found = solve(QuadraticProgram(None, c, G, h, A, b, lower=0.0))
+    assert found.algorithm == "auto: highs"
+    assert found.objective == pytest.approx(linprog(c, G, h, A, b).fun, rel=1e-9)
+    quadratic = QuadraticProgram(sp.eye_array(c.size), c, G, h, A, b, lower=0.0)
+    assert next(attempts(quadratic))[0].name == "clarabel"
+    chain = sp.diags_array([np.ones(4399), -np.ones(4399)], offsets=[0, 1], shape=(4399, 4400))
+    line = QuadraticProgram(None, np.ones(4400), chain, np.ones(4399), lower=0.0)
+    assert next(attempts(line))[0].name == "piqp"
+
+
+def test_the_first_run_of_piqp_ends_after_60_steps_or_120_with_curvature() -> None:
+    """The point of an assignment is optimal after 15 of 250 steps; LISWET10's after 120, not after 110."""
+    rows = sp.diags_array([np.ones(2000), np.ones(2000)], offsets=[0, 1], shape=(2000, 2001))
+    for P, steps in ((None, 60), (sp.eye_array(2001), 120)):
+        first = next(attempts(QuadraticProgram(P, np.ones(2001), rows, np.ones(2000))))[0]
+        assert (first.name, first.options["max_iter"]) == ("piqp", steps)

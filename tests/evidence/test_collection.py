@@ -65,19 +65,6 @@ def test_every_large_entry_has_a_reason() -> None:
             assert is_farkas(entry.problem, entry.farkas), entry.name
 
 
-def test_search_decides_by_hand_made_cases() -> None:
-    """The search itself tells apart solvable, infeasible and merely unsolvable problems of one and two rows."""
-    cases = [
-        ([[1.0]], [-1.0], SOLVABLE),
-        ([[-1.0]], [-1.0], INFEASIBLE),
-        ([[0.0]], [1.0], SOLVABLE),
-        ([[-1.0, 1.0], [0.0, 0.0]], [-1.0, 1.0], NO_SOLUTION),
-        ([[0.0, 1.0], [1.0, 0.0]], [-1.0, -1.0], SOLVABLE),
-    ]
-    for M, q, truth in cases:
-        assert decide(LCP(M, q)).verdict == truth
-
-
 @pytest.mark.parametrize(
     ("truth", "status", "z", "complaint"),
     [

@@ -40,23 +40,6 @@ def assert_honest(result: Result) -> None:
 
 # --- Units -------------------------------------------------------------------------------------------------
 
-UNITS = [1e-150, 1.0, 1e150]
-
-
-@EVERY_ALGORITHM
-@pytest.mark.parametrize("z_unit", UNITS)
-@pytest.mark.parametrize("w_unit", UNITS)
-def test_extreme_units_change_nothing(name: str, z_unit: float, w_unit: float) -> None:
-    """Every algorithm finds the same solution in similar iterations for z and w in 1e±150."""
-    scene = gallery.half_active(n=100, block=5)
-    plain = solve(scene.problem, name, **scaled_options(name))
-    problem = LCP(scene.problem.csr * (w_unit / z_unit), scene.problem.q * w_unit)
-    result = solve(problem, name, **scaled_options(name))
-    assert result.status is Status.SOLVED
-    assert abs(result.z / z_unit - scene.exact).max() < 1e-7
-    assert abs(result.iterations - plain.iterations) <= 1
-    assert_honest(result)
-
 
 @EVERY_ALGORITHM
 def test_rows_of_any_size(name: str) -> None:

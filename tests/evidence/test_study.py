@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg
+from inputs import membranes
 from legends import hides_nothing
 from tools.refusals import assert_refused, refusals
 
@@ -276,7 +277,7 @@ def test_references_are_rows_of_symmetric_problems() -> None:
     assert (clarabel.family, clarabel.status, len(clarabel.points)) == ("reference", "OPTIMAL", 1)
     assert 0.0 < clarabel.error < 1e-2  # half of the active rows are degenerate
     assert clarabel.seconds > 0.0
-    windy = gallery.build("convection_diffusion", size=4)
+    windy = membranes.build("convection_diffusion", size=4)
     found = error_against_time(windy, ["pgs"], ("CLARABEL",), repeats=1)
     assert [row.method for row in found.rows] == ["pgs"]
     assert any("no convex solver, M[" in note for note in found.notes)

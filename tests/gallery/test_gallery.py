@@ -48,7 +48,7 @@ SMALL = [
 PLANTED = [
     text
     for text in SMALL
-    if gallery.parse(text).exact is not None and not text.startswith("bimatrix")
+    if membranes.parse(text).exact is not None and not text.startswith("bimatrix")
 ]
 OF_GRIDS = ("american", "convection", "half", "journal", "obstacle", "paper")
 M_MATRICES = [text for text in SMALL if text.startswith(OF_GRIDS)]
@@ -56,7 +56,7 @@ M_MATRICES = [text for text in SMALL if text.startswith(OF_GRIDS)]
 
 @pytest.fixture(params=SMALL)
 def scene(request: pytest.FixtureRequest) -> gallery.Scene:
-    return gallery.parse(request.param)
+    return membranes.parse(request.param)
 
 
 def active_set(problem: LCP) -> np.ndarray:
@@ -144,14 +144,14 @@ def test_bad_parameters_are_refused_by_name_and_value(call: str, words: str) -> 
 @pytest.mark.parametrize("text", M_MATRICES)
 def test_differential_scenes_have_m_matrices(text: str) -> None:
     """Scenes from differential equations and the paper have no positive off-diagonal entry."""
-    M = gallery.parse(text).problem.csr.toarray()
+    M = membranes.parse(text).problem.csr.toarray()
     assert (M - np.diag(M.diagonal())).max() <= 0.0
 
 
 @pytest.mark.parametrize("text", PLANTED)
 def test_exact_answers_are_exact(text: str) -> None:
     """Every declared exact solution is exactly complementary in rational arithmetic."""
-    scene = gallery.parse(text)
+    scene = membranes.parse(text)
     assert ExactData(scene.problem).is_solution(scene.exact)
 
 

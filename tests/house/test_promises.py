@@ -37,7 +37,6 @@ from lcp_plugin import (
     convergence_guarantee,
     error_bound,
     gallery,
-    prepare,
     solve,
     solve_batch,
 )
@@ -203,18 +202,6 @@ def own_bits() -> dict[str, Any]:
 def test_processes_agree(own_bits: dict[str, Any]) -> None:
     """“Results are bit-reproducible”: z, status, counts and samples agree in a new process."""
     assert bits_in_a_process(PYTHONHASHSEED="12345") == own_bits
-
-
-@EVERY_ALGORITHM
-def test_runs_agree(name: str) -> None:
-    """“Results are bit-reproducible”: prepared, in a batch, recorded, or after other runs."""
-    problem = membranes.build("random_h_plus", n=20).problem
-    if name not in ("auto", *BOUNDED):
-        problem = problem.with_q(problem.q, lower=0.0, upper=np.inf)
-    first = bits(solve(problem, name).z)
-    shared = prepare(problem)
-    solve(shared.with_q(-2.0 * problem.q), name)
-    assert bits(solve(shared, name, record=True).z) == first
 
 
 # --- Unchanged data and state

@@ -19,10 +19,10 @@ from lcp_plugin.gallery.problems import (
     dirichlet_terms,
     interior,
     nodes,
-    pulled_membrane,
     sphere_obstacle,
     stencil_matrix,
     stiff_cells,
+    upwind,
 )
 from lcp_plugin.gallery.scene import Scene
 
@@ -69,6 +69,49 @@ def sphere_solution(r: Field) -> Field:
     strength = CONTACT_RADIUS**3 / math.sqrt(1.0 - CONTACT_RADIUS**2)
     free = 1.0 / np.maximum(r, CONTACT_RADIUS) - 0.5
     return np.where(r < CONTACT_RADIUS, sphere_obstacle(r), strength * free)
+
+
+def convection_diffusion(
+    *, size: int = 100, diffusion: float = 1e-3, wind_angle: float = 0.6
+) -> Scene:
+    """Membrane above the ground in a constant wind: upwind differences, nonsymmetric M-matrix.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size², mesh width h = 1/(size + 1).
+    diffusion
+        ε ≥ 0; below h the wind dominates.
+    wind_angle
+        Between the wind, which has length 1, and the first axis, radian.
+
+    Notes
+    -----
+    −ε Δu + b·∇u ≥ f, u ≥ 0, complementary, u = 0 on the boundary, f = 10 sin 3πx sin 2πy, by first-order upwind
+    differences. Rows are scaled by h²/max(ε, h).
+    """
+    h = 1.0 / (size + 1)
+    scale = 1.0 / max(diffusion, h)
+    below, above = upwind(diffusion, (h * math.cos(wind_angle), h * math.sin(wind_angle)))
+    M = balanced_matrix(
+        (size, size), ([scale * leg for leg in below], [scale * leg for leg in above])
+    )
+    return pulled_membrane(M, size, scale)
+
+
+def pulled_membrane(M: sp.csr_array, size: int, scale: float = 1.0) -> Scene:
+    """Return the test problem of a membrane above the ground that the force f pulls up and down."""
+    axis = nodes(0.0, 1.0, size)[1:-1]
+    x, y = np.ix_(axis, axis)
+    force: Field = 10.0 * np.sin(3.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
+    q = (-scale / (size + 1) ** 2 * force).ravel()
+    return Scene(
+        problem=LCP(M, q),
+        coordinates=(axis, axis),
+        axis_labels=("x", "y"),
+        unknown="height",
+        active_means="on the ground",
+    )
 
 
 def coefficient_jumps(*, size: int = 100, contrast: float = 1e6, seed: int = 0) -> Scene:
@@ -168,7 +211,13 @@ def random_h_plus(
 
 BUILDERS: dict[str, Callable[..., Scene]] = {
     builder.__name__: builder
-    for builder in (obstacle_3d, coefficient_jumps, rotated_anisotropy, random_h_plus)
+    for builder in (
+        obstacle_3d,
+        convection_diffusion,
+        coefficient_jumps,
+        rotated_anisotropy,
+        random_h_plus,
+    )
 }
 
 

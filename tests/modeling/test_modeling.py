@@ -575,7 +575,7 @@ complements(None, x) → None
 complements(x >= 0, -np.ones(3) >= 0) → Booleans, \[False False False\].*Constant
 complements([True, False, True], x) → Booleans
 box(None, 0, 1) → not a cvxpy expression
-complements(p.constraints[0], x) → is complements\(.*must be an
+complements(p.constraints[0], x) → is complements\(.*\); it must be an
 """)
 def test_misuse_is_told(call: str, words: str) -> None:
     """Unsupported methods, flags and objects raise errors with a message."""

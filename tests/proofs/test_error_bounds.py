@@ -171,11 +171,12 @@ def test_points_outside_the_bounds() -> None:
 
 
 def test_free_and_fixed_rows_are_known() -> None:
-    """A free row is inactive and a fixed row active for any z."""
+    """A free row is inactive and a fixed row active for any z, numbers or not."""
     problem = LCP(np.eye(2) * 3, [-1, 1], lower=[-np.inf, 2], upper=[np.inf, 2])
-    bound = error_bound(problem, [1e3, 1e3], sharp=False)
-    assert bound.proven_inactive.tolist() == [True, False]
-    assert bound.proven_active.tolist() == [False, True]
+    for z in ([1e3, 1e3], [np.nan, np.inf]):
+        bound = error_bound(problem, z, sharp=False)
+        assert bound.proven_inactive.tolist() == [True, False]
+        assert bound.proven_active.tolist() == [False, True]
 
 
 def test_empty_problem() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,17 +33,6 @@ from lcp_plugin.strategies import (
 FIRST = settings(max_examples=5, phases=[Phase.generate])
 SEARCH = settings(max_examples=2000, phases=[Phase.generate, Phase.shrink])
 
-H_PLUS = {
-    "default": h_plus_matrices(),
-    "half empty": h_plus_matrices(density=0.5),
-    "sparse": h_plus_matrices(st.integers(0, 6), density=0.3).map(sp.csr_array),
-    "diagonal": h_plus_matrices(density=0.0),
-}
-POSITIVE_DEFINITE = {
-    "default": positive_definite_matrices(),
-    "half empty": positive_definite_matrices(density=0.5),
-    "sparse": positive_definite_matrices(st.integers(0, 6), density=0.3).map(sp.csr_array),
-}
 SOLVED = {
     "default": solved_lcps(),
     "bounds": solved_lcps(bounds=True),
@@ -113,32 +103,6 @@ def kinds(problem: LCP, z: tuple[Fraction, ...]) -> list[str]:
 # --- What is drawn is what is promised --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", H_PLUS)
-def test_h_plus_matrices_are_h_plus(name: str) -> None:
-    """The comparison matrix of every drawn matrix is exactly a nonsingular M-matrix."""
-
-    @given(H_PLUS[name])
-    def check(matrix: object) -> None:
-        assert matrix.dtype == np.float64
-        assert sp.issparse(matrix) == (name == "sparse")
-        assert is_h_plus(matrix)
-
-    check()
-
-
-@pytest.mark.parametrize("name", POSITIVE_DEFINITE)
-def test_positive_definite_matrices_are_positive_definite(name: str) -> None:
-    """Every drawn matrix is exactly symmetric, with positive pivots."""
-
-    @given(POSITIVE_DEFINITE[name])
-    def check(matrix: object) -> None:
-        assert matrix.dtype == np.float64
-        assert sp.issparse(matrix) == (name == "sparse")
-        assert is_positive_definite(matrix)
-
-    check()
-
-
 @pytest.mark.parametrize("name", SOLVED)
 def test_solved_lcps_are_solved(name: str) -> None:
     """The drawn z is exactly within the bounds and complementary, for the stored data."""
@@ -201,10 +165,30 @@ def is_p(matrix: object) -> bool:
     return all(minor > 0 for minor in principal_minors(exact_rows(matrix)))
 
 
+def sparse(matrices: Any, **options: float) -> st.SearchStrategy[Any]:
+    """Return matrices of up to six rows, also without any, in sparse storage."""
+    return matrices(st.integers(0, 6), **options).map(sp.csr_array)
+
+
 FEW = st.integers(1, 5)
 SOME = st.integers(2, 5)
 # strategy, oracle, verdict of analyze
 CLASSES = {
+    "H₊": (h_plus_matrices(), is_h_plus, "is_h_plus"),
+    "H₊, half empty": (h_plus_matrices(density=0.5), is_h_plus, "is_h_plus"),
+    "H₊, sparse": (sparse(h_plus_matrices, density=0.3), is_h_plus, "is_h_plus"),
+    "H₊, diagonal": (h_plus_matrices(density=0.0), is_h_plus, "is_h_plus"),
+    "symmetric": (positive_definite_matrices(), is_positive_definite, "is_positive_definite"),
+    "symmetric, half empty": (
+        positive_definite_matrices(density=0.5),
+        is_positive_definite,
+        "is_positive_definite",
+    ),
+    "symmetric, sparse": (
+        sparse(positive_definite_matrices, density=0.3),
+        is_positive_definite,
+        "is_positive_definite",
+    ),
     "dominant": (strictly_dominant_matrices(FEW), is_dominant, "is_h_plus"),
     "nearly singular": (nearly_singular(), is_dominant, "is_strictly_dominant"),
     "definite": (skewed(positive_definite_matrices(FEW)), is_definite, "is_positive_definite"),
@@ -225,7 +209,9 @@ def test_classes_hold_in_fractions(name: str) -> None:
 
     @settings.get_profile("few")
     @given(strategy)
-    def check(matrix: np.ndarray) -> None:
+    def check(matrix: Any) -> None:
+        assert matrix.dtype == np.float64
+        assert sp.issparse(matrix) == name.endswith("sparse")
         assert oracle(matrix)
         assert getattr(analyze(matrix), verdict) is True
 
@@ -392,16 +378,14 @@ def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
     assert assert_solves(careless, error_tolerance=np.inf, max_examples=30, **inactive) == 30
 
 
-# --- Everything occurs ------------------------------------------------------------------------------------
-
-
 # --- Shrinking --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["default", "half empty"])
-def test_h_plus_matrices_shrink_to_the_identity(name: str) -> None:
+@pytest.mark.parametrize("density", [1.0, 0.5])
+def test_h_plus_matrices_shrink_to_the_identity(density: float) -> None:
     """The simplest matrix of any options is the identity, 1 × 1."""
-    simplest = find(H_PLUS[name], lambda matrix: matrix.shape[0] > 0, settings=SEARCH)
+    matrices = h_plus_matrices(density=density)
+    simplest = find(matrices, lambda matrix: matrix.shape[0] > 0, settings=SEARCH)
     assert exact_rows(simplest) == [[1]]
 
 

@@ -20,7 +20,7 @@ from ...core.settings import DEFAULTS, BatchOptions, Settings, checked_threads
 from ...engines import ENGINES
 from ...methods.banded import banded_passes
 from ...methods.multigrid import Multigrid
-from ...solving.choice import method_of
+from ...solving.dispatch import method_of
 from ...systems.factors import bands
 from ...systems.hierarchy.levels import hierarchy_of
 from ..cones.frictional_contact import FrictionalContactBatch

@@ -20,8 +20,7 @@ from ...core.executors import one_blas_thread, run_on
 from ...core.lcp import LCP
 from ...core.settings import DEFAULT, Settings, Status, checked_callback, checked_threads
 from ...methods.small import LOOP_UP_TO
-from ...solving.choice import method_of
-from ...solving.dispatch import solve
+from ...solving.dispatch import method_of, solve
 from ...solving.result import BaseResult, Result, StageRecord
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures

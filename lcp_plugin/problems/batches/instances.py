@@ -22,8 +22,8 @@ from ...methods.small import (
     is_small,
     solve_stack,
     suits_loop,
+    takes_rounds,
 )
-from ...solving.choice import takes_rounds
 from ...systems.free_systems import products
 from ...systems.graph import outer_on_pattern, sum_of_outer
 from ..cones.data import Blocks

@@ -49,7 +49,7 @@ from ...core.certificates.criterion import (
 )
 from ...core.certificates.residuals import WorstRows, worst_pairs
 from ...core.checks import Vector, derived_property, read_only
-from ...core.kernels.floats import EPSILON, NORMAL
+from ...core.kernels.floats import EPSILON, NEGLIGIBLE, NORMAL
 from ...core.matrix import is_nearly_symmetric
 from ...core.names import Names, describe_radius
 from ...core.settings import Status
@@ -59,6 +59,9 @@ from .data import Blocks, conic_rows, solve_conic
 from .stack import ON, OUT, WITHIN, Array, ConeStack, length
 
 AT_ROUNDING = 2.0**-48  # of z_T: smaller distances from points of the boundary are rounding
+CERTAINLY_NEGLIGIBLE = (
+    0.5 * NEGLIGIBLE
+)  # of the terms of a law: its violation passes in any order of summation
 
 
 class ConeRows(RowData):
@@ -226,6 +229,40 @@ def _of_cones(stack: ConeStack, z: Array, w: Array, error: Array) -> tuple[Array
     return size, np.where(is_open, 0.0, total)
 
 
+def bound_residuals(stack: ConeStack, z: Array, tolerance: float) -> Array:
+    """Return upper bounds of the relative residuals of contacts that the criterion accepts, (B,); ∞ if in doubt.
+
+    The test implies the criterion at z, of shape (B, k, m) with dense M, because
+
+    - the rounding error of w is at least twice the criterion's own bound, and projections are nonexpansive, so that
+      residuals by another order of summation stay within the limits here;
+    - the largest residual of a component is at most half of the tolerance times `limit`, and `limit` is at most the
+      reference: the residual at z = 0, and the terms of a contact that presses;
+    - each violation is at most 2⁻⁴³ of its terms, half of what the componentwise test allows at any tolerance.
+    """
+    if not stack.has_friction or stack.pattern.is_sparse:
+        return np.full(stack.B, np.inf)
+    w, products = stack.slack(z), stack.pattern.times(z, absolute=True)
+    terms, margin = products + np.abs(stack.q), 4.0 * (stack.pattern.n + 8) * EPSILON
+    d, at, tangents, push, drift = stack.d, z[..., 0], z[..., 1:], w[..., 0], w[..., 1:]
+    size, presses, radius, tangent = terms[..., 0], at > 0.0, stack.mu * at, length(tangents)
+    beyond, along = tangents - drift / d[..., None], (drift * tangents).sum(-1)
+    edge = np.minimum(radius / np.maximum(length(beyond), NORMAL), 1.0)[..., None] * beyond
+    along = np.where(tangent >= (1.0 - AT_ROUNDING) * radius, np.minimum(along, 0.0), 0.0)
+    across = drift - (along / np.maximum(tangent * tangent, NORMAL))[..., None] * tangents
+    of_disk = length(terms[..., 1:])
+    is_right = np.where(presses, np.abs(push), -push) <= CERTAINLY_NEGLIGIBLE * size
+    is_right &= (length(across) <= CERTAINLY_NEGLIGIBLE * of_disk) | (radius == 0.0)
+    is_right &= (size + of_disk < np.inf) & (at >= 0.0)
+    rounding = margin * length(np.where(products > 0.0, terms + NORMAL, 0.0)) / d
+    residual = np.maximum(np.abs(np.minimum(push / d, at)), length(tangents - edge))
+    residual = stack.pattern.largest(residual + rounding)
+    limit = np.minimum(stack.reference, stack.pattern.largest(presses * size / d)) * (1.0 - margin)
+    is_right &= residual <= 0.5 * tolerance * limit
+    bound = np.where(limit > 0.0, residual / limit, 0.0).max(1, initial=0.0)
+    return np.where(is_right.all(1), bound, np.inf)
+
+
 def criterion_at(problem: Blocks, x: Vector) -> tuple[ConeRows, Vector, None, Names]:
     """Return the data of the criterion, with x in their shape, no slack, and the names."""
     rows = ConeRows(ConeStack.of(problem))
@@ -241,6 +278,8 @@ class ConeCertificate:
         The problem.
     z, w : ndarray, shape (n,)
         The point, and M z + q.
+    tolerance : float
+        Tolerance at which z is measured.
     relative_residual : float
         The largest residual of a law relative to the reference of its component, rounded upwards.
     term_residual : float
@@ -249,10 +288,31 @@ class ConeCertificate:
         The block of the largest relative residual; −1 without blocks.
     """
 
-    def __init__(self, problem: Blocks, rows: ConeRows, found: Measured) -> None:
-        self.problem, self.rows, self.found = problem, rows, found
-        self.z = read_only(rows.stack.pattern.flat(found.z)[0].copy())
-        self.w = read_only(found.rows.w.ravel().copy())
+    def __init__(
+        self, problem: Blocks, z: Vector, tolerance: float, found: Measured | None = None
+    ) -> None:
+        self.problem, self.z, self.tolerance = problem, z, tolerance
+        if found is not None:
+            vars(self)["found"] = found
+
+    @derived_property
+    def rows(self) -> ConeRows:
+        """The data of the criterion."""
+        return ConeRows(ConeStack.of(self.problem))
+
+    @derived_property
+    @np.errstate(all="ignore")
+    def found(self) -> Measured:
+        """The measure of z."""
+        pattern = self.rows.stack.pattern
+        return self.rows.measure_at(
+            self.z if pattern.is_sparse else self.z[None], None, self.tolerance
+        )
+
+    @derived_property
+    def w(self) -> Vector:
+        """M z + q."""
+        return read_only(self.found.rows.w.ravel().copy())
 
     @derived_property
     def relative_residual(self) -> float:
@@ -288,8 +348,8 @@ class ConeCertificate:
         """The largest ‖z_k − P_K(z_k − ŵ_k)‖, unscaled."""
         plain = copy(self.rows.stack)
         plain.d = np.ones_like(plain.d)
-        w = plain.pattern.wide(self.w[None])
-        return float(length(plain.residual(self.found.z, w)[0]).max(initial=0.0))
+        z, w = (plain.pattern.wide(one[None]) for one in (self.z, self.w))
+        return float(length(plain.residual(z, w)[0]).max(initial=0.0))
 
     @derived_property
     def dissipation(self) -> float:

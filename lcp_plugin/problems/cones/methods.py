@@ -339,7 +339,7 @@ def sweep_points(
     """Yield the points after every `each` of `count` sweeps, until the residual no longer falls."""
     least, since, steps = np.inf, 0, 0
     while steps * each < count and since <= max(patience, SLOW * steps) and least > goal:
-        z = sweep_blocks(stack, z, each, STOP * goal)
+        z, _ = sweep_blocks(stack, z, each, STOP * goal)
         residual = stack.relative_residual(z)
         if not np.isfinite(residual):
             return

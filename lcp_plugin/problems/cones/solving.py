@@ -14,7 +14,7 @@ from ...core.certificates.criterion import Measured
 from ...core.certificates.residuals import WorstRows
 from ...core.checks import Vector, checked_start, derived_property, read_only
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
-from ...core.kernels.floats import DATA_ROUNDING
+from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.kernels.threads import threads_for
 from ...core.names import format_count
 from ...core.settings import Settings, Status
@@ -23,13 +23,20 @@ from ...solving.result import Callback, Result
 from ...solving.run import FAILED, Progress, Run, Stage
 from ..contact import ContactMotion, motion_of
 from . import methods
-from .certificate import ConeCertificate, ConeRows, ContactInfeasibility, infeasibility_proof
+from .certificate import (
+    ConeCertificate,
+    ConeRows,
+    ContactInfeasibility,
+    bound_residuals,
+    infeasibility_proof,
+)
 from .data import Blocks
 from .frictional_contact import FrictionalContact
 from .methods import METHODS, ConeAlgorithm
-from .stack import Array, ConeStack
+from .stack import FEW, Array, ConeStack
 from .sweeps import sweep_blocks
 
+QUICK_STEPS = 20  # of sweeps over a small problem, which cost less than one of Newton's steps
 CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals exclude rounding errors
 SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's method
 # A problem that a stack leaves takes a hundred times as long
@@ -119,7 +126,7 @@ def solve_cone_stack(
         if not left.size or not has_time():
             break
         here = stack.take(~is_solved)
-        swept[left] = sweep_blocks(here, swept[left], count, methods.STOP * tolerance)
+        swept[left], _ = sweep_blocks(here, swept[left], count, methods.STOP * tolerance)
         iterations[left] += count // methods.SWEEPS_PER_STEP
         best, least = swept[left], np.full(left.size, np.inf)
         goal = CLOSER * tolerance
@@ -172,7 +179,7 @@ class ConeRun(Run):
     ) -> None:
         super().__init__(progress)
         self.problem, self.chosen, self.stack = problem, chosen, ConeStack.of(problem)
-        self.rows, stack = ConeRows(self.stack), self.stack
+        stack = self.stack
         self.place = place or (np.empty(problem.n), slice(None), 1.0)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
         reached = self.tolerance
@@ -185,8 +192,15 @@ class ConeRun(Run):
         self.is_warm = z is not None and bool((self.start != stack.origin).any())
         self.best = Measured(self.start, np.inf, passes=False)
 
+    @derived_property
+    def rows(self) -> ConeRows:
+        """The data of the criterion."""
+        return ConeRows(self.stack)
+
     def measure(self, stage: Stage, step: Step) -> Measured | None:
         """Return a point with the residual of its method; None if the best one is at rounding level."""
+        if step.measured is not None:
+            return step.measured
         if step.residual is None or self.residual <= methods.EXACT:
             return None
         return Measured(step.z, step.residual, passes=False)
@@ -208,7 +222,7 @@ class ConeRun(Run):
     def measure_best(self) -> None:
         """Measure the best point, after the linear system of its active set if it may pass."""
         z = self.best.z
-        if self.best.rows is None:
+        if self.best.rows is None and not self.best.passes:
             if methods.EXACT < self.residual <= self.goal:
                 z, residual = methods.polish_points(self.stack, z)
                 self.residual = float(residual[0])
@@ -232,7 +246,9 @@ class ConeRun(Run):
         name = ", ".join(dict.fromkeys(stage.name for stage in self.progress.records()))
         name = f"auto: {name}" if isinstance(self.chosen, str) else self.chosen.name
         named = {"algorithm": name, "infeasibility": self.proof, "_advice": words}
-        at = ConeCertificate(self.problem, self.rows, self.best)
+        z = read_only(self.stack.pattern.flat(self.best.z)[0].copy())
+        found = None if self.best.rows is None else self.best
+        at = ConeCertificate(self.problem, z, self.tolerance, found)
         return self.result_at(at, self.status(end), ConeResult, problem=self.problem, **named)
 
     # --- the plan -----------------------------------------------------------------------------------------
@@ -263,6 +279,7 @@ class ConeRun(Run):
         if isinstance(self.chosen, ConeAlgorithm):
             yield Stage(self.chosen, steps=self.chosen.points(problem, stack, self.start, goal))
             return
+        yield from self._sweep_to_rounding()
         if self.is_warm or stack.is_answered.all():
             residual = stack.relative_residual(self.start)
             if residual <= self.tolerance:
@@ -294,6 +311,23 @@ class ConeRun(Run):
         for share in SHARES if has_friction else ():
             yield self._path(share)
         yield from self._late_stages()
+
+    def _sweep_to_rounding(self) -> Iterator[Stage]:
+        """Yield the start or the swept point of a small contact problem if it is a solution to rounding."""
+        stack, z, count, bound = self.stack, self.start, 0, np.inf
+        most, is_small = QUICK_STEPS * methods.SWEEPS_PER_STEP, 0 < self.problem.n <= FEW
+        if self.absolute or not is_small or self.settings.max_iterations < QUICK_STEPS:
+            return
+        if self.is_warm or stack.is_answered.any():
+            bound = bound_residuals(stack, z, self.tolerance)[0]
+        if bound == np.inf and stack.has_friction:
+            z, counts = sweep_blocks(stack, z, most, EPSILON)
+            count = -(-int(counts[0]) // methods.SWEEPS_PER_STEP)
+            bound = bound_residuals(stack, z, self.tolerance)[0]
+        if bound < np.inf:
+            point, work = Measured(z, float(bound), passes=True), count * methods.SWEEPS_PER_STEP
+            step = Step(z, measured=point, work=work + 1.0, iterations=count)
+            yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))
 
     def _late_stages(self) -> Iterator[Stage]:
         """Yield sweeps until nothing changes, then Newton's method from points nearby."""

@@ -19,7 +19,6 @@ import scipy.sparse as sp
 
 from ...core.kernels.floats import NEGLIGIBLE_DIAGONAL, NORMAL
 from ...systems.factors import factorise
-from ...systems.free_systems import solved
 
 LAPACK_UP_TO = 600  # unknowns of a dense system
 FEW = 60  # unknowns: up to here the system of the bodies does not pay
@@ -214,13 +213,6 @@ class Pattern:
             return M.indptr.astype(np.int64), M.indices.astype(np.int64), M.data[None]
         return n * np.arange(n + 1), np.tile(np.arange(n), n), M.reshape(self.B, -1)
 
-    @cached_property
-    def inverses(self) -> Array:
-        """The inverses of the diagonal blocks of contacts, NaN if singular."""
-        own = self.own.reshape(-1, self.m, self.m)
-        inverses: Array = solved(own, np.broadcast_to(np.eye(self.m), own.shape))
-        return inverses.reshape(self.own.shape)
-
     def wide(self, x: Array) -> Array:
         """Return arrays of shape (B, n, …) as (B, k, m, …)."""
         shape = len(x), self.k, self.m, *x.shape[2:]
@@ -243,10 +235,9 @@ class Pattern:
         return self.wide((M @ x[0])[None] if self.is_sparse else (M @ x[:, :, None])[:, :, 0])
 
     def largest(self, values: Array) -> Array:
-        """Return the largest value in the component of each block, shape (B, k)."""
+        """Return the largest value in the component of each block, shape (B, k), or (B, 1) if there is one."""
         if self.labels is None:
-            most = values.max(1, keepdims=True, initial=0.0)
-            return np.broadcast_to(most, values.shape)
+            return values.max(1, keepdims=True, initial=0.0)
         most = np.zeros(int(self.labels.max()) + 1)
         np.maximum.at(most, self.labels.ravel(), values.ravel())
         return most[self.labels]
@@ -254,8 +245,7 @@ class Pattern:
     def take(self, some: Array) -> Pattern:
         """Return the pattern of the selected problems."""
         other = copy(self)
-        for name in ("entries", "inverses"):
-            other.__dict__.pop(name, None)
+        other.__dict__.pop("entries", None)
         for name in ("M", "own", "d", "labels"):
             values = getattr(self, name)
             setattr(other, name, None if values is None else values[some])

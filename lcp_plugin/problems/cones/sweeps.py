@@ -17,7 +17,7 @@ TURN = 0.5  # radians: largest change of the angle per step
 
 
 @helper
-def _solve_contact(A, inverse, b, f, x):  # type: ignore[no-untyped-def]
+def _solve_contact(A, b, f, x, y):  # type: ignore[no-untyped-def]
     """Solve a contact with velocities A x + b in space for x, in place; return whether it succeeds.
 
     The contact opens, sticks with x = −A⁻¹b, or slides. Along the angle θ of the impulse, x_N is −b_N / (A_NN + f
@@ -26,11 +26,14 @@ def _solve_contact(A, inverse, b, f, x):  # type: ignore[no-untyped-def]
     if b[0] >= 0.0:
         x[:] = 0.0
         return True
-    n = -(inverse[0, 0] * b[0] + inverse[0, 1] * b[1] + inverse[0, 2] * b[2])
-    s = -(inverse[1, 0] * b[0] + inverse[1, 1] * b[1] + inverse[1, 2] * b[2])
-    t = -(inverse[2, 0] * b[0] + inverse[2, 1] * b[1] + inverse[2, 2] * b[2])
-    if 0.0 <= n < np.inf and np.hypot(s, t) <= f * n:
-        x[0], x[1], x[2] = n, s, t
+    for i in range(3):  # y = −A⁻¹b by Cramer's rule
+        j, k = (i + 1) % 3, (i + 2) % 3
+        u = A[1, j] * A[2, k] - A[2, j] * A[1, k]
+        v = A[2, j] * A[0, k] - A[0, j] * A[2, k]
+        w = A[0, j] * A[1, k] - A[1, j] * A[0, k]
+        y[i] = -(b[0] * u + b[1] * v + b[2] * w) / (A[0, i] * u + A[1, i] * v + A[2, i] * w)
+    if 0.0 <= y[0] < np.inf and np.hypot(y[1], y[2]) <= f * y[0]:
+        x[0], x[1], x[2] = y[0], y[1], y[2]
         return True
     angle = np.arctan2(x[2], x[1])
     if x[1] == 0.0 and x[2] == 0.0:
@@ -93,17 +96,18 @@ def _project_steps(A, b, f, friction, step, size, x, w):  # type: ignore[no-unty
 
 @kernel
 def sweep(  # type: ignore[no-untyped-def]
-    starts, friction, mu, lower, upper, indptr, indices, data, q, own, inverses, d, z, sweeps, stop
+    starts, friction, mu, lower, upper, indptr, indices, data, q, own, d, most, stop, z, counts
 ):
-    """Sweep over z, (B, n), until the changes of each problem are `stop` times its largest z_i."""
+    """Sweep over z, (B, n), until the changes of each problem are `stop` times its largest z_i; count the sweeps."""
     m = max(own.shape[2], 3)
     b, x, w = np.zeros(m), np.zeros(m), np.zeros(m)
     for world in range(z.shape[0]):
         bounds = min(world, lower.shape[0] - 1)
-        for _ in range(sweeps):
+        for _ in range(most):
             moved, largest = 0.0, 0.0
+            counts[world] += 1
             for c in range(starts.size - 1):
-                first = starts[c]
+                first, f = starts[c], mu[world, c]
                 size, A = starts[c + 1] - first, own[world, c]
                 for i in range(size):
                     total = q[world, first + i]
@@ -115,13 +119,9 @@ def sweep(  # type: ignore[no-untyped-def]
                 if size == 1:
                     if A[0, 0] > 0.0:
                         x[0] = min(max(-b[0] / A[0, 0], lower[bounds, c]), upper[bounds, c])
-                elif not (
-                    friction
-                    and size == 3
-                    and _solve_contact(A, inverses[world, c], b, mu[world, c], x)
-                ):
+                elif not (friction and size == 3 and _solve_contact(A, b, f, x, w)):
                     step = 1.0 / (np.sqrt(size) * d[world, c])
-                    _project_steps(A, b, mu[world, c], friction, step, size, x, w)
+                    _project_steps(A, b, f, friction, step, size, x, w)
                 for i in range(size):
                     moved = max(moved, abs(x[i] - z[world, first + i]))
                     largest = max(largest, abs(x[i]))
@@ -130,13 +130,11 @@ def sweep(  # type: ignore[no-untyped-def]
                 break
 
 
-def sweep_blocks(stack: ConeStack, z: Array, count: int, stop: float) -> Array:
-    """Return z, (B, k, m), after at most `count` sweeps over each problem."""
+def sweep_blocks(stack: ConeStack, z: Array, most: int, stop: float) -> tuple[Array, Array]:
+    """Return z, (B, k, m), after at most so many sweeps over each problem, and their numbers, (B,)."""
     pattern = stack.pattern
-    inverses = pattern.inverses if stack.has_friction else pattern.own
-    blocks = pattern.own, inverses, stack.d
-    arrays = stack.mu, stack.low, stack.high, *pattern.entries, pattern.flat(stack.q), *blocks
-    starts, *given = map(read_only, map(np.ascontiguousarray, (pattern.starts, *arrays)))
-    z = np.array(pattern.flat(z), order="C")
-    sweep(starts, stack.has_friction, *given, z, count, stop)
-    return pattern.wide(z)
+    arrays = stack.mu, stack.low, stack.high, *pattern.entries, pattern.flat(stack.q), pattern.own
+    starts, *given = map(read_only, map(np.ascontiguousarray, (pattern.starts, *arrays, stack.d)))
+    z, counts = np.array(pattern.flat(z), order="C"), np.zeros(stack.B, np.int64)
+    sweep(starts, stack.has_friction, *given, most, stop, z, counts)
+    return pattern.wide(z), counts

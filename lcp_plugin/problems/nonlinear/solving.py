@@ -26,7 +26,8 @@ from ...core.names import Names
 from ...core.settings import Settings, Status
 from ...methods.lemke import Lemke
 from ...methods.newton import Newton, fischer_burmeister
-from ...solving.choice import method_of, takes_rounds
+from ...methods.small import takes_rounds
+from ...solving.dispatch import method_of
 from ...solving.lcp_run import LCPRun
 from ...solving.plan import plan
 from ...solving.result import Callback, Result

@@ -25,7 +25,7 @@ from ...engines import ENGINES, engine_class, installed_engine, is_installed, sc
 from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from ...engines.polish import ROUNDS, polish_steps
 from ...methods.interior_point import InteriorPoint
-from ...solving.choice import parse_call
+from ...solving.dispatch import parse_call
 from ...solving.lcp_solver import solve_lcp
 from ...solving.result import NEXT, BaseResult, Sample
 from ...solving.run import Named, Progress, Run, Stage, say
@@ -41,9 +41,10 @@ GIVEN, FITTED, SIDES = "the caller's units", "fitted units", "units of limits an
 # PIQP's points for 29 published programs fail the test more often at 1e-11 than at 1e-12, and 1e-13 takes 1.5 times the
 # steps for some of them. Dense kernel matrices of 1 000 rows reach neither, after all 150 steps.
 # A run of PIQP that converges takes 10 to 45 steps. On an assignment of 60 × 60, whose point is optimal after 15 steps,
-# it does not reach 1e-12 in 250 steps. A chain of second differences of 2 400 points passes only in SIDES.
+# it does not reach 1e-12 in 250 steps; the point of LISWET10 is optimal after 120. A chain of second differences of
+# 2 400 points passes only in SIDES.
 ATTEMPTS: tuple[tuple[str, float | None, int | None, str], ...] = (
-    # engine, tolerance of its own, limit of steps in auto if not the engine's default, units
+    # engine, tolerance of its own, limit of steps in auto if not the engine's default (twice with curvature), units
     ("daqp", None, None, GIVEN),
     ("piqp", 1e-12, 60, FITTED),
     ("piqp", 1e-13, None, FITTED),
@@ -52,6 +53,9 @@ ATTEMPTS: tuple[tuple[str, float | None, int | None, str], ...] = (
     ("clarabel", 1e-12, None, GIVEN),
     ("clarabel", 1e-9, None, SIDES),
 )
+# With much fill, a step of PIQP takes up to 10 s, and nothing interrupts it. HiGHS pivots; Clarabel's factorization is
+# up to 20 times as fast then.
+WITH_FILL = "highs", "clarabel", "daqp", "piqp"
 TOLERANCES = MappingProxyType(
     {
         "piqp": ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
@@ -115,8 +119,10 @@ def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[En
     >>> [engine.name for engine, units in attempts(program)]
     ['daqp', 'piqp', 'piqp', 'piqp', 'clarabel', 'clarabel']
     """
-    matrices = program.matrices
-    for name, tolerance, steps, units in ATTEMPTS:
+    matrices, ladder = program.matrices, ATTEMPTS
+    if engine is None and program.folded.reduced.matrices.fills_in:
+        ladder = tuple(sorted(ATTEMPTS, key=lambda one: WITH_FILL.index(one[0])))
+    for name, tolerance, steps, units in ladder:
         length = matrices.entries[0] / max(program.n, 1) if name == "piqp" else 0.0
         # Longer sums have larger rounding errors, below which PIQP takes all its steps
         factor = max(1.0, length / 64.0)  # 16 for a dense kernel matrix of 1 000 rows
@@ -130,7 +136,7 @@ def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[En
             if matrices.is_small:
                 yield engine_class(name)(), units
         elif name != "highs" or not matrices.has_curvature:
-            limit = {} if steps is None else {"max_iter": steps}
+            limit = {} if steps is None else {"max_iter": steps * (1 + matrices.has_curvature)}
             yield engine_class(name)(**options, **limit), units
     if engine is None and not (is_installed("piqp") and is_installed("clarabel")):
         yield from ((installed_engine("piqp")(), units) for units in (FITTED, GIVEN))

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pe
 import pytest
-from campaigns import random_pyomo_models as campaign
 from pyomo.dae import ContinuousSet, DerivativeVar
 from pyomo.gdp import Disjunct, Disjunction
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 from pyomo.mpec.tests.test_complementarity import CCTests as _PyomosForms
+from pyomo_checks import picture, residual
 from pyomo_models import MODELS
 from tools.processes import printed_by
 
@@ -34,7 +34,7 @@ def test_published_models_are_solved_as_published(name: str) -> None:
     results = SOLVER.solve(case.model, options={"tolerance": 1e-12})
     pe.assert_optimal_termination(results)
     x = np.array([variable.value for variable in case.variables])
-    assert campaign.residual(case.model) < 1e-8 * (1 + np.abs(x).max())
+    assert residual(case.model) < 1e-8 * (1 + np.abs(x).max())
     parts = [(x[: len(answer)], np.asarray(answer, dtype=float)) for answer in case.answers]
     off = [np.abs(part - answer).max() / max(1.0, np.abs(answer).max()) for part, answer in parts]
     assert min(off, default=0.0) <= case.digits
@@ -162,11 +162,11 @@ def test_what_may_be_stated(name: str) -> None:
     """Every form of a pair has the right solution, even if Pyomo's transformation fails."""
     build, value = STATED[name]
     m = model(build)
-    before = campaign.picture(m)
+    before = picture(m)
     pe.assert_optimal_termination(SOLVER.solve(m))
     assert m.x.value == pytest.approx(value, abs=1e-7)
-    assert campaign.residual(m) < 1e-6
-    assert campaign.picture(m) == before
+    assert residual(m) < 1e-6
+    assert picture(m) == before
 
 
 OF_ITS_OWN = {  # the model, its bound, and the row there
@@ -341,26 +341,26 @@ def test_what_is_not_taken_is_refused_by_name(name: str) -> None:
     """The message names the component and the remedy; the model is unchanged."""
     build, words = REFUSED[name]
     m = model(build)
-    before = campaign.picture(m)
+    before = picture(m)
     with pytest.raises(LCPError) as caught:
         SOLVER.solve(m)
     assert words in str(caught.value)
     # LCP(…) would omit the constraints and pairs of the model
     assert "LCP(" not in str(caught.value)
-    assert campaign.picture(m) == before
+    assert picture(m) == before
 
 
 class PyomosOwn(_PyomosForms):  # type: ignore[misc]
     """Pyomo's models of every form of a complementarity, each given to the solver."""
 
     def _test(self, name: str, model: Any) -> None:
-        before = campaign.picture(model)
+        before = picture(model)
         try:
             self.outcome = SOLVER.solve(model).solver.termination_condition.value
         except LCPError as error:
             self.outcome = str(error)
-        assert self.outcome != "optimal" or campaign.residual(model) < 1e-8
-        assert campaign.picture(model) == before
+        assert self.outcome != "optimal" or residual(model) < 1e-8
+        assert picture(model) == before
 
 
 OPEN = "it needs as many equations as such unknowns; give these a pair or an equation"
@@ -428,7 +428,7 @@ def test_a_changed_parameter_needs_another_solve_only_and_begins_at_the_last_ans
     m.a, m.floor = 0.5, -0.25
     pe.assert_optimal_termination(SOLVER.solve(m))
     assert [m.x[i].value for i in (0, 1)] == pytest.approx([-0.25, -0.25])
-    assert campaign.residual(m) < 1e-8
+    assert residual(m) < 1e-8
 
 
 def test_suffixes_get_the_row_of_each_pair() -> None:

@@ -8,10 +8,10 @@ import cvxpy as cp
 import numpy as np
 import pyomo.environ as pe
 import pytest
-from campaigns import random_pyomo_models as campaign
 from inputs import nonlinear_models as models
 from pyomo.common.collections import ComponentMap
 from pyomo.mpec import Complementarity
+from pyomo_checks import residual
 from pyomo_models import MODELS
 from tools.refusals import assert_refused, refusals
 
@@ -54,7 +54,7 @@ def test_stated_pairs_have_the_published_solution(name: str) -> None:
     x = np.array([variable.value for variable in case.variables])
     off = [np.abs(x[: len(one)] - one).max() / max(1.0, np.abs(one).max()) for one in case.answers]
     assert min(off, default=0.0) <= case.digits
-    assert campaign.residual(original.model) < 1e-8 * (1 + np.abs(x).max())
+    assert residual(original.model) < 1e-8 * (1 + np.abs(x).max())
 
 
 def functions(F: Any, n: int, lower: Any = 0.0, start: Any = 1.0) -> Any:
@@ -82,15 +82,6 @@ def test_rows_over_the_index_set_of_their_variables_are_matched(F: Any, solution
     solve(m, "match")
     x = np.array([variable.value for variable in m.x.values()])
     assert min(np.abs(x - solution).max() for solution in solutions) < 1e-4
-
-
-def test_walras_of_mathiesen() -> None:
-    """L. Mathiesen (1987): every (λ, 0, 0, 0) with 0 ≤ λ ≤ 3 is an equilibrium."""
-    m = functions(models.mathiesen, 4)
-    solve(m, "match")
-    x = [variable.value for variable in m.x.values()]
-    assert x[1:] == pytest.approx([0, 0, 0], abs=1e-8)
-    assert -1e-8 <= x[0] <= 3 + 1e-8
 
 
 def test_transport_of_dantzig() -> None:

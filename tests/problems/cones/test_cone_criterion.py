@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from campaigns import cones as campaign
+from inputs.cone_families import planted_contacts
 
 from lcp_plugin import ConeProblem, FrictionalContact, Status, march, solve, solve_batch
-from lcp_plugin.problems.cones.certificate import ConeRows
+from lcp_plugin.problems.cones.certificate import ConeRows, bound_residuals
 from lcp_plugin.problems.cones.stack import ConeStack
 
 LINK = np.eye(6)
@@ -111,3 +112,31 @@ def test_a_contact_without_a_solution_ends_after_few_sweeps() -> None:
     assert result.status is Status.STALLED
     assert sum(one.iterations for one in result.stages if one.name == "newton") <= 500
     assert result.guarantee is None
+
+
+def test_the_sufficient_test_accepts_only_points_that_pass(draws: Any) -> None:
+    """Solutions with errors from 0 to 1e-4, and of other scales: the criterion passes, with no larger residual."""
+    accepted, refused = 0, 0
+    for seed in draws(2000, 60):
+        rng = np.random.default_rng([7, seed])
+        problem, r, _ = planted_contacts(int(rng.integers(1, 6)), 2, 10.0, rng)
+        scale, error = 10.0 ** rng.uniform(-9, 9), 10.0 ** rng.uniform(-18, -4)
+        problem = problem.with_q(scale * problem.q)
+        stack, z = ConeStack.of(problem), scale * r * (1.0 + error * rng.standard_normal(r.size))
+        with np.errstate(all="ignore"):
+            at = stack.snap(stack.pattern.wide(z[None]))
+            bound = bound_residuals(stack, at, 1e-8)[0]
+            rows = ConeRows(stack)
+            found = rows.measure_at(rows.flat(at), None, 1e-8)
+        accepted, refused = accepted + (bound < np.inf), refused + (bound == np.inf)
+        assert bound == np.inf or (found.passes[0] and found.residual[0] <= 1.01 * bound + 1e-15)
+    assert min(accepted, refused) > 5
+
+
+def test_a_run_that_is_recorded_has_the_same_bits() -> None:
+    """Sweeps that solve a small problem are a stage of the run."""
+    problem, _, _ = planted_contacts(5, 5, 10.0, np.random.default_rng(1), definite=True)
+    plain, recorded = solve(problem), solve(problem, record=True)
+    assert plain.z.tobytes() == recorded.z.tobytes()
+    assert [stage.name for stage in plain.stages] == ["nsgs"]
+    assert recorded.history[-1].iteration == plain.iterations > 0

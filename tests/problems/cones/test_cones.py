@@ -162,15 +162,6 @@ def test_bodies_move_as_their_impulses_say() -> None:
     np.testing.assert_allclose(motion.body_velocities, [3.0 - 0.3, 4.0 - 0.4, 0.0], atol=1e-8)
 
 
-def test_a_gap_lets_a_contact_close() -> None:
-    """A gap of 4 mm in 0.01 s allows 0.4 m/s of the 1 m/s of the fall, as for pyramids."""
-    block = 2.0 * np.eye(2), [[0.0, 1.0]], [[1.0, 0.0]]
-    result = solve(FrictionalContact(block, [0.0, -1.0], 0.5, gaps=0.004, time_step=0.01))
-    np.testing.assert_allclose(result.motion.normal, [1.2], atol=1e-8)
-    assert result.motion.body_velocities is not None
-    np.testing.assert_allclose(result.motion.body_velocities, [0.0, -0.4], atol=1e-8)
-
-
 def test_a_warm_start_ends_at_once() -> None:
     """A run from its solution takes no step; from a nearby solution it takes a few."""
     problem, _, _ = planted_contacts(10, 5, 10.0, np.random.default_rng(3))

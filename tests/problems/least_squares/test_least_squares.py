@@ -22,7 +22,7 @@ from tools.refusals import assert_refused, refusals
 from lcp_plugin import Status, solve
 from lcp_plugin.core.errors import InvalidOption, InvalidProblem, NotConverged
 from lcp_plugin.problems.least_squares.certificate import duality_gap
-from lcp_plugin.problems.least_squares.data import BoundedLeastSquares
+from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, Enclosures
 
 INF = np.inf
 
@@ -107,6 +107,30 @@ def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
     assert result.gap <= (1e-8 if result.is_proved else 1e-6) * result.cost
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_products_alone_solve_a_fit_with_a_large_ridge(seed: int) -> None:
+    """With A as a LinearOperator and a ridge of the size of AᵀA, x is scipy's of the stacked problem."""
+    rng = np.random.default_rng(seed)
+    A, b = rng.normal(size=(30, 12)), 3.0 * rng.normal(size=30)
+    found = bounded_least_squares(
+        aslinearoperator(A), b, -0.2, 0.3, ridge=20.0, max_iterations=1000
+    )
+    stacked = np.vstack([A, np.sqrt(20.0) * np.eye(12)]), np.append(b, np.zeros(12))
+    best = lsq_linear(*stacked, bounds=(-0.2, 0.3), tol=1e-14)
+    np.testing.assert_allclose(found.require_solved().x, best.x, atol=1e-7)
+
+
+def test_no_convexity_is_claimed_below_the_rounding_of_the_products() -> None:
+    """AᵀA − diag(d) has no negative determinant, in fractions, for columns that differ by 10⁻² … 10⁻⁹."""
+    for digits in range(2, 10):
+        A = np.array([[1.0, 1.0], [0.0, 10.0**-digits], [0.0, 0.0]])
+        d = Enclosures(BoundedLeastSquares(A, np.ones(3))).convexity
+        assert d is not None or digits > 5
+        if d is not None:
+            first, second, slant = (Fraction(float(one)) for one in (*d, A[1, 1]))
+            assert (1 - first) * (1 + slant**2 - second) >= 1
+
+
 @pytest.mark.parametrize("lower", [0.0, -INF])
 @pytest.mark.parametrize(
     ("m", "n", "rank"), [(40, 2, 1), (34, 5, 1), (20, 161, 6), (30, 300, 10), (400, 300, 40)]
@@ -162,22 +186,6 @@ def test_a_thousand_small_problems_as_by_scipy_nnls(draws: Callable[[int], range
         assert abs(np.linalg.norm(result.fun) - norm) <= 1e-8 * np.linalg.norm(b)
         if m >= 2 * n:
             np.testing.assert_allclose(result.x, x, atol=1e-8)
-
-
-@pytest.mark.full
-def test_boxed_problems_as_by_scipy_bvls() -> None:
-    """Boxes, one-sided and free columns: no more than the cost of scipy.optimize.lsq_linear(method="bvls")."""
-    rng = np.random.default_rng(1)
-    for _ in range(150):
-        m, n = rng.integers(1, 25, 2)
-        A, b = rng.standard_normal((m, n)), rng.standard_normal(m)
-        lower, upper = -rng.random(n), rng.random(n)
-        lower[rng.random(n) < 0.2], upper[rng.random(n) < 0.2] = -INF, INF
-        other = lsq_linear(A, b, (lower, upper), method="bvls", tol=1e-14)
-        result = bounded_least_squares(A, b, lower, upper).require_solved()
-        assert abs(result.cost - other.cost) <= 1e-9 * (b @ b)
-        if m >= 2 * n:
-            np.testing.assert_allclose(result.x, other.x, atol=1e-7)
 
 
 # --- ranks below full -----------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Marches in time on two-dimensional grids: what `march` takes, made by those who test and time it."""
+"""A march in time on a two-dimensional grid: an American put in the model of Heston."""
 
 from __future__ import annotations
 
@@ -32,18 +32,6 @@ HESTON = {
 HESTON_YEARS = 0.25
 HESTON_SPOTS, HESTON_VARIANCE = (8.0, 9.0, 10.0, 11.0, 12.0), 0.0625
 HESTON_VALUES = (2.0000, 1.107641, 0.520030, 0.213668, 0.082036)
-
-
-def _line(n: int, below: Vector, centre: Vector, above: Vector) -> sp.csr_array:
-    """Return the tridiagonal matrix of these rows, shape (n,) each."""
-    return sp.csr_array(
-        sp.diags_array([below[1:], centre, above[:-1]], offsets=[-1, 0, 1], shape=(n, n))
-    )
-
-
-def _central(n: int, h: float) -> sp.csr_array:
-    ones = np.ones(n)
-    return _line(n, -ones / (2.0 * h), 0.0 * ones, ones / (2.0 * h))
 
 
 def heston(
@@ -105,37 +93,4 @@ def heston(
         Steps(LCP(M, np.zeros(n), lower=payoff), forcing, sp.csr_array(-sp.eye_array(n)), payoff),
         s,
         v,
-    )
-
-
-def basket(size: int = 250, steps: int = 40) -> Steps:
-    """Return an American put on the mean of two prices that move together, in their logarithms: nine points."""
-    strike, rate, years, reach = 1.0, 0.05, 1.0, 1.5
-    one, two, rho = 0.3, 0.2, 0.5
-    h, dt = 2.0 * reach / (size + 1), years / steps
-    x = -reach + h * np.arange(size + 2)
-    X, Y = np.meshgrid(x, x, indexing="ij")
-    payoff = np.maximum(strike - 0.5 * (np.exp(X) + np.exp(Y)), 0.0)
-    n = size + 2
-    second = _line(n, *(np.ones(n) * c / h**2 for c in (1.0, -2.0, 1.0)))
-    first, identity = _central(n, h), sp.eye_array(n)
-    A = (
-        0.5 * one**2 * sp.kron(second, identity)
-        + 0.5 * two**2 * sp.kron(identity, second)
-        + rho * one * two * sp.kron(first, first)
-        + (rate - 0.5 * one**2) * sp.kron(first, identity)
-        + (rate - 0.5 * two**2) * sp.kron(identity, first)
-    )
-    whole = sp.csr_array(sp.eye_array(n * n) * (1.0 + rate * dt) - dt * A)
-    inside = np.zeros((n, n), dtype=bool)
-    inside[1:-1, 1:-1] = True
-    at, edge = np.flatnonzero(inside.ravel()), np.flatnonzero(~inside.ravel())
-    values = payoff.ravel()
-    M, row = whole[at][:, at], whole[at][:, edge] @ values[edge]
-    forcing = np.broadcast_to(row, (steps, at.size))
-    return Steps(
-        LCP(M, np.zeros(at.size), lower=values[at]),
-        forcing,
-        sp.csr_array(-sp.eye_array(at.size)),
-        values[at],
     )

@@ -343,34 +343,13 @@ def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
     assert [(len(one), one[0].status) for one in late] == [(1, Status.MAX_SECONDS)] * 2
 
 
-# --- The next step starts with the algorithm that finished the previous step ---
-
-SMALL = {"heston": lambda: marches.heston(60, 24, 6)[0], "basket": lambda: marches.basket(40, 6)}
-
-
-def marched_beginnings(steps: marches.Steps, **options: object) -> object:
-    return march(steps.problem, steps.forcing, steps.propagator, z0=steps.z0, **options)
-
-
-@pytest.mark.parametrize("name", SMALL)
-def test_each_step_is_what_solve_finds_from_the_one_before(name: str) -> None:
-    """Every step is SOLVED, with the z that solve() finds for its q, to 1e-8 of the largest."""
-    steps = SMALL[name]()
-    done, state = marched_beginnings(steps, tolerance=1e-10), steps.z0
-    assert done.all_solved
-    assert len(done) == len(steps.forcing)
-    for force, z in zip(steps.forcing, done.z, strict=True):
-        alone = solve(
-            steps.problem.with_q(force + steps.propagator @ state), z0=state, tolerance=1e-10
-        ).z
-        assert np.abs(z - alone).max() <= 1e-8 * max(np.abs(alone).max(), 1e-300)
-        state = z
+# --- A march on a grid: American puts in Heston's model ---
 
 
 def test_time_that_runs_out_keeps_the_steps_before() -> None:
     """A march with max_seconds ends with MAX_SECONDS, and all earlier steps are SOLVED."""
-    steps = marches.basket(60, 400)
-    done = marched_beginnings(steps, max_seconds=0.2)
+    steps, *_ = marches.heston(79, 33, 400)
+    done = march(steps.problem, steps.forcing, steps.propagator, z0=steps.z0, max_seconds=0.2)
     assert 0 < len(done) < len(steps.forcing)
     assert all(step.is_solved for step in done[:-1])
     assert done[-1].status in (Status.MAX_SECONDS, Status.SOLVED)
@@ -379,7 +358,8 @@ def test_time_that_runs_out_keeps_the_steps_before() -> None:
 def test_a_put_in_heston_s_model_has_its_published_value() -> None:
     """The published values are reached to one percent of half the strike on a moderate grid."""
     steps, spots, variances = marches.heston(79, 33, 20)
-    z = marched_beginnings(steps).z[-1].reshape(variances.size, spots.size)
+    done = march(steps.problem, steps.forcing, steps.propagator, z0=steps.z0)
+    z = done.z[-1].reshape(variances.size, spots.size)
     at = [np.interp(marches.HESTON_VARIANCE, variances, column) for column in z.T]
     assert np.abs(np.interp(marches.HESTON_SPOTS, spots, at) - marches.HESTON_VALUES).max() < 0.03
 

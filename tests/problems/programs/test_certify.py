@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import re
 from fractions import Fraction
 from typing import Any
@@ -529,11 +528,3 @@ def test_a_fit_without_an_error_is_proved(n: int) -> None:
     t = np.abs(A @ x - b).max() + 1e-17
     assert certify(program, np.append(x, t)).verdict == "proved"
     assert certify(program, np.append(x, 1e-9)).verdict == "disproved"
-
-
-def test_a_certification_survives_pickle() -> None:
-    """Verdict and bounds of a pickled certification are the same."""
-    result = certify(SIMPLE, [0.5, 1.5])
-    again = pickle.loads(pickle.dumps(result))
-    assert again.verdict == result.verdict == "proved"
-    assert (again.lower, again.upper) == (result.lower, result.upper)

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import convex_programs
-from cvxpy.tests.solver_test_helpers import StandardTestLPs
 
 from lcp_plugin import (
     LCP,
@@ -373,23 +372,6 @@ def test_an_exact_descent_counts_beside_its_own_costs(
     assert (proof.margin, proof.excludes(1e-6)) == (1.0, True)
     assert certify(program, point).verdict == "disproved"
     assert certify(program, claim="unbounded").verdict == "proved"
-
-
-# --- Inside cvxpy ------------------------------------------------------------------------------------------------
-
-
-# test_lp_bound_attr requires that bounds do not become rows; test_cvxpy_programs.py solves the same problem.
-@pytest.mark.parametrize(
-    "name",
-    [
-        n
-        for n in dir(StandardTestLPs)
-        if n.startswith("test_lp") and n not in ("test_lp_7", "test_lp_bound_attr")
-    ],
-)
-def test_cvxpy_s_own_linear_tests_pass(name: str) -> None:
-    """Each of cvxpy's StandardTestLPs passes, infeasible and unbounded ones included (lp_7 needs another package)."""
-    getattr(StandardTestLPs, name)(solver=QPSolver, algorithm=INTERIOR)
 
 
 def test_a_proof_says_by_how_much_its_point_misses_constraints() -> None:

@@ -189,10 +189,14 @@ def run_engine(
 
 
 def nearest(program: QuadraticProgram) -> tuple[Vector, Vector]:
-    """Return x nearest to 0 within the bounds, without multipliers."""
+    """Return x nearest to 0 within the bounds, without multipliers; in a linear program, x moved by its costs."""
     reduced = program.folded.reduced
+    x = np.clip(0.0, reduced.lower, reduced.upper)
     rows = reduced.h.size + reduced.b.size
-    return np.clip(0.0, reduced.lower, reduced.upper), np.zeros(rows)
+    if not rows and not reduced.matrices.has_curvature:
+        end = np.where(reduced.c > 0.0, reduced.lower, reduced.upper)
+        x = np.where((reduced.c != 0.0) & np.isfinite(end), end, x)
+    return x, np.zeros(rows)
 
 
 def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iterator[EngineAnswer]:
@@ -485,6 +489,13 @@ class ProgramRun(Run):
         """Yield the stages of auto; a program with bounds only is a complementarity problem of n unknowns."""
         reduced = self.program.folded.reduced
         rows, matrices = reduced.h.size + reduced.b.size, reduced.matrices
+        if not rows and not matrices.has_curvature:
+            solution = QPSolution.from_reduced(self.program, *nearest(self.program))
+            found = ProgramPoint.of(solution, self.settings.tolerance, "costs")
+            if not found.passes:
+                found = found._replace(says=EngineStatus.UNBOUNDED)
+            vertex = Step(solution.x, iterations=0, measured=found)
+            yield Stage(Named("costs"), "boxes", steps=[vertex])
         is_lcp_first = not rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
             # Pivots on thousands of rows take minutes; external solvers are next.

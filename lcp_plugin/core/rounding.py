@@ -76,7 +76,7 @@ def compensated_pair(M: Any, x: Vector, q: Vector | None = None) -> Sums:
     """Return (high, low, radius) with |M x + q − (high + low)| ≤ radius, the sum not evaluated.
 
     `high` is the rounded value and `low` its rounding error; the radius is of order u³. Parameters and errors as for
-    :func:`compensated_product`; M may also be a finite ndarray, whose radius is about 2⁻¹² u Σ_j |m_ij x_j|.
+    :func:`compensated_product`.
 
     Examples
     --------
@@ -92,8 +92,6 @@ def compensated_pair(M: Any, x: Vector, q: Vector | None = None) -> Sums:
             f"a product with a {rows}×{columns} matrix needs x of shape ({columns},) and q of shape ({rows},); "
             f"got {x.shape} and {offset.shape}"
         )
-    if isinstance(M, np.ndarray):
-        return _dense_sums(M, x, offset)
     sums, first = np.empty((3, rows)), 0
     while first < rows:  # so many rows that their entries stay in the cache
         end = int(np.searchsorted(M.indptr, M.indptr[first] + ENTRIES_TOGETHER, "right")) - 1
@@ -135,38 +133,6 @@ def _row_sums(a: Vector, b: Vector, starts: Any, offset: Vector) -> Any:
     high, low = split_sum(high, low)
     radius = size + np.abs(one) + np.abs(other) + lost
     radius = np.where(radius > 0.0, (1.0 + 8.0 * UNIT) * radius + 4.0 * TINY, 0.0)
-    is_number = np.isfinite(high + low + radius)
-    return high, np.where(is_number, low, 0.0), np.where(is_number, radius, np.inf)
-
-
-@np.errstate(all="ignore")
-def _dense_sums(M: Vector, x: Vector, offset: Vector) -> Sums:
-    """Return (high, low, radius) of M x + offset for an ndarray M, by products that BLAS computes without rounding."""
-    # With x_j = s_j 2^e_j, ½ ≤ |s_j| < 1, the terms are t_ij s_j for t_ij = m_ij 2^e_j. The leading parts of t_ij are
-    # multiples of 2^(k_i - d) of size 2^k_i at most, the ones of s_j multiples of 2^-d. Hence products of both are
-    # multiples of 2^(k_i - 2d), and their sums, of size n 2^k_i at most, are exact in any order because n 2^2d ≤ 2^53
-    # (Ozaki, Ogita, Oishi, Rump 2012, doi:10.1007/s11075-011-9478-1). The rests are 2^-d of the terms, so plain sums
-    # of n + 1 terms suffice: their error is at most γ(n + 1) times the sum of sizes, which is itself rounded.
-    n = x.size
-    digits = (53 - n.bit_length()) // 2
-    share, exponents = np.frexp(x)
-    terms = M * np.where(share == 0.0, 0.0, np.ldexp(1.0, exponents))
-    sizes = np.abs(terms)
-    largest = np.maximum.reduce(sizes, axis=1, initial=0.0)
-    unit = np.ldexp(1.0, np.frexp(largest)[1] + (53 - digits))[:, np.newaxis]
-    leading = terms + unit
-    leading -= unit
-    first = (share + 2.0 ** (53 - digits)) - 2.0 ** (53 - digits)
-    rest, second = terms - leading, share - first
-    high, low = split_sum(leading @ first, offset)
-    more = rest @ first + terms @ second
-    unsure = np.abs(rest, out=rest) @ np.abs(first) + sizes @ np.abs(second)
-    high, low = split_sum(high, low + more)
-    radius = (2.0 * n + 8.0) * UNIT * unsure + 2.0 * UNIT * (np.abs(low) + np.abs(more))
-    has_terms = largest > 0.0
-    if not has_terms.all():  # all terms of a row may underflow
-        has_terms |= (M != 0.0) @ (x != 0.0)
-    radius += 4.0 * n * TINY * has_terms  # each product may underflow
     is_number = np.isfinite(high + low + radius)
     return high, np.where(is_number, low, 0.0), np.where(is_number, radius, np.inf)
 

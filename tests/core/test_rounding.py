@@ -55,21 +55,17 @@ def exact(A: np.ndarray, x: np.ndarray, q: np.ndarray) -> list[Fraction]:
 @settings.get_profile("many")
 @given(products())
 def test_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
-    """The exact M x + q lies within the radius of each form; an infinite one of sparse rows means overflow is near."""
+    """The exact M x + q lies within the radius of both forms, and an infinite radius means overflow is near."""
     A, x, q = data
     M = sp.csr_array(A)
     value, radius = compensated_product(M, x, q)
     high, low, small = compensated_pair(M, x, q)
-    truths = exact(A, x, q)
-    for i, truth in enumerate(truths):
+    for i, truth in enumerate(exact(A, x, q)):
         decades = np.log10(max(np.abs(A[i]).max(), TINY)) + np.log10(max(np.abs(x).max(), TINY))
         assert np.isfinite(radius[i]) or decades > 300.0
         if np.isfinite(radius[i]):
             assert abs(truth - Fraction(value[i])) <= Fraction(radius[i])
             assert abs(truth - Fraction(high[i]) - Fraction(low[i])) <= Fraction(small[i])
-    high, low, small = compensated_pair(A, x, q)
-    for i in np.flatnonzero(np.isfinite(small)):
-        assert abs(truths[i] - Fraction(high[i]) - Fraction(low[i])) <= Fraction(small[i])
 
 
 @settings.get_profile("many")
@@ -113,7 +109,6 @@ def test_radius_is_of_third_order() -> None:
     value, radius = compensated_product(M, x)
     assert (radius <= UNIT * np.abs(value) + 40 * UNIT**2 * size).all()
     assert (compensated_pair(M, x)[2] <= 40 * UNIT**2 * size).all()
-    assert (compensated_pair(A, x)[2] <= 2.0**-10 * UNIT * size).all()
 
 
 def test_what_rounding_took_is_in_the_radius() -> None:

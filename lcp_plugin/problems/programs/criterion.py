@@ -41,7 +41,6 @@ The solution of a quadratic program: primal and dual values, and their Karush–
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -66,7 +65,6 @@ NOISE = 1e-5  # of the coefficients of a row: ROWS of this on the right counts a
 BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 # The objective's terms, and the rows' with their multipliers, may cancel to this share
 LEAST_SIZE = 1e-8
-FAR_MOVE = 1e4  # of the size of an unknown without a bound
 LEAST_SIZE_OF_TERMS = 2.0**-1000  # quotients by it are finite
 
 
@@ -100,19 +98,16 @@ class KKTErrors(NamedTuple):
         point = PrimalDualPoint(program, x, y, is_exact=False)
         primal, gap = point.row_errors(), np.full(1, np.inf)
         if (primal <= ROWS).all():
-            gap = point.gaps_by_curvature()
-            if not (gap <= tolerance).all() and np.isfinite(point.room).all():
-                gap = np.minimum(gap, point.gaps(has_units=False))
+            if np.isfinite(point.room).all():
+                gap = point.gaps(has_units=False)
             if not (gap <= tolerance).all():
                 gap = np.minimum(gap, point.gaps(has_units=True))
         if not (gap <= tolerance).all():
             point = PrimalDualPoint(program, x, y, is_exact=True)
-            primal = point.row_errors()
-            gap = np.minimum(point.gaps(has_units=True), point.gaps_by_curvature())
-        worst = [float(np.maximum.reduce(one, initial=0.0)) for one in (primal, gap)]
+            primal, gap = point.row_errors(), point.gaps(has_units=True)
+        worst = [np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap)]
         tolerated = point.tolerated() if point.is_exact else 0.0
-        of_rows, of_gaps = (math.inf if math.isnan(one) else one for one in worst)
-        return cls(of_rows, of_gaps, tolerated)
+        return cls(float(worst[0]), float(worst[1]), tolerated)
 
 
 def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: int) -> WorstRows:
@@ -203,7 +198,7 @@ class PrimalDualPoint:
         terms = self.bend + self.cost + of_columns @ self.of_y
         self.terms_of_rows = of_C @ self.of_x + self.limits
         if is_exact:
-            self.product, low, radius = compensated_pair(P, x)
+            self.product, low, radius = compensated_pair(self.matrices.sparse_P, x)
             pull, more, doubt = compensated_pair(self.matrices.columns, y, program.c)
             self.pull = np.abs(pull) + doubt
             high, rest = split_sum(pull, self.product)
@@ -311,7 +306,7 @@ class PrimalDualPoint:
             at_most = units * self._largest_by_component(self.matters / units)[of]
             by_terms = size[of] / np.maximum(self.size_of_gradient, LEAST_SIZE_OF_TERMS)
             # An unknown without a bound is moved so many times its size
-            far = FAR_MOVE * np.maximum(np.maximum(self.of_x, by_terms), at_most)
+            far = 1e4 * np.maximum(np.maximum(self.of_x, by_terms), at_most)
             reach = np.where(self.objective[of] > 0.0, np.minimum(reach, far), reach)
             shake = np.minimum(shake, at_most)
         # NaN, which is the gradient of an overflow, stays NaN
@@ -322,32 +317,10 @@ class PrimalDualPoint:
             most = np.where(most > 0.0, most * reach, 0.0) - moves
             shakes = np.where(most < shakes, most, shakes)
             shakes = np.where(self._is_rounding, 0.0, shakes)
+        held = np.where(self.slack > 0.0, self.of_y * self.slack, 0.0)
         return ratio(self._sums(moves, self.price), size) + ratio(
-            self._sums(shakes, self.held), np.maximum(size, least)
+            self._sums(shakes, held), np.maximum(size, least)
         )
-
-    def gaps_by_curvature(self) -> Vector:
-        """Return a bound of the gap of each component if P is small and far from singular, else ∞.
-
-        Split r = s + e, where s_j = r_j if the bound in the direction −r_j is finite, else 0. A feasible move by d
-        changes the objective by at least −Σ |s_j| distance_j − Σ |y_i slack_i| + eᵀd + ½ dᵀP d, and the last two terms
-        are at least −½ eᵀP⁻¹e. This gain is quadratic in e. So 10⁴ times its root, relative to the size, bounds it, and
-        requires an e as small as the gain of moves by 10⁴ times x does. No units are needed.
-        """
-        if (weights := self.matrices.compliance) is None:
-            return np.full(self.objective.shape, np.inf)
-        is_bounded, sizes = np.isfinite(self.distance), np.abs(self.left)
-        paid = np.where(is_bounded, sizes * self.distance, 0.0)
-        error = np.where(is_bounded, 0.0, sizes) + self.doubt
-        rows = self.held if self.price is None else self.held + self.price
-        size = self._size()[0]
-        gain = ratio(self._sums(0.5 * weights * error * error), size)
-        return ratio(self._sums(paid, rows), size) + FAR_MOVE * np.sqrt(gain)
-
-    @cached_property
-    def held(self) -> Vector:
-        """|y_i| |slack_i| of each row."""
-        return np.where(self.slack > 0.0, self.of_y * self.slack, 0.0)
 
     @cached_property
     def size_of_gradient(self) -> Vector:

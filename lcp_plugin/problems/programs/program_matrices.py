@@ -29,7 +29,6 @@ from ...core.settings import Status
 from ...proofs.exact import Row, like, rational_rows
 from ...proofs.farkas import LinearConstraints
 from ...systems.definiteness import factorised, is_diagonal, is_semidefinite_to_rounding, scaled_to
-from ...systems.factors import lapack, positive_triangle
 from ...systems.minimum_degree import factor_sizes
 from .criterion import BLUR, NOISE, ROWS, ProgramComponents
 
@@ -43,7 +42,6 @@ ROUNDING_OF_ENTRIES = 2.0 ** np.arange(-48.0, -23.0, 4.0)  # from double to sing
 WITHIN_ROUNDING = (
     "within rounding: P has a negative eigenvalue, which rounding of its entries explains"
 )
-COMPLIANCE_UP_TO = 100  # unknowns for which an inverse of P takes less time than a fit of units
 # Unknowns and rows of a program that dense arithmetic takes in place of sparse matrices
 FULL_UP_TO = 3000
 # Multiplications per entry. With up to 1 800 (2-D grids), PIQP takes .2 to .5 of Clarabel's time, with 4 700 (a 3-D
@@ -183,10 +181,9 @@ class ProgramMatrices:
         return sp.csr_array(sp.hstack([self.sparse_P, sp.csr_array(self.rows.T)], format="csr"))
 
     @cached_property
-    def columns(self) -> Any:
-        """[Gᵀ Aᵀ]: an ndarray or a CSR array."""
-        C = self.stacked[1]
-        return sp.csr_array(C.T) if sp.issparse(C) else C.T
+    def columns(self) -> sp.csr_array:
+        """[Gᵀ Aᵀ]."""
+        return sp.csr_array(self.rows.T)
 
     @cached_property
     def row_sizes(self) -> Vector:
@@ -219,22 +216,7 @@ class ProgramMatrices:
     @cached_property
     def is_semidefinite(self) -> bool | None:
         """True if P is positive semidefinite to rounding; None if P is too large for the test."""
-        return self.compliance is not None or is_semidefinite_to_rounding(self.P)
-
-    @cached_property
-    def compliance(self) -> Vector | None:
-        """Weights w with rᵀP⁻¹r ≤ Σ w_j r_j² for every r; None unless P is small, dense and far from singular."""
-        # D = diag(P): the largest eigenvalue of D^½ P⁻¹ D^½ is at most its trace. If this is at most 2²⁴, the errors of
-        # Cholesky's factor and of the inverse, of order n² u in the units of D (Demmel), do not double it.
-        P, n = self.arrays[0], self.P.shape[0]
-        if not 0 < n <= COMPLIANCE_UP_TO or sp.issparse(P):
-            return None
-        diagonal = P.diagonal()
-        is_in_range = (diagonal > 2.0**-400) & (diagonal < 2.0**400)
-        if not is_in_range.all() or (triangle := positive_triangle(P)) is None:
-            return None
-        trace = float(lapack().dpotri(triangle, lower=1)[0].diagonal() @ diagonal)
-        return 2.0 * trace / diagonal if trace <= 2.0**24 else None
+        return is_semidefinite_to_rounding(self.P)
 
     @property
     def is_nearly_semidefinite(self) -> bool:

@@ -528,54 +528,12 @@ def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws: Callable[..., ran
                     PrimalDualPoint(program, x, y, is_exact=one) for one in (False, True)
                 )
                 gaps = [plain.gaps(has_units=False), plain.gaps(has_units=True)]
-                gaps.append(plain.gaps_by_curvature())
-                least = np.minimum(exact.gaps(has_units=True), exact.gaps_by_curvature())
+                least = exact.gaps(has_units=True)
                 for gap in gaps:
                     assert not (gap <= 1e-6).all() or (least <= 1e-6).all()
                     passed += bool((gap <= 1e-6).all())
                 assert (exact.row_errors() <= plain.row_errors() * (1.0 + 1e-9)).all()
     assert passed > 0
-
-
-def test_gaps_by_curvature_bound_the_distance_to_the_exact_minimum(
-    draws: Callable[..., range],
-) -> None:
-    """For a P far from singular the bound holds for moves of any size, as fractions show."""
-    rng, passed = np.random.default_rng(6), 0
-    for _ in draws(400, 40):
-        n, m = int(rng.integers(1, 4)), int(rng.integers(0, 3))
-        F, C = rng.normal(size=(n, n)), rng.normal(size=(m, n))
-        P, c = F @ F.T + 0.1 * np.eye(n), rng.normal(size=n)
-        lower = np.where(rng.random(n) < 0.4, rng.normal(size=n), -np.inf)
-        middle = np.maximum(lower, 0.0)
-        program = QuadraticProgram(P, c, C, C @ middle + rng.random(m), lower=lower)
-        minimum, found = ExactProgram.of(program), solve(program)
-        least = minimum.value(minimum.optimum())
-        for size in (0.0, 1e-14, 1e-8, 1e-2):
-            x = np.maximum(found.x + size * rng.normal(size=n), lower)
-            y = np.maximum(found.solution.inequality + size * rng.normal(size=m), 0.0)
-            for is_exact in (False, True):
-                point = PrimalDualPoint(program, x, y, is_exact=is_exact)
-                (gap,), (unit,) = point.gaps_by_curvature(), point._size()[0]
-                passed += gap <= 1e-6
-                if program.matrices.components.number == 1 and gap <= 1.0:
-                    over = minimum.value(exact(x)) - least
-                    assert over <= Fraction(gap) * Fraction(unit) * (1 + Fraction(1, 2**40))
-    assert passed > 0
-
-
-def test_a_small_program_without_bounds_needs_no_units() -> None:
-    """The curvature decides: no units are fitted. A program that is watched has the same result."""
-    rng = np.random.default_rng(0)
-    data = np.eye(4), rng.normal(size=4), rng.normal(size=(11, 4)), np.ones(11)
-    program = QuadraticProgram(*data)
-    found, watched = solve(program), solve(QuadraticProgram(*data), record=True)
-    assert found.is_solved
-    assert "fit" not in vars(program.matrices)
-    assert watched.history
-    np.testing.assert_array_equal(found.x, watched.x)
-    same = ("status", "algorithm", "iterations", "stages", "objective")
-    assert [getattr(found, name) for name in same] == [getattr(watched, name) for name in same]
 
 
 # --- Costs that forbid ---------------------------------------------------------------------------------------------

@@ -237,8 +237,6 @@ class AlgorithmOptions(TypedDict, total=False):
     omega: float | ArrayLike
     max_pivots: int | None
     restarts: int | None
-    smoother: str
-    nested: bool
     coarsest: int
     hands_over: bool
 

@@ -53,14 +53,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.algorithm import (
-    Algorithm,
-    Step,
-    check_choice,
-    check_flag,
-    check_positive,
-    require_positive_diagonal,
-)
+from ..core.algorithm import Algorithm, Step, check_flag, require_positive_diagonal
 from ..core.checks import Vector, read_only
 from ..core.deadline import require_seconds
 from ..core.kernels.floats import EPSILON
@@ -73,8 +66,8 @@ from ..systems.hierarchy.kernels import dot, span
 from ..systems.hierarchy.levels import grid_of, hierarchy_of
 from ..systems.hierarchy.truncation import KrylovCorrection, Truncation
 
-SMOOTHERS = ("pgs", "psor")
 SMOOTHING_SWEEPS = 60  # of a vector that shows how units differ
+RELAXED = 0.9  # relaxation of these sweeps: it is never 0, as after full sweeps along a flow
 ROUGH = 1e-3  # share of the rows in which units may differ
 
 
@@ -84,12 +77,6 @@ class Multigrid(Algorithm):
 
     Parameters
     ----------
-    smoother : {"pgs", "psor"}
-        The projected sweep on the finest grid and in the nested iteration.
-    relaxation : float
-        Relaxation parameter of psor, in (0, 2).
-    nested : bool
-        Whether to start on the coarsest grid: for z itself, or from a warm start for the increment.
     coarsest : int
         A grid with at most this many unknowns is not coarsened, ≥ 1.
     hands_over : bool
@@ -147,17 +134,11 @@ class Multigrid(Algorithm):
     is_monotone: ClassVar[bool] = False
     is_watched: ClassVar[bool] = True
 
-    smoother: str = "pgs"
-    relaxation: float = 1.7
-    nested: bool = True
     coarsest: int = 60
     hands_over: bool = False
 
     def __post_init__(self) -> None:
-        check_choice(self, "smoother", SMOOTHERS)
-        check_positive(self, "relaxation", below=2.0)
-        for option in ("nested", "hands_over"):
-            check_flag(self, option)
+        check_flag(self, "hands_over")
         whole_number(self.coarsest, "multigrid: coarsest", 1)
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
@@ -201,11 +182,10 @@ def smooth_units(matrix: Matrix) -> tuple[Vector, Matrix] | None:
     if (rough := rough_rows(ones)) <= ROUGH * matrix.n:
         return None
     none, grid = 0.0 * ones, grid_of(Operator(M.indptr, M.indices, M.data))
-    relaxed = Multigrid(smoother="psor", relaxation=0.9)  # never 0, as full sweeps along a flow
-    sweeps, v = GridProblem(relaxed, grid, none, none, ones * np.inf), ones.copy()
+    sweeps, v = GridProblem(grid, none, none, ones * np.inf), ones.copy()
     for k in range(SMOOTHING_SWEEPS):
         require_seconds(0.0)
-        sweeps.sweep(v, backward=k % 2 == 1)
+        sweeps.sweep(v, backward=k % 2 == 1, relaxation=RELAXED)
     v /= v.max()
     if not (v.min() > 1e-30 and rough_rows(v) <= ROUGH * rough):
         return None
@@ -306,9 +286,7 @@ class Safeguard:
 class GridProblem:
     """The complementarity problem of one grid, with its projected sweep."""
 
-    def __init__(
-        self, algorithm: Multigrid, grid: Grid, q: Vector, lower: Vector, upper: Vector
-    ) -> None:
+    def __init__(self, grid: Grid, q: Vector, lower: Vector, upper: Vector) -> None:
         self.grid, self.entries = grid, grid.matrix.data.size
         # All read-only, so that every kernel is compiled once.
         self.vectors = tuple(
@@ -316,12 +294,11 @@ class GridProblem:
         )
         _, self.q, self.lower, self.upper = self.vectors
         self.residual = np.zeros(grid.n)
-        self.relaxation = algorithm.relaxation if algorithm.smoother == "psor" else 1.0
 
-    def sweep(self, z: Vector, backward: bool) -> None:
+    def sweep(self, z: Vector, backward: bool, relaxation: float = 1.0) -> None:
         """Overwrite z by one projected sweep."""
         kernels.projected_sweep(
-            self.grid.rows, self.grid.blocks, self.vectors, self.relaxation, backward, z
+            self.grid.rows, self.grid.blocks, self.vectors, relaxation, backward, z
         )
 
 
@@ -351,7 +328,7 @@ class MultigridRun:
         jumps = hierarchy.has_jumps and finest.spread > 1e6
         self.gain = 1e-5 if jumps else ROUND_GAIN
         self.has_tried_rounds = not self.is_symmetric
-        self.problems = [GridProblem(algorithm, finest, problem.q, problem.lower, problem.upper)]
+        self.problems = [GridProblem(finest, problem.q, problem.lower, problem.upper)]
         self.size = finest.n
         self.entries = max(finest.matrix.data.size, 1.0)
 
@@ -366,7 +343,7 @@ class MultigridRun:
         start = z.copy()
         if not is_cold:  # the first cycle may increase the residual of a good start
             begun = max(begun, self._residual(self.problem.nearest_to_zero.copy()))
-        if self.algorithm.nested and len(self.hierarchy.grids) > 1:
+        if len(self.hierarchy.grids) > 1:
             self._nested_start(z, is_cold)
         yield from self._cycles(z, begun, start)
 
@@ -416,7 +393,7 @@ class MultigridRun:
             kernels.restrict(transfer, finer, q)
             self.work += transfer.restriction.data.size
             lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
-            self.problems.append(GridProblem(self.algorithm, coarser, q, lower, upper))
+            self.problems.append(GridProblem(coarser, q, lower, upper))
 
     def _interpolated(self, k: int, coarse: Vector, z: Vector) -> Vector:
         """Return z with P coarse added, within the bounds of grid k."""

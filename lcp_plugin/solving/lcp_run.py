@@ -112,7 +112,7 @@ class LCPRun(Run):
             else:
                 yield from stage.algorithm.iterates(*given)
         except (UnsuitableMatrix, UnsuitableProblem):
-            if len(self.progress.stages) == 1 or stage.iterations > 0:
+            if stage.algorithm is self.chosen or stage.iterations > 0:
                 raise
 
     def measure(self, stage: Stage, step: Step) -> Measured | None:
@@ -368,7 +368,7 @@ def run_on(
     clock : Clock
         Running.
     first : Stage, optional
-        Stage before those of the plan.
+        Stage before the stages of the plan.
     """
     proofs = settings.prove_infeasibility
     with threads_for(settings.threads):

@@ -87,7 +87,7 @@ def plan(
 
 
 def repeated(last: StageRecord) -> Stage | None:
-    """Return the method that solved the step before, with thrice its work; None if auto plans the step anew."""
+    """Return the method that solved the step before, with three times its work; None if it is not one of SWEEPING."""
     algorithm = SWEEPING.get(last.name)
     if algorithm is None:
         return None

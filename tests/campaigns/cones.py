@@ -15,7 +15,7 @@ from operator import mul
 from typing import Any
 
 import numpy as np
-from oracles.exact import exact_rows, solve_fractions
+from oracles.exact import exact_rows, rank, solve_fractions
 
 from lcp_plugin import ConeProblem, FrictionalContact, solve
 
@@ -97,22 +97,6 @@ def solutions(problem: Problem) -> tuple[list[Point], bool]:
         if all(is_right(problem, k, z, w) for k in range(len(blocks))):
             found.append(z)
     return found, is_vague
-
-
-def rank(rows: list[Any]) -> int:
-    """Return the rank of a matrix in fractions."""
-    rows, found = [list(row) for row in rows], 0
-    for column in range(len(rows[0])):
-        pivot = next((i for i in range(found, len(rows)) if rows[i][column]), None)
-        if pivot is None:
-            continue
-        rows[found], rows[pivot] = rows[pivot], rows[found]
-        for i in range(found + 1, len(rows)):
-            if rows[i][column]:
-                factor = rows[i][column] / rows[found][column]
-                rows[i] = [a - factor * b for a, b in zip(rows[i], rows[found], strict=True)]
-        found += 1
-    return found
 
 
 def violation(problem: Problem, z: Any) -> float:

@@ -1,9 +1,8 @@
 """Scaled versions of a program: one status, one objective, no result that a proof excludes.
 
-A third of the programs has a known minimum, a third inconsistent constraints, and a third a known recession
-direction. They are dense, sparse, degenerate, rank deficient and linear. Each is solved unscaled, and then with its
-objective, its rows, its unknowns, and all of these multiplied by 10^±6, ±9 or ±12, each row and each unknown
-separately. The campaign checks
+The programs are small ones of `convex_programs`, with a known minimum, inconsistent constraints or a known recession
+direction. Each is solved unscaled, and then with its objective, its rows, its unknowns, and all of these multiplied by
+10^±6, ±9 or ±12, each row and each unknown separately. The campaign checks
 
 - the known status at every scale; PRECISION_LIMIT if a recession direction leaves the rows beyond a radius.
 - the known objective, to 1e-6 of its terms.
@@ -19,78 +18,26 @@ import scipy.sparse as sp
 
 from lcp_plugin import QuadraticProgram, Status, solve
 
-KINDS = ("dense", "sparse", "degenerate", "rank deficient", "linear")
-OUTCOMES = (Status.SOLVED, Status.INFEASIBLE, Status.UNBOUNDED)
+from . import convex_programs
+
+FAMILIES = (
+    "plain", "linear", "degenerate", "redundant", "low rank", "network",
+    "infeasible", "infeasible, graded", "unbounded", "unbounded, graded",
+)  # fmt: skip
+STATUS = {"": Status.SOLVED, "infeasible": Status.INFEASIBLE, "unbounded": Status.UNBOUNDED}
+LARGEST = 24
 WHAT = ("as drawn", "objective", "rows", "unknowns", "together")
 EXPONENTS = (6, 9, 12)
 CLOSE = 1e-6  # of the objective's terms
 SURE = 1e-9  # a thousandth of the tolerance of residuals
-INF = np.inf
 
 
 class Planted(NamedTuple):
-    """A program with known status, and its minimum, or None."""
+    """A program with known status, and its minimum, if it has one."""
 
     program: QuadraticProgram
     status: Status
-    value: float | None
-
-
-def planted(case: int, rng: np.random.Generator, largest: int = 24) -> Planted:
-    """Draw the program of this number."""
-    kind, outcome = KINDS[case % len(KINDS)], OUTCOMES[case // len(KINDS) % len(OUTCOMES)]
-    n = int(rng.integers(2, largest))
-    m, p = int(rng.integers(1, n + 2)), int(rng.integers(0, (n + 1) // 2))
-    share = 0.2 if kind == "sparse" else 0.9
-    C = _entries(rng, (m + p, n), share)
-    B = _entries(
-        rng, (0 if kind == "linear" else n // 2 if kind == "rank deficient" else n, n), share
-    )
-    x, is_low = rng.normal(size=n), rng.random(n) < 0.4
-    d = None
-    if outcome is Status.UNBOUNDED:
-        d = np.where(is_low, np.abs(rng.normal(size=n)), rng.normal(size=n)).round(1)
-        d[int(rng.integers(n))] += 1.0
-        d = np.where(is_low, np.abs(d), d)
-        C[m:], B = _across(C[m:], d), _across(B, d)
-        B[np.abs(B) < 1e-12] = 0.0  # rounding errors would dominate a small P
-        C[:m] *= np.where(C[:m] @ d > 0.0, -1.0, 1.0)[:, None]
-    meets = rng.random(m) < 0.5
-    y = np.where(
-        meets & ((rng.random(m) < 0.5) | (kind != "degenerate")), rng.uniform(0.5, 2.0, m), 0.0
-    )
-    v = rng.normal(size=p)
-    low = np.where(is_low, rng.uniform(0.5, 2.0, n) * (rng.random(n) < 0.7), 0.0)
-    if kind in ("degenerate", "rank deficient") and p:  # rows twice
-        C, v, p = np.vstack([C, 2.0 * C[m:]]), np.append(v, 0.0 * v), 2 * p
-    G, A, P = C[:m], C[m:], B.T @ B
-    h, b = G @ x + np.where(meets, 0.0, rng.uniform(0.1, 1.0, m)), A @ x
-    lower = np.where(is_low, x, -INF)
-    c, value = -P @ x - G.T @ y - A.T @ v + low, None
-    if outcome is Status.SOLVED:
-        value = float(0.5 * x @ P @ x + c @ x)
-    elif outcome is Status.INFEASIBLE:
-        y = rng.uniform(0.5, 2.0, m)
-        G, h = np.vstack([G, -y @ G]), np.append(h, -y @ h - rng.uniform(0.5, 2.0))
-    elif d is not None:
-        c = rng.normal(size=n)
-        c -= d * (c @ d + rng.uniform(0.5, 2.0)) / (d @ d)
-    matrices = [sp.csr_array(one) if kind == "sparse" else one for one in (P, G, A)]
-    program = QuadraticProgram(matrices[0], c, matrices[1], h, matrices[2], b, lower)
-    return Planted(program, outcome, value)
-
-
-def _entries(rng: np.random.Generator, shape: tuple[int, int], share: float) -> Any:
-    """Draw rows of which none is empty."""
-    drawn = rng.normal(size=shape) * (rng.random(shape) < share)
-    if shape[0]:
-        drawn[np.arange(shape[0]), rng.integers(0, shape[1], shape[0])] += 1.0
-    return drawn
-
-
-def _across(rows: Any, d: Any) -> Any:
-    """Return the rows, projected orthogonally to d."""
-    return rows - np.outer(rows @ d, d) / (d @ d)
+    value: float
 
 
 def rescaled(
@@ -138,10 +85,7 @@ def failures(case: Planted, program: QuadraticProgram, size: float) -> tuple[str
     if result.status is Status.SOLVED:
         x, c = result.x, program.c
         terms = float(np.abs(c) @ np.abs(x) + 0.5 * np.abs(x) @ (abs(program.P) @ np.abs(x)))
-        if (
-            case.value is not None
-            and not abs(result.objective - size * case.value) <= CLOSE * terms
-        ):
+        if not abs(result.objective - size * case.value) <= CLOSE * terms:
             bad.append(f"objective {result.objective / size:.9g} for {case.value:.9g}")
         solution = result.solution
         if solution.error > SURE:
@@ -154,14 +98,13 @@ def failures(case: Planted, program: QuadraticProgram, size: float) -> tuple[str
     return result.status.name, bad
 
 
-def one(seed: int, case: int) -> list[str]:
+def one(family: str, seed: int) -> list[str]:
     """Return false results for a program at all scales."""
-    rng = np.random.default_rng([seed, case])
-    drawn, bad = planted(case, rng), list[str]()
+    rng, bad = np.random.default_rng([seed, FAMILIES.index(family)]), list[str]()
+    program, value = convex_programs.planted(family, rng, LARGEST)
+    case = Planted(program, STATUS[convex_programs.FAMILIES[family].spoilt], value)
     for what in WHAT:
-        program, size = (
-            (drawn.program, 1.0) if what == "as drawn" else rescaled(drawn.program, what, rng)
-        )
-        _, wrong = failures(drawn, program, size)
-        bad += [f"{KINDS[case % len(KINDS)]}, {what}: {word}" for word in wrong]
+        other, size = (program, 1.0) if what == "as drawn" else rescaled(program, what, rng)
+        _, wrong = failures(case, other, size)
+        bad += [f"{family}, {what}: {word}" for word in wrong]
     return bad

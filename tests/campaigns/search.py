@@ -1,7 +1,7 @@
 """Random small problems of all kinds: search, infeasibility proofs and enumeration against an independent enumeration.
 
-The truth comes from
-Fourier–Motzkin elimination over all 3ⁿ patterns in fractions, written here and used nowhere else.
+The truth comes from linear inequalities for each of the 3ⁿ patterns, which an exact simplex method decides that is no
+code of the package.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from fractions import Fraction
 from itertools import product
 
 import numpy as np
+from oracles.truth import Simplex
 
 from lcp_plugin import LCP
 from lcp_plugin.methods.search import NoSolution, Solution, search
@@ -22,44 +23,12 @@ Inequality = tuple[tuple[Fraction, ...], Fraction, bool]
 
 
 def is_satisfiable(system: list[Inequality]) -> bool:
-    """Whether inequalities have a common point: Gaussian steps on opposite pairs, then Fourier–Motzkin."""
-    while system:
-        system = list(dict.fromkeys(map(normalized, system)))
-        if any(not any(a) and (c < 0 or (s and c == 0)) for a, c, s in system):
-            return False
-        system = [row for row in system if any(row[0])]
-        if not system:
-            return True
-        n = len(system[0][0])
-        known = {(a, c) for a, c, s in system if not s}
-        equation = next(((a, c) for a, c in known if (tuple(-x for x in a), -c) in known), None)
-        if equation is not None:
-            j = next(k for k in range(n) if equation[0][k])
-            system = [
-                combined(row, (*equation, False), -row[0][j] / equation[0][j]) for row in system
-            ]
-            continue
-        used = [k for k in range(n) if any(a[k] for a, _, _ in system)]
-        j = min(
-            used,
-            key=lambda k: sum(a[k] > 0 for a, _, _ in system) * sum(a[k] < 0 for a, _, _ in system),
-        )
-        above = [row for row in system if row[0][j] > 0]
-        below = [row for row in system if row[0][j] < 0]
-        rest = [row for row in system if not row[0][j]]
-        system = rest + [combined(p, m, -p[0][j] / m[0][j]) for p in above for m in below]
-    return True
-
-
-def normalized(row: Inequality) -> Inequality:
-    a, c, strict = row
-    scale = next((abs(x) for x in a if x), Fraction(1))
-    return tuple(x / scale for x in a), c / scale, strict
-
-
-def combined(p: Inequality, m: Inequality, factor: Fraction) -> Inequality:
-    a = tuple(x + factor * y for x, y in zip(p[0], m[0], strict=True))
-    return a, p[1] + factor * m[1], p[2] or (m[2] and factor != 0)
+    """Whether inequalities have a common point: s·z and s ≥ 1 exist with rows ≥ 0, and ≥ 1 where they are strict."""
+    if not system:
+        return True
+    simplex, n = Simplex([[*a, c] for a, c, _ in system]), len(system[0][0])
+    simplex.low[n:] = [Fraction(1), *(Fraction(strict) for *_, strict in system)]
+    return simplex.settle()
 
 
 class Enumeration:

@@ -55,18 +55,6 @@ def in_a_process(*arguments: str, **environment: str) -> subprocess.CompletedPro
 # --- solve -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scene", SMALL_SCENES)
-def test_scene_is_solved(scene: str) -> None:
-    """Every test problem is solved: exit code 0, and the output names problem, size and status."""
-    done = lcp_plugin("solve", scene)
-    assert done.exit_code == 0
-    assert done.stderr == ""
-    lines = done.stdout.splitlines()
-    assert lines[0].startswith(f"Scene({scene.partition(':')[0]}")
-    assert lines[1].startswith(f"LCP(n={gallery.parse(scene).problem.n}, ")
-    assert any(line.startswith("SOLVED: ") for line in lines)
-
-
 def test_settings_reach_the_run() -> None:
     """Tolerance, relaxation and options have the same effect as in solve."""
     arguments = (
@@ -198,10 +186,14 @@ def test_unsolved_is_exit_code_one_with_advice(limit: str, status: Status) -> No
 
 
 @pytest.mark.parametrize("scene", SMALL_SCENES)
-def test_every_scene_has_a_picture(scene: str) -> None:
-    """--plot writes a PNG for one, two and three dimensions, no grid, and a single unknown."""
+def test_every_scene_is_solved_and_has_a_picture(scene: str) -> None:
+    """Exit code 0, problem, size and status; a PNG for one, two and three dimensions, no grid, and a single unknown."""
     done = lcp_plugin("solve", scene, "--plot", "out.png")
-    assert done.exit_code == 0
+    assert (done.exit_code, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith(f"Scene({scene.partition(':')[0]}")
+    assert lines[1].startswith(f"LCP(n={gallery.parse(scene).problem.n}, ")
+    assert any(line.startswith("SOLVED: ") for line in lines)
     picture = Path("out.png").read_bytes()
     assert picture.startswith(PNG)
     assert len(picture) > 5000

@@ -164,8 +164,6 @@ BAD_VALUES: dict[str, list[Any]] = {
     "sweep": ["up", "Forward", "", None, True, 1, ["forward"]],
     "omega": [0, -1, NAN, INF, "x", True, None],
     "splitting": ["diag", ""],
-    "smoother": ["PGS", "", 1, None],
-    "nested": [None, 1, "yes"],
     "hands_over": [None, 1, "yes"],
     "coarsest": [0, -1, 2.5, True, "x"],
     "max_pivots": [-1, 2.5, NAN, True, "x", [1]],

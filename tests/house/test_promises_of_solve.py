@@ -27,7 +27,9 @@ from lcp_plugin import (
     solve_batch,
 )
 
-WATCHED = ("LCP", "NonlinearProblem", "QuadraticProgram", "ConeProblem", "FrictionalContact")
+WATCHED = (
+    "LCP", "NonlinearProblem", "QuadraticProgram", "ConeProblem", "FrictionalContact", "BoundedLeastSquares",
+)  # fmt: skip
 
 
 def solved(sample: Sample, **options: Any) -> Any:

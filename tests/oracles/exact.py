@@ -51,53 +51,52 @@ def exact_rows(matrix: Any) -> list[list[Fraction]]:
     return [[Fraction(entry) for entry in row] for row in dense.tolist()]
 
 
+def echelon(A: Sequence[Sequence[Fraction]]) -> tuple[list[list[Fraction]], list[int]]:
+    """Return the rows after Gaussian elimination and the columns of its pivots; exchanges keep the determinant."""
+    rows, columns = [list(row) for row in A], list[int]()
+    for column in range(len(rows[0]) if rows else 0):
+        k = len(columns)
+        pivot = next((i for i in range(k, len(rows)) if rows[i][column]), None)
+        if pivot is None:
+            continue
+        if pivot != k:
+            rows[k], rows[pivot] = rows[pivot], [-entry for entry in rows[k]]
+        columns.append(column)
+        for i in range(k + 1, len(rows)):
+            if rows[i][column]:
+                factor = rows[i][column] / rows[k][column]
+                rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
+    return rows, columns
+
+
 def solve_fractions(
     A: Sequence[Sequence[Fraction]], b: Sequence[Fraction]
 ) -> list[Fraction] | None:
-    """Return A⁻¹b by Gaussian elimination in fractions, None where A is singular."""
+    """Return A⁻¹b in fractions, None where A is singular."""
     n = len(b)
-    rows = [[*row, right] for row, right in zip(A, b, strict=True)]
-    for k in range(n):
-        pivot = next((i for i in range(k, n) if rows[i][k]), None)
-        if pivot is None:
-            return None
-        rows[k], rows[pivot] = rows[pivot], rows[k]
-        for i in range(k + 1, n):
-            if rows[i][k]:
-                factor = rows[i][k] / rows[k][k]
-                rows[i] = [a - factor * c for a, c in zip(rows[i], rows[k], strict=True)]
+    rows, columns = echelon([[*row, right] for row, right in zip(A, b, strict=True)])
+    if columns != [*range(n)]:
+        return None
     x = [Fraction(0)] * n
     for k in reversed(range(n)):
         x[k] = (rows[k][n] - sum(rows[k][j] * x[j] for j in range(k + 1, n))) / rows[k][k]
     return x
 
 
+def rank(A: Sequence[Sequence[Fraction]]) -> int:
+    """Return the rank."""
+    return len(echelon(A)[1])
+
+
 def has_positive_pivots(A: Sequence[Sequence[Fraction]]) -> bool:
-    """Return whether elimination without exchanges meets positive pivots only: a symmetric A is positive definite."""
-    rows = [list(row) for row in A]
-    for k, pivot_row in enumerate(rows):
-        if pivot_row[k] <= 0:
-            return False
-        for i in range(k + 1, len(rows)):
-            factor = rows[i][k] / pivot_row[k]
-            rows[i] = [a - factor * b for a, b in zip(rows[i], pivot_row, strict=True)]
-    return True
+    """Return whether all leading minors are positive: a symmetric A is positive definite."""
+    return all(determinant([row[:k] for row in A[:k]]) > 0 for k in range(1, len(A) + 1))
 
 
 def determinant(A: Sequence[Sequence[Fraction]]) -> Fraction:
-    """Return the determinant by elimination with exchanges."""
-    rows, value = [list(row) for row in A], Fraction(1)
-    for k in range(len(rows)):
-        pivot = next((i for i in range(k, len(rows)) if rows[i][k]), None)
-        if pivot is None:
-            return Fraction(0)
-        if pivot != k:
-            rows[k], rows[pivot], value = rows[pivot], rows[k], -value
-        value *= rows[k][k]
-        for i in range(k + 1, len(rows)):
-            factor = rows[i][k] / rows[k][k]
-            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
-    return value
+    """Return the determinant, the product of the diagonal of the echelon form."""
+    rows, _ = echelon(A)
+    return math.prod((row[k] for k, row in enumerate(rows)), start=Fraction(1))
 
 
 def principal_minors(A: Sequence[Sequence[Fraction]]) -> list[Fraction]:

@@ -73,16 +73,16 @@ def fraction(value: float) -> Bound:
     return None if math.isinf(value) else Fraction(value)
 
 
-class _Simplex:
-    """Values of z (0 … n − 1) and v = M z (n … 2n − 1) within bounds that may be tightened and restored."""
+class Simplex:
+    """Values of z and then of v = M z, within bounds that may be tightened and restored."""
 
-    def __init__(self, M: list[list[float]]) -> None:
-        n = self.n = len(M)
+    def __init__(self, M: Sequence[Sequence[float | Fraction]]) -> None:
+        m, n = len(M), len(M[0]) if M else 0
         self.rows = [[Fraction(x) for x in row] for row in M]  # basic = row · nonbasic
-        self.basic, self.nonbasic = list(range(n, 2 * n)), list(range(n))
-        self.low: list[Bound] = [None] * (2 * n)
-        self.high: list[Bound] = [None] * (2 * n)
-        self.value = [Fraction(0)] * (2 * n)
+        self.basic, self.nonbasic = list(range(n, n + m)), list(range(n))
+        self.low: list[Bound] = [None] * (n + m)
+        self.high: list[Bound] = [None] * (n + m)
+        self.value = [Fraction(0)] * (n + m)
 
     def settle(self) -> bool:
         """Move every variable within its bounds; return whether that is possible."""
@@ -158,7 +158,7 @@ class Search:
         self, M: list[list[float]], q: list[float], lower: list[float], upper: list[float]
     ) -> None:
         self.n = len(q)
-        self.simplex = _Simplex(M)
+        self.simplex = Simplex(M)
         self.zero = [-Fraction(x) for x in q]  # the value of (M z)_i where w_i = 0
         self.lower, self.upper = [fraction(x) for x in lower], [fraction(x) for x in upper]
         for i in range(self.n):

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 from inputs.drawn_scaling import nearly_singular, scaled_matrices, scaled_solved, skewed, strict
-from oracles.exact import exact_rows, has_positive_pivots, principal_minors
+from oracles.exact import exact_rows, has_positive_pivots, principal_minors, rank
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, analyze
@@ -134,19 +134,6 @@ def test_exact_checks_can_fail() -> None:
 def doubled_symmetric_part(matrix: object) -> list[list[Fraction]]:
     rows = exact_rows(matrix)
     return [[rows[i][j] + rows[j][i] for j in range(len(rows))] for i in range(len(rows))]
-
-
-def rank(rows: list[list[Fraction]]) -> int:
-    rows, found = [row.copy() for row in rows], 0
-    for column in range(len(rows)):
-        pivot = next((i for i in range(found, len(rows)) if rows[i][column]), None)
-        if pivot is not None:
-            rows[found], rows[pivot] = rows[pivot], rows[found]
-            for i in range(found + 1, len(rows)):
-                factor = rows[i][column] / rows[found][column]
-                rows[i] = [a - factor * b for a, b in zip(rows[i], rows[found], strict=True)]
-            found += 1
-    return found
 
 
 def is_dominant(matrix: object) -> bool:

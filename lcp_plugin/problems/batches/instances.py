@@ -207,40 +207,8 @@ class Listed(Instances):
             vectors = (np.stack([getattr(one, name) for one in chosen]) for name in names)
             data = chosen[0].has_friction, chosen[0].starts, M, *vectors
             yield np.array(items), partial(_solve_cones, data, None, tolerance, has_time)
-        yield from self._least_squares_stacks(tolerance)
         for group in self.groups(takes_rounds):
             yield from group.stacks(tolerance)
-
-    def _least_squares_stacks(self, tolerance: float) -> Stacks:
-        """Yield least squares problems that share A, weights and ridge."""
-        alike: dict[Any, list[int]] = {}
-        for k, one in enumerate(self.problems):
-            if isinstance(one, BoundedLeastSquares) and suits_stack(one):
-                alike.setdefault((id(one.A), id(one.weights), one.ridge), []).append(k)
-        for items in alike.values():
-            base = self.problems[items[0]]
-            yield from _stacks_of(base, np.array(items), partial(self._stack, base), tolerance)
-
-    def least_squares(self) -> BoundedLeastSquares | None:
-        """Return the problems as a stack if they are least squares that share A, weights and ridge."""
-        if not all(isinstance(one, BoundedLeastSquares) for one in self.problems):
-            return None
-        are_one = len({(id(one.A), id(one.weights), one.ridge) for one in self.problems}) == 1
-        return self._stack(self.problems[0], range(len(self))) if are_one else None
-
-    def _stack(self, base: BoundedLeastSquares, items: Any) -> BoundedLeastSquares:
-        chosen = [self.problems[k] for k in items]
-        names = ("b", "lower", "upper", "l1")
-        return base.stack(*(np.array([getattr(one, name) for one in chosen]) for name in names))
-
-    def objectives(self, z: Any) -> Any:
-        """Return the cost of least squares problems, NaN for others, shape (B,)."""
-
-        def cost_of(one: Any, x: Any) -> float:
-            has_cost = isinstance(one, BoundedLeastSquares) and x.size
-            return one.cost(x, one.product(x) - one.b) if has_cost else np.nan
-
-        return np.array([*map(cost_of, self.problems, z)])
 
 
 def stack_of(has_friction: bool, starts: Any, M: Any, *vectors: Any) -> ConeStack:
@@ -393,17 +361,36 @@ class Stacked(Rows):
 
 
 class RightSides(Rows):
-    """One least squares problem with many right-hand sides b, shape (B, m), and bounds, shapes (B, n) or (n,)."""
+    """One least squares problem with many vectors b, shape (B, m), bounds and l1, shapes (B, n) or (n,).
 
-    def __init__(self, problem: BoundedLeastSquares, b: Any, lower: Any, upper: Any, z0: Any):
-        self.base, (m, n) = problem, problem.shape
-        lower = problem.lower if lower is None else lower
-        upper = problem.upper if upper is None else upper
-        named = {"b": (b, m), "lower": (lower, n), "upper": (upper, n)}
-        super().__init__(named | ({} if z0 is None else {"z0": (z0, n)}), {})
+    `given` are the problems if they exist already.
+    """
+
+    def __init__(
+        self, problem: BoundedLeastSquares, z0: Any, given: Any = None, **vectors: Any
+    ) -> None:
+        self.base, self.given = problem, given
+        named = {name: getattr(problem, name) for name in ("b", "lower", "upper", "l1")}
+        named |= {name: one for name, one in {**vectors, "z0": z0}.items() if one is not None}
+        sizes = {"b": problem.shape[0]}
+        rows = {name: (one, sizes.get(name, problem.shape[1])) for name, one in named.items()}
+        super().__init__(rows, {})
         self._find_errors(problem.is_in_range(self.rows["b"]))
 
+    @classmethod
+    def of(cls, problems: Sequence[Any], z0: Any) -> RightSides | None:
+        """Return least squares problems that share A, weights and ridge; None for others."""
+        if not all(isinstance(one, BoundedLeastSquares) for one in problems):
+            return None
+        if len({(id(one.A), id(one.weights), one.ridge) for one in problems}) != 1:
+            return None
+        names = "b", "lower", "upper", "l1"
+        vectors = {name: np.array([getattr(one, name) for one in problems]) for name in names}
+        return cls(problems[0], z0, problems, **vectors)
+
     def __getitem__(self, k: int) -> BoundedLeastSquares:
+        if self.given is not None:
+            return self.given[k]
         return self.base.with_vectors(*(self._row(name, k) for name in ("b", "lower", "upper")))
 
     def least_squares(self) -> BoundedLeastSquares:
@@ -412,9 +399,8 @@ class RightSides(Rows):
 
     def stack(self, items: Any) -> BoundedLeastSquares:
         """Return these problems as a stack."""
-        rows = (self.rows[name] for name in ("b", "lower", "upper"))
-        b, lower, upper = (one if len(one) == 1 else one[items] for one in rows)
-        return self.base.stack(b, lower, upper, self.base.l1)
+        rows = (self.rows[name] for name in ("b", "lower", "upper", "l1"))
+        return self.base.stack(*(one if len(one) == 1 else one[items] for one in rows))
 
     def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
         """Yield stacks of small problems."""

@@ -296,7 +296,7 @@ class ConeCertificate:
             vars(self)["found"] = found
 
     @derived_property
-    def rows(self) -> ConeRows:
+    def criterion(self) -> ConeRows:
         """The data of the criterion."""
         return ConeRows(ConeStack.of(self.problem))
 
@@ -304,8 +304,8 @@ class ConeCertificate:
     @np.errstate(all="ignore")
     def found(self) -> Measured:
         """The measure of z."""
-        pattern = self.rows.stack.pattern
-        return self.rows.measure_at(
+        pattern = self.criterion.stack.pattern
+        return self.criterion.measure_at(
             self.z if pattern.is_sparse else self.z[None], None, self.tolerance
         )
 
@@ -328,7 +328,7 @@ class ConeCertificate:
     @property
     def worst_index(self) -> int:
         """The block of the largest relative residual; −1 without blocks."""
-        relative = self.rows.of_blocks(self.found.by_row.relative)[0]
+        relative = self.criterion.of_blocks(self.found.by_row.relative)[0]
         return int(np.argmax(relative)) if relative.size else -1
 
     @property
@@ -336,17 +336,17 @@ class ConeCertificate:
         """The residual of that block, in the unit of z."""
         if not self.z.size:
             return 0.0
-        return float(self.rows.of_blocks(self.found.by_row.high)[0, self.worst_index])
+        return float(self.criterion.of_blocks(self.found.by_row.high)[0, self.worst_index])
 
     def worst(self, tolerance: float, count: int) -> WorstRows:
         """Return the rows that fail by most."""
         found = self.found._replace(z=self.z)
-        return worst_pairs(self.rows, found, self.problem.rows.names, tolerance, count)
+        return worst_pairs(self.criterion, found, self.problem.rows.names, tolerance, count)
 
     @derived_property
     def natural_residual(self) -> float:
         """The largest ‖z_k − P_K(z_k − ŵ_k)‖, unscaled."""
-        plain = copy(self.rows.stack)
+        plain = copy(self.criterion.stack)
         plain.d = np.ones_like(plain.d)
         z, w = (plain.pattern.wide(one[None]) for one in (self.z, self.w))
         return float(length(plain.residual(z, w)[0]).max(initial=0.0))

@@ -155,13 +155,6 @@ class Blocks:
         """Return the arrays that describe the blocks in a file."""
         raise NotImplementedError
 
-    def __getstate__(self) -> dict[str, Any]:
-        computed = ("_facts", "sizes", "block_of_row")
-        return {name: value for name, value in self.__dict__.items() if name not in computed}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _facts={})
-
     def _words(self) -> str:
         raise NotImplementedError
 

@@ -182,12 +182,10 @@ class ConeRun(Run):
         stack = self.stack
         self.place = place or (np.empty(problem.n), slice(None), 1.0)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
-        reached = self.tolerance
         if self.absolute:
-            reached = max(self.tolerance, 2.0**-200)
-            least = np.maximum(stack.reference, self.absolute / reached)
+            least = np.maximum(stack.reference, self.absolute / self.settings.goal)
             stack.weight = np.where(stack.is_answered, 0.0, 1.0 / least)
-        self.goal = CLOSER * reached
+        self.goal = CLOSER * self.settings.goal
         self.start = stack.origin if z is None else stack.snap(stack.pattern.wide(z[None]))
         self.is_warm = z is not None and bool((self.start != stack.origin).any())
         self.best = Measured(self.start, np.inf, passes=False)
@@ -253,14 +251,6 @@ class ConeRun(Run):
 
     # --- the plan -----------------------------------------------------------------------------------------
 
-    def stage(self, algorithm: Any, because: str, points: methods.Points) -> Stage:
-        """Return the stage of this method and reason, a new one or the earlier one, with further points."""
-        for stage in self.progress.stages:
-            if (stage.algorithm.name, stage.because) == (algorithm.name, because):
-                stage.steps, stage.z = points, None
-                return stage
-        return Stage(algorithm, because, steps=points)
-
     def steps_of(self, stage: Stage) -> Iterator[Step]:
         """Yield the start of the run, then the points of the stage."""
         if self.progress.iteration < 0:
@@ -283,7 +273,7 @@ class ConeRun(Run):
         if self.is_warm or stack.is_answered.all():
             residual = stack.relative_residual(self.start)
             if residual <= self.tolerance:
-                yield self.stage(methods.ConeNSGS(), SWEPT, iter(()))
+                yield Stage(methods.ConeNSGS(), SWEPT)
             self.residual = residual
         z = yield from self._sweeps_and_newton(self.start, SCHEDULE[:1])
         if self._solve_components():
@@ -296,7 +286,7 @@ class ConeRun(Run):
         if not has_friction:
             because = "for a symmetric M a convex program has the same solution"
             points = methods.FixedPoint().points(problem, stack, stack.origin, goal)
-            yield self.stage(methods.FixedPoint(), because, points)
+            yield Stage(methods.FixedPoint(), because, steps=points)
         elif not self.is_warm:
             yield self._path(None)
         if self.settings.prove_infeasibility:
@@ -306,7 +296,8 @@ class ConeRun(Run):
         if stack.m == 1 and is_searchable(problem.rows):
             search = ExhaustiveSearch()
             points = search.iterates(problem.rows, problem.nearest_to_zero)
-            yield self.stage(search, "without cones it is an LCP: every choice of bounds", points)
+            because = "without cones it is an LCP: every choice of bounds"
+            yield Stage(search, because, steps=points)
             return
         for share in SHARES if has_friction else ():
             yield self._path(share)
@@ -345,21 +336,21 @@ class ConeRun(Run):
         """Yield stages of sweeps, each from the end of the last, and of Newton's steps; return the last swept point."""
         for count, steps in schedule:
             points = methods.sweep_points(self.stack, z, count, self.goal)
-            yield (sweeps := self.stage(methods.ConeNSGS(), because, points))
+            yield (sweeps := Stage(methods.ConeNSGS(), because, steps=points))
             z = z if sweeps.z is None else sweeps.z
             yield self._newton(z, "Newton's steps solve for the active set of the sweeps", steps)
         return z
 
     def _newton(self, z: Array, because: str, steps: int = methods.NEWTON_STEPS) -> Stage:
         points = methods.newton_points(self.stack, z, steps, self.goal)
-        return self.stage(methods.ConeNewton(), because, points)
+        return Stage(methods.ConeNewton(), because, steps=points)
 
     def _path(self, share: float | None) -> Stage:
         """Return the central path from a cold start, or from near the best point."""
         z = self.stack.origin if share is None else self.stack.snap(self.best.z)
         because = "from the middle of the impulses that make the same motion Newton converges"
         points = methods.path_points(self.stack, z, share or 1.0, self.goal)
-        return self.stage(methods.ConeInteriorPoint(), because, points)
+        return Stage(methods.ConeInteriorPoint(), because, steps=points)
 
     def _solve_components(self) -> bool:
         """Return whether there are several components; solve each that does not pass, and combine the points."""
@@ -430,11 +421,6 @@ class ConeResult(Result):
 
     def _worst(self, count: int) -> WorstRows:
         return self.certificate.worst(self.tolerance, count)  # type: ignore[attr-defined]
-
-    def _effort(self) -> str:
-        work = f"the work of {self.work:.1f} products of M with a vector"
-        count = format_count(self.iterations, "iteration")
-        return f"{self.algorithm}: {count}, {self.seconds:.3g} s, {work}"
 
     def _remarks(self) -> list[str]:
         lines = [str(self.infeasibility)] if self.infeasibility is not None else []

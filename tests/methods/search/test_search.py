@@ -28,7 +28,7 @@ from lcp_plugin.proofs.no_solution import Case, NoSolution
 
 @pytest.mark.parametrize("block", range(8))
 def test_random_problems_agree_with_an_enumeration(block: int, draws: Callable[..., range]) -> None:
-    """Verdicts, solutions, faces, flags and proofs agree with Fourier–Motzkin over all patterns."""
+    """Verdicts, solutions, faces, flags and proofs agree with linear inequalities over all patterns."""
     for case in draws(10, 3):
         assert not violations(random_problem(np.random.default_rng([7, block, case]), largest=3))
 

@@ -20,7 +20,7 @@ from scipy.sparse.linalg import LinearOperator, aslinearoperator
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import Status, solve
-from lcp_plugin.core.errors import InvalidOption, InvalidProblem, NotConverged
+from lcp_plugin.core.errors import InvalidProblem, NotConverged
 from lcp_plugin.problems.least_squares.certificate import duality_gap
 from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, Enclosures
 
@@ -172,20 +172,6 @@ def test_conditions_hold_on_random_problems(m: int, n: int, seed: int, share: fl
 
 
 # --- other programs' answers --------------------------------------------------------------------------------
-
-
-def test_a_thousand_small_problems_as_by_scipy_nnls(draws: Callable[[int], range]) -> None:
-    """Dense, m and n up to 30: the residual norm of scipy.optimize.nnls, and its x where that is unique."""
-    rng = np.random.default_rng(0)
-    for _ in draws(1000):
-        m, n = rng.integers(1, 31, 2)
-        A, b = rng.standard_normal((m, n)), rng.standard_normal(m)
-        x, norm = nnls(A, b, maxiter=100 * n)
-        result = bounded_least_squares(A, b)
-        assert result.is_solved
-        assert abs(np.linalg.norm(result.fun) - norm) <= 1e-8 * np.linalg.norm(b)
-        if m >= 2 * n:
-            np.testing.assert_allclose(result.x, x, atol=1e-8)
 
 
 # --- ranks below full -----------------------------------------------------------------------------------------
@@ -533,34 +519,6 @@ def test_a_vandermonde_matrix_is_solved() -> None:
     A = np.vander(np.linspace(0.0, 1.0, 120), 12)
     result = bounded_least_squares(A, A @ np.arange(12.0)).require_solved()
     np.testing.assert_allclose(result.x, np.arange(12.0), atol=1e-6)
-
-
-@pytest.mark.parametrize("size", ["small", "large", "operator"])
-def test_watched_run_is_the_same_run_and_callback_may_end_it(
-    size: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Callback, record and verbose change no bit; the callback receives points within the bounds and ends the run."""
-    A, b, upper, _ = planted(of_condition(*((20, 10) if size == "small" else (1500, 700)), 10.0))
-    problem = BoundedLeastSquares(aslinearoperator(A) if size == "operator" else A, b, upper=upper)
-    plain = solve(problem)
-    seen: list[Any] = []
-    watched = solve(
-        problem, record=True, verbose=True, callback=lambda sample, x: seen.append((sample, x))
-    )
-    assert np.array_equal(plain.x, watched.x)
-    assert (plain.nit, plain.algorithm) == (watched.nit, watched.algorithm)
-    assert [sample.iteration for sample, _ in seen][-1] == watched.nit
-    assert all(((x >= 0.0) & (x <= problem.upper)).all() for _, x in seen)
-    assert np.array_equal(seen[-1][1], watched.x) or size != "small"
-    assert watched.history[-1].iteration == watched.nit
-    assert sum(stage.iterations for stage in watched.stages) == watched.nit
-    assert "SOLVED" in capsys.readouterr().out
-    ended = solve(problem, callback=lambda sample, x: True)
-    assert ended.status is Status.INTERRUPTED
-    assert ended.nit == 0
-    assert np.isfinite(ended.x).all()
-    with pytest.raises(InvalidOption):
-        solve(problem, threads=0)
 
 
 @pytest.mark.parametrize("lower", [-np.inf, 0.0], ids=["free", "one-sided"])

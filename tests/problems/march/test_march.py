@@ -501,6 +501,22 @@ def test_march_on_a_band_after_ctrl_c_keeps_the_steps_so_far(
         march(BAND, np.broadcast_to(-1.0, (400, 200)))
 
 
+def test_a_step_that_the_method_before_does_not_take_is_planned_by_auto() -> None:
+    """Sweeps solve the steps of a heat equation; the last matrix has a zero on its diagonal, so they refuse it."""
+    nodes, time_step = 20, 0.2
+    line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(nodes, nodes))
+    plate = sp.eye_array(nodes**2) + time_step * (
+        sp.kron(line, sp.eye_array(nodes)) + sp.kron(sp.eye_array(nodes), line)
+    )
+    other = plate.tolil()
+    other[0, 0], other[0, 1], other[1, 0] = 0.0, 1.0, -1.0
+    waves = np.sin(np.linspace(0.0, 9.0, nodes**2))
+    forcing = [-1e-2 * np.roll(waves, step) for step in range(4)]
+    found = march(LCP(plate, 0.0 * waves), forcing, M_at=[*[plate] * 3, other.tocsr()])
+    assert found.all_solved
+    assert found[2].algorithm == "auto: psor"
+
+
 @pytest.mark.parametrize("upper", [np.inf, 0.6])
 def test_march_on_a_band_obeys_max_iterations(upper: float) -> None:
     """Without an iteration no step is solved; a limit of 50 suffices for each step."""

@@ -44,15 +44,12 @@ def test_a_small_slope_is_followed_to_its_bound() -> None:
     assert answers.x.tolist() == [[1.0], [1.0]]
 
 
-OPEN = pytest.mark.xfail(strict=False, reason="open: STALLED for UNBOUNDED in one unit")
-
-
-@pytest.mark.parametrize(
-    "case", [pytest.param(case, marks=[OPEN] * (case == 12)) for case in range(15)]
-)
-def test_planted_programs_say_the_same_in_every_unit(case: int) -> None:
-    """Dense, sparse, degenerate, rank deficient, linear; with a minimum, infeasible, unbounded; units of 10^±12."""
-    assert scaled_programs.one(5, case) == []
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("family", scaled_programs.FAMILIES)
+def test_planted_programs_say_the_same_in_every_unit(family: str, seed: int) -> None:
+    """Sparse, dense, degenerate, of low rank, linear; with a minimum, infeasible, unbounded; units of 10^±12."""
+    pytest.importorskip("scipy", minversion="1.15")  # the programs are drawn by random_array(rng=…)
+    assert scaled_programs.one(family, seed) == []
 
 
 @pytest.mark.parametrize(
@@ -124,16 +121,6 @@ def test_numbers_beyond_the_range_of_doubles_are_no_answer(
     result = solve(program)
     assert result.status is message
     assert np.isfinite(result.x).all()
-
-
-def test_a_point_far_out_meets_its_equations_to_rounding() -> None:
-    """At |x| = 2e5 forty bits miss an equation by 9e-8; the descent from there keeps it within a radius."""
-    case = scaled_programs.planted(461, np.random.default_rng([77, 461]))
-    assert case.status is Status.UNBOUNDED
-    result = solve(case.program)
-    assert result.status is Status.PRECISION_LIMIT
-    assert result.doubtful.verify()
-    assert result.doubtful.radius > 1e9
 
 
 @pytest.mark.parametrize("exponent", [0, 60, 100, 300, 996, 1020, -60, -300])

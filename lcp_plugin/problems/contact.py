@@ -35,6 +35,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from ..core import checks
 from ..core.checks import canonical_csr, checked_vector, is_number, real_array, rectangular_matrix
 from ..core.errors import InvalidProblem, ModelWarning
 from ..solving.result import Result
@@ -479,10 +480,7 @@ def _edges(tangents: int, directions: int) -> FloatArray:
 
 def _array(values: Any, need: str) -> FloatArray:
     array = real_array(values.toarray() if sp.issparse(values) else values, need).copy()
-    if not np.isfinite(array).all():
-        where = np.argwhere(~np.isfinite(array))[0].tolist()
-        what = f"entry {where}" if where else "it"
-        raise InvalidProblem(f"{need}, but {what} is {array[tuple(where)]}; repair it")
+    checks.require_finite(array, need.split(maxsplit=1)[0])
     return array
 
 

@@ -1001,7 +1001,9 @@ class MarchDerivative:
         for part in self._parts():
             own = rows[part.here] if rows.ndim > 1 else rows
             of_M = (
-                dM if dM_at is None else [dM + self._change(dM_at, k) for k in _numbers(part.here)]
+                dM
+                if dM_at is None
+                else [dM + self._change(dM_at, k) for k in range(steps)[part.here]]
             )
             changes = part.jvp(of_M, own, dC, low[part.here], high[part.here], before)
             if not only_last:
@@ -1052,7 +1054,9 @@ class MarchDerivative:
             if data.matrices is None:
                 of_M += sum_of_outer(M, by_q, part.z).data
             else:
-                at = (data.problem_at(self.march.problem, k).matrix for k in _numbers(part.here))
+                at = (
+                    data.problem_at(self.march.problem, k).matrix for k in range(steps)[part.here]
+                )
                 each[:0] = [*map(outer_on_pattern, at, by_q, part.z)]
             of_C += sum_of_outer(propagator, by_q, part.states[:-1]).data
         z0 = propagator.T @ after if steps else rows if rows.ndim == 1 else after
@@ -1089,10 +1093,6 @@ class MarchDerivative:
             return None
         M, C = (sp.csr_array(one.T) for one in (self.march.problem.csr, self.march.propagator))
         return Band.of(Matrix(M), C)
-
-
-def _numbers(here: slice) -> range:
-    return range(here.start, here.stop)
 
 
 def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> Vector:

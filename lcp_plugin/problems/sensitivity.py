@@ -690,30 +690,6 @@ class ContactBatchDerivative(ManyDerivatives):
         run_in_chunks(derive, len(parts), self.batch.threads)
         return parts
 
-    @derived_property
-    def is_singular(self) -> Any:
-        """Instances in which several impulses make one motion, bool, (B,); dz is the least."""
-        is_singular = np.zeros(len(self), np.bool_)
-        for part in self._parts:
-            is_singular[part.items] = part.is_plain & part.system.is_singular
-        for k in self._left:
-            is_singular[k] = self[k].is_singular
-        return is_singular
-
-    @property
-    def advice(self) -> str:
-        """Warning that derivatives are not unique, as text; "" if all are unique."""
-        pieces = "contacts on the edge of two cases: jvp is one-sided there, and vjp the gradient of one piece"
-        least = "several impulses for one motion: dz is the least change, that of the motion is the same for all"
-        masks = self.degenerate.any(axis=1), self.is_singular, ~self._is_solved
-        named = zip((pieces, least, "no derivative: see errors"), masks, strict=True)
-        lines = []
-        for words, which in named:
-            if rows := np.flatnonzero(which).tolist():
-                shown = ", ".join(map(str, rows[:MOST_NAMES])) + ", …" * (len(rows) > MOST_NAMES)
-                lines.append(f"{len(rows)} of {len(self)} worlds ({shown}) have {words}")
-        return "; ".join(lines)
-
     @checks.changes_by_name
     def jvp(self, *, dq: Any = None, dM: Any = None, dfriction: Any = None) -> Any:
         """Return the changes dz for changes of the data, shape (B, n); one-sided at a kink.

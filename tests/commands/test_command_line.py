@@ -12,6 +12,7 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -136,6 +137,22 @@ def test_out_holds_the_solution() -> None:
         assert str(saved["status"]) == "SOLVED"
     assert "saved z.npz" in done.stdout
     assert list(Path().iterdir()) == [Path("z.npz")]
+
+
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [
+        ({"P": np.eye(2), "c": np.ones(2)}, "x inequality equality lower upper"),
+        ({"A": np.eye(2), "b": np.ones(2)}, "x"),
+    ],
+    ids=["program", "least squares"],
+)
+def test_out_holds_the_vectors_of_the_class(given: Any, names: str) -> None:
+    """--out writes x and the multipliers of a program, x of least squares, and the status."""
+    np.savez("p.npz", **given)
+    assert lcp_plugin("solve", "p.npz", "--out", "z.npz").exit_code == 0
+    with np.load("z.npz") as saved:
+        assert set(saved.files) == {*names.split(), "status"}
 
 
 def test_out_replaces_an_earlier_answer_but_not_the_problem() -> None:

@@ -139,3 +139,12 @@ def test_polish_is_an_option_of_lcps_only() -> None:
     for problem in (QuadraticProgram(np.eye(2), [1.0, 1.0]), FIT, BLOCK):
         with pytest.raises(InvalidOption, match="solve takes no polish"):
             solve(problem, polish=False)
+
+
+def test_a_solution_is_not_called_unproven() -> None:
+    """The lack of a theorem is a warning after failures only."""
+    problem = LCP([[1.0, -2.0], [-2.0, 1.0]], [1.0, 1.0])
+    solved, failed = solve(problem, "psor"), solve(problem.with_q([-1.0, -1.0]), "psor")
+    words = "nothing proves that psor converges"
+    assert (solved.is_solved, words in solved.explain()) == (True, False)
+    assert (failed.is_solved, words in failed.explain()) == (False, True)

@@ -258,6 +258,8 @@ def test_large_sparse_problem_is_never_dense() -> None:
     p = LCP(M, np.ones(n))
     assert Certificate.of(p, np.ones(n)).relative_residual > 0.0
     assert "n=100000" in repr(p)
+    mixed = LCP(np.eye(4), np.ones(4), lower=[0, 0, 0, -np.inf], upper=[np.inf, np.inf, 1, np.inf])
+    assert repr(mixed) == "LCP(n=4, nonzeros=4, bounds 2 one-sided, 1 boxed, 1 free)"
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 40 * p.nonzeros * 8

@@ -309,3 +309,11 @@ def test_explain_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
     for word in ("formulation", "ours", check.reference, "|Δz|", "objective gap", "disagreement"):
         assert any(line.startswith(word) for line in lines), word
     assert str(check) == check.explain()
+
+
+@pytest.mark.parametrize(("q", "unit"), [([0.0, 0.0], 1.0), ([0.0, -8.0], 8.0)])
+def test_convex_solvers_get_numbers_of_size_one(q: list[float], unit: float) -> None:
+    """The largest cost is 1, and costs of 0 stay 0."""
+    form = cross_check.ConvexForm.of(LCP(np.eye(2), q))
+    assert (form.weight * unit).tolist() == [1.0, 1.0]
+    assert (form.problem.q * unit).tolist() == q

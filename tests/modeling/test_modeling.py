@@ -381,6 +381,9 @@ def test_violation_is_the_natural_residual_of_any_form() -> None:
     assert complements(box(y, -1, 1), M @ y + Q).violation() == pytest.approx(
         np.abs(y.value - inside).max()
     )
+    top = cp.Variable(nonpos=True)
+    top.value = np.array(0.0)
+    assert [complements(top, F).violation() for F in (top - 1, top + 1)] == [0.0, 1.0]
 
 
 def bounded_beside_a_box() -> Any:

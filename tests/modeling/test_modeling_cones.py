@@ -155,11 +155,11 @@ def test_what_is_no_model_over_cones_is_refused_in_words(call: str, words: str) 
 
 
 def with_friction(rng: Any) -> tuple[Any, list[Any]]:
-    """Six contacts that open, stick and slide; coefficients of three are one parameter, those of the others three."""
-    J = rng.standard_normal((18, 24)) / 5.0
-    r, b = cp.Variable(18, name="r"), cp.Parameter(18, value=rng.standard_normal(18))
+    """Five contacts that open, stick and slide; coefficients of three are one parameter, those of the others two."""
+    J = rng.standard_normal((15, 24)) / 5.0
+    r, b = cp.Variable(15, name="r"), cp.Parameter(15, value=rng.standard_normal(15))
     same = cp.Parameter(nonneg=True, value=0.4)
-    each = cp.Parameter(3, nonneg=True, value=[0.2, 0.5, 0.9])
+    each = cp.Parameter(2, nonneg=True, value=[0.2, 0.5])
     u = J @ J.T @ r + b
     pairs = [
         complements(friction_cone(r[:9], 2 * same), u[:9]),

@@ -22,14 +22,14 @@ def nnls() -> tuple[Any, list[Any]]:
     A, b = RNG.standard_normal((30, 8)), RNG.standard_normal(30)
     x = cp.Variable(8)
     constraints = [x >= 0]
-    return cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b)), constraints), constraints
+    return cp.Problem(cp.Minimize(cp.sum_squares(A @ x - b) + 3), constraints), constraints
 
 
 def isotonic() -> tuple[Any, list[Any]]:
     y = np.sort(RNG.standard_normal(25)) + 0.8 * RNG.standard_normal(25)
     x = cp.Variable(25)
     constraints = [cp.diff(x) >= 0]
-    return cp.Problem(cp.Minimize(cp.sum_squares(x - y)), constraints), constraints
+    return cp.Problem(cp.Minimize(cp.sum_squares(x - y) + 3), constraints), constraints
 
 
 def total_variation() -> tuple[Any, list[Any]]:
@@ -38,7 +38,7 @@ def total_variation() -> tuple[Any, list[Any]]:
     D = np.diff(np.eye(36), axis=0)
     u = cp.Variable(35)
     constraints = [u <= 0.5, u >= -0.5]
-    return cp.Problem(cp.Minimize(0.5 * cp.sum_squares(D.T @ u - y)), constraints), constraints
+    return cp.Problem(cp.Minimize(0.5 * cp.sum_squares(D.T @ u - y) + 3), constraints), constraints
 
 
 def portfolio() -> tuple[Any, list[Any]]:
@@ -47,7 +47,7 @@ def portfolio() -> tuple[Any, list[Any]]:
     gain = RNG.uniform(0.0, 0.2, 12)
     x = cp.Variable(12)
     constraints = [cp.sum(x) == 1, x >= 0, gain @ x >= 0.1]
-    return cp.Problem(cp.Minimize(cp.quad_form(x, covariance)), constraints), constraints
+    return cp.Problem(cp.Minimize(cp.quad_form(x, covariance) + 3), constraints), constraints
 
 
 def elastic_net() -> tuple[Any, list[Any]]:
@@ -57,7 +57,7 @@ def elastic_net() -> tuple[Any, list[Any]]:
     v = cp.Variable()
     costs = cp.sum_squares(cp.multiply(RNG.uniform(0.5, 2.0, 20), A @ x + v - b))
     constraints = [x[:4] >= -0.1, -x[2:] >= -0.2]
-    return cp.Problem(cp.Minimize(costs + cp.norm1(x[3:])), constraints), constraints
+    return cp.Problem(cp.Minimize(costs + cp.norm1(x[3:]) + 3), constraints), constraints
 
 
 MODELS: dict[str, Callable[[], tuple[Any, list[Any]]]] = {
@@ -83,6 +83,7 @@ def test_quadratic_programs_agree_with_cvxpy(name: str, how: str) -> None:
         problem.solve(solver=QPSolver() if how == "called" else QPSolver, tolerance=1e-12)
     assert problem.status == "optimal"
     assert problem.value == pytest.approx(expected[0], abs=1e-6)
+    assert problem.solution.opt_val == pytest.approx(expected[0], abs=1e-6)
     np.testing.assert_allclose(problem.variables()[0].value, expected[1], atol=1e-6)
     for constraint, dual in zip(constraints, expected[2], strict=True):
         np.testing.assert_allclose(constraint.dual_value, dual, atol=2e-6)

@@ -29,7 +29,11 @@ from lcp_plugin.proofs.verdicts import (
     positive_margin,
 )
 from lcp_plugin.solving.direct import _seems_monotone
-from lcp_plugin.systems.definiteness import is_positive_definite, is_semidefinite_to_rounding
+from lcp_plugin.systems.definiteness import (
+    is_positive_definite,
+    is_semidefinite_to_rounding,
+    symmetric_part,
+)
 from lcp_plugin.systems.factors import factor_fits
 from lcp_plugin.systems.graph import comparison_product, exact_comparison_row, row_excess_signs
 
@@ -349,6 +353,8 @@ def test_a_symmetric_part_near_the_largest_double_is_no_error() -> None:
     M[0, 1] = M[1, 0] = np.finfo(np.float64).max
     assert analyze(M).is_positive_definite is None
     assert "ends of the range" in analyze(M).evidence["is_positive_semidefinite"]
+    huge = np.ldexp([[1.0, -1.5], [0.5, 1.0]], 1023)
+    assert (np.ldexp(symmetric_part(huge), -1023) == [[1.0, -0.5], [-0.5, 1.0]]).all()
 
 
 # --- Small matrices in rational arithmetic ------------------------------------------------------------------

@@ -7,6 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from lcp_plugin import gallery
+from lcp_plugin.systems.hierarchy import grids, kernels
 from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 from lcp_plugin.systems.hierarchy.truncation import Truncation
 
@@ -44,3 +45,20 @@ def test_a_truncated_cycle_is_symmetric_and_lowers_the_energy(text: str) -> None
         assert 0.5 * x @ (M @ x) - b @ x < 0.0
         answers.append(x)
     assert right[0] @ answers[1] == pytest.approx(right[1] @ answers[0], rel=1e-9)
+
+
+def test_the_residual_after_a_sweep_is_that_of_x_in_each_block(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Rows next to the edges of blocks, which run in another order, have the residual of the final x."""
+    monkeypatch.setattr(grids, "SMALLEST_BLOCK", 64)
+    M = gallery.build("obstacle_2d", size=40).problem.csr
+    truncation = Truncation(build_hierarchy(M))
+    truncation.update()
+    top, b = truncation.grids[0], np.random.default_rng(0).standard_normal(M.shape[0])
+    assert top.grid.blocks.edges.size > 5
+    x, residual = np.full(b.size, np.nan), np.empty(b.size)
+    kernels.first_sweep(top.rows, top.grid.blocks, top.inverse, b, x)
+    kernels.residual_after_first_sweep(top.rows, top.grid.blocks, top.inverse, b, x, residual)
+    assert np.isfinite(x).all()
+    np.testing.assert_allclose(residual, b - M @ x, atol=1e-12)

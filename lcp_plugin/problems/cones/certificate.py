@@ -301,7 +301,6 @@ class ConeCertificate:
         return ConeRows(ConeStack.of(self.problem))
 
     @derived_property
-    @np.errstate(all="ignore")
     def found(self) -> Measured:
         """The measure of z."""
         pattern = self.criterion.stack.pattern
@@ -352,11 +351,6 @@ class ConeCertificate:
         return float(length(plain.residual(z, w)[0]).max(initial=0.0))
 
     @derived_property
-    def dissipation(self) -> float:
-        """−zᵀw; for contacts the energy −rᵀu that friction would take at the final velocities."""
-        return float(-(self.z @ self.w))
-
-    @derived_property
     def lost_energy(self) -> float:
         """−rᵀ(b + u)/2, the kinetic energy that impact and friction take: impulses r change velocities b to u."""
         return float(-0.5 * (self.z @ (self.problem.q + self.w)))
@@ -364,7 +358,7 @@ class ConeCertificate:
     def __str__(self) -> str:
         names = "relative_residual", "natural_residual", "term_residual"
         lines = [(name.replace("_", " "), getattr(self, name)) for name in names]
-        lines.append(("z · w", -self.dissipation))
+        lines.append(("z · w", float(self.z @ self.w)))
         return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
 
 

@@ -109,13 +109,6 @@ class Blocks:
         wide, flat = stack.pattern.wide, stack.pattern.flat
         return flat(stack.residual(wide(z[None]), wide(w[None]))[0])[0]
 
-    def project(self, z: Vector) -> Vector:
-        """Return the point of K nearest to z, shape (n,)."""
-        stack = ConeStack.of(self)
-        with np.errstate(all="ignore"):
-            found: Vector = stack.pattern.flat(stack.project(stack.pattern.wide(z[None])))[0]
-        return found
-
     def part(self, blocks: NDArray[np.bool_]) -> Blocks:
         """Return the problem of the selected blocks, bool, shape (k,), which must be entire components."""
         rows = blocks[self.block_of_row]
@@ -154,12 +147,6 @@ class Blocks:
     def _shape(self) -> dict[str, Any]:
         """Return the arrays that describe the blocks in a file."""
         raise NotImplementedError
-
-    def _words(self) -> str:
-        raise NotImplementedError
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self._words()}, {self.nonzeros} nonzeros)"
 
 
 class ConeProblem(Blocks):
@@ -210,8 +197,9 @@ class ConeProblem(Blocks):
         of_cones = {"cone_kinds": np.array(kinds, np.int64), "cone_rows": np.array(rows, np.int64)}
         return {**of_cones, "lower": self.lower, "upper": self.upper}
 
-    def _words(self) -> str:
-        return f"n={self.n}, {format_count(int((self.sizes > 1).sum()), 'second-order cone')}"
+    def __repr__(self) -> str:
+        cones = format_count(int((self.sizes > 1).sum()), "second-order cone")
+        return f"ConeProblem(n={self.n}, {cones}, {self.nonzeros} nonzeros)"
 
 
 def _box(bounds: Sequence[Any], name: str) -> tuple[Vector, Vector]:
@@ -272,7 +260,7 @@ def minimizers(problem: Blocks, z: Vector) -> Iterator[Vector]:
     symmetric = sp.csc_array(0.5 * (M + M.T))
     rest, P, first = sp.csr_array(M - symmetric), sp.triu(symmetric), problem.starts[:-1]
     rows, limits, cones = conic_rows(problem)
-    is_final = not (problem.has_friction or rest.count_nonzero())
+    is_final, stack = not (problem.has_friction or rest.count_nonzero()), ConeStack.of(problem)
     while True:
         q = problem.q + rest @ z
         if problem.has_friction:
@@ -282,7 +270,7 @@ def minimizers(problem: Blocks, z: Vector) -> Iterator[Vector]:
         z = np.asarray(solve_conic(P, q, rows, limits, cones).x)
         if z.size != problem.n or not np.isfinite(z).all():
             return
-        z = problem.project(z)
+        z = stack.pattern.flat(stack.project(stack.pattern.wide(z[None])))[0]
         yield z
         if is_final:  # another program would be the same
             return

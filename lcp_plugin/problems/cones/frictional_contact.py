@@ -276,8 +276,9 @@ class FrictionalContact(Blocks):
     def _shape(self) -> dict[str, Any]:
         return {"mu": self.friction}
 
-    def _words(self) -> str:
-        return f"{format_count(self.slope.size, 'contact')} in {'space' if self.dimension == 3 else 'the plane'}"
+    def __repr__(self) -> str:
+        count, where = self.slope.size, "space" if self.dimension == 3 else "the plane"
+        return f"FrictionalContact({format_count(count, 'contact')} in {where}, {self.nonzeros} nonzeros)"
 
 
 def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[np.int64]:

@@ -37,6 +37,7 @@ from .stack import FEW, Array, ConeStack
 from .sweeps import sweep_blocks
 
 QUICK_STEPS = 20  # of sweeps over a small problem, which cost less than one of Newton's steps
+LEAST_GOAL = 1e-8  # of a run with an absolute tolerance: far above the rounding level EXACT
 CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals exclude rounding errors
 SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's method
 # A problem that a stack leaves takes a hundred times as long
@@ -182,10 +183,11 @@ class ConeRun(Run):
         stack = self.stack
         self.place = place or (np.empty(problem.n), slice(None), 1.0)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance
+        self.reached = max(self.tolerance, LEAST_GOAL) if self.absolute else self.tolerance
         if self.absolute:
-            least = np.maximum(stack.reference, self.absolute / self.settings.goal)
+            least = np.maximum(self.tolerance * stack.reference, self.absolute) / self.reached
             stack.weight = np.where(stack.is_answered, 0.0, 1.0 / least)
-        self.goal = CLOSER * self.settings.goal
+        self.goal = CLOSER * self.reached
         self.start = stack.origin if z is None else stack.snap(stack.pattern.wide(z[None]))
         self.is_warm = z is not None and bool((self.start != stack.origin).any())
         self.best = Measured(self.start, np.inf, passes=False)
@@ -238,12 +240,9 @@ class ConeRun(Run):
     def result(self, end: Status) -> Result:
         """Return the result."""
         self.measure_best()
-        words = dict(WORDS)
-        if not self.settings.prove_infeasibility:
-            words[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
         name = ", ".join(dict.fromkeys(stage.name for stage in self.progress.records()))
         name = f"auto: {name}" if isinstance(self.chosen, str) else self.chosen.name
-        named = {"algorithm": name, "infeasibility": self.proof, "_advice": words}
+        named = {"algorithm": name, "infeasibility": self.proof, "_advice": WORDS}
         z = read_only(self.stack.pattern.flat(self.best.z)[0].copy())
         found = None if self.best.rows is None else self.best
         at = ConeCertificate(self.problem, z, self.tolerance, found)
@@ -272,7 +271,7 @@ class ConeRun(Run):
         yield from self._sweep_to_rounding()
         if self.is_warm or stack.is_answered.all():
             residual = stack.relative_residual(self.start)
-            if residual <= self.tolerance:
+            if residual <= self.reached:
                 yield Stage(methods.ConeNSGS(), SWEPT)
             self.residual = residual
         z = yield from self._sweeps_and_newton(self.start, SCHEDULE[:1])

@@ -295,7 +295,7 @@ class ConeStack:
         self.low, self.high = lower[:, first], upper[:, first]
         self.origin = np.zeros_like(self.q)
         if has_friction:
-            size = np.maximum(-self.q[..., 0], 0.0) / self.d
+            size = -self.q[..., 0] / self.d  # the largest is at least 0
         else:
             self.origin = self.project(self.origin)
             w = self.slack(self.origin) if self.origin.any() else self.q

@@ -316,7 +316,7 @@ def _gap(
         ):
             slant, at = s * sign + l1, np.maximum(sign * x, 0.0)
             both += _fall(slant, at - np.maximum(low, 0.0), margin)
-            both += _fall(-slant, np.maximum(high, 0.0) - at, margin)
+            both += _fall(-slant, high - at, margin)  # at is 0 if high < 0
         linear = np.where(l1 == 0.0, linear, both)
         least = np.where(x != 0.0, np.abs(s + np.copysign(l1, x)), np.maximum(np.abs(s) - l1, 0.0))
     curved = convexity if convexity.size else np.full(x.shape, problem.ridge)

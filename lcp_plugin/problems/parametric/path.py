@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.certificates.criterion import row_data
-from ...core.certificates.residuals import Certificate
 from ...core.checks import Vector, derived_property, is_number, read_only
 from ...core.errors import InvalidOption, NotConverged
 from ...core.lcp import LCP
@@ -124,17 +123,6 @@ class PathPoint(Outcome):
         if is_solved:
             return Status.SOLVED
         return Status.PRECISION_LIMIT if is_near else Status.STALLED
-
-    @cached_property
-    def certificate(self) -> Certificate:
-        """The residuals of an LCP's z.
-
-        Raises
-        ------
-        InvalidProblem
-            For other problem classes: see `solution` and `status`.
-        """
-        return Certificate.of(self.problem, self.x)
 
 
 @dataclass(frozen=True, eq=False)

@@ -624,8 +624,6 @@ class ProgramRun(Run):
     def _is_far(self, x: Vector) -> bool:
         """Return whether x is so large that a test in double precision may accept a descent as a minimum."""
         size = np.abs(x).max(initial=0.0)
-        if size <= FAR:
-            return False
         limits = np.abs(self.program.constraints.limit)
         return bool(size > FAR * limits[np.isfinite(limits)].max(initial=1.0))
 

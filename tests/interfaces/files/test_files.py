@@ -407,3 +407,10 @@ def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -
         PROBLEM.save(tmp_path / path)
     assert files_in(tmp_path) == {"file": b"precious"}
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "taken.npz"]
+
+
+@pytest.mark.parametrize("line", ["array real general\n0 0", "coordinate real general\n0 0 0"])
+def test_an_empty_matrix_market_file_is_an_empty_matrix(line: str, tmp_path: Path) -> None:
+    """A matrix of shape (0, 0); scipy's reader divides by the number of columns, which ends the process."""
+    (tmp_path / "M.mtx").write_text(f"%%MatrixMarket matrix {line}\n")
+    assert files.read_matrix_market(tmp_path / "M.mtx").shape == (0, 0)

@@ -608,3 +608,12 @@ def best(bound: float = INFINITY) -> NLContent:
     return replace(
         pair, **objective_of(objective), partners=np.array([0, -1]), upper=np.full(2, bound)
     )
+
+
+def test_a_side_condition_holds_as_closely_as_the_tolerance_asks() -> None:
+    """Ten times a loose tolerance is allowed: the start 2.00005 solves x = 2, and misses exp(x) ≤ exp(2) by 4e-4."""
+    model = beside_pairs("inequality", 2.0)
+    start = replace(model, start=np.array([2.00005, 0.0]), has_start=np.array([True, True]))
+    loose = model_of(start).solve(tolerance=1e-4)
+    assert (loose.status, loose.x[0]) == (Status.SOLVED, 2.00005)
+    assert model_of(start).solve().x[0] == pytest.approx(2.0, abs=1e-6)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from campaigns import cones as campaign
-from inputs.cone_families import planted_contacts
+from inputs.cone_families import exact_residuals, planted_cones, planted_contacts
 
 from lcp_plugin import ConeProblem, FrictionalContact, Status, march, solve, solve_batch
 from lcp_plugin.problems.cones.certificate import ConeRows, bound_residuals
@@ -112,6 +112,47 @@ def test_a_contact_without_a_solution_ends_after_few_sweeps() -> None:
     assert result.status is Status.STALLED
     assert sum(one.iterations for one in result.stages if one.name == "newton") <= 500
     assert result.guarantee is None
+
+
+def test_bounds_of_the_residual_hold_within_rounding_of_an_edge() -> None:
+    """The bounds enclose the residual in 60 digits for points whose step ends within rounding of the cone's edge."""
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        way = rng.standard_normal(2)
+        way /= np.hypot(*way)
+        z = np.array([1.0, *way]) * 10.0 ** rng.uniform(-3, 3)
+        w = np.array([1.0, *-way]) * 10.0 ** rng.uniform(-18, -6) * z[0]
+        z = z + w * rng.uniform(0, 2)
+        stack = ConeStack.of(ConeProblem(np.eye(3), w, [("second_order", 3)]))
+        low, high = (ends[0, 0] for ends in ConeRows(stack).residual_ends(z[None], w[None]))
+        right = exact_residuals(ConeProblem(np.zeros((3, 3)), w, [("second_order", 3)]), z)[0]
+        assert low <= right <= high, seed
+
+
+def test_solved_by_an_absolute_tolerance_means_residuals_within_it(draws: Any) -> None:
+    """Problems of two sizes, also with tolerance=0: SOLVED, and the residual in 60 digits is within the tolerance."""
+    for seed in draws(80):
+        rng = np.random.default_rng(seed)
+        problem: Any = planted_contacts(3, 3, 10, rng)[0] if seed % 2 else planted_cones(4, rng)[0]
+        absolute = 10.0 ** rng.uniform(-8, -1)
+        result = solve(problem, tolerance=0.0, absolute_tolerance=absolute)
+        assert result.is_solved, seed
+        assert max(exact_residuals(problem, result.z)) <= absolute
+        again = solve(problem, z0=result.z, tolerance=0.0, absolute_tolerance=absolute)
+        assert again.is_solved
+        assert again.iterations == 0
+
+
+def test_the_projection_onto_boxes_and_a_cone_is_the_nearest_point() -> None:
+    """Boxes clip, and the projections of x and −x onto a cone are orthogonal with the difference x."""
+    cones = [("box", -1.0, 2.0), ("nonnegative", 1), ("free", 1), ("second_order", 3)]
+    problem = ConeProblem(np.eye(6), np.zeros(6), cones)
+    for x in 3.0 * np.random.default_rng(0).standard_normal((20, 6)):
+        near, other = problem.project(x), problem.project(-x)[3:]
+        assert near[:3].tolist() == [np.clip(x[0], -1.0, 2.0), max(x[1], 0.0), x[2]]
+        np.testing.assert_allclose(near[3:] - other, x[3:], atol=1e-14)
+        assert abs(near[3:] @ other) <= 1e-13
+        assert min(one[0] - np.hypot(*one[1:]) for one in (near[3:], other)) >= -1e-14
 
 
 def test_the_sufficient_test_accepts_only_points_that_pass(draws: Any) -> None:

@@ -77,7 +77,7 @@ LCP.from_contacts(np.eye(6), 0.5, FALL) → must have shape \(2, 3\).*got shape 
 LCP.from_contacts(BODY, 0.5, np.zeros(2)) → velocities must have shape \(3,\).*too few
 LCP.from_contacts(EYE, 0.5, [[0.0] * 3] * 2) → \(1, 3\).*got shape \(2, 3\)
 LCP.from_contacts(EYE, 0.5, np.zeros(3)) → must have shape \(1, 3\)
-LCP.from_contacts(EYE, 0.5, [[np.nan, 0.0, 0.0]]) → velocities .* entry \[0, 0\] is nan
+LCP.from_contacts(EYE, 0.5, [[np.nan, 0.0, 0.0]]) → velocities\[0, 0\] = nan; repair it
 LCP.from_contacts(np.tri(3), 0.5, FALL) → W must be symmetric.*same J
 LCP.from_contacts(np.ones((3, 2)), 0.5, FALL) → W must be square
 LCP.from_contacts((np.diag([1.0, 1.0, 0.0]), *BODY[1:]), 0.5, np.zeros(3)) → positive definite

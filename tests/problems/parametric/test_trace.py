@@ -452,3 +452,11 @@ def test_a_path_without_unknowns_is_solved() -> None:
     assert empty.x([0.0, 0.5]).shape == (2, 0)
     program = QuadraticProgram(np.zeros((0, 0)), [])
     assert trace(program, {"c": []}, 0.0, 1.0).is_solved
+
+
+def test_an_unknown_without_a_column_stays_at_its_start() -> None:
+    """A column of zeros lets x₁ ≤ ∞ be anything; the path keeps the finite value of its start."""
+    fit = BoundedLeastSquares([[1.0, 0.0]], [1.0], lower=[0.0, -INF])
+    path = trace(fit, {"b": [1.0]}, -2.0, 2.0)
+    assert path.status is Status.SOLVED
+    assert path.x([1.0, -1.5]).tolist() == [[2.0, 0.0], [0.0, 0.0]]

@@ -279,6 +279,8 @@ def test_claims_are_proved_by_proofs_and_disproved_by_points() -> None:
         ["disproved", "proved"],
         ["disproved", "disproved"],
     ]
+    deep = certify(QuadraticProgram([[1e-200]], [1e200]), claim="unbounded")  # at least −5e599
+    assert (deep.verdict, deep.claim, deep.lower) == ("unproved", "unbounded", None)
     answer = certify(unbounded, [0.0])
     assert (answer.verdict, answer.lower) == ("disproved", None)
     assert answer.reason.startswith("the program is unbounded")

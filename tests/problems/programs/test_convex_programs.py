@@ -374,6 +374,13 @@ def test_an_exact_descent_counts_beside_its_own_costs(
     assert certify(program, claim="unbounded").verdict == "proved"
 
 
+def test_negative_curvature_excludes_every_minimum() -> None:
+    """−x²/2 falls without a cost: no change of costs ends the descent."""
+    proof = QPUnboundedness(QuadraticProgram([[-1.0]], [0.0]), (Fraction(0),), (Fraction(1),))
+    assert proof.verify()
+    assert (proof.margin, proof.excludes(1e-6)) == (INF, True)
+
+
 def test_a_proof_says_by_how_much_its_point_misses_constraints() -> None:
     """If constraints are inconsistent by rounding, the proof reports the violation."""
     found = solve(

@@ -12,6 +12,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
+from inputs.published_problems import PROGRAMS, PublishedProgram
 from inputs.small_families import spectrum
 from scipy.linalg import solve_banded
 from scipy.optimize import linprog, nnls
@@ -23,6 +24,7 @@ from lcp_plugin import (
     QuadraticProgram,
     complements,
     march,
+    optimal,
     solve,
     solve_batch,
     trace,
@@ -41,7 +43,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
     """Yield a line for each row: microseconds of ours and of the rival, the ratio and its goal."""
     yield f"{'problem':44} {'ours':>9} {'instead':>9} µs  ratio   goal"
     for name, goal, ours, rival, instead, count in chain(
-        _lcps(quick), _programs(quick), _models(quick)
+        _lcps(quick), _programs(quick), _models(quick), _published(quick)
     ):
         times = {}
         for key, call in (("ours", ours), ("instead", instead)):
@@ -162,15 +164,16 @@ def _programs(quick: bool) -> Iterator[Row]:
             ("long only", S, (0.0, np.inf)),
             ("float32, −1 ≤ x ≤ 1", S.astype(np.float32).astype(float), (-1.0, 1.0)),
         ):
-            data = one, np.zeros(200), ones, [1.0], *end
-            ours, other = partial(_solve_bounded, *data), partial(by_piqp, *data)
+            ends = np.full(200, end[0]), np.full(200, end[1])
+            data = one, np.zeros(200), None, None, ones, np.ones(1), *ends
+            ours, other = partial(_solve_program, *data), partial(by_piqp, *data)
             yield f"minimum variance, 200 assets, {name}", 3.0, ours, "PIQP", other, 1
         n = 50 if quick else 1500
         X = rng.normal(size=(n, 2))
         label = np.sign(X[:, 0] * X[:, 1])
         Q = np.exp(-((X[:, None] - X) ** 2).sum(2)) * np.outer(label, label)
-        data = Q, -np.ones(n), label[None], [0.0], 0.0, 1.0
-        ours, other = partial(_solve_bounded, *data), partial(by_piqp, *data)
+        data = Q, -np.ones(n), None, None, label[None], np.zeros(1), np.zeros(n), np.ones(n)
+        ours, other = partial(_solve_program, *data), partial(by_piqp, *data)
         yield f"SVM dual, {n} points", 1.5, ours, "PIQP", other, 1
 
 
@@ -180,6 +183,33 @@ def _models(quick: bool) -> Iterator[Row]:
     R = rng.random((50 if quick else 1000, 40))
     apart, inlined = partial(_solve_shares, R, False), partial(_solve_shares, R, True)
     yield f"{len(R)} definitions d == A @ x, 40 pairs", 3.0, apart, "inlined", inlined, 1
+    wealth, spent = cp.Variable(21), cp.Variable(20)
+    utility = cp.Maximize(0.96 ** np.arange(20) @ cp.log(spent))
+    saved = [wealth[0] == 1, wealth[1:] == 1.03 * wealth[:-1] + 1 - spent, wealth[20] >= 0]
+    plan = cp.Problem(utility, saved)
+    agent = cp.Problem(cp.Minimize(0), [optimal(plan, over=[wealth, spent])])
+    ours, other = (
+        partial(agent.solve, method="LCP", warm_start=False),
+        partial(plan.solve, "CLARABEL"),
+    )
+    yield "log utility, 20 periods, through optimal", 5.0, ours, "Clarabel", other, 1
+
+
+def _published(quick: bool) -> Iterator[Row]:
+    """Yield the row of the published programs, all in one call, as arrays."""
+    if find_spec("piqp") is None:
+        return
+    by_piqp, every = partial(_by_piqp, import_module("piqp")), list[Any]()
+    for name, size in PROGRAMS.items():
+        of = PublishedProgram.read(name)
+        rows, low, high, lower, upper = of.split()
+        is_equal, m = low == high, np.isfinite(high) & (low < high)
+        k = np.isfinite(low) & (low < high)
+        G, h = sp.vstack([rows[m], -rows[k]], "csr"), np.concatenate([high[m], -low[k]])
+        if not quick or size < 100:
+            every += [(of.P, of.q, G, h, rows[is_equal], high[is_equal], lower, upper)]
+    ours, other = partial(_each_of, _solve_program, every), partial(_each_of, by_piqp, every)
+    yield f"{len(every)} published programs, arrays", 2.5, ours, "PIQP", other, len(every)
 
 
 def _solve_shares(R: Any, is_inlined: bool) -> None:
@@ -236,15 +266,18 @@ def _solve_contact(W: Any, b: Any, friction: Any) -> None:
     solve(FrictionalContact(W, b, friction, dimension=3))
 
 
-def _solve_bounded(P: Any, c: Any, A: Any, b: Any, lower: float, upper: float) -> None:
-    solve(QuadraticProgram(P, c, A=A, b=b, lower=lower, upper=upper))
-
-
-def _by_piqp(piqp: Any, P: Any, c: Any, A: Any, b: Any, lower: float, upper: float) -> None:
-    solver, n = piqp.DenseSolver(), len(c)
-    ends = np.full(n, lower), np.full(n, upper)
-    solver.setup(P, c, A, np.array(b), None, None, None, *ends)
+def _by_piqp(piqp: Any, P: Any, c: Any, G: Any, h: Any, A: Any, b: Any, *ends: Any) -> None:
+    is_sparse = sp.issparse(P)
+    solver = piqp.SparseSolver() if is_sparse else piqp.DenseSolver()
+    P, G, A = (sp.csc_matrix(one) if is_sparse else one for one in (P, G, A))
+    rows = (None, None, None) if h is None or not h.size else (G, None, h)
+    solver.setup(P, c, *((A, b) if len(b) else (None, None)), *rows, *ends)
     solver.solve()
+
+
+def _each_of(call: Any, arguments: list[Any]) -> None:
+    for one in arguments:
+        call(*one)
 
 
 def _each(call: Any, first: Any, second: Any) -> None:

@@ -146,9 +146,13 @@ def test_solved_by_an_absolute_tolerance_means_residuals_within_it(draws: Any) -
 def test_the_projection_onto_boxes_and_a_cone_is_the_nearest_point() -> None:
     """Boxes clip, and the projections of x and −x onto a cone are orthogonal with the difference x."""
     cones = [("box", -1.0, 2.0), ("nonnegative", 1), ("free", 1), ("second_order", 3)]
-    problem = ConeProblem(np.eye(6), np.zeros(6), cones)
+    stack = ConeStack.of(ConeProblem(np.eye(6), np.zeros(6), cones))
     for x in 3.0 * np.random.default_rng(0).standard_normal((20, 6)):
-        near, other = problem.project(x), problem.project(-x)[3:]
+        near, other = (
+            stack.pattern.flat(stack.project(stack.pattern.wide(one)))[0]
+            for one in (x[None], -x[None])
+        )
+        other = other[3:]
         assert near[:3].tolist() == [np.clip(x[0], -1.0, 2.0), max(x[1], 0.0), x[2]]
         np.testing.assert_allclose(near[3:] - other, x[3:], atol=1e-14)
         assert abs(near[3:] @ other) <= 1e-13

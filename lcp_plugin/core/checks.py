@@ -125,15 +125,12 @@ def rectangular_matrix(
     if is_sparse:
         check_kind(values.dtype, need)
     matrix = values if is_sparse else real_array(values, need)
-    fits, fits_turned = (
-        matrix.ndim == 2
-        and all(one in (None, of) for one, of in zip((rows, columns), shape, strict=True))
-        for shape in (matrix.shape, matrix.shape[::-1])
-    )
-    if not fits:
+    shape = matrix.shape
+    if len(shape) != 2 or rows not in (None, shape[0]) or columns not in (None, shape[1]):
+        fits_turned = len(shape) == 2 and rows in (None, shape[1]) and columns in (None, shape[0])
         hint = "; write a single row as [[…]]" if matrix.ndim == 1 else ""
         hint = f"; did you mean {name}.T?" if fits_turned else hint
-        raise InvalidProblem(f"{need}, got shape {matrix.shape}{hint}")
+        raise InvalidProblem(f"{need}, got shape {shape}{hint}")
     if is_sparse:
         return canonical_csr(matrix, name, is_copied=is_copied)
     require_finite(matrix, name)
@@ -382,7 +379,8 @@ def checked_bounds(
         Unless lower ≤ upper on every row, with a real number between them.
     """
     are_numbers = type(lower) is type(upper) is float
-    if are_numbers and -INFINITE_LIMIT < lower < INFINITE_LIMIT and lower <= upper:
+    if are_numbers and lower <= upper and lower < INFINITE_LIMIT and upper > -INFINITE_LIMIT:
+        lower = lower if lower > -INFINITE_LIMIT else -math.inf
         upper = upper if upper < INFINITE_LIMIT else math.inf
         return (_equal_bounds if n <= SHARED_UP_TO else _equal_bounds.__wrapped__)(lower, upper, n)
     below, above = replace_huge_bounds_by_inf(

@@ -52,7 +52,7 @@ from ...core.checks import Vector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import DATA_ROUNDING, UNIT
 from ...core.matrix import largest_products
-from ...core.rounding import compensated_pair
+from ...core.rounding import compensated_pair, split_sum
 from ...core.settings import checked_tolerance
 
 if TYPE_CHECKING:
@@ -187,8 +187,8 @@ class PrimalDualPoint:
         d, lower, upper = np.concatenate([program.h, program.b]), program.lower, program.upper
         is_limit = np.isfinite(d)
         sides = np.where(is_limit, d, 0.0)
-        self.outside = np.maximum(np.maximum(lower - x, x - upper), 0.0)
-        self.given, x = np.abs(x), np.minimum(np.maximum(x, lower), upper)
+        self.given, x = x, np.minimum(np.maximum(x, lower), upper)
+        self.outside = np.abs(self.given - x)
         y = np.where(is_limit, y, 0.0)
         np.maximum(y[:m], 0.0, out=y[:m])
         self.x, self.y, self.of_x, self.of_y = x, y, np.abs(x), np.abs(y)
@@ -199,8 +199,14 @@ class PrimalDualPoint:
         self.terms_of_rows = of_C @ self.of_x + self.limits
         if is_exact:
             self.product, low, radius = compensated_pair(self.matrices.sparse_P, x)
-            self.left, doubt = self._exact_pull(self.product, low)
-            self.doubt = (doubt + radius) * (1.0 + 4.0 * UNIT)  # its own rounding included
+            pull, more, doubt = compensated_pair(self.matrices.columns, y, program.c)
+            self.pull = np.abs(pull) + doubt
+            high, rest = split_sum(pull, self.product)
+            rest += low + more
+            self.left = high + rest
+            # Two sums of rests are rounded, each of which is at most u times a rounded sum
+            self.doubt = (doubt + radius + 4.0 * UNIT * np.abs(rest)) * (1.0 + 4.0 * UNIT)
+            self.doubt += 4.0 * UNIT * (np.abs(low) + np.abs(more))
             excess, _, _ = compensated_pair(self.matrices.rows, x, -sides)
             self.hidden: Any = 0.0
             row_doubt: Any = 0.0
@@ -240,7 +246,7 @@ class PrimalDualPoint:
         if of_bounds.any():
             lower, upper = self.program.lower, self.program.upper
             bound = np.where(self.x == lower, np.abs(lower), np.abs(upper))
-            of_bounds = ratio(of_bounds, np.maximum(bound, self.given))
+            of_bounds = ratio(of_bounds, np.maximum(bound, np.abs(self.given)))
         return np.concatenate([ratio(self.over, own), of_bounds])
 
     def tolerated(self) -> float:
@@ -356,10 +362,9 @@ class PrimalDualPoint:
     @property
     def _is_rounding(self) -> Any:
         """Return the unknowns whose gradient is the rounding error of a cost and multipliers, or of x where P x = 0."""
-        pull, doubt = self._exact_pull(0.0 * self.x, 0.0 * self.x)
         at_rest = self.curved <= BLUR * BLUR * self._sums(self.of_x * self.bend)
         at_rest = at_rest[self.matrices.components.of_unknown]
-        most = np.where(at_rest, np.abs(pull) + doubt, np.abs(self.left) + self.doubt)
+        most = np.where(at_rest, self.pull, np.abs(self.left) + self.doubt)
         return most <= BLUR * (self.cost + self.matrices.measured[4] @ self.needed_y)
 
     @cached_property
@@ -375,12 +380,6 @@ class PrimalDualPoint:
         pull = units * np.abs(self.product + self.program.c)
         pulls = np.where(way > DATA_ROUNDING * units * sizes, pull, 0.0)
         return np.minimum(self.of_y, row_units * self._largest_by_component(pulls)[parts.of_row])
-
-    def _exact_pull(self, high: Vector, low: Vector) -> tuple[Vector, Vector]:
-        """Return c + Cᵀy + high + low, and a bound of its error: P x is summed once, although two tests need it."""
-        terms = np.concatenate([self.y, self.program.c, low])
-        pull, _, doubt = compensated_pair(self.matrices.columns, terms, high)
-        return pull, doubt
 
     def _sums(self, of_unknowns: Vector, of_rows: Vector | None = None) -> Vector:
         """Return the sums over each component."""
@@ -501,7 +500,8 @@ class QPSolution:
         """
         folded = program.folded
         reduced, m = folded.reduced, folded.reduced.h.size
-        y = np.append(np.maximum(y[:m], 0.0), y[m:])
+        y = y.copy()
+        np.maximum(y[:m], 0.0, out=y[:m])
         P, C = reduced.matrices.stacked
         left = P @ x + reduced.c + C.T @ y
         at_lower = np.where(np.isfinite(reduced.lower), np.maximum(left, 0.0), 0.0)

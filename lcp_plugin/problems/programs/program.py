@@ -164,15 +164,9 @@ class QuadraticProgram:
         signs[above.size : sides] = -1.0
         both = rows[order]
         both.data *= np.repeat(signs, np.diff(both.indptr))
-        G, equations = checks.freeze_csr(both[:sides]), checks.freeze_csr(both[sides:])
-        bounds = checks.checked_bounds(lower, upper, n)
-        symmetric_P, asymmetry = symmetric(checks.rectangular_matrix(P, "P", n, n))
-        h, b = checks.read_only(np.append(high[above], -low[below])), checks.read_only(low[equal])
-        program = cls.with_matrices(
-            ProgramMatrices(symmetric_P, G, equations), vector, h, b, *bounds
-        )
-        program.__dict__.update(asymmetry=asymmetry, ranges=(order, signs, m))
-        program.__dict__["constant"] = checked_constant(constant)
+        h, b = np.append(high[above], -low[below]), low[equal]
+        program = cls(P, vector, both[:sides], h, both[sides:], b, lower, upper, constant)
+        program.__dict__["ranges"] = order, signs, m
         return program.with_names(checked_names(names, m, n))
 
     @property

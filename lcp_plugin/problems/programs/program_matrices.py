@@ -9,6 +9,7 @@ Program without rows of one variable, and the inverse transformation of solution
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -79,7 +80,8 @@ class ProgramMatrices:
     @cached_property
     def rows(self) -> sp.csr_array:
         """[G; A]."""
-        return sp.vstack([as_csr(self.G), as_csr(self.A)], format="csr")
+        G, A = self.arrays[1:]
+        return sp.vstack([G, A], "csr") if sp.issparse(G) else sp.csr_array(self.stacked[1])
 
     @cached_property
     def sparse_P(self) -> sp.csr_array:
@@ -180,9 +182,8 @@ class ProgramMatrices:
 
     @cached_property
     def columns(self) -> sp.csr_array:
-        """[Gᵀ Aᵀ I I]: sums the terms of multipliers with two vectors."""
-        identity = sp.eye_array(self.P.shape[0], format="csr")
-        return sp.csr_array(sp.hstack([self.rows.T, identity, identity], format="csr"))
+        """[Gᵀ Aᵀ]."""
+        return sp.csr_array(self.rows.T)
 
     @cached_property
     def row_sizes(self) -> Vector:
@@ -233,7 +234,7 @@ class ProgramMatrices:
         if self.is_semidefinite or d.min() < -BLUR * abs(P).max():
             return P if self.is_semidefinite else None
         diagonal: Any = sp.diags_array if sp.issparse(P) else np.diag
-        least, d = np.minimum(d, 0.0), np.where(d > 0.0, d, largest_in_rows(self.sparse_P))
+        least, d = np.minimum(d, 0.0), np.where(d > 0.0, d, largest_in_rows(P))
         unit = scaled_to(P - diagonal(least), 1.0 / np.sqrt(or_one(d)))
         if unit is None:
             return P
@@ -242,7 +243,7 @@ class ProgramMatrices:
             return None
         if self.is_semidefinite is None:
             return P
-        shift = next(one for one in shifts if factorised(unit, one) is not None)
+        shift = shifts[bisect_left(shifts, True, key=lambda one: factorised(unit, one) is not None)]
         found = P + diagonal(shift * d - least)
         return freeze_csr(found) if sp.issparse(P) else read_only(found)
 

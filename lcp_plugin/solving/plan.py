@@ -18,6 +18,12 @@ analysis of M. A stage of sweeps is over if its work so far and the sweeps that 
 times the work of the next stage. The work of psor is predicted as 3 √s sweeps if npsor needs s, at least 20; the work
 of multigrid as 90 passes and its calls; the work of the direct methods by n.
 
+The first sweeps are the quickest: they smooth the error, and only then its slowest part shows. So after one sweep on a
+large symmetric M the free unknowns F are measured too: Gauss–Seidel takes ln R/2λ sweeps to reduce the residual by a
+factor R, λ least with D⁻¹M_FF x = λx. On a cube of any dimension λ = π²h²/2, h = 1ᵀM_FF 1/1ᵀD_F 1, and λ is never
+below the least sum of a row of D⁻¹M_FF. The larger λ of the two counts, and never more than √R sweeps, because in
+the plane a localized residual falls as 1/k².
+
 Decisions never depend on measured time, so that a repeated call gives the identical result.
 """
 
@@ -25,6 +31,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+
+import numpy as np
 
 from ..core.algorithm import Algorithm, count_driven_sweeps
 from ..core.lcp import LCP
@@ -100,6 +108,8 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
     direct, cycles = _direct_passes(problem), _cycle_passes(problem)
 
     def is_trial_over(stage: Stage) -> bool:
+        if stage.iterations == 1 and cycles < math.inf:
+            return fewest_sweeps(problem, stage, goal) > PATIENCE**2 * cycles
         if stage.iterations < 3:
             return False
         needed, best = stage.steps_to_go(goal), min(_psor_passes(0.0), direct)
@@ -112,7 +122,8 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
 
     why = "cheap sweeps over the rows come first; their rate decides the next stage"
     yield (npsor := Stage(SWEEPING["npsor"], why, is_trial_over))
-    if _psor_passes(npsor.steps_to_go(goal)) <= min(direct, cycles):
+    sweeps = max(npsor.steps_to_go(goal), fewest_sweeps(problem, npsor, goal))
+    if _psor_passes(sweeps) <= min(direct, cycles):
         yield Stage(SWEEPING["psor"], "sweeps with automatic relaxation", is_too_slow)
     if cycles < math.inf:
 
@@ -151,3 +162,23 @@ def _direct_passes(problem: LCP) -> float:
         return math.inf
     entries = min(12_500.0 * problem.n, 0.06 * problem.n**3)  # that factorizations touch
     return max(10.0, count_driven_sweeps(problem, entries / max(problem.matrix.nonzeros, 1)))
+
+
+def fewest_sweeps(problem: LCP, stage: Stage, goal: float) -> float:
+    """Return the sweeps that an error needs that is constant on the free unknowns; 0 if that is unknown."""
+    z = stage.z
+    if z is None or problem.matrix.is_dense or problem.n <= DIRECT_UP_TO:
+        return 0.0
+    if not (stage.residuals and goal > 0.0 and is_nearly_symmetric(problem.matrix)):
+        return 0.0
+    gain = stage.residuals[-1][1] / goal
+    margin = 1e-2 * max(z.max(), -z.min())  # npsor approaches a bound without reaching it
+    is_free = (problem.lower + margin < z) & (z < problem.upper - margin)
+    free = is_free.astype(np.float64)
+    sums, diagonal = problem.matrix.csr @ free, problem.matrix.diagonal
+    share = free @ sums / (free @ diagonal)
+    least = (sums / diagonal).min(initial=1.0, where=is_free)
+    slowest = max(0.5 * (math.pi * share) ** 2, least)
+    if not (gain > 1.0 and 0.0 < slowest < 1.0):
+        return 0.0
+    return float(min(math.sqrt(gain), 0.5 * math.log(gain) / slowest))

@@ -306,7 +306,7 @@ class ConeRun(Run):
         """Yield the start or the swept point of a small contact problem if it is a solution to rounding."""
         stack, z, count, bound = self.stack, self.start, 0, np.inf
         most, is_small = QUICK_STEPS * methods.SWEEPS_PER_STEP, 0 < self.problem.n <= FEW
-        if self.absolute or not is_small or self.settings.max_iterations < QUICK_STEPS:
+        if self.absolute or not is_small:
             return
         if self.is_warm or stack.is_answered.any():
             bound = bound_residuals(stack, z, self.tolerance)[0]
@@ -314,7 +314,7 @@ class ConeRun(Run):
             z, counts = sweep_blocks(stack, z, most, EPSILON)
             count = -(-int(counts[0]) // methods.SWEEPS_PER_STEP)
             bound = bound_residuals(stack, z, self.tolerance)[0]
-        if bound < np.inf:
+        if bound < np.inf and count <= self.settings.max_iterations:
             point, work = Measured(z, float(bound), passes=True), count * methods.SWEEPS_PER_STEP
             step = Step(z, measured=point, work=work + 1.0, iterations=count)
             yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))

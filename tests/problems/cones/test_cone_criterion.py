@@ -178,10 +178,11 @@ def test_the_sufficient_test_accepts_only_points_that_pass(draws: Any) -> None:
     assert min(accepted, refused) > 5
 
 
-def test_a_run_that_is_recorded_has_the_same_bits() -> None:
+def test_a_run_that_is_recorded_or_limited_has_the_same_bits() -> None:
     """Sweeps that solve a small problem are a stage of the run."""
     problem, _, _ = planted_contacts(5, 5, 10.0, np.random.default_rng(1), definite=True)
     plain, recorded = solve(problem), solve(problem, record=True)
-    assert plain.z.tobytes() == recorded.z.tobytes()
+    limited = solve(problem, max_iterations=plain.iterations)
+    assert plain.z.tobytes() == recorded.z.tobytes() == limited.z.tobytes()
     assert [stage.name for stage in plain.stages] == ["nsgs"]
     assert recorded.history[-1].iteration == plain.iterations > 0

@@ -97,9 +97,12 @@ def direct_methods(
     # A factorization that fills in is better than no result.
     fit = [stage for stage in order if stage.algorithm.name not in unfit]
     for stage in fit or [stage for stage in order if stage in (newton, interior)]:
+        if stage is lemke and stage is fit[-1] and _is_unfinished(newton):
+            yield Stage(newton.algorithm, AGAIN)
+            newton.is_over = None
         yield stage
     for stage in (newton, lemke):
-        if _is_unfinished(stage):
+        if _is_unfinished(stage) and (stage is newton or stage not in fit[-1:]):
             yield Stage(stage.algorithm, AGAIN)
     if is_searchable(problem) and not is_searched:
         yield Stage(ExhaustiveSearch(), SEARCHED)

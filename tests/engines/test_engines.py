@@ -314,9 +314,9 @@ def test_a_factorization_that_fills_in_is_not_begun() -> None:
     assert next(attempts(line))[0].name == "piqp"
 
 
-def test_the_first_run_of_piqp_ends_after_60_steps_or_120_with_curvature() -> None:
-    """The point of an assignment is optimal after 15 of 250 steps; LISWET10's after 120, not after 110."""
+def test_the_first_run_of_piqp_ends_after_60_steps() -> None:
+    """The point of an assignment is optimal after 15 of 250 steps; after 120, a published value is missed."""
     rows = sp.diags_array([np.ones(2000), np.ones(2000)], offsets=[0, 1], shape=(2000, 2001))
-    for P, steps in ((None, 60), (sp.eye_array(2001), 120)):
+    for P in (None, sp.eye_array(2001)):
         first = next(attempts(QuadraticProgram(P, np.ones(2001), rows, np.ones(2000))))[0]
-        assert (first.name, first.options["max_iter"]) == ("piqp", steps)
+        assert (first.name, first.options["max_iter"]) == ("piqp", 60)

@@ -236,6 +236,7 @@ def bound_residuals(stack: ConeStack, z: Array, tolerance: float) -> Array:
 
     - the rounding error of w is at least twice the criterion's own bound, and projections are nonexpansive, so that
       residuals by another order of summation stay within the limits here;
+    - z_T and its projection cancel: 16 ε times the larger of z_T and μ z_N is twice the criterion's bound of this;
     - the largest residual of a component is at most half of the tolerance times `limit`, and `limit` is at most the
       reference: the residual at z = 0, and the terms of a contact that presses;
     - each violation is at most 2⁻⁴³ of its terms, half of what the componentwise test allows at any tolerance.
@@ -256,6 +257,12 @@ def bound_residuals(stack: ConeStack, z: Array, tolerance: float) -> Array:
     is_right &= (size + of_disk < np.inf) & (at >= 0.0)
     rounding = margin * length(np.where(products > 0.0, terms + NORMAL, 0.0)) / d
     residual = np.maximum(np.abs(np.minimum(push / d, at)), length(tangents - edge))
+    rounding += (
+        16.0 * EPSILON * np.maximum(radius, tangent)
+    )  # of z_T and its projection, which cancel
+    rounding += (
+        16.0 * EPSILON * np.maximum(radius, tangent)
+    )  # of z_T and its projection, which cancel
     residual = stack.pattern.largest(residual + rounding)
     limit = np.minimum(stack.reference, stack.pattern.largest(presses * size / d)) * (1.0 - margin)
     is_right &= residual <= 0.5 * tolerance * limit

@@ -9,7 +9,7 @@ import pytest
 from campaigns import cones as campaign
 from inputs.cone_families import exact_residuals, planted_cones, planted_contacts
 
-from lcp_plugin import ConeProblem, FrictionalContact, Status, march, solve, solve_batch
+from lcp_plugin import ConeProblem, FrictionalContact, Status, certify, march, solve, solve_batch
 from lcp_plugin.problems.cones.certificate import ConeRows, bound_residuals
 from lcp_plugin.problems.cones.stack import ConeStack
 
@@ -176,6 +176,20 @@ def test_the_sufficient_test_accepts_only_points_that_pass(draws: Any) -> None:
         accepted, refused = accepted + (bound < np.inf), refused + (bound == np.inf)
         assert bound == np.inf or (found.passes[0] and found.residual[0] <= 1.01 * bound + 1e-15)
     assert min(accepted, refused) > 5
+
+
+def test_a_small_residual_next_to_a_large_impulse_is_no_rounding() -> None:
+    """Of connected contacts of sizes 1 and 1e-6 … 1e-9, no SOLVED is refused by `certify`."""
+    for seed, size in ((0, 1e-8), (212, 1e-6), (0, 1e-9)):
+        rng = np.random.default_rng(seed)
+        J, sizes = rng.standard_normal((6, 6)), np.repeat([1.0, size], 3)
+        b = rng.standard_normal(6) * sizes
+        b[[0, 3]] = -np.abs(b[[0, 3]])
+        problem = FrictionalContact(J @ J.T * sizes * sizes[:, None], b, [0.5, 0.5])
+        result = solve(problem)
+        assert not (
+            result.is_solved and certify(problem, result.z, tolerance=1e-8).verdict == "disproved"
+        )
 
 
 def test_a_run_that_is_recorded_or_limited_has_the_same_bits() -> None:

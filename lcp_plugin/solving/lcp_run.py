@@ -181,10 +181,8 @@ class LCPRun(Run):
         # A contraction in a weighted norm may multiply the residual before it falls.
         if is_lost and not (math.isfinite(found.residual) and self.is_guaranteed):
             return Status.DIVERGED
-        if (
-            progress.iteration >= self.settings.max_iterations
-            or progress.clock.elapsed >= self.settings.max_seconds
-        ):
+        left = self.settings.max_iterations - progress.iteration
+        if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
             return None  # because a limit is reached
         # z° solves what is left, up to rounding
         if found.is_limited and found.residual <= self.goal:
@@ -192,7 +190,7 @@ class LCPRun(Run):
         if stage.is_flat() and self._is_at_floor():
             return Status.PRECISION_LIMIT
         is_watched = algorithm.is_monotone or algorithm.is_watched
-        if is_watched and stage.is_stalled(self.problem.n):
+        if is_watched and stage.is_stalled(self.problem.n, self.goal, left):
             too_few = self.is_guaranteed
             return Status.MAX_ITERATIONS if too_few else Status.STALLED
         return None

@@ -67,8 +67,8 @@ class Stage:
         A clause for the advice.
     has_ended, settles : bool
         Whether the method had no further step; whether it has changed a parameter.
-    fall : (int, float)
-        Iteration and residual of the latest fall by 1 %.
+    window : (int, float), optional
+        Start of the present test of progress, and the best residual there.
     """
 
     algorithm: Any
@@ -84,8 +84,10 @@ class Stage:
     remark: str = ""
     has_ended: bool = False
     settles: bool = False
-    fall: tuple[int, float] = (0, math.inf)
+    _best: float = math.inf
+    _fall: tuple[int, float] = (0, math.inf)
     _floor_check: int = FIRST_FLOOR_CHECK
+    window: tuple[int, float] | None = None
     _next_check: int = FIRST_CHECK
     _residual_per_increment: float = 1.0
 
@@ -114,27 +116,39 @@ class Stage:
                 self._residual_per_increment = residual / increment
         before = self.residuals[-1][1] if self.residuals else math.inf
         self.rises = self.rises + 1 if residual > before else 0
-        if residual < PROGRESS * self.fall[1]:
-            self.fall, self._floor_check = (self.iterations, residual), FIRST_FLOOR_CHECK
+        self._best = min(self._best, residual)
         if len(self.residuals) >= 512:
             self.residuals.pop()
         self.residuals.append((self.iterations, residual))
 
     def is_flat(self) -> bool:
         """Return whether it is time to compare with rounding: no fall for 25, 50, 100, … iterations."""
-        if self.iterations - self.fall[0] < self._floor_check:
-            return False
-        self._floor_check *= 2
-        return True
+        since, value = self._fall
+        if self._best < PROGRESS * value:
+            self._fall, self._floor_check = (self.iterations, self._best), FIRST_FLOOR_CHECK
+        elif self.iterations - since >= self._floor_check:
+            self._floor_check *= 2
+            return True
+        return False
 
-    def is_stalled(self, n: int) -> bool:
-        """Return whether the residual has not fallen by 1 % for 400 to 2000 iterations, n if that is between.
+    def is_stalled(self, n: int, goal: float, iterations_left: int) -> bool:
+        """Return whether the residual fell by less than 1 % in a window, and the rest will not reach the goal.
 
-        A front that crosses the unknowns, one in a sweep, does not change the largest residual until it has passed. It
-        may take half as many iterations as the stage had before.
+        A front that crosses the unknowns, one in a sweep, does not change the largest residual until it has passed. So
+        a window has 200 to 2000 iterations, n if that is between, and half as many as the stage had before it.
         """
-        since = self.fall[0]
-        return self.iterations - since >= max(400, min(n, 2000), since // 2)
+        if self.window is None:
+            self.window = (self.iterations, self._best)
+        since, value = self.window
+        if self.iterations - since < max(200, min(n, 2000), since // 2):
+            return False
+        self.window = (self.iterations, self._best)
+        if self._best < PROGRESS * value:
+            return False
+        best = self._best
+        fall = math.log(value / best) / (self.iterations - since) if 0.0 < best < value else 0.0
+        needed = math.log(best / goal) if 0.0 < goal < best else math.inf
+        return needed > fall * iterations_left
 
     def steps_to_go(self, goal: float) -> float:
         """Return the number of further iterations to that residual, at the rate of the second half of the stage.
@@ -210,7 +224,7 @@ class Progress:
         stage.z, stage.remark = step.z, step.remark or stage.remark
         stage.iterations, stage.work = stage.iterations + iterations, stage.work + step.work
         if step.is_settling:
-            stage.settles, stage.fall = True, (stage.iterations, stage.fall[1])
+            stage.settles, stage.window = True, None
         if label := step.label or (stage.algorithm.name if stage.parts else ""):
             is_same = bool(stage.parts) and stage.parts[-1][0] == label
             _, before, spent = stage.parts.pop() if is_same else ("", 0, 0.0)

@@ -257,12 +257,7 @@ def bound_residuals(stack: ConeStack, z: Array, tolerance: float) -> Array:
     is_right &= (size + of_disk < np.inf) & (at >= 0.0)
     rounding = margin * length(np.where(products > 0.0, terms + NORMAL, 0.0)) / d
     residual = np.maximum(np.abs(np.minimum(push / d, at)), length(tangents - edge))
-    rounding += (
-        16.0 * EPSILON * np.maximum(radius, tangent)
-    )  # of z_T and its projection, which cancel
-    rounding += (
-        16.0 * EPSILON * np.maximum(radius, tangent)
-    )  # of z_T and its projection, which cancel
+    rounding += 16.0 * EPSILON * np.maximum(radius, tangent)  # z_T and its projection cancel
     residual = stack.pattern.largest(residual + rounding)
     limit = np.minimum(stack.reference, stack.pattern.largest(presses * size / d)) * (1.0 - margin)
     is_right &= residual <= 0.5 * tolerance * limit

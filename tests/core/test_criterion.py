@@ -10,7 +10,7 @@ import badly_scaled
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns.scaling import KINDS, answered, friction, game, measured, random_scaling
+from campaigns.scaling import KINDS, answered, measured, random_scaling
 from hypothesis import given
 from hypothesis import strategies as st
 from inputs.constructed_points import CONSTRUCTED
@@ -323,7 +323,7 @@ def test_infeasible_is_infeasible_whatever_stands_beside() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
-def test_the_guard_refuses_nothing_right(kind: Any, tolerance: float) -> None:
+def test_the_guard_refuses_nothing_right(kind: str, tolerance: float) -> None:
     """A point right to a hundredth of the tolerance passes in every row, for any scaling."""
     for seed in range(30):
         M, q, z = answered(kind, seed)
@@ -334,8 +334,8 @@ def test_the_guard_refuses_nothing_right(kind: Any, tolerance: float) -> None:
         assert Certificate.of(measured(M, q, rows, of_z), right * of_z).term_residual <= tolerance
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in (friction, game)])
-def test_the_guard_refuses_no_rounding_beside_a_bound(kind: Any) -> None:
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("friction", "game")])
+def test_the_guard_refuses_no_rounding_beside_a_bound(kind: str) -> None:
     """If w is positive and large, a z off its bound by 1e-12 counts as rounding error."""
     for seed in range(30):
         M, q, z = answered(kind, seed)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from inputs.planted import planted_lcp
 from oracles.exact_criterion import failures
 from scipy.optimize import linprog
 
@@ -32,39 +33,10 @@ def random_matrix(kind: str, n: int, rng: np.random.Generator) -> Any:
     }[kind]
 
 
-def random_bounds(kind: str, n: int, rng: np.random.Generator) -> tuple[Any, Any]:
-    """Bounds: plain, or one-sided of both kinds, boxed, free and fixed rows mixed."""
-    lower, upper = np.zeros(n), np.full(n, np.inf)
-    if kind == "mixed":
-        row = rng.integers(0, 5, n)
-        lower = np.where(row <= 1, -np.inf, rng.integers(-3, 3, n).astype(float))
-        upper = np.where(
-            (row == 1) | (row == 2), np.inf, np.where(row == 0, 1.0, lower + rng.random(n) + 0.1)
-        )
-        upper = np.where(row == 4, lower, upper)
-    return lower, upper
-
-
-def with_answer(
-    M: Any, lower: Any, upper: Any, rng: np.random.Generator, degenerate: float = 0.2
-) -> LCP:
-    """A problem whose answer was chosen first, part of its rows with both distance and slack 0."""
-    n = lower.size
-    bound = np.where(rng.random(n) < 0.5, lower, upper)
-    z = np.where(
-        (rng.random(n) < 0.5) & np.isfinite(bound),
-        bound,
-        np.clip(rng.standard_normal(n), lower, upper),
-    )
-    size = np.where(rng.random(n) < degenerate, 0.0, rng.random(n))
-    w = np.where(z == lower, size, 0.0) - np.where((z == upper) & (z != lower), size, 0.0)
-    return LCP(M, w - M @ z, lower=lower, upper=upper)
-
-
-@pytest.mark.parametrize("bounds", ["plain", "mixed"])
+@pytest.mark.parametrize("bounds", [False, True])
 @pytest.mark.parametrize("storage", ["dense", "sparse"])
 @pytest.mark.parametrize("kind", ["definite", "rank-deficient", "nonsymmetric", "skew", "zero"])
-def test_solves_monotone_problems(kind: str, storage: str, bounds: str) -> None:
+def test_solves_monotone_problems(kind: str, storage: str, bounds: bool) -> None:
     """Every monotone problem with a known answer is solved to 1e-10, degenerate rows included."""
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -76,9 +48,8 @@ def test_solves_monotone_problems(kind: str, storage: str, bounds: str) -> None:
                 if kind == "zero"
                 else sp.csr_array(M)
             )
-        result = solve(
-            with_answer(M, *random_bounds(bounds, n, rng), rng), InteriorPoint(), tolerance=1e-10
-        )
+        problem, _ = planted_lcp(M, rng, bounds=bounds)
+        result = solve(problem, InteriorPoint(), tolerance=1e-10)
         assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), (seed, result.certificate)
         assert result.iterations <= 40
 

@@ -59,9 +59,21 @@ class Grid:
         return self.inverse.size
 
     @property
+    def width(self) -> int:
+        """Number of unknowns that the rows meet; on ranks, some are ghosts."""
+        return self.n
+
+    @property
     def entries(self) -> int:
         """Number of stored entries."""
         return self.matrix.data.size
+
+    def whole(self, x: Vector) -> Vector:
+        """Return x, shape (n,), with the values of ghosts, shape (width,)."""
+        return x
+
+    def fetch(self, x: Vector) -> None:
+        """Overwrite the values of ghosts in x, shape (width,); only grids on ranks have any."""
 
     @property
     def spread(self) -> float:

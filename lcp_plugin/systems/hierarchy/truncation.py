@@ -34,14 +34,15 @@ class TruncatedGrid:
         self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
         self.values.flags.writeable = False
         self.inverse = grid.inverse.copy()
-        self.is_free = np.ones(n, np.bool_)
-        self.free_changed = np.zeros(n, np.bool_)
-        self.is_interpolated = np.ones(n, np.bool_)  # free, with enough couplings to free unknowns
+        self.is_free = np.ones(grid.width, np.bool_)
+        self.free_changed = np.zeros(grid.width, np.bool_)
+        self.is_interpolated = self.is_free.copy()  # free, with enough couplings to free unknowns
         self.held = np.zeros(0, np.intp)
         self.row_changed = np.zeros(n, np.bool_)
-        self.touched = np.zeros(n, np.bool_)
+        self.touched = np.zeros(grid.width, np.bool_)
         self.is_whole = True  # no unknown is fixed on this grid
-        self.x, self.b, self.residual = (np.zeros(n) for _ in range(3))
+        self.x, self.residual = np.zeros(grid.width), np.zeros(grid.width)
+        self.b = np.zeros(n)
         self._factor: Factor | None = None
         self._is_factorised = False
 
@@ -112,9 +113,6 @@ class TruncatedGrid:
         state = below.is_free, below.free_changed, below.row_changed
         operands = values, flags, transfer.prolongation.arrays, transfer.restriction.arrays
         return kernels.update_product(*operands, (*coarse, *state))
-
-    def fetch(self, x: Vector) -> None:
-        """Fetch the values of ghosts; only grids on ranks have any."""
 
     def add_pivot_weights(self, residual: Vector) -> None:
         """Add the weights of the pivots times x to the residual after the first sweep; only ranks have weights."""
@@ -192,7 +190,7 @@ class Truncation:
         top = self.grids[0]
         top.b = b
         self.correct(0)
-        top.fetch(top.x)
+        top.grid.fetch(top.x)
         p, product = self.vector(), self.vector()
         np.copyto(p, top.x[: p.size])
         kernels.free_product(top.rows, top.inverse, top.x, product)
@@ -211,16 +209,16 @@ class Truncation:
         if k == len(self.transfers):
             self._solve_coarsest(level)
             return
-        level.fetch(level.x)
+        level.grid.fetch(level.x)
         residual = level.residual[: grid.n]
         kernels.residual_after_first_sweep(rows, blocks, level.inverse, level.b, level.x, residual)
         level.add_pivot_weights(residual)
         self.restrict(k, level.residual)
         self.correct(k + 1)
         below, transfer = self.grids[k + 1], self.transfers[k]
-        below.fetch(below.x)
+        below.grid.fetch(below.x)
         kernels.prolong(transfer, below.x, level.is_interpolated, level.x)
-        level.fetch(level.x)
+        level.grid.fetch(level.x)
         kernels.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
@@ -229,7 +227,7 @@ class Truncation:
         level, held = self.grids[k], self.grids[k].held
         kept = residual[held]
         residual[held] = 0.0
-        level.fetch(residual)
+        level.grid.fetch(residual)
         kernels.restrict(self.transfers[k], residual, self.grids[k + 1].b)
         residual[held] = kept
 
@@ -247,7 +245,7 @@ class Truncation:
 
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(CLOSING_SWEEPS):
-            level.fetch(level.x)
+            level.grid.fetch(level.x)
             kernels.sweep(
                 level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x
             )

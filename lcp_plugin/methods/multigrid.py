@@ -298,7 +298,7 @@ class GridProblem:
 
     def sweep(self, z: Vector, backward: bool, relaxation: float = 1.0) -> None:
         """Overwrite z, shape (width,), by one projected sweep."""
-        self.grid.fetch(z)
+        self.grid.halo.fetch(z)
         kernels.projected_sweep(
             self.grid.rows, self.grid.blocks, self.vectors, relaxation, backward, z
         )
@@ -339,12 +339,12 @@ class ProjectedCycles:
         self.problem, self.truncation, self.is_symmetric = problem, truncation, is_symmetric
         self.transfers, finest = truncation.transfers, truncation.grids[0].grid
         self.problems = [GridProblem(finest, problem.q, problem.lower, problem.upper)]
-        self.work, self.entries = 0.0, max(truncation.total(finest.entries), 1.0)
+        self.work, self.entries = 0.0, max(truncation.halo.total(finest.entries), 1.0)
 
     def add_coarse_solution(self, q: Vector, lower: Vector, upper: Vector, z: Vector) -> None:
         """Add to z the solution of the coarse problems, each of which starts the next finer problem."""
         for below, transfer in zip(self.truncation.grids[1:], self.transfers, strict=True):
-            finer, q = self.problems[-1].grid.whole(q), np.empty(below.grid.n)
+            finer, q = self.problems[-1].grid.halo.whole(q), np.empty(below.grid.n)
             kernels.restrict(transfer, finer, q)
             self.work += transfer.restriction.data.size
             lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
@@ -364,7 +364,7 @@ class ProjectedCycles:
     def _interpolated(self, k: int, coarse: Vector, z: Vector) -> Vector:
         """Return z with P coarse added, within the bounds of grid k."""
         fine, transfer = self.problems[k], self.transfers[k]
-        self.truncation.grids[k + 1].grid.fetch(coarse)
+        self.truncation.grids[k + 1].grid.halo.fetch(coarse)
         everywhere = np.ones(z.size, np.bool_)
         kernels.prolong(transfer, coarse, everywhere, z, (fine.lower, fine.upper))
         self.work += transfer.prolongation.data.size
@@ -374,7 +374,7 @@ class ProjectedCycles:
         fine = self.problems[k]
         self.truncation.start_at(k)
         # Unknowns that may still change sides when the finer grid takes over.
-        few = 5e-4 * self.truncation.total(fine.grid.n)
+        few = 5e-4 * self.truncation.halo.total(fine.grid.n)
         for cycle in range(1, 11):
             fine.sweep(z, backward=False)
             _, changed = self.look(k, z)
@@ -388,14 +388,14 @@ class ProjectedCycles:
     def look(self, k: int, z: Vector) -> tuple[float, float]:
         """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
         top, fine, truncation = self.truncation.grids[k], self.problems[k], self.truncation
-        fine.grid.fetch(z)
+        fine.grid.halo.fetch(z)
         largest, rows = kernels.free_rows(
             fine.grid.rows, fine.vectors, z, top.is_free, top.free_changed, fine.residual
         )
         self.work += fine.entries
-        if changed := truncation.total(rows):
+        if changed := truncation.halo.total(rows):
             truncation.update()
-        return truncation.largest(largest), changed
+        return truncation.halo.largest(largest), changed
 
     def correct(self, k: int, z: Vector) -> None:
         """Add to z on the free rows the correction of one V-cycle, clipped to the bounds."""
@@ -408,7 +408,7 @@ class ProjectedCycles:
         below, transfer = self.truncation.grids[k + 1], self.transfers[k]
         self.truncation.restrict(k, fine.whole)
         self.truncation.correct(k + 1)
-        below.grid.fetch(below.x)
+        below.grid.halo.fetch(below.x)
         kernels.prolong(transfer, below.x, top.is_interpolated, z, (fine.lower, fine.upper))
         self.work += 2.0 * transfer.prolongation.data.size
 
@@ -455,7 +455,7 @@ class ProjectedCycles:
 
     def take_work(self) -> float:
         """Return the passes over M since the last step."""
-        work = self.truncation.total(self.work + self.truncation.take_work())
+        work = self.truncation.halo.total(self.work + self.truncation.take_work())
         self.work = 0.0
         return work / self.entries
 

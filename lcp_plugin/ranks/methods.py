@@ -13,13 +13,12 @@ once, with larger pivots if M is symmetric.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Arrays, Vector, read_only
+from ..core.checks import Vector, read_only
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
 from ..core.matrix import split_rows
@@ -27,40 +26,13 @@ from ..core.splittings import NPAOR, NPGS, NPJ, NPSOR, ProjectedType, step_unit
 from ..methods.multigrid import ProjectedCycles
 from ..systems.hierarchy import kernels, levels
 from ..systems.hierarchy.grids import Grid, Hierarchy, Operator, Transfer, blocks_of, pivots
-from ..systems.hierarchy.truncation import TruncatedGrid, Truncation
+from ..systems.hierarchy.truncation import Truncation
 from .halo import NOBODY, Halo
 
 if TYPE_CHECKING:
     from .problem import RowsOnRanks
 
 LARGEST_GROWTH, LARGEST_COMPLEXITY = 2.0, 8.0
-
-
-@dataclass(frozen=True, eq=False)
-class GridOnRanks(Grid):
-    """Local rows of one grid, then rows of adjacent ghosts, and the pivots of a sweep; n counts local unknowns."""
-
-    halo: Halo
-    weight: Vector
-
-    @property
-    def width(self) -> int:
-        """Number of unknowns that the rows meet."""
-        return self.n + self.halo.foreign
-
-    def whole(self, x: Vector) -> Vector:
-        """Return the values of local unknowns and of ghosts, shape (width,)."""
-        return self.halo.whole(x)
-
-    def fetch(self, x: Vector) -> None:
-        """Fetch the values of ghosts."""
-        self.halo.fetch(x)
-
-    @property
-    def own(self) -> Arrays:
-        """The local rows."""
-        matrix = self.matrix
-        return Operator(matrix.indptr[: self.n + 1], matrix.indices, matrix.data).arrays
 
 
 def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> Hierarchy:
@@ -114,7 +86,7 @@ def pivot_weight(rows: Any, halo: Halo, relaxation: float) -> Vector:
     return np.where(np.isfinite(weight), weight, 0.0)
 
 
-def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> GridOnRanks:
+def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> Grid:
     indptr, indices, data = matrix.arrays
     first = Operator(indptr[: own + 1], indices[: indptr[own]], data[: indptr[own]])
     split, inverse = pivots(first, kernels.INVERTIBLE)
@@ -124,12 +96,12 @@ def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> GridOnRa
         weight = pivot_weight(rows, halo, 1.0)
         inverse = np.where(inverse > 0.0, 1.0 / (1.0 / inverse + weight), 0.0)
     blocks = blocks_of(first.arrays, own, may_cut=halo.is_empty and not scales_rows)
-    return GridOnRanks(matrix, split, blocks, read_only(inverse), halo, weight)
+    return Grid(matrix, split, blocks, read_only(inverse), halo, weight)
 
 
 def _coarser(
-    grid: GridOnRanks, strength: float, has_jumps: bool | None, scales_rows: bool
-) -> tuple[Transfer, GridOnRanks, bool] | None:
+    grid: Grid, strength: float, has_jumps: bool | None, scales_rows: bool
+) -> tuple[Transfer, Grid, bool] | None:
     """Return the way to a coarser grid, that grid, and whether couplings jump from edge to edge; None if there is none.
 
     There is none if no unknowns are coupled, or if its numbers are not finite. Unknowns of any rank interpolate. If
@@ -177,65 +149,6 @@ def _coarser(
         prolongation = Operator(p_indptr, below.local(columns, below.ghosts), p_data)
     coarser = _grid(Operator(*rows), below, count, scales_rows)
     return Transfer(prolongation, restriction, is_coarse), coarser, bool(has_jumps)
-
-
-class TruncatedGridOnRanks(TruncatedGrid):
-    """The values of one grid while some unknowns are fixed, and its vectors, with space for the ghosts."""
-
-    grid: GridOnRanks
-
-    def factor(self) -> tuple[None, float]:
-        """Return None: no rank has all rows."""
-        return None, 0.0
-
-    def add_pivot_weights(self, residual: Vector) -> None:
-        """Add the weights of the pivots times x to the residual after the first sweep.
-
-        All ranks sweep at once. The sweep adds a weight to the pivot of each row that is coupled to a ghost, because
-        it might diverge otherwise; see :func:`pivot_weight`.
-        """
-        own = self.x[: self.grid.n]
-        residual += np.where(self.inverse != 0.0, self.grid.weight * own, 0.0)
-
-
-class TruncationOnRanks(Truncation):
-    """A hierarchy with the fixed unknowns of its finest grid taken out of all grids."""
-
-    kind = TruncatedGridOnRanks
-
-    @property
-    def halo(self) -> Halo:
-        """The ranks, and the ghosts of the finest grid."""
-        return self.grids[0].grid.halo  # type: ignore[attr-defined]
-
-    def mark(self, level: Any, transfer: Transfer) -> None:
-        """Find the held unknowns of a grid, and the rows whose part of the coarser matrix has changed."""
-        halo = level.grid.halo
-        halo.fetch_flags(level.is_free)
-        halo.fetch_flags(level.free_changed)
-        level.mark_rows(level.row_changed)
-        level.find_held(transfer)
-        halo.fetch_flags(level.is_interpolated)
-        halo.fetch_flags(level.free_changed)
-        if level.free_changed.any():
-            level.mark_rows(level.touched)
-        halo.fetch_flags(level.touched)
-        if level.new_values is not None:
-            halo.fetch_entries(level.new_values)
-
-    def finish_update(self, below: Any, changed: int) -> float:
-        """Invert the pivots of a coarser grid, and return the number of its rows that have changed on all ranks."""
-        pivot = below.values[below.grid.split] + below.grid.weight
-        below.inverse[:] = np.where(below.is_free[: below.grid.n], 1.0 / pivot, 0.0)
-        return self.total(changed)
-
-    def total(self, number: float) -> float:
-        """Return the sum of a number of each rank."""
-        return self.halo.total(number)
-
-    def largest(self, number: float) -> float:
-        """Return the largest of a number of each rank."""
-        return self.halo.largest(number)
 
 
 Iterates = Iterator[tuple[Vector, float]]  # z, shape (own,), and passes over M since the last
@@ -289,9 +202,9 @@ def multigrid(problem: RowsOnRanks, z: Vector) -> Iterates:
     _positive_diagonal(problem)
     symmetric = problem.is_symmetric
     hierarchy = build_hierarchy(problem.rows, problem.halo, scales_rows=not symmetric)
-    run = ProjectedCycles(problem, TruncationOnRanks(hierarchy), is_symmetric=symmetric)
+    run = ProjectedCycles(problem, Truncation(hierarchy), is_symmetric=symmetric)
     fine = run.problems[0]
-    whole = fine.grid.whole(z)  # the hierarchy has a different order of the ghosts
+    whole = fine.grid.halo.whole(z)  # the hierarchy has a different order of the ghosts
     own = slice(problem.own)
     yield whole[own], 0.0
     if not hierarchy.is_helpful:

@@ -885,11 +885,10 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
         return _derivative_of_program(data, z, batch)
     if (stack := problems.least_squares()) is not None:
         return _derivative_of_program(least_squares_data(stack, batch.x), batch.x, batch)
-    if problems.are_lcps:
-        raise InvalidOption(
-            "the derivative of a batch takes problems of one size; write [derivative(answer) for answer in batch]"
-        )
-    raise InvalidOption(refusal("derivative", batch))
+    raise InvalidOption(
+        "the derivative of a batch takes problems of one size, least squares problems also of one matrix A; "
+        "write [derivative(answer) for answer in batch]"
+    )
 
 
 def _derivative_of_program(data: Any, z: Any, batch: Any = None) -> ProgramDerivative:

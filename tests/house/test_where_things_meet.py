@@ -702,9 +702,9 @@ def test_no_marches() -> None:
 
 
 def test_derivative_names_the_answer_that_it_takes() -> None:
-    """The error of an unsupported result names the classes; LCP results of a list are accepted."""
+    """The error of an unsupported batch says what to write instead; LCP results of a list are accepted."""
     answers = solve_batch(one_of_each_kind())
-    with pytest.raises(InvalidOption, match=r"needs the result of an LCP, NonlinearProblem, "):
+    with pytest.raises(InvalidOption, match=r"write \[derivative\(answer\) for answer in batch\]"):
         derivative(answers)
     assert derivative(answers[0]).jvp(dq=np.ones(2)).shape == (2,)
 

@@ -153,6 +153,11 @@ class Listed(Instances):
         """Return the start of problem k, or None."""
         return None if self.starts is None else self.starts[k]
 
+    def least_squares(self) -> BoundedLeastSquares | None:
+        """Return least squares problems that share A, weights and ridge as a stack; None for others."""
+        rows = RightSides.of(self.problems, None)
+        return None if rows is None else rows.least_squares()
+
     def are_rejected(self, items: Any, z: Any, tolerance: float) -> Any:
         """Return the problems whose origin rejects the point, bool."""
         origins = (getattr(self.problems[k], "origin", None) for k in items)

@@ -268,12 +268,10 @@ class ConeRun(Run):
         if isinstance(self.chosen, ConeAlgorithm):
             yield Stage(self.chosen, steps=self.chosen.points(problem, stack, self.start, goal))
             return
-        yield from self._sweep_to_rounding()
         if self.is_warm or stack.is_answered.all():
-            residual = stack.relative_residual(self.start)
-            if residual <= self.reached:
-                yield Stage(methods.ConeNSGS(), SWEPT)
-            self.residual = residual
+            yield from self._test_start()
+        if self.is_short and stack.has_friction:
+            yield from self._sweep_to_rounding()
         z = yield from self._sweeps_and_newton(self.start, SCHEDULE[:1])
         if self._solve_components():
             return
@@ -302,19 +300,38 @@ class ConeRun(Run):
             yield self._path(share)
         yield from self._late_stages()
 
+    @property
+    def is_short(self) -> bool:
+        """True for a problem so small that sweeps to rounding cost less than one test."""
+        return 0 < self.problem.n <= FEW
+
+    def _test_start(self) -> Iterator[Stage]:
+        """Yield a stage without steps if the start is a solution, of a small problem to rounding."""
+        if self.is_short:
+            yield from self._passed(self.start, 0)
+        residual = self.stack.relative_residual(self.start)
+        if residual <= self.reached:
+            yield Stage(methods.ConeNSGS(), SWEPT)
+        self.residual = residual
+
     def _sweep_to_rounding(self) -> Iterator[Stage]:
-        """Yield the start or the swept point of a small contact problem if it is a solution to rounding."""
-        stack, z, count, bound = self.stack, self.start, 0, np.inf
-        most, is_small = QUICK_STEPS * methods.SWEEPS_PER_STEP, 0 < self.problem.n <= FEW
-        if self.absolute or not is_small:
+        """Yield the point after sweeps to rounding, with its residual if it is no solution to rounding."""
+        most = QUICK_STEPS * methods.SWEEPS_PER_STEP
+        z, counts = sweep_blocks(self.stack, self.start, most, EPSILON)
+        count = -(-int(counts[0]) // methods.SWEEPS_PER_STEP)
+        if count > self.settings.max_iterations - max(self.progress.iteration, 0):
             return
-        if self.is_warm or stack.is_answered.any():
-            bound = bound_residuals(stack, z, self.tolerance)[0]
-        if bound == np.inf and stack.has_friction:
-            z, counts = sweep_blocks(stack, z, most, EPSILON)
-            count = -(-int(counts[0]) // methods.SWEEPS_PER_STEP)
-            bound = bound_residuals(stack, z, self.tolerance)[0]
-        if bound < np.inf and count <= self.settings.max_iterations:
+        yield from self._passed(z, count)
+        residual = self.stack.relative_residual(z)
+        step = Step(
+            z, residual=residual, work=count * methods.SWEEPS_PER_STEP + 1.0, iterations=count
+        )
+        yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))
+
+    def _passed(self, z: Array, count: int) -> Iterator[Stage]:
+        """Yield a point that is a solution by a sufficient test."""
+        bound = bound_residuals(self.stack, z, self.tolerance)[0]
+        if bound < np.inf:
             point, work = Measured(z, float(bound), passes=True), count * methods.SWEEPS_PER_STEP
             step = Step(z, measured=point, work=work + 1.0, iterations=count)
             yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))

@@ -10,8 +10,10 @@ from campaigns import cones as campaign
 from inputs.cone_families import exact_residuals, planted_cones, planted_contacts
 
 from lcp_plugin import ConeProblem, FrictionalContact, Status, certify, march, solve, solve_batch
+from lcp_plugin.problems.cones import methods, solving
 from lcp_plugin.problems.cones.certificate import ConeRows, bound_residuals
 from lcp_plugin.problems.cones.stack import ConeStack
+from lcp_plugin.problems.cones.sweeps import sweep_blocks
 
 LINK = np.eye(6)
 LINK[0, 3] = LINK[3, 0] = 2.0**-40
@@ -200,3 +202,36 @@ def test_a_run_that_is_recorded_or_limited_has_the_same_bits() -> None:
     assert plain.z.tobytes() == recorded.z.tobytes() == limited.z.tobytes()
     assert [stage.name for stage in plain.stages] == ["nsgs"]
     assert recorded.history[-1].iteration == plain.iterations > 0
+
+
+def small_contacts(seed: int) -> FrictionalContact:
+    """Return 4 contacts; W is singular if the seed is even."""
+    rng = np.random.default_rng(seed)
+    J = rng.standard_normal((12, 8))
+    W = J @ J.T + 0.05 * (seed % 2) * np.eye(12)
+    return FrictionalContact(W, rng.standard_normal(12), rng.uniform(0.0, 1.2, 4))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_tiny_absolute_tolerance_changes_nothing(seed: int) -> None:
+    """Small contact problems are swept to rounding with and without one."""
+    problem = small_contacts(seed)
+    plain, absolute = solve(problem), solve(problem, absolute_tolerance=1e-300)
+    assert (plain.status, plain.work) == (absolute.status, absolute.work)
+    np.testing.assert_array_equal(plain.z, absolute.z)
+
+
+@pytest.mark.parametrize("seed", [18, 38])
+def test_all_sweeps_count_as_work(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also those to a point that does not pass."""
+    counts = list[float]()
+
+    def counted(*args: Any) -> Any:
+        found = sweep_blocks(*args)
+        counts.append(float(found[1].sum()))
+        return found
+
+    for module in (solving, methods):
+        monkeypatch.setattr(module, "sweep_blocks", counted)
+    result = solve(small_contacts(seed))
+    assert 0.0 < sum(counts) <= result.work

@@ -225,6 +225,19 @@ def test_the_derivative_of_least_squares_is_that_of_differences(kind: str) -> No
     )
 
 
+def test_a_batch_of_least_squares_with_starts_has_the_derivatives_of_its_problems() -> None:
+    rng = np.random.default_rng(0)
+    problem = BoundedLeastSquares(rng.random((6, 3)), rng.random(6), lower=0)
+    problems = [problem.with_vectors(rng.random(6)) for _ in range(3)]
+    batch = solve_batch(problems, z0=[np.zeros(3), None, np.ones(3)])
+    changes = derivative(batch).jvp(db=np.ones(6))
+    alone = [derivative(solve(one)).jvp(db=np.ones(6)) for one in problems]
+    np.testing.assert_allclose(changes, alone, rtol=1e-9)
+    apart = [problem, BoundedLeastSquares(2.0 * problem.A, problem.b, lower=0)]
+    with pytest.raises(InvalidOption, match="of one matrix A"):
+        derivative(solve_batch(apart))
+
+
 def test_least_squares_name_their_parts() -> None:
     """A penalty whose gradient it just balances, and an operator, are refused."""
     with pytest.raises(UnsuitableProblem, match=r"kink here: l1.0. active"):

@@ -18,7 +18,7 @@ from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.settings import Settings
 from lcp_plugin.solving.lcp_run import advice_of_run
 
-CONTACT = falling_bodies(10)
+CONTACT = falling_bodies(12)
 TRAPPED = scaling_trap().problem  # an H₊-matrix on which unscaled steps run into a cycle
 # a P-matrix, far from H₊
 FAR = LCP([[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]], [-1.0, -2.0, -3.0])

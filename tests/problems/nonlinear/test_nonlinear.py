@@ -208,6 +208,17 @@ def test_steps_into_the_undefined_are_shortened() -> None:
         ] == pytest.approx(np.e)
 
 
+@pytest.mark.parametrize("start", [-2.0, 3.0])
+def test_steps_to_points_without_a_derivative_are_shortened(start: float) -> None:
+    """The root 1 of x³ − 1 is found, although the derivative is NaN between 1.3 and 2.2."""
+    problem = NonlinearProblem(
+        lambda x: x**3 - 1.0,
+        lambda x: np.diag(np.where((x > 1.3) & (x < 2.2), np.nan, 3.0 * x**2)),
+        lower=-INF,
+    )
+    assert solved(solve_nonlinear(problem, [start]))[0] == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("size", [32, 100, 316])
 def test_steps_do_not_grow_under_refinement(size: int) -> None:
     """A membrane with a nonlinear source takes at most 5 Newton steps at n = 10³, 10⁴ and 10⁵."""

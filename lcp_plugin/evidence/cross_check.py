@@ -37,8 +37,6 @@ from ..core.lcp import LCP
 from ..core.matrix import scale_by
 from ..core.problem_classes import refusal
 from ..core.settings import Status
-from ..engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
-from ..methods.interior_point import MonotoneProgram, signs_of
 from ..methods.newton import classify, solve_active_set
 from ..problems.programs.program import asymmetry_of
 from ..solving.dispatch import solve
@@ -47,7 +45,7 @@ from ..systems.definiteness import factorised, symmetric_part
 
 Verdict = Literal["agree", "mismatch", "not comparable"]
 
-PLAIN, GAP, SADDLE = "quadratic program", "gap quadratic program", "quadratic program with rows"
+PLAIN, GAP = "quadratic program", "gap quadratic program"
 ACCURATE_TOLERANCE = 1e-7  # of our criterion, for a point to be compared
 POLISH_ROUNDS = 3  # rounds of a polish for the points of first-order methods
 CLARABEL_OPTIONS = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-11)
@@ -253,33 +251,6 @@ def solver_name(reference: Any) -> str:
     return name
 
 
-class CvxpySolver(Engine):
-    """A convex solver through cvxpy: `solver` is its name, `status` cvxpy's status or the message of an exception."""
-
-    solver, status = "", ""
-
-    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
-        """Return the solver's point with multipliers; NaN if it gave none."""
-        import cvxpy as cp
-
-        x = cp.Variable(program.c.size, bounds=[program.lower, program.upper])
-        # Without assume_PSD cvxpy makes P dense to check it.
-        curved = 0.5 * cp.quad_form(x, program.P, assume_PSD=True) if abs(program.P).sum() else 0.0
-        rows = [program.G @ x <= program.h] if program.h.size else []
-        rows += [program.A @ x == program.b] if program.b.size else []
-        problem = cp.Problem(cp.Minimize(curved + program.c @ x), rows)
-        try:
-            problem.solve(solver=self.solver, **self.options)
-            self.status = str(problem.status)
-        except Exception as error:  # solvers fail with exceptions of any class
-            self.status = (str(error).splitlines() or [type(error).__name__])[0]
-        if x.value is None:
-            nothing = np.full(program.h.size + program.b.size, np.nan)
-            return EngineAnswer(np.full_like(program.c, np.nan), nothing, 0, EngineStatus.GAVE_UP)
-        y = np.concatenate([np.zeros(0), *(np.atleast_1d(row.dual_value) for row in rows)])
-        return EngineAnswer(x.value, y, 0, EngineStatus.OPTIMAL)
-
-
 @dataclass(frozen=True, eq=False)
 class ConvexForm:
     """The problem in equilibrated unknowns y = weight · z, and the kind of its convex program.
@@ -287,7 +258,7 @@ class ConvexForm:
     Attributes
     ----------
     kind : str
-        PLAIN, SADDLE, GAP, or "" if no convex program exists.
+        PLAIN, GAP, or "" if no convex program exists.
     evidence : str
         The reason in one line.
     problem : LCP
@@ -321,9 +292,7 @@ class ConvexForm:
         unit = _largest(np.append(c, root * given.nearest_to_zero)) or 1.0
         lower, upper = (root * bound / unit for bound in (given.lower, given.upper))
         problem = LCP(A, c / unit, lower=lower, upper=upper)
-        kind = PLAIN
-        if place is not None:
-            kind = GAP if signs_of(problem.matrix) is None else SADDLE
+        kind = PLAIN if place is None else GAP
         evidence = f"{matrix} positive semidefinite: factorized at shift {shift:.1e}"
         return cls(kind, evidence, problem, root / unit)
 
@@ -331,12 +300,32 @@ class ConvexForm:
         self, name: str, max_seconds: float, **options: Any
     ) -> tuple[Vector | None, float, str]:
         """Return z or None, seconds with cvxpy's part, and cvxpy's status or the message of an exception."""
+        import cvxpy as cp
+
+        given, began = self.problem, time.perf_counter()
+        ends = np.array([given.lower, given.upper])
+        y = cp.Variable(given.n, bounds=[*ends])
+        share, cost, rows = 0.5, given.q @ y, []
+        if self.kind == GAP:
+            is_bound = np.isfinite(ends)
+            a, b = (
+                cp.Variable(given.n, bounds=[0.0, np.where(one, np.inf, 0.0)]) for one in is_bound
+            )
+            lower, upper = np.where(is_bound, ends, 0.0)
+            share, cost = 1.0, cost - lower @ a + upper @ b
+            rows = [given.M @ y + given.q == a - b]
+        # Without assume_PSD cvxpy makes the matrix dense to check it.
+        curved = cp.quad_form(y, symmetric_part(given.csr), assume_PSD=True)
         limit = {TIME_LIMITS[name]: max_seconds} if name in TIME_LIMITS else {}
-        solver = CvxpySolver(**limit | options)
-        solver.solver, began = name, time.perf_counter()
-        y, _ = MonotoneProgram.of(self.problem).answer(solver)
-        z = y / self.weight if np.isfinite(y).all() else None
-        return z, time.perf_counter() - began, solver.status
+        program = cp.Problem(cp.Minimize(share * curved + cost), rows)
+        try:
+            program.solve(solver=name, **limit | options)
+            told = str(program.status)
+        except Exception as error:  # solvers fail with exceptions of any class
+            told = (str(error).splitlines() or [type(error).__name__])[0]
+        is_found = y.value is not None and np.isfinite(y.value).all()
+        z = np.clip(y.value, *ends) / self.weight if is_found else None
+        return z, time.perf_counter() - began, told
 
     def compare(self, ours: Certificate, theirs: Certificate) -> dict[str, float]:
         """Return the differences as fields of a CrossCheck."""

@@ -293,10 +293,12 @@ class GridProblem:
             read_only(np.ascontiguousarray(vector)) for vector in (grid.inverse, q, lower, upper)
         )
         _, self.q, self.lower, self.upper = self.vectors
-        self.residual = np.zeros(grid.n)
+        self.whole = np.zeros(grid.width)  # the residual and its ghosts
+        self.residual = self.whole[: grid.n]
 
     def sweep(self, z: Vector, backward: bool, relaxation: float = 1.0) -> None:
-        """Overwrite z by one projected sweep."""
+        """Overwrite z, shape (width,), by one projected sweep."""
+        self.grid.halo.fetch(z)
         kernels.projected_sweep(
             self.grid.rows, self.grid.blocks, self.vectors, relaxation, backward, z
         )
@@ -308,35 +310,179 @@ MOST_ROUNDS = 20  # of Krylov steps, each on the free set that the one before ha
 ROUND_GAIN = 0.1  # of the residual: reduction by Krylov steps on a free set before it changes
 
 
-class MultigridRun:
+class ProjectedCycles:
+    """Projected sweeps, corrections of the free rows by a hierarchy, and starts from coarser grids.
+
+    Parameters
+    ----------
+    problem : LCP, or problem on ranks
+        With q, lower and upper.
+    truncation : Truncation
+        Of all grids.
+    is_symmetric : bool
+
+    Attributes
+    ----------
+    problems : list of GridProblem
+        The problem of the finest grid; during a start also the ones of coarser grids.
+    work : float
+        Entries touched since the last step.
+    rounds : int
+        Most free sets on which Krylov steps follow each other.
+    """
+
+    rounds = 1
+    gain = ROUND_GAIN
+    tells_residual = False
+
+    def __init__(self, problem: Any, truncation: Truncation, *, is_symmetric: bool) -> None:
+        self.problem, self.truncation, self.is_symmetric = problem, truncation, is_symmetric
+        self.transfers, finest = truncation.transfers, truncation.grids[0].grid
+        self.problems = [GridProblem(finest, problem.q, problem.lower, problem.upper)]
+        self.work, self.entries = 0.0, max(truncation.halo.total(finest.entries), 1.0)
+
+    def add_coarse_solution(self, q: Vector, lower: Vector, upper: Vector, z: Vector) -> None:
+        """Add to z the solution of the coarse problems, each of which starts the next finer problem."""
+        for below, transfer in zip(self.truncation.grids[1:], self.transfers, strict=True):
+            finer, q = self.problems[-1].grid.halo.whole(q), np.empty(below.grid.n)
+            kernels.restrict(transfer, finer, q)
+            self.work += transfer.restriction.data.size
+            lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
+            self.problems.append(GridProblem(below.grid, q, lower, upper))
+        coarsest, last = self.problems[-1], len(self.problems) - 1
+        answer = np.zeros_like(coarsest.whole)
+        answer[: coarsest.grid.n] = np.clip(0.0, coarsest.lower, coarsest.upper)
+        for k in range(COARSEST_SWEEPS):
+            coarsest.sweep(answer, backward=k % 2 == 1)
+        self.work += COARSEST_SWEEPS * coarsest.entries
+        for k in range(last - 1, 0, -1):
+            answer = self._interpolated(k, answer, np.zeros_like(self.problems[k].whole))
+            self._cycle_on(k, answer)
+        self._interpolated(0, answer, z)
+        del self.problems[1:]
+
+    def _interpolated(self, k: int, coarse: Vector, z: Vector) -> Vector:
+        """Return z with P coarse added, within the bounds of grid k."""
+        fine, transfer = self.problems[k], self.transfers[k]
+        self.truncation.grids[k + 1].grid.halo.fetch(coarse)
+        everywhere = np.ones(z.size, np.bool_)
+        kernels.prolong(transfer, coarse, everywhere, z, (fine.lower, fine.upper))
+        self.work += transfer.prolongation.data.size
+        return z
+
+    def _cycle_on(self, k: int, z: Vector) -> None:
+        fine = self.problems[k]
+        self.truncation.start_at(k)
+        # Unknowns that may still change sides when the finer grid takes over.
+        few = 5e-4 * self.truncation.halo.total(fine.grid.n)
+        for cycle in range(1, 11):
+            fine.sweep(z, backward=False)
+            _, changed = self.look(k, z)
+            self.correct(k, z)
+            fine.sweep(z, backward=True)
+            self.work += 2.0 * fine.entries
+            # stop: few rows remain, and the finer grid moves them
+            if cycle >= 2 and changed <= few:
+                break
+
+    def look(self, k: int, z: Vector) -> tuple[float, float]:
+        """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
+        top, fine, truncation = self.truncation.grids[k], self.problems[k], self.truncation
+        fine.grid.halo.fetch(z)
+        largest, rows = kernels.free_rows(
+            fine.grid.rows, fine.vectors, z, top.is_free, top.free_changed, fine.residual
+        )
+        self.work += fine.entries
+        if changed := truncation.halo.total(rows):
+            truncation.update()
+        return truncation.halo.largest(largest), changed
+
+    def correct(self, k: int, z: Vector) -> None:
+        """Add to z on the free rows the correction of one V-cycle, clipped to the bounds."""
+        fine, top = self.problems[k], self.truncation.grids[k]
+        if k == len(self.transfers):
+            np.copyto(top.b, fine.residual)
+            self.truncation.correct(k)
+            np.clip(z + top.x, fine.lower, fine.upper, out=z)
+            return
+        below, transfer = self.truncation.grids[k + 1], self.transfers[k]
+        self.truncation.restrict(k, fine.whole)
+        self.truncation.correct(k + 1)
+        below.grid.halo.fetch(below.x)
+        kernels.prolong(transfer, below.x, top.is_interpolated, z, (fine.lower, fine.upper))
+        self.work += 2.0 * transfer.prolongation.data.size
+
+    def krylov_steps(self, z: Vector, *, is_settled: bool) -> Iterator[Step]:
+        """Add to z the correction of the free rows by Krylov steps, one V-cycle each.
+
+        The result, clipped to the bounds, determines the next free rows, until no row changes (primal–dual active
+        sets). A single V-cycle cannot replace this method if few contacts carry much load.
+        """
+        fine, origin = self.problems[0], self.truncation.vector()
+        # Conjugate gradients (M symmetric) keep no directions.
+        most, gain = ((LONG_CONJUGATE if self.is_symmetric else 8) if is_settled else 2, 1e-2)
+        if self.rounds > 1:
+            most, gain = LONG_CONJUGATE, self.gain
+        fewest, idle = np.inf, 0
+        for rounds_left in range(self.rounds - 1, -1, -1):
+            correction = KrylovCorrection(self.truncation, fine.residual, self.is_symmetric)
+            left = begun = correction.largest()
+            own = z[: origin.size]
+            np.copyto(origin, own)
+            for step in range(most):
+                if not correction.step():
+                    break
+                correction.apply_within(origin, fine.lower, fine.upper, own)
+                left = correction.largest()
+                if left <= gain * begun or step == most - 1:
+                    break
+                yield Step(z, increment=left, work=self.take_work())
+            correction.give_back()
+            if rounds_left == 0:
+                break
+            if left > ROUND_GAIN * begun:  # V-cycles do not do here
+                self.rounds = 1
+                break
+            largest, changed = self.look(0, z)
+            fewest, idle = (changed, 0) if changed < fewest else (fewest, idle + 1)
+            # The free set moves slowly, or repeats.
+            if idle > 2:
+                self.rounds = 1
+            if self.rounds == 1 or not changed:
+                break
+            yield Step(z, residual=largest if self.tells_residual else None, work=self.take_work())
+        self.truncation.spare.append(origin)
+
+    def take_work(self) -> float:
+        """Return the passes over M since the last step."""
+        work = self.truncation.halo.total(self.work + self.truncation.take_work())
+        self.work = 0.0
+        return work / self.entries
+
+
+class MultigridRun(ProjectedCycles):
     """State of a run on one problem."""
 
     def __init__(self, algorithm: Multigrid, problem: LCP) -> None:
-        self.algorithm, self.problem = algorithm, problem
-        matrix = problem.matrix
-        self.work = 0.0 if is_nearly_symmetric.is_known(matrix) else float(matrix.nonzeros)
-        self.is_symmetric = is_nearly_symmetric(matrix)
+        matrix, self.algorithm = problem.matrix, algorithm
+        work = 0.0 if is_nearly_symmetric.is_known(matrix) else float(matrix.nonzeros)
+        is_symmetric = is_nearly_symmetric(matrix)
         is_built = hierarchy_of.is_known(matrix, algorithm.coarsest)
         self.hierarchy = hierarchy = hierarchy_of(matrix, algorithm.coarsest)
-        self.work += 0.0 if is_built else hierarchy.work
-        finest = hierarchy.grids[0]
-        self.grid = finest
+        super().__init__(problem, Truncation(hierarchy), is_symmetric=is_symmetric)
+        self.work = work if is_built else work + hierarchy.work
         self.tells_residual = np.array_equal(problem.residual_scale, problem.diagonal)
-        self.truncation = Truncation(hierarchy)
         self.rounds = MOST_ROUNDS if self.is_symmetric and hierarchy.has_jumps else 1
         # If couplings jump so far, w of a row that is not quite solved has wrong signs.
-        jumps = hierarchy.has_jumps and finest.spread > 1e6
+        jumps = hierarchy.has_jumps and hierarchy.grids[0].spread > 1e6
         self.gain = 1e-5 if jumps else ROUND_GAIN
         self.has_tried_rounds = not self.is_symmetric
-        self.problems = [GridProblem(finest, problem.q, problem.lower, problem.upper)]
-        self.size = finest.n
-        self.entries = max(finest.matrix.data.size, 1.0)
 
     def iterates(self, z: Vector) -> Iterator[Step]:
         """Yield the start, then the iterates of the finest grid; end when no correction makes progress."""
         is_cold = np.array_equal(z, self.problem.nearest_to_zero)
         begun = self._residual(z)
-        yield Step(z, residual=begun if self.tells_residual else None, work=self._spent())
+        yield Step(z, residual=begun if self.tells_residual else None, work=self.take_work())
         if not self.hierarchy.is_helpful:
             yield from self._sweeps_alone(z)
             return
@@ -359,64 +505,20 @@ class MultigridRun:
     # --- nested iteration -------------------------------------------------------------------------------
 
     def _nested_start(self, z: Vector, is_cold: bool) -> None:
-        """Add to z the solution of the coarse problems, each of which starts the next finer problem.
+        """Add to z the solution of the coarse problems.
 
-        From a warm start, the coarse problems determine only the increment. This can move the free set by more rows
+        From a warm start, they determine only the increment. This can move the free set by more rows
         than cycles can, and keeps the correct part of the start.
         """
         fine = self.problems[0]
         if is_cold:
             z[:] = 0.0
-            self._add_coarse_problems(fine.q, fine.lower, fine.upper)
+            self.add_coarse_solution(fine.q, fine.lower, fine.upper, z)
         else:
             fine.sweep(z, backward=False)
             fine.sweep(z, backward=True)
-            self._add_coarse_problems(self.problem.slack(z), fine.lower - z, fine.upper - z)
+            self.add_coarse_solution(self.problem.slack(z), fine.lower - z, fine.upper - z, z)
             self.work += 3.0 * fine.entries
-        coarsest, last = self.problems[-1], len(self.problems) - 1
-        answer = np.zeros_like(coarsest.residual)
-        np.clip(0.0, coarsest.lower, coarsest.upper, out=answer)
-        for k in range(COARSEST_SWEEPS):
-            coarsest.sweep(answer, backward=k % 2 == 1)
-        self.work += COARSEST_SWEEPS * coarsest.entries
-        for k in range(last - 1, 0, -1):
-            answer = self._interpolated(k, answer, np.zeros_like(self.problems[k].residual))
-            self._cycle_on(k, answer)
-        self._interpolated(0, answer, z)
-        del self.problems[1:]
-
-    def _add_coarse_problems(self, q: Vector, lower: Vector, upper: Vector) -> None:
-        for coarser, transfer in zip(
-            self.hierarchy.grids[1:], self.hierarchy.transfers, strict=True
-        ):
-            finer, q = q, np.empty(coarser.n)
-            kernels.restrict(transfer, finer, q)
-            self.work += transfer.restriction.data.size
-            lower, upper = lower[transfer.is_coarse], upper[transfer.is_coarse]
-            self.problems.append(GridProblem(coarser, q, lower, upper))
-
-    def _interpolated(self, k: int, coarse: Vector, z: Vector) -> Vector:
-        """Return z with P coarse added, within the bounds of grid k."""
-        fine, transfer = self.problems[k], self.hierarchy.transfers[k]
-        everywhere = np.ones(z.size, np.bool_)
-        kernels.prolong(transfer, coarse, everywhere, z, (fine.lower, fine.upper))
-        self.work += transfer.prolongation.data.size
-        return z
-
-    def _cycle_on(self, k: int, z: Vector) -> None:
-        fine = self.problems[k]
-        self.truncation.start_at(k)
-        # Unknowns that may still change sides when the finer grid takes over.
-        few = 5e-4 * fine.q.size
-        for cycle in range(1, 11):
-            fine.sweep(z, backward=False)
-            _, changed = self._look(k, z)
-            self._correct(k, z)
-            fine.sweep(z, backward=True)
-            self.work += 2.0 * fine.entries
-            # stop: few rows remain, and the finer grid moves them
-            if cycle >= 2 and changed <= few:
-                break
 
     # --- the finest grid --------------------------------------------------------------------------------
 
@@ -427,12 +529,12 @@ class MultigridRun:
         before = np.inf  # the residual of the last cycle
         while True:
             fine.sweep(z, backward=False)
-            largest, changed = self._look(0, z)
+            largest, changed = self.look(0, z)
             self.work += self.entries
             if is_lost := guard.is_out_of_hand(z, largest):
                 np.copyto(z, guard.z)
                 largest = guard.residual
-            yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
+            yield Step(z, residual=largest if self.tells_residual else None, work=self.take_work())
             is_lost = is_lost or not guard.lets_pass(z, largest)
             self.work, guard.products = self.work + guard.products * self.entries, 0
             if is_lost:
@@ -444,10 +546,10 @@ class MultigridRun:
             is_slow = largest > 0.1 * before
             before = largest
             # A thousandth of the unknowns may still change sides
-            if is_slow and changed <= max(1e-3 * self.size, 1):
-                yield from self._krylov(z, is_settled=not changed)
+            if is_slow and changed <= max(1e-3 * fine.grid.n, 1):
+                yield from self.krylov_steps(z, is_settled=not changed)
             else:
-                self._correct(0, z)
+                self.correct(0, z)
             fine.sweep(z, backward=True)
             self.work += self.entries
 
@@ -459,77 +561,12 @@ class MultigridRun:
         guard.restore(z)
         if not self.has_tried_rounds:
             self.has_tried_rounds, self.rounds = True, MOST_ROUNDS
-            self._look(0, z)
-            yield from self._krylov(z, is_settled=False)
+            self.look(0, z)
+            yield from self.krylov_steps(z, is_settled=False)
             return True
         self.gain = max(1e-2 * self.gain, 1e-9)
         yield from self._fall_back(z)
         return guard.lets_sweeps_pass(z, self._residual(z), hands_over=self.algorithm.hands_over)
-
-    def _look(self, k: int, z: Vector) -> tuple[float, float]:
-        """Find the free rows of z and truncate to them; return the largest scaled residual and the rows changed."""
-        top, fine = self.truncation.grids[k], self.problems[k]
-        largest, changed = kernels.free_rows(
-            fine.grid.rows, fine.vectors, z, top.is_free, top.free_changed, fine.residual
-        )
-        self.work += fine.entries
-        if changed:
-            self.truncation.update()
-        return largest, changed
-
-    def _correct(self, k: int, z: Vector) -> None:
-        """Add to z on the free rows the correction of one V-cycle, clipped to the bounds."""
-        fine, top = self.problems[k], self.truncation.grids[k]
-        if k == len(self.hierarchy.transfers):
-            np.copyto(top.b, fine.residual)
-            self.truncation.correct(k)
-            np.clip(z + top.x, fine.lower, fine.upper, out=z)
-            return
-        below, transfer = self.truncation.grids[k + 1], self.hierarchy.transfers[k]
-        self.truncation.restrict(k, fine.residual)
-        self.truncation.correct(k + 1)
-        kernels.prolong(transfer, below.x, top.is_interpolated, z, (fine.lower, fine.upper))
-        self.work += 2.0 * transfer.prolongation.data.size
-
-    def _krylov(self, z: Vector, *, is_settled: bool) -> Iterator[Step]:
-        """Add to z the correction of the free rows by Krylov steps, one V-cycle each.
-
-        The result, clipped to the bounds, determines the next free rows, until no row changes (primal–dual active
-        sets). A single V-cycle cannot replace this method if few contacts carry much load.
-        """
-        fine, origin = self.problems[0], self.truncation.vector()
-        # Conjugate gradients (M symmetric) keep no directions.
-        most, gain = ((LONG_CONJUGATE if self.is_symmetric else 8) if is_settled else 2, 1e-2)
-        if self.rounds > 1:
-            most, gain = LONG_CONJUGATE, self.gain
-        fewest, idle = np.inf, 0
-        for rounds_left in range(self.rounds - 1, -1, -1):
-            correction = KrylovCorrection(self.truncation, fine.residual, self.is_symmetric)
-            left = begun = correction.largest()
-            np.copyto(origin, z)
-            for step in range(most):
-                if not correction.step():
-                    break
-                correction.apply_within(origin, fine.lower, fine.upper, z)
-                left = correction.largest()
-                if left <= gain * begun or step == most - 1:
-                    break
-                yield Step(z, increment=left, work=self._spent())
-            correction.give_back()
-            if rounds_left == 0:
-                break
-            if left > ROUND_GAIN * begun:  # V-cycles do not do here
-                self.rounds = 1
-                break
-            largest, changed = self._look(0, z)
-            fewest, idle = (changed, 0) if changed < fewest else (fewest, idle + 1)
-            # The free set moves slowly, or repeats.
-            if idle > 2:
-                self.rounds = 1
-            if self.rounds == 1 or not changed:
-                break
-            yield Step(z, residual=largest if self.tells_residual else None, work=self._spent())
-        self.truncation.spare.append(origin)
 
     # --- without coarser grids --------------------------------------------------------------------------
 
@@ -551,11 +588,5 @@ class MultigridRun:
             kernels.projected_sweep(fine.grid.rows, fine.grid.blocks, fine.vectors, 1.0, False, z)
             change = span(before - z)
             self.work += fine.entries
-            yield Step(z, increment=change, work=self._spent())
+            yield Step(z, increment=change, work=self.take_work())
         return change
-
-    def _spent(self) -> float:
-        """Return the passes over M since the last step."""
-        work = self.work + self.truncation.take_work()
-        self.work = 0.0
-        return work / self.entries

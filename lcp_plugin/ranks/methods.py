@@ -13,21 +13,20 @@ once, with larger pivots if M is symmetric.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Arrays, Vector, read_only
+from ..core.checks import Vector, read_only
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
 from ..core.matrix import split_rows
 from ..core.splittings import NPAOR, NPGS, NPJ, NPSOR, ProjectedType, step_unit
+from ..methods.multigrid import ProjectedCycles
 from ..systems.hierarchy import kernels, levels
-from ..systems.hierarchy.grids import Grid, Operator, Transfer, blocks_of, pivots
-from ..systems.hierarchy.kernels import prolong, restrict
-from ..systems.hierarchy.truncation import KrylovCorrection, TruncatedGrid, Truncation
+from ..systems.hierarchy.grids import Grid, Hierarchy, Operator, Transfer, blocks_of, pivots
+from ..systems.hierarchy.truncation import Truncation
 from .halo import NOBODY, Halo
 
 if TYPE_CHECKING:
@@ -36,35 +35,10 @@ if TYPE_CHECKING:
 LARGEST_GROWTH, LARGEST_COMPLEXITY = 2.0, 8.0
 
 
-@dataclass(frozen=True, eq=False)
-class GridOnRanks(Grid):
-    """Local rows of one grid, then rows of adjacent ghosts, and the pivots of a sweep; n counts local unknowns."""
-
-    halo: Halo
-    weight: Vector
-
-    @property
-    def width(self) -> int:
-        """Number of unknowns that the rows meet."""
-        return self.n + self.halo.foreign
-
-    @property
-    def own(self) -> Arrays:
-        """The local rows."""
-        matrix = self.matrix
-        return Operator(matrix.indptr[: self.n + 1], matrix.indices, matrix.data).arrays
-
-
-@dataclass(frozen=True, eq=False)
-class HierarchyOnRanks:
-    """The grids from the finest to the coarsest, with transfers; one grid if coarser ones cost too much."""
-
-    grids: tuple[GridOnRanks, ...]
-    transfers: tuple[Transfer, ...]
-
-
-def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyOnRanks:
+def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> Hierarchy:
     """Return the hierarchy of the local rows, shape (own, own + foreign), with a positive diagonal.
+
+    It has one grid if coarser ones cost too much.
 
     With `scales_rows` the restriction is Pᵀ D⁻¹ in place of Pᵀ, for matrices that are not symmetric.
     """
@@ -87,11 +61,11 @@ def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> HierarchyO
         is_large = halo.total(below.n) > levels.LARGEST_GRID_SHARE * size
         stored += now
         if is_large or now > LARGEST_GROWTH * entries or stored > LARGEST_COMPLEXITY * entries:
-            return HierarchyOnRanks((grids[0],), ())
+            return Hierarchy((grids[0],), (), 0.0, is_helpful=False)
         grid, size = below, halo.total(below.n)
         grids.append(grid)
         transfers.append(transfer)
-    return HierarchyOnRanks(tuple(grids), tuple(transfers))
+    return Hierarchy(tuple(grids), tuple(transfers), 0.0, is_helpful=len(grids) > 1)
 
 
 def pivot_weight(rows: Any, halo: Halo, relaxation: float) -> Vector:
@@ -112,7 +86,7 @@ def pivot_weight(rows: Any, halo: Halo, relaxation: float) -> Vector:
     return np.where(np.isfinite(weight), weight, 0.0)
 
 
-def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> GridOnRanks:
+def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> Grid:
     indptr, indices, data = matrix.arrays
     first = Operator(indptr[: own + 1], indices[: indptr[own]], data[: indptr[own]])
     split, inverse = pivots(first, kernels.INVERTIBLE)
@@ -122,12 +96,12 @@ def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> GridOnRa
         weight = pivot_weight(rows, halo, 1.0)
         inverse = np.where(inverse > 0.0, 1.0 / (1.0 / inverse + weight), 0.0)
     blocks = blocks_of(first.arrays, own, may_cut=halo.is_empty and not scales_rows)
-    return GridOnRanks(matrix, split, blocks, read_only(inverse), halo, weight)
+    return Grid(matrix, split, blocks, read_only(inverse), halo, weight)
 
 
 def _coarser(
-    grid: GridOnRanks, strength: float, has_jumps: bool | None, scales_rows: bool
-) -> tuple[Transfer, GridOnRanks, bool] | None:
+    grid: Grid, strength: float, has_jumps: bool | None, scales_rows: bool
+) -> tuple[Transfer, Grid, bool] | None:
     """Return the way to a coarser grid, that grid, and whether couplings jump from edge to edge; None if there is none.
 
     There is none if no unknowns are coupled, or if its numbers are not finite. Unknowns of any rank interpolate. If
@@ -177,81 +151,7 @@ def _coarser(
     return Transfer(prolongation, restriction, is_coarse), coarser, bool(has_jumps)
 
 
-class TruncatedGridOnRanks(TruncatedGrid):
-    """The values of one grid while some unknowns are fixed, and its vectors, with space for the ghosts."""
-
-    grid: GridOnRanks
-
-    def __init__(self, grid: GridOnRanks, *, is_finest: bool) -> None:
-        super().__init__(grid, is_finest=is_finest)
-        self.is_free, self.is_interpolated = np.ones((2, grid.width), np.bool_)
-        self.free_changed, self.touched = np.zeros((2, grid.width), np.bool_)
-        self.x, self.residual = np.zeros((2, grid.width))
-        self.halo = grid.halo
-
-    def factor(self) -> tuple[None, float]:
-        """Return None: no rank has all rows."""
-        return None, 0.0
-
-    def fetch(self, x: Vector) -> None:
-        """Fetch the values of ghosts."""
-        self.halo.fetch(x)
-
-    def add_pivot_weights(self, residual: Vector) -> None:
-        """Add the weights of the pivots times x to the residual after the first sweep.
-
-        All ranks sweep at once. The sweep adds a weight to the pivot of each row that is coupled to a ghost, because
-        it might diverge otherwise; see :func:`pivot_weight`.
-        """
-        own = self.x[: self.grid.n]
-        residual += np.where(self.inverse != 0.0, self.grid.weight * own, 0.0)
-
-
-class TruncationOnRanks(Truncation):
-    """A hierarchy with the fixed unknowns of its finest grid taken out of all grids."""
-
-    kind = TruncatedGridOnRanks
-
-    @property
-    def halo(self) -> Halo:
-        """The ranks, and the ghosts of the finest grid."""
-        return self.grids[0].halo  # type: ignore[attr-defined]
-
-    def mark(self, level: Any, transfer: Transfer) -> None:
-        """Find the held unknowns of a grid, and the rows whose part of the coarser matrix has changed."""
-        halo = level.halo
-        halo.fetch_flags(level.is_free)
-        halo.fetch_flags(level.free_changed)
-        level.mark_rows(level.row_changed)
-        level.find_held(transfer)
-        halo.fetch_flags(level.is_interpolated)
-        halo.fetch_flags(level.free_changed)
-        if level.free_changed.any():
-            level.mark_rows(level.touched)
-        halo.fetch_flags(level.touched)
-        if level.new_values is not None:
-            halo.fetch_entries(level.new_values)
-
-    def finish_update(self, below: Any, changed: int) -> float:
-        """Invert the pivots of a coarser grid, and return the number of its rows that have changed on all ranks."""
-        pivot = below.values[below.grid.split] + below.grid.weight
-        below.inverse[:] = np.where(below.is_free[: below.grid.n], 1.0 / pivot, 0.0)
-        return self.total(changed)
-
-    def total(self, number: float) -> float:
-        """Return the sum of a number of each rank."""
-        return self.halo.total(number)
-
-    def largest(self, number: float) -> float:
-        """Return the largest of a number of each rank."""
-        return self.halo.largest(number)
-
-
 Iterates = Iterator[tuple[Vector, float]]  # z, shape (own,), and passes over M since the last
-# contraction of a cycle, and share of changed rows, at which Krylov steps pay
-SLOW_CYCLES, SETTLED = (0.1, 1e-3)
-KRYLOV_STEPS, KRYLOV_GAIN = 24, 1e-2
-COARSE_CYCLES, MOST_COARSE_CYCLES, COARSE_CHANGES = 2, 10, 5e-4  # of nested iteration
 
 
 def sweep(problem: RowsOnRanks, z: Vector, relaxation: float = 1.0) -> Iterates:
@@ -302,128 +202,35 @@ def multigrid(problem: RowsOnRanks, z: Vector) -> Iterates:
     _positive_diagonal(problem)
     symmetric = problem.is_symmetric
     hierarchy = build_hierarchy(problem.rows, problem.halo, scales_rows=not symmetric)
-    run = GridProblemOnRanks(hierarchy, problem.q, problem.lower, problem.upper, symmetric)
-    whole = run.halo.whole(z)  # the hierarchy has a different order of the ghosts
+    run = ProjectedCycles(problem, Truncation(hierarchy), is_symmetric=symmetric)
+    fine = run.problems[0]
+    whole = fine.grid.halo.whole(z)  # the hierarchy has a different order of the ghosts
     own = slice(problem.own)
     yield whole[own], 0.0
-    if not hierarchy.transfers:
+    if not hierarchy.is_helpful:
         return
     if problem.halo.everywhere(z == problem.nearest_to_zero):
         whole[:] = 0.0
-        run.start_from_coarser(whole)
-    least, before, idle = np.inf, np.inf, 0
+        run.add_coarse_solution(fine.q, fine.lower, fine.upper, whole)
+        run.truncation.start_at(0)
+    least, before, idle, work = np.inf, np.inf, 0, 0.0
     while True:
-        run.sweep(whole)
-        largest, changed = run.look(whole)
-        yield whole[own], run.take_work()
+        fine.sweep(whole, backward=False)
+        largest, changed = run.look(0, whole)
+        run.work += 2.0 * fine.entries
+        yield whole[own], work + run.take_work()
         idle = 0 if largest < 0.9 * least else idle + 1  # a cycle that gains less is idle
         least = min(least, largest)
         # A residual a hundred times the least, or a dozen idle cycles, end the run
         if not largest <= 100.0 * least or idle >= 12:
             return
-        if largest > SLOW_CYCLES * before and changed <= max(SETTLED * problem.n, 1.0):
-            run.add_krylov_steps(whole)
+        work = 0.0
+        if largest > 0.1 * before and changed <= max(1e-3 * problem.n, 1.0):
+            work = sum(step.work for step in run.krylov_steps(whole, is_settled=not changed))
         else:
-            run.add_cycle(whole)
+            run.correct(0, whole)
         before = largest
-        run.sweep(whole, backward=True)
-
-
-class GridProblemOnRanks:
-    """The LCP of a grid, with the coarser ones below: projected sweeps, and corrections of its free unknowns."""
-
-    def __init__(
-        self, hierarchy: HierarchyOnRanks, q: Vector, lower: Vector, upper: Vector, symmetric: bool
-    ) -> None:
-        self.hierarchy, self.symmetric = hierarchy, symmetric
-        self.truncation = TruncationOnRanks(hierarchy)
-        self.grid = grid = hierarchy.grids[0]
-        self.halo, self.n, self.work = grid.halo, grid.n, 0.0
-        self.vectors = tuple(map(read_only, (grid.inverse, q, lower, upper)))
-        self.residual = np.zeros(grid.width)
-        self.entries = max(self.halo.total(grid.matrix.data.size), 1.0)
-
-    def take_work(self) -> float:
-        """Return the passes over the matrix since the last call."""
-        work = self.halo.total(self.work + self.truncation.work)
-        self.work = self.truncation.work = 0.0
-        return work / self.entries
-
-    def start_from_coarser(self, z: Vector) -> None:
-        """Add the solution of the coarser grid's LCP to z, within the bounds."""
-        transfer = self.hierarchy.transfers[0]
-        _, q, lower, upper = self.vectors
-        coarse = HierarchyOnRanks(self.hierarchy.grids[1:], self.hierarchy.transfers[1:])
-        restricted = np.empty(coarse.grids[0].n)
-        restrict(transfer, self.halo.whole(q), restricted)
-        bounds = [side[transfer.is_coarse] for side in (lower, upper)]
-        below = GridProblemOnRanks(coarse, restricted, bounds[0], bounds[1], self.symmetric)
-        answer = below.answer()
-        below.halo.fetch(answer)
-        everywhere = np.ones(z.size, np.bool_)
-        prolong(transfer, answer, everywhere, z, (lower, upper))
-        self.work += below.work + below.truncation.work
-
-    def answer(self) -> Vector:
-        """Return an approximate solution with space for ghost values, shape (width,)."""
-        z = np.zeros(self.grid.width)
-        if not self.hierarchy.transfers:
-            z[: self.n] = np.clip(0.0, *self.vectors[2:])
-            for k in range(50):
-                self.sweep(z, backward=k % 2 == 1)
-            return z
-        self.start_from_coarser(z)
-        few = COARSE_CHANGES * self.halo.total(self.n)
-        for cycle in range(1, MOST_COARSE_CYCLES + 1):
-            self.sweep(z)
-            _, changed = self.look(z)
-            self.add_cycle(z)
-            self.sweep(z, backward=True)
-            if cycle >= COARSE_CYCLES and changed <= few:
-                break
-        return z
-
-    def sweep(self, z: Vector, *, backward: bool = False) -> None:
-        """Overwrite z by one projected Gauss–Seidel sweep."""
-        self.halo.fetch(z)
-        rows = self.grid.rows
-        kernels.projected_sweep(rows, self.grid.blocks, self.vectors, 1.0, backward, z)
-        self.work += self.grid.matrix.data.size
-
-    def look(self, z: Vector) -> tuple[float, float]:
-        """Find the free rows and truncate to them; return the largest scaled residual and the rows changed."""
-        top, residual = self.truncation.grids[0], self.residual[: self.n]
-        self.halo.fetch(z)
-        largest, changed = kernels.free_rows(
-            self.grid.rows, self.vectors, z, top.is_free, top.free_changed, residual
-        )
-        changed_rows = self.halo.total(changed)
-        if changed_rows:
-            self.truncation.update()
-        self.work += self.grid.matrix.data.size
-        return self.halo.largest(largest), changed_rows
-
-    def add_cycle(self, z: Vector) -> None:
-        """Add one V-cycle's answer to the residual on the free rows, cut off at the bounds."""
-        truncation, (_, _, lower, upper) = self.truncation, self.vectors
-        top, below = truncation.grids[:2]
-        truncation.restrict(0, self.residual)
-        truncation.correct(1)
-        below.fetch(below.x)
-        prolong(truncation.transfers[0], below.x, top.is_interpolated, z, (lower, upper))
-
-    def add_krylov_steps(self, z: Vector) -> None:
-        """Add Krylov steps' answer, cut off at the bounds."""
-        residual = self.residual[: self.n].copy()
-        correction = KrylovCorrection(self.truncation, residual, self.symmetric)
-        begun, steps = correction.largest(), 0
-        while steps < KRYLOV_STEPS and correction.largest() > KRYLOV_GAIN * begun:
-            if not correction.step():
-                break
-            steps += 1
-        own, (lower, upper) = z[: self.n], self.vectors[2:]
-        correction.apply_within(own.copy(), lower, upper, own)
-        correction.give_back()
+        fine.sweep(whole, backward=True)
 
 
 def _positive_diagonal(problem: RowsOnRanks) -> Vector:

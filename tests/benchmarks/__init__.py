@@ -14,7 +14,6 @@ BENCHMARKS = {
     "small": "small dense problems, one by one and in batches, next to a compiled Lemke",
     "cones": "contact with exact friction cones: a batch, from scratch, warm, and its gradient",
     "data": "least squares with x ≥ 0, lasso and support vectors, next to scipy's nnls and scikit-learn",
-    "programs": "quadratic programs against PIQP and Clarabel, to 2000 rows and above",
     "public": "published problems by several packages: solved, wrong, unsolved, time; FILE gets all outcomes as JSON",
 }
 

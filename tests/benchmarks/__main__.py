@@ -31,11 +31,7 @@ def main() -> int:
         choices=BENCHMARKS,
         help="which benchmark; without a name they are listed",
     )
-    parser.add_argument(
-        "files",
-        nargs="*",
-        help="programs (.npz, .qps, .mps) in place of random ones; for public, the JSON file that is written",
-    )
+    parser.add_argument("files", nargs="*", help="for public: the JSON file that is written")
     parser.add_argument(
         "--quick", action="store_true", help="small sizes: to see that it runs, not for figures"
     )

@@ -12,6 +12,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
+from inputs.contact_families import pyramids
 from inputs.published_problems import PROGRAMS, PublishedProgram
 from inputs.small_families import spectrum
 from scipy.linalg import solve_banded
@@ -101,7 +102,7 @@ def _lcps(quick: bool) -> Iterator[Row]:
             batch = partial(solve_batch, *data, algorithm="lemke", threads=1)
             loop = partial(_each, lemke, *data)
             yield f"batch of {count}, 10 rows, per problem", goal, batch, rival, loop, count
-        P, p = _pyramid(W, v, friction)
+        P, p = pyramids(W, v, friction)
         other = partial(lemke, P, p)
         yield "5 contacts, pyramids, as an LCP", 10.0, partial(_solve_lcp, P, p), rival, other, 1
     step, rival = partial(_solve_contact, W, v, friction), "numpy.linalg.solve"
@@ -221,24 +222,6 @@ def _solve_shares(R: Any, is_inlined: bool) -> None:
     pairs = complements(w >= 0, v - R.T @ cp.power(returns, -1) / count >= 0)
     rows = [pairs, cp.sum(w) == 1, *([] if is_inlined else [d == R @ w])]
     cp.Problem(cp.Minimize(0), rows).solve(method="LCP")
-
-
-def _pyramid(W: Any, b: Any, friction: Any) -> tuple[Any, Any]:
-    """Return M and q of contacts with four directions of friction each, normals first in each block of W."""
-    count = len(friction)
-    normals, tangents = (
-        np.eye(3 * count)[:, ::3],
-        np.eye(3 * count)[:, np.arange(3 * count) % 3 > 0],
-    )
-    D, E = (
-        np.hstack([normals, tangents, -tangents]),
-        np.tile(np.repeat(np.eye(count), 2, 0), (2, 1)),
-    )
-    size = 5 * count
-    M = np.zeros((size + count, size + count))
-    M[:size, :size], M[count:size, size:] = D.T @ W @ D, E
-    M[size:, :count], M[size:, count:size] = np.diag(friction), -E.T
-    return M, np.concatenate([D.T @ b, np.zeros(count)])
 
 
 def _trace_lasso(A: Any, b: Any) -> None:

@@ -18,7 +18,7 @@ from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.settings import Settings
 from lcp_plugin.solving.lcp_run import advice_of_run
 
-CONTACT = falling_bodies(10)
+CONTACT = falling_bodies(12)
 TRAPPED = scaling_trap().problem  # an H₊-matrix on which unscaled steps run into a cycle
 # a P-matrix, far from H₊
 FAR = LCP([[1.0, 3.0, 0.0], [0.0, 1.0, 3.0], [3.0, 0.0, 1.0]], [-1.0, -2.0, -3.0])
@@ -118,7 +118,7 @@ def test_a_matrix_with_the_wrong_sign_is_named() -> None:
     """The advice for a stalled LCP(−L, q) of a Laplacian L names −M, which is solved."""
     L = gallery.obstacle_2d(size=8).problem.csr
     wrong = LCP(-L, -np.ones(L.shape[0]))
-    advice = advice_of_run(wrong, "auto", Settings())[Status.STALLED]
+    advice = advice_of_run(wrong, "auto", Settings(), Status.STALLED)
     assert "every m_ii is negative: is −M meant" in advice
     assert solve(LCP(L, -np.ones(L.shape[0]))).is_solved
 
@@ -146,9 +146,10 @@ def test_a_start_that_is_the_solution_is_named(size: int, algorithm: str) -> Non
     answer = solve(problem, algorithm, tolerance=1e-10)
     again = solve(problem, algorithm, z0=answer.z)
     assert again.iterations == 0
-    assert "the residual of the start is within the tolerance already" in again.explain()
+    words = "the residual of the start is within the tolerance already"
+    assert words in again.explain()
     assert "0 iterations" in again.explain()
-    assert "where it begins" not in answer.explain()
+    assert words not in answer.explain()
 
 
 def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:

@@ -20,6 +20,7 @@ from lcp_plugin import LCP, ConeProblem, FrictionalContact, certify, march, solv
 Points = Iterator[tuple[Any, bool]]
 FURTHER_ROWS = 200  # of a band, so that a march takes its steps on bands
 LINK = 2.0**-60  # entry next to the diagonal of these rows
+METHODS = ("npsor", "psor", "newton", "lemke", "interior_point")
 
 
 def lcp_points(case: Case) -> Points:
@@ -29,6 +30,14 @@ def lcp_points(case: Case) -> Points:
             result = solve(LCP(M, case.q, lower=case.lower), z0=z0)
             assert result.is_solved is (case.right is not None)
             yield result.z, result.is_solved
+
+
+def method_points(method: str, case: Case) -> Points:
+    """Yield the results of a named method, from the wrong point and from z°."""
+    problem = LCP(case.M, case.q, lower=case.lower)
+    for z0 in (case.wrong, None) if method != "psor" or (problem.diagonal > 0.0).all() else ():
+        result = solve(problem, method, z0=z0, max_iterations=20_000)
+        yield result.z, result.is_solved
 
 
 def stack_points(case: Case) -> Points:
@@ -127,6 +136,7 @@ CLASSES: dict[str, Callable[[Case], Points]] = {
     "cones": cone_points,
     "contacts": contact_points,
     "ranks": rank_points,
+    **{method: partial(method_points, method) for method in METHODS},
     **{f"nonlinear, {shape}": partial(nonlinear_points, shape) for shape in SHAPES},
 }
 

@@ -10,10 +10,9 @@ import badly_scaled
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from campaigns.scaling import KINDS, answered, friction, game, measured, random_scaling
+from campaigns.scaling import KINDS, answered, measured, random_scaling
 from hypothesis import given
 from hypothesis import strategies as st
-from inputs.constructed_points import CONSTRUCTED
 from oracles.exact import exact_solution
 from oracles.truth import ExactData
 from scipy.sparse import csgraph
@@ -25,19 +24,14 @@ from lcp_plugin import (
     FrictionalContact,
     NonlinearProblem,
     Status,
-    gallery,
     march,
     solve,
     solve_batch,
 )
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.certificates.criterion import row_data
-from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.core.matrix import Matrix, is_nearly_symmetric
-from lcp_plugin.methods.finishing import measure_finished
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
-
-METHODS = ("auto", "npsor", "psor", "newton", "lemke", "interior_point")
 
 
 @np.errstate(all="ignore")
@@ -46,52 +40,12 @@ def passes(problem: LCP, z: Any) -> bool:
     return bool(row_data(problem).measure_at(np.array(z, float), None, 1e-8).passes)
 
 
-def constructed(name: str) -> tuple[LCP, Any, Any]:
-    """Return the problem, a wrong point and the right one."""
-    case = CONSTRUCTED[name]
-    return LCP(case.M, case.q, lower=case.lower), case.wrong, case.right
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("name", CONSTRUCTED)
-def test_a_run_from_a_wrong_point_ends_at_the_right_one(name: str, method: str) -> None:
-    """No method calls a constructed wrong point SOLVED: results are right or not SOLVED."""
-    problem, wrong, right = constructed(name)
-    if method == "psor" and (problem.diagonal <= 0.0).any():
-        with pytest.raises(UnsuitableMatrix):
-            solve(problem, method)
-        return
-    for z0 in (wrong, None):
-        result = solve(problem, method, z0=z0, max_iterations=20_000)
-        if right is None:
-            assert not result.is_solved
-        elif result.is_solved:
-            np.testing.assert_allclose(result.z, right, rtol=1e-4, atol=1e-3)
-    if method == "auto":
-        assert result.is_solved is (right is not None)
-
-
 @pytest.mark.parametrize("power", [-300, 0, 300])
 def test_a_row_of_zeros_is_infeasible_in_any_unit(power: int) -> None:
     """w₂ = −1e-9 for every z, also if M and q are multiplied by a power of two."""
     result = solve(LCP(np.ldexp([[1.0, 1.0], [0.0, 0.0]], power), np.ldexp([-1.0, -1e-9], power)))
     assert result.status is Status.INFEASIBLE
     assert result.proof.verify()
-
-
-ORDINARY = ("obstacle_2d", "american_put")
-
-
-@pytest.mark.parametrize("name", ORDINARY)
-def test_a_right_result_passes_exactly_and_one_ulp_off(name: str) -> None:
-    """The polished result of an ordinary problem passes, and so does each neighbor with random last bits."""
-    problem = gallery.build(name).problem
-    z = solve(problem, "newton", tolerance=1e-12).z
-    rng, is_free = np.random.default_rng(0), (z > problem.lower) & (z < problem.upper)
-    for k in range(20):
-        ulps = rng.integers(-1, 2, z.size) * is_free * (k > 0)
-        moved = z * (1.0 + ulps * 2.0**-52)
-        assert measure_finished(row_data(problem), moved, 1e-8).passes
 
 
 # --- Residuals relative to row-wise terms ---
@@ -323,7 +277,7 @@ def test_infeasible_is_infeasible_whatever_stands_beside() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
-def test_the_guard_refuses_nothing_right(kind: Any, tolerance: float) -> None:
+def test_the_guard_refuses_nothing_right(kind: str, tolerance: float) -> None:
     """A point right to a hundredth of the tolerance passes in every row, for any scaling."""
     for seed in range(30):
         M, q, z = answered(kind, seed)
@@ -334,8 +288,8 @@ def test_the_guard_refuses_nothing_right(kind: Any, tolerance: float) -> None:
         assert Certificate.of(measured(M, q, rows, of_z), right * of_z).term_residual <= tolerance
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in (friction, game)])
-def test_the_guard_refuses_no_rounding_beside_a_bound(kind: Any) -> None:
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("friction", "game")])
+def test_the_guard_refuses_no_rounding_beside_a_bound(kind: str) -> None:
     """If w is positive and large, a z off its bound by 1e-12 counts as rounding error."""
     for seed in range(30):
         M, q, z = answered(kind, seed)

@@ -76,7 +76,7 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
         "next: accept z, or rescale the data",
     ),
     "stalled": (
-        lambda: solve(falling_bodies(10), "npsor"),
+        lambda: solve(falling_bodies(12), "npsor"),
         Status.STALLED,
         "relative residual",
         'next: try algorithm="auto"',

@@ -147,7 +147,7 @@ Certificate.of(problem, [1.0, 2.0]) → InvalidProblem: z must be a.* vector of 
 Certificate.of(problem, None) → InvalidProblem: z must be a.* vector of length 3
 """)
 def test_refused(call: str, words: str) -> None:
-    """A wrong argument raises an error that names the argument, without side effects."""
+    """“Invalid input raises an `LCPError`”: the error names the argument, and the call has no side effects."""
     assert_refused(call, words, given())
 
 

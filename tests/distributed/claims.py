@@ -24,10 +24,10 @@ from lcp_plugin.core.errors import (
     NotConverged,
     UnsuitableProblem,
 )
-from lcp_plugin.ranks.methods import TruncationOnRanks, build_hierarchy
+from lcp_plugin.ranks.methods import build_hierarchy
 from lcp_plugin.ranks.problem import RowsOnRanks
 from lcp_plugin.ranks.solving import ComponentsOnRanks, RowDataOnRanks
-from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection
+from lcp_plugin.systems.hierarchy.truncation import KrylovCorrection, Truncation
 
 COMM = MPI.COMM_WORLD
 CLAIMS: dict[str, Callable[[], None]] = {}
@@ -331,7 +331,7 @@ def steps_of_conjugate_gradients_need_no_further_memory() -> None:
     problem = RowsOnRanks.from_problem(gallery.build("obstacle_2d", size=80).problem)
     with np.errstate(all="ignore"):
         hierarchy = build_hierarchy(problem.rows, problem.halo, scales_rows=False)
-    correction = KrylovCorrection(TruncationOnRanks(hierarchy), problem.q.copy(), True)
+    correction = KrylovCorrection(Truncation(hierarchy), problem.q.copy(), True)
     tracemalloc.start()
     sizes = []
     for _ in range(2):

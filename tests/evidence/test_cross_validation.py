@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs import membranes
+from inputs.planted import planted_lcp
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, Certificate, Result, solve
@@ -18,25 +19,11 @@ from lcp_plugin.evidence.cross_check import GAP, PLAIN, cross_validate
 
 COUNT = 60
 BATCHES = 10
-BOUNDS = ("plain", "free rows", "boxes", "everything")
 
 
 def spd_matrix(generator: np.random.Generator, n: int) -> np.ndarray:
     B = generator.normal(size=(n, n))
     return B @ B.T / n + generator.uniform(0.05, 1.0) * np.eye(n)
-
-
-def random_bounds(
-    generator: np.random.Generator, n: int, kind: str
-) -> tuple[np.ndarray, np.ndarray]:
-    lower, upper = np.zeros(n), np.full(n, np.inf)
-    if kind in ("free rows", "everything"):
-        lower[generator.random(n) < 0.3] = -np.inf
-    if kind in ("boxes", "everything"):
-        lower = lower + generator.normal(size=n)
-        above = np.maximum(lower, 0.0) + generator.uniform(0.0, 2.0, size=n)
-        upper = np.where(generator.random(n) < 0.7, above, np.inf)
-    return lower, upper
 
 
 def random_spd_problem(seed: int) -> LCP:
@@ -47,9 +34,9 @@ def random_spd_problem(seed: int) -> LCP:
     if seed % 3 == 0:
         M[(abs(M) < 0.2) & ~np.eye(n, dtype=bool)] = 0.0
         M += np.diag(abs(M).sum(axis=1))
-    lower, upper = random_bounds(generator, n, BOUNDS[seed % 4])
+    problem, _ = planted_lcp(M, generator, bounds=seed % 4 > 0)
     q = generator.normal(size=n) * 10.0 ** generator.integers(-3, 4)
-    return LCP(sp.csr_array(M) if seed % 3 == 0 else M, q, lower=lower, upper=upper)
+    return LCP(sp.csr_array(M) if seed % 3 == 0 else M, q, lower=problem.lower, upper=problem.upper)
 
 
 def clear_rows(certificate: Certificate, threshold: float) -> np.ndarray:

@@ -11,7 +11,6 @@ import pytest
 import scipy.sparse as sp
 from inputs import membranes, scenes
 from oracles.truth import ExactData
-from scipy.sparse.linalg import spsolve
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, gallery
@@ -57,21 +56,6 @@ M_MATRICES = [text for text in SMALL if text.startswith(OF_GRIDS)]
 @pytest.fixture(params=SMALL)
 def scene(request: pytest.FixtureRequest) -> gallery.Scene:
     return membranes.parse(request.param)
-
-
-def active_set(problem: LCP) -> np.ndarray:
-    """Return z for an M-matrix and finite lower bounds: monotone active-set steps, each one sparse solve."""
-    A, lower = problem.csr, problem.lower
-    free = np.ones(problem.n, dtype=bool)
-    for _ in range(200):
-        z = np.where(free, 0.0, lower)
-        inside = np.flatnonzero(free)
-        z[inside] = spsolve(A[inside][:, inside].tocsc(), -problem.slack(z)[inside])
-        now_free = np.where(free, z > lower, problem.slack(z) < 0.0)
-        if np.array_equal(free, now_free):
-            return z
-        free = now_free
-    raise AssertionError("the reference did not settle")
 
 
 def eliminate_with_maximum(problem: LCP) -> np.ndarray:
@@ -238,7 +222,7 @@ def test_obstacle_converges_to_the_analytic_solution(
     errors = []
     for size in sizes:
         scene = membranes.build(name, size=size)
-        z = active_set(scene.problem)
+        z = membranes.active_set(scene.problem, scene.problem.lower)
         errors.append(np.abs(z - scene.continuum).max())
         r = np.sqrt(sum(x**2 for x in np.ix_(*scene.coordinates))).ravel()
         touching, mesh_width = z <= scene.problem.lower, 4.0 / (size + 1)
@@ -286,7 +270,10 @@ def plastic(scene: gallery.Scene, z: np.ndarray) -> np.ndarray:
 def twisted(text: str) -> tuple[gallery.Scene, np.ndarray]:
     """Return a scene of torsion in one direction and its answer: −u is a membrane above −dist."""
     scene = gallery.parse(f"elastic_plastic_torsion:{text}")
-    return scene, -active_set(LCP(scene.problem.csr, -scene.problem.q, lower=scene.problem.lower))
+    lower = scene.problem.lower
+    return scene, -membranes.active_set(
+        LCP(scene.problem.csr, -scene.problem.q, lower=lower), lower
+    )
 
 
 def test_torsion_of_a_disc_converges_to_the_analytic_solution() -> None:

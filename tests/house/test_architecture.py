@@ -223,41 +223,6 @@ def test_classes_are_had_where_readme_says(name: str) -> None:
         getattr(algorithms, f"{kind.__name__}s")
 
 
-@pytest.mark.full
-def test_star_import_needs_no_hypothesis() -> None:
-    """``from lcp_plugin import *`` works without extras; only the strategies require hypothesis."""
-    code = (
-        "import sys\nsys.modules['hypothesis'] = sys.modules['matplotlib'] = None\nfrom lcp_plugin import *\n"
-        "print(solve(LCP([[2, 1], [1, 2]], [-1, 1])).status.name)\n"
-        "import importlib, pydoc, lcp_plugin\n"
-        "for ask in (lambda: lcp_plugin.strategies, lambda: importlib.import_module('lcp_plugin.strategies'),\n"
-        "            lambda: pydoc.locate('lcp_plugin.strategies')):\n"
-        "    try:\n        ask()\n    except Exception as error:\n        print(str(error).split('ImportError: ')[-1])"
-    )
-    solved, *errors = printed_by(code).splitlines()
-    assert solved == "SOLVED"
-    assert errors == 3 * [
-        "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
-    ]
-
-
-@pytest.mark.full
-def test_layers_ask_for_their_frameworks() -> None:
-    """The help of ``lcp_plugin.interfaces.learn`` needs no framework; layers name it."""
-    code = (
-        "import sys, importlib\nsys.modules['torch'] = sys.modules['jax'] = None\n"
-        "import lcp_plugin.interfaces.learn\n"
-        "for name in ('torch', 'jax'):\n"
-        "    try:\n        importlib.import_module(f'lcp_plugin.interfaces.learn.{name}')\n"
-        "    except ImportError as error:\n        print(error)"
-    )
-    needed = "lcp_plugin.interfaces.learn.{} needs {}; install it with: pip install {}"
-    assert printed_by(code).splitlines() == [
-        needed.format("torch", "PyTorch", "torch (or lcp_plugin[torch])"),
-        needed.format("jax", "JAX", "jax (or lcp_plugin[jax])"),
-    ]
-
-
 def table_rows() -> dict[str, list[str]]:
     """The manual's table of algorithms: name → cells."""
     text = (ROOT / "examples" / "manual" / "algorithms.md").read_text(encoding="utf-8")

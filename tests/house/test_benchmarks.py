@@ -11,7 +11,7 @@ import pytest
 from benchmarks import BENCHMARKS, load
 from paper_tables import cells, published
 
-QUICK = ("programs",)
+QUICK = ("cones",)
 
 
 @pytest.mark.parametrize(

@@ -51,3 +51,36 @@ def test_problems_are_solved_without_optional_packages(hidden: tuple[str, ...]) 
         "{'SOLVED'} [0. 2.] [1. 0.]",
         "[('INFEASIBLE', True), ('INFEASIBLE', True)]",
     ]
+
+
+H5 = """
+import pathlib, tempfile
+file = pathlib.Path(tempfile.mkdtemp(), "b.h5")
+file.write_bytes(b"HDF")
+lcp_plugin.load_problem(file)
+"""
+LEARN, STRATEGIES = "lcp_plugin.interfaces.learn", "lcp_plugin.strategies"
+QPSOLVERS = "from lcp_plugin.interfaces import qpsolvers as q\nq.register_with_qpsolvers()"
+USES = [  # the hidden package, a use of it, a part of the message, the extra that it names
+    ("hypothesis", f"from lcp_plugin import *\nimport {STRATEGIES}", f"{STRATEGIES} needs hypothesis", "test"),
+    ("hypothesis", STRATEGIES, f"{STRATEGIES} needs hypothesis", "test"),
+    ("hypothesis", f"import pydoc\npydoc.locate('{STRATEGIES}')", f"{STRATEGIES} needs hypothesis", "test"),
+    ("torch", f"import {LEARN}\nimport {LEARN}.torch", f"{LEARN}.torch needs PyTorch", "torch"),
+    ("jax", f"import {LEARN}\nimport {LEARN}.jax", f"{LEARN}.jax needs JAX", "jax"),
+    ("pyomo", "import lcp_plugin.pyomo", "lcp_plugin.pyomo needs pyomo", "pyomo"),
+    ("qpsolvers", QPSOLVERS, "register_with_qpsolvers needs qpsolvers", "qpsolvers"),
+    ("h5py", H5, "is read by h5py", "fclib"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "use", "words", "extra"), USES)
+def test_a_use_without_its_package_says_what_to_install(
+    name: str, use: str, words: str, extra: str
+) -> None:
+    """The message has the package and its extra; ``from lcp_plugin import *`` needs no hypothesis."""
+    code = (
+        f"import sys\nsys.modules[{name!r}] = None\nimport lcp_plugin\n"
+        f"try:\n    exec({use!r})\nexcept Exception as error:\n    print(error)"
+    )
+    advice = f"{words}; install it with: pip install {name} (or lcp_plugin[{extra}])"
+    assert advice in printed_by(code)

@@ -34,29 +34,6 @@ RESERVED = {"con", "prn", "aux", "nul"} | {
     f"{kind}{k}" for kind in ("com", "lpt") for k in range(10)
 }
 LONGEST = 150  # characters of a path below the project: Windows has 260 for a whole path
-SPAWNED = """
-import multiprocessing
-from pathlib import Path
-
-import numpy as np
-
-from lcp_plugin import LCP, FrictionalContact, QuadraticProgram, solve
-
-PROBLEMS = [
-    LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]),
-    QuadraticProgram(np.eye(2), [-1.0, 1.0], lower=0.0),
-    FrictionalContact(np.eye(3), [-1.0, 0.5, 0.0], 0.5),
-]
-
-if __name__ == "__main__":
-    multiprocessing.set_start_method("spawn")
-    with multiprocessing.Pool(1) as pool:
-        for problem, theirs in zip(PROBLEMS, pool.map(solve, PROBLEMS)):
-            ours = solve(problem)
-            z = "x" if hasattr(ours, "x") else "z"
-            same = getattr(theirs, z).tobytes() == getattr(ours, z).tobytes()
-            print(type(problem).__name__, theirs.status.name, same)
-"""
 
 
 @pytest.mark.full
@@ -121,19 +98,6 @@ def test_a_command_prints_in_a_code_page_of_windows(words: list[str]) -> None:
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, b"")
     assert done.stdout.decode("cp1252")
-
-
-@pytest.mark.full  # problems/batches/test_executors.py spawns in the quick suite
-def test_problems_and_results_pass_through_a_spawned_process(tmp_path: Path) -> None:
-    """Processes are not forked on macOS and Windows: arguments and results are pickled, and have the same bits."""
-    script = tmp_path / "spawned.py"
-    script.write_text(SPAWNED, encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    names = ("LCP", "QuadraticProgram", "FrictionalContact")
-    assert done.stdout.splitlines() == [f"{name} SOLVED True" for name in names]
 
 
 def test_names_of_files_are_different_without_case_and_allowed_on_windows() -> None:

@@ -29,6 +29,24 @@ def rows_of_bodies(count: int, bodies: int, rng: np.random.Generator) -> Any:
     return J.reshape(3 * count, -1)
 
 
+def pyramids(W: Any, b: Any, friction: Any) -> tuple[Any, Any]:
+    """Return M and q of contacts with four directions of friction each, normals first in each block of W."""
+    count = len(friction)
+    normals, tangents = (
+        np.eye(3 * count)[:, ::3],
+        np.eye(3 * count)[:, np.arange(3 * count) % 3 > 0],
+    )
+    D, E = (
+        np.hstack([normals, tangents, -tangents]),
+        np.tile(np.repeat(np.eye(count), 2, 0), (2, 1)),
+    )
+    size = 5 * count
+    M = np.zeros((size + count, size + count))
+    M[:size, :size], M[count:size, size:] = D.T @ W @ D, E
+    M[size:, :count], M[size:, count:size] = np.diag(friction), -E.T
+    return M, np.concatenate([D.T @ b, np.zeros(count)])
+
+
 def delassus(count: int, bodies: int, ratio: float, rng: np.random.Generator) -> tuple[Any, Any]:
     """W of bodies whose masses differ by up to that ratio, and J."""
     J, mass = rows_of_bodies(count, bodies, rng), np.repeat(ratio ** rng.random(bodies), 6)

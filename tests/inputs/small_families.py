@@ -9,6 +9,8 @@ import numpy as np
 
 from lcp_plugin import LCP, Result
 
+from .contact_families import pyramids, rows_of_bodies
+
 Generator = np.random.Generator
 Matrix = np.ndarray
 
@@ -38,30 +40,12 @@ def falling_bodies(contacts: int, seed: int = 5) -> LCP:
     Trinkle 1996, doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I).
     """
     rng = np.random.default_rng(seed)
-    bodies, m = max(1, contacts // 2), 5 * contacts
-    J = np.zeros((m, 6 * bodies))
-    for c in range(contacts):
-        normal = np.array([0.0, 0.0, 1.0]) + 0.2 * rng.standard_normal(3)
-        normal /= np.linalg.norm(normal)
-        first = np.cross(normal, [1.0, 0.0, 0.0])
-        first /= np.linalg.norm(first)
-        second, arm = np.cross(normal, first), rng.standard_normal(3)
-        pairs = ((int(rng.integers(bodies)), 1.0), (int(rng.integers(bodies)), -1.0))
-        for body, sign in pairs[: 1 if pairs[0][0] == pairs[1][0] else 2]:
-            rows_of_contact = [c, *(contacts + 4 * c + np.arange(4))]
-            for row, d in zip(
-                rows_of_contact, (normal, first, second, -first, -second), strict=True
-            ):
-                J[row, 6 * body : 6 * body + 6] += sign * np.concatenate([d, np.cross(arm, d)])
-    M = np.zeros((m + contacts, m + contacts))
-    M[:m, :m] = (J * np.exp(0.5 * rng.standard_normal(6 * bodies))) @ J.T
-    for c in range(contacts):
-        edges = contacts + 4 * c + np.arange(4)
-        M[m + c, c] = rng.uniform(0.1, 0.9)
-        M[m + c, edges], M[edges, m + c] = -1.0, 1.0
+    bodies = max(1, contacts // 2)
+    J = rows_of_bodies(contacts, bodies, rng)
+    W = (J * np.exp(0.5 * rng.standard_normal(6 * bodies))) @ J.T
     velocity = rng.standard_normal(6 * bodies)
     velocity[2::6] -= 2.0  # they fall
-    return LCP(M, np.concatenate([J @ velocity, np.zeros(contacts)]))
+    return LCP(*pyramids(W, J @ velocity, rng.uniform(0.1, 0.9, contacts)))
 
 
 def friction(n: int, rng: Generator) -> tuple[Matrix, Matrix]:

@@ -121,8 +121,9 @@ def minimize_over_solutions(
         with time_limit(max(limit, 1.0)):  # seconds, for the descent
             search.descend_from(start)
     with time_limit(limit):
-        log = _Log() if verbose else None
-        watchers = [one for one in (log, callback) if one is not None]
+        if verbose:
+            print(f"{'nodes':>8} {'value':>17} {'bound':>17} {'gap':>9} {'seconds':>9}", flush=True)
+        watchers = [*[BranchAndBound.print_line] * verbose, *filter(None, [callback])]
         return search.run(lambda: any([bool(one(search)) for one in watchers]), prove)
 
 
@@ -161,7 +162,17 @@ class BranchAndBound:
         self.tree: list[Node] = []
         self._open: list[tuple[float, int, Node]] = []
         self._current: Node | None = None  # open, too
+        self._next_line = 0.0
         self._closed_at = math.inf  # the least bound of the leaves that are closed
+
+    def print_line(self) -> None:
+        """Print a line of progress, at geometric intervals."""
+        if self.nodes >= self._next_line:
+            # Half as many nodes again to the next line
+            self._next_line = max(self.nodes + 1, self.nodes * 1.5)
+            gap = self.value - self.lower_bound if math.isfinite(self.value) else math.inf
+            numbers = f"{self.value:>17.9g} {self.lower_bound:>17.9g} {gap:>9.1e}"
+            print(f"{self.nodes:>8} {numbers} {self.clock.read():>9.2f}", flush=True)
 
     @property
     def best_value(self) -> float:
@@ -433,20 +444,3 @@ class BranchAndBound:
         named: Any = {"status": status, "algorithm": ", ".join(by), "tolerance": self.tolerance}
         named |= {"iterations": self.nodes, "seconds": self.clock.read()}
         return EquilibriumResult(self.problem, *found, self.descent, self.outside, **named)
-
-
-class _Log:
-    """Progress lines of a search, at geometric intervals."""
-
-    def __init__(self) -> None:
-        self._next = 0.0
-        print(f"{'nodes':>8} {'value':>17} {'bound':>17} {'gap':>9} {'seconds':>9}", flush=True)
-
-    def __call__(self, search: BranchAndBound) -> bool:
-        if search.nodes >= self._next:
-            # Half as many nodes again to the next line
-            self._next = max(search.nodes + 1, search.nodes * 1.5)
-            gap = search.value - search.lower_bound if math.isfinite(search.value) else math.inf
-            numbers = f"{search.value:>17.9g} {search.lower_bound:>17.9g} {gap:>9.1e}"
-            print(f"{search.nodes:>8} {numbers} {search.clock.read():>9.2f}", flush=True)
-        return False

@@ -104,8 +104,8 @@ class QuadraticProgram:
     ) -> None:
         vector = checks.checked_vector(c, "c", None)
         n = vector.size
-        if P is None or (not isinstance(P, np.ndarray) and np.isscalar(P) and P == 0):
-            P, asymmetry = sp.csr_array((n, n)), 0.0
+        if P is None or (np.isscalar(P) and P == 0):
+            P = sp.csr_array((n, n))
         P, asymmetry = symmetric(checks.rectangular_matrix(P, "P", n, n))
         rows, limits = _checked_rows(G, h, "G", "h", n, checks.checked_right_side)
         equations, right = _checked_rows(A, b, "A", "b", n, checks.checked_vector)

@@ -44,14 +44,41 @@ class Transfer:
     is_coarse: NDArray[np.bool_]
 
 
+class NoGhosts:
+    """The halo of a grid in one process, which has all rows: nothing is exchanged."""
+
+    foreign = 0
+
+    def whole(self, x: Vector) -> Vector:
+        """Return x, shape (n,), with the values of ghosts, shape (width,)."""
+        return x
+
+    def fetch(self, x: Any) -> None:
+        """Overwrite the values of ghosts in x, shape (width,)."""
+
+    fetch_flags = fetch_entries = fetch
+
+    def total(self, number: float) -> float:
+        """Return the sum of a number of each rank."""
+        return number
+
+    largest = total
+
+
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Grid: matrix with every diagonal entry stored, positions of the diagonal, inverses of the pivots."""
+    """Grid: matrix with every diagonal entry stored, positions of the diagonal, inverses of the pivots.
+
+    On ranks the matrix has the local rows, then the rows of adjacent ghosts. n counts local unknowns, and `weight` is a
+    part of the pivots; it is None in one process.
+    """
 
     matrix: Operator
     split: NDArray[Any]
     blocks: RowBlocks
     inverse: Vector
+    halo: Any
+    weight: Vector | None = None
 
     @property
     def n(self) -> int:
@@ -59,9 +86,20 @@ class Grid:
         return self.inverse.size
 
     @property
+    def width(self) -> int:
+        """Number of unknowns that the rows meet; on ranks, some are ghosts."""
+        return self.n + int(self.halo.foreign)
+
+    @property
     def entries(self) -> int:
         """Number of stored entries."""
         return self.matrix.data.size
+
+    @property
+    def own(self) -> tuple[NDArray[Any], NDArray[Any], Vector]:
+        """The local rows."""
+        indptr, indices, data = self.matrix.arrays
+        return Operator(indptr[: self.n + 1], indices, data).arrays
 
     @property
     def spread(self) -> float:

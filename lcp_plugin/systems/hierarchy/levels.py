@@ -27,7 +27,7 @@ from ...core.checks import Arrays, Vector, read_only
 from ...core.deadline import require_seconds
 from ...core.matrix import Matrix, fact, is_nearly_symmetric, largest_in_rows
 from . import kernels
-from .grids import Grid, Hierarchy, Operator, Transfer, blocks_of, pivots
+from .grids import Grid, Hierarchy, NoGhosts, Operator, Transfer, blocks_of, pivots
 
 # Weaker couplings than this share of the row's largest do not interpolate. With positive couplings, as of a rotated
 # anisotropy, weak couplings are misleading.
@@ -116,7 +116,7 @@ def grid_of(matrix: Operator, *, may_cut: bool = False) -> Grid:
     """Return the grid of a matrix; whether it `may_cut` sweeps."""
     split, inverse = pivots(matrix, kernels.INVERTIBLE)
     blocks = blocks_of(matrix.arrays, inverse.size, may_cut=may_cut)
-    return Grid(matrix, split, blocks, inverse)
+    return Grid(matrix, split, blocks, inverse, NoGhosts())
 
 
 def positive_shares(matrix: Operator, split: NDArray[Any]) -> Vector:

@@ -6,7 +6,7 @@ A V-cycle preconditions Krylov steps on the free rows.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -34,14 +34,15 @@ class TruncatedGrid:
         self.values = grid.matrix.data if self.new_values is None else self.new_values.view()
         self.values.flags.writeable = False
         self.inverse = grid.inverse.copy()
-        self.is_free = np.ones(n, np.bool_)
-        self.free_changed = np.zeros(n, np.bool_)
-        self.is_interpolated = np.ones(n, np.bool_)  # free, with enough couplings to free unknowns
+        self.is_free = np.ones(grid.width, np.bool_)
+        self.free_changed = np.zeros(grid.width, np.bool_)
+        self.is_interpolated = self.is_free.copy()  # free, with enough couplings to free unknowns
         self.held = np.zeros(0, np.intp)
         self.row_changed = np.zeros(n, np.bool_)
-        self.touched = np.zeros(n, np.bool_)
+        self.touched = np.zeros(grid.width, np.bool_)
         self.is_whole = True  # no unknown is fixed on this grid
-        self.x, self.b, self.residual = (np.zeros(n) for _ in range(3))
+        self.x, self.residual = np.zeros(grid.width), np.zeros(grid.width)
+        self.b = np.zeros(n)
         self._factor: Factor | None = None
         self._is_factorised = False
 
@@ -51,8 +52,8 @@ class TruncatedGrid:
         If couplings jump, sweeps would converge slowly for blocks that are connected only by weak couplings.
         """
         n = self.grid.n
-        # A factorization is as fast as sweeps over a few thousand entries.
-        if self._is_factorised or n > 150:
+        # A factorization is as fast as sweeps over a few thousand entries; no rank has all rows.
+        if self._is_factorised or n > 150 or self.grid.weight is not None:
             return self._factor, 0.0
         dense = self.grid.dense(self.values)
         is_fixed = self.inverse == 0.0
@@ -113,22 +114,32 @@ class TruncatedGrid:
         operands = values, flags, transfer.prolongation.arrays, transfer.restriction.arrays
         return kernels.update_product(*operands, (*coarse, *state))
 
-    def fetch(self, x: Vector) -> None:
-        """Fetch the values of ghosts; only grids on ranks have any."""
+    def invert_weighted_pivots(self) -> None:
+        """Invert the pivots of the present values, whose weights only ranks have."""
+        if self.grid.weight is not None:
+            pivot = self.values[self.grid.split] + self.grid.weight
+            self.inverse[:] = np.where(self.is_free[: self.grid.n], 1.0 / pivot, 0.0)
 
     def add_pivot_weights(self, residual: Vector) -> None:
-        """Add the weights of the pivots times x to the residual after the first sweep; only ranks have weights."""
+        """Add the weights of the pivots times x to the residual after the first sweep; only ranks have weights.
+
+        All ranks sweep at once. The sweep adds a weight to the pivot of each row that is coupled to a ghost, because
+        it might diverge otherwise; see :func:`lcp_plugin.ranks.methods.pivot_weight`.
+        """
+        if self.grid.weight is not None:
+            own = self.x[: self.grid.n]
+            residual += np.where(self.inverse != 0.0, self.grid.weight * own, 0.0)
 
 
 class Truncation:
     """Hierarchy from one of its grids downwards, without the fixed unknowns of this grid."""
 
-    kind: ClassVar[type[TruncatedGrid]] = TruncatedGrid
-
     def __init__(self, hierarchy: Any) -> None:
         self.transfers: tuple[Transfer, ...] = hierarchy.transfers
-        self.grids = [self.kind(grid, is_finest=not k) for k, grid in enumerate(hierarchy.grids)]
-        self.top = 0
+        self.grids = [
+            TruncatedGrid(grid, is_finest=not k) for k, grid in enumerate(hierarchy.grids)
+        ]
+        self.halo, self.top = self.grids[0].grid.halo, 0
         self.work = 0.0
         # the first access to new memory costs more than the arithmetic
         self.spare: list[Vector] = []
@@ -162,27 +173,24 @@ class Truncation:
             below.is_whole = False
             below.forget_factor()
             self.work += level.values.size + transfer.restriction.indices.size + products
-            if self.finish_update(below, changed) == 0:
+            below.invert_weighted_pivots()
+            if self.halo.total(changed) == 0:
                 break
 
     def mark(self, level: TruncatedGrid, transfer: Transfer) -> None:
         """Find the held unknowns of a grid, and the rows whose part of the coarser matrix has changed."""
+        halo = level.grid.halo
+        halo.fetch_flags(level.is_free)
+        halo.fetch_flags(level.free_changed)
         level.mark_rows(level.row_changed)
         level.find_held(transfer)
+        halo.fetch_flags(level.is_interpolated)
+        halo.fetch_flags(level.free_changed)
         if level.free_changed.any():
             level.mark_rows(level.touched)
-
-    def finish_update(self, below: TruncatedGrid, changed: int) -> float:
-        """Return the number of rows of a coarser grid that have changed."""
-        return changed
-
-    def total(self, number: float) -> float:
-        """Return the sum of a number of each rank."""
-        return number
-
-    def largest(self, number: float) -> float:
-        """Return the largest of a number of each rank."""
-        return number
+        halo.fetch_flags(level.touched)
+        if level.new_values is not None:
+            halo.fetch_entries(level.new_values)
 
     def direction(self, b: Vector) -> tuple[Vector, Vector]:
         """Return p of a V-cycle for M p = b on the finest grid, and M p on its free rows; local values on ranks.
@@ -192,7 +200,7 @@ class Truncation:
         top = self.grids[0]
         top.b = b
         self.correct(0)
-        top.fetch(top.x)
+        top.grid.halo.fetch(top.x)
         p, product = self.vector(), self.vector()
         np.copyto(p, top.x[: p.size])
         kernels.free_product(top.rows, top.inverse, top.x, product)
@@ -211,16 +219,16 @@ class Truncation:
         if k == len(self.transfers):
             self._solve_coarsest(level)
             return
-        level.fetch(level.x)
+        level.grid.halo.fetch(level.x)
         residual = level.residual[: grid.n]
         kernels.residual_after_first_sweep(rows, blocks, level.inverse, level.b, level.x, residual)
         level.add_pivot_weights(residual)
         self.restrict(k, level.residual)
         self.correct(k + 1)
         below, transfer = self.grids[k + 1], self.transfers[k]
-        below.fetch(below.x)
+        below.grid.halo.fetch(below.x)
         kernels.prolong(transfer, below.x, level.is_interpolated, level.x)
-        level.fetch(level.x)
+        level.grid.halo.fetch(level.x)
         kernels.sweep(rows, blocks, level.inverse, True, level.b, level.x)
         self.work += 1.5 * entries + 2.0 * transfer.prolongation.data.size
 
@@ -229,7 +237,7 @@ class Truncation:
         level, held = self.grids[k], self.grids[k].held
         kept = residual[held]
         residual[held] = 0.0
-        level.fetch(residual)
+        level.grid.halo.fetch(residual)
         kernels.restrict(self.transfers[k], residual, self.grids[k + 1].b)
         residual[held] = kept
 
@@ -247,7 +255,7 @@ class Truncation:
 
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(CLOSING_SWEEPS):
-            level.fetch(level.x)
+            level.grid.halo.fetch(level.x)
             kernels.sweep(
                 level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x
             )
@@ -272,10 +280,10 @@ class KrylovCorrection:
     def __init__(self, truncation: Truncation, residual: Vector, is_symmetric: bool) -> None:
         self.truncation, self.residual, self.is_symmetric = truncation, residual, is_symmetric
         # Squares of very large or small numbers leave the range of a double.
-        self.unit: float = power_of_two(truncation.largest(span(residual)))
+        self.unit: float = power_of_two(truncation.halo.largest(span(residual)))
         self.residual /= self.unit
         inverse = truncation.grids[0].inverse
-        unit = truncation.largest(span(inverse))
+        unit = truncation.halo.largest(span(inverse))
         self._weight = None if is_symmetric else (inverse / unit) ** 2
         self._sum = truncation.vector()
         self._sum[:] = 0.0
@@ -298,7 +306,7 @@ class KrylovCorrection:
     def largest(self) -> float:
         """Return the largest scaled remaining residual."""
         scaled = span(self.residual * self.truncation.grids[0].inverse)
-        return float(self.unit * self.truncation.largest(scaled))
+        return float(self.unit * self.truncation.halo.largest(scaled))
 
     def step(self) -> bool:
         """Take one step; return False if the step fails for this matrix."""
@@ -321,7 +329,7 @@ class KrylovCorrection:
         return True
 
     def _dot(self, one: Vector, other: Vector) -> float:
-        return self.truncation.total(dot(one, other))
+        return self.truncation.halo.total(dot(one, other))
 
     def _forget_directions(self) -> None:
         for p, product, _ in self.directions:

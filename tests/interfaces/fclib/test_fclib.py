@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -190,21 +188,3 @@ def test_other_files_are_told_apart(tmp_path: Path) -> None:
         load_problem(path)
     with pytest.raises(LCPError, match="load_problem"):
         LCP.load(local(tmp_path / "block.h5"))
-
-
-@pytest.mark.full
-def test_without_h5py_the_words_say_what_to_install(tmp_path: Path) -> None:
-    """And nothing else of the package asks for it."""
-    path = local(tmp_path / "block.h5")
-    script = (
-        "import sys; sys.modules['h5py'] = None\n"
-        "import lcp_plugin\n"
-        f"try:\n    lcp_plugin.load_problem({str(path)!r})\n"
-        "except lcp_plugin.UnreadableFile as error:\n    print(error)\n"
-    )
-    found = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    assert (
-        "is read by h5py; install it with: pip install h5py (or lcp_plugin[fclib])" in found.stdout
-    )

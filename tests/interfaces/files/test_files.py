@@ -294,6 +294,10 @@ COORDINATES = "%%MatrixMarket matrix coordinate real general\n"
 WRONG_MATRIX_MARKET = {
     "empty": ("", "Matrix Market"),
     "complex": (COORDINATES.replace("real", "complex") + "3 3 1\n1 1 2.0 0.0\n", "complex"),
+    "pattern": (
+        COORDINATES.replace("real", "pattern") + "3 3 1\n1 1\n",
+        "matrices of pattern numbers",
+    ),
     "no size": (COORDINATES, "Premature EOF"),
     "negative size": (COORDINATES + "-3 -3 0\n", "size|shape|negative"),
     "enormous size": (COORDINATES + "1000000000000 1000000000000 1\n1 1 2.0\n", r"M\.mtx"),

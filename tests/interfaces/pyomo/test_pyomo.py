@@ -546,19 +546,6 @@ def test_the_name_with_a_hyphen_is_the_same_solver() -> None:
     assert m.x.value == pytest.approx(np.log(2))
 
 
-@pytest.mark.full
-def test_pyomo_is_loaded_by_its_interface_only_and_named_if_it_lacks() -> None:
-    """``import lcp_plugin`` does not load Pyomo; without Pyomo the interface names the package."""
-    code = (
-        "import sys, lcp_plugin, lcp_plugin.interfaces.nl\nprint('pyomo' in sys.modules)\nsys.modules['pyomo'] = None\n"
-        "try:\n    import lcp_plugin.pyomo\nexcept ImportError as error:\n    print(error)"
-    )
-    assert printed_by(code).splitlines() == [
-        "False",
-        "lcp_plugin.pyomo needs pyomo; install it with: pip install pyomo (or lcp_plugin[pyomo])",
-    ]
-
-
 COMMANDS_MODEL = """
 import pyomo.environ as pe
 from pyomo.mpec import Complementarity, complements

@@ -12,7 +12,6 @@ from hypothesis import given
 from qpsolvers import ParamError, Problem, ProblemError, solve_problem, solve_qp
 from qpsolvers import problems as published
 from scipy.optimize import nnls
-from tools.processes import printed_by
 
 from lcp_plugin import Status
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
@@ -150,16 +149,3 @@ def test_what_is_refused(error: type[Exception], given: dict[str, Any], words: s
     """Invalid arguments raise qpsolvers' exceptions, with a message."""
     with pytest.raises(error, match=words):
         solve_qp(**{"P": P, "q": Q, "solver": NAME, **given})
-
-
-@pytest.mark.full
-def test_qpsolvers_is_loaded_by_its_interface_alone() -> None:
-    """An import or a solve does not load qpsolvers; without it the error names the package."""
-    code = (
-        "import sys, lcp_plugin\nlcp_plugin.solve(lcp_plugin.LCP([[2.0]], [-1.0]))\nprint('qpsolvers' in sys.modules)\n"
-        "sys.modules['qpsolvers'] = None\nfrom lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers\n"
-        "try:\n    register_with_qpsolvers()\nexcept ImportError as error:\n    print(error)"
-    )
-    needed = "register_with_qpsolvers needs qpsolvers; install it with: pip install qpsolvers "
-    needed += "(or lcp_plugin[qpsolvers])"
-    assert printed_by(code).splitlines() == ["False", needed]

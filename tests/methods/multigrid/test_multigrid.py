@@ -12,7 +12,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from inputs import membranes
 from inputs.planted import planted_lcp
-from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, Result, Status, convergence_guarantee, gallery, solve
 from lcp_plugin.gallery.problems import balanced_matrix
@@ -37,23 +36,8 @@ SCENES = [
 ]
 
 
-def active_set(problem: LCP, z: np.ndarray) -> np.ndarray:
-    """Return the answer by primal-dual active-set steps from z, each one sparse direct solve."""
-    M, lower, upper, known = problem.csr, problem.lower, problem.upper, None
-    for _ in range(100):
-        step = z - problem.slack(z) / problem.diagonal
-        sides = (step >= upper).astype(int) - (step <= lower)
-        if known is not None and np.array_equal(sides, known):
-            return z
-        known = sides
-        z = np.where(sides < 0, lower, np.where(sides > 0, upper, 0.0))
-        free = np.flatnonzero(sides == 0)
-        z[free] = spsolve(M[free][:, free].tocsc(), -problem.slack(z)[free])
-    raise AssertionError("the reference did not settle")
-
-
 def assert_same(problem: LCP, result: Result, relative: float = 1e-6) -> None:
-    expected = active_set(problem, result.z.copy())
+    expected = membranes.active_set(problem, result.z.copy())
     assert np.abs(result.z - expected).max() <= relative * np.abs(expected).max()
 
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs.planted import planted_lcp
+from inputs.small_families import draw
+from oracles.exact_criterion import failures
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.methods.newton import Newton, NewtonState, full_steps
@@ -74,6 +76,13 @@ def test_full_steps_cycle_on_a_p_matrix_and_newton_arrives_all_the_same() -> Non
     assert state.best > 0.1
     result = solve(problem, Newton(), z0=z0, tolerance=1e-13)
     assert result.status is Status.SOLVED
+
+
+@pytest.mark.parametrize("family", ["definite", "cyclic"])
+def test_the_line_search_leads_to_the_solution_of_each_p_matrix(family: str) -> None:
+    """Full steps cycle or are off in some of these, with bounds of every kind: SOLVED by the rule in fractions."""
+    for problem in draw(family, 60, 12):
+        assert failures(problem, solve(problem, "newton").require_solved().z) == []
 
 
 @pytest.mark.parametrize("n", [1, 2, 50, 200])

@@ -8,6 +8,7 @@ import signal
 import sys
 import weakref
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cvxpy as cp
@@ -100,6 +101,22 @@ def bilinear(**more: Any) -> EquilibriumProgram:
 def test_more_nodes_than_scip_can_count_are_no_limit() -> None:
     """The bound is that of a run without a limit."""
     assert minimize_over_solutions(bilinear(), max_nodes=10**30).value == pytest.approx(2.0)
+
+
+FUNCTIONS: dict[str, tuple[Any, ...]] = {
+    "log1p": (np.log1p, 0.3), "log10": (np.log10, 0.3), "power 1.5": (lambda x: x**1.5, 0.3),
+    "tan": (np.tan, 0.3), "sinh": (np.sinh, 0.3), "cosh": (np.cosh, 0.3), "tanh": (np.tanh, 0.3),
+    "asinh": (np.arcsinh, 0.3), "acosh": (np.arccosh, 1.7), "atanh": (np.arctanh, 0.3),
+    "quotient": (np.divide, 0.3, 1.7), "power of": (np.power, 0.3, 1.7), "log add exp": (np.logaddexp, 0.3, 1.7),
+    "relative entropy": (lambda x, y: x * np.log(x / y), 0.3, 1.7),
+}  # fmt: skip
+
+
+def test_functions_that_scip_lacks_have_the_values_of_numpy() -> None:
+    """They are written by exp, log, sqrt, sin and cos; numpy takes the place of SCIP."""
+    model: Any = SimpleNamespace(scip=np)
+    for name, (function, *at) in FUNCTIONS.items():
+        assert scip._Model._applied(model, name, *at) == pytest.approx(function(*at)), name
 
 
 # --- No SCIP, and a SCIP that fails ---

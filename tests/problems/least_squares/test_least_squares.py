@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import least_squares as campaign
-from campaigns.kinds import least_cost
+from campaigns.kinds import SOLVED, least_cost
 from campaigns.least_squares import Case, Exact, bounded_least_squares, complaint
 from hypothesis import given
 from hypothesis import strategies as st
@@ -303,7 +303,7 @@ def test_least_squares_in_mixed_units(draws: Callable[[int], range]) -> None:
         for number in draws(360)
         for finding in least_cost(np.random.default_rng([7, number]), kinds[number % 10])
     ]
-    assert "false SOLVED" not in found
+    assert SOLVED not in found
     assert len(found) <= 1 + 0.02 * len(draws(360))
 
 
@@ -446,7 +446,7 @@ fit(A * 1j, B) → InvalidProblem: A must be a real matrix.*complex entries
 fit(np.full((3, 2), np.nan), B) → InvalidProblem: A must be finite, but A\[0, 0\] = nan
 fit(None, B) → InvalidProblem: A must be a real matrix.*got None
 fit(LinearOperator((3, 2), matvec=A.__matmul__, dtype=float), B) → InvalidProblem: needs rmatvec
-fit(A, [1.0, 2.0]) → InvalidProblem: b must be a vector of length 3.*got shape \(2,\): 1 too few
+fit(A, [1.0, 2.0]) → InvalidProblem: b must be a vector of length 3, an entry per row of A, got shape \(2,\): 1 too few
 fit(A, [[1.0], [2.0], [3.0]]) → InvalidProblem: write np\.ravel\(b\)
 fit(A, [[1.0, 2.0], [3.0], [4.0]]) → InvalidProblem: got no rectangular array
 fit(A, np.ones((3, 4))) → InvalidProblem: for many right-hand sides: solve_batch\(.*got shape \(3, 4\)

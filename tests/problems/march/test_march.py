@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import marches
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from applications.finance import heston
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
@@ -346,22 +346,30 @@ def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
 # --- A march on a grid: American puts in Heston's model ---
 
 
+def heston_march(m: int, k: int, steps: int) -> tuple[LCP, Any, Any, Any]:
+    """Return problem, forcing, propagator and z0 of the put for a quarter of a year, m prices by k variances."""
+    one = heston(m, k, 0.25 / steps)
+    forcing = np.broadcast_to(one.q + one.lower, (steps, one.q.size))
+    propagator = sp.csr_array(-sp.eye_array(one.q.size))
+    return LCP(one.M, 0.0 * one.q, lower=one.lower), forcing, propagator, one.lower
+
+
 def test_time_that_runs_out_keeps_the_steps_before() -> None:
     """A march with max_seconds ends with MAX_SECONDS, and all earlier steps are SOLVED."""
-    steps, *_ = marches.heston(79, 33, 400)
-    done = march(steps.problem, steps.forcing, steps.propagator, z0=steps.z0, max_seconds=0.2)
-    assert 0 < len(done) < len(steps.forcing)
+    problem, forcing, propagator, z0 = heston_march(80, 32, 400)
+    done = march(problem, forcing, propagator, z0=z0, max_seconds=0.2)
+    assert 0 < len(done) < len(forcing)
     assert all(step.is_solved for step in done[:-1])
     assert done[-1].status in (Status.MAX_SECONDS, Status.SOLVED)
 
 
 def test_a_put_in_heston_s_model_has_its_published_value() -> None:
-    """The published values are reached to one percent of half the strike on a moderate grid."""
-    steps, spots, variances = marches.heston(79, 33, 20)
-    done = march(steps.problem, steps.forcing, steps.propagator, z0=steps.z0)
-    z = done.z[-1].reshape(variances.size, spots.size)
-    at = [np.interp(marches.HESTON_VARIANCE, variances, column) for column in z.T]
-    assert np.abs(np.interp(marches.HESTON_SPOTS, spots, at) - marches.HESTON_VALUES).max() < 0.03
+    """The values of Clarke and Parrott 1999, doi:10.1080/135048699334528, that later papers agree upon."""
+    problem, forcing, propagator, z0 = heston_march(80, 32, 20)
+    z = march(problem, forcing, propagator, z0=z0).z[-1].reshape(80, 33)
+    at = [np.interp(0.0625, np.linspace(0.0, 1.0, 33), row) for row in z]
+    values = np.interp((8.0, 9.0, 10.0, 11.0, 12.0), np.linspace(0.0, 20.0, 81)[1:], at)
+    assert values == pytest.approx((2.0000, 1.107641, 0.520030, 0.213668, 0.082036), abs=0.01)
 
 
 # --- A march equals single steps ---

@@ -208,6 +208,17 @@ def test_steps_into_the_undefined_are_shortened() -> None:
         ] == pytest.approx(np.e)
 
 
+@pytest.mark.parametrize("start", [-2.0, 3.0])
+def test_steps_to_points_without_a_derivative_are_shortened(start: float) -> None:
+    """The root 1 of x³ − 1 is found, although the derivative is NaN between 1.3 and 2.2."""
+    problem = NonlinearProblem(
+        lambda x: x**3 - 1.0,
+        lambda x: np.diag(np.where((x > 1.3) & (x < 2.2), np.nan, 3.0 * x**2)),
+        lower=-INF,
+    )
+    assert solved(solve_nonlinear(problem, [start]))[0] == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("size", [32, 100, 316])
 def test_steps_do_not_grow_under_refinement(size: int) -> None:
     """A membrane with a nonlinear source takes at most 5 Newton steps at n = 10³, 10⁴ and 10⁵."""
@@ -289,16 +300,6 @@ def test_running_away_is_no_solution(F: Callable[..., Any], lower: float, start:
         NonlinearProblem(F, lower=lower), np.full(np.size(F(np.ones(2))), start)
     )
     assert result.status is Status.STALLED
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("algorithm", ["newton", "interior_point"])
-def test_a_linearisation_without_a_solution_ends_the_run_soon(algorithm: str) -> None:
-    """−1 − x has no solution in x ≥ 0 and no linearization of it has; few steps show that, for none climbs back."""
-    problem = NonlinearProblem(lambda x: -1.0 - x, lambda x: -np.eye(1))
-    result = solve_nonlinear(problem, [1.0], algorithm)
-    assert result.status is Status.STALLED
-    assert result.iterations <= 30
 
 
 def test_slack_at_a_bound_lends_no_tolerance() -> None:
@@ -448,6 +449,7 @@ POLICIES = ("auto", "npsor", "psor", "newton", "interior_point", "lemke")  # one
 HOPELESS = {
     "undefined beyond 2": lambda x: -2.0 - np.sqrt(2.0 - x),
     "indefinite": lambda x: -1.0 - x[::-1] * np.array([1.0, 2.0]),
+    "no linearization has a solution": lambda x: -1.0 - x,
 }
 
 
@@ -628,15 +630,21 @@ def test_a_wrong_jacobian_is_named() -> None:
     assert words not in unchecked.explain()
 
 
+@pytest.mark.parametrize("precision", [np.float64, np.float32])
 @settings.get_profile("few")
 @given(SEEDS, st.sampled_from(KINDS), st.integers(1, 20))
-def test_a_right_jacobian_is_not_warned_of(seed: int, kind: str, n: int) -> None:
-    """The check finds no fault in derivatives that are right, wherever the start is."""
+def test_a_right_jacobian_is_not_warned_of(precision: Any, seed: int, kind: str, n: int) -> None:
+    """The check finds no fault in derivatives that are right, in single precision also, wherever the start is."""
     rng = np.random.default_rng(seed)
-    result = solve_nonlinear(
-        planted(rng, kind, n).problem, rng.standard_normal(n), max_iterations=0
+    one = planted(rng, kind, n)
+    problem = NonlinearProblem(
+        lambda x: np.asarray(one.F(x), precision),
+        lambda x: one.jacobian(x).astype(precision),
+        one.lower,
+        one.upper,
     )
-    assert "contradicts" not in result.explain()
+    result = solve_nonlinear(problem, rng.standard_normal(n), max_iterations=0)
+    assert "disagrees" not in result.explain()
 
 
 def test_an_unknown_that_no_active_row_depends_on_is_excused() -> None:
@@ -662,22 +670,6 @@ def test_an_unknown_that_no_active_row_depends_on_is_excused() -> None:
     v = solved(result)
     np.testing.assert_allclose(np.minimum(v[:2], F(v)[:2]), 0.0, atol=1e-8)
     assert result.z[3] == 0.0
-
-
-# --- proofs ------------------------------------------------------------------------------------------------------
-
-
-def test_a_derivative_in_single_precision_is_not_refused() -> None:
-    """With F and its derivative in float32, rounding error does not count as a wrong derivative."""
-    for seed in range(20):
-        one = planted(np.random.default_rng(seed), "monotone polynomial", 10)
-        problem = NonlinearProblem(
-            lambda x, one=one: one.F(x).astype(np.float32),
-            lambda x, one=one: one.jacobian(x).astype(np.float32),
-            one.lower,
-            one.upper,
-        )
-        solve_nonlinear(problem, np.random.default_rng(seed).standard_normal(10), max_iterations=0)
 
 
 # --- derivatives -------------------------------------------------------------------------------------------------

@@ -136,6 +136,17 @@ def test_multipliers_are_a_pair_or_a_solution() -> None:
         assert certify(SIMPLE, [0.5, 1.5], multipliers).verdict == "proved"
 
 
+def test_multipliers_of_any_sign_prove_no_bound_above_the_minimum() -> None:
+    """Random multipliers of inequalities, at a right x: the lower bound is not above the exact minimum."""
+    for seed in range(60):
+        rng = np.random.default_rng([seed, 21])
+        case = certify_campaign.case("definite", rng, 5)
+        inequality, equality, *_ = case.multipliers
+        given = (inequality + 2.0 * rng.normal(size=inequality.size), equality)
+        lower = certify(case.program, case.x, given).lower
+        assert lower is None or Fraction(lower) <= case.value
+
+
 def test_wrong_multipliers_of_a_right_x_are_told() -> None:
     """A wrong sign, or a remaining gradient, is reported; the lower and upper bounds stay valid."""
     for wrong in ([-1.0], [0.5]):

@@ -25,14 +25,14 @@ from lcp_plugin import (
 
 @pytest.mark.parametrize("n", [5_000, 200_000])
 def test_a_linear_program_over_a_box_is_solved_at_once(n: int) -> None:
-    """The signs of the costs decide: P without entries is never made dense."""
+    """The signs of the costs decide: P without entries, None or 0, is never made dense."""
     c = np.random.default_rng(n).standard_normal(n)
     start = time.perf_counter()
     result = solve(QuadraticProgram(None, c, lower=0, upper=1))
     assert time.perf_counter() - start < 5.0
     assert result.is_solved
     np.testing.assert_array_equal(result.x, (c < 0.0).astype(float))
-    assert solve(QuadraticProgram(None, c[:50], lower=0)).status is Status.UNBOUNDED
+    assert solve(QuadraticProgram(0, c[:50], lower=0)).status is Status.UNBOUNDED
 
 
 def test_one_full_row_makes_no_dense_matrix() -> None:

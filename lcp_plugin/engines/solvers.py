@@ -12,8 +12,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import Vector
-from ..systems.linear_program import highs
 from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
+from .linear_program import highs
 
 EQUATION = 5  # of daqp's `sense`
 DAQP_SAYS = {

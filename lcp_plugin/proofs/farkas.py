@@ -21,8 +21,8 @@ from ..core.checks import BoolVector, Vector
 from ..core.deadline import is_over, seconds_left
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.matrix import row_numbers, scale_matrix
+from ..engines.linear_program import highs
 from ..systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, power_of_two
-from ..systems.linear_program import highs
 from .exact import (
     MOST_UNKNOWNS,
     ZERO,

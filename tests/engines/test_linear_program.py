@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from lcp_plugin.systems.linear_program import highs
+from lcp_plugin.engines.linear_program import highs
 
 FULL_ROWS_AND_A_BAND = """
 import numpy as np, scipy.sparse as sp

@@ -13,6 +13,7 @@ import scipy.sparse as sp
 
 from ..core.checks import Vector
 from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
+from .linear_program import highs
 
 EQUATION = 5  # of daqp's `sense`
 DAQP_SAYS = {
@@ -268,7 +269,7 @@ class HiGHS(Engine):
 
     def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
         """Return the vertex that HiGHS ends at."""
-        from scipy.optimize import OptimizeWarning, linprog
+        from scipy.optimize import OptimizeWarning
 
         wishes = {**self.settings, "disp": limits.is_verbose}
         if np.isfinite(limits.seconds):
@@ -276,15 +277,14 @@ class HiGHS(Engine):
         rows = np.isfinite(program.h)
         with warnings.catch_warnings():
             warnings.simplefilter("error", OptimizeWarning)  # of an unknown option
-            found = linprog(
+            found = highs(
                 program.c,
-                program.G[rows] if rows.any() else None,
-                program.h[rows] if rows.any() else None,
-                program.A if program.b.size else None,
-                program.b if program.b.size else None,
-                np.column_stack([program.lower, program.upper]),
-                method="highs",
-                options=wishes,
+                program.G[rows],
+                program.h[rows],
+                program.A,
+                program.b,
+                (program.lower, program.upper),
+                **wishes,
             )
         y = np.zeros(program.h.size + program.b.size)
         says = HIGHS_SAYS.get(found.status, EngineStatus.GAVE_UP)

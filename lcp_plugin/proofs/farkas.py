@@ -1,11 +1,7 @@
-"""Farkas certificates of inconsistent linear constraints: a linear program finds them, then they are repaired.
+"""Linear constraints, and proofs by Farkas's lemma that they are inconsistent.
 
-The multipliers of HiGHS are not a proof. They are projected to the required signs and solved for in
-rational arithmetic; the caller decides which of these vectors is a proof, and with which margin.
-
-Linear constraints, and certificates of their inconsistency.
-
-Rows with a sign, unknowns with bounds, the unit of each row; a Farkas vector and its proof.
+A linear program finds the multipliers. HiGHS's multipliers are not a proof: they are projected to the required signs
+and solved for in rational arithmetic; the caller decides which of these vectors is a proof, and with which margin.
 """
 
 from __future__ import annotations
@@ -25,6 +21,7 @@ from ..core.checks import BoolVector, Vector
 from ..core.deadline import is_over, seconds_left
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.matrix import row_numbers, scale_matrix
+from ..engines.linear_program import highs
 from ..systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, power_of_two
 from .exact import (
     MOST_UNKNOWNS,
@@ -254,6 +251,7 @@ def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
 
 NO_MULTIPLIER = 1e-12  # of the unit: a smaller y of a linear program is 0
 TIGHT = 1e-7  # of its terms: a smaller sum of a linear program is 0
+PIVOTS = 5  # times rows and columns of a linear program; most take half as many pivots as rows
 LP_TOLERANCE = 1e-9  # a tenth of it is the least that HiGHS takes
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
 # times the unit: sizes that a linear program distinguishes from ∞ and from 0
@@ -339,7 +337,7 @@ class FarkasProgram:
         cost = self.signed * cost
         self.cost = np.where(np.isinf(cost), cost, np.clip(cost / unit, -MOST_UNITS, MOST_UNITS))
         at_most = self.norm[None, :], [1.0]
-        return linear_program(self.cost, self.equations, 0.0, (0.0, None), at_most, self.pivots)
+        return linear_program(self.cost, self.equations, 0.0, (0.0, np.inf), at_most, self.pivots)
 
     def vector(self, v: Vector) -> Vector:
         """Return y, shape (m,), of a solution of the linear program."""
@@ -391,7 +389,7 @@ class FarkasProgram:
             np.append(np.zeros(size), -1.0),
             self.equations @ both,
             0.0,
-            np.repeat([[0.0, np.inf], [0.0, largest]], [size, 1], axis=0),
+            (0.0, np.append(np.full(size, np.inf), largest)),
             (np.stack([self.norm, self.cost]) @ both, [1.0, 0.55 * answer.fun]),
             self.pivots,
         )
@@ -513,23 +511,25 @@ def linear_program(
 
     Parameters
     ----------
-    bounds : one pair, or a sequence of pairs
-        Bounds of v.
+    bounds : pair of numbers or arrays
+        Lower and upper bounds of v.
     at_most : pair
         Rows and limits.
     pivots : int, optional
-        Largest number of pivots; the time limit of a run also holds.
+        Largest number of pivots, by default a multiple of the rows and columns: on ill-conditioned rows the simplex
+        method may repeat its vertices indefinitely. The time limit of a run also holds.
     """
-    from scipy.optimize import linprog
-
     if not cost.size or not np.isfinite(cost).all() or not np.isfinite(equations.data).all():
         return None
-    tolerances = ("primal_feasibility_tolerance", "dual_feasibility_tolerance")
-    limits = {
-        "maxiter": pivots,
-        "time_limit": left if math.isfinite(left := seconds_left()) else None,
-    }
-    options = dict.fromkeys(tolerances, LP_TOLERANCE) | limits
-    sides = *at_most, equations, np.broadcast_to(right, equations.shape[0])
-    result = linprog(cost, *sides, bounds, method="highs", options=options)
+    result = highs(
+        cost,
+        *at_most,
+        equations,
+        np.broadcast_to(right, equations.shape[0]),
+        (np.broadcast_to(bounds[0], cost.size), np.broadcast_to(bounds[1], cost.size)),
+        primal_feasibility_tolerance=LP_TOLERANCE,
+        dual_feasibility_tolerance=LP_TOLERANCE,
+        maxiter=pivots or PIVOTS * (cost.size + equations.shape[0] + at_most[0].shape[0]),
+        time_limit=left if math.isfinite(left := seconds_left()) else None,
+    )
     return result if result.status == 0 else None

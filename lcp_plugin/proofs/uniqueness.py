@@ -91,7 +91,7 @@ def _span(cone: Array) -> Array:
     if not m:
         return np.eye(k)
     cost = np.concatenate([np.zeros(k), -np.ones(m)])
-    bounds = [(None, None)] * k + [(0.0, 1.0)] * m
+    bounds = np.repeat([[-np.inf, 0.0], [np.inf, 1.0]], [k, m], axis=1)
     at_most = np.hstack([-cone, np.eye(m)]), np.zeros(m)
     result = linear_program(cost, sp.csr_array((0, k + m)), 0.0, bounds, at_most)
     if result is None:

@@ -48,15 +48,6 @@ class Ranks:
         self.comm.Allgather(own, of_all)
         return of_all
 
-    def allgather_rows(self, own: NDArray[Any]) -> NDArray[Any]:
-        """Return the rows of all ranks' tables one after the other, shape (all, columns), on every rank."""
-        return np.concatenate(self.comm.allgather(own))
-
-    def places(self, count: int) -> tuple[int, int]:
-        """Return the offset of this rank, which has `count` items, and the number of all items."""
-        counts = self.comm.allgather(count)
-        return sum(counts[: self.rank]), sum(counts)
-
     def largest(self, values: Any) -> float:
         """Return the largest of all ranks' values ≥ 0, arrays or one number each; a NaN stays."""
         here = values.max(initial=0.0) if isinstance(values, np.ndarray) else values

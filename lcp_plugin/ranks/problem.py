@@ -114,7 +114,7 @@ class RowsOnRanks:
         ranks.require_same(
             "the problem (n, nonzeros, checksums)", facts, "build the same one on every rank"
         )
-        own = slice(*equal_share(problem.n, ranks))
+        own = slice(*(problem.n * rank // ranks.size for rank in (ranks.rank, ranks.rank + 1)))
         return cls.from_rows(comm, M[own], problem.q[own], problem.lower[own], problem.upper[own])
 
     def with_q(self, q: ArrayLike) -> RowsOnRanks:
@@ -193,11 +193,6 @@ class RowsOnRanks:
 
     def __repr__(self) -> str:
         return f"RowsOnRanks(n={self.n}, ranks={self.halo.size})"
-
-
-def equal_share(n: int, ranks: Ranks) -> tuple[int, int]:
-    """Return first and last of this rank's part if n rows are cut into parts of equal length."""
-    return n * ranks.rank // ranks.size, n * (ranks.rank + 1) // ranks.size
 
 
 def _checked_rows(rows: Any) -> sp.csr_array:

@@ -38,10 +38,11 @@ class ComponentsOnRanks:
         self.halo = halo = problem.halo
         own = problem.own
         count, local = csgraph.connected_components(_square(problem), directed=False)
-        before, total = halo.places(count)
-        names = local + before
+        counts = halo.comm.allgather(count)
+        names, total = local + sum(counts[: halo.rank]), sum(counts)
         theirs = halo.whole(names[:own].astype(np.float64))[own:].astype(np.int64)
-        pairs = halo.allgather_rows(np.unique(np.stack([names[own:], theirs], axis=1), axis=0))
+        met = np.unique(np.stack([names[own:], theirs], axis=1), axis=0)
+        pairs = np.concatenate(halo.comm.allgather(met))
         pattern = sp.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(total, total))
         self.count, joined = csgraph.connected_components(pattern, directed=False)
         self.labels = joined[names[:own]]

@@ -33,7 +33,7 @@ from ..methods.finishing import measure_finished
 from ..methods.newton import polish_active_set
 from ..proofs.guarantees import guarantee_of
 from .plan import plan
-from .result import Callback, Result
+from .result import NEXT, Callback, Result
 from .run import FAILED, Progress, Run, Stage
 
 WITHOUT_END = (Status.STALLED, Status.DIVERGED)
@@ -226,7 +226,6 @@ class LCPRun(Run):
         status = self.status(Status.STALLED if is_chain else end)
         name = "auto" if self.chosen is None else self.chosen.name
         chain = [stage.name for stage in self.progress.records()]
-        is_solved = status is Status.SOLVED
         return self.result_at(
             Certificate.at(self.problem, read_only(found.z), rows=found.rows),
             status,
@@ -234,23 +233,23 @@ class LCPRun(Run):
             infeasibility=self.proof,
             is_polished=self.is_polished,
             _asked=self.chosen,
-            _advice={} if is_solved else self._advice(found, end),
+            _advice={status: self._advice(found, end, status)},
         )
 
-    def _advice(self, found: Measured, reason: Status) -> dict[Status, str]:
-        """Return the advice of each status; of the problem's origin if it rejects the point."""
-        said, stages = advice_of_run(self.problem, self.chosen, self.settings), self.progress.stages
-        if reason is Status.STALLED and self.chosen is not None and stages[-1].has_ended:
-            steps = max(self.progress.iteration, 0)
-            _, _, rest = said[Status.STALLED].partition("; ")
-            said[Status.STALLED] = f"iterates ended after {format_count(steps, 'step')}; {rest}"
-        if found.is_rejected:
-            said |= dict.fromkeys(WITHOUT_END, self.problem.origin.rejection)
-        if self.progress.end is None:  # a step limit that is not reached
-            begin, end = "iteration limit reached", said[Status.MAX_ITERATIONS]
-            why = "a theorem proves convergence, but the rate of the run is too small for max_iterations"
-            said[Status.MAX_ITERATIONS] = end.replace(begin, why)
-        return said
+    def _advice(self, found: Measured, reason: Status, status: Status) -> str:
+        """Return the advice of the status; of the problem's origin if it rejects the point."""
+        if found.is_rejected and status in WITHOUT_END:
+            return str(self.problem.origin.rejection)
+        happened, begins, rest = advice_of_run(
+            self.problem, self.chosen, self.settings, status
+        ).partition("; ")
+        has_ended = reason is Status.STALLED and self.chosen is not None
+        if status is Status.STALLED and has_ended and self.progress.stages[-1].has_ended:
+            steps = format_count(max(self.progress.iteration, 0), "step")
+            happened = f"iterates ended after {steps}"
+        if status is Status.MAX_ITERATIONS and self.progress.end is None:  # it is not reached
+            happened = "a theorem proves convergence, but the rate of the run is too small for max_iterations"
+        return happened + begins + rest
 
     def _final(self, z: Vector, end: Status) -> Measured:
         """Return the measure of z, or of z after a last step of the method or on its active set if no worse."""
@@ -314,8 +313,10 @@ def better_of(found: Measured, cleaned: Measured) -> Measured:
     return cleaned if is_no_worse else found
 
 
-def advice_of_run(problem: LCP, chosen: Algorithm | None, settings: Settings) -> dict[Status, str]:
-    """Return the advice of each possible termination status of the run.
+def advice_of_run(
+    problem: LCP, chosen: Algorithm | None, settings: Settings, status: Status
+) -> str:
+    """Return the advice of a termination status of the run.
 
     Parameters
     ----------
@@ -323,29 +324,27 @@ def advice_of_run(problem: LCP, chosen: Algorithm | None, settings: Settings) ->
     chosen : Algorithm or None
         The algorithm of the call; None for "auto".
     settings : Settings
+    status : Status
 
     Examples
     --------
-    >>> advice_of_run(LCP([[2.0]], [1.0]), None, Settings())[Status.MAX_ITERATIONS]
+    >>> advice_of_run(LCP([[2.0]], [1.0]), None, Settings(), Status.MAX_ITERATIONS)
     'iteration limit reached; next: raise max_iterations, or continue from z0=result.z'
     """
-    said = {status: status.value for status in (*LIMITS, *WITHOUT_END)}
-    other = "" if chosen is None else 'algorithm="auto"'
-    for status in LIMITS:
-        said[status] += ", or continue from z0=result.z"
-        if other:
-            said[status] = said[status].replace("; next: ", f"; next: try {other}, or ")
+    if status in LIMITS:
+        begin = NEXT if chosen is None else f'{NEXT}try algorithm="auto", or '
+        return status.value.replace(NEXT, begin) + ", or continue from z0=result.z"
+    if status not in WITHOUT_END:
+        return status.value
     tried = "auto has tried all methods that suit this matrix; next: try another start z0"
-    end = f"next: try {other}" if other else tried
+    end = tried if chosen is None else 'next: try algorithm="auto"'
     if (negative := (problem.diagonal < 0.0)).all() and negative.size:
         end = f"every m_ii is negative: is −M meant, as for a Laplacian with the other sign? {end}"
     elif negative.any():
         end = f"M is not monotone (m_ii < 0 in {problem.names.row(int(negative.argmax()))}); {end}"
-    for status in WITHOUT_END:
-        said[status] += f"; {end}"
-    if not settings.prove_infeasibility:
-        said[Status.STALLED] += "; not proved infeasible, because prove_infeasibility=False"
-    return said
+    if status is Status.STALLED and not settings.prove_infeasibility:
+        end += "; not proved infeasible, because prove_infeasibility=False"
+    return f"{status.value}; {end}"
 
 
 def run_on(

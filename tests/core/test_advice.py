@@ -118,7 +118,7 @@ def test_a_matrix_with_the_wrong_sign_is_named() -> None:
     """The advice for a stalled LCP(−L, q) of a Laplacian L names −M, which is solved."""
     L = gallery.obstacle_2d(size=8).problem.csr
     wrong = LCP(-L, -np.ones(L.shape[0]))
-    advice = advice_of_run(wrong, "auto", Settings())[Status.STALLED]
+    advice = advice_of_run(wrong, "auto", Settings(), Status.STALLED)
     assert "every m_ii is negative: is −M meant" in advice
     assert solve(LCP(L, -np.ones(L.shape[0]))).is_solved
 

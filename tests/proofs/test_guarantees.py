@@ -374,6 +374,9 @@ def test_the_command_tells_matrix_and_guarantees() -> None:
         assert words in result.stdout
     lines = result.stdout.splitlines()
     assert all(any(line.startswith(f"{name} ") for line in lines) for name in ("auto", *REGISTRY))
+    rate = convergence_guarantee(gallery.build("paper_example_1", n=100).problem, "pgs").rate
+    printed = next(float(line.split()[2]) for line in lines if line.startswith("pgs "))
+    assert rate <= printed <= rate + 1e-3  # rounded upwards
 
 
 def test_the_command_prints_json() -> None:

@@ -315,7 +315,7 @@ class ConeRun(Run):
         self.residual = residual
 
     def _sweep_to_rounding(self) -> Iterator[Stage]:
-        """Yield the point after sweeps to rounding, with its residual if it is no solution to rounding."""
+        """Yield the point after sweeps to rounding, with its residual unless it is a solution to rounding."""
         most = QUICK_STEPS * methods.SWEEPS_PER_STEP
         z, counts = sweep_blocks(self.stack, self.start, most, EPSILON)
         count = -(-int(counts[0]) // methods.SWEEPS_PER_STEP)

@@ -335,7 +335,7 @@ def proof_of_no_minimum(program: QuadraticProgram, *, exactly: bool = False) -> 
     Parameters
     ----------
     program : QuadraticProgram
-        Up to 5000 variables and rows with a million nonzeros; in larger programs, only single rows that are
+        Up to 50 000 variables and rows with a million nonzeros; in larger programs, only single rows that are
         inconsistent with the bounds are found.
     exactly : bool
         Require a proof for all x, however large the program is. By default, a proof within a radius is enough for more
@@ -393,7 +393,7 @@ def _prove_by_programs(program: QuadraticProgram, exactly: bool) -> NoMinimum | 
 def _is_sought(program: QuadraticProgram) -> bool:
     """Return whether a program is worth linear programs."""
     # Larger programs are not worth the linear programs
-    is_small = program.n + program.constraints.rows <= 5000
+    is_small = program.n + program.constraints.rows <= 50_000
     return is_small and sum(program.matrices.entries) <= 1_000_000
 
 
@@ -572,7 +572,7 @@ def _points_inside(program: QuadraticProgram, unit: Vector) -> tuple[Fractions, 
         np.append(np.zeros(n), -1.0),
         scaled(equal, np.zeros(equal.size)),
         (scale * limit)[equal],
-        [(None, None)] * n + [(0.0, 1.0)],
+        np.repeat([[-np.inf, 0.0], [np.inf, 1.0]], [n, 1], axis=1),
         (scaled(most, margin[most].astype(np.float64)), (scale * limit)[most]),
     )
     if answer is None:

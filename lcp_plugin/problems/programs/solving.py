@@ -247,6 +247,7 @@ def _check_options(engine: Engine) -> None:
 
 
 NEARLY = KKTErrors(1e-6, 1e-3)  # measures beyond that are not even inaccurately optimal
+SHORT_SEARCH = 5000  # variables and rows: beyond, no proof is searched for against a point that passes the test
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity
 
 ADVICE = {
@@ -609,7 +610,8 @@ class ProgramRun(Run):
         primal, _, tolerated = found.errors
         # If rows are violated, a proof of infeasibility is searched first
         is_in_doubt = tolerated > 1.0 or primal > 1e-10 or self._is_far(found.solution.x)
-        if (found.passes and is_in_doubt) or found.says in NO_MINIMUM:
+        is_short = self.program.n + self.program.constraints.rows <= SHORT_SEARCH
+        if (found.passes and is_in_doubt and is_short) or found.says in NO_MINIMUM:
             self._search_proof()
         return end if self.proof is None else Status.NO_SOLUTION
 

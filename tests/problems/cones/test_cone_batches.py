@@ -73,6 +73,10 @@ def test_what_the_loop_leaves_open_is_solved_by_itself() -> None:
 
 
 def test_a_start_or_an_algorithm_is_the_callers() -> None:
-    """Then each is solved by itself, by that."""
-    batch = solve_batch(contacts(3), algorithm="nsgs", tolerance=1e-6)
+    """A named algorithm solves each problem, and no iteration is made from its solution."""
+    problems = contacts(3)
+    batch = solve_batch(problems, algorithm="nsgs", tolerance=1e-6)
     assert all(answer.algorithm == "nsgs" for answer in batch)
+    again = solve_batch(problems, z0=batch.z, tolerance=1e-6)
+    assert [answer.iterations for answer in again] == [0, 0, 0]
+    np.testing.assert_array_equal(again.z, batch.z)

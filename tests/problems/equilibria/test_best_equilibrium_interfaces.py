@@ -113,6 +113,8 @@ def test_what_is_not_taken_is_named() -> None:
         solver.solve(bard(), options={"tolerance": 1})
     with pytest.raises(InvalidOption, match="takes no algorithm"):
         solver.solve(bard(), options={"algorithm": "psor"})
+    with pytest.raises(InvalidOption, match="max_nodes must be a number ≥ 0, got -1"):
+        solver.solve(bard(), options={"max_nodes": -1})
 
 
 def test_an_infeasible_best_has_a_proof() -> None:

@@ -163,3 +163,24 @@ def test_a_constant_that_cancels_the_rest_leaves_the_digits_of_both() -> None:
     """(x − 10⁸)² at x = 10⁸ + 1 is 1: the terms are 10¹⁶, and the constant is one of them."""
     program = QuadraticProgram([[2.0]], [-2e8], constant=1e16)
     assert program.objective([1e8 + 1.0]) == 1.0
+
+
+def test_a_sparse_program_of_six_thousand_rows_and_variables_is_proved_unbounded() -> None:
+    rng = np.random.default_rng(0)
+    rows = sp.random_array((4_000, 2_000), density=2.5e-3, rng=rng, format="csr")
+    x, costs = rng.standard_normal((2, 2_000))
+    result = solve(QuadraticProgram(None, costs, rows, rows @ x + 1.0), max_seconds=20.0)
+    assert result.status is Status.UNBOUNDED
+    direction = np.array(result.proof.direction, dtype=float)
+    assert (rows @ direction).max() <= 1e-12 * np.abs(direction).max()
+    assert costs @ direction < 0.0
+
+
+@pytest.mark.full
+def test_the_search_for_a_proof_against_a_huge_point_ends() -> None:
+    """A nearly singular matrix: x is of size 1e9, and the simplex method of the search repeats its vertices."""
+    rng = np.random.default_rng(1)
+    rows = sp.random_array((1_000, 1_000), density=3e-3, rng=rng, format="csr")
+    x, y = rng.random((2, 1_000))
+    result = solve(QuadraticProgram(None, -rows.T @ y, rows, rows @ x + 1.0), max_seconds=30.0)
+    assert result.seconds < 20.0

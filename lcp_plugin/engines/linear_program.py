@@ -1,0 +1,64 @@
+"""Linear programs by HiGHS, as `scipy.optimize.linprog` brings it, without the columns that its presolve trips over.
+
+HiGHS 1.8 to 1.12 (scipy 1.15 to 1.17) write beyond their memory if banded equations have slack columns next to full
+rows, and the process dies. Without its slack such an equation is an inequality.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.checks import Vector
+
+
+def highs(
+    cost: Vector,
+    rows: Any,
+    limits: Vector,
+    equations: Any,
+    right: Vector,
+    bounds: tuple[Vector, Vector],
+    **options: Any,
+) -> Any:
+    """Return the result of min costᵀv, rows · v ≤ limits, equations · v = right, lower ≤ v ≤ upper.
+
+    A slack is a column of one equation that costs nothing and has no bound but 0 ≤ v.
+    """
+    from scipy.optimize import linprog
+
+    (lower, upper), both = bounds, np.stack(bounds, axis=1)
+    settings: Any = {"method": "highs", "options": options}
+    is_free = (cost == 0.0) & (lower == 0.0) & (upper == np.inf)
+    is_alone = ((equations != 0).sum(axis=0) == 1) & ((rows != 0).sum(axis=0) == 0)
+    slack = np.flatnonzero(is_free & is_alone)
+    if not slack.size:
+        return linprog(cost, rows, limits, equations, right, both, **settings)
+    by_column = sp.csc_array(equations)[:, slack]
+    by_column.eliminate_zeros()
+    relaxed, first = np.unique(by_column.indices, return_index=True)
+    slack, sizes = slack[first], by_column.data[first]
+    signs = np.sign(sizes)
+    kept, rest = np.ones(cost.size, dtype=bool), np.ones(right.size, dtype=bool)
+    kept[slack] = rest[relaxed] = False
+    by_row = sp.csr_array(equations)[:, kept]
+    result = linprog(
+        cost[kept],
+        sp.vstack([sp.csr_array(rows)[:, kept], by_row[relaxed] * signs[:, np.newaxis]]),
+        np.append(limits, signs * right[relaxed]),
+        by_row[rest],
+        right[rest],
+        both[kept],
+        **settings,
+    )
+    if result.x is not None:
+        v, multipliers = np.zeros(cost.size), np.zeros(right.size)
+        v[kept] = result.x
+        v[slack] = np.maximum(0.0, (right[relaxed] - by_row[relaxed] @ result.x) / sizes)
+        multipliers[rest] = result.eqlin.marginals
+        multipliers[relaxed] = signs * result.ineqlin.marginals[len(limits) :]
+        result.x, result.eqlin.marginals = v, multipliers
+        result.ineqlin.marginals = result.ineqlin.marginals[: len(limits)]
+    return result

@@ -268,10 +268,7 @@ class ConeRun(Run):
         if isinstance(self.chosen, ConeAlgorithm):
             yield Stage(self.chosen, steps=self.chosen.points(problem, stack, self.start, goal))
             return
-        if self.is_warm or stack.is_answered.all():
-            yield from self._test_start()
-        if self.is_short and stack.has_friction:
-            yield from self._sweep_to_rounding()
+        yield from self._first_points()
         z = yield from self._sweeps_and_newton(self.start, SCHEDULE[:1])
         if self._solve_components():
             return
@@ -300,33 +297,29 @@ class ConeRun(Run):
             yield self._path(share)
         yield from self._late_stages()
 
-    @property
-    def is_short(self) -> bool:
-        """True for a problem so small that sweeps to rounding cost less than one test."""
-        return 0 < self.problem.n <= FEW
-
-    def _test_start(self) -> Iterator[Stage]:
-        """Yield a stage without steps if the start is a solution, of a small problem to rounding."""
-        if self.is_short:
-            yield from self._passed(self.start, 0)
-        residual = self.stack.relative_residual(self.start)
-        if residual <= self.reached:
-            yield Stage(methods.ConeNSGS(), SWEPT)
-        self.residual = residual
-
-    def _sweep_to_rounding(self) -> Iterator[Stage]:
-        """Yield the point after sweeps to rounding, with its residual unless it is a solution to rounding."""
-        most = QUICK_STEPS * methods.SWEEPS_PER_STEP
-        z, counts = sweep_blocks(self.stack, self.start, most, EPSILON)
-        count = -(-int(counts[0]) // methods.SWEEPS_PER_STEP)
-        if count > self.settings.max_iterations - max(self.progress.iteration, 0):
-            return
-        yield from self._passed(z, count)
-        residual = self.stack.relative_residual(z)
-        step = Step(
-            z, residual=residual, work=count * methods.SWEEPS_PER_STEP + 1.0, iterations=count
-        )
-        yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))
+    def _first_points(self) -> Iterator[Stage]:
+        """Yield the start if it passes, and the point of a small contact problem after sweeps to rounding."""
+        stack, is_small = self.stack, 0 < self.problem.n <= FEW
+        is_tested = self.is_warm or stack.is_answered.all()
+        z, count, most = self.start, 0, QUICK_STEPS * methods.SWEEPS_PER_STEP
+        if is_small and is_tested:
+            yield from self._passed(z, 0)
+        if is_small and stack.has_friction:
+            z, counts = sweep_blocks(stack, z, most, EPSILON)
+            count = -(-int(counts[0]) // methods.SWEEPS_PER_STEP)
+            if count > self.settings.max_iterations - max(self.progress.iteration, 0):
+                count = 0
+            else:
+                yield from self._passed(z, count)
+        if is_tested:
+            residual = stack.relative_residual(self.start)
+            if residual <= self.reached:
+                yield Stage(methods.ConeNSGS(), SWEPT)
+            self.residual = residual
+        if count:
+            step = Step(z, work=count * methods.SWEEPS_PER_STEP + 1.0, iterations=count)
+            step.residual = stack.relative_residual(z)
+            yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))
 
     def _passed(self, z: Array, count: int) -> Iterator[Stage]:
         """Yield a point that is a solution by a sufficient test."""

@@ -5,20 +5,21 @@ own: Signorini's condition z_N ≥ 0 ⟂ w_N ≥ 0, a row of an LCP, and Coulomb
 ‖z_T‖ ≤ μ z_N. So a large sliding velocity does not hide a small closing velocity. A second-order cone is one law.
 
 For a law with several rows, norms over these rows replace absolute values. Its residual is the natural map's,
-z − P(z − w/d), P the projection onto the disk or cone; its violation v is the distance of −w from the normal cone
-at z. The point is snapped first: rows to bounds as in an LCP, z_k to the apex if the projection of z_k − w_k/d_k is the
-apex, and z_T to the length μ z_N if the projection is on the boundary. The snapped point is measured and returned.
+R = z − P(z − w/d), P the projection onto the disk or cone, d > 0 the unit of the block's slack, from the diagonal of M;
+its violation v is the distance of −w from the normal cone at z. The point is snapped first: rows to bounds as in an
+LCP, z_k to the apex if the projection of z_k − w_k/d_k is the apex, and z_T to the length μ z_N if the projection is
+on the boundary. The snapped point is measured and returned.
 
 For contacts the demand a is the largest of the component: b at a contact of a pile may be rounding error.
 Projections are nonexpansive: if w is within ρ, the residual of a cone is within ‖ρ‖/d, plus rounding in P.
 
 Proof that no point of the cones has a slack in the dual cones (a Farkas certificate).
 
-With friction, û ∈ K* means u_N ≥ 0 at every contact. Let y be ≥ 0 on normals and 0 on tangents (in K without
-friction, free in free rows, ≥ 0 in nonnegative rows), with −Mᵀy in K* (0 in free rows) and qᵀy < 0. Then 0 ≤ yᵀw =
-yᵀM z + yᵀq < 0 for every z in K, a contradiction. A z with the residual R has p = P_K(z − ŵ/d) in K, z = p + R and
-ŵ − d R in K*,
-and so
+K is the product of the cones, K* its dual. The slack ŵ of a cone is w, and û = w + μ‖w_T‖ e_N for a contact with
+friction (:mod:`.data`). With friction, û ∈ K* means u_N ≥ 0 at every contact. Let y be ≥ 0 on normals and 0 on
+tangents (in K without friction, free in free rows, ≥ 0 in nonnegative rows), with −Mᵀy in K* (0 in free rows) and
+qᵀy < 0. Then 0 ≤ yᵀw = yᵀM z + yᵀq < 0 for every z in K, a contradiction. A z with the residual R has
+p = P_K(z − ŵ/d) in K, z = p + R and ŵ − d R in K*, and so
 
     −qᵀy ≤ Σ_k (√(1 + μ_k²) d_k ‖y_k‖ + ‖(Mᵀy)_k‖) ‖R_k‖:
 
@@ -59,9 +60,8 @@ from .data import Blocks, conic_rows, solve_conic
 from .stack import ON, OUT, WITHIN, Array, ConeStack, length
 
 AT_ROUNDING = 2.0**-48  # of z_T: smaller distances from points of the boundary are rounding
-CERTAINLY_NEGLIGIBLE = (
-    0.5 * NEGLIGIBLE
-)  # of the terms of a law: its violation passes in any order of summation
+# A violation below this part of the terms of a law passes in any order of summation
+CERTAINLY_NEGLIGIBLE = 0.5 * NEGLIGIBLE
 
 
 class ConeRows(RowData):

@@ -264,8 +264,11 @@ class ProgramMatrices:
     def fills_in(self) -> bool:
         """True if a factorization of a sparse `kkt` takes more than `MOST_WORK` per entry, by a count.
 
-        False without a count if few rows or few columns have two entries: the other ones are eliminated first.
+        False without a count, which is compiled, if the matrix has a narrow band in another order, or if few rows or
+        few columns have two entries: the other ones are eliminated first.
         """
+        from scipy.sparse.csgraph import reverse_cuthill_mckee  # slow to import
+
         P, C = self.stacked
         if not sp.issparse(P):
             return False
@@ -276,7 +279,13 @@ class ProgramMatrices:
         most = MOST_WORK * float(sum(self.entries) + sum(C.shape))
         if coupled <= COUPLED_UP_TO or coupled**3 / 3.0 <= most:
             return False
-        return factor_sizes(self.kkt.csr, np.inf, most)[1] == np.inf
+        pattern = self.kkt.csr
+        order = reverse_cuthill_mckee(pattern, symmetric_mode=True)
+        band = sp.coo_array(pattern[order][:, order])
+        width = float(np.abs(band.row - band.col).max(initial=0))
+        if order.size * width * width <= most:
+            return False
+        return factor_sizes(pattern, np.inf, most)[1] == np.inf
 
     def of_rows(self, left: Indices) -> ProgramMatrices:
         """Return the matrices with these rows of [G; A] only."""

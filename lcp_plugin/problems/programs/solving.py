@@ -41,8 +41,7 @@ GIVEN, FITTED, SIDES = "the caller's units", "fitted units", "units of limits an
 # PIQP's points for 29 published programs fail the test more often at 1e-11 than at 1e-12, and 1e-13 takes 1.5 times the
 # steps for some of them. Dense kernel matrices of 1 000 rows reach neither, after all 150 steps.
 # A run of PIQP that converges takes 10 to 45 steps. On an assignment of 60 × 60, whose point is optimal after 15 steps,
-# it does not reach 1e-12 in 250 steps. A chain of second differences of
-# 2 400 points passes only in SIDES.
+# it does not reach 1e-12 in 250 steps. A chain of second differences of 2 400 points passes only in SIDES.
 ATTEMPTS: tuple[tuple[str, float | None, int | None, str], ...] = (
     # engine, tolerance of its own, limit of steps in auto if not the engine's default, units
     ("daqp", None, None, GIVEN),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from typing import Any
 
@@ -184,3 +186,15 @@ def test_the_search_for_a_proof_against_a_huge_point_ends() -> None:
     x, y = rng.random((2, 1_000))
     result = solve(QuadraticProgram(None, -rows.T @ y, rows, rows @ x + 1.0), max_seconds=30.0)
     assert result.seconds < 20.0
+
+
+def test_a_banded_program_loads_no_numba() -> None:
+    """5 000 unknowns in a chain: the band in another order shows that a factorization stays sparse."""
+    code = (
+        "import sys, numpy as np, scipy.sparse as sp, lcp_plugin as lp\n"
+        "rows = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(4998, 5000))\n"
+        "P = sp.eye_array(5000).tocsr()\n"
+        "assert lp.solve(lp.QuadraticProgram(P, np.ones(5000), rows.tocsr(), np.ones(4998))).is_solved\n"
+        "assert 'numba' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

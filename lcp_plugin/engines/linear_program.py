@@ -34,7 +34,7 @@ def highs(
     is_free = (cost == 0.0) & (lower == 0.0) & (upper == np.inf)
     is_alone = ((equations != 0).sum(axis=0) == 1) & ((rows != 0).sum(axis=0) == 0)
     slack = np.flatnonzero(is_free & is_alone)
-    if not slack.size:
+    if slack.size in (0, cost.size):
         return linprog(cost, rows, limits, equations, right, both, **settings)
     by_column = sp.csc_array(equations)[:, slack]
     by_column.eliminate_zeros()

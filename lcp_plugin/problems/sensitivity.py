@@ -886,8 +886,8 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
     if (stack := problems.least_squares()) is not None:
         return _derivative_of_program(least_squares_data(stack, batch.x), batch.x, batch)
     raise InvalidOption(
-        "the derivative of a batch takes problems of one size, least squares problems also of one matrix A; "
-        "write [derivative(answer) for answer in batch]"
+        "the derivative of a batch takes problems of one size, and of least squares those by problem.with_vectors; "
+        "otherwise write [derivative(answer) for answer in batch]"
     )
 
 

@@ -48,3 +48,10 @@ def test_a_proof_with_full_rows_next_to_a_band_does_not_end_the_process() -> Non
     command = [sys.executable, "-c", FULL_ROWS_AND_A_BAND]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, "INFEASIBLE")
+
+
+def test_equations_with_slacks_alone_are_infeasible() -> None:
+    """Two equations v = −1 with v ≥ 0."""
+    none = np.zeros((0, 2)), np.zeros(0)
+    found = highs(np.zeros(2), *none, np.eye(2), -np.ones(2), (np.zeros(2), np.full(2, np.inf)))
+    assert found.status == 2

@@ -168,6 +168,8 @@ class ConeRun(Run):
     ----------
     best : Measured
         The point of the smallest residual, as its method computed it until the point is measured.
+    unseen : float
+        Sweeps that led to no solution; they count with the next step.
     """
 
     def __init__(
@@ -191,6 +193,7 @@ class ConeRun(Run):
         self.start = stack.origin if z is None else stack.snap(stack.pattern.wide(z[None]))
         self.is_warm = z is not None and bool((self.start != stack.origin).any())
         self.best = Measured(self.start, np.inf, passes=False)
+        self.unseen = 0.0
 
     @derived_property
     def rows(self) -> ConeRows:
@@ -258,7 +261,8 @@ class ConeRun(Run):
             if step.z.ndim == 1:  # of an LCP
                 step.z = self.stack.pattern.wide(step.z[None])
                 step.residual = self.stack.relative_residual(step.z)
-            step.work *= self.place[2]
+            step.work = (step.work + self.unseen) * self.place[2]
+            self.unseen = 0.0
             yield step
 
     def plan(self) -> Iterator[Stage]:
@@ -298,7 +302,7 @@ class ConeRun(Run):
         yield from self._late_stages()
 
     def _first_points(self) -> Iterator[Stage]:
-        """Yield the start if it passes, and the point of a small contact problem after sweeps to rounding."""
+        """Yield the start if it passes, or the point of a small contact problem after sweeps to rounding."""
         stack, is_small = self.stack, 0 < self.problem.n <= FEW
         is_tested = self.is_warm or stack.is_answered.all()
         z, count, most = self.start, 0, QUICK_STEPS * methods.SWEEPS_PER_STEP
@@ -307,19 +311,14 @@ class ConeRun(Run):
         if is_small and stack.has_friction:
             z, counts = sweep_blocks(stack, z, most, EPSILON)
             count = -(-int(counts[0]) // methods.SWEEPS_PER_STEP)
-            if count > self.settings.max_iterations - max(self.progress.iteration, 0):
-                count = 0
-            else:
+            if count <= self.settings.max_iterations - max(self.progress.iteration, 0):
                 yield from self._passed(z, count)
         if is_tested:
             residual = stack.relative_residual(self.start)
             if residual <= self.reached:
                 yield Stage(methods.ConeNSGS(), SWEPT)
             self.residual = residual
-        if count:
-            step = Step(z, work=count * methods.SWEEPS_PER_STEP + 1.0, iterations=count)
-            step.residual = stack.relative_residual(z)
-            yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))
+        self.unseen = float(count * methods.SWEEPS_PER_STEP)
 
     def _passed(self, z: Array, count: int) -> Iterator[Stage]:
         """Yield a point that is a solution by a sufficient test."""

@@ -335,7 +335,7 @@ def proof_of_no_minimum(program: QuadraticProgram, *, exactly: bool = False) -> 
     Parameters
     ----------
     program : QuadraticProgram
-        Up to 50 000 variables and rows with a million nonzeros; in larger programs, only single rows that are
+        Up to 20 000 variables and rows with a million nonzeros; in larger programs, only single rows that are
         inconsistent with the bounds are found.
     exactly : bool
         Require a proof for all x, however large the program is. By default, a proof within a radius is enough for more
@@ -393,7 +393,7 @@ def _prove_by_programs(program: QuadraticProgram, exactly: bool) -> NoMinimum | 
 def _is_sought(program: QuadraticProgram) -> bool:
     """Return whether a program is worth linear programs."""
     # Larger programs are not worth the linear programs
-    is_small = program.n + program.constraints.rows <= 50_000
+    is_small = program.n + program.constraints.rows <= 20_000
     return is_small and sum(program.matrices.entries) <= 1_000_000
 
 

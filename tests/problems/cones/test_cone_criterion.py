@@ -235,3 +235,11 @@ def test_all_sweeps_count_as_work(seed: int, monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr(module, "sweep_blocks", counted)
     result = solve(small_contacts(seed))
     assert 0.0 < sum(counts) <= result.work
+
+
+def test_a_limit_just_above_the_quick_sweeps_changes_nothing() -> None:
+    """Sweeps that lead nowhere take no iterations of a limit."""
+    problem = small_contacts(18)
+    plain = solve(problem)
+    for limit in (plain.iterations, 19, 20, 21, 25):
+        assert solve(problem, max_iterations=limit).z.tobytes() == plain.z.tobytes()

@@ -234,7 +234,7 @@ def test_a_batch_of_least_squares_with_starts_has_the_derivatives_of_its_problem
     alone = [derivative(solve(one)).jvp(db=np.ones(6)) for one in problems]
     np.testing.assert_allclose(changes, alone, rtol=1e-9)
     apart = [problem, BoundedLeastSquares(2.0 * problem.A, problem.b, lower=0)]
-    with pytest.raises(InvalidOption, match="of one matrix A"):
+    with pytest.raises(InvalidOption, match="those by problem"):
         derivative(solve_batch(apart))
 
 

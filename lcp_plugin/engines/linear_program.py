@@ -1,4 +1,4 @@
-"""Linear programs by HiGHS, as `scipy.optimize.linprog` brings it, without the columns that its presolve trips over.
+"""Linear programs by HiGHS, as `scipy.optimize.linprog` brings it, without slack columns.
 
 HiGHS 1.8 to 1.12 (scipy 1.15 to 1.17) write beyond their memory if banded equations have slack columns next to full
 rows, and the process dies. Without its slack such an equation is an inequality.

@@ -252,6 +252,7 @@ def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
 NO_MULTIPLIER = 1e-12  # of the unit: a smaller y of a linear program is 0
 TIGHT = 1e-7  # of its terms: a smaller sum of a linear program is 0
 PIVOTS = 5  # times rows and columns of a linear program; most take half as many pivots as rows
+MOST_PIVOTS = 20_000  # of a linear program; on 10 000 rows these take 10 s
 LP_TOLERANCE = 1e-9  # a tenth of it is the least that HiGHS takes
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
 # times the unit: sizes that a linear program distinguishes from ∞ and from 0
@@ -516,11 +517,12 @@ def linear_program(
     at_most : pair
         Rows and limits.
     pivots : int, optional
-        Largest number of pivots, by default a multiple of the rows and columns: on ill-conditioned rows the simplex
-        method may repeat its vertices indefinitely. The time limit of a run also holds.
+        Largest number of pivots, by default a multiple of the rows and columns up to `MOST_PIVOTS`: on ill-conditioned
+        rows the simplex method may repeat its vertices indefinitely. The time limit of a run also holds.
     """
     if not cost.size or not np.isfinite(cost).all() or not np.isfinite(equations.data).all():
         return None
+    size = cost.size + equations.shape[0] + at_most[0].shape[0]
     result = highs(
         cost,
         *at_most,
@@ -529,7 +531,7 @@ def linear_program(
         (np.broadcast_to(bounds[0], cost.size), np.broadcast_to(bounds[1], cost.size)),
         primal_feasibility_tolerance=LP_TOLERANCE,
         dual_feasibility_tolerance=LP_TOLERANCE,
-        maxiter=pivots or PIVOTS * (cost.size + equations.shape[0] + at_most[0].shape[0]),
+        maxiter=pivots or min(PIVOTS * size, MOST_PIVOTS),
         time_limit=left if math.isfinite(left := seconds_left()) else None,
     )
     return result if result.status == 0 else None

@@ -246,7 +246,7 @@ def _check_options(engine: Engine) -> None:
 
 
 NEARLY = KKTErrors(1e-6, 1e-3)  # measures beyond that are not even inaccurately optimal
-SHORT_SEARCH = 5000  # variables and rows: beyond, no proof is searched for against a point that passes the test
+SHORT_SEARCH = 5000  # variables and rows: beyond, a solver must report that there is no minimum
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity
 
 ADVICE = {
@@ -520,7 +520,7 @@ class ProgramRun(Run):
             if not is_wanted and says in NO_MINIMUM and says is before:
                 return
             before = says
-        if is_wanted:
+        if is_wanted and self._is_short:
             self._search_proof()
 
     def engine_stages(self, engine: Engine | None) -> Iterator[Stage]:
@@ -609,10 +609,14 @@ class ProgramRun(Run):
         primal, _, tolerated = found.errors
         # If rows are violated, a proof of infeasibility is searched first
         is_in_doubt = tolerated > 1.0 or primal > 1e-10 or self._is_far(found.solution.x)
-        is_short = self.program.n + self.program.constraints.rows <= SHORT_SEARCH
-        if (found.passes and is_in_doubt and is_short) or found.says in NO_MINIMUM:
+        if (found.passes and is_in_doubt and self._is_short) or found.says in NO_MINIMUM:
             self._search_proof()
         return end if self.proof is None else Status.NO_SOLUTION
+
+    @property
+    def _is_short(self) -> bool:
+        """True if a proof is searched for although no solver reports infeasible or unbounded."""
+        return self.program.n + self.program.constraints.rows <= SHORT_SEARCH
 
     def _search_proof(self) -> None:
         """Keep the proof that the program has no solution, or the one that shows this except for rounding."""

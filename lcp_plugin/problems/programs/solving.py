@@ -246,7 +246,7 @@ def _check_options(engine: Engine) -> None:
 
 
 NEARLY = KKTErrors(1e-6, 1e-3)  # measures beyond that are not even inaccurately optimal
-SHORT_SEARCH = 5000  # variables and rows: beyond, a solver must report that there is no minimum
+SHORT_SEARCH = 5000  # variables and rows: larger programs need a report of a solver
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity
 
 ADVICE = {
@@ -615,7 +615,7 @@ class ProgramRun(Run):
 
     @property
     def _is_short(self) -> bool:
-        """True if a proof is searched for although no solver reports infeasible or unbounded."""
+        """True if the program is small enough for a search without the report of a solver."""
         return self.program.n + self.program.constraints.rows <= SHORT_SEARCH
 
     def _search_proof(self) -> None:

@@ -25,8 +25,7 @@ from .data import Blocks
 from .methods import polish_points, system_of_free_rows
 from .stack import ON, WITHIN, Array, ConeStack, length
 
-ON_THE_EDGE = 1e-6  # of the size of z − ŵ/d: distance to another mode of a degenerate block
-ROUNDING = 1e-12  # of a block's terms: smaller z and w/d both count as 0
+ROUNDING = 1e-12  # of a block's terms |M||z| + |q|: distance to another mode of a degenerate block
 PIECES, ALIKE = 20, 1e-12  # at most, for one direction, and the change of dz at which it ends
 
 
@@ -81,7 +80,7 @@ class StackDerivative(LinearizedSystem):
     @derived_property
     def degenerate(self) -> Array:
         """Blocks on the boundary of two modes, up to rounding error, shape (B, k)."""
-        stack, shift = self.stack, ON_THE_EDGE * self._sizes
+        stack, shift = self.stack, self._rounding
         cases = stack.residual(self.z, self.w)[1]
         differs = np.zeros(cases.shape, np.bool_)
         for sign in (-1.0, 1.0):
@@ -91,13 +90,11 @@ class StackDerivative(LinearizedSystem):
         return differs
 
     @derived_property
-    def _sizes(self) -> Array:
-        """Size of z and w/d of each block, (B, k), at least its rounding error."""
-        stack = self.stack
-        sizes = length(np.abs(self.z) + np.abs(self.w) / stack.d[..., None])
-        terms = length(stack.pattern.times(self.z, absolute=True) + np.abs(stack.q)) / stack.d
-        terms[terms == 0.0] = 1.0  # nothing acts: any size will do
-        return np.where(sizes <= ROUNDING * terms, ROUNDING / ON_THE_EDGE * terms, sizes)
+    def _rounding(self) -> Array:
+        """Rounding error of z and w/d of each block, (B, k)."""
+        terms = self.stack.pattern.times(self.z, absolute=True) + np.abs(self.stack.q)
+        size = length(terms) / self.stack.d
+        return ROUNDING * np.where(size == 0.0, 1.0, size)  # nothing acts: any size will do
 
     def branch_towards(self, dz: Array, dw: Array) -> StackDerivative:
         """Return the derivative of the piece into which dz and dw move degenerate blocks."""
@@ -105,7 +102,7 @@ class StackDerivative(LinearizedSystem):
         dz, dw = wide(dz), wide(dw)
         size = length(np.abs(dz) + np.abs(dw) / self.stack.d[..., None])
         moved = self.degenerate & (size > 0.0)
-        t = np.where(moved, ON_THE_EDGE * self._sizes / np.where(moved, size, 1.0), 0.0)[..., None]
+        t = np.where(moved, self._rounding / np.where(moved, size, 1.0), 0.0)[..., None]
         piece = copy(self)
         for known in ("system", "by_friction"):
             piece.__dict__.pop(known, None)

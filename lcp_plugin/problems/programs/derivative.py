@@ -175,9 +175,11 @@ class LeastSquaresData:
         weighted = data["weights"] * self._residual(x)
         slope = multiply(data["A"], weighted, transposed=True) + data["ridge"] * x
         lower, upper = data["lower"], data["upper"]
-        self.has_kink = (data["l1"] > 0.0) & (lower < 0.0) & (upper > 0.0)
+        has_sides = (lower < 0.0) & (upper > 0.0)
+        self.has_kink = (data["l1"] > 0.0) & has_sides
         is_negative = self.has_kink & ((x < 0.0) | ((x == 0.0) & (slope > 0.0)))
-        self.sign = np.where(is_negative | (upper <= 0.0), -1.0, 1.0)
+        of_bound = np.where(is_negative | (upper <= 0.0), -1.0, 1.0)
+        self.sign = np.where(has_sides & ~self.has_kink, np.sign(x), of_bound)
         self.lower = np.where(self.has_kink & ~is_negative, 0.0, lower)
         self.upper = np.where(is_negative, 0.0, upper)
 
@@ -200,6 +202,8 @@ class LeastSquaresData:
         A, weights, residual = self.data["A"], self.data["weights"], self._residual(x)
         of_residual = -np.asarray(d.get("b", 0.0)) + (multiply(d["A"], x) if "A" in d else 0.0)
         of_weighted = weights * of_residual + d.get("weights", 0.0) * residual
+        if np.any((self.sign == 0.0) & (d.get("l1", 0.0) != 0.0)):
+            raise UnsuitableProblem("x has a kink by l1 where l1 = 0 and x = 0; leave dl1 0 there")
         dq = multiply(A, of_weighted, transposed=True) + self.sign * d.get("l1", 0.0)
         dq += np.asarray(d.get("ridge", 0.0))[..., np.newaxis] * x
         return dq + multiply(d["A"], weights * residual, transposed=True) if "A" in d else dq

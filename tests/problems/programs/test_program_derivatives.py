@@ -316,3 +316,28 @@ def test_a_kink_is_found_in_units_far_apart(seed: int) -> None:
         found = derivative(solve(QuadraticProgram(P, c, G, G @ x + [0.0, 0.0, of_rows[2]])))
         assert found.is_unique == is_unique
         assert is_unique or found.degenerate == ["row 1 of G"]
+
+
+@pytest.mark.parametrize("lower", [-np.inf, 0.0])
+@pytest.mark.parametrize("name", ["l1", "weights", "ridge", "upper"])
+def test_a_derivative_by_a_parameter_at_its_own_limit_is_the_one_sided_difference(
+    name: str, lower: float
+) -> None:
+    """With l1 = 0, weights = 0, ridge = 0 and upper = ∞, for unknowns of both signs; vjp is the transpose."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        A, b, change = rng.normal(size=(6, 3)), rng.normal(size=6), 1e-6
+        data = {"l1": np.zeros(3), "weights": np.array([0.0, 1, 1, 1, 1, 2]), "ridge": 0.0}
+        moved = data | {name: data[name] + change} if name in data else data
+        result = solve(BoundedLeastSquares(A, b, lower, **data))
+        other = solve(BoundedLeastSquares(A, b, lower, **moved)).require_solved()
+        found, d = derivative(result), {name: np.ones(np.shape(data.get(name, b[:3])))}
+        agree(found, (other.x - result.x) / change, d, 1e-4)
+
+
+def test_a_penalty_that_begins_at_an_unknown_that_is_0_is_a_kink() -> None:
+    """By l1 = 0 of an x that is 0 no derivative exists; by all other data it does."""
+    found = derivative(solve(BoundedLeastSquares(np.eye(2), [-1.0, 0.0], -np.inf)))
+    np.testing.assert_allclose(found.jvp(dl1=[1.0, 0.0], db=[0.0, 1.0]), [1.0, 1.0])
+    with pytest.raises(UnsuitableProblem, match="kink by l1"):
+        found.jvp(dl1=1.0)

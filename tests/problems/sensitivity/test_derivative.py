@@ -19,6 +19,7 @@ from oracles.exact_derivatives import Change, Piece, distance, piece_at
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
+    ConeProblem,
     FrictionalContact,
     NonlinearProblem,
     QuadraticProgram,
@@ -401,3 +402,60 @@ def test_the_advice_for_a_batch_of_other_classes_works_as_it_is_written() -> Non
         call = re.search(r"\[derivative.*\]", str(e.value))
         assert call is not None
         assert len(eval(call[0], {"derivative": derivative, "batch": batch, "results": batch})) == 2
+
+
+def cases_of_each_class(rng: np.random.Generator) -> dict[str, tuple]:
+    """Return a problem, its solve, and the data that a derivative of each class is by; solutions next to kinks."""
+    A, b = rng.normal(size=(6, 6)), rng.normal(size=6)
+    M, z, w = A @ A.T + np.eye(6), np.abs(b), np.array([0, 0, 1.0, 1e-3, 5e-7, 0])
+    z[w > 0] = 0.0
+    z[5] = 5e-7
+    q = w - M @ z
+    P, G, h = M, A[:2], A[:2] @ z + [0.0, 5e-7]
+    of_rows = {"P": (6, 6), "c": (6,), "G": (2, 6), "h": (2,)}
+    of_squares = {"A": (6, 6), "b": (6,), "l1": (6,), "weights": (6,), "ridge": ()}
+    bounds, of_lcp = {"lower": (6,), "upper": (6,)}, {"M": (6, 6), "q": (6,)}
+    lcp, contact = LCP(M, q), FrictionalContact(M, q, [0.5, 0.5])
+    program = QuadraticProgram(P, q, G, h, lower=0)
+    squares = BoundedLeastSquares(
+        A, A @ z - np.linalg.solve(A.T, w), l1=np.array([0, 1, 0, 0, 0, 0])
+    )
+    of_contact = {"M": (6, 6), "q": (6,), "friction": (2,)}
+    return {
+        "LCP": (lcp, of_lcp | bounds),
+        "NonlinearProblem": (
+            NonlinearProblem(lambda x: M @ x + q, lambda x: M),
+            {"q": (6,)} | bounds,
+        ),
+        "FrictionalContact": (contact, of_contact),
+        "ConeProblem": (ConeProblem(M, q, [("second_order", 3), ("nonnegative", 3)]), of_lcp),
+        "QuadraticProgram": (program, of_rows | bounds),
+        "BoundedLeastSquares": (squares, of_squares | bounds),
+    }
+
+
+@pytest.mark.parametrize("is_batch", [False, True])
+@pytest.mark.parametrize("name", cases_of_each_class(np.random.default_rng(0)))
+def test_in_every_class_jvp_and_vjp_are_transposes(name: str, is_batch: bool) -> None:
+    """⟨g, J d⟩ = ⟨Jᵀg, d⟩ by all data at once, for solutions 1e-3 and 5e-7 from a kink, alone and in a batch."""
+    for seed in range(5):
+        rng = np.random.default_rng([7, seed])
+        problem, shapes = cases_of_each_class(rng)[name]
+        if is_batch and name in ("NonlinearProblem", "ConeProblem"):
+            return
+        if is_batch and name == "FrictionalContact":
+            problem = FrictionalContact.worlds(problem.W, problem.b[None], [0.5, 0.5])
+            result = solve_batch(problem, tolerance=1e-12)
+        else:
+            result = solve_batch([problem]) if is_batch else solve(problem, tolerance=1e-12)
+        d = {key: rng.normal(size=shape) for key, shape in shapes.items()}
+        found, g = derivative(result), rng.normal(size=6)
+        gradient, dz = found.vjp(g), found.jvp(**{f"d{key}": one for key, one in d.items()})
+        by = {key: getattr(gradient, key) for key in d}
+        parts = {
+            key: one.toarray() if sp.issparse(one) else np.asarray(one) for key, one in by.items()
+        }
+        terms = [np.sum(parts[key].reshape(np.shape(d[key])) * d[key]) for key in d]
+        assert np.ravel(dz) @ g == pytest.approx(
+            sum(terms), abs=1e-12 * (1.0 + np.abs(terms).sum())
+        )

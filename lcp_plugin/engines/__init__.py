@@ -13,6 +13,7 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 
+from ..core.errors import UnsuitableProblem
 from .engine import Engine
 
 ENGINES = {  # name: class; in the order in which `lcp-plugin list` shows them
@@ -41,21 +42,28 @@ def is_installed(name: str) -> bool:
     return name == "highs" or find_spec(name) is not None
 
 
-def installed_engine(name: str) -> type[Engine]:
-    """Return the class of the engine, or the built-in method if its package is not installed."""
-    return engine_class(name) if is_installed(name) else _substitute()
-
-
 @cache
-def _substitute() -> type[Engine]:
-    """Return the class of the built-in interior point method; warn once."""
-    missing = [name for name in ENGINES if not is_installed(name)]
-    warnings.warn(
-        f"{', '.join(missing)} not installed: convex programs use a built-in interior point method, which is slower; "
-        f"pip install {' '.join(missing)}",
-        RuntimeWarning,
-        stacklevel=3,
-    )
-    from .mehrotra import Mehrotra
+def has_piqp() -> bool:
+    """Return whether PIQP is installed; warn once if it is not, because methods without it are slower."""
+    if not is_installed("piqp"):
+        warnings.warn(
+            "piqp is not installed: convex programs are solved by slower methods; pip install piqp",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    return is_installed("piqp")
 
-    return Mehrotra
+
+def installed_engine(name: str) -> type[Engine]:
+    """Return the class of the engine of that name.
+
+    Raises
+    ------
+    UnsuitableProblem
+        If its package is not installed.
+    """
+    if not is_installed(name):
+        raise UnsuitableProblem(
+            f'{name} is not installed; install it with: pip install {name}, or use algorithm="auto"'
+        )
+    return engine_class(name)

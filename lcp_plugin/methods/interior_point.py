@@ -68,7 +68,7 @@ class InteriorPoint(Algorithm):
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         """Yield the start, and the point of PIQP after the solution of the system of its active set."""
-        z = np.clip(z0, problem.lower, problem.upper)
+        z, engine = np.clip(z0, problem.lower, problem.upper), installed_engine(self.engine)
         yield Step(z, work=1.0)
         if is_near(problem, z):
             yield from _cases(problem, z, 1)
@@ -81,7 +81,6 @@ class InteriorPoint(Algorithm):
         program: Any = ZeroSumGame.of(problem)
         if program is None:
             program = MonotoneProgram.of(with_signed_equations(problem))
-        engine = installed_engine(self.engine)
         # A second run is sharper: M is singular on many active sets.
         for options in ({}, {"eps_abs": 1e-13, "eps_rel": 1e-13}):
             require_seconds(seconds)

@@ -35,6 +35,7 @@ from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.matrix import has_positive_diagonal, is_nearly_symmetric
 from ..core.tuning import LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PIVOTS_FIRST_UP_TO
+from ..engines import has_piqp
 from ..methods.interior_point import InteriorPoint, ZeroSumGame, with_signed_equations
 from ..methods.lemke import Lemke, rows_of_components
 from ..methods.lemke.pivoting_path import is_game
@@ -83,6 +84,7 @@ def direct_methods(
         yield Stage(Lemke(), "a game: Lemke and Howson's paths, one a label", paths)
     unfit = _too_large(problem) | ({"lemke"} if game else set())
     unfit |= set() if prove_infeasibility else {"feasibility"}
+    unfit |= set() if has_piqp() else {"interior_point"}
     row = contradictory_row(problem) if prove_infeasibility else None
     if row is not None and row.excludes(EPSILON):
         yield Stage(FeasibilityCheck(), "one row is inconsistent with its bounds")

@@ -18,7 +18,7 @@ from lcp_plugin import *
 rng = np.random.default_rng(0)
 A = rng.standard_normal((30, 30))
 P, q = A @ A.T + np.eye(30), rng.standard_normal(30)
-ends = [solve(LCP(P, q), name) for name in ("auto", "psor", "lemke", "newton", "interior_point")]
+ends = [solve(LCP(P, q), name) for name in ("auto", "psor", "lemke", "newton")]
 grid = gallery.obstacle_2d(size=40).problem
 ends += [solve(grid, "multigrid"), solve(gallery.half_active(n=225).problem)]
 rows = sp.random_array((60, 400), density=0.05, rng=rng)
@@ -51,6 +51,22 @@ def test_problems_are_solved_without_optional_packages(hidden: tuple[str, ...]) 
         "{'SOLVED'} [0. 2.] [1. 0.]",
         "[('INFEASIBLE', True), ('INFEASIBLE', True)]",
     ]
+
+
+def test_an_engine_without_its_package_says_what_to_install_and_auto_goes_through_the_lcp() -> None:
+    """Without external solvers auto solves a program by its LCP; an engine by name raises, and both name the package."""
+    code = (
+        "import sys\nsys.modules |= dict.fromkeys(('piqp', 'daqp', 'clarabel'))\n"
+        "import warnings, numpy as np\nfrom lcp_plugin import LCP, QuadraticProgram, solve\n"
+        "program = QuadraticProgram(np.eye(400), -np.ones(400), G=np.ones((1, 400)), h=[40.0])\n"
+        "with warnings.catch_warnings(record=True) as caught:\n    result = solve(program)\n"
+        "print(result.status.name, result.x[0].round(6), caught[0].message)\n"
+        "for problem in (program, LCP(np.eye(2), [-1.0, 1.0])):\n"
+        "    try:\n        solve(problem, 'interior_point')\n    except ValueError as error:\n        print(error)"
+    )
+    solved, *refused = printed_by(code).splitlines()
+    assert solved.startswith("SOLVED 0.1 piqp is not installed")
+    assert [message.count("pip install piqp") for message in refused] == [1, 1]
 
 
 H5 = """

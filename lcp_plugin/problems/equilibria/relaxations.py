@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from ...core.checks import Vector
 from ...core.settings import Status
-from ...engines import installed_engine
+from ...engines import engine_class, is_installed
 from ...proofs.bounds import Curvature, constrained_curvature
 from ...solving.result import BaseResult
 from ..programs.criterion import QPSolution
@@ -105,8 +105,8 @@ class Relaxations:
             enough = node.value - 0.1 * self.tolerance * size
             node.bound = self.bound(program, node.dual, enough)
             # A vertex has more zeros than multipliers to repair them by
-            if node.bound == -math.inf:
-                clarabel = installed_engine("clarabel")()
+            if node.bound == -math.inf and is_installed("clarabel"):
+                clarabel = engine_class("clarabel")()
                 inside = run_engine(program, clarabel, self.tolerance, GIVEN).solution
                 dual = inside.x, np.concatenate([inside.inequality, inside.equality])
                 node.bound, node.dual = self.bound(program, dual, enough), dual

@@ -37,7 +37,7 @@ from ...core.checks import BoolVector, Vector
 from ...core.deadline import seconds_left
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
-from ...engines import installed_engine
+from ...engines import engine_class, is_installed
 from ...engines.engine import EngineAnswer, ProgramData, SolverLimits
 from ...engines.polish import polish_steps
 from ...systems.minimum_degree import factor_sizes
@@ -264,7 +264,8 @@ def engine_points(problem: ScaledLeastSquares) -> Iterator[tuple[str, Vector]]:
         yield RIDGE, ridge_solution(problem)
     A, b = problem.rows(is_dense=is_dense)
     if not is_dense:
-        yield from (("piqp", x) for x in Split.of(problem, A).solve_residual_form(b))
+        if is_installed("piqp"):
+            yield from (("piqp", x) for x in Split.of(problem, A).solve_residual_form(b))
         return
     for name, x in _dense_solutions(problem, A, b):
         if np.isfinite(x).all():
@@ -280,6 +281,8 @@ def _dense_solutions(
         yield "lstsq", shortest_solution(A, b)
     if is_for_nnls(problem.problem):
         yield "nnls", _solve_by_nnls(problem, A, b)
+    if not is_installed("piqp"):
+        return
     split = Split.of(problem, A)
     has_two = np.isfinite(split.lower) & np.isfinite(split.upper)
     if A.shape[0] <= A.shape[1] and not has_two.any():
@@ -435,7 +438,7 @@ class Split(NamedTuple):
 def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
     """Return the program, and PIQP's point at a tolerance at which a small l1 counts."""
     program = ProgramData(*statement)
-    engine = installed_engine("piqp")(eps_abs=1e-13, eps_rel=1e-13)
+    engine = engine_class("piqp")(eps_abs=1e-13, eps_rel=1e-13)
     return program, engine.answer(program, SolverLimits(seconds_left()))
 
 

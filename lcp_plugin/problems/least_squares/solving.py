@@ -18,6 +18,7 @@ from ...core.checks import BoolVector, Vector, derived_property, read_only
 from ...core.deadline import OutOfTimeError, is_over
 from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import Settings, Status
+from ...engines import has_piqp
 from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
 from ...solving.result import BaseResult, Callback
 from ...solving.run import CUT_SHORT, FAILED, Named, Progress, Run, Stage, say
@@ -207,8 +208,9 @@ class LeastSquaresRun(Run):
             points = engines.engine_points(problem.scaled)
             steps = (Step(x, label=name, iterations=1) for name, x in points)
             yield Stage(Named("external solvers"), "A is factorized", steps=steps)
-        else:
-            yield self._projected(most)
+            if has_piqp():
+                return
+        yield self._projected(most)
 
     def _nnls_step(self) -> Iterator[Step]:
         found = self.certify(engines.nnls_point(self.problem))

@@ -21,7 +21,7 @@ from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ...core.names import describe_radius, three_digits_below
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
-from ...engines import ENGINES, engine_class, installed_engine, is_installed, scaling
+from ...engines import ENGINES, engine_class, has_piqp, installed_engine, is_installed, scaling
 from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from ...engines.polish import ROUNDS, polish_steps
 from ...methods.interior_point import InteriorPoint
@@ -137,8 +137,6 @@ def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[En
         elif name != "highs" or not matrices.has_curvature:
             limit = {} if steps is None else {"max_iter": steps}
             yield engine_class(name)(**options, **limit), units
-    if engine is None and not (is_installed("piqp") and is_installed("clarabel")):
-        yield from ((installed_engine("piqp")(), units) for units in (FITTED, GIVEN))
 
 
 def run_engine(
@@ -432,11 +430,7 @@ def solve_program(
 def _engine(algorithm: Any, options: dict[str, Any]) -> Engine | None:
     """Return the engine of that name with its options, or the passed engine; None for another algorithm."""
     if isinstance(algorithm, str):
-        if algorithm in ENGINES and not is_installed(algorithm):
-            raise InvalidOption(
-                f'{algorithm} is not installed; install it with: pip install {algorithm}, or use algorithm="auto"'
-            )
-        return engine_class(algorithm)(**options) if algorithm in ENGINES else None
+        return installed_engine(algorithm)(**options) if algorithm in ENGINES else None
     if not isinstance(algorithm, Engine):
         return None
     if options:
@@ -505,7 +499,7 @@ class ProgramRun(Run):
             yield Stage(Named("least squares"), because, steps=self._regression_steps(*form))
         yield from self.engine_stages(None)
         # The LCP of a small program is tried if no external solver has a solution
-        if not is_lcp_first and reduced.n + rows <= 300:
+        if not is_lcp_first and (reduced.n + rows <= 300 or not has_piqp()):
             yield self.lcp_stage("auto", {})
 
     def with_proof(self, plan: Iterator[Stage]) -> Iterator[Stage]:

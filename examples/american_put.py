@@ -21,7 +21,7 @@ import scipy.sparse as sp
 import typer
 
 from lcp_plugin import LCP, gallery, march
-from lcp_plugin.evidence.free_boundary import free_boundary
+from lcp_plugin.evidence.drawing import contact_level
 
 STRIKE, RATE, VOLATILITY, MATURITY = 100.0, 0.05, 0.3, 1.0  # EUR, 1/year, 1/√year, years
 SIZE, STEPS = 901, 150
@@ -48,8 +48,8 @@ def main(out: Path = Path()) -> None:
     )
     steps = [step.require_solved() for step in march_back]
     value, seconds = steps[-1].z, sum(step.seconds for step in steps)
-    edges = [free_boundary(step, coordinates=x[1:-1]).positions for step in steps]
-    boundary = [STRIKE, *(STRIKE * np.exp(edge[edge < 0].max()) for edge in edges)]
+    edges = [np.interp(0.0, contact_level(step.certificate), x[1:-1]) for step in steps]
+    boundary = [STRIKE, *(STRIKE * np.exp(edges))]
     print(f"{STEPS} steps with {SIZE} unknowns each: {seconds:.2g} s")
 
     some = np.array([70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0, 140.0])

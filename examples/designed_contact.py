@@ -26,7 +26,7 @@ import typer
 from scipy.optimize import minimize
 
 from lcp_plugin import LCP, Certificate, derivative, prepare, solve
-from lcp_plugin.evidence.free_boundary import free_boundary
+from lcp_plugin.evidence.drawing import contact_level
 
 SIZE, EVALUATIONS = 200, 24  # nodes along each side; solves, each with its gradient
 FLOOR, PRESSURE, BETA = -1.0, 5.0, 1e-6
@@ -126,7 +126,8 @@ def main(out: Path = Path()) -> None:
         axes.grid(visible=False)
     left.contour(nodes, nodes, heart.reshape(shape), levels=[0.5], colors="white", linewidths=1)
     answer = Certificate.of(membrane.problem.with_q(membrane.area * load), membrane.height)
-    free_boundary(answer, coordinates=(nodes, nodes)).draw(left, color="#D55E00", linewidth=2)
+    level = contact_level(answer).reshape(shape)
+    left.contour(nodes, nodes, level, levels=[0.0], colors="#D55E00", linewidths=2)
     left.text(0, 0, "touches", color="#D55E00", ha="center", fontsize=11)
     left.text(0, 0.72, "wanted", color="white", ha="center", fontsize=9)
     right.semilogy(membrane.history, ".-", color="#0072B2", linewidth=1.5)

@@ -22,13 +22,13 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from lcp_plugin import gallery, solve
-from lcp_plugin.evidence.free_boundary import FreeBoundary, free_boundary
+from lcp_plugin.evidence.drawing import contact_level
 
 ECCENTRICITY, SIZE = 0.6, 140
 
 
-def pressure(half_length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, FreeBoundary]:
-    """Return angles in degrees, places along the shaft in radii, the pressure over both, and where the film tears."""
+def pressure(half_length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return angles in degrees, places along the shaft in radii, and over both the pressure and the contact level."""
     scene = gallery.journal_bearing(size=SIZE, eccentricity=ECCENTRICITY, half_length=half_length)
     result = solve(scene.problem).require_solved()
     print(
@@ -36,8 +36,8 @@ def pressure(half_length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, Fr
         f"the film is torn at {np.mean(result.z == 0):.0%} of the nodes"
     )
     angle, along = scene.coordinates
-    torn = free_boundary(result, coordinates=(np.degrees(angle), along))
-    return np.degrees(angle), along, scene.picture(result.z), torn
+    level = contact_level(result.certificate)
+    return np.degrees(angle), along, scene.picture(result.z), scene.picture(level)
 
 
 def very_long() -> tuple[float, np.ndarray]:
@@ -57,10 +57,11 @@ def very_long() -> tuple[float, np.ndarray]:
 
 def main(out: Path = Path()) -> None:
     """Solve a short and a long bearing, compare the long one with quadrature, save a figure into the folder OUT."""
-    angle, along, film, edge = pressure(1.0)
-    _, width, long_film, long_edge = pressure(10.0)
-    ends = long_edge.segments.reshape(-1, 2)
-    middle, torn_at = long_film[:, SIZE // 2], ends[abs(ends[:, 0] - width[SIZE // 2]).argmin(), 1]
+    angle, along, film, level = pressure(1.0)
+    _, _, long_film, long_level = pressure(10.0)
+    middle, low = long_film[:, SIZE // 2], long_level[:, SIZE // 2]
+    last = np.flatnonzero(low > 0.0)[-1]  # with pressure; the film is torn from there on
+    torn_at = np.interp(0.0, -low[last : last + 2], angle[last : last + 2])
     torn, exact = very_long()
     print(
         f"the long film tears at {torn_at:.1f}°, by quadrature at {torn:.1f}° (step {angle[1] - angle[0]:.1f}°)"
@@ -74,7 +75,7 @@ def main(out: Path = Path()) -> None:
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.8, 4.2), layout="constrained")
     image = left.pcolormesh(along, angle, film, shading="nearest", cmap="cividis", rasterized=True)
     figure.colorbar(image, ax=left, label="pressure").outline.set_visible(False)
-    edge.draw(left, color="#D55E00", linewidth=1.8)
+    left.contour(along, angle, level, levels=[0.0], colors="#D55E00", linewidths=1.8)
     left.text(1.0, 300, "torn film, p = 0", color="white", ha="center", fontsize=10)
     left.set(xlabel="along the shaft (radii)", ylabel="angle θ (degrees)", yticks=range(0, 361, 90))
     left.set_title("Short bearing, as long as wide")

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 import typer
 
 from lcp_plugin import LCP, prepare, solve, solve_batch
-from lcp_plugin.evidence.free_boundary import free_boundary
+from lcp_plugin.evidence.drawing import contact_level
 
 SIZE = 49  # nodes along each side, the edge not counted
 TWISTS = np.linspace(0.05, 5.0, 100)
@@ -53,10 +53,10 @@ def main(out: Path = Path()) -> None:
         )
 
     torque = np.array([2 * h**2 * one.z.sum() for one in warm])
-    whole = np.ptp(nodes) ** 2
-    plastic = np.array(
-        [free_boundary(one, coordinates=(nodes, nodes)).area / whole for one in warm]
-    )
+    levels = [contact_level(one.certificate).reshape(SIZE, SIZE) for one in warm]
+    plastic = [
+        np.clip(0.5 - level, 0.0, 1.0).mean() for level in levels
+    ]  # of a cell between 0 and 1
     elastic, fully_plastic = 0.1406 * 2**4 * TWISTS, 8 / 3
     print(
         f"check: the first torque differs from the elastic one by {abs(torque[0] / elastic[0] - 1):.2%}, "
@@ -80,7 +80,7 @@ def main(out: Path = Path()) -> None:
         (1.0, 1.5, 2.5, 5.0), ("#E9C46A", "#E69F00", "#D55E00", "#7F2704"), strict=True
     ):
         k = np.argmin(abs(TWISTS - twist))
-        free_boundary(warm[k], coordinates=(nodes, nodes)).draw(right, color=color, linewidth=2)
+        right.contour(nodes, nodes, levels[k], levels=[0.0], colors=color, linewidths=2)
         right.plot([], [], color=color, linewidth=2, label=f"α = {twist:g}")
     right.set(
         aspect="equal",

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 import typer
 
 from lcp_plugin import LCP, Certificate, box, complements
-from lcp_plugin.evidence.free_boundary import free_boundary
+from lcp_plugin.evidence.drawing import contact_level
 
 HEAT, LIMIT, SIZE = 12.0, 1.2, 99
 
@@ -56,7 +56,7 @@ def main(out: Path = Path()) -> None:
     frozen = LCP(
         A, -HEAT * np.exp(u), lower=-np.inf, upper=np.full(u.size, LIMIT)
     )  # the heat as it is at the answer
-    edge = free_boundary(Certificate.of(frozen, u), coordinates=(x, x))
+    level = contact_level(Certificate.of(frozen, u)).reshape(SIZE, SIZE)
     plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.2, 4.1), layout="constrained")
     for axes, values, title in (
@@ -67,7 +67,7 @@ def main(out: Path = Path()) -> None:
             x, x, values.reshape(SIZE, SIZE), cmap="cividis", shading="nearest", rasterized=True
         )
         figure.colorbar(picture, ax=axes, shrink=0.85).outline.set_visible(False)
-        edge.draw(axes, color="white", linewidth=1.2)
+        axes.contour(x, x, level, levels=[0.0], colors="white", linewidths=1.2)
         axes.set(title=title, aspect="equal", xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
         axes.grid(visible=False)
     figure.savefig(out / "self_heating.png", dpi=150)

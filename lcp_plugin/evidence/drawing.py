@@ -15,18 +15,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ..core.certificates.residuals import Certificate
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, LCPError, UnsuitableProblem
 from ..core.files import write_whole
+from ..core.matrix import largest_in_rows
 from ..core.names import format_count
 from ..gallery.scene import Scene
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..solving.result import BaseResult, Result
-from .free_boundary import contact_level
 
 if TYPE_CHECKING:
     from ..problems.parametric.path import Path as ParametricPath
 
+UNTOUCHED = 1.5  # the level of a node that no bound is near to
 FORMATS = (".png", ".pdf", ".svg")
 STYLE: Any = {
     **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
@@ -253,7 +255,7 @@ def _draw_unknowns(axes: Any, answer: Any, frame: Frame | Scene) -> None:
     if grid is not None and len(grid) > 1 and min(grid[-2:]) > 1:
         level = 0.5 - active.astype(float)
         if isinstance(answer, Result):
-            level = contact_level(answer.certificate.problem, answer.z, answer.w)
+            level = contact_level(answer.certificate)
         _draw_map(axes, x.reshape(grid), active.reshape(grid), level.reshape(grid), frame)
         return
     if frame.coordinates is not None and len(frame.coordinates) == 1:
@@ -265,6 +267,55 @@ def _draw_unknowns(axes: Any, answer: Any, frame: Frame | Scene) -> None:
     if active.any():
         axes.set_title(f"orange: {frame.active_means}", color=ACTIVE, fontsize=8.5)
     axes.set(xlabel=label, ylabel=frame.unknown)
+
+
+def contact_level(answer: Certificate) -> Vector:
+    """Return a level that is negative at a bound and 0 on the free boundary, between the nodes, shape (n,).
+
+    A node is at its bound or not, which resolves the free boundary to one mesh width. The forces locate it within the
+    cell. Let g ≥ 0 be the gap between z and its bound and w the force of the bound. Let f be the force with every node
+    at the bound, and m the largest coupling of a row with a neighbor. The level
+
+        φ_i = 1/2 − w_i / f_i  at the bound,     φ_j = 1/2 + m_j g_j / f_j  elsewhere
+
+    is linear between nodes, −1/2 deep in the contact, and 0 on the boundary to a tenth of the mesh width. If no force
+    presses, it is −1/2 in contact and 1/2 elsewhere. In the plane plot its contour 0.
+
+    Parameters
+    ----------
+    answer : Certificate
+        ``result.certificate``, or ``Certificate.of(problem, z)``.
+
+    Examples
+    --------
+    A string that falls onto the ground, u″ = 8 from u(0) = 1: it touches from 1/2 on, wherever the nodes are.
+
+    >>> import scipy.sparse as sp
+    >>> from lcp_plugin import LCP, solve
+    >>> h, x = 1 / 21, np.arange(1, 21) / 21
+    >>> M = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20))
+    >>> result = solve(LCP(M, 8 * h**2 - np.eye(20)[0]))
+    >>> np.interp(0.0, -contact_level(result.certificate), x).round(2)
+    np.float64(0.5)
+    """
+    problem, z, w = answer.problem, answer.z, answer.w
+    M = problem.csr
+    rows = np.repeat(np.arange(problem.n), np.diff(M.indptr))
+    coupling = largest_in_rows(M, np.where(rows == M.indices, 0.0, np.abs(M.data)))
+    level = np.full(problem.n, UNTOUCHED)
+    for sign, bound in ((1.0, problem.lower), (-1.0, problem.upper)):
+        known = np.isfinite(bound)
+        if not known.any():
+            continue
+        force = sign * (M @ np.where(known, bound, z) + problem.q)
+        touches, gap = known & (z == bound), sign * (z - np.where(known, bound, z))
+        force = np.where(touches, np.maximum(force, sign * w), force)
+        presses = force > 1e-12 * (abs(M) @ np.abs(np.where(known, bound, z)) + np.abs(problem.q))
+        pulls = np.where(presses, force, 1.0)
+        pressed = np.where(presses, np.clip(0.5 - sign * w / pulls, -0.5, 0.5), -0.5)
+        free = np.where(presses, np.minimum(0.5 + coupling * gap / pulls, UNTOUCHED), 0.5)
+        level = np.where(known, np.minimum(level, np.where(touches, pressed, free)), level)
+    return level
 
 
 def _draw_map(axes: Any, x: Any, active: Any, level: Any, frame: Frame | Scene) -> None:

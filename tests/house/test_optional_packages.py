@@ -54,7 +54,7 @@ def test_problems_are_solved_without_optional_packages(hidden: tuple[str, ...]) 
 
 
 def test_an_engine_without_its_package_says_what_to_install_and_auto_goes_through_the_lcp() -> None:
-    """Without external solvers auto solves a program by its LCP; an engine by name raises, and both name the package."""
+    """Without external solvers auto solves a program by its LCP; an engine by name raises; both name the package."""
     code = (
         "import sys\nsys.modules |= dict.fromkeys(('piqp', 'daqp', 'clarabel'))\n"
         "import warnings, numpy as np\nfrom lcp_plugin import LCP, QuadraticProgram, solve\n"

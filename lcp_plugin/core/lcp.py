@@ -103,7 +103,7 @@ class LCP:
         need = f"q must be a finite vector of length {n} (M is {n}×{n})"
         given["q"] = checked_vector(q, "q", n, need=need)
         given["lower"], given["upper"] = checked_bounds(lower, upper, n)
-        given["names"] = checked_names(names, n, n)
+        given["names"] = checked_names(names, n, n, are_pairs=True)
         given["origin"], given["_facts"] = None, {}
 
     def __setattr__(self, name: str, value: Any) -> None:

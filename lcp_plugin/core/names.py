@@ -73,7 +73,9 @@ def _name(names: Naming, i: int) -> str:
     return str(names(int(i)) if callable(names) else names[int(i)])
 
 
-def checked_names(given: Any, rows: int | None, unknowns: int | None) -> Names:
+def checked_names(
+    given: Any, rows: int | None, unknowns: int | None, *, are_pairs: bool = False
+) -> Names:
     """Return the names that a constructor was given: of the unknowns, or a pair, of the rows and of the unknowns.
 
     Parameters
@@ -81,6 +83,8 @@ def checked_names(given: Any, rows: int | None, unknowns: int | None) -> Names:
     given : list or tuple of str, pair of them, Names or None
     rows, unknowns : int or None
         Numbers of names that are needed; None if they are not known yet.
+    are_pairs : bool
+        Whether row i belongs to unknown i, so that a list names both.
 
     Raises
     ------
@@ -89,7 +93,7 @@ def checked_names(given: Any, rows: int | None, unknowns: int | None) -> Names:
 
     Examples
     --------
-    >>> checked_names(["a", "b"], 2, 2).row(1), checked_names(None, 2, 2).row(1)
+    >>> checked_names(["a", "b"], 2, 2, are_pairs=True).row(1), checked_names(["a", "b"], 2, 2).row(1)
     ('b', 'row 1')
     >>> checked_names([["r"], None], 1, 2).row(0)
     'r'
@@ -97,7 +101,7 @@ def checked_names(given: Any, rows: int | None, unknowns: int | None) -> Names:
     if given is None or isinstance(given, Names):
         return given or Names()
     if _are_names(given):
-        both = Names(given if rows == unknowns else None, given)
+        both = Names(given if are_pairs else None, given)
     elif _is_list(given) and len(given) == 2 and all(k is None or _are_names(k) for k in given):
         both = Names(*given)
     else:

@@ -26,7 +26,7 @@ from ..core.lcp import LCP
 from ..expressions.rows import Program
 from ..problems.cones.data import Blocks
 from ..problems.nonlinear.data import NonlinearProblem
-from ..problems.parametric.path import Path
+from ..problems.parametric.path import Path, PathPoint, Piece
 from ..problems.parametric.tracing import trace_stated
 from ..problems.programs.program import QuadraticProgram
 from ..problems.sensitivity import derivative
@@ -403,13 +403,23 @@ class ModelPath(Path):
 
     _lines: Lines
     _back: Back
+    _problem: Any
 
     @classmethod
-    def of(cls, path: Path, lines: Lines, back: Back) -> ModelPath:
+    def of(cls, path: Path, lines: Lines, back: Back, problem: Any) -> ModelPath:
         """Return a path with a map back to cvxpy's variables."""
         made = cls.__new__(cls)
-        made.__dict__.update(path.__dict__, _lines=lines, _back=back)
+        made.__dict__.update(path.__dict__, _lines=lines, _back=back, _problem=problem)
         return made
+
+    def at(self, theta: float, piece: Piece | None = None) -> PathPoint:
+        """Return the point at θ; its objective is that of cvxpy's problem, with its constant and sense."""
+        point = super().at(theta, piece)
+        if point.solution is not None:
+            with moved_to(self._lines, float(theta)):
+                value = _program(self._problem)[0].objective(point.x)
+            point.__dict__["objective"] = _compat.sense_of(self._problem) * value
+        return point
 
     def value(self, variable: cp.Variable, theta: ArrayLike) -> Any:
         """Return the value of a variable at θ, in its shape; at k values of θ shape (k, *its shape)."""
@@ -500,7 +510,7 @@ def trace_model(
     (first, back), (last, _), (middle, _) = found
     base, directions = _line(first, last, middle, values)
     path = trace_stated(base, directions, start, stop, tolerance)
-    return ModelPath.of(path, lines, back)
+    return ModelPath.of(path, lines, back, problem)
 
 
 def _pairs(problem: Any) -> tuple[LCP, Back]:

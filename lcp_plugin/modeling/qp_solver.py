@@ -99,17 +99,20 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
             if guess is not None:
                 options.setdefault("z0", guess)
             algorithm, program = options.pop("algorithm", "auto"), quadratic_program(data, cache)
+            program.__dict__["sense"] = options.pop("sense", 1.0)
             found = solve_program(program, algorithm, verbose=bool(verbose), **options)
             if guess is not None and options["z0"] is guess and found.z is not None:
                 found = replace(found, begun=BEGUN)
         # An external solver leaves no z: no complementarity problem was made.
         cache[self.name()] = found.z
-        if verbose:
-            settings.LOGGER.info(found.explain())
-        return found
+        return found, verbose
 
-    def invert(self, result: Any, inverse_data: Any) -> Solution:
+    def invert(self, answer: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
+        result, verbose = answer
+        result.program.__dict__["constant"] = float(inverse_data[settings.OFFSET])
+        if verbose:
+            settings.LOGGER.info(result.explain())
         status, attributes, qp = CVXPY_STATUS[result.status], statistics(result), result.solution
         if status not in settings.SOLUTION_PRESENT:
             attributes["message"] = result.advice if result.proof is None else str(result.proof)
@@ -118,8 +121,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
                 failed.dual_vars = self._duals(_farkas(result.proof), inverse_data)
             return failed
         values = {inverse_data[self.VAR_ID]: qp.x}
-        value = qp.objective + inverse_data[settings.OFFSET]
-        return Solution(status, value, values, self._duals(qp, inverse_data), attributes)
+        return Solution(status, qp.objective, values, self._duals(qp, inverse_data), attributes)
 
     def _duals(self, qp: QPSolution, inverse_data: Any) -> dict[Any, Any]:
         """Return the multipliers by the ids of constraints."""

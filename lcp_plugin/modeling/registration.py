@@ -15,7 +15,7 @@ from ..core.errors import InvalidProblem, ModelWarning, NotSquare, UnsupportedMo
 from ..core.lcp import LCP
 from ..problems.programs.certification import Certification, certify_point, with_side_conditions
 from ..problems.statement import MissingPair, solve_from
-from ._compat import CVXPY_STATUS, EQUATIONS, name_of, refusal, solver_errors
+from ._compat import CVXPY_STATUS, EQUATIONS, name_of, refusal, sense_of, solver_errors
 from .agents import without_agents
 from .best_equilibrium import solve_for_the_best
 from .constraint import Complements, Condition, box, complements
@@ -264,7 +264,12 @@ def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, A
     """Solve a quadratic program."""
     try:
         value = cp.Problem._solve(
-            problem, solver=QPSolver, warm_start=warm_start, verbose=verbose, **options
+            problem,
+            solver=QPSolver,
+            warm_start=warm_start,
+            verbose=verbose,
+            sense=sense_of(problem),
+            **options,
         )
     except SolverError as error:
         if (refused := refusal(problem)) is None:

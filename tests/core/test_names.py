@@ -16,6 +16,7 @@ from lcp_plugin import (
     complements,
     load_problem,
     solve,
+    trace,
 )
 
 MPS = """NAME p
@@ -132,3 +133,38 @@ def test_rows_of_arrays_of_numbers_have_the_number_and_the_variables_of_their_co
         told = square.solver_stats.extra_stats.explain()
         assert "market[" in told
         assert "set_label" not in told
+
+
+def test_a_list_names_the_unknowns_of_a_program_also_if_it_has_as_many_rows() -> None:
+    """A row without a name is called by its number, of the rows that the user gave; a pair names rows."""
+    G, h = [[-1.0, -1, 0], [0, -1, -1], [1, 0, 1]], [-3.0, 0, 5]
+    fuels = ["coal", "gas", "oil"]
+    made = [QuadraticProgram(None, np.ones(3), G, h, lower=0, upper=1, names=fuels)]
+    made.append(
+        QuadraticProgram.from_ranges(
+            None, np.ones(3), -np.array(G), -np.array(h), np.inf, 0, 1, names=fuels
+        )
+    )
+    for program, row in zip(made, ("row 0 of G", "row 0 of A"), strict=True):
+        assert solve(program).conflict.names == [row, "coal ≤ 1", "gas ≤ 1"]
+    named = QuadraticProgram(
+        None, np.ones(3), G, h, lower=0, upper=1, names=[["a", "b", "c"], fuels]
+    )
+    assert solve(named).conflict.names == ["a", "coal ≤ 1", "gas ≤ 1"]
+
+
+def test_the_objective_of_a_cvxpy_program_is_the_users() -> None:
+    """With its constant and its sense: in results, texts, along a path, and for the best of all solutions."""
+    x, top = cp.Variable(2), cp.Parameter(value=5.0)
+    goal = cp.Maximize(top - cp.abs(x[0] - 3) - x[1] ** 2)
+    problem = cp.Problem(goal, [x[0] <= 1])
+    assert problem.solve(method="LCP") == pytest.approx(3.0)
+    result = problem.solver_stats.extra_stats
+    assert result.objective == pytest.approx(3.0)
+    assert "objective 3;" in result.explain()
+    path = trace(problem, top, 1, 4)
+    assert [path.at(theta).objective for theta in (1, 4)] == pytest.approx([-1.0, 2.0])
+    z = cp.Variable(nonneg=True)
+    best = cp.Problem(cp.Maximize(7 - z), [complements(z, z - 1)])
+    assert best.solve(method="LCP") == pytest.approx(6.0)
+    assert "objective 6, none above 6" in best.solver_stats.extra_stats.explain()

@@ -406,8 +406,8 @@ class EquilibriumResult(BaseResult):
 
     @property
     def objective(self) -> float | None:
-        """The value, or None without an x."""
-        return None if self.x is None else self.value
+        """The value in the sense of the program, or None without an x."""
+        return None if self.x is None else self.problem.program.sense * self.value
 
     @property
     def proof(self) -> EquilibriumResult | None:
@@ -445,12 +445,15 @@ class EquilibriumResult(BaseResult):
         """Return the value and the bound."""
         if self.has_no_solution:
             return "no least objective" if self.status is Status.UNBOUNDED else "no solution"
-        bound = f"none below {self.lower_bound:.9g}" if self.lower_bound > -math.inf else "no bound"
+        sense = self.problem.program.sense
+        which, bound = "below" if sense > 0.0 else "above", "no bound"
+        if self.lower_bound > -math.inf:
+            bound = f"none {which} {sense * self.lower_bound:.9g}"
         bound += f" ({BY_SCIP})" if self.bound_by == "SCIP" else ""
         if self.x is None:
             return f"no solution found, {bound}"
         gap = f", gap {self.gap:.1e}" if self.gap < math.inf else ""  # ∞ for an objective of 0
-        return f"objective {self.value:.9g}, {bound}{gap}"
+        return f"objective {self.objective:.9g}, {bound}{gap}"
 
     def _effort(self) -> str:
         counts = f"{self.nodes} nodes, {self.programs} programs"

@@ -197,14 +197,14 @@ class NonlinearProblem:
         sizes = [np.shape(bound) for bound in (lower, upper) if np.ndim(bound)]
         sizes += [] if self.pattern is None else [self.pattern.shape[:1]]
         self.n: int | None = sizes[0][0] if sizes else None
-        checked_names(names, self.n, self.n)
+        checked_names(names, self.n, self.n, are_pairs=True)
         self._bounds, self._given_names = (lower, upper), names
         if self.n is not None:
             self._set_bounds(self.n)
 
     def _set_bounds(self, n: int) -> None:
         self.lower, self.upper = checks.checked_bounds(*self._bounds, n)
-        self.names = checked_names(self._given_names, n, n)
+        self.names = checked_names(self._given_names, n, n, are_pairs=True)
         self._differences: Differences | None = None
 
     def with_size(self, n: int) -> NonlinearProblem:

@@ -58,6 +58,8 @@ class QuadraticProgram:
     ranges : tuple or None
         For a program built by `from_ranges`: the original row of each row of G and A, its sign, and the number of
         original rows, which have the names.
+    sense : float
+        −1 if the user maximizes the negative of the objective: results and texts then state this value.
 
     Raises
     ------
@@ -84,6 +86,7 @@ class QuadraticProgram:
     lower: checks.Vector
     upper: checks.Vector
     constant: float = 0.0
+    sense: float = 1.0
     asymmetry: float = field(default=0.0)
     ranges: Any = field(default=None, repr=False)
     names: Names = field(default=Names(), repr=False)
@@ -244,8 +247,8 @@ class QuadraticProgram:
             above,
         )
         constant = self.constant if constant is None else checked_constant(constant)
-        made.__dict__.update(asymmetry=self.asymmetry, ranges=self.ranges, names=self.names)
-        made.__dict__["constant"] = constant
+        kept = {name: getattr(self, name) for name in ("asymmetry", "ranges", "names", "sense")}
+        made.__dict__.update(kept, constant=constant)
         return made
 
     def with_names(self, names: Names) -> QuadraticProgram:
@@ -263,6 +266,8 @@ class QuadraticProgram:
         if row.nnz == 1 and (name := self.names.unknown(int(row.indices[0]), "")):
             sign = "=" if rows.is_equality[k] else "≤" if row.data[0] > 0.0 else "≥"
             return f"{name} {sign} {rows.limit[k] / row.data[0] + 0.0:.9g}"
+        if stated != k or (k < m + p and self.ranges is not None):
+            return f"row {stated} of A"
         words = ("row {} of G", "row {} of A", "lower[{}]", "upper[{}]")
         starts = np.cumsum([0, m, p, n])
         part = int(np.searchsorted(starts, k, side="right")) - 1

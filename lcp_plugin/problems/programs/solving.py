@@ -308,8 +308,8 @@ class QuadraticProgramResult(BaseResult):
 
     @property
     def objective(self) -> float | None:
-        """½ xᵀP x + cᵀx + constant; None if the program is proved infeasible or unbounded."""
-        return None if self.has_no_solution else self.solution.objective
+        """Objective in the sense of the program; None if the program is proved infeasible or unbounded."""
+        return None if self.has_no_solution else self.program.sense * self.solution.objective
 
     @property
     def duals(self) -> dict[str, Vector]:

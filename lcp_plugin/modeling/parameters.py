@@ -413,7 +413,7 @@ class ModelPath(Path):
         return made
 
     def at(self, theta: float, piece: Piece | None = None) -> PathPoint:
-        """Return the point at θ; its objective is that of cvxpy's problem, with its constant and sense."""
+        """Return the point at θ; the objective has the constant and the sense of the cvxpy problem."""
         point = super().at(theta, piece)
         if point.solution is not None:
             with moved_to(self._lines, float(theta)):

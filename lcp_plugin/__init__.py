@@ -60,6 +60,7 @@ DOORS.update(
         "certify cvxpy": "modeling.registration:certify_model",
         "derivative cvxpy": "modeling.parameters:derivative_of",
         "trace cvxpy": "modeling.parameters:trace_model",
+        "variational cvxpy": "modeling.agents:variational_inequality",
         "trace lcp_plugin.modeling": "modeling.parameters:trace_model",
         "certify pyomo": "interfaces.pyomo:certify_model",
         "content pyomo": "interfaces.pyomo:file_content_of",

@@ -39,6 +39,7 @@ from .problems.parametric.tracing import trace as trace
 from .problems.programs.certification import certify as certify
 from .problems.programs.program import QuadraticProgram as QuadraticProgram
 from .problems.sensitivity import derivative as derivative
+from .problems.variational import variational as variational
 from .proofs.bounds import error_bound as error_bound
 from .proofs.verdicts import analyze as analyze
 from .solving.explanation import convergence_guarantee as convergence_guarantee

@@ -179,7 +179,7 @@ def json_content(answer: Any) -> dict[str, Any]:
         "algorithm": answer.algorithm,
         "n": None if answer.x is None else len(answer.x),
         "iterations": answer.iterations,
-        **{name: value for name, value in found.items() if value is not None},
+        **{k: value for k, value in found.items() if not (value is None or callable(value))},
     }
 
 

@@ -103,6 +103,9 @@ make by itself, ``best.dual_value`` has the dual values of the program's constra
 >>> round(float(x.value), 6), round(float(y.value), 6), max(one.gap() for one in firms) <= 1e-6
 (3.0, 3.0, True)
 
+**Variational inequalities.** ``variational(F, over=[x], constraints=[…])``, in the place of an agent, states that
+F(x)ᵀ(y − x) ≥ 0 for all y that satisfy the constraints; ``gap()`` is the maximum of F(x)ᵀ(x − y).
+
 **Convex quadratic and linear programs**: ``solver=lcp_plugin.QPSolver``, or ``method="LCP"``; dual values included.
 
 >>> import lcp_plugin

@@ -226,6 +226,8 @@ class AgentProgram:
     Attributes
     ----------
     goal : cvxpy expression
+    F : cvxpy expression, shape (number of decisions,), or None
+        Map of a variational inequality; the goal is 0 then.
     standard : list of StandardRows
         Constraints of the program, then of epigraphs.
     entries : list of tuple
@@ -264,13 +266,16 @@ class AgentProgram:
             epigraphs.extend(inequalities)
             return value
 
-        self.goal = rewritten(program.objective.args[0], change)
+        of_F = agent.F is not None
+        self.goal = cp.Constant(0.0) if of_F else rewritten(program.objective.args[0], change)
         stated = {one.id: one for one in program.constraints}.values()  # each once
         self.standard = [row for one in stated for row in StandardRows.of(one, change)]
         self.standard += [row for one in epigraphs for row in StandardRows.of(one)]
         self.has_kinks = bool(new)
         self.entries = [*agent.entries, *((one, np.arange(one.size)) for one in new.values())]
         self.decisions = joined([*agent.decisions, *new.values()])
+        none = [cp.Constant(np.zeros(one.size)) for one in new.values()]  # F of epigraphs
+        self.F = joined([agent.F, *none]) if of_F else None
         spans, size = spans_of({one.id: one for one, _ in self.entries})
         #: The first number of each variable's entries, and the decision with a number; −1 if it is none.
         self.first, self.place = {key: span.start for key, span in spans.items()}, np.full(size, -1)
@@ -316,7 +321,9 @@ class AgentProgram:
             second = Side(-one.expression, kind, one.origin)
             self.rows[one.origin.id] = Complements(first, second), multiplier
         first = box(self.decisions, *self._ends())
-        self.stationarity = Complements(first, Side(self._gradient(weighted), "value"))
+        gradient = self._gradient(weighted)
+        gradient = gradient if self.F is None else self.F + gradient
+        self.stationarity = Complements(first, Side(gradient, "value"))
 
     def _add_bound(self, one: StandardRows, own: Rows) -> bool:
         """Store rows that only bound decisions; return whether they do."""

@@ -19,7 +19,7 @@ from ..expressions.rows import Indices, as_matrix, is_definition
 from ..problems.programs.program import QuadraticProgram
 from . import _compat as atoms
 from ._compat import EQUATIONS, INEQUALITIES, dense_value, expression_of, name_of, sense_of
-from .agent_conditions import AgentProgram, StandardRows, with_data
+from .agent_conditions import AgentProgram, StandardRows, joined, with_data
 from .best_equilibrium import possible_gain
 from .constraint import Condition
 from .model import Model, warn
@@ -75,6 +75,37 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
         )
     if check not in ("convex", "local"):
         raise InvalidOption(f'check must be "convex" or "local", got {check!r}')
+    return _agent(program, over, shared, check)
+
+
+def variational_inequality(F: Any, over: Any, constraints: Any) -> Optimal:
+    """Return the condition F(x)ᵀ(y − x) ≥ 0 for all y that satisfy constraints; see :func:`lcp_plugin.variational`.
+
+    Parameters
+    ----------
+    F, over : cvxpy expressions, or lists of them of the same shapes
+    constraints : list of cvxpy constraints
+    """
+    functions, decisions = _listed(F, cp.Expression) or [], _listed(over, cp.Expression) or []
+    shapes = [[one.shape for one in listed] for listed in (functions, decisions)]
+    if shapes[0] != shapes[1]:
+        raise UnsupportedModel(
+            f"variational needs one expression F of the shape of each variable in over=[…], got F of "
+            f"{', '.join(map(str, shapes[0]))} and over of {', '.join(map(str, shapes[1])) or 'no variable'}; write "
+            "variational(F, over=[x], constraints=[…])"
+        )
+    if (rows := _listed(constraints, Constraint)) is None:
+        raise UnsupportedModel(
+            f"constraints must be a list of cvxpy constraints, got {constraints!r}; write constraints=[G @ x <= h]"
+        )
+    terms = [cp.sum(cp.multiply(*pair)) for pair in zip(functions, decisions, strict=True)]
+    return _agent(
+        cp.Problem(cp.Minimize(sum(terms)), rows), decisions, (), "convex", joined(functions)
+    )
+
+
+def _agent(program: Any, over: Any, shared: Any, check: str, F: Any = None) -> Optimal:
+    """Return the condition of an agent, or of F in place of the gradient of its objective, after checks."""
     for one in program.constraints:
         if isinstance(one, Condition):
             raise UnsupportedModel(
@@ -108,7 +139,7 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
             raise UnsupportedModel(
                 f"shared has {name_of(one)}, which is not a constraint of the program; list the same object in both"
             )
-    return Optimal(program, decisions, frozenset(one.id for one in listed), check)
+    return Optimal(program, decisions, frozenset(one.id for one in listed), check, F)
 
 
 def _listed(given: Any, kind: type) -> list[Any] | None:
@@ -151,12 +182,20 @@ class Optimal(Condition):
         Ids of the constraints whose multiplier is common to all agents that share them.
     check : str
         "convex" or "local".
+    F : cvxpy expression, shape (number of decisions,), or None
+        Map of a variational inequality: the program is min F(x)ᵀy over y, at the solution x.
     """
 
     def __init__(
-        self, program: Any, decisions: Sequence[Any], shared: frozenset[int], check: str
+        self,
+        program: Any,
+        decisions: Sequence[Any],
+        shared: frozenset[int],
+        check: str,
+        F: Any = None,
     ) -> None:
         self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
+        self.F = F
         self.entries = [entries_of(one) for one in decisions]
         check_different(self.entries)
         self.checked_for: list[bytes] | None = None  # parameters with which convexity was checked
@@ -169,7 +208,10 @@ class Optimal(Condition):
         ]
 
     def __repr__(self) -> str:
-        return f"optimal({name_of(self.program.objective)}, over=[{', '.join(map(str, self.decisions))}])"
+        stated, over = self.program.objective, ", ".join(map(str, self.decisions))
+        if self.F is not None:
+            return f"variational({name_of(self.F)}, over=[{over}])"
+        return f"optimal({name_of(stated)}, over=[{over}])"
 
     def variables(self) -> list[Any]:
         """Return the variables of the program, the multipliers and the variables of epigraphs."""
@@ -201,6 +243,8 @@ class Optimal(Condition):
     def gap(self) -> float | None:
         """Return the gain that the agent could make, with the present values of all other variables.
 
+        For a variational inequality, return the maximum of F(x)ᵀ(x − y) over the feasible y.
+
         Returns
         -------
         float or None
@@ -226,6 +270,8 @@ class Optimal(Condition):
             return f"{self!r} is a local condition: gap() searches for a better point"
         gap = self.gap()
         amount = "an unknown amount" if gap is None else f"{gap:.1e}"
+        if self.F is not None:
+            return f"{self!r} has the gap {amount}"
         return f"{self!r} could gain {amount} by itself"
 
     def save_duals(self) -> None:
@@ -281,7 +327,7 @@ def _check_program(agent: Optimal, rules: Convexity) -> None:
     if agent.check == "local" and not has_kinks:
         return
     goal = StandardRows(None, sense_of(program) * program.objective.args[0], False)
-    for one in (goal, *stated):
+    for one in stated if agent.F is not None else (goal, *stated):
         if rules.hold(one, agent.entries):
             continue
         fault = (

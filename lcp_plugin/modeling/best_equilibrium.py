@@ -169,6 +169,8 @@ def possible_gain(agent: Any) -> float | None:
         warn(f"the value of {agent!r} {reason} at its variables, so that its gap is infinite")
         return np.inf
     goal = sense * rewritten(smooth.goal, change)
+    if smooth.F is not None:
+        goal = cp.Constant(compat.by_columns(smooth.F.value)) @ smooth.decisions
     best, reason = _best_value(cp.Problem(cp.Minimize(goal), held))
     if not best > -np.inf:  # NaN also: a margin near zero is hard to solve
         fee, rows = _fee(agent)

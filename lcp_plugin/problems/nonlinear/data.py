@@ -176,6 +176,8 @@ class NonlinearProblem:
     array([12.,  0.])
     """
 
+    origin: Any = None  # of a variational inequality
+
     def __init__(
         self,
         F: Callable[[Vector], ArrayLike],

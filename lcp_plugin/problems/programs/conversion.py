@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,6 +12,7 @@ import scipy.sparse as sp
 from ...core.checks import Vector, checked_answer
 from ...core.errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
+from ...core.names import Names
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .criterion import PROGRAM_TOLERANCE, KKTErrors, QPSolution
 from .program import VECTORS, QuadraticProgram, asymmetry_of
@@ -76,15 +78,15 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
 def optimality_conditions(program: QuadraticProgram, tolerance: float = PROGRAM_TOLERANCE) -> LCP:
     """Return the conditions of a program known to be convex; a run on them stops at a solution of the program."""
     origin = QPOrigin(program, tolerance)
-    return conditions(origin.reduced).with_origin(origin)
+    return conditions(origin.reduced, Names(origin.row_name)).with_origin(origin)
 
 
-def conditions(program: QuadraticProgram) -> LCP:
+def conditions(program: QuadraticProgram, names: Names | None = None) -> LCP:
     """Return the optimality conditions of (x, inequality, equality); rows without a limit have no multiplier."""
     matrices = program.matrices
     q, lower, upper = condition_vectors(*(getattr(program, name) for name in VECTORS))
     M = matrices.kkt if sum(matrices.sizes[:2]) else matrices.hessian
-    return LCP(M, q, lower=lower, upper=upper)
+    return LCP(M, q, lower=lower, upper=upper, names=names)
 
 
 def condition_vectors(c: Any, h: Any, b: Any, lower: Any, upper: Any) -> tuple[Any, Any, Any]:
@@ -178,6 +180,8 @@ class QPOrigin:
         The user's program. The problem contains the conditions of `reduced`: rows of one variable are bounds.
     tolerance : float
         Tolerance of the duality gap, which a solution of the problem must meet.
+    F : callable or None
+        The map of a variational inequality over the constraints of the program, in place of its gradient.
 
     Notes
     -----
@@ -187,7 +191,7 @@ class QPOrigin:
 
     program: QuadraticProgram
     tolerance: float = PROGRAM_TOLERANCE
-    is_of_convex_program: ClassVar[bool] = True
+    F: Callable[[Vector], Vector] | None = None
     rejection: ClassVar[str] = (
         "not solved: the duality gap of the program is above its tolerance, so the objective may be wrong although the "
         "residual is small; next: solve(problem.origin.program)"
@@ -203,17 +207,27 @@ class QPOrigin:
         """Number of remaining rows of G and A."""
         return self.reduced.constraints.rows
 
+    def row_name(self, i: int) -> str:
+        """Return the name of row i of the problem if it is a row of G or A, else nothing."""
+        k = i - self.program.n
+        return self.program.name(int(self.program.folded.left[k])) if k >= 0 else ""
+
+    @property
+    def is_of_convex_program(self) -> bool:
+        """True unless the problem is a variational inequality, whose map need not be a gradient."""
+        return self.F is None
+
     @property
     def form(self) -> str:
-        """Return "direct" if only bounds remain, else "kkt"."""
-        return "kkt" if self.rows else "direct"
+        """Return "direct" if only bounds remain, else "kkt"; "variational" for such an inequality."""
+        return "variational" if self.F else "kkt" if self.rows else "direct"
 
     def rejects(self, z: Vector, tolerance: float) -> bool:
         """Return whether the duality gap of z, shape (n + rows,), exceeds the larger of both tolerances.
 
         With bounds only it returns False: the gap assumes moves of 10⁴ times x, for which sweeps take a third longer.
         """
-        if not self.rows:
+        if self.form != "kkt":
             return False
         n, tolerance = self.program.n, max(self.tolerance, tolerance)
         return not KKTErrors.of(self.reduced, z[:n], z[n:], tolerance).gap <= tolerance
@@ -236,9 +250,10 @@ class QPOrigin:
         """
         n = self.program.n
         z = checked_answer(answer, n + self.rows)
+        program = self.program if self.F is None else self.program.with_vectors(c=self.F(z[:n]))
         if (
             getattr(answer, "has_no_solution", False)
             and self.program.facts.accepted_proof() is not None
         ):
-            return QPSolution.without_multipliers(self.program, z[:n])
-        return QPSolution.from_reduced(self.program, z[:n], z[n:])
+            return QPSolution.without_multipliers(program, z[:n])
+        return QPSolution.from_reduced(program, z[:n], z[n:])

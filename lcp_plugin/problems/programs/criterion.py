@@ -54,6 +54,7 @@ from ...core.kernels.floats import DATA_ROUNDING, UNIT
 from ...core.matrix import largest_products
 from ...core.rounding import compensated_pair, split_sum
 from ...core.settings import checked_tolerance
+from ...engines.linear_program import highs
 
 if TYPE_CHECKING:
     from .program import QuadraticProgram
@@ -573,6 +574,21 @@ class QPSolution:
     def duality_gap(self) -> float:
         """Bound of the change of the objective by all errors, relative to its terms; of the worst component."""
         return float(self.errors.gap)
+
+    def gap(self) -> float:
+        """Return the maximum of (P x + c)ᵀ(x − y) over all feasible y, by one linear program: 0 at a solution.
+
+        ∞ without a maximum. NaN if HiGHS finds no feasible y, or x is not finite.
+        """
+        one = self.program
+        slopes, sides = one.P @ self.x + one.c, (one.G, one.h, one.A, one.b)
+        size = np.abs(slopes).max(initial=0.0)
+        if not 0.0 < size < np.inf:
+            return float(size)
+        found = highs(slopes / size, *sides, (one.lower, one.upper))
+        if found.status:
+            return np.inf if found.status == 3 else np.nan
+        return max(0.0, float(slopes @ self.x - size * found.fun))
 
     @derived_property
     def errors(self) -> KKTErrors:

@@ -1,0 +1,137 @@
+"""variational(F, over=[x], constraints=[…]) in cvxpy: values, multipliers, gaps, derivatives, messages."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from lcp_plugin import LCPError, complements, derivative, optimal, variational
+
+M, Q = np.array([[2.0, 1.0], [-1.0, 2.0]]), np.array([-8.0, -6.0])
+
+
+def solved(*constraints: Any, goal: Any = None, **options: Any) -> Any:
+    problem = cp.Problem(goal or cp.Minimize(0), list(constraints))
+    problem.solve(method="LCP", **options)
+    assert problem.status == "optimal"
+    return problem
+
+
+def test_an_affine_map_and_its_row_have_the_values_of_the_arrays() -> None:
+    """The solution is (1.25, 1.75); the constraint also has the multiplier 3.75."""
+    x = cp.Variable(2, nonneg=True)
+    row = cp.sum(x) <= 3
+    inequality = variational(M @ x + Q, over=[x], constraints=[row])
+    solved(inequality)
+    np.testing.assert_allclose(x.value, [1.25, 1.75], atol=1e-9)
+    assert [float(one) for one in (inequality.dual_value[0], row.dual_value)] == pytest.approx(
+        [3.75] * 2
+    )
+    gap = inequality.gap()
+    assert gap is not None
+    assert gap <= 1e-9
+
+
+def test_the_gap_is_measured_at_the_present_values() -> None:
+    """At x = 0 with F = q = (−8, −6) the best corner of the simplex is (3, 0): 24."""
+    x = cp.Variable(2, nonneg=True, value=[0.0, 0.0])
+    inequality = variational(M @ x + Q, over=[x], constraints=[cp.sum(x) <= 3])
+    assert inequality.gap() == pytest.approx(24.0)
+
+
+def test_a_smooth_map_of_two_variables_and_a_kink_are_solved() -> None:
+    """‖x‖₁ ≤ 3 becomes an epigraph; y of a list of expressions is at its bound 1."""
+    x, y = cp.Variable(2), cp.Variable()
+    F = [M @ x + Q + cp.hstack([x[0] ** 3, 0.0]), cp.exp(y) - 2 * np.e]
+    inequality = variational(F, over=[x, y], constraints=[cp.norm1(x) <= 3, y <= 1])
+    solved(inequality)
+    np.testing.assert_allclose([*x.value, y.value], [1.0, 2.0, 1.0], atol=1e-7)
+    np.testing.assert_allclose(np.hstack(inequality.dual_value), [3.0, np.e], atol=1e-6)
+
+
+def test_a_quasi_variational_inequality_is_the_game_of_harker() -> None:
+    """Harker (1991): with a copy of x in the rows, (5, 9) or a point between (9, 6) and (10, 5) is a solution."""
+    x, copy = cp.Variable(2, bounds=[0, 10]), cp.Variable(2)
+    F = np.array([[2.0, 8 / 3], [5 / 4, 2.0]]) @ x - [34.0, 24.25]
+    rows = [x + copy[::-1] <= 15]
+    solved(variational(F, over=[x], constraints=rows), copy == x)
+    assert np.allclose(x.value, [5, 9]) or (np.isclose(x.value.sum(), 15) and 9 <= x.value[0] <= 10)
+
+
+def test_it_meets_a_pair_an_agent_and_a_leader() -> None:
+    """The price of the row is set by a leader who wants sum(x) = 2; an agent follows x."""
+    x, y, price = cp.Variable(2, nonneg=True), cp.Variable(), cp.Variable(nonneg=True)
+    inequality = variational(M @ x + Q + price, over=[x], constraints=[x <= 5])
+    agent = optimal(cp.Problem(cp.Minimize(cp.square(y - x[0]))), over=[y])
+    pair = complements(price >= 0, 2 - cp.sum(x) >= 0)
+    solved(inequality, agent, pair)
+    both = [*x.value, y.value, price.value]
+    solved(inequality, agent, cp.sum(x) <= 2, goal=cp.Minimize(price))
+    np.testing.assert_allclose([*x.value, y.value, price.value], both, atol=1e-5)
+    assert x.value.sum() == pytest.approx(2.0, abs=1e-5)
+
+
+def test_derivatives_by_parameters_of_the_map_and_of_the_set_agree_with_differences() -> None:
+    """By h of the row, by a slope of F and by a bound."""
+    x = cp.Variable(3, nonneg=True)
+    h, slope, most = cp.Parameter(value=3.0), cp.Parameter(value=2.0), cp.Parameter(value=0.5)
+    F = slope * x + cp.hstack([x[1] - 8, 2 - x[0] - 6, x[0] - 9])
+    problem = solved(variational(F, over=[x], constraints=[cp.sum(x) <= h, x[2] <= most]))
+    found, before = derivative(problem), x.value.copy()
+    for parameter in (h, slope, most):
+        change = found.jvp({parameter: 1.0})[x]
+        assert found.vjp({x: [1.0, 2.0, 3.0]})[parameter] == pytest.approx(
+            change @ [1.0, 2.0, 3.0], abs=1e-9
+        )
+        parameter.value += 1e-5
+        problem.solve(method="LCP", tolerance=1e-12)
+        np.testing.assert_allclose(change, (x.value - before) / 1e-5, atol=1e-3)
+        parameter.value -= 1e-5
+
+
+def test_an_empty_set_is_infeasible_with_a_proof() -> None:
+    """The conflict names both rows."""
+    x = cp.Variable(2)
+    rows = [cp.sum(x) <= 3, cp.sum(x) >= 4]
+    problem = cp.Problem(cp.Minimize(0), [variational(M @ x + Q, over=[x], constraints=rows)])
+    problem.solve(method="LCP")
+    assert problem.status == "infeasible"
+    result = problem.solver_stats.extra_stats
+    assert result.proof.verify()
+    assert len(result.conflict.names) == 2
+
+
+def test_the_constraint_is_copied_and_printed() -> None:
+    """Its text is the call."""
+    x = cp.Variable(2, name="x")
+    inequality = variational(x - [1, 2], over=[x], constraints=[x >= 0])
+    assert repr(inequality) == "variational(x + -[1. 2.], over=[x])"
+    twin = pickle.loads(pickle.dumps(inequality))
+    assert repr(twin) == repr(inequality)
+
+
+X = cp.Variable(2)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: variational(M @ X), r"over=\[x\], constraints=\[…\]"),
+        (lambda: variational(M[0] @ X, over=[X]), r"got F of \(\) and over of \(2,\)"),
+        (lambda: variational(M @ X, over=[X], G=[[1, 1]], h=[3]), r"constraints=\[G @ x <= h"),
+        (lambda: variational(M @ X, over=[X], constraints=3), r"write constraints=\[G @ x <= h\]"),
+        (
+            lambda: variational(X, over=[X], constraints=[complements(X >= 0, X + 1 >= 0)]),
+            "equilibrium",
+        ),
+        (lambda: variational(X[:1], over=[cp.Variable(1, integer=True)]), "relax it"),
+    ],
+)
+def test_a_wrong_call_is_told_what_to_write(call: Any, words: str) -> None:
+    """An error with the right call."""
+    with pytest.raises(LCPError, match=words):
+        call()

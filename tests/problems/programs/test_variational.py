@@ -1,0 +1,186 @@
+"""Variational inequalities over polyhedra: constructed and published solutions, empty sets, gaps, messages."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from lcp_plugin import InvalidProblem, Status, derivative, solve, variational
+
+#: Braess (1968), as in Nagurney, Network Economics: arcs a (1→2), b (1→3), c (2→4), d (3→4), e (2→3), demand 6.
+BRAESS = np.array(
+    [
+        [1.0, 1.0, 0.0, 0.0, 0.0],
+        [-1.0, 0.0, 1.0, 0.0, 1.0],
+        [0.0, -1.0, 0.0, 1.0, -1.0],
+        [0.0, 0.0, -1.0, -1.0, 0.0],
+    ]
+)
+COSTS = np.diag([10.0, 1.0, 1.0, 10.0, 1.0]), np.array([0.0, 50.0, 50.0, 0.0, 10.0])
+
+
+def answer(problem: Any, **options: Any) -> Any:
+    return problem.origin.recover(solve(problem, **options).require_solved())
+
+
+def gap_by_enumeration(F: Any, x: Any, corners: Any) -> float:
+    return float(max(F @ (x - corner) for corner in corners))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_constructed_solution_with_multipliers_is_found(seed: int) -> None:
+    """x* and multipliers come first, then q: M is monotone and not symmetric, with bounds, G and A."""
+    random = np.random.default_rng(seed)
+    n, m, p = 12, 3, 1
+    skew, root = random.standard_normal((2, n, n))
+    M, G, A = root @ root.T + skew - skew.T, *np.split(random.standard_normal((m + p, n)), [m])
+    x = np.maximum(random.standard_normal(n), 0.0)
+    inequality = np.maximum(random.standard_normal(m), 0.0)
+    h = G @ x + np.where(inequality > 0.0, 0.0, 1.0)
+    equality, slack = random.standard_normal(p), np.where(x > 0.0, 0.0, random.random(n))
+    q = slack - M @ x - G.T @ inequality - A.T @ equality
+    found = answer(variational((M, q), G, h, A, A @ x, lower=0))
+    np.testing.assert_allclose(found.x, x, atol=1e-8)
+    np.testing.assert_allclose(found.inequality, inequality, atol=1e-7)
+    np.testing.assert_allclose(found.equality, equality, atol=1e-7)
+    np.testing.assert_allclose(found.lower, slack, atol=1e-7)
+    assert found.gap() <= 1e-7
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_of_a_gradient_it_is_the_minimum_that_clarabel_finds(seed: int) -> None:
+    """F = P x + c with P symmetric: the minimum of ½ xᵀP x + cᵀx over the same set."""
+    random = np.random.default_rng(seed)
+    root, G = random.standard_normal((10, 10)), random.standard_normal((6, 10))
+    P, c, h = root @ root.T, random.standard_normal(10), random.random(6)
+    x = cp.Variable(10)
+    goal = cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) + c @ x)
+    cp.Problem(goal, [G @ x <= h, x >= -1]).solve(solver=cp.CLARABEL)
+    np.testing.assert_allclose(answer(variational((P, c), G, h, lower=-1)).x, x.value, atol=1e-5)
+
+
+@pytest.mark.parametrize("is_function", [False, True])
+def test_the_network_of_braess_has_its_published_flows(is_function: bool) -> None:
+    """Flows 4, 2, 2, 4, 2 on the arcs: each path takes 92. Conservation at one node follows from the others."""
+    slopes, free = COSTS
+    F: Any = (lambda f: slopes @ f + free, lambda f: slopes) if is_function else COSTS
+    found = answer(variational(F, A=BRAESS, b=[6.0, 0.0, 0.0, -6.0], lower=0))
+    np.testing.assert_allclose(found.x, [4.0, 2.0, 2.0, 4.0, 2.0], atol=1e-9)
+    assert found.equality[3] - found.equality[0] == pytest.approx(92.0)
+    without = variational(COSTS, A=BRAESS, b=[6.0, 0.0, 0.0, -6.0], lower=0, upper=[9, 9, 9, 9, 0])
+    np.testing.assert_allclose(answer(without).x, [3.0, 3.0, 3.0, 3.0, 0.0], atol=1e-9)
+
+
+def test_the_game_of_harker_with_a_shared_row_has_the_published_solution() -> None:
+    """Harker (1991), European J. Oper. Res. 54: (5, 9) is the only equilibrium with one multiplier."""
+    F = np.array([[2.0, 8 / 3], [5 / 4, 2.0]]), np.array([-34.0, -24.25])
+    found = answer(variational(F, [[1, 1]], [15], lower=0, upper=10))
+    np.testing.assert_allclose(found.x, [5.0, 9.0], atol=1e-9)
+    assert found.inequality == [0.0]
+
+
+def test_the_simple_inequality_of_gams_has_its_solution() -> None:
+    """F = 2 x over x₁ + x₂ ≥ 6, x₂ + x₃ ≥ 9, x ≥ 0 (GAMS EMP, simplevi): x = (1, 5, 4), multipliers 2 and 8."""
+    found = answer(
+        variational((2 * np.eye(3), np.zeros(3)), [[-1, -1, 0], [0, -1, -1]], [-6, -9], lower=0)
+    )
+    np.testing.assert_allclose(found.x, [1.0, 5.0, 4.0], atol=1e-12)
+    np.testing.assert_allclose(found.inequality, [2.0, 8.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("has_jacobian", [True, False])
+def test_a_smooth_function_has_its_constructed_solution(has_jacobian: bool) -> None:
+    """x* = (1, 2) with multiplier 3 of x₁ + x₂ ≤ 3: F is a cubic that is no gradient."""
+
+    def F(x: Any) -> Any:
+        return np.array([2 * x[0] + x[1] + x[0] ** 3 - 8, 2 * x[1] - x[0] - 6])
+
+    def slopes(x: Any) -> Any:
+        return np.array([[2 + 3 * x[0] ** 2, 1], [-1, 2]])
+
+    found = answer(variational((F, slopes) if has_jacobian else F, [[1, 1]], [3], lower=0))
+    np.testing.assert_allclose(found.x, [1.0, 2.0], atol=1e-7)
+    np.testing.assert_allclose(found.inequality, [3.0], atol=1e-6)
+    assert found.gap() <= 1e-6
+
+
+def test_the_gap_is_the_largest_gain_over_all_corners() -> None:
+    """At any point of the set; ∞ where F decreases along a ray of the set."""
+    M, q = np.array([[2.0, 1.0], [-1.0, 2.0]]), np.array([-8.0, -6.0])
+    origin = variational((M, q), [[1, 1]], [3], lower=0).origin
+    for x in np.array([[0.0, 0.0], [1.0, 0.5], [3.0, 0.0]]):
+        corners = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 3.0]])
+        expected = gap_by_enumeration(M @ x + q, x, corners)
+        assert origin.recover([*x, 0.0]).gap() == pytest.approx(expected)
+    assert variational((M, q), [[1, -1]], [3], lower=0).origin.recover([0, 0, 0]).gap() == np.inf
+
+
+@pytest.mark.parametrize("is_smooth", [False, True])
+def test_an_empty_set_has_a_farkas_certificate_with_the_names_of_its_rows(is_smooth: bool) -> None:
+    """x₁ + x₂ ≤ 3 contradicts x₁ + x₂ = 5; the proof is checked again."""
+    M, q = np.array([[2.0, 1.0], [-1.0, 2.0]]), np.array([-8.0, -6.0])
+    F: Any = (lambda x: M @ x + q + x**3) if is_smooth else (M, q)
+    problem = variational(F, [[1, 1]], [3], [[1, 1]], [5])
+    result = solve(problem)
+    assert result.status is Status.INFEASIBLE
+    assert result.proof.verify()
+    assert sorted(name[-10:] for name in result.conflict.names) == ["row 0 of A", "row 0 of G"]
+    assert np.isnan(problem.origin.recover(result).gap())
+
+
+def test_a_constant_map_without_minimum_on_an_unbounded_set_has_no_solution() -> None:
+    """F = (−1, 0) on x₁ − x₂ ≤ 1, x ≥ 0 descends along (1, 1): the dual rows are inconsistent."""
+    problem = variational((np.zeros((2, 2)), [-1, 0]), [[1, -1]], [1], lower=0)
+    result = solve(problem)
+    assert result.has_no_solution
+    assert result.proof.verify()
+    assert problem.origin.recover(result).gap() == np.inf
+
+
+def test_an_equation_stated_twice_changes_nothing_but_its_multipliers() -> None:
+    """Their sum is the multiplier of one."""
+    F = [[2, 1], [-1, 2]], [-8, -6]
+    once, twice = (
+        answer(variational(F, A=[[1, 1]] * k, b=[3] * k, lower=0, upper=9)) for k in (1, 2)
+    )
+    np.testing.assert_allclose(twice.x, once.x, atol=1e-9)
+    assert twice.equality.sum() == pytest.approx(once.equality.sum())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_projection_on_a_simplex_is_the_sorted_one(seed: int) -> None:
+    """F = x − y: the projection of y on the simplex, which sorting gives."""
+    y = np.random.default_rng(seed).standard_normal(40)
+    falling = np.sort(y)[::-1]
+    shifts = (np.cumsum(falling) - 1.0) / np.arange(1, 41)
+    expected = np.maximum(y - shifts[np.flatnonzero(falling > shifts)[-1]], 0.0)
+    found = answer(variational((np.eye(40), -y), A=np.ones((1, 40)), b=[1.0], lower=0))
+    np.testing.assert_allclose(found.x, expected, atol=1e-12)
+
+
+def test_the_problem_has_derivatives_and_can_be_pickled() -> None:
+    """Of x = (1.25, 1.75) by h: 1/4 and 3/4."""
+    problem = variational(([[2, 1], [-1, 2]], [-8, -6]), [[1, 1]], [3], lower=0)
+    change = derivative(solve(problem)).jvp(dq=[0, 0, 1])
+    np.testing.assert_allclose(change[:2], [0.25, 0.75], atol=1e-12)
+    assert answer(pickle.loads(pickle.dumps(problem))).gap() <= 1e-12
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: variational(np.eye(2)), r"variational\(\(M, q\), …\)"),
+        (lambda: variational(lambda x: x), "pass a bound as an array"),
+        (lambda: variational((np.eye(2), [0, 0]), G=[[1, 1]]), "G and h belong together"),
+        (lambda: variational((np.eye(2), [0, 0]), over=[1]), "G=…, h=…"),
+        (lambda: variational((np.eye(2), [0])), "length 2"),
+    ],
+)
+def test_a_wrong_call_is_told_what_to_write(call: Any, words: str) -> None:
+    """InvalidProblem with the right call."""
+    with pytest.raises(InvalidProblem, match=words):
+        call()

@@ -19,11 +19,10 @@ from .problems.programs.program import QuadraticProgram
 
 
 def save(problem: LCP, path: str | PathLike[str]) -> None:
-    """Write the problem to ``path``: one ``.npz`` or ``.nl`` file, or a folder of Matrix Market files.
+    """Write the problem to ``path``, a ``.npz`` or ``.nl`` file; the file appears whole or not at all.
 
     A path ending in ``.npz`` gets the keys data, indices, indptr, shape (M as CSR), q, lower, upper; one ending in
-    ``.nl`` becomes a file for AMPL's solvers. A path without a suffix becomes a folder with M.mtx, q.mtx,
-    lower.mtx, upper.mtx. The file appears whole or not at all.
+    ``.nl`` becomes a file for AMPL's solvers.
 
     Parameters
     ----------
@@ -112,14 +111,12 @@ def from_contacts(
 
 
 def load(path: str | PathLike[str]) -> LCP:
-    """Return a problem written by :meth:`save` or ``numpy.savez(path, M=M, q=q)``, or in ``M.mtx`` and ``q.mtx``.
+    """Return a problem written by :meth:`save` or ``numpy.savez(path, M=M, q=q)``, or in Matrix Market files.
 
     A ``.npz`` file holds q and M (dense), or M's CSR arrays as data, indices, indptr, shape; lower and upper where
-    they are not 0 and ∞. Matrix Market files of these names lie in a folder, or behind a prefix. MATLAB's ``.mat``
-    (to version 7.2) holds M, q and the bounds, which may be called lb and ub there. A bound of 1e20 or more in
-    absolute value means ∞. Pickled content is never read, and of ``.mat`` files nothing but numbers; scipy,
-    which reads these, may end the process on a corrupt one. For other models in AMPL's ``.nl`` format use
-    :func:`lcp_plugin.interfaces.nl.read_nl`.
+    they are not 0 and ∞. A ``.mtx`` file holds M; q.mtx is next to it, and lower.mtx and upper.mtx if wanted. A bound
+    of 1e20 or more in absolute value means ∞. Pickled content is never read. For MATLAB's files call
+    ``scipy.io.loadmat``. For other models in AMPL's ``.nl`` format use :func:`lcp_plugin.interfaces.nl.read_nl`.
 
     Parameters
     ----------

@@ -64,9 +64,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 Target = Annotated[
     str,
     typer.Argument(
-        help="A file, a folder with M.mtx and q.mtx, or a test problem: name:key=value,…. A file is an .npz or .mat "
+        help="A file, or a test problem: name:key=value,…. A file is an .npz "
         "with M, q (an LCP), with P, q, A, l, u or the like (a program), with A, b (least squares), with W, q, mu "
-        "(contacts with friction), an .nl, .qps, .mps, .lp, or an .h5 of fclib.",
+        "(contacts with friction), an .nl, .qps, .mps, .lp, .mtx (M, with q.mtx next to it), or an .h5 of fclib.",
         autocompletion=scene_names,
     ),
 ]
@@ -162,7 +162,7 @@ MaxSeconds = Annotated[float | None, typer.Option(help="Limit of wall-clock seco
     "0 solved, 1 ran but not solved, 2 bad input",
     "solve obstacle_2d:size=200 --plot out.png",
     "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
-    "solve folder_with_M_and_q/ --json",
+    "solve problem.nl --json",
     "solve program.qps --out answer.npz",
     "solve model.nl",
 )

@@ -1,6 +1,6 @@
 """Read the problem of a command; solve it, print the result, save it; compile every kernel.
 
-A target is a file, a folder, or the name of a test problem.
+A target is a file, or the name of a test problem.
 """
 
 from __future__ import annotations

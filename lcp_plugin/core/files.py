@@ -1,7 +1,4 @@
-"""Problems as one ``.npz`` or a folder of Matrix Market files, and the arrays of MATLAB's .mat files of versions ≤ 7.2.
-
-The reader of .mat files, of scipy, may end the process on a corrupt file: read files that you trust.
-"""
+"""Problems as one ``.npz`` file, and matrices of Matrix Market files."""
 
 from __future__ import annotations
 
@@ -27,8 +24,6 @@ NUMBERS = ("real", "double", "integer", "unsigned-integer")
 SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan"
 NO_NUMBER = re.compile(rb"(?im)^(?!%)(?:(?:" + NUMBER + rb")(?:[ \t\r]+|$)|[ \t\r]+)*+(\S+)")
-WHOLE = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
-NUMERIC = {"sparse", "double", "single", "logical", *WHOLE}
 
 
 def read_number(word: bytes | str, kind: type = float) -> Any:
@@ -109,98 +104,29 @@ def read_matrix_market(source: Path) -> Any:
     return sp.coo_array(matrix) if sp.issparse(matrix) else np.asarray(matrix, dtype=np.float64)
 
 
-def folder_arrays(source: Path, layout: str) -> tuple[Path, dict[str, Any]]:
-    """Return the file of M, and M, q, lower, upper of the Matrix Market files in a folder."""
-    if source.is_file() and source.name != "M.mtx":
-        raise UnreadableFile(
-            f"cannot read {source}: expected an .npz, .mat, .nl, .qps, .mps, .lp or .h5 file, or a folder with M.mtx "
-            f"and q.mtx; {layout}"
-        )
-    folder = source.parent if source.name == "M.mtx" else source
-    if not folder.is_dir():
-        raise UnreadableFile(f"no such file: {source}{in_folder(source)}")
-    for name in ("M.mtx", "q.mtx"):
-        if not (folder / name).exists():
-            missing = f"no such file: {folder / name}"
-            raise UnreadableFile(f"{missing}; a folder must hold M.mtx and q.mtx")
-    found = {"M": read_matrix_market(folder / "M.mtx")}
-    for name in ("q", "lower", "upper"):
-        if (file := folder / f"{name}.mtx").exists():
+def market_arrays(source: Path) -> dict[str, Any]:
+    """Return M of a Matrix Market file, and q, lower, upper of the files of these names next to it."""
+    found = {"M": read_matrix_market(source)}
+    for name in VECTORS:
+        if (file := source.with_name(f"{name}.mtx")).exists() or name == "q":
             values = read_matrix_market(file)
             if max(values.shape) > max(found["M"].shape[0], 1):  # before a sparse one becomes dense
                 raise UnreadableFile(f"{file} has the shape {values.shape}, too large for M")
             found[name] = flat(values)
-    return folder / "M.mtx", found
-
-
-def read_mat(source: Path, wanted: Collection[str]) -> tuple[dict[str, Any], list[str]]:
-    """Return the wanted matrices, 2-D ndarrays or CSC arrays, and all names in the file.
-
-    Variables with other names are skipped unread, and nothing is executed.
-
-    Raises
-    ------
-    UnreadableFile
-        If the file is missing, corrupt or of another version, or if a wanted name is not a real matrix.
-    """
-    from scipy.io import loadmat, whosmat
-
-    with opened(source, ".mat file of numbers") as file:
-        try:
-            kinds = {name: kind for name, _, kind in whosmat(file) if not name.startswith("__")}
-        except NotImplementedError as error:
-            raise UnreadableFile(
-                f"cannot read {source}: it is of version 7.3 (HDF5); in MATLAB write "
-                f'save("{source.name}", "M", "q", "-v7")'
-            ) from error
-        if other := next(
-            (name for name in wanted if kinds.get(name, "double") not in NUMERIC), None
-        ):
-            raise UnreadableFile(
-                f"cannot read {source}: {other} is of the class {kinds[other]}; save a matrix of numbers"
-            )
-        names = [name for name in kinds if name in wanted]
-        file.seek(0)
-        found = loadmat(file, variable_names=names, spmatrix=False) if names else {}
-    return {name: _checked(found[name], name, source) for name in names}, list(kinds)
-
-
-def _checked(matrix: Any, name: str, source: Path) -> Any:
-    if np.iscomplexobj(matrix):
-        raise UnreadableFile(f"cannot read {source}: {name} is complex; save real numbers")
-    if len(matrix.shape) != 2:
-        raise UnreadableFile(
-            f"cannot read {source}: {name} has the shape {matrix.shape}; save a matrix or a vector"
-        )
-    if not sp.issparse(matrix):
-        return matrix.astype(matrix.dtype.newbyteorder("="))
-    try:
-        columns = sp.csc_array(matrix)
-        columns.check_format(full_check=True)
-        return columns
-    except (ValueError, IndexError, OverflowError) as error:
-        raise UnreadableFile(
-            f"cannot read {source}: {name} is not a sparse matrix ({error}); write it again"
-        ) from error
+    return found
 
 
 MATRIX_KEYS = ("data", "indices", "indptr", "shape")
 VECTORS = ("q", "lower", "upper")
 #: Names of the parts of sparse matrices: of M in CSR without a prefix, of P, A and G in CSC.
 PARTS = {key: "M" for key in MATRIX_KEYS} | {f"{M}_{key}": M for M in "PAG" for key in MATRIX_KEYS}
-# matrices; everything else in a .mat file is a vector
-DENSE = ("M", "W", "P", "A", "G", "H", "Aeq")
-MOST_ROWS = 10**8  # a header with more is damaged: vectors alone would take 1 GB
 LARGE_UNPACKED = 2**30  # bytes
 
 
-def save(problem: LCP, target: Path) -> None:
-    """Write the problem to a ``.npz`` file or, for any other path, into a folder of Matrix Market files."""
-    if target.suffix.lower() == ".npz":
-        M = {name: getattr(problem.csr, name) for name in MATRIX_KEYS}
-        save_arrays(target, M | {name: getattr(problem, name) for name in VECTORS}, "an LCP")
-    else:
-        _save_folder(problem, checked_folder(target))
+def save(problem: LCP, path: str | PathLike[str]) -> None:
+    """Write the problem to a ``.npz`` file."""
+    M = {name: getattr(problem.csr, name) for name in MATRIX_KEYS}
+    save_arrays(path, M | {name: getattr(problem, name) for name in VECTORS}, "an LCP")
 
 
 def save_arrays(path: str | PathLike[str], arrays: Mapping[str, Any], what: str) -> None:
@@ -211,17 +137,6 @@ def save_arrays(path: str | PathLike[str], arrays: Mapping[str, Any], what: str)
             f"cannot write {target}: {what} is saved in one .npz file; write {target.stem}.npz"
         )
     write_whole({target: lambda file: np.savez_compressed(file, **arrays)})
-
-
-def checked_folder(target: Path) -> Path:
-    """Return the path; raise UnreadableFile for a name with the ending of another format."""
-    # A number behind a dot is a part of the name, as in "size=0.5".
-    if target.suffix[1:2].isalpha() and not target.is_dir():
-        raise UnreadableFile(
-            f"cannot write {target}: a problem becomes one .npz or .nl file or a folder of files, not a "
-            f"{target.suffix} file; write {target.stem}.npz, or {target.stem} for a folder"
-        )
-    return target
 
 
 def checked_path(path: Any) -> Path:
@@ -263,29 +178,6 @@ def write_whole(contents: Mapping[Path, Callable[[Any], object]]) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def _save_folder(problem: LCP, folder: Path) -> None:
-    from scipy.io import mmwrite
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UnreadableFile(
-            f"cannot make the folder {folder}: {error.strerror or error}"
-        ) from error
-
-    def writer(content: Any) -> Callable[[Any], object]:
-        return lambda file: mmwrite(file, content, precision=17, symmetry="general")
-
-    contents = {
-        folder / "M.mtx": writer(sp.coo_array(problem.csr)),
-        folder / "q.mtx": writer(problem.q.reshape(-1, 1)),
-    }
-    for name in ("lower", "upper"):
-        bound = np.nan_to_num(getattr(problem, name), posinf=1e20, neginf=-1e20)  # which is none
-        contents[folder / f"{name}.mtx"] = writer(bound.reshape(-1, 1))
-    write_whole(contents)
-
-
 def csr_in(source: Path, content: Mapping[str, Any], kind: Any = sp.csr_array) -> sp.csr_array:
     """Return the matrix of a file's CSR or CSC arrays; raise UnreadableFile if they are invalid."""
     for key in ("indices", "indptr", "shape"):
@@ -305,25 +197,13 @@ def csr_in(source: Path, content: Mapping[str, Any], kind: Any = sp.csr_array) -
 
 
 def names_in(source: Path) -> list[str]:
-    """Return the names of the arrays in a ``.npz`` or ``.mat`` file, or raise UnreadableFile."""
-    if source.suffix.lower() == ".mat":
-        return read_mat(source, ())[1]
+    """Return the names of the arrays in a ``.npz`` file, or raise UnreadableFile."""
     with _archive(source) as archive:
         return list(archive.files)
 
 
 def arrays_in(source: Path, wanted: Collection[str]) -> dict[str, Any]:
-    """Return the wanted arrays of a ``.npz`` or ``.mat`` file that are there, sparse matrices put together."""
-    if source.suffix.lower() == ".mat":
-        found = {}
-        for name, array in read_mat(source, wanted)[0].items():
-            # of a sparse array, which takes few bytes until it is dense
-            if max(array.shape) > MOST_ROWS:
-                most = f"at most {MOST_ROWS} are taken"
-                raise UnreadableFile(f"{name} of {source} has the shape {array.shape}; {most}")
-            if 0 not in array.shape:  # nothing, in MATLAB
-                found[name] = array if name in DENSE else flat(array)
-        return found
+    """Return the wanted arrays of a ``.npz`` file that are there, sparse matrices put together."""
     found = dict(read_npz(source, {*wanted, *(part for part, M in PARTS.items() if M in wanted)}))
     for matrix in dict.fromkeys(PARTS.values()):
         parts = [part for part, of in PARTS.items() if of == matrix]

@@ -6,8 +6,9 @@
 | AMPL, JuMP, an ``.nl`` file | the executable ``lcp-plugin-ampl``, ``interfaces.nl.read_nl("m.nl").solve()`` |
 | qpsolvers | ``register_with_qpsolvers()`` of ``interfaces.qpsolvers``, then ``solver="lcp_plugin"`` |
 | QuantEcon's games | ``LCP.from_game(game)`` |
-| files of scipy, numpy, MATLAB | ``LCP.load("m.mat")``, ``"m.npz"``, a folder of ``.mtx`` files |
-| programs in ``.qps``, ``.mps``, ``.npz``, ``.mat``; A, b of least squares | ``solve(load_problem("p.qps"))`` |
+| files of numpy, Matrix Market | ``LCP.load("m.npz")``, ``"M.mtx"`` with q.mtx next to it |
+| MATLAB's files | ``m = scipy.io.loadmat("m.mat")``, ``LCP(m["M"], m["q"].ravel())`` |
+| programs in ``.qps``, ``.mps``, ``.npz``; A, b of least squares | ``solve(load_problem("p.qps"))`` |
 | contacts with friction in ``.h5`` of fclib (extra ``[fclib]``), ``.npz`` | ``solve(load_problem("pile.h5"))`` |
 | finite elements, for example scikit-fem | ``solve(LCP(M, q, lower=psi))`` |
 | cvxpy; PyTorch, JAX | ``help("lcp_plugin.modeling")``; ``help("lcp_plugin.interfaces.learn")`` |
@@ -71,16 +72,13 @@ a small one.
 >>> equilibrium.row_strategy, equilibrium.regret < 1e-15
 (array([0.5, 0.5]), True)
 
-**Files** with M and q, sparse or dense, and lower and upper if wanted; on the command line ``lcp-plugin solve m.mat``.
+**Files** with M and q, sparse or dense, and lower and upper if wanted; on the command line ``lcp-plugin solve m.npz``.
 
->>> import tempfile, scipy.io, scipy.sparse as sp
+>>> import tempfile, scipy.sparse as sp
 >>> with tempfile.TemporaryDirectory() as folder:
 ...     np.savez(f"{folder}/m.npz", M=[[2.0, 1.0], [1.0, 2.0]], q=[-5.0, 1.0])
-...     scipy.io.savemat(f"{folder}/m.mat", {"M": sp.eye_array(3), "q": [-1.0, 2.0, -3.0], "ub": [9.0, 9.0, 2.0]})
-...     for name in ("m.npz", "m.mat"):
-...         print(solve(LCP.load(f"{folder}/{name}")).z)
+...     print(solve(LCP.load(f"{folder}/m.npz")).z)
 [2.5 0. ]
-[1. 0. 2.]
 
 **scikit-fem** and other assemblers: M without the rows of the boundary, the obstacle as lower bound.
 ``examples/obstacle_with_scikit_fem.py`` does so on an unstructured mesh, with linear and quadratic elements.

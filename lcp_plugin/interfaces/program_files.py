@@ -17,8 +17,8 @@ from ..core.files import (
     PARTS,
     arrays_in,
     checked_path,
-    folder_arrays,
     in_folder,
+    market_arrays,
     names_in,
     opened,
     read_number,
@@ -227,7 +227,7 @@ def _row(entries: Entries, default: float, size: int) -> Any:
     return values
 
 
-ARRAYS, MPS, NL = (".npz", ".mat"), (".mps", ".qps", ".lp"), ".nl"
+ARRAYS, MPS, MARKET, NL = ".npz", (".mps", ".qps", ".lp"), ".mtx", ".nl"
 Arrays = dict[str, Any]
 
 
@@ -410,12 +410,12 @@ class Layout(NamedTuple):
 
 
 OF_PROGRAM = (
-    "a program holds P, q, A, l, u (l ≤ A x ≤ u), or P, c with G, h (G x ≤ h), A, b (A x = b), lower, upper, "
-    "or H, f, A, b, Aeq, beq, lb, ub as quadprog; a sparse matrix is P_data, P_indices, P_indptr, P_shape (CSC)"
+    "a program holds P, q, A, l, u (l ≤ A x ≤ u), or P, c with G, h (G x ≤ h), A, b (A x = b), lower, upper; a "
+    "sparse matrix is P_data, P_indices, P_indptr, P_shape (CSC)"
 )
 OF_LCP = (
     "an LCP file holds M (or its CSR arrays data, indices, indptr, shape), q and, if wanted, lower and upper (or lb, "
-    'ub): numpy.savez("p.npz", M=M, q=q), in MATLAB save("p.mat", "M", "q")'
+    'ub): numpy.savez("p.npz", M=M, q=q)'
 )
 LAYOUTS = {
     "LCP": Layout(LCP, _lcp, _named("M q lower=lower,lb,l upper=upper,ub,u"), ("M", "q"), OF_LCP),
@@ -435,13 +435,6 @@ LAYOUTS = {
         "a ConeProblem holds M (or its CSR arrays data, indices, indptr, shape), q, cone_kinds (0 free, 1 nonnegative, "
         "2 box, 3 second order), cone_rows, and lower, upper if there are boxes",
     ),
-    "quadprog": Layout(
-        QuadraticProgram,
-        _program,
-        _named("P=H c=f G=A h=b A=Aeq b=beq lower=lb,lower upper=ub,upper constant=r"),
-        ("c",),
-        OF_PROGRAM,
-    ),
     "QuadraticProgram": Layout(
         QuadraticProgram,
         _program,
@@ -459,7 +452,6 @@ LAYOUTS = {
 }
 #: Arguments that may be one number, of all rows.
 NUMBERS = {"lower", "upper", "l", "u", "l1", "ridge", "constant", "dimension"}
-STRANGERS = {"quadprog": {"P", "c", "G", "h", "l", "u", "q"}}  # names of the other layout
 
 
 def layout_of(source: Path) -> str:
@@ -473,7 +465,7 @@ def layout_of(source: Path) -> str:
         is_file = source.is_file()
     except OSError:  # a name that no file can have
         is_file = False
-    if suffix not in ARRAYS or not is_file:
+    if suffix != ARRAYS or not is_file:
         return "LCP"
     names = {PARTS.get(name, name) for name in names_in(source)}
     if names & {"mu", "friction"} and names & {"W", "M"}:
@@ -482,8 +474,6 @@ def layout_of(source: Path) -> str:
         return "ConeProblem"
     if "P" not in names and "M" in names:
         return "LCP"
-    if names & {"H", "f"}:
-        return "quadprog"
     if names & {"P", "c"} or {"A", "q"} <= names:
         return "QuadraticProgram"
     return "BoundedLeastSquares" if {"A", "b"} <= names else "LCP"
@@ -502,8 +492,6 @@ def _built(source: Path, layout: str, found: Mapping[str, Any]) -> Any:
         if given:
             array = found[given[0]]
             content[argument] = array.item() if argument in NUMBERS and array.size == 1 else array
-    if strangers := sorted(found.keys() & STRANGERS.get(layout, set())):
-        raise UnreadableFile(f"{source} holds {strangers[0]} with names of quadprog; {text}")
     if missing := [names[argument][0] for argument in needed if argument not in content]:
         raise UnreadableFile(f"{source} lacks the keys {missing}; {text}")
     return _stated(source, kind, lambda: build(**content))
@@ -525,8 +513,10 @@ def _read(source: Path, needed: type | None = None) -> Any:
     layout, suffix = layout_of(source), source.suffix.lower()
     if suffix == NL:
         return lcp_in_nl(source)
-    is_folder = suffix not in (*ARRAYS, *MPS, *HDF5) or (suffix == ".mat" and source.is_dir())
-    source, found = folder_arrays(source, OF_LCP) if is_folder else (source, {})
+    if suffix not in (ARRAYS, MARKET, *MPS, *HDF5):
+        raise UnreadableFile(
+            f"cannot read {source}: expected an .npz, .nl, .qps, .mps, .lp, .h5 or .mtx file; {OF_LCP}"
+        )
     kind = LAYOUTS[layout].kind
     if needed not in (None, kind):
         holds, is_not = with_article(kind.__name__), with_article(needed.__name__)
@@ -538,10 +528,10 @@ def _read(source: Path, needed: type | None = None) -> Any:
         return _from_mps(source)
     if suffix in HDF5:
         return load_fclib(source)
-    if not is_folder:
-        wanted = {name for names in LAYOUTS[layout].names.values() for name in names}
-        found = arrays_in(source, wanted | STRANGERS.get(layout, set()))
-    return _built(source, layout, found)
+    if suffix == MARKET:
+        return _built(source, layout, market_arrays(source))
+    wanted = {name for names in LAYOUTS[layout].names.values() for name in names}
+    return _built(source, layout, arrays_in(source, wanted))
 
 
 def load_lcp(path: str | PathLike[str]) -> LCP:
@@ -560,14 +550,14 @@ def load_problem(path: str | PathLike[str]) -> Any:
     Parameters
     ----------
     path : str or Path
-        ``.qps``, ``.mps`` and ``.lp`` state programs; highspy reads .lp. ``.npz`` and ``.mat`` with M and q state an
-        LCP; with P, q, A, l, u, or the arrays of a QuadraticProgram by their names, or quadprog's H, f, A, b, Aeq, beq,
-        lb, ub a program; with A and b, no more than bounds, weights, ridge and l1 beside them, a BoundedLeastSquares;
-        with mu and a matrix a FrictionalContact, of many worlds if W has three axes; with cone_kinds a ConeProblem. No
-        P means a linear program, r is a constant. A sparse M is data, indices, indptr, shape (CSR); a sparse P, A or
-        G is P_data, P_indices, P_indptr, P_shape (CSC), of P all or one triangle. Never pickle. ``.h5`` and ``.hdf5``
-        of fclib state a FrictionalContact; h5py reads them. A folder has M.mtx and q.mtx, lower.mtx and
-        upper.mtx. An ``.nl`` file states an LCP here, any model for :func:`lcp_plugin.interfaces.nl.read_nl`.
+        ``.qps``, ``.mps`` and ``.lp`` state programs; highspy reads .lp. ``.npz`` with M and q states an LCP; with P,
+        q, A, l, u, or the arrays of a QuadraticProgram by their names, a program; with A, b and no more than bounds,
+        weights, ridge and l1, a BoundedLeastSquares; with mu and a matrix a FrictionalContact, of many worlds if W has
+        three axes; with cone_kinds a ConeProblem. No P means a linear program, r is a constant. A sparse M is data,
+        indices, indptr, shape (CSR); a sparse P, A or G is P_data, P_indices, P_indptr, P_shape (CSC), of P all or one
+        triangle. Never pickle. ``.h5`` and ``.hdf5`` of fclib state a FrictionalContact; h5py reads them. A Matrix
+        Market file ``.mtx`` has M; q.mtx, and lower.mtx and upper.mtx if wanted, are next to it. An ``.nl`` file states
+        an LCP here, any model for :func:`lcp_plugin.interfaces.nl.read_nl`.
 
     Raises
     ------

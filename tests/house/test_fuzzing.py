@@ -97,7 +97,7 @@ def test_mutated_matrix_market_files_are_refused_or_valid(
         (tmp_path / name).write_bytes(TEXTS[name])
     kind = data.draw(st.sampled_from(list(TEXTS)))
     (tmp_path / (kind if kind in FILES else "M.mtx")).write_bytes(data.draw(mutated(TEXTS[kind])))
-    load(tmp_path)
+    load(tmp_path / "M.mtx")
 
 
 def any_array() -> st.SearchStrategy[Any]:
@@ -172,7 +172,7 @@ SCENES = (
     "american_put_march:size=9",
 )
 OPTIONS = st.sampled_from(["sweep", "scaling", "omega", "relaxation", "x", "", "tolerance"])
-PATHS = ("p.npz", "folder", "folder/M.mtx", "damaged.npz", "nothing.npz", "empty", "folder/")
+PATHS = ("p.npz", "M.mtx", "damaged.npz", "nothing.npz", "empty", "folder/")
 
 
 @st.composite
@@ -203,7 +203,7 @@ def command_lines(draw: st.DrawFn) -> list[str]:
         "--tolerance-on": st.sampled_from(["residual", "error", "x", ""]),
         "--max-iterations": NUMBERS,
         "--max-seconds": NUMBERS,
-        "--out": st.sampled_from(["z.npz", "z.txt", "no/z.npz", "folder", "p.npz", "", "empty"]),
+        "--out": st.sampled_from(["z.npz", "z.txt", "no/z.npz", "p.npz", "", "empty"]),
         "--error-bound": st.none(),
         "--json": st.none(),
     }
@@ -234,7 +234,6 @@ def test_mutated_commands_end_in_zero_one_or_two(
     """Any arguments give exit code 0, 1 or 2, some words, and never a traceback."""
     monkeypatch.chdir(tmp_path)
     PROBLEM.save("p.npz")
-    PROBLEM.save("folder")
     Path("damaged.npz").write_bytes(archive()[:99])
     Path("empty").write_bytes(b"")
     outcome = CliRunner().invoke(app, line)
@@ -245,6 +244,5 @@ def test_mutated_commands_end_in_zero_one_or_two(
     )
     assert "Traceback" not in outcome.output
     assert outcome.output, line
-    assert LCP.load("folder").q.tolist() == PROBLEM.q.tolist()
     if "p.npz" not in line[2:]:  # --out may replace another file than the problem
         assert LCP.load("p.npz").q.tolist() == PROBLEM.q.tolist()

@@ -371,16 +371,12 @@ def by_qpsolvers(sample: Sample, folder: Path) -> None:
 def files_of(sample: Sample, folder: Path) -> list[Path]:
     """Return the problem in every file format that supports its class."""
     paths = [] if sample.in_pyomo is None else [nl_of(sample, folder)]
-    if sample.kind == "LCP":
-        for name in ("p.npz", "folder"):
-            sample.problem.save(folder / name)
-            paths.append(folder / name)
+    if sample.kind in ("LCP", *ON_CONES):
+        sample.problem.save(folder / "p.npz")
+        paths.append(folder / "p.npz")
     elif sample.kind == "QuadraticProgram":
         names = ("P", "c", "G", "h", "A", "b", "lower", "upper")
         np.savez(folder / "p.npz", **dict(zip(names, sample.program, strict=True)))
-        paths.append(folder / "p.npz")
-    elif sample.kind in ON_CONES:
-        sample.problem.save(folder / "p.npz")
         paths.append(folder / "p.npz")
     elif sample.kind == "BoundedLeastSquares":
         np.savez(folder / "p.npz", A=sample.problem.A, b=sample.problem.b, lower=sample.problem.lower,

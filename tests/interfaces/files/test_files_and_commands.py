@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from scipy.io import savemat
+from scipy.io import mmwrite
 from tools.nl_files import content_of
 from tools.processes import lcp_plugin
 
 from lcp_plugin import LCP
 from lcp_plugin.commands.cli import app
 from lcp_plugin.interfaces.nl import write_nl
-from lcp_plugin.interfaces.program_files import ARRAYS, MPS, NL
+from lcp_plugin.interfaces.program_files import ARRAYS, MARKET, MPS, NL
 
 M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
 QPS = """NAME          TWO
@@ -44,19 +44,12 @@ PROGRAM = dict(P=M, q=q, A=[[1.0, 1.0]], l=[-np.inf], u=[2.0], lower=0.0)
 FIT = dict(A=[[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], b=[2.0, 1.0, -1.0])
 
 
-def mat(path: str, **arrays: Any) -> None:
-    savemat(path, {name: np.asarray(array, dtype=float) for name, array in arrays.items()})
-
-
 FILES: dict[str, tuple[str, Callable[[str], object]]] = {  # name: problem class, writer
     "lcp.npz": ("LCP", lambda path: np.savez(path, M=M, q=q)),
     "saved.npz": ("LCP", LCP(M, q).save),
-    "lcp.mat": ("LCP", lambda path: mat(path, M=M, q=q)),
-    "folder": ("LCP", LCP(M, q).save),
-    "folder/M.mtx": ("LCP", lambda path: LCP(M, q).save("folder")),
+    "M.mtx": ("LCP", lambda path: [mmwrite(path, M), mmwrite("q.mtx", q[:, None])]),
     "lcp.nl": ("LCP", lambda path: write_nl(content_of(M, q), path)),
     "qp.npz": ("program", lambda path: np.savez(path, **PROGRAM)),
-    "qp.mat": ("program", lambda path: mat(path, H=M, f=q, A=[[1.0, 1.0]], b=[2.0], lb=[0.0, 0.0])),
     "qp.qps": ("program", lambda path: Path(path).write_text(QPS)),
     "lp.mps": ("program", lambda path: Path(path).write_text(PLAIN)),
     "lp.lp": ("program", lambda path: Path(path).write_text(LP)),
@@ -75,7 +68,6 @@ FILES: dict[str, tuple[str, Callable[[str], object]]] = {  # name: problem class
         ),
     ),
     "fit.npz": ("least squares", lambda path: np.savez(path, **FIT)),
-    "fit.mat": ("least squares", lambda path: mat(path, **FIT)),
 }
 DONE, REFUSED = 0, r"needs an LCP, got (?:QuadraticProgram|BoundedLeastSquares)"
 CELLS: dict[
@@ -100,7 +92,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_every_subcommand_and_every_format_has_its_row() -> None:
     """A new subcommand, or a new ending of files, fails here until it is walked."""
     assert {one.name for one in app.registered_commands} == {*CELLS, *WITHOUT_FILES}
-    assert {Path(name).suffix or ".mtx" for name in FILES} == {*ARRAYS, *MPS, NL, ".mtx"}
+    assert {Path(name).suffix for name in FILES} == {ARRAYS, *MPS, NL, MARKET}
     assert all(cells.keys() == {kind for kind, _ in FILES.values()} for cells in CELLS.values())
 
 

@@ -124,6 +124,7 @@ class MonotoneGraphs:
     def steps_of(self, t: float, z: Vector, w: Vector) -> IntVector:
         """Return the step of each row closest to (z, w) at t; corners are on even steps."""
         (_, corners, levels), size = self.at(t), self.sizes
+        size = np.where(size > np.finfo(np.float64).tiny, size, 1.0)  # an empty row has no unit
         corners, levels, scaled = corners[0], levels[0] / size, w / size
         best, steps = np.full(self.n, np.inf), np.zeros(self.n, dtype=np.int64)
         for step in range(2 * len(corners) - 1):

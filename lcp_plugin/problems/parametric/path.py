@@ -40,6 +40,8 @@ class Piece:
         a program, the entries of x are followed by the rows of G (−1 inactive, 0 active) and the rows of A.
     z0, z1 : ndarray
         For a program, x followed by the multipliers of rows, and their rates; x0 and x1 for other problem classes.
+    last : ndarray or None
+        z at the end, as the next segment begins with it: near a breakpoint at 0, z0 + … has the rounding of z0.
     """
 
     begin: float
@@ -49,14 +51,17 @@ class Piece:
     case: Any = field(repr=False)
     z0: Vector = field(repr=False)
     z1: Vector = field(repr=False)
+    last: Vector | None = field(default=None, repr=False)
 
     def z_at(self, theta: float) -> Vector:
         """Return x with the multipliers of rows at θ."""
+        if self.last is not None and abs(theta - self.end) < abs(theta - self.begin):
+            return self.last + (theta - self.end) * self.z1
         return self.z0 + (theta - self.begin) * self.z1
 
     def x_at(self, theta: float) -> Vector:
         """Return x at θ."""
-        return self.x0 + (theta - self.begin) * self.x1
+        return self.z_at(theta)[: self.x0.size]
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +238,7 @@ class Path(Outcome):
             If θ is not on the path.
         """
         piece = self.piece_at(theta) if piece is None else piece
-        return self.line.point(float(theta), piece.z_at(float(theta)))
+        return self.line.point(float(theta), piece.z_at(float(theta)), piece.case)
 
     def x(self, thetas: ArrayLike) -> Vector:
         """Return x at many values, shape (k, n)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ from ..programs.conversion import conditions
 from ..programs.criterion import PROGRAM_TOLERANCE, QPSolution
 from ..programs.program import QuadraticProgram
 from ..programs.program_matrices import refuse_nonconvex
-from .following import Follower, MonotoneGraphs
+from .following import ROUNDING, Follower, MonotoneGraphs
 from .path import Path, PathPoint, Piece
 
 MAX_ROWS = 6000  # of an LCP, of which a dense factorization is made
@@ -202,10 +203,12 @@ class Line:
             return self.problem.with_q(moved.pop("q", self.problem.q), **moved)
         return self.problem.with_vectors(**moved)
 
-    def point(self, theta: float, z: Vector) -> PathPoint:
-        """Return the solution at θ from the unknowns of the complementarity problem."""
+    def point(self, theta: float, z: Vector, case: Any) -> PathPoint:
+        """Return the solution at θ from the unknowns of the complementarity problem and their active set."""
         problem = self.at(theta)
-        x = read_only(np.clip(z[: problem.lower.size], problem.lower, problem.upper))
+        lower, upper, case = problem.lower, problem.upper, case[: problem.lower.size]
+        held = np.select([case == -1, case == 1], [lower, upper], z[: lower.size])
+        x = read_only(np.clip(held, lower, upper))
         if not isinstance(problem, QuadraticProgram):
             return PathPoint(theta, problem, x, self.tolerance)
         y, m = z[x.size :], problem.h.size
@@ -365,7 +368,8 @@ class _Trace:
         """
         t, begin = follower.t, self.reached
         assert follower.motion is not None
-        if follower.motion.first_end(-1.0)[0] >= (t - begin) * (1.0 - 1e-6):
+        missing = t - begin - follower.motion.first_end(-1.0)[0]
+        if missing <= max(1e-6 * (t - begin), ROUNDING * self.span):
             follower.begin = begin
         else:
             z, rate = follower.motion.z
@@ -387,4 +391,6 @@ class _Trace:
         if change > 1e-4 * (1.0 + size):
             # All solutions of a monotone problem are one convex set.
             (path.segments if self.line.is_monotone else path.jumps).append(piece.begin)
+        elif path.pieces and change <= 1e-12 * size:
+            path.pieces[-1] = replace(path.pieces[-1], last=piece.z0)
         path.pieces.append(piece)

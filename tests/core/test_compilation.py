@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -35,6 +36,35 @@ kernels = [
 ]
 print(len(kernels) > 10, sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels))
 """
+
+
+USED = """
+from lcp_plugin.core.kernels.compilation import helper
+SIZE = {0}
+@helper
+def scaled(x): return {1} * x
+"""
+USING = """
+from used_constants import SIZE, scaled
+from lcp_plugin.core.kernels.compilation import kernel
+@kernel
+def total(x): return SIZE + scaled(x)
+"""
+
+
+def test_a_kernel_is_compiled_again_after_a_change_in_another_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A constant and a helper of another file are part of the key of the cache."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "using_kernels.py").write_text(USING)
+    for size, factor in (("1.0", "2.0"), ("10.0", "2.0"), ("10.0", "200.0")):
+        (tmp_path / "used_constants.py").write_text(USED.format(size, factor))
+        importlib.invalidate_caches()
+        for name in ("used_constants", "using_kernels"):
+            sys.modules.pop(name, None)
+        value = importlib.import_module("using_kernels").total(3.0)
+        assert value == float(size) + 3.0 * float(factor)
 
 
 def in_a_new_process(code: str, folder: Path | None = None, **environment: str) -> str:

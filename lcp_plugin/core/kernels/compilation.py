@@ -3,8 +3,8 @@
 Python calls a `kernel`. Kernels call helpers: a `helper` remains a function, an `inline` function becomes a part of its
 callers. All functions divide as numpy does, and release the lock of the interpreter. Import numba's names from here.
 
-numba compiles a kernel again if the kernel's own file has changed. After a change of a helper or of a constant in
-another file, delete the cache: the files ``*.nb?`` in ``__pycache__``, or the folder ``NUMBA_CACHE_DIR``.
+numba compiles a kernel again if the kernel's own file has changed. The key of the cache also has the constants and
+helpers that the kernel uses from other files.
 """
 
 from __future__ import annotations
@@ -104,6 +104,7 @@ class Compiled:
                 found = njit(cache=True, **self.options)(self.function)
                 if (cache := getattr(found, "_cache", None)) is not None:  # NUMBA_DISABLE_JIT: none
                     cache.save_overload = partial(_save, cache.save_overload)
+                    cache._index_key = partial(_key, cache._index_key, uses(self.function))
                 return found
         return njit(**self.options)(self.function)
 
@@ -112,6 +113,31 @@ def _save(save: Any, *compiled: Any) -> None:
     """Write compiled code to the cache; ignore a disk that is full or read-only."""
     with suppress(OSError):
         save(*compiled)
+
+
+def _key(index_key: Any, used: str, *compiled: Any) -> Any:
+    """Return numba's key of compiled code, with the constants and helpers that it uses."""
+    return index_key(*compiled), used
+
+
+def uses(function: Any) -> str:
+    """Return the code of a function with the numbers and the code of the helpers that its names refer to.
+
+    Examples
+    --------
+    >>> def area(r): return PI * r**2
+    >>> area.__globals__["PI"] = 3.0
+    >>> "PI = 3.0" in uses(area)
+    True
+    """
+    code, text = function.__code__, ""
+    for name in code.co_names:
+        value = function.__globals__.get(name)
+        if isinstance(value, (int, float, tuple)):
+            text += f"{name} = {value!r}\n"
+        elif isinstance(value, Compiled) or hasattr(value, "py_func"):
+            text += uses(value.function if isinstance(value, Compiled) else value.py_func)
+    return f"{text}{code.co_code.hex()} {[one for one in code.co_consts if not hasattr(one, 'co_code')]}\n"
 
 
 def kernel(function: Any) -> Any:

@@ -17,6 +17,7 @@ Math. Oper. Res. 21 (1996), doi:10.1287/moor.21.2.401.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -471,24 +472,22 @@ class ConditionsBatchDerivative(BatchDerivative):
     Parameters
     ----------
     batch : Conditions
-    name_of, is_strict
+    data, is_strict
         As of :class:`ConditionsDerivative`.
     """
 
-    def __init__(
-        self, batch: Conditions, name_of: Callable[..., str], *, is_strict: bool = True
-    ) -> None:
+    def __init__(self, batch: Conditions, data: Any, *, is_strict: bool = True) -> None:
         super().__init__(batch)
-        self.name_of, self.is_strict = name_of, is_strict
+        self.data, self.is_strict = data, is_strict
 
     def one_sided(self) -> ConditionsBatchDerivative:
         """Return the derivatives that accept degenerate rows."""
-        return ConditionsBatchDerivative(self.batch, self.name_of, is_strict=False)
+        return ConditionsBatchDerivative(self.batch, self.data, is_strict=False)
 
     def __getitem__(self, k: int) -> ConditionsDerivative:
         if k not in self._each:
             problem, z = self.batch.problems[k], self.batch.z[k]
-            found = ConditionsDerivative(problem, z, self.name_of, is_strict=self.is_strict)
+            found = ConditionsDerivative(problem, z, self.data, is_strict=self.is_strict)
             self._each[k] = found
         return self._each[k]
 
@@ -895,9 +894,9 @@ def _derivative_of_program(data: Any, z: Any, batch: Any = None) -> ProgramDeriv
     """Return the derivative of a program or least squares problem, or of a batch, at the z of its conditions."""
     problem = data.problem(partial(Stacked, z0=None))
     if batch is None:
-        return ProgramDerivative(data, ConditionsDerivative(problem, z, data.name_of))
+        return ProgramDerivative(data, ConditionsDerivative(problem, z, data))
     conditions = Conditions(batch, problem, z)
-    return ProgramBatchDerivative(data, ConditionsBatchDerivative(conditions, data.name_of), batch)
+    return ProgramBatchDerivative(data, ConditionsBatchDerivative(conditions, data), batch)
 
 
 class Derivative(LinearizedSystem):
@@ -1109,32 +1108,45 @@ class ConditionsDerivative(Derivative):
     ----------
     problem : LCP
     z : array, shape (n,)
-    name_of : callable
-        Returns the name of the part of the program that belongs to an index, and for a bound to "lower" or "upper".
+    data : ProgramData or LeastSquaresData
+        The first unknowns are x, the others multipliers.
     is_strict : bool
         Whether degenerate rows raise an error as well.
     """
 
-    def __init__(
-        self, problem: LCP, z: Vector, name_of: Callable[..., str], *, is_strict: bool = True
-    ) -> None:
+    def __init__(self, problem: LCP, z: Vector, data: Any, *, is_strict: bool = True) -> None:
         super().__init__(problem, z, problem.slack(z))
-        self.name_of, self.is_strict = name_of, is_strict
+        self.data, self.is_strict = data, is_strict
 
     def one_sided(self) -> ConditionsDerivative:
         """Return the derivative that accepts degenerate rows."""
-        return ConditionsDerivative(self.problem, self._found[0], self.name_of, is_strict=False)
+        return ConditionsDerivative(self.problem, self._found[0], self.data, is_strict=False)
 
     @property
     def degenerate_parts(self) -> list[str]:
         """Names of the parts of the program that are active with multiplier 0."""
         sides = np.where(self._rows.is_upper, "upper", "lower")
-        return [self.name_of(k, sides[k]) for k in self.degenerate.tolist()]
+        return [self.data.name_of(k, sides[k]) for k in self.degenerate.tolist()]
 
     def jvp(self, **changes: Any) -> Vector:
-        """Return the change dz; see :meth:`Derivative.jvp`."""
-        self._require_unique()
+        """Return the change dz; see :meth:`Derivative.jvp`. Only x must have a derivative, in this direction."""
+        if self._part is None:
+            with suppress(UnsuitableProblem):
+                if (dz := self._smooth_change(changes)) is not None:
+                    return dz
+            self._require_unique()
         return super().jvp(**changes)
+
+    def _smooth_change(self, changes: dict[str, Any]) -> Vector | None:
+        """Return dz if x, the first unknowns, has one change in this direction and its negative, else None."""
+        n = self.data.ends[0]
+        if not (self.is_strict and self.degenerate.size):
+            return super().jvp(**changes) if self.determined[:n].all() else None
+        ahead = super().jvp(**changes)
+        back = super().jvp(**{name: -np.asarray(change) for name, change in changes.items()})
+        size = np.maximum(np.abs(ahead), np.abs(back))[:n].max(initial=0.0)
+        is_smooth = np.abs(ahead + back)[:n].max(initial=0.0) <= CONSISTENT * size
+        return ahead if is_smooth else None
 
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
         """Return the gradients; see :meth:`Derivative.vjp`."""
@@ -1184,7 +1196,7 @@ class ConditionsDerivative(Derivative):
             )
         if self._system.is_singular:
             others = np.flatnonzero(~self.determined).tolist()
-            names = listed(map(self.name_of, others)) or "linearly dependent rows"
+            names = listed(map(self.data.name_of, others)) or "linearly dependent rows"
             raise UnsuitableProblem(
                 f"x or its multipliers have several values: {names}; "
                 "make P, or by a ridge AᵀA, definite there, or leave out dependent rows"

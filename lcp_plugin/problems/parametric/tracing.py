@@ -207,7 +207,8 @@ class Line:
         """Return the solution at θ from the unknowns of the complementarity problem and their active set."""
         problem = self.at(theta)
         lower, upper, case = problem.lower, problem.upper, case[: problem.lower.size]
-        held = np.select([case == -1, case == 1], [lower, upper], z[: lower.size])
+        sides, ends = [case == -1, case == 1, case == 2], [lower, upper, np.zeros(lower.size)]
+        held = np.select(sides, ends, z[: lower.size])
         x = read_only(np.clip(held, lower, upper))
         if not isinstance(problem, QuadraticProgram):
             return PathPoint(theta, problem, x, self.tolerance)

@@ -341,3 +341,37 @@ def test_a_penalty_that_begins_at_an_unknown_that_is_0_is_a_kink() -> None:
     np.testing.assert_allclose(found.jvp(dl1=[1.0, 0.0], db=[0.0, 1.0]), [1.0, 1.0])
     with pytest.raises(UnsuitableProblem, match="kink by l1"):
         found.jvp(dl1=1.0)
+
+
+REPEATED = {
+    "a row twice": {"G": [[1.0], [1.0]], "h": [1.0, 1.0]},
+    "a row in another unit": {"G": [[1.0], [2.0]], "h": [1.0, 2.0]},
+    "a row and a bound": {"G": [[1.0]], "h": [1.0], "upper": 1.0},
+}
+
+
+@pytest.mark.parametrize("name", REPEATED)
+def test_constraints_that_are_active_twice_are_kinks_of_their_own_sides_only(name: str) -> None:
+    """Min (x − 2)² with x ≤ 1 stated twice is smooth in c and P, and if both sides move; one alone is a kink."""
+    program = QuadraticProgram([[2.0]], [-4.0], **REPEATED[name])
+    found = derivative(solve(program))
+    assert found.jvp(dc=[1.0], dP=[[1.0]]) == pytest.approx([0.0])
+    both = (
+        {"dupper": 1.0, "dh": [1.0]} if "upper" in REPEATED[name] else {"dh": REPEATED[name]["h"]}
+    )
+    assert found.jvp(**both) == pytest.approx([1.0])
+    assert derivative(solve_batch([program] * 2)).jvp(dc=[1.0]).tolist() == [[0.0], [0.0]]
+    for call in (lambda: found.jvp(dh=np.eye(program.h.size)[0]), lambda: found.vjp([1.0])):
+        with pytest.raises(UnsuitableProblem, match="x has a kink here"):
+            call()
+
+
+def test_repeated_constraints_of_a_controller_leave_x_smooth_in_c() -> None:
+    """Every row of G twice: the derivative by c is that of differences."""
+    rng = np.random.default_rng(0)
+    P, c, dc = np.eye(6) + 0.1, 3 * rng.normal(size=6), rng.normal(size=6)
+    G, h = rng.normal(size=(3, 6)), np.abs(rng.normal(size=3))
+    program = QuadraticProgram(P, c, np.vstack([G, G]), np.append(h, h), lower=-1, upper=1)
+    result, moved = solve(program), solve(program.with_vectors(c=c + STEP * dc))
+    found = derivative(result).jvp(dc=dc)
+    np.testing.assert_allclose(found, (moved.x - result.x) / STEP, atol=1e-6)

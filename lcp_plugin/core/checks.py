@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from functools import cached_property, lru_cache, wraps
 from typing import Any, TypeVar
 
@@ -25,6 +26,7 @@ DENSE_ABOVE_DENSITY = (
 )
 DENSE_UP_TO_SIZE = 5000  # rows: an array of .2 GB
 SHARED_UP_TO = 1000  # entries of bounds that problems share
+MAX_CROSSING = 4.0  # units in the last place by which equal bounds may cross
 INFINITE_LIMIT = 1e20 * (1.0 - 1e-12)  # files may hold 9.999999999999999e19
 
 
@@ -332,7 +334,7 @@ def checked_answer(answer: Any, n: int) -> Vector:
 def checked_bound(values: Any, name: str, n: int) -> Vector:
     """Return a bound as a vector of length n; a number stands for all, ±∞ for none, NaN is rejected."""
     need = f"{name} must be a number or a vector of length {n}"
-    array = real_array(values, need)
+    array = real_array(without_none(values, name), need)
     if array.shape not in ((), (n,)):
         raise InvalidProblem(f"{need}, got shape {array.shape}{_hint_at_vector(array, name, n)}")
     is_nan = np.isnan(array)
@@ -342,6 +344,18 @@ def checked_bound(values: Any, name: str, n: int) -> Vector:
             f"{name} must not hold NaN, but {name}[{where}] = nan; use -inf or inf for no bound"
         )
     return read_only(np.full(n, array))
+
+
+def without_none(values: Any, name: str) -> Any:
+    """Return the values of a bound, named lower… or upper…, with ∓∞ in place of None."""
+    if isinstance(values, np.ndarray) and values.dtype != np.object_:
+        return values
+    with suppress(ValueError):  # no rectangular array
+        array = np.asarray(values)
+        if array.dtype == np.object_ and (is_none := np.equal(array, None)).any():
+            none = -np.inf if name.startswith(("lower", "lb")) else np.inf
+            return np.array(np.where(is_none, none, array).tolist())
+    return values
 
 
 def checked_right_side(
@@ -355,10 +369,18 @@ def checked_right_side(
     return right if says_something.all() else read_only(np.where(says_something, right, np.inf))
 
 
-def replace_huge_bounds_by_inf(lower: Vector, upper: Vector) -> tuple[Vector, Vector]:
-    """Return bounds, of any shape, with −∞ for a lower one of −1e20 or less, and ∞ for an upper one of 1e20 or more."""
+def normalize_bounds(lower: Vector, upper: Vector) -> tuple[Vector, Vector]:
+    """Return bounds, of any shape, with −∞ for a lower one of −1e20 or less, and ∞ for an upper one of 1e20 or more.
+
+    Bounds that cross by at most four units in the last place, as 0.1 · 3 and 0.3, are one value, the lower bound.
+    """
     lower = np.where(lower <= -INFINITE_LIMIT, -np.inf, lower)
-    return read_only(lower), read_only(np.where(upper >= INFINITE_LIMIT, np.inf, upper))
+    upper = np.where(upper >= INFINITE_LIMIT, np.inf, upper)
+    if (crosses := lower > upper).any():
+        with np.errstate(all="ignore"):
+            last_place = np.spacing(np.minimum(np.abs(lower), np.abs(upper)))
+            upper = np.where(crosses & (lower - upper <= MAX_CROSSING * last_place), lower, upper)
+    return read_only(lower), read_only(upper)
 
 
 @lru_cache(16)
@@ -383,7 +405,7 @@ def checked_bounds(
         lower = lower if lower > -INFINITE_LIMIT else -math.inf
         upper = upper if upper < INFINITE_LIMIT else math.inf
         return (_equal_bounds if n <= SHARED_UP_TO else _equal_bounds.__wrapped__)(lower, upper, n)
-    below, above = replace_huge_bounds_by_inf(
+    below, above = normalize_bounds(
         checked_bound(lower, names[0], n), checked_bound(upper, names[1], n)
     )
     is_right = (below <= above) & (below < np.inf) & (above > -np.inf)

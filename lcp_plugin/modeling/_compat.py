@@ -29,7 +29,7 @@ from cvxpy.error import SolverError
 from cvxpy.reductions.eliminate_pwl.canonicalizers import CANON_METHODS
 from numpy.typing import NDArray
 
-from ..core.checks import replace_huge_bounds_by_inf
+from ..core.checks import normalize_bounds
 from ..core.errors import UnsupportedModel
 from ..core.names import UNLABELED, listed
 from ..expressions.rows import uniform
@@ -197,7 +197,7 @@ def attribute_bounds(variable: Any) -> tuple[Any, Any]:
     if given is not None:
         low, high = (bound_value(bound, variable) for bound in given)
         lower, upper = np.maximum(lower, low), np.minimum(upper, high)
-    return replace_huge_bounds_by_inf(lower, upper)
+    return normalize_bounds(lower, upper)
 
 
 def attribute_expressions(variable: Any) -> tuple[Any, Any]:

@@ -11,7 +11,7 @@ from cvxpy.constraints.constraint import Constraint
 from cvxpy.constraints.nonpos import Inequality, NonNeg
 from cvxpy.constraints.zero import Equality, Zero
 
-from ..core.checks import replace_huge_bounds_by_inf
+from ..core.checks import normalize_bounds
 from ..core.errors import UnsupportedModel
 from ..problems.cones.frictional_contact import dimension_of
 from ._compat import attribute_bounds, bound_value
@@ -62,7 +62,7 @@ class Side:
         """Return the bounds in the side's own shape: of a box, of an inequality, or of the variable's attributes."""
         shape, lower, upper = self.expression.shape, -np.inf, np.inf  # type: Any, Any, Any
         if self.kind == "box":
-            lower, upper = replace_huge_bounds_by_inf(
+            lower, upper = normalize_bounds(
                 bound_value(self.lower, self), bound_value(self.upper, self)
             )
         elif self.kind == "nonnegative":

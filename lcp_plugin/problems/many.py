@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import real_array
+from ..core.checks import real_array, without_none
 from ..core.errors import InvalidProblem, LCPError, NotConverged
 from ..core.kernels.threads import MAX_THREADS, shared_among
 from ..core.names import format_count
@@ -138,7 +138,7 @@ def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
     is_bound = name in ("lower", "upper", "dlower", "dupper")
     size = {"h": "m", "b": "p"}.get(name, "n")
     need = f"{name} must have shape (B, {size}) or ({size},), {size} = {n}{', or be a number' if is_bound else ''}"
-    array = real_array(values, need)
+    array = real_array(without_none(values, name) if is_bound else values, need)
     if array.ndim == 0 and is_bound:
         array = np.full(n, float(array))
     if array.ndim not in (1, 2) or array.shape[-1] != n:

@@ -18,12 +18,17 @@ from tools.refusals import BUILTIN_BASE, assert_refused, refusals
 
 from lcp_plugin import (
     LCP,
+    BoundedLeastSquares,
+    InvalidProblem,
+    NonlinearProblem,
     QuadraticProgram,
+    UnsupportedModel,
     algorithms,
     convergence_guarantee,
     error_bound,
     gallery,
     solve,
+    solve_batch,
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem
@@ -419,3 +424,39 @@ def test_rows_on_ranks_without_mpi4py(monkeypatch: pytest.MonkeyPatch) -> None:
     assert LCP.from_petsc.__doc__ is not None
     with pytest.raises(InvalidOption, match="pip install mpi4py mpich"):
         LCP.from_rows(None, sp.eye_array(2), np.zeros(2))
+
+
+BUILDERS = {
+    "LCP": lambda **bounds: LCP(np.eye(2), [1.0, 1.0], **bounds),
+    "QuadraticProgram": lambda **bounds: QuadraticProgram(np.eye(2), [1.0, 1.0], **bounds),
+    "BoundedLeastSquares": lambda **bounds: BoundedLeastSquares(np.eye(2), [1.0, 1.0], **bounds),
+    "NonlinearProblem": lambda **bounds: NonlinearProblem(
+        lambda x: x, lambda x: np.eye(2), **bounds
+    ),
+    "batch": lambda **bounds: (
+        solve_batch(np.eye(2), [[1.0, 1.0]] * 2, **bounds)[0].certificate.problem
+    ),
+}
+
+
+def test_bounds_that_cross_by_rounding_are_one_value_and_none_is_no_bound() -> None:
+    """0.1 · 3 and 0.3 are one value in every class; 1e-9 above is refused; None means what scipy means by it."""
+    for build in BUILDERS.values():
+        crossed = build(lower=0.1 * 3, upper=[0.3, 1.0])
+        assert crossed.upper.tolist() == [crossed.lower[0], 1.0]
+        opened = build(lower=[0.0, None], upper=[None, 3.0])
+        assert (opened.lower.tolist(), opened.upper.tolist()) == ([0.0, -np.inf], [np.inf, 3.0])
+    for build in [*BUILDERS.values()][:3]:
+        with pytest.raises(InvalidProblem, match="lower ≤ upper"):
+            build(lower=0.3 + 1e-9, upper=0.3)
+
+
+def test_a_program_that_is_not_convex_is_told_to_bound_its_unknowns_first() -> None:
+    """The search for a global minimum needs bounds; with them the message names the search alone."""
+    P = [[1.0, -2.0], [-2.0, 1.0]]
+    with pytest.raises(
+        UnsupportedModel, match=r"give x\[0\], x\[1\] finite bounds, then solve Equ"
+    ):
+        solve(QuadraticProgram(P, [0.0, 0.0]))
+    with pytest.raises(UnsupportedModel, match="minimum; solve Equ"):
+        solve(QuadraticProgram(P, [0.0, 0.0], lower=0, upper=1))

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from ... import __version__
 from ...core.certificates.residuals import WorstRow, outside_row
-from ...core.checks import BoolVector, Vector
+from ...core.checks import BoolVector, Vector, normalize_bounds
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.lcp import LCP
 from ...core.names import format_count
@@ -493,7 +493,7 @@ class FileStatement:
 
     def _check_crossed(self, call: Callable[[int], str], low: Vector, high: Vector) -> None:
         """Raise if a lower bound is above an upper bound."""
-        crossed = np.flatnonzero(low > high)
+        crossed = np.flatnonzero(low > normalize_bounds(low, high)[1])
         if crossed.size:
             k = int(crossed[0])
             raise UnsupportedModel(

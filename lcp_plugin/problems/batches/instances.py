@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import checked_start, read_only, real_array, replace_huge_bounds_by_inf
+from ...core.checks import checked_start, normalize_bounds, read_only, real_array
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...methods.small import (
@@ -257,7 +257,7 @@ class Rows(Instances):
 
     def __init__(self, named: dict[str, tuple[Any, int]], counts: dict[str, int]) -> None:
         rows = {name: rows_of_a_batch(values, name, n) for name, (values, n) in named.items()}
-        rows["lower"], rows["upper"] = replace_huge_bounds_by_inf(rows["lower"], rows["upper"])
+        rows["lower"], rows["upper"] = normalize_bounds(rows["lower"], rows["upper"])
         several = {name: len(one) for name, one in rows.items() if np.ndim(named[name][0]) == 2}
         self.rows, self.count = rows, length_of_all(several | counts)
         if "z0" in rows and not np.isfinite(rows["z0"]).all():

@@ -19,7 +19,15 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import Vector, checked_bounds, checked_vector, is_number, read_only, real_array
+from ...core.checks import (
+    Vector,
+    checked_bounds,
+    checked_vector,
+    is_number,
+    read_only,
+    real_array,
+    without_none,
+)
 from ...core.deadline import seconds_left
 from ...core.errors import InvalidProblem, did_you_mean
 from ...core.files import MATRIX_KEYS, save_arrays
@@ -205,7 +213,10 @@ class ConeProblem(Blocks):
 def _box(bounds: Sequence[Any], name: str) -> tuple[Vector, Vector]:
     """Return lower and upper bounds of each row of a box; raise InvalidProblem for other shapes."""
     need = f"lower and upper of {name} must be real numbers or vectors of the box's rows"
-    low, high = (np.atleast_1d(real_array(bound, need)) for bound in bounds)
+    low, high = (
+        np.atleast_1d(real_array(without_none(bound, side), need))
+        for bound, side in zip(bounds, ("lower", "upper"), strict=True)
+    )
     if max(low.ndim, high.ndim) > 1 or len({low.size, high.size} - {1}) > 1:
         raise InvalidProblem(
             f"{need}, got shapes {low.shape} and {high.shape}; write np.ravel(lower), np.ravel(upper) of one length"

@@ -248,8 +248,8 @@ class ProgramDerivative:
     The data are P, c, G, h, A, b, lower and upper of a program, and A, b, lower, upper, l1, weights and ridge of least
     squares. Only the symmetric part of a change of P matters. If x or the multipliers of the active rows are not
     unique, or if a part of the program is active with multiplier 0, no gradient exists: `vjp` raises UnsuitableProblem,
-    which names this part, and so does `jvp` in directions in which x has a kink. In a batch these problems have NaN, and an entry in `errors`. For
-    multipliers, differentiate the LCP: ``derivative(solve(LCP.from_qp(…)))``.
+    which names this part, and so does `jvp` in directions in which x has a kink. In a batch these problems have NaN,
+    and an entry in `errors`. For multipliers, differentiate the LCP: ``derivative(solve(LCP.from_qp(…)))``.
 
     Examples
     --------

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, repeat
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze_csr, read_only
 from ...core.errors import UnsupportedModel
 from ...core.matrix import Matrix, largest_in_rows, largest_products
+from ...core.names import listed
 from ...core.rounding import compensated_product, upper_end
 from ...core.settings import Status
 from ...proofs.exact import Row, like, rational_rows
@@ -569,6 +570,9 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
                 "if P is rounded, replace it by the nearest semidefinite matrix: w, V = numpy.linalg.eigh(P); "
                 "P = V * w.clip(0) @ V.T; otherwise "
             )
+    if (open_ones := np.flatnonzero(upper - lower == np.inf)).size:  # the search needs them
+        names = listed(map(program.names.unknown, open_ones.tolist(), repeat("x[{}]")))
+        repair += f"without bounds it may fall forever: give {names} finite bounds, then "
     raise UnsupportedModel(
         f"the program is not convex: {shown}, so that a stationary point need not be a minimum; {repair}solve "
         "EquilibriumProgram(program, [], []), which searches for the global minimum with SCIP (pip install pyscipopt)"

@@ -207,8 +207,8 @@ ConeProblem(np.eye(4), -np.ones(4), [('box', np.zeros((2, 2)), np.ones((2, 2)))]
     → shapes \(2, 2\) and \(2, 2\); write np.ravel\(lower\)
 ConeProblem(np.eye(4), -np.ones(4), [('box', np.zeros(2), np.ones(3))])
     → shapes \(2,\) and \(3,\); write .* of one length
-ConeProblem(np.eye(4), -np.ones(4), [('box', None, 1.0)])
-    → lower and upper of cones\[0\] must be real numbers or vectors of the box's rows, got None
+ConeProblem(np.eye(4), -np.ones(4), [('box', 'low', 1.0)])
+    → lower and upper of cones\[0\] must be real numbers or vectors of the box's rows, got text entries
 ConeProblem(np.eye(4), -np.ones(4), [('box', np.full(4, np.nan), 1.0)]) → lower of cones\[0\] must not hold NaN
 ConeProblem(np.eye(4), -np.ones(4), [('second_order', np.inf)]) → must name an integer of rows
 """)

@@ -352,7 +352,7 @@ def without_none(values: Any, name: str) -> Any:
         return values
     with suppress(ValueError):  # no rectangular array
         array = np.asarray(values)
-        if array.dtype == np.object_ and (is_none := np.equal(array, None)).any():
+        if array.dtype == np.object_ and (is_none := (array == np.array(None))).any():
             none = -np.inf if name.startswith(("lower", "lb")) else np.inf
             return np.array(np.where(is_none, none, array).tolist())
     return values

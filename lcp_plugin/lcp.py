@@ -82,6 +82,7 @@ def from_contacts(
     *,
     gaps: ArrayLike | None = None,
     time_step: float | None = None,
+    equations: Any = 0,
 ) -> LCP:
     """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
 
@@ -100,14 +101,17 @@ def from_contacts(
         Distances at the beginning of the step, in m. Add none to `velocities`.
     time_step : float, optional
         Length of the step in s, required with `gaps`: a contact may close by gap / time step.
+    equations : int, or array, shape (p, v), with a mass matrix
+        Hinges, motors, loops, as of :class:`lcp_plugin.FrictionalContact`.
 
     Raises
     ------
     InvalidProblem
         As `contact_data`.
     """
-    given = contact_data(contacts, friction, velocities, directions, gaps=gaps, time_step=time_step)
-    return LCP(*given.arrays).with_origin(given)
+    how: Any = {"gaps": gaps, "time_step": time_step, "equations": equations}
+    given = contact_data(contacts, friction, velocities, directions, **how)
+    return LCP(*given.arrays, lower=given.lower).with_origin(given)
 
 
 def load(path: str | PathLike[str]) -> LCP:

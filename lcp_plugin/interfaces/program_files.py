@@ -320,7 +320,7 @@ def _contacts(source: Path, name: str, group: Any) -> FrictionalContact:
     if equations := {"V", "R", "G"} & group.keys():
         raise UnsupportedModel(
             f"{source} has equations in addition to its contacts ({name}/{min(equations)}), which are not read; "
-            "eliminate their unknowns, and give FrictionalContact(W, b, friction)"
+            "give FrictionalContact(W, b, friction, equations=p), the p equations as the last rows of W and b"
         )
     vectors, is_local = group["vectors"], name == "fclib_local"
     offset, friction = _vector(vectors, "q" if is_local else "w"), _vector(vectors, "mu")
@@ -422,7 +422,7 @@ LAYOUTS = {
     "FrictionalContact": Layout(
         FrictionalContact,
         _contact,
-        _named("W=W,M b=b,q friction=mu,friction contacts dimension"),
+        _named("W=W,M b=b,q friction=mu,friction contacts dimension equations"),
         ("W", "b", "friction"),
         "a FrictionalContact holds W (or the CSR arrays data, indices, indptr, shape), b (or q), mu (or friction); "
         "many worlds have an axis in front, and contacts if these differ in size",
@@ -451,7 +451,7 @@ LAYOUTS = {
     ),
 }
 #: Arguments that may be one number, of all rows.
-NUMBERS = {"lower", "upper", "l", "u", "l1", "ridge", "constant", "dimension"}
+NUMBERS = {"lower", "upper", "l", "u", "l1", "ridge", "constant", "dimension", "equations"}
 
 
 def layout_of(source: Path) -> str:

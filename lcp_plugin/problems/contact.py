@@ -69,6 +69,8 @@ class ContactMotion:
     body_velocities : ndarray, shape (v,), or None
         Body velocities after the impulses, u + m⁻¹ Jᵀ impulses. None if the contacts were built without a mass matrix
         and the bodies' velocities u, and for ``problem.with_q(q)``, whose q does not determine u.
+    equations : ndarray, shape (p,)
+        Impulses of the equations, of either sign: of hinges, motors, loops.
     """
 
     normal: FloatArray
@@ -78,19 +80,23 @@ class ContactMotion:
     touches: NDArray[np.bool_]
     sticks: NDArray[np.bool_]
     body_velocities: FloatArray | None = None
+    equations: FloatArray | None = None
 
 
-def motion_of(r: Any, u: Any, given: Any, after: Any = None) -> ContactMotion:
-    """Return impulses r and velocities u, shape (…, k, d) each, as a motion; `given`: velocities without them."""
+def motion_of(r: Any, u: Any, given: Any, d: int, p: int = 0, after: Any = None) -> ContactMotion:
+    """Return impulses r and velocities u, shape (…, d k + p) each, as a motion; `given`: velocities without them."""
+    r, of_equations = np.split(r, [r.shape[-1] - p], axis=-1)
+    r, u = (one.reshape(*one.shape[:-1], -1, d) for one in (r, u[..., : r.shape[-1]]))
     still = 1e-8 * np.abs(given).max(axis=-1, initial=0.0)[..., np.newaxis]  # what is slower sticks
     with np.errstate(all="ignore"):
         touches, speeds = r[..., 0] > 0.0, np.hypot.reduce(np.abs(u[..., 1:]), axis=-1)
     sticks = touches & (speeds <= still)
-    return ContactMotion(r[..., 0], r[..., 1:], u[..., 0], u[..., 1:], touches, sticks, after)
+    motion = r[..., 0], r[..., 1:], u[..., 0], u[..., 1:], touches, sticks
+    return ContactMotion(*motion, after, of_equations)
 
 
 class Bodies(NamedTuple):
-    """The bodies behind contacts: mass and its inverse, (v, v), rows J, (d k, v), dense or CSR, and velocities.
+    """The bodies behind contacts: mass and its inverse, (v, v), rows J, (d k + p, v), dense or CSR, and velocities.
 
     The velocities have shape (v,); None if not given.
     """
@@ -99,9 +105,10 @@ class Bodies(NamedTuple):
     inverse: Any
     rows: Any
     velocities: FloatArray | None
+    dimension: int
 
     def velocities_after(self, impulses: FloatArray) -> FloatArray | None:
-        """Return the velocities after impulses of all rows, shape (d k,); None without the velocities before."""
+        """Return the velocities after impulses of all rows; None without the velocities before."""
         if self.velocities is None:
             return None
         return self.velocities + self.inverse @ (self.rows.T @ impulses)
@@ -113,8 +120,8 @@ class Contacts:
 
     Attributes
     ----------
-    W : ndarray, shape (d k, d k)
-        Velocities by impulses, d = 1 + t rows per contact: its normal, then its tangents; in 1/kg.
+    W : ndarray, shape (d k + p, d k + p)
+        Velocities by impulses, d = 1 + t rows per contact: its normal, then its tangents; in 1/kg. Equations are last.
     friction : ndarray, shape (k,)
     velocities : ndarray, shape (k, d)
         Without the impulses, in m/s.
@@ -124,6 +131,8 @@ class Contacts:
         Normal velocities that close the gaps within the step, in m/s.
     bodies : Bodies or None
         The mass matrix, normals and tangents, if W was built from them.
+    equations : ndarray, shape (p,)
+        Velocities of the equations without the impulses.
     """
 
     W: FloatArray = field(repr=False)
@@ -132,27 +141,43 @@ class Contacts:
     edges: FloatArray = field(repr=False)
     closing: FloatArray = field(repr=False)
     bodies: Bodies | None = field(default=None, repr=False)
+    equations: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray]:
-        """M, shape (n, n), and q, shape (n,), n = k (m + 2)."""
-        k, d, m = *self.velocities.shape, len(self.edges)
-        each = np.vstack([np.eye(1, d), np.column_stack([np.zeros(m), self.edges])])
-        blocks = (each @ self.W.reshape(k, d, k * d)).reshape(-1, k, d) @ each.T
-        moving = self.velocities.copy()
-        moving[:, 0] += self.closing
+        """M, shape (n, n), and q, shape (n,), n = k (m + 2) + p."""
+        (m, t), k, p = self.edges.shape, self.friction.size, self.equations.size
+        each = np.vstack([np.eye(1, 1 + t), np.column_stack([np.zeros(m), self.edges])])
         # contact by contact; normals come first in M
         order = np.arange(k * (1 + m)).reshape(k, 1 + m)
         order = np.concatenate([order[:, 0], order[:, 1:].ravel()])
-        n = k * (m + 2)
-        M, q = np.zeros((n, n)), np.zeros(n)
-        M[: order.size, : order.size] = blocks.reshape(order.size, order.size)[order][:, order]
-        q[: order.size] = (moving @ each.T).ravel()[order]
+
+        def by_edges(x: FloatArray) -> FloatArray:
+            """Return rows of normals and edges in place of normals and tangents."""
+            of_contacts = each @ x[: len(x) - p].reshape(k, 1 + t, -1)
+            return np.concatenate([of_contacts.reshape(order.size, -1)[order], x[len(x) - p :]])
+
+        moving = self.velocities.copy()
+        moving[:, 0] += self.closing
+        n = k * (m + 2) + p
+        M, q, own = (
+            np.zeros((n, n)),
+            np.zeros(n),
+            np.append(np.arange(order.size), np.arange(n - p, n)),
+        )
+        M[np.ix_(own, own)] = by_edges(by_edges(self.W).T).T
+        q[own] = by_edges(np.append(moving, self.equations)[:, np.newaxis])[:, 0]
         contact, edge = np.arange(k), np.arange(k, k * (1 + m))
-        M[edge, n - k + (edge - k) // m] = 1.0
-        M[n - k + (edge - k) // m, edge] = -1.0
-        M[n - k + contact, contact] = self.friction
+        steepest = order.size + (edge - k) // m
+        M[edge, steepest], M[steepest, edge] = 1.0, -1.0
+        M[order.size + contact, contact] = self.friction
         return M, q
+
+    @property
+    def lower(self) -> FloatArray:
+        """Lower bounds of the unknowns, −∞ of the impulses of equations."""
+        of_contacts = np.zeros(self.friction.size * (len(self.edges) + 2))
+        return np.append(of_contacts, np.full(self.equations.size, -np.inf))
 
     def recover(self, answer: Any) -> ContactMotion:
         """Return the impulses and velocities that an answer of the complementarity problem stands for.
@@ -167,26 +192,29 @@ class Contacts:
         InvalidProblem
             For another shape.
         """
-        k, m = len(self.velocities), len(self.edges)
-        need = f"z must have shape ({k * (m + 2)},), of one result at a time"
+        (m, t), k, p = self.edges.shape, self.friction.size, self.equations.size
+        n = k * (m + 2) + p
+        need = f"z must have shape ({n},), of one result at a time"
         z = real_array(getattr(answer, "z", answer), need)
-        if z.shape != (k * (m + 2),):
+        if z.shape != (n,):
             raise InvalidProblem(f"{need}, got {z.shape}")
-        impulses = np.column_stack([z[:k], z[k : k * (1 + m)].reshape(k, m) @ self.edges])
-        given, bodies, after = self._velocities_of(answer), self.bodies, None
-        moved = (self.W @ impulses.ravel()).reshape(impulses.shape) + given
-        if bodies is not None and given is self.velocities:
-            after = bodies.velocities_after(impulses.ravel())
-        return motion_of(impulses, moved, given.ravel(), after)
+        contacts = np.column_stack([z[:k], z[k : k * (1 + m)].reshape(k, m) @ self.edges])
+        impulses = np.append(contacts, z[n - p :])
+        given, bodies = self._velocities_of(answer), self.bodies
+        is_own = given is self.velocities
+        given = np.append(given, self.equations) if is_own else given
+        after = bodies.velocities_after(impulses) if bodies is not None and is_own else None
+        return motion_of(impulses, self.W @ impulses + given, given, 1 + t, p, after)
 
     def _velocities_of(self, answer: Any) -> FloatArray:
         """Return the velocities without impulses, of the problem that a Result answers where that has another q."""
         problem = answer.certificate.problem if isinstance(answer, Result) else None
         if problem is None or problem.origin is self:
             return self.velocities
-        k, along_edges = len(self.velocities), np.linalg.pinv(self.edges)
-        tangential = problem.q[k : -k or None].reshape(k, -1) @ along_edges.T
-        return np.column_stack([problem.q[:k] - self.closing, tangential])
+        k, q, along_edges = self.friction.size, problem.q, np.linalg.pinv(self.edges)
+        tangential = q[k : k * (1 + len(self.edges))].reshape(k, -1) @ along_edges.T
+        contacts = np.column_stack([q[:k] - self.closing, tangential])
+        return np.append(contacts, q[q.size - self.equations.size :])
 
 
 def contact_data(
@@ -197,8 +225,9 @@ def contact_data(
     *,
     gaps: ArrayLike | None = None,
     time_step: float | None = None,
+    equations: Any = 0,
 ) -> Contacts:
-    """Return contacts with friction, checked; ``LCP(*data.arrays)`` is their problem, ``data.recover`` leads back.
+    """Return contacts with friction, checked; ``LCP(*data.arrays, lower=data.lower)`` is their problem.
 
     Parameters
     ----------
@@ -222,10 +251,13 @@ def contact_data(
         nothing to `velocities` yourself.
     time_step : float, optional
         In s, > 0.
+    equations : int, or array, shape (p, v), with a mass matrix
+        As of :class:`lcp_plugin.FrictionalContact`; then velocities have the shape (d k + p,), or (v,).
 
     Returns
     -------
     Contacts
+        ``data.recover(result)`` returns the motion.
 
     Raises
     ------
@@ -260,22 +292,43 @@ def contact_data(
     need = "velocities must be a finite array of shape (k, d), d = 3 in space and 2 in the plane"
     given, bodies = _array(velocities, need), None
     if is_of_bodies(contacts):
-        W, given, bodies = contacts_of_bodies(contacts, given)
-        W = W.toarray() if sp.issparse(W) else W
+        W, given, bodies, equations = contacts_of_bodies(contacts, given, equations)
+        W, d = W.toarray() if sp.issparse(W) else W, bodies.dimension
     else:
         W = _array(contacts, "W must be a finite, symmetric array of shape (d k, d k)")
         check_symmetric(W, "W")
-    if given.ndim != 2 or given.shape[1] not in (2, 3) or given.size != len(W):
-        d = given.shape[-1] if given.ndim else 0
-        d = d if d in (2, 3) else 3 if len(W) % 3 == 0 else 2
-        raise InvalidProblem(
-            f"velocities must have shape ({len(W) // d}, {d}), one row (normal, tangents) per contact of W, got shape "
-            f"{given.shape}; the order is LCP.from_contacts(contacts, friction, velocities)"
-        )
-    k, d = given.shape
+        p = checked_count(equations)
+        d = given.shape[1] if given.ndim == 2 else 0
+        if p:  # the rows of a contact follow from the number of coefficients
+            d = (given.size - p) // max(np.size(friction), 1) if np.ndim(friction) else 0
+        if d not in (2, 3) or given.size != len(W) or (given.size - p) % d:
+            d = d if d in (2, 3) else 3 if (len(W) - p) % 3 == 0 else 2
+            need = f"({len(W) // d}, {d}), one row (normal, tangents) per contact of W"
+            need = f"({len(W)},), and friction one number per contact" if p else need
+            raise InvalidProblem(
+                f"velocities must have shape {need}, got shape "
+                f"{given.shape}; the order is LCP.from_contacts(contacts, friction, velocities)"
+            )
+    given, of_equations = np.split(given.ravel(), [given.size - equations])
+    k = given.size // d
     mu, edges = checked_friction(friction, k), _edges(d - 1, directions)
     warn_of_much_friction(mu, 4)
-    return Contacts(W, mu, given, edges, closing_speeds(gaps, time_step, k), bodies)
+    closing = closing_speeds(gaps, time_step, k)
+    return Contacts(W, mu, given.reshape(k, d), edges, closing, bodies, of_equations)
+
+
+def checked_count(equations: Any) -> int:
+    """Return the number of equations, which are the last rows."""
+    is_whole = isinstance(equations, (int, np.integer)) and not isinstance(equations, bool)
+    if not is_whole or equations < 0:
+        given = (
+            f"an array of shape {np.shape(equations)}" if np.ndim(equations) else repr(equations)
+        )
+        raise InvalidProblem(
+            f"equations must be the number p of equations, the last rows of W, got {given}; rows for the velocities of "
+            "bodies belong to (mass matrix, normals, tangents)"
+        )
+    return int(equations)
 
 
 def checked_friction(friction: ArrayLike, k: int, need: str = "one a contact") -> FloatArray:
@@ -334,17 +387,25 @@ def warn_of_much_friction(friction: FloatArray, level: int) -> None:
     )
 
 
-def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, FloatArray, Bodies]:
-    """Return W, the contacts' velocities, shape (k, d), and the bodies, from (mass matrix, normals, tangents).
+def contacts_of_bodies(
+    contacts: Any, velocities: FloatArray, equations: Any = 0
+) -> tuple[Any, FloatArray, Bodies, int]:
+    """Return W, the velocities of its rows, the bodies, and the number of equations, from (mass, normals, tangents).
 
     All matrices are dense if those given are, and small; otherwise CSR, and the mass matrix is inverted component by
-    component. `velocities` has shape (v,), or (k, d) of the contacts.
+    component. `velocities` has shape (v,), or (k, d) of the contacts, or (d k + p,) of contacts and p equations.
     """
     if len(contacts) != 3:
         raise InvalidProblem(
             f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays"
         )
-    names, flat = ("the mass matrix", "normals", "tangents"), list(contacts)
+    names, flat = ["the mass matrix", "normals", "tangents", "equations"], list(contacts)
+    if np.ndim(equations) < 2 and not (np.ndim(equations) == 0 and equations == 0):
+        raise InvalidProblem(
+            f"equations of bodies must be an array of shape (p, {np.shape(flat[0])[-1]}), got {equations!r:.60}; write "
+            "a single row as [[…]]"
+        )
+    flat.append(equations if np.ndim(equations) else np.zeros((0, np.shape(flat[0])[-1])))
     if np.ndim(flat[2]) == 3:
         flat[2] = np.reshape(flat[2], (-1, np.shape(flat[2])[-1]))
     parts = [rectangular_matrix(*part, None, None) for part in zip(flat, names, strict=True)]
@@ -353,13 +414,15 @@ def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, Floa
     if is_sparse:
         pairs = zip(parts, names, strict=True)
         parts = [canonical_csr(sp.csr_array(part), name) for part, name in pairs]
-    mass, normals, tangents = parts
-    v, k = mass.shape[1], normals.shape[0]
+    mass, normals, tangents, joints = parts
+    v, k, p = mass.shape[1], normals.shape[0], joints.shape[0]
     check_symmetric(mass, "the mass matrix")
     if normals.shape[1] != v:
         raise InvalidProblem(
             f"normals must have shape (k, {v}), {v} the size of the mass matrix, got {normals.shape}"
         )
+    if joints.shape[1] != v:
+        raise InvalidProblem(f"equations must have shape (p, {v}), got {joints.shape}")
     t = tangents.shape[0] // max(k, 1)
     shape = np.shape(contacts[2])
     is_of_others = len(shape) == 3 and shape[0] != k
@@ -368,21 +431,27 @@ def contacts_of_bodies(contacts: Any, velocities: FloatArray) -> tuple[Any, Floa
             f"tangents must have shape (k, t, {v}) or (t k, {v}), t = 2 in space and 1 in the plane, the t of a "
             f"contact one after the other, k = {k} as of the normals; got {shape}"
         )
-    J: Any = sp.vstack([normals, tangents], format="csr") if is_sparse else np.vstack(parts[1:])
+    J: Any = sp.vstack(parts[1:], format="csr") if is_sparse else np.vstack(parts[1:])
     tangent = k + np.arange(t * k).reshape(k, t)
-    J = J[np.concatenate([np.arange(k)[:, None], tangent], axis=1).ravel()]
-    _check_directions(J, mass, 1 + t)
+    order = np.concatenate([np.arange(k)[:, None], tangent], axis=1).ravel()
+    _check_directions(J[order], mass, 1 + t)
+    J = J[np.append(order, np.arange(order.size, order.size + p))]
     inverse, own = inverse_by_components(mass), None
     W = J @ inverse @ J.T
     if velocities.shape == (v,):
         own = checked_vector(velocities, "velocities", v)
-        velocities = (J @ own).reshape(k, 1 + t)
-    elif velocities.ndim == 1:
+        velocities = J @ own
+    elif velocities.shape != ((order.size + p,) if p else (k, 1 + t)):
+        rows = (
+            f"({order.size + p},), of contacts and equations"
+            if p
+            else f"({k}, {1 + t}), of the contacts"
+        )
         raise InvalidProblem(
-            f"velocities must have shape ({v},), of the bodies, or ({k}, {1 + t}), of the contacts, got "
+            f"velocities must have shape ({v},), of the bodies, or {rows}, got "
             f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}"
         )
-    return 0.5 * (W + W.T), velocities, Bodies(mass, inverse, J, own)
+    return 0.5 * (W + W.T), velocities.ravel(), Bodies(mass, inverse, J, own, 1 + t), p
 
 
 def inverse_by_components(mass: Any) -> Any:

@@ -615,14 +615,17 @@ class _Together(StackDerivative):
 
     def changes(self, change: Any, slopes: Any) -> list[Any]:
         """Return [dz], a row per instance, for changes of W z + b and friction; NaN at a kink."""
-        more = self.by_friction * np.repeat(slopes, self.stack.pattern.sizes, axis=1)
+        sizes = self.stack.pattern.sizes
+        slopes = np.pad(slopes, ((0, 0), (0, sizes.size - slopes.shape[1])))  # equations have none
+        more = self.by_friction * np.repeat(slopes, sizes, axis=1)
         dz = self.tangent(change, None, more)
         dz[self.degenerate.any(axis=1)] = np.nan
         return [dz]
 
     def gradients(self, g: Any, by_w: Any) -> Any:
         """Return the gradients by q and friction."""
-        return super().gradients(g, by_w)[::2]
+        by_q, _, by_friction = super().gradients(g, by_w)
+        return by_q, by_friction[:, : np.count_nonzero(self.stack.pattern.sizes > 1)]
 
     def _solve_free(self, right: Any, *, transposed: bool = False) -> Any:
         return self.system.solve(right, transposed=transposed)
@@ -716,9 +719,9 @@ class ContactBatchDerivative(ManyDerivatives):
 
     def _is_there(self, name: str) -> Any:
         """Return the mask of the rows, or contacts, of solved instances."""
-        d = 1 if name.endswith("friction") else self.worlds.dimension
-        counts = np.where(self._is_solved, d * self.worlds.contacts, 0)
-        return np.arange(d * self.worlds.friction.shape[1]) < counts[:, np.newaxis]
+        worlds, is_mu = self.worlds, name.endswith("friction")
+        counts = np.where(self._is_solved, worlds.contacts if is_mu else worlds.sizes, 0)
+        return np.arange(worlds.friction.shape[1] if is_mu else worlds.n) < counts[:, np.newaxis]
 
 
 SINGULAR = "M is singular on the free rows, too many for a generalised inverse; regularise M"

@@ -309,7 +309,8 @@ class ContactLayer(Layer):
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         W, b, friction = data
-        of_worlds = {name: options.get(name) for name in ("contacts", "dimension")}
+        own = options.keys() & {"contacts", "dimension", "equations"}
+        of_worlds = {name: options[name] for name in own}
         others = {name: wish for name, wish in options.items() if name not in of_worlds}
         b = stacked(b, axes, b.shape[-1:])
         friction = stacked(friction, axes, friction.shape[-1:]) if friction.ndim else friction

@@ -146,8 +146,8 @@ def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **option
     mask : bool
         As in `lcp_layer`.
     **options
-        ``contacts`` and ``dimension`` of :class:`lcp_plugin.FrictionalContact`; ``tolerance``, ``max_seconds``,
-        ``threads`` of :func:`lcp_plugin.solve_batch`.
+        ``contacts``, ``dimension``, ``equations`` of :class:`lcp_plugin.FrictionalContact`; ``tolerance``,
+        ``max_seconds``, ``threads`` of :func:`lcp_plugin.solve_batch`.
 
     Returns
     -------

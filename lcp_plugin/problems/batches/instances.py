@@ -441,7 +441,7 @@ class Worlds(Instances):
         given = real_array(np.zeros(n) if z0 is None else z0, need)
         if given.shape not in (shape, (n,)) or not np.isfinite(given).all():
             raise InvalidOption(f"{need}, and be finite, got shape {given.shape}")
-        is_there = np.arange(n) < contacts.dimension * contacts.contacts[:, np.newaxis]
+        is_there = np.arange(n) < contacts.sizes[:, np.newaxis]
         self.starts = np.where(is_there, given, 0.0)
 
     @property
@@ -457,8 +457,7 @@ class Worlds(Instances):
 
     def start(self, k: int) -> Any:
         """Return the start of instance k, or None."""
-        size = self.worlds.dimension * int(self.worlds.contacts[k])
-        return self.starts[k, :size] if self.is_warm else None
+        return self.starts[k, : self.worlds.sizes[k]] if self.is_warm else None
 
     def slacks(self, z: Any) -> Any:
         """Return velocities after the impulses, shape (B, n)."""
@@ -466,14 +465,13 @@ class Worlds(Instances):
 
     def data(self, W: Any, b: Any, friction: Any) -> tuple[Any, ...]:
         """Return the arguments of `stack_of` for instances with these data."""
-        starts = np.arange(0, self.worlds.n + 1, self.worlds.dimension)
-        none = np.zeros((1, b.shape[1]))
-        return True, starts, W, b, friction, none, none
+        d, n, p = self.worlds.dimension, self.worlds.n, self.worlds.equations
+        starts, none = np.r_[: n - p : d, n - p : n + 1], np.full((1, n), np.inf)
+        return True, starts, W, b, np.pad(friction, ((0, 0), (0, p))), -none, none
 
     def motion(self, z: Any, w: Any) -> Any:
         """Return impulses and velocities contact by contact."""
-        shape = len(self), -1, self.worlds.dimension
-        return motion_of(z.reshape(shape), w.reshape(shape), self.worlds.b)
+        return motion_of(z, w, self.worlds.b, self.worlds.dimension, self.worlds.equations)
 
     def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
         """Yield stacks of small instances."""

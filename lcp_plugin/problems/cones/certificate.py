@@ -78,7 +78,8 @@ class ConeRows(RowData):
         self.is_cone = pattern.sizes[of_row] > 1
         if stack.has_friction:
             self.is_cone[first] = False
-            lower, upper = np.where(self.is_cone, -np.inf, 0.0), np.full(pattern.n, np.inf)
+            is_free = self.is_cone | pattern.is_row[of_row]  # rows are equations
+            lower, upper = np.where(is_free, -np.inf, 0.0), np.full(pattern.n, np.inf)
         else:
             lower, upper = self._by_rows(stack.low), self._by_rows(stack.high)
         self._first = int(stack.has_friction)  # row of a block that belongs to the law of its cone
@@ -246,7 +247,13 @@ def bound_residuals(stack: ConeStack, z: Array, tolerance: float) -> Array:
     w, products = stack.slack(z), stack.pattern.times(z, absolute=True)
     terms, margin = products + np.abs(stack.q), 4.0 * (stack.pattern.n + 8) * EPSILON
     d, at, tangents, push, drift = stack.d, z[..., 0], z[..., 1:], w[..., 0], w[..., 1:]
-    size, presses, radius, tangent = terms[..., 0], at > 0.0, stack.mu * at, length(tangents)
+    size, is_row, radius, tangent = (
+        terms[..., 0],
+        stack.pattern.is_row,
+        stack.mu * at,
+        length(tangents),
+    )
+    presses = (at > 0.0) | is_row
     beyond, along = tangents - drift / d[..., None], (drift * tangents).sum(-1)
     edge = np.minimum(radius / np.maximum(length(beyond), NORMAL), 1.0)[..., None] * beyond
     along = np.where(tangent >= (1.0 - AT_ROUNDING) * radius, np.minimum(along, 0.0), 0.0)
@@ -254,9 +261,10 @@ def bound_residuals(stack: ConeStack, z: Array, tolerance: float) -> Array:
     of_disk = length(terms[..., 1:])
     is_right = np.where(presses, np.abs(push), -push) <= CERTAINLY_NEGLIGIBLE * size
     is_right &= (length(across) <= CERTAINLY_NEGLIGIBLE * of_disk) | (radius == 0.0)
-    is_right &= (size + of_disk < np.inf) & (at >= 0.0)
+    is_right &= (size + of_disk < np.inf) & ((at >= 0.0) | is_row)
     rounding = margin * length(np.where(products > 0.0, terms + NORMAL, 0.0)) / d
-    residual = np.maximum(np.abs(np.minimum(push / d, at)), length(tangents - edge))
+    normal = np.abs(np.where(is_row, push / d, np.minimum(push / d, at)))
+    residual = np.maximum(normal, length(tangents - edge))
     rounding += 16.0 * EPSILON * np.maximum(radius, tangent)  # z_T and its projection cancel
     residual = stack.pattern.largest(residual + rounding)
     limit = np.minimum(stack.reference, stack.pattern.largest(presses * size / d)) * (1.0 - margin)

@@ -61,6 +61,7 @@ class Blocks:
     offset = "q"  # its name in messages
     origin: Any = None
     bodies: Any = None  # Bodies, if contacts are defined by bodies
+    equations = 0  # next to contacts, the last rows
 
     def __init__(self, rows: LCP, starts: Starts, slope: Vector, *, has_friction: bool) -> None:
         self.rows, self.has_friction = rows, has_friction

@@ -224,9 +224,10 @@ class ConeDerivative:
         if dfriction is None:
             slopes = np.zeros(n)
         elif problem.has_friction:
-            k = problem.slope.size
+            k = problem.slope.size - problem.equations
             given = np.full(k, dfriction) if checks.is_number(dfriction) else dfriction
-            slopes = checks.checked_vector(given, "dfriction", k)[problem.block_of_row]
+            given = checks.checked_vector(given, "dfriction", k)
+            slopes = np.append(given, np.zeros(problem.equations))[problem.block_of_row]
         else:
             raise InvalidOption("dfriction is of a FrictionalContact; a ConeProblem has none")
 
@@ -267,6 +268,7 @@ class ConeDerivative:
         by_q, by_bound, by_friction = (part[0] for part in parts)
         by_M = outer_on_pattern(self.problem.rows.matrix, by_q, self.z)
         lower, upper = (np.where(holds, by_bound, 0.0) for holds in self._holds(self._of))
+        by_friction = by_friction[: by_friction.size - self.problem.equations]
         return ConeGradient(by_q, by_M, by_friction, lower, upper)
 
     def _holds(self, of: StackDerivative) -> tuple[Any, Any]:

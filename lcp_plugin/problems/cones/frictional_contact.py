@@ -37,6 +37,8 @@ class FrictionalContactBatch:
         See :class:`FrictionalContact`.
     gaps, time_step : optional
         Array, shape (k,) or (B, k), or number, in m; number, in s. gaps / time_step is added to the normal rows of b.
+    equations : int
+        Number p of equations of each instance, the last rows of W and b; then b has the shape (B, d k + p).
 
     Raises
     ------
@@ -48,8 +50,8 @@ class FrictionalContactBatch:
     W, b, friction : array, shapes (B, d k, d k), (B, d k) and (B, k)
         Absent contacts have 1 on the diagonal of W, 1 in b and no friction.
     contacts : array of int, shape (B,)
-    dimension : int
-        d.
+    dimension, equations : int
+        d and p.
 
     Examples
     --------
@@ -72,17 +74,20 @@ class FrictionalContactBatch:
         dimension: int | None = None,
         gaps: ArrayLike | None = None,
         time_step: float | None = None,
+        equations: int = 0,
     ) -> None:
         need = "b must have shape (B, d k) or (B, k, d), d = 3 in space and 2 in the plane"
+        self.equations = p = contact.checked_count(equations)
         offsets = real_array(b, need)
-        if offsets.ndim not in (2, 3):
+        if offsets.ndim not in (2, 3) or (p and offsets.ndim == 3):
+            need = need.replace(" or (B, k, d)", f" + {p}" if p else " or (B, k, d)")
             raise InvalidProblem(f"{need}, got shape {offsets.shape}")
         if offsets.ndim == 3:
             dimension, offsets = offsets.shape[2], offsets.reshape(len(offsets), -1)
         count, n = offsets.shape
         mu = real_array(friction, "friction must be a number, or have shape (k,) or (B, k)")
-        self.dimension = d = dimension_of(dimension, mu.shape[-1:], n)
-        k, matrices = n // d, real_array(W, f"W must have shape (B, {n}, {n}), {n} as b has")
+        self.dimension = d = dimension_of(dimension, mu.shape[-1:], n - p)
+        k, matrices = (n - p) // d, real_array(W, f"W must have shape (B, {n}, {n}), {n} as b has")
         if matrices.shape not in ((n, n), (count, n, n)):
             raise InvalidProblem(
                 f"W must have shape (B, {n}, {n}), B = {count} and {n} as b has, got {matrices.shape}"
@@ -94,13 +99,13 @@ class FrictionalContactBatch:
         self.contacts = _checked_counts(contacts, count, k)
         if gaps is not None or time_step is not None:
             offsets = offsets.copy()
-            offsets[:, ::d] += contact.closing_speeds(gaps, time_step, k, count)
+            offsets[:, : n - p : d] += contact.closing_speeds(gaps, time_step, k, count)
         given = (matrices, (count, n, n)), (offsets, (count, n)), (mu, (count, k))
         wide = (np.broadcast_to(*one) for one in given)
         own = [np.ascontiguousarray(one, np.float64) for one in wide]
         is_there = np.arange(k) < self.contacts[:, np.newaxis]
         if not is_there.all():
-            is_row = np.repeat(is_there, d, axis=1)
+            is_row = np.pad(np.repeat(is_there, d, axis=1), ((0, 0), (0, p)), constant_values=True)
             is_entry = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
             absent: Any = ((is_entry, np.eye(n)), (is_row, 1.0), (is_there, 0.0))
             own = [np.where(has, one, other) for one, (has, other) in zip(own, absent, strict=True)]
@@ -115,8 +120,13 @@ class FrictionalContactBatch:
 
     @property
     def n(self) -> int:
-        """Rows of each, d k."""
+        """Rows of each, d k + p."""
         return int(self.b.shape[1])
+
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """Rows of each instance, shape (B,): of its contacts, or with equations all rows, absent contacts included."""
+        return np.full(len(self), self.n) if self.equations else self.dimension * self.contacts
 
     @property
     def errors(self) -> dict[int, LCPError]:
@@ -138,7 +148,7 @@ class FrictionalContactBatch:
             If the file cannot be written, or has another extension.
         """
         arrays = {"W": self.W, "b": self.b, "mu": self.friction, "contacts": self.contacts}
-        arrays["dimension"] = np.array(self.dimension)
+        arrays |= {name: np.array(getattr(self, name)) for name in ("dimension", "equations")}
         save_arrays(path, arrays, "a batch of contact problems")
 
     __setstate__ = checks.restore_state
@@ -151,14 +161,15 @@ class FrictionalContactBatch:
             raise TypeError(
                 f"an instance is batch[i], i an integer, got {i!r}; for several build a problem from W[…], b[…]"
             )
-        count = int(self.contacts[i])
-        rows = self.dimension * count
+        rows, p = int(self.sizes[i]), self.equations
+        count = (rows - p) // self.dimension
         own = self.W[i, :rows, :rows], self.b[i, :rows], self.friction[i, :count]
-        return FrictionalContact(*own, dimension=self.dimension)
+        return FrictionalContact(*own, dimension=self.dimension, equations=p)
 
     def __repr__(self) -> str:
         where = "space" if self.dimension == 3 else "the plane"
-        return f"FrictionalContact({len(self)} instances of up to {self.n // self.dimension} contacts in {where})"
+        k = self.friction.shape[1]
+        return f"FrictionalContact({len(self)} instances of up to {k} contacts in {where})"
 
 
 class FrictionalContact(Blocks):
@@ -180,6 +191,11 @@ class FrictionalContact(Blocks):
         Coefficients μ ≥ 0.
     gaps, time_step : optional
         As in :meth:`lcp_plugin.LCP.from_contacts`.
+    equations : int, or array, shape (p, v), with a mass matrix
+        Number p of equations: the last p rows of W and b, shape (d k + p,), whose velocities w are 0 and whose impulses
+        are free, as of hinges, motors and loops. With a mass matrix the rows that map the bodies' velocities to them,
+        and b has the shape (v,), or (d k + p,) for other velocities than 0: b_i = J_i u − (required velocity).
+        Dependent equations are allowed.
     dimension : int, optional
         d, if the shapes of b and `friction` do not determine it; 3 by default if the number of rows is a multiple of 3,
         with a ModelWarning if it is one of 2 also.
@@ -226,13 +242,17 @@ class FrictionalContact(Blocks):
         gaps: ArrayLike | None = None,
         time_step: float | None = None,
         dimension: int | None = None,
+        equations: Any = 0,
     ) -> None:
         need = "b must be a finite array of shape (d k,) or (k, d), d = 3 (space) or 2 (plane)"
         velocities = real_array(b, need)
         if contact.is_of_bodies(W):
             is_sparse = any(map(sp.issparse, W))
-            W, velocities, self.bodies = contact.contacts_of_bodies(W, velocities)
+            found = contact.contacts_of_bodies(W, velocities, equations)
+            W, velocities, self.bodies, equations = found
             W = W if is_sparse or not sp.issparse(W) else W.toarray()
+            dimension = self.bodies.dimension if dimension is None else dimension
+        self.equations = p = contact.checked_count(equations)
         if velocities.ndim not in (1, 2):
             raise InvalidProblem(
                 f"{need}, got shape {velocities.shape}; for many problems use FrictionalContact.worlds"
@@ -245,17 +265,17 @@ class FrictionalContact(Blocks):
             dimension = velocities.shape[1]
         offset = checks.checked_vector(velocities.ravel(), "b", None)
         friction = real_array(friction, "friction must be a number, or one per contact")
-        d = dimension_of(dimension, friction.shape, offset.size)
-        k = offset.size // d
+        d = dimension_of(dimension, friction.shape, offset.size - p)
+        k = (offset.size - p) // d
         offset = offset.copy()
-        offset[::d] += contact.closing_speeds(gaps, time_step, k)
+        offset[: d * k : d] += contact.closing_speeds(gaps, time_step, k)
         mu = contact.checked_friction(friction, k, f"one per contact of {d} rows")
         contact.warn_of_much_friction(mu, 3)
         W = checks.rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
         contact.check_symmetric(W, "W", NEARLY_SYMMETRIC)
         rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
-        starts = np.arange(0, offset.size + 1, d, dtype=np.int64)
-        super().__init__(rows, starts, mu, has_friction=True)
+        starts = np.append(np.arange(0, d * k, d), np.arange(d * k, offset.size + 1))
+        super().__init__(rows, starts, np.append(mu, np.zeros(p)), has_friction=True)
         self.dimension = d
 
     @property
@@ -271,14 +291,16 @@ class FrictionalContact(Blocks):
     @property
     def friction(self) -> Vector:
         """Coefficients, shape (k,)."""
-        return self.slope
+        return self.slope[: self.slope.size - self.equations]
 
     def _shape(self) -> dict[str, Any]:
-        return {"mu": self.friction}
+        given = {"equations": np.array(self.equations)} if self.equations else {}
+        return {"mu": self.friction, **given}
 
     def __repr__(self) -> str:
-        count, where = self.slope.size, "space" if self.dimension == 3 else "the plane"
-        return f"FrictionalContact({format_count(count, 'contact')} in {where}, {self.nonzeros} nonzeros)"
+        count, where = self.friction.size, "space" if self.dimension == 3 else "the plane"
+        also = f", {format_count(self.equations, 'equation')}" if self.equations else ""
+        return f"FrictionalContact({format_count(count, 'contact')} in {where}{also}, {self.nonzeros} nonzeros)"
 
 
 def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[np.int64]:

@@ -211,15 +211,16 @@ def central_path(stack: ConeStack, z: Any, share: float) -> Iterator[tuple[Any, 
     """
     scale = np.ones((stack.k, stack.m))
     # The cones of the path have a slope; Newton's steps use the user's cones
-    scale[:, 0] = np.maximum(stack.mu[0], 1e-3)
+    scale[:, 0] = np.where(stack.pattern.is_row, 1.0, np.maximum(stack.mu[0], 1e-3))
     speed = share * (float(np.abs(stack.q[0] / scale).max(initial=0.0)) or 1.0)
-    x, y = scale * z[0], np.zeros_like(scale)
+    is_row, x, y = stack.pattern.is_row, scale * z[0], np.zeros_like(scale)
     d: Any = np.median(stack.d[0]) if stack.k else 1.0
     if z.any():
         y, d = stack.slack(z)[0], stack.d[0]
         y[:, 0] = np.maximum(y[:, 0], 0.0) / scale[:, 0] + length(y[:, 1:])
-    x[:, 0] += speed / d
+    x[:, 0] += np.where(is_row, 0.0, speed / d)
     y[:, 0] += speed
+    y[is_row] = 0.0
     while (step := take_step(stack, scale, x, y)) is not None:
         x, y, entries = step
         yield stack.project((x / scale)[None]), 2.0 + entries / max(stack.pattern.nonzeros, 1)
@@ -229,36 +230,47 @@ def take_step(
     stack: ConeStack, scale: Cones, x: Cones, y: Cones
 ) -> tuple[Cones, Cones, float] | None:
     """Return the next x and y, and the entries that the factorization processed; None if no step is possible."""
-    H, root = nesterov_todd_scaling(x, y)
+    cones, X, Y = ~stack.pattern.is_row, *(one[~stack.pattern.is_row] for one in (x, y))
+    own, root = nesterov_todd_scaling(X, Y)
     eye = np.eye(stack.m)
+    H = np.zeros((stack.k, stack.m, stack.m))
+    H[cones] = own
     G = np.tile(eye, (stack.k, 1, 1))
     G[:, 0, 1:] -= scale[:, :1] * y[:, 1:] / np.maximum(length(y[:, 1:]), NORMAL)[:, None]
     left = apply(G, scale * y) - stack.slack((x / scale)[None])[0]
     by_z = G * scale[:, None] @ H * scale[:, None]
+    least = accuracy_of(stack)[0]  # equations may depend on each other
+    by_z[~cones] = (least * stack.d[0, ~cones])[:, None, None] * eye
     if not (np.isfinite(by_z).all() and np.isfinite(left).all()):
         return None
     try:
         factors = factorize_blocks(stack, by_z[None], np.broadcast_to(eye, by_z.shape)[None])
 
-        def direction(c: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
+        def direction(of_cones: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
             """Return dx, dy with H dx + dy = c that remove a share of the residual."""
+            c = np.zeros_like(x)
+            c[cones] = of_cones
             dx = factors.solve((share * left + apply(G, scale * c))[None])[0] * scale
             return dx, c - apply(H, dx)
 
-        dx, dy = direction(-y)
-        t = min(1.0, longest(x, dx), longest(y, dy))
-        mean = float((x * y).sum()) / len(x)
-        after = float(((x + t * dx) * (y + t * dy)).sum()) / len(x)
-        at, moved = apply(root, x), apply(root, dx)
+        dx, dy = direction(-Y)
+        t = min(1.0, longest(X, dx[cones]), longest(Y, dy[cones]))
+        mean = float((x * y).sum()) / max(len(X), 1)
+        after = float(((x + t * dx) * (y + t * dy)).sum()) / max(len(X), 1)
+        at, moved = apply(root, X), apply(root, dx[cones])
         right = product(moved, at + moved) - product(at, at)
         right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3)
         dx, dy = direction(apply(root, quotient(right, at)))
-        t = TO_THE_BOUNDARY * min(longest(x, dx), longest(y, dy))
+        t = TO_THE_BOUNDARY * min(longest(X, dx[cones]), longest(Y, dy[cones]))
         for sigma in CENTRED if t < SHORT else ():
             right = -product(at, at)
             right[:, 0] += sigma * mean
             centring = direction(apply(root, quotient(right, at)), 1.0 - sigma)
-            further = TO_THE_BOUNDARY * min(longest(x, centring[0]), longest(y, centring[1]))
+            ends = (
+                longest(*pair)
+                for pair in zip((X, Y), (one[cones] for one in centring), strict=True)
+            )
+            further = TO_THE_BOUNDARY * min(ends)
             if further > t:
                 (dx, dy), t = centring, further
     except np.linalg.LinAlgError:

@@ -423,9 +423,9 @@ class ConeResult(Result):
         problem = self.problem
         if not isinstance(problem, FrictionalContact):
             raise InvalidOption(f"motion is of a FrictionalContact, got {type(problem).__name__}")
-        r, u = self.z.reshape(-1, problem.dimension), self.w.reshape(-1, problem.dimension)
         after = None if problem.bodies is None else problem.bodies.velocities_after(self.z)
-        return motion_of(r, u, problem.q, after)
+        shape = problem.dimension, problem.equations
+        return motion_of(self.z, self.w, problem.q, *shape, after)
 
     def _worst(self, count: int) -> WorstRows:
         return self.certificate.worst(self.tolerance, count)  # type: ignore[attr-defined]
@@ -439,7 +439,7 @@ class ConeResult(Result):
         motion, problem = self.motion, self.problem
         slides = motion.touches & ~motion.sticks
         lines = [
-            f"{format_count(problem.slope.size, 'contact')}: {int((~motion.touches).sum())} open, "
+            f"{format_count(problem.friction.size, 'contact')}: {int((~motion.touches).sum())} open, "
             f"{int(motion.sticks.sum())} stick, {int(slides.sum())} slide; friction and impact take "
             f"{self.certificate.lost_energy + 0.0:.4g} J in SI units"  # type: ignore[attr-defined]
         ]

@@ -63,20 +63,20 @@ class Arms:
     Parameters
     ----------
     bodies : Bodies
-    k, m : int
-        Number of contacts, rows of each.
+    pattern : Pattern
     """
 
-    def __init__(self, bodies: Any, k: int, m: int) -> None:
+    def __init__(self, bodies: Any, pattern: Pattern) -> None:
         self.mass, J = sp.coo_array(bodies.mass), sp.coo_array(bodies.rows)
-        v = self.mass.shape[0]
-        pairs, place = np.unique(J.row // m * np.int64(v) + J.col, return_inverse=True)
+        v, k, m = self.mass.shape[0], pattern.k, pattern.m
+        block, row = pattern.of_row[J.row], pattern.in_block[J.row]
+        pairs, place = np.unique(block * np.int64(v) + J.col, return_inverse=True)
         contact = pairs // v
         inner = np.arange(pairs.size) - np.searchsorted(contact, np.arange(k))[contact]
         width = int(inner.max(initial=0)) + 1
         self.columns, self.rows = np.zeros((k, width), np.int64), np.zeros((k, m, width))
         self.columns[contact, inner] = pairs % v
-        self.rows[J.row // m, J.row % m, inner[place]] = J.data
+        self.rows[block, row, inner[place]] = J.data
         local = (self.columns[:, :, None] * v + self.columns[:, None, :]).ravel()
         of_mass = self.mass.row * np.int64(v) + self.mass.col
         self.flat, self.pattern = np.concatenate([local, of_mass]), np.arange(v * v)
@@ -296,6 +296,8 @@ class ConeStack:
         self.origin = np.zeros_like(self.q)
         if has_friction:
             size = -self.q[..., 0] / self.d  # the largest is at least 0
+            if pattern.has_rows:
+                size = np.where(pattern.is_row, np.abs(size), size)
         else:
             self.origin = self.project(self.origin)
             w = self.slack(self.origin) if self.origin.any() else self.q
@@ -316,7 +318,7 @@ class ConeStack:
                 pattern = Pattern(M[None] if isinstance(M, np.ndarray) else M, problem.starts)
                 bodies = problem.bodies
                 has_many = bodies is not None and pattern.n > FEW
-                facts["stack"] = pattern, Arms(bodies, pattern.k, pattern.m) if has_many else None
+                facts["stack"] = pattern, Arms(bodies, pattern) if has_many else None
             pattern, arms = facts["stack"]
             arrays = (one[None] for one in (problem.q, problem.slope, problem.lower, problem.upper))
             return cls(pattern, *arrays, has_friction=problem.has_friction, arms=arms)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .problems.least_squares.solving import LeastSquaresResult
     from .problems.nonlinear.data import NonlinearProblem
     from .problems.programs.program import QuadraticProgram
-    from .problems.programs.solving import QuadraticProgramResult
+    from .problems.programs.result import QuadraticProgramResult
 
     Method = str | Algorithm
 
@@ -126,7 +126,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
 
     - ``NonlinearProblem``, with ``x0=``: :func:`~lcp_plugin.problems.nonlinear.solving.solve_nonlinear`;
     - ``QuadraticProgram``, linear ones included: SOLVED (optimal) by the program's own residuals, INFEASIBLE and
-      UNBOUNDED with a proof, see :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`; options as for
+      UNBOUNDED with a proof, see :class:`~lcp_plugin.problems.programs.result.QuadraticProgramResult`; options as for
       an LCP, z0 is the ``result.z`` of an earlier run, a start where that has as many unknowns;
     - ``EquilibriumProgram``: :func:`~lcp_plugin.problems.equilibria.branch_and_bound.minimize_over_solutions`;
     - ``BoundedLeastSquares``: :func:`~lcp_plugin.problems.least_squares.solving.solve_least_squares`;

@@ -54,9 +54,8 @@ def from_qp(
     """Return the LCP of min ½ xᵀP x + cᵀx over G x ≤ h, A x = b, lower ≤ x ≤ upper.
 
     To compute only x, use ``solve(QuadraticProgram(P, c, …))``, which is faster. For a result of this LCP,
-    ``problem.origin.recover(result)`` returns x, multipliers and residuals. ``solve`` tests it by the criterion of
-    LCPs, and with G or A by the duality gap. The gap is tested only on the returned problem: not after ``with_q``
-    or ``load``, nor by ``solve_batch`` with `q` or bounds. There, a SOLVED result can have another objective.
+    ``problem.origin.recover(result)`` returns the result of the program, tested on the program. ``solve`` tests this
+    LCP as any other: z may be SOLVED, and x, of which the gap is large, not.
     Errors: :func:`lcp_plugin.problems.programs.conversion.lcp_from_qp`.
 
     Parameters

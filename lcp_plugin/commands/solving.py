@@ -336,5 +336,5 @@ def compile_everything() -> str:
         [lcp_plugin.QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])]
     )
     program = LCP.from_qp(np.eye(2), np.ones(2), A=[[1.0, 1.0]], b=[1.0])
-    program.origin.recover(solve(program)).is_optimal()
+    program.origin.recover(solve(program))
     return f"kernels compiled in {time.perf_counter() - began:.1f} s"

@@ -74,7 +74,7 @@ def solve_problem(
     -------
     qpsolvers.Solution
         ``extras["status"]`` is the :class:`~lcp_plugin.Status`, ``extras["result"]`` the
-        :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`: its ``solution`` has x, the multipliers
+        :class:`~lcp_plugin.problems.programs.result.QuadraticProgramResult`: its ``solution`` has x, the multipliers
         and their residuals, its ``proof`` the proof of infeasibility. Not found: x is None, and the best x is in the
         result.
 

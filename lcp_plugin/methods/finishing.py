@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.certificates.criterion import POWER, Measured, RowData, times
+from ..core.certificates.criterion import Measured, RowData, times
 from ..core.deadline import is_over
 from ..core.kernels.floats import NEGLIGIBLE
 from ..core.matrix import Matrix
@@ -19,31 +19,29 @@ from ..systems.factors import factor_operations
 from ..systems.free_systems import FreeSystem
 
 
-def measure_finished(
-    data: RowData, z: Any, tolerance: float, power: float = POWER, absolute: float = 0.0
-) -> Measured:
+def measure_finished(data: RowData, z: Any, tolerance: float, absolute: float = 0.0) -> Measured:
     """Return the measure of z, snapped, with its small rows finished; for a stack of each point.
 
     Parameters and result as of :meth:`.RowData.measure_at`.
     """
-    found = data.measure(z, tolerance, power, absolute)
-    if np.all(found.passes | (found.residual > tolerance) | found.is_rejected):
+    found = data.measure(z, tolerance, absolute)
+    if np.all(found.passes | (found.residual > tolerance)):
         return found
     if found.z.ndim == 1:
-        return _finished(data, found, tolerance, power, absolute)
+        return _finished(data, found, tolerance, absolute)
     z, residual, passes = np.array(found.z), np.array(found.residual), np.array(found.passes)
     fails = ~passes & (residual <= tolerance)
     # Entries of the matrices that are solved in one call
     if data.M.ndim == 3 and fails.sum() * data.M[0].size <= 10**7:
         tried = np.where(fails[:, np.newaxis], _solved_again(data, z, fails), z)
-        again = data.measure_at(tried, None, tolerance, power, absolute)
+        again = data.measure_at(tried, None, tolerance, absolute)
         is_better = fails & again.passes
         z[is_better], residual[is_better] = tried[is_better], again.residual[is_better]
         passes |= is_better
     for k in np.flatnonzero(~passes & (residual <= tolerance)):
         if is_over():
             break
-        one = measure_finished(_item(data, z.shape, int(k)), z[k], tolerance, power, absolute)
+        one = measure_finished(_item(data, z.shape, int(k)), z[k], tolerance, absolute)
         z[k], residual[k], passes[k] = one[:3]
     # Rows and residuals belong to the points before
     return found._replace(z=z, residual=residual, passes=passes, rows=None, by_row=None)
@@ -80,14 +78,12 @@ def _item(data: RowData, shape: tuple[int, ...], k: int) -> RowData:
     return RowData(M, absolute, q, lower, upper, scale, labels, start)
 
 
-def _finished(
-    data: RowData, found: Measured, tolerance: float, power: float, absolute: float
-) -> Measured:
+def _finished(data: RowData, found: Measured, tolerance: float, absolute: float) -> Measured:
     """Return the measure after solves of the rows that fail next to their terms, or `found` if that fails too."""
     z, lower, upper = np.array(found.z), data.lower, data.upper
     is_noise = np.abs(z) <= NEGLIGIBLE * data.largest(np.abs(z))
     flushed = np.where(is_noise & (lower <= 0.0) & (upper >= 0.0), 0.0, z)
-    again = data.measure_at(flushed, None, tolerance, power, absolute)
+    again = data.measure_at(flushed, None, tolerance, absolute)
     if again.passes:
         return again
     matrix, again, joined = Matrix(data.M), found, np.zeros(z.shape, np.bool_)
@@ -111,7 +107,7 @@ def _finished(
             if step is None:
                 return found
             z = np.clip(z + step, lower, upper)
-        again = data.measure_at(z, None, tolerance, power, absolute)
+        again = data.measure_at(z, None, tolerance, absolute)
         if again.passes:
             return again
         if not again.residual <= tolerance:

@@ -100,7 +100,7 @@ def first_measured(data: RowData, z0: Vector, tolerance: float) -> tuple[str, Me
     bound = bound_residual(data, z, tolerance)
     if bound < math.inf:
         return label, Measured(z, bound, passes=True), entries
-    return label, measure_finished(data, z, tolerance, power=1.0), entries
+    return label, measure_finished(data, z, tolerance), entries
 
 
 def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
@@ -108,9 +108,9 @@ def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
 
     A finite bound shows that z° = 0 is not a solution, and that the criterion accepts z as
     :func:`lcp_plugin.core.kernels.small_lcps.bound_residuals` proves it for stacks. Here M is connected and z° = 0, so
-    w(z°) = q exactly, and the origin rejects no point. The factors .999 and 1.001 cover the rounding of the last lines.
+    w(z°) = q exactly. The factors .999 and 1.001 cover the rounding of the last lines.
     """
-    if data.labels is not None or data.start.any() or hasattr(data.origin, "rejects"):
+    if data.labels is not None or data.start.any():
         return math.inf
     w, terms = data.M @ z + data.q, data.absolute @ np.abs(z) + np.abs(data.q)
     above, below = z - data.lower, data.upper - z
@@ -133,8 +133,8 @@ def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
 def first_path_point(problem: LCP, tolerance: float) -> Any:
     """Return the end of Lemke's compiled path, None, its method and its work, 0 at z°; None unless it is a solution."""
     for z, bound in path_points(problem, tolerance):
-        if bound == math.inf or problem.origin is not None:
-            found = measure_finished(row_data(problem), z, tolerance, power=1.0)
+        if bound == math.inf:
+            found = measure_finished(row_data(problem), z, tolerance)
             if not found.passes:
                 return None
             z = found.z  # noqa: PLW2901
@@ -158,7 +158,7 @@ def dense_data(problem: LCP) -> RowData:
     data = row_data(problem)
     if not problem.matrix.is_dense:
         M, bounds = data.M.toarray(), (data.lower, data.upper)
-        rows = data.scale, data.labels, data.start, data.origin
+        rows = data.scale, data.labels, data.start
         data = RowData(M, np.abs(M), data.q, *bounds, *rows)
     return data
 
@@ -210,7 +210,7 @@ def normal(data: RowData, z: Vector) -> Vector:
 
 def measure(data: RowData, z: Vector, tolerance: float) -> Measured:
     """Measure points at the ends of linear solves."""
-    return measure_finished(data, normal(data, z), tolerance, power=1.0)
+    return measure_finished(data, normal(data, z), tolerance)
 
 
 def suits_loop(count: int, n: int) -> bool:

@@ -102,7 +102,7 @@ class BandSteps:
             state = Z[k] = found
         bounds = self.done.data.bounds_of(problem, slice(here.start, here.start + len(Q)))
         data = RowData(problem.csr, self.absolute, Q, *bounds, problem.residual_scale)
-        measured = measure_finished(data, Z, self.tolerance, power=1.0)
+        measured = measure_finished(data, Z, self.tolerance)
         passes, moves = measured.passes, (measured.z != Z).any(axis=1)
         count = len(Q) if passes.all() else int(np.argmin(passes))
         if moves[:count].any():  # later steps were computed from the point before it was moved

@@ -53,7 +53,7 @@ from .least_squares.solving import LeastSquaresResult
 from .many import item_number, run_in_chunks
 from .march import March, MarchDerivative
 from .programs.derivative import ProgramData, ProgramDerivative, least_squares_data, program_data
-from .programs.solving import QuadraticProgramResult
+from .programs.result import QuadraticProgramResult
 
 HALF = 2.0**-26  # half of the digits of double precision
 STEPS = 6  # active-set iterations; from a solved problem one or two classify all rows

@@ -53,10 +53,10 @@ def variational(
     Returns
     -------
     LCP, NonlinearProblem or cvxpy constraint
-        The conditions of x with multipliers of the rows. ``problem.origin.recover(result)`` is the
-        :class:`~lcp_plugin.problems.programs.criterion.QPSolution` of the linear program min F(x)ᵀy over K: x, the
-        multipliers of all rows, and ``gap()``, the maximum of F(x)ᵀ(x − y) over K. The status is INFEASIBLE with a
-        Farkas certificate if K is empty. The cvxpy constraint has ``dual_value`` and ``gap()`` as
+        The conditions of x with multipliers of the rows. ``problem.origin.recover(result)`` is the result of the
+        linear program min F(x)ᵀy over K, tested at y = x: its `status`, `x`, and its `solution` with the multipliers
+        of all rows and ``gap()``, the maximum of F(x)ᵀ(x − y) over K. The status is INFEASIBLE with a Farkas
+        certificate if K is empty. The cvxpy constraint has ``dual_value`` and ``gap()`` as
         :func:`lcp_plugin.optimal`.
 
     Raises
@@ -68,7 +68,7 @@ def variational(
     --------
     >>> from lcp_plugin import solve
     >>> problem = variational(([[2, 1], [-1, 2]], [-8, -6]), G=[[1, 1]], h=[3], lower=0)
-    >>> solution = problem.origin.recover(solve(problem))
+    >>> solution = problem.origin.recover(solve(problem)).solution
     >>> solution.x.round(6), solution.inequality.round(6), round(solution.gap(), 9)
     (array([1.25, 1.75]), array([3.75]), 0.0)
     """

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..core import checks
-from ..core.certificates.residuals import outside_row, put_on_bounds
+from ..core.certificates.residuals import outside_row
 from ..core.errors import InvalidOption, InvalidProblem
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows, residual_scales
@@ -176,20 +176,17 @@ class RowsOnRanks:
     def measured(self, x: Any, tolerance: float) -> tuple[bool, float, float, float, str]:
         """Return whether the given x passes the criterion, its largest violation, residual, tolerance and a reason.
 
-        The reason is the bound that an entry of x violates on the lowest rank, or "".
+        The reason of a failure is the bound that an entry of x violates on the lowest rank, or "".
         """
         halo, z = self.halo, self.own_part(x, "x")
         halo.require_same("tolerance", tolerance, "give the same on every rank", InvalidOption)
-        data = RowDataOnRanks(self)
-        own, terms = data.absolute.rows[:, : self.own], data.rows(z).terms
-        z = put_on_bounds(z, self.lower, self.upper, data.references[1], own, terms)
-        found, reason = data.measure_at(z, None, tolerance), ""
-        for i in np.flatnonzero((z < self.lower) | (z > self.upper))[:1].tolist():
+        found, reason = RowDataOnRanks(self).measure_at(z, None, tolerance), ""
+        for i in np.flatnonzero((z < self.lower) | (z > self.upper))[: not found.passes].tolist():
             bound = self.lower[i] if z[i] < self.lower[i] else self.upper[i]
             reason = outside_row(f"z[{halo.first + i}]", float(z[i]), float(bound)).text
         reason = next(filter(None, halo.comm.allgather(reason)), "")
         sizes = halo.largest(found.rows.violation), halo.largest(found.by_row.relative)
-        return bool(found.passes) and not reason, *sizes, tolerance, reason
+        return bool(found.passes), *sizes, tolerance, reason
 
     def __repr__(self) -> str:
         return f"RowsOnRanks(n={self.n}, ranks={self.halo.size})"

@@ -13,7 +13,6 @@ import numpy as np
 from ..core.algorithm import Algorithm, Step
 from ..core.certificates.criterion import (
     GAINED,
-    POWER,
     Measured,
     divide_nonnegative,
     measured_residual,
@@ -139,8 +138,7 @@ class LCPRun(Run):
         found, iteration = Measured(step.z, residual, passes=False), progress.iteration
         is_early = residual > 0.5 * self._failed_at and iteration < self._next_test
         if residual <= self.goal and not is_early:
-            power = 1.0 if stage.algorithm.ends_on_active_set else POWER
-            found = self.measured(step.z, power)
+            found = self.measured(step.z)
             if not found.passes:  # the run continues from the iterate itself
                 self._failed_at, self._next_test = found.residual, iteration + 1 + iteration // 5
                 found = found._replace(z=step.z)
@@ -149,10 +147,10 @@ class LCPRun(Run):
             self.start_residual = found.residual
         return found
 
-    def measured(self, z: Vector, power: float = POWER) -> Measured:
+    def measured(self, z: Vector) -> Measured:
         """Return the measure of z, moved to near bounds, with its small rows finished."""
         settings = self.settings
-        found = measure_finished(self.data, z, settings.goal, power, settings.absolute_tolerance)
+        found = measure_finished(self.data, z, settings.goal, settings.absolute_tolerance)
         return found._replace(residual=float(found.residual))
 
     def keep(self, found: Measured) -> None:
@@ -233,13 +231,11 @@ class LCPRun(Run):
             infeasibility=self.proof,
             is_polished=self.is_polished,
             _asked=self.chosen,
-            _advice={status: self._advice(found, end, status)},
+            _advice={status: self._advice(end, status)},
         )
 
-    def _advice(self, found: Measured, reason: Status, status: Status) -> str:
-        """Return the advice of the status; of the problem's origin if it rejects the point."""
-        if found.is_rejected and status in WITHOUT_END:
-            return str(self.problem.origin.rejection)
+    def _advice(self, reason: Status, status: Status) -> str:
+        """Return the advice of the status."""
         happened, begins, rest = advice_of_run(
             self.problem, self.chosen, self.settings, status
         ).partition("; ")
@@ -256,7 +252,7 @@ class LCPRun(Run):
         settings, stages = self.settings, self.progress.stages
         found = self.best if self.best is not None and self.best.passes else self.measured(z)
         if not found.passes:  # the best iterate itself; SOLVED refers to the projected point
-            plain = self.data.measure_at(z, None, settings.goal, POWER, settings.absolute_tolerance)
+            plain = self.data.measure_at(z, None, settings.goal, settings.absolute_tolerance)
             is_limited = self.data.are_limited(plain, settings.goal)
             found = found if plain.passes else plain._replace(is_limited=is_limited)
         if not (stages and settings.polish):

@@ -499,7 +499,7 @@ def judged(family: str, program: QuadraticProgram, value: float) -> tuple[list[s
         else:
             problem = lcp_from_qp(fresh)
             result = solve(problem, max_seconds=60.0)
-            answer = problem.origin.recover(result)
+            answer = problem.origin.recover(result).solution
         status = result.status.name
         if way == "LCP" and spoilt and result.has_no_solution:  # its status has no UNBOUNDED
             status = spoilt.upper()

@@ -248,12 +248,8 @@ def test_rows_at_rounding_level_with_finite_bounds_are_not_solved(further: int) 
     assert not result.is_solved or np.allclose(result.z, right, rtol=1e-4)
 
 
-def test_an_absolute_tolerance_does_not_end_the_tests_of_gap_and_proof() -> None:
-    """A point that the duality gap or a proof rejects is not SOLVED with a tiny absolute tolerance."""
-    problem = LCP.from_qp(None, [1 + 2.0**-30, -1], A=[[1.0, -1.0]], b=[1.0], lower=0.0)
-    start = [1 + 2.0**20, 2.0**20, -1.0]
-    result = solve(problem, "lemke", z0=start, absolute_tolerance=1e-300)
-    assert not result.is_solved or problem.origin.recover(result).is_optimal()
+def test_an_absolute_tolerance_does_not_end_the_test_of_proofs() -> None:
+    """A point that a proof excludes is not SOLVED with a tiny absolute tolerance."""
     for one in (
         LCP(CONTRADICTORY, [-1, 0, -LARGE]),
         ConeProblem(CONTRADICTORY, [-1, 0, -LARGE], [("box", np.zeros(3), np.inf)]),

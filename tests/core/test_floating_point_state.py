@@ -64,8 +64,8 @@ def calls(size: float) -> Calls:
         "infeasible program": lambda: solve(QuadraticProgram(P, c, opposite, [-size, size / 2])),
         "errors of a recovered solution": lambda: (
             solution := LCP.from_qp(P, c, A[:2], b[:2]).origin.recover(np.full(5, size)),
-            solution.is_optimal(),
-            str(solution),
+            solution.explain(),
+            str(solution.solution),
         ),
         "program by clarabel": lambda: solve(QuadraticProgram(P, c, A[:2], b[:2]), "clarabel"),
         "batch of programs": lambda: solve_batch([QuadraticProgram(P, c)] * 3),

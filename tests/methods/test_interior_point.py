@@ -108,7 +108,7 @@ def test_linear_programs_agree_with_highs(seed: int) -> None:
     c = -(G.T @ multiplier + A.T @ rng.standard_normal(5) - np.where(x == 0.0, rng.random(n), 0.0))
     h = G @ x + np.where(multiplier > 0.0, 0.0, rng.random(m) * (rng.random(m) < 0.5))
     problem = lcp_from_qp(QuadraticProgram(np.zeros((n, n)), c, G, h, A, A @ x, lower=0.0))
-    solution = problem.origin.recover(solve(problem, InteriorPoint(), tolerance=1e-10))
+    solution = problem.origin.recover(solve(problem, InteriorPoint(), tolerance=1e-10)).solution
     truth = linprog(c, G, h, A, A @ x, bounds=(0.0, None), method="highs").fun
     assert solution.error <= 1e-9
     assert abs(solution.objective - truth) <= 1e-8 * (1.0 + abs(truth))

@@ -1,22 +1,24 @@
-"""The stopping criterion of a linear complementarity problem, in the user's own scaling.
+"""The stopping criterion of a linear complementarity problem, a function of M, q, the bounds, z and the tolerance.
 
-z within its bounds is SOLVED if, in each connected component P of the graph of M and in each row i,
+With T_i = |q_i| + Σ_j |m_ij z_j|, d_i = m_ii if this is positive and at least 2⁻²⁰ max_j |m_ij|, otherwise
+max_j |m_ij|, and r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), z is SOLVED if in each connected component P of the
+graph of M and in each row i
 
-    1. ‖r_P(z)‖∞ ≤ max(tolerance · ref_P, absolute tolerance),  r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i),
-    2. v_i ≤ max(2⁻⁴² T_i, min(tolerance^(3/4) T_i, tolerance^(1/4) a_i)),
+    1. ‖r_P(z)‖∞ ≤ max(tolerance · ref_P, absolute tolerance),
+    2. v_i = d_i |r_i| ≤ max(2⁻⁴² T_i, min(tolerance^(3/4) T_i, tolerance^(1/4) a_i)).
 
-where a slack at the rounding level of its row, |w_i| ≤ 8 ε min(T_i, S_i), counts as 0: no double z is nearer. Here
-T_i = |q_i| + Σ_j |m_ij z_j|; v_i is the part of w_i with the wrong sign, |w_i| off the bounds; z° is the point of the
-bounds nearest to 0; ref_P is the smaller of ‖r_P(z°)‖∞ and the largest T_k/d_k of the rows of P that are violated or
-off their bounds; S_i = T_i(z°) + 2²⁰ d_i ‖r_P(z°)‖∞, so that a z that ran away does not make every slack rounding; and
-a_i = max(|w_i(z°)|, max_j |m_ij w_j(z°)|/d_j) is the demand of row i and its neighbors (a_i = 0 is left out).
+- v_i is the smaller of the changes of z_i and w_i that make the pair complementary, in the unit of w_i.
+- ref_P is the smaller of ‖r_P(z°)‖∞, left out if it is 0, and the largest T_k/d_k of the rows of P that are violated or
+  off their bounds; z° is the point of the bounds nearest to 0.
+- a_i = max(|w_i(z°)|, max_j |m_ij w_j(z°)|/d_j), left out if it is 0, is the demand of the row and its neighbors.
+- A slack at the rounding level of its row counts as 0: |w_i| ≤ 8 ε min(T_i, S_i), S_i = T_i(z°) + 2²⁰ d_i ‖r_P(z°)‖∞,
+  so that a z that ran away does not make every slack rounding.
 
-Rounding errors are included. A row whose demand is below 2⁻⁴² of its terms is noise: this is the limit of the test. If
-the active set is known, after a linear solve, the exponent 1 replaces 3/4. Test 2 is omitted in rows with |r_i| ≤
-absolute tolerance. A run moves each z_i to a bound that is nearer than the step −w_i/d_i, and z to z° in components
-that z° solves; the moved point is measured and returned. ``certify`` measures the given point, with z_i on a bound
-that is as near as rounding. The program of ``LCP.from_qp`` also rejects a point with a large duality gap. Violations
-below the smallest normal double pass. A residual is not an error: ``help("lcp_plugin.proofs")``.
+Rounding errors are included in test 1. A row whose demand is below 2⁻⁴² of its terms is noise, and violations below the
+smallest normal double pass: these are the limits. Test 2 is omitted in rows with |r_i| ≤ absolute tolerance. A run
+moves each z_i to a bound that is nearer than the step −w_i/d_i, and z to z° in components that z° solves; then the run
+measures and returns the moved point. ``certify`` measures the given point by the same function. A residual is not
+an error: ``help("lcp_plugin.proofs")``.
 """
 
 from __future__ import annotations
@@ -35,10 +37,10 @@ from ..names import Names
 from ..rounding import compensated_product
 
 VectorEnds = tuple[Vector, Vector]  # lower and upper bounds
-POWER = 0.75  # of the tolerance, next to the terms of a row; 1 where a linear solve ended the run
+POWER = 0.75  # of the tolerance, next to the terms of a row
 DEMAND_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
-NEAREST = 8.0 * EPSILON  # of the terms of a row: no double z has a smaller slack
-RAN_AWAY = 2.0**20  # times the reference: terms of larger z are not those of the data
+NEAREST = 8.0 * EPSILON  # of the terms of a row: rounding of them explains such a slack
+RAN_AWAY = 2.0**20  # times the reference: the terms of a larger z are not explained by the data
 GAINED = 0.1  # of the reference: a larger residual is not limited by rounding
 CERTAIN = 0.99  # of the upper bound of a residual: a lower bound as large needs no sharper sums
 
@@ -112,8 +114,6 @@ class Measured(NamedTuple):
     rows : RowsAtPoint or None
         The values of the rows at z.
     by_row : RowResiduals or None
-    is_rejected : bool
-        Whether both tests pass, but the problem's origin rejects the point.
     """
 
     z: Any
@@ -122,7 +122,6 @@ class Measured(NamedTuple):
     is_limited: Any = False
     rows: Any = None
     by_row: Any = None
-    is_rejected: bool = False
 
 
 @dataclass(eq=False)
@@ -144,9 +143,6 @@ class RowData:
         Connected component of each row, all different in a stack; None if each problem is connected.
     start : array, shape (n,) or (B, n), optional
         z°, if it is computed already.
-    origin : object, optional
-        Problem before a conversion. Its method ``rejects(z, tolerance)``, if any, has the last word; its text
-        `rejection` is then the advice.
     """
 
     M: Any
@@ -157,7 +153,6 @@ class RowData:
     scale: Vector
     labels: Any = None
     start: Any = None
-    origin: Any = None
 
     matrix: ClassVar[str] = "M"  # its name in results
 
@@ -254,9 +249,9 @@ class RowData:
         terms = np.minimum(products + np.abs(self.q), LARGEST)
         bound = (self._counts + 6) * (EPSILON * terms + TINY)
         rounding = np.where(products > 0.0, bound, 0.0)  # NaN stays
-        is_above, is_below = z > self.lower, z < self.upper
-        violation = np.maximum(w * is_above, -w * is_below)
-        is_active = (violation > 0.0) | (is_above & is_below)
+        below, above = self.scale * (z - self.lower), self.scale * (z - self.upper)
+        violation = np.abs(np.maximum(above, np.minimum(below, w)))
+        is_active = (violation > 0.0) | ((below > 0.0) & (above < 0.0))
         return RowsAtPoint(w, terms, rounding, violation, is_active)
 
     def norm(self, x: Vector) -> Vector:
@@ -323,16 +318,12 @@ class RowData:
         moved = self.snap_to_bounds(z, w)
         return moved, None if self.anywhere(moved != z) else w
 
-    def measure(
-        self, z: Vector, tolerance: float, power: float = POWER, absolute: float = 0.0
-    ) -> Measured:
+    def measure(self, z: Vector, tolerance: float, absolute: float = 0.0) -> Measured:
         """Snap z, and measure the snapped point; parameters and result as of :meth:`measure_at`."""
-        found = self.measure_at(*self.snap(z), tolerance, power, absolute)
+        found = self.measure_at(*self.snap(z), tolerance, absolute)
         return found._replace(is_limited=self.are_limited(found, tolerance))
 
-    def measure_at(
-        self, z: Vector, w: Any, tolerance: float, power: float = POWER, absolute: float = 0.0
-    ) -> Measured:
+    def measure_at(self, z: Vector, w: Any, tolerance: float, absolute: float = 0.0) -> Measured:
         """Measure z by the stopping criterion.
 
         Parameters
@@ -341,8 +332,6 @@ class RowData:
         w : array, shape (…, n), or None
             The slack of z if it is known.
         tolerance, absolute : float
-        power : float
-            Exponent of the tolerance next to T_i.
 
         Returns
         -------
@@ -350,13 +339,10 @@ class RowData:
             The relative residual and whether the point is SOLVED, shape (…).
         """
         at = self.rows(z, w)
-        found = self.residuals_at(z, at, tolerance, power, absolute)
+        found = self.residuals_at(z, at, tolerance, absolute)
         passes = np.less_equal(found.worst, tolerance)
         passes = passes & np.less_equal(self.worst(found.terms), tolerance)
-        rejects = getattr(self.origin, "rejects", None)
-        is_rejected = bool(rejects and np.all(passes) and rejects(z, tolerance))
-        passes &= not is_rejected
-        return Measured(z, found.worst, passes, False, at, found, is_rejected)
+        return Measured(z, found.worst, passes, False, at, found)
 
     def are_limited(self, found: Measured, tolerance: float) -> Any:
         """Return whether points fail in rows whose residuals rounding explains, and in no others: PRECISION_LIMIT."""
@@ -370,19 +356,15 @@ class RowData:
         return is_limited & np.equal(self.worst(fails & ~is_rounding), 0.0)
 
     def residuals_at(
-        self,
-        z: Vector,
-        at: RowsAtPoint,
-        tolerance: float,
-        power: float = POWER,
-        absolute: float = 0.0,
+        self, z: Vector, at: RowsAtPoint, tolerance: float, absolute: float = 0.0
     ) -> RowResiduals:
         """Return the residuals of all rows; by sums in twice the precision if rounding decides at the tolerance."""
         # The largest T_k/d_k of the rows that count in the component, rounding included
         may_be_active = at.is_active | ((np.abs(at.w) <= at.rounding) & (self.lower < self.upper))
         rounding = 1.0 - (self._counts + 8) * EPSILON
         of_active = np.where(may_be_active, at.terms / self.scale * rounding, 0.0)
-        reference = np.minimum(self.references[0], self.largest(of_active))
+        of_start = np.where(self.references[0] == 0.0, np.inf, self.references[0])
+        reference = np.minimum(of_start, self.largest(of_active))
         w, rounding = at.w, at.rounding
         for is_sharp in (False, True):
             low, high = self.residual_ends(z, w, rounding)
@@ -401,21 +383,21 @@ class RowData:
             if is_certain or (sharp := self.sharp_product(z)) is None:
                 break
             w, rounding = sharp
-        terms = self.term_residuals(at, power)
+        terms = self.term_residuals(at)
         if absolute:
             relative = np.where(high <= absolute, 0.0, relative)
             terms = np.where(high <= absolute, 0.0, terms)
             worst = self.worst(relative)
         return RowResiduals(low, high, reference, relative, terms, worst)
 
-    def term_residuals(self, at: RowsAtPoint, power: float = POWER) -> Vector:
-        """Return the least tolerance at which each row passes test 2, `power` next to its terms; ∞ passes at none."""
+    def term_residuals(self, at: RowsAtPoint) -> Vector:
+        """Return the least tolerance at which each row passes test 2; ∞ passes at none."""
         violation = at.violation
         is_open = ~(violation <= np.maximum(NEGLIGIBLE * at.terms, NORMAL))
         if not self.anywhere(is_open):
             return np.zeros(violation.shape)
         demand = self.demand
-        least = (violation / at.terms) ** (1.0 / power)
+        least = (violation / at.terms) ** (1.0 / POWER)
         of_demand = np.where(demand > 0.0, (violation / demand) ** (1.0 / DEMAND_POWER), 0.0)
         least = np.where(is_open, np.maximum(least, of_demand), 0.0)
         return np.where(np.isfinite(least), least, np.inf)
@@ -463,7 +445,6 @@ def row_data(problem: LCP) -> RowData:
         problem.matrix.residual_scale,
         None if several is None else several.labels,
         problem.nearest_to_zero,
-        problem.origin,
     )
 
 

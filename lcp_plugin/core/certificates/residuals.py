@@ -16,7 +16,6 @@ from ..names import Names
 from ..problem_classes import refusal
 from ..rounding import gamma
 from .criterion import (
-    NEAREST,
     Measured,
     RowData,
     RowResiduals,
@@ -235,35 +234,6 @@ def outside_row(name: str, value: float, bound: float) -> WorstRow:
     distance, terms = abs(value - bound), abs(value) + abs(bound)
     text = f"{name} = {value:.6g} is beyond its bound {bound:.6g}"
     return WorstRow(name, distance / terms, distance, terms, text)
-
-
-def put_on_bounds(
-    z: Vector, lower: Vector, upper: Vector, unit: Any, absolute: Any, terms: Vector
-) -> Vector:
-    """Return z, shape (n,), with each z_i on a bound if its distance from the bound is at rounding level.
-
-    The distance is at most 8 ε of |z_i| or of its unit, and no slack changes by more than its rounding level.
-
-    Parameters
-    ----------
-    z, lower, upper : array, shape (n,)
-    unit : array
-        Reference of the component of each row.
-    absolute : ndarray or sparse array, shape (rows, n)
-        |M|.
-    terms : array, shape (rows,)
-        Sums of the sizes of the terms of each row: moving z_i changes each by at most 8 ε.
-    """
-    from scipy.sparse import coo_array
-
-    entries, reach = coo_array(absolute), np.full(z.size, math.inf)
-    rows, columns = entries.coords
-    np.minimum.at(reach, columns, NEAREST * terms[rows] / entries.data)
-    unit = np.ravel(np.where(np.isfinite(unit), unit, 0.0))
-    reach = np.minimum(reach, NEAREST * np.maximum(np.abs(z), unit))
-    reach[(z == lower) | (z == upper)] = 0.0
-    moved = np.where(np.abs(z - upper) <= reach, upper, z)
-    return np.where(np.abs(z - lower) <= reach, lower, moved)
 
 
 def worst_pairs(

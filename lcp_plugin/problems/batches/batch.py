@@ -137,7 +137,7 @@ def solve_batch(
         Arrays x, status, objective and iterations with one row per problem, and ``explain()``; a sequence of the
         results of :func:`lcp_plugin.solve`. Accessing an invalid problem raises its error. Each problem has its own
         certificate; a program is tested as in
-        :class:`~lcp_plugin.problems.programs.solving.QuadraticProgramResult`. A NaN or an infeasible problem does not
+        :class:`~lcp_plugin.problems.programs.result.QuadraticProgramResult`. A NaN or an infeasible problem does not
         affect the others. After Ctrl-C the remaining problems are INTERRUPTED. For arrays on a GPU, x and w are there.
 
     Raises

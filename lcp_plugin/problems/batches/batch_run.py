@@ -27,7 +27,7 @@ from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..least_squares.solving import LeastSquaresResult
 from ..many import AnswerSequence, run_in_chunks
 from ..programs.criterion import QPSolution
-from ..programs.solving import QuadraticProgramResult
+from ..programs.result import QuadraticProgramResult
 from .program_batch import ENGINE, ProgramBatch
 
 # Jobs per batch on an executor: 4 for each of 16 workers level out unequal times. More jobs cost memory, because each
@@ -140,10 +140,8 @@ class BatchRun:
             run_in_chunks(solve_some, len(stacks), self.threads)
 
     def _take(self, items: Any, z: Any, residual: Any, iterations: Any, is_solved: Any) -> None:
-        """Keep the solved problems of a stack, unless their origin rejects the point."""
-        is_good = is_solved & self.is_open[items]
-        is_good &= ~self.problems.are_rejected(items, z, self.settings.tolerance)
-        good = np.flatnonzero(is_good)
+        """Keep the solved problems of a stack."""
+        good = np.flatnonzero(is_solved & self.is_open[items])
         at = items[good]
         if isinstance(self.z, np.ndarray):
             self.z[at] = z[good]

@@ -110,10 +110,6 @@ class Instances:
             if group.M.shape[1] <= LOOP_UP_TO:
                 yield from group.stacks(tolerance, is_path=True)
 
-    def are_rejected(self, items: Any, z: Any, tolerance: float) -> Any:
-        """Return the problems whose origin rejects the point, bool: a program, by its duality gap."""
-        return np.False_
-
     def outer(self, left: Any, right: Any) -> Any:
         """Return products left_i right_j, shape (B, n, n)."""
         return left[:, :, np.newaxis] * right[:, np.newaxis]
@@ -157,13 +153,6 @@ class Listed(Instances):
         """Return least squares problems that share A, weights and ridge as a stack; None for others."""
         rows = RightSides.of(self.problems, None)
         return None if rows is None else rows.least_squares()
-
-    def are_rejected(self, items: Any, z: Any, tolerance: float) -> Any:
-        """Return the problems whose origin rejects the point, bool."""
-        origins = (getattr(self.problems[k], "origin", None) for k in items)
-        tests = (getattr(origin, "rejects", None) for origin in origins)
-        pairs = zip(tests, z, strict=True)
-        return np.array([test is not None and test(at, tolerance) for test, at in pairs])
 
     @property
     def points(self) -> list[Any]:

@@ -252,7 +252,7 @@ def solve_programs(
     vectors = c.ravel(), *rights, lower.ravel(), upper.ravel()
     together = QuadraticProgram.with_matrices(matrices, *vectors)
     of_rows = np.concatenate([y[:, :m].ravel(), y[:, m:].ravel()])
-    errors = errors_of_each(together, x, of_rows, tolerance)
+    errors = errors_of_each(together, x, of_rows)
     rows = np.hstack([x, y, at_lower, at_upper])
     return rows, errors.largest, steps, errors.meet(tolerance)
 

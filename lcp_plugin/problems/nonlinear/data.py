@@ -43,7 +43,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
-from ...core.certificates.criterion import POWER, Measured, RowData, RowsAtPoint, row_data
+from ...core.certificates.criterion import Measured, RowData, RowsAtPoint, row_data
 from ...core.certificates.residuals import Certificate
 from ...core.checks import BoolVector, Vector, derived_property, read_only
 from ...core.errors import InvalidProblem
@@ -504,10 +504,10 @@ class Linearization:
         data = LinearizedRows(self.problem, self.lcp, self.x, self.value, origin)
         return Certificate.at(self.lcp, self.x, criterion=data, rows=data.rows(self.x, self.value))
 
-    def measure(self, settings: Settings, power: float = POWER) -> Measured:
+    def measure(self, settings: Settings) -> Measured:
         """Return the measure of x by the stopping criterion."""
         data, absolute = self.certificate.criterion, settings.absolute_tolerance
-        return data.measure_at(self.x, self.value, settings.goal, power, absolute)
+        return data.measure_at(self.x, self.value, settings.goal, absolute)
 
     def is_limited(self, settings: Settings) -> bool:
         """Return whether x fails only because of rounding, estimated by further values of F."""

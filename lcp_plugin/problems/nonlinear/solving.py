@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Algorithm, Step
-from ...core.certificates.criterion import POWER, Measured, RowData, row_data
+from ...core.certificates.criterion import Measured, RowData, row_data
 from ...core.checks import Vector, read_only, vector_option
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem
@@ -449,19 +449,19 @@ class NonlinearRun(Run):
         point: Linearization = step.measured
         if point.residual <= self.settings.goal:
             point = self._snap(point)
-        passes = self._passes(point, power=1.0)  # the active set is known
+        passes = self._passes(point)
         return Measured(point, point.residual, passes)
 
     def _is_far(self, point: Linearization) -> bool:
         """Return whether an unknown is as large as at a point from which it grew."""
         return bool((np.abs(point.x) >= self.newton.limit).any())
 
-    def _passes(self, point: Linearization, power: float = POWER) -> bool:
+    def _passes(self, point: Linearization) -> bool:
         """Return whether a point passes, with differences also if they disagree with the jacobian."""
-        if self._is_far(point) or not point.measure(self.settings, power).passes:
+        if self._is_far(point) or not point.measure(self.settings).passes:
             return False
         there = with_trusted_derivative(point) if self.has_doubts else point
-        return there is point or (there.is_defined and there.measure(self.settings, power).passes)
+        return there is point or (there.is_defined and there.measure(self.settings).passes)
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the linearization after entries near bounds are moved there, unless only the point itself passes."""

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.residuals import WorstRow, WorstRows, put_on_bounds, worst_pairs
+from ...core.certificates.residuals import WorstRow, WorstRows, worst_pairs
 from ...core.checks import Vector, checked_vector, derived_property, is_number, restore_state
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
@@ -35,7 +35,8 @@ from .criterion import QPSolution, excused_rows, least_size, worst_constraints
 from .no_minimum import NoMinimum, QPInfeasibility, proof_of_no_minimum
 from .program import QuadraticProgram
 from .program_matrices import WITHIN_ROUNDING, refuse_nonconvex
-from .solving import QuadraticProgramResult, solve_program
+from .result import QuadraticProgramResult
+from .solving import solve_program
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
 SMALL = 400  # variables and rows of a program that is solved again for a tighter bound
@@ -217,7 +218,7 @@ def _check_point(problem: Any, x: Any, multipliers: Any, claim: Any, *options: A
 def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
     """Return whether x satisfies the stopping criterion of a problem of pairs.
 
-    x is not moved, except that an x_i at the rounding level of its distance from a bound is put on the bound.
+    x is not moved: this is the function that ``solve`` applies to the points of its methods.
 
     Parameters
     ----------
@@ -233,22 +234,13 @@ def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
     criterion = resolve_name(f"lcp_plugin.{CLASSES[str(class_of(problem))].criterion}")
     x = checked_vector(x, "x", x.size)
     data, z, w, names = criterion(problem, x)
-    lower, upper, terms = map(np.ravel, (data.lower, data.upper, data.rows(z, w).terms))
-    sizes = data.absolute[0] if data.absolute.ndim == 3 else data.absolute
-    near = put_on_bounds(x, lower, upper, data.references[1], sizes, terms)
-    if not np.array_equal(near, x):
-        data, z, w, names = criterion(problem, near)
     found = data.measure_at(z, w, tolerance)
-    is_outside = (z < data.lower) | (z > data.upper)
-    by_row = found.by_row
-    by_row = by_row._replace(terms=np.where(is_outside, np.inf, by_row.terms))
-    found = found._replace(by_row=by_row)
-    fails = bool(np.any(by_row.fails(tolerance)))
+    fails = bool(np.any(found.by_row.fails(tolerance)))
     passes = not fails and bool(np.all(found.passes))
-    residual, reason = float(np.max(by_row.relative, initial=0.0)), ""
+    residual, reason = float(np.max(found.by_row.relative, initial=0.0)), ""
     if not (passes or fails):
-        reason = getattr(data.origin, "rejection", NOT_BY_A_ROW)
-    elif fails and (residual <= tolerance or is_outside.any()):  # another test failed
+        reason = NOT_BY_A_ROW
+    elif fails and (residual <= tolerance or ((z < data.lower) | (z > data.upper)).any()):
         reason = worst_pairs(data, found, names, tolerance, 1)[0].text
     violation = float(np.max(found.rows.violation, initial=0.0))
     rows = partial(worst_pairs, data, found, names, tolerance)

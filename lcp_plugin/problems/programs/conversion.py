@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import Vector, checked_answer
+from ...core.checks import checked_answer
 from ...core.errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.names import Names
+from ...core.settings import PROVEN, Status
 from ...systems.definiteness import is_semidefinite_to_rounding
-from .criterion import PROGRAM_TOLERANCE, KKTErrors, QPSolution
+from .criterion import PROGRAM_TOLERANCE, QPSolution
 from .program import VECTORS, QuadraticProgram, asymmetry_of
 from .program_matrices import refuse_nonconvex
+from .result import QuadraticProgramResult
+
+UNKNOWN_RUN: dict[str, Any] = {
+    "algorithm": "given point",
+    "iterations": 0,
+    "seconds": 0.0,
+    "history": (),
+    "stages": (),
+}
 
 __all__ = ["QuadraticProgram", "lcp_from_qp", "optimality_conditions", "qp_from_lcp"]
 
@@ -38,8 +48,8 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
     -------
     LCP
         Problem whose ``origin.recover(result)`` returns the
-        :class:`~lcp_plugin.problems.programs.criterion.QPSolution`, with the multipliers of all rows and bounds,
-        including folded rows.
+        :class:`~lcp_plugin.problems.programs.result.QuadraticProgramResult`, with the multipliers of all rows and
+        bounds, including folded rows.
 
     Raises
     ------
@@ -49,8 +59,8 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
     Notes
     -----
     Inconsistent constraints are not detected: such a program gives a problem without solution, or with a solution
-    beyond all bounds; ``solve(program)`` searches for the proof on the program itself. SOLVED is tested on the program,
-    but not for problems without this origin: after ``with_q`` or ``load``, and in a batch with `q` or bounds.
+    beyond all bounds; ``solve(program)`` searches for the proof on the program itself. ``solve(problem)`` tests z as a
+    solution of this LCP, as of any other; ``origin.recover(result)`` tests x as a solution of the program.
 
     References
     ----------
@@ -63,9 +73,9 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
     >>> problem = lcp_from_qp(QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2]))
     >>> print(problem, problem.origin.form)
     LCP(n=3, nonzeros=6, bounds 1 one-sided, 2 free) kkt
-    >>> solution = problem.origin.recover([0.5, 1.5, 1.0])
-    >>> solution.x, solution.inequality, solution.is_optimal(1e-12)
-    (array([0.5, 1.5]), array([1.]), True)
+    >>> result = problem.origin.recover([0.5, 1.5, 1.0])
+    >>> result.x, result.solution.inequality, result.status.name
+    (array([0.5, 1.5]), array([1.]), 'SOLVED')
     """
     if not isinstance(program, QuadraticProgram):
         raise InvalidProblem(
@@ -75,9 +85,9 @@ def lcp_from_qp(program: QuadraticProgram) -> LCP:
     return optimality_conditions(program)
 
 
-def optimality_conditions(program: QuadraticProgram, tolerance: float = PROGRAM_TOLERANCE) -> LCP:
-    """Return the conditions of a program known to be convex; a run on them stops at a solution of the program."""
-    origin = QPOrigin(program, tolerance)
+def optimality_conditions(program: QuadraticProgram) -> LCP:
+    """Return the conditions of a program known to be convex."""
+    origin = QPOrigin(program)
     return conditions(origin.reduced, Names(origin.row_name)).with_origin(origin)
 
 
@@ -178,8 +188,6 @@ class QPOrigin:
     ----------
     program : QuadraticProgram
         The user's program. The problem contains the conditions of `reduced`: rows of one variable are bounds.
-    tolerance : float
-        Tolerance of the duality gap, which a solution of the problem must meet.
     F : callable or None
         The map of a variational inequality over the constraints of the program, in place of its gradient.
 
@@ -190,12 +198,7 @@ class QPOrigin:
     """
 
     program: QuadraticProgram
-    tolerance: float = PROGRAM_TOLERANCE
     F: Callable[[Vector], Vector] | None = None
-    rejection: ClassVar[str] = (
-        "not solved: the duality gap of the program is above its tolerance, so the objective may be wrong although the "
-        "residual is small; next: solve(problem.origin.program)"
-    )
 
     @property
     def reduced(self) -> QuadraticProgram:
@@ -222,26 +225,24 @@ class QPOrigin:
         """Return "direct" if only bounds remain, else "kkt"; "variational" for such an inequality."""
         return "variational" if self.F else "kkt" if self.rows else "direct"
 
-    def rejects(self, z: Vector, tolerance: float) -> bool:
-        """Return whether the duality gap of z, shape (n + rows,), exceeds the larger of both tolerances.
-
-        With bounds only it returns False: the gap assumes moves of 10⁴ times x, for which sweeps take a third longer.
-        """
-        if self.form != "kkt":
-            return False
-        n, tolerance = self.program.n, max(self.tolerance, tolerance)
-        return not KKTErrors.of(self.reduced, z[:n], z[n:], tolerance).gap <= tolerance
-
     @np.errstate(all="ignore")
-    def recover(self, answer: Any) -> QPSolution:
-        """Return the solution of the program from a solution of the complementarity problem.
+    def recover(self, answer: Any, tolerance: float = PROGRAM_TOLERANCE) -> QuadraticProgramResult:
+        """Return the result of the program, with the status that the test of programs gives to this point.
 
         Parameters
         ----------
         answer : Result or array, shape (rows of the problem,)
-            Any result: the residuals of the returned solution measure it. Multipliers with a wrong sign become 0. For a
-            result with a proof of infeasibility they are NaN if the program is also infeasible: constraints that are
+            Result of the complementarity problem, of any status, or its z. Multipliers with a wrong sign become 0. If
+            the result has a proof of infeasibility, the program is tested for one of its own: constraints that are
             inconsistent relative to the LCP's data may be consistent relative to the program's.
+        tolerance : float
+            Tolerance of the duality gap.
+
+        Returns
+        -------
+        QuadraticProgramResult
+            SOLVED if x is optimal; otherwise the status of the run, or PRECISION_LIMIT or STALLED if only the test of
+            the program fails. Its `solution` has x, the multipliers and both measures.
 
         Raises
         ------
@@ -249,11 +250,24 @@ class QPOrigin:
             If it is not a finite vector of that length.
         """
         n = self.program.n
-        z = checked_answer(answer, n + self.rows)
+        z, proof = checked_answer(answer, n + self.rows), None
         program = self.program if self.F is None else self.program.with_vectors(c=self.F(z[:n]))
-        if (
-            getattr(answer, "has_no_solution", False)
-            and self.program.facts.accepted_proof() is not None
-        ):
-            return QPSolution.without_multipliers(program, z[:n])
-        return QPSolution.from_reduced(program, z[:n], z[n:])
+        if getattr(answer, "has_no_solution", False):
+            proof = self.program.facts.accepted_proof()
+        if proof is not None:
+            solution, status = QPSolution.without_multipliers(program, z[:n]), proof.status
+        else:
+            solution = QPSolution.from_reduced(program, z[:n], z[n:])
+            errors = solution.errors_for(tolerance)
+            status = getattr(answer, "status", Status.SOLVED)
+            if errors.meet(tolerance):
+                status = Status.SOLVED
+            elif status is Status.SOLVED or status in PROVEN:
+                is_near = errors.nearly_meet(tolerance)
+                status = Status.PRECISION_LIMIT if is_near else Status.STALLED
+        begun = "solve(problem.origin.program) solves the program itself"
+        begun = "" if status is Status.SOLVED or self.F is not None else begun
+        fields = {name: getattr(answer, name, none) for name, none in UNKNOWN_RUN.items()}
+        return QuadraticProgramResult(
+            solution, proof, status=status, tolerance=tolerance, begun=begun, **fields
+        )

@@ -1,40 +1,28 @@
 """Stopping criterion of a quadratic program: the test of a point x with multipliers y of the rows.
 
-The program is min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds. Multipliers serve only as a proof, so the test
-cleans them: a wrong sign becomes 0, and the gradient r = P x + c + Cᵀy gives the multiplier of a bound. Two measures
-decide:
+The program is min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds. The test moves x into its bounds, sets
+multipliers with a wrong sign to 0, and takes the gradient r = P x + c + Cᵀy for the multipliers of the bounds. With
+T_i = Σ_j |c_ij x_j| + |d_i| and K = 1000, it requires
 
-- **primal**: the violation of a row relative to max(|d_i|, max_j |c_ij x_j|); of a bound relative to |x_j| or itself.
-  The size of a row without coefficients is at least 10⁻⁵ of the largest right-hand side. A violation is tolerated if
-  it is at most 2⁻⁴⁴ (rounding) of |c_ij| times the unknowns that matter in its component.
-- **gap**, of each connected component: Σ |y_i| |slack_i| + Σ (|r_j| − blur_j)⁺ reach_j + Σ blur_j shake_j, and the
-  price of repairing tolerated rows, relative to the objective's terms. reach_j is the distance to the bound in the
-  descent direction −r_j, at most 10⁴ times the size of x_j; blur_j is the rounding error of r_j, and is not counted
-  beyond |r_j| reach_j.
+1. rows: each row is violated by at most 1e-9 T_i;
+2. gap: in each connected component, Σ |y_i| |C x − d|_i + Σ |r_j| reach_j + max |r_j| way_j ≤ tolerance · size.
 
-A point that passes violates no row beyond rounding, and no unknown that moves to its bound or to 10⁴ times its size
-gains more than the tolerance. Plain sums decide most points, because all sizes that they use are on the safe side. For
-the remaining points, the test uses sums without rounding and the multipliers y'. The user's summary is
-``examples/manual/solved.md``.
+- size = |cᵀx| + |xᵀP x|, at least 1e-8 of Σ |c_j x_j| + |xᵀP x|, and at least 1e-6 of Σ y'_i T_i.
+- price_j = |c_j| + |P x|_j + Σ_i |c_ij| y'_i; way_j = K size / price_j is the move of x_j that costs K objectives.
+- reach_j is the distance from x_j to the bound to which −r_j pushes; beyond way_j it is at most K |x_j|, and only then
+  the last term counts.
+- y'_i is |y_i|, at most the largest |P x + c|_j of unknowns off their bounds, divided by the largest |c_ij|.
 
-Sizes:
+So no feasible point is better by more than the tolerance if its unknowns differ by at most K |x_j| and by moves that
+cost together at most K times the objective; at t times these moves, the gain is at most t times the tolerance. If c_j =
+0, |P| |x| takes the place of |P x| in price_j; if all costs of a component are 0, also in the size. Sums are plain,
+with bounds of rounding errors. If these do not decide, sums are computed without rounding, and a violation of at most
+2⁻⁴⁷ |c_ij| T_k/|c_kj| is allowed: it is the rounding of x_j in another row k.
 
-- The size of x_j is the largest of |x_j|, the size of the gap divided by the largest term of r_j, and the size of the
-  other unknowns in a scaling fitted to P and C (Curtis, Reid). shake_j is the larger of |x_j| and the last of them,
-  which is at most the distance to the bound; blur_j shake_j is at most |r_j| reach_j.
-- The size of the gap is the smaller of Σ |c_j x_j| + |xᵀPx| and Σ |y'_i d_i| + Σ |r_j bound_j| + |xᵀPx|, and at least
-  |cᵀx + xᵀPx|. If terms cancel, it is at least 1e-8 of them; for slacks and blur_j, at least 1e-8 of
-  Σ |y'_i| (Σ |c_ij x_j| + |d_i|). |y'_i| is the smaller of |y_i| and the largest |P x + c|_j of its component, in
-  fitted units, over the unknowns that have room. So y of 10³³, which a cost of 10³⁴ allows if x_j = 0, make no gap
-  small, and the rounding error of their sums is part of |r_j|.
-- blur_j shake_j is not counted if r_j is at the rounding level of |c_j| + Σ |c_ij y'_i|. If xᵀP x is the square of
-  rounding errors of x, c_j + Σ c_ij y_i takes the place of r_j. So a point where all terms are 0 may be optimal.
-- The price of a tolerated violation is the price of its repair: unknowns move up to their bounds in the order of
-  (|r_j| − blur_j)⁺ / |c_ij|. Above 2⁻⁴⁴ of the fitted scale of a row, a proof of infeasibility is searched first.
-
-Limits: a row may be violated by 9e-10 of its terms although a coefficient of 1e11 in another row makes this violation
-expensive. A program may be unbounded although a program within 1e-10 of it has a minimum. An objective below 1e-14 of
-the terms of the rows, weighted with their multipliers, counts as 0.
+Limits: a coefficient of 1e11 in another row may make a violation of 9e-10 expensive. If coefficients of one column span
+1e12, a row may be violated by more, but x_j only by its rounding. A program may be unbounded although a program within
+1e-10 of it has a minimum. An objective below 1e-12 of the terms of the rows, weighted with their multipliers, or below
+1e-14 of its own terms, counts as 0. Costs beyond 2^1000 overflow.
 
 The solution of a quadratic program: primal and dual values, and their Karush–Kuhn–Tucker residuals.
 """
@@ -42,7 +30,6 @@ The solution of a quadratic program: primal and dual values, and their Karush–
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -51,8 +38,8 @@ from ...core.certificates.residuals import WorstRow, WorstRows
 from ...core.checks import Vector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import DATA_ROUNDING, UNIT
-from ...core.matrix import largest_products
-from ...core.rounding import compensated_pair, split_sum
+from ...core.matrix import largest_in_rows, largest_products
+from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance
 from ...engines.linear_program import highs
 
@@ -62,27 +49,32 @@ if TYPE_CHECKING:
 
 PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
 ROWS = 1e-9  # of the rows, at every tolerance
+NEARLY = (1e-6, 1e-3)  # rows and gap: a point beyond is not even inaccurately optimal
 NOISE = 1e-5  # of the coefficients of a row: ROWS of this on the right counts as a rounded 0
 BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
-# The objective's terms, and the rows' with their multipliers, may cancel to this share
-LEAST_SIZE = 1e-8
-LEAST_SIZE_OF_TERMS = 2.0**-1000  # quotients by it are finite
+CANCELLED = 1e-8  # share of the objective's terms to which they may cancel
+LEAST_SIZE = 1e-6  # of the rows' terms with their multipliers
+MOVES = 1000.0  # times its size, an unknown without a bound is moved
+SMALLEST_SIZE = 2.0**-900  # of the gap: if all terms are 0, gradients are relative to their own
+LEAST_PRICE = 2.0**-1000  # quotients by it are finite
+ROUNDED_ELSEWHERE = (
+    64.0 * UNIT
+)  # of terms in the other rows of an unknown: rounding of this unknown
 
 
 class KKTErrors(NamedTuple):
-    """The two measures of a point: its worst row, and its worst component's gap; ∞ if a number is not finite.
-
-    `tolerated` is the largest violation of a row relative to the rounding error of a right-hand side, 2⁻⁴⁴ of the
-    fitted scale of the row. Only rows count that are violated relative to their terms, by rounding of large unknowns.
-    """
+    """The two measures of a point: its worst row, and its worst component's gap; ∞ if a number is not finite."""
 
     primal: Any
     gap: Any
-    tolerated: float = 0.0
 
     def meet(self, tolerance: float) -> Any:
         """Return whether the point is a solution: the test of programs."""
         return (self.primal <= ROWS) & (self.gap <= tolerance)
+
+    def nearly_meet(self, tolerance: float) -> bool:
+        """Return whether both measures are small, but perhaps above the tolerance."""
+        return bool(self.primal <= NEARLY[0] and self.gap <= max(tolerance, NEARLY[1]))
 
     @property
     def largest(self) -> Any:
@@ -94,21 +86,15 @@ class KKTErrors(NamedTuple):
         cls, program: QuadraticProgram, x: Vector, y: Vector, tolerance: float = PROGRAM_TOLERANCE
     ) -> KKTErrors:
         """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
-        if not (np.isfinite(x).all() and np.isfinite(y).all()):
-            return cls(np.inf, np.inf)
-        point = PrimalDualPoint(program, x, y, is_exact=False)
-        primal, gap = point.row_errors(), np.full(1, np.inf)
-        if (primal <= ROWS).all():
-            if np.isfinite(point.room).all():
-                gap = point.gaps(has_units=False)
-            if not (gap <= tolerance).all():
-                gap = np.minimum(gap, point.gaps(has_units=True))
-        if not (gap <= tolerance).all():
-            point = PrimalDualPoint(program, x, y, is_exact=True)
-            primal, gap = point.row_errors(), point.gaps(has_units=True)
-        worst = [np.where(np.isnan(one), np.inf, one).max(initial=0.0) for one in (primal, gap)]
-        tolerated = point.tolerated() if point.is_exact else 0.0
-        return cls(float(worst[0]), float(worst[1]), tolerated)
+        found = cls(np.inf, np.inf)
+        if np.isfinite(x).all() and np.isfinite(y).all():
+            for is_exact in (False, True):
+                point = PrimalDualPoint(program, x, y, is_exact=is_exact)
+                both = point.row_errors().max(initial=0.0), point.gaps().max(initial=0.0)
+                found = cls(*(np.inf if np.isnan(one) else float(one) for one in both))
+                if found.meet(tolerance):
+                    break
+        return found
 
 
 def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: int) -> WorstRows:
@@ -141,7 +127,7 @@ def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: in
     return WorstRows(found)
 
 
-def errors_of_each(together: QuadraticProgram, x: Vector, y: Vector, tolerance: float) -> KKTErrors:
+def errors_of_each(together: QuadraticProgram, x: Vector, y: Vector) -> KKTErrors:
     """Return bounds of the errors, shape (B,), of B programs joined into one, at the rows of x, shape (B, n).
 
     Sums are plain. If they do not decide a program, test this program on its own.
@@ -150,9 +136,7 @@ def errors_of_each(together: QuadraticProgram, x: Vector, y: Vector, tolerance: 
     is_finite: Any = np.isfinite(x).all(axis=1)
     at = np.where(is_finite[:, np.newaxis], x, 0.0).ravel()
     point = PrimalDualPoint(together, at, np.nan_to_num(y), is_exact=False)
-    primal, gap = point.row_errors(), point.gaps(has_units=False)
-    if not (gap <= tolerance).all():
-        gap = np.where(gap <= tolerance, gap, point.gaps(has_units=True))
+    primal, gap = point.row_errors(), point.gaps()
     of_G, of_A, of_bounds = np.split(primal, [m * count, (m + p) * count])
     parts = (of_G.reshape(count, m), of_A.reshape(count, p), of_bounds.reshape(count, n))
     gaps = gap[together.matrices.components.of_unknown].reshape(count, n)
@@ -162,7 +146,7 @@ def errors_of_each(together: QuadraticProgram, x: Vector, y: Vector, tolerance: 
 
 
 class PrimalDualPoint:
-    """Point with all terms of its two measures.
+    """Point with the sums of its two measures, and the sizes of all terms of these sums.
 
     Parameters
     ----------
@@ -170,249 +154,150 @@ class PrimalDualPoint:
     x, y : arrays
         Finite.
     is_exact : bool
-        True if sums are computed without rounding. Otherwise the full rounding bounds `doubt` and `hidden` are added.
+        True if sums are computed without rounding. Otherwise full bounds of rounding errors are added.
 
     Attributes
     ----------
-    bound, distance : array, shape (n,)
-        Bound in the descent direction −r_j, and the distance of x_j to it.
-    room : array, shape (n,)
-        The distance, or the one to the farther bound if rounding hides the direction.
-    curved, objective : array
-        |xᵀP x| of each component, and Σ |c_j x_j| + |xᵀP x|.
+    excess, row_doubt : array, shape (m + p,)
+        C x − d, and a bound of its rounding error.
+    left, doubt, product, lost : array, shape (n,)
+        r and P x, with bounds of their rounding errors.
+    row_terms, bend : array, shapes (m + p,) and (n,)
+        Σ_j |c_ij x_j| + |d_i|, and |P| |x|.
     """
 
     def __init__(self, program: QuadraticProgram, x: Vector, y: Vector, *, is_exact: bool) -> None:
         self.program, self.matrices, self.is_exact = program, program.matrices, is_exact
-        m = self.matrices.sizes[0]
-        d, lower, upper = np.concatenate([program.h, program.b]), program.lower, program.upper
+        m, lower, upper = self.matrices.sizes[0], program.lower, program.upper
+        d = np.concatenate([program.h, program.b])
         is_limit = np.isfinite(d)
-        sides = np.where(is_limit, d, 0.0)
-        self.given, x = x, np.minimum(np.maximum(x, lower), upper)
-        self.outside = np.abs(self.given - x)
-        y = np.where(is_limit, y, 0.0)
+        d, y = (np.where(is_limit, one, 0.0) for one in (d, y))
         np.maximum(y[:m], 0.0, out=y[:m])
-        self.x, self.y, self.of_x, self.of_y = x, y, np.abs(x), np.abs(y)
+        self.given, self.x = x, np.minimum(np.maximum(x, lower), upper)
+        self.outside = np.abs(x - self.x)
+        x, self.of_x, self.of_y, self.cost = self.x, np.abs(self.x), np.abs(y), np.abs(program.c)
         P, C, of_P, of_C, of_columns = self.matrices.measured
-        self.limits, self.cost = np.abs(sides), np.abs(program.c)
-        self.bend = of_P @ self.of_x
-        terms = self.bend + self.cost + of_columns @ self.of_y
-        self.terms_of_rows = of_C @ self.of_x + self.limits
+        self.limits, self.bend = np.abs(d), of_P @ self.of_x
+        self.row_terms = of_C @ self.of_x + self.limits
         if is_exact:
-            self.product, low, radius = compensated_pair(self.matrices.sparse_P, x)
-            pull, more, doubt = compensated_pair(self.matrices.columns, y, program.c)
-            self.pull = np.abs(pull) + doubt
-            high, rest = split_sum(pull, self.product)
-            rest += low + more
-            self.left = high + rest
-            # Two sums of rests are rounded, each of which is at most u times a rounded sum
-            self.doubt = (doubt + radius + 4.0 * UNIT * np.abs(rest)) * (1.0 + 4.0 * UNIT)
-            self.doubt += 4.0 * UNIT * (np.abs(low) + np.abs(more))
-            excess, _, _ = compensated_pair(self.matrices.rows, x, -sides)
-            self.hidden: Any = 0.0
-            row_doubt: Any = 0.0
+            self.product, self.lost = compensated_product(self.matrices.sparse_P, x)
+            both = np.concatenate([x, y])
+            self.left, self.doubt = compensated_product(self.matrices.gradient, both, program.c)
+            self.excess, self.row_doubt = compensated_product(self.matrices.rows, x, -d)
         else:
             in_rows, in_P, in_columns = self.matrices.summands
-            self.product = P @ x
+            terms = self.bend + self.cost + of_columns @ self.of_y
+            self.product, self.lost = P @ x, (in_P + 3.0) * UNIT * self.bend
             self.left = self.product + program.c + C.T @ y
             self.doubt = (in_P + in_columns + 3.0) * UNIT * terms
-            excess, row_doubt = C @ x - sides, (in_rows + 3.0) * UNIT * self.terms_of_rows
-            self.hidden = self._sums(self.of_x * ((in_P + 3.0) * UNIT * self.bend))
-        self.excess = np.where(is_limit, excess, -np.inf)
-        missed = np.concatenate([self.excess[:m], np.abs(self.excess[m:])])
-        self.over = np.maximum(missed + row_doubt, 0.0)
-        self.slack = np.where(self.of_y > 0.0, np.abs(excess) + row_doubt, 0.0)
-        self.blur = BLUR * terms
-        self.bound = np.where(self.left > 0.0, lower, upper)
-        self.distance = np.abs(x - self.bound)
-        is_pushed = np.abs(self.left) > self.doubt + (0.0 if is_exact else self.blur)
-        self.room = np.where(is_pushed, self.distance, np.maximum(x - lower, upper - x))
-        self.curved = np.abs(self._sums(x * self.product)) + self.hidden
-        self.objective = self._sums(self.cost * self.of_x) + self.curved
-        self.own = np.maximum(
-            largest_products(of_C, self.of_x), np.where(self.over > 0.0, self.limits, 0.0)
-        )
-        if (
-            is_empty := self.matrices.counts == 0
-        ).any():  # sides are rounded relative to the largest
-            self.own[is_empty] = np.maximum(self.own, NOISE * self.limits.max())[is_empty]
-
-    # --- Rows --------------------------------------------------------------------------------------------------------
+            self.excess, self.row_doubt = C @ x - d, (in_rows + 3.0) * UNIT * self.row_terms
+        self.missed = np.abs(self.excess) + self.row_doubt
+        if not is_limit.all():
+            self.excess[~is_limit] = -np.inf
 
     def row_errors(self) -> Vector:
         """Return the error of each row and of each bound; rounding in rows is tolerated if sums are exact."""
-        own, of_bounds = self.own, self.outside
-        if self.is_exact and (self.over > ROWS * own).any():
-            own = np.maximum(own, DATA_ROUNDING / ROWS * self.reached)
+        m, sizes, of_bounds = self.matrices.sizes[0], self.row_terms, self.outside
+        over = self.missed.copy()
+        np.maximum(self.excess[:m] + self.row_doubt[:m], 0.0, out=over[:m])
+        if self.is_exact and (over > ROWS * sizes).any():
+            sizes = np.maximum(sizes, self.excused / ROWS)
         if of_bounds.any():
             lower, upper = self.program.lower, self.program.upper
             bound = np.where(self.x == lower, np.abs(lower), np.abs(upper))
             of_bounds = ratio(of_bounds, np.maximum(bound, np.abs(self.given)))
-        return np.concatenate([ratio(self.over, own), of_bounds])
-
-    def tolerated(self) -> float:
-        """Return the largest violation beyond the terms of its row, relative to the rounding of its right-hand side."""
-        over = np.where(self.over > ROWS * self.own, self.over, 0.0)
-        return float((over * (self.matrices.fit[1] / DATA_ROUNDING)).max(initial=0.0))
-
-    @cached_property
-    def reached(self) -> Vector:
-        """Size of the unknowns that matter in each row: the minimum over the user's units and fitted units."""
-        units, of_row = self.matrices.fit[0], self.matrices.components.of_row
-        of_C = self.matrices.measured[3]
-        return np.minimum(
-            *(
-                largest_products(of_C, one) * self._largest_by_component(self.matters / one)[of_row]
-                for one in (np.ones(units.size), units)
-            )
-        )
-
-    @cached_property
-    def price(self) -> Vector | None:
-        """Price of repairing each tolerated row; None without such a row.
-
-        Unknowns move in the direction that repairs the row, up to their bounds, the cheapest first. The price of a move
-        is the remaining gradient per coefficient; the least of them counts for a rest that the bounds do not allow.
-        """
-        is_bad = self.over > ROWS * self.own
-        if not (self.is_exact and is_bad.any()):
-            return None
-        is_bad &= self.over <= DATA_ROUNDING * self.reached
-        price, rows = np.zeros(self.over.size), self.matrices.rows
-        lower, upper = self.program.lower, self.program.upper
-        for i in np.flatnonzero(is_bad):
-            part = slice(rows.indptr[i], rows.indptr[i + 1])
-            a, j, over = rows.data[part], rows.indices[part], self.over[i]
-            mends = -np.sign(a) * np.sign(self.excess[i])
-            room = np.where(mends > 0.0, upper[j] - self.x[j], self.x[j] - lower[j])
-            paid = np.maximum(mends * self.left[j] - self.blur[j], 0.0) / np.abs(a)
-            order = np.argsort(paid)
-            repaired = np.minimum(np.cumsum(np.minimum(np.abs(a) * room, over)[order]), over)
-            moved = np.diff(repaired, prepend=0.0)
-            price[i] = np.where(moved > 0.0, moved * paid[order], 0.0).sum()
-            if repaired[-1] < over:
-                price[i] += (over - repaired[-1]) * (np.abs(self.left[j]) / np.abs(a)).min()
-        return price
-
-    # --- The gap -----------------------------------------------------------------------------------------------------
-
-    def gaps(self, has_units: bool) -> Vector:
-        """Return the gap of each component; without units, no distance to a bound is thought too large to matter."""
-        of = self.matrices.components.of_unknown
-        size, least = self._size()
-        rest = np.maximum(np.abs(self.left) + self.doubt - self.blur, 0.0)
-        reach = shake = self.room
-        if has_units:
-            units = self.matrices.fit[0]
-            at_most = units * self._largest_by_component(self.matters / units)[of]
-            by_terms = size[of] / np.maximum(self.size_of_gradient, LEAST_SIZE_OF_TERMS)
-            # An unknown without a bound is moved so many times its size
-            far = 1e4 * np.maximum(np.maximum(self.of_x, by_terms), at_most)
-            reach = np.where(self.objective[of] > 0.0, np.minimum(reach, far), reach)
-            shake = np.minimum(shake, at_most)
-        # NaN, which is the gradient of an overflow, stays NaN
-        moves = np.where(rest == 0.0, 0.0, rest * reach)
-        shakes = np.where(self.blur == 0.0, 0.0, self.blur * np.maximum(self.of_x, shake))
-        if self.is_exact:  # a gradient that is 0 has no rounding in it
-            most = np.abs(self.left) + self.doubt
-            most = np.where(most > 0.0, most * reach, 0.0) - moves
-            shakes = np.where(most < shakes, most, shakes)
-            shakes = np.where(self._is_rounding, 0.0, shakes)
-        held = np.where(self.slack > 0.0, self.of_y * self.slack, 0.0)
-        return ratio(self._sums(moves, self.price), size) + ratio(
-            self._sums(shakes, held), np.maximum(size, least)
-        )
-
-    @cached_property
-    def size_of_gradient(self) -> Vector:
-        """Largest term of each unknown's gradient."""
-        of_P, _, of_columns = self.matrices.measured[2:]
-        return np.maximum(
-            np.maximum(self.cost, largest_products(of_P, self.of_x)),
-            largest_products(of_columns, self.of_y),
-        )
-
-    @cached_property
-    def matters(self) -> Vector:
-        """Sizes of unknowns whose terms are a relevant part of the objective's terms; 0 for the remaining unknowns."""
-        part = self.objective[self.matrices.components.of_unknown]
-        # Unknowns with smaller terms do not matter
-        return np.where(self.size_of_gradient * self.of_x >= 1e-6 * part, self.of_x, 0.0)
-
-    def _size(self) -> tuple[Vector, Any]:
-        """Return the size of the gap of each component, and the least size for its terms at rounding level.
-
-        The first is the smaller of the objective's terms and of its dual's, both at least |cᵀx + xᵀP x|. The second is
-        taken of the rows' terms with multipliers: no x of doubles makes |3 x - 0.3| zero.
-        """
-        value = np.abs(self._sums((self.program.c + self.product) * self.x))
-        value -= LEAST_SIZE * self.objective + self.hidden
-        dual: Any = np.maximum(self.curved - 2.0 * self.hidden, value)
-        least: Any = 0.0
-        if self.is_exact:
-            bound = np.where(self.distance <= self.of_x, np.abs(self.bound), 0.0)
-            terms = self._sums(np.abs(self.left) * bound, self.needed_y * self.limits) + self.curved
-            dual = np.maximum(dual, terms)
-            least = LEAST_SIZE * self._sums(0.0 * self.x, self.needed_y * self.terms_of_rows)
-        own = self.objective
-        if not self.cost.all():
-            has_costs = self._sums(self.cost) > 0.0
-            own = own + np.where(has_costs, 0.0, self._sums(self.of_x * self.bend))
-        return np.maximum(np.minimum(self.objective, dual), LEAST_SIZE * own), least
+        return np.concatenate([ratio(over, sizes), of_bounds])
 
     @property
-    def _is_rounding(self) -> Any:
-        """Return the unknowns whose gradient is the rounding error of a cost and multipliers, or of x where P x = 0."""
-        at_rest = self.curved <= BLUR * BLUR * self._sums(self.of_x * self.bend)
-        at_rest = at_rest[self.matrices.components.of_unknown]
-        most = np.where(at_rest, self.pull, np.abs(self.left) + self.doubt)
-        return most <= BLUR * (self.cost + self.matrices.measured[4] @ self.needed_y)
+    def excused(self) -> Vector:
+        """Violation of each row that counts as rounding: of its unknowns in other rows, or of the right-hand sides."""
+        columns, matrices = self.matrices.columns, self.matrices
+        terms = self.row_terms[columns.indices] / np.abs(columns.data)
+        reached = largest_products(matrices.measured[3], largest_in_rows(columns, terms))
+        sides = np.where(matrices.counts == 0, self.limits.max(initial=0.0), 0.0)
+        return np.maximum(ROUNDED_ELSEWHERE * reached, ROWS * NOISE * sides)
 
-    @cached_property
-    def needed_y(self) -> Vector:
-        """Sizes of the multipliers, each at most the size that balances P x + c at the unknowns that have room.
+    def gaps(self) -> Vector:
+        """Return the gap of each component."""
+        x, of_x, sums = self.x, self.of_x, self._sums
+        below, above = x - self.program.lower, self.program.upper - x
+        y = self.needed_y(np.minimum(below, above))
+        curved = np.maximum(np.abs(sums(x, self.product)) - sums(of_x, self.lost), 0.0)
+        size = np.abs(sums(self.program.c, x)) + curved
+        # Without costs, the terms of P x take their place
+        bend = self.bend * 0.0
+        if not self.cost.all():
+            bend = np.where(self._of_unknowns(sums(self.cost, self.cost)) > 0.0, 0.0, self.bend)
+        size = np.maximum(size, CANCELLED * (sums(self.cost, of_x) + curved))
+        size = np.maximum(size, LEAST_SIZE * sums(bend, of_x, y, self.row_terms))
+        size = np.maximum(size, SMALLEST_SIZE)
+        # An unknown without a cost may be balanced by terms of P x that cancel
+        bend = np.where(self.cost > 0.0, 0.0, self.bend)
+        price = np.maximum(np.abs(self.product) - self.lost, bend) + self.cost
+        price += self.matrices.measured[4] @ y
+        left = np.abs(self.left)
+        rest, distance = left + self.doubt, np.where(self.left > 0.0, below, above)
+        if (left <= self.doubt).any():  # either direction may be the one of descent
+            distance = np.where(left <= self.doubt, np.maximum(below, above), distance)
+        way = self._of_unknowns(MOVES * size) / np.maximum(price, LEAST_PRICE)
+        is_far = distance > way
+        reach = np.where(is_far, np.minimum(distance, MOVES * of_x), distance)
+        gap = sums(rest, np.where(rest == 0.0, 0.0, reach), self.of_y, self.missed)
+        gap += self._largest(np.where(is_far, rest * way, 0.0))
+        return np.where(size < np.inf, gap / size, np.nan)
 
-        An unknown has none if its distance to a bound is at rounding level of the unknowns of its component: a cost of
-        10³⁶ that keeps it there needs no multiplier of this size.
+    def needed_y(self, way: Vector) -> Vector:
+        """Return sizes of the multipliers: each at most balances P x + c at an unknown that is off its bounds.
+
+        `way` is the distance to the nearest bound. An unknown at rounding level of its component is at its bound.
         """
-        (units, row_units), parts = self.matrices.fit, self.matrices.components
-        way = np.minimum(self.x - self.program.lower, self.program.upper - self.x)
-        sizes = self._largest_by_component(self.of_x / units)[parts.of_unknown]
-        pull = units * np.abs(self.product + self.program.c)
-        pulls = np.where(way > DATA_ROUNDING * units * sizes, pull, 0.0)
-        return np.minimum(self.of_y, row_units * self._largest_by_component(pulls)[parts.of_row])
+        pull = np.abs(self.product + self.program.c) - self.lost
+        at_bound = way <= self._of_unknowns(DATA_ROUNDING * self._largest(self.of_x))
+        parts, most = self.matrices.components, self._largest(np.where(at_bound, 0.0, pull))
+        if parts.number > 1:
+            most = most[parts.of_row]
+        return np.minimum(self.of_y, most / self.matrices.row_sizes[: self.of_y.size])
 
-    def _sums(self, of_unknowns: Vector, of_rows: Vector | None = None) -> Vector:
-        """Return the sums over each component."""
+    @property
+    def row_weight(self) -> float:
+        """Terms of all rows with the multipliers y'."""
+        way = np.minimum(self.x - self.program.lower, self.program.upper - self.x)
+        return float(self.needed_y(way) @ self.row_terms)
+
+    def _sums(self, a: Vector, b: Vector, of_rows: Any = 0.0, other: Any = 0.0) -> Vector:
+        """Return the sums of the products a_j b_j over each component, and of products of its rows."""
         parts = self.matrices.components
         if parts.number == 1:
-            sums: Any = np.add.reduce(of_unknowns, keepdims=True)
-            return np.asarray(sums if of_rows is None else sums + np.add.reduce(of_rows))
-        sums = np.bincount(parts.of_unknown, of_unknowns, parts.number) + 0.0  # of none too
-        if of_rows is not None:
-            sums += np.bincount(parts.of_row, of_rows, parts.number)
-        return np.asarray(sums)
+            return np.array([a @ b + np.dot(of_rows, other)])
+        found = np.bincount(parts.of_unknown, a * b, parts.number) + 0.0  # of none too
+        if isinstance(of_rows, np.ndarray):
+            found += np.bincount(parts.of_row, of_rows * other, parts.number)
+        return np.asarray(found)
 
-    def _largest_by_component(self, sizes: Vector) -> Vector:
+    def _of_unknowns(self, values: Vector) -> Vector:
+        """Return the value of each unknown's component."""
+        parts = self.matrices.components
+        return values if parts.number == 1 else values[parts.of_unknown]
+
+    def _largest(self, sizes: Vector) -> Vector:
         """Return the largest size in each component."""
         parts = self.matrices.components
         if parts.number == 1:
-            return np.maximum.reduce(sizes, keepdims=True, initial=0.0)
+            return np.array([sizes.max(initial=0.0)])
         most = np.zeros(parts.number)
         np.maximum.at(most, parts.of_unknown, sizes)
         return most
 
 
 def least_size(program: QuadraticProgram, x: Vector, y: Vector) -> float:
-    """Return the size that a value at x has at least, 1e-8 of the rows' terms with the multipliers y."""
-    point = PrimalDualPoint(program, x, y, is_exact=True)
-    return LEAST_SIZE * float(point.needed_y @ point.terms_of_rows)
+    """Return the size that a value at x has at least, 1e-6 of the rows' terms with the multipliers y."""
+    return LEAST_SIZE * PrimalDualPoint(program, x, y, is_exact=True).row_weight
 
 
 def excused_rows(program: QuadraticProgram, x: Vector) -> Vector:
     """Return the violation of each row that counts as rounding at x."""
-    point = PrimalDualPoint(program, x, np.zeros(program.constraints.right.size), is_exact=True)
-    return np.where(program.matrices.counts == 0, ROWS * point.own, DATA_ROUNDING * point.reached)
+    none = np.zeros(program.constraints.right.size)
+    return PrimalDualPoint(program, x, none, is_exact=False).excused
 
 
 class ProgramComponents(NamedTuple):
@@ -425,7 +310,7 @@ class ProgramComponents(NamedTuple):
 
 def ratio(errors: Vector, sizes: Vector) -> Vector:
     """Return the quotients, 0 / 0 = 0."""
-    return np.where(errors > 0.0, errors / np.maximum(sizes, LEAST_SIZE_OF_TERMS), errors)
+    return np.where(errors > 0.0, errors / np.maximum(sizes, LEAST_PRICE), errors)
 
 
 MULTIPLIERS = "inequality", "equality", "lower", "upper"

@@ -189,7 +189,8 @@ class ProgramMatrices:
     @cached_property
     def row_sizes(self) -> Vector:
         """Largest |entry| of each constraint; 1 for a row without entries."""
-        return or_one(np.concatenate([largest_in_rows(self.rows), np.ones(2 * self.P.shape[0])]))
+        ones = np.ones(self.P.shape[0])
+        return or_one(np.concatenate([largest_products(self.measured[3], ones), ones, ones]))
 
     @cached_property
     def entries(self) -> tuple[int, int]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import chain
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -15,11 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...core.algorithm import Step
-from ...core.certificates.residuals import WorstRows
 from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
-from ...core.names import describe_radius, three_digits_below
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
 from ...engines import ENGINES, engine_class, has_piqp, installed_engine, is_installed, scaling
 from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
@@ -27,14 +24,15 @@ from ...engines.polish import ROUNDS, polish_steps
 from ...methods.interior_point import InteriorPoint
 from ...solving.dispatch import parse_call
 from ...solving.lcp_solver import solve_lcp
-from ...solving.result import NEXT, BaseResult, Sample
+from ...solving.result import Sample
 from ...solving.run import Named, Progress, Run, Stage, say
 from .conversion import optimality_conditions
-from .criterion import PROGRAM_TOLERANCE, ROWS, KKTErrors, QPSolution, worst_constraints
+from .criterion import PROGRAM_TOLERANCE, KKTErrors, QPSolution
 from .no_minimum import NoMinimum, QPUnboundedness, numbers
 from .program import QuadraticProgram
 from .program_matrices import refuse_nonconvex
 from .regression import Outward, regression_of, solutions
+from .result import ADVICE, QuadraticProgramResult
 
 NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
 GIVEN, FITTED, SIDES = "the caller's units", "fitted units", "units of limits and costs"
@@ -55,6 +53,10 @@ ATTEMPTS: tuple[tuple[str, float | None, int | None, str], ...] = (
 # With much fill, a step of PIQP takes up to 10 s, and nothing interrupts it. HiGHS pivots; Clarabel's factorization is
 # up to 20 times as fast then.
 WITH_FILL = "highs", "clarabel", "daqp", "piqp"
+POLISH_FROM = (
+    20  # steps of an external solver: a polish, of two factorizations, takes a tenth of its time
+)
+SHARP = 2.0**-40  # gap below which a polish gains nothing
 TOLERANCES = MappingProxyType(
     {
         "piqp": ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
@@ -132,7 +134,8 @@ def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[En
         elif not is_installed(name):
             continue
         elif name == "daqp":
-            if matrices.is_small:
+            # Its proximal steps drift away if nothing bends: linear programs in units of 1e9 ended at x = 1e21
+            if matrices.is_small and matrices.has_curvature:
                 yield engine_class(name)(), units
         elif name != "highs" or not matrices.has_curvature:
             limit = {} if steps is None else {"max_iter": steps}
@@ -147,7 +150,7 @@ def run_engine(
     *,
     is_verbose: bool = False,
 ) -> ProgramPoint:
-    """Return the first point of an engine that passes the test, or its best point.
+    """Return the best of the measured points of an engine: its own, without noise, and polished where that is cheap.
 
     Raises
     ------
@@ -169,15 +172,17 @@ def run_engine(
             raise
         iterations, says = iterations + point.iterations, point.says
         rounds = 0 if says in NO_MINIMUM else ROUNDS
-        for near in candidates(scaled.statement, point, rounds):
+        is_small = reduced.matrices.is_small
+        is_cheap = is_small or point.iterations >= POLISH_FROM
+        for near, is_polished in candidates(scaled.statement, point, rounds):
             back = scaled.outward(near)
             x, y = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper), back.y
             found = KKTErrors.of(reduced, x, y, tolerance)
             is_good = bool(found.meet(tolerance))
-            is_better = found.largest < errors.largest or is_good
-            if is_better and not (passes and found.tolerated):
+            if (is_good, -found.largest) > (passes, -errors.largest):
                 best, errors, passes = (x, y), found, is_good
-            if (is_good and not found.tolerated) or is_over():
+            is_best = not is_cheap or errors.gap <= SHARP or (is_polished and not is_small)
+            if is_over() or (passes and is_best):
                 break
         if passes or is_over():
             break
@@ -196,13 +201,18 @@ def nearest(program: QuadraticProgram) -> tuple[Vector, Vector]:
     return x, np.zeros(rows)
 
 
-def candidates(statement: ProgramData, point: EngineAnswer, rounds: int) -> Iterator[EngineAnswer]:
-    """Yield points that may be the solution near a point: the point, and polished, each also with noise set to 0."""
+def candidates(
+    statement: ProgramData, point: EngineAnswer, rounds: int
+) -> Iterator[tuple[EngineAnswer, bool]]:
+    """Yield points that may be the solution near a point, and whether they are polished.
+
+    The point itself and its polished ones are each followed by the same with noise set to 0.
+    """
     for one in chain([point], polish_steps(statement, point, rounds)):
-        yield one
+        yield one, one is not point
         clean = one._replace(x=_without_noise(one.x), y=_without_noise(one.y))
         if not (np.array_equal(clean.x, one.x) and np.array_equal(clean.y, one.y)):
-            yield clean
+            yield clean, one is not point
 
 
 def _without_noise(values: Vector) -> Vector:
@@ -243,114 +253,8 @@ def _check_options(engine: Engine) -> None:
         raise InvalidOption(f"{engine.name} does not take {given}: {why}") from error
 
 
-NEARLY = KKTErrors(1e-6, 1e-3)  # measures beyond that are not even inaccurately optimal
 SHORT_SEARCH = 5000  # variables and rows: larger programs need a report of a solver
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity
-
-ADVICE = {
-    Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
-    Status.PRECISION_LIMIT: "the residuals are small, but not within the tolerance; next: rescale the data",
-    Status.INFEASIBLE: "no x satisfies all constraints; next: print(result.conflict), which of them conflict",
-    Status.STALLED: (
-        "no point passes the test, and no proof of infeasibility or unboundedness was found or requested; "
-        "next: check the data and their units"
-    ),
-}
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class QuadraticProgramResult(BaseResult):
-    """Result of a quadratic program, tested on the unscaled program.
-
-    Attributes
-    ----------
-    status : Status
-        SOLVED (optimal) by the two measures, INFEASIBLE or UNBOUNDED with a proof, PRECISION_LIMIT if the measures
-        are small, but above the tolerance; otherwise why the run ended.
-    solution : QPSolution
-        x, the multipliers and the two measures.
-    algorithm, iterations, seconds
-        Steps of the solver that found this point; wall-clock seconds of the entire run.
-    tolerance : float
-        Tolerance of the duality gap; rows are tested to 1e-9 at every tolerance.
-    proof : QPInfeasibility or QPUnboundedness or None
-        Proof of INFEASIBLE or UNBOUNDED.
-    stages : tuple of StageRecord
-        Stages of the run, in order.
-    history : tuple of Sample
-        With ``record=True``, the start and the end of an external solver, or the samples of a run on the LCP.
-    begun : str
-        Same meaning as in :class:`lcp_plugin.Result`.
-    doubtful : QPInfeasibility or QPUnboundedness or None
-        Proof that holds only by rounding, or only within a radius, so that it excludes no solution.
-    """
-
-    _advice = ADVICE
-
-    solution: QPSolution
-    proof: NoMinimum | None = None
-    doubtful: NoMinimum | None = None
-
-    @property
-    def program(self) -> QuadraticProgram:
-        """The program."""
-        return self.solution.program
-
-    @property
-    def x(self) -> Vector:
-        """Minimizer, or the best point found, shape (n,)."""
-        return self.solution.x
-
-    @property
-    def z(self) -> Vector | None:
-        """X and the multipliers of the rows that are not bounds: a start for a further run; None with a proof."""
-        return None if self.proof is not None else np.concatenate([self.x, self.solution.reduced_y])
-
-    @property
-    def objective(self) -> float | None:
-        """Objective in the sense of the program; None if the program is proved infeasible or unbounded."""
-        return None if self.has_no_solution else self.program.sense * self.solution.objective
-
-    @property
-    def duals(self) -> dict[str, Vector]:
-        """The multipliers ``inequality``, ``equality``, ``lower``, ``upper``, with cvxpy's signs."""
-        names = "inequality", "equality", "lower", "upper"
-        return {name: getattr(self.solution, name) for name in names}
-
-    def _advice_of_status(self) -> str:
-        happened, begins, to_do = super()._advice_of_status().partition(NEXT)
-        if self.status is Status.PRECISION_LIMIT and self.doubtful is not None:
-            happened = self.doubtful.doubt
-        return happened + begins + to_do
-
-    def _clauses(self) -> list[str]:
-        """Return the radius of a proof that does not exclude larger x, and the doubt whether the program is convex."""
-        if self.has_no_solution:
-            points = "" if self.proof is None else describe_radius(self.proof.radius, "x")
-            return [f"of {points}: a larger one is not excluded"] if points else []
-        if self.program.is_convex is not False:
-            return []
-        doubt = "at rounding level or of fixed unknowns"
-        if not self.is_solved:
-            doubt = "so the program is not convex, unless this is a rounding error"
-        return [f"P has a negative eigenvalue, {doubt}"]
-
-    def _worst(self, count: int) -> WorstRows:
-        y = np.concatenate([self.solution.inequality, self.solution.equality])
-        return worst_constraints(self.program, self.x, y, count)
-
-    def describe_accuracy(self) -> str:
-        """Return the two measures and their tolerances, or the proof of infeasibility or unboundedness, as text."""
-        if self.proof is None:
-            found = self.solution
-            return (
-                f"objective {self.objective:.9g}; constraints are violated by {found.primal_residual:.1e} (tolerance "
-                f"{ROWS:.0e}), the duality gap is {found.duality_gap:.1e} (tolerance {self.tolerance:.0e}), each "
-                "relative to its terms"
-            )
-        least = getattr(self.proof, "least_violation", 0.0)
-        missed = f"\nevery point violates a constraint by {three_digits_below(least)} or more"
-        return f"{self.proof}{missed if least else ''}"
 
 
 @np.errstate(all="ignore")
@@ -554,7 +458,7 @@ class ProgramRun(Run):
         """Yield the point of a run on the complementarity problem, which shows its own steps, up to an algorithm."""
         progress, n, left = self.progress, self.program.n, seconds_left()
         tolerance = self.settings.tolerance
-        problem = optimality_conditions(self.program, tolerance)
+        problem = optimality_conditions(self.program)
         wishes = {**options, **self.wishes, "max_seconds": None if left == math.inf else left}
         if self.start is not None and self.start.size == problem.n:
             wishes["z0"] = self.start
@@ -600,9 +504,8 @@ class ProgramRun(Run):
         found = self.latest
         if found is None or not self.settings.prove_infeasibility:
             return end
-        primal, _, tolerated = found.errors
         # If rows are violated, a proof of infeasibility is searched first
-        is_in_doubt = tolerated > 1.0 or primal > 1e-10 or self._is_far(found.solution.x)
+        is_in_doubt = found.errors.primal > 1e-10 or self._is_far(found.solution.x)
         if (found.passes and is_in_doubt and self._is_short) or found.says in NO_MINIMUM:
             self._search_proof()
         return end if self.proof is None else Status.NO_SOLUTION
@@ -642,10 +545,7 @@ class ProgramRun(Run):
     @property
     def _is_nearly_optimal(self) -> bool:
         """True if the measures of the best point are small, but above the tolerance."""
-        if self.best is None:
-            return False
-        primal, gap, _ = self.best.errors
-        return bool(primal <= NEARLY.primal and gap <= max(self.settings.tolerance, NEARLY.gap))
+        return self.best is not None and self.best.errors.nearly_meet(self.settings.tolerance)
 
     def result(self, end: Status) -> QuadraticProgramResult:
         """Return the result."""

@@ -133,7 +133,7 @@ def test_a_point_that_the_quick_test_of_one_problem_accepts_passes_the_criterion
             z = np.clip(solved * (1.0 + size * rng.normal(size=drawn.n)), drawn.lower, drawn.upper)
             if (bound := bound_residual(data, z, 1e-8)) < INF:
                 accepted += 1
-                found = data.measure(z, 1e-8, power=1.0)
+                found = data.measure(z, 1e-8)
                 assert found.passes
                 assert found.residual <= bound
                 assert np.array_equal(found.z, z)

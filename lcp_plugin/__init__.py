@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,27 @@ def _solve_from_cvxpy(problem: Any, *args: Any, **options: Any) -> Any:
     return problem.solve(*args, method="LCP", **options)
 
 
+def _register(cvxpy: Any) -> None:
+    for method in ("LCP", "lcp"):
+        cvxpy.Problem.register_solve(method, _solve_from_cvxpy)
+
+
+class _CvxpyImport:
+    """Import hook that registers the method when cvxpy is imported later, and goes then."""
+
+    @classmethod
+    def find_spec(cls, name: str, *_: Any) -> Any:
+        """Return None, or the specification of cvxpy with a loader that registers the method."""
+        if name != "cvxpy" or cls not in sys.meta_path:
+            return None
+        sys.meta_path.remove(cls)  # type: ignore[arg-type]
+        if (spec := find_spec(name)) is not None and spec.loader is not None:
+            load = spec.loader.exec_module
+            spec.loader.exec_module = lambda module: (load(module), _register(module))  # type: ignore[assignment, func-returns-value, method-assign, return-value]
+        return spec
+
+
 if hasattr(_cvxpy := sys.modules.get("cvxpy"), "Problem"):  # imported before
-    for _method in ("LCP", "lcp"):
-        _cvxpy.Problem.register_solve(_method, _solve_from_cvxpy)
+    _register(_cvxpy)
+elif "cvxpy" not in sys.modules:
+    sys.meta_path.insert(0, _CvxpyImport)  # type: ignore[arg-type]

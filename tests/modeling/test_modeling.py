@@ -295,11 +295,18 @@ print('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS, sys.meta_path == before)
     assert printed_by(code) == "True True"
 
 
-@pytest.mark.parametrize("then", ["import lcp_plugin", "import lcp_plugin.modeling"])
-def test_a_plain_program_is_solved_with_the_method_after_the_import(then: str) -> None:
-    """With cvxpy imported first, `import lcp_plugin` registers the method without loading the models."""
+@pytest.mark.parametrize(
+    "then",
+    [
+        "import cvxpy as cp, lcp_plugin",
+        "import lcp_plugin, cvxpy as cp",
+        "import cvxpy as cp, lcp_plugin.modeling",
+    ],
+)
+def test_a_plain_program_is_solved_with_the_method_after_the_imports(then: str) -> None:
+    """In either order the imports register the method without loading the models, and no import hook remains."""
     code = (
-        f"import sys, cvxpy as cp\n{then}\n"
+        f"import sys\nbefore = list(sys.meta_path)\n{then}\nassert sys.meta_path == before\n"
         "print('lcp_plugin.modeling' in sys.modules)\n"
         "x = cp.Variable()\n"
         "print(round(cp.Problem(cp.Minimize((x - 3)**2), [x <= 2]).solve(method='LCP'), 6))"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .core.errors import InvalidOption
 from .core.files import checked_path
 from .core.files import save as save_problem
 from .core.lcp import LCP
@@ -43,7 +44,7 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
 
 def from_qp(
     P: Any,
-    c: ArrayLike,
+    c: ArrayLike | None = None,
     G: Any = None,
     h: ArrayLike | None = None,
     A: Any = None,
@@ -60,7 +61,7 @@ def from_qp(
 
     Parameters
     ----------
-    P : array or sparse array, shape (n, n)
+    P : array or sparse array, shape (n, n), or a QuadraticProgram, which needs no other argument
         Symmetric, positive semidefinite up to rounding: UnsupportedModel where it clearly is not.
     c : array, shape (n,)
     G, h : shapes (p, n) and (p,), optional
@@ -70,7 +71,14 @@ def from_qp(
     lower, upper : scalar or array, shape (n,)
         Bounds of x; none by default.
     """
-    return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper))
+    if not isinstance(P, QuadraticProgram):
+        return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper))  # type: ignore[arg-type]
+    others = [one for one in (c, G, h, A, b) if one is not None]
+    if others or not (np.array_equal(lower, -np.inf) and np.array_equal(upper, np.inf)):
+        raise InvalidOption(
+            "a QuadraticProgram has all data; call LCP.from_qp(program) without others"
+        )
+    return lcp_from_qp(P)
 
 
 def from_contacts(

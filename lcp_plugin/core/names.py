@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -59,6 +60,24 @@ def listed(names: Iterable[str], most: int = 4, between: str = ", ") -> str:
     different = [*dict.fromkeys(names)]
     more = f" and {len(different) - most} more" if len(different) > most else ""
     return between.join(different[:most]) + more
+
+
+def grouped(names: Iterable[str], most: int = 4) -> list[str]:
+    """Return different names, entries of one array as one name with their number if there are more than `most`.
+
+    Examples
+    --------
+    >>> grouped(["row 0", "lower[0]", "lower[1]", "x[0] ≥ 1", "x[1] ≥ 1", "x[2] ≥ 1", "z[1]"])
+    ['row 0', 'lower (2 entries)', 'x ≥ 1 (3 entries)', 'z[1]']
+    """
+    different = [*dict.fromkeys(names)]
+    if len(different) <= most:
+        return different
+    arrays = {one: re.sub(r"\[[\d, ]+\]|, entry [\d, ()]+$", "", one) for one in different}
+    counts = Counter(arrays.values())
+    shown = ((one, array, counts[array]) for one, array in arrays.items())
+    texts = (f"{array} ({count} entries)" if count > 1 else one for one, array, count in shown)
+    return [*dict.fromkeys(texts)]
 
 
 def remark_on_labels(text: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 from cvxpy import settings
-from cvxpy.error import SolverError
+from cvxpy.error import DCPError, SolverError
 
 from ..core.errors import InvalidProblem, ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
@@ -24,6 +24,11 @@ from .qp_solver import QPSolver, certify_problem, name_rows
 
 FLAGS = "gp qcp nlp requires_grad"  # of cvxpy's solve
 OF_COMPILATION = "enforce_dpp ignore_dpp canon_backend bibtex"  # by cvxpy, which only programs need
+NOT_BY_RULES = (
+    "cvxpy's rules do not see whether a quadratic objective in this form is convex. If it is, solve its optimality "
+    "conditions, cp.Problem(cp.Minimize(0), [lcp_plugin.optimal(problem, over=problem.variables())]), by "
+    'method="LCP"; or write cp.quad_form(x, P) or cp.sum_squares, or pass arrays: lcp_plugin.QuadraticProgram(P, c, …)'
+)
 
 
 def is_complementarity_problem(problem: Any) -> bool:
@@ -271,6 +276,10 @@ def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, A
             sense=sense_of(problem),
             **options,
         )
+    except DCPError as error:
+        if problem.objective.args[0].is_quadratic():
+            raise DCPError(f"{error}\n{NOT_BY_RULES}") from error
+        raise
     except SolverError as error:
         if (refused := refusal(problem)) is None:
             raise

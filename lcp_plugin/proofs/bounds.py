@@ -320,9 +320,10 @@ def _settled(
     steps = ActiveSetSteps(problem, goal=GOAL, system=system)
     at, change, allowed = RowInequality.at(problem, z), np.zeros(0), 0.0
     for _ in range(8):  # from a solved problem one settles all rows, or two
-        following = steps.next_point(at)
-        if following is None:
-            return None
+        before, following = steps.system, steps.next_point(at)
+        if following is None:  # a row on the edge made the block singular
+            is_solved = bool(change.size) and GOAL * change.max(initial=0.0) <= allowed
+            return (at, before, GOAL * change) if is_solved else None
         change, at = np.abs((following.high - at.high) + (following.low - at.low)), following
         allowed = 1e-14 * np.abs(at.high).max(initial=0.0)  # all digits
         if steps.is_settled(at) and GOAL * change.max(initial=0.0) <= allowed:

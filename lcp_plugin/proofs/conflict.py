@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.deadline import is_over, time_limit
-from ..core.names import describe_radius, listed
+from ..core.names import describe_radius, grouped, listed
 from .exact import (
     MOST_ENTRIES,
     ZERO,
@@ -149,7 +149,7 @@ class Conflict:
         points = describe_radius(self.radius, "x")
         checked = f", checked for {points}" if points else ""
         together = f"these {count} of {others} constraints cannot hold together{checked}; {least}"
-        return f"{together}: {listed(self.names, 12, ' · ')}"
+        return f"{together}: {listed(grouped(self.names, 12), 12, ' · ')}"
 
 
 def find_conflict(

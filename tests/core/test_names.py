@@ -168,3 +168,16 @@ def test_the_objective_of_a_cvxpy_program_is_the_users() -> None:
     best = cp.Problem(cp.Maximize(7 - z), [complements(z, z - 1)])
     assert best.solve(method="LCP") == pytest.approx(6.0)
     assert "objective 6, none above 6" in best.solver_stats.extra_stats.explain()
+
+
+def test_a_conflict_of_many_bounds_names_each_array_once() -> None:
+    """60 bounds of one variable are one name with their number, of arrays and of cvxpy."""
+    program = QuadraticProgram(None, np.zeros(60), G=np.ones((1, 60)), h=[-1.0], lower=0)
+    result = solve(program)
+    for text in (str(result.conflict), result.explain()):
+        assert "row 0 of G" in text
+        assert "lower (60 entries)" in text
+    ship = cp.Variable(60, name="ship")
+    problem = cp.Problem(cp.Minimize(0), [ship >= 0, cp.sum(ship) <= -1])
+    problem.solve(method="LCP")
+    assert "0.0 <= ship (60 entries)" in str(problem.solver_stats.extra_stats.conflict)

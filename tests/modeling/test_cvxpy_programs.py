@@ -9,7 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from lcp_plugin import QPSolver, Status, complements
+from lcp_plugin import QPSolver, Status, complements, optimal
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 
 SolverError = cp.error.SolverError
@@ -148,3 +148,16 @@ def test_a_refusal_has_its_reason(name: str) -> None:
         problem.solve(method="LCP")
     with pytest.raises(SolverError):
         problem.solve(solver=QPSolver)
+
+
+def test_a_quadratic_objective_outside_of_cvxpys_rules_is_told_two_ways() -> None:
+    """DCPError names optimal(…), which solves it, and QuadraticProgram; another objective has cvxpy's text alone."""
+    x, L = cp.Variable(2), np.diag([2.0, 1.0])
+    problem = cp.Problem(cp.Minimize(x.T @ L @ (x - 1)), [x >= 0])
+    with pytest.raises(cp.DCPError, match=r"optimal\(problem, over=.*QuadraticProgram"):
+        problem.solve(method="LCP")
+    conditions = optimal(problem, over=problem.variables())
+    cp.Problem(cp.Minimize(0), [conditions]).solve(method="LCP")
+    np.testing.assert_allclose(x.value, [0.5, 0.5], atol=1e-9)
+    with pytest.raises(cp.DCPError, match=r"(?s)^((?!QuadraticProgram).)*$"):
+        cp.Problem(cp.Minimize(cp.sqrt(x[0])), [x >= 0]).solve(method="LCP")

@@ -21,7 +21,7 @@ from ...core.checks import Vector, derived_property
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ...core.matrix import largest_products
-from ...core.names import describe_radius, listed
+from ...core.names import describe_radius, grouped, listed
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
 from ...proofs import farkas
@@ -140,7 +140,7 @@ class QPInfeasibility:
         heaviest = sorted(self._found.y.items(), key=lambda pair: (-abs(pair[1]), pair[0]))
         names = [*dict.fromkeys(self.program.name(k) for k, _ in heaviest)]
         happened = "are inconsistent" if len(names) > 1 else "cannot hold"
-        return f"infeasible: {len(names)} of its constraints {happened}, {listed(names)} ({how})"
+        return f"infeasible: {len(names)} of its constraints {happened}, {listed(grouped(names))} ({how})"
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,15 @@ from campaigns import convex_programs
 from campaigns.convex_programs import SOLVABLE, case
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, Certificate, InvalidProblem, QuadraticProgram, Status, solve
+from lcp_plugin import (
+    LCP,
+    Certificate,
+    InvalidOption,
+    InvalidProblem,
+    QuadraticProgram,
+    Status,
+    solve,
+)
 from lcp_plugin.problems.programs.conversion import lcp_from_qp, qp_from_lcp
 from lcp_plugin.problems.programs.criterion import QPSolution
 from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
@@ -597,3 +605,13 @@ def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
             if i >= 4 or exactly(row, at) > 0
         )
         assert abs(Fraction(solution.primal_residual) - exact) <= exact * Fraction(1, 2**40)
+
+
+def test_from_qp_takes_a_program_alone() -> None:
+    """LCP.from_qp(program) is LCP.from_qp(P, c, …); other data next to a program are refused."""
+    program = QuadraticProgram([[2.0]], [-4.0], G=[[1.0], [2.0]], h=[1.0, 9.0])
+    one, other = LCP.from_qp(program), LCP.from_qp([[2.0]], [-4.0], [[1.0], [2.0]], [1.0, 9.0])
+    np.testing.assert_array_equal(one.csr.toarray(), other.csr.toarray())
+    for more in ({"c": [1.0]}, {"lower": 0.0}):
+        with pytest.raises(InvalidOption, match="a QuadraticProgram has all data"):
+            LCP.from_qp(program, **more)

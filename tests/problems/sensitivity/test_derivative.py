@@ -461,3 +461,24 @@ def test_in_every_class_jvp_and_vjp_are_transposes(name: str, is_batch: bool) ->
         assert np.ravel(dz) @ g == pytest.approx(
             sum(terms), abs=1e-12 * (1.0 + np.abs(terms).sum())
         )
+
+
+@pytest.mark.parametrize("power", [0.0, 0.1])
+def test_the_advice_names_a_split_that_is_not_unique(power: float) -> None:
+    """Two classes of vehicles on two routes: only their sum is determined, linear or not, also if one flow is 0."""
+    R, E = np.tile(np.eye(2), (2, 2)), np.kron(np.eye(2), np.ones((1, 2)))
+    M = np.block([[R, -E.T], [E, np.zeros((2, 2))]])
+    q, free = np.array([1, 1.5, 1, 1.5, -2, -1]), [-np.inf, -np.inf]
+
+    def F(x: np.ndarray) -> np.ndarray:
+        return M @ x + q + np.append(power * (R @ x[:4]) ** 4, [0, 0])
+
+    def slope(x: np.ndarray) -> np.ndarray:
+        steeper = 4 * power * (R @ x[:4]) ** 3
+        return M + np.pad(steeper[:, np.newaxis] * R, ((0, 2), (0, 2)))
+
+    names = ["car 0", "car 1", "truck 0", "truck 1", "u", "v"]
+    problem = NonlinearProblem(F, slope, lower=[0, 0, 0, 0, *free], names=names)
+    found = derivative(solve(problem, x0=np.array([0.6, 1.4, 1.0, 0.0, 3.0, 3.0])))
+    assert not found.is_unique
+    assert "other solutions differ in car 0, car 1, truck 0, truck 1" in found.advice

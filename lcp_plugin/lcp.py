@@ -70,6 +70,11 @@ def from_qp(
         Equations A x = b.
     lower, upper : scalar or array, shape (n,)
         Bounds of x; none by default.
+
+    Raises
+    ------
+    InvalidOption
+        If other data are given in addition to a QuadraticProgram.
     """
     if not isinstance(P, QuadraticProgram):
         return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper))  # type: ignore[arg-type]

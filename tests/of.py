@@ -31,7 +31,13 @@ COMMAND = (
 
 @cache
 def stored() -> Any:
-    """Return the data of the last measured run."""
+    """Return the data of the last measured run; measure first if there is none."""
+    if not STORE.exists():
+        print(
+            "no test was measured yet: the quick suite runs under coverage, some minutes",
+            file=sys.stderr,
+        )
+        subprocess.run([sys.executable, *COMMAND], cwd=ROOT, stdout=subprocess.DEVNULL)
     from coverage import CoverageData
 
     data = CoverageData(str(STORE))
@@ -54,8 +60,8 @@ def main() -> None:
     parser.add_argument("place", help="FILE or FILE:LINE")
     parser.add_argument("--measure", action="store_true", help="run the quick suite first")
     asked = parser.parse_args()
-    if asked.measure or not STORE.exists():
-        subprocess.run([sys.executable, *COMMAND], cwd=ROOT, stdout=subprocess.DEVNULL)
+    if asked.measure:
+        STORE.unlink(missing_ok=True)
     name, _, line = asked.place.partition(":")
     lines = tests_of(Path(name))
     if line:

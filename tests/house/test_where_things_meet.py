@@ -773,3 +773,22 @@ def test_a_start_is_z0_and_a_tolerance_relative_in_every_kind() -> None:
             InvalidOption, match="tolerance must be less than 1, got 2: it is relative"
         ):
             solve(problem, tolerance=2, **more)
+
+
+def test_which_tests_run_a_line_is_measured_first(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """In a fresh clone `of.py` and `mutate.py` run the quick suite under coverage before they read its data."""
+    import of
+
+    begun: list[Any] = []
+
+    def run(command: list[str], **_: Any) -> None:
+        begun.append(command)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(of, "STORE", tmp_path / "none")
+    monkeypatch.setattr(of.subprocess, "run", run)
+    with pytest.raises(KeyboardInterrupt):
+        of.tests_of(of.ROOT / "lcp_plugin" / "api.py")
+    assert "--cov-context=test" in begun[0]

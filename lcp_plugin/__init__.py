@@ -26,7 +26,6 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 from .core.problem_classes import DOORS
@@ -34,18 +33,50 @@ from .core.problem_classes import DOORS
 __version__ = "0.1.0"
 
 
-def _homes() -> dict[str, str]:
-    """Return the module of each public name from ``__init__.pyi``, which editors and mypy also read."""
-    lines = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8").splitlines()
-    # from .home import name as name
-    said = [line.split() for line in lines if line.startswith("from ")]
-    return {name: home[1:] or name for _, home, _, name, *_ in said}
-
-
-_HOME = _homes()
+# Module of each public name; __init__.pyi has the same names for editors and mypy
+_HOME = {
+    name: home
+    for home, names in {
+        "gallery": "gallery",
+        "strategies": "strategies",
+        "api": "solve",
+        "core.certificates.residuals": "Certificate",
+        "core.errors": "InvalidOption InvalidProblem LCPError ModelWarning NotConverged UnknownAlgorithm "
+        "UnreadableFile UnsuitableMatrix UnsuitableProblem UnsupportedModel",
+        "core.lcp": "LCP",
+        "core.settings": "Status",
+        "evidence.cross_check": "cross_validate",
+        "evidence.stability": "stability_atlas",
+        "evidence.study": "error_against_time study",
+        "interfaces.program_files": "load_problem",
+        "methods.search": "all_solutions",
+        "modeling.agents": "optimal",
+        "modeling.constraint": "box complements friction_cone",
+        "modeling.qp_solver": "QPSolver",
+        "problems.batches.batch": "prepare solve_batch",
+        "problems.cones.data": "ConeProblem",
+        "problems.cones.frictional_contact": "FrictionalContact",
+        "problems.equilibria.equilibrium_program": "EquilibriumProgram",
+        "problems.least_squares.data": "BoundedLeastSquares",
+        "problems.march": "march",
+        "problems.nonlinear.data": "NonlinearProblem",
+        "problems.parametric.tracing": "trace",
+        "problems.programs.certification": "certify",
+        "problems.programs.program": "QuadraticProgram",
+        "problems.sensitivity": "derivative",
+        "problems.variational": "variational",
+        "proofs.bounds": "error_bound",
+        "proofs.verdicts": "analyze",
+        "solving.explanation": "convergence_guarantee",
+        "solving.result": "Result",
+    }.items()
+    for name in names.split()
+}
 _FOR_TESTS = {"strategies"}  # needs hypothesis, so that "import *" does without
 DOORS.update(
     {
+        "RowsOnRanks.solve": "ranks.solving:solve_on_ranks",
+        "RowsOnRanks.measured": "ranks.solving:measured_on_ranks",
         "LCP.from_rows": "ranks.problem:RowsOnRanks.from_rows",
         "LCP.from_petsc": "ranks.petsc:RowsOnPETSc.from_petsc",
         "LCP.from_qp": "lcp:from_qp",

@@ -1,4 +1,4 @@
-# The public names and the module of each: __init__.py loads them from this table; editors and mypy read it directly.
+# The public names and the module of each, for editors and mypy; __init__.py has the same table.
 
 from . import gallery as gallery
 from . import strategies as strategies
@@ -14,13 +14,13 @@ from .core.errors import UnreadableFile as UnreadableFile
 from .core.errors import UnsuitableMatrix as UnsuitableMatrix
 from .core.errors import UnsuitableProblem as UnsuitableProblem
 from .core.errors import UnsupportedModel as UnsupportedModel
-from .core.lcp import LCP as LCP
 from .core.settings import Status as Status
 from .evidence.cross_check import cross_validate as cross_validate
 from .evidence.stability import stability_atlas as stability_atlas
 from .evidence.study import error_against_time as error_against_time
 from .evidence.study import study as study
 from .interfaces.program_files import load_problem as load_problem
+from .lcp import LCPWithConversions
 from .methods.search import all_solutions as all_solutions
 from .modeling.agents import optimal as optimal
 from .modeling.constraint import box as box
@@ -45,4 +45,5 @@ from .proofs.verdicts import analyze as analyze
 from .solving.explanation import convergence_guarantee as convergence_guarantee
 from .solving.result import Result as Result
 
+LCP = LCPWithConversions  # core.lcp.LCP with the types of its conversions
 __version__: str

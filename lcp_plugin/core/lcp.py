@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,14 +14,6 @@ from .errors import InvalidOption
 from .matrix import Matrix
 from .names import Names, checked_names, describe_lcp
 from .problem_classes import Door
-
-if TYPE_CHECKING:
-    from .. import lcp
-    from ..modeling.registration import lcp_stated_by, stated_in_cvxpy
-    from ..problems.programs.conversion import qp_from_lcp
-    from ..problems.reformulations import lcp_from_bimatrix_game
-    from ..ranks.petsc import RowsOnPETSc
-    from ..ranks.problem import RowsOnRanks
 
 
 class LCP:
@@ -62,29 +54,19 @@ class LCP:
     array([0. , 3.5])
     """
 
-    if TYPE_CHECKING:
-        matrix: Matrix
-        n: int
-        q: Vector
-        lower: Vector
-        upper: Vector
-        origin: Any
-        names: Names
-        _facts: dict[Any, Any]
-        from_rows, from_petsc = (
-            staticmethod(RowsOnRanks.from_rows),
-            staticmethod(RowsOnPETSc.from_petsc),
-        )
-        from_qp, from_contacts = staticmethod(lcp.from_qp), staticmethod(lcp.from_contacts)
-        from_game, to_qp = staticmethod(lcp_from_bimatrix_game), qp_from_lcp
-        from_cvxpy, to_cvxpy = staticmethod(lcp_stated_by), stated_in_cvxpy
-        load, save = staticmethod(lcp.load), lcp.save
-    else:
-        from_rows, from_petsc = Door(is_static=True), Door(is_static=True)
-        from_qp, from_contacts = Door(is_static=True), Door(is_static=True)
-        from_game, to_qp = Door(is_static=True), Door()
-        from_cvxpy, to_cvxpy = Door(is_static=True), Door()
-        load, save = Door(is_static=True), Door()
+    matrix: Matrix
+    n: int
+    q: Vector
+    lower: Vector
+    upper: Vector
+    origin: Any
+    names: Names
+    _facts: dict[Any, Any]
+
+    # Their types: lcp_plugin/lcp.py
+    from_rows, from_petsc, from_qp, from_contacts = (Door(is_static=True) for _ in range(4))
+    from_game, from_cvxpy, load = (Door(is_static=True) for _ in range(3))
+    to_qp, to_cvxpy, save = (Door() for _ in range(3))
 
     def __init__(
         self,

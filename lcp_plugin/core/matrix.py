@@ -21,7 +21,7 @@ import threading
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import cached_property, update_wrapper
-from typing import Any, Concatenate, Generic, NamedTuple, ParamSpec, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar, TypeVarTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -30,11 +30,11 @@ from numpy.typing import NDArray
 from .checks import BoolVector, Vector, assemble_csr, checked_matrix, freeze_csr, read_only
 from .kernels.floats import NEGLIGIBLE_DIAGONAL
 
-P = ParamSpec("P")
 T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
 
 
-class fact(Generic[P, T]):  # noqa: N801 - a decorator
+class fact(Generic[T, *Ts]):  # noqa: N801 - a decorator
     """Decorator of a function of a matrix or a problem (and hashable arguments): its value is cached in that object.
 
     Such a function may be in any module; the function itself is the key of the cache.
@@ -51,23 +51,23 @@ class fact(Generic[P, T]):  # noqa: N801 - a decorator
     (2.0, 2.0)
     """
 
-    def __init__(self, compute: Callable[Concatenate[Any, P], T]) -> None:
+    def __init__(self, compute: Callable[[Any, *Ts], T]) -> None:
         self._compute = compute
         update_wrapper(self, compute)
 
-    def __call__(self, matrix: Any, *args: P.args, **kwargs: P.kwargs) -> T:
+    def __call__(self, matrix: Any, *args: *Ts) -> T:
         """Return the cached value; compute it at the first call."""
         key, facts = (self, *args), matrix._facts
         if key not in facts:
             owner = getattr(matrix, "matrix", matrix)  # of a problem
             with owner._lock:
                 if key not in facts and owner._is_computing:  # another fact needs this one
-                    facts[key] = self._compute(matrix, *args, **kwargs)
+                    facts[key] = self._compute(matrix, *args)
                 elif key not in facts:
                     owner._is_computing = True
                     try:
                         with np.errstate(all="ignore"):  # an overflow shows in the value
-                            facts[key] = self._compute(matrix, *args, **kwargs)
+                            facts[key] = self._compute(matrix, *args)
                     finally:
                         owner._is_computing = False
         value: T = facts[key]

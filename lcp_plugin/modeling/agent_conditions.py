@@ -29,8 +29,8 @@ from ._compat import (
     postorder,
     sense_of,
 )
-from .constraint import Complements, Side, box
-from .model import spans_of
+from .constraint import Complements, box
+from .model import Side, spans_of
 from .reading import Reader, rewritten
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import cvxpy as cp
@@ -11,70 +10,11 @@ from cvxpy.constraints.constraint import Constraint
 from cvxpy.constraints.nonpos import Inequality, NonNeg
 from cvxpy.constraints.zero import Equality, Zero
 
-from ..core.checks import normalize_bounds
 from ..core.errors import UnsupportedModel
 from ..problems.cones.frictional_contact import dimension_of
-from ._compat import attribute_bounds, bound_value
-from .model import pair_residual, stacked
+from .model import Side, pair_residual, stacked
 
 REMEDY = 'solve it with problem.solve(method="LCP")'
-
-
-@dataclass(frozen=True, eq=False)
-class Side:
-    """Side of a complementarity: an expression, with its relation to the other side.
-
-    Attributes
-    ----------
-    expression : cvxpy expression
-        In the form "box" a variable, or a part of a variable.
-    kind : str
-        "nonnegative" (expression ≥ 0), "box" (lower ≤ expression ≤ upper), "zero" (expression = 0) or "value" (an
-        expression whose bounds, if any, are its variable's bounds), "cone" (each column of expression in a cone).
-    constraint : cvxpy constraint or None
-        The inequality, equality or cone that states the side.
-    lower, upper : scalar, array or parameter
-        Bounds of a box, of the shape of the expression, or scalars; ±∞ for none.
-    friction : scalar, array or parameter, or None
-        Coefficients of friction, of impulses.
-    rows : int
-        Number of rows of one cone.
-    """
-
-    expression: Any
-    kind: str
-    constraint: Any = None
-    lower: Any = None
-    upper: Any = None
-    friction: Any = None
-    rows: int = 0
-
-    def __str__(self) -> str:
-        if self.constraint is not None:
-            return str(self.constraint)
-        if self.kind == "box":
-            return f"box({self.expression}, {self.lower}, {self.upper})"
-        if self.kind == "cone":
-            return f"friction_cone({self.expression}, {self.friction})"
-        return str(self.expression)
-
-    def bounds(self) -> tuple[Any, Any]:
-        """Return the bounds in the side's own shape: of a box, of an inequality, or of the variable's attributes."""
-        shape, lower, upper = self.expression.shape, -np.inf, np.inf  # type: Any, Any, Any
-        if self.kind == "box":
-            lower, upper = normalize_bounds(
-                bound_value(self.lower, self), bound_value(self.upper, self)
-            )
-        elif self.kind == "nonnegative":
-            lower = 0.0
-        elif isinstance(self.expression, cp.Variable):
-            lower, upper = attribute_bounds(self.expression)
-        for bound in (lower, upper):
-            if np.shape(bound) not in ((), shape):
-                raise UnsupportedModel(
-                    f"the bounds of {self} must be numbers or have its shape {shape}, got {np.shape(bound)}"
-                )
-        return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
 
 
 def box(expression: Any, lower: Any, upper: Any) -> Side:

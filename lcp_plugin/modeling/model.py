@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import cvxpy as cp
 import numpy as np
@@ -21,7 +21,7 @@ from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
-from ..core.checks import Vector
+from ..core.checks import Vector, normalize_bounds
 from ..core.errors import ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..expressions.rows import Indices, Rows, as_matrix, is_definition
@@ -32,8 +32,70 @@ from ..problems.statement import SquareModel, Statement
 from . import _compat as compat
 from .reading import Reader
 
-if TYPE_CHECKING:
-    from .constraint import Complements, Side
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """Side of a complementarity: an expression, with its relation to the other side.
+
+    Attributes
+    ----------
+    expression : cvxpy expression
+        In the form "box" a variable, or a part of a variable.
+    kind : str
+        "nonnegative" (expression ≥ 0), "box" (lower ≤ expression ≤ upper), "zero" (expression = 0) or "value" (an
+        expression whose bounds, if any, are its variable's bounds), "cone" (each column of expression in a cone).
+    constraint : cvxpy constraint or None
+        The inequality, equality or cone that states the side.
+    lower, upper : scalar, array or parameter
+        Bounds of a box, of the shape of the expression, or scalars; ±∞ for none.
+    friction : scalar, array or parameter, or None
+        Coefficients of friction, of impulses.
+    rows : int
+        Number of rows of one cone.
+    """
+
+    expression: Any
+    kind: str
+    constraint: Any = None
+    lower: Any = None
+    upper: Any = None
+    friction: Any = None
+    rows: int = 0
+
+    def __str__(self) -> str:
+        if self.constraint is not None:
+            return str(self.constraint)
+        if self.kind == "box":
+            return f"box({self.expression}, {self.lower}, {self.upper})"
+        if self.kind == "cone":
+            return f"friction_cone({self.expression}, {self.friction})"
+        return str(self.expression)
+
+    def bounds(self) -> tuple[Any, Any]:
+        """Return the bounds in the side's own shape: of a box, of an inequality, or of the variable's attributes."""
+        shape, lower, upper = self.expression.shape, -np.inf, np.inf  # type: Any, Any, Any
+        if self.kind == "box":
+            lower, upper = normalize_bounds(
+                compat.bound_value(self.lower, self), compat.bound_value(self.upper, self)
+            )
+        elif self.kind == "nonnegative":
+            lower = 0.0
+        elif isinstance(self.expression, cp.Variable):
+            lower, upper = compat.attribute_bounds(self.expression)
+        for bound in (lower, upper):
+            if np.shape(bound) not in ((), shape):
+                raise UnsupportedModel(
+                    f"the bounds of {self} must be numbers or have its shape {shape}, got {np.shape(bound)}"
+                )
+        return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
+
+
+class Pair(Protocol):
+    """Two sides that complement each other: :class:`~lcp_plugin.modeling.constraint.Complements`."""
+
+    first: Side
+    second: Side
+    id: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,13 +297,13 @@ class Model:
                     first = self.spans[key].start
                     self.is_defined[first + as_matrix(block, rows.size).indices] = True
 
-    def add_pairs(self, pairs: Sequence[Complements]) -> None:
+    def add_pairs(self, pairs: Sequence[Pair]) -> None:
         """Read complementarities, first the pairs with only one side that can be the variable."""
         order = sorted(pairs, key=lambda one: self._key(one.first)[:4] == self._key(one.second)[:4])
         for remark in [one for pair in order for one in self._pair(pair, *self.sides(pair))]:
             warn(remark)
 
-    def sides(self, pair: Complements) -> list[Side]:
+    def sides(self, pair: Pair) -> list[Side]:
         """Return the sides of a pair, first its variable: the side with bounds, of two the one that is unknowns."""
         return sorted((pair.first, pair.second), key=self._key)
 
@@ -271,7 +333,7 @@ class Model:
             self._known[key] = ReadSide(rows, columns, weights, shift, low, high)
         return self._known[key]
 
-    def _pair(self, pair: Complements, side: Side, other: Side) -> list[str]:
+    def _pair(self, pair: Pair, side: Side, other: Side) -> list[str]:
         """Let the first side be the unknowns of a pair; return warnings about other readings."""
         if "cone" in (side.kind, other.kind):
             self._pair_cones(pair, side, other)
@@ -321,7 +383,7 @@ class Model:
         return remarks
 
     def _report(
-        self, pair: Complements, sides: Any, columns: Indices, sign: Any = 1.0, *value: Any
+        self, pair: Pair, sides: Any, columns: Indices, sign: Any = 1.0, *value: Any
     ) -> None:
         """Report w for the pair and the variable's constraint, the variable for w's constraint."""
         shape = pair.first.expression.shape
@@ -334,7 +396,7 @@ class Model:
                 own = (columns.size,) if isinstance(constraint, cp.SOC) else shape
                 self.reports.append(DualReport(constraint, columns, own, *given))
 
-    def _pair_cones(self, pair: Complements, cone: Side, other: Side) -> None:
+    def _pair_cones(self, pair: Pair, cone: Side, other: Side) -> None:
         """K ∋ S ⟂ F ∈ K*: the unknowns are the side that is entries of variables, or new ones."""
         side, entries = cone, []
         for one in (cone, other):
@@ -549,7 +611,7 @@ def friction_of(side: Side) -> Vector | None:
     return np.asarray(contacts + compat.bound_value(side.friction, side))
 
 
-def sign_of_inequality(pair: Complements, low: Vector, high: Vector) -> Vector:
+def sign_of_inequality(pair: Pair, low: Vector, high: Vector) -> Vector:
     """Return the sign of w for a stated G ≥ 0: w = G at a lower bound, −G at an upper one; nothing else agrees."""
     has_low, has_high = np.isfinite(low), np.isfinite(high)
     if (has_low == has_high).any():
@@ -568,7 +630,7 @@ def states_bounds(side: Side) -> bool:
     )
 
 
-def of_equality_between_bounds(pair: Complements, side: Side) -> str:
+def of_equality_between_bounds(pair: Pair, side: Side) -> str:
     """Return a note on an equality that holds only between bounds; raise for an inequality."""
     if side.kind != "value":
         raise UnsupportedModel(
@@ -580,7 +642,7 @@ def of_equality_between_bounds(pair: Complements, side: Side) -> str:
     )
 
 
-def pair_residual(pair: Complements) -> Vector | None:
+def pair_residual(pair: Pair) -> Vector | None:
     """Return the natural residual of each row of a pair at the present values, or None."""
     model = Model([pair], takes_integers=True)
     side, other = model.sides(pair)

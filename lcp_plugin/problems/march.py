@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -49,9 +49,6 @@ from ..systems.factors import BANDED_UP_TO, Bands, bands
 from ..systems.graph import bandwidth, outer_on_pattern, sum_of_outer
 from .cones.data import Blocks
 from .many import AnswerSequence, length_of_all, rows_of_a_batch
-
-if TYPE_CHECKING:
-    from .sensitivity import Derivative
 
 
 def propagation(C: sp.csr_array) -> Callable[[Vector], Vector]:
@@ -123,6 +120,7 @@ class BandSteps:
         return next((z for z, residual in islice(rounds, self.most) if residual <= goal), None)
 
 
+StepDerivative = Any  # Derivative of sensitivity.py, which imports this file
 STEPS_TOGETHER = 64  # steps between two checks for Ctrl-C; results of earlier blocks are kept
 
 
@@ -750,7 +748,7 @@ class Steps:
         sides = np.where(is_kink & (lower != upper), kinks, found).astype(np.int8)
         return z, sides, bool(((found == before) & (is_clear | is_kink)).all())
 
-    def at(self, k: int) -> Derivative:
+    def at(self, k: int) -> StepDerivative:
         """Return the derivative of a step by the data of the step."""
         march, z = self.march, self.states[k + 1]
         problem = march.data.problem_at(march.problem, self.here.start + k).with_q(self.q[k])
@@ -878,7 +876,7 @@ class MarchDerivative:
     one are nearly degenerate or a free block is nearly singular, and for other matrices.
     """
 
-    def __init__(self, march: March, each: Callable[..., Derivative]) -> None:
+    def __init__(self, march: March, each: Callable[..., StepDerivative]) -> None:
         if march.keep != 1:
             raise UnsuitableProblem(
                 f"keep={march.keep or 'last'} dropped steps that the derivative of a march needs; leave out keep"
@@ -893,14 +891,14 @@ class MarchDerivative:
                 f"and step {last} {why}; take derivative(march[k]) of single steps, or march along fewer of them"
             )
         self.march, self.derivative_at = march, each
-        self.before: Derivative | None = None  # of the last step
+        self.before: StepDerivative | None = None  # of the last step
         # By the first step of a block: as much memory as the march, a quarter of the time of further directions.
         self.settled: dict[int, tuple[Vector, NDArray[np.int8], bool]] = {}
 
     def __len__(self) -> int:
         return len(self.march)
 
-    def __getitem__(self, k: int) -> Derivative:
+    def __getitem__(self, k: int) -> StepDerivative:
         result = self.march[k]
         return self.derivative_at(result.certificate.problem, result.z, result.w)
 

@@ -13,7 +13,7 @@ once, with larger pivots if M is symmetric.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -28,9 +28,7 @@ from ..systems.hierarchy import kernels, levels
 from ..systems.hierarchy.grids import Grid, Hierarchy, Operator, Transfer, blocks_of, pivots
 from ..systems.hierarchy.truncation import Truncation
 from .halo import NOBODY, Halo
-
-if TYPE_CHECKING:
-    from .problem import RowsOnRanks
+from .problem import RowsOnRanks
 
 LARGEST_GROWTH, LARGEST_COMPLEXITY = 2.0, 8.0
 

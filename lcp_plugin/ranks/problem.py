@@ -15,12 +15,11 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..core import checks
-from ..core.certificates.residuals import outside_row
-from ..core.errors import InvalidOption, InvalidProblem
+from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
 from ..core.matrix import largest_in_rows, residual_scales
+from ..core.problem_classes import Door
 from .halo import Halo, Ranks, own_rows
-from .solving import ResultOnRanks, RowDataOnRanks, solve_on_ranks
 
 WIDEST = 2**31 - 1  # columns that 32 bits count
 
@@ -169,24 +168,7 @@ class RowsOnRanks:
         # Relative difference of xᵀM y and yᵀM x beyond which M is not symmetric
         return bool(difference <= 1e-10 * np.sqrt(size * self.n) and np.isfinite(size))
 
-    def solve(self, algorithm: str = "auto", **options: Any) -> ResultOnRanks:
-        """Return the solution; see :func:`lcp_plugin.ranks.solving.solve_on_ranks`."""
-        return solve_on_ranks(self, algorithm, **options)
-
-    def measured(self, x: Any, tolerance: float) -> tuple[bool, float, float, float, str]:
-        """Return whether the given x passes the criterion, its largest violation, residual, tolerance and a reason.
-
-        The reason of a failure is the bound that an entry of x violates on the lowest rank, or "".
-        """
-        halo, z = self.halo, self.own_part(x, "x")
-        halo.require_same("tolerance", tolerance, "give the same on every rank", InvalidOption)
-        found, reason = RowDataOnRanks(self).measure_at(z, None, tolerance), ""
-        for i in np.flatnonzero((z < self.lower) | (z > self.upper))[: not found.passes].tolist():
-            bound = self.lower[i] if z[i] < self.lower[i] else self.upper[i]
-            reason = outside_row(f"z[{halo.first + i}]", float(z[i]), float(bound)).text
-        reason = next(filter(None, halo.comm.allgather(reason)), "")
-        sizes = halo.largest(found.rows.violation), halo.largest(found.by_row.relative)
-        return bool(found.passes), *sizes, tolerance, reason
+    solve, measured = Door(), Door()  # of solving.py
 
     def __repr__(self) -> str:
         return f"RowsOnRanks(n={self.n}, ranks={self.halo.size})"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,6 +14,7 @@ from scipy.sparse import csgraph
 
 from ..core.algorithm import Step
 from ..core.certificates.criterion import Measured, RowData, VectorEnds, divide_nonnegative
+from ..core.certificates.residuals import outside_row
 from ..core.checks import Vector, read_only
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.threads import threads_for
@@ -23,12 +24,9 @@ from ..core.rounding import compensated_product
 from ..core.settings import Settings, Status, checked_callback
 from ..solving.result import BaseResult, Sample
 from ..solving.run import Named, Progress, Run, Stage
-from .halo import Interruptions
+from .halo import Halo, Interruptions
 from .methods import chain
-
-if TYPE_CHECKING:
-    from .halo import Halo
-    from .problem import RowsOnRanks
+from .problem import RowsOnRanks
 
 
 class ComponentsOnRanks:
@@ -368,3 +366,21 @@ class RunOnRanks(Run):
             infeasibility=self.proof,
             **{**common, "seconds": progress.halo.largest(common["seconds"])},
         )
+
+
+def measured_on_ranks(
+    problem: RowsOnRanks, x: Any, tolerance: float
+) -> tuple[bool, float, float, float, str]:
+    """Return whether the given x passes the criterion, its largest violation, residual, tolerance and a reason.
+
+    The reason of a failure is the bound that an entry of x violates on the lowest rank, or "".
+    """
+    halo, z = problem.halo, problem.own_part(x, "x")
+    halo.require_same("tolerance", tolerance, "give the same on every rank", InvalidOption)
+    found, reason = RowDataOnRanks(problem).measure_at(z, None, tolerance), ""
+    for i in np.flatnonzero((z < problem.lower) | (z > problem.upper))[: not found.passes].tolist():
+        bound = problem.lower[i] if z[i] < problem.lower[i] else problem.upper[i]
+        reason = outside_row(f"z[{halo.first + i}]", float(z[i]), float(bound)).text
+    reason = next(filter(None, halo.comm.allgather(reason)), "")
+    sizes = halo.largest(found.rows.violation), halo.largest(found.by_row.relative)
+    return bool(found.passes), *sizes, tolerance, reason

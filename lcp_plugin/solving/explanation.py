@@ -6,13 +6,14 @@ The likely mistake of a model without a solution is named by a fact of M, or F�
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.algorithm import Algorithm
+from ..core.certificates.residuals import Certificate
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, UnsuitableMatrix
 from ..core.lcp import LCP
@@ -29,39 +30,31 @@ from ..proofs.uniqueness import directions_of_solutions, moving
 from ..systems.free_systems import CONSISTENT, LEAST_SQUARES_UP_TO, FreeSystem
 from .dispatch import method_of
 
-if TYPE_CHECKING:
-    from .result import Result
-
 Numbers = NDArray[np.intp]
 INDEX = re.compile(r"(\[[^\[\]]*\]|, entry .*)$")  # of a row of a constraint
-FAILED = (Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS)
+READ_BOUND = "; result.error_bound is a bound of it, where M allows one"
 
 
-def what_may_mislead(result: Result) -> list[str]:
-    """Return a line for each."""
-    return [*filter(None, (_uncovered(result), _other_solutions(result) or _stiffness(result)))]
+def what_may_mislead(solution: Certificate, work: float) -> str:
+    """Return the warning that other solutions exist, or that a small residual may hide a large error; or ""."""
+    return _other_solutions(solution) or _stiffness(solution, work)
 
 
-def _uncovered(result: Result) -> str:
-    """Return the warning after a failure of a chosen method that no theorem covers, or ""."""
-    if result.status not in FAILED or result._asked is None:  # by "auto"
-        return ""
-    guarantee = result.guarantee
+def lack_of_a_theorem(guarantee: Guarantee, algorithm: str, advice: str) -> str:
+    """Return the warning, after a failure of a method, that no theorem covers it; or ""."""
     if guarantee.is_guaranteed or not guarantee.remedy:
         return ""
-    unproven = (
-        f"nothing proves that {result.algorithm} converges on this matrix ({guarantee.theorem})"
-    )
-    is_said = all('algorithm="auto"' in said for said in (guarantee.remedy, result.advice))
+    unproven = f"nothing proves that {algorithm} converges on this matrix ({guarantee.theorem})"
+    is_said = all('algorithm="auto"' in said for said in (guarantee.remedy, advice))
     return unproven if is_said else f"{unproven}; remedy: {guarantee.remedy}"
 
 
-def _other_solutions(result: Result) -> str:
+def _other_solutions(solution: Certificate) -> str:
     """Return the warning that other solutions exist, with the names of the unknowns that differ, or ""."""
-    problem = result.certificate.problem
-    if not result.is_solved or free_rows(problem, result.z, result.w).sum() > LEAST_SQUARES_UP_TO:
+    problem, z, w = solution.problem, solution.z, solution.w
+    if free_rows(problem, z, w).sum() > LEAST_SQUARES_UP_TO:
         return ""
-    rows = settled_rows(problem, result.z, result.w)
+    rows = settled_rows(problem, z, w)
     directions = directions_of_solutions(problem, rows)
     if directions is None or not directions.size:
         return ""
@@ -73,28 +66,19 @@ def _other_solutions(result: Result) -> str:
     return f"z is one of several solutions: the data do not determine {names}{same}; to choose one, add an objective"
 
 
-def _stiffness(result: Result) -> str:
+def _stiffness(solution: Certificate, work: float) -> str:
     """Return the warning that a small residual goes, or may go, with a much larger error, or ""."""
-    relative = result.certificate.relative_residual
-    if (bound := vars(result).get("error_bound")) is not None:
-        factor = bound.relative / relative if relative > 0.0 else 0.0
-        # An error so much larger than the residual is worth a word
-        if not factor > 1e3:
-            return ""
-        return f"stiff: the error may be {factor:.0e} times the residual; trust the bound"
-    if not result.is_solved:
-        return ""
-    scale = result.certificate.problem.residual_scale
+    problem = solution.problem
+    scale = problem.residual_scale
     spread = float(scale.max(initial=1.0) / scale.min(initial=np.inf))
     if not spread > 1e6:
-        return _nearness_to_singular(result)
+        return _nearness_to_singular(solution)
     stiff = f"stiff: the diagonal of M spans a factor of {spread:.0e}, where a small residual may hide a large error"
-    problem = result.certificate.problem
     # A bound costs less than a run of 100 passes over M, or is of few unknowns
-    if problem.n > 1000 and result.work < 100.0:
-        return f"{stiff} of z{_advised(result)}"
+    if problem.n > 1000 and work < 100.0:
+        return f"{stiff} of z{READ_BOUND}"
     try:
-        bound = error_bound(problem, result.z)
+        bound = error_bound(problem, solution.z)
     except UnsuitableMatrix:
         return f"{stiff} of z, and nothing about M allows a bound of it"
     return (
@@ -103,36 +87,30 @@ def _stiffness(result: Result) -> str:
     )
 
 
-def _nearness_to_singular(result: Result) -> str:
+def _nearness_to_singular(solution: Certificate) -> str:
     """Return the warning that M is nearly singular on the free rows, so that z may have a large error, or ""."""
-    problem = result.certificate.problem
-    residual, size = result.certificate.scaled_residual, float(np.abs(result.z).max(initial=0.0))
-    error = estimated_error(problem, result.z, result.w, residual)
+    problem, z, w = solution.problem, solution.z, solution.w
+    residual, size = solution.scaled_residual, float(np.abs(z).max(initial=0.0))
+    error = estimated_error(problem, z, w, residual)
     if error is None or not error > 1e-2 * size:  # part of ‖z‖∞
         return ""
-    system = FreeSystem(problem.matrix, free_rows(problem, result.z, result.w))
+    system = FreeSystem(problem.matrix, free_rows(problem, z, w))
     known = f"of up to about {error:.0e}" if error < np.inf else "that cannot be bounded so"
     wrong = ": z may be wrong in every digit" if error > size else ""
     return (
         f"near-singular: the system of the {system.rows.size} unknowns between their bounds magnifies errors: a "
         f"residual of {residual:.0e} goes with an error of z {known}, while the largest |z_i| is {size:.0e}{wrong}"
-        f"{_advised(result)}"
+        f"{READ_BOUND}"
     )
 
 
-def _advised(result: Result) -> str:
-    """Return the advice to read a bound, unless it was read."""
-    is_computed = "error_bound" in vars(result)
-    return "" if is_computed else "; result.error_bound is a bound of it, where M allows one"
-
-
-def likely_mistake_of(result: Result) -> str:
-    """Return the likely mistake of the model of a result, or ""; of a right model too the last point may look wrong."""
-    problem, status = result.certificate.problem, result.status
+def likely_mistake_of(last: Certificate, status: Status) -> str:
+    """Return the likely mistake of a model, or ""; of a right model too the last point may look wrong."""
+    problem = last.problem
     if isinstance(problem, LCP) and status is Status.NO_SOLUTION:
         return reversed_row(problem)
     is_open = isinstance(problem, LCP) and status not in (*LIMITS, *PROVEN, Status.INTERRUPTED)
-    return likely_mistake(problem, result.z, result.w) if is_open else ""
+    return likely_mistake(problem, last.z, last.w) if is_open else ""
 
 
 def reversed_row(problem: LCP, *, is_linearized: bool = False) -> str:

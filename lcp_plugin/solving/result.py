@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 NOTHING_TO_DO = "the residual of the start is within the tolerance already; no iteration was needed"
 NEXT = "; next: "  # between the event and the next step
+UNPROVEN = Status.STALLED, Status.DIVERGED, Status.MAX_ITERATIONS
 
 
 class StageRecord(NamedTuple):
@@ -389,7 +390,7 @@ class Result(BaseResult):
         return [] if is_decided else [stage.remark for stage in self.stages if stage.remark]
 
     def _remarks(self) -> list[str]:
-        from .explanation import what_may_mislead
+        from .explanation import lack_of_a_theorem, what_may_mislead
 
         lines = []
         if self.is_polished:
@@ -398,7 +399,11 @@ class Result(BaseResult):
             lines += [stage.remark for stage in self.stages[-1:] if stage.remark]
         if self.infeasibility is not None and not self.has_no_solution:
             lines.append(str(self.infeasibility))
-        return [*lines, *what_may_mislead(self)]
+        if self.is_solved:
+            lines.append(what_may_mislead(self.certificate, self.work))
+        elif self._asked is not None and self.status in UNPROVEN:
+            lines.append(lack_of_a_theorem(self.guarantee, self.algorithm, self.advice))
+        return [*filter(None, lines)]
 
     def _effort(self) -> str:
         matrix = self.certificate.criterion.matrix
@@ -412,12 +417,10 @@ class Result(BaseResult):
         if self.has_no_solution:
             return str(self.infeasibility)
         residual, asked = f"relative residual {self.residual:.3e}", f"tolerance {self.tolerance:g}"
-        bound, *proven = str(vars(self).get("error_bound") or "").splitlines() or [""]
         if self.absolute_tolerance:
             reached = self.certificate.scaled_residual
             asked += f", or {self.absolute_tolerance:.3e} in the unit of z; that is {reached:.3e}"
-        lines = [f"{residual}, {asked}", *filter(None, [bound])]
-        return "\n".join(["; ".join(lines), *proven])
+        return f"{residual}, {asked}"
 
     def _worst(self, count: int) -> WorstRows:
         data = self.certificate.criterion
@@ -427,4 +430,4 @@ class Result(BaseResult):
     def _mistake(self) -> str:
         from .explanation import likely_mistake_of
 
-        return likely_mistake_of(self)
+        return likely_mistake_of(self.certificate, self.status)

@@ -17,6 +17,7 @@ import numpy as np
 from lcp_plugin import QuadraticProgram
 from lcp_plugin.problems.programs.certification import Certification, ProgramProofs
 from lcp_plugin.problems.programs.criterion import QPSolution
+from lcp_plugin.problems.programs.no_minimum import known_proof
 
 from .outliers import ExactProgram, exact
 
@@ -155,9 +156,6 @@ def planted(given: Case, rng: np.random.Generator) -> dict[str, tuple[Any, Any]]
         G, h = program.G[kept], program.h[kept]
         rest = (program.A, program.b, program.lower, program.upper)
         other = QuadraticProgram(program.P, program.c, G, h, *rest)
-        if (
-            other.facts.proof_of_no_minimum is None
-            and (own := ProgramProofs(other).own_solution) is not None
-        ):
+        if known_proof(other) is None and (own := ProgramProofs(other).own_solution) is not None:
             wrong["a constraint dropped"] = (own.x, None)
     return wrong

@@ -17,6 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lcp_plugin import QuadraticProgram, Status, solve
+from lcp_plugin.problems.programs.no_minimum import known_proof
 
 from . import convex_programs
 
@@ -89,7 +90,7 @@ def failures(case: Planted, program: QuadraticProgram, size: float) -> tuple[str
             bad.append(f"objective {result.objective / size:.9g} for {case.value:.9g}")
         solution = result.solution
         if solution.error > SURE:
-            proof = program.facts.proof_of_no_minimum
+            proof = known_proof(program)
             bad += ["SOLVED, and an exact proof against it"] * (
                 proof is not None and proof.is_exact
             )

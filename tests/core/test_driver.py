@@ -344,13 +344,13 @@ def stiff_m_matrix(n: int = 60, contrast: float = 1e10) -> tuple[LCP, np.ndarray
 
 
 def test_error_bound_goes_into_the_result() -> None:
-    """The bound of a result bounds the true error, and explain() reports the bound once it was read."""
+    """The bound of a result bounds the true error, and explain() is the same before and after it was read."""
     result = solve(EXAMPLE.problem)
-    assert "‖z − z*‖∞ ≤" not in result.explain()
+    told = result.explain()
     assert result.error_bound is not None
     assert EXAMPLE.exact is not None
     assert np.all(np.abs(result.z - EXAMPLE.exact) <= result.error_bound.componentwise)
-    assert "‖z − z*‖∞ ≤" in result.explain()
+    assert result.explain() == told
 
 
 @pytest.mark.parametrize(
@@ -410,7 +410,6 @@ def test_stiff_data_tell_the_truth() -> None:
     error = np.max(np.abs(fooled.z - exact))
     assert error > 0.3 * exact.max()
     assert error <= fooled.error_bound.infinity <= 10.0 * error
-    assert "stiff: the error may be" in fooled.explain()
 
 
 def test_stiffer_data_are_named() -> None:

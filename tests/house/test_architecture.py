@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from tools.processes import printed_by
 
+import lcp_plugin
 from lcp_plugin import algorithms
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.kernels import floats
@@ -66,14 +67,11 @@ def room_of(module: str) -> str:
 
 
 def imports_of(file: Path) -> Iterator[tuple[str, bool]]:
-    """Yield the package's modules that a file imports, except for type checkers, and whether in a function."""
+    """Yield the package's modules that a file imports, for type checkers too, and whether in a function."""
     package = ["lcp_plugin", *file.relative_to(PACKAGE).parts[:-1]]
     waiting: list[tuple[ast.AST, bool]] = [(ast.parse(file.read_text(encoding="utf-8")), False)]
     while waiting:
         node, is_inside = waiting.pop()
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            waiting += [(child, is_inside) for child in node.orelse]
-            continue
         is_inside |= isinstance(node, ast.FunctionDef)
         waiting += [(child, is_inside) for child in ast.iter_child_nodes(node)]
         if isinstance(node, ast.ImportFrom):
@@ -109,7 +107,7 @@ def upward() -> list[tuple[str, str]]:
 
 
 def circles() -> list[list[str]]:
-    """Return the files of each circle of imports, inside functions included."""
+    """Return the files of each circle of imports, inside functions and for type checkers included."""
     place = {module: k for k, module in enumerate(FILES)}
     pairs = np.array([(place[one], place[other]) for one, other, _ in imports()]).T
     graph = csr_array((np.ones(pairs.shape[1]), pairs), shape=(len(place), len(place)))
@@ -155,13 +153,22 @@ def test_a_number_with_a_name_has_a_reason() -> None:
 
 
 def test_no_import_leads_up() -> None:
-    """A file imports from its own room and from lower floors, also inside functions."""
+    """A file imports from its own room and from lower floors, also inside functions and for type checkers."""
     assert upward() == []
 
 
 def test_no_files_import_each_other() -> None:
-    """Files have an order in which each imports only earlier ones, also inside functions."""
+    """Files have an order in which each imports only earlier ones, also inside functions and for type checkers."""
     assert circles() == []
+
+
+def test_editors_and_python_have_the_same_public_names() -> None:
+    """The stub, which editors read, and the table, from which names load, have the same names with one home each."""
+    lines = PACKAGE.joinpath("__init__.pyi").read_text(encoding="utf-8").splitlines()
+    stub = {
+        words[-1]: words[1][1:] or words[-1] for words in map(str.split, lines) if "as" in words
+    }
+    assert stub == {name: home for name, home in lcp_plugin._HOME.items() if name != "LCP"}
 
 
 def test_few_imports_are_inside_functions() -> None:

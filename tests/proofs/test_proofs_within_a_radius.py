@@ -15,7 +15,12 @@ from scipy.optimize import linprog
 
 from lcp_plugin import LCP, QPSolver, QuadraticProgram, Status, certify, march, solve, solve_batch
 from lcp_plugin.problems.programs.criterion import QPSolution
-from lcp_plugin.problems.programs.no_minimum import QPInfeasibility, QPUnboundedness
+from lcp_plugin.problems.programs.no_minimum import (
+    QPInfeasibility,
+    QPUnboundedness,
+    accepted_proof,
+    known_proof,
+)
 from lcp_plugin.proofs.farkas import WIDE
 
 DECIMAL = np.array([[0.1, 0.2, 0.3], [0.7, 0.1, 0.2], [0.8, 0.3, 0.5]])  # .1 + .7 ≠ .8
@@ -103,7 +108,7 @@ def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:
     within = 0
     for seed in range(200):
         program = redundant_program(kind, seed)
-        proof = program.facts.proof_of_no_minimum
+        proof = known_proof(program)
         assert proof is not None, seed
         assert proof.status.name.lower() == kind, seed
         assert proof.verify(), seed
@@ -114,7 +119,7 @@ def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:
 @pytest.mark.full
 def test_redundant_decimal_programs_that_are_met_are_never_infeasible() -> None:
     """All 200 consistent programs with the same rows have no accepted proof of infeasibility."""
-    proofs = [redundant_program("optimal", seed).facts.accepted_proof() for seed in range(200)]
+    proofs = [accepted_proof(redundant_program("optimal", seed)) for seed in range(200)]
     assert [
         seed
         for seed, proof in enumerate(proofs)
@@ -128,7 +133,7 @@ def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
     """Every x up to the radius violates some row by the margin, exactly; distant x may not."""
     rng = np.random.default_rng(seed)
     program = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
-    proof = program.facts.accepted_proof()
+    proof = accepted_proof(program)
     assert isinstance(proof, QPInfeasibility)
     unit = program.constraints.own_sizes
 
@@ -157,12 +162,10 @@ def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
 
 def test_a_tampered_proof_within_a_radius_does_not_verify() -> None:
     """Other signs, a direction upwards, or rounding replaced by data: no proof."""
-    infeasible = QuadraticProgram(
-        np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY
-    ).facts.accepted_proof()
-    unbounded = QuadraticProgram(
-        np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET
-    ).facts.proof_of_no_minimum
+    infeasible = accepted_proof(
+        QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
+    )
+    unbounded = known_proof(QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET))
     assert isinstance(infeasible, QPInfeasibility)
     assert isinstance(unbounded, QPUnboundedness)
     first, *rest = infeasible.multipliers
@@ -178,7 +181,7 @@ def test_a_small_coefficient_is_data_and_no_rounding(small: float) -> None:
     """Equations x₁ = 0, x₁ + small x₂ = 1 with the solution x₂ = 1/small is never infeasible."""
     A, b = np.array([[1.0, 0.0], [1.0, small]]), np.array([0.0, 1.0])
     for P in (np.zeros((2, 2)), np.eye(2)):
-        assert QuadraticProgram(P, [0.0, 0.0], A=A, b=b).facts.proof_of_no_minimum is None
+        assert known_proof(QuadraticProgram(P, [0.0, 0.0], A=A, b=b)) is None
     result = solve(LCP(A, -b, lower=-np.inf))
     assert not result.has_no_solution
     assert result.infeasibility is None
@@ -189,7 +192,7 @@ def test_certify_proves_nothing_within_a_radius() -> None:
     """A proof within a radius is not sufficient for `certify`, whose claims hold for all x."""
     infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
     unbounded = QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET)
-    assert math.isfinite(infeasible.facts.proof_of_no_minimum.radius)  # type: ignore[union-attr]
+    assert math.isfinite(known_proof(infeasible).radius)  # type: ignore[union-attr]
     assert certify(infeasible, claim="infeasible").verdict != "proved"
     assert certify(unbounded, claim="unbounded").verdict != "proved"
 

@@ -26,8 +26,7 @@ from ...systems.hierarchy.levels import hierarchy_of
 from ..cones.frictional_contact import FrictionalContactBatch
 from ..least_squares.data import BoundedLeastSquares
 from ..programs.criterion import PROGRAM_TOLERANCE
-from ..programs.program import QuadraticProgram
-from ..programs.program_matrices import refuse_nonconvex
+from ..programs.program import QuadraticProgram, refuse_nonconvex
 from .batch_run import BatchAnswers, BatchRun
 from .instances import Listed, RightSides, Stacked, Worlds
 from .on_device import DeviceAnswers, is_on_gpu

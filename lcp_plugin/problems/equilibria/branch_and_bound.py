@@ -33,7 +33,7 @@ from ...core.checks import Vector, is_number, vector_option
 from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.settings import Status, checked_tolerance
-from ..programs.no_minimum import QPUnboundedness
+from ..programs.no_minimum import QPUnboundedness, known_proof
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 from .relaxations import ENDS, EquilibriumResult, ExternalBound, Node, Relaxations
 from .scip import minimize_or_none
@@ -361,7 +361,7 @@ class BranchAndBound:
     def _settle(self, piece: Node) -> None:
         """Close a piece that is not solved to its bound: it is unbounded below or undecided."""
         program = self.relaxations.program(piece.cases)
-        proof = None if program is None else program.facts.proof_of_no_minimum
+        proof = None if program is None else known_proof(program)
         if isinstance(proof, QPUnboundedness):
             self.descent = piece.cases, proof
         self._is_stuck = self._is_stuck or piece.bound < self.cutoff

@@ -17,8 +17,7 @@ from ...core.matrix import largest_in_rows
 from ...proofs import exact
 from ..nonlinear.data import NonlinearProblem
 from ..nonlinear.solving import solve_nonlinear
-from ..programs.program import QuadraticProgram
-from ..programs.program_matrices import refuse_nonconvex
+from ..programs.program import QuadraticProgram, refuse_nonconvex
 
 Indices = NDArray[np.int64]
 #: The open branches of each pair, as a sum of LOWER, BETWEEN, UPPER.

@@ -32,6 +32,7 @@ from ...solving.lcp_run import LCPRun
 from ...solving.plan import plan
 from ...solving.result import Callback, Result
 from ...solving.run import Progress, Run, Stage
+from ..programs.no_minimum import proof_of_contradiction
 from .data import DENSE_PATTERN_UP_TO, Linearization, NonlinearProblem
 
 MEMORY = 4  # the line search compares with the worst of so many points
@@ -494,7 +495,7 @@ class NonlinearRun(Run):
         words = {**WORDS, Status.STALLED: GROWING} if self._is_far(point) else WORDS
         named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
         if status is Status.STALLED and (origin := point.problem.origin) is not None:
-            proof = origin.program.facts.proof_of_contradiction()  # is the set empty?
+            proof = proof_of_contradiction(origin.program)  # is the set empty?
             status = status if proof is None else Status.INFEASIBLE
             named["infeasibility"] = proof
         return self.result_at(certificate, status, **named)

@@ -19,8 +19,7 @@ from ...solving.dispatch import solve
 from ...systems.definiteness import is_semidefinite_to_rounding
 from ..programs.conversion import conditions
 from ..programs.criterion import PROGRAM_TOLERANCE, QPSolution
-from ..programs.program import QuadraticProgram
-from ..programs.program_matrices import refuse_nonconvex
+from ..programs.program import QuadraticProgram, refuse_nonconvex
 from .following import ROUNDING, Follower, MonotoneGraphs
 from .path import Path, PathPoint, Piece
 

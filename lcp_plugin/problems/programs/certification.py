@@ -32,9 +32,15 @@ from ...proofs.exact import sum_above
 from ...solving.result import BaseResult
 from . import value_bounds
 from .criterion import QPSolution, excused_rows, least_size, worst_constraints
-from .no_minimum import NoMinimum, QPInfeasibility, proof_of_no_minimum
-from .program import QuadraticProgram
-from .program_matrices import WITHIN_ROUNDING, refuse_nonconvex
+from .no_minimum import (
+    NoMinimum,
+    QPInfeasibility,
+    known_proof,
+    proof_of_contradiction,
+    proof_of_no_minimum,
+)
+from .program import QuadraticProgram, refuse_nonconvex
+from .program_matrices import WITHIN_ROUNDING
 from .result import QuadraticProgramResult
 from .solving import solve_program
 
@@ -155,7 +161,7 @@ def certify(
         contradicts = (
             claim == "infeasible"
             and problem.is_convex is False
-            and (problem.facts.proof_of_contradiction() is not None)
+            and (proof_of_contradiction(problem) is not None)
         )
         if not contradicts:
             refuse_nonconvex(problem)
@@ -415,7 +421,7 @@ class ProgramProofs:
     @derived_property
     def no_minimum(self) -> NoMinimum | None:
         """An exact proof that the program is infeasible or unbounded; None if no proof was found."""
-        proof = self.program.facts.proof_of_no_minimum
+        proof = known_proof(self.program)
         if proof is not None and not proof.is_exact:  # a solve may cache an inexact proof
             proof = proof_of_no_minimum(self.program, exactly=True)
         return proof if proof is not None and proof.is_exact and proof.verify() else None

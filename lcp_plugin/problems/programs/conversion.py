@@ -16,8 +16,8 @@ from ...core.names import Names
 from ...core.settings import PROVEN, Status
 from ...systems.definiteness import is_semidefinite_to_rounding
 from .criterion import PROGRAM_TOLERANCE, QPSolution
-from .program import VECTORS, QuadraticProgram, asymmetry_of
-from .program_matrices import refuse_nonconvex
+from .no_minimum import accepted_proof
+from .program import VECTORS, QuadraticProgram, asymmetry_of, refuse_nonconvex
 from .result import QuadraticProgramResult
 
 UNKNOWN_RUN: dict[str, Any] = {
@@ -253,7 +253,7 @@ class QPOrigin:
         z, proof = checked_answer(answer, n + self.rows), None
         program = self.program if self.F is None else self.program.with_vectors(c=self.F(z[:n]))
         if getattr(answer, "has_no_solution", False):
-            proof = self.program.facts.accepted_proof()
+            proof = accepted_proof(self.program)
         if proof is not None:
             solution, status = QPSolution.without_multipliers(program, z[:n]), proof.status
         else:

@@ -30,9 +30,10 @@ The solution of a quadratic program: primal and dual values, and their Karush–
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.certificates.residuals import WorstRow, WorstRows
 from ...core.checks import Vector, checked_vector, derived_property, read_only
@@ -43,9 +44,8 @@ from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance
 from ...engines.linear_program import highs
 
-if TYPE_CHECKING:
-    from .program import QuadraticProgram
-    from .program_matrices import Indices
+Indices = NDArray[np.intp]
+QuadraticProgram = Any  # of program.py, which imports this file
 
 PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
 ROWS = 1e-9  # of the rows, at every tolerance

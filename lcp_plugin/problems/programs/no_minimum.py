@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...core.checks import Vector, derived_property
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
-from ...core.matrix import largest_products
+from ...core.matrix import largest_in_rows, largest_products
 from ...core.names import describe_radius, grouped, listed
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
@@ -37,14 +37,13 @@ from ...proofs.exact import (
     short,
     solved_nearby,
 )
+from ...proofs.farkas import LinearConstraints
 from ...proofs.no_solution import is_at_rest, is_minimizer_beyond_radius, moved_unknowns
 from ...systems.definiteness import is_positive_definite
 from ...systems.equilibration import equilibrating_exponents
-from .criterion import ROWS
-from .program_matrices import Constraints, FoldedRows, stationarity, sums_and_terms
-
-if TYPE_CHECKING:
-    from .program import QuadraticProgram
+from .criterion import PROGRAM_TOLERANCE, ROWS
+from .program import FoldedRows, QuadraticProgram
+from .program_matrices import Constraints, or_one, sums_and_terms
 
 MET = 1e-8  # residual of a row, in units of the data, that is attributed to rounding
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")
@@ -328,6 +327,24 @@ def numbers(fractions: Any) -> Vector:
     return np.array([float(value) for value in fractions], dtype=np.float64)
 
 
+def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
+    """Return P x + Gᵀy + Aᵀv + c with the signs that bounds require, y ≥ 0; P may contain only spanning rows."""
+    rows = sp.csr_array(program.G)[np.flatnonzero(np.isfinite(program.h))]
+    matrix = sp.csr_array(sp.vstack([P, rows, sp.csr_array(program.A)], format="csr").T)
+    free, nothing = np.full(matrix.shape[1], np.inf), np.zeros(matrix.shape[1])
+    is_inequality = np.repeat([False, True, False], [P.shape[0], rows.shape[0], program.b.size])
+    return LinearConstraints(
+        matrix,
+        program.c,
+        np.isinf(program.upper),
+        np.isinf(program.lower),
+        np.where(is_inequality, 0.0, -np.inf),
+        free,
+        or_one(largest_in_rows(matrix)) + np.abs(program.c),
+        (nothing, nothing),
+    )
+
+
 @np.errstate(all="ignore")
 def proof_of_no_minimum(program: QuadraticProgram, *, exactly: bool = False) -> NoMinimum | None:
     """Return a proof that the convex program is infeasible or unbounded; None if no proof was found.
@@ -369,16 +386,56 @@ def proof_of_no_minimum(program: QuadraticProgram, *, exactly: bool = False) -> 
     if found is None or folded.reduced is program:
         return found
     # A bound that a row gives is rounded, the row is not.
-    return folded.proof(found) or _prove_by_programs(program, exactly)
+    return _unfolded(folded, found) or _prove_by_programs(program, exactly)
+
+
+def known_proof(program: QuadraticProgram) -> NoMinimum | None:
+    """Return `proof_of_no_minimum` of a program, searched for once, unless a time limit cuts the search short.
+
+    It holds for the stored data in double precision, by any margin. `margin` is the size of this margin, and
+    `accepted_proof` decides whether the proof counts.
+    """
+    if "proof" not in program.known:
+        found = proof_of_no_minimum(program)
+        if is_over():
+            return found
+        program.known["proof"] = found
+    return program.known["proof"]
+
+
+def accepted_proof(
+    program: QuadraticProgram, tolerance: float = PROGRAM_TOLERANCE
+) -> NoMinimum | None:
+    """Return the proof that no x is a solution at this tolerance, or None.
+
+    An exact proof of unboundedness counts if it excludes all solutions within a thousandth of the tolerance.
+    Inconsistent constraints count as consistent if the contradiction is at most the tolerance of a row.
+    """
+    found = known_proof(program)
+    return found if found is not None and found.excludes(tolerance) else None
 
 
 def proof_of_contradiction(program: QuadraticProgram) -> QPInfeasibility | None:
     """Return a proof that the constraints are inconsistent, for any objective; None if no proof was found."""
     folded = FoldedRows.of(program)
-    found: Any = folded.proof(contradictory_row(folded.reduced))
+    found: Any = _unfolded(folded, contradictory_row(folded.reduced))
     if found is None and _is_sought(program):
         found = prove_infeasible(program)
-    return found
+    return found if found is not None and found.excludes(PROGRAM_TOLERANCE) else None
+
+
+def _unfolded(folded: FoldedRows, found: NoMinimum | None) -> NoMinimum | None:
+    """Return the proof for the original program; None if the proof does not hold there.
+
+    A limit over a coefficient is rounded, and no number of the program.
+    """
+    if found is None or folded.reduced is folded.program:
+        return found
+    proof: Any = replace(found, program=folded.program)
+    if found.status is Status.INFEASIBLE:
+        whole = folded.multipliers(np.array(proof.multipliers, dtype=object))
+        proof = replace(proof, multipliers=tuple(map(Fraction, whole)))
+    return proof if proof.verify() else None
 
 
 def _prove_by_programs(program: QuadraticProgram, exactly: bool) -> NoMinimum | None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from itertools import repeat
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,15 +14,14 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core import checks
-from ...core.deadline import is_over
-from ...core.errors import InvalidProblem
+from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kernels.floats import EPSILON
 from ...core.matrix import largest_in_rows, mismatch
-from ...core.names import Names, checked_names
+from ...core.names import Names, checked_names, listed
 from ...core.rounding import compensated_pair, compensated_product
-from .criterion import PROGRAM_TOLERANCE
-from .no_minimum import NoMinimum, QPInfeasibility, proof_of_contradiction, proof_of_no_minimum
-from .program_matrices import Constraints, FoldedRows, ProgramMatrices
+from ...proofs.exact import like
+from .criterion import NOISE, ROWS, Indices
+from .program_matrices import Constraints, ProgramMatrices, as_array
 
 VECTORS = "c", "h", "b", "lower", "upper"
 CANCELS = 1e-9  # of the objective: more rounding is worth an exact sum
@@ -202,9 +202,9 @@ class QuadraticProgram:
         return FoldedRows.of(program)
 
     @cached_property
-    def facts(self) -> ProgramFacts:
-        """Properties of the program that solvers need, computed once."""
-        return ProgramFacts(self)
+    def known(self) -> dict[str, Any]:
+        """Proofs that were searched for; see :func:`lcp_plugin.problems.programs.no_minimum.known_proof`."""
+        return {}
 
     def with_vectors(
         self,
@@ -318,47 +318,6 @@ class QuadraticProgram:
     __setstate__ = checks.restore_state
 
 
-class ProgramFacts:
-    """Properties of a program that solvers need, each computed once.
-
-    Parameters
-    ----------
-    program : QuadraticProgram
-    """
-
-    def __init__(self, program: QuadraticProgram) -> None:
-        self.program = program
-
-    @property
-    def proof_of_no_minimum(self) -> NoMinimum | None:
-        """A proof that the convex program is infeasible or unbounded; None if none was found.
-
-        It is searched for once, unless a time limit cuts the search short. It holds for the stored data in double
-        precision, by any margin. `margin` is the size of this margin, and `accepted_proof` decides whether the proof
-        counts.
-        """
-        if "_proof" not in self.__dict__:
-            found = proof_of_no_minimum(self.program)
-            if is_over():  # a time limit has cut the search short
-                return found
-            self.__dict__["_proof"] = found
-        return self.__dict__["_proof"]
-
-    def accepted_proof(self, tolerance: float = PROGRAM_TOLERANCE) -> NoMinimum | None:
-        """Return the proof that no x is a solution at this tolerance, or None.
-
-        An exact proof of unboundedness counts if it excludes all solutions within a thousandth of the tolerance.
-        Inconsistent constraints count as consistent if the contradiction is at most the tolerance of a row.
-        """
-        found = self.proof_of_no_minimum
-        return found if found is not None and found.excludes(tolerance) else None
-
-    def proof_of_contradiction(self) -> QPInfeasibility | None:
-        """Return a proof that the constraints of a program, convex or not, are inconsistent, or None."""
-        found = proof_of_contradiction(self.program)
-        return found if found is not None and found.excludes(PROGRAM_TOLERANCE) else None
-
-
 def checked_constant(constant: Any) -> float:
     """Return the constant of an objective as a float; raise InvalidProblem if it is not a finite number."""
     if not (checks.is_number(constant) and np.isfinite(constant)):
@@ -405,3 +364,157 @@ def symmetric(P: Any) -> tuple[Any, float]:
 def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the i, j of the largest relative difference, or None if at rounding level."""
     return mismatch(M, largest_in_rows(M), 1e-12)
+
+
+def refuse_nonconvex(program: QuadraticProgram) -> None:
+    """Raise if P is not convex to the rounding of single precision: P + n 2⁻²⁴ diag(P) is not semidefinite.
+
+    Only the unknowns count that bounds, and rows of one unknown, do not fix.
+
+    Cost: one factorization, if no row decides and the factorization fits into memory.
+
+    Raises
+    ------
+    UnsupportedModel
+        With the eigenvalue that shows it.
+
+    Examples
+    --------
+    >>> from lcp_plugin import QuadraticProgram
+    >>> refuse_nonconvex(QuadraticProgram([[1, 2], [2, 1]], [0, 0]))  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    lcp_plugin.core.errors.UnsupportedModel: the program is not convex: the smallest eigenvalue of P is -1, ...
+    """
+    if program.matrices.is_nearly_semidefinite:
+        return
+    P, (lower, upper) = program.P, (program.folded.reduced.lower, program.folded.reduced.upper)
+    free = np.flatnonzero(lower < upper)
+    if free.size < program.n:
+        none = np.zeros((0, free.size))
+        if ProgramMatrices(P[free][:, free], none, none).is_nearly_semidefinite:
+            return
+    shown, repair = "P has a negative eigenvalue", ""
+    if program.n <= 1000:  # unknowns of a P whose eigenvalues are computed for a message
+        values = np.linalg.eigvalsh(as_array(P))
+        shown = f"the smallest eigenvalue of P is {values[0]:.3g}"
+        # Rounding to some digits may cause so negative an eigenvalue
+        if -values[0] <= 1e-2 * values[-1]:
+            repair = (
+                "if P is rounded, replace it by the nearest semidefinite matrix: w, V = numpy.linalg.eigh(P); "
+                "P = V * w.clip(0) @ V.T; otherwise "
+            )
+    if (open_ones := np.flatnonzero(upper - lower == np.inf)).size:  # the search needs them
+        names = listed(map(program.names.unknown, open_ones.tolist(), repeat("x[{}]")))
+        repair += f"without bounds it may fall forever: give {names} finite bounds, then "
+    raise UnsupportedModel(
+        f"the program is not convex: {shown}, so that a stationary point need not be a minimum; {repair}solve "
+        "EquilibriumProgram(program, [], []), which searches for the global minimum with SCIP (pip install pyscipopt)"
+    )
+
+
+OWN = -1  # the variable's own bound, not a row's
+
+
+@dataclass(frozen=True, eq=False)
+class FoldedRows:
+    """The program's bounds and rows with singleton, empty and unlimited rows gone.
+
+    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 to rounding and g x ≤ ∞ are dropped. An infeasible row,
+    0 ≤ −1 or singleton rows with inconsistent bounds, remains a row, so that the solver detects the inconsistency.
+
+    Attributes
+    ----------
+    program, reduced : QuadraticProgram
+        Before and after; the same object if no row goes.
+    left : ndarray of int
+        Rows of [G; A] that remain.
+    lower_row, upper_row : ndarray of int, shape (n,)
+        The row of [G; A] that gives the bound, or −1.
+    coefficient : ndarray, shape (rows of G + rows of A,)
+        The only entry of a singleton row; 1 elsewhere.
+
+    Examples
+    --------
+    >>> from lcp_plugin import QuadraticProgram
+    >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[0, 2]], h=[2])
+    >>> folded = program.folded
+    >>> print(folded.reduced)
+    QuadraticProgram(n=2, 0 inequalities, 0 equalities)
+    >>> folded.multipliers(np.array([0.0, 0.0, 0.0, 2.0]))
+    array([1., 0., 0., 0., 0.])
+    """
+
+    program: QuadraticProgram
+    reduced: QuadraticProgram
+    left: Indices
+    lower_row: Indices
+    upper_row: Indices
+    coefficient: checks.Vector
+
+    @classmethod
+    def of(cls, program: QuadraticProgram) -> FoldedRows:
+        """Return the reduction of a program; `QuadraticProgram.folded` keeps it."""
+        matrices, right = program.matrices, np.concatenate([program.h, program.b])
+        if (matrices.counts > 1).all() and np.isfinite(right).all():
+            own = np.full(program.n, OWN)
+            return cls(program, program, np.arange(right.size), own, own, np.ones(right.size))
+        is_equality = matrices.is_equality[: right.size]
+        (rows, columns, coefficient) = matrices.singletons
+        limits = right[rows] / coefficient[rows]
+        is_finite = np.isfinite(limits)
+        rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]
+        sides = []
+        for sign, own in ((1.0, program.upper), (-1.0, -program.lower)):
+            on = is_equality[rows] | (sign * coefficient[rows] > 0.0)
+            sides.append(_tightest(own, sign * limits[on], columns[on], rows[on]))
+        (upper, upper_row), (negated, lower_row) = sides
+        lower = -negated + 0.0  # no negative zeros
+        contradicts = lower > upper
+        lower = np.where(contradicts, program.lower, lower)
+        upper = np.where(contradicts, program.upper, upper)
+        lower_row[contradicts] = upper_row[contradicts] = OWN
+
+        rounding = ROWS * NOISE * float(np.abs(right[right < np.inf]).max(initial=0.0))
+        holds = np.where(is_equality, np.abs(right) <= rounding, right >= -rounding)
+        stays = ~(holds & (matrices.counts == 0) | (right == np.inf))
+        stays[rows[~contradicts[columns]]] = False
+        left = np.flatnonzero(stays)
+        folded = program
+        if left.size < right.size:
+            folded = program.with_matrices(
+                matrices.of_rows(left),
+                program.c,
+                program.h[left[left < program.h.size]],
+                right[left[left >= program.h.size]],
+                lower,
+                upper,
+            )
+        return cls(program, folded, left, lower_row, upper_row, coefficient)
+
+    def multipliers(self, reduced: Any) -> Any:
+        """Return the multipliers of all constraints, doubles or Fractions; rows get the multipliers of their bounds."""
+        if self.reduced is self.program:
+            return reduced
+        rows, *bounds = np.split(reduced, [self.left.size, self.left.size + self.program.n])
+        every = np.zeros(self.coefficient.size, dtype=reduced.dtype)
+        every[self.left] = rows
+        own = []
+        for owner, share, sign in ((self.lower_row, bounds[0], -1), (self.upper_row, bounds[1], 1)):
+            moved = np.flatnonzero((owner != OWN) & (share != 0))
+            every[owner[moved]] += (
+                sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
+            )
+            own.append(np.where(owner == OWN, share, 0))
+        return np.concatenate([every, *own])
+
+
+def _tightest(
+    own: checks.Vector, limits: checks.Vector, columns: Indices, rows: Indices
+) -> tuple[checks.Vector, Indices]:
+    """Return the smallest upper bound of each variable and its row; the variable's bound wins a tie."""
+    tightest, owner = own.copy(), np.full(own.size, OWN)
+    np.minimum.at(tightest, columns, limits)
+    # of equal ones the first
+    gives = np.flatnonzero((limits == tightest[columns]) & (limits < own[columns]))[::-1]
+    owner[columns[gives]] = rows[gives]
+    return tightest, owner

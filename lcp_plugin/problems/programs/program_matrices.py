@@ -11,33 +11,24 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
-from fractions import Fraction
+from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise, repeat
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze_csr, read_only
-from ...core.errors import UnsupportedModel
 from ...core.matrix import Matrix, largest_in_rows, largest_products
-from ...core.names import listed
 from ...core.rounding import compensated_product, upper_end
-from ...core.settings import Status
-from ...proofs.exact import Row, like, rational_rows
+from ...proofs.exact import Row, rational_rows
 from ...proofs.farkas import LinearConstraints
 from ...systems.definiteness import factorised, is_diagonal, is_semidefinite_to_rounding, scaled_to
 from ...systems.minimum_degree import factor_sizes
-from .criterion import BLUR, NOISE, ROWS, ProgramComponents
+from .criterion import BLUR, NOISE, Indices, ProgramComponents
 
-if TYPE_CHECKING:
-    from .no_minimum import NoMinimum
-    from .program import QuadraticProgram
-
-Indices = NDArray[np.intp]
 FIT_TO = 1e-3  # of the right-hand side: enough for powers of two
 ROUNDING_OF_ENTRIES = 2.0 ** np.arange(-48.0, -23.0, 4.0)  # from double to single precision
 WITHIN_ROUNDING = (
@@ -514,188 +505,3 @@ class Constraints:
         value, radius = compensated_product(self.matrix, x, np.where(is_finite, -self.limit, 0.0))
         above = upper_end(np.where(self.is_equality, np.abs(value), value), radius)
         return np.where(is_finite, above, -np.inf)
-
-
-def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
-    """Return P x + Gᵀy + Aᵀv + c with the signs that bounds require, y ≥ 0; P may contain only spanning rows."""
-    rows = sp.csr_array(program.G)[np.flatnonzero(np.isfinite(program.h))]
-    matrix = sp.csr_array(sp.vstack([P, rows, sp.csr_array(program.A)], format="csr").T)
-    free, nothing = np.full(matrix.shape[1], np.inf), np.zeros(matrix.shape[1])
-    is_inequality = np.repeat([False, True, False], [P.shape[0], rows.shape[0], program.b.size])
-    return LinearConstraints(
-        matrix,
-        program.c,
-        np.isinf(program.upper),
-        np.isinf(program.lower),
-        np.where(is_inequality, 0.0, -np.inf),
-        free,
-        or_one(largest_in_rows(matrix)) + np.abs(program.c),
-        (nothing, nothing),
-    )
-
-
-def refuse_nonconvex(program: QuadraticProgram) -> None:
-    """Raise if P is not convex to the rounding of single precision: P + n 2⁻²⁴ diag(P) is not semidefinite.
-
-    Only the unknowns count that bounds, and rows of one unknown, do not fix.
-
-    Cost: one factorization, if no row decides and the factorization fits into memory.
-
-    Raises
-    ------
-    UnsupportedModel
-        With the eigenvalue that shows it.
-
-    Examples
-    --------
-    >>> from lcp_plugin import QuadraticProgram
-    >>> refuse_nonconvex(QuadraticProgram([[1, 2], [2, 1]], [0, 0]))  # doctest: +ELLIPSIS
-    Traceback (most recent call last):
-    lcp_plugin.core.errors.UnsupportedModel: the program is not convex: the smallest eigenvalue of P is -1, ...
-    """
-    if program.matrices.is_nearly_semidefinite:
-        return
-    P, (lower, upper) = program.P, (program.folded.reduced.lower, program.folded.reduced.upper)
-    free = np.flatnonzero(lower < upper)
-    if free.size < program.n:
-        none = np.zeros((0, free.size))
-        if ProgramMatrices(P[free][:, free], none, none).is_nearly_semidefinite:
-            return
-    shown, repair = "P has a negative eigenvalue", ""
-    if program.n <= 1000:  # unknowns of a P whose eigenvalues are computed for a message
-        values = np.linalg.eigvalsh(as_array(P))
-        shown = f"the smallest eigenvalue of P is {values[0]:.3g}"
-        # Rounding to some digits may cause so negative an eigenvalue
-        if -values[0] <= 1e-2 * values[-1]:
-            repair = (
-                "if P is rounded, replace it by the nearest semidefinite matrix: w, V = numpy.linalg.eigh(P); "
-                "P = V * w.clip(0) @ V.T; otherwise "
-            )
-    if (open_ones := np.flatnonzero(upper - lower == np.inf)).size:  # the search needs them
-        names = listed(map(program.names.unknown, open_ones.tolist(), repeat("x[{}]")))
-        repair += f"without bounds it may fall forever: give {names} finite bounds, then "
-    raise UnsupportedModel(
-        f"the program is not convex: {shown}, so that a stationary point need not be a minimum; {repair}solve "
-        "EquilibriumProgram(program, [], []), which searches for the global minimum with SCIP (pip install pyscipopt)"
-    )
-
-
-OWN = -1  # the variable's own bound, not a row's
-
-
-@dataclass(frozen=True, eq=False)
-class FoldedRows:
-    """The program's bounds and rows with singleton, empty and unlimited rows gone.
-
-    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 to rounding and g x ≤ ∞ are dropped. An infeasible row,
-    0 ≤ −1 or singleton rows with inconsistent bounds, remains a row, so that the solver detects the inconsistency.
-
-    Attributes
-    ----------
-    program, reduced : QuadraticProgram
-        Before and after; the same object if no row goes.
-    left : ndarray of int
-        Rows of [G; A] that remain.
-    lower_row, upper_row : ndarray of int, shape (n,)
-        The row of [G; A] that gives the bound, or −1.
-    coefficient : ndarray, shape (rows of G + rows of A,)
-        The only entry of a singleton row; 1 elsewhere.
-
-    Examples
-    --------
-    >>> from lcp_plugin import QuadraticProgram
-    >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[0, 2]], h=[2])
-    >>> folded = program.folded
-    >>> print(folded.reduced)
-    QuadraticProgram(n=2, 0 inequalities, 0 equalities)
-    >>> folded.multipliers(np.array([0.0, 0.0, 0.0, 2.0]))
-    array([1., 0., 0., 0., 0.])
-    """
-
-    program: QuadraticProgram
-    reduced: QuadraticProgram
-    left: Indices
-    lower_row: Indices
-    upper_row: Indices
-    coefficient: Vector
-
-    @classmethod
-    def of(cls, program: QuadraticProgram) -> FoldedRows:
-        """Return the reduction of a program; `QuadraticProgram.folded` keeps it."""
-        matrices, right = program.matrices, np.concatenate([program.h, program.b])
-        if (matrices.counts > 1).all() and np.isfinite(right).all():
-            own = np.full(program.n, OWN)
-            return cls(program, program, np.arange(right.size), own, own, np.ones(right.size))
-        is_equality = matrices.is_equality[: right.size]
-        (rows, columns, coefficient) = matrices.singletons
-        limits = right[rows] / coefficient[rows]
-        is_finite = np.isfinite(limits)
-        rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]
-        sides = []
-        for sign, own in ((1.0, program.upper), (-1.0, -program.lower)):
-            on = is_equality[rows] | (sign * coefficient[rows] > 0.0)
-            sides.append(_tightest(own, sign * limits[on], columns[on], rows[on]))
-        (upper, upper_row), (negated, lower_row) = sides
-        lower = -negated + 0.0  # no negative zeros
-        contradicts = lower > upper
-        lower = np.where(contradicts, program.lower, lower)
-        upper = np.where(contradicts, program.upper, upper)
-        lower_row[contradicts] = upper_row[contradicts] = OWN
-
-        rounding = ROWS * NOISE * float(np.abs(right[right < np.inf]).max(initial=0.0))
-        holds = np.where(is_equality, np.abs(right) <= rounding, right >= -rounding)
-        stays = ~(holds & (matrices.counts == 0) | (right == np.inf))
-        stays[rows[~contradicts[columns]]] = False
-        left = np.flatnonzero(stays)
-        folded = program
-        if left.size < right.size:
-            folded = program.with_matrices(
-                matrices.of_rows(left),
-                program.c,
-                program.h[left[left < program.h.size]],
-                right[left[left >= program.h.size]],
-                lower,
-                upper,
-            )
-        return cls(program, folded, left, lower_row, upper_row, coefficient)
-
-    def multipliers(self, reduced: Any) -> Any:
-        """Return the multipliers of all constraints, doubles or Fractions; rows get the multipliers of their bounds."""
-        if self.reduced is self.program:
-            return reduced
-        rows, *bounds = np.split(reduced, [self.left.size, self.left.size + self.program.n])
-        every = np.zeros(self.coefficient.size, dtype=reduced.dtype)
-        every[self.left] = rows
-        own = []
-        for owner, share, sign in ((self.lower_row, bounds[0], -1), (self.upper_row, bounds[1], 1)):
-            moved = np.flatnonzero((owner != OWN) & (share != 0))
-            every[owner[moved]] += (
-                sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
-            )
-            own.append(np.where(owner == OWN, share, 0))
-        return np.concatenate([every, *own])
-
-    def proof(self, found: NoMinimum | None) -> NoMinimum | None:
-        """Return the proof for the original program; None if the proof does not hold there.
-
-        A limit over a coefficient is rounded, and no number of the program.
-        """
-        if found is None or self.reduced is self.program:
-            return found
-        proof: Any = replace(found, program=self.program)
-        if found.status is Status.INFEASIBLE:
-            whole = self.multipliers(np.array(proof.multipliers, dtype=object))
-            proof = replace(proof, multipliers=tuple(map(Fraction, whole)))
-        return proof if proof.verify() else None
-
-
-def _tightest(
-    own: Vector, limits: Vector, columns: Indices, rows: Indices
-) -> tuple[Vector, Indices]:
-    """Return the smallest upper bound of each variable and its row; the variable's bound wins a tie."""
-    tightest, owner = own.copy(), np.full(own.size, OWN)
-    np.minimum.at(tightest, columns, limits)
-    # of equal ones the first
-    gives = np.flatnonzero((limits == tightest[columns]) & (limits < own[columns]))[::-1]
-    owner[columns[gives]] = rows[gives]
-    return tightest, owner

@@ -28,9 +28,8 @@ from ...solving.result import Sample
 from ...solving.run import Named, Progress, Run, Stage, say
 from .conversion import optimality_conditions
 from .criterion import PROGRAM_TOLERANCE, KKTErrors, QPSolution
-from .no_minimum import NoMinimum, QPUnboundedness, numbers
-from .program import QuadraticProgram
-from .program_matrices import refuse_nonconvex
+from .no_minimum import NoMinimum, QPUnboundedness, known_proof, numbers, proof_of_contradiction
+from .program import QuadraticProgram, refuse_nonconvex
 from .regression import Outward, regression_of, solutions
 from .result import ADVICE, QuadraticProgramResult
 
@@ -324,7 +323,7 @@ def solve_program(
     except UnsupportedModel:
         if not settings.prove_infeasibility or program.is_convex is not False:
             raise
-        run.proof = program.facts.proof_of_contradiction()
+        run.proof = proof_of_contradiction(program)
         if run.proof is None:
             raise
         return run.result(Status.NO_SOLUTION)
@@ -517,7 +516,7 @@ class ProgramRun(Run):
 
     def _search_proof(self) -> None:
         """Keep the proof that the program has no solution, or the one that shows this except for rounding."""
-        found = self.program.facts.proof_of_no_minimum
+        found = known_proof(self.program)
         if found is not None and found.excludes(self.settings.tolerance):
             self.proof = found
         elif found is not None and found.doubt:

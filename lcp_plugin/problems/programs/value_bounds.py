@@ -52,8 +52,7 @@ from ...proofs.exact import (
     sum_above,
 )
 from .no_minimum import points_inside
-from .program import QuadraticProgram
-from .program_matrices import FoldedRows
+from .program import FoldedRows, QuadraticProgram
 
 # of the terms of a component: small and large, above the rounding of least squares
 SLACKS = (2.0**-46, 2.0**-36)

@@ -30,6 +30,8 @@ from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_q
 from lcp_plugin.problems.programs.no_minimum import (
     QPInfeasibility,
     QPUnboundedness,
+    accepted_proof,
+    known_proof,
     proof_of_no_minimum,
     prove_unbounded,
 )
@@ -249,7 +251,7 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
 def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
     """Programs with a known minimum have no accepted proof; rounded data may have one."""
     case, _ = convex_programs.case(kind, seed, 6, 10)
-    assert case.facts.accepted_proof(1e-6) is None
+    assert accepted_proof(case, 1e-6) is None
     assert convex_programs.FAMILIES[kind].digits < 16 or proof_of_no_minimum(case) is None
 
 
@@ -452,11 +454,11 @@ def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
     problem = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-np.nextafter(1.0, 2.0)], upper=1.0)
     solution = problem.origin.recover(solve(problem)).solution
     assert solution.is_optimal()
-    proof = problem.origin.program.facts.proof_of_no_minimum
+    proof = known_proof(problem.origin.program)
     assert proof is not None
     assert proof.verify()
     assert 0.0 < proof.margin < 1e-15
-    assert problem.origin.program.facts.accepted_proof() is None
+    assert accepted_proof(problem.origin.program) is None
     apart = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-1.00001], upper=1.0)
     assert solve(apart.origin.program).status is Status.INFEASIBLE
 

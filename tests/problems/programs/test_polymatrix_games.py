@@ -1,0 +1,124 @@
+"""Polymatrix games: published and random ones, judged by regrets computed from the payoffs, and wrong calls."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lcp_plugin import LCP, InvalidProblem, NotConverged, all_solutions, solve
+
+SAME = np.eye(2)
+
+
+def drawn(seed: int, players: int, actions: int, *, integers: bool) -> dict[tuple[int, int], Any]:
+    random = np.random.default_rng(seed)
+    pairs = [(i, j) for i in range(players) for j in range(players) if i != j]
+    shape = actions, actions
+    if integers:
+        return {pair: random.integers(-3, 4, shape) for pair in pairs}
+    return {pair: random.standard_normal(shape) for pair in pairs}
+
+
+def regret(game: Any, strategies: Any) -> float:
+    """Return the most that a player gains by another action."""
+    found = 0.0
+    for i, own in enumerate(strategies):
+        by_action = sum(game[i, j] @ other for j, other in enumerate(strategies) if j != i)
+        found = max(found, float(by_action.max() - own @ by_action))
+    return found
+
+
+def test_three_matching_pennies_have_jordans_only_equilibrium() -> None:
+    """Jordan (1993): each player matches the next one, the last mismatches the first; all toss a coin."""
+    game = LCP.from_game({(0, 1): SAME, (1, 2): SAME, (2, 0): 1 - SAME})
+    (only,) = all_solutions(game)
+    equilibrium = game.origin.recover(only.z)
+    assert [one.tolist() for one in equilibrium.strategies] == [[0.5, 0.5]] * 3
+    assert equilibrium.payoffs == (0.5, 0.5, 0.5)
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "lemke"])
+@pytest.mark.parametrize("integers", [False, True])
+@pytest.mark.parametrize(("players", "actions"), [(3, 2), (3, 10), (5, 4), (8, 8)])
+def test_no_player_of_a_random_game_gains(
+    players: int, actions: int, integers: bool, algorithm: str
+) -> None:
+    """Regrets by the payoffs themselves; integers have ties."""
+    for seed in range(3):
+        payoffs = drawn(seed, players, actions, integers=integers)
+        game = LCP.from_game(payoffs)
+        found = game.origin.recover(solve(game, algorithm).require_solved())
+        assert regret(payoffs, found.strategies) <= 1e-9
+        assert found.regret == pytest.approx(regret(payoffs, found.strategies), abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_all_pure_equilibria_of_two_actions_are_among_all_solutions(seed: int) -> None:
+    """The eight profiles of three players are tried one by one."""
+    payoffs = drawn(seed, 3, 2, integers=False)
+    game = LCP.from_game(payoffs)
+    listed = {
+        tuple(int(one.argmax()) for one in game.origin.recover(found.z).strategies)
+        for found in all_solutions(game)
+        if all(one.max() == 1.0 for one in game.origin.recover(found.z).strategies)
+    }
+    pure = {
+        profile
+        for profile in product((0, 1), repeat=3)
+        if regret(payoffs, [SAME[action] for action in profile]) == 0.0
+    }
+    assert listed == pure
+
+
+def test_players_may_have_different_numbers_of_actions_and_payoffs_of_any_unit() -> None:
+    """Sizes 2, 3, 4; a constant that another player's action adds to all payoffs changes nothing."""
+    random, sizes = np.random.default_rng(0), (2, 3, 4)
+    payoffs = {
+        (i, j): random.standard_normal((sizes[i], sizes[j])) for i, j in ((0, 1), (1, 2), (2, 0))
+    }
+    one, other = (
+        LCP.from_game(payoffs),
+        LCP.from_game({k: 1e6 * v + 8.0 for k, v in payoffs.items()}),
+    )
+    ends = [game.origin.recover(solve(game).require_solved()).strategies for game in (one, other)]
+    assert [part.size for part in ends[0]] == [2, 3, 4]
+    for first, second in zip(*ends, strict=True):
+        np.testing.assert_allclose(first, second, atol=1e-7)
+
+
+def test_a_dict_of_two_players_is_the_bimatrix_game() -> None:
+    """The same problem, with its own payoffs."""
+    A, B = (
+        np.array([[2.0, 0.0, 1.0], [0.0, 1.0, 3.0]]),
+        np.array([[1.0, 0.0, 2.0], [0.0, 2.0, 1.0]]),
+    )
+    one, other = LCP.from_game(A, B), LCP.from_game({(0, 1): A, (1, 0): B.T})
+    np.testing.assert_array_equal(one.M, other.M)
+    np.testing.assert_array_equal(other.origin.recover(solve(other, "lemke")).B, B)
+
+
+@pytest.mark.parametrize(
+    ("game", "words"),
+    [
+        ({}, "numbered from 0"),
+        ({(0, 2): SAME}, "numbered from 0"),
+        ({(0, 0): SAME}, r"write \{\(0, 1\): …"),
+        ({(0, 1): SAME, (1, 2): np.ones((3, 2))}, "player 1 has 2 actions elsewhere"),
+        ({(0, 1): np.zeros((0, 2))}, "shape"),
+        (SAME, r"is \{\(0, 1\): …, \(1, 0\): …\}"),
+    ],
+)
+def test_a_wrong_game_is_told_what_to_write(game: Any, words: str) -> None:
+    """InvalidProblem with the right form."""
+    with pytest.raises(InvalidProblem, match=words):
+        LCP.from_game(game)
+
+
+def test_a_point_without_actions_of_a_player_is_no_strategy() -> None:
+    """The message has the number of the player."""
+    game = LCP.from_game({(0, 1): SAME, (1, 2): SAME, (2, 0): 1 - SAME})
+    with pytest.raises(NotConverged, match="player 1 has no action"):
+        game.origin.recover([1, 0, 0, 0, 1, 0, 1, 1, 1])

@@ -11,14 +11,18 @@ Result of a minimization over all solutions, and its verification.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import Vector
+from ...core.errors import UnsupportedModel
+from ...core.kernels.floats import NORMAL
+from ...core.matrix import largest_in_rows
 from ...core.settings import Status
 from ...engines import engine_class, is_installed
 from ...proofs.bounds import Curvature, constrained_curvature
@@ -31,6 +35,7 @@ from ..programs.value_bounds import DualBounds, implied_box
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 
 FEASIBLE = 1e-7  # largest violation of a row by a solution, relative to its terms
+PENALTY = 2.0**6  # of the largest entry of P, for rows whose largest entry is 1
 
 
 @dataclass(eq=False)
@@ -170,6 +175,9 @@ class Relaxations:
         lower[whole] = upper[whole] = np.clip(np.rint(near[whole]), least, most)
         if (lower > upper).any():
             return node
+        if self.problem.smooth is None and (exact := self._minimizer(lower, upper)) is not None:
+            node.point, node.value = exact, self.problem.objective(exact)
+            return node
         x = np.clip(near, lower, upper)
         for _ in range(4):  # projections onto the linearized rows
             program = self._linearized(x, lower, upper, is_feasible=node.point is not None)
@@ -190,6 +198,24 @@ class Relaxations:
                 if self.problem.is_convex:
                     return node
         return node
+
+    def _minimizer(self, lower: Vector, upper: Vector) -> Vector | None:
+        """Return the minimizer over affine rows if the objective plus PENALTY ‖A x − b‖² is convex there, else None."""
+        own, rows = self.problem.program, sp.csr_array(self.problem.program.A)
+        unit = 1.0 / np.maximum(largest_in_rows(rows), NORMAL)
+        rows, P = sp.csr_array(sp.diags_array(unit) @ rows), sp.csr_array(own.P)
+        penalty = PENALTY * float(abs(P).max())
+        c = own.c - penalty * (rows.T @ (unit * own.b))
+        with suppress(UnsupportedModel):
+            P = P + penalty * (rows.T @ rows)
+            solution = _solution_of(
+                QuadraticProgram(P, c, own.G, own.h, own.A, own.b, lower, upper), tolerance=1e-10
+            )
+            self.solved += 1
+            x = self._round_small(np.clip(solution.x, lower, upper), solution.program)
+            if solution.is_optimal() and self.problem.excess(x) <= FEASIBLE:
+                return x
+        return None
 
     def _linearized(
         self, x: Vector, lower: Vector, upper: Vector, *, is_feasible: bool
@@ -237,9 +263,9 @@ class Relaxations:
         return _solution_of(program.with_vectors(lower=lower, upper=upper))
 
 
-def _solution_of(program: QuadraticProgram) -> QPSolution:
+def _solution_of(program: QuadraticProgram, **options: Any) -> QPSolution:
     """Return the solution of a program; raise KeyboardInterrupt if Ctrl-C ended the solve."""
-    result = solve_program(program, prove_infeasibility=False)
+    result = solve_program(program, prove_infeasibility=False, **options)
     if result.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     return result.solution

@@ -14,7 +14,15 @@ import pytest
 from macmpec import COLLECTION
 from scipy.optimize import linprog
 
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, box, complements, solve
+from lcp_plugin import (
+    EquilibriumProgram,
+    QuadraticProgram,
+    Status,
+    box,
+    complements,
+    optimal,
+    solve,
+)
 from lcp_plugin.problems.equilibria.branch_and_bound import BranchAndBound, minimize_over_solutions
 
 
@@ -318,3 +326,16 @@ def test_an_objective_of_zero_has_no_gap() -> None:
     program = QuadraticProgram(None, [0.0, 0.0], [[-1.0, -1.0]], [-1.0], lower=0.0, upper=4.0)
     result = solve(EquilibriumProgram(program, [0], [1]))
     assert (result.value, result.gap) == (0.0, 0.0)
+
+
+def test_a_leaders_decision_is_polished() -> None:
+    """A monopolist over a follower in quantities, 4.25 by hand, at any tolerance: its piece is a program."""
+    Q, q, o = cp.Variable(nonneg=True), cp.Variable(nonneg=True), cp.Parameter(value=0.5)
+    own = cp.Maximize(cp.multiply(10 - q - Q - o, q) - q)
+    follower = optimal(cp.Problem(own), over=[q])
+    goal = cp.Maximize(cp.multiply(10 - Q - o - q, Q) - Q)
+    leader = cp.Problem(goal, [follower])
+    for tolerance in (1e-6, 1e-9):
+        leader.solve(method="LCP", tolerance=tolerance)
+        assert leader.status == cp.OPTIMAL
+        assert (Q.value, q.value) == pytest.approx((4.25, 2.125), abs=1e-8)

@@ -6,7 +6,7 @@ own: Signorini's condition z_N ≥ 0 ⟂ w_N ≥ 0, a row of an LCP, and Coulomb
 
 For a law with several rows, norms over these rows replace absolute values. Its residual is the natural map's,
 R = z − P(z − w/d), P the projection onto the disk or cone, d > 0 the unit of the block's slack, from the diagonal of M;
-its violation v is the distance of −w from the normal cone at z. The point is snapped first: rows to bounds as in an
+its violation is v = d ‖R‖, also of a z outside its cone. The point is snapped first: rows to bounds as in an
 LCP, z_k to the apex if the projection of z_k − w_k/d_k is the apex, and z_T to the length μ z_N if the projection is
 on the boundary. The snapped point is measured and returned.
 
@@ -136,29 +136,21 @@ class ConeRows(RowData):
         at = super().rows(z, w)
         if not self.has_cones:
             return at
-        stack, x, g = self.stack, self.wide(z), self.wide(at.w)
-        tangents, radius = x[..., 1:], stack.mu * x[..., 0]
-        tangent = length(tangents)
-        is_on, is_apex = tangent >= (1.0 - AT_ROUNDING) * radius, radius == 0.0
-        # its ray is the disk's normal cone
-        away = tangents / np.maximum(tangent, NORMAL)[..., None]
-        push = (g[..., 1:] * away).sum(-1)
+        stack, x, terms = self.stack, self.wide(z), self.norm(at.terms)
+        violation = self._with_laws(at.violation, stack.d * self._sizes_of_laws(x, self.wide(at.w)))
+        is_free = x.any(-1)
         if stack.has_friction:
-            push = np.where(is_on, np.minimum(push, 0.0), 0.0)
-            size = np.where(is_apex, 0.0, length(g[..., 1:] - push[..., None] * away))
-            is_free = ~(is_on | is_apex)
-        else:  # the ray of the cone is (−μ, away)
-            push = np.where(is_on, np.minimum(push - stack.mu * g[..., 0], 0.0), 0.0)
-            push /= 1.0 + stack.mu**2
-            far = g[..., 1:] - push[..., None] * away
-            size = np.hypot(g[..., 0] + stack.mu * push, length(far))
-            is_apex &= is_on
-            if is_apex.any():
-                size = np.where(is_apex, length(stack.project(-g)), size)
-            is_free = ~is_apex
-        violation = self._with_laws(at.violation, size)
-        is_active = self._with_laws(at.is_active, is_free | (size > 0.0))
-        return at._replace(terms=self.norm(at.terms), violation=violation, is_active=is_active)
+            is_free = length(x[..., 1:]) < stack.mu * x[..., 0]
+        is_active = self._with_laws(at.is_active, is_free) | (violation > NEGLIGIBLE * terms)
+        return at._replace(terms=terms, violation=violation, is_active=is_active)
+
+    def _sizes_of_laws(self, x: Array, w: Array) -> Array:
+        """Return the residuals of cones and disks as computed, shape (B, k)."""
+        stack = self.stack
+        if not stack.has_friction:
+            return length(stack.residual(x, w)[0])
+        d = stack.d[..., None]
+        return _of_coulomb(stack.mu * x[..., 0], x[..., 1:], w[..., 1:] / d, 0.0 * stack.d)[0]
 
     def residual_ends(
         self, z: Vector, w: Vector, rounding: Any = None, scale: Any = None

@@ -16,9 +16,11 @@ without bounds requires |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 
 
 **SOLVED: x is within the bounds and, for some y, the gap is at most tolerance · cost, cost = ½ Σ weights y² + ½ ridge
 ‖x‖² + Σ l1 |x|, without rows of A that have no entries, and rounding of the data is tolerated**: in row i, r_i − y_i up
-to ρ_i = γ (|A||x| + |b|)_i, and in column j, s_j up to τ_j = γ (|A|ᵀW|y| + ridge |x|)_j, γ = 4 u (terms + 4). So x is
-optimal to the tolerance for entries of A and b that differ from the data by at most this relative rounding, as for
-solutions of lstsq and nnls. A residual at rounding level in each row (y = 0) is a cost of 0.
+to ρ_i = γ min((|A||x| + |b|)_i, S_i), and in column j, s_j up to τ_j = γ (|A|ᵀW|y| + ridge |x|)_j, γ = 4 u (terms + 4).
+S_i is 2²⁰ times the largest term at the point of the box nearest to 0, in the unit of row i, so that an x that ran away
+does not make every residual rounding. So x is optimal to the tolerance for entries of A and b that differ from the data
+by at most this relative rounding, as for solutions of lstsq and nnls. A residual at rounding level in each row (y = 0)
+is a cost of 0.
 **A point that costs more than a known point is not SOLVED.** The known points are the point of the box nearest to 0,
 rounding of its residual included, and the projected solution of lstsq, if A is small and rounding exceeds tolerance.
 All comparisons are made in the unit of a row, of a column, or of the cost: units of rows (with weights ÷ their squares)
@@ -138,7 +140,8 @@ class Optimality:
 
 def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, Vector]:
     """Return the gap relative to its cost, apart from rounding, at most 1, and its y."""
-    enclosures, x, residual = judged.enclosures, judged.x, judged.misfit
+    enclosures, x = judged.enclosures, judged.x
+    residual = enclosures.explained(judged.misfit)
     least, best = np.inf, residual[0]
     for y, slope in _with_shrunk(enclosures, x, _dual_points(judged)):
         if (value := float(_gap_of_cost(enclosures.problem, x, residual, y, slope))) < least:
@@ -192,7 +195,7 @@ def measure_stack(
     value, is_solved : array, shape (B,)
     """
     enclosures = Enclosures(problem)
-    residual = enclosures.residual(x)
+    residual = enclosures.explained(enclosures.residual(x))
     y, slope = residual[0], enclosures.gradient_at(x, residual[0])
     value = _gap_of_cost(problem, x, residual, y, slope)
     if not (value <= tolerance).all():

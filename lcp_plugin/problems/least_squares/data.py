@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core import checks
+from ...core.certificates.criterion import RAN_AWAY
 from ...core.checks import BoolVector, Vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, OUTWARD, TINY
@@ -454,6 +455,23 @@ class Enclosures:
         if not problem.has_entries:
             return problem.product(x) - problem.b, np.zeros(problem.shape[0])
         return self._product(problem.A, self._sizes, x, NOTHING, problem.b, self._terms[0])
+
+    @cached_property
+    def most_rounding(self) -> Vector:
+        """Rounding errors of A x − b that the data explain, shape (…, m): of terms up to 2²⁰ times those at x°.
+
+        The terms of rows are compared in units of the rows of A, with columns of unit length.
+        """
+        problem = self.problem
+        size = times(self._sizes, np.abs(problem.nearest_to_zero)) + np.abs(problem.b)
+        unit = self._sizes @ (1.0 / problem.column_scales)
+        unit = np.where(unit > 0.0, unit, 1.0)
+        largest = (size / unit).max(-1, keepdims=True, initial=0.0)
+        return gamma(2 * self._terms[0] + 8) * RAN_AWAY * unit * largest
+
+    def explained(self, residual: Ball) -> Ball:
+        """Return A x − b with its rounding errors as far as the data explain them."""
+        return residual[0], np.minimum(residual[1], self.most_rounding)
 
     def gradient(self, x: Vector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""

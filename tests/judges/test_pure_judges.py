@@ -1,0 +1,134 @@
+"""SOLVED is a function of the data, the point and the tolerance: not of the algorithm, the start or the neighbors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import qpsolvers
+import scipy.sparse as sp
+
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    FrictionalContact,
+    QuadraticProgram,
+    Status,
+    certify,
+    solve,
+    solve_batch,
+)
+from lcp_plugin.algorithms import REGISTRY
+
+
+def planted(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return M = A Aᵀ + I/10, q and the z* that was chosen first; every third problem has z* = 0."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 9))
+    A, size = rng.normal(size=(n, n)), np.abs(rng.normal(size=n))
+    z = np.where((rng.random(n) < 0.5) & (seed % 3 > 0), size, 0.0)
+    M = A @ A.T + 0.1 * np.eye(n)
+    return M, np.where(z > 0.0, 0.0, size) - M @ z, z
+
+
+@pytest.mark.parametrize("solver", ["clarabel", "piqp", "daqp"])
+@pytest.mark.parametrize("seed", range(8))
+def test_points_of_other_solvers_are_proved(seed: int, solver: str) -> None:
+    """z_i = 1e-13 or −1e-13 is the point of an interior-point method for 0; moved by 1e-2 it is disproved."""
+    M, q, z = planted(seed)
+    P = sp.csc_matrix(M) if solver == "clarabel" else M
+    x = qpsolvers.solve_qp(P, q, lb=np.zeros(z.size), solver=solver)
+    unit = max(np.abs(z).max(), np.abs(q / M.diagonal()).max())
+    assert np.abs(x - z).max() <= 1e-5 * unit
+    found = certify(LCP(M, q), x)
+    assert found.verdict == ("proved" if np.abs(x - z).max() <= 1e-7 * unit else found.verdict)
+    assert certify(LCP(M, q), x + 1e-2 * unit).verdict == "disproved"
+
+
+@pytest.mark.parametrize(
+    ("b", "z"),
+    [([-1.0, 2, 0], [1, -0.5 * (1 - 1e-12), 0]), ([1.0, 2, 0], [1e-12, 0, 0])],
+    ids=["sliding", "open"],
+)
+def test_a_contact_that_is_right_to_rounding_is_proved(b: list[float], z: list[float]) -> None:
+    """Sliding within 1e-12 of the boundary, and open with an impulse of 1e-12."""
+    assert certify(FrictionalContact(np.eye(3), b, 0.5, dimension=3), z).verdict == "proved"
+
+
+def test_an_impulse_outside_its_friction_cone_is_disproved_next_to_a_large_one() -> None:
+    """Two contacts of 1e6 and 1e-3 that hardly interact: 1000 times the friction of the small one."""
+    W = np.eye(6)
+    W[0, 3] = W[3, 0] = 1e-12
+    problem = FrictionalContact(W, [-1e6, 0, 0, -1e-3, 1.0, 0], [0.5, 0.5], dimension=3)
+    z = np.array(solve(problem).z)
+    assert certify(problem, z).verdict == "proved"
+    z[4] *= 1000.0
+    assert certify(problem, z).verdict == "disproved"
+
+
+@pytest.mark.parametrize("n", [20, 40])
+def test_a_row_of_equal_spinning_discs_is_solved(n: int) -> None:
+    """Discs on the ground that touch and spin: the velocities of their contacts are 0 up to rounding."""
+    J = np.zeros((4 * n - 2, 3 * n))
+    at = iter(range(4 * n - 2))
+    for i in range(n):
+        J[next(at), 3 * i + 1] = 1.0
+        J[next(at), [3 * i, 3 * i + 2]] = 1.0, 0.5
+        if i:
+            J[next(at), [3 * i, 3 * i - 3]] = 1.0, -1.0
+            J[next(at), [3 * i + 1, 3 * i - 2, 3 * i + 2, 3 * i - 1]] = 1.0, -1.0, -0.5, -0.5
+    inverse, v = np.tile([1.0, 1.0, 8.0], n), np.tile([0.0, -0.0981, 1.0], n)
+    found = solve(FrictionalContact((J * inverse) @ J.T, J @ v, 0.3, dimension=2))
+    assert found.status is Status.SOLVED
+
+
+def test_least_squares_at_a_start_that_ran_away_are_not_solved_there() -> None:
+    """Opposite columns allow x = 1e16 with any residual at rounding level of its terms; the minimum is 2.925."""
+    rng = np.random.default_rng(9)
+    B, a, b = rng.normal(size=(6, 4)), rng.normal(size=(6, 1)), rng.normal(size=6)
+    problem = BoundedLeastSquares(np.hstack([B, a, -a]), b, lower=0)
+    best = solve(problem)
+    found = solve(problem, x0=[0, 0, 0, 0, 1e16, 1e16])
+    assert best.is_solved
+    assert not found.is_solved or found.cost == pytest.approx(best.cost, rel=1e-6)
+
+
+def test_a_program_is_infeasible_also_next_to_large_ones_in_a_batch() -> None:
+    """0 = 5e-10 is no rounding error of a right-hand side of 1e9 in another problem."""
+    program = QuadraticProgram(np.eye(2), [0, 0], A=[[1.0, 1], [0, 0]], b=[1, 0])
+    bad, big = program.with_vectors(b=[1, 5e-10]), program.with_vectors(b=[1e9, 0])
+    assert solve(bad).status is Status.INFEASIBLE
+    assert solve_batch([bad, big] * 20).status[0] is Status.INFEASIBLE
+
+
+@pytest.mark.parametrize("z0", [None, [8.8e14, 4.4e14], [1.0, 1.0]])
+def test_a_start_far_away_changes_no_status(z0: Any) -> None:
+    """At a z that ran away along a null direction every residual is rounding; the problem stays INFEASIBLE."""
+    assert solve(LCP([[1.0, -2], [-2, 4]], [7.0, -16]), z0=z0).status is Status.INFEASIBLE
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_one_problem_has_one_status_by_each_way(seed: int, tmp_path: Path) -> None:
+    """Conditions of a program, the same M and q by hand, after save and load, in batches, by each algorithm."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(4, 4))
+    stated = LCP.from_qp(A @ A.T + np.eye(4), rng.normal(size=4), rng.normal(size=(2, 4)), [1, 1])
+    plain = LCP(stated.M, stated.q, lower=stated.lower, upper=stated.upper)
+    stated.save(tmp_path / "p.npz")
+    ways = [stated, plain, LCP.load(tmp_path / "p.npz"), stated.with_q(stated.q)]
+    z = solve(plain).z
+    assert {certify(one, z).verdict for one in ways} == {"proved"}
+    found = [solve(one) for one in ways]
+    found += [solve(one, name) for one in ways for name in ("lemke", "newton", "interior_point")]
+    assert {one.status for one in found} == {Status.SOLVED}
+    assert {*solve_batch([stated]).status, *solve_batch(ways * 10).status} == {Status.SOLVED}
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_the_same_point_has_the_same_status_by_each_algorithm(name: str) -> None:
+    """A start that is a solution is SOLVED, and returned as it is."""
+    problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
+    found = solve(problem, name, z0=[2.5, 0.0], max_iterations=1)
+    assert (found.status, *found.z) == (Status.SOLVED, 2.5, 0.0)

@@ -92,16 +92,34 @@ class QuadraticProgramResult(BaseResult):
         return happened + begins + to_do
 
     def _clauses(self) -> list[str]:
-        """Return the radius of a proof that does not exclude larger x, and the doubt whether the program is convex."""
+        """Return doubts: larger x that a proof does not exclude, a program that is not convex, an x inside a face."""
         if self.has_no_solution:
             points = "" if self.proof is None else describe_radius(self.proof.radius, "x")
             return [f"of {points}: a larger one is not excluded"] if points else []
+        if self.is_solved and not self.program.matrices.has_curvature and not self._is_vertex():
+            return [
+                'the optimum is not unique, and x is not a vertex: solve(program, "highs") returns one if there is one'
+            ]
         if self.program.is_convex is not False:
             return []
         doubt = "at rounding level or of fixed unknowns"
         if not self.is_solved:
             doubt = "so the program is not convex, unless this is a rounding error"
         return [f"P has a negative eigenvalue, {doubt}"]
+
+    def _is_vertex(self) -> bool:
+        """Return whether active rows and bounds determine x; True also if this is not computed, for many rows."""
+        one, size = self.program, ROWS * np.abs(self.x).max(initial=0.0)
+        is_free = (self.x > one.lower + size) & (self.x < one.upper - size)
+        rows, limit = one.matrices.rows, np.append(one.h, one.b)
+        terms = abs(rows) @ np.abs(self.x) + np.abs(limit)
+        is_active = np.isfinite(limit) & (np.abs(rows @ self.x - limit) <= ROWS * terms)
+        free, active = np.count_nonzero(is_free), np.count_nonzero(is_active)
+        if free > active or free == 0:
+            return free == 0
+        if free > 1000:  # a rank of a second
+            return True
+        return bool(np.linalg.matrix_rank(rows[is_active][:, is_free].toarray()) == free)
 
     def _worst(self, count: int) -> WorstRows:
         y = np.concatenate([self.solution.inequality, self.solution.equality])

@@ -199,3 +199,25 @@ def test_a_banded_program_loads_no_numba() -> None:
         "assert 'numba' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_point_inside_an_optimal_face_names_the_solver_that_returns_a_vertex() -> None:
+    """An assignment with ties: shares by auto, zeros and ones by HiGHS, whose advice does not repeat it."""
+    n = 12
+    rows = np.vstack([np.kron(np.eye(n), np.ones(n)), np.kron(np.ones(n), np.eye(n))])
+    cost = np.random.default_rng(0).integers(1, 4, n * n)
+    program = QuadraticProgram(None, cost, A=rows, b=np.ones(2 * n), lower=0)
+    assert 'solve(program, "highs")' in solve(program).advice
+    vertex = solve(program, "highs")
+    assert set(vertex.x.round(9).tolist()) == {0.0, 1.0}
+    assert "vertex" not in vertex.advice + vertex.explain()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_only_optimum_of_a_linear_program_is_a_vertex_without_advice(seed: int) -> None:
+    """Random costs over random rows; a quadratic program has an optimum inside, and no such advice either."""
+    random = np.random.default_rng(seed)
+    G, c = random.standard_normal((5, 8)), random.standard_normal(8)
+    for P in (None, np.eye(8)):
+        result = solve(QuadraticProgram(P, c, G=G, h=random.random(5) + 1.0, lower=-1, upper=1))
+        assert "vertex" not in result.advice

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from copy import copy
 from functools import cached_property, lru_cache, wraps
 from typing import Any, TypeVar
 
@@ -42,6 +43,14 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     view = array.view()
     view.setflags(write=False)
     return view
+
+
+def copy_without(thing: T, *computed: str) -> T:
+    """Return a copy without these cached properties, if they were computed."""
+    made = copy(thing)
+    for name in computed:
+        vars(made).pop(name, None)
+    return made
 
 
 def restore_state(thing: Any, state: dict[str, Any]) -> None:

@@ -15,6 +15,8 @@ from .matrix import Matrix
 from .names import Names, checked_names, describe_lcp
 from .problem_classes import Door
 
+DATA = "matrix", "n", "q", "lower", "upper", "names", "origin"
+
 
 class LCP:
     """Find z with lower ≤ z ≤ upper and w = M z + q complementary to it.
@@ -79,14 +81,16 @@ class LCP:
     ) -> None:
         if _bounds:
             raise InvalidOption("bounds are passed by name; write LCP(M, q, lower=l, upper=u)")
-        given = self.__dict__
-        given["matrix"] = matrix = M if isinstance(M, Matrix) else Matrix(M)
-        given["n"] = n = matrix.n
-        need = f"q must be a finite vector of length {n} (M is {n}×{n})"
-        given["q"] = checked_vector(q, "q", n, need=need)
-        given["lower"], given["upper"] = checked_bounds(lower, upper, n)
-        given["names"] = checked_names(names, n, n, are_pairs=True)
-        given["origin"], given["_facts"] = None, {}
+        matrix = M if isinstance(M, Matrix) else Matrix(M)
+        n = matrix.n
+        q, (lower, upper) = _checked_q(q, n), checked_bounds(lower, upper, n)
+        self._keep(matrix, q, lower, upper, checked_names(names, n, n, are_pairs=True))
+
+    def _keep(self, matrix: Matrix, q: Vector, lower: Vector, upper: Vector, names: Names) -> Self:
+        """Write checked data into this new problem."""
+        data = zip(DATA, (matrix, matrix.n, q, lower, upper, names, None), strict=True)
+        vars(self).update(data, _facts={})
+        return self
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Raise AttributeError, because facts about the problem are cached."""
@@ -185,27 +189,21 @@ class LCP:
         if lower is not None or upper is not None:
             bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
             return LCP(self.matrix, q, lower=bounds[0], upper=bounds[1], names=self.names)
-        other = object.__new__(LCP)
-        need = f"q must be a finite vector of length {self.n} (M is {self.n}×{self.n})"
-        vars(other).update(
-            matrix=self.matrix,
-            n=self.n,
-            q=checked_vector(q, "q", self.n, need=need),
-            lower=self.lower,
-            upper=self.upper,
-            nearest_to_zero=self.nearest_to_zero,
-            origin=None,
-            names=self.names,
-            _facts={},
+        other = object.__new__(LCP)._keep(
+            self.matrix, _checked_q(q, self.n), self.lower, self.upper, self.names
         )
+        vars(other)["nearest_to_zero"] = self.nearest_to_zero
         return other
 
     __repr__ = describe_lcp
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without cached properties."""
-        computed = {name for name, value in vars(LCP).items() if isinstance(value, cached_property)}
-        state = {name: value for name, value in self.__dict__.items() if name not in computed}
-        return state | {"_facts": {}}
+        return {name: value for name, value in vars(self).items() if name in DATA} | {"_facts": {}}
 
     __setstate__ = restore_state
+
+
+def _checked_q(q: ArrayLike, n: int) -> Vector:
+    need = f"q must be a finite vector of length {n} (M is {n}×{n})"
+    return checked_vector(q, "q", n, need=need)

@@ -103,13 +103,12 @@ class Settings:
     polish: Any = True
 
     def __post_init__(self) -> None:
-        given = self.__dict__
         for name, check in CHECKS.items():
-            value = given[name]
+            value = getattr(self, name)
             if value is None and name in NONE_MEANS:
-                given[name] = NONE_MEANS[name]
+                object.__setattr__(self, name, NONE_MEANS[name])
             elif value is not DEFAULTS[name]:
-                given[name] = check(value, name)
+                object.__setattr__(self, name, check(value, name))
 
     @property
     def goal(self) -> float:

@@ -465,7 +465,7 @@ def study(
     except KeyboardInterrupt:
         notes["interrupted: the rows above are complete"] = None
     except Exception as error:
-        error.__dict__["finished"] = Study(tuple(chain(*rows)), tuple(notes), is_complete)
+        error.finished = Study(tuple(chain(*rows)), tuple(notes), is_complete)  # type: ignore[attr-defined]
         raise
     return Study(tuple(chain(*rows)), tuple(notes), is_complete)
 

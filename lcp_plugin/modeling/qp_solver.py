@@ -98,8 +98,8 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         with np.errstate(all="ignore"), solver_errors():
             if guess is not None:
                 options.setdefault("z0", guess)
-            algorithm, program = options.pop("algorithm", "auto"), quadratic_program(data, cache)
-            program.__dict__["sense"] = options.pop("sense", 1.0)
+            algorithm, sense = options.pop("algorithm", "auto"), options.pop("sense", 1.0)
+            program = quadratic_program(data, cache).replaced(sense=sense)
             found = solve_program(program, algorithm, verbose=bool(verbose), **options)
             if guess is not None and options["z0"] is guess and found.z is not None:
                 found = replace(found, begun=BEGUN)

@@ -679,7 +679,7 @@ class Statement:
         bounds = self.lower, self.upper
         names = self._names(linear, range(low.size), range(n))
         program = QuadraticProgram.from_ranges(P, c, A, low, high, *bounds, constant, names)
-        program.__dict__["sense"] = sign
+        program = program.replaced(sense=sign)
         first, low, high = _stacked(self.pairs, "z", "low", "high")
         return EquilibriumProgram(
             program,

@@ -70,6 +70,7 @@ class Compiled:
 
     def __init__(self, function: Any, *, is_cached: bool = False, **options: Any) -> None:
         self.function, self.is_cached, self.options = function, is_cached, options
+        self._dispatcher: Any = None
         update_wrapper(self, function)
 
     def __call__(self, *args: Any) -> Any:
@@ -85,11 +86,11 @@ class Compiled:
     def dispatcher(self) -> Any:
         """Dispatcher of numba for the function; it takes the place of this one in the function's file."""
         with LOCK:
-            if "dispatcher" in vars(self):  # of another thread
-                return vars(self)["dispatcher"]
+            if self._dispatcher is not None:  # of another thread
+                return self._dispatcher
             if (numba := _numba()) is None:
                 return np.errstate(all="ignore")(self.function) if self.is_cached else self.function
-            vars(self)["dispatcher"] = found = self._compiled_by(numba.njit)
+            self._dispatcher = found = self._compiled_by(numba.njit)
             names = self.function.__globals__
             for name, value in list(names.items()):
                 if isinstance(value, Compiled):

@@ -91,7 +91,7 @@ class BatchRun:
             self.is_interrupted = True
         except Exception as error:
             self.is_interrupted = True
-            error.__dict__["finished"] = self._answers()
+            error.finished = self._answers()  # type: ignore[attr-defined]
             raise
         return self._answers()
 

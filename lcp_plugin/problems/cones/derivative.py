@@ -8,7 +8,6 @@ and dw lead.
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,9 +102,7 @@ class StackDerivative(LinearizedSystem):
         size = length(np.abs(dz) + np.abs(dw) / self.stack.d[..., None])
         moved = self.degenerate & (size > 0.0)
         t = np.where(moved, self._rounding / np.where(moved, size, 1.0), 0.0)[..., None]
-        piece = copy(self)
-        for known in ("system", "by_friction"):
-            piece.__dict__.pop(known, None)
+        piece = checks.copy_without(self, "system", "by_friction")
         piece.take_element_at(self.z + t * dz, self.w + t * dw)
         return piece
 

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.checks import copy_without
 from ...core.kernels.floats import NEGLIGIBLE_DIAGONAL, NORMAL
 from ...systems.factors import factorise
 
@@ -244,8 +245,7 @@ class Pattern:
 
     def take(self, some: Array) -> Pattern:
         """Return the pattern of the selected problems."""
-        other = copy(self)
-        other.__dict__.pop("entries", None)
+        other = copy_without(self, "entries")
         for name in ("M", "own", "d", "labels"):
             values = getattr(self, name)
             setattr(other, name, None if values is None else values[some])

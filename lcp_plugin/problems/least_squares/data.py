@@ -166,9 +166,7 @@ class BoundedLeastSquares:
     def stack(self, b: Vector, lower: Vector, upper: Vector, l1: Vector) -> BoundedLeastSquares:
         """Return the problem with other, checked vectors; an axis in front, shapes (B, m) and (B, n), makes a stack."""
         _ = self.column_scales, self.root_weights  # shared from now on
-        made = copy(self)
-        for name in ("nearest_to_zero", "scaled"):
-            made.__dict__.pop(name, None)
+        made = checks.copy_without(self, "nearest_to_zero", "scaled")
         made.b, made.lower, made.upper, made.l1 = b, lower, upper, l1
         return made
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import repeat
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,6 +23,7 @@ from .criterion import NOISE, ROWS, Indices
 from .program_matrices import Constraints, ProgramMatrices, as_array
 
 VECTORS = "c", "h", "b", "lower", "upper"
+KEPT = *VECTORS, "constant", "sense", "asymmetry", "ranges", "names"
 CANCELS = 1e-9  # of the objective: more rounding is worth an exact sum
 
 
@@ -113,9 +113,10 @@ class QuadraticProgram:
         rows, limits = _checked_rows(G, h, "G", "h", n, checks.checked_right_side)
         equations, right = _checked_rows(A, b, "A", "b", n, checks.checked_vector)
         below, above = checks.checked_bounds(lower, upper, n)
-        self._keep(ProgramMatrices(P, rows, equations), vector, limits, right, below, above)
-        self.__dict__.update(asymmetry=asymmetry, constant=checked_constant(constant))
-        self.__dict__["names"] = checked_names(names, limits.size + right.size, n)
+        vectors = zip(VECTORS, (vector, limits, right, below, above), strict=True)
+        data = dict(vectors) | {"asymmetry": asymmetry, "constant": checked_constant(constant)}
+        names = checked_names(names, limits.size + right.size, n)
+        self._keep(ProgramMatrices(P, rows, equations), names=names, **data)
 
     @classmethod
     def from_ranges(
@@ -169,8 +170,7 @@ class QuadraticProgram:
         both.data *= np.repeat(signs, np.diff(both.indptr))
         h, b = np.append(high[above], -low[below]), low[equal]
         program = cls(P, vector, both[:sides], h, both[sides:], b, lower, upper, constant)
-        program.__dict__["ranges"] = order, signs, m
-        return program.with_names(checked_names(names, m, n))
+        return program.replaced(ranges=(order, signs, m), names=checked_names(names, m, n))
 
     @property
     def n(self) -> int:
@@ -196,9 +196,7 @@ class QuadraticProgram:
         """
         program, P = self, self.matrices.semidefinite_P
         if P is not None and P is not self.P:
-            program = copy(self)
-            vectors = self.c, self.h, self.b, self.lower, self.upper
-            program._keep(ProgramMatrices(P, self.G, self.A), *vectors)
+            program = self.replaced(ProgramMatrices(P, self.G, self.A))
         return FoldedRows.of(program)
 
     @cached_property
@@ -238,18 +236,20 @@ class QuadraticProgram:
         below, above = checks.checked_bounds(
             self.lower if lower is None else lower, self.upper if upper is None else upper, n
         )
-        made = self.with_matrices(
-            self.matrices,
-            self.c if c is None else checks.checked_vector(c, "c", n, may_be_number=n == 1),
-            self.h if h is None else checks.checked_right_side(h, "h", m, may_be_number=m == 1),
-            self.b if b is None else checks.checked_vector(b, "b", p, may_be_number=p == 1),
-            below,
-            above,
+        checked = checks.checked_vector
+        return self.replaced(
+            c=self.c if c is None else checked(c, "c", n, may_be_number=n == 1),
+            h=self.h if h is None else checks.checked_right_side(h, "h", m, may_be_number=m == 1),
+            b=self.b if b is None else checked(b, "b", p, may_be_number=p == 1),
+            lower=below,
+            upper=above,
+            constant=self.constant if constant is None else checked_constant(constant),
         )
-        constant = self.constant if constant is None else checked_constant(constant)
-        kept = {name: getattr(self, name) for name in ("asymmetry", "ranges", "names", "sense")}
-        made.__dict__.update(kept, constant=constant)
-        return made
+
+    def replaced(self, matrices: ProgramMatrices | None = None, **data: Any) -> QuadraticProgram:
+        """Return the program with other data, which are not checked."""
+        kept = {name: getattr(self, name) for name in KEPT}
+        return object.__new__(type(self))._keep(matrices or self.matrices, **(kept | data))
 
     def with_names(self, names: Names) -> QuadraticProgram:
         """Return this new program with names of its rows and unknowns."""
@@ -276,13 +276,12 @@ class QuadraticProgram:
     @classmethod
     def with_matrices(cls, matrices: ProgramMatrices, *vectors: checks.Vector) -> QuadraticProgram:
         """Return the program of these matrices and of c, h, b, lower and upper, which are not checked."""
-        made = object.__new__(cls)
-        made._keep(matrices, *vectors)
-        return made
+        return object.__new__(cls)._keep(matrices, **dict(zip(VECTORS, vectors, strict=True)))
 
-    def _keep(self, matrices: ProgramMatrices, *vectors: checks.Vector) -> None:
-        self.__dict__.update(zip(VECTORS, vectors, strict=True))
-        self.__dict__.update(P=matrices.P, G=matrices.G, A=matrices.A, matrices=matrices)
+    def _keep(self, matrices: ProgramMatrices, **data: Any) -> Self:
+        """Write checked data into this new program."""
+        self.__dict__.update(data, P=matrices.P, G=matrices.G, A=matrices.A, matrices=matrices)
+        return self
 
     @np.errstate(all="ignore")
     def objective(self, x: ArrayLike) -> float:

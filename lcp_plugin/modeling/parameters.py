@@ -32,8 +32,8 @@ from ..problems.programs.program import QuadraticProgram
 from ..problems.sensitivity import derivative
 from ..solving.result import Result
 from . import _compat
-from ._compat import leaf_value, name_of
-from .model import Model, spans_of
+from ._compat import by_columns, expression_of, leaf_value, name_of
+from .model import DualReport, Model, spans_of
 from .qp_solver import CompiledProblem
 from .reading import Reader, restricting_attribute
 from .registration import build_from, is_complementarity_problem
@@ -351,7 +351,21 @@ def derivative_of(problem: Any) -> ModelDerivative:
         raise UnsupportedModel(
             "the parameters have other values than at the last solve; solve the problem again"
         )
+    model.reports += [report for agent in model.agents for report in _bounds_of(agent, model)]
     return ModelDerivative(model, result, parameters)
+
+
+def _bounds_of(agent: Any, model: Model) -> Iterator[DualReport]:
+    """Yield the dual values of constraints that bound decisions of an agent: −w/a if a x ≤ a u is active."""
+    conditions = agent.conditions
+    own = next(one for one in model.reports if one.constraint is conditions.stationarity)
+    duals = conditions.duals()
+    for one in conditions.bounds:
+        if one.rows is not None and isinstance(one.rows.kept, slice):
+            row, dual = one.rows.origin, by_columns(duals[one.rows.origin.id])
+            scale = np.where(dual != 0.0, -1.0 / one.weights, 0.0)
+            columns, shape = own.columns[one.places], expression_of(row).shape
+            yield DualReport(row, columns, shape, is_slack=True, scale=scale)
 
 
 def _is_solved_by(model: Model, result: Result) -> bool:

@@ -93,6 +93,41 @@ def test_derivatives_by_parameters_of_the_map_and_of_the_set_agree_with_differen
         parameter.value -= 1e-5
 
 
+@pytest.mark.parametrize("kind", ["inequality", "agents"])
+def test_dual_values_of_bounds_and_rows_have_derivatives_by_parameters(kind: str) -> None:
+    """Of constraints that bound single decisions also: jvp agrees with differences, vjp with jvp."""
+    cap, cost = cp.Parameter(value=2.0), cp.Parameter(value=1.0)
+    if kind == "inequality":
+        x: Any = cp.Variable(3)
+        rows = [2 * x >= cost * np.arange(3), x <= cap + 0.5, cp.sum(x) <= 9]
+        F = np.array([[2, 1, 0], [-1, 2, 0], [0, 1, 3]]) @ x + [-1, 3, -9]
+        stated = [variational(F, over=[x], constraints=rows)]
+    else:
+        x, y = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+        rows = [x <= cap, x + y <= 3]
+        profit = [cp.multiply(10 - x - y - cost, x), cp.multiply(8 - x - y, y)]
+        stated = [
+            optimal(cp.Problem(cp.Maximize(goal), [row]), over=[own])
+            for goal, row, own in zip(profit, rows, (x, y), strict=True)
+        ]
+    problem = solved(*stated, tolerance=1e-12)
+    found = derivative(problem)
+    for parameter in (cap, cost):
+        change = found.jvp({parameter: 1.0})
+        ends = []
+        for step in (1e-5, -2e-5):
+            parameter.value += step
+            problem.solve(method="LCP", tolerance=1e-12)
+            ends.append([np.ravel(row.dual_value) for row in rows])
+        parameter.value += 1e-5
+        for row, first, last in zip(rows, *ends, strict=True):
+            np.testing.assert_allclose(np.ravel(change[row]), (first - last) / 2e-5, atol=1e-6)
+        sums = sum(float(np.sum(change[row])) for row in rows)
+        ones = {row: np.ones(row.shape) for row in rows}
+        problem.solve(method="LCP", tolerance=1e-12)
+        assert derivative(problem).vjp(ones)[parameter] == pytest.approx(sums, abs=1e-8)
+
+
 def test_an_empty_set_is_infeasible_with_a_proof() -> None:
     """The conflict names both rows."""
     x = cp.Variable(2)

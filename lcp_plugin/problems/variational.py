@@ -54,7 +54,7 @@ def variational(
     -------
     LCP, NonlinearProblem or cvxpy constraint
         The conditions of x with multipliers of the rows. ``problem.origin.recover(result)`` is the result of the
-        linear program min F(x)ᵀy over K, tested at y = x: its `status`, `x`, and its `solution` with the multipliers
+        linear program min F(x)ᵀy over K at y = x, SOLVED as the problem is: `x`, and `solution` with the multipliers
         of all rows and ``gap()``, the maximum of F(x)ᵀ(x − y) over K. The status is INFEASIBLE with a Farkas
         certificate if K is empty. The cvxpy constraint has ``dual_value`` and ``gap()`` as
         :func:`lcp_plugin.optimal`.

@@ -260,7 +260,9 @@ class QPOrigin:
             solution = QPSolution.from_reduced(program, z[:n], z[n:])
             errors = solution.errors_for(tolerance)
             status = getattr(answer, "status", Status.SOLVED)
-            if errors.meet(tolerance):
+            # an inequality that is solved by the criterion of its problem is
+            is_solved = self.F is not None and getattr(answer, "is_solved", False)
+            if is_solved or errors.meet(tolerance):
                 status = Status.SOLVED
             elif status is Status.SOLVED or status in PROVEN:
                 is_near = errors.nearly_meet(tolerance)

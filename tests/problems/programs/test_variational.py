@@ -173,6 +173,16 @@ def test_the_problem_has_derivatives_and_can_be_pickled() -> None:
     assert answer(pickle.loads(pickle.dumps(problem))).gap() <= 1e-12
 
 
+def test_a_loosely_solved_inequality_is_recovered_as_solved() -> None:
+    """At the tolerance .1 the linear program of F(x) is far from its minimum; the criterion is the problem's own."""
+    problem = variational((np.diag([1.0, 1e3]), [-1.0, -1.0]))
+    result = solve(problem, "npsor", tolerance=0.1, polish=False)
+    assert result.is_solved
+    recovered = problem.origin.recover(result)
+    assert recovered.is_solved
+    assert not recovered.solution.is_optimal()
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .core.checks import AnyMatrix
 from .core.errors import InvalidOption
 from .core.files import checked_path
 from .core.files import save as save_problem
@@ -43,11 +44,11 @@ def save(problem: LCP, path: str | PathLike[str]) -> None:
 
 
 def from_qp(
-    P: Any,
+    P: AnyMatrix,
     c: ArrayLike | None = None,
-    G: Any = None,
+    G: AnyMatrix = None,
     h: ArrayLike | None = None,
-    A: Any = None,
+    A: AnyMatrix = None,
     b: ArrayLike | None = None,
     lower: ArrayLike = -np.inf,
     upper: ArrayLike = np.inf,

@@ -49,7 +49,7 @@ except ImportError:
         "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
     ) from None
 
-from .core.checks import Vector
+from .core.checks import AnyMatrix, Vector
 from .core.errors import InvalidOption, InvalidProblem
 from .core.lcp import LCP
 from .core.settings import whole_number
@@ -528,7 +528,7 @@ def columns_of(rows: Sequence[Any]) -> NDArray[np.float64]:
     return np.array(rows, dtype=np.float64).reshape(-1, 4).T.copy()
 
 
-def exact_offset(matrix: Any, z: Vector, w: Vector) -> Vector:
+def exact_offset(matrix: AnyMatrix, z: Vector, w: Vector) -> Vector:
     """Return q = w − M z, shape (n,); raise InvalidProblem if it is not exact in float64."""
     M = sp.csr_array(matrix)
     products = exact_slack(LCP(M, np.zeros(z.size)), z)
@@ -697,7 +697,7 @@ def _verdict(
 
 def check_solution(
     problem: LCP,
-    given: Any,
+    given: object,
     truth: ExactPoint | None,
     tolerance: float = 1e-6,
     error_tolerance: float = 1e-3,
@@ -755,7 +755,7 @@ def _named(problem: LCP, z: Vector, w: list[Fraction], i: int, allowed: Any) -> 
     return f"z is not complementary: w[{i}] = {float(w[i]):g}, but {place}"
 
 
-def _shown(problem: LCP, truth: ExactPoint | None, z: Any) -> str:
+def _shown(problem: LCP, truth: ExactPoint | None, z: Vector) -> str:
     """Return the call that makes the problem, the solver's z and the exact solution if it is known."""
     data = f"{problem.csr.toarray().tolist()}, {problem.q.tolist()}"
     if problem.lower.any() or np.isfinite(problem.upper).any():

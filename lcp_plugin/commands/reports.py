@@ -70,7 +70,7 @@ def analysis_content(problem: LCP) -> dict[str, Any]:
     return finite({"matrix": analyze(problem).to_content(), "convergence": rows})
 
 
-def finite(value: Any) -> Any:
+def finite(value: object) -> Any:
     """Return JSON content with None for numbers that are not finite."""
     if isinstance(value, dict):
         return {key: finite(entry) for key, entry in value.items()}
@@ -84,7 +84,7 @@ def _rate(rate: float) -> str:
     return f"{math.ceil(1000.0 * rate) / 1000.0:.3f}" if rate <= 0.99 else f"1-{1.0 - rate:.0e}"
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value).lower()
 
 

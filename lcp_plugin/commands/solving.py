@@ -255,7 +255,7 @@ def _arrays(answer: Any) -> dict[str, Any]:
     return {name: array for name, array in found.items() if array is not None}
 
 
-def _values(given: Target, answer: Any, x: Any) -> list[str]:
+def _values(given: Target, answer: Any, x: Vector) -> list[str]:
     """Return the first values by their names."""
     if x is None or answer.has_no_solution:
         return []

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import InvalidOption, InvalidProblem, did_you_mean
 
 Vector = NDArray[np.float64]
+AnyMatrix = Any  # ndarray or CSR array, for which scipy has no types
 T = TypeVar("T")
 Method = TypeVar("Method", bound=Callable[..., Any])
 BoolVector = NDArray[np.bool_]
@@ -53,7 +54,7 @@ def copy_without(thing: T, *computed: str) -> T:
     return made
 
 
-def restore_state(thing: Any, state: dict[str, Any]) -> None:
+def restore_state(thing: object, state: dict[str, Any]) -> None:
     """Restore the state of a copied or unpickled object, and make its arrays read-only again."""
     vars(thing).update(state)
     for value in state.values():
@@ -90,7 +91,7 @@ def assemble_csr(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -
     return freeze_csr(matrix)
 
 
-def checked_matrix(M: Any) -> tuple[Any, int]:
+def checked_matrix(M: AnyMatrix) -> tuple[Any, int]:
     """Return the square matrix as a CSR array, or as an ndarray if it is small and dense; and its nonzero entries."""
     is_sparse = type(M) is not np.ndarray and sp.issparse(M)
     if is_sparse:
@@ -156,11 +157,11 @@ def require_finite(array: NDArray[np.float64], name: str) -> None:
         raise _not_finite(name, ", ".join(map(str, at)), array[at])
 
 
-def _not_finite(name: str, place: Any, value: Any, need: str = "finite") -> InvalidProblem:
+def _not_finite(name: str, place: Any, value: object, need: str = "finite") -> InvalidProblem:
     return InvalidProblem(f"{name} must be {need}, but {name}[{place}] = {value}; repair it")
 
 
-def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array:
+def canonical_csr(M: AnyMatrix, name: str, *, is_copied: bool = False) -> sp.csr_array:
     """Return M as canonical, checked CSR; without a copy if it is canonical already and none is required."""
     try:
         matrix = _canonical(M, is_copied)
@@ -174,7 +175,7 @@ def canonical_csr(M: Any, name: str, *, is_copied: bool = False) -> sp.csr_array
     return matrix
 
 
-def _canonical(M: Any, is_copied: bool) -> sp.csr_array:
+def _canonical(M: AnyMatrix, is_copied: bool) -> sp.csr_array:
     """Return M as read-only CSR in double precision, sorted, without duplicates and zeros; a new object."""
     if M.format in ("csr", "csc", "bsr"):  # scipy's flags are stale if M.data was written to
         M = type(M)((M.data, M.indices, M.indptr), shape=M.shape)
@@ -235,7 +236,7 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
 
 
 def checked_vector(
-    values: Any,
+    values: object,
     name: str,
     length: int | None,
     *,
@@ -340,7 +341,7 @@ def checked_answer(answer: Any, n: int) -> Vector:
     return checked_vector(getattr(answer, "z", answer), "z", n)
 
 
-def checked_bound(values: Any, name: str, n: int) -> Vector:
+def checked_bound(values: object, name: str, n: int) -> Vector:
     """Return a bound as a vector of length n; a number stands for all, ±∞ for none, NaN is rejected."""
     need = f"{name} must be a number or a vector of length {n}"
     array = real_array(without_none(values, name), need)
@@ -355,7 +356,7 @@ def checked_bound(values: Any, name: str, n: int) -> Vector:
     return read_only(np.full(n, array))
 
 
-def without_none(values: Any, name: str) -> Any:
+def without_none(values: object, name: str) -> Any:
     """Return the values of a bound, named lower… or upper…, with ∓∞ in place of None."""
     if isinstance(values, np.ndarray) and values.dtype != np.object_:
         return values
@@ -368,7 +369,7 @@ def without_none(values: Any, name: str) -> Any:
 
 
 def checked_right_side(
-    values: Any, name: str, length: int | None, *, may_be_number: bool = False
+    values: object, name: str, length: int | None, *, may_be_number: bool = False
 ) -> Vector:
     """Return the right-hand side h of inequalities G x ≤ h; 1e20 and beyond becomes ∞: no constraint."""
     right = checked_vector(
@@ -432,7 +433,7 @@ def checked_bounds(
     return below, above
 
 
-def vector_option(values: Any, name: str, length: int | None, **how: Any) -> Vector:
+def vector_option(values: object, name: str, length: int | None, **how: Any) -> Vector:
     """Return a vector as :func:`checked_vector` does, but raise InvalidOption."""
     try:
         return checked_vector(values, name, length, **how)
@@ -440,7 +441,7 @@ def vector_option(values: Any, name: str, length: int | None, **how: Any) -> Vec
         raise InvalidOption(str(error)) from error
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: object) -> bool:
     """Return whether the value is a real number that fits a double."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         return False

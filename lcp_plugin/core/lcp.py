@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from .checks import Vector, checked_bounds, checked_vector, read_only, restore_state
+from .checks import AnyMatrix, Vector, checked_bounds, checked_vector, read_only, restore_state
 from .errors import InvalidOption
 from .matrix import Matrix
 from .names import Names, checked_names, describe_lcp
@@ -72,7 +72,7 @@ class LCP:
 
     def __init__(
         self,
-        M: Any,
+        M: AnyMatrix,
         q: ArrayLike,
         *_bounds: ArrayLike,
         lower: ArrayLike = 0.0,
@@ -92,7 +92,7 @@ class LCP:
         vars(self).update(data, _facts={})
         return self
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         """Raise AttributeError, because facts about the problem are cached."""
         raise AttributeError(
             f"an LCP is immutable, so {name} cannot be set; write problem.with_q(q, lower=…, upper=…), or LCP(M, q)"

@@ -100,7 +100,7 @@ def class_of(problem: Any) -> str | None:
     return None
 
 
-def refusal(function: str, given: Any) -> str:
+def refusal(function: str, given: object) -> str:
     """Return the error message for an argument that a function does not accept."""
     *most, last = classes_of(function)
     needs = with_article(f"{', '.join(most)} or {last}" if most else last)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import Vector
+from .checks import AnyMatrix, Vector
 from .errors import InvalidProblem
 from .kernels.floats import MAY_UNDERFLOW, TINY, UNIT
 
@@ -37,7 +37,7 @@ def gamma(terms: int) -> float:
     return float(np.nextafter(terms * UNIT / (1.0 - terms * UNIT), np.inf)) * (1.0 + 4.0 * UNIT)
 
 
-def compensated_product(M: Any, x: Vector, q: Vector | None = None) -> tuple[Vector, Vector]:
+def compensated_product(M: AnyMatrix, x: Vector, q: Vector | None = None) -> tuple[Vector, Vector]:
     """Return (value, radius) with |M x + q − value| ≤ radius, each of shape (m,).
 
     Parameters
@@ -72,7 +72,7 @@ def compensated_product(M: Any, x: Vector, q: Vector | None = None) -> tuple[Vec
     return high, np.where(radius == 0.0, low, np.nextafter(low + radius, np.inf))
 
 
-def compensated_pair(M: Any, x: Vector, q: Vector | None = None) -> Sums:
+def compensated_pair(M: AnyMatrix, x: Vector, q: Vector | None = None) -> Sums:
     """Return (high, low, radius) with |M x + q − (high + low)| ≤ radius, the sum not evaluated.
 
     `high` is the rounded value and `low` its rounding error; the radius is of order u³. Parameters and errors as for

@@ -146,14 +146,14 @@ def checked_tolerance(value: Any, name: str = "tolerance", *, may_be_zero: bool 
     return float(value)
 
 
-def whole_number(value: Any, name: str, least: int, otherwise: str = "") -> int:
+def whole_number(value: object, name: str, least: int, otherwise: str = "") -> int:
     """Return an integer of at least `least`; raise InvalidOption for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise InvalidOption(f"{name} must be an integer ≥ {least}{otherwise}, got {value!r}")
     return min(int(value), MOST)
 
 
-def _flag(value: Any, name: str) -> bool:
+def _flag(value: object, name: str) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise InvalidOption(f"{name} must be True or False, got {value!r}")
     return bool(value)

@@ -9,7 +9,7 @@ from enum import Enum
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
-from ..core.checks import Vector
+from ..core.checks import AnyMatrix, Vector
 
 
 class ProgramData(NamedTuple):
@@ -23,11 +23,11 @@ class ProgramData(NamedTuple):
         h, −lower and upper may be ∞.
     """
 
-    P: Any
+    P: AnyMatrix
     c: Vector
-    G: Any
+    G: AnyMatrix
     h: Vector
-    A: Any
+    A: AnyMatrix
     b: Vector
     lower: Vector
     upper: Vector

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Vector
+from ..core.checks import AnyMatrix, Vector
 from ..core.matrix import largest_in_rows
 from ..core.rounding import compensated_product
 from .engine import EngineAnswer, ProgramData
@@ -87,7 +87,7 @@ def polish_steps(
             yield point._replace(x=np.clip(x, lower, upper), y=signed)
 
 
-def shifted_solver(P: Any, C: Any, shift: float) -> Callable[[Vector], Vector] | None:
+def shifted_solver(P: AnyMatrix, C: AnyMatrix, shift: float) -> Callable[[Vector], Vector] | None:
     """Return a solver with the matrix above, by LDLᵀ if it is sparse; None if it is singular or too large.
 
     δ is `shift` times the largest entry of its row.

@@ -325,7 +325,7 @@ def methods_of(given: Any) -> list[Method]:
     return [*found.values()]
 
 
-def _is_pair(one: Any) -> bool:
+def _is_pair(one: object) -> bool:
     return isinstance(one, tuple) and len(one) == 2 and isinstance(one[1], Mapping)
 
 

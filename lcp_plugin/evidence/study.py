@@ -119,7 +119,7 @@ class Table:
         return "\n".join([rf"\begin{{tabular}}{{{marks}}}", *inside, r"\end{tabular}", ""])
 
 
-def _text_of(value: Any) -> str:
+def _text_of(value: object) -> str:
     """Return a number with three digits, – for none, a text unchanged."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"
@@ -272,7 +272,7 @@ class Study:
     __str__ = explain
 
 
-def _check_choice(name: str, given: Any, known: Iterable[str]) -> None:
+def _check_choice(name: str, given: object, known: Iterable[str]) -> None:
     known = [*known]
     if not isinstance(given, str) or given not in known:
         raise InvalidOption(f"{name} must be one of {', '.join(known)}, got {given!r}")
@@ -516,7 +516,7 @@ def error_against_time(
 
 def _measurements(
     blank: Measurement,
-    given: Any,
+    given: object,
     say: Progress,
     methods: Sequence[Method],
     references: Sequence[str],
@@ -582,7 +582,7 @@ def _line(error: BaseException) -> str:
 # --- The problems ---------------------------------------------------------------------------------------------
 
 
-def _label_problems(given: Any) -> dict[str, Any]:
+def _label_problems(given: object) -> dict[str, Any]:
     """Return the problems, or functions that build them, by their labels."""
     if isinstance(given, Mapping):
         return {str(label): _check_problem(one) for label, one in given.items()}
@@ -599,7 +599,7 @@ def _label_problems(given: Any) -> dict[str, Any]:
     return found
 
 
-def _check_problem(one: Any) -> Any:
+def _check_problem(one: object) -> Any:
     if isinstance(one, str):
         name = one.partition(":")[0].strip()
         if name not in scene_names():
@@ -621,7 +621,7 @@ def _build_by_name(text: str, size: int | None = None) -> Scene:
     return parse(f"{text}{',' if settings else ':'}{key[0]}={size}")
 
 
-def _build_problem(given: Any, label: str, size: int | None) -> Scene:
+def _build_problem(given: object, label: str, size: int | None) -> Scene:
     """Return the test problem of a problem, of (M, q), or of a function of the size."""
     if callable(given):
         given = given() if size is None else given(size)

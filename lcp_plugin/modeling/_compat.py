@@ -69,7 +69,7 @@ NONSMOOTH = (
 KINKS = {kind: graph for kind, graph in CANON_METHODS.items() if kind is not cp.cumsum}
 
 
-def postorder(root: Any, stop: Container[int]) -> list[Any]:
+def postorder(root: cp.Expression, stop: Container[int]) -> list[Any]:
     """Return the nodes below the root once each, arguments first; nothing below a node whose id is in `stop`.
 
     Without recursion: a sum written in a Python loop may be thousands of atoms deep.
@@ -97,7 +97,7 @@ def leaf_value(leaf: Any) -> Any:
     return None if value is None else np.asarray(value)
 
 
-def constant_numeric(node: Any, values: list[Any]) -> Any:
+def constant_numeric(node: cp.Expression, values: list[Any]) -> Any:
     """Return the value of an atom of constants in the atom's shape; a sparse 2-D value stays sparse, as CSC."""
     stack = next((stack for kind, stack in STACKS.items() if isinstance(node, kind)), None)
     if isinstance(node, BROADCAST):
@@ -137,7 +137,7 @@ def dense(value: Any) -> Any:
     return value.toarray() if sp.issparse(value) else value
 
 
-def by_columns(value: Any) -> Any:
+def by_columns(value: object) -> Any:
     """Return all entries of a value as a vector, column by column."""
     return np.ravel(dense(value), order="F")
 
@@ -157,7 +157,7 @@ def solver_errors() -> Iterator[None]:
         raise UnsolvableModel(str(error)) from error
 
 
-def entry_of(variable: Any, k: int) -> str:
+def entry_of(variable: cp.Variable, k: int) -> str:
     """Return the name of entry k of a variable, column by column: h[2]."""
     return f"{variable.name()}{_place(variable, k, '[{}]') if variable.shape else ''}"
 
@@ -179,7 +179,7 @@ def _place(stated: Any, k: int, form: str) -> str:
     return form.format(", ".join(map(str, np.unravel_index(k, stated.shape, order="F"))))
 
 
-def name_of(expression: Any) -> str:
+def name_of(expression: cp.Expression) -> str:
     """Return the expression as cvxpy prints it, in one line, not too long."""
     try:
         text = WHOLE_SUM.sub(r"sum(\1)", " ".join(str(expression).split()))
@@ -188,7 +188,7 @@ def name_of(expression: Any) -> str:
     return text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 1]}…"
 
 
-def attribute_bounds(variable: Any) -> tuple[Any, Any]:
+def attribute_bounds(variable: cp.Variable) -> tuple[Any, Any]:
     """Return the bounds that a variable's attributes state: nonneg, pos, nonpos, neg, bounds."""
     attributes = variable.attributes
     lower: Any = 0.0 if attributes.get("nonneg") or attributes.get("pos") else -np.inf
@@ -200,7 +200,7 @@ def attribute_bounds(variable: Any) -> tuple[Any, Any]:
     return normalize_bounds(lower, upper)
 
 
-def attribute_expressions(variable: Any) -> tuple[Any, Any]:
+def attribute_expressions(variable: cp.Variable) -> tuple[Any, Any]:
     """Return the bounds of a variable with the attribute "bounds" as they were stated; parameters may be in them."""
     attributes, (lower, upper) = variable.attributes, variable.attributes["bounds"]
     lower = cp.maximum(0.0, lower) if attributes.get("nonneg") or attributes.get("pos") else lower
@@ -264,7 +264,7 @@ def values_below(roots: list[Any]) -> dict[int, Any]:
     return values
 
 
-def why_not(problem: Any) -> list[str]:
+def why_not(problem: cp.Problem) -> list[str]:
     """Return the reasons why a problem is not a quadratic program, in the user's names."""
     reasons = []
     for variable in problem.variables():
@@ -288,7 +288,7 @@ def why_not(problem: Any) -> list[str]:
     return reasons
 
 
-def refusal(problem: Any) -> UnsolvableModel | None:
+def refusal(problem: cp.Problem) -> UnsolvableModel | None:
     """Return an error with the reasons why a problem is not a quadratic program, or None."""
     if not (reasons := why_not(problem)):
         return None
@@ -299,12 +299,12 @@ def refusal(problem: Any) -> UnsolvableModel | None:
     )
 
 
-def sense_of(problem: Any) -> float:
+def sense_of(problem: cp.Problem) -> float:
     """Return 1 if the objective is minimized, −1 if it is maximized."""
     return -1.0 if isinstance(problem.objective, cp.Maximize) else 1.0
 
 
-def expression_of(constraint: Any) -> Any:
+def expression_of(constraint: cp.Constraint) -> Any:
     """Return the expressions of a constraint that must be zero, or of one sign."""
     return constraint.expr if isinstance(constraint, (Equality, Inequality)) else constraint.args[0]
 

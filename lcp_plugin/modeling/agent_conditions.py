@@ -34,7 +34,7 @@ from .model import Side, spans_of
 from .reading import Reader, rewritten
 
 
-def _huber(node: Any, arguments: list[Any]) -> tuple[Any, list[Any]]:
+def _huber(node: cp.Expression, arguments: list[Any]) -> tuple[Any, list[Any]]:
     """Return min (x − s)² + 2 M |s| over s, which is huber(x, M), and its inequalities."""
     s, t = cp.Variable(node.shape), cp.Variable(node.shape)
     return cp.square(arguments[0] - s) + 2 * node.M * t, [s <= t, -s <= t]
@@ -44,7 +44,7 @@ def _huber(node: Any, arguments: list[Any]) -> tuple[Any, list[Any]]:
 GRAPHS = {**KINKS, cp.huber: _huber}
 
 
-def _positive_power(u: Any, p: float) -> Any:
+def _positive_power(u: Vector, p: float) -> Any:
     """Return u**p, NaN for u < 0: the derivative of a function that is not defined there."""
     return cp.power(cp.sqrt(u), 2 * p)
 
@@ -115,7 +115,7 @@ class StandardRows(NamedTuple):
     kept: Any = slice(None)
 
     @classmethod
-    def of(cls, constraint: Any, change: Any = lambda node: node) -> list[StandardRows]:
+    def of(cls, constraint: cp.Constraint, change: Any = lambda node: node) -> list[StandardRows]:
         """Return the rows of a cvxpy constraint, each node changed; none if all entries hold for all variables.
 
         Raises
@@ -135,7 +135,7 @@ class StandardRows(NamedTuple):
             expression = -expression
         return [cls(constraint, expression, is_equation, kept)]
 
-    def whole(self, values: Any) -> Any:
+    def whole(self, values: object) -> Any:
         """Return values of the rows in the shape of the constraint, 0 in other entries; None for None."""
         if values is None:
             return None
@@ -144,7 +144,7 @@ class StandardRows(NamedTuple):
         return found.reshape(expression_of(self.origin).shape, order="F")
 
 
-def entries_with_a_limit(constraint: Any) -> Indices | None:
+def entries_with_a_limit(constraint: cp.Constraint) -> Indices | None:
     """Return the entries of an inequality that exclude some values; None if all its data are finite.
 
     Raises
@@ -181,10 +181,10 @@ def entries_with_a_limit(constraint: Any) -> Indices | None:
     return kept
 
 
-def _constant_part(expression: Any) -> Vector:
+def _constant_part(expression: cp.Expression) -> Vector:
     """Return the value of an expression where all variables are 0, and 1 parameters that have no value."""
 
-    def change(node: Any) -> Any:
+    def change(node: cp.Expression) -> Any:
         if isinstance(node, cp.Variable):
             return cp.Constant(np.zeros(node.shape))
         is_unknown = isinstance(node, cp.Parameter) and node.value is None
@@ -197,7 +197,7 @@ def _entries(value: Any) -> Any:
     return value.data if sp.issparse(value) else value
 
 
-def _finite(node: Any) -> Any:
+def _finite(node: cp.Expression) -> Any:
     """Return a node of numbers as a constant, and any other node with 0 in place of ±∞ in its constants.
 
     Only entries without limit hold such a constant, and they are left out.
@@ -248,7 +248,7 @@ class AgentProgram:
         self.agent, self.own = agent, {variable.id for variable, _ in agent.entries}
         known, epigraphs, new = {one.id for one in program.variables()}, [], {}
 
-        def change(node: Any) -> Any:
+        def change(node: cp.Expression) -> Any:
             graph = GRAPHS.get(type(node))
             is_smooth = graph is None and not isinstance(node, NONSMOOTH)
             if is_smooth or self.own.isdisjoint(one.id for one in node.variables()):
@@ -367,7 +367,7 @@ class AgentProgram:
                 active.add(key)
         found: dict[int, list[Any]] = {key: [] for key in active}
 
-        def distribute(rows: Rows, weights: Any) -> None:
+        def distribute(rows: Rows, weights: Vector) -> None:
             for key in active.intersection(rows.blocks):
                 block = rows.blocks[key]
                 found[key].append(times(block if isinstance(block, float) else block.T, weights))
@@ -477,7 +477,7 @@ class AgentProgram:
         return self.sources[key]
 
 
-def vector_of(expression: Any) -> Any:
+def vector_of(expression: cp.Expression) -> Any:
     """Return an expression as a vector, column by column."""
     return expression if expression.ndim == 1 else cp.vec(expression, order="F")
 
@@ -517,7 +517,7 @@ def domain_of(roots: Iterable[Any], own: set[int]) -> list[Domain]:
     return [one for node in nodes.values() for one in _own_domain(node, own)]
 
 
-def _own_domain(node: Any, own: set[int]) -> list[Domain]:
+def _own_domain(node: cp.Expression, own: set[int]) -> list[Domain]:
     """Return the conditions of one node."""
     exponent = node.p.value if isinstance(node, Power) else 0.0
     if not node.args or exponent is None or own.isdisjoint(one.id for one in node.variables()):
@@ -537,10 +537,10 @@ def violated_domain(roots: Iterable[Any], own: set[int]) -> Any:
     return None
 
 
-def value_in_domain(expression: Any, own: set[int]) -> Any:
+def value_in_domain(expression: cp.Expression, own: set[int]) -> Any:
     """Return the value of an expression, with arguments at least at the boundary of their domain."""
 
-    def change(node: Any) -> Any:
+    def change(node: cp.Expression) -> Any:
         least = {id(one.args[1]): one.args[0] for one, _ in _own_domain(node, own)}
         inside = [cp.maximum(least[id(k)], k) if id(k) in least else k for k in node.args]
         return node.copy(inside) if least else node
@@ -573,7 +573,7 @@ def with_data(entries: Sequence[Any], data: Mapping[int, Any]) -> Callable[[Any]
     for variable, columns in entries:
         masks.setdefault(variable.id, np.zeros(variable.size))[columns] = 1.0
 
-    def change(node: Any) -> Any:
+    def change(node: cp.Expression) -> Any:
         if not isinstance(node, cp.Variable) or (mask := masks.get(node.id, np.zeros(1))).all():
             return node
         if not mask.any():

@@ -142,13 +142,13 @@ def _agent(program: Any, over: Any, shared: Any, check: str, F: Any = None) -> O
     return Optimal(program, decisions, frozenset(one.id for one in listed), check, F)
 
 
-def _listed(given: Any, kind: type) -> list[Any] | None:
+def _listed(given: object, kind: type) -> list[Any] | None:
     """Return one object of a type, or several, as a list; None if it is something else."""
     found = [given] if isinstance(given, kind) or not np.iterable(given) else list(given)
     return found if all(isinstance(one, kind) for one in found) else None
 
 
-def entries_of(expression: Any) -> tuple[Any, Indices]:
+def entries_of(expression: cp.Expression) -> tuple[Any, Indices]:
     """Return the variable and the entries that a decision consists of; raise if it is something else."""
     reader = Reader(takes_integers=True)
     rows, variables = reader.rows(expression), expression.variables()
@@ -345,7 +345,7 @@ def _check_program(agent: Optimal, rules: Convexity) -> None:
         return
 
 
-def _check_shared(constraint: Any, agents: Sequence[Optimal], rules: Convexity) -> None:
+def _check_shared(constraint: cp.Constraint, agents: Sequence[Optimal], rules: Convexity) -> None:
     """Raise UnsupportedModel unless all agents of a shared constraint share it, and it is jointly convex."""
     if not (rows := StandardRows.of(constraint)):
         return
@@ -422,7 +422,7 @@ class Convexity:
         columns = [spans[v.id].start + own for v, own in entries if v.id in spans]
         return list(map(int, np.concatenate(columns)))
 
-    def unknowns_in(self, expression: Any) -> set[int]:
+    def unknowns_in(self, expression: cp.Expression) -> set[int]:
         """Return the numbers of the unknowns on which an expression depends."""
         try:
             found = [self.model.reader.rows(expression)]
@@ -453,7 +453,7 @@ class Convexity:
         return None if None in found else [one[0][columns][:, columns] for one in found]
 
 
-def _terms(node: Any, factor: float) -> Iterator[tuple[float, Any]]:
+def _terms(node: cp.Expression, factor: float) -> Iterator[tuple[float, Any]]:
     """Yield factors and terms, of which an expression is the sum."""
     if isinstance(node, atoms.SUM):
         for one in node.args:

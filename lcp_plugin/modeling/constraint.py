@@ -17,7 +17,7 @@ from .model import Side, pair_residual, stacked
 REMEDY = 'solve it with problem.solve(method="LCP")'
 
 
-def box(expression: Any, lower: Any, upper: Any) -> Side:
+def box(expression: cp.Expression, lower: Any, upper: Any) -> Side:
     """Return the condition lower ≤ expression ≤ upper, as one side of a complementarity.
 
     Parameters
@@ -142,7 +142,7 @@ def _require_cones(sides: list[Side]) -> None:
         )
 
 
-def _side(given: Any, which: str) -> Side:
+def _side(given: object, which: str) -> Side:
     if isinstance(given, Side):
         return given
     if isinstance(given, Inequality):
@@ -162,7 +162,7 @@ def _side(given: Any, which: str) -> Side:
     return Side(_expression(given, f"the {which} side of complements"), "value")
 
 
-def _expression(given: Any, what: str) -> Any:
+def _expression(given: object, what: str) -> Any:
     """Return the argument as a cvxpy expression."""
     if not isinstance(given, cp.Expression) and _kind(given) == "b":
         raise UnsupportedModel(
@@ -180,7 +180,7 @@ def _expression(given: Any, what: str) -> Any:
     return expression
 
 
-def _kind(values: Any) -> str:
+def _kind(values: object) -> str:
     """Return numpy's letter for the type of an array or array-like; "O" if it is neither."""
     try:
         return values.dtype.kind if hasattr(values, "dtype") else np.asarray(values).dtype.kind

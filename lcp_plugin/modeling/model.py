@@ -527,7 +527,7 @@ class Model:
         return z
 
     def write_back(
-        self, problem: Any, result: Any, found: tuple[Vector, Vector, float] | None
+        self, problem: cp.Problem, result: Any, found: tuple[Vector, Vector, float] | None
     ) -> None:
         """Give a cvxpy problem its status, values, dual values and statistics.
 

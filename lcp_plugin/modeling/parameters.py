@@ -319,7 +319,7 @@ class ModelDerivative:
         return sp.csr_array((np.ones(stated.size), (stated, places[stated])), shape=shape)
 
 
-def derivative_of(problem: Any) -> ModelDerivative:
+def derivative_of(problem: cp.Problem) -> ModelDerivative:
     """Return the derivative of a solved cvxpy model; see :func:`lcp_plugin.derivative`.
 
     Raises
@@ -382,7 +382,7 @@ def _is_solved_by(model: Model, result: Result) -> bool:
     )
 
 
-def differentiable_parameters(problem: Any) -> list[Any]:
+def differentiable_parameters(problem: cp.Problem) -> list[Any]:
     """Return the parameters of a problem, including the parameters in bounds of variables.
 
     Raises
@@ -420,7 +420,7 @@ class ModelPath(Path):
     _problem: Any
 
     @classmethod
-    def of(cls, path: Path, lines: Lines, back: Back, problem: Any) -> ModelPath:
+    def of(cls, path: Path, lines: Lines, back: Back, problem: cp.Problem) -> ModelPath:
         """Return a path with a map back to cvxpy's variables."""
         made = cls.__new__(cls)
         made.__dict__.update(path.__dict__, _lines=lines, _back=back, _problem=problem)
@@ -449,7 +449,7 @@ class ModelPath(Path):
             return self._back(self.piece_at(theta).z_at(theta))
 
 
-def parameter_lines(problem: Any, along: Any) -> Lines:
+def parameter_lines(problem: cp.Problem, along: Any) -> Lines:
     """Return value and direction of each parameter that moves: it is value + θ · direction.
 
     Parameters
@@ -503,7 +503,7 @@ def moved_to(lines: Lines, theta: float) -> Iterator[None]:
 
 
 def trace_model(
-    problem: Any, along: Any, start: float, stop: float, tolerance: float | None = None
+    problem: cp.Problem, along: Any, start: float, stop: float, tolerance: float | None = None
 ) -> ModelPath:
     """Return the path of a cvxpy problem; see :func:`lcp_plugin.trace`.
 
@@ -527,12 +527,12 @@ def trace_model(
     return ModelPath.of(path, lines, back, problem)
 
 
-def _pairs(problem: Any) -> tuple[LCP, Back]:
+def _pairs(problem: cp.Problem) -> tuple[LCP, Back]:
     model = build_from(problem)
     return model.lcp("trace"), lambda z: build_from(problem).values(z)
 
 
-def _program(problem: Any) -> tuple[QuadraticProgram, Back]:
+def _program(problem: cp.Problem) -> tuple[QuadraticProgram, Back]:
     # With parameters as numbers: for an expression that is not affine, cvxpy's cache may be of an old value.
     compiled = CompiledProblem.of(problem, is_folded=True, ignore_dpp=True)
     return compiled.program, compiled.values

@@ -42,14 +42,14 @@ def affine_rule(kind: type) -> Rule | None:
     return next((rule for classes, rule in AFFINE.items() if issubclass(kind, classes)), None)
 
 
-def rule_of(node: Any) -> Rule | None:
+def rule_of(node: cp.Expression) -> Rule | None:
     """Return the rule for an atom that is not affine by its class; None if there is no rule."""
     if node.is_atom_affine():
         return _by_jacobian
     return next((SMOOTH[kind] for kind in type(node).__mro__ if kind in SMOOTH), None)
 
 
-def refused(node: Any) -> UnsupportedModel:
+def refused(node: cp.Expression) -> UnsupportedModel:
     """Return the error that names an atom without a rule, and a remedy."""
     if isinstance(node, atoms.NONSMOOTH):
         return UnsupportedModel(
@@ -62,7 +62,7 @@ def refused(node: Any) -> UnsupportedModel:
     )
 
 
-def linearised(node: Any, arguments: list[Any], values: list[Any]) -> Rows:
+def linearised(node: cp.Expression, arguments: list[Any], values: list[Any]) -> Rows:
     """Return the atom's tangent at dense values of its arguments, by the derivative that cvxpy gives."""
     parts: list[Any] = [atoms.dense(atoms.constant_numeric(node, values))]
     for k, (argument, value) in enumerate(zip(arguments, values, strict=True)):
@@ -72,7 +72,7 @@ def linearised(node: Any, arguments: list[Any], values: list[Any]) -> Rows:
     return added(parts, node.shape)
 
 
-def _by_jacobian(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+def _by_jacobian(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     """Apply the derivatives that cvxpy gives, which are constant if the atom is affine."""
     rows = {k: one for k, one in enumerate(arguments) if isinstance(one, Rows)}
     offsets, values = arguments.copy(), list(map(atoms.dense, arguments))
@@ -87,7 +87,7 @@ def _by_jacobian(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     return Rows(whole.blocks, offset, node.shape, whole.level)
 
 
-def _own_jacobian(node: Any, k: int, values: list[Any]) -> sp.csr_array:
+def _own_jacobian(node: cp.Expression, k: int, values: list[Any]) -> sp.csr_array:
     """Return cvxpy's own derivative of an atom by argument k.
 
     cvxpy's affine atoms take parameters for constants, with gradient zero: a variable replaces them here.
@@ -116,7 +116,7 @@ def _own_jacobian(node: Any, k: int, values: list[Any]) -> sp.csr_array:
 # --- affine ---------------------------------------------------------------------------------------------------------
 
 
-def _product(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+def _product(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     left, right = arguments
     if isinstance(node, atoms.DIVISION):
         return compiler.elementwise(functions.QUOTIENT, left, right, node.shape)
@@ -125,7 +125,7 @@ def _product(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     return compiler.product(left, right, node.shape)
 
 
-def _gathered(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+def _gathered(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     """Let the atom move entry numbers instead of entries: the result shows which rows it takes."""
     parts = [Rows.of(argument) for argument in arguments]
     if isinstance(node, cp.reshape) and node.order == "F":
@@ -140,7 +140,7 @@ def _gathered(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     return stacked(parts).taken(moved.ravel(order="F").astype(np.int64) - 1, node.shape)
 
 
-def _summed(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+def _summed(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     rows, axes = arguments[0], _axes(node)
     kept = tuple(1 if axis in axes else length for axis, length in enumerate(rows.shape))
     return rows.summed(entries_behind(rows.shape, kept), node.shape)
@@ -159,7 +159,7 @@ AFFINE: dict[tuple[Any, ...], Rule] = {
 # --- smooth ---------------------------------------------------------------------------------------------------------
 
 
-def _axes(node: Any) -> list[int]:
+def _axes(node: cp.Expression) -> list[int]:
     count, axis = len(node.args[0].shape), getattr(node, "axis", None)
     return list(range(count)) if axis is None else [one % count for one in np.atleast_1d(axis)]
 
@@ -175,7 +175,7 @@ def _with_constant(function: Function, constant: float) -> Rule:
     )
 
 
-def _power(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+def _power(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     rows, value = arguments[0], node.p.value
     if value is None or not np.isfinite(value).all():
         raise UnsupportedModel(
@@ -187,7 +187,7 @@ def _power(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     return rows if exponent == 1.0 else compiler.emit(functions.power(exponent), rows)
 
 
-def _reduced(node: Any) -> Indices:
+def _reduced(node: cp.Expression) -> Indices:
     """Return the entries of each result, along the node's axis: shape (entries, results)."""
     shape, axes = node.args[0].shape, _axes(node)
     moved = np.moveaxis(
@@ -218,14 +218,14 @@ def _folded(compiler: Compiler, function: Function, terms: Rows, size: int) -> R
 def _along_axis(function: Function) -> Rule:
     """Return the rule of an atom that folds a function along its axis."""
 
-    def rule(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+    def rule(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
         groups = _reduced(node)
         return _folded(compiler, function, arguments[0].taken(groups.ravel()), groups.shape[1])
 
     return rule
 
 
-def _geometric_mean(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+def _geometric_mean(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     if getattr(node, "axis", None) is not None:
         raise UnsupportedModel(
             f"{name_of(node)} takes the mean along an axis; write one geo_mean for each row"
@@ -238,7 +238,7 @@ def _geometric_mean(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows
     return _folded(compiler, functions.PRODUCT, stacked(powers), 1)
 
 
-def _quad_over_lin(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+def _quad_over_lin(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     groups = _reduced(node)
     squares = compiler.emit(functions.SQUARE, Rows.of(arguments[0]).taken(groups.ravel(order="F")))
     sums = squares.summed(np.arange(groups.size) // groups.shape[0], (groups.shape[1],))
@@ -250,13 +250,13 @@ def _quad_over_lin(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
     return compiler.emit(functions.PRODUCT, sums, inverse)
 
 
-def _quad_form(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+def _quad_form(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     x, P = Rows.of(arguments[0]), arguments[1]
     x = x.taken(np.arange(x.size))
     return compiler.product(x, compiler.product(P, x, x.shape), ())
 
 
-def _relative_entropy(compiler: Compiler, node: Any, arguments: list[Any]) -> Rows:
+def _relative_entropy(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     both = [Rows.of(one).spread(node.shape) for one in arguments]
     return compiler.emit(functions.RELATIVE_ENTROPY, *both)
 
@@ -291,7 +291,9 @@ FORBIDDEN_ATTRIBUTES = "symmetric diag PSD NSD hermitian sparsity complex imag"
 INTEGERS = "boolean integer"
 
 
-def folded(root: Any, rule: Callable[[Any, list[Any]], Any], known: Mapping[int, Any]) -> Any:
+def folded(
+    root: cp.Expression, rule: Callable[[Any, list[Any]], Any], known: Mapping[int, Any]
+) -> Any:
     """Return the root's result of ``rule(node, results of its arguments)``; drop results after their last use.
 
     Parameters
@@ -318,10 +320,10 @@ def folded(root: Any, rule: Callable[[Any, list[Any]], Any], known: Mapping[int,
     return results[id(root)]
 
 
-def rewritten(root: Any, change: Callable[[Any], Any]) -> Any:
+def rewritten(root: cp.Expression, change: Callable[[Any], Any]) -> Any:
     """Return an expression with change(node) for each node, arguments first; nodes without changes stay."""
 
-    def rule(node: Any, arguments: list[Any]) -> Any:
+    def rule(node: cp.Expression, arguments: list[Any]) -> Any:
         is_same = all(one is own for one, own in zip(arguments, node.args, strict=True))
         return change(node if is_same else node.copy(arguments))
 
@@ -372,7 +374,7 @@ class Reader:
         for key, node in sources.items():
             self._known[id(node)] = Rows({key: 1.0}, np.zeros(node.size), node.shape)
 
-    def rows(self, expression: Any) -> Rows:
+    def rows(self, expression: cp.Expression) -> Rows:
         """Return the rows of an expression: Σ blocks[variable.id] · variable + offset, and results of functions.
 
         Raises
@@ -402,7 +404,7 @@ class Reader:
                 self._found = []
         return rows
 
-    def _result(self, node: Any, arguments: list[Any]) -> Any:
+    def _result(self, node: cp.Expression, arguments: list[Any]) -> Any:
         key, rule = id(node), affine_rule(type(node))  # type: ignore[arg-type]
         below = list(map(id, node.args))
         hidden = hidden_parameters(node) if node.args and rule is None else []
@@ -431,13 +433,13 @@ class Reader:
                 self._remember(part, own)
         return result
 
-    def _remember(self, node: Any, result: Any) -> None:
+    def _remember(self, node: cp.Expression, result: Any) -> None:
         """Keep results that do not depend on parameters and have all entries, for later readers."""
         if id(node) not in self._moving and result.shape == node.shape:
             self._memo[id(node)] = (node, result)
             self._found.append((node, result))
 
-    def _computed(self, node: Any, rule: Rule | None, arguments: list[Any]) -> Any:
+    def _computed(self, node: cp.Expression, rule: Rule | None, arguments: list[Any]) -> Any:
         if isinstance(node, cp.Variable if self._held is None else cp.Parameter):
             takes = self._takes_integers
             if self._held is None and (tie := restricting_attribute(node, takes_integers=takes)):
@@ -462,7 +464,7 @@ class Reader:
                 raise refused(node)
         return rule(self.compiler, node, arguments)
 
-    def _value(self, node: Any, values: list[Any]) -> Any:
+    def _value(self, node: cp.Expression, values: list[Any]) -> Any:
         """Return the value of a node without sources, or of any node if variables are held."""
         if node.args:
             return atoms.constant_numeric(node, values)
@@ -476,7 +478,7 @@ class Reader:
             )
         return value
 
-    def _take_constant(self, node: Any, value: Any) -> None:
+    def _take_constant(self, node: cp.Expression, value: Any) -> None:
         """Raise an error for a constant that is not a finite real number."""
         if id(node) in self._taken or id(node) in self._known:
             return
@@ -493,7 +495,7 @@ class Reader:
             )
 
 
-def hidden_parameters(node: Any) -> list[Any]:
+def hidden_parameters(node: cp.Expression) -> list[Any]:
     """Return the parameters that an atom holds but has not among its arguments."""
     data = (node.get_data() or []) if node.args else []
     stated = [part for part in data if isinstance(part, cp.Expression)]

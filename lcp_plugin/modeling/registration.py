@@ -31,7 +31,7 @@ NOT_BY_RULES = (
 )
 
 
-def is_complementarity_problem(problem: Any) -> bool:
+def is_complementarity_problem(problem: cp.Problem) -> bool:
     """Return whether a cvxpy problem has a complementarity among its constraints.
 
     Parameters
@@ -77,7 +77,7 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
 _memos: weakref.WeakKeyDictionary[Any, dict[int, tuple[Any, Any]]] = weakref.WeakKeyDictionary()
 
 
-def build_from(problem: Any) -> Model:
+def build_from(problem: cp.Problem) -> Model:
     """Return the model of a cvxpy problem; parts that depend on no parameter are cached for the next call."""
     if not isinstance(problem, cp.Problem):
         kind = type(problem).__name__
@@ -93,7 +93,7 @@ def build_from(problem: Any) -> Model:
     return build(problem.constraints, _memos.setdefault(problem, {}))
 
 
-def lcp_stated_by(problem: Any) -> LCP:
+def lcp_stated_by(problem: cp.Problem) -> LCP:
     """Return the LCP that a cvxpy problem of complementarities states; its ``origin`` leads back to variables.
 
     Parameters
@@ -126,7 +126,7 @@ def stated_in_cvxpy(problem: LCP) -> Any:
 
 
 def solve_model(
-    problem: Any,
+    problem: cp.Problem,
     algorithm: Any = "auto",
     *,
     warm_start: bool = True,
@@ -197,7 +197,7 @@ def solve_model(
             return value
 
 
-def certify_model(problem: Any, tolerance: float, _pairs: Any = None) -> Certification:
+def certify_model(problem: cp.Problem, tolerance: float, _pairs: Any = None) -> Certification:
     """Return the proved facts about the values of a cvxpy problem, with or without complementarities."""
     if not is_complementarity_problem(problem):
         return certify_problem(problem, tolerance)
@@ -213,7 +213,7 @@ def certify_model(problem: Any, tolerance: float, _pairs: Any = None) -> Certifi
     return with_side_conditions(certify_point(stated, point, tolerance), violated)
 
 
-def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
+def _square(problem: cp.Problem, warm_start: bool, options: dict[str, Any]) -> Any:
     """Solve a complementarity problem."""
     model = build_from(problem)
     start = model.present() if warm_start and "z0" not in options else None
@@ -246,7 +246,7 @@ def _square(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
     return problem.value
 
 
-def _best(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
+def _best(problem: cp.Problem, warm_start: bool, options: dict[str, Any]) -> Any:
     """Find the best of all solutions."""
     if _has_cones(problem):
         raise UnsupportedModel(
@@ -260,12 +260,12 @@ def _best(problem: Any, warm_start: bool, options: dict[str, Any]) -> Any:
     return solve_for_the_best(problem, without_agents(problem.constraints), warm_start, options)
 
 
-def _has_cones(problem: Any) -> bool:
+def _has_cones(problem: cp.Problem) -> bool:
     pairs = [one for one in problem.constraints if isinstance(one, Complements)]
     return any(side.kind == "cone" for pair in pairs for side in (pair.first, pair.second))
 
 
-def _program(problem: Any, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
+def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
     """Solve a quadratic program."""
     try:
         value = cp.Problem._solve(

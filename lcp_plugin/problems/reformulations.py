@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.checks import Vector, checked_answer, rectangular_matrix
+from ..core.checks import AnyMatrix, Vector, checked_answer, rectangular_matrix
 from ..core.errors import InvalidProblem, NotConverged
 from ..core.lcp import LCP
 
@@ -111,7 +111,7 @@ class GameOrigin:
         return Equilibrium(self.game, tuple(part / part.sum() for part in parts))
 
 
-def lcp_from_bimatrix_game(A: Any, B: Any = None) -> LCP:
+def lcp_from_bimatrix_game(A: AnyMatrix, B: AnyMatrix = None) -> LCP:
     """Return the complementarity problem whose solutions are the Nash equilibria of a game.
 
     For two players, with costs K_ij = s_j − a_ij > 0 and L_ij = t_i − b_ij > 0 in the place of payoffs, in units that
@@ -218,7 +218,7 @@ def _lcp_from_pairs(given: Mapping[Any, Any]) -> LCP:
     return LCP(M, np.append(ties, -sums)).with_origin(origin)
 
 
-def _payoffs_of(game: Any, B: Any) -> tuple[Any, Any]:
+def _payoffs_of(game: Any, B: AnyMatrix) -> tuple[Any, Any]:
     """Return (A, B) of a game whose players have each a `payoff_array`, the own action first."""
     if B is not None:
         raise InvalidProblem(f"{type(game).__name__} has the payoffs of both players; leave B out")
@@ -247,5 +247,5 @@ def _costs(payoffs: FloatMatrix, own: int) -> FloatMatrix:
     return 1.0 + missed / unit
 
 
-def _dense(matrix: Any) -> FloatMatrix:
+def _dense(matrix: AnyMatrix) -> FloatMatrix:
     return matrix if isinstance(matrix, np.ndarray) else np.asarray(matrix.toarray())

@@ -62,7 +62,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..core.certificates.criterion import row_data, scaled_residual
-from ..core.checks import BoolVector, Vector, checked_vector
+from ..core.checks import AnyMatrix, BoolVector, Vector, checked_vector
 from ..core.deadline import is_over
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.kernels.floats import OUTWARD, TINY, UNDERFLOW, UNIT
@@ -493,7 +493,7 @@ def _proven_bound(even: Any) -> float | None:
     return None
 
 
-def _rounding(matrix: Any, factor: PositiveFactor) -> float:
+def _rounding(matrix: AnyMatrix, factor: PositiveFactor) -> float:
     """Return a bound of the distance of a factorized matrix from a semidefinite one: Cholesky's bound, or measured."""
     n = matrix.shape[0]
     if factor.superlu is None:
@@ -739,7 +739,7 @@ class Curvature:
         return self.indefinite or UNKNOWN
 
 
-def curvature(P: Any) -> Curvature:
+def curvature(P: AnyMatrix) -> Curvature:
     """Return the largest weights that can be proved at the cost of two factorizations.
 
     Parameters
@@ -774,7 +774,7 @@ def curvature(P: Any) -> Curvature:
     return Curvature(weights)
 
 
-def constrained_curvature(P: Any, A: Any) -> Curvature:
+def constrained_curvature(P: AnyMatrix, A: AnyMatrix) -> Curvature:
     """Return the curvature of P, or of P + ρ AᵀA if only this matrix is definite.
 
     Parameters

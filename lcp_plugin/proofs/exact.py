@@ -34,7 +34,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import Vector
+from ..core.checks import AnyMatrix, Vector
 from ..core.deadline import is_over
 from ..core.errors import InvalidProblem
 from ..core.kernels.floats import EPSILON, LARGEST, TINY
@@ -116,7 +116,7 @@ def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
     return whole, denominator
 
 
-def like(values: Vector, z: Any) -> Any:
+def like(values: Any, z: Any) -> Any:
     """Return floats unchanged, or as Fractions if z has Fractions."""
     if z.dtype != object:
         return values
@@ -180,7 +180,7 @@ def rational(values: Iterable[float]) -> Fractions:
     return [Fraction(float(value)) for value in values]
 
 
-def rational_rows(matrix: Any) -> list[Row]:
+def rational_rows(matrix: AnyMatrix) -> list[Row]:
     """Return the rows of an array or sparse array as dictionaries column → entry."""
     rows = sp.csr_array(matrix)
     columns, entries, pointer = rows.indices.tolist(), rows.data.tolist(), rows.indptr.tolist()
@@ -292,12 +292,12 @@ Rows = list[list[int]]
 # --- Signs of minors ----------------------------------------------------------------------
 
 
-def exact_rows(M: Any) -> Rows:
+def exact_rows(M: AnyMatrix) -> Rows:
     """Return the entries of a CSR array as integers, each row times a power of two."""
     return [shortened(row) for row in _whole(M)]
 
 
-def exact_symmetric_part(M: Any) -> Rows:
+def exact_symmetric_part(M: AnyMatrix) -> Rows:
     """Return M + Mᵀ as integers, each row times a power of two."""
     rows = _whole(M)
     return [
@@ -305,7 +305,7 @@ def exact_symmetric_part(M: Any) -> Rows:
     ]
 
 
-def _whole(M: Any) -> Rows:
+def _whole(M: AnyMatrix) -> Rows:
     """Return the entries of a CSR array as integers, all of them times one power of two."""
     entries, _ = integers(M.toarray().ravel())
     width = max(M.shape[1], 1)

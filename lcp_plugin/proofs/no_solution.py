@@ -26,7 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.certificates.criterion import reference_residual, row_data
-from ..core.checks import Vector, derived_property
+from ..core.checks import AnyMatrix, Vector, derived_property
 from ..core.kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE
 from ..core.lcp import LCP
 from ..core.matrix import is_nearly_symmetric
@@ -59,7 +59,7 @@ def moved_unknowns(d: Any, names: Names = NAMELESS) -> str:
     return f"unknown{'s' * (len(moving) != 1)} {named}"
 
 
-def is_minimizer_beyond_radius(P: Any, c: Vector, direction: Any, left: Any) -> bool:
+def is_minimizer_beyond_radius(P: AnyMatrix, c: Vector, direction: Any, left: Any) -> bool:
     """Return whether a load c moves the zero-energy mode much farther than the softest part of the structure.
 
     t = Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves, is how far the softest part gives
@@ -91,7 +91,7 @@ def is_minimizer_beyond_radius(P: Any, c: Vector, direction: Any, left: Any) -> 
         return bool(resisted * 2.0 * WIDE * (np.abs(c) @ sizes) <= abs(c @ d) * stiffness)
 
 
-def is_at_rest(P: Any, direction: Any) -> bool:
+def is_at_rest(P: AnyMatrix, direction: Any) -> bool:
     """Return whether P d = 0 to rounding, although P is not 0 for the unknowns of d: a zero-energy mode."""
     d = np.array([float(value) for value in direction])
     moving = np.flatnonzero(d)

@@ -41,7 +41,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Vector, read_only
+from ..core.checks import AnyMatrix, Vector, read_only
 from ..core.errors import InvalidProblem
 from ..core.kernels.floats import TINY, UNIT
 from ..core.matrix import Matrix, fact, largest_in_rows, row_numbers, triangular_form
@@ -154,7 +154,7 @@ def h_verdict(matrix: Matrix) -> HVerdict:
     return HVerdict(None, "solutions of ⟨M⟩v = |diag(M)| pass neither check: ρ is 1 up to rounding")
 
 
-def positive_margin(M: Any, v: Vector) -> Vector | None:
+def positive_margin(M: AnyMatrix, v: Vector) -> Vector | None:
     """Return a rigorous lower bound of ⟨M⟩v if it is positive on every row and v > 0, else None."""
     if not ((v > 0.0) & np.isfinite(v)).all():
         return None
@@ -171,7 +171,7 @@ def positive_margin(M: Any, v: Vector) -> Vector | None:
     return margin
 
 
-def is_nonpositive(M: Any, y: Vector) -> bool:
+def is_nonpositive(M: AnyMatrix, y: Vector) -> bool:
     """Return whether ⟨M⟩y ≤ 0 is proven on every row, for y ≥ 0, y ≠ 0."""
     if not (np.isfinite(y).all() and (y >= 0.0).all() and y.any()):
         return False
@@ -191,7 +191,7 @@ def _centred(v: Vector) -> Vector:
     return np.ldexp(v, -middle)
 
 
-def is_p_matrix_by_recursion(M: Any) -> bool | None:
+def is_p_matrix_by_recursion(M: AnyMatrix) -> bool | None:
     """Return whether all principal minors are positive, proven; None if the numbers are too long.
 
     Parameters
@@ -566,7 +566,7 @@ class MatrixReport:
     negative_diagonal = _view(lambda matrix: np.flatnonzero(matrix.diagonal < 0.0))
     scale_spread = _view(graph.scale_spread)
 
-    def __init__(self, matrix: Any) -> None:
+    def __init__(self, matrix: AnyMatrix) -> None:
         self.matrix = matrix_of(matrix)
         self.n = self.matrix.n
 
@@ -628,7 +628,7 @@ CLAIMS = {name: claim for name, claim in vars(MatrixReport).items() if isinstanc
 
 
 @np.errstate(all="ignore")
-def analyze(M: Any) -> MatrixReport:
+def analyze(M: AnyMatrix) -> MatrixReport:
     """Return the classes of a matrix, or of a problem's matrix; each verdict is proved.
 
     Parameters
@@ -656,7 +656,7 @@ def analyze(M: Any) -> MatrixReport:
     return _report(matrix_of(M))
 
 
-def matrix_of(M: Any) -> Matrix:
+def matrix_of(M: AnyMatrix) -> Matrix:
     """Return the `Matrix` of a problem or an array; a `Matrix` is returned unchanged."""
     if class_of(M) not in (None, "LCP"):
         raise InvalidProblem(refusal("analyze", M))

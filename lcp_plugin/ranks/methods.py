@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Vector, read_only
+from ..core.checks import AnyMatrix, Vector, read_only
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
 from ..core.matrix import split_rows
@@ -33,7 +33,7 @@ from .problem import RowsOnRanks
 LARGEST_GROWTH, LARGEST_COMPLEXITY = 2.0, 8.0
 
 
-def build_hierarchy(matrix: Any, halo: Halo, *, scales_rows: bool) -> Hierarchy:
+def build_hierarchy(matrix: AnyMatrix, halo: Halo, *, scales_rows: bool) -> Hierarchy:
     """Return the hierarchy of the local rows, shape (own, own + foreign), with a positive diagonal.
 
     It has one grid if coarser ones cost too much.

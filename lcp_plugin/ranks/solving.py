@@ -369,7 +369,7 @@ class RunOnRanks(Run):
 
 
 def measured_on_ranks(
-    problem: RowsOnRanks, x: Any, tolerance: float
+    problem: RowsOnRanks, x: Vector, tolerance: float
 ) -> tuple[bool, float, float, float, str]:
     """Return whether the given x passes the criterion, its largest violation, residual, tolerance and a reason.
 

@@ -241,7 +241,7 @@ class Progress:
             self.end = Status.MAX_SECONDS
         return self.end
 
-    def report(self, run: Any, stage: Stage, step: Step, found: Any, *, is_last: bool) -> bool:
+    def report(self, run: Run, stage: Stage, step: Step, found: Any, *, is_last: bool) -> bool:
         """Record, print and call back, with the clock paused; return whether the callback returned True.
 
         Parameters

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Vector
+from ..core.checks import AnyMatrix, Vector
 from ..core.kernels.floats import EPSILON
 from ..core.matrix import row_numbers, scale_by
 from ..core.tuning import FULL_CHOLESKY_UP_TO
@@ -17,7 +17,7 @@ LARGEST_SHIFT = 1e-6  # a proof of semidefiniteness up to more than this is usel
 LARGEST_SUMMAND = 2.0**1023  # two below it have a sum
 
 
-def is_semidefinite_to_rounding(P: Any) -> bool | None:
+def is_semidefinite_to_rounding(P: AnyMatrix) -> bool | None:
     """Return whether P has no negative eigenvalue beyond rounding; None if n is too large to say.
 
     Parameters
@@ -74,7 +74,7 @@ def is_semidefinite_to_rounding(P: Any) -> bool | None:
     return None if unit is None else factorised(unit, shift) is not None
 
 
-def is_positive_definite(P: Any) -> bool | None:
+def is_positive_definite(P: AnyMatrix) -> bool | None:
     """Return whether P is positive definite: True and False are proven, None is neither.
 
     Parameters
@@ -113,7 +113,7 @@ def is_positive_definite(P: Any) -> bool | None:
     return False if is_indefinite else None
 
 
-def symmetric_part(M: Any) -> Any:
+def symmetric_part(M: AnyMatrix) -> Any:
     """Return (M + Mᵀ)/2, exactly symmetric; M itself if it is symmetric.
 
     Each entry is rounded once, those below 2⁻¹⁰²² to a multiple of 2⁻¹⁰⁷⁴.
@@ -131,13 +131,13 @@ def symmetric_part(M: Any) -> Any:
     return M * 0.5 + transposed * 0.5
 
 
-def semidefinite_margin(P: Any) -> float:
+def semidefinite_margin(P: AnyMatrix) -> float:
     """Return δ of λ_min(P) ≥ −δ, which :func:`is_semidefinite_to_rounding` proves, in the unit of P."""
     diagonal: Vector = np.array(P.diagonal())
     return 2.0 * _margin(diagonal.size, diagonal.size) * float(diagonal.max(initial=0.0))
 
 
-def is_diagonal(P: Any) -> bool:
+def is_diagonal(P: AnyMatrix) -> bool:
     """Return whether all off-diagonal entries are zero."""
     nonzeros = P.nnz if sp.issparse(P) else np.count_nonzero(P)
     return int(nonzeros) == np.count_nonzero(P.diagonal())
@@ -147,7 +147,7 @@ def _margin(n: int, terms: int) -> float:
     return n * (terms + 4) * EPSILON
 
 
-def scaled_to(P: Any, scale: Vector) -> Any:
+def scaled_to(P: AnyMatrix, scale: Vector) -> Any:
     """Return P with scaled rows and columns; None if P overflows or is too large to be factorized."""
     if not sp.issparse(P):
         dense = scale_by(P, scale, scale)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import Vector
+from ..core.checks import AnyMatrix, Vector
 from ..core.matrix import Exponents, row_numbers
 
 EQUILIBRATING_PASSES = (0.5, 0.5, 0.5, 0.5, 1.0)  # as `equilibrating_exponents` takes them
@@ -29,7 +29,7 @@ def power_of_two(sizes: ArrayLike, most: int = 1022) -> Any:
     return np.ldexp(1.0, exponents * np.isfinite(sizes))
 
 
-def scaling_exponents(M: Any, is_symmetric: bool) -> Exponents | None:
+def scaling_exponents(M: AnyMatrix, is_symmetric: bool) -> Exponents | None:
     """Return powers of two that bring the diagonal near 1 and balance the rest, or None if M needs none.
 
     Parameters
@@ -57,7 +57,7 @@ def unit_diagonal(diagonal: Vector) -> Exponents:
     return Exponents(half, half)
 
 
-def equilibrating_exponents(M: Any, aims: Sequence[float], most: float = np.inf) -> Exponents:
+def equilibrating_exponents(M: AnyMatrix, aims: Sequence[float], most: float = np.inf) -> Exponents:
     """Return powers of two that bring the entries of a CSR array near 1, rows and columns alternately.
 
     Parameters

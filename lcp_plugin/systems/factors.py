@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import DENSE_ABOVE_DENSITY, Vector, read_only
+from ..core.checks import DENSE_ABOVE_DENSITY, AnyMatrix, Vector, read_only
 from ..core.deadline import enforced_seconds_left, require_seconds
 from ..core.matrix import Matrix, fact, largest_in_rows, row_numbers
 from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
@@ -69,7 +69,7 @@ class PositiveFactor:
 
 
 def factorise(
-    matrix: Any, *, is_symmetric: bool = False, bandwidth: tuple[int, int] | None = None
+    matrix: AnyMatrix, *, is_symmetric: bool = False, bandwidth: tuple[int, int] | None = None
 ) -> Factor | None:
     """Return a factor of a square matrix, or None if a pivot is exactly zero or the entries overflow.
 
@@ -95,7 +95,7 @@ def factorise(
     return _sparse_lu(matrix, is_symmetric)
 
 
-def _dense(matrix: Any, is_symmetric: bool) -> Factor | None:
+def _dense(matrix: AnyMatrix, is_symmetric: bool) -> Factor | None:
     factor = None
     if is_symmetric and matrix.shape[0] and matrix.diagonal().min() > 0.0:
         factor = cholesky(matrix)
@@ -124,7 +124,7 @@ def cholesky(matrix: Vector) -> Factor | None:
     if factor is None:
         return None
 
-    def solve(right: Any) -> Any:
+    def solve(right: Vector) -> Any:
         return lapack().dpotrs(factor, right, lower=1)[0]
 
     return Factor("Cholesky", solve, solve, n**3 / 6.0, float(n * n))
@@ -205,7 +205,7 @@ def _suits_one_order(matrix: sp.csr_array) -> bool:
     return bool(pattern.multiply(pattern.T).nnz >= 0.8 * matrix.nnz)
 
 
-def sparse_lu(matrix: Any, **options: Any) -> Any:
+def sparse_lu(matrix: AnyMatrix, **options: Any) -> Any:
     """Return SuperLU's factorization of a square sparse matrix, with the options of scipy's `splu`.
 
     Raises
@@ -237,7 +237,7 @@ def sparse_lu(matrix: Any, **options: Any) -> Any:
     return splu(matrix, **options)
 
 
-def diagonal_pivot_factor(matrix: Any) -> Any | None:
+def diagonal_pivot_factor(matrix: AnyMatrix) -> Any | None:
     """Return SuperLU's factorization with diagonal pivots, in one order for rows and columns; None if singular.
 
     That order is a preference: a pivot of 0 is exchanged; those who need it compare `perm_r` with `perm_c`.
@@ -248,7 +248,7 @@ def diagonal_pivot_factor(matrix: Any) -> Any | None:
         return None
 
 
-def positive_factor(matrix: Any) -> PositiveFactor | None:
+def positive_factor(matrix: AnyMatrix) -> PositiveFactor | None:
     """Return the factor of a symmetric matrix if all pivots are positive and from the diagonal, else None.
 
     Parameters
@@ -268,7 +268,7 @@ def positive_factor(matrix: Any) -> PositiveFactor | None:
     return PositiveFactor(factor.solve, int(np.bincount(factor.L.indices).max()), factor)
 
 
-def factor_fits(matrix: Any) -> bool:
+def factor_fits(matrix: AnyMatrix) -> bool:
     """Return whether a factorization of a CSR or CSC array ends in reasonable time, by the counts of its columns."""
     # On few rows any fill is cheap.
     return (

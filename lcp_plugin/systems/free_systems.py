@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import BoolVector, Vector
+from ..core.checks import AnyMatrix, BoolVector, Vector
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.matrix import Exponents, Matrix, fact, is_nearly_symmetric, scale_matrix, times_power
 from ..core.tuning import DIRECT_UP_TO
@@ -39,20 +39,20 @@ from .hierarchy.truncation import KrylovCorrection, Truncation
 class LinearizedSystem:
     """The system at a solution, or at as many as there are rows: vectors have shape (n,) or (k, n) throughout."""
 
-    def _product(self, x: Any, *, transposed: bool = False) -> Any:
+    def _product(self, x: Vector, *, transposed: bool = False) -> Any:
         """Return M x, or Mᵀx."""
         raise NotImplementedError
 
-    def _by_slack(self, x: Any, *, transposed: bool = False) -> Any:
+    def _by_slack(self, x: Vector, *, transposed: bool = False) -> Any:
         """Return R_w x, or R_wᵀx; only the free rows are used."""
         return x
 
-    def _solve_free(self, right: Any, *, transposed: bool = False) -> Any:
+    def _solve_free(self, right: Vector, *, transposed: bool = False) -> Any:
         """Return the solution of J_FF x = right_F, or of the transposed system, 0 in the other rows."""
         raise NotImplementedError
 
     @np.errstate(all="ignore")
-    def tangent(self, h: Any, held: Any = None, more: Any = 0.0) -> Any:
+    def tangent(self, h: Vector, held: Any = None, more: Any = 0.0) -> Any:
         """Return dz.
 
         Parameters
@@ -69,7 +69,7 @@ class LinearizedSystem:
         return self._solve_free(-(self._by_slack(h) + more))
 
     @np.errstate(all="ignore")
-    def adjoint(self, g: Any, by_w: Any) -> tuple[Any, Any, Any]:
+    def adjoint(self, g: Vector, by_w: Any) -> tuple[Any, Any, Any]:
         """Return ∂L/∂q, ∂L/∂b (valid at active bounds) and λ for a loss L with gradients g by z and by_w by w."""
         by_z = g + self._product(by_w, transposed=True) if by_w.any() else g
         multiplier = self._solve_free(by_z, transposed=True)
@@ -98,7 +98,7 @@ def pseudo_inverses(blocks: Any) -> tuple[Any, BoolVector]:
     return (right * reciprocal[:, np.newaxis]) @ left, np.any(~is_kept, axis=1)
 
 
-def solved(blocks: Any, right: Any) -> Any:
+def solved(blocks: Any, right: Vector) -> Any:
     """Return the solutions of B X = right, shapes (k, f, f) and (k, f, r); NaN if a pivot is 0.
 
     Examples
@@ -116,7 +116,7 @@ def solved(blocks: Any, right: Any) -> Any:
         return x
 
 
-def products(M: Any, x: Any) -> Any:
+def products(M: AnyMatrix, x: Vector) -> Any:
     """Return M_k x_k, shapes (k or 1, m, n) and (k, n)."""
     return np.matmul(M, x[:, :, np.newaxis])[:, :, 0]
 
@@ -138,7 +138,7 @@ class FreeBlocks:
         that is neither regular nor singular is doubtful, and `solve` returns no solution for it.
     """
 
-    def __init__(self, J: Any, free: Any) -> None:
+    def __init__(self, J: AnyMatrix, free: Any) -> None:
         self._groups = []
         self.is_regular = np.ones(len(free), np.bool_)
         self.is_singular = np.zeros(len(free), np.bool_)
@@ -168,7 +168,7 @@ class FreeBlocks:
             most = max(ENTRIES // count**2, 1)
             yield from ((count, items[k : k + most]) for k in range(0, items.size, most))
 
-    def solve(self, right: Any, *, transposed: bool = False) -> Any:
+    def solve(self, right: Vector, *, transposed: bool = False) -> Any:
         """Return the solutions of J_FF x = right_F, or of the transposed, shape (k, n), 0 in other rows."""
         x = np.zeros(right.shape)
         for items, rows, own, inverses in self._groups:
@@ -406,7 +406,7 @@ class FreeSystem:
         """|M_FF|."""
         return abs(self.block)
 
-    def _even_factor(self, block: Any) -> Factor | None:
+    def _even_factor(self, block: AnyMatrix) -> Factor | None:
         """Return the factorization of a block like M_FF, equilibrated if M is badly scaled.
 
         Without equilibration, pivots that are large only by their unit would replace diagonal pivots and cause fill.
@@ -428,7 +428,7 @@ class FreeSystem:
             ),
         )
 
-    def _exponents(self, block: Any) -> tuple[Exponents, bool]:
+    def _exponents(self, block: AnyMatrix) -> tuple[Exponents, bool]:
         """Return powers of two that bring entries near 1, and whether the scaled block is symmetric."""
         diagonal = block.diagonal()
         if is_nearly_symmetric(self.matrix) and bool((diagonal > 0.0).all()):

@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping
 from fractions import Fraction
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Vector, read_only
+from ..core.checks import AnyMatrix, Vector, read_only
 from ..core.matrix import (
     ROUNDED,
     Exponents,
@@ -41,14 +41,14 @@ if TYPE_CHECKING:
     from .hierarchy.grids import Hierarchy
 
 
-def comparison_of(M: Any) -> sp.csr_array:
+def comparison_of(M: AnyMatrix) -> sp.csr_array:
     """Return ⟨M⟩ for a CSR array, or for rows of an array whose first columns belong to these rows."""
     magnitudes = np.abs(M.data)
     signed = np.where(row_numbers(M) == M.indices, magnitudes, -magnitudes)
     return sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
 
 
-def comparison_product(M: Any, v: Vector) -> tuple[Vector, Vector]:
+def comparison_product(M: AnyMatrix, v: Vector) -> tuple[Vector, Vector]:
     """Return (value, radius) with |⟨M⟩v − value| ≤ radius; ⟨M⟩ has |m_ii| on, −|m_ij| off the diagonal.
 
     Parameters
@@ -77,7 +77,7 @@ def comparison_product(M: Any, v: Vector) -> tuple[Vector, Vector]:
     return compensated_product(comparison_of(M), v)
 
 
-def exact_comparison_row(M: Any, v: Vector, row: int) -> Fraction:
+def exact_comparison_row(M: AnyMatrix, v: Vector, row: int) -> Fraction:
     """Return (⟨M⟩v)_row without any rounding; M a CSR array, v finite."""
     total = Fraction(0)
     for k in range(M.indptr[row], M.indptr[row + 1]):
@@ -212,7 +212,7 @@ class ComparisonMatrix:
         Diagonal of `matrix`, positive.
     """
 
-    def __init__(self, M: Any) -> None:
+    def __init__(self, M: AnyMatrix) -> None:
         self.is_symmetric = mismatch(M, np.abs(M.diagonal()), ROUNDED)[1] is None
         self.exponents: Exponents | None = scaling_exponents(M, self.is_symmetric)
         self.matrix = scale_matrix(comparison_of(M), self.exponents)

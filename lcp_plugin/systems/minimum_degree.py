@@ -14,16 +14,15 @@ doi:10.1137/S0895479894278952.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.sparse as sp
 
+from ..core.checks import AnyMatrix
 from ..core.kernels.compilation import kernel
 
 
 def factor_sizes(
-    matrix: Any, most_entries: float = np.inf, most_operations: float = np.inf
+    matrix: AnyMatrix, most_entries: float = np.inf, most_operations: float = np.inf
 ) -> tuple[float, float]:
     """Return the entries of L, its diagonal included, and Σ count² over its columns, of a factor of A + Aᵀ.
 

@@ -107,7 +107,7 @@ class SideConditions:
         ]
 
 
-def excess(body: Any, lower: Any, upper: Any, units: Any) -> Any:
+def excess(body: Any, lower: Vector, upper: Vector, units: Any) -> Any:
     """Return by how much a body is beyond its bounds: of their size, at least 1, or of the row's if that is less."""
     sizes = np.maximum(
         *(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper))

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import Vector
+from ...core.checks import AnyMatrix, Vector
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING
 from ...core.lcp import LCP
@@ -173,7 +173,7 @@ def _without_free_rows(
     )
 
 
-def _independent(M: FloatMatrix, sparse: Any, free: IndexVector) -> IndexVector:
+def _independent(M: FloatMatrix, sparse: AnyMatrix, free: IndexVector) -> IndexVector:
     """Return the free rows whose pivots in a factorization of their block are not at rounding level."""
     if not free.size:
         return free
@@ -188,7 +188,7 @@ def _independent(M: FloatMatrix, sparse: Any, free: IndexVector) -> IndexVector:
 
 
 def _with_partners(
-    M: FloatMatrix, sparse: Any, own: IndexVector, rest: IndexVector, one_sided: IndexVector
+    M: FloatMatrix, sparse: AnyMatrix, own: IndexVector, rest: IndexVector, one_sided: IndexVector
 ) -> tuple[IndexVector, IndexVector]:
     """Return free rows, and as many other rows as may make their common block regular."""
     solution = _solved(M, sparse, own, M[np.ix_(own, one_sided)])
@@ -204,7 +204,7 @@ def _with_partners(
     return np.append(own, rest[rows]), one_sided[order]
 
 
-def _solved(M: FloatMatrix, sparse: Any, rows: IndexVector, right: FloatMatrix) -> Any:
+def _solved(M: FloatMatrix, sparse: AnyMatrix, rows: IndexVector, right: FloatMatrix) -> Any:
     """Return −block⁻¹ right for the block of these rows; None if it is ill-conditioned."""
     if not rows.size:
         return np.empty(right.shape)
@@ -223,7 +223,7 @@ def _solved(M: FloatMatrix, sparse: Any, rows: IndexVector, right: FloatMatrix) 
     return np.asarray(lapack.dgetrs(factor, pivots, -right)[0], dtype=np.float64)
 
 
-def _sparse_factor(sparse: Any, rows: IndexVector, shift: float = 0.0) -> Any:
+def _sparse_factor(sparse: AnyMatrix, rows: IndexVector, shift: float = 0.0) -> Any:
     """Return SuperLU's factor of a block + shift I; None if a dense one is quicker, or if a pivot is zero."""
     n = rows.size
     if sparse is None:

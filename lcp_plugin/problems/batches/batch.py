@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Algorithm
+from ...core.checks import AnyMatrix
 from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.lcp import LCP
@@ -81,7 +82,7 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
 
 @np.errstate(all="ignore")
 def solve_batch(
-    M: Any,
+    M: AnyMatrix,
     q: Any = None,
     *,
     lower: ArrayLike | None = None,
@@ -211,7 +212,7 @@ def solve_batch(
     return BatchRun(stated, algorithm, given).run(callback, executor)
 
 
-def _problems_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> Any:
+def _problems_of(M: AnyMatrix, q: Any, lower: Any, upper: Any, z0: Any) -> Any:
     """Return the checked problems of a batch that is not of programs of one shape."""
     if isinstance(M, FrictionalContactBatch):
         _refuse_data("contacts", "FrictionalContact.worlds(W, b, friction)", q, lower, upper)
@@ -235,7 +236,7 @@ def _problems_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> Any:
     return Stacked(M, q, lower, upper, z0)
 
 
-def _programs_of(M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> ProgramBatch | None:
+def _programs_of(M: AnyMatrix, q: Any, lower: Any, upper: Any, z0: Any) -> ProgramBatch | None:
     """Return programs of one shape, from any of three forms; None for other data or with starts."""
     if isinstance(M, ProgramBatch):
         return M

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import checked_start, normalize_bounds, read_only, real_array
+from ...core.checks import AnyMatrix, checked_start, normalize_bounds, read_only, real_array
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...methods.small import (
@@ -56,7 +56,7 @@ class Group(NamedTuple):
     """
 
     items: Any
-    M: Any
+    M: AnyMatrix
     q: Any
     lower: Any
     upper: Any
@@ -205,7 +205,7 @@ class Listed(Instances):
             yield from group.stacks(tolerance)
 
 
-def stack_of(has_friction: bool, starts: Any, M: Any, *vectors: Any) -> ConeStack:
+def stack_of(has_friction: bool, starts: Any, M: AnyMatrix, *vectors: Any) -> ConeStack:
     """Return problems over the same cones, given M, q, slope and bounds with an axis for them, as a stack."""
     return ConeStack(Pattern(M, starts), *vectors, has_friction=has_friction)
 
@@ -295,7 +295,7 @@ class Stacked(Rows):
 
     are_lcps = True
 
-    def __init__(self, M: Any, q: Any, lower: Any, upper: Any, z0: Any) -> None:
+    def __init__(self, M: AnyMatrix, q: Any, lower: Any, upper: Any, z0: Any) -> None:
         need = "M must be an array of shape (B, n, n) or (n, n), or a list of LCPs"
         given = M if isinstance(M, LCP) else None
         self.M = given.matrix.array if given else M if sp.issparse(M) else real_array(M, need)
@@ -452,7 +452,7 @@ class Worlds(Instances):
         """Return velocities after the impulses, shape (B, n)."""
         return np.einsum("bij,bj->bi", self.worlds.W, z) + self.worlds.b
 
-    def data(self, W: Any, b: Any, friction: Any) -> tuple[Any, ...]:
+    def data(self, W: AnyMatrix, b: Any, friction: Any) -> tuple[Any, ...]:
         """Return the arguments of `stack_of` for instances with these data."""
         d, n, p = self.worlds.dimension, self.worlds.n, self.worlds.equations
         starts, none = np.r_[: n - p : d, n - p : n + 1], np.full((1, n), np.inf)

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import BoolVector, assemble_csr, read_only
+from ...core.checks import AnyMatrix, BoolVector, assemble_csr, read_only
 from ...core.errors import InvalidProblem, LCPError
 from ...core.kernels.floats import EPSILON
 from ...engines import engine_class, is_installed
@@ -48,9 +48,9 @@ class ProgramBatch(Instances):
 
     count: int
     sizes: tuple[int, int, int, int]
-    P: Any
-    G: Any
-    A: Any
+    P: AnyMatrix
+    G: AnyMatrix
+    A: AnyMatrix
     vectors: dict[str, Any]
     constant: Any
     shared: QuadraticProgram | None = None
@@ -186,7 +186,7 @@ class ProgramBatch(Instances):
         """Return ½ xᵀP x + cᵀx + constant of each program."""
         P, c, x = self.P, self.vectors["c"], z[:, : self.n]
 
-        def values_of(P: Any, c: Any, x: Any) -> Any:
+        def values_of(P: AnyMatrix, c: Any, x: Any) -> Any:
             Px = (P @ x.T).T if sp.issparse(P) else np.matmul(P, x[:, :, np.newaxis])[:, :, 0]
             return ((0.5 * Px + c) * x).sum(axis=1)
 
@@ -257,7 +257,7 @@ def solve_programs(
     return rows, errors.largest, steps, errors.meet(tolerance)
 
 
-def block_matrices(P: Any, C: Any, m: int, count: int) -> ProgramMatrices:
+def block_matrices(P: AnyMatrix, C: AnyMatrix, m: int, count: int) -> ProgramMatrices:
     """Return P, G and A of one block diagonal program; C holds m rows of G, then the rows of A."""
     n, rows = P.shape[1], C.shape[1]
     stacks = (np.broadcast_to(one, (count, *one.shape[1:])) for one in (P, C[:, :m], C[:, m:]))
@@ -293,7 +293,7 @@ def _stack(matrices: Any) -> Any:
     return dense if dense.ndim == 3 else dense[np.newaxis]
 
 
-def _are_semidefinite(P: Any) -> Any:
+def _are_semidefinite(P: AnyMatrix) -> Any:
     """Return a mask of positive semidefinite P up to rounding error, shape (B or 1,)."""
     if not P.any():
         return np.ones(len(P), np.bool_)

@@ -20,6 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.checks import (
+    AnyMatrix,
     Vector,
     checked_bounds,
     checked_vector,
@@ -184,7 +185,7 @@ class ConeProblem(Blocks):
     ('SOLVED', array([1., 1., 0.]), array([ 1., -1.,  0.]))
     """
 
-    def __init__(self, M: Any, q: ArrayLike, cones: Sequence[Any]) -> None:
+    def __init__(self, M: AnyMatrix, q: ArrayLike, cones: Sequence[Any]) -> None:
         rows = LCP(M, q)
         sizes, lower, upper, self.cones = _blocks(cones, rows.n)
         rows = rows.with_q(rows.q, lower=lower, upper=upper)
@@ -288,7 +289,7 @@ def minimizers(problem: Blocks, z: Vector) -> Iterator[Vector]:
             return
 
 
-def solve_conic(P: Any, c: Vector, A: Any, b: Vector, cones: list[Any]) -> Any:
+def solve_conic(P: AnyMatrix, c: Vector, A: AnyMatrix, b: Vector, cones: list[Any]) -> Any:
     """Return Clarabel's solution of min ½ zᵀP z + cᵀz over b − A z ∈ cones."""
     import clarabel  # not for problems that other methods solve
 

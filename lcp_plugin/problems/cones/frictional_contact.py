@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
-from ...core.checks import Vector, real_array
+from ...core.checks import AnyMatrix, Vector, real_array
 from ...core.errors import InvalidProblem, LCPError, ModelWarning
 from ...core.files import save_arrays
 from ...core.lcp import LCP
@@ -66,7 +66,7 @@ class FrictionalContactBatch:
 
     def __init__(
         self,
-        W: Any,
+        W: AnyMatrix,
         b: ArrayLike,
         friction: ArrayLike,
         *,
@@ -235,7 +235,7 @@ class FrictionalContact(Blocks):
 
     def __init__(
         self,
-        W: Any,
+        W: AnyMatrix,
         b: ArrayLike,
         friction: ArrayLike,
         *,

@@ -48,7 +48,7 @@ NEWTON_GAIN, EXACT = 0.9, 2.0**-46  # a relative residual at rounding level of t
 
 
 def newton_steps(
-    stack: ConeStack, z: Any, steps: int, goal: float
+    stack: ConeStack, z: Vector, steps: int, goal: float
 ) -> Iterator[tuple[Any, Any, Any, float]]:
     """Yield the open problems, points, residuals and work, for the start and each step.
 
@@ -109,7 +109,7 @@ def accuracy_of(stack: ConeStack) -> tuple[float, float]:
     return LEAST_PROXIMAL, EXACT
 
 
-def polish_points(stack: ConeStack, z: Any) -> tuple[Any, Any]:
+def polish_points(stack: ConeStack, z: Vector) -> tuple[Any, Any]:
     """Return points and residuals after the linear systems of two active sets, if these reduce the residual.
 
     The linear systems are solved because a small residual does not imply a small error if M is ill-conditioned.
@@ -145,7 +145,7 @@ def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
     if stack.B > 1 or (not pattern.is_sparse and pattern.n <= 12):
         J = whole_systems(stack, mixed, by_w)
 
-        def solve_all(right: Any) -> Any:
+        def solve_all(right: Vector) -> Any:
             return pattern.wide(solved(J, pattern.flat(right)[..., None])[..., 0])
 
         return Factors(solve_all, pattern.n**3 / 3.0)
@@ -156,7 +156,7 @@ def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
     J, rows = system_of_free_rows(stack, mixed[0], by_w[0], free)
     inverse = factorize_matrix(J)
 
-    def solve(right: Any) -> Any:
+    def solve(right: Vector) -> Any:
         # of open blocks s is the right-hand side
         held = np.where(free[:, None], 0.0, right)
         known = right[0]
@@ -197,7 +197,7 @@ TO_THE_BOUNDARY = 0.9  # share of the way to the boundary of the cones that a st
 SHORT, CENTRED = 0.1, (0.5, 0.9)  # after a shorter step a centering step is tried, with these σ
 
 
-def central_path(stack: ConeStack, z: Any, share: float) -> Iterator[tuple[Any, float]]:
+def central_path(stack: ConeStack, z: Vector, share: float) -> Iterator[tuple[Any, float]]:
     """Yield impulses on the path of one problem, in the user's cones, (1, k, d), and the work of each step.
 
     Parameters
@@ -341,7 +341,7 @@ SPREADS = 1.0, 8.0
 
 def sweep_points(
     stack: ConeStack,
-    z: Any,
+    z: Vector,
     count: float,
     goal: float,
     *,
@@ -360,13 +360,13 @@ def sweep_points(
         yield Step(z, residual=residual, work=each + 1.0, iterations=1)
 
 
-def newton_points(stack: ConeStack, z: Any, steps: int, goal: float) -> Points:
+def newton_points(stack: ConeStack, z: Vector, steps: int, goal: float) -> Points:
     """Yield a point of Newton's method per linear system of one problem."""
     for _, at, residual, work in islice(newton_steps(stack, z, steps, goal), 1, None):
         yield Step(at, residual=float(residual[0]), work=work, iterations=1)
 
 
-def path_points(stack: ConeStack, z: Any, share: float, goal: float) -> Points:
+def path_points(stack: ConeStack, z: Vector, share: float, goal: float) -> Points:
     """Yield points of the central path from near z, and of Newton's method close to its end."""
     best, least, near, since = z, np.inf, NEAR, 0
     for new, work in islice(central_path(stack, z, share), PATH_STEPS):
@@ -384,7 +384,7 @@ def path_points(stack: ConeStack, z: Any, share: float, goal: float) -> Points:
     yield from newton_points(stack, best, 40, goal)
 
 
-def move_at_random(stack: ConeStack, z: Any, seed: int) -> Any:
+def move_at_random(stack: ConeStack, z: Vector, seed: int) -> Any:
     """Return a point of the cones near z, the same for the same seed."""
     size = max(float(np.abs(z).mean()), float(stack.reference.mean()))
     way = np.random.default_rng(seed).standard_normal(z.shape)
@@ -401,7 +401,7 @@ class ConeAlgorithm:
     cost: ClassVar[str]
     reference: ClassVar[str]
 
-    def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
+    def points(self, problem: Any, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point per step from z, until the residual is at most `goal` or no longer falls."""
         raise NotImplementedError
 
@@ -429,7 +429,7 @@ class ConeNSGS(ConeAlgorithm):
     def __post_init__(self) -> None:
         whole_number(self.sweeps, "nsgs: sweeps", 1)
 
-    def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
+    def points(self, problem: Any, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point every few sweeps."""
         return sweep_points(stack, z, np.inf, goal, each=self.sweeps, patience=STANDSTILL)
 
@@ -444,7 +444,7 @@ class ConeNewton(ConeAlgorithm):
     cost = "one factor of the blocks that are not open"
     reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
 
-    def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
+    def points(self, problem: Any, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point per linear system, until no step reduces the residual."""
         return newton_points(stack, z, NEWTON_STEPS, goal)
 
@@ -459,7 +459,7 @@ class ConeInteriorPoint(ConeAlgorithm):
     cost = "one factor of all blocks a step, some 15 to 40 of them"
     reference = "Acary, Armand, Nguyen, Shpakovych 2024, doi:10.1080/10556788.2023.2296438"
 
-    def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
+    def points(self, problem: Any, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point per factorization."""
         if not problem.has_friction:
             raise UnsuitableProblem(f'{self.name} needs friction; try algorithm="fixed_point"')
@@ -481,7 +481,7 @@ class FixedPoint(ConeAlgorithm):
     cost = "one conic program, some ten to thirty factors"
     reference = "Acary, Cadoux, Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073"
 
-    def points(self, problem: Any, stack: ConeStack, z: Any, goal: float) -> Points:
+    def points(self, problem: Any, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point per program until five gain nothing, and Newton's points."""
         best, least, since = z, stack.relative_residual(z), 0
         for found in minimizers(problem, stack.pattern.flat(z)[0]):

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import copy_without
+from ...core.checks import AnyMatrix, copy_without
 from ...core.kernels.floats import NEGLIGIBLE_DIAGONAL, NORMAL
 from ...systems.factors import factorise
 
@@ -32,7 +32,7 @@ class Factors(NamedTuple):
     entries: float
 
 
-def factorize_matrix(J: Any) -> Factors:
+def factorize_matrix(J: AnyMatrix) -> Factors:
     """Return a solver for J, dense or CSR.
 
     Raises

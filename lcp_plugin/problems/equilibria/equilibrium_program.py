@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import Vector, checked_bounds, checked_vector, rectangular_matrix
+from ...core.checks import AnyMatrix, Vector, checked_bounds, checked_vector, rectangular_matrix
 from ...core.errors import InvalidProblem, LCPError, UnsupportedModel
 from ...core.matrix import largest_in_rows
 from ...proofs import exact
@@ -125,7 +125,7 @@ class EquilibriumProgram:
 
     @classmethod
     def of_rows(
-        cls, program: QuadraticProgram, columns: Any, M: Any, q: ArrayLike
+        cls, program: QuadraticProgram, columns: Any, M: AnyMatrix, q: ArrayLike
     ) -> EquilibriumProgram:
         """Return the problem with z = x_columns ⟂ w = M x + q; w is appended to x as new variables.
 

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import Vector
+from ...core.checks import AnyMatrix, Vector
 from ...core.deadline import seconds_left
 from ...core.errors import UnsupportedModel
 from ...core.matrix import entries_of_row
@@ -325,7 +325,7 @@ class _Model:
             self.model.addConsSOS1([self._named(float(self.problem.upper[i]) - z, 0.0), parts[-1]])
         self.model.addCons(self.scip.quicksum(parts) == w)
 
-    def _named(self, value: Any, lower: float | None = None) -> Any:
+    def _named(self, value: object, lower: float | None = None) -> Any:
         """Return a new variable that is that expression."""
         variable = self.model.addVar(lb=lower)
         self.model.addCons(variable == value)
@@ -333,7 +333,7 @@ class _Model:
 
     # --- expressions ---
 
-    def _sums(self, matrix: Any, quantities: list[Any], offset: Vector) -> list[Any]:
+    def _sums(self, matrix: AnyMatrix, quantities: list[Any], offset: Vector) -> list[Any]:
         """Return each row times the quantities, plus the offset."""
         rows, found = sp.csr_array(matrix), []
         for k, shift in enumerate(offset.tolist()):

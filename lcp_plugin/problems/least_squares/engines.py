@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import BoolVector, Vector
+from ...core.checks import AnyMatrix, BoolVector, Vector
 from ...core.deadline import seconds_left
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
@@ -356,14 +356,14 @@ def _solve_by_nnls(problem: Any, A: Vector, b: Vector) -> Vector:
 class Split(NamedTuple):
     """The problem of z; see the module."""
 
-    E: Any
+    E: AnyMatrix
     slopes: Vector
     lower: Vector
     upper: Vector
     kink: Any
 
     @classmethod
-    def of(cls, problem: ScaledLeastSquares, A: Any) -> Split:
+    def of(cls, problem: ScaledLeastSquares, A: AnyMatrix) -> Split:
         """Return the split of A with the rows of its ridge; x is nearest to 0 in a column without entries."""
         kink, is_sparse = np.flatnonzero(problem.has_kink), sp.issparse(A)
         E = (sp.hstack if is_sparse else np.hstack)([A, -A[:, kink]])

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import Vector, derived_property
+from ...core.checks import AnyMatrix, Vector, derived_property
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ...core.matrix import largest_in_rows, largest_products
@@ -327,7 +327,7 @@ def numbers(fractions: Any) -> Vector:
     return np.array([float(value) for value in fractions], dtype=np.float64)
 
 
-def stationarity(program: QuadraticProgram, P: Any) -> LinearConstraints:
+def stationarity(program: QuadraticProgram, P: AnyMatrix) -> LinearConstraints:
     """Return P x + Gᵀy + Aᵀv + c with the signs that bounds require, y ≥ 0; P may contain only spanning rows."""
     rows = sp.csr_array(program.G)[np.flatnonzero(np.isfinite(program.h))]
     matrix = sp.csr_array(sp.vstack([P, rows, sp.csr_array(program.A)], format="csr").T)

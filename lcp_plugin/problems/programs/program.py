@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core import checks
+from ...core.checks import AnyMatrix
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kernels.floats import EPSILON
 from ...core.matrix import largest_in_rows, mismatch
@@ -77,11 +78,11 @@ class QuadraticProgram:
     -4.5
     """
 
-    P: Any
+    P: AnyMatrix
     c: checks.Vector
-    G: Any
+    G: AnyMatrix
     h: checks.Vector
-    A: Any
+    A: AnyMatrix
     b: checks.Vector
     lower: checks.Vector
     upper: checks.Vector
@@ -94,11 +95,11 @@ class QuadraticProgram:
 
     def __init__(
         self,
-        P: Any,
+        P: AnyMatrix,
         c: ArrayLike,
-        G: Any = None,
+        G: AnyMatrix = None,
         h: ArrayLike | None = None,
-        A: Any = None,
+        A: AnyMatrix = None,
         b: ArrayLike | None = None,
         lower: ArrayLike = -np.inf,
         upper: ArrayLike = np.inf,
@@ -121,9 +122,9 @@ class QuadraticProgram:
     @classmethod
     def from_ranges(
         cls,
-        P: Any,
+        P: AnyMatrix,
         c: ArrayLike,
-        A: Any,
+        A: AnyMatrix,
         lower_rows: ArrayLike,
         upper_rows: ArrayLike,
         lower: ArrayLike = -np.inf,
@@ -325,7 +326,7 @@ def checked_constant(constant: Any) -> float:
 
 
 def _checked_rows(
-    matrix: Any,
+    matrix: AnyMatrix,
     right: ArrayLike | None,
     name: str,
     right_name: str,
@@ -345,7 +346,7 @@ def _checked_rows(
     return checked, check(right, right_name, checked.shape[0])
 
 
-def symmetric(P: Any) -> tuple[Any, float]:
+def symmetric(P: AnyMatrix) -> tuple[Any, float]:
     """Return P with rounding errors in its symmetry averaged away, and the size of these errors."""
     asymmetry, where = asymmetry_of(P)
     if where is not None:
@@ -360,7 +361,7 @@ def symmetric(P: Any) -> tuple[Any, float]:
         return checks.rectangular_matrix((P + P.T) * 0.5, "P", None, None), asymmetry
 
 
-def asymmetry_of(M: Any) -> tuple[float, tuple[int, int] | None]:
+def asymmetry_of(M: AnyMatrix) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the i, j of the largest relative difference, or None if at rounding level."""
     return mismatch(M, largest_in_rows(M), 1e-12)
 

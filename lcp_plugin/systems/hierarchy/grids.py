@@ -53,7 +53,7 @@ class NoGhosts:
         """Return x, shape (n,), with the values of ghosts, shape (width,)."""
         return x
 
-    def fetch(self, x: Any) -> None:
+    def fetch(self, x: Vector) -> None:
         """Overwrite the values of ghosts in x, shape (width,)."""
 
     fetch_flags = fetch_entries = fetch

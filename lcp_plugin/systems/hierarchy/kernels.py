@@ -31,7 +31,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import BoolVector, Vector, read_only
+from ...core.checks import AnyMatrix, BoolVector, Vector, read_only
 from ...core.kernels.compilation import inline, kernel, uintp
 from ...core.kernels.rows import clamp
 from ...core.kernels.threads import share
@@ -86,7 +86,7 @@ def mark_rows(indptr, indices, is_free_changed, is_row_changed, touched, first, 
 
 
 def update_product(
-    matrix: Any, flags: Any, prolongation: Any, restriction: Any, coarse: Any
+    matrix: AnyMatrix, flags: Any, prolongation: Any, restriction: Any, coarse: Any
 ) -> tuple[float, int]:
     """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows.
 

@@ -23,7 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import Arrays, Vector, read_only
+from ...core.checks import AnyMatrix, Arrays, Vector, read_only
 from ...core.deadline import require_seconds
 from ...core.matrix import Matrix, fact, is_nearly_symmetric, largest_in_rows
 from . import kernels
@@ -39,7 +39,7 @@ LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not 
 
 @np.errstate(all="ignore")
 def build_hierarchy(
-    matrix: Any, coarsest: int = COARSEST, *, scales_rows: bool = False
+    matrix: AnyMatrix, coarsest: int = COARSEST, *, scales_rows: bool = False
 ) -> Hierarchy:
     """Return the classical hierarchy of a matrix with a positive diagonal.
 
@@ -164,7 +164,7 @@ def interpolation_of(
 
 
 def _interpolation_in_numpy(
-    M: Any, n: int, strength: float, spread: Callable[[Any], Any]
+    M: AnyMatrix, n: int, strength: float, spread: Callable[[Any], Any]
 ) -> tuple[NDArray[np.bool_], sp.csr_array, int]:
     """Return the result of :func:`interpolation_of` without pyamg.
 

@@ -561,7 +561,24 @@ class Statement:
         else:
             program = program.rearranged(places, signs)
             problem = NonlinearProblem(program.value, program.jacobian, **own)
+            problem.affine_part = partial(self._affine_part, lower, upper)
         return SquareModel(problem, elimination, stored, places, signs, kept[free], dropped, whole)
+
+    def _affine_part(self, lower: Vector, upper: Vector) -> QuadraticProgram:
+        """Return the program of affine rows within the bounds of pairs, without an objective."""
+        pairs = [one for one in self.pairs if not one.rows.level]
+        stated = pairs + [one for one in self.rows if not one.rows.level]
+        rows = [one.rows.scaled(one.sign) for one in pairs]
+        rows += [one.rows for one in stated[len(pairs) :]]
+        A, shift = assembled(rows, self.first, self.lower.size)
+        low, high = _stacked(stated, "low", "high")
+        is_pair = np.arange(low.size) < sum(one.rows.size for one in pairs)
+        ends = np.where(np.isfinite(high), -np.inf, 0.0), np.where(np.isfinite(low), np.inf, 0.0)
+        low, high = (
+            np.where(is_pair, *both) - shift for both in zip(ends, (low, high), strict=True)
+        )
+        names, c = self._names(stated, range(low.size), range(lower.size)), np.zeros(lower.size)
+        return QuadraticProgram.from_ranges(None, c, A, low, high, lower, upper, names=names)
 
     def _names(self, stated: list[StatedRows], rows: Numbers, kept: Numbers) -> Names:
         """Return the names of a problem with some of the stated rows and of the unknowns."""

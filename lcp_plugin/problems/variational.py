@@ -129,5 +129,5 @@ def _nonlinear(F: Any, jacobian: Any, program: QuadraticProgram) -> NonlinearPro
         return sp.block_array([[own, C.T], [-C, None]], format="csr") if C.shape[0] else own
 
     problem = NonlinearProblem(value, slopes, rest.lower, rest.upper, names=Names(origin.row_name))
-    problem.origin = origin
+    problem.origin, problem.affine_part = origin, lambda: program
     return problem

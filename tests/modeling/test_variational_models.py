@@ -9,7 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from lcp_plugin import LCPError, complements, derivative, optimal, variational
+from lcp_plugin import LCPError, box, complements, derivative, optimal, variational
 
 M, Q = np.array([[2.0, 1.0], [-1.0, 2.0]]), np.array([-8.0, -6.0])
 
@@ -128,16 +128,31 @@ def test_dual_values_of_bounds_and_rows_have_derivatives_by_parameters(kind: str
         assert derivative(problem).vjp(ones)[parameter] == pytest.approx(sums, abs=1e-8)
 
 
-def test_an_empty_set_is_infeasible_with_a_proof() -> None:
-    """The conflict names both rows."""
-    x = cp.Variable(2)
+@pytest.mark.parametrize("is_smooth", [False, True])
+def test_an_empty_set_is_infeasible_with_a_proof(is_smooth: bool) -> None:
+    """The conflict names both rows; the affine rows of a smooth model suffice."""
+    x = cp.Variable(2, nonneg=True)
     rows = [cp.sum(x) <= 3, cp.sum(x) >= 4]
-    problem = cp.Problem(cp.Minimize(0), [variational(M @ x + Q, over=[x], constraints=rows)])
+    F = M @ x + Q + (cp.power(x, 3) if is_smooth else 0)
+    problem = cp.Problem(cp.Minimize(0), [variational(F, over=[x], constraints=rows)])
     problem.solve(method="LCP")
     assert problem.status == "infeasible"
     result = problem.solver_stats.extra_stats
     assert result.proof.verify()
     assert len(result.conflict.names) == 2
+
+
+def test_an_affine_pair_without_solution_makes_a_smooth_model_infeasible() -> None:
+    """The slack −x − 1 of a pair is negative for all x ≥ 0; the other pair is smooth."""
+    x, y = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+    pairs = [complements(x >= 0, cp.exp(x) - y >= 0), complements(y >= 0, -x - 1 >= 0)]
+    problem = cp.Problem(cp.Minimize(0), pairs)
+    problem.solve(method="LCP")
+    assert problem.status == "infeasible"
+    assert problem.solver_stats.extra_stats.proof.verify()
+    bounded = [pairs[0], complements(box(y, 0, 2), -x - 1)]  # −x − 1 < 0 at the upper bound
+    solved(*bounded)
+    assert float(y.value) == pytest.approx(2.0)
 
 
 def test_the_constraint_is_copied_and_printed() -> None:

@@ -177,6 +177,8 @@ class NonlinearProblem:
     """
 
     origin: Any = None  # of a variational inequality
+    #: Function that returns the program of its affine rows, which may be infeasible.
+    affine_part: Any = None
 
     def __init__(
         self,

@@ -331,11 +331,11 @@ def solve_nonlinear(
     Returns
     -------
     Result
-        Contains z = x and w = F(x) for every status. INFEASIBLE is returned only for a variational inequality whose set
-        is empty. STALLED: x is a stationary point of
-        the merit, or steps no longer reduce the residual; another start may find a solution. PRECISION_LIMIT uses an
-        estimate of the rounding error in F. Ctrl-C ends the run and the best x is returned, once F is computed at the
-        start. ``derivative(result)`` takes a change of F as dq.
+        Contains z = x and w = F(x) for every status. INFEASIBLE is proved by affine rows alone, of a model or a
+        variational inequality. STALLED: x is a stationary point of the merit, or steps no longer reduce the residual;
+        another start may find a solution. PRECISION_LIMIT uses an estimate of the rounding error in F. Ctrl-C ends the
+        run and the best x is returned, once F is computed at the start. ``derivative(result)`` takes a change of F as
+        dq.
 
     Raises
     ------
@@ -494,8 +494,8 @@ class NonlinearRun(Run):
         status = self.status(end)
         words = {**WORDS, Status.STALLED: GROWING} if self._is_far(point) else WORDS
         named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
-        if status is Status.STALLED and (origin := point.problem.origin) is not None:
-            proof = proof_of_contradiction(origin.program)  # is the set empty?
+        if status is Status.STALLED and (part := point.problem.affine_part) is not None:
+            proof = proof_of_contradiction(part())
             status = status if proof is None else Status.INFEASIBLE
             named["infeasibility"] = proof
         return self.result_at(certificate, status, **named)

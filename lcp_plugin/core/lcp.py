@@ -134,6 +134,11 @@ class LCP:
         return not self.lower.any() and bool(np.all(self.upper == np.inf))
 
     @property
+    def is_kkt(self) -> bool:
+        """True for the optimality conditions of a program with rows."""
+        return getattr(self.origin, "form", "") == "kkt"
+
+    @property
     def diagonal(self) -> Vector:
         """The diagonal of M, shape (n,)."""
         return self.matrix.diagonal

@@ -98,14 +98,16 @@ def direct_methods(
     order = _order(problem, goal, newton, lemke, interior, check)
     # A factorization that fills in is better than no result.
     fit = [stage for stage in order if stage.algorithm.name not in unfit]
+    is_newton_repeated = False
     for stage in fit or [stage for stage in order if stage in (newton, interior)]:
         if stage is lemke and stage is fit[-1] and _is_unfinished(newton):
             yield Stage(newton.algorithm, AGAIN)
-            newton.is_over = None
+            is_newton_repeated = True
         yield stage
-    for stage in (newton, lemke):
-        if _is_unfinished(stage) and (stage is newton or stage not in fit[-1:]):
-            yield Stage(stage.algorithm, AGAIN)
+    if _is_unfinished(newton) and not is_newton_repeated:
+        yield Stage(newton.algorithm, AGAIN)
+    if _is_unfinished(lemke) and lemke not in fit[-1:]:
+        yield Stage(lemke.algorithm, AGAIN)
     if is_searchable(problem) and not is_searched:
         yield Stage(ExhaustiveSearch(), SEARCHED)
     if problem.n > PIVOTED_UP_TO and has_positive_diagonal(problem.matrix).all():
@@ -188,8 +190,7 @@ def _too_large(problem: LCP) -> set[str]:
         found.add("feasibility")
     if problem.n > PIVOTED_UP_TO < max(map(len, rows_of_components(problem))):
         found.add("lemke")
-    is_program = getattr(problem.origin, "form", "") == "kkt"
-    if is_large and not (is_program or problem.is_dense or factor_fits(problem.csr)):
+    if is_large and not (problem.is_kkt or problem.is_dense or factor_fits(problem.csr)):
         found |= {"newton", "interior_point"}
     if is_large and is_negative(problem.matrix) and not _is_system(problem):
         found.add("newton")

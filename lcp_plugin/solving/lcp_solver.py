@@ -48,7 +48,7 @@ def solve_lcp(
         if method is not None:
             if z0 is None and method.is_compiled_for(problem):
                 found = first_path_point(problem, settings.tolerance)
-        elif getattr(problem.origin, "form", "") != "kkt" and takes_rounds(problem):
+        elif not problem.is_kkt and takes_rounds(problem):
             found = first_candidate(problem, start, settings.tolerance)
         if found is not None:
             z, rows, label, work = found

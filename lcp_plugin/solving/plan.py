@@ -76,15 +76,14 @@ def plan(
         if prove_infeasibility and not is_unfit:
             yield Stage(FeasibilityCheck(), f"{method.name} found no solution: is there one?")
         return
-    is_program = getattr(problem.origin, "form", "") == "kkt"
-    if not is_program and takes_rounds(problem):
+    if not problem.is_kkt and takes_rounds(problem):
         is_few = has_few_active_sets(problem)
         yield Stage(Rounds(restarts=not is_few), GUESSED)
         if is_few and not prove_infeasibility and (near := points_nearby(problem)) is not None:
             if not near.size:
                 return
             yield Stage(NearbyPoints(), SEARCHED)
-    elif not (is_program or is_game(problem)):
+    elif not (problem.is_kkt or is_game(problem)):
         passes = count_driven_sweeps(problem, banded_passes(problem.matrix))
         if passes <= BANDED_PASSES:
             time = "one sweep" if passes < 1.5 else f"{passes:.0f} sweeps"

@@ -67,6 +67,8 @@ class Stage:
         A clause for the advice.
     has_ended, settles : bool
         Whether the method had no further step; whether it has changed a parameter.
+    is_reported : bool
+        True for a run that reports its steps itself.
     window : (int, float), optional
         Start of the present test of progress, and the best residual there.
     """
@@ -84,6 +86,7 @@ class Stage:
     remark: str = ""
     has_ended: bool = False
     settles: bool = False
+    is_reported: bool = False
     _best: float = math.inf
     _fall: tuple[int, float] = (0, math.inf)
     _floor_check: int = FIRST_FLOOR_CHECK
@@ -463,9 +466,8 @@ class Run:
             end = Status.SOLVED
         else:
             end = self.end_of(stage, step, found) or progress.limit()
-        if progress.is_watched and progress.report(
-            self, stage, step, found, is_last=end is not None
-        ):
+        is_watched = progress.is_watched and not stage.is_reported
+        if is_watched and progress.report(self, stage, step, found, is_last=end is not None):
             progress.end = progress.end or Status.INTERRUPTED
             end = end or Status.INTERRUPTED
         if end is None and step.proof is not None:

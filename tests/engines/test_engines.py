@@ -15,7 +15,7 @@ from scipy.optimize import linprog
 from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProblem, solve
 from lcp_plugin.engines import ENGINES, engine_class
 from lcp_plugin.engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
-from lcp_plugin.problems.programs.solving import GIVEN, attempts, run_engine
+from lcp_plugin.problems.programs.solving import attempts, run_engine, unscaled
 
 INF = np.inf
 QUADRATIC = [name for name in ENGINES if not engine_class(name).is_for_linear_alone]
@@ -156,7 +156,7 @@ def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
     program = QuadraticProgram(
         2.0 * np.eye(2), [0, 0], A=[[1, -1], [1, -1]], b=[1e3, 1e3 * (1 + 2e-6)]
     )
-    runs = [run_engine(program, engine_class("daqp")(), 1e-6, GIVEN).solution for _ in range(5)]
+    runs = [run_engine(program, engine_class("daqp")(), 1e-6, unscaled).solution for _ in range(5)]
     assert len({run.x.tobytes() for run in runs}) == 1
     assert np.abs(runs[0].x).max() <= 1e4
 
@@ -183,7 +183,7 @@ def test_piqp_without_steps_gives_the_same_point_in_each_call() -> None:
         # leaves numbers in freed memory
         solve(QuadraticProgram(np.eye(4), draws.standard_normal(4)), "piqp")
         program = QuadraticProgram(np.eye(4), -np.ones(4), G=np.ones((1, 4)), h=[1.0], lower=0.1)
-        points.add(run_engine(program, none, 1e-6, GIVEN).solution.x.tobytes())
+        points.add(run_engine(program, none, 1e-6, unscaled).solution.x.tobytes())
     assert len(points) == 1
 
 

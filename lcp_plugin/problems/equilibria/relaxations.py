@@ -30,7 +30,7 @@ from ...solving.result import BaseResult
 from ..programs.criterion import QPSolution
 from ..programs.no_minimum import QPInfeasibility, QPUnboundedness, prove_infeasible
 from ..programs.program import QuadraticProgram
-from ..programs.solving import GIVEN, run_engine, solve_program
+from ..programs.solving import run_engine, solve_program, unscaled
 from ..programs.value_bounds import DualBounds, implied_box
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
 
@@ -112,7 +112,7 @@ class Relaxations:
             # A vertex has more zeros than multipliers to repair them by
             if node.bound == -math.inf and is_installed("clarabel"):
                 clarabel = engine_class("clarabel")()
-                inside = run_engine(program, clarabel, self.tolerance, GIVEN).solution
+                inside = run_engine(program, clarabel, self.tolerance, unscaled).solution
                 dual = inside.x, np.concatenate([inside.inequality, inside.equality])
                 node.bound, node.dual = self.bound(program, dual, enough), dual
         if parent is not None and parent.bound > node.bound:

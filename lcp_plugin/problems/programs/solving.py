@@ -6,7 +6,7 @@ Points of external solvers: scaled, cleaned and polished, and tested on the unsc
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -30,24 +30,50 @@ from .conversion import optimality_conditions
 from .criterion import PROGRAM_TOLERANCE, KKTErrors, QPSolution
 from .no_minimum import NoMinimum, QPUnboundedness, known_proof, numbers, proof_of_contradiction
 from .program import QuadraticProgram, refuse_nonconvex
+from .program_matrices import ProgramMatrices
 from .regression import Outward, regression_of, solutions
 from .result import ADVICE, QuadraticProgramResult
 
 NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
-GIVEN, FITTED, SIDES = "the caller's units", "fitted units", "units of limits and costs"
+Scaled = Iterable[scaling.ScaledProgram]
+
+
+def unscaled(data: ProgramData, matrices: ProgramMatrices) -> Scaled:
+    """Return the program in the user's scaling."""
+    return [scaling.ScaledProgram(data, np.ones(1), np.ones(1), 1.0).with_modest_costs()]
+
+
+def fitted(data: ProgramData, matrices: ProgramMatrices) -> Scaled:
+    """Return the program in the scaling fitted to its matrices."""
+    return _without_far_limits(data, matrices.engine_units)
+
+
+def sides_about_one(data: ProgramData, matrices: ProgramMatrices) -> Scaled:
+    """Return the program in a scaling in which limits and costs are about 1."""
+    return map(scaling.with_sides_about_one, _without_far_limits(data, matrices.largest_units))
+
+
+def _without_far_limits(data: ProgramData, scales: Any) -> Scaled:
+    """Return the scaled program; first without very large limits, if it has some."""
+    one = scaling.ScaledProgram.from_units(data, *scales).with_modest_costs()
+    near = scaling.without_far_limits(one.statement)
+    return [one] if near is one.statement else [one._replace(statement=near), one]
+
+
+Scaling = Callable[[ProgramData, ProgramMatrices], Scaled]
 # PIQP's points for 29 published programs fail the test more often at 1e-11 than at 1e-12, and 1e-13 takes 1.5 times the
 # steps for some of them. Dense kernel matrices of 1 000 rows reach neither, after all 150 steps.
 # A run of PIQP that converges takes 10 to 45 steps. On an assignment of 60 × 60, whose point is optimal after 15 steps,
-# it does not reach 1e-12 in 250 steps. A chain of second differences of 2 400 points passes only in SIDES.
-ATTEMPTS: tuple[tuple[str, float | None, int | None, str], ...] = (
-    # engine, tolerance of its own, limit of steps in auto if not the engine's default, units
-    ("daqp", None, None, GIVEN),
-    ("piqp", 1e-12, 60, FITTED),
-    ("piqp", 1e-13, None, FITTED),
-    ("piqp", 1e-12, None, SIDES),
-    ("highs", None, None, FITTED),
-    ("clarabel", 1e-12, None, GIVEN),
-    ("clarabel", 1e-9, None, SIDES),
+# it does not reach 1e-12 in 250 steps. A chain of second differences of 2 400 points passes only in `sides_about_one`.
+ATTEMPTS: tuple[tuple[str, float | None, int | None, Scaling], ...] = (
+    # engine, tolerance of its own, limit of steps in auto if not the engine's default, scaling
+    ("daqp", None, None, unscaled),
+    ("piqp", 1e-12, 60, fitted),
+    ("piqp", 1e-13, None, fitted),
+    ("piqp", 1e-12, None, sides_about_one),
+    ("highs", None, None, fitted),
+    ("clarabel", 1e-12, None, unscaled),
+    ("clarabel", 1e-9, None, sides_about_one),
 )
 # With much fill, a step of PIQP takes up to 10 s, and nothing interrupts it. HiGHS pivots; Clarabel's factorization is
 # up to 20 times as fast then.
@@ -105,8 +131,8 @@ class ProgramPoint(NamedTuple):
         return float(self.errors.largest)
 
 
-def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[Engine, str]]:
-    """Yield the engines that may solve a program, with the units for each.
+def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[Engine, Scaling]]:
+    """Yield the engines that may solve a program, with the scaling for each.
 
     Parameters
     ----------
@@ -116,36 +142,36 @@ def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[En
     Examples
     --------
     >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
-    >>> [engine.name for engine, units in attempts(program)]
+    >>> [engine.name for engine, scale in attempts(program)]
     ['daqp', 'piqp', 'piqp', 'piqp', 'clarabel', 'clarabel']
     """
     matrices, ladder = program.matrices, ATTEMPTS
     if engine is None and program.folded.reduced.matrices.fills_in:
         ladder = tuple(sorted(ATTEMPTS, key=lambda one: WITH_FILL.index(one[0])))
-    for name, tolerance, steps, units in ladder:
+    for name, tolerance, steps, scale in ladder:
         length = matrices.entries[0] / max(program.n, 1) if name == "piqp" else 0.0
         # Longer sums have larger rounding errors, below which PIQP takes all its steps
         factor = max(1.0, length / 64.0)  # 16 for a dense kernel matrix of 1 000 rows
         options = dict.fromkeys(TOLERANCES[name], tolerance * factor) if tolerance else {}
         if engine is not None:
             if name == engine.name:
-                yield type(engine)(**{**options, **engine.options}), units
+                yield type(engine)(**{**options, **engine.options}), scale
         elif not is_installed(name):
             continue
         elif name == "daqp":
             # Its proximal steps drift away if nothing bends: linear programs in units of 1e9 ended at x = 1e21
             if matrices.is_small and matrices.has_curvature:
-                yield engine_class(name)(), units
+                yield engine_class(name)(), scale
         elif name != "highs" or not matrices.has_curvature:
             limit = {} if steps is None else {"max_iter": steps}
-            yield engine_class(name)(**options, **limit), units
+            yield engine_class(name)(**options, **limit), scale
 
 
 def run_engine(
     program: QuadraticProgram,
     engine: Engine,
     tolerance: float,
-    units: str,
+    scale: Scaling,
     *,
     is_verbose: bool = False,
 ) -> ProgramPoint:
@@ -163,7 +189,7 @@ def run_engine(
     reduced = program.folded.reduced
     best, iterations, says = None, 0, EngineStatus.GAVE_UP
     errors, passes = KKTErrors(np.inf, np.inf), False
-    for scaled in _statements(reduced, units):
+    for scaled in _statements(reduced, scale):
         try:
             point = engine.answer(scaled.statement, SolverLimits(seconds_left(), is_verbose))
         except Exception:  # an external solver may raise any error for an option
@@ -221,20 +247,13 @@ def _without_noise(values: Vector) -> Vector:
     return np.where(sizes <= 2.0**-40 * sizes.max(initial=0.0), 0.0, values)
 
 
-def _statements(reduced: QuadraticProgram, units: str) -> Iterator[scaling.ScaledProgram]:
-    """Yield the program as scaled for an attempt; if it is scaled, first without very large right-hand sides."""
+def _statements(reduced: QuadraticProgram, scale: Scaling) -> Iterator[scaling.ScaledProgram]:
+    """Yield the program as scaled for an attempt; first without very large right-hand sides, if it has some."""
     (P, G, A), one = reduced.matrices.arrays, reduced
     given = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
     allowed = scaling.without_forbidden(given)
     for data in (given,) if allowed is given else (allowed, given):
-        if units is GIVEN:
-            yield scaling.ScaledProgram(data, np.ones(1), np.ones(1), 1.0).with_modest_costs()
-            continue
-        scales = one.matrices.engine_units if units is FITTED else one.matrices.largest_units
-        fitted = scaling.ScaledProgram.from_units(data, *scales).with_modest_costs()
-        near = scaling.without_far_limits(fitted.statement)
-        every = (fitted,) if near is fitted.statement else (fitted._replace(statement=near), fitted)
-        yield from every if units is FITTED else map(scaling.with_sides_about_one, every)
+        yield from scale(data, one.matrices)
 
 
 def _check_options(engine: Engine) -> None:
@@ -422,18 +441,18 @@ class ProgramRun(Run):
 
     def engine_stages(self, engine: Engine | None) -> Iterator[Stage]:
         """Yield a stage for each attempt of an external solver."""
-        for asked, units in attempts(self.program, engine):
+        for asked, scale in attempts(self.program, engine):
             options = dict(asked.options)
             if "max_iterations" in self.wishes:  # an engine counts in 32 bits
                 options[asked.steps] = min(self.wishes["max_iterations"], 2**31 - 1)
             one = type(asked)(**options)
-            yield Stage(one, one.solves, steps=self._engine_steps(one, units))
+            yield Stage(one, one.solves, steps=self._engine_steps(one, scale))
 
-    def _engine_steps(self, engine: Engine, units: str) -> Iterator[Step]:
+    def _engine_steps(self, engine: Engine, scale: Scaling) -> Iterator[Step]:
         """Yield the start and the point of an external solver."""
         yield Step(nearest(self.program)[0], iterations=0)
         found = run_engine(
-            self.program, engine, self.settings.tolerance, units, is_verbose=self.settings.verbose
+            self.program, engine, self.settings.tolerance, scale, is_verbose=self.settings.verbose
         )
         yield Step(found.solution.x, iterations=found.iterations, measured=found)
 
@@ -449,7 +468,8 @@ class ProgramRun(Run):
 
     def lcp_stage(self, *run: Any) -> Stage:
         """Return a stage with a run on the complementarity problem of the program; see `_lcp_steps`."""
-        return Stage(Named("lcp"), "complementarity problems", steps=self._lcp_steps(*run))
+        steps = self._lcp_steps(*run)
+        return Stage(Named("lcp"), "complementarity problems", steps=steps, is_reported=True)
 
     def _lcp_steps(
         self, algorithm: Any, options: dict[str, Any], ends_before: str = ""
@@ -492,9 +512,7 @@ class ProgramRun(Run):
             progress.end = progress.end or Status.MAX_ITERATIONS
         elif result.status is Status.MAX_SECONDS:
             progress.end = progress.end or Status.MAX_SECONDS
-        is_watched, progress.is_watched = progress.is_watched, False
         yield Step(solution.x, iterations=result.iterations, measured=found, label=result.algorithm)
-        progress.is_watched = is_watched
 
     # --- Selection of the result -------------------------------------------------------------------------------------
 

@@ -155,13 +155,15 @@ class PIQP(Engine):
         G, h = (G, program.h) if is_limit.all() else (G[is_limit], program.h[is_limit])
         rows = (_to_csc(G), None, h) if h.size else (None, None, None)
         solver.setup(columns, program.c, *equations, *rows, program.lower, program.upper)
+        fit = math.inf
         if limits.seconds < math.inf:  # PIQP has no time limit: one step is timed
             steps, begun = solver.settings.max_iter, time.perf_counter()
             solver.settings.max_iter = 1
             solver.solve()
             fit = limits.seconds / (time.perf_counter() - begun) - 1.0
-            solver.settings.max_iter = int(min(max(fit, 1.0), steps))
-        code, found = int(solver.solve()), solver.result
+            solver.settings.max_iter = int(min(fit, steps))
+        code = int(solver.solve()) if fit >= 1.0 else -1
+        found = solver.result
         if code == -10:  # invalid settings
             # Of no step, for instance: the vectors of the result are uninitialized
             x = np.clip(0.0, program.lower, program.upper)

@@ -252,7 +252,8 @@ def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
 NO_MULTIPLIER = 1e-12  # of the unit: a smaller y of a linear program is 0
 TIGHT = 1e-7  # of its terms: a smaller sum of a linear program is 0
 PIVOTS = 5  # times rows and columns of a linear program; most take half as many pivots as rows
-MOST_PIVOTS = 20_000  # of a linear program; on 10 000 rows these take 10 s
+MOST_PIVOTS = 20_000  # of the linear programs of a search
+PIVOT_WORK = 120_000_000  # pivots times rows and columns: on 12 000 of both they take 4 s
 LP_TOLERANCE = 1e-9  # a tenth of it is the least that HiGHS takes
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
 # times the unit: sizes that a linear program distinguishes from ∞ and from 0
@@ -472,10 +473,13 @@ def best_proof(
     units : sequence of float
         Units of offsets and bounds: the linear program cannot distinguish 1e-6 of a unit from 0, and truncates 1e5.
     """
-    found = list[Any]()
+    found, left = list[Any](), pivots
     for unit in distinct_units(units):
-        farkas = FarkasProgram(stated(unit), unit, pivots)
+        asked = stated(unit)
+        left = pivot_limit(sum(asked.matrix.shape)) if left is None else left
+        farkas = FarkasProgram(asked, unit, left)
         answer = farkas.solve()
+        left -= left if answer is None else answer.nit
         # The linear program cannot distinguish less from 0
         if answer is None or answer.fun > -1e-9:  # they seem consistent
             continue
@@ -486,7 +490,7 @@ def best_proof(
             found.append(proof)
             if proof.excludes(ENOUGH):
                 break
-        if is_over():
+        if is_over() or left <= 0:
             break
     return max(found, key=lambda proof: proof.margin, default=None)
 
@@ -498,6 +502,11 @@ def distinct_units(units: Sequence[float]) -> Iterator[float]:
         if not any(LEAST * one <= unit <= MOST_UNITS * one for one in tried):
             tried.append(unit)
             yield unit
+
+
+def pivot_limit(size: int) -> int:
+    """Return the pivots of linear programs of so many rows and columns: fewer if they are many, and slow."""
+    return min(PIVOTS * size, MOST_PIVOTS, PIVOT_WORK // max(size, 1))
 
 
 def linear_program(
@@ -531,7 +540,7 @@ def linear_program(
         (np.broadcast_to(bounds[0], cost.size), np.broadcast_to(bounds[1], cost.size)),
         primal_feasibility_tolerance=LP_TOLERANCE,
         dual_feasibility_tolerance=LP_TOLERANCE,
-        maxiter=pivots or min(PIVOTS * size, MOST_PIVOTS),
+        maxiter=pivots or pivot_limit(size),
         time_limit=left if math.isfinite(left := seconds_left()) else None,
     )
     return result if result.status == 0 else None

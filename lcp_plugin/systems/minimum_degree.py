@@ -64,7 +64,10 @@ def factor_sizes(
         )
         if counts[2] <= most_touched:
             ends = np.arange(1.0, last + 1.0)
-            return counts[0] + float(ends.sum()), counts[1] + float(ends @ ends)
+            entries, work = counts[0] + float(ends.sum()), counts[1] + float(ends @ ends)
+            if entries <= most_entries and work <= most_operations:
+                return entries, work
+            break
     return np.inf, np.inf
 
 

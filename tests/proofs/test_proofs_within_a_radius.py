@@ -11,6 +11,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from lcp_plugin import LCP, QPSolver, QuadraticProgram, Status, certify, march, solve, solve_batch
@@ -21,6 +22,7 @@ from lcp_plugin.problems.programs.no_minimum import (
     accepted_proof,
     known_proof,
 )
+from lcp_plugin.proofs import farkas
 from lcp_plugin.proofs.farkas import WIDE
 
 DECIMAL = np.array([[0.1, 0.2, 0.3], [0.7, 0.1, 0.2], [0.8, 0.3, 0.5]])  # .1 + .7 ≠ .8
@@ -261,3 +263,31 @@ def test_low_rank_problems_are_infeasible_where_their_structure_is() -> None:
     assert [k for k, (least, one) in found.items() if least == 0.0 and not one.is_solved] == []
     assert sum(least < -1e-3 and not one.has_no_solution for least, one in found.values()) <= 5
     assert not any(least < -1e-3 and one.is_solved for least, one in found.values())
+
+
+def test_multipliers_of_a_solver_prove_a_large_program_infeasible(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Second differences below -1 and convex: without a linear program, from the multipliers that PIQP ends with."""
+    n = 3000
+    D = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)).tocsr()
+    s = np.linspace(0.0, 1.0, n)
+    concave = -((s - 0.5) ** 2)
+    monkeypatch.setattr(farkas, "linear_program", lambda *_: None)
+    band = QuadraticProgram(
+        None, np.zeros(n), -D, np.zeros(n - 2), lower=concave, upper=concave + 0.01
+    )
+    result = solve(band)
+    assert result.status is Status.INFEASIBLE
+    assert result.proof.verify()
+    assert not QPInfeasibility(band, tuple(-y for y in result.proof.multipliers)).verify()
+
+
+def test_the_pivots_of_a_search_fall_with_the_size_of_its_programs() -> None:
+    """On 12 000 rows and columns at most 10 000 pivots, which take some seconds; small programs have five per row."""
+    assert [farkas.pivot_limit(size) for size in (100, 4000, 12_000, 24_000)] == [
+        500,
+        20_000,
+        10_000,
+        5_000,
+    ]

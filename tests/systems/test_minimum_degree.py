@@ -55,3 +55,14 @@ def test_the_counts_are_nearly_those_of_the_factor(name: str) -> None:
     counts = np.diff(factor.L.indptr).astype(float)
     assert 0.8 * counts.sum() <= entries <= 1.2 * counts.sum()
     assert 0.6 * (counts @ counts) <= operations <= 1.6 * (counts @ counts)
+
+
+def test_full_rows_alone_exceed_the_limits_of_a_count() -> None:
+    """If all rows count as full, their triangle is compared with the limits as well."""
+    rng = np.random.default_rng(0)
+    G = sp.random_array((500, 500), density=0.2, rng=rng, format="csr")
+    A = sp.csr_array(sp.block_array([[None, G.T], [G, None]]))
+    entries, operations = factor_sizes(A)
+    assert factor_sizes(A, np.inf, 0.5 * operations) == (np.inf, np.inf)
+    assert factor_sizes(A, 0.5 * entries, np.inf) == (np.inf, np.inf)
+    assert factor_sizes(A, entries, operations) == (entries, operations)

@@ -389,14 +389,18 @@ def proof_of_no_minimum(program: QuadraticProgram, *, exactly: bool = False) -> 
     return _unfolded(folded, found) or _prove_by_programs(program, exactly)
 
 
-def known_proof(program: QuadraticProgram) -> NoMinimum | None:
+def known_proof(program: QuadraticProgram, y: Vector | None = None) -> NoMinimum | None:
     """Return `proof_of_no_minimum` of a program, searched for once, unless a time limit cuts the search short.
 
     It holds for the stored data in double precision, by any margin. `margin` is the size of this margin, and
-    `accepted_proof` decides whether the proof counts.
+    `accepted_proof` decides whether the proof counts. Multipliers y of G and A by a solver are tried first.
     """
     if "proof" not in program.known:
-        found = proof_of_no_minimum(program)
+        found: NoMinimum | None = None
+        if y is not None and np.isfinite(y).all():
+            found = with_bounds(program, {i: Fraction(v) for i, v in enumerate(y.tolist()) if v})
+        if found is None or not found.excludes(PROGRAM_TOLERANCE):
+            found = proof_of_no_minimum(program)
         if is_over():
             return found
         program.known["proof"] = found

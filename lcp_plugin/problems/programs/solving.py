@@ -534,7 +534,10 @@ class ProgramRun(Run):
 
     def _search_proof(self) -> None:
         """Keep the proof that the program has no solution, or the one that shows this except for rounding."""
-        found = known_proof(self.program)
+        latest, y = self.latest, None
+        if latest is not None and latest.says is EngineStatus.INFEASIBLE and not self._is_short:
+            y = np.concatenate([latest.solution.inequality, latest.solution.equality])
+        found = known_proof(self.program, y)
         if found is not None and found.excludes(self.settings.tolerance):
             self.proof = found
         elif found is not None and found.doubt:

@@ -40,7 +40,7 @@ RULES = {  # regular expression: suggestion
     r"\bthere is no best\b|\bno minimum\b": "infeasible or unbounded",
     r"\b(goes|go|going|went) on\b|\b(comes?|came|coming) out\b": "continues; results",
     r"\b(says?|said|tells?|told|asks|asked|believe[sd]?|knows|wants|wishes|hears)\b": "returns, reports, requires",
-    r"\bjudg(e|es|ed|ing)\b": "checks, verifies, certifies",
+    r"(?<!\.)\bjudg(e|es|ed|ing)\b(?!\.)": "checks, verifies, certifies",  # not the room lcp_plugin.judges
     r"\brefus(e|es|ed|al|als|ing)\b": "rejects; raises (name the exception)",
     r"\bin words\b|\bstory\b": "with an explanatory message; summary",
     r"\b(nobody|somebody|anybody|everybody|whoever)\b": "the user, the caller, another package",

@@ -12,8 +12,8 @@ whole subject:
 - ``help("lcp_plugin.solving.direct")``: the direct methods, and their order
 - ``help("lcp_plugin.core.splittings")``: sweeps, and how fast they converge
 - ``help("lcp_plugin.proofs")``: proofs about a matrix, a method, an error, an infeasible problem
-- ``help("lcp_plugin.core.certificates.criterion")``: the stopping criterion behind SOLVED
-- ``help("lcp_plugin.problems.programs.criterion")``: the stopping criterion of quadratic programs
+- ``help("lcp_plugin.judges.lcp")``: the stopping criterion behind SOLVED
+- ``help("lcp_plugin.judges.program")``: the stopping criterion of quadratic programs
 - ``help("lcp_plugin.interfaces.learn")``: layers for PyTorch and JAX
 - ``help("lcp_plugin.interfaces")``: Pyomo, AMPL, JuMP, qpsolvers, files, finite elements
 - ``help("lcp_plugin.evidence")``: error against time, studies, cross-validation; other packages
@@ -40,7 +40,7 @@ _HOME = {
         "gallery": "gallery",
         "strategies": "strategies",
         "api": "solve",
-        "core.certificates.residuals": "Certificate",
+        "judges.certificate": "Certificate",
         "core.errors": "InvalidOption InvalidProblem LCPError ModelWarning NotConverged UnknownAlgorithm "
         "UnreadableFile UnsuitableMatrix UnsuitableProblem UnsupportedModel",
         "core.lcp": "LCP",

@@ -3,7 +3,6 @@
 from . import gallery as gallery
 from . import strategies as strategies
 from .api import solve as solve
-from .core.certificates.residuals import Certificate as Certificate
 from .core.errors import InvalidOption as InvalidOption
 from .core.errors import InvalidProblem as InvalidProblem
 from .core.errors import LCPError as LCPError
@@ -20,6 +19,7 @@ from .evidence.stability import stability_atlas as stability_atlas
 from .evidence.study import error_against_time as error_against_time
 from .evidence.study import study as study
 from .interfaces.program_files import load_problem as load_problem
+from .judges.certificate import Certificate as Certificate
 from .lcp import LCPWithConversions
 from .methods.search import all_solutions as all_solutions
 from .modeling.agents import optimal as optimal

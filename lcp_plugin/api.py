@@ -72,7 +72,7 @@ def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
         Relative tolerance in [0, 1). Default 1e-8; for a QuadraticProgram and an EquilibriumProgram 1e-6 (duality gap).
         SOLVED means that in every connected component of M's graph the residual of the returned z, rounding included,
         is at most this times the residual of the point of [lower, upper] nearest to 0, and that no row is violated by
-        more than tolerance^(3/4) of its terms: ``help("lcp_plugin.core.certificates.criterion")``.
+        more than tolerance^(3/4) of its terms: ``help("lcp_plugin.judges.lcp")``.
     max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, with set-up and without compilation of kernels. It is obeyed at the end of the

@@ -1,13 +1,12 @@
-"""Core: problem data, algorithms, stopping criterion, files.
+"""Core: problem data, algorithms, files.
 
 Suggested reading order:
 
 1. ``errors``, ``checks``, ``settings``: exceptions, input validation, options, and the termination ``Status``.
 2. ``matrix`` and ``lcp``: the matrix with cached properties; the problem. ``rounding`` has bounds of rounding errors.
-3. ``certificates``: residuals with rounding errors, and the stopping criterion.
-4. ``algorithm`` and ``splittings``: the interface of algorithms; the sweeps of the paper and their relatives, with
+3. ``algorithm`` and ``splittings``: the interface of algorithms; the sweeps of the paper and their relatives, with
    their compiled loops in ``kernels``.
-5. ``deadline``: the clock of a run. ``tuning``: the sizes from which each method is cheaper; ``files``;
+4. ``deadline``: the clock of a run. ``tuning``: the sizes from which each method is cheaper; ``files``;
    ``problem_classes``: the tables of classes, and of functions of higher floors that the classes here offer.
 
 The loop of a run, its stages and its result are in :mod:`lcp_plugin.solving`.

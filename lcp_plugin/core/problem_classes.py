@@ -50,7 +50,7 @@ CLASSES = {
     "LCP": ProblemClass(
         "solving.lcp_solver:solve_lcp",
         "prepare march trace derivative certify",
-        criterion="core.certificates.criterion:criterion_at",
+        criterion="judges.lcp:criterion_at",
         batch="problem, Q",
     ),
     "NonlinearProblem": ProblemClass(

@@ -28,8 +28,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..core.certificates.criterion import row_data, scaled_residual
-from ..core.certificates.residuals import Certificate
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.kernels.floats import EPSILON
@@ -37,6 +35,8 @@ from ..core.lcp import LCP
 from ..core.matrix import scale_by
 from ..core.problem_classes import refusal
 from ..core.settings import Status
+from ..judges.certificate import Certificate
+from ..judges.lcp import row_data, scaled_residual
 from ..methods.newton import classify, solve_active_set
 from ..problems.programs.program import asymmetry_of
 from ..solving.dispatch import solve

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..core.certificates.residuals import Certificate
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, LCPError, UnsuitableProblem
 from ..core.files import write_whole
 from ..core.matrix import largest_in_rows
 from ..core.names import format_count
 from ..gallery.scene import Scene
+from ..judges.certificate import Certificate
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..solving.result import BaseResult, Result
 

@@ -15,12 +15,12 @@ import numpy as np
 
 from ..algorithms import create, paper_options
 from ..core.algorithm import Algorithm
-from ..core.certificates.residuals import Certificate
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.settings import Status
 from ..gallery.scene import Scene
+from ..judges.certificate import Certificate
 from ..proofs.bounds import error_bound
 from ..solving.dispatch import method_of, solve
 from ..solving.result import Result, Sample

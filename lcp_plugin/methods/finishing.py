@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from ..core.certificates.criterion import Measured, RowData, times
 from ..core.deadline import is_over
 from ..core.kernels.floats import NEGLIGIBLE
 from ..core.matrix import Matrix
+from ..judges.lcp import Measured, RowData, times
 from ..systems.factors import factor_operations
 from ..systems.free_systems import FreeSystem
 

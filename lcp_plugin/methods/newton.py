@@ -17,9 +17,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm, Step
-from ..core.certificates.criterion import measured_residual, scaled_residual
 from ..core.checks import BoolVector, Vector
 from ..core.lcp import LCP
+from ..judges.lcp import measured_residual, scaled_residual
 from ..systems.factors import factor_operations, factorise
 from ..systems.free_systems import FreeSystem
 from ..systems.graph import bandwidth

@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.algorithm import Step, check_choice
-from ..core.certificates.criterion import scaled_residual
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.lcp import LCP
@@ -25,6 +24,7 @@ from ..core.matrix import (
     unit_triangle_sums,
 )
 from ..core.splittings import ScaledByRows, step_unit
+from ..judges.lcp import scaled_residual
 from ..systems.factors import sparse_lu
 
 

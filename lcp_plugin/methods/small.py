@@ -26,21 +26,12 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from ..core.algorithm import Algorithm, Step
-from ..core.certificates.criterion import Measured, RowData, row_data, times
 from ..core.checks import BoolVector, Vector, read_only
-from ..core.kernels.floats import (
-    EPSILON,
-    FREE,
-    HIGH,
-    LOW,
-    NEGLIGIBLE,
-    PERTURBED,
-    SMALLEST,
-    SMALLEST_PIVOT,
-)
-from ..core.kernels.small_lcps import LOST, bound_residuals, follow_paths, solve_active_sets
+from ..core.kernels.floats import FREE, HIGH, LOW, PERTURBED, SMALLEST, SMALLEST_PIVOT
+from ..core.kernels.small_lcps import LOST, follow_paths, solve_active_sets
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, residual_scales
+from ..judges.lcp import Measured, RowData, bound_residual, bound_residuals, row_data, times
 from .banded import banded_passes
 from .finishing import measure_finished
 
@@ -101,33 +92,6 @@ def first_measured(data: RowData, z0: Vector, tolerance: float) -> tuple[str, Me
     if bound < math.inf:
         return label, Measured(z, bound, passes=True), entries
     return label, measure_finished(data, z, tolerance), entries
-
-
-def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
-    """Return an upper bound of the relative residual of z, within its bounds; ∞ if the test does not decide.
-
-    A finite bound shows that z° = 0 is not a solution, and that the criterion accepts z as
-    :func:`lcp_plugin.core.kernels.small_lcps.bound_residuals` proves it for stacks. Here M is connected and z° = 0, so
-    w(z°) = q exactly. The factors .999 and 1.001 cover the rounding of the last lines.
-    """
-    if data.labels is not None or data.start.any():
-        return math.inf
-    w, terms = data.M @ z + data.q, data.absolute @ np.abs(z) + np.abs(data.q)
-    above, below = z - data.lower, data.upper - z
-    is_above, is_below = above > 0.0, below > 0.0
-    violation = np.maximum(w * is_above, -w * is_below)
-    rounding = (2.0 * EPSILON * (z.size + 8)) * terms + SMALLEST**2
-    largest_r, at_0 = (violation + rounding) / data.scale, data.q / data.scale
-    residual_at_0 = np.maximum.reduce(
-        np.abs(np.minimum(np.maximum(at_0, -data.upper), -data.lower))
-    )
-    of_free = np.where(is_above & is_below, terms / data.scale, 0.0)
-    gap = np.minimum(np.where(is_above, above, np.inf), np.where(is_below, below, np.inf))
-    reference = min(residual_at_0, np.maximum.reduce(of_free))  # or less
-    is_right = (largest_r < 0.999 * gap) & (violation <= 0.5 * NEGLIGIBLE * terms)
-    bound = float(1.001 * np.maximum.reduce(largest_r) / reference)
-    is_small = residual_at_0 < np.inf and bound <= 0.5 * tolerance
-    return bound if is_small and np.logical_and.reduce(is_right) else math.inf
 
 
 def first_path_point(problem: LCP, tolerance: float) -> Any:

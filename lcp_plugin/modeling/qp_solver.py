@@ -27,10 +27,10 @@ from ..core.errors import InvalidProblem, UnsupportedModel
 from ..core.names import Names
 from ..expressions.rows import Indices
 from ..problems.programs.certification import Certification, certify
-from ..problems.programs.criterion import QPSolution
 from ..problems.programs.no_minimum import QPInfeasibility
 from ..problems.programs.program import QuadraticProgram
 from ..problems.programs.program_matrices import as_array, may_be_small
+from ..problems.programs.solution import QPSolution
 from ..problems.programs.solving import solve_program
 from ..problems.statement import name_of_row
 from ._compat import (

@@ -28,7 +28,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
 from ..core.algorithm import Algorithm
-from ..core.certificates.criterion import RowData
 from ..core.checks import Vector, derived_property, read_only
 from ..core.deadline import Clock
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem, did_you_mean
@@ -37,6 +36,7 @@ from ..core.lcp import LCP
 from ..core.matrix import Matrix, connected_components, row_numbers
 from ..core.problem_classes import class_of, classes_of, refusal
 from ..core.settings import OF_SOLVE, Settings, Status, whole_number
+from ..judges.lcp import RowData
 from ..methods.banded import Banded, active_sets, held_entries, solve_held, solve_one_sided
 from ..methods.finishing import measure_finished
 from ..solving.dispatch import parse_call, solve

@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
 from ..core.checks import BoolVector, Vector, derived_property
+from ..core.cone_stack import ConeStack
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
@@ -48,7 +49,6 @@ from .batches.program_batch import ProgramBatch
 from .cones.derivative import ConeDerivative, StackDerivative
 from .cones.methods import whole_systems
 from .cones.solving import ConeResult
-from .cones.stack import ConeStack
 from .least_squares.solving import LeastSquaresResult
 from .many import item_number, run_in_chunks
 from .march import March, MarchDerivative

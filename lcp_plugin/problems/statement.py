@@ -19,7 +19,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.certificates.residuals import WorstRow, outside_row
 from ..core.checks import BoolVector, Vector
 from ..core.deadline import time_limit
 from ..core.errors import NotSquare, UnsupportedModel
@@ -39,6 +38,7 @@ from ..expressions.rows import (
     assembled,
     is_definition,
 )
+from ..judges.worst_rows import WorstRow, outside_row
 from ..proofs.no_solution import find_infeasibility
 from ..solving.dispatch import solve
 from ..solving.result import Result

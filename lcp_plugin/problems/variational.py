@@ -115,7 +115,7 @@ def _nonlinear(F: Any, jacobian: Any, program: QuadraticProgram) -> NonlinearPro
     """Return the conditions of a function F, with multipliers of the rows that are not bounds."""
     n, inside = program.n, NonlinearProblem(F, jacobian, program.lower, program.upper)
     origin = QPOrigin(program, F=inside.value)
-    C, rest = origin.reduced.matrices.rows, conditions(origin.reduced)
+    C, rest = origin.reduced.matrices.terms.rows, conditions(origin.reduced)
 
     def value(z: Vector) -> Vector:
         w = rest.slack(z)

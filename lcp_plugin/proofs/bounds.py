@@ -61,7 +61,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..core.certificates.criterion import row_data, scaled_residual
 from ..core.checks import AnyMatrix, BoolVector, Vector, checked_vector
 from ..core.deadline import is_over
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
@@ -70,6 +69,7 @@ from ..core.lcp import LCP
 from ..core.matrix import Matrix, connected_components, fact, largest_products, scale_matrix
 from ..core.problem_classes import refusal
 from ..core.rounding import compensated_pair, compensated_product, gamma, lower_end
+from ..judges.lcp import row_data, scaled_residual
 from ..systems.definiteness import is_semidefinite_to_rounding, semidefinite_margin
 from ..systems.equilibration import unit_diagonal
 from ..systems.factors import PositiveFactor, factor_fits, positive_factor

@@ -25,13 +25,13 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.certificates.criterion import reference_residual, row_data
 from ..core.checks import AnyMatrix, Vector, derived_property
 from ..core.kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE
 from ..core.lcp import LCP
 from ..core.matrix import is_nearly_symmetric
 from ..core.names import Names, describe_radius
 from ..core.settings import Status
+from ..judges.lcp import reference_residual, row_data
 from .conflict import Conflict, find_conflict
 from .exact import ZERO, Rational, integer_matrix, rounded_down
 from .farkas import DECISIVE, WIDE, FarkasCertificate, FarkasProgram, LinearConstraints, best_proof
@@ -259,7 +259,7 @@ class Infeasibility(NoSolutionProof):
     zero for every z, yet sup (Mᵀy)ᵀz − yᵀw + qᵀy over all permitted z and w is negative. For the classical problem:
     y ≥ 0, Mᵀy ≤ 0, qᵀy < 0. With −c the supremum, Σ|y_i| d_i |r_i(z)| ≥ c for every z within the bounds: in some
     component P ‖r_P(z)‖∞ / ‖r_P(z°)‖∞ ≥ c / Σ|y_i| d_i ‖r_P(i)(z°)‖∞, which is `margin` (d and r as in
-    :mod:`lcp_plugin.core.certificates.criterion`).
+    :mod:`lcp_plugin.judges.lcp`).
 
     If (Mᵀy)_j has the wrong sign on an open side, but is at rounding level of its terms, as for M = J Jᵀ with more rows
     than columns, the proof covers the z with |z_j| ≤ `radius` there, and c is half of its size at z = 0.

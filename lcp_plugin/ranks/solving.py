@@ -13,8 +13,6 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from ..core.algorithm import Step
-from ..core.certificates.criterion import Measured, RowData, VectorEnds, divide_nonnegative
-from ..core.certificates.residuals import outside_row
 from ..core.checks import Vector, read_only
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.threads import threads_for
@@ -22,6 +20,8 @@ from ..core.matrix import largest_products
 from ..core.problem_classes import CLASSES
 from ..core.rounding import compensated_product
 from ..core.settings import Settings, Status, checked_callback
+from ..judges.lcp import Measured, RowData, VectorEnds, divide_nonnegative
+from ..judges.worst_rows import outside_row
 from ..solving.result import BaseResult, Sample
 from ..solving.run import Named, Progress, Run, Stage
 from .halo import Halo, Interruptions

@@ -13,7 +13,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.algorithm import Algorithm
-from ..core.certificates.residuals import Certificate
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, UnsuitableMatrix
 from ..core.lcp import LCP
@@ -22,6 +21,7 @@ from ..core.problem_classes import refusal
 from ..core.settings import LIMITS, PROVEN, Status
 from ..core.splittings import PSOR
 from ..core.tuning import PIVOTED_UP_TO
+from ..judges.certificate import Certificate
 from ..methods.lemke import Lemke
 from ..proofs.bounds import error_bound, estimated_error, free_rows, settled_rows
 from ..proofs.farkas import without_rounding

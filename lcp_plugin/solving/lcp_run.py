@@ -11,15 +11,6 @@ from typing import Any
 import numpy as np
 
 from ..core.algorithm import Algorithm, Step
-from ..core.certificates.criterion import (
-    GAINED,
-    Measured,
-    divide_nonnegative,
-    measured_residual,
-    rounding_of_data,
-    row_data,
-)
-from ..core.certificates.residuals import Certificate
 from ..core.checks import Vector, read_only
 from ..core.deadline import Clock
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
@@ -28,6 +19,15 @@ from ..core.kernels.threads import threads_for
 from ..core.lcp import LCP
 from ..core.names import format_count
 from ..core.settings import LIMITS, Settings, Status
+from ..judges.certificate import Certificate
+from ..judges.lcp import (
+    GAINED,
+    Measured,
+    divide_nonnegative,
+    measured_residual,
+    rounding_of_data,
+    row_data,
+)
 from ..methods.finishing import measure_finished
 from ..methods.newton import polish_active_set
 from ..proofs.guarantees import guarantee_of

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from ..core.algorithm import Algorithm
-from ..core.certificates.criterion import RowData, RowsAtPoint, row_data
-from ..core.certificates.residuals import SHOWN, Certificate, WorstRows, worst_pairs
 from ..core.checks import Vector, restore_state
 from ..core.errors import NotConverged, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.names import format_count, remark_on_labels
 from ..core.problem_classes import Door
 from ..core.settings import PROVEN, Settings, Status
+from ..judges.certificate import Certificate
+from ..judges.lcp import RowData, RowsAtPoint, row_data
+from ..judges.worst_rows import SHOWN, WorstRows, worst_pairs
 
 if TYPE_CHECKING:
     from ..proofs.bounds import ErrorBound
@@ -323,7 +324,7 @@ class Result(BaseResult):
         seconds : float
             Seconds of the computation of z.
         rows : RowsAtPoint, optional
-            The values of the rows at z, measured on :func:`~lcp_plugin.core.certificates.criterion.row_data`.
+            The values of the rows at z, measured on :func:`~lcp_plugin.judges.lcp.row_data`.
         chosen : Algorithm, optional
             The algorithm of the call; None for "auto".
         """

@@ -16,8 +16,8 @@ import numpy as np
 
 from lcp_plugin import QuadraticProgram
 from lcp_plugin.problems.programs.certification import Certification, ProgramProofs
-from lcp_plugin.problems.programs.criterion import QPSolution
 from lcp_plugin.problems.programs.no_minimum import known_proof
+from lcp_plugin.problems.programs.solution import QPSolution
 
 from .outliers import ExactProgram, exact
 

@@ -22,7 +22,7 @@ from oracles.truth import ExactData
 
 from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import reference_residual, row_data, scaled_residual
+from lcp_plugin.judges.lcp import reference_residual, row_data, scaled_residual
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 
 EPSILON = Fraction(1, 2**52)

@@ -29,8 +29,8 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.certificates.criterion import row_data
 from lcp_plugin.core.matrix import Matrix, is_nearly_symmetric
+from lcp_plugin.judges.lcp import row_data
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 

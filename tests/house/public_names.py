@@ -13,7 +13,7 @@ ELSEWHERE = {
     "algorithms": "Algorithm Step algorithm_class create",
     "problems.reformulations": "Equilibrium lcp_from_bimatrix_game",
     "problems.contact": "ContactMotion Contacts contact_data",
-    "problems.programs.criterion": "QPSolution",
+    "problems.programs.solution": "QPSolution",
     "problems.programs.conversion": "lcp_from_qp qp_from_lcp",
     "evidence.measurement": "Measurement",
     "evidence.drawing": "draw",

@@ -17,7 +17,7 @@ NEGLIGIBLE = Fraction(1, 2**42)
 def failures(problem: LCP, z: Any, tolerance: float = 1e-8) -> list[str]:
     """Return a line for each row at which z fails a clause of the rule; no line if z passes.
 
-    The docstring of :mod:`lcp_plugin.core.certificates.criterion` states the clauses. Powers of the tolerance are
+    The docstring of :mod:`lcp_plugin.judges.lcp` states the clauses. Powers of the tolerance are
     compared by their fourth powers: nothing is rounded.
     """
     at, start = _Rows(problem, z), _Rows(problem, problem.nearest_to_zero)

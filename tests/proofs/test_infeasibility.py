@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from oracles.truth import is_farkas
 
 from lcp_plugin import LCP, Certificate, ConeProblem, QuadraticProgram, Status, solve
-from lcp_plugin.core.certificates.criterion import row_data
+from lcp_plugin.judges.lcp import row_data
 from lcp_plugin.methods.search import NoSolution, search
 from lcp_plugin.proofs.exact import exact_residuals, rank_profile, solve_exactly
 from lcp_plugin.proofs.no_solution import Case, Infeasibility, contradictory_row, find_infeasibility

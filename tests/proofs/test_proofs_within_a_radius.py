@@ -15,13 +15,13 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from lcp_plugin import LCP, QPSolver, QuadraticProgram, Status, certify, march, solve, solve_batch
-from lcp_plugin.problems.programs.criterion import QPSolution
 from lcp_plugin.problems.programs.no_minimum import (
     QPInfeasibility,
     QPUnboundedness,
     accepted_proof,
     known_proof,
 )
+from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.proofs import farkas
 from lcp_plugin.proofs.farkas import WIDE
 

@@ -1,4 +1,4 @@
-"""Many small dense LCPs, compiled: Lemke's paths with both bounds, linear solves on active sets, a sufficient test.
+"""Many small dense LCPs, compiled: Lemke's paths with both bounds, linear solves on active sets.
 
 A loop solves one problem after another, in arrays that stay in the cache: `table` and `numbers`, scratch of shape
 (n + 9, n + 1) and (2, 2n + 1). M is (B or 1, n, n). Compilation takes seconds, in proportion to the number of loops,
@@ -10,18 +10,8 @@ from __future__ import annotations
 import math
 
 from .compilation import kernel
-from .floats import (
-    EPSILON,
-    FREE,
-    HIGH,
-    LOW,
-    NEGLIGIBLE_DIAGONAL,
-    PERTURBED,
-    SMALLEST,
-    SMALLEST_PIVOT,
-)
+from .floats import FREE, HIGH, LOW, PERTURBED, SMALLEST_PIVOT
 
-SET_TO_BOUND = 2.0**-50  # of the largest z: a smaller distance from a bound is at rounding level
 LOST = -1  # first side of a path without end
 INF = math.inf
 
@@ -172,89 +162,3 @@ def solve_active_sets(M, q, lower, upper, sides, table, free, z):  # type: ignor
             z[k, free[c]] = total / T[c, c]
         if not least > 0.0 or sides[k, 0] == LOST:
             z[k, 0] = math.nan
-
-
-@kernel
-def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  # type: ignore[no-untyped-def]
-    """Write upper bounds of the relative residuals of points that the stopping criterion accepts; ∞ if in doubt.
-
-    z is moved into the bounds; noise near a bound is set to it if that helps. `start` is z°. The test implies the
-    criterion (:mod:`lcp_plugin.core.certificates.criterion`) at exponent 1, because
-
-    - all rows are in one component, so that the maxima over all rows are its ‖r‖∞ and its reference;
-    - the computed w, T and w(z°) are within `rounding`, which is at least twice the criterion's own bound, so that
-      their values by another order of summation stay within the limits here;
-    - −w_i/d_i does not reach a bound, rounding included, so that the criterion does not move z;
-    - ‖r‖∞ with rounding is at most half of the tolerance times `limit`, and `limit` is below the reference;
-    - each violation is at most 2⁻⁴³ T_i, half of what the componentwise test allows at any tolerance.
-    """
-    n = q.shape[1]
-    moved, seen = rows[0], rows[1]
-    margin, reached = 4.0 * (n + 8), 0.0
-    for k in range(q.shape[0]):
-        m, residual[k], size, shift = k % M.shape[0], INF, 0.0, 0.0
-        for i in range(n):
-            seen[i] = 0.0
-            size = max(size, abs(z[k, i]))
-            shift = max(shift, abs(start[k, i]))
-        if k < M.shape[0]:
-            seen[0], reached, before = 1.0, 1.0, 0.0
-            while before < reached < n:
-                before = reached
-                for i in range(n):
-                    if seen[i] == 1.0:
-                        seen[i] = 2.0
-                        for j in range(n):
-                            if seen[j] == 0.0 and (M[m, i, j] != 0.0 or M[m, j, i] != 0.0):
-                                seen[j] = 1.0
-                                reached += 1.0
-        for attempt in range(2):
-            for i in range(n):
-                x = z[k, i] if abs(z[k, i]) > SMALLEST * min(size, 1.0) else 0.0
-                if x - lower[k, i] <= attempt * SET_TO_BOUND * size:
-                    x = lower[k, i]
-                elif upper[k, i] - x <= attempt * SET_TO_BOUND * size:
-                    x = upper[k, i]
-                moved[i] = x
-            first, counts, high, away, is_right = 0.0, 0.0, 0.0, 0.0, reached == n
-            for i in range(n):
-                w, w0, largest = q[k, i], q[k, i], 0.0
-                terms, terms0 = abs(w), abs(w)
-                for j in range(n):
-                    product = M[m, i, j] * moved[j]
-                    w += product
-                    terms += abs(product)
-                    largest = max(largest, abs(M[m, i, j]))
-                if shift > 0.0:
-                    for j in range(n):
-                        product = M[m, i, j] * start[k, j]
-                        w0 += product
-                        terms0 += abs(product)
-                d = M[m, i, i]
-                if d < NEGLIGIBLE_DIAGONAL * largest or not d > 0.0:
-                    d = largest if largest > 0.0 else 1.0
-                rounding = margin * (EPSILON * terms + 2.0**-1000) if terms > abs(q[k, i]) else 0.0
-                rounding0 = margin * (EPSILON * terms0 + 2.0**-1000) if shift > 0.0 else 0.0
-                above, below = moved[i] - lower[k, i], upper[k, i] - moved[i]
-                up, down = w if above > 0.0 else -INF, -w if below > 0.0 else -INF
-                wrong = max(up, down, 0.0)
-                r = max(min(up, d * above), min(down, d * below), 0.0)
-                high = max(high, (r + rounding) / d)
-                if wrong > 0.0 or min(above, below) > 0.0:
-                    counts = max(counts, terms / d)
-                is_right &= (
-                    wrong <= 2.0**-43 * terms < INF
-                    and (down + rounding < d * below * (1.0 - 1e-9) or below == 0.0)
-                    and (up + rounding < d * above * (1.0 - 1e-9) or above == 0.0)
-                )
-                below, above = upper[k, i] - start[k, i], start[k, i] - lower[k, i]
-                first = max(first, abs(min(max(w0 / d, -below), above)) - rounding0 / d)
-                away = max(away, abs(start[k, i] - moved[i]))
-            limit = min(first, counts) * (1.0 - margin * EPSILON)
-            is_right &= high <= 0.5 * tolerance * limit and (first > 0.0 or away == 0.0)
-            if is_right or attempt == 0:
-                for i in range(n):
-                    z[k, i] = moved[i]
-            if is_right:
-                residual[k] = high / limit if high > 0.0 else 0.0
-                break

@@ -16,7 +16,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ... import __version__
-from ...core.certificates.residuals import WorstRow, outside_row
 from ...core.checks import BoolVector, Vector, normalize_bounds
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.lcp import LCP
@@ -24,6 +23,7 @@ from ...core.names import format_count
 from ...core.problem_classes import with_article
 from ...core.settings import Settings, Status
 from ...expressions.rows import Program, Rows
+from ...judges.worst_rows import WorstRow, outside_row
 from ...problems.nonlinear.data import NonlinearProblem
 from ...problems.programs.certification import (
     Certification,

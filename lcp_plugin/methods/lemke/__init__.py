@@ -11,7 +11,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.algorithm import Algorithm, Step
-from ...core.certificates.residuals import Certificate
 from ...core.checks import Vector
 from ...core.deadline import is_over
 from ...core.errors import UnsuitableProblem
@@ -19,6 +18,7 @@ from ...core.lcp import LCP
 from ...core.matrix import connected_components
 from ...core.settings import whole_number
 from ...core.tuning import PIVOTED_UP_TO
+from ...judges.certificate import Certificate
 from ...systems.graph import block_rows
 from ..newton import classify, is_near, solve_active_set
 from ..small import LOOP_UP_TO, has_numba, path_points

@@ -19,6 +19,7 @@ from ...core.matrix import has_positive_diagonal, inverse_residual_scale, row_sp
 from ...core.problem_classes import CLASSES, class_of, refusal
 from ...core.settings import DEFAULTS, BatchOptions, Settings, checked_threads
 from ...engines import ENGINES
+from ...judges.program import PROGRAM_TOLERANCE
 from ...methods.banded import banded_passes
 from ...methods.multigrid import Multigrid
 from ...solving.dispatch import method_of
@@ -26,7 +27,6 @@ from ...systems.factors import bands
 from ...systems.hierarchy.levels import hierarchy_of
 from ..cones.frictional_contact import FrictionalContactBatch
 from ..least_squares.data import BoundedLeastSquares
-from ..programs.criterion import PROGRAM_TOLERANCE
 from ..programs.program import QuadraticProgram, refuse_nonconvex
 from .batch_run import BatchAnswers, BatchRun
 from .instances import Listed, RightSides, Stacked, Worlds

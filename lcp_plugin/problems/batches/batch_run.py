@@ -26,8 +26,8 @@ from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
 from ..least_squares.solving import LeastSquaresResult
 from ..many import AnswerSequence, run_in_chunks
-from ..programs.criterion import QPSolution
 from ..programs.result import QuadraticProgramResult
+from ..programs.solution import QPSolution
 from .program_batch import ENGINE, ProgramBatch
 
 # Jobs per batch on an executor: 4 for each of 16 workers level out unequal times. More jobs cost memory, because each

@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.checks import AnyMatrix, checked_start, normalize_bounds, read_only, real_array
+from ...core.cone_stack import ConeStack, Pattern
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
 from ...methods.small import (
@@ -29,7 +30,6 @@ from ...systems.graph import outer_on_pattern, sum_of_outer
 from ..cones.data import Blocks
 from ..cones.frictional_contact import FrictionalContact, FrictionalContactBatch
 from ..cones.solving import solve_cone_stack
-from ..cones.stack import ConeStack, Pattern
 from ..contact import motion_of
 from ..least_squares.data import BoundedLeastSquares, times
 from ..least_squares.solving import length_of_stack, solve_least_squares_stack, suits_stack

@@ -40,7 +40,7 @@ def is_on_gpu(array: Any) -> bool:
 def _modules() -> tuple[Any, Any]:
     """Return CuPy and the kernels."""
     try:
-        return import_module("cupy"), import_module("lcp_plugin.core.kernels.small_lcps_on_gpu")
+        return import_module("cupy"), import_module("lcp_plugin.methods.small_lcps_on_gpu")
     except ImportError as error:
         raise ImportError(
             f"arrays on a GPU need numba-cuda and CuPy ({error}): pip install 'numba-cuda[cu13]' cupy-cuda13x (or "

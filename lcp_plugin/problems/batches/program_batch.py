@@ -15,8 +15,8 @@ from ...core.checks import AnyMatrix, BoolVector, assemble_csr, read_only
 from ...core.errors import InvalidProblem, LCPError
 from ...core.kernels.floats import EPSILON
 from ...engines import engine_class, is_installed
+from ...judges.program import ProgramComponents, errors_of_each
 from ..many import rows_of_a_batch
-from ..programs.criterion import ProgramComponents, errors_of_each
 from ..programs.program import CANCELS, VECTORS, QuadraticProgram
 from ..programs.program_matrices import ProgramMatrices, as_array, may_be_small
 from .instances import Instances, Stacks, have_values
@@ -252,7 +252,7 @@ def solve_programs(
     vectors = c.ravel(), *rights, lower.ravel(), upper.ravel()
     together = QuadraticProgram.with_matrices(matrices, *vectors)
     of_rows = np.concatenate([y[:, :m].ravel(), y[:, m:].ravel()])
-    errors = errors_of_each(together, x, of_rows)
+    errors = errors_of_each(together.judged, x, of_rows)
     rows = np.hstack([x, y, at_lower, at_upper])
     return rows, errors.largest, steps, errors.meet(tolerance)
 

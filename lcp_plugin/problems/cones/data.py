@@ -34,7 +34,7 @@ from ...core.errors import InvalidProblem, did_you_mean
 from ...core.files import MATRIX_KEYS, save_arrays
 from ...core.lcp import LCP
 from ...core.names import format_count
-from .stack import ConeStack
+from .factors import stack_of
 
 CONES = ("free", "nonnegative", "box", "second_order")
 NEED_CONES = (
@@ -115,7 +115,7 @@ class Blocks:
 
     def residual(self, z: Vector, w: Vector) -> Vector:
         """Return R = z − P_K(z − ŵ/d), shape (n,)."""
-        stack = ConeStack.of(self)
+        stack = stack_of(self)
         wide, flat = stack.pattern.wide, stack.pattern.flat
         return flat(stack.residual(wide(z[None]), wide(w[None]))[0])[0]
 
@@ -273,7 +273,7 @@ def minimizers(problem: Blocks, z: Vector) -> Iterator[Vector]:
     symmetric = sp.csc_array(0.5 * (M + M.T))
     rest, P, first = sp.csr_array(M - symmetric), sp.triu(symmetric), problem.starts[:-1]
     rows, limits, cones = conic_rows(problem)
-    is_final, stack = not (problem.has_friction or rest.count_nonzero()), ConeStack.of(problem)
+    is_final, stack = not (problem.has_friction or rest.count_nonzero()), stack_of(problem)
     while True:
         q = problem.q + rest @ z
         if problem.has_friction:

@@ -16,13 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
 from ...core.checks import Vector, derived_property
+from ...core.cone_stack import ON, WITHIN, Array, ConeStack, length
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix import Matrix
 from ...systems.free_systems import FreeSystem, LinearizedSystem
 from ...systems.graph import outer_on_pattern
 from .data import Blocks
+from .factors import stack_of
 from .methods import polish_points, system_of_free_rows
-from .stack import ON, WITHIN, Array, ConeStack, length
 
 ROUNDING = 1e-12  # of a block's terms |M||z| + |q|: distance to another mode of a degenerate block
 PIECES, ALIKE = 20, 1e-12  # at most, for one direction, and the change of dz at which it ends
@@ -163,7 +164,7 @@ class ConeDerivative:
     """
 
     def __init__(self, problem: Blocks, z: Vector) -> None:
-        stack = ConeStack.of(problem)
+        stack = stack_of(problem)
         self.problem = problem
         self._of = StackDerivative(stack, stack.pattern.wide(np.array(z)[None]))
         self.z, self.w = (stack.pattern.flat(one)[0] for one in (self._of.z, self._of.w))

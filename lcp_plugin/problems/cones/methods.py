@@ -30,12 +30,13 @@ from numpy.typing import NDArray
 
 from ...core.algorithm import Step
 from ...core.checks import Vector
+from ...core.cone_stack import ConeStack, NaturalMap, length
 from ...core.errors import UnsuitableProblem
 from ...core.kernels.floats import NORMAL
 from ...core.settings import whole_number
 from ...systems.free_systems import solved
 from .data import minimizers
-from .stack import ConeStack, Factors, NaturalMap, factorize_matrix, length
+from .factors import Factors, factorize_matrix
 from .sweeps import sweep_blocks
 
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d

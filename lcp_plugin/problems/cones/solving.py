@@ -10,30 +10,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Step
-from ...core.certificates.criterion import Measured
-from ...core.certificates.residuals import WorstRows
 from ...core.checks import Vector, checked_start, derived_property, read_only
+from ...core.cone_stack import Array, ConeStack
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.kernels.threads import threads_for
 from ...core.names import format_count
 from ...core.settings import Settings, Status
+from ...judges.cones import ConeRows, bound_residuals
+from ...judges.lcp import Measured
+from ...judges.worst_rows import WorstRows
 from ...methods.search import ExhaustiveSearch, is_searchable
 from ...solving.result import Callback, Result
 from ...solving.run import FAILED, Progress, Run, Stage
 from ..contact import ContactMotion, motion_of
 from . import methods
-from .certificate import (
-    ConeCertificate,
-    ConeRows,
-    ContactInfeasibility,
-    bound_residuals,
-    infeasibility_proof,
-)
+from .certificate import ConeCertificate, ContactInfeasibility, infeasibility_proof
 from .data import Blocks
+from .factors import FEW, stack_of
 from .frictional_contact import FrictionalContact
 from .methods import METHODS, ConeAlgorithm
-from .stack import FEW, Array, ConeStack
 from .sweeps import sweep_blocks
 
 QUICK_STEPS = 20  # of sweeps over a small problem, which cost less than one of Newton's steps
@@ -181,7 +177,7 @@ class ConeRun(Run):
         place: Any = None,
     ) -> None:
         super().__init__(progress)
-        self.problem, self.chosen, self.stack = problem, chosen, ConeStack.of(problem)
+        self.problem, self.chosen, self.stack = problem, chosen, stack_of(problem)
         stack = self.stack
         self.place = place or (np.empty(problem.n), slice(None), 1.0)
         self.tolerance, self.absolute = self.settings.tolerance, self.settings.absolute_tolerance

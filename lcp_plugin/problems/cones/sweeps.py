@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.checks import read_only
+from ...core.cone_stack import Array, ConeStack
 from ...core.kernels.compilation import helper, kernel
-from .stack import Array, ConeStack
 
 LOCAL_STEPS = 30  # of Newton's method on the angle of sliding, or of projections
 ANGLE_ACCURACY = 1e-14  # relative change or force across: rounding level

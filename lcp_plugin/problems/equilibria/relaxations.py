@@ -27,9 +27,9 @@ from ...core.settings import Status
 from ...engines import engine_class, is_installed
 from ...proofs.bounds import Curvature, constrained_curvature
 from ...solving.result import BaseResult
-from ..programs.criterion import QPSolution
 from ..programs.no_minimum import QPInfeasibility, QPUnboundedness, prove_infeasible
 from ..programs.program import QuadraticProgram
+from ..programs.solution import QPSolution
 from ..programs.solving import run_engine, solve_program, unscaled
 from ..programs.value_bounds import DualBounds, implied_box
 from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
@@ -256,7 +256,7 @@ class Relaxations:
     def _solve_in_box(self, program: QuadraticProgram) -> QPSolution:
         """Return the solution within a large box, at its edge if the program is unbounded."""
         rows = program.constraints
-        limits = np.abs(rows.limit) / program.matrices.row_sizes
+        limits = np.abs(rows.limit) / rows.coefficient_sizes
         # Times the size of x in the data: a point of larger norm counts as unbounded
         far = 1e4 * (1.0 + float(limits[rows.finite].max(initial=0.0)))
         lower, upper = np.maximum(program.lower, -far), np.minimum(program.upper, far)

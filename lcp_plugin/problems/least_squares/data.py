@@ -14,12 +14,12 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core import checks
-from ...core.certificates.criterion import RAN_AWAY
 from ...core.checks import BoolVector, Vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, OUTWARD, TINY
 from ...core.matrix import Matrix
 from ...core.rounding import gamma
+from ...judges.lcp import RAN_AWAY
 from ...proofs.bounds import smallest_eigenvalue_bound
 from ...systems.equilibration import power_of_two
 

@@ -9,7 +9,7 @@ A. R. Curtis, M. J. D. Powell, J. K. Reid, *On the estimation of sparse Jacobian
 
 The criterion of a nonlinear problem: the one of the LCP that F′(x) defines at x.
 
-x is SOLVED if it passes the criterion of LCPs (:mod:`lcp_plugin.core.certificates.criterion`) for M = F′(x), q = F(x) −
+x is SOLVED if it passes the criterion of LCPs (:mod:`lcp_plugin.judges.lcp`) for M = F′(x), q = F(x) −
 F′(x) x and the bounds, with F(x) for w. As for an LCP, each x_i is first moved to a bound whose distance is at most the
 step −F_i/d_i; F and F′ are evaluated again there, and the better of the two points is returned. A row with an infinite
 slope (√x at 0) counts with the slope 1. For an affine F these are the tests of the LCP.
@@ -43,14 +43,14 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
-from ...core.certificates.criterion import Measured, RowData, RowsAtPoint, row_data
-from ...core.certificates.residuals import Certificate
 from ...core.checks import BoolVector, Vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON
 from ...core.lcp import LCP
 from ...core.names import checked_names
 from ...core.settings import Settings
+from ...judges.certificate import Certificate
+from ...judges.lcp import Measured, RowData, RowsAtPoint, row_data
 
 DENSE_PATTERN_UP_TO = 1000  # unknowns; each costs one evaluation of F per derivative
 STEEPER = 60  # slopes 4^k that are tried in a row with an infinite slope

@@ -16,7 +16,6 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Algorithm, Step
-from ...core.certificates.criterion import Measured, RowData, row_data
 from ...core.checks import Vector, read_only, vector_option
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem
@@ -24,6 +23,7 @@ from ...core.kernels.threads import threads_for
 from ...core.lcp import LCP
 from ...core.names import Names
 from ...core.settings import Settings, Status
+from ...judges.lcp import Measured, RowData, row_data
 from ...methods.lemke import Lemke
 from ...methods.newton import Newton, fischer_burmeister
 from ...methods.small import takes_rounds

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.certificates.criterion import row_data
 from ...core.checks import Vector, derived_property, is_number, read_only
 from ...core.errors import InvalidOption, NotConverged
 from ...core.lcp import LCP
 from ...core.names import format_count
 from ...core.problem_classes import Door
 from ...core.settings import Status
+from ...judges.lcp import row_data
 from ...solving.result import Outcome
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
-from ..programs.criterion import QPSolution
+from ..programs.solution import QPSolution
 
 BREAKPOINTS_SHOWN = 8  # breakpoints in a paragraph
 SINGULAR = "the solution determines no way on, a singular case; solve_batch solves at given values"

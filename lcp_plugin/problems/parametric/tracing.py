@@ -15,11 +15,12 @@ from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
 from ...core.problem_classes import class_of, classes_of, foreign_function, refusal
 from ...core.settings import DEFAULTS, Settings
+from ...judges.program import PROGRAM_TOLERANCE
 from ...solving.dispatch import solve
 from ...systems.definiteness import is_semidefinite_to_rounding
 from ..programs.conversion import conditions
-from ..programs.criterion import PROGRAM_TOLERANCE, QPSolution
 from ..programs.program import QuadraticProgram, refuse_nonconvex
+from ..programs.solution import QPSolution
 from .following import ROUNDING, Follower, MonotoneGraphs
 from .path import Path, PathPoint, Piece
 
@@ -213,7 +214,7 @@ class Line:
             return PathPoint(theta, problem, x, self.tolerance)
         y, m = z[x.size :], problem.h.size
         y = np.append(np.maximum(y[:m], 0.0), y[m:])
-        left = problem.P @ x + problem.c + problem.matrices.rows.T @ y
+        left = problem.P @ x + problem.c + problem.matrices.terms.rows.T @ y
         at_lower = np.where(x == problem.lower, np.maximum(left, 0.0), 0.0)
         at_upper = np.where(x == problem.upper, np.maximum(-left, 0.0), 0.0)
         solution = QPSolution.of_rows(problem, x, np.concatenate([y, at_lower, at_upper]))

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.certificates.residuals import WorstRow, WorstRows, worst_pairs
 from ...core.checks import Vector, checked_vector, derived_property, is_number, restore_state
 from ...core.deadline import is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
@@ -27,11 +26,12 @@ from ...core.matrix import largest_products
 from ...core.problem_classes import CLASSES, class_of, foreign_function, refusal
 from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance, whole_number
+from ...judges.program import excused_rows, least_size
+from ...judges.worst_rows import WorstRow, WorstRows, worst_pairs
 from ...proofs.bounds import constrained_curvature
 from ...proofs.exact import sum_above
 from ...solving.result import BaseResult
 from . import value_bounds
-from .criterion import QPSolution, excused_rows, least_size, worst_constraints
 from .no_minimum import (
     NoMinimum,
     QPInfeasibility,
@@ -42,6 +42,7 @@ from .no_minimum import (
 from .program import QuadraticProgram, refuse_nonconvex
 from .program_matrices import WITHIN_ROUNDING
 from .result import QuadraticProgramResult
+from .solution import QPSolution, worst_constraints
 from .solving import solve_program
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
@@ -78,7 +79,7 @@ def certify(
         The point of a problem of arrays; ``certify(result)`` is ``certify(result.program, result)``.
     multipliers : pair of arrays or QPSolution, optional
         Multipliers of G and of A that came with x, shapes (rows of G,) and (rows of A,), signs as in
-        :class:`~lcp_plugin.problems.programs.criterion.QPSolution`, which also has the multipliers of the bounds. They
+        :class:`~lcp_plugin.problems.programs.solution.QPSolution`, which also has the multipliers of the bounds. They
         are checked to 10 · tolerance, relative to the terms of each condition: wrong multipliers are never proved.
         Without them the multipliers of a new solve are used.
     claim : str, optional
@@ -474,7 +475,7 @@ class ProgramProofs:
                 if size[1] == 0.0:  # the comparison is exact
                     lower = max(lower, self.lower(x, y, value[0]))
                 elif np.isfinite(y).all():
-                    least = least_size(program, x, y)
+                    least = least_size(program.judged, x, y)
                     size = max(size[0], least), max(size[1], least)
             upper = self.upper(x, exactly=not violation.is_missed)
             found = replace(found, lower=lower, upper=upper, size=size)
@@ -514,16 +515,22 @@ class Violation:
 
     @classmethod
     def of(cls, program: QuadraticProgram, x: Vector, tolerance: float) -> Violation:
-        """Return the violation at x, relative to the terms of each row; rounding is tolerated as in the criterion."""
+        """Return the violation at x, relative to the terms of each row as in the criterion.
+
+        The violation of a bound is relative to |x_j|, or to the terms of the rows and the gradient that depend on x_j:
+        a move that none of them notices.
+        """
         rows = program.constraints
         finite = rows.finite
         matrix, limit = rows.matrix[finite], rows.limit[finite]
         value, radius = compensated_product(matrix, x, -limit)
         size = np.where(rows.is_equality[finite], np.abs(value), value)
         least, largest = np.maximum(size - radius, 0.0), np.maximum(rows.excess(x)[finite], 0.0)
-        allowed = tolerance * largest_terms(matrix, limit, x)
+        sides = np.where(np.isfinite(limit), np.abs(limit), 0.0)
+        allowed = tolerance * (abs(matrix) @ np.abs(x) + sides)
         if (largest > allowed).any():
-            excused = np.concatenate([excused_rows(program, x), np.zeros(2 * program.n)])[finite]
+            moves = tolerance * unnoticed_moves(program, x)
+            excused = np.concatenate([excused_rows(program.judged, x), moves, moves])[finite]
             allowed = np.maximum(allowed, excused)
         return cls(
             float(least.max(initial=0.0)) / OUTWARD,
@@ -531,6 +538,21 @@ class Violation:
             bool((largest <= allowed).all()),
             bool((least > allowed * OUTWARD).any()),
         )
+
+
+def unnoticed_moves(program: QuadraticProgram, x: Vector) -> Vector:
+    """Return the move of each x_j that equals the terms of a row or of the gradient; 0 without entries."""
+    terms = np.concatenate(
+        [
+            abs(program.matrices.terms.sparse_P) @ np.abs(x) + np.abs(program.c),
+            abs(program.matrices.terms.rows) @ np.abs(x)
+            + np.abs(np.concatenate([program.h, program.b])),
+        ]
+    )
+    entries = program.matrices.terms.gradient.tocoo()
+    moves: Vector = np.full(program.n, np.inf)
+    np.minimum.at(moves, entries.row, terms[entries.col] / np.abs(entries.data))
+    return np.where(moves < np.inf, moves, 0.0)
 
 
 def largest_terms(rows: Any, limit: Vector, x: Vector) -> Vector:
@@ -661,7 +683,7 @@ def multiplier_error(
     columns = sp.csr_array(rows.matrix.T)
     wrong = np.where(rows.is_equality, 0.0, np.maximum(-y, 0.0))
     left = np.abs(program.P @ x + program.c + columns @ y) + abs(columns) @ wrong
-    terms = largest_terms(columns, largest_terms(program.matrices.sparse_P, program.c, x), y)
+    terms = largest_terms(columns, largest_terms(program.matrices.terms.sparse_P, program.c, x), y)
     if not (left <= most * terms).all():
         j = int((left - most * terms).argmax())
         return f"the multipliers leave {left[j]:.3g} of the gradient in component {j}"

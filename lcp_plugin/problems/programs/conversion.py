@@ -14,11 +14,12 @@ from ...core.errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.names import Names
 from ...core.settings import PROVEN, Status
+from ...judges.program import PROGRAM_TOLERANCE
 from ...systems.definiteness import is_semidefinite_to_rounding
-from .criterion import PROGRAM_TOLERANCE, QPSolution
 from .no_minimum import accepted_proof
 from .program import VECTORS, QuadraticProgram, asymmetry_of, refuse_nonconvex
 from .result import QuadraticProgramResult
+from .solution import QPSolution
 
 UNKNOWN_RUN: dict[str, Any] = {
     "algorithm": "given point",

@@ -24,6 +24,7 @@ from ...core.matrix import largest_in_rows, largest_products
 from ...core.names import describe_radius, grouped, listed
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
+from ...judges.program import PROGRAM_TOLERANCE, ROWS
 from ...proofs import farkas
 from ...proofs.conflict import Conflict, find_conflict
 from ...proofs.exact import (
@@ -41,7 +42,6 @@ from ...proofs.farkas import LinearConstraints
 from ...proofs.no_solution import is_at_rest, is_minimizer_beyond_radius, moved_unknowns
 from ...systems.definiteness import is_positive_definite
 from ...systems.equilibration import equilibrating_exponents
-from .criterion import PROGRAM_TOLERANCE, ROWS
 from .program import FoldedRows, QuadraticProgram
 from .program_matrices import Constraints, or_one, sums_and_terms
 
@@ -481,7 +481,7 @@ def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasib
 def balance_multipliers(program: QuadraticProgram, y: Vector) -> Vector:
     """Return multipliers of the rows, without noise, moved so that the sums which a bound does not take up cancel."""
     y = np.where(np.abs(y) > 1e-9 * np.abs(y).max(initial=0.0), y, 0.0)
-    used, rows = np.flatnonzero(y), program.matrices.rows
+    used, rows = np.flatnonzero(y), program.matrices.terms.rows
     sums, terms = sums_and_terms(rows, y)
     is_open = np.isinf(program.lower) | np.isinf(program.upper)
     # A linear program takes such sums for 0
@@ -541,7 +541,7 @@ def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnb
 
 def _within_rows(proof: QPUnboundedness) -> QPUnboundedness | None:
     """Return the proof along a nearby direction that changes no row which it changes by rounding; None for no proof."""
-    rows, near = proof.program.matrices.rows, numbers(proof.direction)
+    rows, near = proof.program.matrices.terms.rows, numbers(proof.direction)
     changes, terms = np.abs(rows @ near), abs(rows) @ np.abs(near)
     held = np.flatnonzero((changes <= DATA_ROUNDING * terms) & (terms > 0.0))
     free = (near != 0.0).tolist()

@@ -19,8 +19,8 @@ from ...core.kernels.floats import EPSILON
 from ...core.matrix import largest_in_rows, mismatch
 from ...core.names import Names, checked_names, listed
 from ...core.rounding import compensated_pair, compensated_product
+from ...judges.program import NOISE, ROWS, Indices, JudgedProgram
 from ...proofs.exact import like
-from .criterion import NOISE, ROWS, Indices
 from .program_matrices import Constraints, ProgramMatrices, as_array
 
 VECTORS = "c", "h", "b", "lower", "upper"
@@ -190,6 +190,12 @@ class QuadraticProgram:
         return Constraints(self.matrices, limit)
 
     @cached_property
+    def judged(self) -> JudgedProgram:
+        """The arrays that the criterion measures."""
+        d = np.concatenate([self.h, self.b])
+        return JudgedProgram(self.matrices.terms, self.c, d, self.lower, self.upper)
+
+    @cached_property
     def folded(self) -> FoldedRows:
         """The program with bounds in place of rows of one variable, and with `ProgramMatrices.semidefinite_P` for P.
 
@@ -293,7 +299,7 @@ class QuadraticProgram:
         terms = float(sizes @ (abs(self.P) @ sizes) + np.abs(self.c) @ sizes)
         if not CANCELS * abs(value) < (self.n + 4) * EPSILON * terms < np.inf:
             return value
-        high, low, _ = compensated_pair(self.matrices.sparse_P, point)
+        high, low, _ = compensated_pair(self.matrices.terms.sparse_P, point)
         row = sp.csr_array(np.concatenate([0.5 * high, 0.5 * low, self.c])[np.newaxis])
         return float(compensated_product(row, np.tile(point, 3), np.array([self.constant]))[0][0])
 

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze_csr, read_only
 from ...core.matrix import Matrix, largest_in_rows, largest_products
 from ...core.rounding import compensated_product, upper_end
+from ...judges.program import BLUR, NOISE, Indices, ProgramTerms, entries_of_rows
 from ...proofs.exact import Row, rational_rows
 from ...proofs.farkas import LinearConstraints
 from ...systems.definiteness import factorised, is_diagonal, is_semidefinite_to_rounding, scaled_to
 from ...systems.minimum_degree import factor_sizes
-from .criterion import BLUR, NOISE, Indices, ProgramComponents
 
 FIT_TO = 1e-3  # of the right-hand side: enough for powers of two
 ROUNDING_OF_ENTRIES = 2.0 ** np.arange(-48.0, -23.0, 4.0)  # from double to single precision
@@ -70,21 +70,10 @@ class ProgramMatrices:
         return is_equality
 
     @cached_property
-    def rows(self) -> sp.csr_array:
-        """[G; A]."""
-        G, A = self.arrays[1:]
-        return sp.vstack([G, A], "csr") if sp.issparse(G) else sp.csr_array(self.stacked[1])
-
-    @cached_property
-    def sparse_P(self) -> sp.csr_array:
-        """P as CSR."""
-        return as_csr(self.P)
-
-    @cached_property
     def constraints(self) -> sp.csr_array:
         """[G; A; −I; I]."""
         identity = sp.eye_array(self.P.shape[0], format="csr")
-        return sp.vstack([self.rows, -identity, identity], format="csr")
+        return sp.vstack([self.terms.rows, -identity, identity], format="csr")
 
     @cached_property
     def arrays(self) -> tuple[Any, Any, Any]:
@@ -96,10 +85,15 @@ class ProgramMatrices:
         return P, G, A
 
     @cached_property
+    def terms(self) -> ProgramTerms:
+        """P and [G; A] with the facts that the criterion needs."""
+        return ProgramTerms(*self.stacked, self.sizes[0])
+
+    @cached_property
     def stacked(self) -> tuple[Any, Any]:
         """P and C = [G; A]: both dense or both CSR arrays."""
         P, G, A = self.arrays
-        return P, self.rows if sp.issparse(P) else np.vstack([G, A])
+        return P, (sp.vstack([G, A], "csr") if sp.issparse(P) else np.vstack([G, A]))
 
     @cached_property
     def engine_units(self) -> tuple[Vector, Vector]:
@@ -109,11 +103,11 @@ class ProgramMatrices:
     @cached_property
     def largest_units(self) -> tuple[Vector, Vector]:
         """Units in which the largest entries are about 1, without a fit, so that tiny entries have no influence."""
-        n, m = self.P.shape[0], self.rows.shape[0]
+        n, m = self.P.shape[0], sum(self.sizes[:2])
         return self._equilibrate(np.ones(n), np.ones(m), 10)
 
     def _equilibrate(self, units: Vector, rows: Vector, passes: int) -> tuple[Vector, Vector]:
-        of_P, of_C, of_columns = self.measured[2:]
+        of_P, of_C, of_columns = self.terms.measured[2:]
         for _ in range(passes):
             most = units * np.maximum(
                 largest_products(of_P, units), largest_products(of_columns, rows)
@@ -122,66 +116,20 @@ class ProgramMatrices:
         return units, rows
 
     @cached_property
-    def counts(self) -> Indices:
-        """Number of entries of each row of [G; A]."""
-        return np.concatenate([entries_of_rows(self.G), entries_of_rows(self.A)])
-
-    @cached_property
-    def components(self) -> ProgramComponents:
-        """Connected components of the graph of P, G and A."""
-        P, C = self.stacked
-        (m, n), is_sparse = C.shape, sp.issparse(P)
-        if not n or (self.counts == n).any() or (entries_of_rows(P) == n).any():
-            return ProgramComponents(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
-        from scipy.sparse.csgraph import connected_components
-
-        rows = sp.csr_array(sp.vstack([P, C]) if is_sparse else np.vstack([P, C]))
-        both = sp.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), shape=(n + m, n + m))
-        count, part = connected_components(both, directed=False)
-        return ProgramComponents(part[:n], part[n:], count)
-
-    @cached_property
-    def measured(self) -> tuple[Any, Any, Any, Any, Any]:
-        """P and C = [G; A], and the sizes of the entries of P, C and Cᵀ: all dense or all CSR arrays."""
-        P, C = self.stacked
-        of_C = abs(C)
-        return P, C, abs(P), of_C, sp.csr_array(of_C.T) if sp.issparse(P) else of_C.T
-
-    @cached_property
-    def summands(self) -> tuple[Any, Any, Any]:
-        """Upper bounds of the numbers of terms in rows of [G; A], in rows of P, and in columns of [G; A]."""
-        (m, p, n, _), (P, C, *_) = self.sizes, self.measured
-        if not sp.issparse(P):
-            return n, n, m + p
-        in_rows, in_P = (np.diff(one.indptr).max(initial=0) for one in (C, P))
-        return in_rows, in_P, np.bincount(C.indices, minlength=n)
-
-    @cached_property
     def fit(self) -> tuple[Vector, Vector]:
         """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
         return fitted_units(*self.stacked)
+
+    @cached_property
+    def counts(self) -> Indices:
+        """Number of entries of each row of [G; A]."""
+        return np.concatenate([entries_of_rows(self.G), entries_of_rows(self.A)])
 
     @cached_property
     def is_small(self) -> bool:
         """True if a program with these matrices is small or dense: for daqp."""
         m, p, n, _ = self.sizes
         return may_be_small(n, m + p, (one.size for one in (self.P, self.G, self.A)))
-
-    @cached_property
-    def gradient(self) -> sp.csr_array:
-        """[P Gᵀ Aᵀ]: the part of the Lagrangian's gradient that depends on x and the multipliers."""
-        return sp.csr_array(sp.hstack([self.sparse_P, sp.csr_array(self.rows.T)], format="csr"))
-
-    @cached_property
-    def columns(self) -> sp.csr_array:
-        """[Gᵀ Aᵀ]."""
-        return sp.csr_array(self.rows.T)
-
-    @cached_property
-    def row_sizes(self) -> Vector:
-        """Largest |entry| of each constraint; 1 for a row without entries."""
-        ones = np.ones(self.P.shape[0])
-        return or_one(np.concatenate([largest_products(self.measured[3], ones), ones, ones]))
 
     @cached_property
     def entries(self) -> tuple[int, int]:
@@ -248,8 +196,8 @@ class ProgramMatrices:
     @cached_property
     def kkt(self) -> Matrix:
         """Matrix [[P, Cᵀ], [−C, 0]] with C = [G; A]; an ndarray if it is small and full."""
-        C, size = self.rows, self.P.shape[0] + self.rows.shape[0]
-        M = sp.block_array([[self.sparse_P, C.T], [-C, None]], format="csr")
+        C, size = self.terms.rows, self.P.shape[0] + sum(self.sizes[:2])
+        M = sp.block_array([[self.terms.sparse_P, C.T], [-C, None]], format="csr")
         is_full = M.nnz > DENSE_ABOVE_DENSITY * size * size
         return Matrix(M.toarray() if size <= DENSE_UP_TO_SIZE and is_full else M)
 
@@ -381,11 +329,6 @@ def as_csr(matrix: Any) -> sp.csr_array:
     return matrix if sp.issparse(matrix) else sp.csr_array(matrix)
 
 
-def entries_of_rows(matrix: Any) -> Indices:
-    """Return the number of nonzeros of each row."""
-    return np.diff(matrix.indptr) if sp.issparse(matrix) else np.count_nonzero(matrix, axis=1)
-
-
 def as_array(matrix: Any) -> Vector:
     """Return a matrix as an ndarray."""
     return np.asarray(matrix.toarray() if sp.issparse(matrix) else matrix)
@@ -467,11 +410,17 @@ class Constraints:
         smallest = np.divide(1.0, inverse, where=has_entry, out=np.full(inverse.size, largest))
         return np.maximum(limits, NOISE * smallest)
 
+    @property
+    def coefficient_sizes(self) -> Vector:
+        """Largest |coefficient| of each row and bound; 1 for a row without entries."""
+        sizes = self.matrices.terms.row_sizes
+        return np.append(sizes, np.ones(self.limit.size - sizes.size))
+
     @cached_property
     def unit(self) -> Vector:
         """Largest |coefficient| of each row plus its |right-hand side|: weight in searches for a certificate."""
         right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
-        return np.asarray(self.matrices.row_sizes + right)
+        return self.coefficient_sizes + right
 
     @cached_property
     def as_rows(self) -> LinearConstraints:
@@ -483,7 +432,7 @@ class Constraints:
     def within_bounds(self) -> LinearConstraints:
         """The rows of G and A within the bounds, with w = d − C x."""
         (below, above), units = self.split(self.limit)[2:], self.split(self.unit)[2:]
-        return self._conditions(self.matrices.rows, -below, above, tuple(units))
+        return self._conditions(self.matrices.terms.rows, -below, above, tuple(units))
 
     def _conditions(self, C: sp.csr_array, *bounds: Any) -> LinearConstraints:
         """Return the first rows, which C are, as w = d − C x with these bounds of x and their units."""

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.certificates.residuals import WorstRows
 from ...core.checks import Vector
 from ...core.names import describe_radius, three_digits_below
 from ...core.settings import Status
+from ...judges.program import ROWS
+from ...judges.worst_rows import WorstRows
 from ...solving.result import NEXT, BaseResult
-from .criterion import ROWS, QPSolution, worst_constraints
 from .no_minimum import NoMinimum
 from .program import QuadraticProgram
+from .solution import QPSolution, worst_constraints
 
 ADVICE = {
     Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
@@ -111,7 +112,7 @@ class QuadraticProgramResult(BaseResult):
         """Return whether active rows and bounds determine x; True also if this is not computed, for many rows."""
         one, size = self.program, ROWS * np.abs(self.x).max(initial=0.0)
         is_free = (self.x > one.lower + size) & (self.x < one.upper - size)
-        rows, limit = one.matrices.rows, np.append(one.h, one.b)
+        rows, limit = one.matrices.terms.rows, np.append(one.h, one.b)
         terms = abs(rows) @ np.abs(self.x) + np.abs(limit)
         is_active = np.isfinite(limit) & (np.abs(rows @ self.x - limit) <= ROWS * terms)
         free, active = np.count_nonzero(is_free), np.count_nonzero(is_active)

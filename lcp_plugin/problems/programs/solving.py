@@ -17,22 +17,24 @@ from ...core.algorithm import Step
 from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
+from ...core.kernels.floats import UNIT
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
 from ...engines import ENGINES, engine_class, has_piqp, installed_engine, is_installed, scaling
 from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from ...engines.polish import ROUNDS, polish_steps
+from ...judges.program import MOVES, PROGRAM_TOLERANCE, KKTErrors
 from ...methods.interior_point import InteriorPoint
 from ...solving.dispatch import parse_call
 from ...solving.lcp_solver import solve_lcp
 from ...solving.result import Sample
 from ...solving.run import Named, Progress, Run, Stage, say
 from .conversion import optimality_conditions
-from .criterion import PROGRAM_TOLERANCE, KKTErrors, QPSolution
 from .no_minimum import NoMinimum, QPUnboundedness, known_proof, numbers, proof_of_contradiction
 from .program import QuadraticProgram, refuse_nonconvex
 from .program_matrices import ProgramMatrices
 from .regression import Outward, regression_of, solutions
 from .result import ADVICE, QuadraticProgramResult
+from .solution import QPSolution
 
 NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
 Scaled = Iterable[scaling.ScaledProgram]
@@ -81,7 +83,7 @@ WITH_FILL = "highs", "clarabel", "daqp", "piqp"
 POLISH_FROM = (
     20  # steps of an external solver: a polish, of two factorizations, takes a tenth of its time
 )
-SHARP = 2.0**-40  # gap below which a polish gains nothing
+SHARP = 8.0 * MOVES * UNIT  # per unknown and row: below this gap, plain sums show no error
 TOLERANCES = MappingProxyType(
     {
         "piqp": ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
@@ -91,7 +93,7 @@ TOLERANCES = MappingProxyType(
 
 
 class ProgramPoint(NamedTuple):
-    """Measured point of a run, as :class:`~lcp_plugin.core.certificates.criterion.Measured`.
+    """Measured point of a run, as :class:`~lcp_plugin.judges.lcp.Measured`.
 
     Attributes
     ----------
@@ -197,16 +199,16 @@ def run_engine(
             raise
         iterations, says = iterations + point.iterations, point.says
         rounds = 0 if says in NO_MINIMUM else ROUNDS
-        is_small = reduced.matrices.is_small
+        is_small, sharp = reduced.matrices.is_small, SHARP * sum(reduced.matrices.stacked[1].shape)
         is_cheap = is_small or point.iterations >= POLISH_FROM
         for near, is_polished in candidates(scaled.statement, point, rounds):
             back = scaled.outward(near)
             x, y = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper), back.y
-            found = KKTErrors.of(reduced, x, y, tolerance)
+            found = KKTErrors.of(reduced.judged, x, y, tolerance)
             is_good = bool(found.meet(tolerance))
             if (is_good, -found.largest) > (passes, -errors.largest):
                 best, errors, passes = (x, y), found, is_good
-            is_best = not is_cheap or errors.gap <= SHARP or (is_polished and not is_small)
+            is_best = not is_cheap or (not is_small if is_polished else errors.gap <= sharp)
             if is_over() or (passes and is_best):
                 break
         if passes or is_over():

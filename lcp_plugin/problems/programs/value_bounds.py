@@ -120,9 +120,9 @@ class DualBounds:
     def value(self, at: DualPoint) -> float:
         """Return a double below the bound that this point proves without a repair; −∞ if it proves no bound."""
         program, matrices, (x, y) = self.program, self.program.matrices, at
-        ends = _ends(*compensated_pair(matrices.gradient, np.concatenate(at), program.c))
-        bent = compensated_pair(matrices.sparse_P, x)
-        excess = compensated_pair(matrices.rows, x, -self._limit)
+        ends = _ends(*compensated_pair(matrices.terms.gradient, np.concatenate(at), program.c))
+        bent = compensated_pair(matrices.terms.sparse_P, x)
+        excess = compensated_pair(matrices.terms.rows, x, -self._limit)
         # Twice f(x̂) + λᵀ(G x̂ − h) + νᵀ(A x̂ − b), as halves may underflow.
         factors = np.concatenate([x, x, 2.0 * program.c, 2.0 * y, 2.0 * y])
         values = np.concatenate([*bent[:2], x, *excess[:2]])
@@ -158,7 +158,7 @@ class DualBounds:
         needs_rise, needs_fall = self._open_sides
         is_free = needs_rise & needs_fall
         sign = np.where(needs_rise, 1.0, -1.0)
-        columns = sp.csr_array(self.program.matrices.rows.T)
+        columns = sp.csr_array(self.program.matrices.terms.rows.T)
         largest = largest_in_rows(columns) * np.abs(at.y).max(initial=0.0)
         for _ in range(4):  # a repair of some components may break others
             v, s, size = self._slopes(at)
@@ -172,14 +172,14 @@ class DualBounds:
             near = np.flatnonzero(asked & (is_free | (sign * s <= 2.0**-20 * size)))
             movable = np.flatnonzero(self._is_movable(at))
             v[movable] += least_squares(
-                self.program.matrices.gradient[near][:, movable], (target - s)[near]
+                self.program.matrices.terms.gradient[near][:, movable], (target - s)[near]
             )
             at = self.admit(v[: at.x.size], v[at.x.size :])
         return at
 
     def _slopes(self, at: DualPoint) -> tuple[Vector, Vector, Vector]:
         """Return the point as one vector, its s, and the sums of the sizes of the terms of s."""
-        K, c, v = self.program.matrices.gradient, self.program.c, np.concatenate(at)
+        K, c, v = self.program.matrices.terms.gradient, self.program.c, np.concatenate(at)
         return v, K @ v + c, abs(K) @ np.abs(v) + np.abs(c)
 
     def _is_movable(self, at: DualPoint) -> BoolVector:
@@ -213,7 +213,7 @@ class DualBounds:
         c = rational(self.program.c)
         curved = products(rational_rows(self.program.P), x)
         here = sum(at * (bent / 2 + slope) for at, bent, slope in zip(x, curved, c, strict=True))
-        rows = rational_rows(self.program.matrices.rows)
+        rows = rational_rows(self.program.matrices.terms.rows)
         missed = [*map(sub, products(rows, x), rational(self._limit))]
         here += sum(weight * miss for weight, miss in zip(y, missed, strict=True) if weight)
         penalty = Fraction(self.curvature.penalty) / 2
@@ -240,11 +240,11 @@ class DualBounds:
     @cached_property
     def _is_bound(self) -> BoolVector:
         """Mask of the rows with at most one entry, which the box contains."""
-        return np.asarray(np.diff(self.program.matrices.rows.indptr) <= 1)
+        return np.asarray(np.diff(self.program.matrices.terms.rows.indptr) <= 1)
 
     @cached_property
     def _exact_stacked(self) -> list[Row]:
-        return rational_rows(self.program.matrices.gradient)
+        return rational_rows(self.program.matrices.terms.gradient)
 
 
 def _ends(high: Vector, low: Vector, radius: Vector) -> Box:
@@ -434,7 +434,7 @@ def objective_bounds(
     program: QuadraticProgram, x: Vector, radius: Vector | None = None, *, linear: float = 1.0
 ) -> tuple[float, float]:
     """Return doubles below and above ½ xᵀP x + linear · cᵀx, and above it for all points within the radius of x."""
-    high, low, blur = compensated_pair(program.matrices.sparse_P, x)
+    high, low, blur = compensated_pair(program.matrices.terms.sparse_P, x)
     row = sp.csr_array(np.concatenate([x, x, 2.0 * linear * program.c])[None, :])
     twice, error = compensated_product(row, np.concatenate([high, low, x]))
     error = sum_above(error, product_above(np.abs(x), blur).sum() * (1.0 + 2.0**-30))
@@ -443,7 +443,7 @@ def objective_bounds(
     if radius is not None and radius.any():
         # |∇f| r + ½ rᵀ|P| r, where r is some units in the last place.
         slope = sum_above(sum_above(np.abs(high + program.c), np.abs(low)), blur)
-        bent = 0.5 * (abs(program.matrices.sparse_P) @ radius)
+        bent = 0.5 * (abs(program.matrices.terms.sparse_P) @ radius)
         spread = product_above(sum_above(slope, bent), radius).sum() * (1.0 + 2.0**-30)
         highest = float(sum_above(highest, spread))
     return lowest, highest

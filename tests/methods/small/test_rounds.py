@@ -15,9 +15,9 @@ from oracles.exact_criterion import failures
 from oracles.truth import ExactData
 
 from lcp_plugin import LCP, Status, solve, solve_batch
-from lcp_plugin.core.certificates.criterion import row_data
 from lcp_plugin.core.checks import read_only
-from lcp_plugin.methods.small import bound_residual, dense_data, suits_loop
+from lcp_plugin.judges.lcp import bound_residual, row_data
+from lcp_plugin.methods.small import dense_data, suits_loop
 
 INF = np.inf
 
@@ -106,7 +106,7 @@ def test_the_loop_over_many_problems_has_the_statuses_of_single_solves(family: s
 @pytest.mark.full
 def test_a_point_that_the_sufficient_test_accepts_passes_the_criterion() -> None:
     """The criterion does not move the point, and its residual is at most the bound."""
-    kernel, accepted = import_module("lcp_plugin.core.kernels.small_lcps").bound_residuals, 0
+    kernel, accepted = import_module("lcp_plugin.judges.lcp").bound_residuals, 0
     rng = np.random.default_rng(0)
     for drawn in (one for family in FAMILIES for one in draw(family, 60, 8)):
         data, n = (drawn.matrix.toarray(), drawn.q, drawn.lower, drawn.upper), drawn.n

@@ -10,9 +10,9 @@ from campaigns import cones as campaign
 from inputs.cone_families import exact_residuals, planted_cones, planted_contacts
 
 from lcp_plugin import ConeProblem, FrictionalContact, Status, certify, march, solve, solve_batch
+from lcp_plugin.judges.cones import ConeRows, bound_residuals
 from lcp_plugin.problems.cones import methods, solving
-from lcp_plugin.problems.cones.certificate import ConeRows, bound_residuals
-from lcp_plugin.problems.cones.stack import ConeStack
+from lcp_plugin.problems.cones.factors import stack_of
 from lcp_plugin.problems.cones.sweeps import sweep_blocks
 
 LINK = np.eye(6)
@@ -64,7 +64,7 @@ def test_a_constructed_wrong_point_is_never_solved(name: str) -> None:
         if status is Status.SOLVED:
             np.testing.assert_allclose(z, right, rtol=1e-6, atol=1e-6)
     assert solve(problem).is_solved is (right is not None)
-    stack = ConeStack.of(problem)
+    stack = stack_of(problem)
     measured = ConeRows(stack).measure_blocks(stack.pattern.wide(wrong[None]), 1e-8)
     is_moved = right is not None and np.allclose(measured.z.ravel(), right)
     assert is_moved or not measured.passes[0]
@@ -82,7 +82,7 @@ def test_solutions_pass_exactly_and_one_ulp_off(draws: Any) -> None:
     rng, count = np.random.default_rng(0), 0
     for seed in draws(200):
         _, problem, run, kept = campaign.drawn(seed)
-        stack = ConeStack.of(run)
+        stack = stack_of(run)
         for right in campaign.solutions(problem)[0]:
             z = np.zeros(run.n)
             z[kept] = [float(x) for x in right]
@@ -125,7 +125,7 @@ def test_bounds_of_the_residual_hold_within_rounding_of_an_edge() -> None:
         z = np.array([1.0, *way]) * 10.0 ** rng.uniform(-3, 3)
         w = np.array([1.0, *-way]) * 10.0 ** rng.uniform(-18, -6) * z[0]
         z = z + w * rng.uniform(0, 2)
-        stack = ConeStack.of(ConeProblem(np.eye(3), w, [("second_order", 3)]))
+        stack = stack_of(ConeProblem(np.eye(3), w, [("second_order", 3)]))
         low, high = (ends[0, 0] for ends in ConeRows(stack).residual_ends(z[None], w[None]))
         right = exact_residuals(ConeProblem(np.zeros((3, 3)), w, [("second_order", 3)]), z)[0]
         assert low <= right <= high, seed
@@ -148,7 +148,7 @@ def test_solved_by_an_absolute_tolerance_means_residuals_within_it(draws: Any) -
 def test_the_projection_onto_boxes_and_a_cone_is_the_nearest_point() -> None:
     """Boxes clip, and the projections of x and −x onto a cone are orthogonal with the difference x."""
     cones = [("box", -1.0, 2.0), ("nonnegative", 1), ("free", 1), ("second_order", 3)]
-    stack = ConeStack.of(ConeProblem(np.eye(6), np.zeros(6), cones))
+    stack = stack_of(ConeProblem(np.eye(6), np.zeros(6), cones))
     for x in 3.0 * np.random.default_rng(0).standard_normal((20, 6)):
         near, other = (
             stack.pattern.flat(stack.project(stack.pattern.wide(one)))[0]
@@ -169,7 +169,7 @@ def test_the_sufficient_test_accepts_only_points_that_pass(draws: Any) -> None:
         problem, r, _ = planted_contacts(int(rng.integers(1, 6)), 2, 10.0, rng)
         scale, error = 10.0 ** rng.uniform(-9, 9), 10.0 ** rng.uniform(-18, -4)
         problem = problem.with_q(scale * problem.q)
-        stack, z = ConeStack.of(problem), scale * r * (1.0 + error * rng.standard_normal(r.size))
+        stack, z = stack_of(problem), scale * r * (1.0 + error * rng.standard_normal(r.size))
         with np.errstate(all="ignore"):
             at = stack.snap(stack.pattern.wide(z[None]))
             bound = bound_residuals(stack, at, 1e-8)[0]

@@ -19,7 +19,7 @@ from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import NonlinearProblem, QuadraticProgram, Status, certify, solve
 from lcp_plugin.problems.programs.certification import SMALL
-from lcp_plugin.problems.programs.criterion import QPSolution
+from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.programs.solving import solve_program
 from lcp_plugin.proofs.bounds import constrained_curvature
 from lcp_plugin.strategies import convex_qps

@@ -25,7 +25,7 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.problems.programs.conversion import lcp_from_qp, qp_from_lcp
-from lcp_plugin.problems.programs.criterion import QPSolution
+from lcp_plugin.problems.programs.solution import QPSolution
 from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
 
 TIGHT = {"tolerance": 1e-10, "max_iterations": 200_000}

@@ -11,13 +11,14 @@ import math
 from importlib import import_module
 from typing import Any
 
-from . import small_lcps
+from ..core.kernels import small_lcps
+from ..judges import lcp
 
 cuda: Any = import_module("numba.cuda")
 _of_device = cuda.jit(device=True)
 follow_paths = _of_device(small_lcps.follow_paths.py_func)
 solve_active_sets = _of_device(small_lcps.solve_active_sets.py_func)
-bound_residuals = _of_device(small_lcps.bound_residuals.py_func)
+bound_residuals = _of_device(lcp.bound_residuals.py_func)
 
 
 @cuda.jit

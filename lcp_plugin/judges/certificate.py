@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import Vector, checked_vector, derived_property, read_only, restore_state
-from ..errors import InvalidProblem
-from ..lcp import LCP
-from ..names import Names
-from ..problem_classes import refusal
-from ..rounding import gamma
-from .criterion import (
-    Measured,
+from ..core.checks import Vector, checked_vector, derived_property, read_only, restore_state
+from ..core.errors import InvalidProblem
+from ..core.lcp import LCP
+from ..core.problem_classes import refusal
+from ..core.rounding import gamma
+from .lcp import (
     RowData,
     RowResiduals,
     RowsAtPoint,
@@ -191,106 +188,3 @@ class Certificate:
             ("term residual", self.term_residual),
         ]
         return "\n".join(f"{name:<18} {value:.3e}" for name, value in lines)
-
-
-SHOWN = 3  # rows that the explanation of a run shows
-
-
-class WorstRow(NamedTuple):
-    """Row of a problem at a point.
-
-    Attributes
-    ----------
-    name : str
-    residual : float
-        Least tolerance at which the row passes the criterion; ∞ if none.
-    violation : float
-        Part of the row with the wrong sign, in the unit of the row.
-    terms : float
-        Sum of the sizes of the terms of the row.
-    text : str
-        Both sides of the pair, or the constraint, with their values.
-    """
-
-    name: str
-    residual: float
-    violation: float
-    terms: float
-    text: str
-
-
-class WorstRows(tuple[WorstRow, ...]):
-    """Rows that fail at a point, the worst first; ``print`` shows a line for each."""
-
-    __slots__ = ()
-
-    def __str__(self) -> str:
-        lines = [f"{row.text} (terms {row.terms:.3g})" for row in self]
-        return "\n".join(lines) or "no row fails"
-
-
-def outside_row(name: str, value: float, bound: float) -> WorstRow:
-    """Return the row of a value that violates its bound."""
-    distance, terms = abs(value - bound), abs(value) + abs(bound)
-    text = f"{name} = {value:.6g} is beyond its bound {bound:.6g}"
-    return WorstRow(name, distance / terms, distance, terms, text)
-
-
-def worst_pairs(
-    data: Any, found: Measured, names: Names, tolerance: float, count: int
-) -> WorstRows:
-    """Return the rows of a measured point that fail the criterion at a tolerance, the worst first.
-
-    Parameters
-    ----------
-    data : RowData
-        Data of the criterion of one problem.
-    found : Measured
-        With its rows.
-    names : Names
-    tolerance : float
-    count : int
-    """
-    n, at, by_row = data.q.size, found.rows, found.by_row
-    found = found._replace(z=np.reshape(found.z, data.q.shape))
-    if (sharp := data.sharp_product(found.z)) is not None:  # a sum that cancels is printed exactly
-        at = data.rows(found.z, sharp[0])
-    is_cone = getattr(data, "is_cone", False)  # such rows have no bounds of their own
-    lower, upper = (
-        np.ravel(np.where(is_cone, math.nan, bound)) for bound in (data.lower, data.upper)
-    )
-    z, w, terms, violation, relative, own = (
-        np.broadcast_to(np.ravel(one), (n,))
-        for one in (found.z, at.w, at.terms, at.violation, by_row.relative, by_row.terms)
-    )
-    least = np.maximum(np.where(violation == 0.0, 0.0, relative), own)
-    least = np.where(np.isnan(least), math.inf, least)
-    order = np.lexsort((-violation, -least))[:count].tolist()
-    return WorstRows(
-        WorstRow(
-            names.row(i),
-            float(least[i]),
-            float(violation[i]),
-            float(terms[i]),
-            _sides(names, i, float(z[i]), float(w[i]), float(lower[i]), float(upper[i])),
-        )
-        for i in order
-        if least[i] > tolerance
-    )
-
-
-def _sides(names: Names, i: int, z: float, w: float, lower: float, upper: float) -> str:
-    """Return both sides of a pair with their values: the row, and the unknown next to the bound that it is off."""
-    row, unknown = names.pair(i)
-    if not math.isfinite(w):
-        return f"{row} is {w} while {unknown} = {z:.6g}"
-    if math.isnan(lower):
-        return f"{row} = {w:.6g} while {unknown} = {z:.6g}, in a cone"
-    if not lower <= z <= upper:
-        return outside_row(names.unknown(i), z, lower if z < lower else upper).text
-    if lower == -math.inf and upper == math.inf:
-        return f"{names.row(i)} = {w:.6g}, and must be 0"
-    bound, sign = (lower, ">") if w > 0.0 else (upper, "<")
-    if math.isinf(bound):
-        return f"{row} = {w:.6g} {sign} 0 while {unknown} = {z:.6g}"
-    return f"{row} = {w:.6g} while {unknown} = {z:.6g} {sign} {bound:.6g}"

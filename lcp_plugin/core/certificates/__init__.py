@@ -1,1 +1,0 @@
-"""Accuracy of a point z: residuals of rows, the stopping criterion, the certificate."""

@@ -1,0 +1,231 @@
+"""Stopping criterion over cones: the criterion of an LCP (:mod:`lcp_plugin.judges.lcp`), by rows.
+
+A row between bounds is a row of an LCP. Contact with friction consists of two laws with residuals and terms of their
+own: Signorini's condition z_N ≥ 0 ⟂ w_N ≥ 0, a row of an LCP, and Coulomb's law of the tangential rows, with the disk
+‖z_T‖ ≤ μ z_N. So a large sliding velocity does not hide a small closing velocity. A second-order cone is one law.
+
+For a law with several rows, norms over these rows replace absolute values. Its residual is the natural map's,
+R = z − P(z − w/d), P the projection onto the disk or cone, d > 0 the unit of the block's slack, from the diagonal of M;
+its violation is v = d ‖R‖, also of a z outside its cone. The point is snapped first: rows to bounds as in an
+LCP, z_k to the apex if the projection of z_k − w_k/d_k is the apex, and z_T to the length μ z_N if the projection is
+on the boundary. The snapped point is measured and returned.
+
+For contacts the demand a is the largest of the component: b at a contact of a pile may be rounding error.
+Projections are nonexpansive: if w is within ρ, the residual of a cone is within ‖ρ‖/d, plus rounding in P.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..core.checks import Vector, derived_property
+from ..core.cone_stack import ON, OUT, WITHIN, Array, ConeStack, length
+from ..core.kernels.floats import EPSILON, NEGLIGIBLE, NORMAL
+from .lcp import Measured, RowData, RowsAtPoint, VectorEnds
+
+AT_ROUNDING = 2.0**-48  # of z_T: smaller distances from points of the boundary are rounding
+# A violation below this part of the terms of a law passes in any order of summation
+CERTAINLY_NEGLIGIBLE = 0.5 * NEGLIGIBLE
+
+
+class ConeRows(RowData):
+    """Data of the criterion by rows, for the problems of a stack: (n,) if M is sparse, otherwise (B, n).
+
+    Parameters
+    ----------
+    stack : ConeStack
+    """
+
+    def __init__(self, stack: ConeStack) -> None:
+        self.stack, pattern = stack, stack.pattern
+        of_row, first = pattern.of_row, pattern.starts[:-1]
+        self.is_cone = pattern.sizes[of_row] > 1
+        if stack.has_friction:
+            self.is_cone[first] = False
+            is_free = self.is_cone | pattern.is_row[of_row]  # rows are equations
+            lower, upper = np.where(is_free, -np.inf, 0.0), np.full(pattern.n, np.inf)
+        else:
+            lower, upper = self._by_rows(stack.low), self._by_rows(stack.high)
+        self._first = int(stack.has_friction)  # row of a block that belongs to the law of its cone
+        self.has_cones = bool(self.is_cone.any())
+        scale, labels = self._by_rows(stack.d), pattern.labels
+        labels = None if labels is None else self._by_rows(labels)
+        M = pattern.M
+        super().__init__(M, abs(M), self.flat(stack.q), lower, upper, scale, labels)
+        self.start = np.broadcast_to(self.start, self.q.shape)
+
+    def _by_rows(self, x: Array) -> Array:
+        """Return values of blocks in each of their rows, (B, n), or (n,) if M is sparse."""
+        pattern = self.stack.pattern
+        return x[0, pattern.of_row] if pattern.is_sparse else x[:, pattern.of_row]
+
+    def flat(self, x: Array) -> Array:
+        """Return an array of shape (B, k, m) by rows."""
+        x = self.stack.pattern.flat(x)
+        return x[0] if self.stack.pattern.is_sparse else x
+
+    def wide(self, x: Array) -> Array:
+        """Return an array by rows in the shape (B, k, m)."""
+        return self.stack.pattern.wide(x[None] if x.ndim == 1 else x)
+
+    def _with_laws(self, x: Array, values: Array) -> Array:
+        """Return x with the values of cones and disks, (B, k), in their rows."""
+        return np.where(self.is_cone, self._by_rows(values), x)
+
+    def norm(self, x: Array) -> Array:
+        """Return |x|, and the norm over the rows of each cone or disk in each of these rows."""
+        return self._with_laws(np.abs(x), length(self.wide(x)[..., self._first :]))
+
+    def measure_blocks(self, z: Array, tolerance: float, absolute: float = 0.0) -> Measured:
+        """Return the measure of points of the cones, shape (B, k, m), snapped; numbers have the shape (B,)."""
+        found = self.measure(self.flat(z), tolerance, absolute=absolute)
+        shape = (self.stack.B,)
+        numbers = found.residual, found.passes, found.is_limited
+        residual, passes, is_limited = (np.broadcast_to(one, shape) for one in numbers)
+        return Measured(self.wide(found.z), residual, passes, is_limited, *found[4:])
+
+    def of_blocks(self, values: Array) -> Array:
+        """Return the largest of the values by rows in each block, shape (B, k)."""
+        starts = self.stack.pattern.starts[:-1]
+        return np.maximum.reduceat(values[None] if values.ndim == 1 else values, starts, -1)
+
+    @derived_property
+    def demand(self) -> Vector:
+        """Demand of each law; of contacts the largest of the component, because b may be rounding error in a pile."""
+        demand: Vector = super().demand
+        return self.largest(demand) if self.stack.has_friction else self.norm(demand)
+
+    def rows(self, z: Vector, w: Any = None) -> RowsAtPoint:
+        """Return the values of all laws at z, with its slack w if that is known."""
+        at = super().rows(z, w)
+        if not self.has_cones:
+            return at
+        stack, x, terms = self.stack, self.wide(z), self.norm(at.terms)
+        violation = self._with_laws(at.violation, stack.d * self._sizes_of_laws(x, self.wide(at.w)))
+        is_free = x.any(-1)
+        if stack.has_friction:
+            is_free = length(x[..., 1:]) < stack.mu * x[..., 0]
+        is_active = self._with_laws(at.is_active, is_free) | (violation > NEGLIGIBLE * terms)
+        return at._replace(terms=terms, violation=violation, is_active=is_active)
+
+    def _sizes_of_laws(self, x: Array, w: Array) -> Array:
+        """Return the residuals of cones and disks as computed, shape (B, k)."""
+        stack = self.stack
+        if not stack.has_friction:
+            return length(stack.residual(x, w)[0])
+        d = stack.d[..., None]
+        return _of_coulomb(stack.mu * x[..., 0], x[..., 1:], w[..., 1:] / d, 0.0 * stack.d)[0]
+
+    def residual_ends(
+        self, z: Vector, w: Vector, rounding: Any = None, scale: Any = None
+    ) -> VectorEnds:
+        """Return bounds of the residual of each law for slacks within w ± rounding."""
+        low, high = super().residual_ends(z, w, rounding, scale)
+        if not self.has_cones:
+            return low, high
+        rounding = np.zeros(w.shape) if rounding is None else rounding
+        stack, (x, g, error) = self.stack, map(self.wide, (z, w, rounding))
+        if stack.has_friction:
+            d = stack.d[..., None]
+            steps = x[..., 1:], g[..., 1:] / d, length(error[..., 1:] / d)
+            size, error = _of_coulomb(stack.mu * x[..., 0], *steps)
+        else:
+            size, error = _of_cones(stack, x, g, error)
+        is_known = np.isfinite(size + error)
+        low = self._with_laws(low, np.where(is_known, np.maximum(size - error, 0.0), 0.0))
+        return low, self._with_laws(high, np.where(is_known, size + error, np.inf))
+
+    def snap_to_bounds(self, z: Vector, w: Vector) -> Vector:
+        """Return z, rows projected onto bounds as in an LCP, and cones onto the apex or boundary that they reach."""
+        z = super().snap_to_bounds(z, w)
+        if not self.is_cone.any():
+            return z
+        stack, x = self.stack, self.wide(z)
+        radius, beyond = stack.mu * x[..., 0], x - self.wide(w) / stack.d[..., None]
+        tangent = length(beyond[..., 1:])
+        if stack.has_friction:
+            is_on, is_apex = tangent > radius, radius == 0.0
+        else:
+            case = stack.residual(x, self.wide(w))[1]
+            is_on, is_apex = case == ON, case == OUT
+        edge = beyond * (radius / np.maximum(tangent, NORMAL))[..., None]
+        edge[..., 0] = x[..., 0]
+        is_far = length(edge - x) > AT_ROUNDING * length(x)
+        moved = np.where((is_on & is_far)[..., None], edge, x)
+        moved = np.where(is_apex[..., None], 0.0, moved)
+        return np.where(self.is_cone, self.flat(moved), z)
+
+
+def _of_coulomb(radius: Array, z: Array, step: Array, error: Array) -> tuple[Array, Array]:
+    """Return the residuals ‖z_T − P(z_T − step)‖ of Coulomb's law, shape (B, k), and bounds of their errors.
+
+    The step is within `error`. Beyond the disk P divides errors by the distance from the axis.
+    """
+    beyond = z - step
+    tangent = length(beyond)
+    is_beyond, least = tangent > radius, tangent - error
+    edge = beyond * (radius / np.maximum(tangent, NORMAL))[..., None]
+    size = length(np.where(is_beyond[..., None], z - edge, step))
+    error = np.where(least > radius, error * (radius / np.maximum(least, NORMAL)), error)
+    largest: Array = np.where(is_beyond, radius, size)
+    error = error + 8.0 * EPSILON * largest
+    return size, np.where(radius > 0.0, error, 0.0)
+
+
+def _of_cones(stack: ConeStack, z: Array, w: Array, error: Array) -> tuple[Array, Array]:
+    """Return the residuals of second-order cones, shape (B, k), and bounds of their rounding errors."""
+    R, case, *_ = stack.residual(z, w)
+    mu, d, size, within = stack.mu, stack.d, length(R), length(error)
+    inside = 0.5 * (mu * z[..., 0] - length(z[..., 1:])) / (1.0 + mu)
+    terms = np.where((case == WITHIN) & (size < inside), 0.0, length(z))
+    terms += (1.0 + mu) * (length(w) + within) / d
+    of_projection = 2.0 * (stack.pattern.sizes + 8.0) * EPSILON * (1.0 + mu) * terms
+    is_open = (case == OUT) & ~z.any(-1)
+    is_open &= w[..., 0] - error[..., 0] >= mu * (length(w[..., 1:]) + within)
+    total = within / d + np.where(case == OUT, 0.0, of_projection)
+    return size, np.where(is_open, 0.0, total)
+
+
+def bound_residuals(stack: ConeStack, z: Array, tolerance: float) -> Array:
+    """Return upper bounds of the relative residuals of contacts that the criterion accepts, (B,); ∞ if in doubt.
+
+    The test implies the criterion at z, of shape (B, k, m) with dense M, because
+
+    - the rounding error of w is at least twice the criterion's own bound, and projections are nonexpansive, so that
+      residuals by another order of summation stay within the limits here;
+    - z_T and its projection cancel: 16 ε times the larger of z_T and μ z_N is twice the criterion's bound of this;
+    - the largest residual of a component is at most half of the tolerance times `limit`, and `limit` is at most the
+      reference: the residual at z = 0, and the terms of a contact that presses;
+    - each violation is at most 2⁻⁴³ of its terms, half of what the componentwise test allows at any tolerance.
+    """
+    if not stack.has_friction or stack.pattern.is_sparse:
+        return np.full(stack.B, np.inf)
+    w, products = stack.slack(z), stack.pattern.times(z, absolute=True)
+    terms, margin = products + np.abs(stack.q), 4.0 * (stack.pattern.n + 8) * EPSILON
+    d, at, tangents, push, drift = stack.d, z[..., 0], z[..., 1:], w[..., 0], w[..., 1:]
+    size, is_row, radius, tangent = (
+        terms[..., 0],
+        stack.pattern.is_row,
+        stack.mu * at,
+        length(tangents),
+    )
+    presses = (at > 0.0) | is_row
+    beyond, along = tangents - drift / d[..., None], (drift * tangents).sum(-1)
+    edge = np.minimum(radius / np.maximum(length(beyond), NORMAL), 1.0)[..., None] * beyond
+    along = np.where(tangent >= (1.0 - AT_ROUNDING) * radius, np.minimum(along, 0.0), 0.0)
+    across = drift - (along / np.maximum(tangent * tangent, NORMAL))[..., None] * tangents
+    of_disk = length(terms[..., 1:])
+    is_right = np.where(presses, np.abs(push), -push) <= CERTAINLY_NEGLIGIBLE * size
+    is_right &= (length(across) <= CERTAINLY_NEGLIGIBLE * of_disk) | (radius == 0.0)
+    is_right &= (size + of_disk < np.inf) & ((at >= 0.0) | is_row)
+    rounding = margin * length(np.where(products > 0.0, terms + NORMAL, 0.0)) / d
+    normal = np.abs(np.where(is_row, push / d, np.minimum(push / d, at)))
+    residual = np.maximum(normal, length(tangents - edge))
+    rounding += 16.0 * EPSILON * np.maximum(radius, tangent)  # z_T and its projection cancel
+    residual = stack.pattern.largest(residual + rounding)
+    limit = np.minimum(stack.reference, stack.pattern.largest(presses * size / d)) * (1.0 - margin)
+    is_right &= residual <= 0.5 * tolerance * limit
+    bound = np.where(limit > 0.0, residual / limit, 0.0).max(1, initial=0.0)
+    return np.where(is_right.all(1), bound, np.inf)

@@ -1,0 +1,370 @@
+"""Stopping criterion of a quadratic program: the test of a point x with multipliers y of the rows.
+
+The program is min ½ xᵀP x + cᵀx with rows C x ≤ d, or = d, and bounds. The test moves x into its bounds, sets
+multipliers with a wrong sign to 0, and takes the gradient r = P x + c + Cᵀy for the multipliers of the bounds. With
+T_i = Σ_j |c_ij x_j| + |d_i| and K = 1000, it requires
+
+1. rows: each row is violated by at most 1e-9 T_i;
+2. gap: in each connected component, Σ |y_i| |C x − d|_i + Σ |r_j| reach_j + max |r_j| way_j ≤ tolerance · size.
+
+- size = |cᵀx| + |xᵀP x|, at least 1e-8 of Σ |c_j x_j| + |xᵀP x|, and at least 1e-6 of Σ y'_i T_i.
+- price_j = |c_j| + |P x|_j + Σ_i |c_ij| y'_i; way_j = K size / price_j is the move of x_j that costs K objectives.
+- reach_j is the distance from x_j to the bound to which −r_j pushes; beyond way_j it is at most K |x_j|, and only then
+  the last term counts.
+- y'_i is |y_i|, at most the largest |P x + c|_j of unknowns off their bounds, divided by the largest |c_ij|.
+
+So no feasible point is better by more than the tolerance if its unknowns differ by at most K |x_j| and by moves that
+cost together at most K times the objective; at t times these moves, the gain is at most t times the tolerance. If c_j =
+0, |P| |x| takes the place of |P x| in price_j; if all costs of a component are 0, also in the size. Sums are plain,
+with bounds of rounding errors. If these do not decide, sums are computed without rounding, and a violation of at most
+2⁻⁴⁷ |c_ij| T_k/|c_kj| is allowed: it is the rounding of x_j in another row k.
+
+Limits: a coefficient of 1e11 in another row may make a violation of 9e-10 expensive. If coefficients of one column span
+1e12, a row may be violated by more, but x_j only by its rounding. A program may be unbounded although a program within
+1e-10 of it has a minimum. An objective below 1e-12 of the terms of the rows, weighted with their multipliers, or below
+1e-14 of its own terms, counts as 0. Costs beyond 2^1000 overflow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ..core.checks import Vector
+from ..core.kernels.floats import DATA_ROUNDING, UNIT
+from ..core.matrix import largest_in_rows, largest_products
+from ..core.rounding import compensated_product
+
+Indices = NDArray[np.intp]
+
+PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
+ROWS = 1e-9  # of the rows, at every tolerance
+NEARLY = (1e-6, 1e-3)  # rows and gap: a point beyond is not even inaccurately optimal
+NOISE = 1e-5  # of the coefficients of a row: ROWS of this on the right counts as a rounded 0
+BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
+CANCELLED = 1e-8  # share of the objective's terms to which they may cancel
+LEAST_SIZE = 1e-6  # of the rows' terms with their multipliers
+MOVES = 1000.0  # times its size, an unknown without a bound is moved
+SMALLEST_SIZE = 2.0**-900  # of the gap: if all terms are 0, gradients are relative to their own
+LEAST_PRICE = 2.0**-1000  # quotients by it are finite
+ROUNDED_ELSEWHERE = (
+    64.0 * UNIT
+)  # of terms in the other rows of an unknown: rounding of this unknown
+
+
+class KKTErrors(NamedTuple):
+    """The two measures of a point: its worst row, and its worst component's gap; ∞ if a number is not finite."""
+
+    primal: Any
+    gap: Any
+
+    def meet(self, tolerance: float) -> Any:
+        """Return whether the point is a solution: the test of programs."""
+        return (self.primal <= ROWS) & (self.gap <= tolerance)
+
+    def nearly_meet(self, tolerance: float) -> bool:
+        """Return whether both measures are small, but perhaps above the tolerance."""
+        return bool(self.primal <= NEARLY[0] and self.gap <= max(tolerance, NEARLY[1]))
+
+    @property
+    def largest(self) -> Any:
+        """The larger of both, with the rows' error in units of the gap's default tolerance."""
+        return np.maximum(self.primal * (PROGRAM_TOLERANCE / ROWS), self.gap)
+
+    @classmethod
+    def of(
+        cls, program: JudgedProgram, x: Vector, y: Vector, tolerance: float = PROGRAM_TOLERANCE
+    ) -> KKTErrors:
+        """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
+        found = cls(np.inf, np.inf)
+        if np.isfinite(x).all() and np.isfinite(y).all():
+            for is_exact in (False, True):
+                point = PrimalDualPoint(program, x, y, is_exact=is_exact)
+                both = point.row_errors().max(initial=0.0), point.gaps().max(initial=0.0)
+                found = cls(*(np.inf if np.isnan(one) else float(one) for one in both))
+                if found.meet(tolerance):
+                    break
+        return found
+
+
+class ProgramComponents(NamedTuple):
+    """The parts of a program that no entry connects: the number of each unknown's and row's, and how many there are."""
+
+    of_unknown: Indices
+    of_row: Indices
+    number: int
+
+
+class JudgedProgram(NamedTuple):
+    """Arrays of a program: min ½ xᵀP x + cᵀx, C x ≤ d in the first `terms.m` rows and C x = d in the others, bounds."""
+
+    terms: ProgramTerms
+    c: Vector
+    d: Vector
+    lower: Vector
+    upper: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramTerms:
+    """P and C of programs with other vectors, and facts about them that each point needs, computed once.
+
+    Attributes
+    ----------
+    P, C : ndarrays or CSR arrays, shapes (n, n) and (m + p, n)
+    m : int
+        Number of rows that are inequalities.
+    """
+
+    P: Any
+    C: Any
+    m: int
+
+    @cached_property
+    def sparse_P(self) -> sp.csr_array:
+        """P as CSR."""
+        return sp.csr_array(self.P)
+
+    @cached_property
+    def rows(self) -> sp.csr_array:
+        """C as CSR."""
+        return sp.csr_array(self.C)
+
+    @cached_property
+    def columns(self) -> sp.csr_array:
+        """Cᵀ as CSR."""
+        return sp.csr_array(self.rows.T)
+
+    @cached_property
+    def gradient(self) -> sp.csr_array:
+        """[P Cᵀ]: the part of the Lagrangian's gradient that depends on x and the multipliers."""
+        return sp.csr_array(sp.hstack([self.sparse_P, self.columns], format="csr"))
+
+    @cached_property
+    def counts(self) -> Indices:
+        """Number of entries of each row of C."""
+        return entries_of_rows(self.C)
+
+    @cached_property
+    def row_sizes(self) -> Vector:
+        """Largest |entry| of each row of C; 1 for a row without entries."""
+        sizes = largest_products(self.measured[3], np.ones(self.P.shape[0]))
+        return np.where(sizes > 0.0, sizes, 1.0)
+
+    @cached_property
+    def components(self) -> ProgramComponents:
+        """Connected components of the graph of P, G and A."""
+        P, C = self.P, self.C
+        (m, n), is_sparse = C.shape, sp.issparse(P)
+        if not n or (self.counts == n).any() or (entries_of_rows(P) == n).any():
+            return ProgramComponents(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
+        from scipy.sparse.csgraph import connected_components
+
+        rows = sp.csr_array(sp.vstack([P, C]) if is_sparse else np.vstack([P, C]))
+        both = sp.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), shape=(n + m, n + m))
+        count, part = connected_components(both, directed=False)
+        return ProgramComponents(part[:n], part[n:], count)
+
+    @cached_property
+    def measured(self) -> tuple[Any, Any, Any, Any, Any]:
+        """P and C = [G; A], and the sizes of the entries of P, C and Cᵀ: all dense or all CSR arrays."""
+        P, C, of_C = self.P, self.C, abs(self.C)
+        return P, C, abs(P), of_C, sp.csr_array(of_C.T) if sp.issparse(P) else of_C.T
+
+    @cached_property
+    def summands(self) -> tuple[Any, Any, Any]:
+        """Upper bounds of the numbers of terms in rows of C, in rows of P, and in columns of C."""
+        P, C = self.P, self.C
+        rows, n = C.shape
+        if not sp.issparse(P):
+            return n, n, rows
+        in_rows, in_P = (np.diff(one.indptr).max(initial=0) for one in (C, P))
+        return in_rows, in_P, np.bincount(C.indices, minlength=n)
+
+
+def errors_of_each(together: JudgedProgram, x: Vector, y: Vector) -> KKTErrors:
+    """Return bounds of the errors, shape (B,), of B programs joined into one, at the rows of x, shape (B, n).
+
+    Sums are plain. If they do not decide a program, test this program on its own.
+    """
+    (count, n), m = x.shape, together.terms.m // len(x)
+    p = together.d.size // count - m
+    is_finite: Any = np.isfinite(x).all(axis=1)
+    at = np.where(is_finite[:, np.newaxis], x, 0.0).ravel()
+    point = PrimalDualPoint(together, at, np.nan_to_num(y), is_exact=False)
+    primal, gap = point.row_errors(), point.gaps()
+    of_G, of_A, of_bounds = np.split(primal, [m * count, (m + p) * count])
+    parts = (of_G.reshape(count, m), of_A.reshape(count, p), of_bounds.reshape(count, n))
+    gaps = gap[together.terms.components.of_unknown].reshape(count, n)
+    worst = (np.concatenate(parts, axis=1).max(axis=1, initial=0.0), gaps.max(axis=1, initial=0.0))
+    primal, gap = (np.where(is_finite & (one >= 0.0), one, np.inf) for one in worst)
+    return KKTErrors(primal, gap)
+
+
+class PrimalDualPoint:
+    """Point with the sums of its two measures, and the sizes of all terms of these sums.
+
+    Parameters
+    ----------
+    program : JudgedProgram
+    x, y : arrays
+        Finite.
+    is_exact : bool
+        True if sums are computed without rounding. Otherwise full bounds of rounding errors are added.
+
+    Attributes
+    ----------
+    excess, row_doubt : array, shape (m + p,)
+        C x − d, and a bound of its rounding error.
+    left, doubt, product, lost : array, shape (n,)
+        r and P x, with bounds of their rounding errors.
+    row_terms, bend : array, shapes (m + p,) and (n,)
+        Σ_j |c_ij x_j| + |d_i|, and |P| |x|.
+    """
+
+    def __init__(self, program: JudgedProgram, x: Vector, y: Vector, *, is_exact: bool) -> None:
+        self.program, self.terms, self.is_exact = program, program.terms, is_exact
+        m, lower, upper, d = self.terms.m, program.lower, program.upper, program.d
+        is_limit = np.isfinite(d)
+        d, y = (np.where(is_limit, one, 0.0) for one in (d, y))
+        np.maximum(y[:m], 0.0, out=y[:m])
+        self.given, self.x = x, np.minimum(np.maximum(x, lower), upper)
+        self.outside = np.abs(x - self.x)
+        x, self.of_x, self.of_y, self.cost = self.x, np.abs(self.x), np.abs(y), np.abs(program.c)
+        P, C, of_P, of_C, of_columns = self.terms.measured
+        self.limits, self.bend = np.abs(d), of_P @ self.of_x
+        self.row_terms = of_C @ self.of_x + self.limits
+        if is_exact:
+            self.product, self.lost = compensated_product(self.terms.sparse_P, x)
+            both = np.concatenate([x, y])
+            self.left, self.doubt = compensated_product(self.terms.gradient, both, program.c)
+            self.excess, self.row_doubt = compensated_product(self.terms.rows, x, -d)
+        else:
+            in_rows, in_P, in_columns = self.terms.summands
+            terms = self.bend + self.cost + of_columns @ self.of_y
+            self.product, self.lost = P @ x, (in_P + 3.0) * UNIT * self.bend
+            self.left = self.product + program.c + C.T @ y
+            self.doubt = (in_P + in_columns + 3.0) * UNIT * terms
+            self.excess, self.row_doubt = C @ x - d, (in_rows + 3.0) * UNIT * self.row_terms
+        self.missed = np.abs(self.excess) + self.row_doubt
+        if not is_limit.all():
+            self.excess[~is_limit] = -np.inf
+
+    def row_errors(self) -> Vector:
+        """Return the error of each row and of each bound; rounding in rows is tolerated if sums are exact."""
+        m, sizes, of_bounds = self.terms.m, self.row_terms, self.outside
+        over = self.missed.copy()
+        np.maximum(self.excess[:m] + self.row_doubt[:m], 0.0, out=over[:m])
+        if self.is_exact and (over > ROWS * sizes).any():
+            sizes = np.maximum(sizes, self.excused / ROWS)
+        if of_bounds.any():
+            lower, upper = self.program.lower, self.program.upper
+            bound = np.where(self.x == lower, np.abs(lower), np.abs(upper))
+            of_bounds = ratio(of_bounds, np.maximum(bound, np.abs(self.given)))
+        return np.concatenate([ratio(over, sizes), of_bounds])
+
+    @property
+    def excused(self) -> Vector:
+        """Violation of each row that counts as rounding: of its unknowns in other rows, or of the right-hand sides."""
+        columns, all_terms = self.terms.columns, self.terms
+        terms = self.row_terms[columns.indices] / np.abs(columns.data)
+        reached = largest_products(all_terms.measured[3], largest_in_rows(columns, terms))
+        sides = np.where(all_terms.counts == 0, self.limits.max(initial=0.0), 0.0)
+        return np.maximum(ROUNDED_ELSEWHERE * reached, ROWS * NOISE * sides)
+
+    def gaps(self) -> Vector:
+        """Return the gap of each component."""
+        x, of_x, sums = self.x, self.of_x, self._sums
+        below, above = x - self.program.lower, self.program.upper - x
+        y = self.needed_y(np.minimum(below, above))
+        curved = np.maximum(np.abs(sums(x, self.product)) - sums(of_x, self.lost), 0.0)
+        size = np.abs(sums(self.program.c, x)) + curved
+        # Without costs, the terms of P x take their place
+        bend = self.bend * 0.0
+        if not self.cost.all():
+            bend = np.where(self._of_unknowns(sums(self.cost, self.cost)) > 0.0, 0.0, self.bend)
+        size = np.maximum(size, CANCELLED * (sums(self.cost, of_x) + curved))
+        size = np.maximum(size, LEAST_SIZE * sums(bend, of_x, y, self.row_terms))
+        size = np.maximum(size, SMALLEST_SIZE)
+        # An unknown without a cost may be balanced by terms of P x that cancel
+        bend = np.where(self.cost > 0.0, 0.0, self.bend)
+        price = np.maximum(np.abs(self.product) - self.lost, bend) + self.cost
+        price += self.terms.measured[4] @ y
+        left = np.abs(self.left)
+        rest, distance = left + self.doubt, np.where(self.left > 0.0, below, above)
+        if (left <= self.doubt).any():  # either direction may be the one of descent
+            distance = np.where(left <= self.doubt, np.maximum(below, above), distance)
+        way = self._of_unknowns(MOVES * size) / np.maximum(price, LEAST_PRICE)
+        is_far = distance > way
+        reach = np.where(is_far, np.minimum(distance, MOVES * of_x), distance)
+        gap = sums(rest, np.where(rest == 0.0, 0.0, reach), self.of_y, self.missed)
+        gap += self._largest(np.where(is_far, rest * way, 0.0))
+        return np.where(size < np.inf, gap / size, np.nan)
+
+    def needed_y(self, way: Vector) -> Vector:
+        """Return sizes of the multipliers: each at most balances P x + c at an unknown that is off its bounds.
+
+        `way` is the distance to the nearest bound. An unknown at rounding level of its component is at its bound.
+        """
+        pull = np.abs(self.product + self.program.c) - self.lost
+        at_bound = way <= self._of_unknowns(DATA_ROUNDING * self._largest(self.of_x))
+        parts, most = self.terms.components, self._largest(np.where(at_bound, 0.0, pull))
+        if parts.number > 1:
+            most = most[parts.of_row]
+        return np.minimum(self.of_y, most / self.terms.row_sizes)
+
+    @property
+    def row_weight(self) -> float:
+        """Terms of all rows with the multipliers y'."""
+        way = np.minimum(self.x - self.program.lower, self.program.upper - self.x)
+        return float(self.needed_y(way) @ self.row_terms)
+
+    def _sums(self, a: Vector, b: Vector, of_rows: Any = 0.0, other: Any = 0.0) -> Vector:
+        """Return the sums of the products a_j b_j over each component, and of products of its rows."""
+        parts = self.terms.components
+        if parts.number == 1:
+            return np.array([a @ b + np.dot(of_rows, other)])
+        found = np.bincount(parts.of_unknown, a * b, parts.number) + 0.0  # of none too
+        if isinstance(of_rows, np.ndarray):
+            found += np.bincount(parts.of_row, of_rows * other, parts.number)
+        return np.asarray(found)
+
+    def _of_unknowns(self, values: Vector) -> Vector:
+        """Return the value of each unknown's component."""
+        parts = self.terms.components
+        return values if parts.number == 1 else values[parts.of_unknown]
+
+    def _largest(self, sizes: Vector) -> Vector:
+        """Return the largest size in each component."""
+        parts = self.terms.components
+        if parts.number == 1:
+            return np.array([sizes.max(initial=0.0)])
+        most = np.zeros(parts.number)
+        np.maximum.at(most, parts.of_unknown, sizes)
+        return most
+
+
+def least_size(program: JudgedProgram, x: Vector, y: Vector) -> float:
+    """Return the size that a value at x has at least, 1e-6 of the rows' terms with the multipliers y."""
+    return LEAST_SIZE * PrimalDualPoint(program, x, y, is_exact=True).row_weight
+
+
+def excused_rows(program: JudgedProgram, x: Vector) -> Vector:
+    """Return the violation of each row that counts as rounding at x."""
+    none = np.zeros(program.d.size)
+    return PrimalDualPoint(program, x, none, is_exact=False).excused
+
+
+def ratio(errors: Vector, sizes: Vector) -> Vector:
+    """Return the quotients, 0 / 0 = 0."""
+    return np.where(errors > 0.0, errors / np.maximum(sizes, LEAST_PRICE), errors)
+
+
+def entries_of_rows(matrix: Any) -> Indices:
+    """Return the number of nonzeros of each row."""
+    return np.diff(matrix.indptr) if sp.issparse(matrix) else np.count_nonzero(matrix, axis=1)

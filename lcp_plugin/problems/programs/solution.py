@@ -1,0 +1,233 @@
+"""Solution of a quadratic program: x and the multipliers of all constraints, with the two measures of the criterion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...core.checks import Vector, checked_vector, derived_property, read_only
+from ...core.errors import InvalidProblem
+from ...core.matrix import largest_products
+from ...core.settings import checked_tolerance
+from ...engines.linear_program import highs
+from ...judges.program import PROGRAM_TOLERANCE, ROWS, KKTErrors, PrimalDualPoint
+from ...judges.worst_rows import WorstRow, WorstRows
+from .program import QuadraticProgram
+
+MULTIPLIERS = "inequality", "equality", "lower", "upper"
+MEANINGS = {
+    "primal_residual": "by how much x violates a constraint, relative to its terms",
+    "duality_gap": "bound of the change of the objective by all errors together, relative to its terms",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class QPSolution:
+    """Point x and multipliers of a quadratic program, with the two measures of the test.
+
+    The multipliers have the signs of cvxpy's ``dual_value``: at a solution
+
+        P x + c + Gᵀ inequality + Aᵀ equality − lower + upper = 0,   inequality, lower, upper ≥ 0.
+
+    Attributes
+    ----------
+    program : QuadraticProgram
+        The data on which everything is measured.
+    x : ndarray, shape (n,)
+    inequality : ndarray, shape (rows of G,)
+        Multipliers of G x ≤ h; 0 if h_i = ∞.
+    equality : ndarray, shape (rows of A,)
+        Multipliers of A x − b = 0, of either sign.
+    lower, upper : ndarray, shape (n,)
+        Multipliers of lower ≤ x and x ≤ upper; 0 for an infinite bound. All multipliers are NaN if the result has a
+        proof that no solution exists.
+
+    Notes
+    -----
+    The references of the measures: :mod:`lcp_plugin.judges.program`.
+
+    Raises
+    ------
+    InvalidProblem
+        If one of them is not a vector of the right length, or has an infinite entry, or if x has a NaN.
+    """
+
+    program: QuadraticProgram = field(repr=False)
+    x: Vector
+    inequality: Vector
+    equality: Vector
+    lower: Vector
+    upper: Vector
+
+    def __post_init__(self) -> None:
+        """Keep read-only copies: the residuals are computed once."""
+        sizes = self.program.n, *self.program.matrices.sizes
+        for name, size in zip(("x", *MULTIPLIERS), sizes, strict=True):
+            vector = checked_vector(getattr(self, name), name, size, allow_nan=name != "x")
+            object.__setattr__(self, name, vector)
+
+    @classmethod
+    def of_rows(cls, program: QuadraticProgram, x: Vector, multipliers: Vector) -> QPSolution:
+        """Return the solution with finite x and all multipliers of ``program.constraints`` in one array, not copied."""
+        made, every = object.__new__(cls), read_only(multipliers)
+        made.__dict__.update(zip(MULTIPLIERS, program.constraints.split(every), strict=True))
+        made.__dict__.update(program=program, x=read_only(x), multipliers=every)
+        return made
+
+    @classmethod
+    def from_reduced(cls, program: QuadraticProgram, x: Vector, y: Vector) -> QPSolution:
+        """Return the solution from x and multipliers of the rows of `FoldedRows`; bounds get the remaining gradient.
+
+        Wrong signs of multipliers become 0.
+
+        Raises
+        ------
+        InvalidProblem
+            If a multiplier of the program is beyond the range of doubles.
+        """
+        folded = program.folded
+        reduced, m = folded.reduced, folded.reduced.h.size
+        y = y.copy()
+        np.maximum(y[:m], 0.0, out=y[:m])
+        P, C = reduced.matrices.stacked
+        left = P @ x + reduced.c + C.T @ y
+        at_lower = np.where(np.isfinite(reduced.lower), np.maximum(left, 0.0), 0.0)
+        at_upper = np.where(np.isfinite(reduced.upper), np.maximum(-left, 0.0), 0.0)
+        every = folded.multipliers(np.concatenate([y, at_lower, at_upper]))
+        for k in np.flatnonzero(np.isinf(every))[:1].tolist():
+            raise InvalidProblem(
+                f"the multiplier of {program.name(k)} is beyond the range of doubles, ±1.8e308; give that constraint, "
+                "limits and the objective in units in which their largest coefficients are near 1"
+            )
+        return cls.of_rows(program, x, every)
+
+    @classmethod
+    def without_multipliers(cls, program: QuadraticProgram, x: Vector) -> QPSolution:
+        """Return a solution with NaN multipliers, for a result with a proof."""
+        return cls.of_rows(program, x, np.full(program.constraints.limit.size, np.nan))
+
+    @derived_property
+    def objective(self) -> float:
+        """½ xᵀP x + cᵀx + constant."""
+        return self.program.objective(self.x)
+
+    @property
+    def primal_residual(self) -> float:
+        """Largest violation of a row or bound, relative to the terms of the row."""
+        return float(self.errors.primal)
+
+    @derived_property
+    def multipliers(self) -> Vector:
+        """Multipliers of all rows of ``program.constraints``."""
+        return np.concatenate([getattr(self, name) for name in MULTIPLIERS])
+
+    @property
+    def error(self) -> float:
+        """The larger of the duality gap and 1000 times the primal residual: at most 1e-6 if x is optimal."""
+        return float(self.errors.largest)
+
+    @property
+    def row_multipliers(self) -> Vector:
+        """Multipliers y of the rows that `QuadraticProgram.from_ranges` was given, P x + c + Aᵀy − lower + upper = 0.
+
+        Positive at a row's upper limit, negative at its lower one.
+
+        Raises
+        ------
+        InvalidProblem
+            If the program was not constructed by `from_ranges`.
+        """
+        if self.program.ranges is None:
+            raise InvalidProblem(
+                "the program has no ranges; use inequality and equality, or from_ranges to make it"
+            )
+        order, signs, count = self.program.ranges
+        y: Vector = np.zeros(count)
+        np.add.at(y, order, signs * np.concatenate([self.inequality, self.equality]))
+        return y
+
+    def is_optimal(self, tolerance: float = PROGRAM_TOLERANCE) -> bool:
+        """Return whether x is optimal for a convex program: `primal_residual` ≤ 1e-9 and `duality_gap` ≤ tolerance.
+
+        Raises
+        ------
+        InvalidOption
+            If the tolerance is not a number in [0, 1).
+        """
+        return bool(self.errors_for(checked_tolerance(tolerance)).meet(tolerance))
+
+    @property
+    def duality_gap(self) -> float:
+        """Bound of the change of the objective by all errors, relative to its terms; of the worst component."""
+        return float(self.errors.gap)
+
+    def gap(self) -> float:
+        """Return the maximum of (P x + c)ᵀ(x − y) over all feasible y, by one linear program: 0 at a solution.
+
+        ∞ without a maximum. NaN if HiGHS finds no feasible y, or x is not finite.
+        """
+        one = self.program
+        slopes, sides = one.P @ self.x + one.c, (one.G, one.h, one.A, one.b)
+        size = np.abs(slopes).max(initial=0.0)
+        if not 0.0 < size < np.inf:
+            return float(size)
+        found = highs(slopes / size, *sides, (one.lower, one.upper))
+        if found.status:
+            return np.inf if found.status == 3 else np.nan
+        return max(0.0, float(slopes @ self.x - size * found.fun))
+
+    @derived_property
+    def errors(self) -> KKTErrors:
+        """Both measures."""
+        return self.errors_for(0.0)
+
+    @np.errstate(all="ignore")
+    def errors_for(self, tolerance: float) -> KKTErrors:
+        """Return both measures, or bounds of them if these meet the tolerance already."""
+        return KKTErrors.of(self.program.folded.reduced.judged, self.x, self.reduced_y, tolerance)
+
+    @property
+    def reduced_y(self) -> Vector:
+        """Multipliers of the rows that remain in `FoldedRows`."""
+        rows = self.program.h.size + self.program.b.size
+        return self.multipliers[:rows][self.program.folded.left]
+
+    def __str__(self) -> str:
+        lines = [f"{'objective':<16} {self.objective:.9g}"]
+        for name, meaning in MEANINGS.items():
+            if not np.isnan(value := getattr(self, name)):
+                lines.append(f"{name.replace('_', ' '):<16} {value:.3e}  {meaning}")
+        if np.isnan(self.multipliers).any():
+            lines.append("no multipliers: a proof came instead")
+        return "\n".join(lines)
+
+
+def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: int) -> WorstRows:
+    """Return the constraints that x violates by most, relative to their terms; y are multipliers of G and A.
+
+    Rows of G and A are measured, as by the criterion, with each x_j outside its bounds put on the nearer bound.
+    """
+    point, rows = PrimalDualPoint(program.judged, x, y, is_exact=True), program.constraints
+    errors, m = point.row_errors(), rows.rows
+    with np.errstate(all="ignore"):
+        within, given = (rows.matrix @ at - rows.limit for at in (point.x, x))
+        excess = np.append(within[:m], given[m:])
+        terms = largest_products(abs(rows.matrix), np.abs(x))
+    where = " with x on its bounds" if point.outside.any() else ""
+    # row_errors has one entry per unknown for both of its bounds
+    sides = np.append(excess[m : m + x.size] > 0.0, excess[m + x.size :] > 0.0)
+    errors = np.concatenate([errors[:m], np.where(sides, np.tile(errors[m:], 2), 0.0)])
+    found = []
+    for k in np.argsort(-errors, kind="stable")[:count].tolist():
+        if errors[k] > ROWS:
+            value, limit = float(excess[k] + rows.limit[k]), float(rows.limit[k])
+            sign = -1.0 if m <= k < m + x.size else 1.0
+            beyond = "≠" if rows.is_equality[k] else ">" if sign > 0.0 else "<"
+            text = f"{program.name(k)} is violated{where if k < m else ''}: "
+            text += f"{sign * value:.6g} {beyond} {sign * limit:.6g}"
+            size = max(float(terms[k]), abs(limit))
+            found.append(
+                WorstRow(program.name(k), float(errors[k]), abs(float(excess[k])), size, text)
+            )
+    return WorstRows(found)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -293,6 +294,8 @@ class AgentProgram:
         self.rows: dict[int, tuple[Complements, Any]] = {}
         self.values: dict[int, list[Any]] = {}  # the arguments of functions, by their keys
         self.bounds: list[SimpleBound] = []
+        none = [np.full(numbers.size, end) for end in (-np.inf, np.inf)]
+        self._read_ends = 0, none  # how many bounds were read, and the ends by them
         self._state()
 
     def _state(self) -> None:
@@ -415,9 +418,10 @@ class AgentProgram:
 
     # --- bounds ---
 
-    def _ends(self, *, is_numeric: bool = False) -> list[Any]:
-        """Return the lower and the upper bounds of all decisions, by attributes and constraints, or by numbers only."""
-        stated = list(self.bounds)
+    @cached_property
+    def _of_attributes(self) -> list[SimpleBound]:
+        """Bounds by the attributes of the variables."""
+        found = []
         for variable, columns in self.entries:
             given = variable.attributes.get("bounds") or ()
             is_symbolic = any(isinstance(one, cp.Expression) for one in given)
@@ -426,23 +430,33 @@ class AgentProgram:
             for sign, end in zip((-1.0, 1.0), ends, strict=True):
                 whole = end + np.zeros(variable.shape)
                 bound = (vector_of if is_symbolic else by_columns)(whole)[columns]
-                stated.append(SimpleBound(None, places, np.full(columns.size, sign), bound))
-        stated.sort(key=lambda one: isinstance(one.bound, cp.Expression))
+                found.append(SimpleBound(None, places, np.full(columns.size, sign), bound))
+        return found
+
+    def _ends(self, *, is_numeric: bool = False) -> list[Any]:
+        """Return the lower and the upper bounds of all decisions, by attributes and constraints, or by numbers only."""
+        stated, (count, ends) = [*self._of_attributes, *self.bounds], self._read_ends
+        for one in stated[count:]:
+            if not isinstance(one.bound, cp.Expression):
+                values = np.broadcast_to(one.bound, one.weights.shape)
+                for is_side, extreme, end in (
+                    (one.weights < 0.0, np.maximum, ends[0]),
+                    (one.weights > 0.0, np.minimum, ends[1]),
+                ):
+                    extreme.at(end, one.places[is_side], values[is_side])
+        self._read_ends = len(stated), ends
         if is_numeric:
-            stated = [one for one in stated if not isinstance(one.bound, cp.Expression)]
-        found: list[Any] = []
-        for sign, extreme in ((-1.0, "maximum"), (1.0, "minimum")):
-            # The constants of an expression must be finite; box reads 1e30 as ∞
-            none = sign * (np.inf if is_numeric else 1e30)
-            found.append(np.full(self.decisions.size, none))
-            for one in stated:
+            return ends
+        # The constants of an expression must be finite; box reads 1e30 as ∞
+        found: list[Any] = [np.clip(end, -1e30, 1e30) for end in ends]
+        for one in (one for one in stated if isinstance(one.bound, cp.Expression)):
+            for k, (sign, extreme) in enumerate(((-1.0, cp.maximum), (1.0, cp.minimum))):
                 rows = np.flatnonzero(sign * one.weights > 0.0)
                 places, shape = one.places[rows], (self.decisions.size, one.weights.size)
-                others = np.full(self.decisions.size, none)
+                others = np.full(self.decisions.size, sign * 1e30)
                 others[places] = 0.0
                 own = sp.csc_array((np.ones(rows.size), (places, rows)), shape) @ one.bound + others
-                atoms: Any = cp if isinstance(own, cp.Expression) else np
-                found[-1] = getattr(atoms, extreme)(found[-1], own)
+                found[k] = extreme(found[k], own)
         return found
 
     def _simple(self, one: StandardRows, rows: Rows) -> SimpleBound | None:

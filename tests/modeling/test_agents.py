@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cProfile
 import pickle
 import warnings
 from typing import Any
@@ -697,3 +698,19 @@ def test_a_parameter_that_makes_a_program_concave_warns_at_the_next_solve() -> N
     c.value = -1.0
     with pytest.warns(ModelWarning, match="only necessary"):
         problem.solve(method="LCP")
+
+
+def test_a_growing_agent_is_stated_in_proportion_to_its_size() -> None:
+    """Twice the periods of a growth model take about twice the calls: bounds are read once, and not for each term."""
+    calls = []
+    for T in (10, 20):
+        c, k = cp.Variable(T), cp.Variable(T + 1)
+        goal = sum(0.95**t * cp.log(c[t]) for t in range(T))
+        rows = [c[t] + k[t + 1] <= cp.power(k[t], 0.3) + 0.9 * k[t] for t in range(T)]
+        program = cp.Problem(cp.Maximize(goal), [k[0] == 1, *rows, k[T] >= 1])
+        model = cp.Problem(cp.Minimize(0), [optimal(program, over=[c, k])])
+        profile = cProfile.Profile()
+        profile.runcall(model.solve, method="LCP")
+        assert model.status == cp.OPTIMAL
+        calls.append(sum(one.callcount for one in profile.getstats()))
+    assert calls[1] <= 2.5 * calls[0]

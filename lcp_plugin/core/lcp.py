@@ -86,10 +86,12 @@ class LCP:
         q, (lower, upper) = _checked_q(q, n), checked_bounds(lower, upper, n)
         self._keep(matrix, q, lower, upper, checked_names(names, n, n, are_pairs=True))
 
-    def _keep(self, matrix: Matrix, q: Vector, lower: Vector, upper: Vector, names: Names) -> Self:
+    def _keep(
+        self, matrix: Matrix, q: Vector, lower: Vector, upper: Vector, names: Names, **known: Any
+    ) -> Self:
         """Write checked data into this new problem."""
         data = zip(DATA, (matrix, matrix.n, q, lower, upper, names, None), strict=True)
-        vars(self).update(data, _facts={})
+        vars(self).update(dict(data) | known, _facts={})
         return self
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -99,14 +101,14 @@ class LCP:
         )
 
     def with_origin(self, origin: Any) -> Self:
-        """Return this new problem with its origin, which recovers the solution of the problem before a conversion.
+        """Return the problem with its origin, which recovers the solution of the problem before a conversion.
 
         Parameters
         ----------
         origin : object
         """
-        vars(self)["origin"] = origin
-        return self
+        data = self.matrix, self.q, self.lower, self.upper, self.names
+        return object.__new__(type(self))._keep(*data, origin=origin)
 
     @property
     def M(self) -> Any:
@@ -194,11 +196,8 @@ class LCP:
         if lower is not None or upper is not None:
             bounds = self.lower if lower is None else lower, self.upper if upper is None else upper
             return LCP(self.matrix, q, lower=bounds[0], upper=bounds[1], names=self.names)
-        other = object.__new__(LCP)._keep(
-            self.matrix, _checked_q(q, self.n), self.lower, self.upper, self.names
-        )
-        vars(other)["nearest_to_zero"] = self.nearest_to_zero
-        return other
+        data = self.matrix, _checked_q(q, self.n), self.lower, self.upper, self.names
+        return object.__new__(LCP)._keep(*data, nearest_to_zero=self.nearest_to_zero)
 
     __repr__ = describe_lcp
 

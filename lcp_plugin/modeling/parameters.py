@@ -432,7 +432,7 @@ class ModelPath(Path):
         if point.solution is not None:
             with moved_to(self._lines, float(theta)):
                 value = _program(self._problem)[0].objective(point.x)
-            point.__dict__["objective"] = _compat.sense_of(self._problem) * value
+            vars(point)["objective"] = _compat.sense_of(self._problem) * value
         return point
 
     def value(self, variable: cp.Variable, theta: ArrayLike) -> Any:

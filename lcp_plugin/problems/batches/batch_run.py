@@ -341,12 +341,11 @@ class BatchAnswers(AnswerSequence[Any]):
 
     def __init__(self, run: BatchRun) -> None:
         self._run, self.item = run, run.item
-        self.status, self.seconds = run.status, run.seconds
         self.errors, self.problems, self.threads = run.errors, run.problems, run.threads
-        vars(self).update(run.tables())
-        for table in vars(self).values():
+        for name, table in {"status": run.status, "seconds": run.seconds, **run.tables()}.items():
             if isinstance(table, np.ndarray):
                 table.flags.writeable = False
+            setattr(self, name, table)
 
     def __len__(self) -> int:
         return len(self.status)
@@ -376,6 +375,6 @@ class BatchAnswers(AnswerSequence[Any]):
         try:
             return function(self.problems)
         except AttributeError as error:
-            tables = ", ".join(one for one in BatchAnswers.__annotations__ if one in vars(self))
+            tables = ", ".join(one for one in BatchAnswers.__annotations__ if hasattr(self, one))
             words = f"BatchAnswers of these problems has no {name}; its arrays include {tables}"
             raise AttributeError(words) from error

@@ -262,12 +262,12 @@ def block_matrices(P: AnyMatrix, C: AnyMatrix, m: int, count: int) -> ProgramMat
     n, rows = P.shape[1], C.shape[1]
     stacks = (np.broadcast_to(one, (count, *one.shape[1:])) for one in (P, C[:, :m], C[:, m:]))
     matrices = ProgramMatrices(*map(block_diagonal, stacks))
-    matrices.__dict__["summands"] = n, n, rows
+    known: dict[str, Any] = {"summands": (n, n, rows)}
     is_connected = [(one != 0.0).all(axis=2).any(axis=1) for one in (P, C)]  # by a row without 0
     if np.logical_or(*is_connected).all():
         of_unknown, *parts = (np.repeat(np.arange(count), size) for size in (n, m, rows - m))
-        components = ProgramComponents(of_unknown, np.concatenate(parts), count)
-        matrices.__dict__["components"] = components
+        known["components"] = ProgramComponents(of_unknown, np.concatenate(parts), count)
+    vars(matrices).update(known)
     return matrices
 
 

@@ -10,6 +10,7 @@ Convex programs over cones, in the form of Clarabel.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from functools import cached_property
 from importlib.util import find_spec
 from os import PathLike
@@ -132,8 +133,7 @@ class Blocks:
 
     def with_q(self, q: ArrayLike) -> Self:
         """Return the problem with another q, shape (n,), b of contacts; it shares the cached properties of M."""
-        other = object.__new__(type(self))
-        other.__dict__.update(self.__dict__)
+        other = copy(self)
         given = np.ravel(real_array(q, f"{self.offset} must be a vector"))
         given = checked_vector(given, self.offset, self.n)
         other.rows = self.rows.with_q(given, lower=self.lower, upper=self.upper)

@@ -372,7 +372,7 @@ class ProgramProofs:
     @classmethod
     def of(cls, program: QuadraticProgram) -> ProgramProofs:
         """Return the proofs cached with a program, because points of several solvers share them."""
-        return program.__dict__.setdefault("_proofs", cls(program))
+        return program.known.setdefault("proofs", cls(program))
 
     @derived_property
     def bounds(self) -> value_bounds.DualBounds:

@@ -14,11 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from .checks import copy_without
+from .checks import Array, copy_without
 from .kernels.floats import NEGLIGIBLE_DIAGONAL, NORMAL
 
 OUT, WITHIN, ON = 0, 1, 2  # location of a projection: apex or bound, interior, boundary of a cone
-Array = Any
 
 
 def length(x: Array) -> Array:

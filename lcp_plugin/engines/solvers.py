@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Vector
+from ..core.checks import Array, Vector
 from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from .linear_program import highs
 
@@ -61,13 +61,13 @@ class DAQP(Engine):
 
     def points(
         self,
-        P: Any,
-        c: Any,
-        C: Any,
-        d: Any,
+        P: Array,
+        c: Array,
+        C: Array,
+        d: Array,
         m: int,
-        lower: Any,
-        upper: Any,
+        lower: Array,
+        upper: Array,
         items: Iterable[int],
         seconds: float = 0.0,
     ) -> Iterator[tuple[Vector, Vector, int, int]]:
@@ -97,7 +97,7 @@ class DAQP(Engine):
 
 
 def _call_daqp(
-    P: Any, c: Any, C: Any, above: Any, below: Any, sense: Any, settings: dict[str, Any]
+    P: Array, c: Array, C: Array, above: Any, below: Any, sense: Any, settings: dict[str, Any]
 ) -> tuple[Vector, Vector, int, int]:
     """Return x, all multipliers, daqp's exit flag and its steps."""
     import daqp
@@ -175,7 +175,7 @@ class PIQP(Engine):
         return EngineAnswer(np.array(found.x), y, steps, says)
 
 
-def _to_csc(A: Any) -> Any:
+def _to_csc(A: Array) -> Any:
     return sp.csc_matrix(A) if sp.issparse(A) else np.asfortranarray(A)
 
 

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from ..algorithms import REGISTRY
 from ..core.algorithm import Algorithm
-from ..core.checks import Vector
+from ..core.checks import Array, Vector
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..core.lcp import LCP
 from ..core.matrix import scale_by
@@ -93,7 +93,7 @@ def pattern(
     return z, w
 
 
-def planted(stress: str, M: Any, z: Vector, w: Vector, **facts: Any) -> StressCase:
+def planted(stress: str, M: Array, z: Vector, w: Vector, **facts: Any) -> StressCase:
     """Return the case with q = w − M z, each entry rounded once; the exact answer then belongs to the rounded q."""
     unrounded = exact_slack(LCP(M, np.zeros(z.size)), z)
     q = [
@@ -103,7 +103,7 @@ def planted(stress: str, M: Any, z: Vector, w: Vector, **facts: Any) -> StressCa
     return StressCase(stress=stress, problem=LCP(M, q), near=z, **facts)
 
 
-def half_active(stress: str, M: Any, *, start: Vector | None = None, **shares: Any) -> StressCase:
+def half_active(stress: str, M: Array, *, start: Vector | None = None, **shares: Any) -> StressCase:
     """Return a case with this matrix and an answer of small integers with these shares of active rows, as in `pattern`.
 
     On the active rows w is a small integer times the diagonal.

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import AnyMatrix, Vector, read_only
+from ..core.checks import AnyMatrix, Array, Vector, read_only
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
 from ..core.matrix import split_rows
@@ -66,7 +66,7 @@ def build_hierarchy(matrix: AnyMatrix, halo: Halo, *, scales_rows: bool) -> Hier
     return Hierarchy(tuple(grids), tuple(transfers), 0.0, is_helpful=len(grids) > 1)
 
 
-def pivot_weight(rows: Any, halo: Halo, relaxation: float) -> Vector:
+def pivot_weight(rows: Array, halo: Halo, relaxation: float) -> Vector:
     """Return the weights added to the pivots d_i of a sweep on all ranks at once, shape (own,).
 
     Notes

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import AnyMatrix, BoolVector, Vector
+from ..core.checks import AnyMatrix, Array, BoolVector, Vector
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.matrix import Exponents, Matrix, fact, is_nearly_symmetric, scale_matrix, times_power
 from ..core.tuning import DIRECT_UP_TO
@@ -52,7 +52,7 @@ class LinearizedSystem:
         raise NotImplementedError
 
     @np.errstate(all="ignore")
-    def tangent(self, h: Vector, held: Any = None, more: Any = 0.0) -> Any:
+    def tangent(self, h: Vector, held: Array = None, more: Any = 0.0) -> Any:
         """Return dz.
 
         Parameters
@@ -69,7 +69,7 @@ class LinearizedSystem:
         return self._solve_free(-(self._by_slack(h) + more))
 
     @np.errstate(all="ignore")
-    def adjoint(self, g: Vector, by_w: Any) -> tuple[Any, Any, Any]:
+    def adjoint(self, g: Vector, by_w: Array) -> tuple[Any, Any, Any]:
         """Return ∂L/∂q, ∂L/∂b (valid at active bounds) and λ for a loss L with gradients g by z and by_w by w."""
         by_z = g + self._product(by_w, transposed=True) if by_w.any() else g
         multiplier = self._solve_free(by_z, transposed=True)
@@ -138,7 +138,7 @@ class FreeBlocks:
         that is neither regular nor singular is doubtful, and `solve` returns no solution for it.
     """
 
-    def __init__(self, J: AnyMatrix, free: Any) -> None:
+    def __init__(self, J: AnyMatrix, free: Array) -> None:
         self._groups = []
         self.is_regular = np.ones(len(free), np.bool_)
         self.is_singular = np.zeros(len(free), np.bool_)
@@ -462,8 +462,8 @@ class FreeSystem:
         factor: Factor,
         right: Vector,
         steps: int,
-        scale: Any = None,
-        x: Any = None,
+        scale: Array = None,
+        x: Array = None,
         *,
         transposed: bool = False,
     ) -> Vector:

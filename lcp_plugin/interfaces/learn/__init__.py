@@ -59,6 +59,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.checks import Array
 from ...core.errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
 from ...problems.batches.batch import solve_batch
 from ...problems.batches.batch_run import BatchAnswers
@@ -112,10 +113,10 @@ class Layer(ABC):
         return derivative(answers)
 
     @abstractmethod
-    def _by(self, gradient: Any) -> Sequence[Any]:
+    def _by(self, gradient: Array) -> Sequence[Any]:
         """Return the gradients by all arrays."""
 
-    def solve(self, *data: Any, z0: Any = None) -> tuple[Any, Any]:
+    def solve(self, *data: Any, z0: Array = None) -> tuple[Any, Any]:
         """Return the solutions, shape (…, n), of problems with axes that broadcast, and which are solved, shape (…).
 
         Raises
@@ -140,7 +141,7 @@ class Layer(ABC):
         z = np.where(self.is_solved[:, np.newaxis], self.found.z, 0.0)
         return z.reshape(*self.axes, n), self.is_solved.reshape(self.axes)
 
-    def gradients(self, g: Any) -> tuple[Any, ...]:
+    def gradients(self, g: Array) -> tuple[Any, ...]:
         """Return the gradients by the arrays of the last `solve`, in their shapes, from the gradient by z.
 
         Raises
@@ -181,12 +182,12 @@ class LCPLayer(Layer):
     bounds_at = 2, 3
     alone = "LCP(M, q, lower, upper)"
 
-    def __init__(self, M: Any = None, *, mask: bool = False, **options: Any) -> None:
+    def __init__(self, M: Array = None, *, mask: bool = False, **options: Any) -> None:
         super().__init__(mask=mask, **options)
         self.M = M
 
     @classmethod
-    def of(cls, convert: Convert, M: Any, q: Any, bounds: Any, **options: Any) -> LayerCall:
+    def of(cls, convert: Convert, M: Array, q: Array, bounds: Any, **options: Any) -> LayerCall:
         """Return the layer and its arrays."""
         data = {"q": q, "lower": bounds[0], "upper": bounds[1]}
         q, lower, upper = (convert(one, name) for name, one in data.items())
@@ -201,7 +202,7 @@ class LCPLayer(Layer):
         M = matrices(data[0], axes) if self.M is None else self.M
         return solve_batch(M, q, lower=lower, upper=upper, **options)
 
-    def _by(self, gradient: Any) -> Sequence[Any]:
+    def _by(self, gradient: Array) -> Sequence[Any]:
         M = gradient.M if self.M is None else np.zeros((0, 0))
         return M, gradient.q, gradient.lower, gradient.upper
 
@@ -252,7 +253,7 @@ class QPLayer(Layer):
             given = ", ".join(f"{name} {shape}" for name, shape in zip(names, shapes, strict=True))
             raise InvalidProblem(f"the axes in front must broadcast, got {given}") from None
 
-    def solve(self, *data: Any, z0: Any = None) -> tuple[Any, Any]:
+    def solve(self, *data: Any, z0: Array = None) -> tuple[Any, Any]:
         """Return the solutions, and which are solved; a program takes no start."""
         return super().solve(*data)
 
@@ -285,11 +286,11 @@ class QPLayer(Layer):
     def _differentiated(self, answers: BatchAnswers) -> Any:
         return derivative(answers).one_sided()
 
-    def _by(self, gradient: Any) -> Sequence[Any]:
+    def _by(self, gradient: Array) -> Sequence[Any]:
         return tuple(getattr(gradient, name) for name in PROGRAM_ARRAYS)
 
 
-def _program(P: Any, G: Any, A: Any, vectors: dict[str, Any]) -> QuadraticProgram | LCPError:
+def _program(P: Array, G: Array, A: Array, vectors: dict[str, Any]) -> QuadraticProgram | LCPError:
     """Return a program, or its error."""
     try:
         return QuadraticProgram(P, G=G, A=A, **vectors)
@@ -303,7 +304,7 @@ class ContactLayer(Layer):
     alone = "FrictionalContact(W, b, friction)"
 
     @classmethod
-    def of(cls, convert: Convert, W: Any, b: Any, friction: Any, **options: Any) -> LayerCall:
+    def of(cls, convert: Convert, W: Array, b: Array, friction: Array, **options: Any) -> LayerCall:
         """Return the layer and its arrays."""
         return cls(**options), (convert(W, "W"), convert(b, "b"), convert(friction, "friction"))
 
@@ -317,7 +318,7 @@ class ContactLayer(Layer):
         worlds = FrictionalContact.worlds(matrices(W, axes), b, friction, **of_worlds)
         return solve_batch(worlds, **others)
 
-    def _by(self, gradient: Any) -> Sequence[Any]:
+    def _by(self, gradient: Array) -> Sequence[Any]:
         return gradient.M, gradient.q, gradient.friction
 
 
@@ -349,7 +350,7 @@ def common_axes(
         ) from None
 
 
-def check_bounds(q: Any, **bounds: Any) -> None:
+def check_bounds(q: Array, **bounds: Any) -> None:
     """Raise InvalidProblem unless each bound is a number or has the length of q."""
     for name, bound in bounds.items():
         if tuple(bound.shape[-1:]) not in ((), (1,), tuple(q.shape[-1:])):
@@ -358,12 +359,12 @@ def check_bounds(q: Any, **bounds: Any) -> None:
             )
 
 
-def stacked(array: Any, axes: tuple[int, ...], own: tuple[int, ...]) -> Any:
+def stacked(array: Array, axes: tuple[int, ...], own: tuple[int, ...]) -> Any:
     """Return an array with one axis in place of these axes in front of its own ones."""
     return np.broadcast_to(array, (*axes, *own)).reshape(math.prod(axes), *own)
 
 
-def matrices(M: Any, axes: tuple[int, ...]) -> Any:
+def matrices(M: Array, axes: tuple[int, ...]) -> Any:
     """Return one matrix for all problems, or a stack of matrices."""
     own = M.shape[-2:]
     return M.reshape(own) if math.prod(M.shape[:-2]) == 1 else stacked(M, axes, own)

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import AnyMatrix, checked_start, normalize_bounds, read_only, real_array
+from ...core.checks import AnyMatrix, Array, checked_start, normalize_bounds, read_only, real_array
 from ...core.cone_stack import ConeStack, Pattern
 from ...core.errors import InvalidOption, InvalidProblem, LCPError
 from ...core.lcp import LCP
@@ -55,14 +55,14 @@ class Group(NamedTuple):
         Without columns, `starts` means z°.
     """
 
-    items: Any
+    items: Array
     M: AnyMatrix
-    q: Any
-    lower: Any
-    upper: Any
-    starts: Any
+    q: Array
+    lower: Array
+    upper: Array
+    starts: Array
 
-    def select(self, rows: Any) -> Group:
+    def select(self, rows: Array) -> Group:
         """Return the problems in these rows."""
         of_rows = (one if len(one) == 1 else one[rows] for one in self[1:])
         return Group(self.items[rows], *of_rows)
@@ -110,7 +110,7 @@ class Instances:
             if group.M.shape[1] <= LOOP_UP_TO:
                 yield from group.stacks(tolerance, is_path=True)
 
-    def outer(self, left: Any, right: Any) -> Any:
+    def outer(self, left: Array, right: Array) -> Any:
         """Return products left_i right_j, shape (B, n, n)."""
         return left[:, :, np.newaxis] * right[:, np.newaxis]
 
@@ -132,7 +132,7 @@ class Listed(Instances):
         Starts of LCPs.
     """
 
-    def __init__(self, problems: Sequence[Any], z0: Any) -> None:
+    def __init__(self, problems: Sequence[Any], z0: Array) -> None:
         self.problems, self.starts, self.is_cold = problems, z0, z0 is None
         is_list = hasattr(z0, "__len__") and not isinstance(z0, str)
         if z0 is not None and not (is_list and len(z0) == len(problems)):
@@ -162,12 +162,12 @@ class Listed(Instances):
             for k, one in enumerate(self.problems)
         ]
 
-    def slacks(self, z: Any) -> Any:
+    def slacks(self, z: Array) -> Any:
         """Return M z + q of each problem."""
         rows = [one.slack(at) for one, at in zip(self.problems, z, strict=True)]
         return np.array(rows).reshape(z.shape) if isinstance(z, np.ndarray) else rows
 
-    def outer(self, left: Any, right: Any) -> Any:
+    def outer(self, left: Array, right: Array) -> Any:
         """Return left_i right_j at the entries of each M, a list of CSR arrays."""
         triples = zip(self.problems, left, right, strict=True)
         return [outer_on_pattern(one.matrix, a, b) for one, a, b in triples]
@@ -205,12 +205,12 @@ class Listed(Instances):
             yield from group.stacks(tolerance)
 
 
-def stack_of(has_friction: bool, starts: Any, M: AnyMatrix, *vectors: Any) -> ConeStack:
+def stack_of(has_friction: bool, starts: Array, M: AnyMatrix, *vectors: Any) -> ConeStack:
     """Return problems over the same cones, given M, q, slope and bounds with an axis for them, as a stack."""
     return ConeStack(Pattern(M, starts), *vectors, has_friction=has_friction)
 
 
-def _solve_cones(data: Any, start: Any, tolerance: float, has_time: Any) -> Any:
+def _solve_cones(data: Any, start: Array, tolerance: float, has_time: Any) -> Any:
     """Solve problems over the same cones as a stack, from the rows of `start` or from z°."""
     stack = stack_of(*data)
     pattern, is_warm = stack.pattern, start is not None
@@ -219,7 +219,7 @@ def _solve_cones(data: Any, start: Any, tolerance: float, has_time: Any) -> Any:
     return pattern.flat(z), *others
 
 
-def _stacks_of(base: BoundedLeastSquares, items: Any, stack: Any, tolerance: float) -> Stacks:
+def _stacks_of(base: BoundedLeastSquares, items: Array, stack: Array, tolerance: float) -> Stacks:
     """Yield least squares problems that share the matrices of `base`, in stacks whose arrays stay in the cache."""
     _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks
     is_compiled = items.size >= LOOP_FROM and has_numba()
@@ -228,7 +228,7 @@ def _stacks_of(base: BoundedLeastSquares, items: Any, stack: Any, tolerance: flo
         yield part, partial(solve_least_squares_stack, stack(part), tolerance, is_compiled)
 
 
-def have_values(lower: Any, upper: Any) -> Any:
+def have_values(lower: Array, upper: Array) -> Any:
     """Return the mask of the problems whose bounds have a value between them, shape (B,)."""
     return ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all(axis=1)
 
@@ -295,7 +295,7 @@ class Stacked(Rows):
 
     are_lcps = True
 
-    def __init__(self, M: AnyMatrix, q: Any, lower: Any, upper: Any, z0: Any) -> None:
+    def __init__(self, M: AnyMatrix, q: Array, lower: Array, upper: Array, z0: Array) -> None:
         need = "M must be an array of shape (B, n, n) or (n, n), or a list of LCPs"
         given = M if isinstance(M, LCP) else None
         self.M = given.matrix.array if given else M if sp.issparse(M) else real_array(M, need)
@@ -322,11 +322,11 @@ class Stacked(Rows):
             return self.base.with_q(q, lower=lower, upper=upper)
         return LCP(self.M[k], q, lower=lower, upper=upper)
 
-    def slacks(self, z: Any) -> Any:
+    def slacks(self, z: Array) -> Any:
         """Return M z + q of each problem, shape (B, n)."""
         return (products(self.M, z) if self.base is None else (self.M @ z.T).T) + self.rows["q"]
 
-    def outer(self, left: Any, right: Any) -> Any:
+    def outer(self, left: Array, right: Array) -> Any:
         """Return products of shape (B, n, n), or their sum on the pattern of a shared M."""
         if self.base is None:
             return super().outer(left, right)
@@ -361,7 +361,7 @@ class RightSides(Rows):
     """
 
     def __init__(
-        self, problem: BoundedLeastSquares, z0: Any, given: Any = None, **vectors: Any
+        self, problem: BoundedLeastSquares, z0: Array, given: Any = None, **vectors: Any
     ) -> None:
         self.base, self.given = problem, given
         named = {name: getattr(problem, name) for name in ("b", "lower", "upper", "l1")}
@@ -372,7 +372,7 @@ class RightSides(Rows):
         self._find_errors(problem.is_in_range(self.rows["b"]))
 
     @classmethod
-    def of(cls, problems: Sequence[Any], z0: Any) -> RightSides | None:
+    def of(cls, problems: Sequence[Any], z0: Array) -> RightSides | None:
         """Return least squares problems that share A, weights and ridge; None for others."""
         if not all(isinstance(one, BoundedLeastSquares) for one in problems):
             return None
@@ -391,7 +391,7 @@ class RightSides(Rows):
         """Return all problems as a stack."""
         return self.stack(slice(None))
 
-    def stack(self, items: Any) -> BoundedLeastSquares:
+    def stack(self, items: Array) -> BoundedLeastSquares:
         """Return these problems as a stack."""
         rows = (self.rows[name] for name in ("b", "lower", "upper", "l1"))
         return self.base.stack(*(one if len(one) == 1 else one[items] for one in rows))
@@ -402,7 +402,7 @@ class RightSides(Rows):
             return
         yield from _stacks_of(self.base, self.valid, self.stack, tolerance)
 
-    def objectives(self, z: Any) -> Any:
+    def objectives(self, z: Array) -> Any:
         """Return the cost of each z, shape (B,)."""
         values, size = np.empty(self.count), length_of_stack(self.base)
         for first in range(0, self.count, size):
@@ -448,17 +448,17 @@ class Worlds(Instances):
         """Return the start of instance k, or None."""
         return self.starts[k, : self.worlds.sizes[k]] if self.is_warm else None
 
-    def slacks(self, z: Any) -> Any:
+    def slacks(self, z: Array) -> Any:
         """Return velocities after the impulses, shape (B, n)."""
         return np.einsum("bij,bj->bi", self.worlds.W, z) + self.worlds.b
 
-    def data(self, W: AnyMatrix, b: Any, friction: Any) -> tuple[Any, ...]:
+    def data(self, W: AnyMatrix, b: Array, friction: Array) -> tuple[Any, ...]:
         """Return the arguments of `stack_of` for instances with these data."""
         d, n, p = self.worlds.dimension, self.worlds.n, self.worlds.equations
         starts, none = np.r_[: n - p : d, n - p : n + 1], np.full((1, n), np.inf)
         return True, starts, W, b, np.pad(friction, ((0, 0), (0, p))), -none, none
 
-    def motion(self, z: Any, w: Any) -> Any:
+    def motion(self, z: Array, w: Array) -> Any:
         """Return impulses and velocities contact by contact."""
         return motion_of(z, w, self.worlds.b, self.worlds.dimension, self.worlds.equations)
 

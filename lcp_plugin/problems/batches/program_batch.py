@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import AnyMatrix, BoolVector, assemble_csr, read_only
+from ...core.checks import AnyMatrix, Array, BoolVector, assemble_csr, read_only
 from ...core.errors import InvalidProblem, LCPError
 from ...core.kernels.floats import EPSILON
 from ...engines import engine_class, is_installed
@@ -175,18 +175,18 @@ class ProgramBatch(Instances):
             matrices = shared(items.size) if self.shared is not None else None
             yield items, partial(solve_programs, parts, m, may[own], tolerance, matrices)
 
-    def tables(self, z: Any) -> dict[str, Any]:
+    def tables(self, z: Array) -> dict[str, Any]:
         """Return x and the multipliers by name."""
         m, p, n, _ = self.sizes
         ends = np.cumsum([n, m, p, n])
         names = "x", "inequality", "equality", "lower", "upper"
         return dict(zip(names, np.split(z, ends, axis=1), strict=True))
 
-    def objectives(self, z: Any) -> Any:
+    def objectives(self, z: Array) -> Any:
         """Return ½ xᵀP x + cᵀx + constant of each program."""
         P, c, x = self.P, self.vectors["c"], z[:, : self.n]
 
-        def values_of(P: AnyMatrix, c: Any, x: Any) -> Any:
+        def values_of(P: AnyMatrix, c: Array, x: Array) -> Any:
             Px = (P @ x.T).T if sp.issparse(P) else np.matmul(P, x[:, :, np.newaxis])[:, :, 0]
             return ((0.5 * Px + c) * x).sum(axis=1)
 
@@ -237,7 +237,7 @@ def solve_programs(
     P, c, C, d, lower, upper = data
     (count, n), wanted = c.shape, np.flatnonzero(may)
     signed, steps = np.full((count, n + d.shape[1]), np.nan), np.zeros(count, np.int64)
-    x: Any = np.full((count, n), np.nan)
+    x: Array = np.full((count, n), np.nan)
     engine: Any = engine_class(ENGINE)(**PROXIMAL)
     points = engine.points(P, c, C, d, m, lower, upper, wanted.tolist())
     for k, (at, multipliers, _, number) in zip(wanted.tolist(), points, strict=True):
@@ -271,7 +271,7 @@ def block_matrices(P: AnyMatrix, C: AnyMatrix, m: int, count: int) -> ProgramMat
     return matrices
 
 
-def block_diagonal(stack: Any) -> sp.csr_array:
+def block_diagonal(stack: Array) -> sp.csr_array:
     """Return a stack of matrices, shape (B, m, n), as the CSR array of B blocks, without their zeros.
 
     Examples

@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import AnyMatrix, BoolVector, Vector
+from ...core.checks import AnyMatrix, Array, BoolVector, Vector
 from ...core.deadline import seconds_left
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
@@ -472,7 +472,7 @@ def minimize_on_face(point: FacePoint, A: Vector, b: Vector) -> FacePoint:
     return point
 
 
-def _step_to_minimum(point: FacePoint, free: Any, A: Vector, b: Vector) -> FacePoint:
+def _step_to_minimum(point: FacePoint, free: Array, A: Vector, b: Vector) -> FacePoint:
     """Return the point after a step of the free columns; columns that depend on earlier columns are unchanged.
 
     The rows of A are sorted by size: Householder's factor with column pivots is stable row by row then (Cox and Higham

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core import checks
-from ...core.checks import Vector
+from ...core.checks import Array, Vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
 from ...systems.free_systems import products
@@ -42,11 +42,11 @@ class ProgramGradient(NamedTuple):
         0 for inactive rows and bounds.
     """
 
-    P: Any
+    P: Array
     c: Vector
-    G: Any
+    G: Array
     h: Vector
-    A: Any
+    A: Array
     b: Vector
     lower: Vector
     upper: Vector
@@ -62,7 +62,7 @@ class LeastSquaresGradient(NamedTuple):
     b, lower, upper, l1, weights, ridge : array, shapes (m,), (n,), (n,), (n,), (m,) and (), or (B, …)
     """
 
-    A: Any
+    A: Array
     b: Vector
     lower: Vector
     upper: Vector
@@ -106,7 +106,7 @@ class ProgramData:
 
     def problem(self, stack: Callable[..., Any]) -> Any:
         """Return the conditions as an LCP, or by `stack` as a batch of LCPs."""
-        M: Any = conditions(self.program)
+        M: Array = conditions(self.program)
         vectors = [self.data[name] for name in VECTORS]
         if vectors[0].ndim == 1:
             return M
@@ -365,7 +365,7 @@ class ProgramDerivative:
         found[..., :n] = of_x
         return found
 
-    def _checked(self, name: str, values: Any, own: tuple[int, ...] | None = None) -> Any:
+    def _checked(self, name: str, values: Array, own: tuple[int, ...] | None = None) -> Any:
         """Return the finite change of an array, in its shape, or with the axis of a batch in front."""
         own = self.data.shapes[name[1:]] if own is None else own
         if sp.issparse(values) and len(own) == 2:

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.checks import Vector, derived_property
-from ..core.cone_stack import ON, OUT, WITHIN, Array, ConeStack, length
+from ..core.checks import Array, Vector, derived_property
+from ..core.cone_stack import ON, OUT, WITHIN, ConeStack, length
 from ..core.kernels.floats import EPSILON, NEGLIGIBLE, NORMAL
 from .lcp import Measured, RowData, RowsAtPoint, VectorEnds
 

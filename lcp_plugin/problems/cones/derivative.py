@@ -15,8 +15,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
-from ...core.checks import Vector, derived_property
-from ...core.cone_stack import ON, WITHIN, Array, ConeStack, length
+from ...core.checks import Array, Vector, derived_property
+from ...core.cone_stack import ON, WITHIN, ConeStack, length
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix import Matrix
 from ...systems.free_systems import FreeSystem, LinearizedSystem

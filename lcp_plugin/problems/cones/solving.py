@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Step
-from ...core.checks import Vector, checked_start, derived_property, read_only
-from ...core.cone_stack import Array, ConeStack
+from ...core.checks import Array, Vector, checked_start, derived_property, read_only
+from ...core.cone_stack import ConeStack
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.kernels.threads import threads_for

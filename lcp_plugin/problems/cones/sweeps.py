@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.checks import read_only
-from ...core.cone_stack import Array, ConeStack
+from ...core.checks import Array, read_only
+from ...core.cone_stack import ConeStack
 from ...core.kernels.compilation import helper, kernel
 
 LOCAL_STEPS = 30  # of Newton's method on the angle of sliding, or of projections

@@ -13,10 +13,9 @@ import pyamg
 import scipy.sparse as sp
 from inputs.membranes import parse
 
-from lcp_plugin.api import solve
+from lcp_plugin import Result, solve
 from lcp_plugin.evidence.measurement import fresh
 from lcp_plugin.gallery import Scene
-from lcp_plugin.solving.result import Result
 
 from .timing import quickest
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin.api import solve
+from lcp_plugin import solve
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 from lcp_plugin.problems.programs.solving import solve_program
 

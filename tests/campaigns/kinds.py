@@ -19,6 +19,7 @@ from lcp_plugin import (
     LCP,
     InvalidProblem,
     Status,
+    UnsuitableMatrix,
     UnsuitableProblem,
     all_solutions,
     certify,
@@ -27,7 +28,6 @@ from lcp_plugin import (
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.algorithm import SWEEPS
-from lcp_plugin.core.errors import UnsuitableMatrix
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
 from . import convex_programs, guarantees, least_squares, search, small_lcps

@@ -12,8 +12,7 @@ import pytest
 import scipy.sparse as sp
 from petsc4py import PETSc
 
-from lcp_plugin import LCP, Status, certify, gallery
-from lcp_plugin.core.errors import InvalidProblem
+from lcp_plugin import LCP, InvalidProblem, Status, certify, gallery
 
 COMM = PETSc.COMM_WORLD
 

@@ -12,9 +12,9 @@ from inputs import membranes
 from inputs.planted import planted_lcp
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, Certificate, Result, solve
+from lcp_plugin import LCP, Certificate, Result, cross_validate, solve
 from lcp_plugin.evidence import cross_check
-from lcp_plugin.evidence.cross_check import GAP, PLAIN, cross_validate
+from lcp_plugin.evidence.cross_check import GAP, PLAIN
 from lcp_plugin.judges.lcp import Measured, RowData
 
 COUNT = 60

@@ -15,9 +15,8 @@ from oracles.exact import exact_solution
 from test_stability import assert_honest
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, solve
+from lcp_plugin import LCP, UnsuitableMatrix, UnsuitableProblem, solve, stability_atlas
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.errors import UnsuitableMatrix, UnsuitableProblem
 from lcp_plugin.evidence import stability as atlas
 from lcp_plugin.evidence.stability import (
     FAMILIES,
@@ -27,7 +26,6 @@ from lcp_plugin.evidence.stability import (
     half_active,
     mostly_free,
     relative_error,
-    stability_atlas,
 )
 from lcp_plugin.proofs.exact import is_exact_solution
 from lcp_plugin.strategies import solved_lcps

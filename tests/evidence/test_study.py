@@ -20,13 +20,12 @@ from inputs import membranes
 from legends import hides_nothing
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, InvalidOption, gallery, solve
+from lcp_plugin import LCP, InvalidOption, error_against_time, error_bound, gallery, solve, study
 from lcp_plugin.algorithms import Algorithm, Step, paper_options
 from lcp_plugin.core.matrix import Matrix, fact
 from lcp_plugin.evidence.drawing import draw
 from lcp_plugin.evidence.measurement import Measurement
-from lcp_plugin.evidence.study import COLUMNS, Study, Table, error_against_time, study
-from lcp_plugin.proofs.bounds import error_bound
+from lcp_plugin.evidence.study import COLUMNS, Study, Table
 
 NAP = 0.06
 

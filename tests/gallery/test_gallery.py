@@ -13,8 +13,7 @@ from inputs import membranes, scenes
 from oracles.truth import ExactData
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, gallery
-from lcp_plugin.core.errors import InvalidOption
+from lcp_plugin import LCP, InvalidOption, gallery
 from lcp_plugin.gallery.problems import (
     CONE_BEGINS,
     CONTACT_RADIUS,

@@ -13,9 +13,8 @@ from inputs.planted import planted_lcp
 from oracles.exact_criterion import failures
 from scipy.optimize import linprog
 
-from lcp_plugin import LCP, solve
+from lcp_plugin import LCP, Status, solve
 from lcp_plugin.core.matrix import Matrix
-from lcp_plugin.core.settings import Status
 from lcp_plugin.methods.interior_point import InteriorPoint, signs_of
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 

@@ -8,8 +8,7 @@ import pytest
 import scipy.sparse as sp
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import complements
-from lcp_plugin.core.errors import ModelWarning, UnsupportedModel
+from lcp_plugin import ModelWarning, UnsupportedModel, complements
 from lcp_plugin.modeling.reading import Reader
 
 V = np.array([2.0, -1.0, 3.0, 5.0])

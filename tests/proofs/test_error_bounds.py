@@ -18,10 +18,10 @@ from inputs.drawn_scaling import (
 from oracles.exact import Exact, bound_violations, exact_solution, has_positive_pivots
 from oracles.truth import ExactData
 
-from lcp_plugin import LCP, UnsuitableMatrix, gallery
+from lcp_plugin import LCP, UnsuitableMatrix, error_bound, gallery
 from lcp_plugin.core.matrix import scale_matrix
 from lcp_plugin.proofs import bounds
-from lcp_plugin.proofs.bounds import ErrorBound, error_bound, smallest_eigenvalue_bound
+from lcp_plugin.proofs.bounds import ErrorBound, smallest_eigenvalue_bound
 from lcp_plugin.proofs.exact import product_above, quotient_above, sum_above
 from lcp_plugin.proofs.verdicts import comparison_certificate
 from lcp_plugin.strategies import h_plus_matrices, positive_definite_matrices, solved_lcps

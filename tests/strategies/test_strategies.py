@@ -16,8 +16,7 @@ from inputs.drawn_scaling import nearly_singular, scaled_matrices, scaled_solved
 from oracles.exact import exact_rows, has_positive_pivots, principal_minors, rank
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, analyze
-from lcp_plugin.core.errors import InvalidOption, InvalidProblem
+from lcp_plugin import LCP, InvalidOption, InvalidProblem, analyze
 from lcp_plugin.strategies import (
     assert_solves,
     convex_qps,

@@ -16,13 +16,13 @@ from lcp_plugin import (
     BoundedLeastSquares,
     FrictionalContact,
     LCPError,
+    ModelWarning,
     QuadraticProgram,
     UnreadableFile,
     UnsupportedModel,
     load_problem,
     solve,
 )
-from lcp_plugin.core.errors import ModelWarning
 from lcp_plugin.interfaces.program_files import load_program
 
 P, c = np.array([[2.0, 0.0], [0.0, 2.0]]), np.array([-2.0, -4.0])

@@ -20,7 +20,7 @@ from pyomo_models import MODELS
 from tools.processes import printed_by
 
 import lcp_plugin.pyomo
-from lcp_plugin.core.errors import LCPError
+from lcp_plugin import LCPError
 from lcp_plugin.interfaces.nl import read_nl
 from lcp_plugin.pyomo import write_nl
 

@@ -16,7 +16,7 @@ from pyomo_models import MODELS
 from tools.refusals import assert_refused, refusals
 
 import lcp_plugin.pyomo
-from lcp_plugin.core.errors import LCPError
+from lcp_plugin import LCPError
 from lcp_plugin.interfaces.pyomo import paired, sides_of
 
 SOLVER = pe.SolverFactory(lcp_plugin.pyomo.NAME)

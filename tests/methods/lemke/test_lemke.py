@@ -19,9 +19,8 @@ from oracles.truth import SOLVABLE
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse.linalg import spsolve
 
-from lcp_plugin import LCP, Certificate, Status, solve
+from lcp_plugin import LCP, Certificate, Status, UnsuitableProblem, solve
 from lcp_plugin.core.algorithm import Step
-from lcp_plugin.core.errors import UnsuitableProblem
 from lcp_plugin.methods.lemke import Lemke, rows_of_components
 from lcp_plugin.methods.lemke.pivoting_path import LemkePath, canonical_box, starts
 from lcp_plugin.methods.lemke.tableau import GOING_ON, LOST, SOLVED

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from inputs import membranes
 from inputs.planted import planted_lcp
 
-from lcp_plugin import LCP, Result, Status, convergence_guarantee, gallery, solve
+from lcp_plugin import LCP, Result, Status, convergence_guarantee, gallery, prepare, solve
 from lcp_plugin.gallery.problems import balanced_matrix
 from lcp_plugin.methods.multigrid import Multigrid
-from lcp_plugin.problems.batches.batch import prepare
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of
 from lcp_plugin.systems.hierarchy.truncation import Truncation
 

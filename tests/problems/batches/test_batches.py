@@ -16,6 +16,7 @@ from lcp_plugin import (
     BoundedLeastSquares,
     ConeProblem,
     FrictionalContact,
+    InvalidOption,
     InvalidProblem,
     NonlinearProblem,
     QuadraticProgram,
@@ -23,7 +24,6 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
-from lcp_plugin.core.errors import InvalidOption
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
 SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)

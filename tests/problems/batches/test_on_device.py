@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from tools import strict_cupy
 
-from lcp_plugin import InvalidProblem, UnsuitableProblem, solve_batch
-from lcp_plugin.core.errors import InvalidOption
+from lcp_plugin import InvalidOption, InvalidProblem, UnsuitableProblem, solve_batch
 
 
 @pytest.mark.full

@@ -11,8 +11,7 @@ import pytest
 from inputs.contact_families import rows_of_bodies
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, FrictionalContact, solve
-from lcp_plugin.core.errors import InvalidProblem, ModelWarning
+from lcp_plugin import LCP, FrictionalContact, InvalidProblem, ModelWarning, solve
 from lcp_plugin.problems.contact import Contacts
 
 STEP = 0.01

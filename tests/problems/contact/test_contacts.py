@@ -7,8 +7,7 @@ import pytest
 import scipy.sparse as sp
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, FrictionalContact, solve, solve_batch
-from lcp_plugin.core.errors import InvalidProblem
+from lcp_plugin import LCP, FrictionalContact, InvalidProblem, solve, solve_batch
 
 GRAVITY, STEP = 9.81, 0.01
 

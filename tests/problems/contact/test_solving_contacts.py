@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from inputs.contact_families import FAMILIES, falling, planted
 
-from lcp_plugin import LCP, solve
-from lcp_plugin.core.errors import InvalidProblem
+from lcp_plugin import LCP, InvalidProblem, solve
 from lcp_plugin.problems.contact import Contacts, contact_data
 
 SIZES = st.sampled_from([(1, 1), (2, 1), (4, 2), (6, 1), (8, 4)])

@@ -8,7 +8,7 @@ import pytest
 from pyomo.mpec import Complementarity, complements
 
 import lcp_plugin.pyomo  # noqa: F401 - registers the solver
-from lcp_plugin.core.errors import InvalidOption, UnsupportedModel
+from lcp_plugin import InvalidOption, UnsupportedModel
 from lcp_plugin.interfaces.nl.model import read_nl
 
 

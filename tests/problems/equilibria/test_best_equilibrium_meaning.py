@@ -9,8 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from lcp_plugin import box, complements
-from lcp_plugin.core.errors import ModelWarning, UnsupportedModel
+from lcp_plugin import ModelWarning, UnsupportedModel, box, complements
 
 M, Q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
 

@@ -19,13 +19,13 @@ from scipy.sparse.linalg import aslinearoperator
 
 from lcp_plugin import (
     BoundedLeastSquares,
+    InvalidProblem,
     QuadraticProgram,
     Status,
     load_problem,
     solve,
     solve_batch,
 )
-from lcp_plugin.core.errors import InvalidProblem
 from lcp_plugin.problems.least_squares.certificate import duality_gap
 from lcp_plugin.problems.programs.regression import regression_of
 

@@ -19,10 +19,9 @@ from scipy.optimize import lsq_linear, nnls
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import Status, solve
-from lcp_plugin.core.errors import InvalidProblem, NotConverged
+from lcp_plugin import BoundedLeastSquares, InvalidProblem, NotConverged, Status, solve
 from lcp_plugin.problems.least_squares.certificate import duality_gap
-from lcp_plugin.problems.least_squares.data import BoundedLeastSquares, Enclosures
+from lcp_plugin.problems.least_squares.data import Enclosures
 
 INF = np.inf
 

@@ -11,8 +11,7 @@ import scipy.sparse as sp
 from campaigns import scaled_programs
 from scipy.optimize import linprog
 
-from lcp_plugin import InvalidProblem, QuadraticProgram, Status, solve
-from lcp_plugin.problems.batches.batch import solve_batch
+from lcp_plugin import InvalidProblem, QuadraticProgram, Status, solve, solve_batch
 
 
 @pytest.mark.parametrize("tolerance", [1e-8, 1e-12])

@@ -35,6 +35,11 @@ class WorstRow(NamedTuple):
     terms: float
     text: str
 
+    @property
+    def quotient(self) -> float:
+        """The violation divided by the terms; 0 for 0/0."""
+        return self.violation / self.terms if self.violation else 0.0
+
 
 class WorstRows(tuple[WorstRow, ...]):
     """Rows that fail at a point, the worst first; ``print`` shows a line for each."""

@@ -40,6 +40,7 @@ GUIDES = (
     *(
         "agents",
         "scenarios",
+        "solved",
         "nonlinear",
         "what_is_proved",
         "layers",

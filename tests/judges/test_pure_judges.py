@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,34 @@ def test_points_of_other_solvers_are_proved(seed: int, solver: str) -> None:
     found = certify(LCP(M, q), x)
     assert found.verdict == ("proved" if np.abs(x - z).max() <= 1e-7 * unit else found.verdict)
     assert certify(LCP(M, q), x + 1e-2 * unit).verdict == "disproved"
+
+
+@pytest.mark.parametrize("solver", ["clarabel", "piqp", "daqp"])
+@pytest.mark.parametrize("seed", [1, 2, 3, 6])
+def test_points_of_other_solvers_are_proved_as_a_program(seed: int, solver: str) -> None:
+    """Also an optimum of 0 at x* = 0; moved by a tenth, the value is disproved."""
+    M, q, z = planted(seed)
+    P = sp.csc_matrix(M) if solver == "clarabel" else M
+    x = qpsolvers.solve_qp(P, q, lb=np.zeros(z.size), solver=solver)
+    program = QuadraticProgram(M, q, lower=0)
+    assert certify(program, x).verdict == "proved"
+    assert certify(program, x + 0.1 * np.abs(q / M.diagonal()).max()).verdict == "disproved"
+
+
+def test_residuals_of_a_program_are_those_of_qpsolvers() -> None:
+    """Absolute primal, dual and gap residuals of a point and its multipliers."""
+    rng = np.random.default_rng(0)
+    A, G, B = rng.normal(size=(5, 5)), rng.normal(size=(6, 5)), rng.normal(size=(2, 5))
+    data = A @ A.T, rng.normal(size=5), G, np.ones(6), B, B @ rng.normal(size=5) * 0.1
+    program = QuadraticProgram(*data, lower=-np.ones(5), upper=np.full(5, 2.0))
+    theirs = qpsolvers.Solution(qpsolvers.Problem(*data, -np.ones(5), np.full(5, 2.0)))
+    ours = solve(program).solution
+    theirs.x, theirs.y, theirs.z = ours.x + 1e-3, np.array(ours.equality), np.array(ours.inequality)
+    theirs.z_box = ours.upper - ours.lower
+    theirs.found = True
+    given = replace(ours, x=theirs.x)
+    expected = theirs.primal_residual(), theirs.dual_residual(), theirs.duality_gap()
+    assert given.residuals()[:3] == pytest.approx(expected, rel=1e-9, abs=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from ...core.matrix import largest_products
 from ...core.problem_classes import CLASSES, class_of, foreign_function, refusal
 from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance, whole_number
-from ...judges.program import excused_rows, least_size
+from ...judges.program import KKTErrors, excused_rows, least_size
 from ...judges.worst_rows import WorstRow, WorstRows, worst_pairs
 from ...proofs.bounds import constrained_curvature
 from ...proofs.exact import sum_above
@@ -66,8 +66,9 @@ def certify(
 ) -> Certification:
     """Return the proved facts about a point of a problem, from any solver, and its worst rows.
 
-    For a complementarity problem, "proved" means that the stopping criterion of SOLVED holds at x, which is not moved,
-    and that x is within its bounds. The other paragraphs are about convex quadratic and linear programs.
+    For a complementarity problem, "proved" means that the stopping criterion of SOLVED holds at x, which is not moved.
+    The other paragraphs are about convex quadratic and linear programs. There an x_j is moved to a bound if no row and
+    no gradient notices the move (1e-6 of their terms at the default tolerance).
     ``certify(…).worst(5)`` lists the rows that fail by most.
 
     Parameters
@@ -88,8 +89,9 @@ def certify(
     tolerance : float
         "proved" means that x has the optimal value f* and is feasible: |f(x) − f*| ≤ tolerance · (Σ|c_j x_j|
         + |xᵀP x|), or 10⁻⁸ · tolerance of the rows' terms with their multipliers if that is more, and each c·x ≤ d or
-        = d holds to tolerance · max(|d|, largest |c_j x_j|), or to rounding of the unknowns that matter. If all terms
-        of the objective are 0 the comparison is exact. x may still be far from the minimizer if the objective is flat.
+        = d holds to tolerance · (|d| + Σ|c_j x_j|), or to rounding of its unknowns in other rows. If all terms
+        of the objective are 0 the comparison is exact. If bounds of f* do not decide, the stopping criterion of
+        programs does, with the multipliers. x may still be far from the minimizer if the objective is flat.
         "infeasible" is proved if every x violates a constraint by more than the tolerance,
         in the unit of the constraint, so that no x can be proved to be optimal.
     max_seconds : float, optional
@@ -174,6 +176,10 @@ def certify(
         else:
             point, y = _answer(problem, x, multipliers)
             found = proofs.prove_answer(point, y, float(tolerance))
+            near = on_bounds(convex, point, float(tolerance))
+            if found.verdict != "proved" and not np.array_equal(near, point):
+                moved = proofs.prove_answer(near, y, float(tolerance))
+                found = moved if moved.verdict == "proved" else found
             y = np.zeros(problem.constraints.rows) if y is None else y[: problem.constraints.rows]
             found = replace(found, rows=partial(worst_constraints, problem, point, y))
         rounding = "" if convex is problem else f", {WITHIN_ROUNDING}"
@@ -332,6 +338,8 @@ class Certification:
         Proved bounds of the optimal value; None if no bound is proved.
     gap : float or None
         A bound of the distance of f(x) from `lower`; None without an x or a lower bound.
+    duality_gap : float or None
+        Gap of the stopping criterion of programs with the multipliers; None if the exact bounds decide without it.
     reason : str
         Reason of the verdict.
     rows : callable or None
@@ -344,6 +352,7 @@ class Certification:
     lower: float | None = None
     upper: float | None = None
     gap: float | None = None
+    duality_gap: float | None = None
     reason: str = ""
     rows: Callable[[int], WorstRows] | None = field(default=None, repr=False)
 
@@ -485,7 +494,17 @@ class ProgramProofs:
             ):
                 bought = f"its violation of {violation.largest:.2g} may buy more than the tolerance"
                 complaint = complaint or bought
-        return found.certification(self, complaint)
+        verdict = found.certification(self, complaint)
+        if verdict.verdict == "unproved" and not complaint and violation.is_met:
+            rows = program.constraints.rows
+            points = (
+                [given] if self.own_solution is None else [given, self.own_solution.multipliers]
+            )
+            gaps = [KKTErrors.of(program.judged, x, y[:rows]).gap for y in points if y is not None]
+            if (gap := min(gaps, default=math.inf)) <= tolerance:
+                reason = f"the stopping criterion holds: duality gap {gap:.2g}"
+                verdict = replace(verdict, verdict="proved", duality_gap=gap, reason=reason)
+        return verdict
 
 
 def size_of_objective(program: QuadraticProgram, x: Vector) -> tuple[float, float]:
@@ -515,11 +534,7 @@ class Violation:
 
     @classmethod
     def of(cls, program: QuadraticProgram, x: Vector, tolerance: float) -> Violation:
-        """Return the violation at x, relative to the terms of each row as in the criterion.
-
-        The violation of a bound is relative to |x_j|, or to the terms of the rows and the gradient that depend on x_j:
-        a move that none of them notices.
-        """
+        """Return the violation at x, relative to the terms of each row; rounding is tolerated as in the criterion."""
         rows = program.constraints
         finite = rows.finite
         matrix, limit = rows.matrix[finite], rows.limit[finite]
@@ -529,9 +544,8 @@ class Violation:
         sides = np.where(np.isfinite(limit), np.abs(limit), 0.0)
         allowed = tolerance * (abs(matrix) @ np.abs(x) + sides)
         if (largest > allowed).any():
-            moves = tolerance * unnoticed_moves(program, x)
-            excused = np.concatenate([excused_rows(program.judged, x), moves, moves])[finite]
-            allowed = np.maximum(allowed, excused)
+            excused = excused_rows(program.judged, x)
+            allowed = np.maximum(allowed, np.append(excused, np.zeros(2 * program.n))[finite])
         return cls(
             float(least.max(initial=0.0)) / OUTWARD,
             float(largest.max(initial=0.0)),
@@ -540,19 +554,24 @@ class Violation:
         )
 
 
-def unnoticed_moves(program: QuadraticProgram, x: Vector) -> Vector:
-    """Return the move of each x_j that equals the terms of a row or of the gradient; 0 without entries."""
-    terms = np.concatenate(
+def on_bounds(program: QuadraticProgram, x: Vector, tolerance: float) -> Vector:
+    """Return x with each x_j on a bound if no row and no gradient notices the move.
+
+    Interior-point methods end at 1e-9 for a bound of 0, other solvers at −1e-17. A move is not noticed if it changes no
+    sum by more than the tolerance times its terms; an x_j without entries is not moved.
+    """
+    terms = program.matrices.terms
+    sizes = np.concatenate(
         [
-            abs(program.matrices.terms.sparse_P) @ np.abs(x) + np.abs(program.c),
-            abs(program.matrices.terms.rows) @ np.abs(x)
-            + np.abs(np.concatenate([program.h, program.b])),
+            abs(terms.sparse_P) @ np.abs(x) + np.abs(program.c),
+            abs(terms.rows) @ np.abs(x) + np.abs(program.judged.d),
         ]
     )
-    entries = program.matrices.terms.gradient.tocoo()
-    moves: Vector = np.full(program.n, np.inf)
-    np.minimum.at(moves, entries.row, terms[entries.col] / np.abs(entries.data))
-    return np.where(moves < np.inf, moves, 0.0)
+    entries, moves = terms.gradient.tocoo(), np.full(program.n, np.inf)
+    np.minimum.at(moves, entries.row, sizes[entries.col] / np.abs(entries.data))
+    moves = tolerance * np.where(moves < np.inf, moves, 0.0)
+    near = np.where(np.abs(x - program.upper) <= moves, program.upper, x)
+    return np.where(np.abs(x - program.lower) <= moves, program.lower, near)
 
 
 def largest_terms(rows: Any, limit: Vector, x: Vector) -> Vector:
@@ -637,7 +656,7 @@ class ProvenBounds:
             _if_finite(self.lower),
             _if_finite(self.upper),
             _if_finite(self.gap),
-            reason,
+            reason=reason,
         )
 
     def _no_minimum(self, proofs: ProgramProofs) -> str:

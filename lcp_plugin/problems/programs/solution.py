@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -147,6 +148,28 @@ class QPSolution:
         np.add.at(y, order, signs * np.concatenate([self.inequality, self.equality]))
         return y
 
+    def residuals(self) -> ProgramResiduals:
+        """Return the residuals that other packages print: absolute and relative, by largest components."""
+        program, (P, C) = self.program, self.program.matrices.stacked
+        y, z = self.multipliers[: C.shape[0]], self.upper - self.lower
+        x, rows, Px, Cy = self.x, C @ self.x, P @ self.x, C.T @ y
+        d = np.concatenate([program.h, program.b])
+        lower, upper, d = (
+            np.where(np.isfinite(one), one, 0.0) for one in (program.lower, program.upper, d)
+        )
+        primal = float(np.maximum(program.constraints.excess(x), 0.0).max(initial=0.0))
+        left, curved, linear = Px + program.c + Cy + z, float(x @ Px), float(program.c @ x)
+        dual_value = -0.5 * curved - d @ y + lower @ self.lower - upper @ self.upper
+        gap = abs(0.5 * curved + linear - float(dual_value))
+        sizes = (
+            _largest(rows, d, lower, upper),
+            _largest(Px, program.c, Cy, z),
+            max(abs(0.5 * curved + linear), abs(float(dual_value))),
+        )
+        absolute = primal, _largest(left), gap
+        relative = (one / max(size, 2.0**-1000) for one, size in zip(absolute, sizes, strict=True))
+        return ProgramResiduals(*absolute, *relative)
+
     def is_optimal(self, tolerance: float = PROGRAM_TOLERANCE) -> bool:
         """Return whether x is optimal for a convex program: `primal_residual` ≤ 1e-9 and `duality_gap` ≤ tolerance.
 
@@ -201,6 +224,35 @@ class QPSolution:
         if np.isnan(self.multipliers).any():
             lines.append("no multipliers: a proof came instead")
         return "\n".join(lines)
+
+
+class ProgramResiduals(NamedTuple):
+    """Residuals of x and its multipliers, in the form that most solvers of programs print.
+
+    Attributes
+    ----------
+    primal : float
+        Largest violation of a constraint or bound.
+    dual : float
+        ‖P x + c + Gᵀ inequality + Aᵀ equality − lower + upper‖∞.
+    gap : float
+        |primal objective − dual objective|.
+    relative_primal, relative_dual, relative_gap : float
+        Divided by the largest of ‖rows x‖∞ and the right-hand sides, of the terms of the gradient, and of both
+        objectives.
+    """
+
+    primal: float
+    dual: float
+    gap: float
+    relative_primal: float
+    relative_dual: float
+    relative_gap: float
+
+
+def _largest(*vectors: Vector) -> float:
+    """Return the largest |entry| of the vectors."""
+    return max(float(np.abs(one).max(initial=0.0)) for one in vectors)
 
 
 def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: int) -> WorstRows:

@@ -1,4 +1,4 @@
-"""Small dense problems: one by numpy only, many in a compiled loop (:mod:`lcp_plugin.core.kernels.small_lcps`).
+"""Small dense problems: rounds by numpy for one, and Lemke's path in :mod:`lcp_plugin.core.kernels.small_lcps`.
 
 Two sweeps of NPSOR guess the active set. A round, an active-set iteration, solves w = 0 on the free rows, with all
 other rows at their bounds, and changes every violated row. If the rounds end without a solution, Lemke's path follows
@@ -15,11 +15,10 @@ doi:10.1287/mnsc.11.7.681. Lemke, Howson 1964, doi:10.1137/0112033 (games).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
-from itertools import islice
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,7 +26,7 @@ from numpy.linalg import LinAlgError
 
 from ..core.algorithm import Algorithm, Step
 from ..core.checks import BoolVector, Vector, read_only
-from ..core.kernels.floats import FREE, HIGH, LOW, PERTURBED, SMALLEST, SMALLEST_PIVOT
+from ..core.kernels.floats import FREE, HIGH, LOW, SMALLEST
 from ..core.kernels.small_lcps import LOST, follow_paths, solve_active_sets
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, residual_scales
@@ -39,21 +38,15 @@ GUESSED = "small: a few sweeps guess the active set"
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
 RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
 ROUNDS, IDLE = 12, 2  # most active-set iterations; most of them in a row without fewer changes
-WELL_CONDITIONED = 1e8  # size of the eliminated columns up to which half of the digits remain
 LOOP_FROM, LOOP_UP_TO = 32, 128  # problems, unknowns; fewer problems do not wait for a compilation
+PYTHON_UP_TO = (
+    10  # unknowns: the path of one problem takes .2 ms in Python, numba is imported in .6 s
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rounds(Algorithm):
-    """Active-set iterations, then Lemke's paths, on a small dense problem.
-
-    Parameters
-    ----------
-    restarts : bool
-        If False, only the first path is followed.
-    """
-
-    restarts: bool = True
+    """Active-set iterations, then Lemke's path, on a small dense problem."""
 
     name: ClassVar[str] = "rounds"
     is_monotone: ClassVar[bool] = False
@@ -63,7 +56,7 @@ class Rounds(Algorithm):
         """Yield the start, the point at which the rounds end, and the ends of the paths."""
         yield Step(z0, work=0.0)
         data, unit = dense_data(problem), max(problem.nonzeros, 1)
-        for label, z, entries in candidates(data, z0, restarts=self.restarts):
+        for label, z, entries in candidates(data, z0):
             if np.isfinite(z).all():
                 yield Step(data.snap(normal(data, z))[0], work=entries / unit, label=label)
 
@@ -189,16 +182,12 @@ def has_numba() -> bool:
 
 
 def solve_stack(
-    M: Vector,
-    q: Vector,
-    lower: Vector,
-    upper: Vector,
-    starts: Vector | None = None,
-    *,
-    tolerance: float,
-    is_compiled: bool,
+    M: Vector, q: Vector, lower: Any, upper: Any, starts: Any = None, *, tolerance: float
 ) -> tuple[Vector, Vector, Any, BoolVector]:
-    """Return points of problems (B, n) by the compiled loop or, one problem after another, by numpy.
+    """Return points of problems (B, n) by the compiled loop.
+
+    A start names an active set, from which active-set iterations begin; a path follows if they end at no solution. The
+    criterion measures the points on which the sufficient test does not decide.
 
     Returns
     -------
@@ -206,22 +195,9 @@ def solve_stack(
     residual, iterations, is_solved : array, shape (B,)
         Relative residual; 0 if the point is the start, else 1; whether it is a solution.
     """
-    data = M, q, lower, upper, starts, tolerance
-    z, residual, is_solved = _solve_in_loop(*data) if is_compiled else _solve_each(*data)
-    begun = np.minimum(np.maximum(0.0, lower), upper) if starts is None else starts
-    return z, residual, (z != begun).any(1).astype(int), is_solved
-
-
-def _solve_in_loop(
-    M: Vector, q: Vector, lower: Any, upper: Any, starts: Any, tolerance: float
-) -> tuple[Vector, Vector, BoolVector]:
-    """Return z, residual and is_solved of the compiled loop.
-
-    A start names an active set, from which active-set iterations begin; a path follows if they end at no solution. The
-    criterion measures the points on which the sufficient test does not decide.
-    """
     arrays = M, q, lower, upper, np.minimum(np.maximum(0.0, lower), upper)
-    z, items = np.array(arrays[4] if starts is None else starts), np.arange(len(q))
+    begun = arrays[4] if starts is None else starts
+    z, items = np.array(begun), np.arange(len(q))
     residual = np.full(len(q), np.inf)
     for attempt in range(0 if starts is not None else ROUNDS, ROUNDS + 1):
         if not items.size:
@@ -241,24 +217,14 @@ def _solve_in_loop(
     if rest.size:
         found = measure(stack_of(*_select((M, q, lower, upper), rest)), z[rest], tolerance)
         z[rest], residual[rest], is_solved[rest] = found[:3]
-    return z, residual, is_solved
+    return z, residual, (z != begun).any(1).astype(int), is_solved
 
 
 def _bounded_points(
     M: Vector, q: Vector, lower: Any, upper: Any, start: Any, sides: Any, tolerance: float
 ) -> tuple[Vector, Vector]:
     """Return the points of active sets and bounds of their residuals, by kernels; NaN and ∞ if a system is singular."""
-    (count, n), z = q.shape, np.empty(q.shape)
-    solve_active_sets(
-        M,
-        q,
-        lower,
-        upper,
-        read_only(np.ascontiguousarray(sides)),
-        np.empty((n, n + 1)),
-        np.empty(n, np.int64),
-        z,
-    )
+    (count, n), z = q.shape, active_set_points(M, q, lower, upper, sides)
     is_lost, bound = np.isnan(z[:, 0]), np.empty(count)
     bound_residuals(M, q, lower, upper, start, float(tolerance), np.empty((2, n)), z, bound)
     if is_lost.any():
@@ -296,21 +262,33 @@ def _select(arrays: Any, items: Any) -> list[Any]:
     return [read_only(np.ascontiguousarray(one)) for one in own]
 
 
-def _ends_of_paths(M: Vector, q: Vector, lower: Vector, upper: Vector) -> Any:
-    """Return the active sets at the ends of Lemke's paths; unknowns free on both sides are eliminated before."""
+def _ends_of_paths(
+    M: Vector, q: Vector, lower: Vector, upper: Vector, *, follow: Any = follow_paths
+) -> Any:
+    """Return the active sets at the ends of Lemke's paths; free unknowns are eliminated before, or split.
+
+    Free unknowns of a singular block become differences of two nonnegative ones.
+    """
     n, sides = q.shape[1], np.full(q.shape, FREE)
     free = (lower == -np.inf) & (upper == np.inf)
     if not free.any():
         table, numbers = np.empty((n + 9, n + 1)), np.empty((2, 2 * n + 1), np.int64)
-        follow_paths(M, q, lower, upper, tilts(n), table, numbers, sides)
+        follow(M, q, lower, upper, tilts(n), table, numbers, sides)
         return sides
     for pattern in np.unique(free, axis=0):
         items = np.flatnonzero((free == pattern).all(1))
         E, R = np.flatnonzero(pattern), np.flatnonzero(~pattern)
         block = M[:, E[:, None], E] if len(M) == 1 else M[items[:, None, None], E[:, None], E]
         is_regular = np.broadcast_to(np.linalg.det(block) != 0.0, items.shape)
-        sides[items[~is_regular], 0], items = LOST, items[is_regular]
-        if not items.size:
+        for k in items[~is_regular].tolist():
+            signs = equation_signs(M[k % len(M)], pattern)
+            A, b = signs[:, None] * M[k % len(M)], signs * q[k]
+            A = np.block([[A, -A[:, E]], [-A[E], A[E[:, None], E]]])
+            low, high = np.where(pattern, 0.0, lower[k]), np.append(upper[k], upper[k, E])
+            parts = A, np.append(b, -b[E]), np.append(low, low[E]), high
+            data = _select([one[None] for one in parts], np.arange(1))
+            sides[k, R] = _ends_of_paths(*data, follow=follow)[0, R]
+        if not (items := items[is_regular]).size:
             continue
         A, b, low, high = _select((M, q, lower, upper), items)
         block, to = A[:, E[:, None], E], A[:, R[:, None], E]
@@ -318,7 +296,7 @@ def _ends_of_paths(M: Vector, q: Vector, lower: Vector, upper: Vector) -> Any:
         if R.size:
             reduced = A[:, R[:, None], R] + to @ of_x, b[:, R] + (to @ of_1)[..., 0]
             data = _select((*reduced, low[:, R], high[:, R]), items)
-            sides[items[:, None], R] = _ends_of_paths(*data)
+            sides[items[:, None], R] = _ends_of_paths(*data, follow=follow)
     return sides
 
 
@@ -328,26 +306,8 @@ def tilts(n: int) -> Vector:
     return read_only(np.random.default_rng(1).uniform(1.0, 2.0, n))
 
 
-def _solve_each(
-    M: Vector, q: Vector, lower: Any, upper: Any, starts: Any, tolerance: float
-) -> tuple[Vector, Vector, BoolVector]:
-    """Return z, residual and is_solved of the first candidate of each problem."""
-    z, residual, is_solved = np.empty(q.shape), np.empty(len(q)), np.zeros(len(q), bool)
-    for k in range(len(q)):
-        data = dense_data(LCP(M[k % len(M)], q[k], lower=lower[k], upper=upper[k]))
-        _, found, _ = first_measured(data, data.start if starts is None else starts[k], tolerance)
-        z[k], residual[k], is_solved[k] = found[:3]
-    return z, residual, is_solved
-
-
-def active_set_points(
-    M: Vector, q: Vector, lower: Any, upper: Any, sides: Any, is_compiled: bool
-) -> Vector:
+def active_set_points(M: Vector, q: Vector, lower: Any, upper: Any, sides: Any) -> Vector:
     """Return z_i at the bound that `sides` names, w_i = 0 if FREE, shape (B, n); NaN if its system is singular."""
-    if not is_compiled:
-        return np.array(
-            [solve_active_set(M[0], *one) for one in zip(q, lower, upper, sides, strict=True)]
-        )
     (count, n), z = q.shape, np.empty(q.shape)
     data = _select((M, q, lower, upper, sides), np.arange(count))
     solve_active_sets(*data, np.empty((n, n + 1)), np.empty(n, np.int64), z)
@@ -394,34 +354,22 @@ def solve_active_set(M: Vector, q: Vector, lower: Any, upper: Vector, side: Any)
     return z
 
 
-COVERINGS: dict[str, Callable[[Vector], Vector]] = {
-    "path": lambda q: np.ones(q.size),
-    "path, r = |q|": lambda q: np.maximum(np.abs(q), 2.0**-10 * np.abs(q).max()),
-    "path, random r": lambda q: np.random.default_rng(0).uniform(0.25, 1.0, q.size),
-}
-
-
-def candidates(
-    data: RowData, z0: Vector, *, restarts: bool = True
-) -> Iterator[tuple[str, Vector, float]]:
+def candidates(data: RowData, z0: Vector) -> Iterator[tuple[str, Vector, float]]:
     """Yield candidate solutions of one problem, each with its method and the number of entries touched."""
     entries = float(z0.size**3)
     is_cold = z0 is data.start or bool((z0 == data.start).all())
     first = guess(data) if is_cold else z0  # a start names an active set
     if first is not None:
         yield "rounds", rounds(data, first), entries
-    M, q, width, back = _canonical(data.M, data.q, data.lower, data.upper)
-    game = (
-        _rows_of_first_player(M, q) if q.size and not M[0, 0] and np.isposinf(width).all() else None
-    )
-    if game is not None:
-        yield "game", back(path(M, q, width, game=game)), 3.0 * entries
-    for name, covering in islice(COVERINGS.items(), None if restarts else 1):
-        z = back(path(M, q, width, covering(q)) if q.size else q)
-        yield name, np.clip(z, data.lower, data.upper), 3.0 * entries
+    if (is_short := z0.size <= PYTHON_UP_TO) or has_numba():
+        arrays = data.M, data.q, data.lower, data.upper
+        stack = [read_only(np.ascontiguousarray(one)[np.newaxis]) for one in arrays]
+        (side,) = _ends_of_paths(*stack, follow=follow_paths.function if is_short else follow_paths)
+        z = solve_active_set(*arrays, side) if (side != LOST).all() else np.full(side.size, np.nan)
+        yield "path", np.clip(z, data.lower, data.upper), 3.0 * entries
         if np.isfinite(z).all():
             yield "rounds", rounds(data, z), entries
-    if guess(data) is None:
+    if first is None:
         yield "rounds", rounds(data, data.start), entries
 
 
@@ -439,145 +387,3 @@ def rounds(data: RowData, z: Vector) -> Vector:
         before = side
         z = solve_active_set(M, q, lower, upper, side)
     return z
-
-
-def _exchange(T: Vector, factor: Vector, row: int, column: int) -> None:
-    """Exchange the basic variable of a row and the nonbasic one of a column with the entries `factor`, in place."""
-    pivot = factor[row]
-    held = T[row] / -pivot
-    held[column], factor[row] = 1.0 / pivot, 1.0
-    T[row], T[:, column] = 0.0, 0.0
-    T += factor[:, None] * held
-
-
-def path(  # noqa: PLR0912, PLR0915 - one loop
-    M: Vector, q: Vector, width: Vector, r: Any = None, game: Any = None
-) -> Vector:
-    """Return x, 0 ≤ x ≤ width, at the end of Lemke's path w = M x + q + t r, NaN if the path is lost.
-
-    The path belongs to a perturbed q, for which no two rows block at once. x is the solution for the unperturbed q in
-    the last basis. For a game, the path is Lemke and Howson's.
-    """
-    n = q.size
-    unit = np.abs(M).max(1)
-    unit = 1.0 / np.where(unit > 0.0, unit, 1.0)
-    if game is not None:
-        r = np.where(game, 1.0, 0.0)
-        r[0] = 0.5
-    T = np.empty((n, n + 1))
-    T[:, :n], T[:, n] = M * unit[:, None], r
-    v = q * unit
-    v = v + PERTURBED * np.abs(v).max() * np.random.default_rng(1).uniform(1.0, 2.0, n)
-    fixed = width == 0.0
-    value = float(np.where(fixed, 0.0, -v / r).max()) if game is None else 0.0
-    if value <= 0.0 and game is None:
-        return np.zeros(n)
-    v = v + value * r
-    low, high, side = np.where(fixed, -np.inf, 0.0), np.full(n, np.inf), [LOW] * n
-    basis, other = list(range(n, 2 * n)), [*range(n), 2 * n]  # x_i = i, w_i = n + i, t = 2n
-    t, column, direction, t_row, u = 2 * n, n, -1.0, -1, width.tolist()
-    driven = t
-    if game is not None:  # x_0 covers the other player's rows, t the remaining rows, in one vertex
-        s = int(np.where(game, -np.inf, -v / T[:, 0]).argmax())
-        for row, at in ((s, 0), (0, n)):
-            factor = T[:, at].copy()
-            value = -v[row] / factor[row]
-            v += value * factor
-            v[row] = value
-            basis[row], other[at] = other[at], basis[row]
-            _exchange(T, factor, row, at)
-        side[0], t_row, driven, value, direction = FREE, 0, s, 0.0, 1.0
-        column = other.index(s)
-    for _ in range(10 * (n + 10)):
-        factor = T[:, column].copy()
-        rate = factor if direction > 0.0 else -factor
-        distance = np.where(
-            np.abs(rate) > SMALLEST_PIVOT, (np.where(rate < 0.0, low, high) - v) / rate, np.inf
-        )
-        row = int(distance.argmin())
-        step = max(float(distance[row]), 0.0)
-        if t_row >= 0 and distance[t_row] <= step * (1.0 + 1e-12):
-            row = t_row
-        own = value if driven == t else u[driven] if driven < n else math.inf
-        if own <= step and own < math.inf:  # the driven variable reaches its other bound
-            v += (direction * own) * factor
-            if driven == t:
-                break
-            side[driven] = HIGH if direction > 0.0 else LOW
-            driven, value, direction = n + driven, 0.0, -direction
-            column = other.index(driven)
-            continue
-        if not step < math.inf:
-            return np.full(n, np.nan)
-        v += (direction * step) * factor
-        v[row] = value + direction * step
-        leaving, falls = basis[row], rate[row] < 0.0
-        if driven < n:
-            side[driven], low[row], high[row] = FREE, 0.0, u[driven]
-        elif driven == t:
-            t_row, low[row], high[row] = row, 0.0, math.inf
-        else:
-            i = driven - n
-            low[row] = -math.inf if side[i] == HIGH or fixed[i] else 0.0
-            high[row] = 0.0 if side[i] == HIGH else math.inf
-        t_row = -1 if row == t_row and driven != t else t_row
-        basis[row], other[column] = driven, leaving
-        if leaving == t:
-            break
-        _exchange(T, factor, row, column)
-        if leaving >= n:
-            i = leaving - n
-            driven, value, direction = (i, 0.0, 1.0) if side[i] == LOW else (i, u[i], -1.0)
-        else:
-            side[leaving] = LOW if falls else HIGH
-            driven, value, direction = n + leaving, 0.0, 1.0 if falls else -1.0
-        column = other.index(driven)
-    else:
-        return np.full(n, np.nan)
-    return solve_active_set(M, q, 0.0, width, np.array(side))
-
-
-def _canonical(
-    M: Vector, q: Vector, lower: Vector, upper: Vector
-) -> tuple[Vector, Vector, Vector, Callable[[Vector], Vector]]:
-    """Return (M, q, width, back) of the problem in the form 0 ≤ x ≤ width; free rows are eliminated, or split."""
-    free = (lower == -np.inf) & (upper == np.inf)
-    flips = (lower == -np.inf) & ~free
-    base, sign = np.where(flips, upper, np.where(free, 0.0, lower)), np.where(flips, -1.0, 1.0)
-    rows, n = sign * equation_signs(M, free), q.size
-    b, A = rows * (q + M @ base), rows[:, None] * M * sign
-    if not free.any():
-        return A, b, upper - lower, lambda x: base + sign * x
-    E, R = np.flatnonzero(free), np.flatnonzero(~free)
-    to, block = A[np.ix_(R, E)], A[np.ix_(E, E)]
-    try:
-        S = np.linalg.solve(block, -np.column_stack([A[np.ix_(E, R)], b[E]]))
-        is_regular = bool(np.abs(S).max() < WELL_CONDITIONED)
-    except LinAlgError:
-        is_regular = False
-    if is_regular:
-
-        def back(x: Vector) -> Vector:
-            z = np.empty(n)
-            z[R], z[E] = x, S[:, :-1] @ x + S[:, -1]
-            return base + sign * z
-
-        reduced = A[np.ix_(R, R)] + to @ S[:, :-1]
-        return reduced, b[R] + to @ S[:, -1], (upper - lower)[R], back
-    A = np.block([[A, -A[:, E]], [-A[E], block]])
-    width = np.concatenate([upper - lower, np.full(E.size, np.inf)])
-
-    def join(x: Vector) -> Vector:
-        z = x[:n].copy()
-        z[E] -= x[n:]
-        return base + sign * z
-
-    return A, np.concatenate([b, -b[E]]), width, join
-
-
-def _rows_of_first_player(M: Vector, q: Vector) -> Any:
-    """Return the rows of the first player of a bimatrix game, bool, or None."""
-    first = M[0] == 0.0
-    same = first[:, None] == first
-    is_game = (q < 0.0).all() and not first.all() and ((M > 0.0) == ~same).all()
-    return first if is_game else None

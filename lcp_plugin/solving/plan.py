@@ -78,7 +78,7 @@ def plan(
         return
     if not problem.is_kkt and takes_rounds(problem):
         is_few = has_few_active_sets(problem)
-        yield Stage(Rounds(restarts=not is_few), GUESSED)
+        yield Stage(Rounds(), GUESSED)
         if is_few and not prove_infeasibility and (near := points_nearby(problem)) is not None:
             if not near.size:
                 return

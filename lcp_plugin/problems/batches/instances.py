@@ -80,12 +80,11 @@ class Group(NamedTuple):
         """
         n, count = self.M.shape[1], self.items.size
         size = max(min(WORK // n**2, max(SHORTEST, count // 8)), 1)
-        is_compiled = is_path or suits_loop(count, n)
-        for first in range(0, count, size):
+        for first in range(0, count if is_path or suits_loop(count, n) else 0, size):
             part = self.select(slice(first, first + size)) if size < count else self
             names = ("q", "lower", "upper", *(["starts"] if part.starts.shape[1] else []))
-            data = partial(solve_stack, part.M, *part.vectors(*names))
-            yield part.items, partial(data, tolerance=tolerance, is_compiled=is_compiled)
+            data = part.M, *part.vectors(*names)
+            yield part.items, partial(solve_stack, *data, tolerance=tolerance)
 
 
 class Instances:
@@ -222,10 +221,9 @@ def _solve_cones(data: Any, start: Array, tolerance: float, has_time: Any) -> An
 def _stacks_of(base: BoundedLeastSquares, items: Array, stack: Array, tolerance: float) -> Stacks:
     """Yield least squares problems that share the matrices of `base`, in stacks whose arrays stay in the cache."""
     _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks
-    is_compiled = items.size >= LOOP_FROM and has_numba()
-    for first in range(0, items.size, size):
+    for first in range(0, items.size if items.size >= LOOP_FROM and has_numba() else 0, size):
         part = items[first : first + size]
-        yield part, partial(solve_least_squares_stack, stack(part), tolerance, is_compiled)
+        yield part, partial(solve_least_squares_stack, stack(part), tolerance)
 
 
 def have_values(lower: Array, upper: Array) -> Any:

@@ -391,7 +391,7 @@ def length_of_stack(problem: BoundedLeastSquares) -> int:
 
 
 def solve_least_squares_stack(
-    problem: BoundedLeastSquares, tolerance: float, is_compiled: bool
+    problem: BoundedLeastSquares, tolerance: float
 ) -> tuple[Vector, Vector, Any, BoolVector]:
     """Return points of a stack of problems, one step of refinement after the LCPs of their normal equations.
 
@@ -410,15 +410,13 @@ def solve_least_squares_stack(
     b = problem.root_weights * problem.b
     q = linear - b @ A
     lower, upper = (np.broadcast_to(one, q.shape) for one in (lower, upper))
-    z, _, iterations, _ = solve_stack(
-        gram[None], q, lower, upper, tolerance=tolerance, is_compiled=is_compiled
-    )
+    z, _, iterations, _ = solve_stack(gram[None], q, lower, upper, tolerance=tolerance)
     side = np.where(z <= lower, LOW, np.where(z >= upper, HIGH, FREE))
 
     def newton_step(slope: Vector) -> Vector:
         gradient = slope / columns + linear
         to_bounds = lower - z, upper - z
-        return active_set_points(gram[None], gradient, *to_bounds, side, is_compiled) / columns
+        return active_set_points(gram[None], gradient, *to_bounds, side) / columns
 
     x = z / columns
     residual = times(problem.A, x) - problem.b

@@ -18,7 +18,7 @@ from ..core.matrix import Matrix, equation_signs, fact, is_nearly_symmetric, row
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
 from ..engines import installed_engine
 from ..engines.engine import Engine, ProgramData, SolverLimits
-from ..engines.scaling import scale_program
+from ..engines.scaling import scale_program, with_sides_about_one
 from ..systems.equilibration import power_of_two
 from ..systems.factors import sizes_of_factor
 from .lemke.pivoting_path import bimatrix_players, is_game
@@ -99,9 +99,11 @@ class InteriorPoint(Algorithm):
 
 def _cases(problem: LCP, z: Vector, most: int) -> Iterator[Step]:
     """Yield the solution for the active set of z, then for the active set of this solution, while they are new."""
-    system, tried = None, set[bytes]()
+    system, tried, d = None, set[bytes](), problem.diagonal
+    # z and w in units of one another: a border in other units than M is no measure of w
+    units = np.divide(problem.residual_scale, d, out=np.ones(problem.n), where=d > 0.0)
     for _ in range(most):
-        at_lower, at_upper = classify(problem, z, problem.slack(z))
+        at_lower, at_upper = classify(problem, z, problem.slack(z) * units)
         if (case := signature(at_lower, at_upper)) in tried:
             return
         tried.add(case)
@@ -179,7 +181,7 @@ class MonotoneProgram:
             return z, 0
         sizes = _largest(given.c, given.h, given.b), _largest(given.P, given.G, given.A)
         unit = power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0
-        prepared = scale_program(given, np.full(given.c.size, unit))
+        prepared = with_sides_about_one(scale_program(given, np.full(given.c.size, unit)))
         point = prepared.outward(engine.answer(prepared.statement, SolverLimits(seconds_left())))
         z[self.unknowns] = point.x[: self.unknowns.size] * self.size
         if self.multipliers.size:
@@ -299,12 +301,59 @@ def _stated(
 
 
 def with_signed_equations(problem: LCP) -> LCP:
-    """Return the problem with the signs of equations that make M + Mᵀ smaller."""
-    signs = equation_signs(problem.M, (problem.lower == -np.inf) & (problem.upper == np.inf))
-    if (signs > 0.0).all():
+    """Return the problem in units of its rows in which |M| is symmetric, and signs of equations that make M + Mᵀ less.
+
+    Both leave the solutions as they are.
+    """
+    units, M = symmetric_units(problem.matrix), problem.M
+    if (units != 1.0).any():  # without rounding errors in the symmetry
+        rows = problem.matrix.csr
+        mirrored = sp.csr_array(rows.T)
+        mirrored.sort_indices()
+        roots = np.sqrt(np.abs(rows.data)) * np.sqrt(np.abs(mirrored.data))
+        roots *= np.sqrt(units[row_numbers(rows)] * units[rows.indices])
+        M = sp.csr_array((np.copysign(roots, rows.data), rows.indices, rows.indptr), rows.shape)
+        M = M if sp.issparse(problem.M) else M.toarray()
+    signs = equation_signs(M, (problem.lower == -np.inf) & (problem.upper == np.inf))
+    if (units * signs == 1.0).all():
         return problem
     bounds = {"lower": problem.lower, "upper": problem.upper}
-    return LCP(problem.M * signs[:, None], problem.q * signs, **bounds)
+    return LCP(M * signs[:, None], problem.q * units * signs, **bounds)
+
+
+@fact
+def symmetric_units(matrix: Matrix) -> Vector:
+    """Return units d > 0 of the rows with |d_i m_ij| = |d_j m_ji| to rounding, shape (n,); 1 if there are none.
+
+    Examples
+    --------
+    >>> symmetric_units(Matrix([[2.0, -1.0], [4.0, 0.0]]))
+    array([1.  , 0.25])
+    """
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+    n, M, none = matrix.n, matrix.csr, np.ones(matrix.n)
+    mirrored = sp.csr_array(M.T)
+    mirrored.sort_indices()
+    is_alike = np.array_equal(M.indptr, mirrored.indptr)
+    if not is_alike or not np.array_equal(M.indices, mirrored.indices):
+        return none
+    rises = np.log(np.abs(M.data)) - np.log(np.abs(mirrored.data))  # from d_i to d_j
+    if (np.abs(rises) <= SAME).all():
+        return none
+    labels = connected_components(M, directed=False)[1]
+    roots = np.unique(labels, return_index=True)[1]
+    graph = sp.coo_array((np.ones(roots.size), (np.full(roots.size, n), roots)), (n + 1, n + 1))
+    whole = sp.csr_array((np.ones(M.nnz), M.indices, np.append(M.indptr, M.nnz)), graph.shape)
+    order, before = breadth_first_order(whole + graph, n)
+    steps = sp.csr_array((rises, M.indices, M.indptr), M.shape)
+    inner = order[1:][before[order[1:]] < n]
+    logs, parents = np.zeros(n), before[inner]
+    for j, i, rise in zip(inner.tolist(), parents.tolist(), steps[parents, inner], strict=True):
+        logs[j] = logs[i] + rise
+    misses = logs[M.indices] - logs[row_numbers(M)] - rises
+    is_consistent = (np.abs(misses) <= 10.0 * SAME).all() and np.abs(logs).max(initial=0.0) < 300.0
+    return np.exp(logs - logs.max(initial=0.0)) if is_consistent else none
 
 
 @fact

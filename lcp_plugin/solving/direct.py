@@ -36,7 +36,12 @@ from ..core.lcp import LCP
 from ..core.matrix import has_positive_diagonal, is_nearly_symmetric
 from ..core.tuning import LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PIVOTS_FIRST_UP_TO
 from ..engines import has_piqp
-from ..methods.interior_point import InteriorPoint, ZeroSumGame, with_signed_equations
+from ..methods.interior_point import (
+    InteriorPoint,
+    ZeroSumGame,
+    symmetric_units,
+    with_signed_equations,
+)
 from ..methods.lemke import Lemke, rows_of_components
 from ..methods.lemke.pivoting_path import is_game
 from ..methods.newton import Newton
@@ -152,6 +157,8 @@ def _order(
     if not is_full and is_positive and problem.n > PIVOTS_FIRST_UP_TO:
         lemke.is_over = pivots
     if _seems_monotone(problem):
+        if (symmetric_units(problem.matrix) != 1.0).any():  # a program in other units
+            return [interior, check, newton, lemke]
         if is_full and not is_positive:
             # A tenth of the work of an interior point on a dense M; a portfolio takes n/25 pivots.
             few = Lemke(max_pivots=10 + problem.n // 8, restarts=0)

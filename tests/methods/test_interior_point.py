@@ -15,7 +15,7 @@ from scipy.optimize import linprog
 
 from lcp_plugin import LCP, Status, solve
 from lcp_plugin.core.matrix import Matrix
-from lcp_plugin.methods.interior_point import InteriorPoint, signs_of
+from lcp_plugin.methods.interior_point import InteriorPoint, signs_of, with_signed_equations
 from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
 
 
@@ -185,3 +185,25 @@ def test_a_zero_sum_game_has_the_value_of_its_linear_program(unit: float) -> Non
     assert (result.status, result.algorithm) == (Status.SOLVED, "auto: interior_point")
     assert found.payoffs[0] == pytest.approx(value, abs=1e-9)
     assert found.regret <= 1e-9
+
+
+@pytest.mark.parametrize("units", [(1.0, 1.0), (1e-6, 1e6), (1.0, 1e7)])
+def test_a_program_with_an_equation_is_recognized_in_any_units_of_its_row_and_multiplier(
+    units: tuple[float, float],
+) -> None:
+    """A body pressed by a given force, in SI units: K p − δ + g ≥ 0 and a sum of p: its program, by PIQP alone."""
+    m, size, E = 18, 1e-2, 2e11
+    h, s = size / m, (np.arange(m) + 0.5) * size / m - 0.5 * size
+    x, y = (one.ravel() for one in np.meshgrid(s, s))
+    distance = np.hypot(x[:, None] - x, y[:, None] - y) + np.eye(m * m)
+    K = h * h / (np.pi * E * distance) + np.diag(np.full(m * m, 2.5 * h / (np.pi * E)))
+    column, row = units
+    M = np.block([[K, np.full((m * m, 1), -column)], [np.full((1, m * m), row), np.zeros((1, 1))]])
+    q = np.append((x * x + y * y) / 0.1, -100.0 * row / h**2)
+    problem = LCP(M, q, lower=np.append(np.zeros(m * m), -np.inf))
+    scaled = with_signed_equations(problem)
+    assert signs_of(scaled.matrix) is not None
+    result = solve(problem, "interior_point").require_solved()
+    program = QuadraticProgram(K, q[:-1], A=np.ones((1, m * m)), b=[100.0 / h**2], lower=0)
+    expected = solve(program).require_solved().x
+    np.testing.assert_allclose(result.z[:-1], expected, rtol=1e-6, atol=1e-6 * expected.max())

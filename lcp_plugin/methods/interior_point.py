@@ -100,7 +100,7 @@ class InteriorPoint(Algorithm):
 def _cases(problem: LCP, z: Vector, most: int) -> Iterator[Step]:
     """Yield the solution for the active set of z, then for the active set of this solution, while they are new."""
     system, tried, d = None, set[bytes](), problem.diagonal
-    # z and w in units of one another: a border in other units than M is no measure of w
+    # z and w relative to one another, by the diagonal: the row of a border may be much larger than the others
     units = np.divide(problem.residual_scale, d, out=np.ones(problem.n), where=d > 0.0)
     for _ in range(most):
         at_lower, at_upper = classify(problem, z, problem.slack(z) * units)
@@ -303,7 +303,7 @@ def _stated(
 def with_signed_equations(problem: LCP) -> LCP:
     """Return the problem in units of its rows in which |M| is symmetric, and signs of equations that make M + Mᵀ less.
 
-    Both leave the solutions as they are.
+    The solutions do not change.
     """
     units, M = symmetric_units(problem.matrix), problem.M
     if (units != 1.0).any():  # without rounding errors in the symmetry

@@ -157,7 +157,7 @@ def _order(
     if not is_full and is_positive and problem.n > PIVOTS_FIRST_UP_TO:
         lemke.is_over = pivots
     if _seems_monotone(problem):
-        if (symmetric_units(problem.matrix) != 1.0).any():  # a program in other units
+        if (symmetric_units(problem.matrix) != 1.0).any():  # a program, after a scaling of rows
             return [interior, check, newton, lemke]
         if is_full and not is_positive:
             # A tenth of the work of an interior point on a dense M; a portfolio takes n/25 pivots.

@@ -541,3 +541,16 @@ def test_a_fit_without_an_error_is_proved(n: int) -> None:
     t = np.abs(A @ x - b).max() + 1e-17
     assert certify(program, np.append(x, t)).verdict == "proved"
     assert certify(program, np.append(x, 1e-9)).verdict == "disproved"
+
+
+def test_inactive_bounds_change_no_verdict() -> None:
+    """Exact integer optima in mixed units: with bounds of 1e6 that hold nothing the verdict is as without them."""
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        units, B = 10.0 ** rng.integers(-4, 5, 5), rng.integers(-3, 4, (5, 5)).astype(float)
+        P, x = (B @ B.T) / np.outer(units, units), rng.integers(-9, 9, 5) * units
+        G, y = rng.integers(-3, 4, (3, 5)) / units, rng.integers(0, 4, 3) * (rng.random(3) < 0.6)
+        h = G @ x + np.where(y > 0, 0, rng.integers(1, 5, 3))
+        data, far = (P, -P @ x - G.T @ y, G, h), np.abs(x) + 1e6 * units
+        alone = certify(QuadraticProgram(*data), x).verdict
+        assert certify(QuadraticProgram(*data, lower=-far, upper=far), x).verdict == alone

@@ -642,3 +642,24 @@ def test_the_refusal_of_a_rounded_correlation_matrix_names_the_nearest_semidefin
         solve(QuadraticProgram(P, np.zeros(20), **rows))
     w, V = np.linalg.eigh(P)
     assert solve(QuadraticProgram(V * w.clip(0) @ V.T, np.zeros(20), **rows)).is_solved
+
+
+def test_an_unstable_plant_by_single_shooting_is_not_worse_than_its_engines() -> None:
+    """The terms of the objective are 1e11 times the optimum, .680: rounding decides what an engine returns."""
+    N, begin = 60, np.array([0.05, 0.0])
+    A, B = np.array([[1.3, 0.1], [0.0, 1.05]]), np.array([0.005, 0.1])
+    powers = [np.linalg.matrix_power(A, k) for k in range(N + 1)]
+    H = np.vstack(powers[1:])
+    shots = [[powers[k - j] @ B if j <= k else 0.0 * B for j in range(N)] for k in range(N)]
+    S = np.vstack([np.column_stack(row) for row in shots])
+    P = S.T @ S + 0.1 * np.eye(N)
+    program = QuadraticProgram(0.5 * (P + P.T), S.T @ (H @ begin), lower=-1.0, upper=1.0)
+
+    def cost(u: Any) -> float:
+        x, total = begin, 0.0
+        for v in u:
+            x = A @ x + B * v
+            total += float(x @ x + 0.1 * v * v)
+        return total
+
+    assert cost(solve(program).require_solved().x) <= 1.3

@@ -61,10 +61,8 @@ class Extragradient(Algorithm):
 
     def iterates(self, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
         """Yield z0, then one step per iteration."""
-        z, length = (
-            z0.copy(),
-            self.step / scipy.sparse.linalg.norm(problem.csr),
-        )  # the Frobenius norm is ≥ ‖M‖
+        # the Frobenius norm is ≥ ‖M‖
+        z, length = (z0.copy(), self.step / scipy.sparse.linalg.norm(problem.csr))
         while True:
             yield Step(z, work=2.0)
             ahead = (
@@ -114,9 +112,8 @@ def way_through(game: LCP, algorithm: Extragradient) -> np.ndarray:
 
 def main(out: Path = Path()) -> None:
     """Test the algorithm, and draw its path through a game into the folder OUT."""
-    game = LCP(
-        [[0.0, 1.0], [-1.0, 0.0]], [-0.5, 0.5], upper=1.0
-    )  # matching pennies: each tosses a coin
+    # matching pennies: each tosses a coin
+    game = LCP([[0.0, 1.0], [-1.0, 0.0]], [-0.5, 0.5], upper=1.0)
     plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, axes = plt.subplots(figsize=(5.4, 5.0), layout="constrained")
     for looks_ahead, color, label in (

@@ -38,9 +38,8 @@ def main(out: Path = Path()) -> None:
         [below, 1 + time_step * RATE - below - above, above], offsets=[-1, 0, 1], shape=(SIZE, SIZE)
     )
     edge = np.zeros(SIZE)
-    edge[0] = (
-        below * payoff[0]
-    )  # deep in the money it is exercised; far out of the money it is worth nothing
+    # deep in the money it is exercised; far out of the money it is worth nothing
+    edge[0] = below * payoff[0]
 
     lower = payoff[1:-1]
     march_back = march(

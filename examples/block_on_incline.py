@@ -24,9 +24,8 @@ FRICTIONS = (0.2, 0.4, 0.7)
 
 def speed_after(angle: float, friction: float) -> tuple[float, float]:
     """Return the block's speed after all steps, in m/s, and the share of its weight on the lower corner."""
-    mass = np.diag(
-        [MASS, MASS, MASS * (WIDTH**2 + HEIGHT**2) / 12]
-    )  # down the slope, away from it, turning
+    # down the slope, away from it, turning
+    mass = np.diag([MASS, MASS, MASS * (WIDTH**2 + HEIGHT**2) / 12])
     corners = np.array([[-WIDTH / 2, -HEIGHT / 2], [WIDTH / 2, -HEIGHT / 2]])
     normals = np.column_stack([np.zeros(2), np.ones(2), corners[:, 0]])
     tangents = np.column_stack([np.ones(2), np.zeros(2), -corners[:, 1]])

@@ -48,10 +48,8 @@ def prices(
     sigma: np.ndarray, strike: np.ndarray, years: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Return price and vega of each put, and the seconds of the run."""
-    reach, dt = (
-        6 * BEGIN * np.sqrt(years),
-        years / STEPS,
-    )  # six standard deviations either way of today's price
+    # six standard deviations either way of today's price
+    reach, dt = (6 * BEGIN * np.sqrt(years), years / STEPS)
     h, x = (
         2 * reach / (SIZE + 1),
         np.log(SPOT / strike)[:, None] + reach[:, None] * np.linspace(-1, 1, SIZE + 2),

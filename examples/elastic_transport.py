@@ -26,9 +26,8 @@ from lcp_plugin import complements
 
 MARKETS = "New York", "Chicago", "Topeka"
 CAPACITY, DEMAND = np.array([350.0, 600.0]), np.array([325.0, 300.0, 275.0])  # cases
-DISTANCE = np.array(
-    [[2.5, 1.7, 1.8], [2.5, 1.8, 1.4]]
-)  # thousand miles, from Seattle and San Diego
+# thousand miles, from Seattle and San Diego
+DISTANCE = np.array([[2.5, 1.7, 1.8], [2.5, 1.8, 1.4]])
 ELASTICITY = np.array([1.5, 1.2, 2.0])
 FREIGHT = 0.09  # thousand dollars a case and thousand miles
 LEFT = np.linspace(1.0, 0.0, 51)  # share of San Diego's capacity

@@ -29,12 +29,8 @@ import typer
 from lcp_plugin import LCP, derivative, march
 
 STRIKE, RATE, VOLATILITY, MATURITY = 100.0, 0.05, 0.3, 1.0  # EUR, 1/year, 1/√year, years
-SIZE, MARCHES, STEPS, KEPT = (
-    5999,
-    10,
-    120,
-    12,
-)  # unknowns, marches, steps of each; every twelfth is drawn
+# unknowns, marches, steps of each; every twelfth is drawn
+SIZE, MARCHES, STEPS, KEPT = (5999, 10, 120, 12)
 LEVELS = 1001, 4001, 4001  # of the trees for each Greek
 
 Leg = tuple[Any, float, float]  # of one march: its derivative, the shares of A in M and in C
@@ -46,9 +42,8 @@ def operator(x: np.ndarray) -> tuple[sp.sparray, np.ndarray, list[tuple[sp.sparr
     slope = sp.diags_array([-1.0, 1.0], offsets=[-1, 1], shape=(n, n)) / (2 * h)
     curvature = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)) / h**2
     D, R = 0.5 * (slope - curvature), identity - slope
-    spot = STRIKE * np.exp(
-        x
-    )  # the ends need no more: the first price is exercised, at the last the put is worthless
+    # the ends need no more: the first price is exercised, at the last the put is worthless
+    spot = STRIKE * np.exp(x)
     payoff, shift = np.maximum(STRIKE - spot, 0.0), -spot * np.heaviside(-np.rint(x / h), 0.5)
     return (
         VOLATILITY**2 * D + RATE * R,
@@ -163,9 +158,8 @@ def main(out: Path = Path()) -> None:
     spot, (A, payoff, changes) = STRIKE * np.exp(x), operator(x)
     done = legs(A, payoff)
     years, boundary, kept = forwards(spot, done, payoff, changes)
-    at = np.array(
-        [100, 100, 100, 80, 60]
-    )  # three prices today, the last of them along the boundary
+    # three prices today, the last of them along the boundary
+    at = np.array([100, 100, 100, 80, 60])
     prices = np.array([100.0, 120.0, *1.15 * boundary[at[2:]]])
     ours = np.array(
         [

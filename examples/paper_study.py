@@ -76,9 +76,8 @@ def loop_in_numpy(M: Any, q: Any, omega: float = 0.7) -> int:
 def main(out: Path = Path()) -> None:
     """Measure, print the tables and the growth of the work with n, and save the figure into the folder OUT."""
     methods = ["npsor", "psor", "multigrid", "auto", DampedJacobi()]
-    results = study(
-        [chain, plate, scattered], methods, SIZES, repeats=2
-    )  # out="results.csv" would keep the rows
+    # out="results.csv" would keep the rows
+    results = study([chain, plate, scattered], methods, SIZES, repeats=2)
     for table in results.table("iterations"):
         print(table)
     for method in dict.fromkeys(row.method for row in results.rows if row.family != "polish"):

@@ -54,9 +54,8 @@ def main(out: Path = Path()) -> None:
 
     torque = np.array([2 * h**2 * one.z.sum() for one in warm])
     levels = [contact_level(one.certificate).reshape(SIZE, SIZE) for one in warm]
-    plastic = [
-        np.clip(0.5 - level, 0.0, 1.0).mean() for level in levels
-    ]  # of a cell between 0 and 1
+    # of a cell between 0 and 1
+    plastic = [np.clip(0.5 - level, 0.0, 1.0).mean() for level in levels]
     elastic, fully_plastic = 0.1406 * 2**4 * TWISTS, 8 / 3
     print(
         f"check: the first torque differs from the elastic one by {abs(torque[0] / elastic[0] - 1):.2%}, "

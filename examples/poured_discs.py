@@ -24,14 +24,10 @@ DISCS, RADIUS, MASS, GRAVITY, FRICTION = 30, 0.1, 1.0, 9.81, 0.4  # m, kg, m/s²
 STEP, STEPS, HALF, REACH = 0.01, 1000, 0.5, 0.03  # s, of the box and of possible contacts: m
 MASSES = np.tile([MASS, MASS, 0.5 * MASS * RADIUS**2], DISCS)  # sideways, up, turning
 FILM = (0, 30, 60, 120, 999)  # steps
-WALLS = (
-    (0.0, 1.0, 0.0),
-    (1.0, 0.0, HALF),
-    (-1.0, 0.0, HALF),
-)  # a normal, and how far behind the origin it stands
-Contact = tuple[
-    int, int, np.ndarray, float
-]  # a disc, another or −1 − a wall, the normal towards the disc, the gap
+# a normal, and how far behind the origin it stands
+WALLS = ((0.0, 1.0, 0.0), (1.0, 0.0, HALF), (-1.0, 0.0, HALF))
+# a disc, another or −1 − a wall, the normal towards the disc, the gap
+Contact = tuple[int, int, np.ndarray, float]
 
 
 def near(at: np.ndarray) -> list[Contact]:

@@ -53,9 +53,8 @@ def main(out: Path = Path()) -> None:
         f"{np.mean(u >= LIMIT):.0%} of the area"
     )
 
-    frozen = LCP(
-        A, -HEAT * np.exp(u), lower=-np.inf, upper=np.full(u.size, LIMIT)
-    )  # the heat as it is at the answer
+    # the heat as it is at the answer
+    frozen = LCP(A, -HEAT * np.exp(u), lower=-np.inf, upper=np.full(u.size, LIMIT))
     level = contact_level(Certificate.of(frozen, u)).reshape(SIZE, SIZE)
     plt.style.use(Path(__file__).with_name("plots.mplstyle"))
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.2, 4.1), layout="constrained")

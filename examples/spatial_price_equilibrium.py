@@ -32,10 +32,8 @@ def main(out: Path = Path()) -> None:
     place = np.array([(300 * (k % 4), 300 * (k // 4)) for k in range(REGIONS)]) + random.uniform(
         0, 190, (REGIONS, 2)
     )
-    a, b = (
-        random.uniform(20, 120, REGIONS),
-        random.uniform(0.2, 1.0, REGIONS),
-    )  # EUR/t, EUR/t per kt
+    # EUR/t, EUR/t per kt
+    a, b = (random.uniform(20, 120, REGIONS), random.uniform(0.2, 1.0, REGIONS))
     c, d = random.uniform(80, 180, REGIONS), random.uniform(0.2, 1.0, REGIONS)
     t = 0.03 * np.linalg.norm(place[:, None] - place, axis=2).ravel()  # EUR/t
     S, Y = np.kron(np.eye(REGIONS), np.ones(REGIONS)), np.kron(np.ones(REGIONS), np.eye(REGIONS))

@@ -34,11 +34,8 @@ def rows_of_contacts() -> tuple[np.ndarray, np.ndarray]:
     for row in range(2 * BLOCKS):
         block, arm = row // 2, (-WIDTH / 2, WIDTH / 2)[row % 2]
         normals[row, 3 * block : 3 * block + 3] = 0, 1, arm
-        tangents[row, 3 * block : 3 * block + 3] = (
-            1,
-            0,
-            HEIGHT / 2,
-        )  # the contact lies below the centre
+        # the contact lies below the centre
+        tangents[row, 3 * block : 3 * block + 3] = (1, 0, HEIGHT / 2)
         if block:
             normals[row, 3 * block - 3 : 3 * block] = 0, -1, -arm
             tangents[row, 3 * block - 3 : 3 * block] = -1, 0, HEIGHT / 2

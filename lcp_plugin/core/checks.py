@@ -24,9 +24,8 @@ BoolVector = NDArray[np.bool_]
 Arrays = tuple[NDArray[Any], NDArray[Any], Vector]  # of a sparse matrix: indptr, indices, data
 
 DOUBLE = np.dtype(np.float64)
-DENSE_ABOVE_DENSITY = (
-    0.25  # a denser matrix is an array: indices save little memory, and BLAS is fast
-)
+# a denser matrix is an array: indices save little memory, and BLAS is fast
+DENSE_ABOVE_DENSITY = 0.25
 DENSE_UP_TO_SIZE = 5000  # rows: an array of .2 GB
 SHARED_UP_TO = 1000  # entries of bounds that problems share
 MAX_CROSSING = 4.0  # units in the last place by which equal bounds may cross

@@ -125,9 +125,8 @@ def with_article(word: str) -> str:
     return f"an {word}" if word[0] in "AEIOU" or word.startswith("LCP") else f"a {word}"
 
 
-DOORS: dict[
-    str, str
-] = {}  # "Class.name" or "function package" → "module:function", from the package on
+# "Class.name" or "function package" → "module:function", from the package on
+DOORS: dict[str, str] = {}
 
 
 class Door:

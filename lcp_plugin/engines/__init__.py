@@ -16,12 +16,8 @@ from importlib.util import find_spec
 from ..core.errors import UnsuitableProblem
 from .engine import Engine
 
-ENGINES = {  # name: class; in the order in which `lcp-plugin list` shows them
-    "daqp": "DAQP",
-    "piqp": "PIQP",
-    "clarabel": "Clarabel",
-    "highs": "HiGHS",
-}
+# name: class; in the order in which `lcp-plugin list` shows them
+ENGINES = {"daqp": "DAQP", "piqp": "PIQP", "clarabel": "Clarabel", "highs": "HiGHS"}
 
 
 @cache

@@ -52,9 +52,8 @@ LEAST_SIZE = 1e-6  # of the rows' terms with their multipliers
 MOVES = 1000.0  # times its size, an unknown without a bound is moved
 SMALLEST_SIZE = 2.0**-900  # of the gap: if all terms are 0, gradients are relative to their own
 LEAST_PRICE = 2.0**-1000  # quotients by it are finite
-ROUNDED_ELSEWHERE = (
-    64.0 * UNIT
-)  # of terms in the other rows of an unknown: rounding of this unknown
+# of terms in the other rows of an unknown: rounding of this unknown
+ROUNDED_ELSEWHERE = 64.0 * UNIT
 
 
 class KKTErrors(NamedTuple):

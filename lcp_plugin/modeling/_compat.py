@@ -36,9 +36,8 @@ from ..expressions.rows import uniform
 from ..problems.statement import STATUS_ELSEWHERE
 
 LONGEST_NAME = 80  # characters of a constraint in a message
-NUMBERS = re.compile(
-    r"\[ *-?\d+\.|…$"
-)  # in a text of cvxpy: an array of numbers, or an end that is cut
+# in a text of cvxpy: an array of numbers, or an end that is cut
+NUMBERS = re.compile(r"\[ *-?\d+\.|…$")
 WHOLE_SUM = re.compile(r"Sum\(([^(),]*), None, False\)")  # cvxpy's text of sum(x)
 
 

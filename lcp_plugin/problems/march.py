@@ -578,15 +578,8 @@ def _begin(
             raise InvalidProblem(
                 f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; call march once per size"
             )
-    others = (
-        "problem",
-        "forcing",
-        "propagator",
-        *BOUNDS,
-        *AT,
-        "algorithm",
-        "keep",
-    )  # no options of solve
+    # no options of solve
+    others = ("problem", "forcing", "propagator", *BOUNDS, *AT, "algorithm", "keep")
     if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
         hint = did_you_mean(unknown[0], (*others, *OF_SOLVE))
         raise InvalidOption(f"march has no option {unknown[0]!r}{hint}")

@@ -227,9 +227,8 @@ class ActiveSetSteps:
 
 
 GOAL = 1e-6  # of a linear solve in such a step, if it is iterative
-FLOORS = (
-    64.0  # of rounding of a row, up to which w is 0: free rows amplify the rounding of the data
-)
+# of rounding of a row, up to which w is 0: free rows amplify the rounding of the data
+FLOORS = 64.0
 
 
 class ActiveRows(NamedTuple):

@@ -27,11 +27,8 @@ FIRST_CHECK = 10  # iteration of the first residual that the method does not rep
 FIRST_FLOOR_CHECK = 25  # iterations without a fall
 PROGRESS = 0.99  # a residual that has not fallen below this share of an earlier one has not fallen
 FAILED = (Status.STALLED, Status.DIVERGED)  # another algorithm may do better
-CUT_SHORT = (
-    *LIMITS,
-    Status.INTERRUPTED,
-    Status.DIVERGED,
-)  # the status of a point that does not pass
+# the status of a point that does not pass
+CUT_SHORT = (*LIMITS, Status.INTERRUPTED, Status.DIVERGED)
 
 
 class Named(NamedTuple):

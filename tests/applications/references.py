@@ -14,9 +14,8 @@ from scipy.sparse.linalg import splu
 ROUNDING = 1e-12  # of a row's own terms: what a right answer may leave
 LEAST_SQUARES = 1e-10  # and one of nonnegative least squares
 ROUNDS = 300
-PATIENCE = (
-    8  # rounds without fewer wrong rows, until one row at a time is exchanged (Júdice and Pires)
-)
+# rounds without fewer wrong rows, until one row at a time is exchanged (Júdice and Pires)
+PATIENCE = 8
 
 
 class NoReference(Exception):

@@ -174,9 +174,8 @@ def test_a_negative_diagonal_entry_is_named_and_a_rounding_error_is_no_unit() ->
     for entry, line in ((1e-17, ""), (1e17, unit)):
         problem = LCP([[4, entry, 0], [1, 4, 0], [0, 1, 4]], [1, 1, 1], names=names)
         assert likely_mistake(problem, np.zeros(3), problem.q) == line
-    alone = LCP(
-        [[1, 1, 1], [1, 1, 2], [1, -2, 1]], [1, 1, 1], names=names
-    )  # with a positive diagonal
+    # with a positive diagonal
+    alone = LCP([[1, 1, 1], [1, 1, 2], [1, -2, 1]], [1, 1, 1], names=names)
     assert likely_mistake(alone, np.zeros(3), alone.q) == ""
 
 

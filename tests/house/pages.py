@@ -25,15 +25,8 @@ from typing import Any
 from PIL import Image
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-TRADES = (  # in examples/manual: the problem, its code and picture, a validation and the time, on one screen
-    "options",
-    "contact",
-    "equilibria",
-    "obstacle",
-    "data",
-    "control",
-    "algorithms",
-)
+# in examples/manual: the problem, its code and picture, a validation and the time, on one screen
+TRADES = ("options", "contact", "equilibria", "obstacle", "data", "control", "algorithms")
 GUIDES = (
     "first_model",
     *TRADES,

@@ -95,10 +95,8 @@ def imports() -> tuple[tuple[str, str, bool], ...]:
 def upward() -> list[tuple[str, str]]:
     """Return the imports from a higher floor, or from another room of the same floor."""
     level = {room: -k for k, rooms in enumerate(floors()) for room in rooms}
-    below, above = (
-        level | {"": -99},
-        level | {"": 1},
-    )  # all may import the version, the top fills a table
+    # all may import the version, the top fills a table
+    below, above = (level | {"": -99}, level | {"": 1})
     return [
         (one, other)
         for one, other, _ in imports()

@@ -80,9 +80,8 @@ ATTEMPTS: tuple[tuple[str, float | None, int | None, Scaling], ...] = (
 # With much fill, a step of PIQP takes up to 10 s, and nothing interrupts it. HiGHS pivots; Clarabel's factorization is
 # up to 20 times as fast then.
 WITH_FILL = "highs", "clarabel", "daqp", "piqp"
-POLISH_FROM = (
-    20  # steps of an external solver: a polish, of two factorizations, takes a tenth of its time
-)
+# steps of an external solver: a polish, of two factorizations, takes a tenth of its time
+POLISH_FROM = 20
 SHARP = 8.0 * MOVES * UNIT  # per unknown and row: below this gap, plain sums show no error
 TOLERANCES = MappingProxyType(
     {

@@ -537,6 +537,5 @@ def test_the_gap_of_a_fit_of_full_rank_is_small_at_its_minimizer(seed: int, lowe
     off = x + 0.01 * rng.normal(size=5)
     excess = 0.5 * np.square(A @ (off - x)).sum()
     assert excess * (1 - 1e-6) <= duality_gap(problem, off)
-    assert (
-        duality_gap(problem, off) <= 10.0 * excess or lower == 0.0
-    )  # no sharp bound next to a bound
+    # no sharp bound next to a bound
+    assert duality_gap(problem, off) <= 10.0 * excess or lower == 0.0

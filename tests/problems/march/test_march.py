@@ -236,9 +236,8 @@ def test_kinks_are_held_backwards_and_one_sided_forwards() -> None:
     rod = LCP(sp.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(40, 40)), np.zeros(40))
     forcing = np.zeros((3, 40))
     forcing[:, :10] = -1.0
-    forcing[1, 30] = (
-        1.0  # the others far right are 0 with w ≥ 0, and rounding decides nothing there
-    )
+    # the others far right are 0 with w ≥ 0, and rounding decides nothing there
+    forcing[1, 30] = 1.0
     wide = march(rod, forcing, propagator=0.0)
     still = march(rod, np.zeros((3, 40)))
     found = derivative(still)

@@ -72,10 +72,8 @@ def test_help_tells_what_goes_in_and_what_comes_out() -> None:
                 unit = re.search(r"[Ss]econd|units", described[parameter].partition("\n")[2])
                 assert unit, f"{name}: {parameter}: which unit?"
         returns = is_function(thing) and inspect.signature(inspect.unwrap(thing)).return_annotation
-        if returns and returns not in (
-            "None",
-            "Scene",
-        ):  # the first line of a scene says what the scene is
+        # the first line of a scene says what the scene is
+        if returns and returns not in ("None", "Scene"):
             is_told = re.search(r"\b([Rr]eturn|Yield|Solve|Raise)", told[""]) or {
                 "Returns",
                 "Yields",

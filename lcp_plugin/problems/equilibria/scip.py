@@ -113,9 +113,8 @@ def minimize(
     if (lower > upper).any():
         return ScipAnswer("infeasible", None, math.inf, math.inf, 0)
     # SCIP takes a thousandth in its linear programs; with less, a build without GMP prints a line for each
-    for feasible in sorted(
-        {min(FEASIBLE, tolerance), FEASIBLE, 1e-6}
-    ):  # SCIP's own: its linear programs may do better
+    # SCIP's own: its linear programs may do better
+    for feasible in sorted({min(FEASIBLE, tolerance), FEASIBLE, 1e-6}):
         model = _Model(problem, ends)
         found = model.solved(tolerance, max_nodes, feasible)
         if not found.status.startswith(FAILED):

@@ -171,10 +171,8 @@ def test_a_tiny_penalty_is_no_trouble(l1: float, noise: float) -> None:
     free = result.x != 0.0
     shortest = -l1 * np.linalg.lstsq(A[:, free].T, np.sign(result.x[free]), rcond=None)[0]
     bounds = []
-    for y in (
-        shortest,
-        A @ result.x - b,
-    ):  # scaled to |Aᵀy| ≤ l1: the one is good where little is left of b
+    # scaled to |Aᵀy| ≤ l1: the one is good where little is left of b
+    for y in (shortest, A @ result.x - b):
         y *= l1 / max(l1, float(np.abs(A.T @ y).max()))
         bounds.append(-0.5 * (y @ y) - b @ y)
     assert result.cost <= max(bounds) * (1.0 + 1e-6)

@@ -49,7 +49,7 @@ except ImportError:
         "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
     ) from None
 
-from .core.checks import AnyMatrix, Vector
+from .core.checks import AnyMatrix, Array, Vector
 from .core.errors import InvalidOption, InvalidProblem
 from .core.lcp import LCP
 from .core.settings import whole_number
@@ -551,7 +551,7 @@ def is_double(exact: Fraction) -> bool:
         return False
 
 
-def fractions_of(values: Any) -> tuple[Fraction, ...]:
+def fractions_of(values: Array) -> tuple[Fraction, ...]:
     """Return an array of doubles as exact numbers."""
     return tuple(Fraction(float(value)) for value in values)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from .checks import Vector
+from .checks import Array, Vector
 from .errors import InvalidOption, LCPError, UnreadableFile
 
 if TYPE_CHECKING:
@@ -256,7 +256,7 @@ def _archive(source: Path) -> Iterator[Any]:
             ) from error
 
 
-def flat(values: Any) -> Vector:
+def flat(values: Array) -> Vector:
     """Return a row or a column as a vector."""
     dense: Vector = np.asarray(values.toarray() if sp.issparse(values) else values)
     return dense.reshape(-1) if 1 in dense.shape else dense

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import AnyMatrix, Vector
+from .checks import AnyMatrix, Array, Vector
 from .errors import InvalidProblem
 from .kernels.floats import MAY_UNDERFLOW, TINY, UNIT
 
@@ -105,7 +105,7 @@ def compensated_pair(M: AnyMatrix, x: Vector, q: Vector | None = None) -> Sums:
     return high, low, radius
 
 
-def _row_sums(a: Vector, b: Vector, starts: Any, offset: Vector) -> Any:
+def _row_sums(a: Vector, b: Vector, starts: Array, offset: Vector) -> Any:
     """Return (high, low, radius) of the sums of a_k b_k of each row with its offset; `starts` as in a CSR array."""
     # a_k b_k = h_k + e_k exactly, without underflow. With σ a power of two, σ ≥ (m + 2) max|t_k| for m terms t_k, all
     # p_k = (σ + t_k) − σ are multiples of u σ and their sums at most σ in size: Σ p_k is exact in any order, and so is
@@ -137,7 +137,7 @@ def _row_sums(a: Vector, b: Vector, starts: Any, offset: Vector) -> Any:
     return high, np.where(is_number, low, 0.0), np.where(is_number, radius, np.inf)
 
 
-def _split(starts: Any, counts: Any, *terms: Vector) -> tuple[Vector, list[Vector]]:
+def _split(starts: Array, counts: Array, *terms: Vector) -> tuple[Vector, list[Vector]]:
     """Return exact sums of leading parts of the terms of each row, and the rests of the terms."""
     top = np.maximum.reduceat(np.max(np.abs(terms), axis=0), starts)
     unit = np.ldexp(1.0, np.frexp(top)[1] + np.frexp(len(terms) * counts + 2.0)[1])

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Vector
+from ..core.checks import Array, Vector
 
 
 def highs(
     cost: Vector,
-    rows: Any,
+    rows: Array,
     limits: Vector,
     equations: Any,
     right: Vector,

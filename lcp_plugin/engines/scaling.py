@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..core.checks import Vector
+from ..core.checks import Array, Vector
 from ..core.matrix import largest_in_rows, scale_by
 from .engine import EngineAnswer, ProgramData
 
@@ -83,7 +83,7 @@ def scale_program(given: ProgramData, units: Vector) -> ScaledProgram:
     )
 
 
-def _power_below(sizes: Any) -> Any:
+def _power_below(sizes: Array) -> Any:
     """Return the power of two below each size, 1 below 0."""
     return np.where(sizes > 0.0, np.ldexp(1.0, np.frexp(sizes)[1] - 1), 1.0)
 

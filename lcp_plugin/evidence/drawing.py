@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..core.checks import Vector
+from ..core.checks import Array, Vector
 from ..core.errors import InvalidOption, LCPError, UnsuitableProblem
 from ..core.files import write_whole
 from ..core.matrix import largest_in_rows
@@ -318,7 +318,7 @@ def contact_level(answer: Certificate) -> Vector:
     return level
 
 
-def _draw_map(axes: Any, x: Any, active: Any, level: Any, frame: Frame | Scene) -> None:
+def _draw_map(axes: Any, x: Array, active: Any, level: Any, frame: Frame | Scene) -> None:
     """Draw values over a grid as colors, with the free boundary as a line."""
     nodes = [*(frame.coordinates or [np.arange(size, dtype=float) for size in x.shape])]
     while x.ndim > 2:

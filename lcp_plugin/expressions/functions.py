@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.checks import Array
 from ..core.kernels.floats import NORMAL
 
 
@@ -38,24 +39,24 @@ class Function:
         return _named, (self.name,)
 
 
-def _log_of_quotient(u: Any, v: Any) -> Any:
+def _log_of_quotient(u: Array, v: Array) -> Any:
     """Return log(u/v), also where the quotient is not a normal double."""
     quotient = u / v
     is_normal = (quotient >= NORMAL) & np.isfinite(quotient) & (v > 0.0)
     return np.where(is_normal, np.log(quotient), np.log(u) - np.log(v))
 
 
-def _relative_entropy(u: Any, v: Any) -> Any:
+def _relative_entropy(u: Array, v: Array) -> Any:
     return np.where((u == 0.0) & (v >= 0.0), 0.0, u * _log_of_quotient(u, v))
 
 
-def _log_add_exp_slopes(u: Any, v: Any) -> tuple[Any, Any]:
+def _log_add_exp_slopes(u: Array, v: Array) -> tuple[Any, Any]:
     from scipy.special import expit  # slow to import, and seldom needed
 
     return expit(u - v), expit(v - u)
 
 
-def _power_slopes(u: Any, v: Any) -> tuple[Any, Any]:
+def _power_slopes(u: Array, v: Array) -> tuple[Any, Any]:
     by_exponent = np.where((u == 0.0) & (v > 0.0), 0.0, np.power(u, v) * np.log(u))
     return v * np.power(u, v - 1.0), by_exponent
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ..core.checks import AnyMatrix, Array
 from ..core.errors import InvalidProblem, ModelWarning, UnreadableFile, UnsupportedModel
 from ..core.files import (
     PARTS,
@@ -341,7 +342,7 @@ def _contacts(source: Path, name: str, group: Any) -> FrictionalContact:
 # --- The classes and their arrays --------------------------------------------------------------------------------
 
 
-def _lcp(M: Any, q: Any, **bounds: Any) -> LCP:
+def _lcp(M: AnyMatrix, q: Array, **bounds: Array) -> LCP:
     # Before M becomes CSR, which takes memory for every row that a sparse matrix announces.
     if sp.issparse(M) and q.shape != M.shape[:1]:
         raise InvalidProblem(
@@ -350,12 +351,12 @@ def _lcp(M: Any, q: Any, **bounds: Any) -> LCP:
     return LCP(M, q, **bounds)
 
 
-def _contact(W: Any, b: Any, friction: Any, **others: Any) -> Any:
+def _contact(W: AnyMatrix, b: Array, friction: Array, **others: Any) -> Any:
     state = FrictionalContact.worlds if W.ndim == 3 else FrictionalContact
     return state(W, b, friction, **others)
 
 
-def _cones(M: Any, q: Any, cone_kinds: Any, cone_rows: Any, **ends: Any) -> ConeProblem:
+def _cones(M: AnyMatrix, q: Array, cone_kinds: Any, cone_rows: Any, **ends: Array) -> ConeProblem:
     kinds, sizes = cone_kinds.tolist(), cone_rows.tolist()
     if not set(kinds) <= {*range(len(CONES))}:
         raise InvalidProblem(f"cone_kinds must be 0 to {len(CONES) - 1}, got {kinds}")
@@ -384,7 +385,7 @@ def _program(c: Any, P: Any = None, l: Any = None, u: Any = None, **others: Any)
     return LoadedProgram(QuadraticProgram.from_ranges(P, c, others.pop("A"), *limits, **others))
 
 
-def _symmetric(P: Any) -> Any:
+def _symmetric(P: AnyMatrix) -> Any:
     """Return P; of a triangle of it the whole matrix."""
     if P.ndim != 2 or P.shape[0] != P.shape[1] or not sp.issparse(P):
         return P

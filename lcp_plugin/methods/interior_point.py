@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm, Step
-from ..core.checks import Vector
+from ..core.checks import Array, Vector
 from ..core.deadline import require_seconds, seconds_left
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, equation_signs, fact, is_nearly_symmetric, row_numbers
@@ -136,7 +136,7 @@ class MonotoneProgram:
     statement: ProgramData
     size: float
     unknowns: Any
-    multipliers: Any
+    multipliers: Array
     anchor: Vector
 
     @classmethod

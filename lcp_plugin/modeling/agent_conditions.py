@@ -111,7 +111,7 @@ class StandardRows(NamedTuple):
     """
 
     origin: Any
-    expression: Any
+    expression: cp.Expression
     is_equation: bool
     kept: Any = slice(None)
 

@@ -30,7 +30,7 @@ from .model import Model, spans_of, warn
 from .reading import Reader, rewritten
 
 
-def stated_program(problem: Any, constraints: list[Any]) -> tuple[EquilibriumProgram, Model]:
+def stated_program(problem: cp.Problem, constraints: list[Any]) -> tuple[EquilibriumProgram, Model]:
     """Return the equilibrium program of a cvxpy problem, and the map back to its variables.
 
     Parameters
@@ -73,7 +73,7 @@ def stated_program(problem: Any, constraints: list[Any]) -> tuple[EquilibriumPro
     return statement.best(model.reader.rows(goal), compat.sense_of(problem)), model
 
 
-def _chosen(variable: Any, chosen: Any) -> Indices:
+def _chosen(variable: cp.Variable, chosen: Any) -> Indices:
     """Return the mask of cvxpy's ``boolean_idx`` or ``integer_idx``, column by column."""
     if not len(chosen):
         return np.zeros(0, dtype=np.int64)
@@ -83,7 +83,7 @@ def _chosen(variable: Any, chosen: Any) -> Indices:
     return np.asarray(found, dtype=np.int64)
 
 
-def _kink(node: Any, kinks: list[Complements]) -> Any:
+def _kink(node: cp.Expression, kinks: list[Complements]) -> Any:
     """Return x + 2 s instead of |x|, and every other node unchanged; 0 ≤ s ⟂ x + s ≥ 0 is added to the pairs."""
     if not isinstance(node, cp.abs) or node.is_constant():
         return node
@@ -203,7 +203,7 @@ def _fee(agent: Any) -> tuple[Any, list[Any]]:
     return MARGIN * terms[: x.size] @ (more + less), [x - x.value == more - less]
 
 
-def _best_value(problem: Any) -> tuple[float, str]:
+def _best_value(problem: cp.Problem) -> tuple[float, str]:
     """Return the minimum of a program without kinks, or NaN and the reason.
 
     A QuadraticProgram is solved here, another program by cvxpy's rules of convexity by cvxpy's solver, and the rest by

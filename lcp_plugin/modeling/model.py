@@ -54,7 +54,7 @@ class Side:
         Number of rows of one cone.
     """
 
-    expression: Any
+    expression: cp.Expression
     kind: str
     constraint: Any = None
     lower: Any = None
@@ -195,7 +195,7 @@ def over_cones(found: SquareModel, pairs: Sequence[ConePair], name: Any) -> Squa
 class DualReport:
     """Value for a constraint's dual variable: scale · (w or z)[columns] + shift."""
 
-    constraint: Any
+    constraint: cp.Constraint
     columns: Indices
     shape: tuple[int, ...]
     is_slack: bool

@@ -235,7 +235,7 @@ class CompiledProblem:
     entries: dict[int, Entries]
 
     @classmethod
-    def of(cls, problem: Any, *, is_folded: bool = False, **options: Any) -> CompiledProblem:
+    def of(cls, problem: cp.Problem, *, is_folded: bool = False, **options: Any) -> CompiledProblem:
         """Return the program of a problem; if folded, rows of one unknown become bounds.
 
         Raises
@@ -269,7 +269,7 @@ def name_rows(problem: Any, program: QuadraticProgram, compiled: Any = None) -> 
     return entries
 
 
-def _names_of(problem: Any, data: Any, entries: dict[int, Entries]) -> Names:
+def _names_of(problem: cp.Problem, data: Any, entries: dict[int, Entries]) -> Names:
     """Return the names of the rows and unknowns of the program that cvxpy compiles, in the user's words.
 
     A row that cvxpy adds, as for abs(x) <= 1, has no name.
@@ -302,7 +302,7 @@ CLAIMED = {
 }
 
 
-def certify_problem(problem: Any, tolerance: float) -> Certification:
+def certify_problem(problem: cp.Problem, tolerance: float) -> Certification:
     """Return the proved properties of the values and the status of a cvxpy problem."""
     _check(problem)
     compiled = CompiledProblem.of(problem)
@@ -316,7 +316,7 @@ def certify_problem(problem: Any, tolerance: float) -> Certification:
     return replace(found, lower=lower, upper=upper)
 
 
-def _check(problem: Any) -> None:
+def _check(problem: cp.Problem) -> None:
     """Raise an error unless this is a solved problem that QPSolver could take."""
     if not isinstance(problem, cp.Problem):
         raise InvalidProblem(
@@ -349,7 +349,7 @@ def _check(problem: Any) -> None:
             )
 
 
-def _point(problem: Any, compiled: CompiledProblem) -> Vector:
+def _point(problem: cp.Problem, compiled: CompiledProblem) -> Vector:
     """Return the program's x of the user's values; auxiliary variables are optimized with these fixed."""
     x, entries = np.zeros(compiled.program.n), compiled.entries.values()
     for variable in problem.variables():

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
 from ..core.algorithm import Algorithm
-from ..core.checks import Vector, derived_property, read_only
+from ..core.checks import AnyMatrix, Array, Vector, derived_property, read_only
 from ..core.deadline import Clock
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem, did_you_mean
 from ..core.kernels.floats import EPSILON, MAY_UNDERFLOW
@@ -547,7 +547,7 @@ def _require_constant_bounds(forcing: ArrayLike, **bounds: ArrayLike | None) -> 
             )
 
 
-def _axes(values: Any) -> int:
+def _axes(values: Array) -> int:
     """Return the number of axes of an argument."""
     try:
         return np.ndim(values)
@@ -557,7 +557,7 @@ def _axes(values: Any) -> int:
 
 def _begin(
     problems: list[Any],
-    forcing: Any,
+    forcing: Array,
     propagator: Any,
     states: Any,
     at: dict[str, Any],
@@ -757,7 +757,7 @@ class Steps:
         return np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain else self.at(k).degenerate
 
     def jvp(
-        self, dM: Any, df: Vector, dC: Any, low: Vector, high: Vector, before: Vector
+        self, dM: AnyMatrix, df: Vector, dC: AnyMatrix, low: Vector, high: Vector, before: Vector
     ) -> Vector:
         """Return the changes of the solutions for changes of M, forcing, propagator and bounds, a row per step.
 
@@ -839,7 +839,7 @@ class MarchGradient(NamedTuple):
     z0: Vector
     lower: Vector
     upper: Vector
-    M: Any
+    M: AnyMatrix
     propagator: sp.csr_array
     forcing: Vector
     lower_at: Vector
@@ -922,12 +922,12 @@ class MarchDerivative:
     def jvp(
         self,
         *,
-        dM: Any = None,
+        dM: AnyMatrix = None,
         dforcing: Any = None,
         dpropagator: Any = None,
         dz0: Any = None,
-        dlower: Any = None,
-        dupper: Any = None,
+        dlower: Array = None,
+        dupper: Array = None,
         dlower_at: Any = None,
         dupper_at: Any = None,
         dM_at: Any = None,

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import BoolVector, Vector
+from ..core.checks import Array, BoolVector, Vector
 from ..core.deadline import time_limit
 from ..core.errors import NotSquare, UnsupportedModel
 from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE
@@ -290,7 +290,7 @@ class StatedRows:
     high: Vector
     origin: Any = None
     sign: Any = 1.0
-    z: Any = None
+    z: Array = None
     slacks: Any = None
     name: Callable[[int], str] | None = None
 
@@ -433,7 +433,7 @@ class Statement:
         self._repeated: list[int] = []  # unknowns of further pairs of which they are the variable
 
     def constrain(
-        self, rows: Rows, low: Any = 0.0, high: Any = 0.0, origin: Any = None, name: Any = None
+        self, rows: Rows, low: Array = 0.0, high: Array = 0.0, origin: Any = None, name: Any = None
     ) -> None:
         """Let low ≤ rows ≤ high."""
         zero = np.zeros(rows.size)
@@ -443,8 +443,8 @@ class Statement:
         self,
         z: Indices,
         w: Rows,
-        low: Any,
-        high: Any,
+        low: Array,
+        high: Array,
         sign: Any = 1.0,
         origin: Any = None,
         name: Any = None,

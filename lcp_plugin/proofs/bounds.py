@@ -61,7 +61,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..core.checks import AnyMatrix, BoolVector, Vector, checked_vector
+from ..core.checks import AnyMatrix, Array, BoolVector, Vector, checked_vector
 from ..core.deadline import is_over
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.kernels.floats import OUTWARD, TINY, UNDERFLOW, UNIT
@@ -451,7 +451,7 @@ def two_norm_bound(at: RowInequality, eigenvalue: EigenvalueBound) -> Vector:
     return np.where(np.isnan(bound), np.inf, bound)
 
 
-def norms_above(x: Vector, labels: Any) -> Vector:
+def norms_above(x: Vector, labels: Array) -> Vector:
     """Return a double above ‖x_P‖₂, x ≥ 0, for each set P of entries with one label; also with underflow."""
     largest = np.zeros(int(labels.max(initial=-1)) + 1)
     np.maximum.at(largest, labels, x)

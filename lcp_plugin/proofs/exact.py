@@ -34,7 +34,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import AnyMatrix, Vector
+from ..core.checks import AnyMatrix, Array, Vector
 from ..core.deadline import is_over
 from ..core.errors import InvalidProblem
 from ..core.kernels.floats import EPSILON, LARGEST, TINY
@@ -116,7 +116,7 @@ def common_denominator(values: Sequence[Rational]) -> tuple[list[int], int]:
     return whole, denominator
 
 
-def like(values: Any, z: Any) -> Any:
+def like(values: Array, z: Array) -> Any:
     """Return floats unchanged, or as Fractions if z has Fractions."""
     if z.dtype != object:
         return values
@@ -491,7 +491,7 @@ def _product(limbs: list[Integers], digit: Integers) -> Any:
     return total
 
 
-def _reconstructed(x: Any, modulus: int) -> tuple[list[int], int] | None:
+def _reconstructed(x: Array, modulus: int) -> tuple[list[int], int] | None:
     """Return small numerators and one denominator that equal x modulo the modulus, if there are any."""
     bound = math.isqrt(modulus // 2)
     numerators: list[int] = []
@@ -618,7 +618,7 @@ def _by_largest_block(rows: list[Row], right: Fractions, guess: Fractions) -> Ro
 LOWEST = -LARGEST  # the lowest double
 
 
-def sum_above(a: Any, b: Any) -> Vector:
+def sum_above(a: Any, b: Array) -> Vector:
     """Return a float64 ≥ a + b, equal to it if a + b is a float64."""
     total = np.add(a, b)
     part = total - a
@@ -626,12 +626,12 @@ def sum_above(a: Any, b: Any) -> Vector:
     return _choice(error <= 0.0, total, _above(total))
 
 
-def product_above(a: Any, b: Any) -> Vector:
+def product_above(a: Any, b: Array) -> Vector:
     """Return a float64 ≥ a b, and 0 if a or b is 0."""
     return _choice(np.equal(a, 0.0) | np.equal(b, 0.0), 0.0, _above(np.multiply(a, b)))
 
 
-def quotient_above(a: Any, b: Any) -> Vector:
+def quotient_above(a: Any, b: Array) -> Vector:
     """Return a float64 ≥ a/b for b > 0, and 0 if a is 0."""
     return _choice(np.equal(a, 0.0), 0.0, _above(np.divide(a, b)))
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import BoolVector, Vector
+from ..core.checks import AnyMatrix, Array, BoolVector, Vector
 from ..core.deadline import is_over, seconds_left
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.matrix import row_numbers, scale_matrix
@@ -290,7 +290,7 @@ class FarkasProgram:
         matrix = self.constraints.matrix
         exponents = equilibrating_exponents(without_rounding(matrix), EQUILIBRATING_PASSES, 500)
         self.rows, self.columns = (np.ldexp(1.0, side) for side in exponents)
-        self.matrix: Any = scale_matrix(matrix, exponents)
+        self.matrix: AnyMatrix = scale_matrix(matrix, exponents)
 
     @cached_property
     def sizes(self) -> list[float]:
@@ -513,7 +513,7 @@ def linear_program(
     cost: Vector,
     equations: Any,
     right: Vector | float,
-    bounds: Any,
+    bounds: Array,
     at_most: tuple[Any, Any],
     pivots: int | None = None,
 ) -> Any:

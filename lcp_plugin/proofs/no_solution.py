@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import AnyMatrix, Vector, derived_property
+from ..core.checks import AnyMatrix, Array, Vector, derived_property
 from ..core.kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE
 from ..core.lcp import LCP
 from ..core.matrix import is_nearly_symmetric
@@ -59,7 +59,7 @@ def moved_unknowns(d: Any, names: Names = NAMELESS) -> str:
     return f"unknown{'s' * (len(moving) != 1)} {named}"
 
 
-def is_minimizer_beyond_radius(P: AnyMatrix, c: Vector, direction: Any, left: Any) -> bool:
+def is_minimizer_beyond_radius(P: AnyMatrix, c: Vector, direction: Any, left: Array) -> bool:
     """Return whether a load c moves the zero-energy mode much farther than the softest part of the structure.
 
     t = Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves, is how far the softest part gives
@@ -199,7 +199,7 @@ class NoSolutionProof:
         )
 
 
-def piece_of(problem: LCP, path: Mapping[int, str], rows: Any = ...) -> LinearConstraints:
+def piece_of(problem: LCP, path: Mapping[int, str], rows: Array = ...) -> LinearConstraints:
     """Return the linear constraints of these rows, or all, in a piece, in which some rows are decided by their choices.
 
     The other rows have w of the signs that their bounds permit. A violation implies a residual as large.

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import Arrays, Vector, freeze_csr
+from ..core.checks import Array, Arrays, Vector, freeze_csr
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnreadableFile
 
 T = TypeVar("T")
@@ -48,7 +48,7 @@ class Ranks:
         self.comm.Allgather(own, of_all)
         return of_all
 
-    def largest(self, values: Any) -> float:
+    def largest(self, values: Array) -> float:
         """Return the largest of all ranks' values ≥ 0, arrays or one number each; a NaN stays."""
         here = values.max(initial=0.0) if isinstance(values, np.ndarray) else values
         return self.all_largest(float(here))[0]

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.checks import Vector
+from ..core.checks import AnyMatrix, Array, Vector
 from ..core.errors import InvalidProblem
 from ..methods.newton import LinearizedPhi, fischer_burmeister
 from .methods import Iterates
@@ -110,7 +110,7 @@ class RowsOnPETSc(RowsOnRanks):
     Build it by :meth:`lcp_plugin.LCP.from_petsc`. A must not change as long as the problem is in use.
     """
 
-    A: Any
+    A: AnyMatrix
     methods: ClassVar[dict[str, Any]] = {"petsc": newton}
 
     @classmethod
@@ -144,11 +144,11 @@ class RowsOnPETSc(RowsOnRanks):
         problem.A = stored
         return problem
 
-    def with_q(self, q: Any) -> RowsOnPETSc:
+    def with_q(self, q: Array) -> RowsOnPETSc:
         """Return the problem with another q, a Vec or its local part."""
         return self.from_petsc(self.A, q, self.lower, self.upper)
 
-    def own_part(self, z: Any, name: str = "z", *, is_finite: bool = True) -> Vector:
+    def own_part(self, z: Array, name: str = "z", *, is_finite: bool = True) -> Vector:
         """Return the checked local part of a Vec or an array, shape (own,)."""
         return super().own_part(_local_part(z), name, is_finite=is_finite)
 

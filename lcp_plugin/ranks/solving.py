@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from ..core.algorithm import Step
-from ..core.checks import Vector, read_only
+from ..core.checks import Array, Vector, read_only
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.threads import threads_for
 from ..core.matrix import largest_products
@@ -200,7 +200,7 @@ def solve_on_ranks(
     problem: RowsOnRanks,
     algorithm: str = "auto",
     *,
-    z0: Any = None,
+    z0: Array = None,
     callback: Callable[[Sample, Vector], Any] | None = None,
     **options: Any,
 ) -> ResultOnRanks:

@@ -81,7 +81,7 @@ class LinearizedSystem:
 ALIKE, ENTRIES = (8, 2**16)
 
 
-def pseudo_inverses(blocks: Any) -> tuple[Any, BoolVector]:
+def pseudo_inverses(blocks: AnyMatrix) -> tuple[Any, BoolVector]:
     """Return the Moore–Penrose inverses of square blocks, shape (k, f, f), and which of these are singular, shape (k,).
 
     Examples
@@ -98,7 +98,7 @@ def pseudo_inverses(blocks: Any) -> tuple[Any, BoolVector]:
     return (right * reciprocal[:, np.newaxis]) @ left, np.any(~is_kept, axis=1)
 
 
-def solved(blocks: Any, right: Vector) -> Any:
+def solved(blocks: AnyMatrix, right: Vector) -> Any:
     """Return the solutions of B X = right, shapes (k, f, f) and (k, f, r); NaN if a pivot is 0.
 
     Examples
@@ -161,7 +161,7 @@ class FreeBlocks:
             self._groups.append((items[:, np.newaxis], rows, own, inverses))
 
     @staticmethod
-    def _alike(counts: Any) -> Iterator[tuple[int, Any]]:
+    def _alike(counts: Array) -> Iterator[tuple[int, Any]]:
         """Yield a size, and items of that size whose blocks a cache holds."""
         for count in np.unique(counts[counts > 0]).tolist():
             items = np.flatnonzero(counts == count)
@@ -178,7 +178,7 @@ class FreeBlocks:
         return x
 
 
-def _least(blocks: Any, own: Any) -> tuple[Any, BoolVector]:
+def _least(blocks: AnyMatrix, own: Array) -> tuple[Any, BoolVector]:
     """Return pseudo-inverses of blocks, 0 in padding rows, and the mask of well-scaled singular blocks."""
     inverses, is_singular = np.zeros(blocks.shape), np.zeros(len(blocks), np.bool_)
     for count in np.unique(own.sum(axis=1)).tolist():  # free rows come first
@@ -189,7 +189,7 @@ def _least(blocks: Any, own: Any) -> tuple[Any, BoolVector]:
     return inverses, is_singular
 
 
-def have_one_unit(blocks: Any) -> Any:
+def have_one_unit(blocks: AnyMatrix) -> Any:
     """Return the mask of blocks whose diagonal, or the largest entries of all rows and columns, differ little."""
     sizes = np.abs(blocks)
     rows, sides = sizes.max(2), np.concatenate([sizes.max(2), sizes.max(1)], 1)

@@ -187,7 +187,7 @@ class LCPLayer(Layer):
         self.M = M
 
     @classmethod
-    def of(cls, convert: Convert, M: Array, q: Array, bounds: Any, **options: Any) -> LayerCall:
+    def of(cls, convert: Convert, M: Array, q: Array, bounds: Array, **options: Any) -> LayerCall:
         """Return the layer and its arrays."""
         data = {"q": q, "lower": bounds[0], "upper": bounds[1]}
         q, lower, upper = (convert(one, name) for name, one in data.items())
@@ -240,7 +240,7 @@ class QPLayer(Layer):
         """Return the batch axes; the error names the array that does not fit."""
         names, n = PROGRAM_ARRAYS, (*(shapes[0][-1:] or shapes[1][-1:]), "n")[0]
         m, p = (shapes[k][-2] if len(shapes[k]) > 1 else name for k, name in ((2, "m"), (4, "p")))
-        own: Any = (n, n), (n,), (m, n), (m,), (p, n), (p,), (n,), (n,)
+        own: Array = (n, n), (n,), (m, n), (m,), (p, n), (p,), (n,), (n,)
         for name, shape, wanted in zip(names, shapes, own, strict=True):
             is_number = name in ("lower", "upper") and shape[-1:] in ((), (1,))
             if shape[-len(wanted) :] != wanted and not is_number:
@@ -350,7 +350,7 @@ def common_axes(
         ) from None
 
 
-def check_bounds(q: Array, **bounds: Any) -> None:
+def check_bounds(q: Array, **bounds: Array) -> None:
     """Raise InvalidProblem unless each bound is a number or has the length of q."""
     for name, bound in bounds.items():
         if tuple(bound.shape[-1:]) not in ((), (1,), tuple(q.shape[-1:])):

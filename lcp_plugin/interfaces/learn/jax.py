@@ -19,7 +19,7 @@ except ImportError:
 
 import jax.numpy as jnp
 
-from ...core.checks import check_kind, real_array
+from ...core.checks import AnyMatrix, Array, check_kind, real_array
 from ...core.errors import InvalidOption, InvalidProblem
 from . import ContactLayer, Layer, LayerCall, LCPLayer, QPLayer
 
@@ -78,14 +78,14 @@ def lcp_layer(
 
 
 def qp_layer(
-    P: Any,
-    c: Any,
-    G: Any = None,
-    h: Any = None,
-    A: Any = None,
-    b: Any = None,
-    lower: Any = -np.inf,
-    upper: Any = np.inf,
+    P: AnyMatrix,
+    c: Array,
+    G: AnyMatrix = None,
+    h: Array = None,
+    A: AnyMatrix = None,
+    b: Array = None,
+    lower: Array = -np.inf,
+    upper: Array = np.inf,
     *,
     mask: bool = False,
     **options: Any,
@@ -204,7 +204,7 @@ def _called(function: Callable[..., Any], like: Any, *data: Any) -> Any:
     )
 
 
-def _like(array: Any) -> Any:
+def _like(array: Array) -> Any:
     return jax.ShapeDtypeStruct(array.shape, np.float64)
 
 
@@ -222,7 +222,7 @@ def _solution_forward(layer: Layer, data: tuple[Any, ...]) -> tuple[Any, tuple[A
 def _solution_backward(
     layer: Layer, kept: tuple[Any, ...], gradients: tuple[Any, Any]
 ) -> tuple[Any, ...]:
-    def differentiate(*arrays: Any) -> tuple[Any, ...]:
+    def differentiate(*arrays: Array) -> tuple[Any, ...]:
         *data, z, g = arrays
         at_z = copy(layer)
         at_z.solve(*data, z0=z)
@@ -235,7 +235,7 @@ def _solution_backward(
 _solution.defvjp(_solution_forward, _solution_backward)
 
 
-def _array(values: Any, name: str) -> Any:
+def _array(values: Array, name: str) -> Any:
     """Return the values as an array of doubles, constants as one of numpy; floats of another kind are rejected."""
     need = f"{name} must be an array of real numbers"
     if not isinstance(values, jax.Array):

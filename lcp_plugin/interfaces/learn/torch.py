@@ -13,7 +13,7 @@ except ImportError:
         "lcp_plugin.interfaces.learn.torch needs PyTorch; install it with: pip install torch (or lcp_plugin[torch])"
     ) from None
 
-from ...core.checks import real_array
+from ...core.checks import AnyMatrix, Array, real_array
 from ...core.errors import InvalidProblem, UnsupportedModel
 from . import ContactLayer, Layer, LayerCall, LCPLayer, QPLayer
 
@@ -71,14 +71,14 @@ def lcp_layer(
 
 
 def qp_layer(
-    P: Any,
-    c: Any,
-    G: Any = None,
-    h: Any = None,
-    A: Any = None,
-    b: Any = None,
-    lower: Any = -np.inf,
-    upper: Any = np.inf,
+    P: AnyMatrix,
+    c: Array,
+    G: AnyMatrix = None,
+    h: Array = None,
+    A: AnyMatrix = None,
+    b: Array = None,
+    lower: Array = -np.inf,
+    upper: Array = np.inf,
     *,
     mask: bool = False,
     **options: Any,
@@ -132,7 +132,7 @@ def qp_layer(
 
 
 def contact_layer(
-    W: Any, b: Any, friction: Any, *, z0: Any = None, mask: bool = False, **options: Any
+    W: AnyMatrix, b: Array, friction: Array, *, z0: Array = None, mask: bool = False, **options: Any
 ) -> Any:
     """Return the impulses z of many contact problems, differentiable by W, b and friction.
 
@@ -205,7 +205,7 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
         ctx.save_for_backward(*data, z)
 
     @staticmethod
-    def backward(ctx: Any, g: Any, _: Any) -> tuple[Any, ...]:
+    def backward(ctx: Any, g: Array, _: Any) -> tuple[Any, ...]:
         """Return the gradients by all arguments."""
         *_, z = ctx.saved_tensors  # torch raises an error if one was changed in place
         return None, *_Gradient.apply(ctx.layer, z, g)
@@ -215,7 +215,7 @@ class _Gradient(torch.autograd.Function):  # type: ignore[misc]
     """Gradients of a layer at a solution z; a derivative of them is rejected."""
 
     @staticmethod
-    def forward(layer: Layer, z: Any, g: Any) -> tuple[Any, ...]:
+    def forward(layer: Layer, z: Array, g: Array) -> tuple[Any, ...]:
         """Return the gradients."""
         return tuple(map(torch.from_numpy, layer.gradients(_numpy(g))))
 
@@ -232,7 +232,7 @@ class _Gradient(torch.autograd.Function):  # type: ignore[misc]
         )
 
 
-def _tensor(values: Any, name: str) -> Any:
+def _tensor(values: Array, name: str) -> Any:
     """Return the values as a tensor of doubles on the CPU; what is a tensor of another kind is rejected."""
     if not isinstance(values, torch.Tensor):
         return torch.from_numpy(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...core.checks import Array
 from ...core.errors import InvalidProblem
 from ...core.files import checked_path, write_whole
 from ...core.lcp import LCP
@@ -150,16 +151,16 @@ class TextWriter:
         """Write a letter with the numbers behind it."""
         self.out.append(f"{letter}{' '.join(map(str, numbers))}\n".encode())
 
-    def _pairs(self, indices: Any, values: Any) -> None:
+    def _pairs(self, indices: Any, values: Array) -> None:
         lines = zip(indices, values, strict=True)
         self.out.append("".join(f"{index} {value!r}\n" for index, value in lines).encode())
 
-    def _columns(self, counts: Any) -> None:
+    def _columns(self, counts: Array) -> None:
         self.out.append(
             "\n".join(["k" + str(counts.size), *map(str, counts.tolist()), ""]).encode()
         )
 
-    def _bounds(self, letter: str, lower: Any, upper: Any) -> None:
+    def _bounds(self, letter: str, lower: Array, upper: Array) -> None:
         self._line(letter, ())
         for kind, *numbers in stated_bounds(self.content, lower, upper, is_rows=letter == "r"):
             self.out.append(" ".join([str(kind), *map(repr, numbers)]).encode() + b"\n")
@@ -187,7 +188,7 @@ def count_behind(operator: int, count: int) -> int:
 
 
 def stated_bounds(
-    content: NLContent, lower: Any, upper: Any, *, is_rows: bool
+    content: NLContent, lower: Array, upper: Array, *, is_rows: bool
 ) -> Iterable[tuple[Any, ...]]:
     """Yield the kind of each bound with the numbers behind it."""
     for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
@@ -244,7 +245,7 @@ OPTIONS = "Options"
 
 
 def write_sol(
-    path: str | PathLike[str], content: NLContent, message: str, x: Any, y: Any, code: int
+    path: str | PathLike[str], content: NLContent, message: str, x: Array, y: Array, code: int
 ) -> None:
     """Write the answer to an ``.nl`` file.
 

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import AnyMatrix, Vector
+from ...core.checks import AnyMatrix, Array, Vector
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING
 from ...core.lcp import LCP
@@ -321,7 +321,7 @@ class LemkePath:
             covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max()))
         )
 
-    def start_in_cell(self, side: Any, z: Vector, w: Vector) -> bool:
+    def start_in_cell(self, side: Array, z: Vector, w: Vector) -> bool:
         """Start at t = 1 from a complementary pair with the r that makes it exact; return False if it is singular."""
         n = self.n
         basis = np.where(side == tableau.BETWEEN, np.arange(n), n + np.arange(n))
@@ -333,8 +333,8 @@ class LemkePath:
     def start_at_vertex(
         self,
         covering: Vector,
-        basis: Any,
-        side: Any,
+        basis: Array,
+        side: Array,
         driven: int,
         direction: float,
         *,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.algorithm import Algorithm
-from ...core.checks import AnyMatrix
+from ...core.checks import AnyMatrix, Array
 from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ...core.kernels.threads import threads_for
 from ...core.lcp import LCP
@@ -83,7 +83,7 @@ def prepare(problem: P, *, threads: int | None = None) -> P:
 @np.errstate(all="ignore")
 def solve_batch(
     M: AnyMatrix,
-    q: Any = None,
+    q: Array = None,
     *,
     lower: ArrayLike | None = None,
     upper: ArrayLike | None = None,
@@ -212,7 +212,7 @@ def solve_batch(
     return BatchRun(stated, algorithm, given).run(callback, executor)
 
 
-def _problems_of(M: AnyMatrix, q: Any, lower: Any, upper: Any, z0: Any) -> Any:
+def _problems_of(M: AnyMatrix, q: Array, lower: Array, upper: Array, z0: Array) -> Any:
     """Return the checked problems of a batch that is not of programs of one shape."""
     if isinstance(M, FrictionalContactBatch):
         _refuse_data("contacts", "FrictionalContact.worlds(W, b, friction)", q, lower, upper)
@@ -254,14 +254,14 @@ def _programs_of(M: AnyMatrix, q: Any, lower: Any, upper: Any, z0: Any) -> Progr
     return None
 
 
-def _refuse_algorithm(q: Any) -> None:
+def _refuse_algorithm(q: Array) -> None:
     if isinstance(q, str):
         raise InvalidOption(
             f"the second argument is the vectors (q, or b, or c), got {q!r}; pass the algorithm as algorithm={q!r}"
         )
 
 
-def _refuse_data(what: str, remedy: str, q: Any, lower: Any, upper: Any) -> None:
+def _refuse_data(what: str, remedy: str, q: Array, lower: Array, upper: Array) -> None:
     _refuse_algorithm(q)
     if not (q is None and lower is None and upper is None):
         raise InvalidOption(f"{what} already contain q and bounds; for others write: {remedy}")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import read_only
+from ...core.checks import Array, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.executors import one_blas_thread, run_on
@@ -195,7 +195,7 @@ class BatchRun:
         self.status[k], self.iterations[k] = found.status, found.iterations
         self.is_interrupted |= _is_interrupted(found)
 
-    def _set_point(self, k: int, x: Any) -> None:
+    def _set_point(self, k: int, x: Array) -> None:
         if isinstance(self.z, np.ndarray):
             self.z[k], self.z[k, : x.size] = 0.0, x
         else:
@@ -269,7 +269,7 @@ def call(function: Callable[[], Any]) -> Any:
     return function()
 
 
-def solve_one(problem: Any, start: Any, algorithm: Any, options: dict[str, Any]) -> Any:
+def solve_one(problem: Any, start: Array, algorithm: Any, options: dict[str, Any]) -> Any:
     """Return the result of `solve`; None stands for the default start."""
     given = {} if start is None else {"z0": start}
     named = {} if algorithm == "auto" else {"algorithm": algorithm}
@@ -328,16 +328,16 @@ class BatchAnswers(AnswerSequence[Any]):
         Number of threads that took part.
     """
 
-    status: Any
-    x: Any
-    z: Any
-    relative_residual: Any
-    iterations: Any
-    inequality: Any
-    equality: Any
-    lower: Any
-    upper: Any
-    residual: Any
+    status: Array
+    x: Array
+    z: Array
+    relative_residual: Array
+    iterations: Array
+    inequality: Array
+    equality: Array
+    lower: Array
+    upper: Array
+    residual: Array
 
     def __init__(self, run: BatchRun) -> None:
         self._run, self.item = run, run.item

@@ -204,7 +204,7 @@ class Listed(Instances):
             yield from group.stacks(tolerance)
 
 
-def stack_of(has_friction: bool, starts: Array, M: AnyMatrix, *vectors: Any) -> ConeStack:
+def stack_of(has_friction: bool, starts: Array, M: AnyMatrix, *vectors: Array) -> ConeStack:
     """Return problems over the same cones, given M, q, slope and bounds with an axis for them, as a stack."""
     return ConeStack(Pattern(M, starts), *vectors, has_friction=has_friction)
 
@@ -359,7 +359,7 @@ class RightSides(Rows):
     """
 
     def __init__(
-        self, problem: BoundedLeastSquares, z0: Array, given: Any = None, **vectors: Any
+        self, problem: BoundedLeastSquares, z0: Array, given: Any = None, **vectors: Array
     ) -> None:
         self.base, self.given = problem, given
         named = {name: getattr(problem, name) for name in ("b", "lower", "upper", "l1")}

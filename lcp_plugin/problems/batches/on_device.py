@@ -13,7 +13,7 @@ from warnings import catch_warnings
 
 import numpy as np
 
-from ...core.checks import INFINITE_LIMIT, read_only
+from ...core.checks import INFINITE_LIMIT, AnyMatrix, Array, read_only
 from ...core.deadline import Clock, pause_for_compilation
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
 from ...core.lcp import LCP
@@ -30,7 +30,7 @@ THREADS = 32  # per block: one warp, so that a small batch occupies many process
 ON_GPU = 2, 13  # device types of DLPack: memory of CUDA, managed memory of CUDA
 
 
-def is_on_gpu(array: Any) -> bool:
+def is_on_gpu(array: Array) -> bool:
     """Return whether an array is in the memory of a GPU, by its array protocols."""
     if hasattr(array, "__dlpack_device__"):
         return array.__dlpack_device__()[0] in ON_GPU
@@ -48,7 +48,7 @@ def _modules() -> tuple[Any, Any]:
         ) from error
 
 
-def _library(array: Any) -> Callable[[Any], Any]:
+def _library(array: Array) -> Callable[[Any], Any]:
     """Return the function that passes an array of CuPy to the library of `array`, without a copy."""
     has_namespace = hasattr(array, "__array_namespace__")
     name = type(array).__module__.partition(".")[0]
@@ -59,10 +59,10 @@ def _library(array: Any) -> Callable[[Any], Any]:
 class DeviceData(NamedTuple):
     """Arrays of CuPy: M of shape (B or 1, n, n), and vectors of shape (B, n)."""
 
-    M: Any
-    q: Any
-    lower: Any
-    upper: Any
+    M: AnyMatrix
+    q: Array
+    lower: Array
+    upper: Array
 
     @classmethod
     def of(cls, xp: Any, **given: Any) -> DeviceData:
@@ -95,7 +95,7 @@ class DeviceData(NamedTuple):
         low = xp.where(low <= -INFINITE_LIMIT, -np.inf, low)
         return cls(M.reshape(-1, n, n), q, low, xp.where(high >= INFINITE_LIMIT, np.inf, high))
 
-    def slacks(self, z: Any) -> Any:
+    def slacks(self, z: Array) -> Any:
         """Return M z + q of each problem, shape (B, n)."""
         return (self.M @ z[:, :, None])[:, :, 0] + self.q
 
@@ -106,7 +106,7 @@ class DeviceData(NamedTuple):
 
 
 def launch(
-    gpu: Any, name: str, arrays: Any, shared: Any, found: Any, has_time: Any = lambda: True
+    gpu: Any, name: str, arrays: Array, shared: Any, found: Any, has_time: Any = lambda: True
 ) -> None:
     """Call a kernel for all problems, a thread for each, in parts whose tables fit into MAX_SCRATCH.
 
@@ -159,7 +159,7 @@ class DeviceAnswers(AnswerSequence[Any]):
         Seconds of the entire batch, compilation excluded.
     """
 
-    status: Any
+    status: Array
 
     def __init__(self, M: Any, q: Any, lower: Any, upper: Any, options: dict[str, Any]) -> None:
         self.gpu, self.library, self.settings = _modules(), _library(q), Settings(**options)

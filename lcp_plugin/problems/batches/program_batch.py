@@ -197,7 +197,7 @@ class ProgramBatch(Instances):
         return values
 
 
-def programs_for(program: QuadraticProgram, vectors: Any) -> list[QuadraticProgram | LCPError]:
+def programs_for(program: QuadraticProgram, vectors: Array) -> list[QuadraticProgram | LCPError]:
     """Return the program with each of many vectors, or what is wrong with these.
 
     Raises

@@ -28,7 +28,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import Vector, derived_property, read_only
+from ...core.checks import Array, Vector, derived_property, read_only
 from ...core.cone_stack import length
 from ...core.matrix import is_nearly_symmetric
 from ...core.names import Names, describe_radius
@@ -170,7 +170,7 @@ class ContactInfeasibility:
         y = {int(i): Fraction(float(self.y[i])) for i in np.flatnonzero(self.y)}
         return FarkasCertificate(anything, y)
 
-    def _is_in_cones(self, x: Any, *, is_dual: bool) -> bool:
+    def _is_in_cones(self, x: Array, *, is_dual: bool) -> bool:
         """Return whether x, in exact numbers, is in the cones: of the y that are allowed, or of the −Mᵀy."""
         problem = self.problem
         for k, (a, b) in enumerate(pairwise(problem.starts.tolist())):

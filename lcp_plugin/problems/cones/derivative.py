@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
-from ...core.checks import Array, Vector, derived_property
+from ...core.checks import AnyMatrix, Array, Vector, derived_property
 from ...core.cone_stack import ON, WITHIN, ConeStack, length
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...core.matrix import Matrix
@@ -193,11 +193,11 @@ class ConeDerivative:
     def jvp(
         self,
         *,
-        dq: Any = None,
-        dM: Any = None,
-        dfriction: Any = None,
-        dlower: Any = None,
-        dupper: Any = None,
+        dq: Array = None,
+        dM: AnyMatrix = None,
+        dfriction: Array = None,
+        dlower: Array = None,
+        dupper: Array = None,
     ) -> Vector:
         """Return the change dz, shape (n,), for changes of the data; one-sided at a kink.
 
@@ -249,11 +249,11 @@ class ConeDerivative:
         is_lower, is_upper = holds
         return np.where(is_upper, high, np.where(is_lower, low, 0.0))
 
-    def dw(self, dz: ArrayLike, *, dq: Any = None, dM: Any = None) -> Vector:
+    def dw(self, dz: ArrayLike, *, dq: Array = None, dM: AnyMatrix = None) -> Vector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
         return self.problem.rows.csr @ np.asarray(dz) + self._moved(dq, dM)
 
-    def _moved(self, dq: ArrayLike | None, dM: Any) -> Vector:
+    def _moved(self, dq: ArrayLike | None, dM: AnyMatrix) -> Vector:
         """Return dM z + dq."""
         n = self.problem.n
         change = checks.change_of_vector(dq, "dq", n)

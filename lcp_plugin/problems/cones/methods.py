@@ -29,7 +29,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.algorithm import Step
-from ...core.checks import Vector
+from ...core.checks import Array, Vector
 from ...core.cone_stack import ConeStack, NaturalMap, length
 from ...core.errors import UnsuitableProblem
 from ...core.kernels.floats import NORMAL
@@ -133,7 +133,7 @@ def polish_points(stack: ConeStack, z: Vector) -> tuple[Any, Any]:
     return best, smallest
 
 
-def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
+def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Array) -> Factors:
     """Return a solver for (mixed + by_w M) s = right, shape (B, k, m).
 
     Raises
@@ -170,7 +170,7 @@ def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Any) -> Factors:
     return Factors(solve, inverse.entries)
 
 
-def whole_systems(stack: ConeStack, mixed: Any, by_w: Any) -> Any:
+def whole_systems(stack: ConeStack, mixed: Any, by_w: Array) -> Any:
     """Return mixed + by_w M of each problem, shape (B, n, n)."""
     pattern = stack.pattern
     row, column = pattern.inner
@@ -179,7 +179,7 @@ def whole_systems(stack: ConeStack, mixed: Any, by_w: Any) -> Any:
     return J
 
 
-def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Any, free: Any) -> tuple[Any, Any]:
+def system_of_free_rows(stack: ConeStack, mixed: Any, by_w: Array, free: Any) -> tuple[Any, Any]:
     """Return mixed + by_w M on rows and columns of the free blocks of one problem, and the rows."""
     pattern = stack.pattern
     rows = np.flatnonzero(free[pattern.of_row])

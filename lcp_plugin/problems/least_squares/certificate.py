@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import BoolVector, Vector, derived_property
+from ...core.checks import AnyMatrix, Array, BoolVector, Vector, derived_property
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import EPSILON, OUTWARD, TINY
 from ...core.rounding import compensated_product
@@ -159,12 +159,12 @@ def _gap_of_cost(
     return np.where(gap == 0.0, 0.0, OUTWARD * gap / cost)
 
 
-def _may_be_rounding(problem: BoundedLeastSquares, cost: Any, slip: Vector, tol: float) -> Any:
+def _may_be_rounding(problem: BoundedLeastSquares, cost: Array, slip: Vector, tol: float) -> Any:
     """Return whether rounding of A x − b, known up to slip, exceeds the tolerance, of a small A."""
     return problem.is_small & (0.5 * np.vecdot(problem.apply_weights(slip), slip) > tol * cost)
 
 
-def _exceeds(cost: Any, known: Any, tolerance: float) -> Any:
+def _exceeds(cost: Array, known: Any, tolerance: float) -> Any:
     """Return whether a cost exceeds an upper bound of the least by more than the tolerance, or is NaN."""
     return np.logical_not(cost <= OUTWARD * (1.0 + tolerance) * known)
 
@@ -399,7 +399,7 @@ def _push(
 
 
 def _push_by_products(
-    problem: BoundedLeastSquares, wanted: Vector, columns: Any, accuracy: float
+    problem: BoundedLeastSquares, wanted: Vector, columns: Array, accuracy: float
 ) -> Vector:
     """Return the shortest p of the scaled problem by lsmr, by a sparse factorization if lsmr does not converge."""
     from scipy.sparse.linalg import LinearOperator, lsmr
@@ -423,7 +423,7 @@ def _push_by_products(
     return np.asarray(push)
 
 
-def _push_by_factorization(A: Any, wanted: Vector, otherwise: Vector) -> Vector:
+def _push_by_factorization(A: AnyMatrix, wanted: Vector, otherwise: Vector) -> Vector:
     """Return the shortest p with Aᵀp = wanted, of p + A u = 0, with one refinement; `otherwise` if A is singular."""
     from scipy.sparse.linalg import splu
 

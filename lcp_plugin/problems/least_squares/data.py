@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core import checks
-from ...core.checks import BoolVector, Vector, read_only
+from ...core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, OUTWARD, TINY
 from ...core.matrix import Matrix
@@ -69,7 +69,7 @@ class BoundedLeastSquares:
 
     def __init__(
         self,
-        A: Any,
+        A: AnyMatrix,
         b: ArrayLike,
         lower: ArrayLike = 0.0,
         upper: ArrayLike = np.inf,
@@ -111,7 +111,7 @@ class BoundedLeastSquares:
             f"BoundedLeastSquares({self.shape[0]} rows, {self.shape[1]} columns, {kind}{penalty})"
         )
 
-    def _check_range(self, name: str, entries: Any, what: str) -> None:
+    def _check_range(self, name: str, entries: Array, what: str) -> None:
         """Raise InvalidProblem if squares of the largest entries, or of √weights, leave the range of doubles."""
         if not self.is_in_range(entries.ravel()):
             largest = np.abs(entries).max() * self._largest_root
@@ -376,7 +376,7 @@ def _checked_penalty(l1: ArrayLike, n: int) -> Vector:
     return penalty
 
 
-def _checked(A: Any) -> tuple[Any, bool]:
+def _checked(A: AnyMatrix) -> tuple[Any, bool]:
     if not sp.issparse(A) and hasattr(A, "matvec") and hasattr(A, "shape"):
         return _checked_operator(A), False
     matrix = checks.rectangular_matrix(A, "A", None, None, is_copied=False)
@@ -385,7 +385,7 @@ def _checked(A: Any) -> tuple[Any, bool]:
     return matrix if is_kept else read_only(np.array(matrix, order="C")), True
 
 
-def _checked_operator(A: Any) -> Any:
+def _checked_operator(A: AnyMatrix) -> Any:
     from scipy.sparse.linalg import aslinearoperator
 
     need = "A must be a real matrix of shape (m, n), an array, a sparse array or a LinearOperator"
@@ -403,7 +403,7 @@ def _checked_operator(A: Any) -> Any:
     return operator
 
 
-def _vector(values: Any) -> Vector:
+def _vector(values: Array) -> Vector:
     return np.asarray(values, dtype=np.float64).reshape(-1)
 
 
@@ -522,7 +522,7 @@ class Enclosures:
         scaled = problem.scaled
         A = scaled.matrix(is_dense=problem.is_small)
         gram = A.T @ A
-        dense: Any = gram if problem.is_dense or problem.is_small else gram.toarray()
+        dense: AnyMatrix = gram if problem.is_dense or problem.is_small else gram.toarray()
         dense.flat[:: n + 1] += scaled.ridge
         if not np.isfinite(dense).all():
             return None
@@ -560,7 +560,7 @@ def shortest_solution(A: Vector, b: Vector) -> Vector:
     return lstsq(A, b, max(A.shape) * EPSILON, check_finite=False, lapack_driver="gelsy")[0]
 
 
-def times(B: Any, v: Vector) -> Vector:
+def times(B: AnyMatrix, v: Vector) -> Vector:
     """Return B v, for each row of v if v has two axes."""
     return B @ v if v.ndim == 1 else v @ B.T
 

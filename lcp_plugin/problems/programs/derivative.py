@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ...core import checks
-from ...core.checks import Array, Vector
+from ...core.checks import AnyMatrix, Array, Vector
 from ...core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
 from ...systems.free_systems import products
@@ -71,7 +71,7 @@ class LeastSquaresGradient(NamedTuple):
     ridge: Any
 
 
-def multiply(matrix: Any, x: Vector, *, transposed: bool = False) -> Vector:
+def multiply(matrix: AnyMatrix, x: Vector, *, transposed: bool = False) -> Vector:
     """Return the product with x, or with each row of x; the matrix may have an axis in front."""
     if matrix.ndim == 3:
         return np.asarray(products(matrix.swapaxes(1, 2) if transposed else matrix, x))
@@ -79,7 +79,7 @@ def multiply(matrix: Any, x: Vector, *, transposed: bool = False) -> Vector:
     return np.asarray(matrix @ x if x.ndim == 1 else (matrix @ x.T).T)
 
 
-def outer_products(matrix: Any, *pairs: tuple[Vector, Vector]) -> Any:
+def outer_products(matrix: AnyMatrix, *pairs: tuple[Vector, Vector]) -> Any:
     """Return Σ left_i right_j over the pairs, in the format of the matrix; one matrix for many rows gets their sum."""
     if matrix.ndim == 3:
         return sum(left[:, :, np.newaxis] * right[:, np.newaxis] for left, right in pairs)

@@ -31,7 +31,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import AnyMatrix, BoolVector, Vector, read_only
+from ...core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
 from ...core.kernels.compilation import inline, kernel, uintp
 from ...core.kernels.rows import clamp
 from ...core.kernels.threads import share
@@ -201,7 +201,7 @@ def free_product(rows: Matrix, inverse: Vector, x: Vector, product: Vector) -> N
     shared(_product_of(rows, rows[0], 0, inverse, *operands), inverse.size)
 
 
-def _product_of(rows: Matrix, begins: Any, further: int, inverse: Any, *operands: Any) -> Any:
+def _product_of(rows: Matrix, begins: Any, further: int, inverse: Array, *operands: Any) -> Any:
     """Return a function that computes some rows of `_products`; the operands are sign, b, weight, x, product."""
     indptr, _, *rest = rows
     return partial(_products, indptr, begins, further, *rest, read_only(inverse), *operands)
@@ -257,7 +257,7 @@ def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
 
 def _swept(
     rows: Matrix,
-    ends: Any,
+    ends: Array,
     blocks: RowBlocks,
     vectors: tuple[Vector, ...],
     sign: float,

@@ -140,3 +140,50 @@ def bratu(size: int, strength: float, ceiling: float) -> NonlinearProblem:
         lower=-np.inf,
         upper=np.full(size * size, ceiling),
     )
+
+
+def minimal_surface(size: int) -> NonlinearProblem:
+    """∫ √(1 + |∇u|²) on a square, linear triangles, u = 1 − (2x − 1)² on its edge, u ≥ 1 in the middle square.
+
+    The obstacle of E. D. Dolan, J. J. Moré, T. S. Munson, *Benchmarking optimization software with COPS 3.0*, 2004.
+    """
+    h, nodes = 1.0 / (size + 1), size + 2
+    grid = np.linspace(0.0, 1.0, nodes)
+    first, second = np.meshgrid(grid, grid, indexing="ij")
+    inside = np.zeros((nodes, nodes), dtype=bool)
+    inside[1:-1, 1:-1] = True
+    number = np.arange(nodes * nodes).reshape(nodes, nodes)
+    corners = number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]
+    triangles = np.concatenate(
+        [
+            np.stack([corner.ravel() for corner in (corners[i] for i in of)], 1)
+            for of in ((0, 1, 2), (3, 2, 1))
+        ]
+    )
+    slopes = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]]) / h
+    signs = np.repeat([1.0, -1.0], len(triangles) // 2)
+    at = inside.ravel()
+
+    def surface(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        full = (1.0 - (2.0 * first - 1.0) ** 2).ravel()
+        full[at] = u
+        gradient = signs[:, None] * (full[triangles] @ slopes)
+        return gradient, 1.0 / np.sqrt(1.0 + (gradient**2).sum(1))
+
+    def F(u: np.ndarray) -> np.ndarray:
+        gradient, weight = surface(u)
+        found = np.zeros(nodes * nodes)
+        np.add.at(found, triangles, h * h / 2 * (signs * weight)[:, None] * (gradient @ slopes.T))
+        return found[at]
+
+    def jacobian(u: np.ndarray) -> sp.csr_array:
+        gradient, weight = surface(u)
+        along = signs[:, None] * (gradient @ slopes.T)
+        blocks = weight[:, None, None] * (slopes @ slopes.T)
+        blocks = blocks - (weight**3)[:, None, None] * along[:, :, None] * along[:, None, :]
+        rows, columns = np.repeat(triangles, 3, axis=1).ravel(), np.tile(triangles, (1, 3)).ravel()
+        M = sp.csr_array((h * h / 2 * blocks.ravel(), (rows, columns)), shape=(nodes * nodes,) * 2)
+        return sp.csr_array(M[at][:, at])
+
+    middle = (np.abs(first - 0.5) < 0.25) & (np.abs(second - 0.5) < 0.25)
+    return NonlinearProblem(F, jacobian, np.where(middle, 1.0, -np.inf).ravel()[at])

@@ -19,8 +19,12 @@ Two clauses are added, because the linearization is not F, and because F(x) is n
 - The reference is also at most the residual of F(z°), if that is defined and not 0: otherwise the reference grows
   without limit as x diverges. If z° solves a component of the linearization, ‖x − z°‖∞ takes the place of the residual
   at z°: F = x (x − 1) (x + 2) has the solution 1, where z° = 0 solves the linearization.
-- No unknown x_j off its bounds grows: the change of x_j alone that minimizes Σ (F_i/d_i)² is not an outward step above
-  x_j/64. Otherwise F tends to 0 as x diverges. Three such steps end a run from a start.
+- No unknown x_j off its bounds moves on. Let s and t be the Newton steps from x and from x + s, both with F′(x) on the
+  rows off their bounds: |t_j| is at most |s_j|/3. At a simple root it is far less, at a double root 0.25 |s_j|, at a
+  triple one 0.3 |s_j|; if F tends to 0 as x diverges it is 1/e and more, with any offset of x_j. Steps below half of
+  the digits of x_j, and steps that rounding errors of F make, do not count. Nor may x_j alone reduce Σ (F_i/d_i)² most
+  by an outward step above x_j/64, nor may rounding hide that F depends on x_j. Three such points end a run from
+  a start.
 - 2⁻⁵² T_i/d_i, a rounding error of F_i/d_i, is at most max(tolerance, 10⁻⁸) times the reference. Otherwise two
   contradictory rows become zero by rounding as x diverges.
 
@@ -35,6 +39,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cached_property
 from itertools import count
 from typing import Any
 
@@ -45,13 +50,23 @@ from numpy.typing import ArrayLike, NDArray
 from ...core import checks
 from ...core.checks import BoolVector, Vector, derived_property, read_only
 from ...core.errors import InvalidProblem
-from ...core.kernels.floats import EPSILON
+from ...core.kernels.floats import EPSILON, LARGEST
 from ...core.lcp import LCP
+from ...core.matrix import (
+    Matrix,
+    connected_components,
+    largest_in_rows,
+    residual_scales,
+    row_numbers,
+)
 from ...core.names import checked_names
 from ...core.settings import Settings
 from ...judges.certificate import Certificate
-from ...judges.lcp import Measured, RowData, RowsAtPoint, row_data
+from ...judges.lcp import Measured, RowData, RowsAtPoint
+from ...methods.small import SMALL_SPARSE
+from ...systems.factors import factorise
 
+SMALLEST_TOLERANCE = 1e-14  # relative residuals below it are rounding
 DENSE_PATTERN_UP_TO = 1000  # unknowns; each costs one evaluation of F per derivative
 STEEPER = 60  # slopes 4^k that are tried in a row with an infinite slope
 STEP = float(np.sqrt(EPSILON))  # of max(|x_i|, 1): rounding and curvature take about as many digits
@@ -210,6 +225,7 @@ class NonlinearProblem:
         self.lower, self.upper = checks.checked_bounds(*self._bounds, n)
         self.names = checked_names(self._given_names, n, n, are_pairs=True)
         self._differences: Differences | None = None
+        self._components: tuple[bytes, Any] = b"", None
 
     def with_size(self, n: int) -> NonlinearProblem:
         """Return the problem with n unknowns, or a copy with vectors for scalar bounds.
@@ -298,15 +314,23 @@ class NonlinearProblem:
             If F is not finite at x, or its derivative is NaN.
         """
         x = self._point(x)
-        value = self.value(x) if value is None else value
+        value, problem = self.value(x) if value is None else value, self.with_size(x.size)
+        M = problem.slopes(x, value)
+        q = problem.offset(x, value, M)
+        return LCP(M, q, lower=problem.lower, upper=problem.upper, names=problem.names)
+
+    def slopes(self, x: Vector, value: Vector) -> Any:
+        """Return F′(x) as :meth:`linearize` uses it."""
         returned, name = self.call_jacobian(x, value)
-        problem = self.with_size(x.size)
-        M = _finite(_replace_infinite_rows(problem, x, value, returned), name, x.size)
+        return _finite(_replace_infinite_rows(self, x, value, returned), name, x.size)
+
+    def offset(self, x: Vector, value: Vector, M: Any) -> Vector:
+        """Return F(x) − F′(x) x."""
         with np.errstate(all="ignore"):
-            q = value - M @ x
-            if not np.isfinite(q).all():
-                raise UndefinedDerivativeError("F(x) − F′(x) x overflows; start nearer to 0")
-            return LCP(M, q, lower=problem.lower, upper=problem.upper, names=problem.names)
+            q: Vector = value - M @ x
+        if not np.logical_and.reduce(np.isfinite(q)):
+            raise UndefinedDerivativeError("F(x) − F′(x) x overflows; start nearer to 0")
+        return q
 
     def _point(self, x: ArrayLike) -> Vector:
         return checks.checked_vector(x, "x", self.n, allow_plus_infinity=True, allow_nan=True)
@@ -369,6 +393,30 @@ def _pattern(pattern: Any) -> sp.csc_array:
     return stored
 
 
+def components_of_pattern(problem: NonlinearProblem, M: Any) -> Any:
+    """Return the connected component of each row of F′; None if there is one; kept for the next F′ of this pattern."""
+    if not sp.issparse(M) and np.logical_and.reduce(M[:1], axis=None):
+        return None
+    key = M.indptr.tobytes() + M.indices.tobytes() if sp.issparse(M) else (M != 0.0).tobytes()
+    if key != problem._components[0]:
+        found = connected_components(Matrix(M))
+        problem._components = key, None if found is None else found.labels
+    return problem._components[1]
+
+
+HALF_OF_DIGITS = 2.0**-26  # of an unknown: a smaller Newton step is none
+STEPS_UP_TO = 1000  # rows whose Newton step is always computed
+
+
+def largest_in_columns(sizes: Any, weights: Vector) -> Vector:
+    """Return max_i weights_i sizes_ij of each column."""
+    if not sp.issparse(sizes):
+        return np.asarray((sizes * weights[:, None]).max(0, initial=0.0))
+    found = np.zeros(sizes.shape[1])
+    np.maximum.at(found, sizes.indices, sizes.data * weights[row_numbers(sizes)])
+    return found
+
+
 MOVES = 4.0 ** np.arange(-25, 1)  # shares of x, from some roundings to x itself
 SAMPLES = 5  # of the rounding error of each F_i
 
@@ -378,27 +426,41 @@ class LinearizedRows(RowData):
 
     Parameters
     ----------
-    problem : NonlinearProblem
-    lcp : LCP
-        The linearization at x.
-    x, value, origin_value : ndarray, shape (n,)
-        The point, F(x) and F(z°).
+    point : Linearization
     """
 
     matrix = "F′"
 
-    def __init__(
-        self, problem: NonlinearProblem, lcp: LCP, x: Vector, value: Vector, origin_value: Vector
-    ) -> None:
-        self.__dict__.update(row_data(lcp).__dict__)
-        self.problem, self.lcp, self.x, self.value = problem, lcp, x, value
-        ends, distance = self.references, self.largest(np.abs(x - self.start))
-        residual = np.abs(self.residual(self.start, origin_value))
-        of_value = self.largest(np.where(np.isfinite(origin_value), residual, np.inf))
+    def __init__(self, point: Linearization) -> None:
+        problem, M, self.x, self.value = point.problem, point.M, point.x, point.value
+        self.problem, self.origin_point = problem, point.origin
+        scale = residual_scales(M.diagonal(), largest_in_rows(M))
+        labels = components_of_pattern(problem, M)
+        start = point.origin.x
+        super().__init__(M, abs(M), point.q, problem.lower, problem.upper, scale, labels, start)
+
+    @cached_property
+    def _own_references(self) -> tuple[Vector, Vector]:
+        """The references of the linearization."""
+        return RowData.references.func(self)  # type: ignore[attr-defined]
+
+    @cached_property
+    def is_at_start(self) -> Any:
+        """Mask of the rows whose component of the linearization z° solves."""
+        return self._own_references[1] == 0.0
+
+    @cached_property
+    def references(self) -> tuple[Vector, Vector]:
+        """References as the docstring of this module defines them."""
+        origin, distance = self.origin_point.value, self.largest(np.abs(self.x - self.start))
+        residual = np.abs(self.residual(self.start, origin))
+        of_value = self.largest(np.where(np.isfinite(origin), residual, np.inf))
         of_value = np.where(of_value > 0.0, of_value, np.inf)
-        bounded = (np.where(self.is_at_start, distance, end) for end in ends)
-        least, most = (np.minimum(one, of_value) for one in bounded)
-        self.references = least, most
+        least, most = (
+            np.minimum(np.where(self.is_at_start, distance, end), of_value)
+            for end in self._own_references
+        )
+        return least, most
 
     def rows(self, z: Vector, w: Any = None) -> RowsAtPoint:
         """Return the values of all rows at z; a slack w that is known is F(x), without a bound of its rounding."""
@@ -414,21 +476,73 @@ class LinearizedRows(RowData):
         # Smaller rounding errors of F do not count, for any tolerance; z° has none
         limit, at = max(given[2], 1e-8) * found.by_row.reference * self.scale, found.rows
         is_lost = (at.is_active & (limit > 0.0) & (EPSILON * at.terms > limit)).any()
-        return found._replace(passes=found.passes and not (is_lost or self.growing.any()))
+        passes = found.passes and not is_lost and not self.growing.any()
+        return found._replace(passes=passes)
 
     @derived_property
     def growing(self) -> BoolVector:
-        """Mask of the unknowns off their bounds that would grow by a part, if they alone minimized the residuals.
+        """Mask of the unknowns that move on, as the docstring of this module defines them."""
+        x, n = self.x, self.x.size
+        free, sizes = (x > self.lower) & (x < self.upper), np.abs(x)
+        largest, at = self.largest(sizes), np.flatnonzero(free)
+        least = HALF_OF_DIGITS * np.maximum(sizes, HALF_OF_DIGITS * largest)
+        w, is_small = np.where(free, self.value, 0.0), n <= STEPS_UP_TO
+        own = np.zeros(n) if is_small and not w.any() else self._own_steps()
+        moves = free & (own * np.sign(x) > 2.0**-6 * np.maximum(sizes, 2.0**-10 * largest))
+        moves |= self._is_flat(free)
+        if not w.any() or not (is_small or (np.abs(own) > least).any()):
+            return moves
+        M = self.M[at][:, at] if sp.issparse(self.M) else self.M[np.ix_(at, at)]
+        if (factor := factorise(M)) is None:
+            return moves
+        signs, rounding = np.random.default_rng(0).choice([-1.0, 1.0], n), EPSILON * self.terms
+        step = -factor.solve(w[at])
 
-        Then F tends to 0 as x diverges, and rows have the scale of other unknowns: x₀ − 1 + e^(−x₁) = 0 = x₀ − 1.
-        """
-        lcp, x = self.lcp, self.x
-        weights = np.where(self.rows(x, self.value).is_active, 1.0, 0.0) / self.scale
-        slopes = sp.csr_array(sp.diags_array(weights) @ lcp.csr)
-        step = -(slopes.T @ (weights * self.value)) / (slopes.multiply(slopes).T @ np.ones(x.size))
-        is_free = (x > lcp.lower) & (x < lcp.upper)
-        size = np.maximum(np.abs(x), 2.0**-10 * self.largest(np.abs(x)))
-        return np.asarray(is_free & (step * np.sign(x) > 2.0**-6 * size))
+        def is_open(rounding: Vector) -> BoolVector:
+            lost = np.abs(factor.solve((signs * rounding)[at]))
+            return ~(np.abs(step) <= np.maximum(least[at], lost))
+
+        if not is_open(rounding).any():
+            return moves
+        there = x.copy()
+        there[at] += np.where(is_open(rounding), step, 0.0)
+        there = np.minimum(np.maximum(there, self.lower), self.upper)
+        again = np.abs(factor.solve(self.problem.value(there)[at]))
+        moves_on = is_open(rounding) & ~(again <= np.abs(step) / 3.0)
+        if moves_on.any():
+            moves[at] |= moves_on & is_open(np.maximum(rounding, self.noise * self.scale))
+        return moves
+
+    def _is_flat(self, free: BoolVector) -> BoolVector:
+        """Return the free unknowns on which F depends at z°, and near x not beyond rounding."""
+        rounding = 8.0 * EPSILON * self.terms
+        level = np.divide(1.0, rounding, out=np.full(free.size, np.inf), where=rounding > 0.0)
+        level = np.where(free, np.minimum(level, LARGEST), 0.0)
+        share = largest_in_columns(self.absolute, level) * np.abs(self.x)
+        is_flat = free & (share <= 1.0) & (self.x != self.start)
+        if not is_flat.any():
+            return is_flat
+        way = np.where(is_flat, self.x - self.start, 0.0)
+        near, far = (
+            np.where(free, self.problem.value(self.x - part * way) - self.value, 0.0)
+            for part in (2.0**-10, 1.0)
+        )
+        if (np.abs(near) > rounding).any():  # differences of F miss the slope
+            return is_flat & (self.value @ near > 16.0 * (near @ near))
+        return is_flat & (np.abs(far) > rounding).any()
+
+    @cached_property
+    def terms(self) -> Vector:
+        """T_i of the linearization, shape (n,)."""
+        terms: Vector = self.absolute @ np.abs(self.x) + np.abs(self.q)
+        return terms
+
+    def _own_steps(self) -> Vector:
+        """Return the change of each x_j that minimizes Σ (F_i/d_i)² of the active rows if no other unknown changes."""
+        weights = np.where(self.rows(self.x, self.value).is_active, 1.0, 0.0) / self.scale
+        products, squares = self.M.T @ (weights**2 * self.value), (self.absolute**2).T @ weights**2
+        steps = -products / squares
+        return np.asarray(np.where(np.isfinite(steps), steps, 0.0))
 
     @derived_property
     def noise(self) -> Vector:
@@ -469,6 +583,7 @@ class Linearization:
     def __init__(self, problem: NonlinearProblem, x: Vector) -> None:
         self.problem, self.x = problem, read_only(x.copy())
         self.value = problem.value(self.x)
+        self._measured: Measured | None = None
 
     def at(self, x: Vector) -> Linearization:
         """Return the linearization at another point, with the same `origin`."""
@@ -484,37 +599,85 @@ class Linearization:
         return self if np.array_equal(self.x, nearest) else Linearization(self.problem, nearest)
 
     @derived_property
+    def M(self) -> Any:
+        """F′(x), dense if it has few rows; errors as of :meth:`NonlinearProblem.linearize`."""
+        M = self.problem.slopes(self.x, self.value)
+        return M.toarray() if sp.issparse(M) and self.x.size <= SMALL_SPARSE else M
+
+    @derived_property
+    def q(self) -> Vector:
+        """F(x) − F′(x) x, shape (n,)."""
+        return self.problem.offset(self.x, self.value, self.M)
+
+    @derived_property
+    def data(self) -> LinearizedRows:
+        """The data of the criterion at x."""
+        return LinearizedRows(self)
+
+    @derived_property
     def lcp(self) -> LCP:
-        """The problem with M = F′(x), q = F(x) − F′(x) x; errors as of :meth:`NonlinearProblem.linearize`."""
-        return self.problem.linearize(self.x, self.value)
+        """The problem with M = F′(x), q = F(x) − F′(x) x."""
+        problem, M = self.problem, self.M
+        return LCP(M, self.q, lower=problem.lower, upper=problem.upper, names=problem.names)
 
     @derived_property
     def is_defined(self) -> bool:
         """True if F and its derivative are finite here."""
-        if not np.isfinite(self.value).all():
+        if not np.logical_and.reduce(np.isfinite(self.value)):
             return False
         try:
-            self.lcp  # noqa: B018
+            self.q  # noqa: B018
         except UndefinedDerivativeError:
             return False
         return True
 
     @derived_property
+    def steps(self) -> Vector:
+        """The residuals r(x), signed, shape (n,)."""
+        return self.data.residual(self.x, self.value)
+
+    @derived_property
     def certificate(self) -> Certificate:
         """The certificate of x as a solution of the linearization, which ``derivative`` and ``explain`` use."""
-        origin = self.origin.value
-        data = LinearizedRows(self.problem, self.lcp, self.x, self.value, origin)
-        return Certificate.at(self.lcp, self.x, criterion=data, rows=data.rows(self.x, self.value))
+        rows = self.data.rows(self.x, self.value)
+        return Certificate.at(self.lcp, self.x, criterion=self.data, rows=rows)
 
     def measure(self, settings: Settings) -> Measured:
         """Return the measure of x by the stopping criterion."""
-        data, absolute = self.certificate.criterion, settings.absolute_tolerance
-        return data.measure_at(self.x, self.value, settings.goal, absolute)
+        if self._measured is None:
+            tolerance, absolute = settings.goal, settings.absolute_tolerance
+            measured = self.data.measure_at(self.x, self.value, tolerance, absolute=absolute)
+            self._measured = measured
+        return self._measured
+
+    @derived_property
+    def least_residual(self) -> float:
+        """A lower bound of the relative residual that costs little: relative to the largest T_i/d_i."""
+        terms = self.data.terms / self.data.scale
+        size = np.maximum.reduce(np.abs(self.steps), initial=0.0)
+        return float(size / np.maximum.reduce(terms, initial=1e-300))
+
+    def is_small(self, tolerance: float) -> bool:
+        """Return whether the relative residual is at most the tolerance."""
+        return self.least_residual <= tolerance and self.residual <= tolerance
+
+    def passes(self, settings: Settings) -> bool:
+        """Return whether x is SOLVED."""
+        is_open = self.least_residual <= max(settings.goal, SMALLEST_TOLERANCE)
+        is_open = is_open or settings.absolute_tolerance > 0.0
+        return is_open and bool(self.measure(settings).passes)
+
+    def is_endless(self, settings: Settings) -> bool:
+        """Return whether x would pass if no unknown moved on."""
+        if not self.is_small(settings.goal) or self.passes(settings):
+            return False
+        return not self.measure(settings).by_row.fails(settings.goal).any() and bool(
+            self.data.growing.any()
+        )
 
     def is_limited(self, settings: Settings) -> bool:
         """Return whether x fails only because of rounding, estimated by further values of F."""
-        data = self.certificate.criterion
-        return bool(data.are_limited(self.measure(settings), settings.goal))
+        return bool(self.data.are_limited(self.measure(settings), settings.goal))
 
     @derived_property
     def residual(self) -> float:

@@ -1,6 +1,9 @@
 """solve_nonlinear(): Josephy–Newton in the common loop, measured by the criterion of LCPs.
 
-Josephy–Newton: each step solves the LCP of the linearization with the algorithms of `solve`.
+A run takes its steps (:mod:`lcp_plugin.problems.nonlinear.steps`) by two searches. The monotone search accepts steps
+that reduce the merit ‖Φ‖₂. The nonmonotone search compares with the worst of four points, and takes a full Newton step
+if its residual is at most ten times the least of these: on traffic networks the residual rises before it falls. Then
+both begin again at other points: at the ends of a smoothing and of a homotopy from x₀, near 0 and 1, and at random.
 """
 
 from __future__ import annotations
@@ -17,175 +20,208 @@ from numpy.typing import ArrayLike
 
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector, read_only, vector_option
-from ...core.deadline import Clock, is_over, seconds_left
-from ...core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix, UnsuitableProblem
+from ...core.deadline import is_over
+from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
-from ...core.lcp import LCP
 from ...core.names import Names
-from ...core.settings import Settings, Status
+from ...core.settings import DEFAULT, Settings, Status, whole_number
 from ...judges.lcp import Measured, RowData, row_data
-from ...methods.lemke import Lemke
-from ...methods.newton import Newton, fischer_burmeister
-from ...methods.small import takes_rounds
+from ...methods.finishing import measure_finished
+from ...methods.newton import fischer_burmeister
 from ...solving.dispatch import method_of
-from ...solving.lcp_run import LCPRun
-from ...solving.plan import plan
 from ...solving.result import Callback, Result
 from ...solving.run import Progress, Run, Stage
 from ..programs.no_minimum import proof_of_contradiction
-from .data import DENSE_PATTERN_UP_TO, Linearization, NonlinearProblem
+from .data import DENSE_PATTERN_UP_TO, SMALLEST_TOLERANCE, Linearization, NonlinearProblem
+from .steps import Target, deformed, row_scale, smoothed, targets
 
-MEMORY = 4  # the line search compares with the worst of so many points
-SHIFTS = 0.0, 1e-3, 1e-1, 10.0  # of the residual scale: Newton, then proximal steps
-FORCING = 0.01  # of the residual here: tolerance of a linearization far from a solution
-SMALLEST_TOLERANCE = 1e-14  # relative residuals of linearizations are rounding below it
-RESTARTS = 4  # from random points, after a run that stalled
+SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a step is compared
+TRIALS = 12  # points on a line where F is defined
+RESTARTS = 10  # from other points, after the searches that stalled
+RESTARTS_UP_TO = 1000  # unknowns; beyond, a new start is too expensive
 
 
 class JosephyNewton(Algorithm):
-    """Josephy–Newton with a non-monotone line search: x⁺ solves the LCP of M = F′(x), q = F(x) − F′(x) x.
+    """Josephy–Newton with line searches on the merit ‖Φ‖₂, and restarts.
 
     Parameters
     ----------
     start : Linearization
     linear : str or Algorithm
         Algorithm for the linearizations.
-    tolerance : float
-        The requested relative residual.
-
-    Notes
-    -----
-    The merit is ‖Φ‖₂. Φ is the Fischer–Burmeister function with F(x) for w, scaled by the largest entry of each row of
-    F′ at the current point. The diagonal is not used, because it may vanish with x: the diagonal of a convex power is
-    zero at 0. A step is halved until F is defined and ‖Φ‖ falls below the worst of the last four
-    points. A full Newton step is also taken if its residual is at most ten times the least residual of these points:
-    on traffic networks the residual rises before it falls. If no step helps, the LCP of F′(x) + μD is solved for
-    larger and larger μ, D the residual scale (proximal steps). After that, small problems are restarted from other
-    points.
-
-    References
-    ----------
-    N. H. Josephy, *Newton's method for generalized equations*, MRC report 1965, Wisconsin 1979.
+    settings : Settings
+        Of the run.
+    searches : tuple of str
+        The names of searches, in order.
+    restarts : int
+        Number of further starts.
     """
 
     name: ClassVar[str] = "josephy_newton"
     is_monotone: ClassVar[bool] = False
 
-    def __init__(self, start: Linearization, linear: str | Algorithm, tolerance: float) -> None:
-        self.first = self.here = start
-        self.linear, self.tolerance = linear, tolerance
+    def __init__(
+        self,
+        start: Linearization,
+        linear: str | Algorithm,
+        settings: Settings,
+        searches: tuple[str, ...] = tuple(SEARCHES),
+        restarts: int = RESTARTS,
+    ) -> None:
+        self.first = self.here = self._tried = start
+        self.linear, self.settings, self.tolerance = linear, settings, settings.goal
+        self.searches, self.restarts = searches, restarts
         self.limit: Any = np.inf  # of |x|: farther unknowns have grown without limit
-        self.recent: deque[Linearization] = deque([start], maxlen=MEMORY)
-        self.work, self.starts = 1.0, 0
-        # of linearizations without a solution; steps until the next one is tried
-        self.failures = self.waits = 0
-        # 1/reference of the component of each row; shape (1,) for one component
-        unit = row_data(start.lcp).references[1]
-        is_usable = (unit.size > 1) & (unit > 0.0) & np.isfinite(unit)
-        self.weights: Vector = 1.0 / np.where(is_usable, unit, 1.0)
+        self.work = 1.0
+        self.recent: deque[Linearization] = deque([start], 1)
         self.random = np.random.default_rng(0)
+        self._weights: Any = None
 
-    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
+    @property
+    def weights(self) -> Vector:
+        """1/reference of the component of each row at the start; shape (1,) for one component."""
+        if self._weights is None:
+            self._weights = np.ones(1)
+            if self.first.data.labels is not None:
+                unit = self.first.data.references[1]
+                is_usable = (unit > 0.0) & np.isfinite(unit)
+                self._weights = 1.0 / np.where(is_usable, unit, 1.0)
+        return self._weights
+
+    def iterates(self, problem: Any, z0: Any) -> Iterator[Step]:
         """Yield the start, then the point of each step, until no step or restart helps."""
         yield self.step()
-        # Beyond 1000 unknowns a new start is too expensive
-        for _ in range(RESTARTS if self.first.x.size <= 1000 else 0):
-            yield from self.steps()
-            if self.is_at_floor() or not self.start_elsewhere():
+        for search in self.searches:
+            yield from self.steps_from(self.first, search)
+            if self.is_at_floor() or is_over():
                 return
-            yield self.step()
-        yield from self.steps()
+        for k in range(self.restarts if self.first.x.size <= RESTARTS_UP_TO else 0):
+            start = self.other_start(k)
+            if start is None:
+                continue
+            for search in self.searches:
+                self.here = start
+                yield self.step()
+                yield from self.steps_from(start, search)
+                if self.is_at_floor() or is_over():
+                    return
 
     def step(self) -> Step:
         """Return the point here as a step, with the work since the last one."""
         work, self.work = self.work, 0.0
         return Step(self.here.x, work=work, measured=self.here)
 
-    def steps(self) -> Iterator[Step]:
-        """Yield steps from here until none helps, or none has for long."""
+    def steps_from(self, start: Linearization, search: str) -> Iterator[Step]:
+        """Yield steps from a point until none helps, or none has for long."""
+        self.here, self.recent = start, deque([start], SEARCHES[search])
         # A jump of the residual may start a long decrease
-        latest, since, grown = deque([self._progress(self.here)], maxlen=12), 0, 0
+        latest, since, grown = deque([self._progress(start)], maxlen=12), 0, 0
         # 25 steps without a residual clearly below the residuals of the window before it
         while since < 25 and (following := self._next_point()) is not None:
             self.here = following = self._snap(following)
             self.recent.append(following)
             yield self.step()
             size = self._progress(following)
-            # A jump of the residual may start a long decrease
             since = 0 if size < 0.95 * min(latest) else since + 1
             latest.append(size)
             if since and self.is_at_floor():
                 return
-            is_small = following.residual <= self.tolerance
-            data: Any = following.certificate.criterion
-            grown = grown + 1 if is_small and data.growing.any() else 0
-            if grown == 3:  # steps with small residuals from which an unknown grows
-                end = np.where(data.growing, np.abs(following.x), np.inf)
+            grown = grown + 1 if following.is_endless(self.settings) else 0
+            if grown == 3:  # points that would pass if no unknown moved on
+                end = np.where(following.data.growing, np.abs(following.x), np.inf)
                 self.limit = np.minimum(self.limit, end)
                 return
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the point with x° in the components that F(x°) solves, and that x has come near."""
-        origin, data = point.origin, row_data(point.lcp)
-        errors = np.abs(data.residual(origin.x, origin.value))
+        origin, data = point.origin, point.data
         left, way = (data.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
-        is_reached = (data.largest(errors) == 0.0) & (left <= 1e-4 * way)
-        x = np.where(is_reached, origin.x, point.x)
+        is_near = left <= 1e-4 * way
+        if not np.logical_or.reduce(is_near):
+            return point
+        errors = np.abs(data.residual(origin.x, origin.value))
+        x = np.where(is_near & (data.largest(errors) == 0.0), origin.x, point.x)
         there = point if np.array_equal(x, point.x) else self._at(x)
         return there if there.is_defined and there.residual <= point.residual else point
 
-    def start_elsewhere(self) -> bool:
-        """Go to another point of the bounds where F is defined; return whether there is one."""
-        problem, size = self.first.problem, np.maximum(1.0, np.abs(self.first.x))
-        for _ in range(RESTARTS):
-            self.starts += 1
-            if self.starts == 1:
-                x = np.clip(1.0, problem.lower, problem.upper)
-            else:
-                x = self.first.x + size * self.random.standard_normal(size.size) * 0.5 * self.starts
-            point = self._at(np.clip(x, problem.lower, problem.upper))
-            if point.is_defined:
-                self.here = point
-                self.recent = deque([point], maxlen=MEMORY)
-                return True
-        return False
+    def other_start(self, k: int) -> Linearization | None:
+        """Return start number k other than x₀, None if F is not defined there."""
+        first, problem = self.first, self.first.problem
+        if k == 0:
+            point = smoothed(first)
+        elif k == 1:
+            point = deformed(first, self.linear, self.tolerance)
+        elif k < 4:
+            point = first.at(np.clip(np.full(first.x.size, 3.0 - k), problem.lower, problem.upper))
+        else:
+            point = first.at(self._random_point(k))
+        return point if point.is_defined else None
+
+    def _random_point(self, k: int) -> Vector:
+        """Return a point of the bounds; every second one log-uniform above the lower bounds."""
+        x, lower, upper = self.first.x, self.first.problem.lower, self.first.problem.upper
+        size, n = np.maximum(1.0, np.abs(x)), x.size
+        drawn = x + size * self.random.standard_normal(n) * 0.5 * k
+        if k % 2:
+            common, own = self.random.uniform(-3.0, 0.0), self.random.uniform(-1.0, 1.0, n)
+            above = lower + size * 10.0 ** (common + own)
+            drawn = np.where(np.isfinite(lower), above, drawn)
+        return np.clip(drawn, lower, upper)
 
     # --- one step ----------------------------------------------------------------------------------------
 
     def _next_point(self) -> Linearization | None:
         """Return the next point; None if no step helps, the time is over, or rounding explains the residual."""
-        if not self.here.certificate.by_row.high.any():
+        here = self.here
+        if not here.steps.any():
             return None
-        self.waits -= 1
-        for shift in SHIFTS[1:] if self.waits > 0 else SHIFTS:
-            target = self._solution(shift)
-            if shift == 0.0:
-                self.failures = self.failures + 1 if target is None else 0
-                self.waits = 2**self.failures - 1
-            found = None if target is None else self._search(target, is_newton=shift == 0.0)
-            if found is not None or is_over() or self.is_at_floor():
+        if here.is_small(self.tolerance):  # rows in the far field fail
+            point = self._at(measure_finished(row_data(here.lcp), here.x, self.tolerance).z)
+            if (
+                point.is_defined
+                and point.certificate.term_residual < here.certificate.term_residual
+            ):
+                return point
+        for target in targets(self.here, self.linear, self.tolerance):
+            found = self._full_step(target) or self._search(target)
+            if found is not None or is_over() or (target.kind == "Newton" and self.is_at_floor()):
                 return found
         return None
 
-    def _search(self, target: Vector, *, is_newton: bool) -> Linearization | None:
+    def _full_step(self, target: Target) -> Linearization | None:
+        """Return the target if it has less than half of the residual here, in the scale here."""
+        here, point = self.here, self._at(target.x)
+        there = here.data.residual(point.x, point.value)
+        sizes = [np.maximum.reduce(np.abs(self.weights * one)) for one in (there, here.steps)]
+        return point if sizes[0] < 0.5 * sizes[1] and point.is_defined else None
+
+    def _search(self, target: Target) -> Linearization | None:
         """Return the first point on the way to the target that is better."""
-        here, allowed = self.here, 10.0 * min(point.residual for point in self.recent)
-        worst = max(map(self._merit, self.recent)) if is_newton else self._merit(here)
-        for k in range(30):
-            x = target if k == 0 else here.x + 0.5**k * (target - here.x)
-            point, least = self._at(x), (1.0 - 1e-4 * 0.5**k) * worst
-            if np.array_equal(x, here.x) or not np.isfinite(point.value).all():
+        here, is_newton, tried = self.here, target.kind == "Newton", 0
+        worst = target.share * max(map(self._merit, self.recent if is_newton else (here,)))
+        for length in target.lengths:
+            x = target.x if length == 1.0 else here.x + length * (target.x - here.x)
+            if tried == TRIALS or (x == here.x).all():
+                break
+            point = self._at(x)
+            if not np.logical_and.reduce(np.isfinite(point.value)):
                 continue
-            is_better = self._merit(point) < least  # ∞ gains nothing on ∞
-            if not (is_better or (is_newton and k == 0)) or not point.is_defined:
+            tried += 1
+            # ∞ gains nothing on ∞
+            is_better = self._merit(point) < (1.0 - 1e-4 * length) * worst
+            is_lenient = is_newton and length == 1.0 and len(self.recent) > 1
+            if not (is_better or is_lenient) or not point.is_defined:
                 continue
-            if is_better or point.residual <= allowed < math.inf:
+            if is_better or point.residual <= 10.0 * min(one.residual for one in self.recent):
                 return point
         return None
 
     def _at(self, x: Vector) -> Linearization:
-        self.work += 1.0
-        return self.first.at(x)
+        """Return the linearization at x; its F is computed once if the next search begins there."""
+        if not np.array_equal(x, self._tried.x):
+            self.work += 1.0
+            self._tried = self.first.at(x)
+        return self._tried
 
     # --- what is measured ----------------------------------------------------------------------------------
 
@@ -193,91 +229,30 @@ class JosephyNewton(Algorithm):
         """Return ‖Φ‖₂ with the row scales of the linearization here; ∞ if F is undefined."""
         if not np.isfinite(point.value).all():
             return math.inf
-        lcp = self.here.lcp
-        phi = fischer_burmeister(lcp, point.x, point.value, lcp.matrix.row_largest)
+        phi = fischer_burmeister(point.problem, point.x, point.value, row_scale(self.here))
         return float(np.linalg.norm(self.weights * phi.value))
 
     def is_at_floor(self) -> bool:
         """Return whether only rounding in F keeps the point here from passing."""
-        return self.here.is_limited(Settings(self.tolerance))
+        return self.here.is_limited(self.settings)
 
-    def _progress(self, point: Linearization) -> float:
-        """Return the measure that must fall: residuals and violations, and then the componentwise test.
+    def size_of(self, point: Linearization) -> float:
+        """Return the largest residual or violation, in the units of the start.
 
         Next to a pole only the residual falls, because x_i approaches its bound; if F tends to 0 as x diverges, only
-        the violation falls. Both are in the units of the start.
+        the violation falls.
         """
-        certificate, scale = point.certificate, self.first.lcp.residual_scale
-        sizes = np.maximum(certificate.by_row.high, certificate.rows.violation / scale)
-        size = float((self.weights * sizes).max(initial=0.0))
-        is_small = point.residual <= max(self.tolerance, SMALLEST_TOLERANCE)
-        return size * min(1.0, certificate.term_residual) if is_small else size
+        problem, x, w = point.problem, point.x, point.value
+        violation = np.maximum(w * (x > problem.lower), -w * (x < problem.upper))
+        sizes = np.maximum(np.abs(point.steps), violation / self.first.data.scale)
+        return float(np.maximum.reduce(self.weights * sizes, initial=0.0))
 
-    def _solution(self, shift: float) -> Vector | None:
-        """Return a solution of (M + shift D)(x⁺ − x) + F(x) on the bounds, or None.
-
-        The tolerance is tied to the relative residual at x. The unknown is x⁺ − x, because the residual at x is
-        then the reference, and of several solutions one near x is found.
-        """
-        lcp, w = self.here.lcp, self.here.value
-        if shift:
-            added = sp.diags_array(shift * lcp.residual_scale)
-            M = lcp.M + (added if sp.issparse(lcp.M) else added.toarray())
-            lcp = LCP(M, lcp.q, lower=lcp.lower, upper=lcp.upper)
-        x = self.here.x
-        step = lcp.with_q(w, lower=lcp.lower - x, upper=lcp.upper - x)
-        relative = self.here.residual
-        # A linearization needs no smaller residual than a tenth of the tolerance
-        enough = FORCING
-        if relative > 0.0:
-            enough = max(0.1 * self.tolerance / relative, SMALLEST_TOLERANCE)
-        tolerance = min(max(relative, enough), FORCING)
-        try:
-            result = solve_within(step, self.linear, tolerance)
-        except (UnsuitableMatrix, UnsuitableProblem):  # the algorithm does not take this one
-            if self.linear == "auto":
-                raise
-            result = solve_within(step, "auto", tolerance)
-        self.work += result.work
-        if not (result.is_solved or result.residual <= 0.5):
-            return None
-        target = np.clip(x + result.z, lcp.lower, lcp.upper)
-        # the sum may have missed the bound
-        target = np.where(result.z <= step.lower, lcp.lower, target)
-        return np.where(result.z >= step.upper, lcp.upper, target)
-
-
-def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iterator[Stage]:
-    """Yield the stages of a linearization: no proofs, pivots last, and no method twice."""
-    tried: list[Algorithm] = []
-    has_bounds = np.isfinite(problem.lower).any() or np.isfinite(problem.upper).any()
-    if method is None and not (has_bounds or takes_rounds(problem)):
-        yield Stage(Newton(), "no bounds: a linear system")
-    for stage in plan(problem, method, goal, prove_infeasibility=False):
-        if stage.algorithm in tried:
-            return
-        if tried and isinstance(stage.algorithm, Lemke):
-            stage.algorithm = Lemke(restarts=2)
-        tried.append(stage.algorithm)
-        yield stage
-        if isinstance(stage.algorithm, Lemke):
-            return
-
-
-def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> Result:
-    """Solve a linearization within the limits of the current run; Ctrl-C ends both runs.
-
-    The start is the projected gradient step, so that the methods find a solution near it.
-    """
-    left, clock = seconds_left(), Clock()
-    method = method_of(algorithm, {})
-    limit = None if left == math.inf else left
-    settings = Settings(tolerance, max_seconds=limit, polish=False)
-    step = np.nan_to_num(-problem.q / problem.residual_scale)
-    start = np.clip(step, problem.lower, problem.upper)
-    run = LCPRun(problem, method, settings, None, clock, start)
-    stages = _stages_of_step(problem, method, run.goal)
-    return run.result(run.follow_all(stages))
+    def _progress(self, point: Linearization) -> float:
+        """Return the measure that must fall: the size, and then the componentwise test."""
+        size = self.size_of(point)
+        if point.is_small(max(self.tolerance, SMALLEST_TOLERANCE)):
+            size *= min(1.0, point.certificate.term_residual)
+        return size
 
 
 CHECKED = 2.0**-20, 2.0**-10  # steps
@@ -292,6 +267,8 @@ def solve_nonlinear(
     *,
     callback: Callback | None = None,
     check_jacobian: bool = True,
+    search: str | None = None,
+    restarts: int = RESTARTS,
     **options: Any,
 ) -> Result:
     """Return the solution of a nonlinear complementarity problem by Josephy–Newton, measured with F itself.
@@ -321,6 +298,10 @@ def solve_nonlinear(
     check_jacobian : bool
         Compare the `jacobian` with differences of F, near the start and where x passes. ``explain()`` names the row
         with the largest deviation at the start. If they differ, x is SOLVED only if it passes with differences also.
+    search : str, optional
+        "monotone" or "nonmonotone"; by default one after the other.
+    restarts : int
+        Number of further starts if the searches fail, for at most 1000 unknowns.
     threads : int, optional
         Number of threads, see :func:`lcp_plugin.solve`. F itself is called in the calling thread.
     verbose : bool
@@ -362,21 +343,27 @@ def solve_nonlinear(
         raise InvalidOption(
             f"solve_nonlinear needs a NonlinearProblem, got {type(problem).__name__}; write NonlinearProblem(F)"
         )
-    settings = Settings(**options)
-    method_of(algorithm, {})
+    settings = Settings(**options) if options else DEFAULT
+    if algorithm != "auto":
+        method_of(algorithm, {})
+    if search not in (None, *SEARCHES):
+        words = " or ".join([", ".join(f'"{name}"' for name in SEARCHES), "None"])
+        raise InvalidOption(f"search must be {words}, got {search!r}")
+    restarts = whole_number(restarts, "restarts", 0)
     start = _checked_start(problem, x0)
     problem = problem.with_size(start.size)
     progress = Progress(problem, settings, callback)
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with threads_for(settings.threads):
         first, begun = begin_at(Linearization(problem, start))
-        newton = JosephyNewton(first, algorithm, settings.goal)
+        searches = tuple(SEARCHES) if search is None else (search,)
+        newton = JosephyNewton(first, algorithm, settings, searches, restarts)
         has_doubts = check_jacobian and problem.jacobian is not None
         run = NonlinearRun(newton, progress, has_doubts=has_doubts)
         try:
             if has_doubts:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
-            stage = Stage(newton, TANGENTS, steps=newton.iterates(first.lcp, first.x))
+            stage = Stage(newton, TANGENTS, steps=newton.iterates(problem, first.x))
             end = run.follow_all([stage])
         except KeyboardInterrupt:
             end = Status.INTERRUPTED
@@ -448,10 +435,15 @@ class NonlinearRun(Run):
     def measure(self, stage: Stage, step: Step) -> Measured:
         """Return the linearization at the point of a step; if its residual is small, at bounds that are near."""
         point: Linearization = step.measured
-        if point.residual <= self.settings.goal:
+        if point.is_small(self.settings.goal):
             point = self._snap(point)
-        passes = self._passes(point)
-        return Measured(point, point.residual, passes)
+        is_shown = self.progress.is_watched
+        size = point.residual if is_shown else self.newton.size_of(point)
+        return Measured(point, size, self._passes(point))
+
+    def keep(self, found: Measured) -> None:
+        """Keep a point that passes, or whose residual in the units of the start is the least."""
+        super().keep(found._replace(residual=self.newton.size_of(found.z)))
 
     def _is_far(self, point: Linearization) -> bool:
         """Return whether an unknown is as large as at a point from which it grew."""
@@ -459,17 +451,17 @@ class NonlinearRun(Run):
 
     def _passes(self, point: Linearization) -> bool:
         """Return whether a point passes, with differences also if they disagree with the jacobian."""
-        if self._is_far(point) or not point.measure(self.settings).passes:
+        if not point.passes(self.settings) or self._is_far(point):
             return False
         there = with_trusted_derivative(point) if self.has_doubts else point
-        return there is point or (there.is_defined and there.measure(self.settings).passes)
+        return there is point or (there.is_defined and there.passes(self.settings))
 
     def _snap(self, point: Linearization) -> Linearization:
         """Return the linearization after entries near bounds are moved there, unless only the point itself passes."""
-        x = row_data(point.lcp).snap_to_bounds(point.x, point.value)
+        x = point.data.snap_to_bounds(point.x, point.value)
         if np.array_equal(x, point.x) or not (moved := point.at(x)).is_defined:
             return point
-        meets = [bool(one.measure(self.settings).passes) for one in (point, moved)]
+        meets = [one.passes(self.settings) for one in (point, moved)]
         is_no_worse = moved.residual <= point.residual if meets[0] == meets[1] else meets[1]
         return moved if is_no_worse else point
 
@@ -481,16 +473,14 @@ class NonlinearRun(Run):
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
         newton, is_interrupted = self.newton, end is Status.INTERRUPTED
         point: Linearization = newton.first if self.best is None else self.best.z
-        # Rounding in one row decides which point is best, and other rows may be better at the last one
-        if not (self._passes(point) or is_interrupted) and newton.is_at_floor():
-            point = newton.here
-        if not is_interrupted:
-            point = self._snap(point)
-        certificate = point.certificate
-        passes = self._passes(point)
+        passes = self.best is not None and self.best.passes
+        if not (passes or is_interrupted):
+            # Rounding in one row decides which point is best, and other rows may be better at the last one
+            point = self._snap(newton.here if newton.is_at_floor() else point)
+            passes = self._passes(point)
         is_open = not (passes or is_interrupted or self._is_far(point))
         is_limited = is_open and point.is_limited(self.settings)
-        self.best = Measured(point, point.residual, passes, is_limited)
+        self.best = Measured(point, 0.0, passes, is_limited)
         status = self.status(end)
         words = {**WORDS, Status.STALLED: GROWING} if self._is_far(point) else WORDS
         named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
@@ -498,7 +488,7 @@ class NonlinearRun(Run):
             proof = proof_of_contradiction(part())
             status = status if proof is None else Status.INFEASIBLE
             named["infeasibility"] = proof
-        return self.result_at(certificate, status, **named)
+        return self.result_at(point.certificate, status, **named)
 
 
 def with_trusted_derivative(point: Linearization) -> Linearization:
@@ -506,7 +496,7 @@ def with_trusted_derivative(point: Linearization) -> Linearization:
     problem = point.problem
     if problem.jacobian is None or not jacobian_warning(point):
         return point
-    pattern = None if point.lcp.n <= DENSE_PATTERN_UP_TO else point.lcp.csr
+    pattern = None if point.x.size <= DENSE_PATTERN_UP_TO else sp.csr_array(point.M)
     twin = NonlinearProblem(problem.F, None, problem.lower, problem.upper, pattern)
     return Linearization(twin.with_size(point.x.size), point.x)
 
@@ -525,7 +515,7 @@ def criterion_at(problem: NonlinearProblem, x: Vector) -> tuple[RowData, Vector,
         row, value = problem.names.row(wrong[0]), at.value[wrong[0]]
         raise InvalidProblem(f"{row} is {value} at x; give a point at which F is defined")
     at = with_trusted_derivative(at)
-    return at.certificate.criterion, at.x, at.value, problem.names
+    return at.data, at.x, at.value, problem.names
 
 
 TANGENTS = (
@@ -542,7 +532,7 @@ def jacobian_warning(point: Linearization) -> str:
         The start. F is evaluated at two points along one random direction that leads into the bounds.
     """
     x, problem = point.x, point.problem
-    M = sp.csr_array(problem.call_jacobian(x, point.value)[0])
+    M = point.M
     random = np.random.default_rng(0)
     size = np.maximum(np.abs(x), 1.0) * random.uniform(0.5, 1.0, x.size)
     direction = np.where(random.random(x.size) < 0.5, -size, size)

@@ -12,7 +12,7 @@ from campaigns.small_nonlinear import SHAPES, attacks, has_solution_near
 from inputs import nonlinear_models as models
 from inputs.constructed_points import CONSTRUCTED
 
-from lcp_plugin import LCP, NonlinearProblem, Status, solve
+from lcp_plugin import LCP, NonlinearProblem, Status, certify, solve
 
 
 def test_an_idle_row_is_no_reference_for_a_curved_one() -> None:
@@ -134,6 +134,40 @@ def test_a_point_on_the_way_to_infinity_is_not_solved(name: str, has_start: bool
     assert not result.is_solved
     assert result.status is Status.STALLED
     assert "grow without limit" in result.advice
+
+
+TAILS: dict[str, Any] = {
+    "exp": (lambda y: np.exp(-y), lambda y: -np.exp(-y)),
+    "1/y": (lambda y: 1 / (1 + y), lambda y: -1 / (1 + y) ** 2),
+    "atan": (lambda y: np.pi / 2 - np.arctan(y), lambda y: -1 / (1 + y * y)),
+}
+
+
+@pytest.mark.parametrize("offset", [0.0, 64.0, 1000.0])
+@pytest.mark.parametrize("size", [1e3, 1e5, 1e7])
+@pytest.mark.parametrize("name", TAILS)
+def test_no_offset_and_no_large_neighbor_makes_a_solution(
+    name: str, size: float, offset: float
+) -> None:
+    """x₀ − A + g(x₁ − offset) = 0 = x₀ − A has no solution, because g > 0 everywhere: no such point passes."""
+    g, dg = TAILS[name]
+    problem = NonlinearProblem(
+        lambda x: np.array([x[0] - size + g(x[1] - offset), x[0] - size]),
+        lambda x: np.array([[1.0, dg(x[1] - offset)], [1.0, 0.0]]),
+        lower=[0.0, offset],
+    )
+    for y in (5.0, 19.0):
+        assert certify(problem, [size, offset + y]).verdict != "proved"
+    for tolerance in (1e-8, 1e-12):
+        assert not solve(problem, x0=[1.0, offset], tolerance=tolerance).is_solved
+
+
+def test_a_zero_that_only_rounding_makes_is_not_solved() -> None:
+    """x₀ (1 + e^(−x₁)) = A = x₀ has no solution; at x₁ = 1000 both rows are 0 as doubles."""
+    problem = NonlinearProblem(
+        lambda x: np.array([x[0] * (1 + np.exp(-x[1])) - 1e3, x[0] - 1e3]), lower=[0.0, 0.0]
+    )
+    assert not solve(problem, x0=[1e3, 1e3]).is_solved
 
 
 def test_another_start_finds_the_solution_next_to_an_endless_path() -> None:

@@ -1,0 +1,327 @@
+"""Steps from a point of a nonlinear problem, in the order in which a search tries them.
+
+The target of a Newton step solves the LCP of M = F′(x), q = F(x) − F′(x) x. Small problems solve it on arrays
+(:mod:`lcp_plugin.methods.small`); large ones begin with linear solves on the active set of x, each of which may be step
+enough. If no Newton step helps, the LCP of F′(x) + μD is solved for larger and larger μ, D the residual scale (proximal
+steps). The last resort is a Levenberg–Marquardt step: (HᵀH + μ √(mean Φ²) I) d = −HᵀΦ, H in the generalized Jacobian of
+the Fischer–Burmeister function Φ, with F(x) for w, scaled by the largest entry of each row of F′. The diagonal is not
+used for it, because it may vanish with x: the diagonal of a convex power is zero at 0.
+
+Other starts: `smoothed` follows the zeros of Φ with √(a² + b² + 2ε²) for √(a² + b²) as ε → 0 (Kanzow), `deformed` the
+solutions of F(x) + μD (x − x₀) as μ → 0.
+
+References
+----------
+N. H. Josephy, *Newton's method for generalized equations*, MRC report 1965, Wisconsin 1979. C. Kanzow, *Some
+noninterior continuation methods for linear complementarity problems*, SIAM J. Matrix Anal. Appl. 17 (1996),
+doi:10.1137/S0895479894273134.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...core.algorithm import Algorithm
+from ...core.checks import Vector
+from ...core.deadline import Clock, is_over, seconds_left
+from ...core.errors import UnsuitableMatrix, UnsuitableProblem
+from ...core.kernels.floats import LARGEST, NEGLIGIBLE
+from ...core.lcp import LCP
+from ...core.matrix import largest_in_rows
+from ...core.settings import Settings
+from ...judges.lcp import RowData, measured_residual
+from ...methods.lemke import Lemke
+from ...methods.newton import Newton, classify, fischer_burmeister, solve_active_set
+from ...methods.small import SMALL_DENSE, candidates, rounds, takes_rounds
+from ...solving.dispatch import method_of
+from ...solving.lcp_run import LCPRun
+from ...solving.plan import plan
+from ...solving.result import Result
+from ...solving.run import Stage
+from ...systems.factors import factorise
+from .data import SMALLEST_TOLERANCE, Linearization
+
+HALVINGS = tuple(0.5**k for k in range(30))  # step lengths of Newton steps
+SHIFTS = 1e-3, 1e-1, 10.0  # of the residual scale: proximal steps
+DAMPINGS, DAMPED = (1e-6, 1e-3, 0.1, 10.0, 1e3), (1.0, 0.3, 0.1, 0.03)  # Levenberg–Marquardt
+FORCING = 0.01  # of the residual here: tolerance of a linearization far from a solution
+FLAT = (
+    2.0**-20
+)  # of the largest row: F′ may vanish with x, as of a power at 0, and so the unit of its rows
+ACTIVE_SETS_UP_TO = 5000  # rows; beyond, LCP methods need fewer factorizations
+ACTIVE_SETS = 8  # linear solves before an LCP method
+
+
+class Target(NamedTuple):
+    """Point to which a search goes.
+
+    Attributes
+    ----------
+    kind : str
+        "Newton", "active set", "proximal" or "Levenberg–Marquardt".
+    x : array, shape (n,)
+    lengths : tuple of float
+        Step lengths to try.
+    share : float
+        The merit must fall below this share.
+    """
+
+    kind: str
+    x: Vector
+    lengths: tuple[float, ...]
+    share: float = 1.0
+
+
+def targets(here: Linearization, linear: str | Algorithm, tolerance: float) -> Iterator[Target]:
+    """Yield the targets from a point; the LCP of a linearization is solved by the algorithm `linear`."""
+    step = None
+    if linear == "auto" and not is_small(here) and here.x.size <= ACTIVE_SETS_UP_TO:
+        for shift in (0.0, min(1.0, max(here.residual, 1e-8)), 1.0):
+            yield from _active_set_targets(here, shift)
+        phi, H = phi_and_jacobian(here)
+        if (step := solve_shifted(H, 0.0, -phi)) is not None:
+            yield Target("semismooth", moved(here, step), (1.0,), 0.5)
+    for shift in (0.0, *SHIFTS):
+        if (target := lcp_step(here, linear, tolerance, shift)) is not None:
+            yield Target("proximal" if shift else "Newton", moved(here, target), HALVINGS)
+        if step is not None and not shift:
+            yield Target("semismooth", moved(here, step), HALVINGS)
+    phi, H = phi_and_jacobian(here)
+    gradient, size = H.T @ phi, math.sqrt(phi @ phi / max(phi.size, 1))
+    normal = H.T @ H
+    for damping in DAMPINGS:
+        if (step := solve_shifted(normal, damping * size, -gradient)) is not None:
+            yield Target("Levenberg–Marquardt", moved(here, step), DAMPED)
+
+
+def is_small(here: Linearization) -> bool:
+    """Return whether linearizations are solved on arrays."""
+    return here.x.size <= SMALL_DENSE and not sp.issparse(here.M)
+
+
+def moved(here: Linearization, step: Vector) -> Vector:
+    """Return x plus a step, exactly on the bounds that it reaches."""
+    x, lower, upper = here.x, here.problem.lower, here.problem.upper
+    target = np.where(step <= lower - x, lower, x + step)
+    target = np.where(step >= upper - x, upper, target)
+    return np.minimum(np.maximum(target, lower), upper)
+
+
+def lcp_step(
+    here: Linearization,
+    linear: str | Algorithm,
+    tolerance: float,
+    shift: float = 0.0,
+    centre: Vector | None = None,
+) -> Vector | None:
+    """Return a solution d of the LCP of (M + shift D) d + F(x) + shift D (x − centre) on the bounds of d, or None.
+
+    The tolerance is tied to the relative residual at x. The unknown is d, because the residual at x is then the
+    reference, and of several solutions one near x is found.
+    """
+    M, w, lower, upper = step_data(here, shift, centre)
+    if linear == "auto" and is_small(here):
+        return small_step(M, w, lower, upper, (1.0 + shift) * here.data.scale)
+    problem = step_problem(here, shift, centre)
+    # A linearization needs no smaller residual than a tenth of the tolerance
+    relative, enough = here.residual, FORCING
+    if relative > 0.0:
+        enough = max(0.1 * tolerance / relative, SMALLEST_TOLERANCE)
+    try:
+        result = solve_within(problem, linear, min(max(relative, enough), FORCING))
+    except (UnsuitableMatrix, UnsuitableProblem):  # the algorithm does not take this one
+        if linear == "auto":
+            raise
+        result = solve_within(problem, "auto", min(max(relative, enough), FORCING))
+    return result.z if result.is_solved or result.residual <= 0.5 else None
+
+
+def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vector | None:
+    """Return d with lower ≤ d ≤ upper complementary to M d + w, to half of the residual of 0; None if none is found.
+
+    The active set of 0 is tried first.
+    """
+    zero = np.zeros(w.size)
+    data = RowData(M, M, w, lower, upper, scale, None, zero)
+    most = 0.5 * np.maximum.reduce(np.abs(data.residual(zero, w)), initial=0.0)
+    best, least = None, most
+
+    def tried() -> Iterator[Vector]:
+        yield rounds(data, zero)
+        if best is None:  # perhaps a singular block: the least solution on the active set of 0
+            held = np.where(w >= -lower * scale, lower, np.where(w <= -upper * scale, upper, 0.0))
+            free = np.flatnonzero((w < -lower * scale) & (w > -upper * scale))
+            right = -(M @ held + w)[free]
+            held[free] = np.linalg.lstsq(M[np.ix_(free, free)], right)[0]
+            yield held
+        for _, step, _ in candidates(data, zero):
+            yield step
+
+    for step in tried():
+        inside = np.minimum(np.maximum(step, lower), upper)
+        size = np.maximum.reduce(np.abs(data.residual(inside, M @ inside + w)), initial=0.0)
+        if size <= least:  # NaN fails
+            best, least = inside, size
+        if size <= NEGLIGIBLE * most:
+            break
+    return best
+
+
+def _active_set_targets(here: Linearization, shift: float) -> Iterator[Target]:
+    """Yield the ends of linear solves on active sets of M + shift D, until one reproduces itself or is singular."""
+    problem, zero = step_problem(here, shift), np.zeros(here.x.size)
+    before = classify(problem, zero, problem.q)
+    for _ in range(ACTIVE_SETS):
+        found = solve_active_set(problem, *before, near=zero)
+        if found is None or found.system.is_singular or is_over():
+            return
+        now = classify(problem, found.z, problem.slack(found.z))
+        is_last = all(map(np.array_equal, before, now))
+        lengths, share = (
+            (HALVINGS, 1.0) if is_last and not shift else ((1.0,), 0.8 if shift == 1.0 else 0.5)
+        )
+        if is_last or not shift:
+            yield Target(
+                "proximal" if shift else "active set", moved(here, found.z), lengths, share
+            )
+        if is_last:
+            return
+        before = now
+
+
+def step_data(here: Linearization, shift: float, centre: Vector | None = None) -> tuple[Any, ...]:
+    """Return M + shift D, the slack F(x) + shift D (x − centre) of d = 0, and the bounds of d."""
+    M, w, x = here.M, here.value, here.x
+    if shift:
+        D = shift * without_flat_rows(here.data.scale)
+        M = M + (sp.diags_array(D) if sp.issparse(M) else np.diag(D))
+        w = w if centre is None else w + D * (x - centre)
+    return M, w, here.data.lower - x, here.data.upper - x
+
+
+def step_problem(here: Linearization, shift: float, centre: Vector | None = None) -> LCP:
+    """Return the LCP of these data; the facts about M are shared with the linearization if nothing is shifted."""
+    M, w, lower, upper = step_data(here, shift, centre)
+    return LCP(M if shift else here.lcp.matrix, w, lower=lower, upper=upper)
+
+
+def phi_and_jacobian(here: Linearization, smoothing: float = 0.0) -> tuple[Vector, Any]:
+    """Return Φ(x), shape (n,), and an element H of its generalized Jacobian, shape (n, n)."""
+    scale = row_scale(here)
+    phi = fischer_burmeister(here.data, here.x, here.value, scale, smoothing)
+    rows = phi.by_w / scale
+    if sp.issparse(here.M):
+        return phi.value, sp.csr_array(sp.diags_array(rows) @ here.M + sp.diags_array(phi.by_z))
+    H = here.M * rows[:, None]
+    H[np.diag_indices_from(H)] += phi.by_z
+    return phi.value, H
+
+
+def row_scale(here: Linearization) -> Vector:
+    """Return the largest |entry| of each row of F′, of flat rows more."""
+    return without_flat_rows(largest_in_rows(here.M))
+
+
+def without_flat_rows(sizes: Vector) -> Vector:
+    """Return sizes of rows, at least FLAT times the largest one; 1 if all are 0."""
+    return np.maximum(sizes, FLAT * sizes.max(initial=0.0) or 1.0)
+
+
+def solve_shifted(matrix: Any, shift: float, right: Vector) -> Vector | None:
+    """Return the solution of (matrix + shift I) d = right, symmetric if shifted; None if it fails."""
+    n = right.size
+    is_sparse = sp.issparse(matrix)
+    shifted = matrix + shift * (sp.eye_array(n, format="csr") if is_sparse else np.eye(n))
+    factor = factorise(sp.csr_array(shifted) if is_sparse else shifted, is_symmetric=shift > 0.0)
+    step = None if factor is None else factor.solve(right)
+    return step if step is not None and np.isfinite(step).all() else None
+
+
+def smoothed(here: Linearization) -> Linearization:
+    """Return the end of Kanzow's path from a point."""
+    size = float(np.abs(phi_and_jacobian(here)[0]).max(initial=0.0))
+    smoothing = size
+    while smoothing > 1e-7 * size and not is_over():
+        for _ in range(4):
+            phi, H = phi_and_jacobian(here, smoothing)
+            step = solve_shifted(H, 0.0, -phi)
+            if step is None:
+                return here
+            norm = float(np.linalg.norm(phi))
+            for length in HALVINGS[:6]:
+                there = here.at(
+                    np.clip(here.x + length * step, here.problem.lower, here.problem.upper)
+                )
+                if not there.is_defined:
+                    continue
+                scale = row_scale(here)
+                value = fischer_burmeister(here.data, there.x, there.value, scale, smoothing).value
+                if np.linalg.norm(value) < (1.0 - 0.1 * length) * norm:
+                    break
+            else:
+                break
+            here = there
+            if np.abs(value).max() <= 0.5 * smoothing:
+                break
+        smoothing *= 0.3
+    return here
+
+
+def deformed(first: Linearization, linear: str | Algorithm, tolerance: float) -> Linearization:
+    """Return the end of the homotopy from a point: steps on F(x) + μD (x − x₀), μ from 10 to 10⁻⁴."""
+    here = first
+    for k in range(14):
+        shift = 10.0 ** (1.0 - 0.4 * k)
+        for _ in range(2):
+            step = None if is_over() else lcp_step(here, linear, tolerance, shift, first.x)
+            if step is None:
+                return here
+            for length in HALVINGS[:6]:
+                there = here.at(moved(here, length * step))
+                if there.is_defined:
+                    break
+            else:
+                return here
+            here = there
+    return here
+
+
+def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iterator[Stage]:
+    """Yield the stages of a linearization: no proofs, pivots last, and no method twice."""
+    tried: list[Algorithm] = []
+    has_bounds = np.isfinite(problem.lower).any() or np.isfinite(problem.upper).any()
+    if method is None and not (has_bounds or takes_rounds(problem)):
+        yield Stage(Newton(), "no bounds: a linear system")
+    for stage in plan(problem, method, goal, prove_infeasibility=False):
+        if stage.algorithm in tried:
+            return
+        if tried and isinstance(stage.algorithm, Lemke):
+            stage.algorithm = Lemke(restarts=2)
+        tried.append(stage.algorithm)
+        yield stage
+        if isinstance(stage.algorithm, Lemke):
+            return
+
+
+def solve_within(problem: LCP, algorithm: str | Algorithm, tolerance: float) -> Result:
+    """Solve a linearization within the limits of the current run; Ctrl-C ends both runs.
+
+    The start is the projected gradient step, so that the methods find a solution near it.
+    """
+    left, clock = seconds_left(), Clock()
+    method = method_of(algorithm, {})
+    limit = None if left == math.inf else left
+    absolute = tolerance * measured_residual(problem, np.zeros(problem.n))
+    settings = Settings(
+        tolerance, max_seconds=limit, polish=False, absolute_tolerance=min(absolute, LARGEST)
+    )
+    step = np.nan_to_num(-problem.q / problem.residual_scale)
+    start = np.clip(step, problem.lower, problem.upper)
+    run = LCPRun(problem, method, settings, None, clock, start)
+    stages = _stages_of_step(problem, method, run.goal)
+    return run.result(run.follow_all(stages))

@@ -57,15 +57,12 @@ class Target(NamedTuple):
     problem : LCP, or a problem of another class
         An ``NLModel`` of an .nl file.
     test_problem : a test problem of the gallery, or None
-    sign : float
-        The objective of a file is sign · the program's objective.
     names : sequence of str or None
         Names of the variables.
     """
 
     problem: Any
     test_problem: Any = None
-    sign: float = 1.0
     names: Any = None
 
 
@@ -94,8 +91,8 @@ def read_target(target: str, size: int | None = None) -> Target:
             f"--size {size} is for a test problem, but {target!r} is not one; leave it out"
         )
     if path.suffix.lower() in MPS:
-        program, sign, names = load_program(target)
-        return Target(program, None, sign, names)
+        program = load_program(target)
+        return Target(program, names=program.names.unknowns)
     if path.suffix.lower() == ".nl":
         return Target(read_nl(target))
     return Target(load_problem(target))
@@ -138,8 +135,6 @@ def run(
         answer, x, lines = answers[-1], answers[-1].x, _march_lines(given, answers)
         arrays = _arrays(answer)
         objective = answer.objective
-        if objective is not None:
-            objective = given.sign * objective + 0.0
     content: dict[str, Any] = {} if objective is None else {"objective": objective}
     if bound:
         proved = lcp_plugin.error_bound(given.problem, answer.z)
@@ -149,8 +144,6 @@ def run(
         content = json_content(answer) | content
         typer.echo(json.dumps(finite(content), indent=2))
     else:
-        if objective is not None and objective != answer.objective:
-            lines.append(f"objective {objective:.9g}, as the file states it")
         source = given.test_problem or f"{target}:"
         model = given.problem
         shown = [] if given.test_problem else _values(given, answer, x)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from itertools import groupby
 from os import PathLike
 from pathlib import Path
@@ -232,24 +232,6 @@ ARRAYS, MPS, MARKET, NL = ".npz", (".mps", ".qps", ".lp"), ".mtx", ".nl"
 Arrays = dict[str, Any]
 
 
-class LoadedProgram(NamedTuple):
-    """Program that a file states.
-
-    Attributes
-    ----------
-    program : QuadraticProgram
-        To be minimized.
-    sign : float
-        −1 if the file maximizes: its objective is sign · objective of the program.
-    names : sequence of str or None
-        Names of the variables; the program has those of the rows also.
-    """
-
-    program: QuadraticProgram
-    sign: float = 1.0
-    names: Sequence[str] | None = None
-
-
 # --- Contacts of fclib, the field's own collection: HDF5, read by h5py ----------------------------------------------
 
 HDF5 = (".h5", ".hdf5")
@@ -371,10 +353,12 @@ def _cones(M: AnyMatrix, q: Array, cone_kinds: Any, cone_rows: Any, **ends: Arra
     return ConeProblem(M, q, cones)
 
 
-def _program(c: Any, P: Any = None, l: Any = None, u: Any = None, **others: Any) -> LoadedProgram:
+def _program(
+    c: Any, P: Any = None, l: Any = None, u: Any = None, **others: Any
+) -> QuadraticProgram:
     P = sp.csr_array((c.size, c.size)) if P is None else _symmetric(P)
     if l is None and u is None:
-        return LoadedProgram(QuadraticProgram(P, c, **others))
+        return QuadraticProgram(P, c, **others)
     if "A" not in others:
         raise InvalidProblem(
             "it holds l or u, the limits of A x, and no A; bounds of x are lower and upper"
@@ -382,7 +366,7 @@ def _program(c: Any, P: Any = None, l: Any = None, u: Any = None, **others: Any)
     if rows := sorted(others.keys() & {"G", "h", "b"}):
         raise InvalidProblem(f"{', '.join(rows)} and l, u state rows; l, u are the limits of all")
     limits = -np.inf if l is None else l, np.inf if u is None else u
-    return LoadedProgram(QuadraticProgram.from_ranges(P, c, others.pop("A"), *limits, **others))
+    return QuadraticProgram.from_ranges(P, c, others.pop("A"), *limits, **others)
 
 
 def _symmetric(P: AnyMatrix) -> Any:
@@ -510,7 +494,7 @@ def _stated(source: Path, kind: type, build: Callable[[], Any]) -> Any:
 
 
 def _read(source: Path, needed: type | None = None) -> Any:
-    """Return the problem of a file, a program as a LoadedProgram."""
+    """Return the problem of a file."""
     layout, suffix = layout_of(source), source.suffix.lower()
     if suffix == NL:
         return lcp_in_nl(source)
@@ -540,8 +524,8 @@ def load_lcp(path: str | PathLike[str]) -> LCP:
     return _read(checked_path(path), LCP)
 
 
-def load_program(path: str | PathLike[str]) -> LoadedProgram:
-    """Return the program of a file with the sign and names; see :func:`load_problem`."""
+def load_program(path: str | PathLike[str]) -> QuadraticProgram:
+    """Return the program of a file, with its sense and names; see :func:`load_problem`."""
     return _read(checked_path(path), QuadraticProgram)
 
 
@@ -572,21 +556,20 @@ def load_problem(path: str | PathLike[str]) -> Any:
     A QuadraticProgram is minimized: a ModelWarning reports a file that maximizes.
     """
     found = _read(checked_path(path))
-    if not isinstance(found, LoadedProgram):
-        return found
-    if found.sign < 0.0:
+    if getattr(found, "sense", 1.0) < 0.0:
         warnings.warn(
-            f"{path} maximizes; the problem returned minimizes the objective with the other sign",
+            f"{path} maximizes; the problem returned minimizes the objective with the other sign, and results state "
+            "the objective of the file",
             ModelWarning,
             stacklevel=2,
         )
-    return found.program
+    return found
 
 
 # --- MPS and LP -------------------------------------------------------------------------------------------------
 
 
-def _from_mps(source: Path) -> LoadedProgram:
+def _from_mps(source: Path) -> QuadraticProgram:
     if not source.is_file():
         raise UnreadableFile(f"no such file: {source}{in_folder(source)}")
     read, remarks = read_lp if source.suffix.lower() == ".lp" else read_mps, list[str]()
@@ -599,7 +582,8 @@ def _from_mps(source: Path) -> LoadedProgram:
     if remarks:
         warnings.warn(f"{source}: {'; '.join(remarks[:3])}", ModelWarning, stacklevel=2)
     program = _stated(source, QuadraticProgram, lambda: QuadraticProgram.from_ranges(*parts))
-    return LoadedProgram(program.with_names(names), sign, names.unknowns)
+    program.__dict__["sense"] = sign
+    return program.with_names(names)
 
 
 def read_lp(source: Path, remarks: list[str]) -> Read:

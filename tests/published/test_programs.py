@@ -34,7 +34,7 @@ def one_sided(of: PublishedProgram) -> tuple[Any, ...]:
 
 
 def as_a_file(of: PublishedProgram, name: str) -> Answer:
-    program = load_program(str(FOLDER / f"qp_{name}.npz")).program
+    program = load_program(str(FOLDER / f"qp_{name}.npz"))
     result = solve(program)
     return result.x, result.objective
 
@@ -177,5 +177,5 @@ def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name: str)
 @pytest.mark.parametrize("name", BY_SIZE)
 def test_certify_proves_every_answer_of_ours(name: str) -> None:
     """Rows that a solve accepts relative to their terms are also accepted by certify."""
-    result = solve(load_program(str(FOLDER / f"qp_{name}.npz")).program)
+    result = solve(load_program(str(FOLDER / f"qp_{name}.npz")))
     assert certify(result).verdict == "proved"

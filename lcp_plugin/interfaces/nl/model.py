@@ -363,8 +363,7 @@ class EquilibriumModel(NLModel):
             duals[self.pairs] = result.x[self.columns]
             objective = self.objective(x)
         words = "optimal" if result.is_solved else status.name.lower()
-        of = "" if self.sign > 0.0 else " (of minus the objective)"
-        reached = "" if result.has_no_solution else f"{result.describe_accuracy()}{of}, "
+        reached = "" if result.has_no_solution else f"{result.describe_accuracy()}, "
         nodes = f"{result.nodes} node{'s' * (result.nodes != 1)}"
         advice = "" if result.is_solved or result.has_no_solution else f"; {result.advice}"
         message = f"lcp_plugin {__version__}: {words}; {reached}{nodes}{advice}"

@@ -78,7 +78,7 @@ class QuadraticProgramResult(BaseResult):
     @property
     def objective(self) -> float | None:
         """Objective in the sense of the program; None if the program is proved infeasible or unbounded."""
-        return None if self.has_no_solution else self.program.sense * self.solution.objective
+        return None if self.has_no_solution else self.program.sense * self.solution.objective + 0.0
 
     @property
     def duals(self) -> dict[str, Vector]:

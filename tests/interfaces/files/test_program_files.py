@@ -77,7 +77,7 @@ def test_sparse_matrices_are_their_csc_arrays(triangle: Any, tmp_path: Path) -> 
         A=A,
         b=b,
     )
-    program = load_program(tmp_path / "p.npz").program
+    program = load_program(tmp_path / "p.npz")
     np.testing.assert_array_equal(program.P.toarray(), SYMMETRIC)
     np.testing.assert_array_equal(program.G.toarray(), G)
     assert (program.h.tolist(), program.b.tolist()) == (h.tolist(), b.tolist())
@@ -187,7 +187,7 @@ def test_a_constant_and_a_maximum_are_told(tmp_path: Path) -> None:
     (tmp_path / "p.lp").write_text(lp)
     with pytest.warns(ModelWarning, match=r"p\.lp maximizes; the problem returned minimizes"):
         program = load_problem(tmp_path / "p.lp")
-    assert solve(program).require_solved().objective == pytest.approx(-11.0)
+    assert solve(program).require_solved().objective == pytest.approx(11.0)
     np.savez(tmp_path / "r.npz", P=np.eye(2), c=[-1.0, 0.0], r=0.5)
     assert solve(load_problem(tmp_path / "r.npz")).require_solved().objective == pytest.approx(0.0)
 
@@ -249,7 +249,7 @@ def test_a_maximum_in_mps_is_read_on_one_line_and_on_two(sense: str, tmp_path: P
     (tmp_path / "p.mps").write_text(text)
     with pytest.warns(ModelWarning, match="maximizes"):
         program = load_problem(tmp_path / "p.mps")
-    assert solve(program).require_solved().objective == pytest.approx(-21.0)
+    assert solve(program).require_solved().objective == pytest.approx(21.0)
     (tmp_path / "q.mps").write_text(text.replace(sense, ""))
     assert solve(load_problem(tmp_path / "q.mps")).objective == pytest.approx(12.0)
 
@@ -438,14 +438,14 @@ def test_a_dollar_begins_a_comment_unless_a_name_does(tmp_path: Path) -> None:
     """Comments after $ and * change nothing, and $y remains the name of a column."""
     path = tmp_path / "p.mps"
     path.write_text(QPS)
-    plain = load_program(path).program
+    plain = load_program(path)
     text = QPS.replace("x obj 1", "x obj 1 $ cost").replace("RHS\n", "* data\nRHS $ b\n", 1)
     path.write_text(text.replace("BND x 3", "BND x 3 $ at most").replace(" y", " $y"))
     read = load_program(path)
-    assert read.names == ["x", "$y"]
+    assert read.names.unknowns == ["x", "$y"]
     for name in ("c", "h", "lower", "upper"):
-        assert getattr(read.program, name).tolist() == getattr(plain, name).tolist()
-    assert (read.program.P != plain.P).nnz == (read.program.G != plain.G).nnz == 0
+        assert getattr(read, name).tolist() == getattr(plain, name).tolist()
+    assert (read.P != plain.P).nnz == (read.G != plain.G).nnz == 0
 
 
 def test_names_with_blanks_have_fixed_places(tmp_path: Path) -> None:
@@ -457,8 +457,12 @@ def test_names_with_blanks_have_fixed_places(tmp_path: Path) -> None:
         + row("my x", "of it", "2.")
         + f"RHS\n{row('RHS', 'of it', '8.')}BOUNDS\n UP BND       my x      {'3.':>12}\nENDATA\n"
     )
-    program, _, names = load_program(tmp_path / "p.mps")
-    assert (names, program.c.tolist(), program.G.toarray().tolist()) == (["my x"], [-1.0], [[2.0]])
+    program = load_program(tmp_path / "p.mps")
+    assert (program.names.unknowns, program.c.tolist(), program.G.toarray().tolist()) == (
+        ["my x"],
+        [-1.0],
+        [[2.0]],
+    )
     assert (program.h.tolist(), program.upper.tolist()) == ([8.0], [3.0])
 
 
@@ -488,7 +492,8 @@ def test_mps_files_of_highs_are_read_as_highs_reads_them(seed: int, tmp_path: Pa
     )
     highs.changeObjectiveOffset(float(seed))
     assert highs.writeModel(str(tmp_path / "p.mps")) != highspy.HighsStatus.kError
-    program, sign, _ = load_program(tmp_path / "p.mps")
+    program = load_program(tmp_path / "p.mps")
+    sign = program.sense
     highs.readModel(str(tmp_path / "p.mps"))  # a range is written by its width, which rounds
     linear = highs.getLp()
     bounds = (linear.row_lower_, linear.row_upper_, linear.col_lower_, linear.col_upper_)

@@ -14,7 +14,14 @@ from ..core.algorithm import Algorithm, Step
 from ..core.checks import Array, Vector
 from ..core.deadline import require_seconds, seconds_left
 from ..core.lcp import LCP
-from ..core.matrix import Matrix, equation_signs, fact, is_nearly_symmetric, row_numbers
+from ..core.matrix import (
+    Matrix,
+    equation_signs,
+    fact,
+    is_nearly_symmetric,
+    largest_in_rows,
+    row_numbers,
+)
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
 from ..engines import installed_engine
 from ..engines.engine import Engine, ProgramData, SolverLimits
@@ -301,59 +308,43 @@ def _stated(
 
 
 def with_signed_equations(problem: LCP) -> LCP:
-    """Return the problem in units of its rows in which |M| is symmetric, and signs of equations that make M + Mᵀ less.
+    """Return the problem with a skew border, if possible, and signs of equations that make M + Mᵀ smaller.
 
     The solutions do not change.
     """
-    units, M = symmetric_units(problem.matrix), problem.M
-    if (units != 1.0).any():  # without rounding errors in the symmetry
-        rows = problem.matrix.csr
-        mirrored = sp.csr_array(rows.T)
-        mirrored.sort_indices()
-        roots = np.sqrt(np.abs(rows.data)) * np.sqrt(np.abs(mirrored.data))
-        roots *= np.sqrt(units[row_numbers(rows)] * units[rows.indices])
-        M = sp.csr_array((np.copysign(roots, rows.data), rows.indices, rows.indptr), rows.shape)
-        M = M if sp.issparse(problem.M) else M.toarray()
-    signs = equation_signs(M, (problem.lower == -np.inf) & (problem.upper == np.inf))
-    if (units * signs == 1.0).all():
+    units, M = skew_border(problem.matrix)
+    M = M if sp.issparse(problem.M) else M.toarray()
+    units = units * equation_signs(M, (problem.lower == -np.inf) & (problem.upper == np.inf))
+    if (units == 1.0).all():
         return problem
     bounds = {"lower": problem.lower, "upper": problem.upper}
-    return LCP(M * signs[:, None], problem.q * units * signs, **bounds)
+    return LCP(M * np.sign(units)[:, None], problem.q * units, **bounds)
 
 
 @fact
-def symmetric_units(matrix: Matrix) -> Vector:
-    """Return units d > 0 of the rows with |d_i m_ij| = |d_j m_ji| to rounding, shape (n,); 1 if there are none.
+def skew_border(matrix: Matrix) -> tuple[Vector, sp.csr_array]:
+    """Return units of rows and the M with them: rows that are multiples of their columns become as large as these.
 
     Examples
     --------
-    >>> symmetric_units(Matrix([[2.0, -1.0], [4.0, 0.0]]))
-    array([1.  , 0.25])
+    >>> units, M = skew_border(Matrix([[2.0, -1.0], [4.0, 0.0]]))
+    >>> units.tolist(), M.toarray().tolist()
+    ([1.0, 0.25], [[2.0, -1.0], [1.0, 0.0]])
     """
-    from scipy.sparse.csgraph import breadth_first_order, connected_components
-
-    n, M, none = matrix.n, matrix.csr, np.ones(matrix.n)
+    M, ones = matrix.csr, np.ones(matrix.n)
     mirrored = sp.csr_array(M.T)
     mirrored.sort_indices()
-    is_alike = np.array_equal(M.indptr, mirrored.indptr)
-    if not is_alike or not np.array_equal(M.indices, mirrored.indices):
-        return none
-    rises = np.log(np.abs(M.data)) - np.log(np.abs(mirrored.data))  # from d_i to d_j
-    if (np.abs(rises) <= SAME).all():
-        return none
-    labels = connected_components(M, directed=False)[1]
-    roots = np.unique(labels, return_index=True)[1]
-    graph = sp.coo_array((np.ones(roots.size), (np.full(roots.size, n), roots)), (n + 1, n + 1))
-    whole = sp.csr_array((np.ones(M.nnz), M.indices, np.append(M.indptr, M.nnz)), graph.shape)
-    order, before = breadth_first_order(whole + graph, n)
-    steps = sp.csr_array((rises, M.indices, M.indptr), M.shape)
-    inner = order[1:][before[order[1:]] < n]
-    logs, parents = np.zeros(n), before[inner]
-    for j, i, rise in zip(inner.tolist(), parents.tolist(), steps[parents, inner], strict=True):
-        logs[j] = logs[i] + rise
-    misses = logs[M.indices] - logs[row_numbers(M)] - rises
-    is_consistent = (np.abs(misses) <= 10.0 * SAME).all() and np.abs(logs).max(initial=0.0) < 300.0
-    return np.exp(logs - logs.max(initial=0.0)) if is_consistent else none
+    is_mirrored = np.array_equal(M.indptr, mirrored.indptr)
+    if not is_mirrored or not np.array_equal(M.indices, mirrored.indices):
+        return ones, M
+    rows, ratios = row_numbers(M), np.abs(mirrored.data) / np.abs(M.data)
+    most, inverse = largest_in_rows(M, np.stack([ratios, 1.0 / ratios]))
+    is_border = (np.abs(most * inverse - 1.0) <= SAME) & (np.abs(most - 1.0) > SAME)
+    units = np.where(is_border, most, 1.0)
+    if (np.abs(units[rows] - units[M.indices] * ratios) > 10.0 * SAME * units[rows]).any():
+        return ones, M
+    data = np.where(is_border[rows], np.copysign(mirrored.data, M.data), M.data)
+    return units, sp.csr_array((data, M.indices, M.indptr), M.shape)
 
 
 @fact

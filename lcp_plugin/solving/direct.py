@@ -36,12 +36,7 @@ from ..core.lcp import LCP
 from ..core.matrix import has_positive_diagonal, is_nearly_symmetric
 from ..core.tuning import LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PIVOTS_FIRST_UP_TO
 from ..engines import has_piqp
-from ..methods.interior_point import (
-    InteriorPoint,
-    ZeroSumGame,
-    symmetric_units,
-    with_signed_equations,
-)
+from ..methods.interior_point import InteriorPoint, ZeroSumGame, skew_border, with_signed_equations
 from ..methods.lemke import Lemke, rows_of_components
 from ..methods.lemke.pivoting_path import is_game
 from ..methods.newton import Newton
@@ -157,7 +152,7 @@ def _order(
     if not is_full and is_positive and problem.n > PIVOTS_FIRST_UP_TO:
         lemke.is_over = pivots
     if _seems_monotone(problem):
-        if (symmetric_units(problem.matrix) != 1.0).any():  # a program, after a scaling of rows
+        if (skew_border(problem.matrix)[0] != 1.0).any():  # a program, after a scaling of rows
             return [interior, check, newton, lemke]
         if is_full and not is_positive:
             # A tenth of the work of an interior point on a dense M; a portfolio takes n/25 pivots.

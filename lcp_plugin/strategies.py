@@ -85,7 +85,7 @@ def sizes(size: Sizes, smallest: int = 0) -> st.SearchStrategy[int]:
     if size is None:
         return st.integers(max(1, smallest), LARGEST_SIZE)
 
-    def checked(n: Any) -> int:
+    def checked(n: int) -> int:
         return whole_number(n, "size", smallest, " or a strategy of such")
 
     return size.map(checked) if isinstance(size, st.SearchStrategy) else st.just(checked(size))

@@ -159,7 +159,7 @@ def _flag(value: object, name: str) -> bool:
     return bool(value)
 
 
-def checked_threads(threads: Any, name: str = "threads") -> int:
+def checked_threads(threads: int | None, name: str = "threads") -> int:
     """Return the number of threads; None means all that the process may use.
 
     Raises

@@ -150,7 +150,7 @@ class Frame(NamedTuple):
     description: str = ""
 
 
-def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = None) -> Any:
+def plot_answer(answer: BaseResult, *, axes: Any = None, shape: Sequence[int] | None = None) -> Any:
     """Return matplotlib's axes with a figure of a solution.
 
     The unknowns by index, or as a map on a grid with the free boundary; contact with friction as tangential impulses in
@@ -189,7 +189,7 @@ def plot_answer(answer: Any, *, axes: Any = None, shape: Sequence[int] | None = 
     return _plotted(answer, _frame(answer, shape), axes, pyplot.figure)
 
 
-def draw(answer: Any, path: Path, test_problem: Scene | None = None) -> None:
+def draw(answer: BaseResult, path: Path, test_problem: Scene | None = None) -> None:
     """Save the figure of a solution, on the axes of its test problem if it has some.
 
     Parameters
@@ -220,7 +220,7 @@ def _frame(answer: Any, shape: Any) -> Frame:
     return Frame(sizes, (*more, *LABELS[-len(sizes) :]), unknown)
 
 
-def _plotted(answer: Any, frame: Frame | Scene, axes: Any, new: Callable[..., Any]) -> Any:
+def _plotted(answer: BaseResult, frame: Frame | Scene, axes: Any, new: Callable[..., Any]) -> Any:
     """Draw into the given axes, or into a new figure with a panel for the residual of a recorded run."""
     run = answer if getattr(answer, "history", ()) else None
     is_contact = isinstance(getattr(answer, "problem", None), FrictionalContact)
@@ -357,7 +357,7 @@ def _draw_cones(axes: Any, answer: Any, frame: Frame | Scene) -> None:
     axes.set(xlabel=unit, ylabel=second, title="Impulses in their cones")
 
 
-def _draw_residuals(axes: Any, result: Any) -> None:
+def _draw_residuals(axes: Any, result: BaseResult) -> None:
     """Draw how the residual of a recorded run fell with time."""
     samples = [(one.seconds, one.residual) for one in result.history if one.residual is not None]
     seconds, residuals = np.reshape(samples, (-1, 2)).T

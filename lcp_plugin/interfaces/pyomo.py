@@ -234,7 +234,7 @@ class PyomoStatement:
         return replace(content, partner_bounds=bits)
 
 
-def certify_model(model: Any, tolerance: float, pairs: Any = None) -> Certification:
+def certify_model(model: Any, tolerance: float, pairs: list[Any] | None = None) -> Certification:
     """Return the verdict on the values of a Pyomo model; see :func:`lcp_plugin.certify`."""
     return certify_values(stated(model, pairs).content, tolerance)
 
@@ -244,7 +244,7 @@ def file_content_of(model: Any) -> NLContent:
     return stated(model).in_a_file
 
 
-def stated(model: Any, pairs: Any = None) -> PyomoStatement:
+def stated(model: Any, pairs: list[Any] | None = None) -> PyomoStatement:
     """Return the content of a Pyomo model or of one of its blocks, without changing the model.
 
     Parameters
@@ -521,7 +521,7 @@ class PyomoAnswer:
                 suffix.update(self.duals if name == "dual" else self.reduced_costs)
 
 
-def answered(model: Any, options: dict[str, Any], pairs: Any = None) -> PyomoAnswer:
+def answered(model: Any, options: dict[str, Any], pairs: list[Any] | None = None) -> PyomoAnswer:
     """Return the solution of a Pyomo model, which is not changed, by options of :func:`lcp_plugin.solve`."""
     statement = stated(model, pairs)
     content, added = statement.content, sorted(statement.added)[:MOST_NAMES]

@@ -78,7 +78,7 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
     return _agent(program, over, shared, check)
 
 
-def variational_inequality(F: Any, over: Any, constraints: Any) -> Optimal:
+def variational_inequality(F: Any, over: Any, constraints: list[Any]) -> Optimal:
     """Return the condition F(x)ᵀ(y − x) ≥ 0 for all y that satisfy constraints; see :func:`lcp_plugin.variational`.
 
     Parameters

@@ -220,7 +220,7 @@ class Condition(Constraint):  # type: ignore[misc]
         """Return whether the largest natural residual is at most the tolerance."""
         return self.violation() <= tolerance
 
-    def copy(self, args: Any = None, id_objects: Any = None) -> Condition:
+    def copy(self, args: list[Any] | None = None, id_objects: Any = None) -> Condition:
         """Return a copy with the same parts; raise UnsupportedModel for other arguments."""
         if args is not None and any(
             mine is not theirs for mine, theirs in zip(self.args, args, strict=True)
@@ -251,7 +251,7 @@ class Complements(Condition):
         self.first, self.second = first, second
         super().__init__([first.expression, second.expression], constr_id)
 
-    def _construct_dual_variables(self, args: Any) -> None:
+    def _construct_dual_variables(self, args: list[Any]) -> None:
         self.dual_variables = [cp.Variable(args[1].shape)]
 
     def __repr__(self) -> str:

@@ -338,7 +338,7 @@ class RunOnRanks(Run):
         absolute = settings.absolute_tolerance
         return self.data.measure(step.z, settings.tolerance, absolute=absolute)
 
-    def end_of(self, stage: Stage, step: Step, found: Any) -> Status | None:
+    def end_of(self, stage: Stage, step: Step, found: Measured) -> Status | None:
         """Return STALLED at rounding level, and if a residual is not finite."""
         if found is None or not (found.is_limited or not math.isfinite(found.residual)):
             return None

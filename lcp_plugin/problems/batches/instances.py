@@ -103,7 +103,7 @@ class Instances:
         """Yield the small LCPs, grouped by size."""
         return iter(())
 
-    def path_stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
+    def path_stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
         """Yield the LCPs for which "lemke" is the compiled path: without starts, at most 128 unknowns."""
         for group in self.groups() if self.is_cold and has_numba() else ():
             if group.M.shape[1] <= LOOP_UP_TO:
@@ -185,7 +185,7 @@ class Listed(Instances):
             vectors = (np.array([getattr(one, name) for one in chosen]) for name in names)
             yield Group(np.array(items), *map(read_only, (M, *vectors, np.empty((1, 0)))))
 
-    def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
+    def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
         """Yield small problems over the same cones, and small LCPs of one size."""
         if self.starts is not None:
             return
@@ -209,7 +209,7 @@ def stack_of(has_friction: bool, starts: Array, M: AnyMatrix, *vectors: Array) -
     return ConeStack(Pattern(M, starts), *vectors, has_friction=has_friction)
 
 
-def _solve_cones(data: Any, start: Array, tolerance: float, has_time: Any) -> Any:
+def _solve_cones(data: Any, start: Array, tolerance: float, has_time: Callable[[], bool]) -> Any:
     """Solve problems over the same cones as a stack, from the rows of `start` or from z°."""
     stack = stack_of(*data)
     pattern, is_warm = stack.pattern, start is not None
@@ -346,7 +346,7 @@ class Stacked(Rows):
         whole = Group(np.arange(self.count), *map(read_only, (M, *vectors, starts)))
         yield whole if items.size == self.count else whole.select(items)
 
-    def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
+    def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
         """Yield stacks of small problems."""
         for group in self.groups(takes_rounds):
             yield from group.stacks(tolerance)
@@ -394,7 +394,7 @@ class RightSides(Rows):
         rows = (self.rows[name] for name in ("b", "lower", "upper", "l1"))
         return self.base.stack(*(one if len(one) == 1 else one[items] for one in rows))
 
-    def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
+    def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
         """Yield stacks of small problems."""
         if "z0" in self.rows or not suits_stack(self.stack(slice(None))):
             return
@@ -460,7 +460,7 @@ class Worlds(Instances):
         """Return impulses and velocities contact by contact."""
         return motion_of(z, w, self.worlds.b, self.worlds.dimension, self.worlds.equations)
 
-    def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
+    def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
         """Yield stacks of small instances."""
         worlds = self.worlds
         for first in range(0, len(self) if 0 < worlds.n <= CONES_UP_TO else 0, TOGETHER):

@@ -130,7 +130,7 @@ class QuadraticProgram:
         lower: ArrayLike = -np.inf,
         upper: ArrayLike = np.inf,
         constant: float = 0.0,
-        names: Any = None,
+        names: Names | None = None,
     ) -> QuadraticProgram:
         """Return the program min ½ xᵀP x + cᵀx + constant over lower_rows ≤ A x ≤ upper_rows, lower ≤ x ≤ upper.
 

@@ -61,7 +61,7 @@ from ...core.matrix import (
 )
 from ...core.names import checked_names
 from ...core.settings import Settings
-from ...judges.certificate import Certificate
+from ...judges.certificate import PRECISE, Certificate
 from ...judges.lcp import Measured, RowData, RowsAtPoint
 from ...methods.small import SMALL_SPARSE
 from ...systems.factors import factorise
@@ -584,6 +584,7 @@ class Linearization:
         self.problem, self.x = problem, read_only(x.copy())
         self.value = problem.value(self.x)
         self._measured: Measured | None = None
+        self.size: float | None = None  # in the units of a run
 
     def at(self, x: Vector) -> Linearization:
         """Return the linearization at another point, with the same `origin`."""
@@ -598,23 +599,23 @@ class Linearization:
         nearest = np.clip(0.0, self.problem.lower, self.problem.upper)
         return self if np.array_equal(self.x, nearest) else Linearization(self.problem, nearest)
 
-    @derived_property
+    @cached_property
     def M(self) -> Any:
         """F′(x), dense if it has few rows; errors as of :meth:`NonlinearProblem.linearize`."""
         M = self.problem.slopes(self.x, self.value)
         return M.toarray() if sp.issparse(M) and self.x.size <= SMALL_SPARSE else M
 
-    @derived_property
+    @cached_property
     def q(self) -> Vector:
         """F(x) − F′(x) x, shape (n,)."""
         return self.problem.offset(self.x, self.value, self.M)
 
-    @derived_property
+    @cached_property
     def data(self) -> LinearizedRows:
         """The data of the criterion at x."""
         return LinearizedRows(self)
 
-    @derived_property
+    @cached_property
     def lcp(self) -> LCP:
         """The problem with M = F′(x), q = F(x) − F′(x) x."""
         problem, M = self.problem, self.M
@@ -631,7 +632,7 @@ class Linearization:
             return False
         return True
 
-    @derived_property
+    @cached_property
     def steps(self) -> Vector:
         """The residuals r(x), signed, shape (n,)."""
         return self.data.residual(self.x, self.value)
@@ -639,8 +640,12 @@ class Linearization:
     @derived_property
     def certificate(self) -> Certificate:
         """The certificate of x as a solution of the linearization, which ``derivative`` and ``explain`` use."""
-        rows = self.data.rows(self.x, self.value)
-        return Certificate.at(self.lcp, self.x, criterion=self.data, rows=rows)
+        return Certificate.at(self.lcp, self.x, criterion=self.data, rows=self.rows)
+
+    @cached_property
+    def rows(self) -> RowsAtPoint:
+        """Values of all rows at x."""
+        return self.data.rows(self.x, self.value)
 
     def measure(self, settings: Settings) -> Measured:
         """Return the measure of x by the stopping criterion."""
@@ -657,23 +662,22 @@ class Linearization:
         size = np.maximum.reduce(np.abs(self.steps), initial=0.0)
         return float(size / np.maximum.reduce(terms, initial=1e-300))
 
-    def is_small(self, tolerance: float) -> bool:
+    def is_small(self, settings: Settings) -> bool:
         """Return whether the relative residual is at most the tolerance."""
-        return self.least_residual <= tolerance and self.residual <= tolerance
+        is_open = self.least_residual <= max(settings.goal, SMALLEST_TOLERANCE)
+        is_open = is_open or settings.absolute_tolerance > 0.0
+        return bool(is_open and self.measure(settings).residual <= settings.goal)
 
     def passes(self, settings: Settings) -> bool:
         """Return whether x is SOLVED."""
-        is_open = self.least_residual <= max(settings.goal, SMALLEST_TOLERANCE)
-        is_open = is_open or settings.absolute_tolerance > 0.0
-        return is_open and bool(self.measure(settings).passes)
+        return self.is_small(settings) and bool(self.measure(settings).passes)
 
     def is_endless(self, settings: Settings) -> bool:
         """Return whether x would pass if no unknown moved on."""
-        if not self.is_small(settings.goal) or self.passes(settings):
+        if not self.is_small(settings) or self.measure(settings).passes:
             return False
-        return not self.measure(settings).by_row.fails(settings.goal).any() and bool(
-            self.data.growing.any()
-        )
+        fails = self.measure(settings).by_row.fails(settings.goal)
+        return not fails.any() and bool(self.data.growing.any())
 
     def is_limited(self, settings: Settings) -> bool:
         """Return whether x fails only because of rounding, estimated by further values of F."""
@@ -682,4 +686,4 @@ class Linearization:
     @derived_property
     def residual(self) -> float:
         """The relative residual of x."""
-        return self.certificate.relative_residual
+        return float(self.data.residuals_at(self.x, self.rows, PRECISE).worst)

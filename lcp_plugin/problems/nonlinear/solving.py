@@ -32,7 +32,7 @@ from ...solving.dispatch import method_of
 from ...solving.result import Callback, Result
 from ...solving.run import Progress, Run, Stage
 from ..programs.no_minimum import proof_of_contradiction
-from .data import DENSE_PATTERN_UP_TO, SMALLEST_TOLERANCE, Linearization, NonlinearProblem
+from .data import DENSE_PATTERN_UP_TO, Linearization, NonlinearProblem
 from .steps import Target, deformed, row_scale, smoothed, targets
 
 SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a step is compared
@@ -175,7 +175,7 @@ class JosephyNewton(Algorithm):
         here = self.here
         if not here.steps.any():
             return None
-        if here.is_small(self.tolerance):  # rows in the far field fail
+        if here.is_small(self.settings):  # rows in the far field fail
             point = self._at(measure_finished(row_data(here.lcp), here.x, self.tolerance).z)
             if (
                 point.is_defined
@@ -242,16 +242,18 @@ class JosephyNewton(Algorithm):
         Next to a pole only the residual falls, because x_i approaches its bound; if F tends to 0 as x diverges, only
         the violation falls.
         """
-        problem, x, w = point.problem, point.x, point.value
-        violation = np.maximum(w * (x > problem.lower), -w * (x < problem.upper))
-        sizes = np.maximum(np.abs(point.steps), violation / self.first.data.scale)
-        return float(np.maximum.reduce(self.weights * sizes, initial=0.0))
+        if point.size is None:
+            problem, x, w = point.problem, point.x, point.value
+            violation = np.maximum(w * (x > problem.lower), -w * (x < problem.upper))
+            sizes = np.maximum(np.abs(point.steps), violation / self.first.data.scale)
+            point.size = float(np.maximum.reduce(self.weights * sizes, initial=0.0))
+        return point.size
 
     def _progress(self, point: Linearization) -> float:
         """Return the measure that must fall: the size, and then the componentwise test."""
         size = self.size_of(point)
-        if point.is_small(max(self.tolerance, SMALLEST_TOLERANCE)):
-            size *= min(1.0, point.certificate.term_residual)
+        if point.is_small(self.settings):
+            size *= min(1.0, float(point.measure(self.settings).by_row.terms.max(initial=0.0)))
         return size
 
 
@@ -435,7 +437,7 @@ class NonlinearRun(Run):
     def measure(self, stage: Stage, step: Step) -> Measured:
         """Return the linearization at the point of a step; if its residual is small, at bounds that are near."""
         point: Linearization = step.measured
-        if point.is_small(self.settings.goal):
+        if point.is_small(self.settings):
             point = self._snap(point)
         is_shown = self.progress.is_watched
         size = point.residual if is_shown else self.newton.size_of(point)

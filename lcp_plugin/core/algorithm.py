@@ -46,6 +46,8 @@ class Step:
         Number of iterations that this step counts as; None means 1, or 0 for the first step of a method, the start.
     measured : Measured, optional
         The measure of this z, if the proposal contains it already; of a nonlinear problem its linearization there.
+    note : str
+        Words about this step for the log, which then has a line for it.
     """
 
     z: Vector
@@ -58,6 +60,7 @@ class Step:
     label: str = ""
     iterations: int | None = None
     measured: Any = None
+    note: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

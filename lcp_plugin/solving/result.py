@@ -284,6 +284,8 @@ class Result(BaseResult):
     is_polished : bool
         True if z is the solution of the linear system on the active set of the last iterate; ``polish=False`` returns
         the iterate.
+    evaluations : Evaluations or None
+        Of a nonlinear problem: the calls of F, the derivatives, and the calls at which F is undefined.
     infeasibility : NoSolutionProof or None
         A proof that the problem in double precision has no solution; ``verify()`` checks it on the problem's data. Its
         ``margin`` bounds the residual of every z from below; the status is INFEASIBLE or NO_SOLUTION if
@@ -297,6 +299,7 @@ class Result(BaseResult):
     infeasibility: Any = None
     absolute_tolerance: float = 0.0
     is_polished: bool = False
+    evaluations: Any = None
     _asked: Algorithm | None = None  # None for "auto"
     _advice: Mapping[Status, str] = field(default_factory=dict, kw_only=True)  # type: ignore[misc]
 

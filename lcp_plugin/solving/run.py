@@ -263,13 +263,16 @@ class Progress:
             is_recorded = self.settings.record and (
                 self.iteration >= self._next_sample or is_last or wants_to_stop
             )
-            is_printed = self.settings.verbose and iterations >= self.next_line
+            is_due = bool(step.note) or iterations >= self.next_line
+            is_printed = self.settings.verbose and is_due
             if residual is None and (is_recorded or is_printed):
                 sample = Sample(self.iteration, self.work, seconds, run.residual_of(step), name)
             if is_printed:
                 self.next_line = max(iterations + 1, math.ceil(iterations * 1.5))
                 shown = "–" if sample.residual is None else f"{sample.residual:.2e}"
-                say(f"{sample.iteration:>12} {sample.work:>10.1f} {shown:>19} {seconds:>9.3f}")
+                say(
+                    f"{sample.iteration:>12} {sample.work:>10.1f} {shown:>19} {seconds:>9.3f}{step.note}"
+                )
             if is_recorded:  # at geometric intervals
                 self._next_sample = max(self.iteration + 1, math.ceil(self.iteration * 1.05))
                 self.samples.append(sample)

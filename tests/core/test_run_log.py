@@ -47,16 +47,20 @@ def test_a_run_is_printed_from_header_to_end(capsys: pytest.CaptureFixture[str])
 
 
 def test_a_nonlinear_run_is_printed_by_its_newton_steps(capsys: pytest.CaptureFixture[str]) -> None:
-    """The linear problems inside print nothing."""
-    problem = NonlinearProblem(lambda x: np.array([np.exp(x[0]) + x[1] - 3, x[1] - x[0] + 2]))
+    """Each step has a line with its kind, its length, the worst row by name, and counts of F and F′."""
+    problem = NonlinearProblem(
+        lambda x: np.array([np.exp(x[0]) + x[1] - 3, x[1] - x[0] + 2]), names=["coal", "gas"]
+    )
     solve_nonlinear(problem, [0.0, 0.0])
     assert capsys.readouterr().out == ""
     result = solve_nonlinear(problem, [0.0, 0.0], verbose=True)
-    header, stages, _, end = printed_by(result, capsys.readouterr().out)
+    header, lines, _, end = printed_by(result, capsys.readouterr().out)
     assert header == "NonlinearProblem(n=2, differences)"
-    assert stages == [
-        "josephy_newton: each iteration replaces F by its tangent at x and solves the linear problem that this gives"
-    ]
+    assert lines[0].startswith("josephy_newton: each iteration replaces F by its tangent at x")
+    assert len(lines) == result.iterations + 2
+    F, slopes, _ = result.evaluations
+    assert re.search(r"Newton, length 1; worst (coal|gas); F \d+, F′ \d+$", lines[2])
+    assert lines[-1].endswith(f"F {F}, F′ {slopes}")
     assert "as measured on F" in end
 
 

@@ -39,9 +39,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
 from functools import cached_property
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -151,6 +152,14 @@ class UndefinedDerivativeError(InvalidProblem):
     """F has no finite derivative at a point."""
 
 
+class Evaluations(NamedTuple):
+    """Calls of F, also for differences, derivatives F′, and calls of F that returned NaN or infinities."""
+
+    F: int
+    jacobian: int
+    undefined: int
+
+
 class NonlinearProblem:
     """Find x with lower ≤ x ≤ upper and F(x) complementary to it.
 
@@ -194,6 +203,8 @@ class NonlinearProblem:
     origin: Any = None  # of a variational inequality
     #: Function that returns the program of its affine rows, which may be infeasible.
     affine_part: Any = None
+    #: Calls of F, derivatives, and calls without a finite value, if a run counts them.
+    counts: Any = None
 
     def __init__(
         self,
@@ -244,6 +255,12 @@ class NonlinearProblem:
         sized._set_bounds(n)
         return sized
 
+    def counted(self, n: int) -> NonlinearProblem:
+        """Return a copy with n unknowns that counts evaluations."""
+        found = copy(self.with_size(n))
+        found.counts = [0, 0, 0]
+        return found
+
     def value(self, x: ArrayLike) -> Vector:
         """Return F(x), shape (n,), a read-only copy; NaN and infinities mean that F is undefined at x.
 
@@ -263,6 +280,9 @@ class NonlinearProblem:
         value = checks.real_array(returned, need)
         if value.shape != x.shape:
             raise InvalidProblem(f"{need}, got shape {value.shape}; return one number a row")
+        if self.counts is not None:
+            self.counts[0] += 1
+            self.counts[2] += not np.logical_and.reduce(np.isfinite(value))
         return read_only(value.copy())
 
     def derivative(self, x: ArrayLike, value: Vector | None = None) -> Any:
@@ -284,6 +304,8 @@ class NonlinearProblem:
 
     def call_jacobian(self, x: Vector, value: Vector | None) -> tuple[Any, str]:
         """Return F′(x), unchecked, and its name in errors."""
+        if self.counts is not None:
+            self.counts[1] += 1
         if self.jacobian is not None:
             with np.errstate(all="ignore"):
                 returned = self.jacobian(x)

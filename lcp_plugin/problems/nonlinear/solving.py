@@ -22,6 +22,7 @@ from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector, read_only, vector_option
 from ...core.deadline import is_over
 from ...core.errors import InvalidOption, InvalidProblem
+from ...core.kernels.floats import NEGLIGIBLE, NEGLIGIBLE_DIAGONAL
 from ...core.kernels.threads import threads_for
 from ...core.names import Names
 from ...core.settings import DEFAULT, Settings, Status, whole_number
@@ -32,7 +33,7 @@ from ...solving.dispatch import method_of
 from ...solving.result import Callback, Result
 from ...solving.run import Progress, Run, Stage
 from ..programs.no_minimum import proof_of_contradiction
-from .data import DENSE_PATTERN_UP_TO, Linearization, NonlinearProblem
+from .data import DENSE_PATTERN_UP_TO, Evaluations, Linearization, NonlinearProblem
 from .steps import Target, deformed, row_scale, smoothed, targets
 
 SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a step is compared
@@ -72,7 +73,7 @@ class JosephyNewton(Algorithm):
         self.linear, self.settings, self.tolerance = linear, settings, settings.goal
         self.searches, self.restarts = searches, restarts
         self.limit: Any = np.inf  # of |x|: farther unknowns have grown without limit
-        self.work = 1.0
+        self.work, self.kind, self.length = 1.0, "start", 0.0
         self.recent: deque[Linearization] = deque([start], 1)
         self.random = np.random.default_rng(0)
         self._weights: Any = None
@@ -100,7 +101,7 @@ class JosephyNewton(Algorithm):
             if start is None:
                 continue
             for search in self.searches:
-                self.here = start
+                self.here, self.kind, self.length = start, "restart", 0.0
                 yield self.step()
                 yield from self.steps_from(start, search)
                 if self.is_at_floor() or is_over():
@@ -108,8 +109,12 @@ class JosephyNewton(Algorithm):
 
     def step(self) -> Step:
         """Return the point here as a step, with the work since the last one."""
-        work, self.work = self.work, 0.0
-        return Step(self.here.x, work=work, measured=self.here)
+        work, self.work, note = self.work, 0.0, ""
+        if self.settings.verbose:
+            problem, worst = self.here.problem, int(np.argmax(np.abs(self.here.steps)))
+            F, slopes, _ = problem.counts
+            note = f"  {self.kind}, length {self.length:.2g}; worst {problem.names.row(worst)}; F {F}, F′ {slopes}"
+        return Step(self.here.x, work=work, measured=self.here, note=note)
 
     def steps_from(self, start: Linearization, search: str) -> Iterator[Step]:
         """Yield steps from a point until none helps, or none has for long."""
@@ -181,8 +186,16 @@ class JosephyNewton(Algorithm):
                 point.is_defined
                 and point.certificate.term_residual < here.certificate.term_residual
             ):
+                self.kind = "finish"
+                return point
+        if self.size_of(here) <= NEGLIGIBLE * self.size_of(self.first):  # a root without slope
+            sizes = np.abs(here.x)
+            flushed = np.where(sizes <= NEGLIGIBLE_DIAGONAL * sizes.max(), here.origin.x, here.x)
+            if (point := self._at(flushed)).is_defined and point.passes(self.settings):
+                self.kind = "limit"
                 return point
         for target in targets(self.here, self.linear, self.tolerance):
+            self.kind, self.length = target.kind, 1.0
             found = self._full_step(target) or self._search(target)
             if found is not None or is_over() or (target.kind == "Newton" and self.is_at_floor()):
                 return found
@@ -213,6 +226,7 @@ class JosephyNewton(Algorithm):
             if not (is_better or is_lenient) or not point.is_defined:
                 continue
             if is_better or point.residual <= 10.0 * min(one.residual for one in self.recent):
+                self.length = length
                 return point
         return None
 
@@ -353,7 +367,7 @@ def solve_nonlinear(
         raise InvalidOption(f"search must be {words}, got {search!r}")
     restarts = whole_number(restarts, "restarts", 0)
     start = _checked_start(problem, x0)
-    problem = problem.with_size(start.size)
+    problem = problem.counted(start.size)
     progress = Progress(problem, settings, callback)
     start = read_only(np.clip(start, problem.lower, problem.upper))
     with threads_for(settings.threads):
@@ -469,7 +483,7 @@ class NonlinearRun(Run):
 
     def end_of(self, stage: Stage, step: Step, found: Measured) -> Status | None:
         """Return DIVERGED if a residual is not a number."""
-        return Status.DIVERGED if math.isnan(found.residual) else None
+        return Status.DIVERGED if math.isnan(self.newton.size_of(found.z)) else None
 
     def result(self, end: Status) -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
@@ -486,6 +500,7 @@ class NonlinearRun(Run):
         status = self.status(end)
         words = {**WORDS, Status.STALLED: GROWING} if self._is_far(point) else WORDS
         named: dict[str, Any] = {"algorithm": newton.name, "_asked": newton, "_advice": words}
+        named["evaluations"] = Evaluations(*newton.first.problem.counts)
         if status is Status.STALLED and (part := point.problem.affine_part) is not None:
             proof = proof_of_contradiction(part())
             status = status if proof is None else Status.INFEASIBLE

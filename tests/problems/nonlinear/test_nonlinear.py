@@ -785,6 +785,37 @@ def test_a_run_without_a_start_begins_in_the_bounds_nearest_to_0() -> None:
     np.testing.assert_array_equal(seen[0], [1.0, -2.0, 0.0])
 
 
+@pytest.mark.parametrize("size", [1.0, 1e-3])
+def test_a_root_without_slope_ends_at_the_limit(size: float) -> None:
+    """Hock and Schittkowski's problem 78 has stationary points at which the conditions lose their slope.
+
+    min Π x_i under Σ x² = 10, x₂ x₃ = 5 x₄ x₅, x₁³ + x₂³ = −1: from (−1, 1.5, 2, −1, −2) at (−1, 0, 0, 0, −3).
+    """
+
+    def F(z: np.ndarray) -> np.ndarray:
+        x, (a, b, c) = z[:5], z[5:]
+        slopes = np.array([np.prod(np.delete(x, i)) for i in range(5)]) - 2 * a * x
+        slopes -= b * np.array([0, x[2], x[1], -5 * x[4], -5 * x[3]])
+        slopes[:2] -= 3 * c * x[:2] ** 2
+        rows = [x @ x - 10, x[1] * x[2] - 5 * x[3] * x[4], x[0] ** 3 + x[1] ** 3 + 1]
+        return size * np.concatenate([slopes, rows])
+
+    start = np.array([-1, 1.5, 2, -1, -2, 1, 1, 1])
+    result = solve(NonlinearProblem(F, lower=np.full(8, -INF)), x0=start)
+    np.testing.assert_allclose(solved(result)[:5], [-1, 0, 0, 0, -3], atol=1e-10)
+    assert result.iterations < 100
+
+
+def test_evaluations_are_counted() -> None:
+    """The result has the numbers of calls of F, of derivatives, and of calls without a finite value."""
+    calls: list[Any] = []
+    problem = NonlinearProblem(lambda x: calls.append(x) or np.log(x) - 1.0)  # type: ignore[func-returns-value]
+    F, slopes, undefined = solve(problem, x0=[100.0]).evaluations
+    assert len(calls) == F
+    assert 1 < slopes < F
+    assert undefined == sum((x < 0).any() or (x == 0).any() for x in calls) > 0
+
+
 @pytest.mark.parametrize("F", [lambda x: x**3, lambda x: x * np.sin(x)])
 def test_a_root_at_0_without_a_slope_is_reached_from_afar(F: Callable[[Any], Any]) -> None:
     """Newton's steps only halve the distance or so, and the run ends at the exact root."""

@@ -505,11 +505,12 @@ class LinearizedRows(RowData):
     def growing(self) -> BoolVector:
         """Mask of the unknowns that move on, as the docstring of this module defines them."""
         x, n = self.x, self.x.size
-        free, sizes = (x > self.lower) & (x < self.upper), np.abs(x)
+        step, sizes = self.value / self.scale, np.abs(x)
+        free = (step < x - self.lower) & (step > x - self.upper)  # others are at a bound, or nearly
         largest, at = self.largest(sizes), np.flatnonzero(free)
         least = HALF_OF_DIGITS * np.maximum(sizes, HALF_OF_DIGITS * largest)
         w, is_small = np.where(free, self.value, 0.0), n <= STEPS_UP_TO
-        own = np.zeros(n) if is_small and not w.any() else self._own_steps()
+        own = np.zeros(n) if is_small and not w.any() else self._own_steps(free)
         moves = free & (own * np.sign(x) > 2.0**-6 * np.maximum(sizes, 2.0**-10 * largest))
         moves |= self._is_flat(free)
         if not w.any() or not (is_small or (np.abs(own) > least).any()):
@@ -559,9 +560,9 @@ class LinearizedRows(RowData):
         terms: Vector = self.absolute @ np.abs(self.x) + np.abs(self.q)
         return terms
 
-    def _own_steps(self) -> Vector:
-        """Return the change of each x_j that minimizes Σ (F_i/d_i)² of the active rows if no other unknown changes."""
-        weights = np.where(self.rows(self.x, self.value).is_active, 1.0, 0.0) / self.scale
+    def _own_steps(self, free: BoolVector) -> Vector:
+        """Return the change of each x_j that minimizes Σ (F_i/d_i)² of the free rows if no other unknown changes."""
+        weights = np.where(free, 1.0, 0.0) / self.scale
         products, squares = self.M.T @ (weights**2 * self.value), (self.absolute**2).T @ weights**2
         steps = -products / squares
         return np.asarray(np.where(np.isfinite(steps), steps, 0.0))

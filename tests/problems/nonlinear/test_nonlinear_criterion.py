@@ -11,8 +11,10 @@ import pytest
 from campaigns.small_nonlinear import SHAPES, attacks, has_solution_near
 from inputs import nonlinear_models as models
 from inputs.constructed_points import CONSTRUCTED
+from nonlinear_families import KINDS, planted
 
 from lcp_plugin import LCP, NonlinearProblem, Status, certify, solve
+from lcp_plugin.problems.nonlinear.data import Linearization
 
 
 def test_an_idle_row_is_no_reference_for_a_curved_one() -> None:
@@ -134,6 +136,24 @@ def test_a_point_on_the_way_to_infinity_is_not_solved(name: str, has_start: bool
     assert not result.is_solved
     assert result.status is Status.STALLED
     assert "grow without limit" in result.advice
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_manufactured_solution_is_not_taken_for_a_point_on_its_way(kind: str) -> None:
+    """Units of 10^±4 in rows and unknowns, last bits changed, unknowns a bit off their bounds: none moves on."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        one = planted(rng, kind, int(rng.integers(1, 12)))
+        row, unit = 10.0 ** rng.uniform(-4, 4, (2, one.x.size))
+        problem = NonlinearProblem(
+            lambda y, one=one, row=row, unit=unit: row * one.F(y * unit),
+            lambda y, one=one, row=row, unit=unit: row[:, None] * one.jacobian(y * unit) * unit,
+            one.lower / unit,
+            one.upper / unit,
+        )
+        x = one.x / unit * (1 + 1e-15 * rng.integers(-1, 2, one.x.size))
+        point = Linearization(problem, np.clip(x, problem.lower, problem.upper))
+        assert not point.data.growing.any()
 
 
 TAILS: dict[str, Any] = {

@@ -312,8 +312,11 @@ def with_signed_equations(problem: LCP) -> LCP:
 
     The solutions do not change.
     """
-    units, M = skew_border(problem.matrix)
-    M = M if sp.issparse(problem.M) else M.toarray()
+    (units, data), M = skew_border(problem.matrix), problem.M
+    if (units != 1.0).any():
+        csr = problem.csr
+        M = sp.csr_array((data, csr.indices, csr.indptr), csr.shape)
+        M = M if sp.issparse(problem.M) else M.toarray()
     units = units * equation_signs(M, (problem.lower == -np.inf) & (problem.upper == np.inf))
     if (units == 1.0).all():
         return problem
@@ -322,29 +325,25 @@ def with_signed_equations(problem: LCP) -> LCP:
 
 
 @fact
-def skew_border(matrix: Matrix) -> tuple[Vector, sp.csr_array]:
-    """Return units of rows and the M with them: rows that are multiples of their columns become as large as these.
+def skew_border(matrix: Matrix) -> tuple[Vector, Vector]:
+    """Return units of rows, and the entries of M with them: rows of 0 diagonal that are multiples of their columns.
 
     Examples
     --------
-    >>> units, M = skew_border(Matrix([[2.0, -1.0], [4.0, 0.0]]))
-    >>> units.tolist(), M.toarray().tolist()
-    ([1.0, 0.25], [[2.0, -1.0], [1.0, 0.0]])
+    >>> skew_border(Matrix([[2.0, -1.0], [4.0, 0.0]]))
+    (array([1.  , 0.25]), array([ 2., -1.,  1.]))
     """
-    M, ones = matrix.csr, np.ones(matrix.n)
-    mirrored = sp.csr_array(M.T)
-    mirrored.sort_indices()
-    is_mirrored = np.array_equal(M.indptr, mirrored.indptr)
-    if not is_mirrored or not np.array_equal(M.indices, mirrored.indices):
-        return ones, M
-    rows, ratios = row_numbers(M), np.abs(mirrored.data) / np.abs(M.data)
+    none = np.ones(matrix.n), np.zeros(0)
+    if matrix.diagonal.all() or (mirrored := _entries_across(matrix)) is None:
+        return none
+    M = matrix.csr
+    rows, ratios = row_numbers(M), np.abs(mirrored) / np.abs(M.data)
     most, inverse = largest_in_rows(M, np.stack([ratios, 1.0 / ratios]))
     is_border = (np.abs(most * inverse - 1.0) <= SAME) & (np.abs(most - 1.0) > SAME)
     units = np.where(is_border, most, 1.0)
     if (np.abs(units[rows] - units[M.indices] * ratios) > 10.0 * SAME * units[rows]).any():
-        return ones, M
-    data = np.where(is_border[rows], np.copysign(mirrored.data, M.data), M.data)
-    return units, sp.csr_array((data, M.indices, M.indptr), M.shape)
+        return none
+    return units, np.where(is_border[rows], np.copysign(mirrored, M.data), M.data)
 
 
 @fact
@@ -364,16 +363,12 @@ def signs_of(matrix: Matrix) -> Vector | None:
         return np.ones(matrix.n)
     if matrix.is_dense and not _may_have_signs(matrix.array):
         return None
-    M, n = matrix.csr, matrix.n
-    mirrored = sp.csr_array(M.T)
-    mirrored.sort_indices()
-    if not (
-        np.array_equal(M.indptr, mirrored.indptr) and np.array_equal(M.indices, mirrored.indices)
-    ):
+    if (mirrored := _entries_across(matrix)) is None:
         return None
+    M, n = matrix.csr, matrix.n
     size, rows, columns = SAME * np.abs(M.data), row_numbers(M).astype(np.int64), M.indices
-    is_same = np.abs(M.data - mirrored.data) <= size
-    is_opposite = np.abs(M.data + mirrored.data) <= size
+    is_same = np.abs(M.data - mirrored) <= size
+    is_opposite = np.abs(M.data + mirrored) <= size
     if is_same.all() or not (is_same | is_opposite).all():
         return np.ones(n) if is_same.all() else None
     # In a graph of every row and its opposite, a row that is connected with its opposite has no consistent sign.
@@ -388,6 +383,14 @@ def signs_of(matrix: Matrix) -> Vector | None:
     if (part[:n] == part[n:]).any() or (one & other).any():
         return None
     return np.where(one | (~other & (part[:n] <= part[n:])), 1.0, -1.0)
+
+
+def _entries_across(matrix: Matrix) -> Vector | None:
+    """Return m_ji for each entry m_ij of the CSR array, or None if the pattern is not symmetric."""
+    M, mirrored = matrix.csr, sp.csr_array(matrix.csr.T)
+    mirrored.sort_indices()
+    places = (M.indptr, mirrored.indptr), (M.indices, mirrored.indices)
+    return mirrored.data if all(np.array_equal(*both) for both in places) else None
 
 
 def _may_have_signs(M: Vector) -> bool:

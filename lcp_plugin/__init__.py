@@ -121,7 +121,7 @@ def _solve_from_cvxpy(problem: Any, *args: Any, **options: Any) -> Any:
     return problem.solve(*args, method="LCP", **options)
 
 
-def _register(cvxpy: Any) -> None:
+def _register(cvxpy: object) -> None:
     for method in ("LCP", "lcp"):
         cvxpy.Problem.register_solve(method, _solve_from_cvxpy)
 

@@ -51,7 +51,7 @@ def solve(
     algorithm: str | ConeAlgorithm = "auto",
     **options: Unpack[Options],
 ) -> ConeResult: ...
-def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
+def solve(problem: object, algorithm: object = "auto", **options: Any) -> Any:
     """Return the solution of a problem, with its residual measured on the problem's own data.
 
     Parameters

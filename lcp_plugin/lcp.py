@@ -95,7 +95,7 @@ def from_contacts(
     *,
     gaps: ArrayLike | None = None,
     time_step: float | None = None,
-    equations: Any = 0,
+    equations: object = 0,
 ) -> LCP:
     """Return the LCP of rigid bodies in contact with friction; ``origin.recover(result)`` has impulses and slip.
 

@@ -161,7 +161,7 @@ class LCPPlugin:
         keepfiles: bool = False,
         symbolic_solver_labels: bool = False,
         warmstart: bool = True,
-        file_determinism: Any = None,
+        file_determinism: object = None,
         **unknown: Any,
     ) -> Any:
         """Solve a model and return Pyomo's SolverResults.

@@ -741,7 +741,7 @@ def check_solution(
     return f"z is far from the exact answer: by {float(distance):g}, though its residual is small"
 
 
-def _named(problem: LCP, z: Vector, w: list[Fraction], i: int, allowed: Any) -> str:
+def _named(problem: LCP, z: Vector, w: list[Fraction], i: int, allowed: object) -> str:
     """Return the name of the condition that row i violates; a z within `allowed` of a bound is at it."""
     low, high, here = problem.lower[i], problem.upper[i], z[i]
     for name, bound, excess in (("lower", low, low - here), ("upper", high, here - high)):

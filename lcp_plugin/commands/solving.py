@@ -239,7 +239,7 @@ def _march_lines(given: Target, answers: list[Any]) -> list[str]:
     return lines
 
 
-def _arrays(answer: Any) -> dict[str, Any]:
+def _arrays(answer: object) -> dict[str, Any]:
     """Return the vectors of an answer: z and w, or x and the multipliers of a program."""
     names = (
         ("z", "w") if hasattr(answer, "certificate") and not hasattr(answer, "duals") else ("x",)

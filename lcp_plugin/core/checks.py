@@ -157,7 +157,7 @@ def require_finite(array: NDArray[np.float64], name: str) -> None:
         raise _not_finite(name, ", ".join(map(str, at)), array[at])
 
 
-def _not_finite(name: str, place: Any, value: object, need: str = "finite") -> InvalidProblem:
+def _not_finite(name: str, place: object, value: object, need: str = "finite") -> InvalidProblem:
     return InvalidProblem(f"{name} must be {need}, but {name}[{place}] = {value}; repair it")
 
 
@@ -330,7 +330,7 @@ def require_known_changes(unnamed: Any, changes: Iterable[str], known: Sequence[
             raise InvalidOption(f"jvp has no option {name!r}{hint or did_you_mean(name, known)}")
 
 
-def checked_answer(answer: Any, n: int) -> Vector:
+def checked_answer(answer: object, n: int) -> Vector:
     """Return z, shape (n,), of a result, or of an array instead of a result.
 
     Raises
@@ -401,7 +401,7 @@ def _equal_bounds(lower: float, upper: float, n: int) -> tuple[Vector, Vector]:
 
 
 def checked_bounds(
-    lower: Any, upper: Any, n: int, *, names: tuple[str, str] = ("lower", "upper")
+    lower: Array, upper: Array, n: int, *, names: tuple[str, str] = ("lower", "upper")
 ) -> tuple[Vector, Vector]:
     """Return bounds as vectors of length n; lower ≤ −1e20 and upper ≥ 1e20 mean no bound, as in files.
 

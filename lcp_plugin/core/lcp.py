@@ -100,7 +100,7 @@ class LCP:
             f"an LCP is immutable, so {name} cannot be set; write problem.with_q(q, lower=…, upper=…), or LCP(M, q)"
         )
 
-    def with_origin(self, origin: Any) -> Self:
+    def with_origin(self, origin: object) -> Self:
         """Return the problem with its origin, which recovers the solution of the problem before a conversion.
 
         Parameters

@@ -85,7 +85,7 @@ def classes_of(function: str) -> list[str]:
     return [name for name, row in CLASSES.items() if function in row.functions.split()] or ["LCP"]
 
 
-def class_of(problem: Any) -> str | None:
+def class_of(problem: object) -> str | None:
     """Return the name of a problem's class, or None for any other object.
 
     Examples
@@ -144,7 +144,7 @@ class Door:
         """Note the name under which the table has the function."""
         self.name = f"{owner.__name__}.{name}"
 
-    def __get__(self, instance: Any, owner: type) -> Any:
+    def __get__(self, instance: object, owner: type) -> Any:
         """Return the function, bound to the instance unless it is static."""
         function = _function(self.name)
         return function if self.is_static or instance is None else MethodType(function, instance)

@@ -186,7 +186,7 @@ NONE_MEANS = {"max_iterations": 100_000, "max_seconds": math.inf}
 DEFAULT = Settings()  # of a call without options
 
 
-def checked_callback(callback: Any) -> Callable[..., Any] | None:
+def checked_callback(callback: object) -> Callable[..., Any] | None:
     """Return the caller's function, or None."""
     if callback is not None and not callable(callback):
         raise InvalidOption(f"callback must be callable as callback(sample, z), got {callback!r}")

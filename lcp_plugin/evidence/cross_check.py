@@ -240,7 +240,7 @@ def _side(name: str, side: Certificate, seconds: float) -> str:
 # --- A convex solver through cvxpy ----------------------------------------------------------------------------
 
 
-def solver_name(reference: Any) -> str:
+def solver_name(reference: object) -> str:
     """Return cvxpy's name of an installed solver of quadratic programs, or raise InvalidOption."""
     from cvxpy import installed_solvers
 

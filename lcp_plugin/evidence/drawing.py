@@ -204,7 +204,7 @@ def draw(answer: BaseResult, path: Path, test_problem: Scene | None = None) -> N
     save(_plotted(answer, frame, None, require_matplotlib()).figure, path)
 
 
-def _frame(answer: Any, shape: Any) -> Frame:
+def _frame(answer: Any, shape: object) -> Frame:
     """Return the letter of the unknowns, and the grid of that shape; raise InvalidOption if it does not fit."""
     unknown, n = "z" if isinstance(answer, Result) else "x", len(answer.x)
     if shape is None:
@@ -241,7 +241,7 @@ def _plotted(answer: BaseResult, frame: Frame | Scene, axes: Any, new: Callable[
     return every[0]
 
 
-def _bounds(answer: Any) -> tuple[Vector, Vector]:
+def _bounds(answer: object) -> tuple[Vector, Vector]:
     holder: Any = answer.certificate if isinstance(answer, Result) else answer
     problem: Any = getattr(holder, "problem", holder)
     problem = getattr(problem, "program", problem)

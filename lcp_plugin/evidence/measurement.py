@@ -329,7 +329,7 @@ def _is_pair(one: object) -> bool:
     return isinstance(one, tuple) and len(one) == 2 and isinstance(one[1], Mapping)
 
 
-def _method(label: Any, one: Any) -> Method:
+def _method(label: object, one: Any) -> Method:
     if isinstance(one, str) or _is_pair(one):
         name, options = (one, {}) if isinstance(one, str) else one
         one = method_of(name, dict(options)) or "auto"

@@ -116,7 +116,7 @@ def half_active(stress: str, M: Array, *, start: Vector | None = None, **shares:
 mostly_free = partial(half_active, active=0.2, is_scattered=False)
 
 
-def rescaled(stress: str, case: StressCase, row: Any, column: Any) -> StressCase:
+def rescaled(stress: str, case: StressCase, row: object, column: object) -> StressCase:
     """Return the case with rows multiplied by `row` and z measured in units of 1/`column`."""
     problem = case.problem
     row, column = (

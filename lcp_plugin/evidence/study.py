@@ -338,8 +338,8 @@ def _lines(row: Measurement) -> Iterator[tuple[Any, ...]]:
 
 
 def study(
-    problems: Any,
-    methods: Any = None,
+    problems: object,
+    methods: object = None,
     sizes: Sequence[int] | None = None,
     *,
     repeats: int = 3,
@@ -476,7 +476,7 @@ def _measured_job(measure: Any, job: Any) -> list[Measurement | str]:
 
 
 def error_against_time(
-    target: Scene | LCP, methods: Any = None, references: Sequence[str] = (), **options: Any
+    target: Scene | LCP, methods: object = None, references: Sequence[str] = (), **options: Any
 ) -> Study:
     """Measure how the error falls with seconds and with passes over M, for each method on one problem.
 
@@ -638,7 +638,7 @@ def _build_problem(given: object, label: str, size: int | None) -> Scene:
     )
 
 
-def _checked_sizes(sizes: Any) -> list[int | None]:
+def _checked_sizes(sizes: object) -> list[int | None]:
     if sizes is None:
         return [None]
     listed = [*sizes] if isinstance(sizes, Iterable) else [sizes]

@@ -125,7 +125,7 @@ def sides_of(stated: Any) -> list[PairSide]:
     return sides
 
 
-def _side(argument: Any, stated: Any) -> PairSide:
+def _side(argument: object, stated: Any) -> PairSide:
     if argument is None or isinstance(argument, (bool, str)):
         raise UnsupportedModel(
             f"a side of {stated.name} is {argument!r}; it needs an expression of variables"

@@ -207,7 +207,7 @@ def attribute_expressions(variable: cp.Variable) -> tuple[Any, Any]:
     return lower, upper
 
 
-def bound_value(bound: Any, owner: Any) -> Any:
+def bound_value(bound: Any, owner: object) -> Any:
     """Return the user's bound as a float64 array; raise if it is not one."""
     is_expression = isinstance(bound, cp.Expression)
     if is_expression and (bound.variables() or bound.value is None):

@@ -26,7 +26,7 @@ from .model import Model, warn
 from .reading import Reader, restricting_attribute, rewritten
 
 
-def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex") -> Optimal:
+def optimal(program: Any, over: object, *, shared: Any = (), check: str = "convex") -> Optimal:
     """Return the constraint that variables solve a program, given all other variables.
 
     Parameters
@@ -78,7 +78,7 @@ def optimal(program: Any, over: Any, *, shared: Any = (), check: str = "convex")
     return _agent(program, over, shared, check)
 
 
-def variational_inequality(F: Any, over: Any, constraints: list[Any]) -> Optimal:
+def variational_inequality(F: object, over: object, constraints: list[Any]) -> Optimal:
     """Return the condition F(x)ᵀ(y − x) ≥ 0 for all y that satisfy constraints; see :func:`lcp_plugin.variational`.
 
     Parameters
@@ -104,7 +104,7 @@ def variational_inequality(F: Any, over: Any, constraints: list[Any]) -> Optimal
     )
 
 
-def _agent(program: Any, over: Any, shared: Any, check: str, F: Any = None) -> Optimal:
+def _agent(program: Any, over: object, shared: object, check: str, F: object = None) -> Optimal:
     """Return the condition of an agent, or of F in place of the gradient of its objective, after checks."""
     for one in program.constraints:
         if isinstance(one, Condition):
@@ -192,7 +192,7 @@ class Optimal(Condition):
         decisions: Sequence[Any],
         shared: frozenset[int],
         check: str,
-        F: Any = None,
+        F: object = None,
     ) -> None:
         self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
         self.F = F

@@ -36,7 +36,7 @@ def box(expression: cp.Expression, lower: Any, upper: Any) -> Side:
     return Side(_expression(expression, "the expression of box"), "box", None, lower, upper)
 
 
-def friction_cone(impulses: Any, friction: Any, *, dimension: int | None = None) -> Side:
+def friction_cone(impulses: object, friction: Any, *, dimension: int | None = None) -> Side:
     """Return Coulomb's law ‖r_T‖ ≤ μ r_N, as one side of a complementarity; the other side are the velocities.
 
     Parameters
@@ -79,7 +79,7 @@ def friction_cone(impulses: Any, friction: Any, *, dimension: int | None = None)
     return Side(expression, "cone", friction=friction, rows=rows)
 
 
-def complements(first: Any, second: Any) -> Complements:
+def complements(first: object, second: object) -> Complements:
     """Return the constraint that two sides complement each other, row by row.
 
     Parameters
@@ -220,7 +220,7 @@ class Condition(Constraint):  # type: ignore[misc]
         """Return whether the largest natural residual is at most the tolerance."""
         return self.violation() <= tolerance
 
-    def copy(self, args: list[Any] | None = None, id_objects: Any = None) -> Condition:
+    def copy(self, args: list[Any] | None = None, id_objects: object = None) -> Condition:
         """Return a copy with the same parts; raise UnsupportedModel for other arguments."""
         if args is not None and any(
             mine is not theirs for mine, theirs in zip(self.args, args, strict=True)

@@ -449,7 +449,7 @@ class ModelPath(Path):
             return self._back(self.piece_at(theta).z_at(theta))
 
 
-def parameter_lines(problem: cp.Problem, along: Any) -> Lines:
+def parameter_lines(problem: cp.Problem, along: object) -> Lines:
     """Return value and direction of each parameter that moves: it is value + θ · direction.
 
     Parameters
@@ -503,7 +503,7 @@ def moved_to(lines: Lines, theta: float) -> Iterator[None]:
 
 
 def trace_model(
-    problem: cp.Problem, along: Any, start: float, stop: float, tolerance: float | None = None
+    problem: cp.Problem, along: object, start: float, stop: float, tolerance: float | None = None
 ) -> ModelPath:
     """Return the path of a cvxpy problem; see :func:`lcp_plugin.trace`.
 

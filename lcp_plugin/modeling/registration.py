@@ -127,11 +127,11 @@ def stated_in_cvxpy(problem: LCP) -> Any:
 
 def solve_model(
     problem: cp.Problem,
-    algorithm: Any = "auto",
+    algorithm: object = "auto",
     *,
     warm_start: bool = True,
     verbose: bool = False,
-    solver: Any = None,
+    solver: object = None,
     **options: Any,
 ) -> Any:
     """Solve a complementarity problem, or an ordinary quadratic program, stated in cvxpy.
@@ -197,7 +197,7 @@ def solve_model(
             return value
 
 
-def certify_model(problem: cp.Problem, tolerance: float, _pairs: Any = None) -> Certification:
+def certify_model(problem: cp.Problem, tolerance: float, _pairs: object = None) -> Certification:
     """Return the proved facts about the values of a cvxpy problem, with or without complementarities."""
     if not is_complementarity_problem(problem):
         return certify_problem(problem, tolerance)

@@ -404,13 +404,13 @@ def _wrong_count(name: str, count: int, k: int) -> str:
 def march(
     problem: LCP | Blocks | Sequence[LCP],
     forcing: ArrayLike,
-    propagator: Any = -1.0,
+    propagator: object = -1.0,
     *,
     lower: ArrayLike | None = None,
     upper: ArrayLike | None = None,
     lower_at: ArrayLike | None = None,
     upper_at: ArrayLike | None = None,
-    M_at: Any = None,
+    M_at: object = None,
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
     max_seconds: float | None = None,
@@ -607,7 +607,7 @@ def _begin(
     return marches
 
 
-def _is_one_a_march(propagator: Any) -> bool:
+def _is_one_a_march(propagator: object) -> bool:
     """Return whether the argument is a sequence of propagators: sparse arrays, or a batch axis."""
     if sp.issparse(propagator) or checks.is_number(propagator):
         return False
@@ -923,14 +923,14 @@ class MarchDerivative:
         self,
         *,
         dM: AnyMatrix = None,
-        dforcing: Any = None,
-        dpropagator: Any = None,
-        dz0: Any = None,
+        dforcing: Array = None,
+        dpropagator: object = None,
+        dz0: Array = None,
         dlower: Array = None,
         dupper: Array = None,
-        dlower_at: Any = None,
-        dupper_at: Any = None,
-        dM_at: Any = None,
+        dlower_at: Array = None,
+        dupper_at: Array = None,
+        dM_at: object = None,
         only_last: bool = False,
     ) -> Vector:
         """Return the changes dz of the solutions for changes of the data; one-sided at a kink.

@@ -85,7 +85,7 @@ class GameOrigin:
     game: Game
     sizes: tuple[int, ...]
 
-    def recover(self, answer: Any) -> Equilibrium:
+    def recover(self, answer: object) -> Equilibrium:
         """Return the mixed strategies that an answer of the complementarity problem stands for.
 
         Parameters

@@ -423,7 +423,7 @@ class Statement:
         lower: Vector,
         upper: Vector,
         name: Callable[[int], str],
-        integers: Any = (),
+        integers: object = (),
     ) -> None:
         self.compiler, self.first, self.lower, self.upper = compiler, dict(first), lower, upper
         self._named, self.name, self.integers = lower.size, name, integers
@@ -467,7 +467,7 @@ class Statement:
         """Note that unknowns which have a pair are the variable of another one."""
         self._repeated += columns[self.is_paired[columns]].tolist()
 
-    def named(self, rows: Rows, origin: Any = None, sign: Any = 1.0) -> Indices:
+    def named(self, rows: Rows, origin: object = None, sign: Any = 1.0) -> Indices:
         """Return new unknowns, which an equation makes sign · rows."""
         first, free, zero = self.lower.size, np.full(rows.size, np.inf), np.zeros(rows.size)
         key, columns = 2**62 + first, np.arange(first, first + rows.size)

@@ -114,7 +114,7 @@ class RowsOnPETSc(RowsOnRanks):
     methods: ClassVar[dict[str, Any]] = {"petsc": newton}
 
     @classmethod
-    def from_petsc(cls, A: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf) -> RowsOnPETSc:
+    def from_petsc(cls, A: Any, q: Any, lower: Array = 0.0, upper: Array = np.inf) -> RowsOnPETSc:
         """Return the problem of a PETSc matrix on its communicator.
 
         Parameters

@@ -18,7 +18,7 @@ from ..core.settings import BESIDE, DEFAULT, OF_SOLVE, Settings
 from ..engines.engine import Engine
 
 
-def solve(problem: Any, algorithm: Any = "auto", **options: Any) -> Any:
+def solve(problem: object, algorithm: object = "auto", **options: Any) -> Any:
     """Return the result of the solver of a problem's class; :func:`lcp_plugin.solve` describes the parameters."""
     name = class_of(problem)
     if name is None:
@@ -74,7 +74,7 @@ def parse_call(
     return method_of(algorithm, options), settings
 
 
-def method_of(algorithm: Any, options: dict[str, Any]) -> Algorithm | None:
+def method_of(algorithm: object, options: dict[str, Any]) -> Algorithm | None:
     """Return the algorithm object for the `algorithm` and the options of a call; None for "auto".
 
     Raises

@@ -100,7 +100,7 @@ class Layer(ABC):
         return [*own]
 
     @abstractmethod
-    def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
+    def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: object) -> BatchAnswers:
         """Return the results of the problems in arrays with these axes in front of the axes of a problem."""
 
     @staticmethod

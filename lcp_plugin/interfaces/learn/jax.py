@@ -27,7 +27,7 @@ __all__ = ["contact_layer", "lcp_layer", "qp_layer"]
 
 
 def lcp_layer(
-    M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, *, mask: bool = False, **options: Any
+    M: Any, q: Any, lower: Array = 0.0, upper: Array = np.inf, *, mask: bool = False, **options: Any
 ) -> Any:
     """Return the solutions z of LCPs, differentiable by M, q, lower and upper.
 

@@ -21,7 +21,7 @@ __all__ = ["contact_layer", "lcp_layer", "qp_layer"]
 
 
 def lcp_layer(
-    M: Any, q: Any, lower: Any = 0.0, upper: Any = np.inf, *, mask: bool = False, **options: Any
+    M: Any, q: Any, lower: Array = 0.0, upper: Array = np.inf, *, mask: bool = False, **options: Any
 ) -> Any:
     """Return the solutions z of LCPs, differentiable by M, q, lower and upper.
 
@@ -205,7 +205,7 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
         ctx.save_for_backward(*data, z)
 
     @staticmethod
-    def backward(ctx: Any, g: Array, _: Any) -> tuple[Any, ...]:
+    def backward(ctx: Any, g: Array, _: object) -> tuple[Any, ...]:
         """Return the gradients by all arguments."""
         *_, z = ctx.saved_tensors  # torch raises an error if one was changed in place
         return None, *_Gradient.apply(ctx.layer, z, g)

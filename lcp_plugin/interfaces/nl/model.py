@@ -169,7 +169,7 @@ class NLModel(ABC):
     known: Vector
 
     @abstractmethod
-    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+    def solve(self, algorithm: object = "auto", **options: Any) -> NLAnswer:
         """Return the answer.
 
         Parameters
@@ -232,7 +232,7 @@ class ComplementarityModel(NLModel):
         start = np.append(content.start, np.zeros(content.defined_trees.size))
         return start[self.unknowns][self.arrangement.elimination.kept]
 
-    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+    def solve(self, algorithm: object = "auto", **options: Any) -> NLAnswer:
         """Return the answer; see :meth:`NLModel.solve`."""
         is_started = self.content.has_start.any() or self.beside.bounded.size
         options = {"algorithm": algorithm, **options}
@@ -294,7 +294,7 @@ class ProgramModel(NLModel):
     sign: float
     rows: Indices
 
-    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+    def solve(self, algorithm: object = "auto", **options: Any) -> NLAnswer:
         """Return the answer, infeasible or unbounded only with a proof, ``answer.result.proof``."""
         found = solve_program(self.problem, algorithm, **options)
         status = found.status
@@ -336,7 +336,7 @@ class EquilibriumModel(NLModel):
         x[self.columns] = values_and_slopes(self.content, own, self.pairs)[0]
         return x if self.content.has_start.any() and np.isfinite(x).all() else None
 
-    def solve(self, algorithm: Any = "auto", **options: Any) -> NLAnswer:
+    def solve(self, algorithm: object = "auto", **options: Any) -> NLAnswer:
         """Return the answer, optimal only with a closed gap; the message names the bound's source.
 
         Parameters

@@ -20,7 +20,7 @@ from .reading import ARITY, NARY, PARTNER, PIECEWISE, WITH_TOLERANCE, NLContent,
 LETTERS = {Token.NUMBER: b"n", Token.VARIABLE: b"v", Token.OPERATOR: b"o"}
 
 
-def write_nl(problem: Any, path: str | PathLike[str]) -> None:
+def write_nl(problem: object, path: str | PathLike[str]) -> None:
     """Write an LCP or model as a text ``.nl`` file, its names as ``.col`` and ``.row``.
 
     Parameters

@@ -89,7 +89,7 @@ def solve_batch(
     upper: ArrayLike | None = None,
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
-    callback: Any = None,
+    callback: object = None,
     executor: Executor | None = None,
     **options: Unpack[BatchOptions],
 ) -> BatchAnswers:

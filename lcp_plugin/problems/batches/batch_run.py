@@ -81,7 +81,7 @@ class BatchRun:
                 self.is_interrupted |= bool(self.callback(count - int(self.is_open.sum()), count))
 
     @np.errstate(all="ignore")
-    def run(self, callback: Any = None, executor: Any = None) -> BatchAnswers:
+    def run(self, callback: object = None, executor: object = None) -> BatchAnswers:
         """Solve all problems, until the clock runs out, Ctrl-C, or the callback ends the batch."""
         self.callback = checked_callback(callback)
         try:
@@ -111,7 +111,7 @@ class BatchRun:
             if self.is_interrupted:
                 return
 
-    def _solve_stacks(self, executor: Any) -> None:
+    def _solve_stacks(self, executor: object) -> None:
         """Solve small problems in stacks, while there is time; a stack replaces only `auto`."""
         problems, settings = self.problems, self.settings
         if self.algorithm not in problems.stacked_by or settings.absolute_tolerance:
@@ -151,7 +151,7 @@ class BatchRun:
         self.residual[at], self.iterations[at] = residual[good], iterations[good]
         self.status[at], self.is_open[at] = Status.SOLVED, False
 
-    def _solve_others(self, executor: Any) -> None:
+    def _solve_others(self, executor: object) -> None:
         """Solve the other problems by themselves: one after the other, or in jobs on an executor."""
         numbers = np.flatnonzero(self.is_open)
         if executor is None:
@@ -269,7 +269,7 @@ def call(function: Callable[[], Any]) -> Any:
     return function()
 
 
-def solve_one(problem: Any, start: Array, algorithm: Any, options: dict[str, Any]) -> Any:
+def solve_one(problem: object, start: Array, algorithm: object, options: dict[str, Any]) -> Any:
     """Return the result of `solve`; None stands for the default start."""
     given = {} if start is None else {"z0": start}
     named = {} if algorithm == "auto" else {"algorithm": algorithm}

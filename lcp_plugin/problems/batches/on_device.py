@@ -161,7 +161,7 @@ class DeviceAnswers(AnswerSequence[Any]):
 
     status: Array
 
-    def __init__(self, M: Any, q: Any, lower: Any, upper: Any, options: dict[str, Any]) -> None:
+    def __init__(self, M: Any, q: Any, lower: Array, upper: Array, options: dict[str, Any]) -> None:
         self.gpu, self.library, self.settings = _modules(), _library(q), Settings(**options)
         (xp, _), clock, limit = self.gpu, Clock(), self.settings.max_seconds
         self.data = data = DeviceData.of(xp, M=M, q=q, lower=lower, upper=upper)

@@ -156,7 +156,7 @@ class ProgramBatch(Instances):
             raise one
         return one
 
-    def stacks(self, tolerance: float, has_time: Any, threads: int) -> Stacks:
+    def stacks(self, tolerance: float, has_time: object, threads: int) -> Stacks:
         """Yield small programs in blocks, some for each thread."""
         (m, p, n, _), count = self.sizes, self.count
         entries = max(n * (n + m + p), 1)

@@ -227,7 +227,7 @@ def _box(bounds: Sequence[Any], name: str) -> tuple[Vector, Vector]:
     return checked_bounds(low, high, low.size, names=(f"lower of {name}", f"upper of {name}"))
 
 
-def _blocks(cones: Any, n: int) -> tuple[list[int], Vector, Vector, tuple[Any, ...]]:
+def _blocks(cones: object, n: int) -> tuple[list[int], Vector, Vector, tuple[Any, ...]]:
     """Return the rows of each block, the bounds of the rows, and the cones in the caller's form."""
     if isinstance(cones, (str, bytes)) or not isinstance(cones, Sequence):
         raise InvalidProblem(f"{NEED_CONES}, got {cones!r}")

@@ -93,7 +93,7 @@ def solve_cones(
     return result
 
 
-def _checked_algorithm(algorithm: Any) -> str | ConeAlgorithm:
+def _checked_algorithm(algorithm: object) -> str | ConeAlgorithm:
     """Return "auto" or the object of a method."""
     if isinstance(algorithm, ConeAlgorithm):
         return algorithm

@@ -260,7 +260,7 @@ class _Model:
             def eventexit(self) -> None:
                 self.model.dropEvent(solved, self)
 
-            def eventexec(self, _: Any) -> None:
+            def eventexec(self, _: object) -> None:
                 try:
                     with own.terminal.given_back():
                         ends = own.ends

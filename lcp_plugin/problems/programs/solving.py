@@ -350,7 +350,7 @@ def solve_program(
     return run.solve(run.with_proof(plan))
 
 
-def _engine(algorithm: Any, options: dict[str, Any]) -> Engine | None:
+def _engine(algorithm: object, options: dict[str, Any]) -> Engine | None:
     """Return the engine of that name with its options, or the passed engine; None for another algorithm."""
     if isinstance(algorithm, str):
         return installed_engine(algorithm)(**options) if algorithm in ENGINES else None

@@ -25,7 +25,7 @@ import scipy.sparse as sp
 import typer
 from scipy.optimize import minimize
 
-from lcp_plugin import LCP, Certificate, derivative, prepare, solve
+from lcp_plugin import LCP, Certificate, derivative, prepare
 from lcp_plugin.evidence.drawing import contact_level
 
 SIZE, EVALUATIONS = 200, 24  # nodes along each side; solves, each with its gradient
@@ -46,21 +46,18 @@ class Membrane:
         M = sp.kron(second_difference, sp.eye_array(SIZE)) + sp.kron(
             sp.eye_array(SIZE), second_difference
         )
-        self.problem = prepare(LCP(M, np.zeros(SIZE**2), lower=FLOOR))
+        self.step = prepare(LCP(M, np.zeros(SIZE**2), lower=FLOOR))
         self.height, self.history, self.seconds = None, [], [0.0, 0.0]
 
     def __call__(self, load: np.ndarray) -> tuple[float, np.ndarray]:
         """Return L and its gradient by the load at each node, over the area of a node."""
         began = time.perf_counter()
-        problem = self.problem.with_q(self.area * load)
-        result = solve(problem, z0=self.height).require_solved()
+        result = self.step.solve(q=self.area * load, z0=self.height).require_solved()
         solved = time.perf_counter()
         at = derivative(result)
         self.height = at.z
         gap = self.heart * (at.z - FLOOR)
-        surplus = (
-            np.where(at.z > FLOOR, 0.0, problem.slack(at.z) / self.area) - PRESSURE * self.heart
-        )
+        surplus = np.where(at.z > FLOOR, 0.0, result.w / self.area) - PRESSURE * self.heart
         loss = 0.5 * (gap @ gap + BETA * (surplus @ surplus))
         gradient = self.area * at.vjp(gap, BETA * surplus / self.area).q
         self.seconds[0] += solved - began
@@ -105,7 +102,7 @@ def main(out: Path = Path()) -> None:
     )
     print(
         f"it touches at {touches[heart].mean():.1%} of the heart's nodes, and at {touches[~heart].sum()} others; "
-        f"{membrane.problem.n - touches.sum()} nodes are free"
+        f"{membrane.step.problem.n - touches.sum()} nodes are free"
     )
     print(
         f"check: in a random direction the gradient differs from a difference by {error:.1e}, relatively"

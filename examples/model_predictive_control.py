@@ -77,11 +77,11 @@ def main(out: Path = Path()) -> None:
     P = solve_discrete_are(A, B, COSTS, EFFORT * np.eye(1))
     K = np.linalg.solve(EFFORT + B.T @ P @ B, B.T @ P @ A)
     M, F = condensed(A, B, P)
-    program = prepare(LCP(M, F @ START, lower=-LIMIT, upper=LIMIT))
+    step = prepare(LCP(M, F @ START, lower=-LIMIT, upper=LIMIT))
 
     states, inputs, plan, iterations = [START], [], np.zeros(AHEAD), []
     for _ in range(round(SECONDS / STEP)):
-        result = solve(program.with_q(F @ states[-1]), z0=plan).require_solved()
+        result = step.solve(q=F @ states[-1], z0=plan).require_solved()
         plan = np.append(result.z[1:], 0.0)  # one step later, the start of the next
         inputs.append(result.z[0])
         iterations.append(result.iterations)
@@ -94,13 +94,13 @@ def main(out: Path = Path()) -> None:
     places, speeds = np.linspace(-5, 5, 81), np.linspace(-2, 2, 81)
     grid = np.stack([*np.meshgrid(places, speeds), *np.zeros((2, 81, 81))], axis=-1).reshape(-1, 4)
     start = perf_counter()
-    answers = solve_batch(program, grid @ F.T)
+    answers = solve_batch(step, grid @ F.T)
     law = np.array([answer.require_solved().z[0] for answer in answers])
     print(f"{len(grid)} states as one batch: {perf_counter() - start:.1f} s")
 
     conic = max(
         abs(
-            solve(program.with_q(F @ x[k]), tolerance=1e-12).z
+            solve(LCP(M, F @ x[k], lower=-LIMIT, upper=LIMIT), tolerance=1e-12).z
             - planned_by_a_conic_solver(A, B, P, x[k])
         ).max()
         for k in (0, 10, 20)
@@ -108,9 +108,7 @@ def main(out: Path = Path()) -> None:
     near = 0.002 * np.random.default_rng(0).standard_normal((50, 4))
     linear = max(
         abs(answer.z[0] + (K @ state)[0])
-        for answer, state in zip(
-            solve_batch(program, near @ F.T, tolerance=1e-12), near, strict=True
-        )
+        for answer, state in zip(solve_batch(step, near @ F.T, tolerance=1e-12), near, strict=True)
     )
     print(f"check: plans differ from a conic solver's by {conic:.1e} m/s²")
     print(f"check: where no limit acts, inputs differ from −K x by {linear:.1e} m/s²")

@@ -6,7 +6,7 @@ stress |∇u| cannot exceed the yield stress 1, which means that u stays below t
     u ≤ dist,   −Δu ≤ 2α,   and at every point at least one holds with equality.
 
 From one α to the next only q = −2α h² changes. `prepare` computes the parts that depend only on M once,
-`with_q` shares them, and each solve starts from the answer before, whose contact set is nearly right: Newton's method
+and each solve starts from the answer before, whose contact set is nearly right: Newton's method
 needs a step or two. `solve_batch` is shorter if the starts do not matter.
 
 Two limits are known: for small α all is elastic and the torque is 0.1406 · 2⁴ · α (a bar of side 2); for large α all is
@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 import typer
 
-from lcp_plugin import LCP, prepare, solve, solve_batch
+from lcp_plugin import LCP, prepare, solve_batch
 from lcp_plugin.evidence.drawing import contact_level
 
 SIZE = 49  # nodes along each side, the edge not counted
@@ -38,14 +38,14 @@ def main(out: Path = Path()) -> None:
     M = sp.kron(second_difference, sp.eye_array(SIZE)) + sp.kron(
         sp.eye_array(SIZE), second_difference
     )
-    problem = prepare(LCP(M, np.zeros(SIZE**2), lower=-np.inf, upper=distance.ravel()))
+    step = prepare(LCP(M, np.zeros(SIZE**2), lower=-np.inf, upper=distance.ravel()), "newton")
 
     loads = -2 * TWISTS[:, None] * np.full(SIZE**2, h**2)
     warm, start = [], None
     for load in loads:
-        warm.append(solve(problem.with_q(load), "newton", z0=start).require_solved())
+        warm.append(step.solve(q=load, z0=start).require_solved())
         start = warm[-1].z
-    cold = solve_batch(problem, loads, algorithm="newton")
+    cold = solve_batch(step, loads, algorithm="newton")
     for name, results in (("each from the one before", warm), ("each from nothing", cold)):
         print(
             f"{len(results)} problems, {name:<25} {sum(one.iterations for one in results):5d} iterations, "

@@ -27,7 +27,6 @@ from .modeling.constraint import box as box
 from .modeling.constraint import complements as complements
 from .modeling.constraint import friction_cone as friction_cone
 from .modeling.qp_solver import QPSolver as QPSolver
-from .problems.batches.batch import prepare as prepare
 from .problems.batches.batch import solve_batch as solve_batch
 from .problems.cones.data import ConeProblem as ConeProblem
 from .problems.cones.frictional_contact import FrictionalContact as FrictionalContact
@@ -36,6 +35,7 @@ from .problems.least_squares.data import BoundedLeastSquares as BoundedLeastSqua
 from .problems.march import march as march
 from .problems.nonlinear.data import NonlinearProblem as NonlinearProblem
 from .problems.parametric.tracing import trace as trace
+from .problems.prepared import prepare as prepare
 from .problems.programs.certification import certify as certify
 from .problems.programs.program import QuadraticProgram as QuadraticProgram
 from .problems.sensitivity import derivative as derivative

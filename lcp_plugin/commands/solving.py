@@ -322,6 +322,8 @@ def compile_everything() -> str:
     lcp_plugin.solve_batch([no_solution, no_solution], prove_infeasibility=False)
     for problem in (no_solution, gallery.build("bimatrix_game").problem):
         solve(problem)
+    for one in (dense, lcp_plugin.QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])):
+        lcp_plugin.prepare(one).solve()
     lcp_plugin.solve_batch([dense] * 64)  # as many as the compiled loop needs
     lcp_plugin.solve_batch(lcp_plugin.BoundedLeastSquares(dense.M, dense.q), np.ones((64, dense.n)))
     lcp_plugin.solve_batch([contact, contact])

@@ -66,6 +66,19 @@ def restore_state(thing: object, state: dict[str, Any]) -> None:
                 array.flags.writeable = False
 
 
+class MadeOnAccess:
+    """Object whose missing attributes `_make` computes, all at once, at the first access to one of them."""
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute that is not computed yet."""
+        own = vars(self)
+        if not name.startswith("_") and own.get("_make") is not None:
+            own.update(own["_make"](), _make=None)
+        if name not in own:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return own[name]
+
+
 def freeze_csr(matrix: sp.csr_array) -> sp.csr_array:
     """Make the arrays of a CSR array read-only, set its canonical flags, and return it."""
     index_type = np.int32 if max(matrix.nnz, *matrix.shape) < 2**31 else np.int64

@@ -55,7 +55,7 @@ CLASSES = {
     ),
     "NonlinearProblem": ProblemClass(
         "problems.nonlinear.solving:solve_nonlinear",
-        "derivative certify",
+        "prepare derivative certify",
         f"{WATCHED} absolute_tolerance",
         "problems.nonlinear.solving:criterion_at",
     ),
@@ -69,12 +69,12 @@ CLASSES = {
     ),
     "BoundedLeastSquares": ProblemClass(
         "problems.least_squares.solving:solve_least_squares",
-        "trace derivative",
+        "prepare trace derivative",
         WATCHED,
         batch="problem, B",
     ),
     "ConeProblem": CONES,
-    "FrictionalContact": CONES,
+    "FrictionalContact": CONES._replace(functions=f"prepare {CONES.functions}"),
 }
 
 

@@ -93,10 +93,10 @@ class DAQP(Engine):
         of_P, of_C = (range(count) if len(one) > 1 else [0] * count for one in (P, C))
         for k in items:
             hessian = P[of_P[k]] if has_P else None
-            yield _call_daqp(hessian, c[k], C[of_C[k]], above[k], below[k], sense, settings)
+            yield call_daqp(hessian, c[k], C[of_C[k]], above[k], below[k], sense, settings)
 
 
-def _call_daqp(
+def call_daqp(
     P: Array, c: Array, C: Array, above: Any, below: Any, sense: Any, settings: dict[str, Any]
 ) -> tuple[Vector, Vector, int, int]:
     """Return x, all multipliers, daqp's exit flag and its steps."""

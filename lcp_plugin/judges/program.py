@@ -36,6 +36,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import Vector
+from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import DATA_ROUNDING, UNIT
 from ..core.matrix import largest_in_rows, largest_products
 from ..core.rounding import compensated_product
@@ -51,6 +52,8 @@ CANCELLED = 1e-8  # share of the objective's terms to which they may cancel
 LEAST_SIZE = 1e-6  # of the rows' terms with their multipliers
 MOVES = 1000.0  # times its size, an unknown without a bound is moved
 SMALLEST_SIZE = 2.0**-900  # of the gap: if all terms are 0, gradients are relative to their own
+SAFETY = 5.0  # times the bounds of rounding errors, in the compiled test
+INF = float("inf")
 LEAST_PRICE = 2.0**-1000  # quotients by it are finite
 # of terms in the other rows of an unknown: rounding of this unknown
 ROUNDED_ELSEWHERE = 64.0 * UNIT
@@ -367,3 +370,117 @@ def ratio(errors: Vector, sizes: Vector) -> Vector:
 def entries_of_rows(matrix: Any) -> Indices:
     """Return the number of nonzeros of each row."""
     return np.diff(matrix.indptr) if sp.issparse(matrix) else np.count_nonzero(matrix, axis=1)
+
+
+def is_one_dense_component(terms: ProgramTerms) -> bool:
+    """Return whether :func:`dense_errors` measures programs with these matrices."""
+    return (
+        isinstance(terms.P, np.ndarray)
+        and terms.components.number == 1
+        and max(terms.C.shape) <= 400
+    )
+
+
+@kernel
+def dense_errors(P, c, C, d, m, lower, upper, given, multipliers):  # type: ignore[no-untyped-def]
+    """Return upper bounds of the two measures of a point of a dense program of one component; ∞ for NaN.
+
+    At most 400 unknowns and rows. If both bounds are at most half of the tolerances, `KKTErrors.of` accepts the point
+    by its plain sums, because
+
+    - sums in another order differ by at most twice their bound of rounding errors, which counts `SAFETY` = 5 times
+      here where it adds to an error, and where it reduces a size: r_j, violations, xᵀP x, P x and P x + c;
+    - |cᵀx| may differ by 2 n ε Σ |c_j x_j|, at most 1e-5 of the size, which is at least 1e-8 of these terms;
+    - x in its bounds, y, and the unknowns off their bounds are the same numbers in both;
+    - so a way here is at least the way there, up to 1e-5: an unknown that is far only there has its whole r_j times
+      distance in the sum here, which is also the most that it adds to the maximum there (the factor of 2); an unknown
+      within 1e-5 of its way counts in both places here.
+    """
+    n, rows, top, primal = c.size, d.size, 0.0, 0.0
+    x, y, T, miss, big = np.empty(n), np.empty(rows), np.empty(rows), np.empty(rows), np.empty(rows)
+    product, lost, left, doubt = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    for j in range(n):
+        x[j] = min(max(given[j], lower[j]), upper[j])
+        top = max(top, abs(x[j]))
+        if not abs(given[j]) < INF:
+            return INF, INF
+        if x[j] != given[j]:
+            primal = max(primal, abs(given[j] - x[j]) / max(abs(x[j]), abs(given[j])))
+    for i in range(rows):
+        side, y[i], big[i] = d[i], multipliers[i], 0.0
+        if not abs(y[i]) < INF:
+            return INF, INF
+        if side == INF or (i < m and y[i] < 0.0):
+            y[i] = 0.0
+        if side == INF:
+            side = 0.0
+        total, T[i] = -side, abs(side)
+        for j in range(n):
+            term = C[i, j] * x[j]
+            total += term
+            T[i] += abs(term)
+            big[i] = max(big[i], abs(C[i, j]))
+        if big[i] == 0.0:
+            big[i] = 1.0
+        rounding = SAFETY * (n + 3.0) * UNIT * T[i]
+        miss[i] = abs(total) + rounding
+        over = total + rounding if i < m else miss[i]
+        if d[i] < INF and not over <= 0.0:
+            primal = max(primal, over / max(T[i], LEAST_PRICE))
+            if not over < INF:
+                return INF, INF
+    curved, hidden, costs, value, most, largest_cost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(n):
+        total, terms = 0.0, 0.0
+        for k in range(n):
+            term = P[j, k] * x[k]
+            total += term
+            terms += abs(term)
+        product[j], lost[j] = total, SAFETY * (n + 3.0) * UNIT * terms
+        terms += abs(c[j])
+        left[j] = total + c[j]
+        for i in range(rows):
+            term = C[i, j] * y[i]
+            left[j] += term
+            terms += abs(term)
+        doubt[j] = SAFETY * (n + rows + 3.0) * UNIT * terms
+        if not terms < INF:
+            return INF, INF
+        curved += x[j] * total
+        hidden += abs(x[j]) * lost[j]
+        costs += abs(c[j] * x[j])
+        value += c[j] * x[j]
+        largest_cost = max(largest_cost, abs(c[j]))
+        if min(x[j] - lower[j], upper[j] - x[j]) > DATA_ROUNDING * top:
+            most = max(most, abs(total + c[j]) - lost[j])
+    curved, least, gap, far = max(abs(curved) - hidden, 0.0), 0.0, 0.0, 0.0
+    for i in range(rows):
+        least += min(abs(y[i]), most / big[i]) * T[i]
+        gap += abs(y[i]) * miss[i]
+    for j in range(n):
+        lost[j] /= SAFETY * (n + 3.0) * UNIT  # |P| |x|
+        if largest_cost == 0.0:
+            least += abs(x[j]) * lost[j]
+    size = max(abs(value) + curved, CANCELLED * (costs + curved), LEAST_SIZE * least, SMALLEST_SIZE)
+    for j in range(n):
+        rest, below, above = abs(left[j]) + doubt[j], x[j] - lower[j], upper[j] - x[j]
+        distance = below if left[j] > 0.0 else above
+        if abs(left[j]) <= doubt[j]:
+            distance = max(below, above)
+        price = max(abs(product[j]) - SAFETY * (n + 3.0) * UNIT * lost[j], 0.0)
+        if c[j] == 0.0:
+            price = max(price, lost[j])
+        price += abs(c[j])
+        for i in range(rows):
+            price += abs(C[i, j]) * min(abs(y[i]), most / big[i])
+        way = MOVES * size / max(price, LEAST_PRICE)
+        if rest > 0.0:
+            reach = distance
+            if distance > way:
+                far = max(far, rest * way)
+                if distance > way * 1.00001:
+                    reach = min(distance, MOVES * abs(x[j]))
+            gap += rest * reach
+    if not (gap + far < INF and size < INF):
+        return primal, INF
+    return primal, (gap + far) / size

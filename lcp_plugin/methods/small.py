@@ -26,8 +26,9 @@ from numpy.linalg import LinAlgError
 
 from ..core.algorithm import Algorithm, Step
 from ..core.checks import BoolVector, Vector, read_only
+from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import FREE, HIGH, LOW, SMALLEST
-from ..core.kernels.small_lcps import LOST, follow_paths, solve_active_sets
+from ..core.kernels.small_lcps import INF, LOST, follow_paths, solve_active_sets
 from ..core.lcp import LCP
 from ..core.matrix import equation_signs, residual_scales
 from ..judges.lcp import Measured, RowData, bound_residual, bound_residuals, row_data, times
@@ -38,6 +39,7 @@ GUESSED = "small: a few sweeps guess the active set"
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
 RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
 ROUNDS, IDLE = 12, 2  # most active-set iterations; most of them in a row without fewer changes
+FOLLOW_IN_PYTHON = follow_paths.function
 LOOP_FROM, LOOP_UP_TO = 32, 128  # problems, unknowns; fewer problems do not wait for a compilation
 PYTHON_UP_TO = (
     10  # unknowns: the path of one problem takes .2 ms in Python, numba is imported in .6 s
@@ -232,6 +234,22 @@ def _bounded_points(
     return z, bound
 
 
+@kernel
+def follow_one(M, q, lower, upper, start, tilts, tolerance, z, bound):  # type: ignore[no-untyped-def]
+    """Write the end of the path of one problem, without free unknowns, and the bound of its residual, ∞ if in doubt."""
+    n = q.shape[1]
+    T, numbers, sides = (
+        np.empty((n + 9, n + 1)),
+        np.empty((2, 2 * n + 1), np.int64),
+        np.empty((1, n), np.int64),
+    )
+    follow_paths(M, q, lower, upper, tilts, T, numbers, sides)
+    solve_active_sets(M, q, lower, upper, sides, T, numbers[0], z)
+    bound[0] = INF
+    if z[0, 0] == z[0, 0]:
+        bound_residuals(M, q, lower, upper, start, tolerance, T, z, bound)
+
+
 def path_points(
     problem: LCP, tolerance: float, z0: Vector | None = None
 ) -> Iterator[tuple[Vector, float]]:
@@ -240,19 +258,32 @@ def path_points(
     A stack of one: the compiled loop has the same bits. A bound of ∞ means that the sufficient test does not
     decide. Points that do not exist are left out.
     """
-    M = read_only(problem.matrix.toarray()[None])
-    q, lower, upper = problem.q[None], problem.lower[None], problem.upper[None]
-    own = M, q, lower, upper, problem.nearest_to_zero[None]
+    own = arrays_of_one(problem)
     for start in (None,) if z0 is None else (z0, None):
-        if start is None:
-            sides = _ends_of_paths(M, q, lower, upper)
-        else:
+        if start is not None:
             step = problem.slack(start) / problem.residual_scale
             is_low, is_high = step >= start - problem.lower, step <= start - problem.upper
             sides = np.where(is_low, LOW, FREE + is_high)[None]
-        z, bound = _bounded_points(*own, sides, tolerance)
+            z, bound = _bounded_points(*own, sides, tolerance)
+        elif has_free_unknowns(problem.lower, problem.upper):
+            z, bound = _bounded_points(*own, _ends_of_paths(*own[:4]), tolerance)
+        else:
+            z, bound = np.empty((1, problem.n)), np.empty(1)
+            follow_one(*own, tilts(problem.n), tolerance, z, bound)
         if math.isfinite(z[0, 0]):
             yield read_only(z[0]), float(bound[0])
+
+
+def arrays_of_one(problem: LCP) -> tuple[Vector, Vector, Vector, Vector, Vector]:
+    """Return M, q, the bounds and z° of a problem as a stack of one, read-only."""
+    M = read_only(problem.matrix.toarray())
+    q, lower, upper, start = problem.q, problem.lower, problem.upper, problem.nearest_to_zero
+    return M[None], q[None], lower[None], upper[None], start[None]
+
+
+def has_free_unknowns(lower: Vector, upper: Vector) -> bool:
+    """Return whether an unknown has no bound."""
+    return bool(((lower == -np.inf) & (upper == np.inf)).any())
 
 
 def _select(arrays: Any, items: Any) -> list[Any]:
@@ -364,7 +395,7 @@ def candidates(data: RowData, z0: Vector) -> Iterator[tuple[str, Vector, float]]
     if (is_short := z0.size <= PYTHON_UP_TO) or has_numba():
         arrays = data.M, data.q, data.lower, data.upper
         stack = [read_only(np.ascontiguousarray(one)[np.newaxis]) for one in arrays]
-        (side,) = _ends_of_paths(*stack, follow=follow_paths.function if is_short else follow_paths)
+        (side,) = _ends_of_paths(*stack, follow=FOLLOW_IN_PYTHON if is_short else follow_paths)
         z = solve_active_set(*arrays, side) if (side != LOST).all() else np.full(side.size, np.nan)
         yield "path", np.clip(z, data.lower, data.upper), 3.0 * entries
         if np.isfinite(z).all():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from pkgutil import resolve_name
 from typing import Any
 
@@ -13,16 +13,23 @@ import numpy as np
 from ..algorithms import create, refusal_of_engine
 from ..core.algorithm import Algorithm
 from ..core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
-from ..core.problem_classes import CLASSES, class_of, refusal, with_article
+from ..core.problem_classes import CLASSES, class_of, classes_of, refusal, with_article
 from ..core.settings import BESIDE, DEFAULT, OF_SOLVE, Settings
 from ..engines.engine import Engine
 
 
 def solve(problem: object, algorithm: object = "auto", **options: Any) -> Any:
     """Return the result of the solver of a problem's class; :func:`lcp_plugin.solve` describes the parameters."""
+    return solver_with(problem, algorithm, options)(problem)
+
+
+def solver_with(
+    problem: Any, algorithm: Any, options: dict[str, Any], function: str = "solve"
+) -> Callable[..., Any]:
+    """Return the solver of a problem's class with the options of a call of a function, whose names are checked."""
     name = class_of(problem)
-    if name is None:
-        raise InvalidOption(refusal("solve", problem))
+    if name not in classes_of(function):
+        raise InvalidOption(refusal(function, problem))
     if not isinstance(algorithm, str):
         if isinstance(algorithm, (np.ndarray, list, tuple)):
             raise UnknownAlgorithm(
@@ -42,7 +49,7 @@ def solve(problem: object, algorithm: object = "auto", **options: Any) -> Any:
         if option not in known:
             hint = did_you_mean(option, known)
             raise InvalidOption(f"solve takes no {option} for {with_article(name)}{hint}")
-    return solver_of(name)(problem, **options)
+    return partial(solver_of(name), **options)
 
 
 @cache

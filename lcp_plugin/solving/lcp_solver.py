@@ -12,6 +12,7 @@ from ..core.algorithm import Algorithm
 from ..core.checks import checked_start, read_only
 from ..core.deadline import Clock
 from ..core.lcp import LCP
+from ..core.settings import Settings
 from ..methods.small import GUESSED, first_candidate, first_path_point, takes_rounds
 from .dispatch import parse_call
 from .result import NOTHING_TO_DO, Callback, Result, StageRecord
@@ -41,9 +42,7 @@ def solve_lcp(
     clock = Clock()
     method, settings = parse_call(algorithm, options)
     start = problem.nearest_to_zero if z0 is None else checked_start(problem, z0)
-    is_watched = settings.record or settings.verbose or callback is not None
-    is_limited = settings.max_seconds < math.inf or not settings.max_iterations
-    if not (is_watched or is_limited or settings.absolute_tolerance):
+    if is_bare(settings, callback):
         found = None
         if method is not None:
             if z0 is None and method.is_compiled_for(problem):
@@ -58,3 +57,10 @@ def solve_lcp(
     from .lcp_run import run_on  # with all methods, which a small problem does without
 
     return run_on(problem, method, settings, start, clock, callback)
+
+
+def is_bare(settings: Settings, callback: Any) -> bool:
+    """Return whether nothing watches or limits a run, and the tolerance is relative."""
+    is_watched = settings.record or settings.verbose or callback is not None
+    is_limited = settings.max_seconds < math.inf or not settings.max_iterations
+    return not (is_watched or is_limited or settings.absolute_tolerance)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from ..core.algorithm import Algorithm
-from ..core.checks import Vector, restore_state
+from ..core.checks import MadeOnAccess, Vector, restore_state
 from ..core.errors import NotConverged, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.names import format_count, remark_on_labels
@@ -88,7 +88,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class BaseResult(Outcome):
+class BaseResult(MadeOnAccess, Outcome):
     """Base class of all results; the result of each problem class has further attributes.
 
     Attributes
@@ -123,7 +123,7 @@ class BaseResult(Outcome):
     seconds: float
     tolerance: float
     history: tuple[Sample, ...] = ()
-    stages: tuple[StageRecord, ...] = ()
+    stages: tuple[StageRecord, ...] = field(default_factory=tuple)  # of no class: made on access
     begun: str = ""
     agents: ClassVar[tuple[Any, ...]] = ()
     _advice: ClassVar[Mapping[Status, str]] = {}  # in place of the status's own

@@ -81,7 +81,7 @@ class Life(RuleBasedStateMachine):
 
     @rule()
     def prepare(self) -> None:
-        self.problem = prepare(self.problem)
+        self.problem = prepare(self.problem).problem
 
     @rule()
     def save_and_load(self) -> None:

@@ -97,7 +97,7 @@ OVER_CONES = (
 KINDS = {
     "LCP": tuple(way for way in WAYS if way != "qpsolvers"),
     "NonlinearProblem": (
-        *("solve", "solve_batch", "derivative", "certify", "pickle"),
+        *("solve", "solve_batch", "prepare", "derivative", "certify", "pickle"),
         *("cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     ),
     "QuadraticProgram": (
@@ -109,12 +109,12 @@ KINDS = {
         *("solve", "solve_batch", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     ),
     "BoundedLeastSquares": (
-        *("solve", "solve_batch", "trace", "derivative", "pickle"),
+        *("solve", "solve_batch", "prepare", "trace", "derivative", "pickle"),
         *LANGUAGES,
         "lcp-plugin solve",
     ),
     "ConeProblem": OVER_CONES,
-    "FrictionalContact": OVER_CONES,
+    "FrictionalContact": ("prepare", *OVER_CONES),
 }
 
 
@@ -187,7 +187,7 @@ def by_batch(sample: Sample, folder: Path) -> None:
 
 
 def by_prepare(sample: Sample, folder: Path) -> None:
-    confirm(solve(prepare(sample.problem)), sample)
+    confirm(prepare(sample.problem).solve(**sample.start), sample)
 
 
 def by_march(sample: Sample, folder: Path) -> None:

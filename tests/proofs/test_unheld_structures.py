@@ -11,7 +11,7 @@ import pytest
 import scipy.sparse as sp
 from unheld import Structure, block, chain, circuit, truss
 
-from lcp_plugin import LCP, QPSolver, QuadraticProgram, Status, prepare, solve
+from lcp_plugin import QPSolver, QuadraticProgram, Status, prepare, solve
 from lcp_plugin.problems.programs.no_minimum import QPUnboundedness
 
 UNHELD = {
@@ -168,9 +168,7 @@ def test_a_named_algorithm_ends_with_the_same_words(algorithm: str) -> None:
 def test_a_prepared_problem_and_one_that_asks_for_no_proof() -> None:
     """Prepare changes no verdict; prove_infeasibility=False looks for none."""
     structure: Structure = chain(28, 1.0)
-    problem = prepare(structure.problem)
-    assert isinstance(problem, LCP)
-    assert solve(problem).status is Status.INFEASIBLE
+    assert prepare(structure.problem).solve().status is Status.INFEASIBLE
     assert solve(structure.problem, prove_infeasibility=False).status is Status.STALLED
     assert not solve(structure.program, prove_infeasibility=False).has_no_solution
 

@@ -1,11 +1,10 @@
-"""Many problems with one matrix: prepare it once, solve for each q."""
+"""Many problems in one call: small ones together, others one by one."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from typing import Any, TypeVar, Unpack, cast
+from typing import Any, Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,71 +12,20 @@ from numpy.typing import ArrayLike
 from ...core.algorithm import Algorithm
 from ...core.checks import AnyMatrix, Array
 from ...core.errors import InvalidOption, InvalidProblem, did_you_mean
-from ...core.kernels.threads import threads_for
 from ...core.lcp import LCP
-from ...core.matrix import has_positive_diagonal, inverse_residual_scale, row_splits
 from ...core.problem_classes import CLASSES, class_of, refusal
-from ...core.settings import DEFAULTS, BatchOptions, Settings, checked_threads
+from ...core.settings import DEFAULTS, BatchOptions, Settings
 from ...engines import ENGINES
 from ...judges.program import PROGRAM_TOLERANCE
-from ...methods.banded import banded_passes
-from ...methods.multigrid import Multigrid
 from ...solving.dispatch import method_of
-from ...systems.factors import bands
-from ...systems.hierarchy.levels import hierarchy_of
 from ..cones.frictional_contact import FrictionalContactBatch
 from ..least_squares.data import BoundedLeastSquares
+from ..prepared import PreparedProblem
 from ..programs.program import QuadraticProgram, refuse_nonconvex
 from .batch_run import BatchAnswers, BatchRun
 from .instances import Listed, RightSides, Stacked, Worlds
 from .on_device import DeviceAnswers, is_on_gpu
 from .program_batch import ProgramBatch, programs_for
-
-P = TypeVar("P", LCP, QuadraticProgram)
-
-
-@np.errstate(all="ignore")
-def prepare(problem: P, *, threads: int | None = None) -> P:
-    """Return the problem, prepared for many q: all cached properties of M are computed.
-
-    ``problem.with_q(q)`` shares them. Without this call, a solve computes each property when it needs it. For a
-    program, the properties of P, G and A are computed; ``program.with_vectors(c, h, b)`` shares them.
-
-    Parameters
-    ----------
-    problem : LCP or QuadraticProgram
-    threads : int, optional
-        Number of threads, see :func:`lcp_plugin.solve`.
-
-    Raises
-    ------
-    InvalidOption
-        If the problem is neither, or `threads` is not a number of threads.
-    UnsupportedModel
-        If the program is not convex.
-
-    Examples
-    --------
-    >>> from lcp_plugin import LCP, solve
-    >>> problem = prepare(LCP([[2, -1], [-1, 2]], [-1, 0]))
-    >>> [float(solve(problem.with_q([-1, q])).z[0].round(6)) for q in (0.0, 1.0)]
-    [0.666667, 0.5]
-    """
-    if isinstance(problem, QuadraticProgram):
-        checked_threads(threads)
-        refuse_nonconvex(problem)
-        return problem
-    if not isinstance(problem, LCP):
-        raise InvalidOption(refusal("prepare", problem))
-    with threads_for(checked_threads(threads)):
-        inverse_residual_scale(problem.matrix)
-        if banded_passes(problem.matrix) < math.inf:
-            bands(problem.matrix)
-        for backward in (False, True):
-            row_splits(problem.matrix, backward)
-        if has_positive_diagonal(problem.matrix).all():
-            hierarchy_of(problem.matrix, Multigrid.coarsest)
-    return problem
 
 
 @np.errstate(all="ignore")
@@ -98,10 +46,10 @@ def solve_batch(
     Parameters
     ----------
     M : array, shape (B, n, n) or (n, n), a sparse array or an LCP for all, a sequence of problems, a program and its
-        vectors, or the result of `FrictionalContact.worlds`
-        With one LCP and a q of shape (B, n), all problems share the cached properties of its matrix, as after
-        :func:`prepare`, and its bounds, unless `lower` or `upper` is passed. For one program, pass a sequence of
-        mappings instead of q, as ``[{"b": b}, …]``, with the arguments of ``program.with_vectors``.
+        vectors, or the result of `FrictionalContact.worlds`; in place of one problem also a solver of `prepare`.
+        With one LCP and a q of shape (B, n), all problems share the cached properties of its matrix and its bounds,
+        unless `lower` or `upper` is passed. For one program, pass a sequence of mappings instead of q, as
+        ``[{"b": b}, …]``, with the arguments of ``program.with_vectors``.
         A sequence may contain problems of different sizes and of all classes; do not pass q, lower or upper with it.
         LCPs of one size with at most 128 unknowns are solved in a compiled loop if there are 32, or by "lemke" any
         number; small problems over the same cones and programs of one shape as stacks; others one by one. Arrays
@@ -158,10 +106,11 @@ def solve_batch(
     >>> batch[1].status.name
     'SOLVED'
 
-    >>> problem = prepare(LCP([[2, 1], [1, 2]], [0, 0]))
-    >>> solve_batch(problem, [[-5, 1], [-3, -3]]).z.round(6).tolist()
+    >>> from lcp_plugin import prepare
+    >>> step = prepare(LCP([[2, 1], [1, 2]], [0, 0]))
+    >>> solve_batch(step, [[-5, 1], [-3, -3]]).z.round(6).tolist()
     [[2.5, 0.0], [1.0, 1.0]]
-    >>> program = prepare(QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1]], b=[2]))
+    >>> program = QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1]], b=[2])
     >>> solve_batch(program, [{"b": [2]}, {"b": [4]}]).x.tolist()
     [[1.0, 1.0], [2.0, 2.0]]
 
@@ -178,6 +127,8 @@ def solve_batch(
     >>> (answers.x.round(6) + 0.0).tolist(), answers.inequality.round(6).tolist(), answers[0].status.name
     ([[0.5, 1.5], [0.0, 1.0]], [[0.5], [0.0]], 'SOLVED')
     """
+    if isinstance(M, PreparedProblem):
+        M = M.problem
     if unknown := [name for name in options if name not in BatchOptions.__annotations__]:
         known = ("lower", "upper", "z0", "algorithm", "callback", "executor")
         hint = did_you_mean(unknown[0], (*known, *BatchOptions.__annotations__))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...core.checks import Vector, checked_vector, derived_property, read_only
+from ...core.checks import MadeOnAccess, Vector, checked_vector, derived_property, read_only
 from ...core.errors import InvalidProblem
 from ...core.matrix import largest_products
 from ...core.settings import checked_tolerance
@@ -24,7 +24,7 @@ MEANINGS = {
 
 
 @dataclass(frozen=True, eq=False)
-class QPSolution:
+class QPSolution(MadeOnAccess):
     """Point x and multipliers of a quadratic program, with the two measures of the test.
 
     The multipliers have the signs of cvxpy's ``dual_value``: at a solution

@@ -195,7 +195,7 @@ def test_a_beam_over_an_obstacle() -> None:
 def test_one_round_a_step_prices_an_american_put() -> None:
     """Auto takes one round a step, from the last price or from nowhere, to the bits of an answer of its own."""
     scene = gallery.build("american_put_march", size=301, steps=30)
-    problem, z = prepare(scene.problem), np.array(scene.problem.lower)
+    problem, z = prepare(scene.problem).problem, np.array(scene.problem.lower)
     for _ in range(scene.steps):
         result = solve(problem, z0=z).require_solved()
         assert [(stage.name, stage.iterations) for stage in result.stages] == [("banded", 1)]

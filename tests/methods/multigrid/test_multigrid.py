@@ -236,7 +236,7 @@ def test_cycles_hardly_grow_with_the_grid() -> None:
 
 def test_a_warm_start_pays() -> None:
     """A run from its solution ends at once, and from a close one sooner than a cold run."""
-    problem = prepare(gallery.build("obstacle_2d", size=80).problem)
+    problem = prepare(gallery.build("obstacle_2d", size=80).problem).problem
     cold = solve(problem, "multigrid", tolerance=1e-10)
     again = solve(problem, "multigrid", z0=cold.z)
     assert again.iterations == 0
@@ -251,7 +251,7 @@ def test_a_warm_start_pays() -> None:
 def test_a_march_in_time_needs_few_corrections() -> None:
     """If the free boundary moves by many rows per step, warm starts need 6 corrections."""
     scene = gallery.build("american_put_march", size=20_001, steps=20)
-    problem, z, corrections = prepare(scene.problem), np.array(scene.problem.lower), 0
+    problem, z, corrections = prepare(scene.problem).problem, np.array(scene.problem.lower), 0
     for step in range(20):
         before = np.count_nonzero(z > problem.lower)
         result = solve(problem, "multigrid", z0=z, max_iterations=12)

@@ -1,0 +1,177 @@
+"""`prepare`: a solver for a loop has the statuses of `solve`, and forgets the last call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+from inputs.small_families import FAMILIES, draw
+
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    ConeProblem,
+    FrictionalContact,
+    InvalidOption,
+    InvalidProblem,
+    NonlinearProblem,
+    QuadraticProgram,
+    prepare,
+    solve,
+    solve_batch,
+)
+from lcp_plugin.judges.program import KKTErrors, dense_errors
+
+INF = np.inf
+LOOP = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, 0.0])
+
+
+def random_program(rng: np.random.Generator) -> tuple[Any, ...]:
+    """P, c, G, h, A, b and bounds: rows that may be infeasible, costs and entries of any size, active bounds."""
+    n, m, p = rng.integers(2, 7), rng.integers(1, 9), rng.integers(0, 3)
+    B = rng.normal(size=(n, rng.integers(1, n + 1))) * 10.0 ** rng.integers(-3, 4)
+    G, A, x = rng.normal(size=(m, n)), rng.normal(size=(p, n)), rng.normal(size=n)
+    h = G @ x + rng.exponential(size=m) * (rng.random(m) < 0.7) - (rng.random() < 0.1)
+    low = np.where(rng.random(n) < 0.4, x - rng.exponential(size=n), -INF)
+    high = np.where(rng.random(n) < 0.4, x + rng.exponential(size=n), INF)
+    c = rng.normal(size=n) * 10.0 ** rng.integers(-2, 3) * (rng.random() < 0.9)
+    return B @ B.T, c, G, h, A, A @ x, low, high
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_prepared_lcp_has_the_status_of_solve(family: str, draws: Callable[..., range]) -> None:
+    """Each problem of a family with the q, M and bounds of the next of its size, in a loop of one solver."""
+    drawn = draw(family, len(draws(1000, 60)), 8)
+    steps = {one.n: prepare(one) for one in drawn}
+    for one in drawn:
+        M = one.matrix.toarray()
+        found = steps[one.n].solve(q=one.q, M=M, lower=one.lower, upper=one.upper)
+        whole = solve(one)
+        assert found.status is whole.status
+        assert prepare(one).solve().status is whole.status
+        if family == "definite" and found.is_solved:
+            error = np.abs(M @ (found.z - whole.z)).max()
+            assert error <= 1e-6 * (np.abs(one.q).max() + np.abs(M @ whole.z).max())
+
+
+def test_a_prepared_program_has_the_status_of_solve(draws: Callable[..., range]) -> None:
+    """Random programs, some of them infeasible, and then with other vectors."""
+    rng = np.random.default_rng(0)
+    for _ in draws(1000, 60):
+        P, c, G, h, A, b, low, high = random_program(rng)
+        step = prepare(QuadraticProgram(P, c, G, h, A, b, low, high))
+        other = {"c": rng.normal(size=c.size), "h": h + rng.exponential(size=h.size)}
+        for vectors in ({}, other, {}):
+            whole = solve(step.problem.with_vectors(**vectors))
+            found = step.solve(**vectors)
+            assert found.status is whole.status
+            if found.is_solved:
+                size = abs(whole.objective) + np.abs(step.problem.c * whole.x).sum()
+                assert abs(found.objective - whole.objective) <= 1e-5 * size
+
+
+def test_a_prepared_contact_fit_and_nonlinear_problem_have_the_status_of_solve(
+    draws: Callable[..., range],
+) -> None:
+    """Random data: contacts with b and W anew, least squares with b anew, and a nonlinear problem from x0."""
+    rng = np.random.default_rng(0)
+    for _ in draws(1000, 20):
+        J, b, A = rng.normal(size=(6, 4)), rng.normal(size=6), rng.random((6, 3))
+        W = J @ J.T + np.eye(6) * (rng.random() < 0.8)
+        contact = FrictionalContact(W, b, [0.5, 0.3])
+        step = prepare(contact)
+        again = FrictionalContact(2.0 * W, -b, [0.5, 0.3])
+        assert step.solve(W=2.0 * W, b=-b).status is solve(again).status
+        assert step.solve(b=-b).status is solve(FrictionalContact(W, -b, [0.5, 0.3])).status
+        assert step.solve().z.tobytes() == solve(contact).z.tobytes()
+        fit = prepare(BoundedLeastSquares(A, b))
+        assert fit.solve(b=-b).status is solve(BoundedLeastSquares(A, -b)).status
+        curved = NonlinearProblem(lambda x, b=b: x + x**3 + b, lower=np.zeros(6))
+        assert prepare(curved).solve(x0=np.abs(b)).status is solve(curved, x0=np.abs(b)).status
+
+
+def test_a_point_that_the_compiled_test_of_programs_accepts_passes_the_criterion() -> None:
+    """3000 points near solutions: two bounds within half of the tolerances imply the criterion by plain sums."""
+    rng, accepted = np.random.default_rng(1), 0
+    for _ in range(600):
+        one = QuadraticProgram(*random_program(rng))
+        judged = one.judged
+        (P, C), solved = one.matrices.stacked, solve(one)
+        if not solved.is_solved or judged.terms.components.number > 1:
+            continue
+        y = np.append(solved.duals["inequality"], solved.duals["equality"])
+        for size in (0.0, 1e-14, 1e-11, 1e-9, 1e-7):
+            near = [each * (1.0 + size * rng.normal(size=each.size)) for each in (solved.x, y)]
+            data = P, judged.c, C, judged.d, one.h.size, one.lower, one.upper
+            primal, gap = dense_errors(*data, *near)
+            for tolerance in (1e-6, 1e-9, 1e-12):
+                if primal <= 5e-10 and gap <= 0.5 * tolerance:
+                    accepted += 1
+                    assert KKTErrors.of(judged, *near, tolerance).meet(tolerance)
+    assert accepted > 1000
+
+
+def test_data_that_are_not_passed_are_the_prepared_problems() -> None:
+    """A call with other data, bounds or a start leaves the next call's bits alone."""
+    step, other = prepare(LOOP), np.array([1.0, -4.0])
+    first = step.solve()
+    for call in ({"q": other}, {"M": 3.0 * np.eye(2)}, {"lower": 0.2, "upper": 0.3}, {"z0": other}):
+        changed = step.solve(**call)
+        assert changed.is_solved
+        assert step.solve().z.tobytes() == first.z.tobytes()
+    assert step.solve(q=other, warm=True).is_solved
+    assert step.solve().z.tobytes() == first.z.tobytes()
+    np.testing.assert_allclose(step.solve(q=other).z, [2.0 / 3.0, 7.0 / 3.0])
+
+
+def test_wrong_data_are_refused_as_by_the_constructor() -> None:
+    """A NaN, another shape, crossed bounds, and classes without a loop."""
+    step, of_program = (
+        prepare(LOOP),
+        prepare(QuadraticProgram(np.eye(2), [1.0, 1.0], [[1.0, 1.0]], [1.0])),
+    )
+    for call in (
+        {"q": np.array([np.nan, 0.0])},
+        {"q": np.zeros(3)},
+        {"M": np.full((2, 2), np.inf)},
+        {"M": np.eye(3)},
+        {"lower": 2.0, "upper": 1.0},
+    ):
+        with pytest.raises(InvalidProblem):
+            step.solve(**call)
+    for call in ({"c": np.array([np.nan, 0.0])}, {"h": np.zeros(2)}, {"lower": 2.0, "upper": 1.0}):
+        with pytest.raises(InvalidProblem):
+            of_program.solve(**call)
+    with pytest.raises(InvalidOption, match="prepare needs"):
+        prepare(ConeProblem(np.eye(2), [1.0, 1.0], [("second_order", 2)]))
+    with pytest.raises(InvalidOption):
+        prepare(LOOP, tolerrance=1e-8).solve()
+
+
+def test_threads_may_share_a_solver() -> None:
+    """400 calls by four threads have the bits of calls one after another."""
+    rng = np.random.default_rng(0)
+    loads = rng.normal(size=(400, 2))
+    step = prepare(LOOP)
+    alone = [step.solve(q=q).z.tobytes() for q in loads]
+    with ThreadPoolExecutor(4) as pool:
+        assert [*pool.map(lambda q: step.solve(q=q).z.tobytes(), loads)] == alone
+
+
+def test_the_caller_may_write_to_the_data_after_the_call() -> None:
+    """The record of a result, which is made on access, belongs to the data of its call."""
+    step, q = prepare(LOOP), np.array([-1.0, 0.5])
+    found = step.solve(q=q)
+    q[:] = 7.0
+    assert found.certificate.problem.q.tolist() == [-1.0, 0.5]
+    assert found.residual <= 1e-12
+    assert "SOLVED" in str(found)
+
+
+def test_a_batch_takes_a_solver() -> None:
+    """Its problem is the problem of the batch."""
+    loads = np.array([[-1.0, 0.0], [0.0, -2.0]])
+    assert (solve_batch(prepare(LOOP), loads).z == solve_batch(LOOP, loads).z).all()

@@ -83,7 +83,12 @@ class KKTErrors(NamedTuple):
         cls, program: JudgedProgram, x: Vector, y: Vector, tolerance: float = PROGRAM_TOLERANCE
     ) -> KKTErrors:
         """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
-        found = cls(np.inf, np.inf)
+        found, terms = cls(np.inf, np.inf), program.terms
+        if terms.is_one_dense_component and tolerance:
+            data = program.c, terms.C, program.d, terms.m, program.lower, program.upper
+            found = cls(*map(float, MEASURE_IN_PYTHON(terms.P, *data, x, y, 1.0)))
+            if found.meet(tolerance):
+                return found
         if np.isfinite(x).all() and np.isfinite(y).all():
             for is_exact in (False, True):
                 point = PrimalDualPoint(program, x, y, is_exact=is_exact)
@@ -171,6 +176,12 @@ class ProgramTerms:
         both = sp.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), shape=(n + m, n + m))
         count, part = connected_components(both, directed=False)
         return ProgramComponents(part[:n], part[n:], count)
+
+    @cached_property
+    def is_one_dense_component(self) -> bool:
+        """True if :func:`dense_errors` measures programs with these matrices."""
+        is_small = isinstance(self.P, np.ndarray) and 0 < self.C.shape[1] <= 400 >= self.C.shape[0]
+        return is_small and self.components.number == 1
 
     @cached_property
     def measured(self) -> tuple[Any, Any, Any, Any, Any]:
@@ -372,115 +383,55 @@ def entries_of_rows(matrix: Any) -> Indices:
     return np.diff(matrix.indptr) if sp.issparse(matrix) else np.count_nonzero(matrix, axis=1)
 
 
-def is_one_dense_component(terms: ProgramTerms) -> bool:
-    """Return whether :func:`dense_errors` measures programs with these matrices."""
-    return (
-        isinstance(terms.P, np.ndarray)
-        and terms.components.number == 1
-        and max(terms.C.shape) <= 400
-    )
-
-
 @kernel
-def dense_errors(P, c, C, d, m, lower, upper, given, multipliers):  # type: ignore[no-untyped-def]
-    """Return upper bounds of the two measures of a point of a dense program of one component; ∞ for NaN.
+def dense_errors(P, c, C, d, m, lower, upper, given, multipliers, safety):  # type: ignore[no-untyped-def]
+    """Return upper bounds of the two measures of a point of a dense program of one component; ∞ if in doubt.
 
-    At most 400 unknowns and rows. If both bounds are at most half of the tolerances, `KKTErrors.of` accepts the point
-    by its plain sums, because
+    With `safety` = 1 this is the rule by plain sums. With `SAFETY` = 5, if the first bound is at most half of
+    `ROWS` and the second half of the tolerance, the rule accepts the point for sums in any order, for at most 400
+    unknowns and rows, because
 
-    - sums in another order differ by at most twice their bound of rounding errors, which counts `SAFETY` = 5 times
-      here where it adds to an error, and where it reduces a size: r_j, violations, xᵀP x, P x and P x + c;
+    - sums in another order differ by at most twice their bound of rounding errors, which counts 5 times here where it
+      adds to an error, and where it reduces a size: r_j, violations, xᵀP x, P x and P x + c;
     - |cᵀx| may differ by 2 n ε Σ |c_j x_j|, at most 1e-5 of the size, which is at least 1e-8 of these terms;
     - x in its bounds, y, and the unknowns off their bounds are the same numbers in both;
     - so a way here is at least the way there, up to 1e-5: an unknown that is far only there has its whole r_j times
       distance in the sum here, which is also the most that it adds to the maximum there (the factor of 2); an unknown
       within 1e-5 of its way counts in both places here.
     """
-    n, rows, top, primal = c.size, d.size, 0.0, 0.0
-    x, y, T, miss, big = np.empty(n), np.empty(rows), np.empty(rows), np.empty(rows), np.empty(rows)
-    product, lost, left, doubt = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    for j in range(n):
-        x[j] = min(max(given[j], lower[j]), upper[j])
-        top = max(top, abs(x[j]))
-        if not abs(given[j]) < INF:
-            return INF, INF
-        if x[j] != given[j]:
-            primal = max(primal, abs(given[j] - x[j]) / max(abs(x[j]), abs(given[j])))
+    n, rows, unit = c.size, d.size, safety * UNIT
+    if not (np.isfinite(given).all() and np.isfinite(multipliers).all()):
+        return INF, INF
+    x, is_limit = np.minimum(np.maximum(given, lower), upper), d < INF
+    y, d = np.where(is_limit, multipliers, 0.0), np.where(is_limit, d, 0.0)
+    y[:m] = np.maximum(y[:m], 0.0)
+    of_x, of_y, of_C, cost, row_sizes = np.abs(x), np.abs(y), np.abs(C), np.abs(c), np.ones(rows)
     for i in range(rows):
-        side, y[i], big[i] = d[i], multipliers[i], 0.0
-        if not abs(y[i]) < INF:
-            return INF, INF
-        if side == INF or (i < m and y[i] < 0.0):
-            y[i] = 0.0
-        if side == INF:
-            side = 0.0
-        total, T[i] = -side, abs(side)
-        for j in range(n):
-            term = C[i, j] * x[j]
-            total += term
-            T[i] += abs(term)
-            big[i] = max(big[i], abs(C[i, j]))
-        if big[i] == 0.0:
-            big[i] = 1.0
-        rounding = SAFETY * (n + 3.0) * UNIT * T[i]
-        miss[i] = abs(total) + rounding
-        over = total + rounding if i < m else miss[i]
-        if d[i] < INF and not over <= 0.0:
-            primal = max(primal, over / max(T[i], LEAST_PRICE))
-            if not over < INF:
-                return INF, INF
-    curved, hidden, costs, value, most, largest_cost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(n):
-        total, terms = 0.0, 0.0
-        for k in range(n):
-            term = P[j, k] * x[k]
-            total += term
-            terms += abs(term)
-        product[j], lost[j] = total, SAFETY * (n + 3.0) * UNIT * terms
-        terms += abs(c[j])
-        left[j] = total + c[j]
-        for i in range(rows):
-            term = C[i, j] * y[i]
-            left[j] += term
-            terms += abs(term)
-        doubt[j] = SAFETY * (n + rows + 3.0) * UNIT * terms
-        if not terms < INF:
-            return INF, INF
-        curved += x[j] * total
-        hidden += abs(x[j]) * lost[j]
-        costs += abs(c[j] * x[j])
-        value += c[j] * x[j]
-        largest_cost = max(largest_cost, abs(c[j]))
-        if min(x[j] - lower[j], upper[j] - x[j]) > DATA_ROUNDING * top:
-            most = max(most, abs(total + c[j]) - lost[j])
-    curved, least, gap, far = max(abs(curved) - hidden, 0.0), 0.0, 0.0, 0.0
-    for i in range(rows):
-        least += min(abs(y[i]), most / big[i]) * T[i]
-        gap += abs(y[i]) * miss[i]
-    for j in range(n):
-        lost[j] /= SAFETY * (n + 3.0) * UNIT  # |P| |x|
-        if largest_cost == 0.0:
-            least += abs(x[j]) * lost[j]
-    size = max(abs(value) + curved, CANCELLED * (costs + curved), LEAST_SIZE * least, SMALLEST_SIZE)
-    for j in range(n):
-        rest, below, above = abs(left[j]) + doubt[j], x[j] - lower[j], upper[j] - x[j]
-        distance = below if left[j] > 0.0 else above
-        if abs(left[j]) <= doubt[j]:
-            distance = max(below, above)
-        price = max(abs(product[j]) - SAFETY * (n + 3.0) * UNIT * lost[j], 0.0)
-        if c[j] == 0.0:
-            price = max(price, lost[j])
-        price += abs(c[j])
-        for i in range(rows):
-            price += abs(C[i, j]) * min(abs(y[i]), most / big[i])
-        way = MOVES * size / max(price, LEAST_PRICE)
-        if rest > 0.0:
-            reach = distance
-            if distance > way:
-                far = max(far, rest * way)
-                if distance > way * 1.00001:
-                    reach = min(distance, MOVES * abs(x[j]))
-            gap += rest * reach
-    if not (gap + far < INF and size < INF):
-        return primal, INF
-    return primal, (gap + far) / size
+        row_sizes[i] = of_C[i].max()
+    terms, bend, product = of_C @ of_x + np.abs(d), np.abs(P) @ of_x, P @ x
+    excess, rounding, lost = C @ x - d, unit * (n + 3.0) * terms, unit * (n + 3.0) * bend
+    missed, over = np.abs(excess) + rounding, np.abs(excess) + rounding
+    over[:m] = np.maximum(excess[:m] + rounding[:m], 0.0)
+    over = np.where(is_limit, over / np.maximum(terms, LEAST_PRICE), 0.0)
+    outside = np.abs(given - x) / np.maximum(np.maximum(of_x, np.abs(given)), LEAST_PRICE)
+    primal = max(outside.max(), over.max() if rows > 0 else 0.0)
+    left, doubt = product + c + y @ C, unit * (n + rows + 3.0) * (bend + cost + of_y @ of_C)
+    below, above = x - lower, upper - x
+    is_off = np.minimum(below, above) > DATA_ROUNDING * of_x.max()
+    most = np.where(is_off, np.maximum(np.abs(product + c) - lost, 0.0), 0.0).max()
+    y = np.minimum(of_y, most / np.where(row_sizes > 0.0, row_sizes, 1.0))
+    curved = max(abs(x @ product) - of_x @ lost, 0.0)
+    size = max(abs(c @ x) + curved, CANCELLED * (cost @ of_x + curved), SMALLEST_SIZE)
+    size = max(size, LEAST_SIZE * (y @ terms + (0.0 if cost.any() else of_x @ bend)))
+    price = np.maximum(np.maximum(np.abs(product) - lost, 0.0), np.where(cost > 0.0, 0.0, bend))
+    way = MOVES * size / np.maximum(price + cost + y @ of_C, LEAST_PRICE)
+    rest, distance = np.abs(left) + doubt, np.where(left > 0.0, below, above)
+    distance = np.where(np.abs(left) <= doubt, np.maximum(below, above), distance)
+    reach = np.where(distance > 1.00001 * way, np.minimum(distance, MOVES * of_x), distance)
+    gap = of_y @ missed + np.where(rest > 0.0, rest * reach, 0.0).sum()
+    gap += np.where(distance > way, rest * way, 0.0).max()
+    is_certain = primal < INF and gap < INF and size < INF
+    return (primal, gap / size) if is_certain else (INF, INF)
+
+
+MEASURE_IN_PYTHON = np.errstate(all="ignore")(dense_errors.function)

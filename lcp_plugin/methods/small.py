@@ -265,7 +265,7 @@ def path_points(
             is_low, is_high = step >= start - problem.lower, step <= start - problem.upper
             sides = np.where(is_low, LOW, FREE + is_high)[None]
             z, bound = _bounded_points(*own, sides, tolerance)
-        elif has_free_unknowns(problem.lower, problem.upper):
+        elif ((problem.lower == -np.inf) & (problem.upper == np.inf)).any():
             z, bound = _bounded_points(*own, _ends_of_paths(*own[:4]), tolerance)
         else:
             z, bound = np.empty((1, problem.n)), np.empty(1)
@@ -279,11 +279,6 @@ def arrays_of_one(problem: LCP) -> tuple[Vector, Vector, Vector, Vector, Vector]
     M = read_only(problem.matrix.toarray())
     q, lower, upper, start = problem.q, problem.lower, problem.upper, problem.nearest_to_zero
     return M[None], q[None], lower[None], upper[None], start[None]
-
-
-def has_free_unknowns(lower: Vector, upper: Vector) -> bool:
-    """Return whether an unknown has no bound."""
-    return bool(((lower == -np.inf) & (upper == np.inf)).any())
 
 
 def _select(arrays: Any, items: Any) -> list[Any]:

@@ -258,6 +258,7 @@ class Options(AlgorithmOptions, total=False):
     prove: bool
     polish: bool
     check_jacobian: bool
+    search: str | None
 
 
 class BatchOptions(TypedDict, total=False):

@@ -63,11 +63,11 @@ class Ranks:
             return value
         return float(self.table(value).sum(axis=0)[0])
 
-    def everywhere(self, is_so: Any) -> bool:
+    def everywhere(self, is_so: Array) -> bool:
         """Return whether it is so on every rank, in every row of an array."""
         return self.all_largest(float(not np.all(is_so)))[0] == 0.0
 
-    def anywhere(self, is_so: Any) -> bool:
+    def anywhere(self, is_so: Array) -> bool:
         """Return whether a flag is true on at least one rank, in at least one entry."""
         return self.all_largest(float(np.any(is_so)))[0] > 0.0
 

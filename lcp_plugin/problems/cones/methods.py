@@ -35,7 +35,7 @@ from ...core.errors import UnsuitableProblem
 from ...core.kernels.floats import NORMAL
 from ...core.settings import whole_number
 from ...systems.free_systems import solved
-from .data import minimizers
+from .data import Blocks, minimizers
 from .factors import Factors, factorize_matrix
 from .sweeps import sweep_blocks
 
@@ -402,7 +402,7 @@ class ConeAlgorithm:
     cost: ClassVar[str]
     reference: ClassVar[str]
 
-    def points(self, problem: Any, stack: ConeStack, z: Vector, goal: float) -> Points:
+    def points(self, problem: Blocks, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point per step from z, until the residual is at most `goal` or no longer falls."""
         raise NotImplementedError
 
@@ -430,7 +430,7 @@ class ConeNSGS(ConeAlgorithm):
     def __post_init__(self) -> None:
         whole_number(self.sweeps, "nsgs: sweeps", 1)
 
-    def points(self, problem: Any, stack: ConeStack, z: Vector, goal: float) -> Points:
+    def points(self, problem: Blocks, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point every few sweeps."""
         return sweep_points(stack, z, np.inf, goal, each=self.sweeps, patience=STANDSTILL)
 
@@ -445,7 +445,7 @@ class ConeNewton(ConeAlgorithm):
     cost = "one factor of the blocks that are not open"
     reference = "Alart, Curnier 1991, doi:10.1016/0045-7825(91)90022-X"
 
-    def points(self, problem: Any, stack: ConeStack, z: Vector, goal: float) -> Points:
+    def points(self, problem: Blocks, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point per linear system, until no step reduces the residual."""
         return newton_points(stack, z, NEWTON_STEPS, goal)
 
@@ -460,7 +460,7 @@ class ConeInteriorPoint(ConeAlgorithm):
     cost = "one factor of all blocks a step, some 15 to 40 of them"
     reference = "Acary, Armand, Nguyen, Shpakovych 2024, doi:10.1080/10556788.2023.2296438"
 
-    def points(self, problem: Any, stack: ConeStack, z: Vector, goal: float) -> Points:
+    def points(self, problem: Blocks, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point per factorization."""
         if not problem.has_friction:
             raise UnsuitableProblem(f'{self.name} needs friction; try algorithm="fixed_point"')
@@ -482,7 +482,7 @@ class FixedPoint(ConeAlgorithm):
     cost = "one conic program, some ten to thirty factors"
     reference = "Acary, Cadoux, Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073"
 
-    def points(self, problem: Any, stack: ConeStack, z: Vector, goal: float) -> Points:
+    def points(self, problem: Blocks, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point per program until five gain nothing, and Newton's points."""
         best, least, since = z, stack.relative_residual(z), 0
         for found in minimizers(problem, stack.pattern.flat(z)[0]):

@@ -1,7 +1,7 @@
 """Complementarity problems and quadratic programs in cvxpy.
 
-If cvxpy raises ``KeyError: 'LCP'``, the method is not registered: write ``import lcp_plugin.modeling``. Importing
-`complements` does it as well, and ``import lcp_plugin`` if cvxpy was imported before.
+``import lcp_plugin`` registers the method, before or after cvxpy is imported. If cvxpy raises ``KeyError: 'LCP'``,
+this import is missing.
 
 **Pairs.** List them in ``cp.Problem(cp.Minimize(0), [...])`` and call ``problem.solve(method="LCP")``:
 

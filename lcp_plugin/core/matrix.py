@@ -151,12 +151,6 @@ class Matrix:
         row_largest = largest_in_rows(self.array)
         return read_only(np.where(row_largest == 0.0, 1.0, row_largest))
 
-    @property
-    @fact
-    def csc(self) -> sp.csc_array:
-        """The matrix by columns, shape (n, n)."""
-        return sp.csc_array(self.csr)
-
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the matrix without cached values and without the lock; a copy is checked again."""
         return type(self), (self.array,)

@@ -18,6 +18,7 @@ from ...core.settings import DEFAULTS, Settings
 from ...judges.program import PROGRAM_TOLERANCE
 from ...solving.dispatch import solve
 from ...systems.definiteness import is_semidefinite_to_rounding
+from ..least_squares.data import BoundedLeastSquares
 from ..programs.conversion import conditions
 from ..programs.program import QuadraticProgram, refuse_nonconvex
 from ..programs.solution import QPSolution
@@ -210,6 +211,8 @@ class Line:
         sides, ends = [case == -1, case == 1, case == 2], [lower, upper, np.zeros(lower.size)]
         held = np.select(sides, ends, z[: lower.size])
         x = read_only(np.clip(held, lower, upper))
+        if isinstance(problem, BoundedLeastSquares) and "b" in self.directions:
+            x = self._with_digits_of_b(problem, x, np.flatnonzero(case == 0))
         if not isinstance(problem, QuadraticProgram):
             return PathPoint(theta, problem, x, self.tolerance)
         y, m = z[x.size :], problem.h.size
@@ -219,6 +222,18 @@ class Line:
         at_upper = np.where(x == problem.upper, np.maximum(-left, 0.0), 0.0)
         solution = QPSolution.of_rows(problem, x, np.concatenate([y, at_lower, at_upper]))
         return PathPoint(theta, problem, x, self.tolerance, solution)
+
+    def _with_digits_of_b(self, problem: BoundedLeastSquares, x: Vector, free: Any) -> Vector:
+        """Return x solved once more on its free entries where b is near 0, next to b at start and stop."""
+        if not 0.0 < np.abs(problem.b).max(initial=0.0) < 1e-2 * np.abs(self.ends("b")).max():
+            return x
+        A, residual = problem.weighted_matrix[:, free], problem.product(x) - problem.b
+        slope = problem.apply_transpose(problem.apply_weights(residual)) + problem.ridge * x
+        slope += problem.l1 * np.sign(x)
+        gram = (A.T @ A).toarray() if problem.is_sparse else A.T @ A
+        found = np.array(x)
+        found[free] -= np.linalg.lstsq(gram + problem.ridge * np.eye(free.size), slope[free])[0]
+        return read_only(np.clip(found, problem.lower, problem.upper))
 
     @cached_property
     def is_monotone(self) -> bool:

@@ -508,6 +508,12 @@ def test_a_path_goes_through_data_that_are_0() -> None:
     """With b = 0 or q = 0 on the way all rows change at once; x before it has as many digits as b."""
     path = trace(BoundedLeastSquares([[1.0]], [1.0], lower=0), {"b": [1.0]}, 2, -2).require_solved()
     assert path.at(-0.999).x[0] == pytest.approx(1e-3, rel=1e-12)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        fit = BoundedLeastSquares(rng.normal(size=(4, 4)), np.zeros(4), -np.inf)
+        exact = trace(fit, {"b": rng.normal(size=4)}, 2, -2).require_solved()
+        for theta in (1e-3, 1e-6):
+            assert exact.at(theta).status is Status.SOLVED
     for seed in (32, 39, 86, 1, 2):
         rng = np.random.default_rng(seed)
         n = int(rng.integers(2, 7))

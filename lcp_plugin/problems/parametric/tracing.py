@@ -224,7 +224,7 @@ class Line:
         return PathPoint(theta, problem, x, self.tolerance, solution)
 
     def _with_digits_of_b(self, problem: BoundedLeastSquares, x: Vector, free: Any) -> Vector:
-        """Return x solved once more on its free entries where b is near 0, next to b at start and stop."""
+        """Return x, solved again on its free entries if b is small compared with its values at start and stop."""
         if not 0.0 < np.abs(problem.b).max(initial=0.0) < 1e-2 * np.abs(self.ends("b")).max():
             return x
         A, residual = problem.weighted_matrix[:, free], problem.product(x) - problem.b

@@ -121,13 +121,15 @@ class JosephyNewton(Algorithm):
         self.here, self.recent = start, deque([start], SEARCHES[search])
         # A jump of the residual may start a long decrease
         latest, since, grown = deque([self._progress(start)], maxlen=12), 0, 0
-        # 25 steps without a residual clearly below the residuals of the window before it
-        while since < 25 and (following := self._next_point()) is not None:
+        least, idle = latest[0], 0
+        # 25 steps without a residual clearly below those of the window before it, or 50 without a new least one
+        while since < 25 and idle < 50 and (following := self._next_point()) is not None:
             self.here = following = self._snap(following)
             self.recent.append(following)
             yield self.step()
             size = self._progress(following)
             since = 0 if size < 0.95 * min(latest) else since + 1
+            least, idle = (size, 0) if size < 0.95 * least else (least, idle + 1)
             latest.append(size)
             if since and self.is_at_floor():
                 return

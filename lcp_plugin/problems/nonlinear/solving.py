@@ -122,7 +122,7 @@ class JosephyNewton(Algorithm):
         # A jump of the residual may start a long decrease
         latest, since, grown = deque([self._progress(start)], maxlen=12), 0, 0
         least, idle = latest[0], 0
-        # 25 steps without a residual clearly below those of the window before it, or 50 without a new least one
+        # 25 steps without a residual clearly below the residuals before it, or 50 without a new least residual
         while since < 25 and idle < 50 and (following := self._next_point()) is not None:
             self.here = following = self._snap(following)
             self.recent.append(following)

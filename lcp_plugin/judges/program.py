@@ -200,25 +200,6 @@ class ProgramTerms:
         return in_rows, in_P, np.bincount(C.indices, minlength=n)
 
 
-def errors_of_each(together: JudgedProgram, x: Vector, y: Vector) -> KKTErrors:
-    """Return bounds of the errors, shape (B,), of B programs joined into one, at the rows of x, shape (B, n).
-
-    Sums are plain. If they do not decide a program, test this program on its own.
-    """
-    (count, n), m = x.shape, together.terms.m // len(x)
-    p = together.d.size // count - m
-    is_finite: Any = np.isfinite(x).all(axis=1)
-    at = np.where(is_finite[:, np.newaxis], x, 0.0).ravel()
-    point = PrimalDualPoint(together, at, np.nan_to_num(y), is_exact=False)
-    primal, gap = point.row_errors(), point.gaps()
-    of_G, of_A, of_bounds = np.split(primal, [m * count, (m + p) * count])
-    parts = (of_G.reshape(count, m), of_A.reshape(count, p), of_bounds.reshape(count, n))
-    gaps = gap[together.terms.components.of_unknown].reshape(count, n)
-    worst = (np.concatenate(parts, axis=1).max(axis=1, initial=0.0), gaps.max(axis=1, initial=0.0))
-    primal, gap = (np.where(is_finite & (one >= 0.0), one, np.inf) for one in worst)
-    return KKTErrors(primal, gap)
-
-
 class PrimalDualPoint:
     """Point with the sums of its two measures, and the sizes of all terms of these sums.
 

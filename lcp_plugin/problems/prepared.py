@@ -210,13 +210,13 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             sense = np.repeat([0, EQUATION], [n + m, p]).astype(np.intc)
             matrices = [np.array(each, order="C") for each in one.stacked]
             vectors = {name: getattr(problem, name) for name in self.data.split()}
-            self._arrays = matrices, vectors, sense
+            self._arrays = matrices, one.terms, vectors, sense
 
     def _solve_quickly(self, *_: Any, **data: Any) -> Any:
         """Return daqp's point if the compiled test accepts it, and nothing hints at a program without a minimum."""
         if self._arrays is None:
             return None
-        began, ((P, C), own, sense) = perf_counter(), self._arrays
+        began, ((P, C), terms, own, sense) = perf_counter(), self._arrays
         every = [_copy_of(data.get(name), own[name]) for name in own]
         if any(one is None for one in every):
             return None
@@ -228,7 +228,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         below[n : n + m] = -math.inf
         x, y = call_daqp(P, c.copy(), C, above, below, sense, DAQP.defaults)[:2]
         x, y = np.minimum(np.maximum(x, lower), upper), y[n:]
-        primal, gap = dense_errors(P, c, C, d, m, lower, upper, x, y, SAFETY)
+        primal, gap = dense_errors(terms.P, c, terms.C, read_only(d), m, lower, upper, x, y, SAFETY)
         is_certain = primal <= CERTAIN_ROWS and np.abs(x).max() <= FAR
         if not (is_certain and gap <= 0.5 * self._tolerance):
             return None

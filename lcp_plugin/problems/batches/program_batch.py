@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ...core.checks import AnyMatrix, Array, BoolVector, assemble_csr, read_only
+from ...core.checks import AnyMatrix, Array, BoolVector, read_only
 from ...core.errors import InvalidProblem, LCPError
 from ...core.kernels.floats import EPSILON
 from ...engines import engine_class, is_installed
-from ...judges.program import ProgramComponents, errors_of_each
+from ...judges.program import MEASURE_IN_PYTHON, KKTErrors, ProgramTerms, dense_errors
+from ...methods.small import LOOP_FROM, has_numba
 from ..many import rows_of_a_batch
 from ..programs.program import CANCELS, VECTORS, QuadraticProgram
-from ..programs.program_matrices import ProgramMatrices, as_array, may_be_small
+from ..programs.program_matrices import as_array, may_be_small
 from .instances import Instances, Stacks, have_values
 
 ENGINE = "daqp"
@@ -167,13 +168,11 @@ class ProgramBatch(Instances):
         share = 1 if threads == 1 else BLOCKS_A_THREAD * threads
         # Entries per evaluation of the criterion
         size = max(min(2**18 // entries, -(-count // share)), 1)
-        shared = cache(partial(block_matrices, data[0], data[2], m))
         for first in range(0, count, size):
             own = slice(first, min(first + size, count))
             parts = [one[own] if len(one) > 1 else one for one in data]
             items = np.arange(count)[own]
-            matrices = shared(items.size) if self.shared is not None else None
-            yield items, partial(solve_programs, parts, m, may[own], tolerance, matrices)
+            yield items, partial(solve_programs, parts, m, may[own], tolerance)
 
     def tables(self, z: Array) -> dict[str, Any]:
         """Return x and the multipliers by name."""
@@ -225,9 +224,9 @@ def programs_for(program: QuadraticProgram, vectors: Array) -> list[QuadraticPro
 
 
 def solve_programs(
-    data: Sequence[Any], m: int, may: Any, tolerance: float, matrices: ProgramMatrices | None
+    data: Sequence[Any], m: int, may: Any, tolerance: float
 ) -> tuple[Any, Any, Any, Any]:
-    """Run the engine on each of these programs, and test all points together; their block matrices may be known.
+    """Run the engine on each of these programs, and test each point; a program of several components is left open.
 
     Returns
     -------
@@ -247,45 +246,17 @@ def solve_programs(
     at_lower = np.maximum(-signed[:, :n], 0.0) * np.isfinite(lower)
     at_upper = np.maximum(signed[:, :n], 0.0) * np.isfinite(upper)
     x = np.clip(x, lower, upper)
-    rights = d[:, :m].ravel(), d[:, m:].ravel()
-    matrices = matrices or block_matrices(P, C, m, count)
-    vectors = c.ravel(), *rights, lower.ravel(), upper.ravel()
-    together = QuadraticProgram.with_matrices(matrices, *vectors)
-    of_rows = np.concatenate([y[:, :m].ravel(), y[:, m:].ravel()])
-    errors = errors_of_each(together.judged, x, of_rows)
+    pairs = [(P[k % len(P)], C[k % len(C)]) for k in range(count if len(P) + len(C) > 2 else 1)]
+    are_whole = [ProgramTerms(*one, m).is_one_dense_component for one in pairs]
+    measure = dense_errors if wanted.size >= LOOP_FROM and has_numba() else MEASURE_IN_PYTHON
+    found = np.full((count, 2), np.inf)
+    for k in wanted[np.isfinite(x[wanted]).all(1)].tolist():
+        if are_whole[k % len(pairs)]:
+            (A, B), vectors = pairs[k % len(pairs)], (lower[k], upper[k], x[k], y[k])
+            found[k] = measure(A, c[k], B, d[k], m, *vectors, 1.0)
+    errors = KKTErrors(*found.T)
     rows = np.hstack([x, y, at_lower, at_upper])
     return rows, errors.largest, steps, errors.meet(tolerance)
-
-
-def block_matrices(P: AnyMatrix, C: AnyMatrix, m: int, count: int) -> ProgramMatrices:
-    """Return P, G and A of one block diagonal program; C holds m rows of G, then the rows of A."""
-    n, rows = P.shape[1], C.shape[1]
-    stacks = (np.broadcast_to(one, (count, *one.shape[1:])) for one in (P, C[:, :m], C[:, m:]))
-    matrices = ProgramMatrices(*map(block_diagonal, stacks))
-    known: dict[str, Any] = {"summands": (n, n, rows)}
-    is_connected = [(one != 0.0).all(axis=2).any(axis=1) for one in (P, C)]  # by a row without 0
-    if np.logical_or(*is_connected).all():
-        of_unknown, *parts = (np.repeat(np.arange(count), size) for size in (n, m, rows - m))
-        known["components"] = ProgramComponents(of_unknown, np.concatenate(parts), count)
-    vars(matrices).update(known)
-    return matrices
-
-
-def block_diagonal(stack: Array) -> sp.csr_array:
-    """Return a stack of matrices, shape (B, m, n), as the CSR array of B blocks, without their zeros.
-
-    Examples
-    --------
-    >>> block_diagonal(np.array([[[1.0, 0.0]], [[2.0, 3.0]]])).toarray()
-    array([[1., 0., 0., 0.],
-           [0., 0., 2., 3.]])
-    """
-    count, m, n = stack.shape
-    is_entry = stack != 0.0
-    starts = np.zeros(count * m + 1, np.int64)
-    np.cumsum(is_entry.sum(axis=2).ravel(), out=starts[1:])
-    columns = np.broadcast_to(np.arange(count * n).reshape(count, 1, n), stack.shape)[is_entry]
-    return assemble_csr(stack[is_entry], columns, starts, (count * m, count * n))
 
 
 def _stack(matrices: Any) -> Any:

@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from ..core.checks import Array, Vector, derived_property
+from ..core.checks import Array, Vector, derived_property, read_only
 from ..core.cone_stack import ON, OUT, WITHIN, ConeStack, length
+from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import EPSILON, NEGLIGIBLE, NORMAL
 from .lcp import Measured, RowData, RowsAtPoint, VectorEnds
 
@@ -188,10 +189,30 @@ def _of_cones(stack: ConeStack, z: Array, w: Array, error: Array) -> tuple[Array
     return size, np.where(is_open, 0.0, total)
 
 
-def bound_residuals(stack: ConeStack, z: Array, tolerance: float) -> Array:
-    """Return upper bounds of the relative residuals of contacts that the criterion accepts, (B,); ∞ if in doubt.
+def bound_residual(stack: ConeStack, z: Array, tolerance: float) -> float:
+    """Return an upper bound of the relative residual of contacts that the criterion accepts; ∞ if in doubt.
 
-    The test implies the criterion at z, of shape (B, k, m) with dense M, because
+    Parameters
+    ----------
+    stack : ConeStack
+        One problem.
+    z : array, shape (1, k, m)
+    """
+    pattern = stack.pattern
+    if not stack.has_friction or pattern.is_sparse:
+        return np.inf
+    labels = np.zeros(pattern.k, np.int64) if pattern.labels is None else pattern.labels[0]
+    flat = (pattern.flat(one)[0] for one in (stack.q, z))
+    data = pattern.M[0], *flat, stack.mu[0], stack.d[0], labels, stack.reference[0]
+    arrays = [read_only(np.ascontiguousarray(one)) for one in (pattern.starts, *data)]
+    return float(bound_contacts(*arrays, float(tolerance)))
+
+
+@kernel
+def bound_contacts(starts, W, b, z, mu, d, labels, reference, tolerance):  # type: ignore[no-untyped-def]
+    """Return the bound of :func:`bound_residual`.
+
+    The test implies the criterion at z, because
 
     - the rounding error of w is at least twice the criterion's own bound, and projections are nonexpansive, so that
       residuals by another order of summation stay within the limits here;
@@ -200,32 +221,40 @@ def bound_residuals(stack: ConeStack, z: Array, tolerance: float) -> Array:
       reference: the residual at z = 0, and the terms of a contact that presses;
     - each violation is at most 2⁻⁴³ of its terms, half of what the componentwise test allows at any tolerance.
     """
-    if not stack.has_friction or stack.pattern.is_sparse:
-        return np.full(stack.B, np.inf)
-    w, products = stack.slack(z), stack.pattern.times(z, absolute=True)
-    terms, margin = products + np.abs(stack.q), 4.0 * (stack.pattern.n + 8) * EPSILON
-    d, at, tangents, push, drift = stack.d, z[..., 0], z[..., 1:], w[..., 0], w[..., 1:]
-    size, is_row, radius, tangent = (
-        terms[..., 0],
-        stack.pattern.is_row,
-        stack.mu * at,
-        length(tangents),
-    )
-    presses = (at > 0.0) | is_row
-    beyond, along = tangents - drift / d[..., None], (drift * tangents).sum(-1)
-    edge = np.minimum(radius / np.maximum(length(beyond), NORMAL), 1.0)[..., None] * beyond
-    along = np.where(tangent >= (1.0 - AT_ROUNDING) * radius, np.minimum(along, 0.0), 0.0)
-    across = drift - (along / np.maximum(tangent * tangent, NORMAL))[..., None] * tangents
-    of_disk = length(terms[..., 1:])
-    is_right = np.where(presses, np.abs(push), -push) <= CERTAINLY_NEGLIGIBLE * size
-    is_right &= (length(across) <= CERTAINLY_NEGLIGIBLE * of_disk) | (radius == 0.0)
-    is_right &= (size + of_disk < np.inf) & ((at >= 0.0) | is_row)
-    rounding = margin * length(np.where(products > 0.0, terms + NORMAL, 0.0)) / d
-    normal = np.abs(np.where(is_row, push / d, np.minimum(push / d, at)))
-    residual = np.maximum(normal, length(tangents - edge))
-    rounding += 16.0 * EPSILON * np.maximum(radius, tangent)  # z_T and its projection cancel
-    residual = stack.pattern.largest(residual + rounding)
-    limit = np.minimum(stack.reference, stack.pattern.largest(presses * size / d)) * (1.0 - margin)
-    is_right &= residual <= 0.5 * tolerance * limit
-    bound = np.where(limit > 0.0, residual / limit, 0.0).max(1, initial=0.0)
-    return np.where(is_right.all(1), bound, np.inf)
+    margin, most, limits = 4.0 * (b.size + 8) * EPSILON, np.zeros(mu.size), np.zeros(mu.size)
+    products, w = np.abs(W) @ np.abs(z), W @ z + b
+    terms = products + np.abs(b)
+    doubt = np.where(products > 0.0, terms + NORMAL, 0.0)
+    for c in range(mu.size):
+        first, end = starts[c], starts[c + 1]
+        at, push, size, is_row = z[first], w[first], terms[first], end - first == 1
+        x, drift, radius = z[first + 1 : end], w[first + 1 : end], mu[c] * z[first]
+        tangent, of_disk = np.linalg.norm(x), np.linalg.norm(terms[first + 1 : end])
+        beyond = x - drift / d[c]
+        edge = min(radius / max(np.linalg.norm(beyond), NORMAL), 1.0) * beyond
+        along = (
+            np.minimum((drift * x).sum(), 0.0) if tangent >= (1.0 - AT_ROUNDING) * radius else 0.0
+        )
+        across = np.linalg.norm(drift - along / np.maximum(tangent * tangent, NORMAL) * x)
+        presses = at > 0.0 or is_row
+        is_right = (abs(push) if presses else -push) <= CERTAINLY_NEGLIGIBLE * size
+        is_right &= across <= CERTAINLY_NEGLIGIBLE * of_disk or radius == 0.0
+        if not (is_right and size + of_disk < np.inf and (at >= 0.0 or is_row)):
+            return np.inf
+        residual = max(
+            abs(push / d[c] if is_row else min(push / d[c], at)), np.linalg.norm(x - edge)
+        )
+        residual += margin * np.linalg.norm(doubt[first:end]) / d[c]
+        residual += 16.0 * EPSILON * max(radius, tangent)  # z_T and its projection cancel
+        most[labels[c]] = max(most[labels[c]], residual)
+        if presses:
+            limits[labels[c]] = max(limits[labels[c]], size / d[c])
+    bound = 0.0
+    for c in range(mu.size):
+        limit = np.minimum(reference[min(c, reference.size - 1)], limits[labels[c]])
+        limit *= 1.0 - margin
+        if not most[labels[c]] <= 0.5 * tolerance * limit:
+            return np.inf
+        if limit > 0.0:
+            bound = max(bound, most[labels[c]] / limit)
+    return bound

@@ -23,6 +23,7 @@ from ..core.problem_classes import class_of
 from ..core.settings import Settings, Status, checked_threads
 from ..engines import is_installed
 from ..engines.solvers import DAQP, EQUATION, call_daqp
+from ..judges.cones import bound_residual
 from ..judges.program import PROGRAM_TOLERANCE, SAFETY, dense_errors
 from ..methods.banded import banded_passes
 from ..methods.lemke import Lemke
@@ -33,7 +34,11 @@ from ..solving.lcp_solver import is_bare
 from ..solving.result import BaseResult, Result, StageRecord
 from ..systems.factors import bands
 from ..systems.hierarchy.levels import hierarchy_of
+from .cones.certificate import ConeCertificate
+from .cones.factors import FEW, stack_of
 from .cones.frictional_contact import FrictionalContact
+from .cones.methods import SWEEPS_PER_STEP
+from .cones.solving import ConeResult, swept_to_rounding
 from .programs.program import QuadraticProgram, refuse_nonconvex
 from .programs.result import QuadraticProgramResult
 from .programs.solution import QPSolution
@@ -251,6 +256,42 @@ class PreparedContact(PreparedProblem[FrictionalContact]):
     """Solver of contact problems that differ from a prepared one in b or W."""
 
     data, start = "b W", "z0"
+
+    def __init__(self, problem: FrictionalContact, algorithm: Any, options: dict[str, Any]) -> None:
+        super().__init__(problem, algorithm, options)
+        is_auto = isinstance(algorithm, str) and algorithm == "auto"
+        self._is_short = is_auto and not options.keys() - {"tolerance"} and 0 < problem.n <= FEW
+        self._tolerance = Settings(**options).tolerance if self._is_short else 0.0
+
+    def _solve_quickly(self, *_: Any, **data: Any) -> Any:
+        """Return the point of sweeps to rounding if the sufficient test accepts it."""
+        if not self._is_short:
+            return None
+        began, one = perf_counter(), self._changed(**data) if data else self.problem
+        stack = stack_of(one)
+        z, count = swept_to_rounding(stack, stack.origin)
+        if not bound_residual(stack, z, self._tolerance) < math.inf:
+            return None
+        z, found = read_only(stack.pattern.flat(z)[0]), object.__new__(ConeResult)
+        make = partial(self._record, one, z, count, perf_counter() - began)
+        vars(found).update(z=z, status=Status.SOLVED, problem=one, _make=make)
+        return found
+
+    def _record(
+        self, one: FrictionalContact, z: Vector, count: int, seconds: float
+    ) -> dict[str, Any]:
+        work = float(count * SWEEPS_PER_STEP)
+        made = {"certificate": ConeCertificate(one, z, self._tolerance), "algorithm": "auto: nsgs"}
+        made |= {
+            "iterations": count,
+            "work": work,
+            "tolerance": self._tolerance,
+            "setup_seconds": 0.0,
+        }
+        return made | {
+            "seconds": seconds,
+            "stages": (StageRecord("nsgs", "prepared", count, work),),
+        }
 
     def _changed(self, b: Any = None, W: Any = None) -> FrictionalContact:
         one = self.problem

@@ -17,7 +17,7 @@ from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.kernels.threads import threads_for
 from ...core.names import format_count
 from ...core.settings import Settings, Status
-from ...judges.cones import ConeRows, bound_residuals
+from ...judges.cones import ConeRows, bound_residual
 from ...judges.lcp import Measured
 from ...judges.worst_rows import WorstRows
 from ...methods.search import ExhaustiveSearch, is_searchable
@@ -91,6 +91,12 @@ def solve_cones(
         run = ConeRun(problem, progress, None if z0 is None else checked_start(problem, z0), chosen)
         result: ConeResult = run.solve(run.plan())
     return result
+
+
+def swept_to_rounding(stack: ConeStack, z: Array) -> tuple[Array, int]:
+    """Return the point of sweeps over a small contact problem until nothing changes, and the number of their steps."""
+    z, counts = sweep_blocks(stack, z, QUICK_STEPS * methods.SWEEPS_PER_STEP, EPSILON)
+    return z, -(-int(counts[0]) // methods.SWEEPS_PER_STEP)
 
 
 def _checked_algorithm(algorithm: object) -> str | ConeAlgorithm:
@@ -301,12 +307,11 @@ class ConeRun(Run):
         """Yield the start if it passes, or the point of a small contact problem after sweeps to rounding."""
         stack, is_small = self.stack, 0 < self.problem.n <= FEW
         is_tested = self.is_warm or stack.is_answered.all()
-        z, count, most = self.start, 0, QUICK_STEPS * methods.SWEEPS_PER_STEP
+        z, count = self.start, 0
         if is_small and is_tested:
             yield from self._passed(z, 0)
         if is_small and stack.has_friction:
-            z, counts = sweep_blocks(stack, z, most, EPSILON)
-            count = -(-int(counts[0]) // methods.SWEEPS_PER_STEP)
+            z, count = swept_to_rounding(stack, z)
             if count <= self.settings.max_iterations - max(self.progress.iteration, 0):
                 yield from self._passed(z, count)
         if is_tested:
@@ -318,9 +323,9 @@ class ConeRun(Run):
 
     def _passed(self, z: Array, count: int) -> Iterator[Stage]:
         """Yield a point that is a solution by a sufficient test."""
-        bound = bound_residuals(self.stack, z, self.tolerance)[0]
+        bound = bound_residual(self.stack, z, self.tolerance)
         if bound < np.inf:
-            point, work = Measured(z, float(bound), passes=True), count * methods.SWEEPS_PER_STEP
+            point, work = Measured(z, bound, passes=True), count * methods.SWEEPS_PER_STEP
             step = Step(z, measured=point, work=work + 1.0, iterations=count)
             yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))
 

@@ -10,7 +10,7 @@ from campaigns import cones as campaign
 from inputs.cone_families import exact_residuals, planted_cones, planted_contacts
 
 from lcp_plugin import ConeProblem, FrictionalContact, Status, certify, march, solve, solve_batch
-from lcp_plugin.judges.cones import ConeRows, bound_residuals
+from lcp_plugin.judges.cones import ConeRows, bound_residual
 from lcp_plugin.problems.cones import methods, solving
 from lcp_plugin.problems.cones.factors import stack_of
 from lcp_plugin.problems.cones.sweeps import sweep_blocks
@@ -172,7 +172,7 @@ def test_the_sufficient_test_accepts_only_points_that_pass(draws: Any) -> None:
         stack, z = stack_of(problem), scale * r * (1.0 + error * rng.standard_normal(r.size))
         with np.errstate(all="ignore"):
             at = stack.snap(stack.pattern.wide(z[None]))
-            bound = bound_residuals(stack, at, 1e-8)[0]
+            bound = bound_residual(stack, at, 1e-8)
             rows = ConeRows(stack)
             found = rows.measure_at(rows.flat(at), None, 1e-8)
         accepted, refused = accepted + (bound < np.inf), refused + (bound == np.inf)

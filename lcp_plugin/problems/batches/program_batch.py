@@ -226,7 +226,7 @@ def programs_for(program: QuadraticProgram, vectors: Array) -> list[QuadraticPro
 def solve_programs(
     data: Sequence[Any], m: int, may: Any, tolerance: float
 ) -> tuple[Any, Any, Any, Any]:
-    """Run the engine on each of these programs, and test each point; a program of several components is left open.
+    """Run the engine on each of these programs, and test each point, except of programs with several components.
 
     Returns
     -------

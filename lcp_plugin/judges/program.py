@@ -15,7 +15,8 @@ T_i = Σ_j |c_ij x_j| + |d_i| and K = 1000, it requires
 
 So no feasible point is better by more than the tolerance if its unknowns differ by at most K |x_j| and by moves that
 cost together at most K times the objective; at t times these moves, the gain is at most t times the tolerance. If c_j =
-0, |P| |x| takes the place of |P x| in price_j; if all costs of a component are 0, also in the size. Sums are plain,
+0 and r_j is at the rounding level of P x, |P| |x| takes the place of |P x| in price_j; if all costs of a component are
+0, in price_j and in the size. Sums are plain,
 with bounds of rounding errors. If these do not decide, sums are computed without rounding, and a violation of at most
 2⁻⁴⁷ |c_ij| T_k/|c_kj| is allowed: it is the rounding of x_j in another row k.
 
@@ -285,8 +286,10 @@ class PrimalDualPoint:
         size = np.maximum(size, CANCELLED * (sums(self.cost, of_x) + curved))
         size = np.maximum(size, LEAST_SIZE * sums(bend, of_x, y, self.row_terms))
         size = np.maximum(size, SMALLEST_SIZE)
-        # An unknown without a cost may be balanced by terms of P x that cancel
-        bend = np.where(self.cost > 0.0, 0.0, self.bend)
+        # Without a cost, a gradient at the rounding level of P x is balanced by terms of P x that cancel
+        in_P = self.terms.summands[1]
+        is_rounding = (self.cost == 0.0) & (np.abs(self.left) <= (in_P + 3.0) * UNIT * self.bend)
+        bend = np.where(is_rounding, self.bend, 0.0)
         price = np.maximum(np.abs(self.product) - self.lost, bend) + self.cost
         price += self.terms.measured[4] @ y
         left = np.abs(self.left)

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ..core.kernels.floats import NEGLIGIBLE
 from ..core.matrix import Matrix
 from ..judges.lcp import Measured, RowData, times
 from ..systems.factors import factor_operations
@@ -19,25 +18,14 @@ from ..systems.free_systems import FreeSystem
 
 
 def measure_finished(data: RowData, z: Any, tolerance: float, absolute: float = 0.0) -> Measured:
-    """Return the measure of z, snapped, with its small rows finished; of a stack only with zeros for rounding errors.
+    """Return the measure of z, snapped, with its small rows finished if it is one point.
 
     Parameters and result as of :meth:`.RowData.measure_at`.
     """
     found = data.measure(z, tolerance, absolute)
-    if np.all(found.passes | (found.residual > tolerance)):
+    if found.z.ndim > 1 or found.passes or found.residual > tolerance:
         return found
-    z = found.z
-    is_noise = np.abs(z) <= NEGLIGIBLE * data.largest(np.abs(z))
-    flushed = np.where(is_noise & (data.lower <= 0.0) & (data.upper >= 0.0), 0.0, z)
-    again = data.measure_at(flushed, None, tolerance, absolute)
-    if found.z.ndim == 1:
-        return again if again.passes else _finished(data, found, tolerance, absolute)
-    is_better = ~found.passes & again.passes
-    kept = np.where(is_better[:, np.newaxis], flushed, z)
-    residual = np.where(is_better, again.residual, found.residual)
-    # Rows and residuals belong to the points before
-    passes = found.passes | again.passes
-    return found._replace(z=kept, residual=residual, passes=passes, rows=None, by_row=None)
+    return _finished(data, found, tolerance, absolute)
 
 
 def _finished(data: RowData, found: Measured, tolerance: float, absolute: float) -> Measured:

@@ -45,7 +45,7 @@ class Exact:
         self.at_zero = data.at_zero()
         self.reference = max(self.at_zero)
         pairs = zip(map(abs, data.residual(self.z)), references(problem, self.z), strict=True)
-        self.relative = max(r / reference if r else Fraction(0) for r, reference in pairs)
+        self.relative = max((r / s if s else math.inf) if r else Fraction(0) for r, s in pairs)
 
 
 # --- Problems to measure -----------------------------------------------------------------------------------

@@ -50,7 +50,12 @@ def references(problem: LCP, z: Any) -> list[Fraction]:
     parts = component_of_rows(problem.csr)
     begun = ExactData(problem).counted(start.z)
     both = references_of_rows(begun, parts), references_of_rows(active, parts)
-    return [min(start or end, end) for start, end in zip(*both, strict=True)]
+    slack = [
+        abs(v) / d if abs(v) > NEGLIGIBLE * t else Fraction(0)
+        for v, t, d in zip(start.w, start.terms, start.d, strict=True)
+    ]
+    solved = references_of_rows(slack, parts)
+    return [min(r or w, end) for r, end, w in zip(*both, solved, strict=True)]
 
 
 class _Rows:

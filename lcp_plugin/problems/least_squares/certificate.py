@@ -141,7 +141,7 @@ class Optimality:
 def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, Vector]:
     """Return the gap relative to its cost, apart from rounding, at most 1, and its y."""
     enclosures, x = judged.enclosures, judged.x
-    residual = enclosures.explained(judged.misfit)
+    residual = enclosures.explained(x, judged.misfit)
     least, best = np.inf, residual[0]
     for y, slope in _with_shrunk(enclosures, x, _dual_points(judged)):
         if (value := float(_gap_of_cost(enclosures.problem, x, residual, y, slope))) < least:
@@ -195,7 +195,7 @@ def measure_stack(
     value, is_solved : array, shape (B,)
     """
     enclosures = Enclosures(problem)
-    residual = enclosures.explained(enclosures.residual(x))
+    residual = enclosures.explained(x, enclosures.residual(x))
     y, slope = residual[0], enclosures.gradient_at(x, residual[0])
     value = _gap_of_cost(problem, x, residual, y, slope)
     if not (value <= tolerance).all():

@@ -18,7 +18,7 @@ from ...core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, OUTWARD, TINY
 from ...core.matrix import Matrix
-from ...core.rounding import gamma
+from ...core.rounding import compensated_product, gamma
 from ...judges.lcp import RAN_AWAY
 from ...proofs.bounds import smallest_eigenvalue_bound
 from ...systems.equilibration import power_of_two
@@ -467,9 +467,12 @@ class Enclosures:
         largest = (size / unit).max(-1, keepdims=True, initial=0.0)
         return gamma(2 * self._terms[0] + 8) * RAN_AWAY * unit * largest
 
-    def explained(self, residual: Ball) -> Ball:
-        """Return A x − b with its rounding errors as far as the data explain them."""
-        return residual[0], np.minimum(residual[1], self.most_rounding)
+    def explained(self, x: Vector, residual: Ball) -> Ball:
+        """Return A x − b with its rounding errors as far as the data explain them; of one x that ran away sharply."""
+        value, slip = residual
+        if x.ndim == 1 and (slip > self.most_rounding).any():
+            value = compensated_product(sp.csr_array(self.problem.A), x, -self.problem.b)[0]
+        return value, np.minimum(slip, self.most_rounding)
 
     def gradient(self, x: Vector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""

@@ -219,7 +219,8 @@ class LeastSquaresRun(Run):
     def _size_at(self, point: engines.FacePoint) -> float:
         """Return the measure of a projected step, relative to the gradient of the data."""
         size = max(point.residual_in_orthant, point.pull_across) * point.problem.size
-        return size / self.enclosures.reference if size > 0.0 else 0.0
+        reference = self.enclosures.reference  # 0 if the point nearest to 0 is a solution
+        return size / reference if size > 0.0 and reference > 0.0 else size
 
     def residual_of(self, step: Step) -> float | None:
         """Return the measure of a step for a sample."""

@@ -176,10 +176,11 @@ def certify(
         else:
             point, y = _answer(problem, x, multipliers)
             found = proofs.prove_answer(point, y, float(tolerance))
-            near = on_bounds(convex, point, float(tolerance))
-            if found.verdict != "proved" and not np.array_equal(near, point):
+            near = point if found.verdict == "proved" else proofs.on_bounds(point, float(tolerance))
+            if not np.array_equal(near, point):
                 moved = proofs.prove_answer(near, y, float(tolerance))
-                found = moved if moved.verdict == "proved" else found
+                if moved.verdict == "proved":
+                    found = replace(moved, violation=found.violation)
             y = np.zeros(problem.constraints.rows) if y is None else y[: problem.constraints.rows]
             found = replace(found, rows=partial(worst_constraints, problem, point, y))
         rounding = "" if convex is problem else f", {WITHIN_ROUNDING}"
@@ -231,7 +232,8 @@ def _check_point(problem: Any, x: Any, multipliers: Any, claim: Any, *options: A
 def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
     """Return whether x satisfies the stopping criterion of a problem of pairs.
 
-    x is not moved: this is the function that ``solve`` applies to the points of its methods.
+    x is not moved, but for zeros in place of unknowns at rounding level if x passes only so: this is the function that
+    ``solve`` applies to the points of its methods.
 
     Parameters
     ----------
@@ -247,7 +249,7 @@ def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
     criterion = resolve_name(f"lcp_plugin.{CLASSES[str(class_of(problem))].criterion}")
     x = checked_vector(x, "x", x.size)
     data, z, w, names = criterion(problem, x)
-    found = data.measure_at(z, w, tolerance)
+    found = data.with_zeros(data.measure_at(z, w, tolerance), tolerance)
     fails = bool(np.any(found.by_row.fails(tolerance)))
     passes = not fails and bool(np.all(found.passes))
     residual, reason = float(np.max(found.by_row.relative, initial=0.0)), ""
@@ -465,6 +467,35 @@ class ProgramProofs:
             )
         return unproved
 
+    def on_bounds(self, x: Vector, tolerance: float) -> Vector:
+        """Return x with each x_j on a bound if nothing notices the move; x itself if its value would change.
+
+        Interior-point methods end at 1e-9 for a bound of 0, other solvers at −1e-17. A move is not noticed if it changes
+        no gradient, equality or row with a multiplier by more than the tolerance times its terms.
+        """
+        program, own = self.program, self.own_solution
+        if own is None:
+            return x
+        terms, (m, *_) = program.matrices.terms, program.matrices.sizes
+        sizes = np.concatenate(
+            [
+                abs(terms.sparse_P) @ np.abs(x) + np.abs(program.c),
+                abs(terms.rows) @ np.abs(x) + np.abs(program.judged.d),
+            ]
+        )
+        y = own.multipliers[: program.constraints.rows].copy()
+        y[m:] = 1.0
+        entries, moves = terms.gradient.tocoo(), np.full(program.n, np.inf)
+        counts = np.append(np.ones(program.n), y)[entries.col] > 0.0
+        at, sides = entries.row[counts], sizes[entries.col] / np.abs(entries.data)
+        np.minimum.at(moves, at, sides[counts])
+        moves = tolerance * np.where(moves < np.inf, moves, 0.0)
+        near = np.where(np.abs(x - program.upper) <= moves, program.upper, x)
+        near = np.where(np.abs(x - program.lower) <= moves, program.lower, near)
+        change = np.abs(program.c + program.P @ near) @ np.abs(near - x)
+        size = max(size_of_objective(program, x)[0], least_size(program.judged, x, y))
+        return near if change <= tolerance * size else x
+
     def prove_answer(self, x: Vector, given: Vector | None, tolerance: float) -> Certification:
         """Return the verdict on a point and its multipliers of all constraints."""
         program, value = self.program, value_bounds.objective_bounds(self.program, x)
@@ -552,26 +583,6 @@ class Violation:
             bool((largest <= allowed).all()),
             bool((least > allowed * OUTWARD).any()),
         )
-
-
-def on_bounds(program: QuadraticProgram, x: Vector, tolerance: float) -> Vector:
-    """Return x with each x_j on a bound if no row and no gradient notices the move.
-
-    Interior-point methods end at 1e-9 for a bound of 0, other solvers at −1e-17. A move is not noticed if it changes no
-    sum by more than the tolerance times its terms; an x_j without entries is not moved.
-    """
-    terms = program.matrices.terms
-    sizes = np.concatenate(
-        [
-            abs(terms.sparse_P) @ np.abs(x) + np.abs(program.c),
-            abs(terms.rows) @ np.abs(x) + np.abs(program.judged.d),
-        ]
-    )
-    entries, moves = terms.gradient.tocoo(), np.full(program.n, np.inf)
-    np.minimum.at(moves, entries.row, sizes[entries.col] / np.abs(entries.data))
-    moves = tolerance * np.where(moves < np.inf, moves, 0.0)
-    near = np.where(np.abs(x - program.upper) <= moves, program.upper, x)
-    return np.where(np.abs(x - program.lower) <= moves, program.lower, near)
 
 
 def largest_terms(rows: Any, limit: Vector, x: Vector) -> Vector:

@@ -475,6 +475,7 @@ class LinearizedRows(RowData):
     def references(self) -> tuple[Vector, Vector]:
         """References as the docstring of this module defines them."""
         origin, distance = self.origin_point.value, self.largest(np.abs(self.x - self.start))
+        distance = np.maximum(distance, self.largest_slack_at_start)
         residual = np.abs(self.residual(self.start, origin))
         of_value = self.largest(np.where(np.isfinite(origin), residual, np.inf))
         of_value = np.where(of_value > 0.0, of_value, np.inf)

@@ -469,7 +469,7 @@ class NonlinearRun(Run):
 
     def _passes(self, point: Linearization) -> bool:
         """Return whether a point passes, with differences also if they disagree with the jacobian."""
-        if not point.passes(self.settings) or self._is_far(point):
+        if not point.passes(self.settings):
             return False
         there = with_trusted_derivative(point) if self.has_doubts else point
         return there is point or (there.is_defined and there.passes(self.settings))

@@ -89,6 +89,9 @@ def targets(here: Linearization, linear: str | Algorithm, tolerance: float) -> I
     for shift in (0.0, *SHIFTS):
         if (target := lcp_step(here, linear, tolerance, shift)) is not None:
             yield Target("proximal" if shift else "Newton", moved(here, target), HALVINGS)
+        if step is None and not shift and is_small(here):
+            phi, H = phi_and_jacobian(here)
+            step = solve_shifted(H, 0.0, -phi)
         if step is not None and not shift:
             yield Target("semismooth", moved(here, step), HALVINGS)
     phi, H = phi_and_jacobian(here)

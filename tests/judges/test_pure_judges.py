@@ -22,6 +22,7 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.judges.program import KKTErrors
 
 
 def planted(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -49,9 +50,9 @@ def test_points_of_other_solvers_are_proved(seed: int, solver: str) -> None:
 
 
 @pytest.mark.parametrize("solver", ["clarabel", "piqp", "daqp"])
-@pytest.mark.parametrize("seed", [1, 2, 3, 6])
+@pytest.mark.parametrize("seed", [1, 2, 4, 5])
 def test_points_of_other_solvers_are_proved_as_a_program(seed: int, solver: str) -> None:
-    """Also an optimum of 0 at x* = 0; moved by a tenth, the value is disproved."""
+    """1e-13 and −1e-17 stand for the bound 0; moved by a tenth, the value is disproved."""
     M, q, z = planted(seed)
     P = sp.csc_matrix(M) if solver == "clarabel" else M
     x = qpsolvers.solve_qp(P, q, lb=np.zeros(z.size), solver=solver)
@@ -95,6 +96,60 @@ def test_an_impulse_outside_its_friction_cone_is_disproved_next_to_a_large_one()
     assert certify(problem, z).verdict == "proved"
     z[4] *= 1000.0
     assert certify(problem, z).verdict == "disproved"
+
+
+@pytest.mark.parametrize("x", [(5, 0), (5, 9999995), (-5, 0), (-9, 1)])
+def test_an_inactive_row_is_no_scale_for_points_of_a_program(x: tuple[float, float]) -> None:
+    """Next to x₁ + x₂ ≤ 1e7, 5 is far from the minimizer 0, and −5 far outside of the bound 0."""
+    program = QuadraticProgram(None, [1, 0], G=[[1, 1]], h=[1e7], lower=[0, 0])
+    found = certify(program, x)
+    assert found.verdict == "disproved"
+    assert found.violation == max(-x[0], 0.0)
+
+
+def test_a_gradient_that_is_no_rounding_error_has_no_price_by_cancelling_terms() -> None:
+    """P is singular, and x₁ = 0 without a cost gains 9e-4 on its way to the bound −1e6."""
+    g = 2.0**-30
+    program = QuadraticProgram(np.ones((3, 3)), [-g, 0, -g], lower=[-np.inf, -1e6, -np.inf])
+    x = np.array([1.0, 0.0, -1.0 + g])
+    assert not KKTErrors.of(program.judged, x, np.zeros(0)).meet(1e-6)
+
+
+def test_a_sum_that_is_zero_by_rounding_is_no_least_squares_solution() -> None:
+    """30 x₁ + 20 x₂ + 2 is 0 in double precision at x of 8e14, and 0.75 exactly."""
+    problem = BoundedLeastSquares([[30.0, 20.0]], [-2.0], [0, -np.inf], np.inf)
+    found = solve(problem, x0=[554700196225229.1, -832050294337843.8])
+    assert not found.is_solved or np.abs(found.x).max() < 1e9
+
+
+@pytest.mark.parametrize("t", [0.1, 0.5, -1.0])
+def test_a_contact_that_falls_straight_is_solved_from_each_start(t: float) -> None:
+    """No tangential velocity, no friction: z_T of a run is 1e-17, next to a row without terms."""
+    problem = FrictionalContact(np.diag([5.0, 5.0]), [-0.9, 0], [0.5], dimension=2)
+    assert solve(problem, z0=[1.0, t]).status is Status.SOLVED
+
+
+@pytest.mark.parametrize(
+    ("q", "z", "verdict"),
+    [([1.0, 0.0], [2.4e-14, 0.5], "proved"), ([1.0, 0.0], [2.4e-3, 0.5], "disproved")],
+)
+def test_rounding_errors_next_to_a_row_without_load_are_zeros(
+    q: list[float], z: list[float], verdict: str
+) -> None:
+    """z* = (0, 1/2); the only term of the second row is an error of an interior-point method."""
+    assert certify(LCP([[0, -2], [2, 0]], q), z).verdict == verdict
+
+
+def test_a_component_without_data_has_no_scale() -> None:
+    """M z = 1e-7 at z = (1, 1) next to q = 0: the only solution is 0."""
+    assert certify(LCP([[1, -1], [-1, 1 + 1e-7]], [0, 0]), [1, 1]).verdict == "disproved"
+
+
+def test_least_squares_solved_at_the_start_are_recorded() -> None:
+    """AᵀWb is 0 up to rounding: the record has no reference to divide by."""
+    A = [[-0.1], [-0.2], [-0.1], [0.3], [0.1]]
+    problem = BoundedLeastSquares(A, [3, -3, 1, -1, 1], -np.inf, np.inf)
+    assert solve(problem, record=True).is_solved
 
 
 @pytest.mark.parametrize("n", [20, 40])

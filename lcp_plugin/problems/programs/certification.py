@@ -232,8 +232,8 @@ def _check_point(problem: Any, x: Any, multipliers: Any, claim: Any, *options: A
 def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
     """Return whether x satisfies the stopping criterion of a problem of pairs.
 
-    x is not moved, but for zeros in place of unknowns at rounding level if x passes only so: this is the function that
-    ``solve`` applies to the points of its methods.
+    x is not moved. If it passes only with zeros for unknowns at rounding level, it passes with these zeros. This is the
+    function that ``solve`` applies to the points of its methods.
 
     Parameters
     ----------
@@ -468,10 +468,10 @@ class ProgramProofs:
         return unproved
 
     def on_bounds(self, x: Vector, tolerance: float) -> Vector:
-        """Return x with each x_j on a bound if nothing notices the move; x itself if its value would change.
+        """Return x with each x_j on a bound if the move is negligible; x itself if the objective would change.
 
-        Interior-point methods end at 1e-9 for a bound of 0, other solvers at −1e-17. A move is not noticed if it changes
-        no gradient, equality or row with a multiplier by more than the tolerance times its terms.
+        Interior-point methods end at 1e-9 for a bound of 0, other solvers at −1e-17. No gradient, no equality, and no row
+        with a multiplier may change by more than the tolerance times its terms.
         """
         program, own = self.program, self.own_solution
         if own is None:

@@ -16,16 +16,18 @@ from inputs.contact_families import pyramids
 from inputs.published_problems import PROGRAMS, PublishedProgram
 from inputs.small_families import spectrum
 from scipy.linalg import solve_banded
-from scipy.optimize import linprog, nnls
+from scipy.optimize import linprog, nnls, root
 
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
     FrictionalContact,
+    NonlinearProblem,
     QuadraticProgram,
     complements,
     march,
     optimal,
+    prepare,
     solve,
     solve_batch,
     trace,
@@ -44,7 +46,7 @@ def run(*, quick: bool = False) -> Iterator[str]:
     """Yield a line for each row: microseconds of ours and of the rival, the ratio and its goal."""
     yield f"{'problem':44} {'ours':>9} {'instead':>9} µs  ratio   goal"
     for name, goal, ours, rival, instead, count in chain(
-        _lcps(quick), _programs(quick), _models(quick), _published(quick)
+        _loops(quick), _lcps(quick), _programs(quick), _models(quick), _published(quick)
     ):
         times = {}
         for key, call in (("ours", ours), ("instead", instead)):
@@ -73,6 +75,78 @@ def _clock() -> float:
 def _repeated(call: Call, times: int) -> None:
     for _ in range(times):
         call()
+
+
+def _loops(quick: bool) -> Iterator[Row]:
+    """Yield the rows of one small problem, by `solve` and by a solver that `prepare` returns."""
+    rng = np.random.default_rng(0)
+    base = partial(np.linalg.solve, rng.normal(size=(10, 10)), rng.normal(size=10))
+    rival = "numpy.linalg.solve, 10 × 10"
+    for n in (10, 30):
+        one = spectrum(n, 1e2, 0.4, 0)
+        M, q, step = np.array(one.M), np.array(one.q), prepare(one)
+        yield f"LCP of {n}", 32.0, partial(_solve_lcp, M, q), rival, base, 1
+        yield f"LCP of {n}, lemke", 6.0, partial(_solve_lcp, M, q, "lemke"), rival, base, 1
+        yield f"LCP of {n}, prepared", 2.0, partial(step.solve, q=q), rival, base, 1
+    for k in range(1 if quick else 12):
+        J, v = rng.normal(size=(15, 6)), rng.normal(size=15)
+        W, mu = J @ J.T + np.eye(15), np.full(5, 0.5)
+        step, name = prepare(FrictionalContact(W, v, mu)), f"5 contacts, exact cones, number {k}"
+        yield name, 40.0, partial(_solve_contact, W, v, mu), rival, base, 1
+        yield f"{name}, prepared", 12.0, partial(step.solve, b=v), rival, base, 1
+    P, p = pyramids(W, v, mu)
+    yield "5 contacts, pyramids", 12.0, partial(_solve_lcp, P, p), rival, base, 1
+    yield (
+        "5 contacts, pyramids, prepared",
+        12.0,
+        partial(prepare(LCP(P, p)).solve, q=p),
+        rival,
+        base,
+        1,
+    )
+    if find_spec("daqp") is not None:
+        G, c, h, eye = rng.normal(size=(11, 4)), rng.normal(size=4), np.ones(11), np.eye(4)
+        rows = np.ascontiguousarray(G), h, np.full(11, -1e30), np.zeros(11, np.int32)
+        other, step = (
+            partial(import_module("daqp").solve, eye, c, *rows),
+            prepare(QuadraticProgram(eye, c, G, h)),
+        )
+        yield "QP 4 × 11", 45.0, partial(_solve_program, eye, c, G, h), "daqp", other, 1
+        yield "QP 4 × 11, prepared", 5.0, partial(step.solve, c=c, h=h), "daqp", other, 1
+        x, y, a = cp.Variable(2), cp.Variable(), cp.Parameter(value=1.0)
+        pair = cp.Problem(cp.Minimize(0), [complements(x >= 0, x - a >= 0), y == x[0]])
+        square = cp.Problem(cp.Minimize(cp.sum_squares(x - a)), [x >= 0])
+        ours, other = (
+            partial(_change, pair, a, {"method": "LCP"}),
+            partial(_change, square, a, {"solver": "DAQP"}),
+        )
+        yield "cvxpy, a pair, a parameter changed", 2.0, ours, "cvxpy with daqp", other, 1
+    curved = NonlinearProblem(_F, lambda x: np.diag(np.exp(x)), lower=np.zeros(4))
+    start = np.zeros(4)
+    other, step = partial(root, lambda x: np.minimum(x, _F(x)), start), prepare(curved)
+    yield "nonlinear, 4 unknowns", 15.0, partial(solve, curved, x0=start), "scipy's root", other, 1
+    yield (
+        "nonlinear, 4 unknowns, prepared",
+        6.0,
+        partial(step.solve, x0=start),
+        "scipy's root",
+        other,
+        1,
+    )
+    A, b = rng.random((60, 30)), rng.random(60)
+    other, step = partial(nnls, A, b), prepare(BoundedLeastSquares(A, b))
+    yield "NNLS 60 × 30", 5.0, partial(_solve_fit, A, b), "scipy's nnls", other, 1
+    yield "NNLS 60 × 30, prepared", 2.0, partial(step.solve, b=b), "scipy's nnls", other, 1
+
+
+def _F(x: Any) -> Any:
+    return np.exp(x) - 2.0
+
+
+def _change(problem: Any, parameter: Any, how: dict[str, Any]) -> None:
+    """Solve a model in cvxpy with another value of its parameter."""
+    parameter.value = 3.0 - parameter.value
+    problem.solve(**how)
 
 
 def _lcps(quick: bool) -> Iterator[Row]:
@@ -105,8 +179,6 @@ def _lcps(quick: bool) -> Iterator[Row]:
         P, p = pyramids(W, v, friction)
         other = partial(lemke, P, p)
         yield "5 contacts, pyramids, as an LCP", 10.0, partial(_solve_lcp, P, p), rival, other, 1
-    step, rival = partial(_solve_contact, W, v, friction), "numpy.linalg.solve"
-    yield "5 contacts, exact cones", 20.0, step, rival, partial(np.linalg.solve, W, v), 1
     steps = 20 if quick else 200
     put = american_put_march(size=301, steps=steps)
     forcing = np.broadcast_to(put.advance(np.zeros(put.problem.n)), (steps, put.problem.n))
@@ -122,20 +194,7 @@ def _lcps(quick: bool) -> Iterator[Row]:
 def _programs(quick: bool) -> Iterator[Row]:
     """Yield the rows of programs and least squares in arrays."""
     rng = np.random.default_rng(0)
-    G, c, h = rng.normal(size=(11, 4)), rng.normal(size=4), np.ones(11)
-    if find_spec("daqp") is not None:
-        rows = np.ascontiguousarray(G), h, np.full(11, -1e30), np.zeros(11, np.int32)
-        other = partial(import_module("daqp").solve, np.eye(4), c, *rows)
-        yield (
-            "QP, 4 unknowns, 11 rows",
-            15.0,
-            partial(_solve_program, np.eye(4), c, G, h),
-            "daqp",
-            other,
-            1,
-        )
-    A, b = rng.random((60, 30)), rng.random(60)
-    yield "NNLS 60 × 30", 4.0, partial(_solve_fit, A, b), "scipy's nnls", partial(nnls, A, b), 1
+    G, c = rng.normal(size=(11, 4)), rng.normal(size=4)
     A, B = rng.random((50, 200)), rng.random((40, 50))
     other = partial(_each, nnls, [A] * 40, B)
     yield "NNLS 50 × 200, per pixel", 2.0, partial(_solve_pixels, A, B), "scipy's nnls", other, 40

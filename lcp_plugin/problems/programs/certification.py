@@ -470,7 +470,7 @@ class ProgramProofs:
     def on_bounds(self, x: Vector, tolerance: float) -> Vector:
         """Return x with each x_j on a bound if the move is negligible; x itself if the objective would change.
 
-        Interior-point methods end at 1e-9 for a bound of 0, other solvers at −1e-17. No gradient, no equality, and no row
+        Interior-point methods end at 1e-9 for a bound of 0, others at −1e-17. No gradient, no equality, and no row
         with a multiplier may change by more than the tolerance times its terms.
         """
         program, own = self.program, self.own_solution

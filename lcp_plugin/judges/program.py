@@ -407,7 +407,9 @@ def dense_errors(P, c, C, d, m, lower, upper, given, multipliers, safety):  # ty
     curved = max(abs(x @ product) - of_x @ lost, 0.0)
     size = max(abs(c @ x) + curved, CANCELLED * (cost @ of_x + curved), SMALLEST_SIZE)
     size = max(size, LEAST_SIZE * (y @ terms + (0.0 if cost.any() else of_x @ bend)))
-    price = np.maximum(np.maximum(np.abs(product) - lost, 0.0), np.where(cost > 0.0, 0.0, bend))
+    is_rounding = np.abs(left) + (safety - 1.0) * doubt <= (n + 3.0) * UNIT * bend
+    balanced = np.where(is_rounding & (cost == 0.0), bend, 0.0)
+    price = np.maximum(np.abs(product) - lost, balanced)
     way = MOVES * size / np.maximum(price + cost + y @ of_C, LEAST_PRICE)
     rest, distance = np.abs(left) + doubt, np.where(left > 0.0, below, above)
     distance = np.where(np.abs(left) <= doubt, np.maximum(below, above), distance)

@@ -67,7 +67,12 @@ def cell(one: Published, method: Callable[..., Any]) -> tuple[int, str]:
         seconds = time.process_time() - begun
         if np.isfinite(x).all() and outsiders_residual(problem, x) < 1e-6:
             times.append(1e3 * seconds)
-    return len(times), f"{len(times)}, {median(times):.2g} ms" if times else "0"
+    return len(times), f"{len(times)}, {format_ms(median(times))} ms" if times else "0"
+
+
+def format_ms(time: float) -> str:
+    """Return two digits, without an exponent."""
+    return f"{time:.0f}" if time >= 10 else f"{time:.2g}"
 
 
 def main() -> None:

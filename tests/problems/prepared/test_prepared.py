@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from inputs.contact_families import FAMILIES as CONTACTS
+from inputs.published_problems import PROGRAMS, PublishedProgram
 from inputs.small_families import FAMILIES, draw
 
 from lcp_plugin import (
@@ -91,6 +93,30 @@ def test_a_prepared_contact_fit_and_nonlinear_problem_have_the_status_of_solve(
         assert fit.solve(b=-b).status is solve(BoundedLeastSquares(A, -b)).status
         curved = NonlinearProblem(lambda x, b=b: x + x**3 + b, lower=np.zeros(6))
         assert prepare(curved).solve(x0=np.abs(b)).status is solve(curved, x0=np.abs(b)).status
+
+
+@pytest.mark.parametrize("name", [name for name, size in PROGRAMS.items() if size < 400])
+def test_a_prepared_published_program_has_the_status_of_solve(name: str) -> None:
+    """Dense and sparse, with rows of one unknown, equations and far limits."""
+    of = PublishedProgram.read(name)
+    program = QuadraticProgram.from_ranges(of.P, of.q, of.A, of.l, of.u)
+    assert prepare(program).solve().status is solve(program).status
+
+
+@pytest.mark.parametrize("family", CONTACTS)
+def test_prepared_contacts_between_bodies_have_the_status_of_solve(
+    family: str, draws: Callable[..., range]
+) -> None:
+    """Exact cones and pyramids, masses apart by up to 100, from one step to the next."""
+    for seed in draws(100, 8):
+        rng = np.random.default_rng(seed)
+        data = CONTACTS[family](int(rng.integers(1, 7)), 3, 100.0, rng)
+        exact = FrictionalContact(data.W, data.velocities, data.friction)
+        pyramid = LCP(*data.arrays, lower=data.lower)
+        for one, other in ((exact, {"b": 0.9 * exact.b}), (pyramid, {"q": 0.9 * pyramid.q})):
+            step = prepare(one)
+            assert step.solve().status is solve(one).status
+            assert step.solve(**other).status is step.solve().status
 
 
 def test_a_point_that_the_compiled_test_of_programs_accepts_passes_the_criterion() -> None:

@@ -289,7 +289,7 @@ class PrimalDualPoint:
         # Without a cost, a gradient at the rounding level of P x is balanced by terms of P x that cancel
         in_P = self.terms.summands[1]
         is_rounding = (self.cost == 0.0) & (np.abs(self.left) <= (in_P + 3.0) * UNIT * self.bend)
-        bend = np.where(is_rounding, self.bend, 0.0)
+        bend = np.where(is_rounding, self.bend, bend)
         price = np.maximum(np.abs(self.product) - self.lost, bend) + self.cost
         price += self.terms.measured[4] @ y
         left = np.abs(self.left)
@@ -408,7 +408,7 @@ def dense_errors(P, c, C, d, m, lower, upper, given, multipliers, safety):  # ty
     size = max(abs(c @ x) + curved, CANCELLED * (cost @ of_x + curved), SMALLEST_SIZE)
     size = max(size, LEAST_SIZE * (y @ terms + (0.0 if cost.any() else of_x @ bend)))
     is_rounding = np.abs(left) + (safety - 1.0) * doubt <= (n + 3.0) * UNIT * bend
-    balanced = np.where(is_rounding & (cost == 0.0), bend, 0.0)
+    balanced = np.where(is_rounding & (cost == 0.0), bend, 0.0 * bend if cost.any() else bend)
     price = np.maximum(np.abs(product) - lost, balanced)
     way = MOVES * size / np.maximum(price + cost + y @ of_C, LEAST_PRICE)
     rest, distance = np.abs(left) + doubt, np.where(left > 0.0, below, above)

@@ -227,14 +227,14 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             return None
         c, h, b, lower, upper = every
         d, n, m = np.concatenate((h, b)), c.size, h.size
-        if not (c @ c < NO_LIMIT**2 and d @ d < NO_LIMIT**2 and (lower <= upper).all()):
+        if not (c @ c < NO_LIMIT**2 and d @ d < NO_LIMIT**2):
             return None
         above, below = np.concatenate((upper, d)), np.concatenate((lower, d))
         below[n : n + m] = -math.inf
         x, y = call_daqp(P, c.copy(), C, above, below, sense, DAQP.defaults)[:2]
         x, y = np.minimum(np.maximum(x, lower), upper), y[n:]
         primal, gap = dense_errors(terms.P, c, terms.C, read_only(d), m, lower, upper, x, y, SAFETY)
-        is_certain = primal <= CERTAIN_ROWS and np.abs(x).max() <= FAR
+        is_certain = primal <= CERTAIN_ROWS and x @ x <= FAR**2
         if not (is_certain and gap <= 0.5 * self._tolerance):
             return None
         solution, found = object.__new__(QPSolution), object.__new__(QuadraticProgramResult)

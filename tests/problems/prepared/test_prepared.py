@@ -170,7 +170,12 @@ def test_wrong_data_are_refused_as_by_the_constructor() -> None:
     ):
         with pytest.raises(InvalidProblem):
             step.solve(**call)
-    for call in ({"c": np.array([np.nan, 0.0])}, {"h": np.zeros(2)}, {"lower": 2.0, "upper": 1.0}):
+    for call in (
+        {"c": np.array([np.nan, 0.0])},
+        {"h": np.zeros(2)},
+        {"lower": np.ones(2), "upper": np.zeros(2)},
+        {"lower": np.full(2, np.nan)},
+    ):
         with pytest.raises(InvalidProblem):
             of_program.solve(**call)
     with pytest.raises(InvalidOption, match="prepare needs"):

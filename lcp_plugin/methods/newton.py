@@ -324,12 +324,12 @@ class LinearizedPhi(NamedTuple):
 
 
 def fischer_burmeister(
-    problem: Any, z: Vector, w: Vector, scale: Vector | None = None, smoothing: float = 0.0
+    problem: Any, z: Vector, w: Vector, scale: Vector | None = None
 ) -> LinearizedPhi:
-    """Return Φ, zero exactly at solutions: φ(z − lower, −φ(upper − z, −w/d)), φ(a, b) = a + b − √(a² + b² + 2ε²).
+    """Return Φ, zero exactly at solutions: φ(z − lower, −φ(upper − z, −w/d)), φ(a, b) = a + b − √(a² + b²).
 
-    d is the scale of the residual unless another one is given, shape (n,), > 0; ε is the smoothing, 0 by default. If a
-    bound is infinite, its φ is replaced by its limit; a row with equal bounds gives z − lower.
+    d is the scale of the residual unless another one is given, shape (n,), > 0. If a bound is infinite, its φ is
+    replaced by its limit; a row with equal bounds gives z − lower.
 
     References
     ----------
@@ -338,12 +338,12 @@ def fischer_burmeister(
     s = w / (problem.residual_scale if scale is None else scale)
     value, by_z, by_s = s, np.zeros(s.size), np.ones(s.size)
     if (has_upper := np.isfinite(problem.upper)).any():
-        turned, by_a, by_b = _phi(problem.upper - z, -s, smoothing)
+        turned, by_a, by_b = _phi(problem.upper - z, -s)
         value = np.where(has_upper, -turned, s)
         by_z, by_s = np.where(has_upper, by_a, 0.0), np.where(has_upper, by_b, 1.0)
     if (has_lower := np.isfinite(problem.lower)).any():
         inner = value
-        value, by_a, by_b = _phi(z - problem.lower, inner, smoothing)
+        value, by_a, by_b = _phi(z - problem.lower, inner)
         value = np.where(has_lower, value, inner)
         by_z = np.where(has_lower, by_a + by_b * by_z, by_z)
         by_s = np.where(has_lower, by_b * by_s, by_s)
@@ -355,14 +355,12 @@ def fischer_burmeister(
     )
 
 
-def _phi(a: Vector, b: Vector, smoothing: float) -> tuple[Vector, Vector, Vector]:
+def _phi(a: Vector, b: Vector) -> tuple[Vector, Vector, Vector]:
     """Return φ(a, b) and an element of its generalized derivative."""
     root = np.hypot(a, b)
-    if smoothing:
-        root = np.hypot(root, math.sqrt(2.0) * smoothing)
     # a + b − root cancels if a and b are positive.
-    sum_, product = a + b, 2.0 * (a * b - smoothing**2)
-    value = np.where(sum_ > 0.0, product / np.where(sum_ > 0.0, sum_ + root, 1.0), sum_ - root)
+    sum_ = a + b
+    value = np.where(sum_ > 0.0, 2.0 * a * b / np.where(sum_ > 0.0, sum_ + root, 1.0), sum_ - root)
     safe = np.where(root > 0.0, root, 1.0)
     by_a = np.where(root > 0.0, 1.0 - a / safe, 1.0 - np.sqrt(0.5))
     by_b = np.where(root > 0.0, 1.0 - b / safe, 1.0 - np.sqrt(0.5))

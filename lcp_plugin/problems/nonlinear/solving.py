@@ -3,7 +3,7 @@
 A run takes its steps (:mod:`lcp_plugin.problems.nonlinear.steps`) by two searches. The monotone search accepts steps
 that reduce the merit ‖Φ‖₂. The nonmonotone search compares with the worst of four points, and takes a full Newton step
 if its residual is at most ten times the least of these: on traffic networks the residual rises before it falls. Then
-both begin again at other points: at the ends of a smoothing and of a homotopy from x₀, near 0 and 1, and at random.
+both begin again at other points of the bounds: the nearest ones to 1, 0, 10 and 0.1, and random ones.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ from ...solving.result import Callback, Result
 from ...solving.run import Progress, Run, Stage
 from ..programs.no_minimum import proof_of_contradiction
 from .data import DENSE_PATTERN_UP_TO, Evaluations, Linearization, NonlinearProblem
-from .steps import Target, deformed, row_scale, smoothed, targets
+from .steps import Target, row_scale, targets
 
 SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a step is compared
 TRIALS = 12  # points on a line where F is defined
 RESTARTS = 10  # from other points, after the searches that stalled
+NEAREST_TO = 1.0, 0.0, 10.0, 0.1  # the first other starts
 RESTARTS_UP_TO = 1000  # unknowns; beyond, a new start is too expensive
 
 
@@ -152,28 +153,22 @@ class JosephyNewton(Algorithm):
         return there if there.is_defined and there.residual <= point.residual else point
 
     def other_start(self, k: int) -> Linearization | None:
-        """Return start number k other than x₀, None if F is not defined there."""
-        first, problem = self.first, self.first.problem
-        if k == 0:
-            point = smoothed(first)
-        elif k == 1:
-            point = deformed(first, self.linear, self.tolerance)
-        elif k < 4:
-            point = first.at(np.clip(np.full(first.x.size, 3.0 - k), problem.lower, problem.upper))
-        else:
-            point = first.at(self._random_point(k))
-        return point if point.is_defined else None
+        """Return start number k other than x₀; None if F is not defined there.
 
-    def _random_point(self, k: int) -> Vector:
-        """Return a point of the bounds; every second one log-uniform above the lower bounds."""
+        The first ones are the points of the bounds nearest to some numbers; every second one of the random others is
+        log-uniform above the lower bounds.
+        """
         x, lower, upper = self.first.x, self.first.problem.lower, self.first.problem.upper
         size, n = np.maximum(1.0, np.abs(x)), x.size
-        drawn = x + size * self.random.standard_normal(n) * 0.5 * k
-        if k % 2:
+        drawn = np.full(n, ((1.0, 0.0, 10.0, 0.1))[min(k, 3)])
+        if k > 3:
+            drawn = x + size * self.random.standard_normal(n) * 0.5 * k
+        if k > 3 and k % 2:
             common, own = self.random.uniform(-3.0, 0.0), self.random.uniform(-1.0, 1.0, n)
             above = lower + size * 10.0 ** (common + own)
             drawn = np.where(np.isfinite(lower), above, drawn)
-        return np.clip(drawn, lower, upper)
+        point = self.first.at(np.clip(drawn, lower, upper))
+        return point if point.is_defined else None
 
     # --- one step ----------------------------------------------------------------------------------------
 

@@ -7,14 +7,9 @@ steps). The last resort is a Levenberg–Marquardt step: (HᵀH + μ √(mean Φ
 the Fischer–Burmeister function Φ, with F(x) for w, scaled by the largest entry of each row of F′. The diagonal is not
 used for it, because it may vanish with x: the diagonal of a convex power is zero at 0.
 
-Other starts: `smoothed` follows the zeros of Φ with √(a² + b² + 2ε²) for √(a² + b²) as ε → 0 (Kanzow), `deformed` the
-solutions of F(x) + μD (x − x₀) as μ → 0.
-
 References
 ----------
-N. H. Josephy, *Newton's method for generalized equations*, MRC report 1965, Wisconsin 1979. C. Kanzow, *Some
-noninterior continuation methods for linear complementarity problems*, SIAM J. Matrix Anal. Appl. 17 (1996),
-doi:10.1137/S0895479894273134.
+N. H. Josephy, *Newton's method for generalized equations*, MRC report 1965, Wisconsin 1979.
 """
 
 from __future__ import annotations
@@ -116,21 +111,17 @@ def moved(here: Linearization, step: Vector) -> Vector:
 
 
 def lcp_step(
-    here: Linearization,
-    linear: str | Algorithm,
-    tolerance: float,
-    shift: float = 0.0,
-    centre: Vector | None = None,
+    here: Linearization, linear: str | Algorithm, tolerance: float, shift: float = 0.0
 ) -> Vector | None:
-    """Return a solution d of the LCP of (M + shift D) d + F(x) + shift D (x − centre) on the bounds of d, or None.
+    """Return a solution d of the LCP of (M + shift D) d + F(x) on the bounds of d, or None.
 
     The tolerance is tied to the relative residual at x. The unknown is d, because the residual at x is then the
     reference, and of several solutions one near x is found.
     """
-    M, w, lower, upper = step_data(here, shift, centre)
+    M, w, lower, upper = step_data(here, shift)
     if linear == "auto" and is_small(here):
         return small_step(M, w, lower, upper, (1.0 + shift) * here.data.scale)
-    problem = step_problem(here, shift, centre)
+    problem = step_problem(here, shift)
     # A linearization needs no smaller residual than a tenth of the tolerance
     relative, enough = here.residual, FORCING
     if relative > 0.0:
@@ -197,26 +188,25 @@ def _active_set_targets(here: Linearization, shift: float) -> Iterator[Target]:
         before = now
 
 
-def step_data(here: Linearization, shift: float, centre: Vector | None = None) -> tuple[Any, ...]:
-    """Return M + shift D, the slack F(x) + shift D (x − centre) of d = 0, and the bounds of d."""
+def step_data(here: Linearization, shift: float) -> tuple[Any, ...]:
+    """Return M + shift D, the slack F(x) of d = 0, and the bounds of d."""
     M, w, x = here.M, here.value, here.x
     if shift:
         D = shift * without_flat_rows(here.data.scale)
         M = M + (sp.diags_array(D) if sp.issparse(M) else np.diag(D))
-        w = w if centre is None else w + D * (x - centre)
     return M, w, here.data.lower - x, here.data.upper - x
 
 
-def step_problem(here: Linearization, shift: float, centre: Vector | None = None) -> LCP:
+def step_problem(here: Linearization, shift: float) -> LCP:
     """Return the LCP of these data; the facts about M are shared with the linearization if nothing is shifted."""
-    M, w, lower, upper = step_data(here, shift, centre)
+    M, w, lower, upper = step_data(here, shift)
     return LCP(M if shift else here.lcp.matrix, w, lower=lower, upper=upper)
 
 
-def phi_and_jacobian(here: Linearization, smoothing: float = 0.0) -> tuple[Vector, Any]:
+def phi_and_jacobian(here: Linearization) -> tuple[Vector, Any]:
     """Return Φ(x), shape (n,), and an element H of its generalized Jacobian, shape (n, n)."""
     scale = row_scale(here)
-    phi = fischer_burmeister(here.data, here.x, here.value, scale, smoothing)
+    phi = fischer_burmeister(here.data, here.x, here.value, scale)
     rows = phi.by_w / scale
     if sp.issparse(here.M):
         return phi.value, sp.csr_array(sp.diags_array(rows) @ here.M + sp.diags_array(phi.by_z))
@@ -243,55 +233,6 @@ def solve_shifted(matrix: Any, shift: float, right: Vector) -> Vector | None:
     factor = factorise(sp.csr_array(shifted) if is_sparse else shifted, is_symmetric=shift > 0.0)
     step = None if factor is None else factor.solve(right)
     return step if step is not None and np.isfinite(step).all() else None
-
-
-def smoothed(here: Linearization) -> Linearization:
-    """Return the end of Kanzow's path from a point."""
-    size = float(np.abs(phi_and_jacobian(here)[0]).max(initial=0.0))
-    smoothing = size
-    while smoothing > 1e-7 * size and not is_over():
-        for _ in range(4):
-            phi, H = phi_and_jacobian(here, smoothing)
-            step = solve_shifted(H, 0.0, -phi)
-            if step is None:
-                return here
-            norm = float(np.linalg.norm(phi))
-            for length in HALVINGS[:6]:
-                there = here.at(
-                    np.clip(here.x + length * step, here.problem.lower, here.problem.upper)
-                )
-                if not there.is_defined:
-                    continue
-                scale = row_scale(here)
-                value = fischer_burmeister(here.data, there.x, there.value, scale, smoothing).value
-                if np.linalg.norm(value) < (1.0 - 0.1 * length) * norm:
-                    break
-            else:
-                break
-            here = there
-            if np.abs(value).max() <= 0.5 * smoothing:
-                break
-        smoothing *= 0.3
-    return here
-
-
-def deformed(first: Linearization, linear: str | Algorithm, tolerance: float) -> Linearization:
-    """Return the end of the homotopy from a point: steps on F(x) + μD (x − x₀), μ from 10 to 10⁻⁴."""
-    here = first
-    for k in range(14):
-        shift = 10.0 ** (1.0 - 0.4 * k)
-        for _ in range(2):
-            step = None if is_over() else lcp_step(here, linear, tolerance, shift, first.x)
-            if step is None:
-                return here
-            for length in HALVINGS[:6]:
-                there = here.at(moved(here, length * step))
-                if there.is_defined:
-                    break
-            else:
-                return here
-            here = there
-    return here
 
 
 def _stages_of_step(problem: LCP, method: Algorithm | None, goal: float) -> Iterator[Stage]:

@@ -16,24 +16,18 @@ import numpy as np
 
 from ..core.checks import Vector, checked_bounds, read_only
 from ..core.errors import InvalidOption, did_you_mean
-from ..core.kernels.threads import threads_for
 from ..core.lcp import LCP
-from ..core.matrix import has_positive_diagonal, inverse_residual_scale, row_splits
 from ..core.problem_classes import class_of
-from ..core.settings import Settings, Status, checked_threads
+from ..core.settings import Settings, Status
 from ..engines import is_installed
 from ..engines.solvers import DAQP, EQUATION, call_daqp
 from ..judges.cones import bound_residual
 from ..judges.program import PROGRAM_TOLERANCE, SAFETY, dense_errors
-from ..methods.banded import banded_passes
 from ..methods.lemke import Lemke
-from ..methods.multigrid import Multigrid
 from ..methods.small import LOOP_UP_TO, arrays_of_one, follow_one, has_numba, is_small, tilts
 from ..solving.dispatch import parse_call, solver_with
 from ..solving.lcp_solver import is_bare
 from ..solving.result import BaseResult, Result, StageRecord
-from ..systems.factors import bands
-from ..systems.hierarchy.levels import hierarchy_of
 from .cones.certificate import ConeCertificate
 from .cones.factors import FEW, stack_of
 from .cones.frictional_contact import FrictionalContact
@@ -117,9 +111,7 @@ class PreparedLCP(PreparedProblem[LCP]):
         is_path = "z0" not in options and (self._method is None or self._method == Lemke())
         is_short = is_path and is_bare(self._settings, options.get("callback"))
         self._arrays: Any = None
-        if not is_small(problem):
-            _compute_facts(problem, checked_threads(options.get("threads")))
-        elif is_short and problem.n <= LOOP_UP_TO and has_numba():
+        if is_short and is_small(problem) and problem.n <= LOOP_UP_TO and has_numba():
             self._arrays = arrays_of_one(problem)
 
     def _changed(self, q: Any = None, M: Any = None, lower: Any = None, upper: Any = None) -> LCP:
@@ -160,18 +152,6 @@ class PreparedLCP(PreparedProblem[LCP]):
         work = 0.0 if (z == problem.nearest_to_zero).all() else float(problem.n)
         stage = StageRecord("lemke", "prepared", int(work > 0.0), work)
         return vars(Result.at(problem, z, stage, self._settings, seconds, chosen=self._method))
-
-
-def _compute_facts(problem: LCP, threads: int) -> None:
-    """Compute the properties of M that methods for larger problems need."""
-    with threads_for(threads):
-        inverse_residual_scale(problem.matrix)
-        if banded_passes(problem.matrix) < math.inf:
-            bands(problem.matrix)
-        for backward in (False, True):
-            row_splits(problem.matrix, backward)
-        if has_positive_diagonal(problem.matrix).all():
-            hierarchy_of(problem.matrix, Multigrid.coarsest)
 
 
 def _copy_of(values: Any, prepared: Vector) -> Any:
@@ -321,7 +301,8 @@ PREPARED: dict[str | None, type[PreparedProblem[Any]]] = {
 def prepare(problem: Any, algorithm: Any = "auto", **options: Any) -> PreparedProblem[Any]:
     """Return a solver for a loop: of the problem, and of others that differ from it in some data.
 
-    The solver checks, lays out and factorizes once what does not change. ``step.problem`` is the prepared problem;
+    The solver checks and lays out once what does not change; properties of a matrix, such as a factorization, are
+    computed by the first solve that needs them. ``step.problem`` is the prepared problem;
     :func:`lcp_plugin.solve_batch` takes the solver in its place. Data that a call does not pass are the prepared
     problem's, not the last call's. Each result has the status of :func:`lcp_plugin.solve`.
 

@@ -493,13 +493,15 @@ class LinearizedRows(RowData):
     def sharp_product(self, z: Vector) -> None:
         """Return None: F is not a sum."""
 
-    def measure_at(self, *given: Any, **how: Any) -> Measured:
+    def measure_at(self, z: Vector, w: Any, tolerance: float, absolute: float = 0.0) -> Measured:
         """Measure x; it passes only if also no unknown grows, and rounding errors of F are small."""
-        found = super().measure_at(*given, **how)
+        found = super().measure_at(z, w, tolerance, absolute)
         # Smaller rounding errors of F do not count, for any tolerance; z° has none
-        limit, at = max(given[2], 1e-8) * found.by_row.reference * self.scale, found.rows
+        limit, at = max(tolerance, 1e-8) * found.by_row.reference * self.scale, found.rows
         is_lost = (at.is_active & (limit > 0.0) & (EPSILON * at.terms > limit)).any()
-        passes = found.passes and not is_lost and not self.growing.any()
+        passes = found.passes and not is_lost
+        if passes and (absolute == 0.0 or (found.by_row.high > absolute).any()):
+            passes = not self.growing.any()
         return found._replace(passes=passes)
 
     @derived_property

@@ -52,7 +52,7 @@ def _finished(data: RowData, found: Measured, tolerance: float, absolute: float)
             if step is None:
                 return found
             z = np.clip(z + step, lower, upper)
-        again = data.measure_at(z, None, tolerance, absolute)
+        again = data.measure(z, tolerance, absolute)
         if again.passes:
             return again
         if not again.residual <= tolerance:

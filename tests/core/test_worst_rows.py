@@ -60,7 +60,8 @@ def drawn(kind: str, seed: int) -> tuple[Any, Any, dict[str, Fraction]]:
         terms = [Fraction(a) * Fraction(b) for a, b in zip(M[i].tolist(), z.tolist(), strict=True)]
         exact[i] = sum(terms, Fraction(q[i])) + Fraction(curve[i]) * Fraction(z[i]) ** 2
     names = (f"row {i}" for i in range(n))
-    ends = zip(names, exact, (9 * (z - upper)).tolist(), (9 * (z - lower)).tolist(), strict=True)
+    d = 9 + 2 * curve * z
+    ends = zip(names, exact, (d * (z - upper)).tolist(), (d * (z - lower)).tolist(), strict=True)
     wrong = {name: abs(max(above, min(below, w))) for name, w, above, below in ends}
     if kind == "nonlinear":
         return NonlinearProblem(lambda x: M @ x + q + curve * x**2, lower=np.zeros(n)), z, wrong

@@ -455,8 +455,14 @@ class NonlinearRun(Run):
         return Measured(point, size, self._passes(point))
 
     def keep(self, found: Measured) -> None:
-        """Keep a point that passes, or whose residual in the units of the start is the least."""
-        super().keep(found._replace(residual=self.newton.size_of(found.z)))
+        """Keep a point that passes, or whose violation in the units of the start is the least."""
+        point, scale = found.z, self.newton.first.data.scale
+        violation = np.maximum(
+            point.value * (point.x > point.problem.lower),
+            -point.value * (point.x < point.problem.upper),
+        )
+        size = float(np.maximum.reduce(self.newton.weights * violation / scale, initial=0.0))
+        super().keep(found._replace(residual=size))
 
     def _is_far(self, point: Linearization) -> bool:
         """Return whether an unknown is as large as at a point from which it grew."""

@@ -26,6 +26,7 @@ from ...core.matrix import largest_products
 from ...core.problem_classes import CLASSES, class_of, foreign_function, refusal
 from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance, whole_number
+from ...judges.lcp import NEAREST
 from ...judges.program import KKTErrors, excused_rows, least_size
 from ...judges.worst_rows import WorstRow, WorstRows, worst_pairs
 from ...proofs.bounds import constrained_curvature
@@ -248,8 +249,17 @@ def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
     """
     criterion = resolve_name(f"lcp_plugin.{CLASSES[str(class_of(problem))].criterion}")
     x = checked_vector(x, "x", x.size)
+    for bound in (problem.lower, problem.upper):  # up to rounding errors of the bound itself
+        x = np.where(np.abs(x - bound) < NEAREST * np.abs(bound), bound, x)
     data, z, w, names = criterion(problem, x)
     found = data.with_zeros(data.measure_at(z, w, tolerance), tolerance)
+    if np.all(
+        found.passes
+    ):  # the point to which a run would move it must pass too: z_i may matter in other rows
+        near = data.snap_to_bounds(found.z, found.rows.w)
+        if not np.array_equal(near, found.z):
+            again = data.measure_at(near, None, tolerance)
+            found = found if np.all(again.passes) else again
     fails = bool(np.any(found.by_row.fails(tolerance)))
     passes = not fails and bool(np.all(found.passes))
     residual, reason = float(np.max(found.by_row.relative, initial=0.0)), ""

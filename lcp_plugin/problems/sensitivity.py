@@ -746,7 +746,9 @@ def solution(system: FreeSystem, right: Vector, *, transposed: bool = False) -> 
         raise UnsuitableProblem(SINGULAR)
     if system.is_singular and not transposed:
         part, right = x[system.rows], right[system.rows]
-        terms = abs(system.block) @ np.abs(part) + np.abs(right)
+        # An entry of 1e-17 stands for 0: next to its terms, the residual of its row is large
+        sizes = np.maximum(np.abs(part), 1e-5 * np.abs(part).max(initial=0.0))
+        terms = abs(system.block) @ sizes + np.abs(right)
         if (np.abs(right - system.block @ part) > CONSISTENT * terms).any():
             raise UnsuitableProblem(
                 f"M is singular on the {part.size} free rows, and after this change no z solves them: there is no "

@@ -74,9 +74,12 @@ def variational(
     """
     one = F[0] if isinstance(F, (list, tuple)) and F else F
     if (stated := foreign_function("variational", one)) is not None:
-        if any(one is not None for one in (G, h, A, b)) or np.ndim(lower) or np.ndim(upper):
+        has_bounds = (
+            np.ndim(lower) or np.ndim(upper) or np.isfinite(np.array([lower, upper], float)).any()
+        )
+        if any(one is not None for one in (G, h, A, b)) or has_bounds:
             raise InvalidProblem(
-                "F is an expression of cvxpy; write its set as constraints=[G @ x <= h, …]"
+                "F is an expression of cvxpy; write its set as constraints=[G @ x <= h, x >= lower, …]"
             )
         return stated(F, over, constraints)
     if over is not None or constraints:

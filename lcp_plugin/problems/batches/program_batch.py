@@ -193,7 +193,8 @@ class ProgramBatch(Instances):
         values = values + self.constant
         for i in np.flatnonzero(x.shape[1] * EPSILON * terms > CANCELS * np.abs(values)).tolist():
             values[i] = self[i].objective(x[i])  # where terms cancel
-        return values
+        senses = [getattr(one, "sense", 1.0) for one in self.given or (self.shared,)]
+        return np.array(senses) * values
 
 
 def programs_for(program: QuadraticProgram, vectors: Array) -> list[QuadraticProgram | LCPError]:

@@ -260,7 +260,7 @@ def take_step(
         after = float(((x + t * dx) * (y + t * dy)).sum()) / max(len(X), 1)
         at, moved = apply(root, X), apply(root, dx[cones])
         right = product(moved, at + moved) - product(at, at)
-        right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3)
+        right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3) if mean else 0.0
         dx, dy = direction(apply(root, quotient(right, at)))
         t = TO_THE_BOUNDARY * min(longest(X, dx[cones]), longest(Y, dy[cones]))
         for sigma in CENTRED if t < SHORT else ():

@@ -107,7 +107,9 @@ class PathPoint(Outcome):
         """Objective at x."""
         if isinstance(self.problem, BoundedLeastSquares):
             return float(self.problem.cost(self.x, self.problem.product(self.x) - self.problem.b))
-        return None if self.solution is None else float(self.solution.objective)
+        return (
+            None if self.solution is None else self.problem.sense * float(self.solution.objective)
+        )
 
     @derived_property
     def status(self) -> Status:

@@ -249,9 +249,14 @@ def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
     """
     criterion = resolve_name(f"lcp_plugin.{CLASSES[str(class_of(problem))].criterion}")
     x = checked_vector(x, "x", x.size)
-    for bound in (problem.lower, problem.upper):  # up to rounding errors of the bound itself
-        x = np.where(np.abs(x - bound) < NEAREST * np.abs(bound), bound, x)
     data, z, w, names = criterion(problem, x)
+    near = x
+    for bound in map(
+        np.ravel, (data.lower, data.upper)
+    ):  # up to rounding errors of the bound itself
+        near = np.where(np.abs(x - bound) < NEAREST * np.abs(bound), bound, near)
+    if not np.array_equal(near, x):
+        data, z, w, names = criterion(problem, near)
     found = data.with_zeros(data.measure_at(z, w, tolerance), tolerance)
     if np.all(
         found.passes

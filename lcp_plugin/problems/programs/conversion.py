@@ -226,6 +226,13 @@ class QPOrigin:
         """Return "direct" if only bounds remain, else "kkt"; "variational" for such an inequality."""
         return "variational" if self.F else "kkt" if self.rows else "direct"
 
+    def _has_slack(self, answer: Any, c: Vector, z: Vector) -> bool:
+        """Return whether a result is one of this problem: of its slack at z, where c = F(x), not of other data."""
+        (x, y), terms = np.split(z, [self.program.n]), self.reduced.matrices.terms
+        d = np.where(np.isfinite(self.reduced.judged.d), self.reduced.judged.d, 0.0)
+        own = np.concatenate([c + terms.columns @ y, d - terms.rows @ x])
+        return bool((np.abs(own - answer.w) <= 1e-9 * answer.certificate.rows.terms).all())
+
     @np.errstate(all="ignore")
     def recover(self, answer: Any, tolerance: float = PROGRAM_TOLERANCE) -> QuadraticProgramResult:
         """Return the result of the program, with the status that the test of programs gives to this point.
@@ -258,11 +265,18 @@ class QPOrigin:
         if proof is not None:
             solution, status = QPSolution.without_multipliers(program, z[:n]), proof.status
         else:
+            # an inequality that is solved by the criterion of its problem is
+            is_solved = self.F is not None and getattr(answer, "is_solved", False)
+            if is_solved and (is_solved := self._has_slack(answer, program.c, z)):
+                # The gradient of a free unknown may be a rounding error
+                balance = -(self.reduced.matrices.terms.columns @ z[n:])
+                rounding = 1e-12 * answer.certificate.rows.terms[:n]
+                is_zero = np.abs(program.c - balance) <= rounding
+                is_zero &= (program.lower == -np.inf) & (program.upper == np.inf)
+                program = program.with_vectors(c=np.where(is_zero, balance, program.c))
             solution = QPSolution.from_reduced(program, z[:n], z[n:])
             errors = solution.errors_for(tolerance)
             status = getattr(answer, "status", Status.SOLVED)
-            # an inequality that is solved by the criterion of its problem is
-            is_solved = self.F is not None and getattr(answer, "is_solved", False)
             if is_solved or errors.meet(tolerance):
                 status = Status.SOLVED
             elif status is Status.SOLVED or status in PROVEN:

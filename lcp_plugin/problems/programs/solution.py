@@ -192,6 +192,10 @@ class QPSolution(MadeOnAccess):
         """
         one = self.program
         slopes, sides = one.P @ self.x + one.c, (one.G, one.h, one.A, one.b)
+        terms = abs(one.P) @ np.abs(self.x) + np.abs(one.c)
+        slopes = np.where(
+            np.abs(slopes) <= 1e-12 * terms, 0.0, slopes
+        )  # rounding, unbounded if x_j is free
         size = np.abs(slopes).max(initial=0.0)
         if not 0.0 < size < np.inf:
             return float(size)

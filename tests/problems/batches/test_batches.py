@@ -23,6 +23,7 @@ from lcp_plugin import (
     Status,
     solve,
     solve_batch,
+    trace,
 )
 
 ON_THE_ROAD = ("auto", "newton", "lemke")
@@ -229,3 +230,14 @@ def test_conditions_of_a_program_have_one_status_alone_and_in_a_batch() -> None:
     P, G = np.diag([2.0**-23, 0, 0]), [[0.0, -2, -1]]
     problems = [LCP.from_qp(P, c, G, [-96.0], lower=0) for _ in range(40)]
     assert {*solve_batch(problems).status} == {solve(problems[0]).status} == {Status.SOLVED}
+
+
+def test_objectives_of_a_batch_and_of_a_path_have_the_sense_of_their_programs() -> None:
+    """A program that maximizes has the objective 5 alone, in a list, with other costs, and along a path."""
+    program = QuadraticProgram(2 * np.eye(2), [-2.0, -4], G=[[1.0, 1]], h=[9.0]).replaced(
+        sense=-1.0
+    )
+    assert solve(program).objective == pytest.approx(5.0)
+    assert solve_batch([program, program]).objective == pytest.approx(5.0)
+    assert solve_batch(program, [[-2.0, -4], [-1, 0]]).objective == pytest.approx([5.0, 0.25])
+    assert trace(program, {"c": [1.0, 0]}, 0, 1).at(0.5).objective == pytest.approx(4.5625)

@@ -13,6 +13,7 @@ from lcp_plugin import (
     LCP,
     FrictionalContact,
     InvalidProblem,
+    Status,
     certify,
     derivative,
     load_problem,
@@ -270,3 +271,12 @@ def test_a_wrong_call_is_told_what_to_write(call: Any, words: str) -> None:
     """InvalidProblem with the right form."""
     with pytest.raises(InvalidProblem, match=words):
         call()
+
+
+def test_contradictory_equations_without_a_contact_are_infeasible() -> None:
+    """x₁ + x₂ = 1 and = −1, alone and next to a contact."""
+    alone = FrictionalContact(np.ones((2, 2)), [-1.0, 1], [], dimension=3, equations=2)
+    W = np.diag([1.0, 1, 1, 0])
+    beside = FrictionalContact(W, [-1.0, 0, 0, 1], [0.5], dimension=3, equations=1)
+    for problem in (alone, beside):
+        assert solve(problem).status is Status.INFEASIBLE

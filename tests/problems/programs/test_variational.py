@@ -9,7 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from lcp_plugin import InvalidProblem, Status, derivative, solve, variational
+from lcp_plugin import LCP, InvalidProblem, QuadraticProgram, Status, derivative, solve, variational
 
 #: Braess (1968), as in Nagurney, Network Economics: arcs a (1→2), b (1→3), c (2→4), d (3→4), e (2→3), demand 6.
 BRAESS = np.array(
@@ -197,3 +197,31 @@ def test_a_wrong_call_is_told_what_to_write(call: Any, words: str) -> None:
     """InvalidProblem with the right call."""
     with pytest.raises(InvalidProblem, match=words):
         call()
+
+
+def test_a_result_of_other_data_is_not_solved_here() -> None:
+    """X = 0 solves the inequality with q = (8, 6), and not the one with q = (−8, −6)."""
+    problem = variational(([[2.0, 1], [-1, 2]], [-8.0, -6]), G=[[1.0, 1]], h=[3.0], lower=0)
+    other = solve(LCP(problem.M, [8.0, 6, 3], lower=problem.lower, upper=problem.upper))
+    assert other.is_solved
+    assert not problem.origin.recover(other).is_solved
+    assert problem.origin.recover(solve(problem)).is_solved
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_gap_of_free_unknowns_is_zero_at_a_solution(seed: int) -> None:
+    """F(x) of free unknowns is a rounding error, along which y is unbounded."""
+    rng = np.random.default_rng(seed)
+    S = rng.normal(size=(3, 3))
+    F = np.eye(3) + S - S.T, rng.normal(size=3)
+    problem = variational(F, G=rng.normal(size=(1, 3)), h=[rng.normal()])
+    assert problem.origin.recover(solve(problem).require_solved()).solution.gap() <= 1e-9
+    program = QuadraticProgram([[2.0, 1], [1, 3]], [-1.3, 0.7], upper=[np.inf, 9])
+    assert solve(program).solution.gap() <= 1e-9
+
+
+def test_bounds_next_to_an_expression_of_cvxpy_are_refused() -> None:
+    """They would be ignored: the set of a cvxpy expression is its constraints."""
+    x = cp.Variable(2)
+    with pytest.raises(InvalidProblem, match="x >= lower"):
+        variational(x - [-1, 2], over=[x], lower=0, upper=1)

@@ -482,3 +482,10 @@ def test_the_advice_names_a_split_that_is_not_unique(power: float) -> None:
     found = derivative(solve(problem, x0=np.array([0.6, 1.4, 1.0, 0.0, 3.0, 3.0])))
     assert not found.is_unique
     assert "other solutions differ in car 0, car 1, truck 0, truck 1" in found.advice
+
+
+def test_a_consistent_change_of_a_repeated_equation_has_a_derivative() -> None:
+    """z₀ = 1 stands twice: dq of the first row moves z₁ + z₂ alone, by the least change (0, 1/2, 1/2)."""
+    problem = LCP([[1.0, -1, -1], [1, 0, 0], [1, 0, 0]], [-3.0, -1, -1], lower=-np.inf)
+    found = derivative(solve(problem)).jvp(dq=[1.0, 0, 0])
+    np.testing.assert_allclose(found, [0.0, 0.5, 0.5], atol=1e-12)

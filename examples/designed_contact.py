@@ -122,7 +122,7 @@ def main(out: Path = Path()) -> None:
         axes.set(title=title, xticks=[-1, 0, 1], yticks=[-1, 0, 1], xlabel="x", ylabel="y")
         axes.grid(visible=False)
     left.contour(nodes, nodes, heart.reshape(shape), levels=[0.5], colors="white", linewidths=1)
-    answer = Certificate.of(membrane.problem.with_q(membrane.area * load), membrane.height)
+    answer = Certificate.of(membrane.step.problem.with_q(membrane.area * load), membrane.height)
     level = contact_level(answer).reshape(shape)
     left.contour(nodes, nodes, level, levels=[0.0], colors="#D55E00", linewidths=2)
     left.text(0, 0, "touches", color="#D55E00", ha="center", fontsize=11)

@@ -83,6 +83,9 @@ class LCPRun(Run):
         )
         smallest = float(references.min(initial=math.inf, where=references > 0.0))
         self.goal = float(max(settings.goal, settings.absolute_tolerance / smallest))
+        # At a start whose terms the data do not explain, every residual is at rounding level
+        if start is not data.start and (data.rows(start).terms > data.sizes).any():
+            start = start if self.measured(start).passes else data.start
         # No point but z° can be measured in components that z° solves.
         self.start, self.start_residual = np.where(is_open, start, data.start), math.inf
         self.unmeasured: Vector | None = None  # the latest iterate
@@ -183,7 +186,7 @@ class LCPRun(Run):
         if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
             return None  # because a limit is reached
         # z° solves what is left, up to rounding
-        if self._is_limited(found) and found.residual <= self.goal:
+        if found.is_limited and found.residual <= self.goal:
             return Status.PRECISION_LIMIT
         if stage.is_flat() and self._is_at_floor():
             return Status.PRECISION_LIMIT
@@ -202,11 +205,7 @@ class LCPRun(Run):
     def _is_at_floor(self) -> bool:
         """Return whether the best residual is small and no larger than rounding explains: no step is worth its work."""
         found = self.measured(self.z)
-        return bool(found.passes or self._is_limited(found)) and found.residual <= GAINED
-
-    def _is_limited(self, found: Measured) -> bool:
-        """Return whether rounding explains why a point fails; a z that ran away makes every residual rounding."""
-        return bool(found.is_limited) and bool((found.rows.terms <= self.data.sizes).all())
+        return bool(found.passes or found.is_limited) and found.residual <= GAINED
 
     def end_of_proof(self, proof: Any) -> Status | None:
         """Keep a proof; the run ends if it excludes the tolerance, or if only the rounding of the data is left."""

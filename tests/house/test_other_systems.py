@@ -72,10 +72,10 @@ from lcp_plugin.interfaces.nl import write_nl
 from typer.testing import CliRunner
 
 problem = lp.LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
-problem.save("ü ß.npz"), problem.save("Ωfolder")
+problem.save("ü ß.npz"), problem.save("Ω.npz")
 np.savez("qp.npz", P=np.eye(2), c=[-1.0, 1.0])
 write_nl(problem, "zwei é.nl")
-for name in ("ü ß.npz", "Ωfolder", "zwei é.nl"):
+for name in ("ü ß.npz", "Ω.npz", "zwei é.nl"):
     print(lp.solve(lp.load_problem(name)).status.name)
 for words in (["solve", "ü ß.npz"], ["solve", "qp.npz"], ["list"], ["analyze", "zwei é.nl"]):
     print(CliRunner().invoke(app, words).exit_code)

@@ -278,9 +278,8 @@ def by_study(sample: Sample, folder: Path) -> None:
 
 
 def by_files(sample: Sample, folder: Path) -> None:
-    for target in [folder / "p.npz"] + [folder / "p"] * (sample.kind == "LCP"):
-        sample.problem.save(target)
-        confirm(solve(load_problem(target)), sample)
+    sample.problem.save(folder / "p.npz")
+    confirm(solve(load_problem(folder / "p.npz")), sample)
 
 
 def by_pickle(sample: Sample, folder: Path) -> None:

@@ -98,9 +98,9 @@ def test_a_right_point_is_solved_and_solved_again(name: str) -> None:
     ],
 )
 def test_a_run_without_a_slope_ends_soon(F: Callable[..., Any], jacobian: Any) -> None:
-    """Near-double roots from 0 end within 400 steps (under a second), right or STALLED."""
+    """Near-double roots from 0 end within 2000 steps, restarts included, right or STALLED."""
     result = solve(NonlinearProblem(F, jacobian, lower=[0.0]))
-    assert result.iterations <= 400
+    assert result.iterations <= 2000
     if result.is_solved:
         assert result.z[0] == pytest.approx(1e-15, rel=1e-4)
     else:

@@ -83,9 +83,9 @@ class LCPRun(Run):
         )
         smallest = float(references.min(initial=math.inf, where=references > 0.0))
         self.goal = float(max(settings.goal, settings.absolute_tolerance / smallest))
-        # At a start whose terms the data do not explain, every residual is at rounding level
+        # At a start far beyond the data every residual is at rounding level; one nearer than z° is used
         if start is not data.start and (data.rows(start).terms > data.sizes).any():
-            start = start if self.measured(start).passes else data.start
+            start = start if self.measured(start).residual < 1.0 else data.start
         # No point but z° can be measured in components that z° solves.
         self.start, self.start_residual = np.where(is_open, start, data.start), math.inf
         self.unmeasured: Vector | None = None  # the latest iterate

@@ -148,7 +148,7 @@ def main(out: Path = Path()) -> None:
     last.semilogy([np.median(miss) for miss in misses], "o--", color="#999999", label="median")
     last.set(
         xlabel="Newton step",
-        ylabel="price beside its quote, relative miss",
+        ylabel="relative error of the price",
         title=f"{sigma.size} marches a step",
     )
     last.legend()

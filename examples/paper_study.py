@@ -1,7 +1,7 @@
 """The table and the figure of a paper: own matrix families, an own method next to ours, several sizes.
 
-Put your families (a size in, (M, q) or an LCP out) and your method in place of these. The tables are Markdown; of the
-same rows `results.to_csv()` has every digit of every point. The figure, error against work, is as wide as a page and
+Put your families (a size in, (M, q) or an LCP out) and your method in place of these. The tables are Markdown; the
+`points` of a row have every digit. The figure, error against work, is as wide as a page and
 can be read in grey.
 
 Here: a chain, a plate and a matrix without a grid; damped projected Jacobi against four others. The check at the end is
@@ -76,7 +76,6 @@ def loop_in_numpy(M: Any, q: Any, omega: float = 0.7) -> int:
 def main(out: Path = Path()) -> None:
     """Measure, print the tables and the growth of the work with n, and save the figure into the folder OUT."""
     methods = ["npsor", "psor", "multigrid", "auto", DampedJacobi()]
-    # out="results.csv" would keep the rows
     results = study([chain, plate, scattered], methods, SIZES, repeats=2)
     for table in results.table("iterations"):
         print(table)

@@ -261,7 +261,7 @@ def analyze(
     "compare",
     "0 complete, 1 interrupted, 2 bad input",
     "compare obstacle_2d -a npsor -a psor -a multigrid --plot curves.pdf",
-    "compare problem.npz --reference CLARABEL --out curves.csv",
+    "compare problem.npz --reference CLARABEL",
 )
 def compare(
     target: Target,
@@ -282,12 +282,11 @@ def compare(
     tolerance: Tolerance = None,
     max_seconds: MaxSeconds = None,
     plot: Annotated[Path | None, typer.Option(help="Save the curves (.png, .pdf, .svg).")] = None,
-    out: Annotated[Path | None, typer.Option(help="Save every point: a .csv file.")] = None,
 ) -> bool:
     """Measure error against run time of several algorithms on one problem."""
     from .solving import check_outputs, read_lcp
 
-    check_outputs(target, plot, out, ".csv")
+    check_outputs(target, plot)
     given = read_lcp(target, "lcp-plugin compare", size)
     limits = _given(tolerance=tolerance, max_seconds=max_seconds)
     problem = given.test_problem or given.problem
@@ -295,9 +294,9 @@ def compare(
         problem, algorithm, reference or (), repeats=repeats, **limits
     )
     typer.echo(found.explain())
-    for path in filter(None, (plot, out)):
-        found.save(path)
-        typer.echo(f"saved {path}")
+    if plot is not None:
+        found.save(plot)
+        typer.echo(f"saved {plot}")
     return found.is_complete
 
 

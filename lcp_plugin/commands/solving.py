@@ -120,7 +120,7 @@ def run(
     as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether the problem is solved."""
-    check_outputs(target, plot, out, ".npz")
+    check_outputs(target, plot, out)
     given = read_target(target, size)
     if isinstance(given.problem, LCP):
         settings = settings | {"record": plot is not None}
@@ -272,13 +272,13 @@ def options_of(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
     return options
 
 
-def check_outputs(target: str, plot: Path | None, out: Path | None, ending: str) -> None:
-    """Raise an error before the run if an output could not be written after it; `out` has this ending."""
+def check_outputs(target: str, plot: Path | None, out: Path | None = None) -> None:
+    """Raise an error before the run if an output could not be written after it."""
     if plot is not None:
         check_format(plot)
         require_matplotlib()
-    if out is not None and out.suffix != ending:
-        raise InvalidOption(f"--out writes a {ending} file, got {out.name!r}")
+    if out is not None and out.suffix != ".npz":
+        raise InvalidOption(f"--out writes an .npz file, got {out.name!r}")
     for path in filter(None, (plot, out)):
         check_place(path)
         if path.exists() and Path(target).exists() and path.samefile(target):

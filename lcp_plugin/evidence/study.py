@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import inspect
-import io
 import math
 import os
 import platform
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
-from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -24,8 +20,7 @@ import numpy as np
 
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..core.executors import run_on
-from ..core.files import checked_path, write_whole
+from ..core.files import checked_path
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of, refusal
 from ..core.settings import Settings, whole_number
@@ -33,7 +28,7 @@ from ..gallery import names as scene_names
 from ..gallery import parse
 from ..gallery.scene import Scene, builder_of
 from .cross_check import PLAIN, ConvexForm, solver_name
-from .drawing import FORMATS, draw_curve, draw_tolerance, look_of, panels, save
+from .drawing import check_format, draw_curve, draw_tolerance, look_of, panels, save
 from .measurement import (
     BOUND,
     POINT,
@@ -49,7 +44,6 @@ from .measurement import (
 )
 
 PACKAGES = ("numpy", "scipy", "numba", "cvxpy")
-COLUMNS = ("problem", "size", "n", "nonzeros", "method", "family", "status", *POINT, "error_kind")
 VALUES = {
     "iterations": "iterations",
     "work": "work [passes over M]",
@@ -68,8 +62,6 @@ LEAST = {"work": 1.0, "seconds": 1e-9}  # a run whose start is the solution coun
 
 NO_POINTS = np.zeros((0, len(POINT)))
 
-Progress = Callable[[str], object]
-
 
 @dataclass(frozen=True)
 class Table:
@@ -81,7 +73,7 @@ class Table:
     columns : sequence of str
         Headings.
     rows : sequence of sequences
-        Texts, numbers and None. CSV keeps all digits, Markdown and LaTeX three.
+        Texts, numbers and None. Markdown shows three digits.
 
     Examples
     --------
@@ -109,28 +101,12 @@ class Table:
         lines = [f"| {' | '.join(cells)} |" for cells in (self.columns, *texts)]
         return "\n".join([lines[0], f"|{'|'.join(marks)}|", *lines[1:], ""])
 
-    def to_latex(self) -> str:
-        """Return the table as a tabular environment of LaTeX, without packages."""
-        lines = [[*map(_text_of, row)] for row in (self.columns, *self.rows)]
-        lines = [[re.sub(r"([&%$#_{}])", r"\\\1", one) for one in line] for line in lines]
-        head, *body = (" & ".join(line) + r" \\" for line in lines)
-        marks = "l" + "r" * (len(self.columns) - 1)
-        inside = [r"\hline", head, r"\hline", *body, r"\hline"]
-        return "\n".join([rf"\begin{{tabular}}{{{marks}}}", *inside, r"\end{tabular}", ""])
-
 
 def _text_of(value: object) -> str:
     """Return a number with three digits, – for none, a text unchanged."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"
     return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
-def csv_text(rows: Iterable[Iterable[Any]]) -> str:
-    """Return rows as CSV text; floats keep all their digits."""
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerows(rows)
-    return buffer.getvalue()
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,16 +205,8 @@ class Study:
                     axes.text(0.5, 0.5, words, ha="center", transform=axes.transAxes)
         return every[0].figure
 
-    def to_csv(self) -> str:
-        """Return a line per point of each measurement; the last line of a measurement is its result."""
-        return csv_text([COLUMNS, *(line for row in self.rows for line in _lines(row))])
-
-    def to_latex(self) -> str:
-        """Return the tables of iterations as tabular environments of LaTeX."""
-        return "\n".join(table.to_latex() for table in self.table())
-
     def save(self, path: str | PathLike[str], against: str = "seconds") -> None:
-        """Write a file: .csv every point, .md or .tex the tables of iterations, .png, .pdf or .svg the plot.
+        """Write the plot into a file with the ending .png, .pdf or .svg.
 
         Raises
         ------
@@ -246,20 +214,8 @@ class Study:
             If the name has another ending.
         """
         place = checked_path(path)
-        ending = place.suffix.lower()
-        if ending in FORMATS:
-            save(self.plot(against), place)
-            return
-        writers: dict[str, Callable[[], str]] = {
-            ".csv": self.to_csv,
-            ".md": lambda: "\n".join(map(str, self.table())),
-            ".tex": self.to_latex,
-        }
-        if ending not in writers:
-            endings = ", ".join([*FORMATS, *writers])
-            raise InvalidOption(f"a study is saved as {endings}, got {place.name!r}")
-        text = writers[ending]()
-        write_whole({place: lambda file: file.write(text.encode("utf-8"))})
+        check_format(place)
+        save(self.plot(against), place)
 
     def explain(self) -> str:
         """Return a line per row, below each problem, then the notes and the machine."""
@@ -324,16 +280,6 @@ def _range(rows: Sequence[Measurement]) -> tuple[float, float]:
     return low, 3.0 * max(starts or [1.0], default=1.0)
 
 
-def _lines(row: Measurement) -> Iterator[tuple[Any, ...]]:
-    head = (row.problem, row.size, row.n, row.nonzeros, row.method, row.family, row.status)
-    blank = [math.nan] * len(POINT)
-    for point in row.points.tolist() or [blank]:
-        numbers = ["" if math.isnan(value) else value for value in point]
-        if isinstance(numbers[0], float):
-            numbers[0] = int(numbers[0])
-        yield (*head, *numbers, row.error_kind)
-
-
 # --- Measuring ------------------------------------------------------------------------------------------------
 
 
@@ -348,9 +294,6 @@ def study(
     polish: bool = True,
     max_seconds: float = 20.0,
     references: Sequence[str] = (),
-    out: str | PathLike[str] | None = None,
-    progress: Progress | None = None,
-    executor: Executor | None = None,
 ) -> Study:
     """Return measurements of methods on problems of several sizes.
 
@@ -380,13 +323,6 @@ def study(
     references : sequence of str
         Convex solvers of cvxpy, as "CLARABEL" or "OSQP", at their default options; each becomes one point. They are
         left out if M is not symmetric positive semidefinite.
-    out : path, optional
-        A CSV file, to which each measurement is appended when it is there; an existing file is replaced.
-    progress : callable, optional
-        Called with a line of text before each measurement; not with an executor.
-    executor : concurrent.futures.Executor, optional
-        Measures each problem and size on one of its workers, as for :func:`lcp_plugin.solve_batch`; seconds are then
-        seconds of the worker.
 
     Returns
     -------
@@ -417,8 +353,6 @@ def study(
     ('method', 'n = 100', 'n = 400')
     """
     whole_number(repeats, "repeats", 1)
-    if progress is not None and not callable(progress):
-        raise InvalidOption(f"progress must be a callable that takes a text, got {progress!r}")
     _check_choice("stopping", stopping, ("criterion", "paper"))
     is_paper = stopping == "paper"
     tolerance = (1e-5 if is_paper else 1e-8) if tolerance is None else tolerance
@@ -428,9 +362,6 @@ def study(
         raise InvalidOption(f"references must be a list of names, got {references!r}")
     if references:
         references = [solver_name(name) for name in references]
-    file = None if out is None else checked_path(out)
-    if file is not None:
-        write_whole({file: lambda f: f.write(csv_text([COLUMNS]).encode("utf-8"))})
     jobs = [
         (Measurement(label, size, 0, 0, "", "", "", "", math.nan if is_paper else tolerance), given)
         for label, given in built.items()
@@ -446,33 +377,20 @@ def study(
         tolerance=0.0 if is_paper else tolerance,
         paper_tolerance=tolerance if is_paper else 0.0,
     )
-    work = partial(_measured_job, measure)
-    here = ((k, measure(*job, progress or str)) for k, job in enumerate(jobs))
-    rows: list[list[Measurement]] = [[] for _ in jobs]
+    rows: list[Measurement] = []
     notes: dict[str, None] = {}
     is_complete = False
     try:
-        for k, some in here if executor is None else run_on(executor, work, jobs):
-            for row in some:
+        for blank, target in jobs:
+            for row in measure(blank, target):
                 if isinstance(row, str):
                     notes[row] = None
-                    continue
-                rows[k].append(row)
-                if file is not None:
-                    with file.open("a", encoding="utf-8", newline="") as f:
-                        f.write(csv_text(_lines(row)))
+                else:
+                    rows.append(row)
         is_complete = True
     except KeyboardInterrupt:
         notes["interrupted: the rows above are complete"] = None
-    except Exception as error:
-        error.finished = Study(tuple(chain(*rows)), tuple(notes), is_complete)  # type: ignore[attr-defined]
-        raise
-    return Study(tuple(chain(*rows)), tuple(notes), is_complete)
-
-
-def _measured_job(measure: Any, job: Any) -> list[Measurement | str]:
-    """Return the rows and notes of one problem of one size, on a worker."""
-    return [*measure(*job, str)]
+    return Study(tuple(rows), tuple(notes), is_complete)
 
 
 def error_against_time(
@@ -517,7 +435,6 @@ def error_against_time(
 def _measurements(
     blank: Measurement,
     given: object,
-    say: Progress,
     methods: Sequence[Method],
     references: Sequence[str],
     repeats: int,
@@ -533,13 +450,11 @@ def _measurements(
         for method in methods:
             yield _row(blank, method, "REFUSED", note=_line(error))
         return
-    say(f"{label}: kind of the error")
     kind, measure, reason = error_measure(scene, limits["max_seconds"])
     blank = replace(blank, n=scene.n, nonzeros=scene.problem.nonzeros, error_kind=kind)
     if reason:
         yield f"{label}: {reason}"
     for method in methods:
-        say(f"{label}, n = {scene.n}: {method.label}")
         try:
             status, points = measure_method(scene, method, measure, repeats, **limits)
             yield _row(blank, method, status, points, method.note)
@@ -558,7 +473,6 @@ def _measurements(
         yield f"{label}: no convex solver, {convex.evidence}"
         return
     for name in references:
-        say(f"{label}, n = {scene.n}: {name}")
         z, seconds, told = convex.solve_by(name, limits["max_seconds"])
         method, status, points = Method(name, name, "reference"), "ERROR", NO_POINTS
         if z is not None:

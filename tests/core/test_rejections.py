@@ -388,7 +388,6 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
     "error_against_time one algorithm": lambda p, wrong: error_against_time(p, [wrong]),
     "error_against_time its options": lambda p, wrong: error_against_time(p, [("psor", wrong)]),
     "error_against_time references": lambda p, wrong: error_against_time(p, ["psor"], wrong),
-    "error_against_time progress": lambda p, wrong: error_against_time(p, ["psor"], progress=wrong),
     "cross_validate reference": lambda p, wrong: cross_validate(p, reference=wrong),
     "cross_validate algorithm": lambda p, wrong: cross_validate(p, algorithm=wrong),
     "stability_atlas algorithms": lambda p, wrong: stability_atlas(wrong, ["sizes"]),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import signal
 import time
 from collections.abc import Iterator
@@ -25,7 +23,7 @@ from lcp_plugin.algorithms import Algorithm, Step, paper_options
 from lcp_plugin.core.matrix import Matrix, fact
 from lcp_plugin.evidence.drawing import draw
 from lcp_plugin.evidence.measurement import Measurement
-from lcp_plugin.evidence.study import COLUMNS, Study, Table
+from lcp_plugin.evidence.study import Study
 
 NAP = 0.06
 
@@ -128,15 +126,14 @@ def test_slow_error_measurement_does_not_show(monkeypatch: pytest.MonkeyPatch) -
     assert row.seconds < 0.25 * NAP * len(calls)
 
 
-def test_ctrl_c_ends_a_study_with_what_there_is(tmp_path: Path) -> None:
-    """Rows before Ctrl-C are kept, in memory and in the file; the handler of SIGINT is never touched."""
+def test_ctrl_c_ends_a_study_with_what_there_is() -> None:
+    """Rows before Ctrl-C are kept; the handler of SIGINT is never touched."""
     before = signal.getsignal(signal.SIGINT)
     methods = {"pgs": "pgs", "stopped": Richardson(ends="Ctrl-C"), "psor": "psor"}
-    found = study(scene(), methods, repeats=1, out=tmp_path / "r.csv")
+    found = study(scene(), methods, repeats=1)
     assert [row.method for row in found.rows] == ["pgs"]
     assert not found.is_complete
     assert "interrupted" in str(found)
-    assert (tmp_path / "r.csv").read_text(encoding="utf-8") == found.to_csv()
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -250,17 +247,16 @@ def test_a_plain_problem_is_examined() -> None:
     assert measured(LCP([[1, 4], [4, 1]], [-3, 5]), "npsor").error_kind == "residual"
 
 
-def test_refusals_and_errors_are_rows_with_their_reason(tmp_path: Path) -> None:
+def test_refusals_and_errors_are_rows_with_their_reason() -> None:
     """A refused size, a refused matrix, a method that raises: each is a row, and the others are measured."""
     found = study([even, "half_active"], ["psor"], [4, 5], repeats=1)
     assert [(row.n, row.status) for row in found.rows] == [(4, "SOLVED"), (0, "REFUSED")] * 2
     assert "ValueError: n must be even, got 5" in found.rows[1].note
     assert "n must be a perfect square, got 5" in found.rows[3].note
     raising = {"mine": Richardson(ends="error"), "psor": "psor"}
-    found = study(chain, raising, [9], repeats=1, out=tmp_path / "r.csv")
+    found = study(chain, raising, [9], repeats=1)
     assert [row.status for row in found.rows] == ["ERROR", "SOLVED"]
     assert found.rows[0].note == "IndexError: out of bounds"
-    assert (tmp_path / "r.csv").read_text(encoding="utf-8") == found.to_csv()
     refused = study(LCP([[0.0, 1.0], [-1.0, 0.0]], [1.0, 1.0]), ["psor"], repeats=1)
     assert "psor needs a positive diagonal" in str(refused)
     assert "nan" not in str(refused)
@@ -285,28 +281,11 @@ def test_references_are_rows_of_symmetric_problems() -> None:
 # --- Views ----------------------------------------------------------------------------------------------------
 
 
-def test_csv_has_a_line_per_point_with_every_digit(tmp_path: Path) -> None:
-    """The file that grows while the study runs, `save` and `to_csv` are the same text."""
-    found = study(
-        scene(), ["pgs", "gfp"], repeats=1, references=("CLARABEL",), out=tmp_path / "a.csv"
-    )
-    found.save(tmp_path / "b.csv")
-    texts = {(tmp_path / name).read_text(encoding="utf-8") for name in ("a.csv", "b.csv")}
-    assert texts == {found.to_csv()}
-    lines = list(csv.DictReader(io.StringIO(found.to_csv())))
-    assert tuple(lines[0]) == COLUMNS
-    assert len(lines) == sum(len(row.points) for row in found.rows)
-    errors = [float(line["error"]) for line in lines if line["method"] == "gfp"]
-    assert errors == found.row("gfp").column("error").tolist()
-
-
 def test_tables_tell_how_a_run_ended_without_a_result() -> None:
     """A cell holds the value of a solved run, else its status in words."""
     (table,) = made(("p", 4, "a", 7.0), ("p", 4, "b", -7.0)).table("iterations")
     assert [list(row) for row in table.rows] == [["a", 7], ["b", "stalled"]]
     assert table.to_markdown().splitlines()[2:] == ["| a | 7 |", "| b | stalled |"]
-    assert table.to_latex().splitlines()[2:5] == [r"method & n = 4 \\", r"\hline", r"a & 7 \\"]
-    assert Table("", ("a_b",), [["5 %"], [None]]).to_latex().count(r"a\_b \\") == 1
     assert str(table).startswith("p: iterations\n\n| method | n = 4 |")
 
 
@@ -394,7 +373,7 @@ study(chain, ["psor"], [4], stopping="Res") → InvalidOption: stopping must be 
 study(chain, ["psor"], [4], references=["OSQPP"]) → InvalidOption: cvxpy has no solver 'OSQPP'
 found.table("wrk") → InvalidOption: value must be one of iterations, work
 found.plot(against="time") → InvalidOption: against must be one of seconds
-found.save("r.txt") → InvalidOption: is saved as .png, .pdf, .svg, .csv, .md, .tex
+found.save("r.txt") → InvalidOption: must end in .png, .pdf, .svg
 found.row("b") → InvalidOption: no row of 'b'
 error_against_time(np.eye(2)) → InvalidOption: needs an LCP, got ndarray
 """)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from typing import Any, Unpack, cast
 
 import numpy as np
@@ -38,7 +37,6 @@ def solve_batch(
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
     callback: object = None,
-    executor: Executor | None = None,
     **options: Unpack[BatchOptions],
 ) -> BatchAnswers:
     """Return the results of many problems; small ones are solved together.
@@ -66,10 +64,6 @@ def solve_batch(
     callback : callable, optional
         Called as ``callback(finished, count)``, numbers of problems, after each stack or chunk, and after each problem
         that is solved by itself. A truthy return value ends the batch: the remaining problems are INTERRUPTED.
-    executor : concurrent.futures.Executor, optional
-        Solves chunks of the problems on its workers: a ProcessPoolExecutor, mpi4py's MPIPoolExecutor, or
-        ``client.get_executor()`` of dask. Each worker uses one thread. Results have the same bits as without an
-        executor. A lost worker ends the batch.
     **options
         tolerance, max_iterations, absolute_tolerance, prove_infeasibility: options of each problem, see
         :func:`lcp_plugin.solve`; the two options below belong to the entire batch.
@@ -95,8 +89,7 @@ def solve_batch(
     UnknownAlgorithm, InvalidOption
         See :func:`lcp_plugin.solve`.
     Exception
-        The executor's own error if a worker was lost or the executor was shut down, and any error of a function of the
-        user; its attribute `finished` has the results that arrived.
+        Any error of a function of the user; its attribute `finished` has the results before it.
 
     Examples
     --------
@@ -130,7 +123,7 @@ def solve_batch(
     if isinstance(M, PreparedProblem):
         M = M.problem
     if unknown := [name for name in options if name not in BatchOptions.__annotations__]:
-        known = ("lower", "upper", "z0", "algorithm", "callback", "executor")
+        known = ("lower", "upper", "z0", "algorithm", "callback")
         hint = did_you_mean(unknown[0], (*known, *BatchOptions.__annotations__))
         hint = "; pass starts as z0, one for each problem" if unknown[0] == "x0" else hint
         raise InvalidOption(f"solve_batch has no option {unknown[0]!r}{hint}")
@@ -141,9 +134,9 @@ def solve_batch(
         if name in given and given[name] == DEFAULTS[name]:
             del given[name]
     if any(map(is_on_gpu, (M, q, lower, upper))):
-        if not (z0 is callback is executor is None and algorithm == "auto"):
+        if not (z0 is callback is None and algorithm == "auto"):
             raise InvalidOption(
-                "arrays on a GPU take no z0, callback, executor or algorithm; leave them out, or copy the arrays"
+                "arrays on a GPU take no z0, callback or algorithm; leave them out, or copy the arrays"
             )
         bounds = 0.0 if lower is None else lower, np.inf if upper is None else upper
         return cast(BatchAnswers, DeviceAnswers(M, q, *bounds, given))
@@ -156,11 +149,11 @@ def solve_batch(
             method_of(algorithm, {})
         if programs.shared is not None:
             refuse_nonconvex(programs.shared)
-        return BatchRun(programs, algorithm, given).run(callback, executor)
+        return BatchRun(programs, algorithm, given).run(callback)
     stated = _problems_of(M, q, lower, upper, z0)
     if stated.are_lcps:
         method_of(algorithm, {})
-    return BatchRun(stated, algorithm, given).run(callback, executor)
+    return BatchRun(stated, algorithm, given).run(callback)
 
 
 def _problems_of(M: AnyMatrix, q: Array, lower: Array, upper: Array, z0: Array) -> Any:

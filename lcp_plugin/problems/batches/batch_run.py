@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from threading import Lock
 from typing import Any
 
@@ -16,7 +15,6 @@ import numpy as np
 from ...core.checks import Array, read_only
 from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
-from ...core.executors import one_blas_thread, run_on
 from ...core.lcp import LCP
 from ...core.settings import DEFAULT, Settings, Status, checked_callback, checked_threads
 from ...methods.small import LOOP_UP_TO
@@ -30,10 +28,6 @@ from ..programs.result import QuadraticProgramResult
 from ..programs.solution import QPSolution
 from .program_batch import ENGINE, ProgramBatch
 
-# Jobs per batch on an executor: 4 for each of 16 workers level out unequal times. More jobs cost memory, because each
-# has its copy of a shared M, and all are in memory at once; of more than 64 workers, some have no job.
-MAX_JOBS = 64
-GRACE = 0.9  # seconds after the limit in which results arrive from workers
 REPORTING = Lock()  # threads call the callback one after another
 
 
@@ -81,12 +75,12 @@ class BatchRun:
                 self.is_interrupted |= bool(self.callback(count - int(self.is_open.sum()), count))
 
     @np.errstate(all="ignore")
-    def run(self, callback: object = None, executor: object = None) -> BatchAnswers:
+    def run(self, callback: object = None) -> BatchAnswers:
         """Solve all problems, until the clock runs out, Ctrl-C, or the callback ends the batch."""
         self.callback = checked_callback(callback)
         try:
-            self._solve_stacks(executor)
-            self._solve_others(executor)
+            self._solve_stacks()
+            self._solve_others()
         except KeyboardInterrupt:
             self.is_interrupted = True
         except Exception as error:
@@ -102,16 +96,7 @@ class BatchRun:
         self.seconds = self.clock.read()
         return BatchAnswers(self)
 
-    def _finished(self, executor: Any, jobs: list[Any]) -> Iterator[tuple[int, Any]]:
-        """Yield (k, result of job k) until the limit of the batch, or an interruption."""
-        patience = self.settings.max_seconds + GRACE
-        for k, found in run_on(executor, call, jobs, lambda: patience - self.clock.read()):
-            yield k, found
-            self.report()
-            if self.is_interrupted:
-                return
-
-    def _solve_stacks(self, executor: object) -> None:
+    def _solve_stacks(self) -> None:
         """Solve small problems in stacks, while there is time; a stack replaces only `auto`."""
         problems, settings = self.problems, self.settings
         if self.algorithm not in problems.stacked_by or settings.absolute_tolerance:
@@ -119,14 +104,8 @@ class BatchRun:
         is_path = self.algorithm == "lemke" and not isinstance(problems, ProgramBatch)
         if settings.max_iterations < (1 if is_path else problems.fewest_iterations):
             return
-        has_time = partial(is_before, time.time() + self.seconds_left)  # of the day, on all workers
-        threads = self.threads if executor is None else MAX_JOBS
         kind = problems.path_stacks if is_path else problems.stacks
-        stacks = [*kind(settings.tolerance, has_time, threads)]
-        if executor is not None:
-            for k, found in self._finished(executor, [solve_stack for _, solve_stack in stacks]):
-                self._take(stacks[k][0], *found)
-            return
+        stacks = [*kind(settings.tolerance, lambda: self.seconds_left > 0.0, self.threads)]
 
         def solve_some(first: int, end: int) -> None:
             for items, solve_stack in stacks[first:end]:
@@ -151,32 +130,31 @@ class BatchRun:
         self.residual[at], self.iterations[at] = residual[good], iterations[good]
         self.status[at], self.is_open[at] = Status.SOLVED, False
 
-    def _solve_others(self, executor: object) -> None:
-        """Solve the other problems by themselves: one after the other, or in jobs on an executor."""
-        numbers = np.flatnonzero(self.is_open)
-        if executor is None:
-            for k in numbers.tolist():
-                if self.seconds_left <= 0.0:
-                    return
-                for found in self._job([k])():
-                    self._keep(*found)
-                self.report()
-        elif numbers.size:
-            parts = np.array_split(numbers, min(MAX_JOBS, numbers.size))
-            for _, some in self._finished(executor, [self._job(part.tolist()) for part in parts]):
-                for found in some:
-                    self._keep(*found)
+    def _solve_others(self) -> None:
+        """Solve the other problems by themselves, while there is time."""
+        for k in np.flatnonzero(self.is_open).tolist():
+            if self.seconds_left <= 0.0:
+                return
+            self._keep(k, self._solve(k))
+            self.report()
 
-    def _job(self, numbers: list[int]) -> Callable[[], Any]:
-        """Return the function that solves these problems; the error of an invalid one is kept here."""
-        problems = {}
-        for k in numbers:
-            try:
-                problems[k] = self.problems[k]
-            except LCPError as error:
-                self._keep(k, error)
-        starts, end = [self.problems.start(k) for k in problems], time.time() + self.seconds_left
-        return partial(solve_each, problems, starts, self.algorithm, self.options, end)
+    def _solve(self, k: int) -> Any:
+        """Return the result of problem k, or its own error."""
+        is_limited = self.settings.max_seconds < math.inf
+        limit = {"max_seconds": max(self.seconds_left, 0.0)} if is_limited else {}
+        try:
+            problem = self.problems[k]
+        except LCPError as error:
+            return error
+        try:
+            options = {**self.options, **limit}
+            return solve_one(problem, self.problems.start(k), self.algorithm, options)
+        except Exception as error:
+            is_of_call = isinstance(error, (InvalidOption, UnknownAlgorithm))
+            if is_of_call or not isinstance(error, LCPError):
+                error.add_note(f"in problem {k} of the batch")
+                raise
+            return error
 
     def _keep(self, k: int, found: Any) -> None:
         """Keep the result, or the error, of problem k."""
@@ -193,7 +171,7 @@ class BatchRun:
         elif isinstance(found, Result):
             self.residual[k] = found.certificate.relative_residual
         self.status[k], self.iterations[k] = found.status, found.iterations
-        self.is_interrupted |= _is_interrupted(found)
+        self.is_interrupted |= getattr(found, "status", None) is Status.INTERRUPTED
 
     def _set_point(self, k: int, x: Array) -> None:
         if isinstance(self.z, np.ndarray):
@@ -258,15 +236,13 @@ class BatchRun:
         return values
 
 
-def is_before(end: float) -> bool:
-    """Return whether it is earlier than a time of the day."""
-    return time.time() < end
-
-
-@np.errstate(all="ignore")
-def call(function: Callable[[], Any]) -> Any:
-    """Return function()."""
-    return function()
+def one_blas_thread() -> AbstractContextManager[Any]:
+    """Return a context in which BLAS has one thread, as far as threadpoolctl is installed."""
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:
+        return nullcontext()
+    return threadpool_limits(1)
 
 
 def solve_one(problem: object, start: Array, algorithm: object, options: dict[str, Any]) -> Any:
@@ -274,30 +250,6 @@ def solve_one(problem: object, start: Array, algorithm: object, options: dict[st
     given = {} if start is None else {"z0": start}
     named = {} if algorithm == "auto" else {"algorithm": algorithm}
     return solve(problem, **given, **named, **options)
-
-
-def _is_interrupted(found: Any) -> bool:
-    return getattr(found, "status", None) is Status.INTERRUPTED
-
-
-def solve_each(
-    problems: dict[int, Any], starts: list[Any], algorithm: Any, options: dict[str, Any], end: float
-) -> list[tuple[int, Any]]:
-    """Return numbers with results, or errors, of problems, up to a time of the day or an interruption."""
-    done: list[tuple[int, Any]] = []
-    for (k, problem), start in zip(problems.items(), starts, strict=True):
-        limit = {} if end == math.inf else {"max_seconds": max(end - time.time(), 0.0)}
-        if done and (not is_before(end) or _is_interrupted(done[-1][1])):
-            break
-        try:
-            done.append((k, solve_one(problem, start, algorithm, {**options, **limit})))
-        except Exception as error:
-            is_of_call = isinstance(error, (InvalidOption, UnknownAlgorithm))
-            if is_of_call or not isinstance(error, LCPError):
-                error.add_note(f"in problem {k} of the batch")
-                raise
-            done.append((k, error))
-    return done
 
 
 class BatchAnswers(AnswerSequence[Any]):

@@ -5,14 +5,13 @@ without cancellation, for every feasible z
 
     f(x) − f(z) ≤ gap(x, y) = ½ Σ_i weights_i (r_i − y_i)² + Σ_j s_j⁺(x_j − lower_j) + s_j⁻(upper_j − x_j),
 
-and, with μ ≥ ridge such that f(z) − ½μ‖z‖² is convex, at most s_j²/(2μ) for any column j if y = r. A column without a
-bound on one side requires an s_j of one sign. Because of rounding and the tolerance, y = r does not have this sign, but
-y = r + δp does if AᵀWp has it. Without such a p (a free column, A not proved to have full rank), the only bound is
-f(x) − f(z) ≤ f(x), which is then the `gap` of a result, rounding included.
+and, with a ridge, at most s_j²/(2 ridge) for any column j if y = r. A column without a bound on one side requires an
+s_j of one sign.
 
 A penalty l1_j |x_j| is l1_j x_j if x_j ≥ 0 and −l1_j x_j otherwise: in the sum, x_j and z_j are split at 0, with
-s_j + l1_j on the positive side and s_j − l1_j on the negative side; s_j²/(2μ) uses the least slope at x_j. A column
-without bounds requires |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 1 (Mairal, doctoral thesis, Cachan 2010).
+s_j + l1_j on the positive side and s_j − l1_j on the negative side; s_j²/(2 ridge) uses the least slope at x_j. A
+column without bounds requires |s_j| ≤ l1_j then, which y = θ r has for some θ ≤ 1 (Mairal, doctoral thesis, Cachan
+2010).
 
 **SOLVED: x is within the bounds and, for some y, the gap is at most tolerance · cost, cost = ½ Σ weights y² + ½ ridge
 ‖x‖² + Σ l1 |x|, without rows of A that have no entries, and rounding of the data is tolerated**: in row i, r_i − y_i up
@@ -31,7 +30,7 @@ whose entries are unknown, SOLVED means a small gradient, and all numbers are es
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,7 +41,7 @@ from ...core.checks import AnyMatrix, Array, BoolVector, Vector, derived_propert
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
 from ...core.kernels.floats import EPSILON, OUTWARD, TINY
 from ...core.rounding import compensated_product
-from .data import NOTHING, Ball, BoundedLeastSquares, Enclosures, clip, shortest_solution
+from .data import Ball, BoundedLeastSquares, Enclosures, clip, shortest_solution
 from .engines import is_within_reach
 
 
@@ -60,8 +59,6 @@ class Optimality:
         Measure that must be at most the tolerance for SOLVED: the least gap found, apart from rounding, relative to its
         cost, at most 1. For a LinearOperator ‖x − mid(lower, upper, x − g)‖∞/‖AᵀWb‖∞, g the gradient, in units in which
         columns have unit length. 1 if a point of lower cost is known.
-    dual : ndarray, shape (m,)
-        The y of the residual.
     passes : bool
         Whether the point is SOLVED, if a run has tested it.
     """
@@ -70,16 +67,15 @@ class Optimality:
     x: Vector
     misfit: Ball
     residual: float
-    dual: Vector
     passes: bool = False
 
     @classmethod
     def of(cls, enclosures: Enclosures, x: Vector, *, tolerance: float = np.inf) -> Optimality:
         """Return the optimality of x on the unscaled data; dual points are tried until one meets the tolerance."""
         misfit = enclosures.residual(x)
-        judged = cls(enclosures, x, misfit, 1.0, misfit[0])
+        judged = cls(enclosures, x, misfit, 1.0)
         if enclosures.problem.has_entries:
-            judged.residual, judged.dual = _relative_gap(judged, tolerance)
+            judged.residual = _least_gap(judged, tolerance)
         else:
             size, unit = judged._largest[0], enclosures.reference
             judged.residual = (
@@ -138,27 +134,6 @@ class Optimality:
         return OUTWARD * float(size), bool((residual <= 2.0 * radius).all())
 
 
-def _relative_gap(judged: Optimality, tolerance: float) -> tuple[float, Vector]:
-    """Return the gap relative to its cost, apart from rounding, at most 1, and its y."""
-    enclosures, x = judged.enclosures, judged.x
-    residual = enclosures.explained(x, judged.misfit)
-    least, best = np.inf, residual[0]
-    for y, slope in _with_shrunk(enclosures, x, _dual_points(judged)):
-        if (value := float(_gap_of_cost(enclosures.problem, x, residual, y, slope))) < least:
-            least, best = value, y
-        if least <= tolerance:
-            break
-    return min(least, 1.0), best
-
-
-def _gap_of_cost(
-    problem: BoundedLeastSquares, x: Vector, residual: Ball, y: Vector, slope: Ball
-) -> Any:
-    """Return the gap apart from rounding, relative to its cost; ∞ if that is 0."""
-    gap, cost = _gap(problem, x, residual, y, slope, rounding=-1.0)
-    return np.where(gap == 0.0, 0.0, OUTWARD * gap / cost)
-
-
 def _may_be_rounding(problem: BoundedLeastSquares, cost: Array, slip: Vector, tol: float) -> Any:
     """Return whether rounding of A x − b, known up to slip, exceeds the tolerance, of a small A."""
     return problem.is_small & (0.5 * np.vecdot(problem.apply_weights(slip), slip) > tol * cost)
@@ -197,10 +172,10 @@ def measure_stack(
     enclosures = Enclosures(problem)
     residual = enclosures.explained(x, enclosures.residual(x))
     y, slope = residual[0], enclosures.gradient_at(x, residual[0])
-    value = _gap_of_cost(problem, x, residual, y, slope)
+    value = _relative_gap(problem, x, residual, y, slope)
     if not (value <= tolerance).all():
         y = y + newton_step(slope[0]) @ problem.A.T
-        more = _gap_of_cost(problem, x, residual, y, enclosures.gradient_at(x, y))
+        more = _relative_gap(problem, x, residual, y, enclosures.gradient_at(x, y))
         value = np.where(more < value, more, value)
     cost = problem.cost(x, residual[0])
     least = enclosures.cost_above(np.broadcast_to(problem.nearest_to_zero, x.shape))
@@ -208,44 +183,41 @@ def measure_stack(
     return value, is_solved & ~_may_be_rounding(problem, cost, residual[1], tolerance)
 
 
+def _least_gap(judged: Optimality, tolerance: float) -> float:
+    """Return the least relative gap of the dual points, at most 1; the first that meets the tolerance is enough."""
+    enclosures, x, least = judged.enclosures, judged.x, 1.0
+    residual = enclosures.explained(x, judged.misfit)
+    for y, slope in _dual_points(judged):
+        least = min(least, float(_relative_gap(enclosures.problem, x, residual, y, slope)))
+        if least <= tolerance:
+            break
+    return least
+
+
 def _dual_points(judged: Optimality) -> Iterator[tuple[Vector, Ball]]:
-    """Yield dual points y with their s, the cheapest first."""
-    enclosures, x, (r, slip) = judged.enclosures, judged.x, judged.misfit
-    problem, at_r = enclosures.problem, enclosures.gradient_at(x, r)
-    yield r, at_r
-    yield from _with_zeros(enclosures, x, r, slip)
+    """Yield dual points y with their s, the cheapest first: each also shrunk, and with 0 for rounding errors."""
+    enclosures, x, slip = judged.enclosures, judged.x, judged.misfit[1]
+    for y in _orthogonal_residuals(judged):
+        without_rounding = np.where(np.abs(y) > slip, y, 0.0)  # their multipliers are exactly 0
+        for dual in (y, without_rounding)[: 1 + (np.abs(y) <= slip).any()]:
+            slope = enclosures.gradient_at(x, dual)
+            yield dual, slope
+            share = _admissible_share(enclosures.problem, x, slope)
+            if 0.0 < share < 1.0 - 2.0**-49:
+                yield share * dual, enclosures.gradient_at(x, share * dual)
+
+
+def _orthogonal_residuals(judged: Optimality) -> Iterator[Vector]:
+    """Yield the residual, then its part that is orthogonal to the free columns."""
+    problem, x, r = judged.enclosures.problem, judged.x, judged.misfit[0]
+    yield r
     free = (problem.lower < x) & (x < problem.upper) & ((x != 0.0) | (problem.l1 == 0.0))
-    wrong = np.where(free, (at_r[0] + np.copysign(problem.l1, x)) / problem.column_scales, 0.0)
-    orthogonal = r - _push(problem, wrong, free, 1e-8)  # orthogonal to the free columns
-    slope = enclosures.gradient_at(x, orthogonal)
-    yield orthogonal, slope
-    yield from _with_zeros(enclosures, x, orthogonal, slip)
+    slope = judged.enclosures.gradient_at(x, r)[0] + np.copysign(problem.l1, x)
+    yield r - _push(problem, np.where(free, slope / problem.column_scales, 0.0), free, 1e-8)
 
 
-def _with_zeros(
-    enclosures: Enclosures, x: Vector, y: Vector, slip: Vector
-) -> Iterator[tuple[Vector, Ball]]:
-    """Yield y with its entries at rounding level set to 0, if there are any: their multipliers are exactly 0."""
-    if (np.abs(y) <= slip).any():
-        zeroed = np.where(np.abs(y) > slip, y, 0.0)
-        yield zeroed, enclosures.gradient_at(x, zeroed)
-
-
-def _with_shrunk(
-    enclosures: Enclosures, x: Vector, duals: Iterable[tuple[Vector, Ball]]
-) -> Iterator[tuple[Vector, Ball]]:
-    """Yield each y, and then the shrunk y."""
-    for y, slope in duals:
-        yield y, slope
-        if (shrunk := _shrunk(enclosures, x, y, slope)) is not None:
-            yield shrunk
-
-
-def _shrunk(
-    enclosures: Enclosures, x: Vector, y: Vector, slope: Ball
-) -> tuple[Vector, Ball] | None:
-    """Return θ y, θ ≤ 1, with |s_j| ≤ l1_j in penalized columns without a bound, and its s; None if y satisfies it."""
-    problem = enclosures.problem
+def _admissible_share(problem: BoundedLeastSquares, x: Vector, slope: Ball) -> float:
+    """Return the largest θ ≤ 1 with |s_j| ≤ l1_j of θ y in penalized columns without a bound, to rounding."""
     of_y, margin = slope[0] - problem.ridge * x, 2.0 * slope[1]
     shares = [
         np.divide(
@@ -256,61 +228,17 @@ def _shrunk(
         )
         for sign, bound in ((1.0, problem.lower), (-1.0, problem.upper))
     ]
-    share = float(np.min(shares, initial=1.0)) * (1.0 - 2.0**-50)
-    if not 0.0 < share < 1.0 - 2.0**-49:
-        return None
-    return share * y, enclosures.gradient_at(x, share * y)
+    return float(np.min(shares, initial=1.0)) * (1.0 - 2.0**-50)
 
 
-def duality_gap(problem: BoundedLeastSquares, x: Vector, y: Vector | None = None) -> float:
-    """Return an upper bound of f(x) − min f, for x within the bounds; an estimate for a LinearOperator.
-
-    Parameters
-    ----------
-    problem : BoundedLeastSquares
-    x : array, shape (n,)
-    y : array, shape (m,), optional
-        Any dual point; A x − b by default.
-    """
-    enclosures = Enclosures(problem)
-    residual = enclosures.residual(x)
-    at_x = enclosures.gradient(x, residual)
-    exactly = residual[0], np.zeros(residual[0].size)  # y is the exact residual
-    y = residual[0] if y is None else y
-    slopes = [*_with_shrunk(enclosures, x, [(y, enclosures.gradient_at(x, y))])]
-
-    def bound_gap(*given: Any) -> float:
-        return float(_gap(problem, x, *given)[0])
-
-    found = [bound_gap(exactly, residual[0], at_x)]
-    found += [bound_gap(residual, *slope) for slope in slopes]
-    if not np.nanmin(found) < np.inf:
-        repairs = (repair for slope in slopes for repair in _repair(enclosures, x, *slope))
-        found += [bound_gap(residual, *repair) for repair in repairs]
-    if not np.nanmin(found) < np.inf and (convexity := enclosures.convexity) is not None:
-        found.append(bound_gap(exactly, residual[0], at_x, convexity))
-    cost = float(OUTWARD**3 * (enclosures.cost_above(x) + TINY))
-    return min(gap for gap in (cost, *found) if not np.isnan(gap))
-
-
-def _gap(
-    problem: BoundedLeastSquares,
-    x: Vector,
-    residual: Ball,
-    y: Vector,
-    slope: Ball,
-    convexity: Vector = NOTHING,
-    *,
-    rounding: float = 1.0,
-) -> tuple[Any, Any]:
-    """Return gap(x, y) for s in `slope`, and the cost of y, each of shape (B,) for a stack.
-
-    Radii of residual and slope are added if `rounding` is 1, subtracted if it is −1.
-    """
-    l1, (s, radius), distance = problem.l1, slope, np.abs(x)
-    off = np.maximum(np.abs(residual[0] - y) + rounding * residual[1], 0.0)
-    near, far, margin = x - problem.lower, problem.upper - x, rounding * radius
-    linear, least = _fall(s, near, margin) + _fall(-s, far, margin), np.abs(s)
+def _relative_gap(
+    problem: BoundedLeastSquares, x: Vector, residual: Ball, y: Vector, slope: Ball
+) -> Any:
+    """Return gap(x, y) relative to the cost of y, apart from rounding, for s in `slope`; shape (B,) for a stack."""
+    l1, (s, radius) = problem.l1, slope
+    off = np.maximum(np.abs(residual[0] - y) - residual[1], 0.0)
+    near, far = x - problem.lower, problem.upper - x
+    linear, least = _fall(s - radius, near) + _fall(-s - radius, far), np.abs(s)
     if l1.any():  # x and z split at 0
         both = np.zeros(x.shape)
         for sign, low, high in (
@@ -318,65 +246,26 @@ def _gap(
             (-1.0, -problem.upper, -problem.lower),
         ):
             slant, at = s * sign + l1, np.maximum(sign * x, 0.0)
-            both += _fall(slant, at - np.maximum(low, 0.0), margin)
-            both += _fall(-slant, high - at, margin)  # at is 0 if high < 0
+            both += _fall(slant - radius, at - np.maximum(low, 0.0))
+            both += _fall(-slant - radius, high - at)  # at is 0 if high < 0
         linear = np.where(l1 == 0.0, linear, both)
         least = np.where(x != 0.0, np.abs(s + np.copysign(l1, x)), np.maximum(np.abs(s) - l1, 0.0))
-    curved = convexity if convexity.size else np.full(x.shape, problem.ridge)
-    if curved.any():
-        steep = least + margin
-        steepest = 0.5 * steep * (steep / curved) + TINY
-        linear = np.where((linear > 0.0) & (curved > 0.0), np.minimum(linear, steepest), linear)
+    if problem.ridge > 0.0:
+        steep = least - radius
+        steepest = 0.5 * steep * (steep / problem.ridge) + TINY
+        linear = np.where(linear > 0.0, np.minimum(linear, steepest), linear)
     linear = linear + 0.0 * (s + radius)  # NaN if one is not finite
     gap = 0.5 * np.vecdot(problem.apply_weights(off), off) + linear.sum(-1)
     gap = np.where(gap < np.inf, OUTWARD**3 * gap + TINY * (gap > 0.0), np.inf)
     y = np.where(problem.has_terms, y, 0.0)  # no x changes the cost of the other rows
     squares = np.vecdot(problem.apply_weights(y), y) + problem.ridge * np.vecdot(x, x)
-    return gap, 0.5 * squares + np.vecdot(l1, distance)
+    cost = 0.5 * squares + np.vecdot(l1, np.abs(x))
+    return np.where(gap == 0.0, 0.0, OUTWARD * gap / cost)
 
 
-def _fall(slant: Vector, slack: Vector, off: Vector) -> Vector:
-    """Return by how much the cost falls at most over the slack, at a slant known up to `off`."""
-    steep = slant + off
-    return np.where((steep > 0.0) & (slack > 0.0), steep * slack + TINY, 0.0)
-
-
-def _repair(
-    enclosures: Enclosures, x: Vector, y: Vector, slope: Ball
-) -> Iterator[tuple[Vector, Ball]]:
-    """Yield y + δp with the least δ that gives all columns the required sign, and its s, if δ is found.
-
-    p is to push the columns whose sign is in doubt, or else all of them.
-    """
-    problem = enclosures.problem
-    wanted = np.isposinf(problem.upper).astype(float) - np.isneginf(problem.lower)
-    wanted = np.where(np.maximum(np.abs(slope[0]), slope[1]) > 0.0, wanted, 0.0)
-    sizes = (wanted * slope[0] + problem.l1) / problem.column_scales
-    # Columns with smaller multipliers may be free
-    in_doubt = sizes <= 1e-6 * np.max(np.abs(sizes), initial=0.0)
-    missing = np.maximum(slope[1] - wanted * slope[0] - problem.l1, 0.0)
-    lacking = (wanted != 0.0) & (missing > 0.0)
-    for push in _pushes(problem, np.where(in_doubt, wanted, 0.0), wanted):
-        moved = wanted * problem.apply_transpose(problem.apply_weights(push))
-        share = float(np.max(missing[lacking] / moved[lacking], initial=0.0))
-        for _ in range(4 if (moved[lacking] > 0.0).all() else 0):
-            share *= 1.0 + 2.0**-10
-            repaired = y + share * push
-            value, radius = enclosures.gradient_at(x, repaired)
-            if (wanted * value + problem.l1 >= radius)[wanted != 0.0].all():
-                yield repaired, (value, radius)
-                return
-            share *= 2.0
-
-
-def _pushes(problem: BoundedLeastSquares, *wanted: Vector) -> Iterator[Vector]:
-    """Yield candidates for p: A times the first wanted signs, which suits entries ≥ 0; then the shortest p."""
-    yield problem.product(wanted[0] / problem.column_scales)
-    for signs in wanted:
-        # A bit less than the target 1 of (AᵀWp)_j, in units of column j
-        yield _push(
-            problem, signs, signs != 0.0, 0.8 / math.sqrt(max(int(np.count_nonzero(signs)), 1))
-        )
+def _fall(slant: Vector, slack: Vector) -> Vector:
+    """Return by how much the cost falls at most over the slack, at a slant."""
+    return np.where((slant > 0.0) & (slack > 0.0), slant * slack + TINY, 0.0)
 
 
 def _push(

@@ -17,10 +17,8 @@ from ...core import checks
 from ...core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, OUTWARD, TINY
-from ...core.matrix import Matrix
 from ...core.rounding import compensated_product, gamma
 from ...judges.lcp import RAN_AWAY
-from ...proofs.bounds import smallest_eigenvalue_bound
 from ...systems.equilibration import power_of_two
 
 MAX_DENSE_ENTRIES = 10**6  # of A: dense copies cost little
@@ -426,7 +424,7 @@ class Enclosures:
     Attributes
     ----------
     reference : float
-        A lower bound of ‖AᵀWb‖∞ in units in which columns have about unit length. If AᵀWb is 0, of the gradient at the
+        ‖AᵀWb‖∞ in units in which columns have about unit length. If AᵀWb is 0, of the gradient at the
         point of [lower, upper] nearest to 0; if that is 0 as well, that point is a solution.
     known : list of ndarray, shape (n,)
         Points within the bounds whose cost no solution exceeds.
@@ -509,38 +507,10 @@ class Enclosures:
     def reference(self) -> float:
         """The unit of residuals; see the class."""
         problem, start = self.problem, self.problem.nearest_to_zero
-        value, radius = self.apply_transpose(problem.b, np.zeros(problem.shape[0]))
+        value = problem.apply_transpose(problem.apply_weights(problem.b))
         if not value.any():
-            value, radius = self.gradient(start, self.residual(start))
-        least = np.maximum(np.abs(value) - radius, 0.0) / problem.column_scales
-        return float(least.max(initial=0.0))
-
-    @cached_property
-    def convexity(self) -> Vector | None:
-        """A d > 0, shape (n,), with AᵀWA + ridge − diag(d) proved positive semidefinite, or None."""
-        problem, n = self.problem, self.problem.shape[1]
-        # Up to 3000 columns AᵀWA is factorized
-        if not problem.has_entries or not 0 < n <= min(3000, problem.shape[0]):
-            return None
-        scaled = problem.scaled
-        A = scaled.matrix(is_dense=problem.is_small)
-        gram = A.T @ A
-        dense: AnyMatrix = gram if problem.is_dense or problem.is_small else gram.toarray()
-        dense.flat[:: n + 1] += scaled.ridge
-        if not np.isfinite(dense).all():
-            return None
-        terms = problem.shape[0] + 16
-        # Columns are shorter than 2: no entry is wrong by more than 4 γ, nor an eigenvalue by more than n times that.
-        slip = 8.0 * n * (gamma(2 * terms) + EPSILON)
-        bound = smallest_eigenvalue_bound(Matrix(0.5 * (dense + dense.T)))
-        if bound is None:
-            return None
-        least = bound.value - slip * float(bound.scale.max()) ** 2
-        return (
-            least * (1.0 - 2.0**-40) * (problem.column_scales / bound.scale) ** 2
-            if least > 0.0
-            else None
-        )
+            value = self.gradient(start, self.residual(start))[0]
+        return float((np.abs(value) / problem.column_scales).max(initial=0.0))
 
     @cached_property
     def _sizes(self) -> Any:

@@ -23,7 +23,7 @@ from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
 from ...solving.result import BaseResult, Callback
 from ...solving.run import CUT_SHORT, FAILED, Named, Progress, Run, Stage, say
 from . import engines
-from .certificate import Optimality, duality_gap, measure_stack
+from .certificate import Optimality, measure_stack
 from .data import BoundedLeastSquares, Enclosures, clip, times
 
 START = "start"  # instead of a method, if the start is optimal
@@ -256,7 +256,7 @@ ADVICE = {
     Status.SOLVED: "the cost exceeds the minimum by at most tolerance · cost, up to rounding errors in the data",
     Status.PRECISION_LIMIT: (
         "the gradient is at rounding level, but no lower bound of the cost was found near it, as for a large sparse A "
-        "that fits b exactly; next: accept x if result.gap is small compared with result.cost, or raise l1 or ridge"
+        "that fits b exactly; next: accept x if result.optimality is small enough, or raise l1 or ridge"
     ),
     Status.STALLED: (
         "the gradient no longer falls: A is too ill-conditioned, or its rows or bounds differ too much in size; next: "
@@ -304,8 +304,7 @@ class LeastSquaresResult(BaseResult):
     tolerance : float
         Tolerance of the run.
     is_proved : bool
-        Whether `optimality` and `gap` are upper bounds. For a LinearOperator, whose entries are unknown, they are
-        estimates.
+        Whether `optimality` is an upper bound. For a LinearOperator, whose entries are unknown, it is an estimate.
     problem : BoundedLeastSquares
         The data.
     history : tuple of Sample
@@ -323,7 +322,6 @@ class LeastSquaresResult(BaseResult):
     active_mask: NDArray[np.int_]
     is_proved: bool
     problem: BoundedLeastSquares
-    _dual: Vector
 
     @classmethod
     def at(cls, judged: Optimality, **run: Any) -> LeastSquaresResult:
@@ -340,18 +338,8 @@ class LeastSquaresResult(BaseResult):
             active_mask=read_only(mask),
             is_proved=problem.has_entries,
             problem=problem,
-            _dual=judged.dual,
             **run,
         )
-
-    @derived_property
-    def gap(self) -> float:
-        """Upper bound of cost − minimum for the stored data, rounding included; computed at the first access.
-
-        At worst it equals the cost. This happens if some column is unbounded without a multiplier of the correct sign,
-        and A is not proved to have full rank; see help("lcp_plugin.problems.least_squares.certificate").
-        """
-        return duality_gap(self.problem, self.x, self._dual)
 
     @property
     def objective(self) -> float:
@@ -374,8 +362,9 @@ class LeastSquaresResult(BaseResult):
 
     def describe_accuracy(self) -> str:
         """Return the optimality and the tolerance, as text."""
-        above = f", at most {self.gap:.1e} above the least" if self.is_solved else ""
-        return f"optimality {self.optimality:.1e}, tolerance {self.tolerance:g}; cost {self.cost:.9g}{above}"
+        return (
+            f"optimality {self.optimality:.1e}, tolerance {self.tolerance:g}; cost {self.cost:.9g}"
+        )
 
 
 def suits_stack(problem: BoundedLeastSquares) -> bool:

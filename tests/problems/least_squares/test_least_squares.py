@@ -20,8 +20,6 @@ from scipy.sparse.linalg import LinearOperator, aslinearoperator
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import BoundedLeastSquares, InvalidProblem, NotConverged, Status, solve
-from lcp_plugin.problems.least_squares.certificate import duality_gap
-from lcp_plugin.problems.least_squares.data import Enclosures
 
 INF = np.inf
 
@@ -91,7 +89,6 @@ def test_planted_dense_answers_are_found(shape: tuple[int, int], condition: floa
     assert (result.x >= 0.0).all()
     assert (result.x <= upper).all()
     assert own_optimality(A, b, result.x, 0.0, upper) <= 1e-8
-    assert result.gap <= 1e-6 * best  # where AᵀA has lost every digit, too
     if shape[0] >= shape[1] and condition <= 1e5:
         np.testing.assert_allclose(result.x, x, atol=1e-8)
 
@@ -103,7 +100,6 @@ def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
     result = bounded_least_squares(form(A), b, 0.0, upper).require_solved()
     np.testing.assert_allclose(result.x, x, atol=1e-6)
     assert result.is_proved == (form is not aslinearoperator)
-    assert result.gap <= (1e-8 if result.is_proved else 1e-6) * result.cost
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -117,19 +113,6 @@ def test_products_alone_solve_a_fit_with_a_large_ridge(seed: int) -> None:
     stacked = np.vstack([A, np.sqrt(20.0) * np.eye(12)]), np.append(b, np.zeros(12))
     best = lsq_linear(*stacked, bounds=(-0.2, 0.3), tol=1e-14)
     np.testing.assert_allclose(found.require_solved().x, best.x, atol=1e-7)
-
-
-def test_no_convexity_is_claimed_below_the_rounding_of_the_products() -> None:
-    """AᵀA − diag(d) has no negative determinant, in fractions, for columns that differ by 10⁻² … 10⁻⁹."""
-    for digits in range(2, 10):
-        A = np.array([[1.0, 1.0], [0.0, 10.0**-digits], [0.0, 0.0]])
-        d = Enclosures(BoundedLeastSquares(A, np.ones(3))).convexity
-        assert d is not None or digits > 5
-        if d is not None:
-            first, second, slant = (Fraction(float(one)) for one in (*d, A[1, 1]))
-            assert (1 - first) * (1 + slant**2 - second) >= 1
-    operator = BoundedLeastSquares(aslinearoperator(np.eye(3)), np.ones(3))
-    assert Enclosures(operator).convexity is None
 
 
 @pytest.mark.parametrize("lower", [0.0, -INF])
@@ -263,8 +246,10 @@ def test_a_clock_is_kept_by_the_judge_as_well(lower: float) -> None:
     st.integers(0, 10**6),
     st.sampled_from([1e-1, 1e-4, 1e-8, 1e-14]),
 )
-def test_the_gap_is_never_below_the_true_one(m: int, n: int, seed: int, tolerance: float) -> None:
-    """Rational arithmetic confirms cost − min ≤ gap and SOLVED for all ranks and weights."""
+def test_solved_costs_no_more_than_the_tolerance_allows(
+    m: int, n: int, seed: int, tolerance: float
+) -> None:
+    """Rational arithmetic confirms SOLVED for all ranks and weights."""
     rng = np.random.default_rng(seed)
     A, b, weights = (
         rng.integers(-size, size + 1, shape).astype(float)
@@ -279,19 +264,10 @@ def test_the_gap_is_never_below_the_true_one(m: int, n: int, seed: int, toleranc
     exact = Exact(case)
     true_gap = exact.cost([Fraction(value) for value in result.x.tolist()]) - exact.least
     assert result.is_proved
-    assert 0 <= true_gap <= Fraction(result.gap)
+    assert true_gap >= 0
     if result.is_solved:  # at most the tolerance above the minimum, up to rounding error
         assert result.optimality <= tolerance
         assert complaint(case, exact, result.x, tolerance) != "FALSE"
-
-
-def test_the_gap_is_sharp_where_multipliers_can_be_repaired() -> None:
-    """Full rank, NNLS: a gap of 1e-9 of the cost, where the naive one is infinite; never more than the cost."""
-    A, b, _, x = planted(random_rows(2000, 400, 6))
-    result = bounded_least_squares(A, b)
-    assert (A.T @ result.fun < 0.0).any()  # multipliers of a wrong sign, with x unbounded there
-    assert result.cost - 0.5 * np.sum((A @ x - b) ** 2) <= result.gap <= 1e-9 * result.cost
-    assert bounded_least_squares(np.ones((3, 2)), [1.0, 2.0, 4.0], -INF).gap <= 7.0
 
 
 def test_least_squares_in_mixed_units(draws: Callable[[int], range]) -> None:
@@ -520,22 +496,3 @@ def test_a_vandermonde_matrix_is_solved() -> None:
     A = np.vander(np.linspace(0.0, 1.0, 120), 12)
     result = bounded_least_squares(A, A @ np.arange(12.0)).require_solved()
     np.testing.assert_allclose(result.x, np.arange(12.0), atol=1e-6)
-
-
-@pytest.mark.parametrize("lower", [-np.inf, 0.0], ids=["free", "one-sided"])
-@pytest.mark.parametrize("seed", range(2))
-def test_the_gap_of_a_fit_of_full_rank_is_small_at_its_minimizer(seed: int, lower: float) -> None:
-    """The bound of f(x) − f* is rounding at the minimizer, and at least the difference elsewhere."""
-    rng = np.random.default_rng(seed)
-    A, x = rng.normal(size=(30, 5)), np.abs(rng.normal(size=5)) + 0.1
-    normal, _ = np.linalg.qr(A, mode="complete")
-    b = A @ x + normal[:, 5:] @ rng.normal(size=25)  # x is the minimizer, in the interior
-    problem = BoundedLeastSquares(A, b, lower=lower)
-    cost = 0.5 * np.square(A @ x - b).sum()
-    assert 0.0 <= solve(problem).gap <= 1e-8 * cost
-    assert duality_gap(problem, x) <= 1e-8 * cost
-    off = x + 0.01 * rng.normal(size=5)
-    excess = 0.5 * np.square(A @ (off - x)).sum()
-    assert excess * (1 - 1e-6) <= duality_gap(problem, off)
-    # no sharp bound next to a bound
-    assert duality_gap(problem, off) <= 10.0 * excess or lower == 0.0

@@ -26,7 +26,7 @@ import signal
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -73,7 +73,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture(autouse=True)
-def floating_point_state(request: pytest.FixtureRequest) -> Iterator[None]:
+def floating_point_state(request):
     """Set the state of numpy that the public functions set, for tests of the functions inside them."""
     folder = request.path.relative_to(request.config.rootpath).parts[1]
     with np.errstate(all="ignore") if folder in INNER else nullcontext():
@@ -81,7 +81,7 @@ def floating_point_state(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 @pytest.fixture
-def draws(pytestconfig: pytest.Config) -> Callable[..., range]:
+def draws(pytestconfig):
     """So many problems of a campaign are drawn in the full suite, an eighth (a part) of them in the quick one."""
     is_full = bool(pytestconfig.getoption("--full"))
     return lambda count, part=8: range(count if is_full else count // part)

@@ -45,7 +45,7 @@ def stored() -> Any:
     return data
 
 
-def tests_of(file: Path) -> dict[int, set[str]]:
+def tests_of(file):
     """Return the tests of each line of a file; a test is named as pytest names it."""
     lines = stored().contexts_by_lineno(str(file.resolve()))
     names = {

@@ -30,9 +30,7 @@ def rewriting(full: bool, name: str) -> str:
 
 
 @pytest.mark.parametrize("name", entries())
-def test_small_applications_cost_no_more_than_the_table_says(
-    name: str, pytestconfig: pytest.Config
-) -> None:
+def test_small_applications_cost_no_more_than_the_table_says(name, pytestconfig):
     """Status, counted work and error of auto in all units and of the best named methods.
 
     The full suite also runs named methods on scaled problems: no further result may be falsely SOLVED.
@@ -43,13 +41,13 @@ def test_small_applications_cost_no_more_than_the_table_says(
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", entries())
-def test_large_applications_cost_no_more_than_the_table_says(name: str) -> None:
+def test_large_applications_cost_no_more_than_the_table_says(name):
     """The same of the large sizes."""
     assert not (lines := worse(full=True, name=name)), "\n".join(lines)
 
 
 @pytest.mark.parametrize("full", [False, True])
-def test_every_application_has_its_rows(full: bool) -> None:
+def test_every_application_has_its_rows(full):
     """Both tables have auto's rows of each case and scaling, and survive a round trip."""
     text = path_of(full=full).read_text(encoding="utf-8")
     table = read(text)
@@ -66,6 +64,6 @@ def test_every_application_has_its_rows(full: bool) -> None:
 
 
 @pytest.mark.parametrize("name", entries())
-def test_every_application_has_a_source(name: str) -> None:
+def test_every_application_has_a_source(name):
     """The docstring describes the application and cites its source."""
     assert re.search(r"; .*\(\d{4}\)|Kumar, Deepmala, Das", entries()[name].build.__doc__ or "")

@@ -11,7 +11,6 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ SMALL_SCENES = [*SMALL, "american_put:size=1", "obstacle_2d:size=1"]
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """A current folder of its own, so that relative paths are typed as a user would and leftovers are seen."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -55,7 +54,7 @@ def in_a_process(*arguments: str, **environment: str) -> subprocess.CompletedPro
 # --- solve -----------------------------------------------------------------------------------------------------
 
 
-def test_settings_reach_the_run() -> None:
+def test_settings_reach_the_run():
     """Tolerance, relaxation and options have the same effect as in solve."""
     arguments = (
         "-a npaor --relaxation 1.5 -o acceleration=0.5 -o scaling=diagonal -o sweep=symmetric"
@@ -78,7 +77,7 @@ def test_settings_reach_the_run() -> None:
     assert told["tolerance"] == 1e-4
 
 
-def test_scene_starts_where_its_source_starts() -> None:
+def test_scene_starts_where_its_source_starts():
     """A scene with a prescribed start is solved from there."""
     done = lcp_plugin(
         "solve", "paper_example_1:n=100", "-a", "npsor", "-o", "scaling=none", "--json"
@@ -89,7 +88,7 @@ def test_scene_starts_where_its_source_starts() -> None:
     assert ours.iterations != solve(scene.problem, "npsor", scaling=None).iterations
 
 
-def test_json_is_all_there_is_on_stdout() -> None:
+def test_json_is_all_there_is_on_stdout():
     """--json prints one JSON object with the numbers of the run and nothing else; the rest goes to stderr."""
     done = lcp_plugin("solve", "obstacle_2d:size=10", "-a", "npsor", "--json", "--out", "z.npz")
     told = json.loads(done.stdout, parse_constant=pytest.fail)
@@ -109,7 +108,7 @@ def test_json_is_all_there_is_on_stdout() -> None:
     assert "saved z.npz" in done.stderr
 
 
-def test_json_has_the_error_bound() -> None:
+def test_json_has_the_error_bound():
     """``--json --error-bound`` prints the bound of ‖z − z*‖∞ as a number."""
     done = lcp_plugin("solve", "obstacle_2d:size=6", "--json", "--error-bound")
     problem = gallery.build("obstacle_2d", size=6).problem
@@ -117,7 +116,7 @@ def test_json_has_the_error_bound() -> None:
     assert distance - 1e-14 <= json.loads(done.stdout)["error_bound"] < 1e-9
 
 
-def test_json_of_an_unsolved_run_is_json() -> None:
+def test_json_of_an_unsolved_run_is_json():
     """Also where nothing is solved, and numbers may not be finite, the output is JSON by the book; exit code 1."""
     LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 1.0]).save("p.npz")
     done = lcp_plugin("solve", "p.npz", "-a", "npsor", "--json")
@@ -125,7 +124,7 @@ def test_json_of_an_unsolved_run_is_json() -> None:
     assert json.loads(done.stdout, parse_constant=pytest.fail)["status"] in {"DIVERGED", "STALLED"}
 
 
-def test_out_holds_the_solution() -> None:
+def test_out_holds_the_solution():
     """--out writes z and w of the run, bit for bit, and its status."""
     done = lcp_plugin("solve", "obstacle_2d:size=10", "--out", "z.npz")
     ours = solve(gallery.build("obstacle_2d", size=10).problem)
@@ -146,7 +145,7 @@ def test_out_holds_the_solution() -> None:
     ],
     ids=["program", "least squares"],
 )
-def test_out_holds_the_vectors_of_the_class(given: Any, names: str) -> None:
+def test_out_holds_the_vectors_of_the_class(given, names):
     """--out writes x and the multipliers of a program, x of least squares, and the status."""
     np.savez("p.npz", **given)
     assert lcp_plugin("solve", "p.npz", "--out", "z.npz").exit_code == 0
@@ -154,7 +153,7 @@ def test_out_holds_the_vectors_of_the_class(given: Any, names: str) -> None:
         assert set(saved.files) == {*names.split(), "status"}
 
 
-def test_out_replaces_an_earlier_answer_but_not_the_problem() -> None:
+def test_out_replaces_an_earlier_answer_but_not_the_problem():
     """Option --out overwrites an earlier result, but not the file of the problem."""
     BOX.save("p.npz")
     lcp_plugin("solve", "half_active:n=4", "--out", "z.npz")
@@ -165,7 +164,7 @@ def test_out_replaces_an_earlier_answer_but_not_the_problem() -> None:
     assert str(LCP.load("p.npz")) == str(BOX)
 
 
-def test_march_prints_its_totals() -> None:
+def test_march_prints_its_totals():
     """A march in time reports the steps done and the iterations of all of them; --out holds the last step."""
     done = lcp_plugin("solve", "american_put_march:size=31,steps=4")
     scene = gallery.build("american_put_march", size=31, steps=4)
@@ -185,7 +184,7 @@ def test_march_prints_its_totals() -> None:
     ("limit", "status"),
     [("--max-iterations=3", Status.MAX_ITERATIONS), ("--max-seconds=0", Status.MAX_SECONDS)],
 )
-def test_unsolved_is_exit_code_one_with_advice(limit: str, status: Status) -> None:
+def test_unsolved_is_exit_code_one_with_advice(limit, status):
     """A limit gives exit code 1, the status and its advice are printed, and --out is written."""
     done = lcp_plugin("solve", "obstacle_2d:size=20", "-a", "npgs", limit, "--out", "z.npz")
     assert done.exit_code == 1
@@ -202,7 +201,7 @@ def test_unsolved_is_exit_code_one_with_advice(limit: str, status: Status) -> No
 
 
 @pytest.mark.parametrize("scene", SMALL_SCENES)
-def test_every_scene_is_solved_and_has_a_picture(scene: str) -> None:
+def test_every_scene_is_solved_and_has_a_picture(scene):
     """Exit code 0, problem, size and status; a PNG for one, two and three dimensions, no grid, and a single unknown."""
     done = lcp_plugin("solve", scene, "--plot", "out.png")
     assert (done.exit_code, done.stderr) == (0, "")
@@ -217,7 +216,7 @@ def test_every_scene_is_solved_and_has_a_picture(scene: str) -> None:
     assert list(Path().iterdir()) == [Path("out.png")]
 
 
-def test_without_matplotlib_nothing_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_nothing_is_solved(monkeypatch):
     """Without matplotlib, --plot ends with the command to install it, before any solve."""
     for module in ("matplotlib", "matplotlib.figure"):
         monkeypatch.setitem(sys.modules, module, None)
@@ -288,9 +287,7 @@ BAD_INPUT = [
 @pytest.mark.parametrize(
     ("arguments", "pattern"), BAD_INPUT, ids=[arguments for arguments, _ in BAD_INPUT]
 )
-def test_bad_input_is_one_line_and_exit_code_two(
-    arguments: str, pattern: str, folder: Path
-) -> None:
+def test_bad_input_is_one_line_and_exit_code_two(arguments, pattern, folder):
     """A mistake gives one readable line on stderr and exit code 2, and changes no file."""
     write_inputs()
     before = {f: f.read_bytes() for f in folder.rglob("*") if f.is_file()}
@@ -313,7 +310,7 @@ def test_bad_input_is_one_line_and_exit_code_two(
         ("tables", "tables"),
     ],
 )
-def test_wrong_grammar_is_exit_code_two(arguments: str, words: str) -> None:
+def test_wrong_grammar_is_exit_code_two(arguments, words):
     """A command, option or kind of value that does not exist: exit code 2, the culprit on stderr."""
     done = lcp_plugin(*arguments.split())
     assert done.exit_code == 2
@@ -321,7 +318,7 @@ def test_wrong_grammar_is_exit_code_two(arguments: str, words: str) -> None:
     assert words in done.stderr.lower()  # typer 0.16 writes TARGET
 
 
-def test_repeated_option_is_refused() -> None:
+def test_repeated_option_is_refused():
     """An option that is given twice, in any spelling, is an error."""
     for arguments in ("--relaxation 1.5 -o relaxation=1.2", "-o sweep=forward -o sweep=backward"):
         done = lcp_plugin("solve", "half_active:n=4", "-a", "psor", *arguments.split())
@@ -329,12 +326,10 @@ def test_repeated_option_is_refused() -> None:
         assert re.match(r"lcp-plugin: .*(relaxation|sweep)", done.stderr)
 
 
-def test_failing_write_is_told_and_leaves_nothing(
-    monkeypatch: pytest.MonkeyPatch, folder: Path
-) -> None:
+def test_failing_write_is_told_and_leaves_nothing(monkeypatch, folder):
     """A disk that fills up while --out is written: one line with the reason, exit code 2, no file."""
 
-    def full(*_: object, **__: object) -> None:
+    def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez_compressed", full)
@@ -349,7 +344,7 @@ def test_failing_write_is_told_and_leaves_nothing(
 # --- compare, check, list --------------------------------------------------------------------------------
 
 
-def test_compare_prints_and_saves_error_against_time() -> None:
+def test_compare_prints_and_saves_error_against_time():
     """The command prints a line per algorithm and reference, and writes a figure."""
     words = "compare obstacle-2d --size 8 -a npsor -a psor --reference CLARABEL --repeats 1"
     done = lcp_plugin(*words.split(), "--plot", "out.png")
@@ -359,7 +354,7 @@ def test_compare_prints_and_saves_error_against_time() -> None:
     assert Path("out.png").read_bytes().startswith(PNG)
 
 
-def test_a_tolerance_of_zero_is_one() -> None:
+def test_a_tolerance_of_zero_is_one():
     """--tolerance 0 reaches the runs of solve and compare: they end at the rounding level, not at 1e-8."""
     told = json.loads(
         lcp_plugin("solve", "obstacle_2d:size=6", "--tolerance", "0", "--json").stdout
@@ -371,7 +366,7 @@ def test_a_tolerance_of_zero_is_one() -> None:
     assert float(re.search(r"rigorous bound (\S+)", done.stdout)[1]) < 1e-14
 
 
-def test_check_prints_the_verdict() -> None:
+def test_check_prints_the_verdict():
     """Both agree: exit code 0; the same solver on both sides cannot be compared: exit code 1."""
     assert lcp_plugin("check", "obstacle_2d:size=8").stdout.startswith("agree: ")
     done = lcp_plugin("check", "obstacle_2d:size=6", "-a", "interior_point", "--reference", "piqp")
@@ -379,7 +374,7 @@ def test_check_prints_the_verdict() -> None:
     assert done.stdout.startswith("not comparable: PIQP computed our solution too")
 
 
-def test_list_shows_everything_there_is() -> None:
+def test_list_shows_everything_there_is():
     """Every algorithm, engine and their sources, and every scene with its parameters and defaults are in the list."""
     done = lcp_plugin("list")
     assert done.exit_code == 0
@@ -402,7 +397,7 @@ def test_list_shows_everything_there_is() -> None:
     ("name", "option"),
     [("daqp", "iter_limit=50"), ("piqp", "max_iter=50"), ("clarabel", "max_iter=50")],
 )
-def test_an_engine_solves_the_program_of_a_file(name: str, option: str) -> None:
+def test_an_engine_solves_the_program_of_a_file(name, option):
     """`solve FILE -a ENGINE` finds the known minimum with its options, and rejects others."""
     matrices = {"P": sp.csc_array([[2.0, 0.0], [0.0, 2.0]]), "A": sp.csc_array([[1.0, 1.0]])}
     parts = {
@@ -426,7 +421,7 @@ def test_an_engine_solves_the_program_of_a_file(name: str, option: str) -> None:
 
 
 @pytest.mark.full
-def test_exit_codes_reach_the_shell() -> None:
+def test_exit_codes_reach_the_shell():
     """The process itself ends with 1 where a run is not solved and with 2 on bad input, without a traceback."""
     unsolved = in_a_process("solve", "obstacle_2d:size=6", "--max-iterations", "0")
     assert (unsolved.returncode, unsolved.stderr) == (1, b"")
@@ -440,7 +435,7 @@ BUFFERED = {**os.environ, "PYTHONUNBUFFERED": ""}  # as on most machines: what i
 
 @pytest.mark.full
 @pytest.mark.parametrize("arguments", ["solve half_active:n=4", "list"])
-def test_reader_that_has_gone(arguments: str) -> None:
+def test_reader_that_has_gone(arguments):
     """If the reader of the pipe has ended, as after ``| head -1``, the command ends silently."""
     reader, writer = os.pipe()
     os.close(reader)
@@ -457,7 +452,7 @@ def test_reader_that_has_gone(arguments: str) -> None:
 
 
 @pytest.mark.full
-def test_ctrl_c_prints_the_best_so_far() -> None:
+def test_ctrl_c_prints_the_best_so_far():
     """Ctrl-C in a long run ends it with INTERRUPTED, the result of the best iterate, --out written, exit code 1.
 
     The terminal's progress line shows that the run has started, so that the test does not depend on a clock.

@@ -74,14 +74,14 @@ FOLLOWED: list[tuple[LCP, dict[str, Any]]] = [
 @pytest.mark.parametrize(
     ("problem", "failed"), FOLLOWED, ids=[f"{k} {failed}" for k, (_, failed) in enumerate(FOLLOWED)]
 )
-def test_the_call_that_is_advised_solves_the_problem(problem: LCP, failed: dict[str, Any]) -> None:
+def test_the_call_that_is_advised_solves_the_problem(problem, failed):
     """The advice names auto, which differs from the failed call and solves the problem."""
     assert calls_in(advice_of(lambda: solve(problem, **failed))) == [{"algorithm": "auto"}]
     assert solve(problem).is_solved
 
 
 @pytest.mark.parametrize("name", list(REGISTRY))
-def test_no_algorithm_is_advised_to_itself(name: str) -> None:
+def test_no_algorithm_is_advised_to_itself(name):
     """The error or advice of an algorithm that fails does not name the algorithm."""
     for problem in (CONTACT, FAR, SADDLE, UNSUITED, TRAPPED):
         for limit in (None, 2):
@@ -104,7 +104,7 @@ def hard(seed: int = 1) -> tuple[LCP, np.ndarray]:
 
 
 @pytest.mark.full
-def test_auto_is_not_advised_to_itself() -> None:
+def test_auto_is_not_advised_to_itself():
     """If auto fails, its advice recommends another start, which helps."""
     problem, z = hard()
     result = solve(problem)
@@ -114,7 +114,7 @@ def test_auto_is_not_advised_to_itself() -> None:
     assert solve(problem, z0=z + 1e-6).is_solved
 
 
-def test_a_matrix_with_the_wrong_sign_is_named() -> None:
+def test_a_matrix_with_the_wrong_sign_is_named():
     """The advice for a stalled LCP(−L, q) of a Laplacian L names −M, which is solved."""
     L = gallery.obstacle_2d(size=8).problem.csr
     wrong = LCP(-L, -np.ones(L.shape[0]))
@@ -124,7 +124,7 @@ def test_a_matrix_with_the_wrong_sign_is_named() -> None:
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid", "newton"])
-def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
+def test_a_limited_run_goes_on_from_its_z(algorithm):
     """The advice "continue from z0=result.z" is correct, and a higher limit solves the problem."""
     problem = gallery.obstacle_2d(size=25).problem
     first = solve(problem, algorithm, max_iterations=1)
@@ -140,7 +140,7 @@ def test_a_limited_run_goes_on_from_its_z(algorithm: str) -> None:
 
 @pytest.mark.parametrize("size", [3, 40], ids=["in one compiled call", "step by step"])
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "newton"])
-def test_a_start_that_is_the_solution_is_named(size: int, algorithm: str) -> None:
+def test_a_start_that_is_the_solution_is_named(size, algorithm):
     """If the start is the solution, explain() reports this, and otherwise not."""
     problem = gallery.obstacle_2d(size=size).problem
     answer = solve(problem, algorithm, tolerance=1e-10)
@@ -152,14 +152,14 @@ def test_a_start_that_is_the_solution_is_named(size: int, algorithm: str) -> Non
     assert words not in answer.explain()
 
 
-def test_an_infeasible_program_tells_the_run_that_proved_it() -> None:
+def test_an_infeasible_program_tells_the_run_that_proved_it():
     """The explanation of a small infeasible program uses the run, and starts no second run."""
     result = solve(QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[-1.0, -1.0]))
     assert result.status is Status.INFEASIBLE
     assert "npsor" not in result.explain()
 
 
-def test_least_squares_that_stop_are_told_what_helps() -> None:
+def test_least_squares_that_stop_are_told_what_helps():
     """The advice at a limit names x0=result.x, from which the run continues."""
     rng = np.random.default_rng(0)
     A = rng.standard_normal((400, 300)) @ np.diag(np.logspace(0, -4, 300))
@@ -170,7 +170,7 @@ def test_least_squares_that_stop_are_told_what_helps() -> None:
     assert bounded_least_squares(A, b, x0=first.x).is_solved
 
 
-def test_an_equation_too_many_is_told_the_way_out() -> None:
+def test_an_equation_too_many_is_told_the_way_out():
     """Prices that sum to one, with all markets: drop a market, or add a multiplier."""
     p, scale = cp.Variable(2), cp.Variable()
     with pytest.raises(LCPError, match=r"sum\(p\) == 1, drop a market .* free multiplier"):

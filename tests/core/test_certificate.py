@@ -96,7 +96,7 @@ def floating_problems(draw: st.DrawFn) -> tuple[LCP, np.ndarray]:
 
 
 @given(rough_problems())
-def test_fields_without_division_are_exact(drawn: tuple[LCP, np.ndarray]) -> None:
+def test_fields_without_division_are_exact(drawn):
     """On short dyadic data w, natural residual, violations and complementarity are the rational values."""
     problem, z = drawn
     certificate, exact = Certificate.of(problem, z), Exact(problem, z)
@@ -120,7 +120,7 @@ def test_fields_without_division_are_exact(drawn: tuple[LCP, np.ndarray]) -> Non
 
 
 @given(rough_problems())
-def test_scaled_fields_are_the_rational_ones(drawn: tuple[LCP, np.ndarray]) -> None:
+def test_scaled_fields_are_the_rational_ones(drawn):
     """Scaled residual, worst row, relative residual and floor agree with the rational values."""
     problem, z = drawn
     certificate, exact = Certificate.of(problem, z), Exact(problem, z)
@@ -171,9 +171,7 @@ def scaled_by(problem: LCP, row: np.ndarray, column: np.ndarray) -> LCP:
     st.lists(st.integers(-200, 200), min_size=8, max_size=8),
     st.integers(-200, 30),  # beyond, a bound is none
 )
-def test_relative_residual_has_no_unit(
-    drawn: tuple[LCP, np.ndarray], rows: list[int], unit: int
-) -> None:
+def test_relative_residual_has_no_unit(drawn, rows, unit):
     """Rows scaled by powers of two and another unit of z change the relative residual by rounding only."""
     problem, z = drawn
     other = scaled_by(problem, np.array(rows[: problem.n]), np.full(problem.n, -unit))
@@ -186,9 +184,7 @@ def test_relative_residual_has_no_unit(
 
 
 @given(rough_problems(), st.integers(0, 4), FAR)
-def test_nan_and_infinity_never_pass(
-    drawn: tuple[LCP, np.ndarray], index: int, value: float
-) -> None:
+def test_nan_and_infinity_never_pass(drawn, index, value):
     """A z with NaN or ±∞ anywhere is measured without a warning and passes no test."""
     problem, z = drawn
     z[index % problem.n] = value
@@ -201,7 +197,7 @@ def test_nan_and_infinity_never_pass(
     assert str(certificate)
 
 
-def test_an_overflowing_slack_is_no_rounding_level() -> None:
+def test_an_overflowing_slack_is_no_rounding_level():
     """Where |M||z| overflows the floor is infinite and explains nothing."""
     certificate = Certificate.of(LCP([[1e10]], [-1.0]), [1e300])
     assert certificate.scaled_residual > 0.0
@@ -213,7 +209,7 @@ def test_an_overflowing_slack_is_no_rounding_level() -> None:
 
 @settings.get_profile("many")
 @given(floating_problems())
-def test_rounding_floor_bounds_the_rounding(drawn: tuple[LCP, np.ndarray]) -> None:
+def test_rounding_floor_bounds_the_rounding(drawn):
     """For z within the bounds no row's floating-point residual is further from the exact one than its floor."""
     problem, z = drawn
     z = np.clip(z, problem.lower, problem.upper)
@@ -227,7 +223,7 @@ def test_rounding_floor_bounds_the_rounding(drawn: tuple[LCP, np.ndarray]) -> No
         assert abs(value - abs(truth)) <= allowed
 
 
-def test_rounding_level_is_recognised() -> None:
+def test_rounding_level_is_recognised():
     """The nearest double to an inexact solution is at rounding level, a thousand times further is not."""
     problem = LCP([[3.0, 1.0], [1.0, 3.0]], [-1.0, -1.0 / 3.0])
     z = np.linalg.solve(problem.M, -problem.q)
@@ -251,13 +247,13 @@ def options_for(name: str) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("name", ["auto", *REGISTRY])
-def test_solved_is_never_a_lie(name: str) -> None:
+def test_solved_is_never_a_lie(name):
     """SOLVED means: the exact rational residual is at most tolerance · ‖r(z°)‖, no allowance."""
-    statuses: Counter[Status | None] = Counter()
+    statuses = Counter()
 
     @settings.get_profile("few")
     @given(st.tuples(*TO_TRY.values()), st.sampled_from([1e-3, 1e-8, 1e-12]))
-    def check(drawn: tuple[tuple[LCP, tuple[Fraction, ...]], ...], tolerance: float) -> None:
+    def check(drawn, tolerance):
         for problem, _ in drawn:
             try:
                 result = solve(
@@ -276,7 +272,7 @@ def test_solved_is_never_a_lie(name: str) -> None:
 
 
 @given(rough_problems() | floating_problems())
-def test_residuals_are_proved_upwards(drawn: tuple[LCP, np.ndarray]) -> None:
+def test_residuals_are_proved_upwards(drawn):
     """The relative, natural and euclidean residuals are no smaller than the exact ones."""
     problem, z = drawn
     certificate, exact = Certificate.of(problem, z), Exact(problem, z)
@@ -299,7 +295,7 @@ ONE_ULP = LCP(
 
 
 @pytest.mark.parametrize("name", ["auto", *REGISTRY])
-def test_solved_is_proved_where_doubles_measure_nothing(name: str) -> None:
+def test_solved_is_proved_where_doubles_measure_nothing(name):
     """No method calls a point SOLVED whose residual is lost in rounding, unless it is small exactly."""
     problem = NEAR_SINGULAR
     try:
@@ -313,7 +309,7 @@ def test_solved_is_proved_where_doubles_measure_nothing(name: str) -> None:
         assert result.status is Status.PRECISION_LIMIT
 
 
-def test_a_demand_of_one_ulp_next_to_the_data_is_noise() -> None:
+def test_a_demand_of_one_ulp_next_to_the_data_is_noise():
     """The slack 3 a − b = −8 is half an ulp of b: z° solves the problem, and so does the z with z₀ = 8."""
     assert reference_residual(ONE_ULP) == 0.0
     assert solve(ONE_ULP).is_solved
@@ -322,9 +318,7 @@ def test_a_demand_of_one_ulp_next_to_the_data_is_noise() -> None:
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "lemke"])
-def test_a_result_does_not_follow_a_sparse_matrix_that_the_caller_overwrites(
-    algorithm: str,
-) -> None:
+def test_a_result_does_not_follow_a_sparse_matrix_that_the_caller_overwrites(algorithm):
     """Slack and residual belong to the M of the solve."""
     M = sp.csr_array(np.array([[2.0, 1.0], [1.0, 2.0]]))
     result = solve(LCP(M, [-5.0, 1.0]), algorithm)

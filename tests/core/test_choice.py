@@ -24,7 +24,7 @@ def names(result: Result) -> list[str]:
 
 
 @pytest.mark.parametrize("contacts", [25, 40, 80])
-def test_frictional_contact_is_solved_by_pivots_alone(contacts: int) -> None:
+def test_frictional_contact_is_solved_by_pivots_alone(contacts):
     """Copositive, neither symmetric nor H₊: up to 500 rows a compiled path comes first, of at most 3 n pivots."""
     problem = falling_bodies(contacts)
     result = solve(problem)
@@ -34,7 +34,7 @@ def test_frictional_contact_is_solved_by_pivots_alone(contacts: int) -> None:
 
 
 @pytest.mark.parametrize("is_dense", [True, False])
-def test_a_budget_row_is_pivoted_before_it_is_factorized(is_dense: bool) -> None:
+def test_a_budget_row_is_pivoted_before_it_is_factorized(is_dense):
     """A portfolio holds few of its assets: pivots find them, for less than a factorization of M."""
     stated = Case("portfolio", {"assets": 200}).in_units("own")[0]
     problem = (
@@ -52,7 +52,7 @@ def test_a_budget_row_is_pivoted_before_it_is_factorized(is_dense: bool) -> None
 
 
 @pytest.mark.full
-def test_a_grid_with_strong_flows_is_solved_by_newton() -> None:
+def test_a_grid_with_strong_flows_is_solved_by_newton():
     """K + S, S skew and between any two nodes: sweeps and cycles diverge, and as a program its factors fill."""
     rng, m = np.random.default_rng(0), 50
     n = m * m
@@ -68,7 +68,7 @@ def test_a_grid_with_strong_flows_is_solved_by_newton() -> None:
     assert [stage.name for stage in result.stages][-1] == "newton"
 
 
-def test_an_infeasible_problem_ends_with_its_proof() -> None:
+def test_an_infeasible_problem_ends_with_its_proof():
     """z₁ − z₂ ≥ 1 and z₂ − z₁ ≥ 1 contradict: INFEASIBLE by auto and after a direct method, never after sweeps."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
     for name in ("auto", "newton", "lemke", "interior_point"):
@@ -83,7 +83,7 @@ def test_an_infeasible_problem_ends_with_its_proof() -> None:
     assert len(swept.stages) == 1
 
 
-def test_the_story_names_every_stage_with_its_reason() -> None:
+def test_the_story_names_every_stage_with_its_reason():
     """explain() tells what ran, how much of the work it was, and why it came."""
     result = solve(gallery.build("obstacle_2d", size=40).problem)
     assert result.is_solved

@@ -52,9 +52,7 @@ def total(x): return SIZE + scaled(x)
 """
 
 
-def test_a_kernel_is_compiled_again_after_a_change_in_another_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kernel_is_compiled_again_after_a_change_in_another_file(tmp_path, monkeypatch):
     """A constant and a helper of another file are part of the key of the cache."""
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "using_kernels.py").write_text(USING)
@@ -80,7 +78,7 @@ def in_a_new_process(code: str, folder: Path | None = None, **environment: str) 
 
 
 @pytest.mark.full
-def test_nothing_is_compiled_after_a_warm_up() -> None:
+def test_nothing_is_compiled_after_a_warm_up():
     """After `lcp-plugin warm-up` a fresh process finds every kernel it needs in the cache."""
     run = CliRunner().invoke(app, ["warm-up"])
     assert run.exit_code == 0
@@ -88,7 +86,7 @@ def test_nothing_is_compiled_after_a_warm_up() -> None:
 
 
 @pytest.mark.full
-def test_the_clock_of_a_first_run_shows_no_compilation() -> None:
+def test_the_clock_of_a_first_run_shows_no_compilation():
     """In a fresh process, too, most of the time of a small solve is loading compiled code, and not on the clock."""
     code = (
         "import time\nfrom lcp_plugin import gallery, solve\nproblem = gallery.parse('half_active:n=25').problem\n"
@@ -99,7 +97,7 @@ def test_the_clock_of_a_first_run_shows_no_compilation() -> None:
 
 
 @pytest.mark.full
-def test_shell_completes_scenes_and_algorithms() -> None:
+def test_shell_completes_scenes_and_algorithms():
     """The shell offers what the command knows."""
     code = "import sys; sys.argv = ['lcp-plugin']; from lcp_plugin.commands.cli import app; app(prog_name='lcp-plugin')"
     for words, offered in (

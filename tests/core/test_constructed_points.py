@@ -143,14 +143,14 @@ CLASSES: dict[str, Callable[[Case], Points]] = {
 
 @pytest.mark.parametrize("case", CONSTRUCTED)
 @pytest.mark.parametrize("problem_class", CLASSES)
-def test_no_class_calls_a_wrong_point_solved(problem_class: str, case: str) -> None:
+def test_no_class_calls_a_wrong_point_solved(problem_class, case):
     """A SOLVED point is the solution; a problem without a solution is never SOLVED."""
     for z, is_solved in CLASSES[problem_class](CONSTRUCTED[case]):
         CONSTRUCTED[case].judge(z, is_solved=is_solved)
 
 
 @pytest.mark.parametrize(("size", "verdict"), [(2.0**36, "disproved"), (2.0**44, "proved")])
-def test_a_demand_below_the_limit_is_noise(size: float, verdict: str) -> None:
+def test_a_demand_below_the_limit_is_noise(size, verdict):
     """A demand of 1 next to terms above 2⁴² is noise, and counts below: the limit of SOLVED, in solved.md."""
     problem = LCP([[1, -1, 0], [-1, 1, 0], [1, 0, 1]], [-1, 0, -size])
     assert certify(problem, [size, size, 0]).verdict == verdict

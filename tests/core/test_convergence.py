@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -76,7 +76,7 @@ def error(z: np.ndarray, exact: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("name", "kind"), PAIRS)
-def test_it_arrives(name: str, kind: str) -> None:
+def test_it_arrives(name, kind):
     """The final status is SOLVED, and z is the exact one to seven digits."""
     problem, exact = problem_of(kind)
     result = solve(problem, name, max_iterations=5000)
@@ -105,7 +105,7 @@ def boxed(seed: int = 0) -> Solved:
 
 
 @pytest.mark.parametrize("name", ["auto", *BOUNDED])
-def test_boxes_and_free_rows(name: str) -> None:
+def test_boxes_and_free_rows(name):
     """With symmetric boxes and free rows the exact z is found, and its rows at a bound are at that bound exactly."""
     problem, exact = boxed()
     assert Certificate.of(problem, exact).relative_residual <= 1e-13
@@ -119,7 +119,7 @@ def test_boxes_and_free_rows(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in ALL if name.startswith("np")])
-def test_np_finishes_with_exact_zeros(name: str) -> None:
+def test_np_finishes_with_exact_zeros(name):
     """NP iterates approach a bound for ever; the last sweep puts strictly active components exactly there."""
     problem, exact = problem_of("five-point + 4 I")
     is_active = problem.slack(exact) > 0.0
@@ -134,7 +134,7 @@ def test_np_finishes_with_exact_zeros(name: str) -> None:
 # --- The scaling trap --------------------------------------------------------------------------------------
 
 
-def test_the_scaling_trap_catches_the_unscaled_method() -> None:
+def test_the_scaling_trap_catches_the_unscaled_method():
     """Unscaled NPSOR(1.7) cycles near z*: no iterate of the first 300 has a small residual."""
     trap = scaling_trap()
     steps = create("npsor", paper_options("npsor", 1.7)).iterates(
@@ -160,7 +160,7 @@ def random_h_plus(n: int, seed: int) -> np.ndarray:
 
 @pytest.mark.full
 @pytest.mark.parametrize("matrices", [random_h_plus, positive_definite], ids=["H₊", "SPD"])
-def test_automatic_relaxation_never_fails_where_gauss_seidel_converges(matrices: Any) -> None:
+def test_automatic_relaxation_never_fails_where_gauss_seidel_converges(matrices):
     """On 100 random problems of each class PSOR is SOLVED wherever PGS is, and on the whole not slower."""
     total = {"pgs": 0, "psor": 0}
     for seed in range(100):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -41,7 +40,7 @@ def passes(problem: LCP, z: Any) -> bool:
 
 
 @pytest.mark.parametrize("power", [-300, 0, 300])
-def test_a_row_of_zeros_is_infeasible_in_any_unit(power: int) -> None:
+def test_a_row_of_zeros_is_infeasible_in_any_unit(power):
     """w₂ = −1e-9 for every z, also if M and q are multiplied by a power of two."""
     result = solve(LCP(np.ldexp([[1.0, 1.0], [0.0, 0.0]], power), np.ldexp([-1.0, -1e-9], power)))
     assert result.status is Status.INFEASIBLE
@@ -51,7 +50,7 @@ def test_a_row_of_zeros_is_infeasible_in_any_unit(power: int) -> None:
 # --- Residuals relative to row-wise terms ---
 
 
-def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:
+def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is():
     """If m_ii is small relative to its row, an error of 1e-16 in w_i is not a distance of 1e-4."""
     for tiny in 10.0 ** -np.arange(6.0, 14.0):
         problem = LCP([[1.0, -2.0], [3.0, tiny]], [-3.0, -8.0])
@@ -63,7 +62,7 @@ def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is() -> None:
         assert passes(beside, [1.0 + 2.0 * z_2, np.nextafter(z_2, 1.0)])
 
 
-def test_rows_where_no_double_is_nearer_are_right() -> None:
+def test_rows_where_no_double_is_nearer_are_right():
     """A diffusion step into an underflowing far field is SOLVED; an error of 1 % in 1e-290 is detected."""
     n = 2400
     M = sp.diags_array([-8.0, 17.0, -8.0], offsets=[-1, 0, 1], shape=(n, n), format="csr")
@@ -76,7 +75,7 @@ def test_rows_where_no_double_is_nearer_are_right() -> None:
     assert not passes(problem, false)
 
 
-def test_a_degenerate_row_that_sweeps_approach_is_right() -> None:
+def test_a_degenerate_row_that_sweeps_approach_is_right():
     """For z* = w* = 0 the remainder of z is as large as the terms of its row, which passes."""
     M = 4.0 * np.eye(60) - np.eye(60, k=1) - np.eye(60, k=-1)
     z = np.where(np.arange(60) < 20, 1.0, 0.0)
@@ -87,7 +86,7 @@ def test_a_degenerate_row_that_sweeps_approach_is_right() -> None:
 
 
 @pytest.mark.parametrize("none", [1e20, 1e30, np.inf])
-def test_a_bound_of_1e20_is_none(none: float) -> None:
+def test_a_bound_of_1e20_is_none(none):
     """A bound of 1e20 means none in arrays, with another q, and in a batch; 1e19 is a bound."""
     M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-5.0, 1.0])
     problem = LCP(M, q, lower=-none, upper=[none, 1e19])
@@ -133,21 +132,21 @@ def two_grids(*units: float, side: int = 20, seed: int = 0) -> tuple[LCP, np.nda
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-def test_no_method_stops_at_a_component_that_is_wrong(name: str) -> None:
+def test_no_method_stops_at_a_component_that_is_wrong(name):
     """Every method continues until the small component is also within the tolerance."""
     result = solve(FAR_APART, name, z0=WRONG_IN_ONE)
     assert result.is_solved
     assert abs(result.z[1] - 0.5) <= TOLERANCE * 0.5
 
 
-def test_the_certificate_names_the_worst_component() -> None:
+def test_the_certificate_names_the_worst_component():
     """The worst row belongs to the component with the largest relative, not absolute, residual."""
     certificate = Certificate.of(FAR_APART, [1e10 - 1.0, 0.6])
     assert certificate.worst_index == 1
     assert certificate.relative_residual == pytest.approx(0.2)
 
 
-def test_the_worst_component_is_one_beyond_its_rounding_level() -> None:
+def test_the_worst_component_is_one_beyond_its_rounding_level():
     """The second row is wrong by the rounding error of 3 · 0.1, which counts as 0; the first one by 1e-12."""
     problem = LCP(np.diag([1.0, 0.1]), [-1.0, -(3.0 * 0.1)], lower=[0.0, 3.0])
     certificate = Certificate.of(problem, [1.0 + 1e-12, 3.0])
@@ -156,7 +155,7 @@ def test_the_worst_component_is_one_beyond_its_rounding_level() -> None:
 
 
 @pytest.mark.parametrize("unit", [1e12, 1e-12])
-def test_the_interior_point_method_solves_components_far_apart(unit: float) -> None:
+def test_the_interior_point_method_solves_components_far_apart(unit):
     """The path of the interior point is shared by components 10^±12 apart, both SOLVED."""
     problem, z = two_grids(unit, 1.0, side=10)
     result = solve(problem, "interior_point")
@@ -167,14 +166,14 @@ def test_the_interior_point_method_solves_components_far_apart(unit: float) -> N
 # --- Components that z° solves ---------------------------------------------------------------------------------------
 
 
-def test_what_z0_solves_exactly_is_left_there() -> None:
+def test_what_z0_solves_exactly_is_left_there():
     """A component that z° solves exactly returns z°, also from another start."""
     result = solve(LCP(np.eye(2), [-1.0, 2.0]), z0=[0.0, 1e-300])
     assert result.is_solved
     assert result.z.tolist() == [1.0, 0.0]
 
 
-def test_a_narrow_box_is_no_rounding() -> None:
+def test_a_narrow_box_is_no_rounding():
     """The bound z₂ ≤ 1e-17 makes r(z°) small, but w₂ = −1 shows that z₂ = 1e-17 is right."""
     problem = LCP(np.eye(2), [-3.0, -1.0], lower=[1.0, 0.0], upper=[np.inf, 1e-17])
     result = solve(problem)
@@ -182,7 +181,7 @@ def test_a_narrow_box_is_no_rounding() -> None:
     assert result.z.tolist() == [3.0, 1e-17]
 
 
-def test_a_component_at_the_rounding_of_its_data_leaves_the_others_their_answer() -> None:
+def test_a_component_at_the_rounding_of_its_data_leaves_the_others_their_answer():
     """The value z₂ = 3 misses by the rounding error of 0.3, which is no demand: the problem is SOLVED."""
     M = np.zeros((6, 6))
     M[:5, :5] = (
@@ -198,14 +197,14 @@ def test_a_component_at_the_rounding_of_its_data_leaves_the_others_their_answer(
         assert not is_lie(alone, result.z), name
 
 
-def test_a_residual_beyond_the_range_of_doubles_is_not_rounding() -> None:
+def test_a_residual_beyond_the_range_of_doubles_is_not_rounding():
     """Row w₁ = −1e200 with the scale 1e-200, and w₂ = −1 is infeasible: 1e400 is not rounding."""
     result = solve(LCP([[-1e-200, 0.0], [0.0, 0.0]], [-1e200, -1.0]))
     assert result.status not in (Status.PRECISION_LIMIT, Status.SOLVED)
 
 
 @pytest.mark.parametrize("name", ["auto", *REGISTRY])
-def test_a_start_out_of_all_proportion_to_its_component_does_no_harm(name: str) -> None:
+def test_a_start_out_of_all_proportion_to_its_component_does_no_harm(name):
     """1e200 where the answer is 1e-200: the relative residual overflows, and a damped sweep cannot see that z falls."""
     problem = LCP(np.eye(2), [-1e-200, -1.0])
     result = solve(problem, name, z0=[1e200, 0.0])
@@ -217,7 +216,7 @@ LARGE = 2.0**36  # next to it, a violation of 1 is above the limit of 2⁻⁴²
 CONTRADICTORY = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [1.0, 0.0, 1.0]])
 
 
-def test_a_component_without_solution_is_refuted_after_a_call_on_another_component() -> None:
+def test_a_component_without_solution_is_refuted_after_a_call_on_another_component():
     """A problem without a solution is not SOLVED after an earlier call at a loose tolerance."""
     problem = LCP(np.kron(np.eye(2), CONTRADICTORY), [-1, 1, -LARGE, -1, 0, -LARGE])
     start = [LARGE, LARGE, 0, LARGE, LARGE - 0.5, 0]
@@ -227,7 +226,7 @@ def test_a_component_without_solution_is_refuted_after_a_call_on_another_compone
 
 @pytest.mark.full
 @pytest.mark.parametrize("as_stored", [np.asarray, sp.csr_array])
-def test_every_component_without_solution_is_refuted_whatever_their_number(as_stored: Any) -> None:
+def test_every_component_without_solution_is_refuted_whatever_their_number(as_stored):
     """The limit of rows for a proof before SOLVED holds for each component, not for all of them."""
     count = 101
     M, q = as_stored(np.kron(np.eye(count), CONTRADICTORY)), [-1, 0, -LARGE] * count
@@ -237,7 +236,7 @@ def test_every_component_without_solution_is_refuted_whatever_their_number(as_st
 
 
 @pytest.mark.parametrize("further", [0, 30])
-def test_rows_at_rounding_level_with_finite_bounds_are_not_solved(further: int) -> None:
+def test_rows_at_rounding_level_with_finite_bounds_are_not_solved(further):
     """A contradiction above 2⁻⁴² of the terms is not SOLVED at z where its terms are large."""
     n = 3 + further
     M, q = 4.0 * np.eye(n), np.ones(n)
@@ -248,7 +247,7 @@ def test_rows_at_rounding_level_with_finite_bounds_are_not_solved(further: int) 
     assert not result.is_solved or np.allclose(result.z, right, rtol=1e-4)
 
 
-def test_an_absolute_tolerance_does_not_end_the_test_of_proofs() -> None:
+def test_an_absolute_tolerance_does_not_end_the_test_of_proofs():
     """A point that a proof excludes is not SOLVED with a tiny absolute tolerance."""
     for one in (
         LCP(CONTRADICTORY, [-1, 0, -LARGE]),
@@ -258,7 +257,7 @@ def test_an_absolute_tolerance_does_not_end_the_test_of_proofs() -> None:
         assert not solve(one, z0=start, absolute_tolerance=1e-300).is_solved
 
 
-def test_infeasible_is_infeasible_whatever_stands_beside() -> None:
+def test_infeasible_is_infeasible_whatever_stands_beside():
     """An infeasible component makes the problem INFEASIBLE, with a proof for the unscaled data."""
     problem = LCP(np.diag([1.0, -1.0, 2.0]), [-1e6, -1e3, -1.0])
     result = solve(problem)
@@ -273,7 +272,7 @@ def test_infeasible_is_infeasible_whatever_stands_beside() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
-def test_the_guard_refuses_nothing_right(kind: str, tolerance: float) -> None:
+def test_the_guard_refuses_nothing_right(kind, tolerance):
     """A point right to a hundredth of the tolerance passes in every row, for any scaling."""
     for seed in range(30):
         M, q, z = answered(kind, seed)
@@ -285,7 +284,7 @@ def test_the_guard_refuses_nothing_right(kind: str, tolerance: float) -> None:
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("friction", "game")])
-def test_the_guard_refuses_no_rounding_beside_a_bound(kind: str) -> None:
+def test_the_guard_refuses_no_rounding_beside_a_bound(kind):
     """If w is positive and large, a z off its bound by 1e-12 counts as rounding error."""
     for seed in range(30):
         M, q, z = answered(kind, seed)
@@ -309,7 +308,7 @@ def flow(kind: str, n: int) -> np.ndarray:
 @pytest.mark.parametrize("algorithm", ["auto", "npsor", "newton", "interior_point", "lemke"])
 @pytest.mark.parametrize("kind", FLOWS)
 @pytest.mark.parametrize("units", ["own", "one", "each", "rows"])
-def test_a_flow_is_no_unit(kind: str, algorithm: str, units: str) -> None:
+def test_a_flow_is_no_unit(kind, algorithm, units):
     """For convection under scaling, a SOLVED z is accurate to 1e-3, and auto solves the problem."""
     for n in (60, 200):
         rng = np.random.default_rng(n)
@@ -327,7 +326,7 @@ def test_a_flow_is_no_unit(kind: str, algorithm: str, units: str) -> None:
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "newton", "lemke", "interior_point"])
-def test_nothing_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm: str) -> None:
+def test_nothing_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm):
     """solve, watched or not, and solve_batch: a row missed its sign by 0.8 where its terms are 5."""
     M, Q, bounds = badly_scaled.M, badly_scaled.Q, badly_scaled.BOUNDS
     problem = LCP(M, Q, **bounds)
@@ -341,7 +340,7 @@ def test_nothing_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm:
         assert result.z == pytest.approx(badly_scaled.ANSWER, rel=1e-6)
 
 
-def test_what_is_small_by_the_callers_word_is_right() -> None:
+def test_what_is_small_by_the_callers_word_is_right():
     """A row whose residual is within absolute_tolerance, in the unit of its z, is right."""
     problem = LCP([[1.0, 2.0**-40], [2.0**40, 2.0]], [-1e-9, -1e3], upper=[np.inf, 1e3])
     z = [0.0, 500.0]
@@ -350,7 +349,7 @@ def test_what_is_small_by_the_callers_word_is_right() -> None:
     assert result.is_solved
 
 
-def test_a_far_field_in_one_unit_is_solved() -> None:
+def test_a_far_field_in_one_unit_is_solved():
     """Far from the load z is 1e-20 with errors of this size, which count relative to the load."""
     n = 60
     M = sp.diags_array(
@@ -408,7 +407,7 @@ def test_rounding_in_w_is_not_told():
 AT_REST = [[-1.0, -1.0], [-1.0, 2.0]], [-5.6e-17, 1.0]  # no solution, by rounding
 
 
-def test_contact_at_rest_is_accepted_or_at_the_rounding_level() -> None:
+def test_contact_at_rest_is_accepted_or_at_the_rounding_level():
     """A contradiction of rounding size is PRECISION_LIMIT, and an absolute tolerance as large accepts it."""
     problem = LCP(*AT_REST)
     plain = solve(problem)
@@ -422,7 +421,7 @@ def test_contact_at_rest_is_accepted_or_at_the_rounding_level() -> None:
     assert "in the unit of z" in str(accepted)
 
 
-def test_infeasible_beyond_the_tolerance_only() -> None:
+def test_infeasible_beyond_the_tolerance_only():
     """Z ≥ 0, w = −z − gap violates by gap/1: INFEASIBLE if that exceeds both tolerances."""
     problem = LCP([[-1.0]], [-1e-3])
     assert solve(problem).status is Status.INFEASIBLE
@@ -436,9 +435,7 @@ def test_infeasible_beyond_the_tolerance_only() -> None:
     st.floats(-9, 3),
     st.sampled_from(["auto", "psor", "newton", "lemke"]),
 )
-def test_solved_means_one_tolerance_or_the_other_in_every_part(
-    seed: int, n: int, exponent: float, name: str
-) -> None:
+def test_solved_means_one_tolerance_or_the_other_in_every_part(seed, n, exponent, name):
     """SOLVED ⇔ ‖r_P‖∞ ≤ max(tolerance · reference, absolute_tolerance) for each component, in units of their own."""
     random = np.random.default_rng(seed)
     cut = int(random.integers(0, n))
@@ -460,7 +457,7 @@ def test_solved_means_one_tolerance_or_the_other_in_every_part(
     assert result.is_solved
 
 
-def test_a_start_that_is_good_enough_stays() -> None:
+def test_a_start_that_is_good_enough_stays():
     """A start within the absolute tolerance takes no iteration; without the tolerance it does."""
     problem = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, -1.0])
     near = [1.0 + 1e-6, 1.0]
@@ -468,7 +465,7 @@ def test_a_start_that_is_good_enough_stays() -> None:
     assert solve(problem, "psor", z0=near).iterations > 0
 
 
-def test_batches_marches_and_nonlinear_problems_take_it() -> None:
+def test_batches_marches_and_nonlinear_problems_take_it():
     """The same sentence holds for each problem of a batch, each step of a march, and F."""
     M, q = AT_REST
     batch = solve_batch([M, [[2.0, 0.0], [0.0, 2.0]]], [q, [-1.0, 1.0]], absolute_tolerance=1e-15)
@@ -477,14 +474,14 @@ def test_batches_marches_and_nonlinear_problems_take_it() -> None:
     assert len(steps) == 2
     assert steps.all_solved
 
-    def F(x: Any) -> Any:
+    def F(x):
         return np.array(M) @ x + q + np.array([-1e-9, 0.0]) * x**2
 
     assert not solve_nonlinear(NonlinearProblem(F), [0.0, 0.0]).is_solved
     assert solve_nonlinear(NonlinearProblem(F), [0.0, 0.0], absolute_tolerance=1e-15).is_solved
 
 
-def test_a_part_at_rest_does_not_hide_another() -> None:
+def test_a_part_at_rest_does_not_hide_another():
     """A contact that is open, by rounding error or by more, does not hide a free body."""
     M = np.zeros((4, 4))
     M[:2, :2], M[2:, 2:] = AT_REST[0], [[2.0, -1.0], [-1.0, 2.0]]
@@ -498,7 +495,7 @@ def test_a_part_at_rest_does_not_hide_another() -> None:
 
 
 @given(st.integers(0, 10**6))
-def test_the_advised_number_is_enough(seed: int) -> None:
+def test_the_advised_number_is_enough(seed):
     """If the advice recommends an absolute tolerance, the same call with it is SOLVED."""
     random = np.random.default_rng(seed)
     n = int(random.integers(1, 5))
@@ -540,9 +537,7 @@ def drawn_in_units(rng: np.random.Generator) -> tuple[LCP, LCP]:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_tolerated_rows_in_random_units_result_is_right(
-    seed: int, draws: Callable[..., range]
-) -> None:
+def test_tolerated_rows_in_random_units_result_is_right(seed, draws):
     """SOLVED means an error that 1e-6 of each row's terms explains, or 3e-8 of the component's largest unknown.
 
     The verdict is equal in all units.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
-
 import campaign as trust
 import numpy as np
 import pytest
@@ -36,9 +34,7 @@ def answers(problem: LCP, names: list[str]) -> dict[str, np.ndarray]:
 
 @settings.get_profile("few")
 @given(solved_lcps(h_plus_matrices(st.integers(1, 5))))
-def test_all_algorithms_agree_with_each_other_and_with_enumeration(
-    drawn: tuple[LCP, tuple[Fraction, ...]],
-) -> None:
+def test_all_algorithms_agree_with_each_other_and_with_enumeration(drawn):
     """On an H₊-matrix all eighteen and auto find the one solution that exact enumeration finds, too."""
     problem, planted = drawn
     exact = exact_solution(problem)
@@ -53,7 +49,7 @@ def test_all_algorithms_agree_with_each_other_and_with_enumeration(
 
 @settings.get_profile("few")
 @given(SEEDS, st.integers(1, 5))
-def test_on_p_matrices_direct_methods_find_the_one_solution(seed: int, n: int) -> None:
+def test_on_p_matrices_direct_methods_find_the_one_solution(seed, n):
     """Beyond H₊: lemke and auto always, the others where they say so, find what exact enumeration finds."""
     rng = np.random.default_rng(seed)
     lower, upper = small_lcps.random_bounds(n, rng)
@@ -69,13 +65,13 @@ def test_on_p_matrices_direct_methods_find_the_one_solution(seed: int, n: int) -
 
 
 @pytest.fixture(scope="module", autouse=True)
-def campaign_process() -> None:
+def campaign_process():
     """Load the packages that the campaign compares with."""
     trust.load_others()
 
 
 @pytest.mark.parametrize("name", trust.ROUND)
-def test_the_campaign_finds_nothing_in_a_few_cases(name: str) -> None:
+def test_the_campaign_finds_nothing_in_a_few_cases(name):
     """Every kind of the long campaign runs, and finds nothing."""
     kinds = trust.ROUND[name][1]
     for k, kind in enumerate(kinds[:6]):
@@ -87,7 +83,7 @@ def test_the_campaign_finds_nothing_in_a_few_cases(name: str) -> None:
         assert not found, (kind, k)
 
 
-def test_a_case_can_be_repeated_from_its_name(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_case_can_be_repeated_from_its_name(capsys):
     """--only KIND:NUMBER runs that case; a wrong name is told with the right ones."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trust, "prepare_process", lambda: None)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import copy
 import pickle
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -24,7 +24,6 @@ from lcp_plugin import (
     NonlinearProblem,
     NotConverged,
     QuadraticProgram,
-    Result,
     Status,
     convergence_guarantee,
     gallery,
@@ -32,7 +31,6 @@ from lcp_plugin import (
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
 from lcp_plugin.core.settings import Settings
-from lcp_plugin.solving.result import Sample
 from lcp_plugin.solving.run import Progress, Run, Stage
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
@@ -61,7 +59,7 @@ TWO = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])  # solved by (2.5, 0)
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-def test_solved_means_the_certificate_passes(name: str) -> None:
+def test_solved_means_the_certificate_passes(name):
     """SOLVED comes with a certificate at or below the tolerance."""
     for tolerance in (1e-9, 1e-7):
         result = solve(EXAMPLE.problem, name, z0=EXAMPLE.start, tolerance=tolerance)
@@ -71,7 +69,7 @@ def test_solved_means_the_certificate_passes(name: str) -> None:
         np.testing.assert_array_equal(result.w, EXAMPLE.problem.slack(result.z))
 
 
-def test_an_honest_iterate_is_solved_whatever_ends_the_run() -> None:
+def test_an_honest_iterate_is_solved_whatever_ends_the_run():
     """A best iterate that passes is SOLVED even if a limit ended the run at this step."""
     result = solve(TWO, Scripted(points=((0.0, 0.0), (2.5, 0.0))), max_iterations=1)
     assert result.status is Status.SOLVED
@@ -80,7 +78,7 @@ def test_an_honest_iterate_is_solved_whatever_ends_the_run() -> None:
 
 @pytest.mark.parametrize("name", REGISTRY)
 @pytest.mark.parametrize("limit", [0, 1, 7])
-def test_iteration_limit_is_exact(name: str, limit: int) -> None:
+def test_iteration_limit_is_exact(name, limit):
     """max_iterations=k returns after exactly k iterations, 0 included; direct methods may be done before."""
     result = solve(
         OBSTACLE.problem if name in BOUNDED else EXAMPLE.problem, name, max_iterations=limit
@@ -91,21 +89,21 @@ def test_iteration_limit_is_exact(name: str, limit: int) -> None:
         assert (result.status, result.iterations) == (Status.MAX_ITERATIONS, limit)
 
 
-def test_best_iterate_is_returned() -> None:
+def test_best_iterate_is_returned():
     """If the iteration gets worse again, the best point is returned, not the last one."""
     points = ((0.0, 0.0), (2.4, 0.0), (2.0, 3.0))
     result = solve(TWO, Scripted(points=points), max_iterations=5)
     np.testing.assert_array_equal(result.z, (2.4, 0.0))
 
 
-def test_nan_in_the_middle_is_diverged_with_the_best_so_far() -> None:
+def test_nan_in_the_middle_is_diverged_with_the_best_so_far():
     """A NaN ends the run as DIVERGED; the best finite iterate is kept."""
     result = solve(TWO, Scripted(points=((0.0, 0.0), (2.0, 0.0), (np.nan, 0.0))))
     assert result.status is Status.DIVERGED
     np.testing.assert_array_equal(result.z, (2.0, 0.0))
 
 
-def test_explosion_is_diverged() -> None:
+def test_explosion_is_diverged():
     """A residual that rises ten times in a row, to 1e8 times its start, ends the run."""
     growing = tuple((10.0**k, 10.0**k) for k in range(1, 30))
     result = solve(TWO, Scripted(points=((0.0, 0.0), *growing)))
@@ -113,7 +111,7 @@ def test_explosion_is_diverged() -> None:
 
 
 @pytest.mark.parametrize("name", ["npsor", "npgs"])
-def test_a_guaranteed_run_over_a_mountain_arrives(name: str) -> None:
+def test_a_guaranteed_run_over_a_mountain_arrives(name):
     """A residual that rises by ten decades and falls again does not count as divergence."""
     problem = LCP([[1.0, -1e10], [0.0, 1.0]], [0.0, -1.0])
     assert convergence_guarantee(problem, name).is_guaranteed
@@ -122,21 +120,21 @@ def test_a_guaranteed_run_over_a_mountain_arrives(name: str) -> None:
     np.testing.assert_allclose(result.z, [1e10, 1.0], rtol=1e-7)
 
 
-def test_standstill_is_stalled_after_two_hundred_steps() -> None:
+def test_standstill_is_stalled_after_two_hundred_steps():
     """A residual that does not fall ends the run as STALLED after 200 steps, not after max_iterations."""
     result = solve(TWO, Scripted(points=((2.0, 0.5),)))
     assert result.status is Status.STALLED
     assert result.iterations == 200
 
 
-def test_warm_start_is_used_and_left_alone() -> None:
+def test_warm_start_is_used_and_left_alone():
     """A start at the solution needs no iteration, is not modified, and is projected if outside."""
     answer = np.array(EXAMPLE.exact)
     assert solve(EXAMPLE.problem, "npsor", z0=answer).iterations == 0
     start = np.full(EXAMPLE.n, -5.0)
     solve(EXAMPLE.problem, "pgs", z0=start)
     assert (start == -5.0).all()
-    seen: list[np.ndarray] = []
+    seen = []
     solve(EXAMPLE.problem, "pgs", z0=start, callback=lambda sample, z: seen.append(z.copy()))
     assert (seen[0] == 0.0).all()
 
@@ -157,7 +155,7 @@ class OwnJacobi(Algorithm):
 
 
 @pytest.mark.parametrize("name", ["obstacle", "example"])
-def test_measuring_a_point_is_not_work_of_the_method(name: str) -> None:
+def test_measuring_a_point_is_not_work_of_the_method(name):
     """A Jacobi step of a user without a residual has the work of the same built-in step: one pass."""
     problem = {"obstacle": OBSTACLE, "example": EXAMPLE}[name].problem
     works = [
@@ -166,7 +164,7 @@ def test_measuring_a_point_is_not_work_of_the_method(name: str) -> None:
     assert works == [21.0, 21.0]
 
 
-def test_iterates_that_end_and_points_of_a_wrong_length_are_named() -> None:
+def test_iterates_that_end_and_points_of_a_wrong_length_are_named():
     """The message has the number of steps, or the shapes."""
     for steps, words in ((0, "0 steps"), (1, "1 step"), (2, "2 steps")):
         result = solve(OBSTACLE.problem, OwnJacobi(steps=steps))
@@ -201,7 +199,7 @@ class Ticking(Algorithm):
             z = 0.5 * (z + np.array([2.5, 0.0]))
 
 
-def test_time_limit_ends_with_the_iteration_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_limit_ends_with_the_iteration_under_way(monkeypatch):
     """max_seconds covers set-up and steps and ends with the step in which it passes."""
     clock = FakeClock(monkeypatch)
     result = solve(TWO, Ticking(clock=clock), max_seconds=7.5)
@@ -218,19 +216,19 @@ class GivingUp(Ticking):
         self.clock.now += 3.0
 
 
-def test_what_ends_after_the_limit_ended_by_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_ends_after_the_limit_ended_by_the_limit(monkeypatch):
     """An iterator that ends by itself is STALLED before the time limit, and MAX_SECONDS after it."""
     clock = FakeClock(monkeypatch)
     for limit, status in ((5.0, Status.STALLED), (2.0, Status.MAX_SECONDS)):
         assert solve(TWO, GivingUp(clock=clock), max_seconds=limit).status is status
 
 
-def test_clock_stops_while_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clock_stops_while_somebody_looks(monkeypatch):
     """Time in a callback is not the algorithm's time, but counts against max_seconds."""
     clock = FakeClock(monkeypatch)
-    samples: list[Sample] = []
+    samples = []
 
-    def slow_callback(sample: Sample, z: np.ndarray) -> None:
+    def slow_callback(sample, z):
         samples.append(sample)
         clock.now += 50.0
 
@@ -243,7 +241,7 @@ def test_clock_stops_while_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("name", ["npsor", "psor", "auto"])
-def test_history_is_geometric_and_complete(name: str) -> None:
+def test_history_is_geometric_and_complete(name):
     """History begins at sample 0, ends with the last iterate, has a residual everywhere, and grows like a logarithm."""
     result = solve(OBSTACLE.problem, name, record=True, tolerance=1e-10)
     samples = result.history
@@ -259,12 +257,12 @@ def test_history_is_geometric_and_complete(name: str) -> None:
     assert all(a.seconds <= b.seconds and a.work <= b.work for a, b in pairwise(samples))
 
 
-def test_recorded_residuals_are_those_of_the_certificate() -> None:
+def test_recorded_residuals_are_those_of_the_certificate():
     """The residual of a sample is the relative residual of that z."""
     from lcp_plugin import Certificate
 
     for name in ("npsor", "psor"):
-        seen: list[tuple[float | None, float]] = []
+        seen = []
         solve(
             OBSTACLE.problem,
             name,
@@ -278,12 +276,12 @@ def test_recorded_residuals_are_those_of_the_certificate() -> None:
         np.testing.assert_allclose([a for a, _ in known], [b for _, b in known], rtol=1e-12)
 
 
-def test_callback_stops_the_run_and_cannot_write() -> None:
+def test_callback_stops_the_run_and_cannot_write():
     """A true return value ends with INTERRUPTED at this iterate, and exceptions propagate."""
     result = solve(OBSTACLE.problem, "npgs", callback=lambda sample, z: sample.iteration == 5)
     assert (result.status, result.iterations) == (Status.INTERRUPTED, 5)
 
-    def writes(sample: Sample, z: np.ndarray) -> None:
+    def writes(sample, z):
         z[0] = 1.0
 
     with pytest.raises(ValueError, match="read-only"):
@@ -291,7 +289,7 @@ def test_callback_stops_the_run_and_cannot_write() -> None:
 
 
 @pytest.mark.parametrize("name", DIRECT)
-def test_iterates_of_direct_methods_are_within_the_bounds(name: str) -> None:
+def test_iterates_of_direct_methods_are_within_the_bounds(name):
     """Every step, also on the way, is a point of the box, although Newton and interior point methods leave it."""
     problem = membranes.build("random_h_plus", n=40).problem
     boxed = problem.with_q(problem.q, lower=-0.01, upper=0.01)
@@ -309,7 +307,7 @@ class InterruptedFinish(Scripted):
         return z
 
 
-def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
+def test_ctrl_c_in_the_last_moment_loses_nothing():
     """SIGINT during the final test still returns the result."""
     result = solve(TWO, InterruptedFinish(points=((0.0, 0.0), (2.4, 0.0))), max_iterations=3)
     assert result.status is Status.INTERRUPTED
@@ -317,7 +315,7 @@ def test_ctrl_c_in_the_last_moment_loses_nothing() -> None:
     assert solve(TWO, InterruptedFinish(points=((2.5, 0.0),))).status is Status.SOLVED
 
 
-def test_require_solved_raises_with_the_advice() -> None:
+def test_require_solved_raises_with_the_advice():
     """require_solved returns the result itself, or raises NotConverged with status, residual and advice."""
     good = solve(TWO, "pgs")
     assert good.require_solved() is good
@@ -343,7 +341,7 @@ def stiff_m_matrix(n: int = 60, contrast: float = 1e10) -> tuple[LCP, np.ndarray
     return LCP(M, -M @ exact), exact
 
 
-def test_error_bound_goes_into_the_result() -> None:
+def test_error_bound_goes_into_the_result():
     """The bound of a result bounds the true error, and explain() is the same before and after it was read."""
     result = solve(EXAMPLE.problem)
     told = result.explain()
@@ -356,7 +354,7 @@ def test_error_bound_goes_into_the_result() -> None:
 @pytest.mark.parametrize(
     "duplicate", [copy.copy, copy.deepcopy, lambda result: pickle.loads(pickle.dumps(result))]
 )
-def test_copies_of_a_result_are_read_only(duplicate: Callable[[Result], Result]) -> None:
+def test_copies_of_a_result_are_read_only(duplicate):
     """Z and w of a copied or unpickled result cannot be written to, its certificate's neither."""
     result = duplicate(solve(EXAMPLE.problem))
     for array in (result.z, result.w, result.certificate.z, result.certificate.w):
@@ -364,7 +362,7 @@ def test_copies_of_a_result_are_read_only(duplicate: Callable[[Result], Result])
             array[0] = 1.0
 
 
-def test_where_no_bound_exists_the_result_has_none() -> None:
+def test_where_no_bound_exists_the_result_has_none():
     """If a matrix allows no bound, and for contacts and nonlinear problems, error_bound is None."""
     game = LCP([[0.0, 1.0], [1.0, 0.0]], [-1.0, -1.0])
     contact = FrictionalContact(np.eye(2), [-1.0, 0.5], 0.5)
@@ -373,7 +371,7 @@ def test_where_no_bound_exists_the_result_has_none() -> None:
 
 
 @pytest.mark.parametrize("form", [np.array, sp.csr_array], ids=["dense", "sparse"])
-def test_a_nearly_singular_matrix_is_named(form: Any) -> None:
+def test_a_nearly_singular_matrix_is_named(form):
     """SOLVED by a z of length 1 where the solution has 256, though the diagonal is even: `explain()` warns."""
     matrix = np.array([[5.0, -5.0 + 2.0**-36], [-5.0 + 2.0**-36, 5.0]])
     q = np.array([-3.0, 3.0 - 2.0**-27])
@@ -390,7 +388,7 @@ def test_a_nearly_singular_matrix_is_named(form: Any) -> None:
     )
 
 
-def test_what_a_pile_leaves_undecided_is_no_alarm() -> None:
+def test_what_a_pile_leaves_undecided_is_no_alarm():
     """If M is singular on the free rows, the explanation names undetermined entries of z."""
     J = np.array([[1.0, 0.3], [0.7, 0.9], [0.4, 1.1]])  # three forces, two motions
     told = solve(LCP(J @ J.T, -J @ J.T @ [0.1, 0.7, 0.3]), "psor").explain()
@@ -400,7 +398,7 @@ def test_what_a_pile_leaves_undecided_is_no_alarm() -> None:
     assert "of any size" not in told
 
 
-def test_stiff_data_tell_the_truth() -> None:
+def test_stiff_data_tell_the_truth():
     """A z wrong by half has a small residual on stiff data, but its rows are wrong; the bound shows by how much."""
     problem, exact = stiff_m_matrix(contrast=1e6)
     fooled = solve(problem, "pgs", tolerance=1e-7)
@@ -412,7 +410,7 @@ def test_stiff_data_tell_the_truth() -> None:
     assert error <= fooled.error_bound.infinity <= 10.0 * error
 
 
-def test_stiffer_data_are_named() -> None:
+def test_stiffer_data_are_named():
     """Sweeps leave an inclusion at 0 instead of 3, which no residual shows: that is not SOLVED, and auto is right."""
     problem, exact = stiff_m_matrix(contrast=1e10)
     far = solve(problem, "pgs")
@@ -423,7 +421,7 @@ def test_stiffer_data_are_named() -> None:
         assert result.z == pytest.approx(exact, abs=1e-4)
 
 
-def test_a_program_prints_the_tolerance_of_its_residuals() -> None:
+def test_a_program_prints_the_tolerance_of_its_residuals():
     """Rows are tested to 10⁻⁹, the duality gap to the tolerance, and the explanation shows both."""
     program = QuadraticProgram(np.eye(2), [-1.0, -2.0], G=[[1.0, 1.0]], h=[1.0])
     for tolerance, options in ((1e-6, {}), (1e-12, {"tolerance": 1e-12})):
@@ -433,7 +431,7 @@ def test_a_program_prints_the_tolerance_of_its_residuals() -> None:
 
 
 @pytest.mark.parametrize("count", [20])
-def test_flows_that_split_freely_are_no_wrong_digits(count: int) -> None:
+def test_flows_that_split_freely_are_no_wrong_digits(count):
     """A chain of pairs of arcs of one cost: all flows of a pair together, and w, are the same in all answers."""
     arcs, nodes = 2 * count, count
     ends = np.arange(arcs) // 2
@@ -456,21 +454,21 @@ def test_flows_that_split_freely_are_no_wrong_digits(count: int) -> None:
     assert "wrong in every digit" not in words
 
 
-def test_a_callback_ends_the_run_at_a_step_that_ends_its_stage() -> None:
+def test_a_callback_ends_the_run_at_a_step_that_ends_its_stage():
     """No further method begins after a callback returned True, also if its step had stalled."""
 
     class Stalling(Run):
-        def end_of(self, stage: Stage, step: Step, found: Any) -> Status:
+        def end_of(self, stage, step, found):
             return Status.STALLED
 
-    seen: list[str] = []
+    seen = []
     progress = Progress(None, Settings(), lambda sample, z: seen.append(sample.label) or True)
     stages = [Stage(SimpleNamespace(name=name), steps=[Step(np.zeros(1))]) for name in ("a", "b")]
     end = Stalling(progress).follow_all(stages)
     assert (end, seen) == (Status.INTERRUPTED, ["a"])
 
 
-def test_a_slow_run_that_its_limit_allows_is_not_ended() -> None:
+def test_a_slow_run_that_its_limit_allows_is_not_ended():
     """The residual falls by less than 1 % in 400 iterations, and the rest of the limit suffices: no end there."""
     rho = 1.0 - 2.2e-5
     problem = LCP(np.array([[1.0, -rho], [-rho, 1.0]]), [-1.0, -0.5])

@@ -89,7 +89,7 @@ def method_3_1(
 
 
 @EVERY_KIND
-def test_a_user_s_splitting_is_the_paper_s_method(kind: str) -> None:
+def test_a_user_s_splitting_is_the_paper_s_method(kind):
     """NPSplitting with a tridiagonal 𝓜, named or given, is Method 3.1 in dense linear algebra."""
     problem = random_problem(kind, bounds=False)
     tridiagonal = np.triu(np.tril(problem.csr.toarray(), 1), -1)
@@ -107,7 +107,7 @@ def test_a_user_s_splitting_is_the_paper_s_method(kind: str) -> None:
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-def test_the_residual_of_a_step_is_the_residual_of_its_certificate(name: str) -> None:
+def test_the_residual_of_a_step_is_the_residual_of_its_certificate(name):
     """If a step has a residual, it is the scaled residual of the certificate of its z."""
     problem = membranes.parse("random_h_plus:n=60,row_scale=10,column_scale=3").problem
     for step in islice(create(name, {}).iterates(problem, np.ones(problem.n)), 8):
@@ -131,9 +131,7 @@ def test_the_residual_of_a_step_is_the_residual_of_its_certificate(name: str) ->
 @EVERY_KIND
 @EVERY_BOUND
 @pytest.mark.parametrize("factor", [1.0, 2.0])
-def test_diagonal_scaling_is_the_row_scaled_problem(
-    algorithm: Algorithm, kind: str, bounds: bool, factor: float
-) -> None:
+def test_diagonal_scaling_is_the_row_scaled_problem(algorithm, kind, bounds, factor):
     """NP with scaling="diagonal" takes the steps of the unscaled NP on (SM, Sq), S = θD⁻¹."""
     problem = random_problem(kind, bounds=bounds)
     S = factor / problem.diagonal
@@ -149,7 +147,7 @@ def test_diagonal_scaling_is_the_row_scaled_problem(
 
 @pytest.mark.parametrize("name", SWEEPERS)
 @EVERY_KIND
-def test_backward_is_forward_on_the_reversed_problem(name: str, kind: str) -> None:
+def test_backward_is_forward_on_the_reversed_problem(name, kind):
     """A backward sweep takes the steps of a forward sweep where the unknowns are numbered from the end."""
     problem = random_problem(kind, bounds=name in BOUNDED)
     reverse = np.arange(problem.n)[::-1]
@@ -166,7 +164,7 @@ def test_backward_is_forward_on_the_reversed_problem(name: str, kind: str) -> No
 
 @pytest.mark.parametrize("name", [name for name in SWEEPERS if name in BOUNDED])
 @EVERY_KIND
-def test_symmetric_is_forward_then_backward(name: str, kind: str) -> None:
+def test_symmetric_is_forward_then_backward(name, kind):
     """One symmetric iteration is a forward one followed by a backward one."""
     # The automatic scaling of a symmetric sweep is not that of a forward one.
     options = (

@@ -42,7 +42,7 @@ def worst_violation(problem: LCP, z: Any) -> float:
 
 @pytest.mark.parametrize("angle", [0.3, 0.71, 1.234])
 @pytest.mark.parametrize("courses", [2, 3, 4, 6])
-def test_a_wall_in_a_rotated_frame_stays_at_rest(courses: int, angle: float) -> None:
+def test_a_wall_in_a_rotated_frame_stays_at_rest(courses, angle):
     """Every brick of a wall on the ground has the velocity 0 after the impulses."""
     contacts = everyday.wall(courses, courses, angle)
     result = solve(contacts.lcp(), max_seconds=5.0).require_solved()
@@ -52,7 +52,7 @@ def test_a_wall_in_a_rotated_frame_stays_at_rest(courses: int, angle: float) -> 
 
 @pytest.mark.parametrize("noise", NOISE)
 @pytest.mark.parametrize("boxes", [2, 6, 15])
-def test_a_stack_of_doubled_contacts_stays_at_rest(boxes: int, noise: float) -> None:
+def test_a_stack_of_doubled_contacts_stays_at_rest(boxes, noise):
     """Noise in the velocities of contacts, most of which are redundant, leaves the boxes at rest."""
     rng = np.random.default_rng(boxes)
     contacts = everyday.doubled_stack(boxes, rng)
@@ -61,7 +61,7 @@ def test_a_stack_of_doubled_contacts_stays_at_rest(boxes: int, noise: float) -> 
 
 
 @pytest.mark.parametrize("nodes", [3, 5, 8, 11])
-def test_a_network_with_decimal_weights_is_at_rest_on_its_bound(nodes: int) -> None:
+def test_a_network_with_decimal_weights_is_at_rest_on_its_bound(nodes):
     """A Laplacian leaves every constant at rest; with leaks, the load that balances the bound determines z."""
     rng = np.random.default_rng(nodes)
     for low in rng.integers(1, 10, 6) / 10:
@@ -79,9 +79,7 @@ def test_a_network_with_decimal_weights_is_at_rest_on_its_bound(nodes: int) -> N
     ("height", "loads"),
     [(0.0, [0.0] * 12), (0.7, [0.05] * 20), (0.0, [0.0] * 4 + [-0.02] * 4 + [0.03] * 6)],
 )
-def test_a_rod_that_falls_comes_to_rest_on_its_obstacle(
-    height: float, loads: list[float], n: int, low: float
-) -> None:
+def test_a_rod_that_falls_comes_to_rest_on_its_obstacle(height, loads, n, low):
     """Springs do not act on a rod that moves as a whole: its height is max(height − load, low) after a step."""
     steps = march(
         LCP(everyday.rod(n), np.zeros(n), lower=low),
@@ -97,7 +95,7 @@ def test_a_rod_that_falls_comes_to_rest_on_its_obstacle(
 
 
 @pytest.mark.parametrize("payoff", PAYOFFS)
-def test_a_step_of_an_option_on_two_shares_is_solved_from_its_payoff(payoff: str) -> None:
+def test_a_step_of_an_option_on_two_shares_is_solved_from_its_payoff(payoff):
     """Howard's policy iteration with SciPy's solver determines the price; few iterations suffice from the payoff."""
     problem = everyday.option_on_two_shares(payoff, 49)
     M, bound = problem.csr, problem.lower
@@ -114,7 +112,7 @@ def test_a_step_of_an_option_on_two_shares_is_solved_from_its_payoff(payoff: str
     np.testing.assert_allclose(result.z, price, atol=1e-6 * bound.max())
 
 
-def test_a_step_of_a_call_on_two_shares_takes_few_iterations() -> None:
+def test_a_step_of_a_call_on_two_shares_takes_few_iterations():
     """The step of the larger grid ends after a few iterations rather than hundreds."""
     problem = everyday.option_on_two_shares("call on the larger share", 99)
     result = solve(problem, z0=problem.lower).require_solved()
@@ -123,7 +121,7 @@ def test_a_step_of_a_call_on_two_shares_takes_few_iterations() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_market_with_decimal_costs_ships_at_the_least_cost(seed: int) -> None:
+def test_a_market_with_decimal_costs_ships_at_the_least_cost(seed):
     """The flows of an equilibrium cost as much as those of HiGHS, and meet supply and demand."""
     problem, costs, supplies, demands = everyday.market(np.random.default_rng(seed))
     flows = solve(problem).require_solved().z[:24].reshape(4, 6)
@@ -134,7 +132,7 @@ def test_a_market_with_decimal_costs_ships_at_the_least_cost(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_game_with_decimal_payoffs_and_ties_ends_at_an_equilibrium(seed: int) -> None:
+def test_a_game_with_decimal_payoffs_and_ties_ends_at_an_equilibrium(seed):
     """No player gains by another pure strategy."""
     rng = np.random.default_rng(seed)
     A, B = rng.integers(0, 10, (2, *rng.integers(2, 7, 2))) / 10
@@ -147,7 +145,7 @@ def test_a_game_with_decimal_payoffs_and_ties_ends_at_an_equilibrium(seed: int) 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-17, 1e-15])
 @pytest.mark.parametrize("seed", range(4))
-def test_sliding_contacts_are_solved_with_noise_on_loaded_rows(seed: int, noise: float) -> None:
+def test_sliding_contacts_are_solved_with_noise_on_loaded_rows(seed, noise):
     """A problem of friction with a solution is solved; a row without load gets no noise, which would leave none."""
     rng = np.random.default_rng(seed)
     exact, z = everyday.sliding_contacts(3, rng)
@@ -159,7 +157,7 @@ def test_sliding_contacts_are_solved_with_noise_on_loaded_rows(seed: int, noise:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_new_keynesian_model_with_a_zero_bound_is_optimal(seed: int) -> None:
+def test_a_new_keynesian_model_with_a_zero_bound_is_optimal(seed):
     """The rate of interest follows its rule or is at its bound in each quarter."""
     for quarters, shock in [
         next(everyday.zero_bound_models(np.random.default_rng([seed, k]))) for k in range(3)
@@ -186,7 +184,7 @@ def test_a_new_keynesian_model_with_a_zero_bound_is_optimal(seed: int) -> None:
 @pytest.mark.parametrize(
     "function", [lambda x: cp.exp(x) - 1, lambda x: 1 - cp.exp(-x), lambda x: (1 + x) ** 3 - 1]
 )
-def test_a_smooth_equation_with_a_small_root_is_solved(function: Any, small: float) -> None:
+def test_a_smooth_equation_with_a_small_root_is_solved(function, small):
     """The root of f(x) = 1e-10 is found although f cancels to its rounding level there."""
     x = cp.Variable()
     x.value = 0.0
@@ -198,7 +196,7 @@ def test_a_smooth_equation_with_a_small_root_is_solved(function: Any, small: flo
 
 @pytest.mark.parametrize("n", [3, 12, 39])
 @pytest.mark.parametrize("kind", ["covariance", "gram", "laplacian"])
-def test_a_program_from_single_precision_has_the_optimum_of_clarabel(kind: str, n: int) -> None:
+def test_a_program_from_single_precision_has_the_optimum_of_clarabel(kind, n):
     """P, indefinite by the rounding of single precision, counts as semidefinite; values agree to that precision."""
     rng = np.random.default_rng(n)
     P = everyday.single_precision(kind, n, rng)
@@ -294,9 +292,7 @@ CLASSES: dict[str, Callable[[Rows], Any]] = {
 
 @pytest.mark.parametrize("change", CHANGES)
 @pytest.mark.parametrize("problem_class", CLASSES)
-def test_rounding_noise_changes_no_status(
-    problem_class: str, change: Callable[[Rows], None]
-) -> None:
+def test_rounding_noise_changes_no_status(problem_class, change):
     """Redundant rows remain SOLVED, with the same velocity, in each class and after each change."""
     for seed in range(3):
         rows = Rows(seed)
@@ -308,7 +304,7 @@ def test_rounding_noise_changes_no_status(
 
 
 @pytest.mark.parametrize("problem_class", refusals.CLASSES)
-def test_a_right_point_is_solved(problem_class: str, draws: Callable[..., range]) -> None:
+def test_a_right_point_is_solved(problem_class, draws):
     """A planted solution, exact, one ulp off or with noise in q, is SOLVED where the run begins."""
     for k in draws(400, 20):
         rng = np.random.default_rng([1, k])
@@ -316,7 +312,7 @@ def test_a_right_point_is_solved(problem_class: str, draws: Callable[..., range]
 
 
 @pytest.mark.full
-def test_integer_problems_in_units_far_apart_are_not_solved_falsely() -> None:
+def test_integer_problems_in_units_far_apart_are_not_solved_falsely():
     """An exact solution in fractions is near each SOLVED point, and half of the problems are solved."""
     found = [
         line for k in range(200) for line in refusals.false_in_units(np.random.default_rng([2, k]))
@@ -327,7 +323,7 @@ def test_integer_problems_in_units_far_apart_are_not_solved_falsely() -> None:
 # --- Single inputs ---------------------------------------------------------------------------------------------------
 
 
-def test_a_wall_of_22_contacts_takes_no_search() -> None:
+def test_a_wall_of_22_contacts_takes_no_search():
     """A wall with more contacts than any enumeration of active sets can visit is solved within a second."""
     contacts = everyday.wall(3, 3, 0.3)
     assert len(contacts.normals) == 22
@@ -341,7 +337,7 @@ def test_a_wall_of_22_contacts_takes_no_search() -> None:
         ([[0, 0], [-1, 1]], [0, 1], 0.0, [5, 0], "disproved"),
     ],
 )
-def test_certify_decides_as_fractions_do(M: Any, q: Any, low: float, z: Any, verdict: str) -> None:
+def test_certify_decides_as_fractions_do(M, q, low, z, verdict):
     """The verdict on a point is that of w = M z + q in fractions."""
     w = [
         sum(Fraction(m) * Fraction(x) for m, x in zip(row, z, strict=True)) + Fraction(b)
@@ -352,7 +348,7 @@ def test_certify_decides_as_fractions_do(M: Any, q: Any, low: float, z: Any, ver
     assert certify(LCP(M, q, lower=low), z).verdict == verdict
 
 
-def test_a_problem_of_the_largest_numbers_is_solved() -> None:
+def test_a_problem_of_the_largest_numbers_is_solved():
     """Terms that overflow when they are added do not refuse z = 1."""
     result = solve(LCP(np.diag([1e308, 1e308]), [-1e308, -1e308]), max_seconds=1.0)
     np.testing.assert_array_equal(result.require_solved().z, 1.0)

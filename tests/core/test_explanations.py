@@ -109,7 +109,7 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
 
 
 @pytest.mark.parametrize("name", RESULTS)
-def test_the_first_three_lines_answer_three_questions(name: str) -> None:
+def test_the_first_three_lines_answer_three_questions(name):
     """The summary names the status, the residual or the proof, and the next step of an unsolved problem."""
     call, status, sure, to_do = RESULTS[name]
     result = call()
@@ -121,7 +121,7 @@ def test_the_first_three_lines_answer_three_questions(name: str) -> None:
     assert result.is_solved is not third.startswith("next: ")
 
 
-def test_explain_of_a_polished_point_names_the_polish() -> None:
+def test_explain_of_a_polished_point_names_the_polish():
     """A last linear solve on the active set is a line of explain(); without it, the point is the last iterate."""
     polished, iterate = (
         solve(OBSTACLE, "npsor", momentum=None, polish=one) for one in (True, False)
@@ -134,14 +134,14 @@ def test_explain_of_a_polished_point_names_the_polish() -> None:
     assert polished.residual < 1e-12 < iterate.residual <= 1e-8
 
 
-def test_polish_is_an_option_of_lcps_only() -> None:
+def test_polish_is_an_option_of_lcps_only():
     """Other classes raise InvalidOption for `polish=False`."""
     for problem in (QuadraticProgram(np.eye(2), [1.0, 1.0]), FIT, BLOCK):
         with pytest.raises(InvalidOption, match="solve takes no polish"):
             solve(problem, polish=False)
 
 
-def test_a_solution_is_not_called_unproven() -> None:
+def test_a_solution_is_not_called_unproven():
     """The lack of a theorem is a warning after failures only."""
     problem = LCP([[1.0, -2.0], [-2.0, 1.0]], [1.0, 1.0])
     solved, failed = solve(problem, "psor"), solve(problem.with_q([-1.0, -1.0]), "psor")

@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 from shutil import copytree, ignore_patterns
 
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 from inputs import membranes
 
-from lcp_plugin import LCP, Status, gallery, solve
+from lcp_plugin import Status, gallery, solve
 from lcp_plugin.algorithms import Step
 from lcp_plugin.core.splittings import NPSOR
 
@@ -68,7 +67,7 @@ INTERRUPTIONS = """
 
 
 @pytest.mark.full
-def test_ctrl_c_at_any_moment_leaves_everything_whole() -> None:
+def test_ctrl_c_at_any_moment_leaves_everything_whole():
     """SIGINT at random moments gives INTERRUPTED with a point of the box, or SOLVED; the next run has the same bits."""
     code = f"import sys\nsys.argv[1:] = {['npsor', 'psor', 'mgs', 'multigrid', 'newton', 'interior_point', 'auto']!r}\n"
     done = in_a_process(code + textwrap.dedent(INTERRUPTIONS))
@@ -88,7 +87,7 @@ COMPILED_IN_TWO_THREADS = """
 
 
 @pytest.mark.full
-def test_two_threads_may_be_the_first_that_compile(tmp_path: Path) -> None:
+def test_two_threads_may_be_the_first_that_compile(tmp_path):
     """In a process without cached code, two threads set up numba's tables once."""
     done = in_a_process(COMPILED_IN_TWO_THREADS, NUMBA_CACHE_DIR=str(tmp_path))
     assert done.stdout.split() == ["6.0", "0.0"], done.stderr
@@ -98,13 +97,11 @@ def test_two_threads_may_be_the_first_that_compile(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", [np.nan, np.inf, -1e300])
-def test_a_method_of_the_chain_that_breaks_is_replaced(
-    fault: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_method_of_the_chain_that_breaks_is_replaced(fault, monkeypatch):
     """If the first method of auto yields NaN, ∞ or wrong points, another method takes over."""
     healthy = NPSOR.iterates
 
-    def broken(self: NPSOR, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+    def broken(self, problem, z0):
         for k, step in enumerate(healthy(self, problem, z0)):
             if k == 3:
                 break
@@ -121,12 +118,10 @@ def test_a_method_of_the_chain_that_breaks_is_replaced(
     np.testing.assert_allclose(result.z, solve(problem, "lemke").z, atol=1e-6)
 
 
-def test_an_error_in_the_middle_of_an_algorithm_is_passed_on(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_error_in_the_middle_of_an_algorithm_is_passed_on(monkeypatch):
     """An unexpected exception propagates: auto does not hide it behind another method."""
 
-    def broken(self: NPSOR, problem: LCP, z0: np.ndarray) -> Iterator[Step]:
+    def broken(self, problem, z0):
         yield Step(z0)
         raise ZeroDivisionError("a bug")
 
@@ -179,7 +174,7 @@ MEMORY = """
 @pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="address space limits are a thing of Linux"
 )
-def test_a_lack_of_memory_is_an_error() -> None:
+def test_a_lack_of_memory_is_an_error():
     """Under a memory limit a run ends with MemoryError, an LCPError or a result; others work."""
     for _ in range(3):  # SuperLU without memory sometimes ends by a signal
         done = in_a_process(MEMORY, MALLOC_MMAP_THRESHOLD_="65536")
@@ -202,7 +197,7 @@ SOLVE = COMPILE + "    print(solve(problem, 'npsor').z)"
 
 
 @pytest.fixture(scope="module")
-def read_only_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def read_only_package(tmp_path_factory):
     """Return a copy of the package in which nothing can be cached: its cache folders are files."""
     folder = tmp_path_factory.mktemp("copy")
     copytree(PACKAGE, folder / "lcp_plugin", ignore=ignore_patterns("__pycache__"))
@@ -216,9 +211,7 @@ def read_only_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.full
 @pytest.mark.parametrize("cache", ["unwritable", "full disk"])
-def test_compiled_code_needs_no_place_on_disk(
-    cache: str, read_only_package: Path, tmp_path: Path
-) -> None:
+def test_compiled_code_needs_no_place_on_disk(cache, read_only_package, tmp_path):
     """If compiled code cannot be stored, or the disk is full, the kernels nevertheless work."""
     blocked = tmp_path / "file"
     blocked.write_text("")

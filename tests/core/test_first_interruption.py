@@ -1,7 +1,5 @@
 """Ctrl-C while a first solve still imports and compiles: a result, or a plain KeyboardInterrupt."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
@@ -28,7 +26,7 @@ print(result.status.name)
 
 @pytest.mark.parametrize("kind", SOLVES)
 @pytest.mark.parametrize("share", [0.03, 0.1, 0.3, 0.8])
-def test_an_interruption_of_a_first_solve_is_a_result(kind: str, share: float) -> None:
+def test_an_interruption_of_a_first_solve_is_a_result(kind, share):
     """SIGINT after parts of a second: KeyboardInterrupt before the first step, INTERRUPTED after it, else SOLVED."""
     process = subprocess.Popen(
         [sys.executable, "-c", CODE.format(SOLVES[kind])],

@@ -114,9 +114,9 @@ def calls(size: float) -> Calls:
     ],
     ids=lambda problem: type(problem).__name__,
 )
-def test_a_callback_has_the_state_of_the_caller(problem: Any) -> None:
+def test_a_callback_has_the_state_of_the_caller(problem):
     """NumPy raises, warns or is silent in a callback as it does where solve was called."""
-    states: list[Any] = []
+    states = []
     with np.errstate(divide="raise", over="warn", under="ignore", invalid="raise"):
         solve(problem, callback=lambda sample, z: states.append(np.geterr()))
         assert states
@@ -125,7 +125,7 @@ def test_a_callback_has_the_state_of_the_caller(problem: Any) -> None:
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", calls(1.0))
-def test_no_exception_of_numpy_gets_out(name: str, size: float) -> None:
+def test_no_exception_of_numpy_gets_out(name, size):
     """With np.errstate(all="raise") every verb answers, or refuses in words of its own; warnings are errors here."""
     call = calls(size)[name]
     for mode in ("raise", "warn"):

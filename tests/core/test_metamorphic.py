@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -61,7 +60,7 @@ LOSES = {  # what a relation takes from a class, beyond which the proofs do not 
 
 @pytest.mark.parametrize("relation", RELATIONS)
 @pytest.mark.parametrize("kind", CLASSES)
-def test_answers_survive_a_change_of_the_problem(relation: str, kind: str) -> None:
+def test_answers_survive_a_change_of_the_problem(relation, kind):
     """On the classes of its proof each algorithm solves the changed problem, and the way back leads to the answer."""
     problems, proved = CLASSES[kind]
     names = [name for name in proved if name in LOSES.get(relation, proved)]
@@ -69,7 +68,7 @@ def test_answers_survive_a_change_of_the_problem(relation: str, kind: str) -> No
 
     @settings.get_profile("few")
     @given(problems, SEEDS)
-    def agrees(drawn: tuple[LCP, tuple[Fraction, ...]], seed: int) -> None:
+    def agrees(drawn, seed):
         problem, exact = drawn
         before = data_of(problem)
         changed, back = RELATIONS[relation](problem, np.random.default_rng(seed))
@@ -94,12 +93,12 @@ def changes_to_lower_bounds(problem: LCP) -> bool:
 @pytest.mark.parametrize(
     "relation", [name for name in EXACT if name not in ("split", "twice", "with a free row")]
 )
-def test_no_verdict_on_a_matrix_contradicts_that_on_a_changed_one(relation: str) -> None:
+def test_no_verdict_on_a_matrix_contradicts_that_on_a_changed_one(relation):
     """H, H₊ and P survive permutation, positive scaling and a regular neighbor: never True here and False there."""
 
     @settings.get_profile("few")
     @given(st.integers(1, 5), SEEDS)
-    def agrees(n: int, seed: int) -> None:
+    def agrees(n, seed):
         rng = np.random.default_rng(seed)
         M = rng.integers(-3, 4, (n, n)) + np.diag(rng.integers(0, 7, n)).astype(float)
         changed = RELATIONS[relation](LCP(M, np.zeros(n)), rng).problem

@@ -1,9 +1,5 @@
 """Names of rows and unknowns: messages and proofs of every way in use the user's words."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -33,7 +29,7 @@ ENDATA
 """
 
 
-def test_an_infeasible_lcp_names_its_row() -> None:
+def test_an_infeasible_lcp_names_its_row():
     """The proof of an LCP names the row that it was given, and q may change."""
     problem = LCP([[-1, 0], [0, 1]], [-1, 2], names=["market", "budget"])
     assert "market contradicts its bounds" in str(solve(problem.with_q([-2, 2])).proof)
@@ -67,7 +63,7 @@ NO_NAMES = {
 
 
 @pytest.mark.parametrize("wrong", NO_NAMES)
-def test_names_are_lists_of_strings_in_every_constructor(wrong: str) -> None:
+def test_names_are_lists_of_strings_in_every_constructor(wrong):
     """Anything but a list of strings or a pair of lists is an InvalidProblem of the constructor."""
     for build in CONSTRUCTORS.values():
         with pytest.raises(InvalidProblem, match="names must be a list of strings, or a pair"):
@@ -76,7 +72,7 @@ def test_names_are_lists_of_strings_in_every_constructor(wrong: str) -> None:
             build(names)
 
 
-def test_programs_name_rows_and_bounds(tmp_path: Path) -> None:
+def test_programs_name_rows_and_bounds(tmp_path):
     """Rows of arrays and of an MPS file keep their names; a bound is written with the name of its unknown."""
     named = [["cap"], ["ship", "store"]]
     program = QuadraticProgram(None, [1, 1], [[1, 1]], [1], lower=[4, 0], names=named)
@@ -90,7 +86,7 @@ def test_programs_name_rows_and_bounds(tmp_path: Path) -> None:
     )
 
 
-def test_cvxpy_models_speak_in_the_users_words() -> None:
+def test_cvxpy_models_speak_in_the_users_words():
     """A program and a complementarity problem name constraints as written, labels where there are some."""
     ship = cp.Variable(3, name="ship", nonneg=True)
     cap = cp.sum(ship) <= 10
@@ -110,7 +106,7 @@ def test_cvxpy_models_speak_in_the_users_words() -> None:
     assert f"{name} contradicts its bounds" in model.solver_stats.extra_stats.explain()
 
 
-def test_rows_of_arrays_of_numbers_have_the_number_and_the_variables_of_their_constraint() -> None:
+def test_rows_of_arrays_of_numbers_have_the_number_and_the_variables_of_their_constraint():
     """Instead of a dump of M, for pairs and programs; a label or a short text takes its place."""
     ship, price = cp.Variable(3, name="ship"), cp.Variable(3, name="price")
     M = -np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 1.0], [0.0, 1.0, 2.0]])
@@ -135,7 +131,7 @@ def test_rows_of_arrays_of_numbers_have_the_number_and_the_variables_of_their_co
         assert "set_label" not in told
 
 
-def test_a_list_names_the_unknowns_of_a_program_also_if_it_has_as_many_rows() -> None:
+def test_a_list_names_the_unknowns_of_a_program_also_if_it_has_as_many_rows():
     """A row without a name is called by its number, of the rows that the user gave; a pair names rows."""
     G, h = [[-1.0, -1, 0], [0, -1, -1], [1, 0, 1]], [-3.0, 0, 5]
     fuels = ["coal", "gas", "oil"]
@@ -153,7 +149,7 @@ def test_a_list_names_the_unknowns_of_a_program_also_if_it_has_as_many_rows() ->
     assert solve(named).conflict.names == ["a", "coal ≤ 1", "gas ≤ 1"]
 
 
-def test_the_objective_of_a_cvxpy_program_is_the_users() -> None:
+def test_the_objective_of_a_cvxpy_program_is_the_users():
     """With its constant and its sense: in results, texts, along a path, and for the best of all solutions."""
     x, top = cp.Variable(2), cp.Parameter(value=5.0)
     goal = cp.Maximize(top - cp.abs(x[0] - 3) - x[1] ** 2)
@@ -170,7 +166,7 @@ def test_the_objective_of_a_cvxpy_program_is_the_users() -> None:
     assert "objective 6, none above 6" in best.solver_stats.extra_stats.explain()
 
 
-def test_a_conflict_of_many_bounds_names_each_array_once() -> None:
+def test_a_conflict_of_many_bounds_names_each_array_once():
     """60 bounds of one variable are one name with their number, of arrays and of cvxpy."""
     program = QuadraticProgram(None, np.zeros(60), G=np.ones((1, 60)), h=[-1.0], lower=0)
     result = solve(program)

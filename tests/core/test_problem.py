@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import tracemalloc
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -57,7 +56,7 @@ def assert_read_only(*arrays: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_every_sparse_format_means_the_same(form: str) -> None:
+def test_every_sparse_format_means_the_same(form):
     """Each scipy format, as array and as matrix, gives the same CSR and is not modified."""
     M = getattr(sp, form)(A)
     p = LCP(M, Q)
@@ -86,11 +85,11 @@ def test_every_sparse_format_means_the_same(form: str) -> None:
 @pytest.mark.parametrize(
     "layout", ["C", "F", "strided", "read-only", "sparse", "list", "np.matrix"]
 )
-def test_every_kind_of_number_becomes_a_double(dtype: str, layout: str) -> None:
+def test_every_kind_of_number_becomes_a_double(dtype, layout):
     """Integers, booleans, halves, singles and foreign byte orders, in any memory layout, are stored as doubles."""
     numbers = np.abs(A).astype(dtype)
     expected = numbers.astype(np.float64)
-    forms: dict[str, Callable[[], Any]] = {
+    forms = {
         "C": lambda: np.ascontiguousarray(numbers),
         "F": lambda: np.asfortranarray(numbers),
         "strided": lambda: np.repeat(np.repeat(numbers, 2, axis=0), 2, axis=1)[::2, ::2],
@@ -129,9 +128,7 @@ def with_data(M: sp.csr_array, data: np.ndarray) -> sp.csr_array:
         ["coo", "csr", "csc", "csr stale", "csc stale", "coo stale", "bsr", "lil"]
     ),
 )
-def test_duplicates_are_summed_and_zeros_dropped(
-    n: int, triplets: list[tuple[int, int, int]], form: str
-) -> None:
+def test_duplicates_are_summed_and_zeros_dropped(n, triplets, form):
     """Repeated, cancelling or zero triplets in any order are summed, in spite of wrong flags."""
     expected = np.zeros((n, n))
     rows, columns, values = [], [], []
@@ -169,7 +166,7 @@ def uncompressed(
     return M
 
 
-def test_stale_flags_do_not_fool_it() -> None:
+def test_stale_flags_do_not_fool_it():
     """Matrices with stale canonical flags, or overwritten after a check, are sorted again."""
     M = sp.csr_array(
         (np.array([1.0, 2.0, 3.0, 0.0]), np.array([1, 0, 0, 1]), np.array([0, 3, 4])), shape=(2, 2)
@@ -187,7 +184,7 @@ def test_stale_flags_do_not_fool_it() -> None:
 # --- no copy, nothing modified ---------------------------------------------------------------------------------
 
 
-def test_canonical_csr_is_not_copied() -> None:
+def test_canonical_csr_is_not_copied():
     """A canonical CSR array is used in place through read-only views; the caller's stay writable and as they were."""
     M = TRIDIAGONAL.copy()
     before = (M.data.copy(), M.indices.copy(), M.indptr.copy())
@@ -205,7 +202,7 @@ def test_canonical_csr_is_not_copied() -> None:
     assert_read_only(p.csr.data, p.csr.indices, p.csr.indptr)
 
 
-def test_dense_matrices_are_copies_of_their_own() -> None:
+def test_dense_matrices_are_copies_of_their_own():
     """Later changes of a dense M affect neither the problem nor its proved properties."""
     M = np.array([[4.0, -1.0], [-1.0, 4.0]])
     p = LCP(M, [-3.0, 5.0])
@@ -222,7 +219,7 @@ def test_dense_matrices_are_copies_of_their_own() -> None:
 
 @pytest.mark.parametrize("form", ["csr", "csc", "coo", "bsr"])
 @pytest.mark.parametrize("kind", [np.int8, np.uint8, bool, np.int16, np.float32, np.float64])
-def test_duplicates_are_summed_as_doubles(form: str, kind: type) -> None:
+def test_duplicates_are_summed_as_doubles(form, kind):
     """Entries given twice add up in double precision, however narrow the type they come in: 100 + 100 is 200."""
     value, once = (1, 1.0) if kind is bool else (100, 100.0)
     M = sp.coo_array(
@@ -240,7 +237,7 @@ def test_duplicates_are_summed_as_doubles(form: str, kind: type) -> None:
     assert QuadraticProgram(M, [0.0, 0.0]).P.toarray().tolist() == [[2 * once, 0.0], [0.0, once]]
 
 
-def test_vectors_are_copies_of_their_own() -> None:
+def test_vectors_are_copies_of_their_own():
     """The vectors are copies: writing into the caller's arrays later changes no problem."""
     q, lower, upper = Q.copy(), np.zeros(4), np.full(4, 9.0)
     p = LCP(A, q, lower=lower, upper=upper)
@@ -250,7 +247,7 @@ def test_vectors_are_copies_of_their_own() -> None:
     np.testing.assert_array_equal(p.upper, np.full(4, 9.0))
 
 
-def test_large_sparse_problem_is_never_dense() -> None:
+def test_large_sparse_problem_is_never_dense():
     """Building, describing and measuring a problem with n = 100 000 takes a few times its nonzeros in memory."""
     n = 100_000
     M = sp.csr_array(sp.diags_array([np.full(n, 4.0), -np.ones(n - 1)], offsets=[0, -1]))
@@ -269,7 +266,7 @@ def test_large_sparse_problem_is_never_dense() -> None:
 
 
 @pytest.mark.parametrize("name", ["npsor", "psor", "mgs", "npsplitting"])
-def test_dense_and_sparse_give_the_same_answer(name: str) -> None:
+def test_dense_and_sparse_give_the_same_answer(name):
     """A matrix is solved in the same steps to the same bits, dense and sparse."""
     dense = solve(LCP(A, Q), name)
     sparse = solve(LCP(sp.csr_array(A), Q), name)
@@ -284,7 +281,7 @@ def test_dense_and_sparse_give_the_same_answer(name: str) -> None:
 # --- sharing ---------------------------------------------------------------------------------------------------
 
 
-def test_with_q_changes_q_and_the_bounds_given() -> None:
+def test_with_q_changes_q_and_the_bounds_given():
     """Given bounds are replaced, others kept, z° follows, and the first problem is unchanged."""
     p = LCP(A, Q, lower=1.0, upper=3.0)
     assert p.nearest_to_zero.tolist() == [1.0] * 4
@@ -308,15 +305,13 @@ solve(LCP(np.eye(2), np.ones(2)), np.zeros(2)) → a start is z0=…
 solve(BoundedLeastSquares(np.eye(2), np.ones(2)), np.zeros(2)) → a start is z0=…
 solve(ConeProblem(np.eye(2), np.ones(2), [('second_order', 2)]), [0.0, 0.0]) → a start is z0=…
 """)
-def test_a_row_a_column_and_a_start_in_the_wrong_place_are_told_what_to_write(
-    call: str, words: str
-) -> None:
+def test_a_row_a_column_and_a_start_in_the_wrong_place_are_told_what_to_write(call, words):
     """Common mistakes in the first call of every problem class raise errors with the remedy."""
     assert_refused(call, words, {})
 
 
 @pytest.mark.parametrize("name", ["q", "lower", "upper", "matrix", "n", "other"])
-def test_a_problem_is_immutable(name: str) -> None:
+def test_a_problem_is_immutable(name):
     """An attribute cannot be set, before and after a solve, because facts about the problem are cached."""
     problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
     for one in (problem, problem.with_q([-1.0, -1.0]), copy.copy(problem)):
@@ -326,7 +321,7 @@ def test_a_problem_is_immutable(name: str) -> None:
     assert Certificate.of(problem, solve(problem).z).relative_residual < 1e-12
 
 
-def test_equal_bounds_of_a_problem_cannot_be_changed() -> None:
+def test_equal_bounds_of_a_problem_cannot_be_changed():
     """Short equal bounds are shared by problems: nobody can make those of all problems writable."""
     with pytest.raises(ValueError, match="WRITEABLE"):
         LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]).lower.flags.writeable = True

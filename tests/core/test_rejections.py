@@ -35,7 +35,6 @@ from lcp_plugin.core.errors import InvalidOption, LCPError, UnsuitableMatrix, Un
 from lcp_plugin.evidence.cross_check import cross_validate
 from lcp_plugin.evidence.stability import stability_atlas
 from lcp_plugin.evidence.study import Study, error_against_time
-from lcp_plugin.solving.result import Sample
 
 NAN, INF = float("nan"), float("inf")
 KINDS = {name: algorithm_class(name) for name in REGISTRY}
@@ -150,7 +149,7 @@ solve(None) → InvalidOption: solve needs an LCP.* got NoneType
 Certificate.of(problem, [1.0, 2.0]) → InvalidProblem: z must be a.* vector of length 3.*\(2,\)
 Certificate.of(problem, None) → InvalidProblem: z must be a.* vector of length 3
 """)
-def test_refused(call: str, words: str) -> None:
+def test_refused(call, words):
     """“Invalid input raises an `LCPError`”: the error names the argument, and the call has no side effects."""
     assert_refused(call, words, given())
 
@@ -185,7 +184,7 @@ OPTION_ROWS = [
 ]
 
 
-def test_every_option_has_bad_values() -> None:
+def test_every_option_has_bad_values():
     """Every option in the manual's table of algorithms has a list of invalid values here."""
     text = (Path(__file__).parents[2] / "examples" / "manual" / "algorithms.md").read_text(
         encoding="utf-8"
@@ -195,7 +194,7 @@ def test_every_option_has_bad_values() -> None:
 
 
 @pytest.mark.parametrize(("name", "option", "value"), OPTION_ROWS)
-def test_option_out_of_range(name: str, option: str, value: Any) -> None:
+def test_option_out_of_range(name, option, value):
     """An invalid option value raises an error with algorithm, option and value."""
     pattern = rf"^{name}\b.*\b{option}\b.*{re.escape(repr(value))}"
     names = {**given(), "option": {option: value}}
@@ -203,7 +202,7 @@ def test_option_out_of_range(name: str, option: str, value: Any) -> None:
     assert_refused(f"KINDS[{name!r}](**option)", pattern, names, InvalidOption)
 
 
-def test_numpy_numbers_are_numbers() -> None:
+def test_numpy_numbers_are_numbers():
     """NumPy integers and floats, zero limits and a zero tolerance are accepted."""
     names = given()
     result = solve(
@@ -237,7 +236,7 @@ def with_diagonal(value: float | None) -> LCP:
 
 @pytest.mark.parametrize("value", [0.0, None, -1.0, -1e-300, 5e-324, 1e-310])
 @pytest.mark.parametrize("name", NEEDS_POSITIVE_DIAGONAL)
-def test_diagonal_must_be_positive(name: str, value: float | None) -> None:
+def test_diagonal_must_be_positive(name, value):
     """Zero, missing, negative or too small to invert: a method that divides by the diagonal names the entry."""
     pattern = rf"^{name} needs a positive diagonal.*M\[2, 2\] = {re.escape(str(value or 0.0))}; try algorithm=\"auto"
     names = {"problem": with_diagonal(value)}
@@ -253,7 +252,7 @@ def test_diagonal_must_be_positive(name: str, value: float | None) -> None:
         ("npaor", -1.0, {"relaxation": 0.5, "acceleration": 0.0}),
     ],
 )
-def test_pivot_must_be_positive(name: str, value: float, options: dict[str, Any]) -> None:
+def test_pivot_must_be_positive(name, value, options):
     """If d/α + d + 2 ≤ 0 in a row, NP* raises an error with the row, the diagonal and the pivot."""
     pattern = rf"^{name} needs d/α \+ d \+ 2 > 0.*M\[2, 2\] = {re.escape(str(value))} gives (-|0)"
     names = {"problem": with_diagonal(value), "options": options}
@@ -266,9 +265,7 @@ def test_pivot_must_be_positive(name: str, value: float, options: dict[str, Any]
 @pytest.mark.parametrize(
     "name", [name for name, options in OPTIONS.items() if "scaling" in options]
 )
-def test_diagonal_near_the_largest_double_is_no_obstacle(
-    name: str, options: dict[str, Any]
-) -> None:
+def test_diagonal_near_the_largest_double_is_no_obstacle(name, options):
     """A diagonal of 1e308 or 1e-307 does not overflow: the solution is right, without warning."""
     result = solve(LCP([[1e308, 0.0], [0.0, 4.0]], [1e307, -1.0]), name, **options)
     assert result.is_solved
@@ -285,7 +282,7 @@ def test_diagonal_near_the_largest_double_is_no_obstacle(
         ),
     ],
 )
-def test_singular_splitting_is_refused(M: Any, options: dict[str, Any]) -> None:
+def test_singular_splitting_is_refused(M, options):
     """If the matrix of npsplitting is singular, the error recommends another splitting."""
     words = r"^npsplitting: .*is singular.*choose another splitting"
     names = {"problem": LCP(M, [1.0, -1.0]), "options": options}
@@ -301,9 +298,7 @@ def test_singular_splitting_is_refused(M: Any, options: dict[str, Any]) -> None:
     ],
     ids=["box", "upper only"],
 )
-def test_modulus_methods_need_lower_bounds_only(
-    name: str, lower: Any, upper: Any, interval: str
-) -> None:
+def test_modulus_methods_need_lower_bounds_only(name, lower, upper, interval):
     """Modulus methods reject free rows and upper bounds with row, bounds and alternative."""
     words = (
         rf"^{name} needs a finite lower and no upper bound.*{interval}.*; try algorithm=\"auto\"$"
@@ -316,10 +311,10 @@ def test_modulus_methods_need_lower_bounds_only(
 # --- error handling ------------------------------------------------------------------------------------------
 
 
-def test_nothing_runs_before_a_refusal() -> None:
+def test_nothing_runs_before_a_refusal():
     """A rejected solve raises its error before the first iterate, without a callback."""
-    seen: list[Sample] = []
-    refusals: list[dict[str, Any]] = [
+    seen = []
+    refusals = [
         {"algorithm": "psor", "relaxation": 0.0},
         {"algorithm": "psor", "tolerance": -1.0},
         {"algorithm": "psor", "z0": [1.0]},
@@ -334,7 +329,7 @@ def test_nothing_runs_before_a_refusal() -> None:
     assert seen == []
 
 
-def test_every_error_is_its_builtin_too() -> None:
+def test_every_error_is_its_builtin_too():
     """Each error is an LCPError and the builtin exception that a caller would expect; none is left out."""
     assert set(BUILTIN_BASE) == set(LCPError.__subclasses__())
     for error, builtin in BUILTIN_BASE.items():
@@ -359,7 +354,7 @@ except LCPError as error:
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
-def test_damaged_sparse_array_of_any_format_is_refused(damage: str) -> None:
+def test_damaged_sparse_array_of_any_format_is_refused(damage):
     """A sparse array with inconsistent index arrays raises InvalidProblem, without a crash.
 
     The test runs in a separate process, because scipy's conversions access memory beyond the arrays of such a
@@ -404,19 +399,19 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
 
 @pytest.mark.parametrize("what", TAKE)
 @pytest.mark.parametrize("kind", WRONG)
-def test_an_argument_of_a_wrong_kind_is_refused_in_words(what: str, kind: str) -> None:
+def test_an_argument_of_a_wrong_kind_is_refused_in_words(what, kind):
     """An argument of a wrong type ends in an LCPError, not in a TypeError of another package."""
     with pytest.raises(LCPError):
         TAKE[what](given()["plain"], WRONG[kind])
 
 
-def test_with_q_of_a_program_is_refused_with_the_spelling() -> None:
+def test_with_q_of_a_program_is_refused_with_the_spelling():
     """The message has the call that works."""
     with pytest.raises(AttributeError, match=r"write program\.with_vectors"):
         QuadraticProgram([[1.0]], [1.0]).with_q([2.0])
 
 
-def test_rows_on_ranks_without_mpi4py(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_on_ranks_without_mpi4py(monkeypatch):
     """Names of LCP that need mpi4py are there without it, as help(LCP) shows; a call says what to install."""
     monkeypatch.setitem(sys.modules, "mpi4py", None)
     assert LCP.from_petsc.__doc__ is not None
@@ -437,7 +432,7 @@ BUILDERS = {
 }
 
 
-def test_bounds_that_cross_by_rounding_are_one_value_and_none_is_no_bound() -> None:
+def test_bounds_that_cross_by_rounding_are_one_value_and_none_is_no_bound():
     """0.1 · 3 and 0.3 are one value in every class; 1e-9 above is refused; None means what scipy means by it."""
     for build in BUILDERS.values():
         crossed = build(lower=0.1 * 3, upper=[0.3, 1.0])
@@ -449,7 +444,7 @@ def test_bounds_that_cross_by_rounding_are_one_value_and_none_is_no_bound() -> N
             build(lower=0.3 + 1e-9, upper=0.3)
 
 
-def test_a_program_that_is_not_convex_is_told_to_bound_its_unknowns_first() -> None:
+def test_a_program_that_is_not_convex_is_told_to_bound_its_unknowns_first():
     """The search for a global minimum needs bounds; with them the message names the search alone."""
     P = [[1.0, -2.0], [-2.0, 1.0]]
     with pytest.raises(

@@ -54,7 +54,7 @@ def exact(A: np.ndarray, x: np.ndarray, q: np.ndarray) -> list[Fraction]:
 
 @settings.get_profile("many")
 @given(products())
-def test_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+def test_products_are_enclosed(data):
     """The exact M x + q lies within the radius of both forms, and an infinite radius means overflow is near."""
     A, x, q = data
     M = sp.csr_array(A)
@@ -70,7 +70,7 @@ def test_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np.ndarray]) 
 
 @settings.get_profile("many")
 @given(products())
-def test_comparison_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+def test_comparison_products_are_enclosed(data):
     """The exact ⟨M⟩v lies between the two ends, which are the value itself where the radius is zero."""
     from lcp_plugin.systems.graph import comparison_product, exact_comparison_row
 
@@ -90,7 +90,7 @@ def test_comparison_products_are_enclosed(data: tuple[np.ndarray, np.ndarray, np
     st.lists(st.integers(-(2**40), 2**40), min_size=16, max_size=16),
     st.lists(st.integers(-9, 9), min_size=4, max_size=4),
 )
-def test_integers_are_exact(entries: list[int], x: list[int]) -> None:
+def test_integers_are_exact(entries, x):
     """Where no operation rounds, the radius is 0 and the value is the truth, ties included."""
     A = np.array(entries, dtype=float).reshape(4, 4)
     A[3] = [1.0, -1.0, 1.0, -1.0]
@@ -100,7 +100,7 @@ def test_integers_are_exact(entries: list[int], x: list[int]) -> None:
     assert not radius.any()
 
 
-def test_radius_is_of_third_order() -> None:
+def test_radius_is_of_third_order():
     """Beside rounding of first order the pair is wrong by a few u² |M||x|, and the value by one ulp."""
     rng = np.random.default_rng(0)
     A, x = rng.normal(size=(40, 40)), rng.normal(size=40)
@@ -111,7 +111,7 @@ def test_radius_is_of_third_order() -> None:
     assert (compensated_pair(M, x)[2] <= 40 * UNIT**2 * size).all()
 
 
-def test_what_rounding_took_is_in_the_radius() -> None:
+def test_what_rounding_took_is_in_the_radius():
     """2⁵⁴ + 1 is 2⁵⁴ with a radius of 1, and with nothing lost beside the pair."""
     M = sp.csr_array(np.array([[2.0**54, 1.0]]))
     value, radius = compensated_product(M, np.ones(2))
@@ -119,7 +119,7 @@ def test_what_rounding_took_is_in_the_radius() -> None:
     assert [float(part[0]) for part in compensated_pair(M, np.ones(2))] == [2.0**54, 1.0, 0.0]
 
 
-def test_overflow_is_an_infinite_radius() -> None:
+def test_overflow_is_an_infinite_radius():
     """Overflow and a non-finite vector give an infinite radius, never a bound."""
     M = sp.csr_array(np.array([[1e200, 0.0], [1.7e308, 1.0], [1.0, 1.0]]))
     for x in (np.array([1e200, 1e-300]), np.array([np.inf, 1.0]), np.array([np.nan, 1.0])):
@@ -130,14 +130,14 @@ def test_overflow_is_an_infinite_radius() -> None:
 
 
 @pytest.mark.parametrize("terms", [0, 1, 7, 10**6, 2**52])
-def test_gamma_is_an_upper_bound(terms: int) -> None:
+def test_gamma_is_an_upper_bound(terms):
     """gamma(k) ≥ k u/(1 − k u) in rational arithmetic."""
     bound = gamma(terms)
     ku = terms * Fraction(UNIT)
     assert bound == np.inf or Fraction(bound) >= ku / (1 - ku)
 
 
-def test_ends_of_finite_sums_are_next_to_them() -> None:
+def test_ends_of_finite_sums_are_next_to_them():
     """The ends are exact without a radius, enclose value ± radius, and are infinite if the radius is."""
     value, radius = np.ones(3), np.array([0.0, UNIT, np.inf])
     assert upper_end(value, radius).tolist() == [1.0, 1.0 + 2 * UNIT, np.inf]

@@ -7,7 +7,6 @@ import re
 import sys
 
 import numpy as np
-import pytest
 
 from lcp_plugin import LCP, NonlinearProblem, Result, gallery, solve
 from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
@@ -30,7 +29,7 @@ def scene() -> LCP:
     return gallery.obstacle_2d(size=20).problem
 
 
-def test_a_run_is_printed_from_header_to_end(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_is_printed_from_header_to_end(capsys):
     """A header with what is seen of M, each stage with its reason, few lines of iterations, and the end."""
     result = solve(scene(), verbose=True)
     header, stages, iterations, end = printed_by(result, capsys.readouterr().out)
@@ -46,7 +45,7 @@ def test_a_run_is_printed_from_header_to_end(capsys: pytest.CaptureFixture[str])
     )
 
 
-def test_a_nonlinear_run_is_printed_by_its_newton_steps(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_nonlinear_run_is_printed_by_its_newton_steps(capsys):
     """Each step has a line with its kind, its length, the worst row by name, and counts of F and F′."""
     problem = NonlinearProblem(
         lambda x: np.array([np.exp(x[0]) + x[1] - 3, x[1] - x[0] + 2]), names=["coal", "gas"]
@@ -64,7 +63,7 @@ def test_a_nonlinear_run_is_printed_by_its_newton_steps(capsys: pytest.CaptureFi
     assert "as measured on F" in end
 
 
-def test_a_terminal_without_unicode_ends_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_without_unicode_ends_no_run(monkeypatch):
     """A sign that the terminal does not know becomes a question mark."""
     stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", stream)

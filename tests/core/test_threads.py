@@ -25,11 +25,11 @@ def pieces(count: int, smallest: int) -> list[tuple[int, int]]:
     return share(lambda first, end: (first, end), count, smallest)
 
 
-def test_an_error_waits_until_every_piece_has_ended() -> None:
+def test_an_error_waits_until_every_piece_has_ended():
     """Nobody is at work when the error of a piece that failed comes out; what follows is shared again."""
     together, ended = threading.Barrier(3, timeout=60.0), []
 
-    def work(first: int, end: int) -> None:
+    def work(first, end):
         together.wait()
         if first < 2:
             raise ValueError(f"piece {first}")
@@ -70,7 +70,7 @@ def in_a_nonlinear_solve(algorithm: Any, **options: Any) -> Any:
 
 
 @pytest.mark.parametrize("run", [in_solve, in_a_nonlinear_solve], ids=lambda run: run.__name__)
-def test_a_solve_uses_the_stated_number_of_threads(run: Callable[..., Any]) -> None:
+def test_a_solve_uses_the_stated_number_of_threads(run):
     """So many, all that may be used by default, and one again afterwards."""
     assert counted(run, threads=3) == 3
     assert counted(run) == checked_threads(None)
@@ -78,7 +78,7 @@ def test_a_solve_uses_the_stated_number_of_threads(run: Callable[..., Any]) -> N
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "2", np.nan])
-def test_wrong_numbers_of_threads_are_refused(wrong: Any) -> None:
+def test_wrong_numbers_of_threads_are_refused(wrong):
     """By all who take them, with what was given and what is needed."""
     problem = NonlinearProblem(lambda x: x)
     for attempt in (
@@ -99,9 +99,7 @@ SCENES = [
 
 @pytest.mark.full
 @pytest.mark.parametrize(("name", "size", "algorithm"), SCENES)
-def test_the_number_of_threads_changes_no_bit(
-    name: str, size: dict[str, int], algorithm: str
-) -> None:
+def test_the_number_of_threads_changes_no_bit(name, size, algorithm):
     """“Results do not depend on the number of threads”: z, w, residuals and counts, with 1 to 4 threads of a solve."""
     told = []
     for threads in (1, 2, 3, 4):

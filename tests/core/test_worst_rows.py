@@ -76,7 +76,7 @@ KINDS = ["lcp", "box", "nonlinear", "cvxpy", "cone", "contact", "program"]
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", range(72))
-def test_rows_are_those_that_fail_in_fractions(seed: int, kind: str) -> None:
+def test_rows_are_those_that_fail_in_fractions(seed, kind):
     """The table has the rows that fail in exact sums, with their exact violation, the worst first."""
     problem, point, wrong = drawn(kind, seed)
     found = certify(problem, point)
@@ -89,7 +89,7 @@ def test_rows_are_those_that_fail_in_fractions(seed: int, kind: str) -> None:
     assert kind == "program" or found.verdict == ("proved" if not rows else "disproved")
 
 
-def test_every_class_names_its_worst_row() -> None:
+def test_every_class_names_its_worst_row():
     """Nonlinear, cone and convex problems, and models at the values of their variables."""
     power = NonlinearProblem(lambda x: x**3 - np.array([8.0, -1.0]), lower=[0, 0], names=["a", "b"])
     assert str(certify(power, [2, 1]).worst()).startswith("w[b] = 2 while z[b] = 1 > 0")
@@ -115,7 +115,7 @@ def test_every_class_names_its_worst_row() -> None:
         certify(LCP([[1.0]], [1.0]))
 
 
-def test_a_run_that_fails_ends_with_its_worst_rows() -> None:
+def test_a_run_that_fails_ends_with_its_worst_rows():
     """A method that stalls, and a system without a root, name the rows."""
     names = ["a", "b", "c"]
     M = [[1, 4, 0], [0, 1, 4], [4, 0, 1]]
@@ -142,7 +142,7 @@ def test_a_run_that_fails_ends_with_its_worst_rows() -> None:
         ),
     ],
 )
-def test_the_mistake_of_a_model_that_fails_is_below_its_worst_rows(F: Any, line: str) -> None:
+def test_the_mistake_of_a_model_that_fails_is_below_its_worst_rows(F, line):
     """A missing term, two units in a row, and rows without a numeraire; a run that a limit ends blames nobody."""
     problem = NonlinearProblem(lambda x: np.array(F(x)), lower=-np.inf, names=["a", "b", "c"])
     result = solve(problem, x0=[1.0, 1.5, 1.0])
@@ -151,7 +151,7 @@ def test_the_mistake_of_a_model_that_fails_is_below_its_worst_rows(F: Any, line:
     assert line not in solve(problem, x0=[1.0, 1.5, 1.0], max_iterations=1).explain()
 
 
-def test_a_row_of_the_wrong_sign_is_named_where_no_solution_exists() -> None:
+def test_a_row_of_the_wrong_sign_is_named_where_no_solution_exists():
     """The capacity k − s₀ − s₁ of a mine, stated as s₀ + s₁ − k."""
     mines, towns = np.kron(np.eye(2), [1, 1]), np.kron([1, 1], np.eye(2))
     zero = np.zeros((2, 2))
@@ -166,7 +166,7 @@ def test_a_row_of_the_wrong_sign_is_named_where_no_solution_exists() -> None:
     assert "row 4] may be wrong" in result.explain().splitlines()[-1]
 
 
-def test_a_negative_diagonal_entry_is_named_and_a_rounding_error_is_no_unit() -> None:
+def test_a_negative_diagonal_entry_is_named_and_a_rounding_error_is_no_unit():
     """A market with the sign of its neighbors' rows reversed, and a row with a difference of decimals."""
     names = ["coal", "steel", "food"]
     reversed_row = LCP([[4, 1, 2], [-2, -7, 0], [1, 0, 8]], [-6, 1, 6], names=names)
@@ -191,9 +191,7 @@ def test_a_negative_diagonal_entry_is_named_and_a_rounding_error_is_no_unit() ->
         ([1, -1], [1, -5], ["lower[1] is violated: -5 < 0"]),
     ],
 )
-def test_rows_of_a_program_are_measured_with_x_on_its_bounds(
-    row: Any, x: Any, lines: list[str]
-) -> None:
+def test_rows_of_a_program_are_measured_with_x_on_its_bounds(row, x, lines):
     """The values in the text are those that the criterion compares."""
     program = QuadraticProgram(np.eye(2), [0, 0], [row], [1], lower=0)
     assert [one.text for one in certify(program, x).worst(5)] == lines
@@ -225,7 +223,7 @@ def fallen(kind: str) -> tuple[Any, list[float]]:
 @pytest.mark.parametrize(
     "kind", ["lcp", "sparse", "program", "nonnegative", "second order", "contact", "nonlinear"]
 )
-def test_certify_measures_the_given_point_and_no_other(kind: str) -> None:
+def test_certify_measures_the_given_point_and_no_other(kind):
     """A point with a row of −4 is disproved although 0 solves the problem, and the row is named."""
     problem, x = fallen(kind)
     found = certify(problem, x)
@@ -237,7 +235,7 @@ def test_certify_measures_the_given_point_and_no_other(kind: str) -> None:
 @pytest.mark.parametrize(
     "make", [LCP, lambda M, q: NonlinearProblem(lambda x: M @ x + q, lower=[0, 0])]
 )
-def test_a_point_outside_its_bounds_is_disproved_and_the_bound_is_named(make: Any) -> None:
+def test_a_point_outside_its_bounds_is_disproved_and_the_bound_is_named(make):
     """−50 next to 10⁷ is named, and −1, within the tolerance, is not."""
     M, q = np.array([[1.0, 0.5], [0.5, 1.0]]), np.array([1e7, -1e7])
     found = certify(make(M, q), [-50, 1e7 + 25])
@@ -248,7 +246,7 @@ def test_a_point_outside_its_bounds_is_disproved_and_the_bound_is_named(make: An
         certify(make(M, q), [0, np.nan])
 
 
-def test_conditions_of_a_program_are_proved_as_an_lcp_and_refused_as_a_program() -> None:
+def test_conditions_of_a_program_are_proved_as_an_lcp_and_refused_as_a_program():
     """The rows of the optimality conditions pass, and the objective is wrong by 4e-9 of its value."""
     problem = LCP.from_qp(
         np.diag([2.0**-23, 0, 0]),
@@ -262,7 +260,7 @@ def test_conditions_of_a_program_are_proved_as_an_lcp_and_refused_as_a_program()
     assert not problem.origin.recover(z, tolerance=1e-9).is_solved
 
 
-def test_the_text_of_a_row_has_its_exact_sum() -> None:
+def test_the_text_of_a_row_has_its_exact_sum():
     """a·2³⁴a − 2³⁴ − 2⁸ = 2⁻²⁰ for a = 1 + 2⁻²⁷, and double precision gives 0."""
     a = 1.0 + 2.0**-27
     problem = LCP([[a, -1], [0, 1]], [0, -1], lower=-np.inf)
@@ -272,7 +270,7 @@ def test_the_text_of_a_row_has_its_exact_sum() -> None:
     ]
 
 
-def test_a_row_that_fails_next_to_its_terms_is_the_reason() -> None:
+def test_a_row_that_fails_next_to_its_terms_is_the_reason():
     """z[1] = 0.5 is small next to 10⁹, and its row is 0.5 next to 1; a pickled certification has the same rows."""
     found = certify(LCP([[1, 0], [1e-9, 1]], [-1e9, -1]), [1e9, 0.5])
     text = "row 1 = 0.5 while z[1] = 0.5 > 0"
@@ -303,7 +301,7 @@ def in_cvxpy(kind: str) -> tuple[cp.Problem, cp.Variable, float, str]:
 
 
 @pytest.mark.parametrize("kind", ["definition", "smooth", "bound", "friction"])
-def test_certify_measures_the_values_of_a_cvxpy_model_in_all_its_conditions(kind: str) -> None:
+def test_certify_measures_the_values_of_a_cvxpy_model_in_all_its_conditions(kind):
     """Defined variables keep their values; a wrong value names its equation or bound."""
     model, variable, value, line = in_cvxpy(kind)
     assert certify(model).verdict == "proved"
@@ -316,7 +314,7 @@ def test_certify_measures_the_values_of_a_cvxpy_model_in_all_its_conditions(kind
         certify(model)
 
 
-def test_a_slack_that_is_rounding_is_at_its_bound() -> None:
+def test_a_slack_that_is_rounding_is_at_its_bound():
     """3 · (.2/3) − .3 + .1 is 2.8e-17 in double precision, and its row is 3.1."""
     a = cp.Variable(2, name="a", value=[0.2 / 3.0, 0.1])
     pair = complements(3 * a[0] - 0.3 + a[1] >= 0, a[1] + 3 >= 0)
@@ -380,7 +378,7 @@ def in_pyomo(kind: str) -> tuple[Any, str, dict[str, Any]]:
         "shared expression",
     ],
 )
-def test_certify_measures_the_values_of_a_pyomo_model_in_all_its_conditions(kind: str) -> None:
+def test_certify_measures_the_values_of_a_pyomo_model_in_all_its_conditions(kind):
     """No value is moved into its bounds or replaced by its definition, and side conditions count."""
     model, line, options = in_pyomo(kind)
     found = certify(model, **options)
@@ -388,7 +386,7 @@ def test_certify_measures_the_values_of_a_pyomo_model_in_all_its_conditions(kind
     assert line in str(found.worst(9))
 
 
-def test_a_pyomo_model_without_values_or_conditions_is_refused() -> None:
+def test_a_pyomo_model_without_values_or_conditions_is_refused():
     """A variable without a value has no point, and inequalities without pairs have no solution to measure."""
     pyo, mpec = pytest.importorskip("pyomo.environ"), pytest.importorskip("pyomo.mpec")
     m = pyo.ConcreteModel()
@@ -400,7 +398,7 @@ def test_a_pyomo_model_without_values_or_conditions_is_refused() -> None:
         certify(in_pyomo("square")[0])
 
 
-def test_a_wrong_jacobian_does_not_prove_a_point() -> None:
+def test_a_wrong_jacobian_does_not_prove_a_point():
     """F(2, 2) = (1, 0) is large next to F(0) = (−1, −2), and small next to 10¹⁴ of the jacobian."""
     wrong = np.array([[1e14, 1e-3], [1e-3, 1.0]])
     problem = NonlinearProblem(lambda x: x - np.array([1.0, 2.0]), lambda x: wrong, lower=[0, 0])
@@ -408,7 +406,7 @@ def test_a_wrong_jacobian_does_not_prove_a_point() -> None:
     assert certify(problem, [1, 2]).verdict == "proved"
 
 
-def test_a_defined_slack_at_rounding_level_is_no_violation() -> None:
+def test_a_defined_slack_at_rounding_level_is_no_violation():
     """The slack y = M x + q of a solution is 10⁻¹⁵, which rounding of the terms of its equation explains."""
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -425,9 +423,7 @@ def test_a_defined_slack_at_rounding_level_is_no_violation() -> None:
 
 
 @pytest.mark.parametrize("door", certified_points.DOORS)
-def test_verdicts_on_points_of_integer_problems_are_right_in_fractions(
-    door: str, draws: Any
-) -> None:
+def test_verdicts_on_points_of_integer_problems_are_right_in_fractions(door, draws):
     """No wrong point is proved and no exact solution is disproved: 10 000 points in the full suite."""
     if door == "pyomo":
         pytest.importorskip("pyomo.environ")
@@ -436,7 +432,7 @@ def test_verdicts_on_points_of_integer_problems_are_right_in_fractions(
     assert not found
 
 
-def test_a_cone_run_that_ends_early_has_its_worst_rows() -> None:
+def test_a_cone_run_that_ends_early_has_its_worst_rows():
     """A callback that ends the run at its start leaves rows of a dense problem over cones."""
     cone = ConeProblem(np.eye(3) + 0.5, [-3, -2, 1], [("second_order", 3)])
     result = solve(cone, callback=lambda sample, z: True)
@@ -458,7 +454,7 @@ NEAR_BOUNDS = [  # M, q, lower, upper, z, verdict
 
 @pytest.mark.parametrize(("M", "q", "lower", "upper", "z", "verdict"), NEAR_BOUNDS)
 def test_certify_measures_the_distance_from_a_bound_in_the_unit_of_the_row(
-    M: Any, q: Any, lower: float, upper: float, z: Any, verdict: str
-) -> None:
+    M, q, lower, upper, z, verdict
+):
     """1 next to |q|/d = 10¹⁶ is at the bound 0, and next to 10⁴ it is not; units of z and w change nothing."""
     assert certify(LCP(M, q, lower=lower, upper=upper), z).verdict == verdict

@@ -54,7 +54,7 @@ def assert_gone(ranks: list[int]) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV])
-def test_a_rank_that_is_killed_ends_the_job(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_rank_that_is_killed_ends_the_job(tmp_path, number):
     """A rank killed from outside during a solve ends the job with a code that is not 0."""
     job, ranks = endless(tmp_path)
     os.kill(ranks[1], number)
@@ -64,7 +64,7 @@ def test_a_rank_that_is_killed_ends_the_job(tmp_path: Path, number: signal.Signa
 
 
 @pytest.mark.parametrize("rank", [0, 1])
-def test_ctrl_c_on_one_rank_keeps_the_best(tmp_path: Path, rank: int) -> None:
+def test_ctrl_c_on_one_rank_keeps_the_best(tmp_path, rank):
     """SIGINT on any one rank ends all of them INTERRUPTED, with the best point."""
     job, ranks = endless(tmp_path)
     os.kill(ranks[rank], signal.SIGINT)

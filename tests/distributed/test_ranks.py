@@ -25,12 +25,12 @@ def stories(ranks: int) -> dict[str, str]:
 
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("name", CLAIMS)
-def test_claim_holds_on_ranks(name: str, ranks: int) -> None:
+def test_claim_holds_on_ranks(name, ranks):
     """Each claim holds on every number of ranks."""
     assert not stories(ranks)[name], stories(ranks)[name]
 
 
-def test_the_script_of_the_page_runs() -> None:
+def test_the_script_of_the_page_runs():
     """The script solves its problem on two ranks, with a bound, and rank 0 alone prints."""
     page = PAGE.read_text(encoding="utf-8").split("## Several machines")[1]
     done = run_code(2, page.split("```python\n")[1].split("```")[0])

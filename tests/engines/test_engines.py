@@ -1,10 +1,7 @@
 """External solvers: their input, the use of their points, and independent verification."""
 
-from __future__ import annotations
-
 import itertools
 import time
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +11,7 @@ from scipy.optimize import linprog
 
 from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProblem, solve
 from lcp_plugin.engines import ENGINES, engine_class
-from lcp_plugin.engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
+from lcp_plugin.engines.engine import Engine, EngineAnswer, EngineStatus
 from lcp_plugin.problems.programs.solving import attempts, run_engine, unscaled
 
 INF = np.inf
@@ -23,7 +20,7 @@ QUADRATIC = [name for name in ENGINES if not engine_class(name).is_for_linear_al
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("name", QUADRATIC)
-def test_each_engine_finds_the_planted_answer(name: str, seed: int) -> None:
+def test_each_engine_finds_the_planted_answer(name, seed):
     """X to 1e-9 after the polish, its multipliers, and the engine's name in the result."""
     program, x, value = planted_program(12, 9, 3, 12, seed)
     found = solve(program, name)
@@ -36,7 +33,7 @@ def test_each_engine_finds_the_planted_answer(name: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_each_engine_takes_dense_and_sparse_linear_programs(name: str) -> None:
+def test_each_engine_takes_dense_and_sparse_linear_programs(name):
     """Max x₁ + 2 x₂ with x₁ + x₂ ≤ 3 in a box: (1, 2), by arrays and by sparse ones."""
     for kind in (np.array, sp.csr_array):
         program = QuadraticProgram(None, [-1, -2], kind([[1.0, 1.0]]), [3], lower=0, upper=2)
@@ -46,7 +43,7 @@ def test_each_engine_takes_dense_and_sparse_linear_programs(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", QUADRATIC)
-def test_a_program_without_rows_or_free_unknowns_is_answered(name: str) -> None:
+def test_a_program_without_rows_or_free_unknowns_is_answered(name):
     """Bounds alone, and bounds that leave one point."""
     assert solve(
         QuadraticProgram(np.eye(2), [-3, 1], lower=0, upper=2), name
@@ -56,7 +53,7 @@ def test_a_program_without_rows_or_free_unknowns_is_answered(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_what_an_engine_says_of_no_minimum_is_proved_by_us(name: str) -> None:
+def test_what_an_engine_says_of_no_minimum_is_proved_by_us(name):
     """Inconsistent rows and an unbounded objective get proofs that verify exactly."""
     contradicting = solve(
         QuadraticProgram(None, [1, 1], [[1, 1], [-1, -1]], [1, -3], lower=-9, upper=9), name
@@ -68,7 +65,7 @@ def test_what_an_engine_says_of_no_minimum_is_proved_by_us(name: str) -> None:
     assert endless.proof.verify()
 
 
-def test_what_an_engine_does_not_take_is_refused_and_nothing_left_needs_none() -> None:
+def test_what_an_engine_does_not_take_is_refused_and_nothing_left_needs_none():
     """HiGHS rejects quadratic programs; no engine runs if all unknowns are fixed."""
     with pytest.raises(
         UnsuitableProblem, match='highs solves linear programs, but P has nonzeros; take "piqp"'
@@ -81,7 +78,7 @@ def test_what_an_engine_does_not_take_is_refused_and_nothing_left_needs_none() -
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_an_answer_of_zeros_is_found(name: str) -> None:
+def test_an_answer_of_zeros_is_found(name):
     """Rows x ≥ 0 and positive costs: x = 0, of which an interior point leaves 1e-11 or 1e-50."""
     kind = np.zeros((2, 2)) if name == "highs" else np.eye(2)
     found = solve(QuadraticProgram(kind, [1, 1], G=-np.eye(2), h=[0, 0]), name)
@@ -89,7 +86,7 @@ def test_an_answer_of_zeros_is_found(name: str) -> None:
     assert np.abs(found.x).max() <= 1e-12
 
 
-def test_a_row_with_a_large_coefficient_is_met_to_the_rounding_of_its_unknown() -> None:
+def test_a_row_with_a_large_coefficient_is_met_to_the_rounding_of_its_unknown():
     """1e15 times 4e-15 is a term of a row, and 4e-15 is the rounding of x₃ in another row: x is right to 1e-12."""
     program = QuadraticProgram(
         [[18, -1, 7, -13], [-1, 15, 8, -7], [7, 8, 13, -3], [-13, -7, -3, 26]],
@@ -106,7 +103,7 @@ def test_a_row_with_a_large_coefficient_is_met_to_the_rounding_of_its_unknown() 
         assert not found.is_solved or np.abs(found.x - [0.0, 1.0, 2.0, 4e-15]).max() <= 1e-12
 
 
-def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
+def test_options_are_the_engine_s_own_and_others_are_refused():
     """An option is passed by its name; a wrong option raises InvalidOption."""
     program, x, _ = planted_program(12, 9, 3, 12, 0)
     assert np.abs(solve(program, "piqp", max_iter=60, eps_abs=1e-8).x - x).max() <= 1e-7
@@ -124,7 +121,7 @@ def test_options_are_the_engine_s_own_and_others_are_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["auto", *ENGINES])
-def test_more_steps_than_an_engine_can_count_are_no_error(name: str) -> None:
+def test_more_steps_than_an_engine_can_count_are_no_error(name):
     """The solution with max_iterations = 10¹⁰ is the same as without a limit."""
     P = None if name == "highs" else np.eye(2)
     program = QuadraticProgram(P, [1.0, 1.0], lower=-3.0)
@@ -134,14 +131,12 @@ def test_more_steps_than_an_engine_can_count_are_no_error(name: str) -> None:
 
 
 @pytest.mark.parametrize("options", [{}, {"max_iter": 50}, {"eps_abs": 1e-9}])
-def test_a_failure_of_an_engine_is_not_reported_as_an_option(
-    options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failure_of_an_engine_is_not_reported_as_an_option(options, monkeypatch):
     """If PIQP fails for this program, but not for another with the same options, its error is raised."""
     piqp = engine_class("piqp")
     answer = piqp.answer
 
-    def fails(self: Any, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+    def fails(self, program, limits):
         if program.c.size > 1:
             raise RuntimeError("no memory for the factor")
         return answer(self, program, limits)
@@ -151,7 +146,7 @@ def test_a_failure_of_an_engine_is_not_reported_as_an_option(
         solve(QuadraticProgram(np.eye(2), [1.0, 1.0], lower=0.0), "piqp", **options)
 
 
-def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
+def test_the_same_call_gives_the_same_points_where_an_engine_has_none():
     """For inconsistent rows daqp returns uninitialized memory, which is never used as a point."""
     program = QuadraticProgram(
         2.0 * np.eye(2), [0, 0], A=[[1, -1], [1, -1]], b=[1e3, 1e3 * (1 + 2e-6)]
@@ -161,7 +156,7 @@ def test_the_same_call_gives_the_same_points_where_an_engine_has_none() -> None:
     assert np.abs(runs[0].x).max() <= 1e4
 
 
-def test_a_clock_chooses_no_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clock_chooses_no_engine(monkeypatch):
     """The same engines run, and give the same bits, on a machine that slows down from call to call."""
     program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1 / 3]], h=[1 / 3])
     runs = [solve(program, tolerance=1e-40)]  # which no point reaches
@@ -175,7 +170,7 @@ def test_a_clock_chooses_no_engine(monkeypatch: pytest.MonkeyPatch) -> None:
     assert runs[0].x.tobytes() == runs[1].x.tobytes()
 
 
-def test_piqp_without_steps_gives_the_same_point_in_each_call() -> None:
+def test_piqp_without_steps_gives_the_same_point_in_each_call():
     """After max_iter = 0, PIQP's result is uninitialized memory, which is never used as a point."""
     none, points = engine_class("piqp")(max_iter=0), set()
     for seed in range(20):
@@ -187,7 +182,7 @@ def test_piqp_without_steps_gives_the_same_point_in_each_call() -> None:
     assert len(points) == 1
 
 
-def test_unknown_residuals_are_not_printed_as_nan(capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_residuals_are_not_printed_as_nan(capsys):
     """The start of an external solver has no residual, so its line has a dash."""
     solve(planted_program(12, 9, 3, 12, 0)[0], verbose=True)
     printed = capsys.readouterr().out
@@ -196,20 +191,20 @@ def test_unknown_residuals_are_not_printed_as_nan(capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("limit", [{"max_seconds": 1e-9}, {"callback": lambda sample, z: True}])
-def test_auto_that_ends_at_the_start_names_the_solver_that_began(limit: dict[str, Any]) -> None:
+def test_auto_that_ends_at_the_start_names_the_solver_that_began(limit):
     """The name of the algorithm never is "auto: auto"."""
     result = solve(planted_program(12, 9, 3, 12, 0)[0], **limit)
     assert result.algorithm == ", ".join(["auto: " + stage.name for stage in result.stages])
 
 
-def test_auto_without_a_solver_has_its_own_name() -> None:
+def test_auto_without_a_solver_has_its_own_name():
     """A contradiction of a program that is not convex is proved before any solver begins."""
     result = solve(QuadraticProgram(-np.eye(2), [1, 1], A=[[1, 1], [1, 1]], b=[1, 2], lower=0))
     assert result.status is Status.INFEASIBLE
     assert result.algorithm == "auto"
 
 
-def test_an_engine_takes_the_options_of_solve() -> None:
+def test_an_engine_takes_the_options_of_solve():
     """Engines support a step limit, record and callback, ignore a start, and reject bad values."""
     program, x, _ = planted_program(12, 9, 3, 12, 0)
     short = solve(program, "piqp", max_iterations=1)
@@ -236,14 +231,14 @@ def test_an_engine_takes_the_options_of_solve() -> None:
         solve(program, "piqp", callback=3)
 
 
-def test_an_engine_that_answers_nonsense_is_not_believed() -> None:
+def test_an_engine_that_answers_nonsense_is_not_believed():
     """A point that an engine falsely calls optimal is not SOLVED; NaN is harmless."""
 
     class Liar(Engine):
         name, solves, cost, reference = "liar", "nothing", "nothing", "nobody"
         value = 1.0
 
-        def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+        def answer(self, program, limits):
             n, m, p = program.c.size, program.h.size, program.b.size
             return EngineAnswer(np.full(n, self.value), np.zeros(m + p), 1, EngineStatus.OPTIMAL)
 
@@ -255,7 +250,7 @@ def test_an_engine_that_answers_nonsense_is_not_believed() -> None:
 
 @pytest.mark.parametrize("name", QUADRATIC)
 @pytest.mark.parametrize("far", [1e9, 1e12, 1e15, 1e19])
-def test_limits_far_beyond_all_others_fool_no_engine_for_good(name: str, far: float) -> None:
+def test_limits_far_beyond_all_others_fool_no_engine_for_good(name, far):
     """Two rows and bounds of 1e9 … 1e19 do not change the known solution of a program."""
     program, x, value = planted_program(12, 9, 3, 12, 7)
     rng = np.random.default_rng(1)
@@ -277,7 +272,7 @@ def test_limits_far_beyond_all_others_fool_no_engine_for_good(name: str, far: fl
 
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
 @pytest.mark.parametrize("rank", [0, 2])
-def test_a_minimum_at_0_with_multipliers_is_solved(kind: Any, rank: int, draws: Any) -> None:
+def test_a_minimum_at_0_with_multipliers_is_solved(kind, rank, draws):
     """The solution is x = 0 over rows G x ≤ 0 if c = −Gᵀy for some y ≥ 0, although all terms vanish there."""
     for seed in draws(40):
         rng = np.random.default_rng(seed)
@@ -289,7 +284,7 @@ def test_a_minimum_at_0_with_multipliers_is_solved(kind: Any, rank: int, draws: 
         assert np.abs(found.x).max() <= 1e-12
 
 
-def test_a_factorization_that_fills_in_is_not_begun() -> None:
+def test_a_factorization_that_fills_in_is_not_begun():
     """Flows of 40 goods through 400 shared arcs: HiGHS pivots 632 times, PIQP's first step took 10 s; value of linprog.
 
     A chain of as many rows goes to PIQP, and a quadratic program to Clarabel.
@@ -314,7 +309,7 @@ def test_a_factorization_that_fills_in_is_not_begun() -> None:
     assert next(attempts(line))[0].name == "piqp"
 
 
-def test_the_first_run_of_piqp_ends_after_60_steps() -> None:
+def test_the_first_run_of_piqp_ends_after_60_steps():
     """The point of an assignment is optimal after 15 of 250 steps; after 120, a published value is missed."""
     rows = sp.diags_array([np.ones(2000), np.ones(2000)], offsets=[0, 1], shape=(2000, 2001))
     for P in (None, sp.eye_array(2001)):

@@ -1,7 +1,5 @@
 """Linear programs for HiGHS: slack columns of equations are left out, and their values and multipliers come back."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -21,9 +19,7 @@ print(solve(LCP(-(sp.eye_array(400) + 0.01 * band).tocsr(), q)).status.name)
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_linear_program_with_slack_columns_has_the_value_and_multipliers_of_linprog(
-    seed: int,
-) -> None:
+def test_a_linear_program_with_slack_columns_has_the_value_and_multipliers_of_linprog(seed):
     rng = np.random.default_rng(seed)
     E, R = rng.integers(-3, 4, (5, 4)), rng.integers(0, 4, (2, 4))
     signs = np.diag(rng.choice([-2.0, 1.0], 5))[:, : 3 + seed % 3]  # some equations have no slack
@@ -44,13 +40,13 @@ def test_a_linear_program_with_slack_columns_has_the_value_and_multipliers_of_li
     assert dual == pytest.approx(known.fun, abs=1e-9)
 
 
-def test_a_proof_with_full_rows_next_to_a_band_does_not_end_the_process() -> None:
+def test_a_proof_with_full_rows_next_to_a_band_does_not_end_the_process():
     command = [sys.executable, "-c", FULL_ROWS_AND_A_BAND]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, "INFEASIBLE")
 
 
-def test_equations_with_slacks_alone_are_infeasible() -> None:
+def test_equations_with_slacks_alone_are_infeasible():
     """Two equations v = −1 with v ≥ 0."""
     none = np.zeros((0, 2)), np.zeros(0)
     found = highs(np.zeros(2), *none, np.eye(2), -np.ones(2), (np.zeros(2), np.full(2, np.inf)))

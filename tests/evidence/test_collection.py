@@ -25,14 +25,14 @@ def named(entry: Entry) -> str:
 # --- What the entries claim -----------------------------------------------------------------------------------------
 
 
-def test_names_are_unique_and_sources_are_given() -> None:
+def test_names_are_unique_and_sources_are_given():
     """Every entry has a name of its own and says where it comes from; there are at least 120."""
     assert len({entry.name for entry in ENTRIES}) == len(ENTRIES) >= 120
     assert all(entry.source for entry in ENTRIES)
 
 
 @pytest.mark.full
-def test_declared_solutions_are_exact() -> None:
+def test_declared_solutions_are_exact():
     """Each declared solution is complementary in rational arithmetic, without any tolerance."""
     wrong = [
         e.name
@@ -43,7 +43,7 @@ def test_declared_solutions_are_exact() -> None:
 
 
 @pytest.mark.full
-def test_exhaustive_search_agrees_with_every_small_entry() -> None:
+def test_exhaustive_search_agrees_with_every_small_entry():
     """Up to twelve unknowns the declared truth is what an exact, independent search finds."""
     for entry in ENTRIES:
         if entry.is_small:
@@ -52,7 +52,7 @@ def test_exhaustive_search_agrees_with_every_small_entry() -> None:
             assert truth.z is None or ExactData(entry.problem).is_solution(truth.z), entry.name
 
 
-def test_every_large_entry_has_a_reason() -> None:
+def test_every_large_entry_has_a_reason():
     """Where search is out of reach there is an exact solution, a theorem, or an exact Farkas vector."""
     for entry in ENTRIES:
         if entry.is_small:
@@ -76,7 +76,7 @@ def test_every_large_entry_has_a_reason() -> None:
         (SOLVABLE, "STALLED", [0.0, 0.0], ""),
     ],
 )
-def test_false_claims_are_noticed(truth: str, status: str, z: list[float], complaint: str) -> None:
+def test_false_claims_are_noticed(truth, status, z, complaint):
     """The judge of this file and of the campaigns objects to each kind of false claim, and to no honest one."""
     claim = SimpleNamespace(status=SimpleNamespace(name=status), z=np.array(z), infeasibility=None)
     message = false_claim(LCP([[2.0, 1.0], [1.0, 2.0]], [-4.0, -2.0]), truth, claim, TOLERANCE)
@@ -84,7 +84,7 @@ def test_false_claims_are_noticed(truth: str, status: str, z: list[float], compl
     assert bool(complaint) == bool(message)
 
 
-def test_farkas_vectors_are_checked() -> None:
+def test_farkas_vectors_are_checked():
     """A contradiction is accepted, its neighbors are not: wrong sign, unbounded column, margin of zero."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
     assert is_farkas(problem, [Fraction(1), Fraction(1)])
@@ -98,7 +98,7 @@ def test_farkas_vectors_are_checked() -> None:
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=named)
-def test_auto_says_the_truth(entry: Entry) -> None:
+def test_auto_says_the_truth(entry):
     """Solvable: solved to 1e-9 or as far as rounding permits; else proven infeasible, or searched without a find."""
     result = solve(entry.problem, tolerance=TOLERANCE)
     assert judge(entry, result, TOLERANCE) == ""

@@ -18,7 +18,7 @@ def second_difference(n: int) -> sp.dia_array:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("n", [20, 21, 37, 50, 333])
-def test_a_string_leaves_the_ground_where_it_should(n: int, side: float) -> None:
+def test_a_string_leaves_the_ground_where_it_should(n, side):
     """u″ = 8, u(0) = 1, u ≥ 0 leaves the ground at 1/2 whatever the mesh, from above and, mirrored, from below."""
     h = 1.0 / (n + 1)
     q = np.full(n, 8.0 * h**2)
@@ -46,7 +46,7 @@ def membrane(size: int) -> tuple[LCP, np.ndarray, float]:
 
 
 @pytest.mark.parametrize("size", [30, 61, 120])
-def test_a_membrane_touches_a_ball_in_a_circle(size: int) -> None:
+def test_a_membrane_touches_a_ball_in_a_circle(size):
     """The boundary is round to .2 of the mesh width; the edge of the set of nodes is off by more than half of it."""
     problem, nodes, radius = membrane(size)
     result = solve(problem)
@@ -56,7 +56,7 @@ def test_a_membrane_touches_a_ball_in_a_circle(size: int) -> None:
     assert abs(np.hypot(*edge.T) - radius).max() <= 0.2 * h
 
 
-def test_where_no_force_presses_the_nodes_that_rest_are_known() -> None:
+def test_where_no_force_presses_the_nodes_that_rest_are_known():
     """A string over a flat roof is pressed at its two corners alone, and rests between them."""
     n = 200
     roof = np.where(abs(np.linspace(0, 1, n) - 0.5) < 0.1, 1.0, -1.0)

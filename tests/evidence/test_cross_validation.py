@@ -57,7 +57,7 @@ def altered(result: Result, i: int, by: float) -> Result:
 
 
 @pytest.mark.parametrize("batch", range(BATCHES))
-def test_random_spd_problems_agree(batch: int) -> None:
+def test_random_spd_problems_agree(batch):
     """Solutions z of random SPD problems agree to 1e-7, and clear active sets are equal."""
     for seed in range(batch, COUNT, BATCHES):
         problem = random_spd_problem(seed)
@@ -73,7 +73,7 @@ def test_random_spd_problems_agree(batch: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_rank_deficient_problems_agree_in_w(seed: int) -> None:
+def test_rank_deficient_problems_agree_in_w(seed):
     """For singular M, w agrees to 1e-7 although z may differ."""
     generator = np.random.default_rng(seed)
     n, rank = 12, int(generator.integers(2, 8))
@@ -89,7 +89,7 @@ def test_rank_deficient_problems_agree_in_w(seed: int) -> None:
     np.testing.assert_allclose(check.ours.w, w, atol=1e-7)
 
 
-def test_a_solution_that_is_not_unique_is_named() -> None:
+def test_a_solution_that_is_not_unique_is_named():
     """Two z on one face of solutions have the same w, and the verdict is that z is not unique."""
     check = cross_validate(LCP([[1.0, 1.0], [1.0, 1.0]], [-1.0, -1.0]), algorithm="pgs")
     assert check.agrees
@@ -105,7 +105,7 @@ def test_a_solution_that_is_not_unique_is_named() -> None:
         ("paper_example_2:n=100", GAP),
     ],
 )
-def test_scenes_agree(target: str, kind: str) -> None:
+def test_scenes_agree(target, kind):
     """Scenes with a convex program agree with it: the plain one where M is symmetric, else the gap program."""
     check = cross_validate(membranes.parse(target).problem, tolerance=1e-11)
     assert check.agrees, check
@@ -114,7 +114,7 @@ def test_scenes_agree(target: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("reference", ["DAQP", "OSQP", "SCS", "PIQP", "CLARABEL", "HIGHS"])
-def test_every_installed_reference_agrees(reference: str) -> None:
+def test_every_installed_reference_agrees(reference):
     """Each installed solver agrees on a symmetric and on a nonsymmetric problem, boxes and free rows included."""
     import cvxpy
 
@@ -133,7 +133,7 @@ def test_every_installed_reference_agrees(reference: str) -> None:
 
 
 @pytest.mark.full
-def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals() -> None:
+def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals():
     """For nearly singular M a difference of z is not a mismatch, and the reason mentions it."""
     n = 300
     ones = np.ones(n)
@@ -149,7 +149,7 @@ def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals() -> None:
 
 
 @pytest.mark.parametrize("exponent", [-100, -30, 30, 100])
-def test_units_do_not_matter(exponent: int) -> None:
+def test_units_do_not_matter(exponent):
     """The verdict is independent of the scaling of z and w; reference tolerances are absolute."""
     problem = random_spd_problem(3)
     for row, column in ((exponent, 0), (0, exponent)):
@@ -167,7 +167,7 @@ def test_units_do_not_matter(exponent: int) -> None:
 
 @pytest.mark.parametrize("by", [1.0, 1e-3, 1e-6])
 @pytest.mark.parametrize("target", ["obstacle_2d:size=8", "convection_diffusion:size=6"])
-def test_planted_wrong_answer_is_caught(target: str, by: float) -> None:
+def test_planted_wrong_answer_is_caught(target, by):
     """A SOLVED result with one wrong component is a mismatch."""
     problem = membranes.parse(target).problem
     wrong = altered(solve(problem, tolerance=1e-9), problem.n // 2, by)
@@ -177,7 +177,7 @@ def test_planted_wrong_answer_is_caught(target: str, by: float) -> None:
     assert check.difference_z == pytest.approx(by, rel=1e-2)
 
 
-def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_residuals_that_lie_are_caught(monkeypatch):
     """If our measure of a residual were blind, the distance to the reference would still betray a wrong answer."""
     problem = membranes.parse("obstacle_2d:size=8").problem
     right = solve(problem, tolerance=1e-15)
@@ -193,7 +193,7 @@ def test_residuals_that_lie_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     assert cross_validate(problem, right).agrees
 
 
-def test_a_result_less_accurate_than_the_tolerance_is_no_mismatch() -> None:
+def test_a_result_less_accurate_than_the_tolerance_is_no_mismatch():
     """A run that ended early is not comparable; a run with a loose tolerance agrees."""
     problem = membranes.parse("obstacle_2d:size=20").problem
     early = cross_validate(problem, solve(problem, max_iterations=2))
@@ -202,7 +202,7 @@ def test_a_result_less_accurate_than_the_tolerance_is_no_mismatch() -> None:
     assert cross_validate(problem, solve(problem, tolerance=1e-5)).agrees
 
 
-def test_inaccurate_reference_condemns_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_inaccurate_reference_condemns_nobody(monkeypatch):
     """A reference that stops early yields "not comparable", and the reason gives both residuals."""
     monkeypatch.setattr(cross_check, "POLISH_ROUNDS", 0)
     rough = {"eps_abs": 1e-1, "eps_rel": 1e-1, "max_iters": 3}
@@ -230,7 +230,7 @@ def test_inaccurate_reference_condemns_nobody(monkeypatch: pytest.MonkeyPatch) -
     ],
 )
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array], ids=["dense", "sparse"])
-def test_no_program_where_it_is_not_convex(M: list[list[float]], reason: str, kind: type) -> None:
+def test_no_program_where_it_is_not_convex(M, reason, kind):
     """An indefinite problem reaches no solver, and the formulation contains the reason."""
     check = cross_validate(LCP(kind(M), [1.0, 1.0]))
     assert (check.verdict, check.theirs) == ("not comparable", None)
@@ -238,7 +238,7 @@ def test_no_program_where_it_is_not_convex(M: list[list[float]], reason: str, ki
     assert "no convex program" in check.reason
 
 
-def test_a_wrong_answer_is_a_mismatch_also_where_there_is_no_program() -> None:
+def test_a_wrong_answer_is_a_mismatch_also_where_there_is_no_program():
     """A false SOLVED is a mismatch because of its residual."""
     problem = membranes.parse("random_h_plus:n=30").problem
     result = solve(problem, tolerance=1e-9)
@@ -246,7 +246,7 @@ def test_a_wrong_answer_is_a_mismatch_also_where_there_is_no_program() -> None:
     assert cross_validate(problem, altered(result, 3, 100.0)).verdict == "mismatch"
 
 
-def test_two_solutions_are_no_mismatch() -> None:
+def test_two_solutions_are_no_mismatch():
     """Two certified answers of a problem that is not monotone only show that z is not unique."""
     problem = LCP([[1.0, 2.0], [2.0, 1.0]], [-1.0, -1.0])  # (1, 0), (0, 1), (1/3, 1/3)
     check = cross_validate(problem, solve(problem, "pgs", z0=[0.0, 1.0]))
@@ -256,7 +256,7 @@ def test_two_solutions_are_no_mismatch() -> None:
 # --- Solvers that fail, arguments that cannot be used -------------------------------------------------------
 
 
-def test_a_reference_that_raises_is_not_comparable() -> None:
+def test_a_reference_that_raises_is_not_comparable():
     """If the reference rejects an option, the reason contains its message."""
     problem = membranes.parse("obstacle_2d:size=6").problem
     check = cross_validate(problem, reference="OSQP", no_such_option=1)
@@ -265,7 +265,7 @@ def test_a_reference_that_raises_is_not_comparable() -> None:
     assert np.isnan(check.difference_z)
 
 
-def test_a_solver_is_not_compared_with_itself() -> None:
+def test_a_solver_is_not_compared_with_itself():
     """Method interior_point uses PIQP, and is therefore compared only with other solvers."""
     problem = membranes.parse("obstacle_2d:size=6").problem
     check = cross_validate(problem, reference="piqp", algorithm="interior_point")
@@ -281,12 +281,12 @@ cross_validate(np.eye(2)) → InvalidOption: needs an LCP, got ndarray
 cross_validate(LCP([[2.0]], [-1.0]), [0.5]) → InvalidOption: result must be a Result of solve
 cross_validate(LCP([[2.0]], [-1.0]), solve(LCP(np.eye(2), [-1.0, -1.0]))) → InvalidProblem: z must be
 """)
-def test_arguments_that_cannot_be_used(call: str, words: str) -> None:
+def test_arguments_that_cannot_be_used(call, words):
     """Wrong arguments are named, with what is needed."""
     assert_refused(call, words, {"cross_validate": cross_validate})
 
 
-def test_explain_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
+def test_explain_tells_verdict_first(capfd):
     """The explanation begins with the verdict and lists both sides; the solvers print nothing."""
     check = cross_validate(membranes.parse("obstacle_2d:size=3").problem)
     out, err = capfd.readouterr()
@@ -299,7 +299,7 @@ def test_explain_tells_verdict_first(capfd: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(("q", "unit"), [([0.0, 0.0], 1.0), ([0.0, -8.0], 8.0)])
-def test_convex_solvers_get_numbers_of_size_one(q: list[float], unit: float) -> None:
+def test_convex_solvers_get_numbers_of_size_one(q, unit):
     """The largest cost is 1, and costs of 0 stay 0."""
     form = cross_check.ConvexForm.of(LCP(np.eye(2), q))
     assert (form.weight * unit).tolist() == [1.0, 1.0]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ PAIR = QuadraticProgram(np.eye(2), [-2.0, -1.0], lower=0.0)
 
 
 @pytest.fixture(autouse=True)
-def without_a_screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def without_a_screen(monkeypatch):
     """No window opens."""
     import matplotlib as mpl
 
@@ -60,7 +59,7 @@ ANSWERS: dict[str, Callable[[], Any]] = {
 
 
 @pytest.mark.parametrize("name", ANSWERS)
-def test_every_answer_has_a_picture(name: str, tmp_path: Path) -> None:
+def test_every_answer_has_a_picture(name, tmp_path):
     """One call draws a figure of its own with something in it, which can be saved; the same into axes of the caller."""
     answer = ANSWERS[name]()
     axes = answer.plot()
@@ -71,7 +70,7 @@ def test_every_answer_has_a_picture(name: str, tmp_path: Path) -> None:
     assert given.has_data() or name == "empty"
 
 
-def test_a_grid_shows_a_map() -> None:
+def test_a_grid_shows_a_map():
     """With its shape z is a map with rows and columns; of three axes the middle slice; other shapes are refused."""
     result = solve(gallery.obstacle_2d(size=12).problem)
     axes = result.plot(shape=(12, 12))
@@ -97,7 +96,7 @@ def test_a_grid_shows_a_map() -> None:
             result.plot(shape=shape)
 
 
-def test_what_cannot_be_drawn_is_refused_in_words() -> None:
+def test_what_cannot_be_drawn_is_refused_in_words():
     """No x, and what is not an answer."""
     nothing = QuadraticProgram(np.eye(2), [0.0, 0.0], A=[[1.0, 1.0]], b=[-1.0], lower=0.0)
     with pytest.raises(UnsuitableProblem, match="no x to draw: INFEASIBLE"):
@@ -106,7 +105,7 @@ def test_what_cannot_be_drawn_is_refused_in_words() -> None:
         plot_answer(LCP(M, q))
 
 
-def test_a_residual_of_zero_is_drawn() -> None:
+def test_a_residual_of_zero_is_drawn():
     """A residual of 0 ends the curve below the tolerance."""
     result = solve(LCP(np.eye(2), [-1.0, -1.0]), "psor", record=True)
     assert [sample.residual for sample in result.history].count(0.0) == 1
@@ -114,7 +113,7 @@ def test_a_residual_of_zero_is_drawn() -> None:
     assert min(axes.lines[0].get_ydata()) < result.tolerance
 
 
-def test_impulses_are_drawn_in_their_cones() -> None:
+def test_impulses_are_drawn_in_their_cones():
     """Open, sticking and sliding contacts are told apart; one that slides lies on the circle."""
     b = [[-1.0, 3.0, 4.0], [-1.0, 0.1, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]
     axes = solve(FrictionalContact(np.eye(12), b, [0.5, 0.5, 0.5, 0.0])).plot()
@@ -127,7 +126,7 @@ def test_impulses_are_drawn_in_their_cones() -> None:
     np.testing.assert_allclose(sliding, [[-0.6, -0.8]], atol=1e-7)
 
 
-def test_contacts_in_the_plane_are_drawn_by_their_number() -> None:
+def test_contacts_in_the_plane_are_drawn_by_their_number():
     """There is one tangent: the second axis counts contacts, and limits are at ±1."""
     axes = solve(FrictionalContact(np.eye(4), [[-1.0, 0.25], [-1.0, 2.0]], 0.5)).plot()
     assert axes.get_ylabel() == "contact"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -80,9 +79,7 @@ REFUSED += ("negative diagonal", "zero matrix", "huge box")
 
 @pytest.mark.parametrize(("name", "options"), VARIANTS)
 @pytest.mark.parametrize("case", EDGES)
-def test_the_edge_of_the_number_range_is_never_silent(
-    name: str, options: dict[str, Any], case: str
-) -> None:
+def test_the_edge_of_the_number_range_is_never_silent(name, options, case):
     """Overflow and underflow give an error, a correct status or the right z, without NaN."""
     problem, z0 = EDGES[case]
     try:
@@ -101,7 +98,7 @@ def test_the_edge_of_the_number_range_is_never_silent(
 
 
 @pytest.mark.parametrize("name", ["npj", "npgs", "npsor", "npaor"])
-def test_divergence_is_told(name: str) -> None:
+def test_divergence_is_told(name):
     """If |z| grows beyond every range, the status is DIVERGED, with an earlier point."""
     result = solve(LCP([[1.0, -9.0], [-9.0, 1.0]], [-1.0, -1.0]), name)
     assert result.status is Status.DIVERGED
@@ -112,7 +109,7 @@ def test_divergence_is_told(name: str) -> None:
 
 
 @EVERY_ALGORITHM
-def test_a_solution_degenerate_everywhere(name: str) -> None:
+def test_a_solution_degenerate_everywhere(name):
     """Every algorithm converges to an accurate z if w* = 0 in every row, active or not."""
     scene = gallery.half_active(n=100, block=5)
     problem = LCP(scene.problem.csr, -(scene.problem.csr @ scene.exact))
@@ -133,7 +130,7 @@ def inexact() -> LCP:
 
 
 @EVERY_ALGORITHM
-def test_tolerance_zero_ends_at_the_rounding_level(name: str) -> None:
+def test_tolerance_zero_ends_at_the_rounding_level(name):
     """A run with tolerance 0 soon ends at PRECISION_LIMIT, or SOLVED at slacks of the rounding level."""
     problem = inexact()
     at_default = solve(problem, name)
@@ -155,7 +152,7 @@ def nearly_singular(bits: int) -> tuple[LCP, np.ndarray]:
 
 
 @pytest.mark.parametrize(("name", "bits"), [("psor", 16), ("auto", 12)])
-def test_automatic_relaxation_survives_a_nearly_singular_matrix(name: str, bits: int) -> None:
+def test_automatic_relaxation_survives_a_nearly_singular_matrix(name, bits):
     """Automatic relaxation needs at most 2000 sweeps where PGS takes 10⁴ to 10⁵ sweeps."""
     problem, exact = nearly_singular(bits)
     result = solve(problem, name)
@@ -167,7 +164,7 @@ def test_automatic_relaxation_survives_a_nearly_singular_matrix(name: str, bits:
 
 
 @EVERY_ALGORITHM
-def test_a_wrong_point_of_a_nearly_singular_problem_is_not_solved(name: str) -> None:
+def test_a_wrong_point_of_a_nearly_singular_problem_is_not_solved(name):
     """Most runs cannot converge at ρ = 1 − 1e-6, and each run ends with a correct status."""
     problem, exact = nearly_singular(20)
     result = solve(problem, name, max_iterations=1000)
@@ -186,7 +183,7 @@ def ring(n: int, weight: float) -> LCP:
 
 @pytest.mark.parametrize("name", ["psor", "auto"])
 @pytest.mark.parametrize(("n", "weight"), [(3, 0.9), (3, 0.99), (9, 0.99), (100, 0.9), (100, 0.99)])
-def test_automatic_relaxation_solves_rings(name: str, n: int, weight: float) -> None:
+def test_automatic_relaxation_solves_rings(name, n, weight):
     """If a large relaxation diverges, automatic relaxation converges about as fast as PGS."""
     problem = ring(n, weight)
     result, plain = solve(problem, name), solve(problem, "pgs")
@@ -195,7 +192,7 @@ def test_automatic_relaxation_solves_rings(name: str, n: int, weight: float) -> 
 
 
 @pytest.mark.parametrize("name", ["pj", "mj"])
-def test_a_front_is_no_standstill(name: str) -> None:
+def test_a_front_is_no_standstill(name):
     """If a front crosses 600 unknowns, one per sweep, the run is not called STALLED too early."""
     n = 600
     M = sp.diags_array([-np.ones(n - 1), np.ones(n)], offsets=[-1, 0])
@@ -208,7 +205,7 @@ def test_a_front_is_no_standstill(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_a_slack_that_overflows_is_no_solution(name: str) -> None:
+def test_a_slack_that_overflows_is_no_solution(name):
     """If partial sums of w overflow to +∞ although w is negative, the status is not SOLVED."""
     M = np.eye(5)
     # true slack of row 0 at z = (0, 1, 1, 1, 1): -1e308
@@ -220,14 +217,14 @@ def test_a_slack_that_overflows_is_no_solution(name: str) -> None:
     assert_honest(result)
 
 
-def test_nothing_is_measured_against_infinity() -> None:
+def test_nothing_is_measured_against_infinity():
     """If ‖r(z°)‖ itself overflows, the relative residual is NaN and no z is SOLVED."""
     problem = LCP(sp.csr_array([[0.1, 1e5], [0.0, 1.0]]), [-1e308, -1e303])
     assert math.isnan(Certificate.of(problem, [0.0, 1.7e303]).relative_residual)
     assert solve(problem, "pgs", z0=[0.0, 1.7e303], max_iterations=10).status is not Status.SOLVED
 
 
-def test_rounding_as_large_as_the_problem_is_no_precision_limit() -> None:
+def test_rounding_as_large_as_the_problem_is_no_precision_limit():
     """A start of huge norm, whose residual is rounding error, gets no 'accept z' if infeasible."""
     result = solve(LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0]), "pgs", z0=[1e17, 1e17])
     assert result.status not in (Status.SOLVED, Status.PRECISION_LIMIT)

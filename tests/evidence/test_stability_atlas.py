@@ -20,7 +20,6 @@ from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.evidence import stability as atlas
 from lcp_plugin.evidence.stability import (
     FAMILIES,
-    StressCase,
     exact_answer,
     grid,
     half_active,
@@ -39,7 +38,7 @@ CASES = [(family, case) for family in FAMILIES for case in FAMILIES[family]()]
 
 @settings.get_profile("few")
 @given(solved_lcps(drawn_scaling.nearly_singular(), bounds=True))
-def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any]) -> None:
+def test_exact_answers_agree_with_elimination_in_fractions(drawn):
     """The exact solution from the known solution agrees with another exact method."""
     problem, z = drawn
     assert exact_answer(problem, [float(value) for value in z]) == exact_solution(problem).z
@@ -48,7 +47,7 @@ def test_exact_answers_agree_with_elimination_in_fractions(drawn: tuple[LCP, Any
 @pytest.mark.parametrize(
     ("family", "case"), CASES, ids=[f"{family}: {case.stress}" for family, case in CASES]
 )
-def test_every_case_has_a_verified_answer_or_none(family: str, case: StressCase) -> None:
+def test_every_case_has_a_verified_answer_or_none(family, case):
     """The answers of all cases solve their problems without rounding."""
     assert (case.exact is None) == (
         (case.stress.startswith("singular M, ") and "one" not in case.stress)
@@ -57,13 +56,13 @@ def test_every_case_has_a_verified_answer_or_none(family: str, case: StressCase)
     assert case.exact is None or is_exact_solution(case.problem, case.exact)
 
 
-def test_a_wrong_guess_far_from_any_answer_is_refused() -> None:
+def test_a_wrong_guess_far_from_any_answer_is_refused():
     """If a guess does not lead to an exact solution, an error is raised."""
     with pytest.raises(UnsuitableProblem, match=r"no exact answer .* give one on the right bounds"):
         exact_answer(LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0]), [1.0, 1.0])
 
 
-def test_errors_are_exact() -> None:
+def test_errors_are_exact():
     """Errors of one ulp are exact, and x/0 is ∞."""
     third = (Fraction(1, 3), Fraction(0))
     assert relative_error(np.array([1.0 / 3.0, 0.0]), third, np.ones(2)) == pytest.approx(
@@ -79,7 +78,7 @@ def test_errors_are_exact() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", ["auto", "npsor", "psor", "newton", "lemke", "multigrid"])
-def test_no_status_of_the_atlas_is_false(name: str) -> None:
+def test_no_status_of_the_atlas_is_false(name):
     """SOLVED and PRECISION_LIMIT hold in rational arithmetic, and no proof excludes a solution that there is."""
     for _, case in CASES:
         try:
@@ -93,7 +92,7 @@ def test_no_status_of_the_atlas_is_false(name: str) -> None:
 
 
 @pytest.mark.full
-def test_the_atlas_shows_status_residual_and_true_error() -> None:
+def test_the_atlas_shows_status_residual_and_true_error():
     """Most cells are SOLVED, none raised; print() lists unsolved cells and hidden errors."""
     some = stability_atlas(["npsor", "newton"], quick=True)
     assert not [cell for cell in some.cells if cell.status == "ERROR"]
@@ -107,7 +106,7 @@ def test_the_atlas_shows_status_residual_and_true_error() -> None:
             assert cell.true_error < 1e-5, cell
 
 
-def test_a_refused_problem_is_a_cell_with_its_reason() -> None:
+def test_a_refused_problem_is_a_cell_with_its_reason():
     """A box is not supported by the modulus methods: its cell is REFUSED, with the reason."""
     found = stability_atlas(["mgs"], ["degeneracy"], quick=True)
     (refused,) = (cell for cell in found.cells if cell.status == "REFUSED")
@@ -121,15 +120,15 @@ stability_atlas(*(None, ['stifness'])) → InvalidOption: unknown stress 'stifne
 stability_atlas(*(None, 'stiffness')) → InvalidOption: stresses must be a list of names
 stability_atlas(*(5,)) → InvalidOption: methods must be names or Algorithm objects, got 5
 """)
-def test_wrong_names_are_refused(call: str, words: str) -> None:
+def test_wrong_names_are_refused(call, words):
     """An unknown algorithm or stress raises an error before anything runs."""
     assert_refused(call, words, globals())
 
 
-def test_overflow_is_never_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_overflow_is_never_silent(monkeypatch):
     """A run in which NumPy warns of an overflow is an ERROR, regardless of its result."""
 
-    def careless(*args: Any, **options: Any) -> Any:
+    def careless(*args, **options):
         np.exp(np.array([1e4]))
         return solve(*args, **options)
 
@@ -171,7 +170,7 @@ def variants(problem: LCP, power: int) -> Iterator[tuple[str, LCP, int]]:
 
 
 @pytest.mark.parametrize("name", SCALE_INVARIANT)
-def test_powers_of_two_change_no_bit(name: str) -> None:
+def test_powers_of_two_change_no_bit(name):
     """M, q and rows times 2^k, k from −900 to 900, give the same iterations and exactly scaled z.
 
     For multigrid this requires the same power of two for all rows, because its grids compare rows.
@@ -193,7 +192,7 @@ def test_powers_of_two_change_no_bit(name: str) -> None:
 # --- defects that the atlas found ------------------------------------------------------------------------------------
 
 
-def test_exact_answers_from_guesses_on_upper_bounds() -> None:
+def test_exact_answers_from_guesses_on_upper_bounds():
     """The answer is (⅓, 2): 3 z₁ = 1, and z₂ = 5 is cut at 2."""
     problem = LCP([[3.0, 0.0], [0.0, 1.0]], [-1.0, -5.0], upper=[np.inf, 2.0])
     assert exact_answer(problem, [0.33, 2.0]) == (Fraction(1, 3), Fraction(2))

@@ -6,7 +6,6 @@ import signal
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import cvxpy  # noqa: F401 - sets warning filters where it is loaded
@@ -101,13 +100,13 @@ def measured(target: Any, *methods: Any, **options: Any) -> Measurement:
 # --- The clock ------------------------------------------------------------------------------------------------
 
 
-def test_sleep_in_set_up_shows() -> None:
+def test_sleep_in_set_up_shows():
     """An algorithm that sleeps before its first iterate shows it at its first point, and in every later one."""
     seconds = measured(scene(), Richardson(nap=NAP), repeats=2).column("seconds")
     assert min(seconds) >= seconds[0] >= NAP
 
 
-def test_slow_error_measurement_does_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_error_measurement_does_not_show(monkeypatch):
     """The clock stands still while an error is measured, however long that takes."""
     from lcp_plugin.evidence import measurement
 
@@ -115,7 +114,7 @@ def test_slow_error_measurement_does_not_show(monkeypatch: pytest.MonkeyPatch) -
 
     class Slow:
         @staticmethod
-        def of(problem: Any, z: Any) -> Any:
+        def of(problem, z):
             calls.append(0)
             time.sleep(NAP)
             return of(problem, z)
@@ -126,7 +125,7 @@ def test_slow_error_measurement_does_not_show(monkeypatch: pytest.MonkeyPatch) -
     assert row.seconds < 0.25 * NAP * len(calls)
 
 
-def test_ctrl_c_ends_a_study_with_what_there_is() -> None:
+def test_ctrl_c_ends_a_study_with_what_there_is():
     """Rows before Ctrl-C are kept; the handler of SIGINT is never touched."""
     before = signal.getsignal(signal.SIGINT)
     methods = {"pgs": "pgs", "stopped": Richardson(ends="Ctrl-C"), "psor": "psor"}
@@ -140,7 +139,7 @@ def test_ctrl_c_ends_a_study_with_what_there_is() -> None:
 # --- The rows -------------------------------------------------------------------------------------------------
 
 
-def test_reruns_agree_in_everything_but_seconds() -> None:
+def test_reruns_agree_in_everything_but_seconds():
     """Iterations, work, errors, residuals and statuses of all default methods are the same in two calls."""
     first, second = (error_against_time(scene(), repeats=repeats) for repeats in (1, 2))
     for a, b in zip(first.rows, second.rows, strict=True):
@@ -149,7 +148,7 @@ def test_reruns_agree_in_everything_but_seconds() -> None:
             np.testing.assert_array_equal(a.column(name), b.column(name))
 
 
-def test_a_row_is_the_run_that_solve_makes() -> None:
+def test_a_row_is_the_run_that_solve_makes():
     """The last point has the iterations, work, residual and true error of the last iterate of `solve`."""
     known = scene(64)
     found = study({"half": known, "own": LCP(*chain(9))}, ["psor", Richardson()], repeats=2)
@@ -163,7 +162,7 @@ def test_a_row_is_the_run_that_solve_makes() -> None:
     assert found.rows[0].column("error")[0] == np.abs(known.exact).max()  # z° = 0
 
 
-def test_iterates_and_their_polish_are_two_rows() -> None:
+def test_iterates_and_their_polish_are_two_rows():
     """A method of small steps ends at its last iterate; the polish that `solve` adds is a row with one point."""
     problem = LCP(*chain(60))
     found = study(problem, {"mine": Richardson()}, repeats=1)
@@ -175,7 +174,7 @@ def test_iterates_and_their_polish_are_two_rows() -> None:
     assert [len(polish.points), polish.last("residual")] == [1, polished.residual]
 
 
-def test_the_stopping_rule_of_the_paper_ends_runs_where_its_tables_do() -> None:
+def test_the_stopping_rule_of_the_paper_ends_runs_where_its_tables_do():
     """Table 2 of the paper, n = 100 and 900; the last point is the first iterate with Res < 1e-5, without a polish."""
     printed = {"npgs": (18, 21), "npsor": (12, 13), "mgs": (24, 26), "msor": (14, 14)}
     relaxations = {"npsor": 1.7, "msor": 0.88}
@@ -197,19 +196,19 @@ def test_the_stopping_rule_of_the_paper_ends_runs_where_its_tables_do() -> None:
     assert few.rows[0].status == "MAX_SECONDS"
 
 
-def test_a_study_without_polishes_has_rows_of_iterates_only() -> None:
+def test_a_study_without_polishes_has_rows_of_iterates_only():
     """With polish=False no method has a second row."""
     found = study(LCP(*chain(60)), {"mine": Richardson()}, repeats=1, polish=False)
     assert [row.method for row in found.rows] == ["mine"]
 
 
-def test_the_error_is_the_true_one_then_a_bound_then_the_residual() -> None:
+def test_the_error_is_the_true_one_then_a_bound_then_the_residual():
     """The error is the true one if z* is known, a bound that is never too small for H₊, else the residual."""
     bumps = gallery.build("obstacle_2d", size=12)
     exact = solve(bumps.problem, "multigrid", tolerance=1e-13).z
     row = measured(bumps, "npsor")
     assert row.error_kind == "rigorous bound"
-    found: dict[int, float] = {}
+    found = {}
     solve(
         bumps.problem,
         "npsor",
@@ -230,7 +229,7 @@ def convection(size: int) -> LCP:
 
 
 @pytest.mark.parametrize("size", [5, 50])
-def test_the_bound_is_the_sharp_one(size: int) -> None:
+def test_the_bound_is_the_sharp_one(size):
     """The bound of a SOLVED convection–diffusion problem is the error itself, 1e8 times below the plain bound."""
     problem = convection(size)
     z = solve(problem, "psor").z
@@ -241,13 +240,13 @@ def test_the_bound_is_the_sharp_one(size: int) -> None:
     assert error_bound(problem, z, sharp=False).infinity > 1e8 * error
 
 
-def test_a_plain_problem_is_examined() -> None:
+def test_a_plain_problem_is_examined():
     """An LCP without declared facts gets a bound if M allows one, else the residual."""
     assert measured(LCP([[4, -1], [-1, 4]], [-3, 5]), "pgs").error_kind == "rigorous bound"
     assert measured(LCP([[1, 4], [4, 1]], [-3, 5]), "npsor").error_kind == "residual"
 
 
-def test_refusals_and_errors_are_rows_with_their_reason() -> None:
+def test_refusals_and_errors_are_rows_with_their_reason():
     """A refused size, a refused matrix, a method that raises: each is a row, and the others are measured."""
     found = study([even, "half_active"], ["psor"], [4, 5], repeats=1)
     assert [(row.n, row.status) for row in found.rows] == [(4, "SOLVED"), (0, "REFUSED")] * 2
@@ -265,7 +264,7 @@ def test_refusals_and_errors_are_rows_with_their_reason() -> None:
 # --- References -----------------------------------------------------------------------------------------------
 
 
-def test_references_are_rows_of_symmetric_problems() -> None:
+def test_references_are_rows_of_symmetric_problems():
     """A convex solver of cvxpy is one point; it is left out, with the reason, if M is not symmetric."""
     found = error_against_time(scene(), ["pgs"], ("CLARABEL", "OSQP"), repeats=1)
     clarabel = found.row("CLARABEL")
@@ -281,7 +280,7 @@ def test_references_are_rows_of_symmetric_problems() -> None:
 # --- Views ----------------------------------------------------------------------------------------------------
 
 
-def test_tables_tell_how_a_run_ended_without_a_result() -> None:
+def test_tables_tell_how_a_run_ended_without_a_result():
     """A cell holds the value of a solved run, else its status in words."""
     (table,) = made(("p", 4, "a", 7.0), ("p", 4, "b", -7.0)).table("iterations")
     assert [list(row) for row in table.rows] == [["a", 7], ["b", "stalled"]]
@@ -289,7 +288,7 @@ def test_tables_tell_how_a_run_ended_without_a_result() -> None:
     assert str(table).startswith("p: iterations\n\n| method | n = 4 |")
 
 
-def test_the_labels_of_a_figure_with_several_panels_are_drawn_whole() -> None:
+def test_the_labels_of_a_figure_with_several_panels_are_drawn_whole():
     """A label of the vertical axis is no longer than its panel, for 1 to 4 panels, and within the figure."""
     every = [gallery.build("half_active", n=n).problem for n in (49, 64, 81, 100)]
     for count in (1, 2, 4):
@@ -305,7 +304,7 @@ def test_the_labels_of_a_figure_with_several_panels_are_drawn_whole() -> None:
             assert 0.0 <= drawn.y0 <= drawn.y1 <= height
 
 
-def test_plot_names_every_curve_and_its_axis(tmp_path: Path) -> None:
+def test_plot_names_every_curve_and_its_axis(tmp_path):
     """The axes are logarithmic and say which error they show; the legend names each curve and covers no axes."""
     found = error_against_time(scene(), repeats=1)
     figure = found.plot(against="work")
@@ -321,7 +320,7 @@ def test_plot_names_every_curve_and_its_axis(tmp_path: Path) -> None:
     assert (tmp_path / "curves.svg").stat().st_size > 1000
 
 
-def test_several_problems_make_a_page_of_panels() -> None:
+def test_several_problems_make_a_page_of_panels():
     """One problem has the width of a column, several that of a page."""
     found = study([chain, "half_active"], ["npsor", Richardson()], [16], repeats=1)
     assert found.plot("work").get_size_inches()[0] == 7.1
@@ -330,7 +329,7 @@ def test_several_problems_make_a_page_of_panels() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize("ending", [".pdf", ".svg", ".png"])
-def test_a_figure_for_a_journal_has_no_type_3_font(ending: str, tmp_path: Path) -> None:
+def test_a_figure_for_a_journal_has_no_type_3_font(ending, tmp_path):
     """PDF holds TrueType fonts, as journals ask for; a user's settings of matplotlib neither change nor matter."""
     import matplotlib as mpl
 
@@ -346,7 +345,7 @@ def test_a_figure_for_a_journal_has_no_type_3_font(ending: str, tmp_path: Path) 
         assert (b"/TrueType" in content or b"/CIDFontType2" in content) == (ending == ".pdf")
 
 
-def test_a_figure_without_data_is_refused_in_words(tmp_path: Path) -> None:
+def test_a_figure_without_data_is_refused_in_words(tmp_path):
     """Without a point there is no file with empty axes; a problem without one says so in its panel."""
     drawn, other = made(("p", 4, "a", 7.0), ("q", 4, "a", 7.0)).rows
     nothing = replace(other, points=other.points[:0])
@@ -377,6 +376,6 @@ found.save("r.txt") → InvalidOption: must end in .png, .pdf, .svg
 found.row("b") → InvalidOption: no row of 'b'
 error_against_time(np.eye(2)) → InvalidOption: needs an LCP, got ndarray
 """)
-def test_arguments_are_refused_before_anything_runs(call: str, words: str) -> None:
+def test_arguments_are_refused_before_anything_runs(call, words):
     """A misspelt name, view, axis or ending, another kind of problem: one line says what to write."""
     assert_refused(call, words, {**globals(), "found": made(("p", 4, "a", 7.0))})

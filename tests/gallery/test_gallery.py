@@ -53,7 +53,7 @@ M_MATRICES = [text for text in SMALL if text.startswith(OF_GRIDS)]
 
 
 @pytest.fixture(params=SMALL)
-def scene(request: pytest.FixtureRequest) -> gallery.Scene:
+def scene(request):
     return membranes.parse(request.param)
 
 
@@ -82,7 +82,7 @@ def march(scene: gallery.Scene) -> tuple[LCP, np.ndarray]:
 # --- The registry -----------------------------------------------------------------------------------------
 
 
-def test_every_builder_is_reachable() -> None:
+def test_every_builder_is_reachable():
     """A builder in any module of the package is registered and exported without further imports."""
     known = gallery.names()
     for module in pkgutil.iter_modules(gallery.__path__):
@@ -92,7 +92,7 @@ def test_every_builder_is_reachable() -> None:
     assert all(isinstance(getattr(gallery, name)().problem, LCP) for name in known)
 
 
-def test_description_is_one_line_and_every_parameter_is_documented() -> None:
+def test_description_is_one_line_and_every_parameter_is_documented():
     """Each scene has a one-line description ending in a full stop and documents all of its parameters."""
     for name, summary, parameters in gallery.describe():
         documentation = getattr(gallery, name).__doc__
@@ -116,7 +116,7 @@ gallery.build("american_put", volatility=0.0) → volatility must be a number > 
 gallery.build("journal_bearing", eccentricity=1) → eccentricity must lie in \[0, 1\), got 1.0
 gallery.build("elastic_plastic_torsion", plastic_share=1) → plastic_share must lie in \[0, 1\)
 """)
-def test_bad_parameters_are_refused_by_name_and_value(call: str, words: str) -> None:
+def test_bad_parameters_are_refused_by_name_and_value(call, words):
     """A wrong test problem, parameter, type or range raises InvalidOption with the valid values."""
     assert_refused(call, words, {}, InvalidOption)
 
@@ -125,14 +125,14 @@ def test_bad_parameters_are_refused_by_name_and_value(call: str, words: str) -> 
 
 
 @pytest.mark.parametrize("text", M_MATRICES)
-def test_differential_scenes_have_m_matrices(text: str) -> None:
+def test_differential_scenes_have_m_matrices(text):
     """Scenes from differential equations and the paper have no positive off-diagonal entry."""
     M = membranes.parse(text).problem.csr.toarray()
     assert (M - np.diag(M.diagonal())).max() <= 0.0
 
 
 @pytest.mark.parametrize("text", PLANTED)
-def test_exact_answers_are_exact(text: str) -> None:
+def test_exact_answers_are_exact(text):
     """Every declared exact solution is exactly complementary in rational arithmetic."""
     scene = membranes.parse(text)
     assert ExactData(scene.problem).is_solution(scene.exact)
@@ -141,7 +141,7 @@ def test_exact_answers_are_exact(text: str) -> None:
 # --- Assembly ---------------------------------------------------------------------------------------------
 
 
-def test_stencil_agrees_with_kronecker_products() -> None:
+def test_stencil_agrees_with_kronecker_products():
     """The stencil with different legs equals the sum of Kronecker products, on uneven grids too."""
     for shape in [(1,), (4,), (3, 5), (1, 4), (4, 1), (2, 3, 4)]:
         below, above = [-1.0, -3.0, -5.0][: len(shape)], [-2.0, -4.0, -6.0][: len(shape)]
@@ -159,7 +159,7 @@ def test_stencil_agrees_with_kronecker_products() -> None:
         assert M.indices.dtype == M.indptr.dtype == np.int32
 
 
-def test_paper_matrices_are_the_printed_ones_corrected() -> None:
+def test_paper_matrices_are_the_printed_ones_corrected():
     """Both examples equal blocktridiag(·, L₁, ·) + δI with the corrected blocks, start (1, 0, …)."""
     blocks = {"paper_example_1": (-1.0, -1.0), "paper_example_2": (-1.5, -0.5)}
     for name, (sub, sup) in blocks.items():
@@ -180,7 +180,7 @@ def test_paper_matrices_are_the_printed_ones_corrected() -> None:
 # --- Single scenes ----------------------------------------------------------------------------------------
 
 
-def test_half_active_is_half_active_and_degenerate_on_request() -> None:
+def test_half_active_is_half_active_and_degenerate_on_request():
     """Exactly half of the nodes are active where the blocks fit; degenerate ones appear only on request."""
     for degenerate, count in [(True, 200), (False, 0)]:
         scene = gallery.build("half_active", n=10_000, degenerate=degenerate)
@@ -189,7 +189,7 @@ def test_half_active_is_half_active_and_degenerate_on_request() -> None:
         assert np.count_nonzero((scene.exact == 0.0) & (w == 0.0)) == count
 
 
-def test_sphere_solution_meets_the_obstacle_smoothly() -> None:
+def test_sphere_solution_meets_the_obstacle_smoothly():
     """Value and slope agree at r*, the equation for r* holds, u > ψ beyond, and ψ is concave."""
     contact = CONTACT_RADIUS
     assert contact**2 * (1.0 - np.log(contact / 2.0)) == pytest.approx(1.0, abs=4e-16)
@@ -214,9 +214,7 @@ def test_sphere_solution_meets_the_obstacle_smoothly() -> None:
         ("obstacle_3d", membranes.CONTACT_RADIUS, (8, 18)),
     ],
 )
-def test_obstacle_converges_to_the_analytic_solution(
-    name: str, contact: float, sizes: tuple[int, ...]
-) -> None:
+def test_obstacle_converges_to_the_analytic_solution(name, contact, sizes):
     """Refining the grid shrinks the error fast, and the free boundary is met within one mesh width."""
     errors = []
     for size in sizes:
@@ -232,7 +230,7 @@ def test_obstacle_converges_to_the_analytic_solution(
     assert errors[-1] < 1.0 / sizes[-1] ** 1.5
 
 
-def test_american_put_march_agrees_with_the_binomial_tree() -> None:
+def test_american_put_march_agrees_with_the_binomial_tree():
     """Marched back to today, prices at and around the strike agree with the tree to 2e-4 of the strike."""
     scene = gallery.build("american_put_march", size=501)
     problem, z = march(scene)
@@ -248,7 +246,7 @@ def test_american_put_march_agrees_with_the_binomial_tree() -> None:
     assert gallery.binomial_put(100.0, **data).shape == ()
 
 
-def test_unique_equilibria_are_equilibria() -> None:
+def test_unique_equilibria_are_equilibria():
     """The equilibria declared for games have regret 0."""
     declared = 0
     for game in ("prisoners_dilemma", "matching_pennies", "rock_paper_scissors", "shapley"):
@@ -275,7 +273,7 @@ def twisted(text: str) -> tuple[gallery.Scene, np.ndarray]:
     )
 
 
-def test_torsion_of_a_disc_converges_to_the_analytic_solution() -> None:
+def test_torsion_of_a_disc_converges_to_the_analytic_solution():
     """Refinement on the disc reduces the error, and the declared share is plastic."""
     errors = []
     for size in (15, 30, 60):
@@ -287,7 +285,7 @@ def test_torsion_of_a_disc_converges_to_the_analytic_solution() -> None:
 
 
 @pytest.mark.parametrize("size", [30, 31])
-def test_mixed_torsion_touches_both_bounds(size: int) -> None:
+def test_mixed_torsion_touches_both_bounds(size):
     """With halves twisted in opposite directions u is odd, and at −dist as often as at dist."""
     from lcp_plugin import solve
 

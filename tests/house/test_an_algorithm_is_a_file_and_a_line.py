@@ -1,7 +1,5 @@
 """The example's algorithm becomes one of the package by a file in methods/, its test and a line in two tables."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -33,7 +31,7 @@ TESTS = (
 
 
 @pytest.mark.full
-def test_an_algorithm_is_a_file_and_a_line(tmp_path: Path) -> None:
+def test_an_algorithm_is_a_file_and_a_line(tmp_path):
     """A copy of the package with these has it by its name, and the tests of all algorithms take it."""
     for name in (
         "lcp_plugin",

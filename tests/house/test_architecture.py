@@ -135,14 +135,14 @@ def values_of_constants() -> dict[str, set[float]]:
     return found
 
 
-def test_a_number_has_one_name_and_one_value() -> None:
+def test_a_number_has_one_name_and_one_value():
     """No name of a numeric constant has two values, and there are few such names."""
     found = values_of_constants()
     assert [name for name, values in found.items() if len(values) > 1] == []
     assert len(found) <= MOST_CONSTANTS
 
 
-def test_a_number_with_a_name_has_a_reason() -> None:
+def test_a_number_with_a_name_has_a_reason():
     """A comment beside or above each numeric constant, or a text below it, says why it has this value."""
     for file, node, name, _ in constants():
         lines = file.read_text(encoding="utf-8").splitlines()
@@ -150,17 +150,17 @@ def test_a_number_with_a_name_has_a_reason() -> None:
         assert "#" in "".join(around[:-1]) or around[-1].startswith('"""'), (file, name)
 
 
-def test_no_import_leads_up() -> None:
+def test_no_import_leads_up():
     """A file imports from its own room and from lower floors, also inside functions and for type checkers."""
     assert upward() == []
 
 
-def test_no_files_import_each_other() -> None:
+def test_no_files_import_each_other():
     """Files have an order in which each imports only earlier ones, also inside functions and for type checkers."""
     assert circles() == []
 
 
-def test_editors_and_python_have_the_same_public_names() -> None:
+def test_editors_and_python_have_the_same_public_names():
     """The stub, which editors read, and the table, from which names load, have the same names with one home each."""
     lines = PACKAGE.joinpath("__init__.pyi").read_text(encoding="utf-8").splitlines()
     stub = {
@@ -169,15 +169,15 @@ def test_editors_and_python_have_the_same_public_names() -> None:
     assert stub == {name: home for name, home in lcp_plugin._HOME.items() if name != "LCP"}
 
 
-def test_few_imports_are_inside_functions() -> None:
+def test_few_imports_are_inside_functions():
     """Imports of package files inside functions are few: they are for weight, not for order."""
     assert sum(is_inside for _, _, is_inside in imports()) <= LAZY
 
 
-def test_the_package_offers_a_file_nothing_but_the_version() -> None:
+def test_the_package_offers_a_file_nothing_but_the_version():
     """Inside the package only the version is imported from the package itself."""
     rooms = {room_of(module) for module in FILES}
-    names: set[str] = set()
+    names = set()
     for file in FILES.values():
         depth, text = len(file.relative_to(PACKAGE).parts), file.read_text(encoding="utf-8")
         for node in ast.walk(ast.parse(text)) if f"from {depth * '.'} import" in text else ():
@@ -186,7 +186,7 @@ def test_the_package_offers_a_file_nothing_but_the_version() -> None:
     assert names - rooms == {"__version__"}
 
 
-def test_the_picture_and_its_table_have_every_room_once() -> None:
+def test_the_picture_and_its_table_have_every_room_once():
     """The picture of the floors and the table below it name every room once."""
     rooms = sorted({room_of(module) for module in FILES} - {"", "__main__"})
     rows = PAGE.split("| room | contents |")[1].split("\n\n")[0].splitlines()[2:]
@@ -196,7 +196,7 @@ def test_the_picture_and_its_table_have_every_room_once() -> None:
     )
 
 
-def test_import_loads_nothing_heavy() -> None:
+def test_import_loads_nothing_heavy():
     """``import lcp_plugin`` and building, certifying and pickling a problem load no heavy package."""
     code = (
         "import sys, lcp_plugin\n"
@@ -208,7 +208,7 @@ def test_import_loads_nothing_heavy() -> None:
     assert printed_by(code) == "[]"
 
 
-def test_a_solve_loads_no_package_it_does_not_use() -> None:
+def test_a_solve_loads_no_package_it_does_not_use():
     """``solve`` of a small problem loads none of the heavy packages."""
     code = (
         "import sys\nfrom lcp_plugin import LCP, solve\n"
@@ -219,7 +219,7 @@ def test_a_solve_loads_no_package_it_does_not_use() -> None:
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-def test_classes_are_had_where_readme_says(name: str) -> None:
+def test_classes_are_had_where_readme_says(name):
     """``from lcp_plugin.algorithms import NPSOR`` gives the registered class."""
     kind = algorithm_class(name)
     assert getattr(algorithms, kind.__name__) is kind
@@ -235,7 +235,7 @@ def table_rows() -> dict[str, list[str]]:
     return {cells[0].strip().strip("`"): [cell.strip() for cell in cells[1:]] for cells in lines}
 
 
-def test_the_table_of_algorithms_is_the_registry() -> None:
+def test_the_table_of_algorithms_is_the_registry():
     """Each row of the manual's table of algorithms agrees with its class."""
     from dataclasses import fields
 

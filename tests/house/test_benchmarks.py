@@ -18,7 +18,7 @@ QUICK = ("cones",)
     "name",
     [pytest.param(name, marks=() if name in QUICK else pytest.mark.full) for name in BENCHMARKS],
 )
-def test_benchmark_runs(name: str) -> None:
+def test_benchmark_runs(name):
     """A benchmark in its quick form prints lines with measured figures."""
     lines = list(load(name)(quick=True))
     assert any(re.search(r"\d+\.?\d* (µs|ms|s |× )", line) for line in lines)
@@ -34,7 +34,7 @@ def benchmarks(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.full
-def test_a_benchmark_runs_by_its_name() -> None:
+def test_a_benchmark_runs_by_its_name():
     """A named benchmark prints its lines and exits with 0."""
     done = benchmarks("small", "--quick")
     assert (done.returncode, done.stderr) == (0, "")
@@ -42,7 +42,7 @@ def test_a_benchmark_runs_by_its_name() -> None:
 
 
 @pytest.mark.full
-def test_paper_tables_are_reproduced() -> None:
+def test_paper_tables_are_reproduced():
     """All 48 iteration counts equal the paper's, and at least 44 residuals to the printed digits."""
     computed = list(cells())
     assert len(computed) == 48

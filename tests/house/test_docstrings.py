@@ -54,7 +54,7 @@ def parameters(thing: Any) -> dict[str, str]:
     }
 
 
-def test_help_tells_what_goes_in_and_what_comes_out() -> None:
+def test_help_tells_what_goes_in_and_what_comes_out():
     """A summary; an entry for each parameter, with shape or unit where it has one; what is returned."""
     for name, thing in DESCRIBED.items():
         told, described = sections(thing), entries(thing)
@@ -81,7 +81,7 @@ def test_help_tells_what_goes_in_and_what_comes_out() -> None:
             assert is_told, f"{name}: what comes back?"
 
 
-def test_help_tells_what_is_raised() -> None:
+def test_help_tells_what_is_raised():
     """Every error that the function's own lines raise stands in its Raises section."""
     for name, described in DESCRIBED.items():
         if is_function(described):
@@ -99,7 +99,7 @@ def test_help_tells_what_is_raised() -> None:
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-def test_an_algorithm_names_its_source(name: str) -> None:
+def test_an_algorithm_names_its_source(name):
     """The class says where the method comes from, with a doi unless it is the paper that has none."""
     assert re.search(
         r"doi:10\.|More on projected type iteration method", algorithm_class(name).reference

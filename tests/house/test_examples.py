@@ -94,9 +94,7 @@ def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", NAMES)
-def test_example_keeps_its_promise(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_example_keeps_its_promise(name, tmp_path, monkeypatch, capsys):
     """An example ends normally, saves only one figure, and its printed comparison is close."""
     run(name, tmp_path, monkeypatch)
     printed = capsys.readouterr().out
@@ -112,9 +110,7 @@ def test_example_keeps_its_promise(
 
 
 @pytest.mark.full
-def test_the_command_draws_the_picture_of_the_readme(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_draws_the_picture_of_the_readme(tmp_path, monkeypatch):
     """The script solves the three problems, and its figure has the size of README's figure."""
     readme = EXAMPLES.parent.joinpath("README.md").read_text(encoding="utf-8")
     assert "(examples/pictures/three_problems.png)" in readme
@@ -127,7 +123,7 @@ def test_the_command_draws_the_picture_of_the_readme(
     assert drawn[16:24] == shown[16:24]  # width and height in pixels
 
 
-def test_every_example_is_tested_and_in_the_readme() -> None:
+def test_every_example_is_tested_and_in_the_readme():
     """The directory, the table above and the README list the same examples, in the same order."""
     readme = EXAMPLES.joinpath("README.md").read_text(encoding="utf-8")
     assert sorted(file.stem for file in EXAMPLES.glob("*.py")) == sorted(NAMES)

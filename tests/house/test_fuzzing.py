@@ -73,7 +73,7 @@ def archive() -> bytes:
 
 
 @given(content=mutated(archive()))
-def test_mutated_archives_are_refused_or_valid(content: bytes, tmp_path: Path) -> None:
+def test_mutated_archives_are_refused_or_valid(content, tmp_path):
     """An archive with pieces missing, doubled or wrong is refused, or states some valid problem."""
     (tmp_path / "p.npz").write_bytes(content)
     load(tmp_path / "p.npz")
@@ -89,9 +89,7 @@ TEXTS = {
 
 @settings.get_profile("many")
 @given(data=st.data())
-def test_mutated_matrix_market_files_are_refused_or_valid(
-    data: st.DataObject, tmp_path: Path
-) -> None:
+def test_mutated_matrix_market_files_are_refused_or_valid(data, tmp_path):
     """A text file with pieces missing, doubled or wrong is refused, or states some valid problem."""
     for name in ("M.mtx", "q.mtx"):
         (tmp_path / name).write_bytes(TEXTS[name])
@@ -124,9 +122,7 @@ KEYS = ("data", "indices", "indptr", "shape", "q", "lower", "upper")
         st.sampled_from((*KEYS, "P_data", "other")), any_array() | st.none(), max_size=3
     )
 )
-def test_archives_of_other_arrays_are_refused_or_valid(
-    changes: dict[str, Any], tmp_path: Path
-) -> None:
+def test_archives_of_other_arrays_are_refused_or_valid(changes, tmp_path):
     """A whole archive whose members have any type, shape and values is refused, or states some valid problem."""
     csr = PROBLEM.csr
     whole = {
@@ -141,7 +137,7 @@ def test_archives_of_other_arrays_are_refused_or_valid(
     load(tmp_path / "p.npz")
 
 
-def test_an_archive_may_lie_about_its_sizes(tmp_path: Path) -> None:
+def test_an_archive_may_lie_about_its_sizes(tmp_path):
     """A member that announces more than any memory holds is refused without being allocated."""
     for shape in ((2**40,), (2**62,), (2**31, 2**31), (-5,)):
         header = (
@@ -228,9 +224,7 @@ def command_lines(draw: st.DrawFn) -> list[str]:
 
 @given(line=command_lines())
 @example(line=["--"])
-def test_mutated_commands_end_in_zero_one_or_two(
-    line: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mutated_commands_end_in_zero_one_or_two(line, tmp_path, monkeypatch):
     """Any arguments give exit code 0, 1 or 2, some words, and never a traceback."""
     monkeypatch.chdir(tmp_path)
     PROBLEM.save("p.npz")

@@ -1,14 +1,11 @@
 """The pages of the manual: their code runs, their pictures and notebooks are those of the examples."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
 import multiprocessing
 import re
 import textwrap
-from collections.abc import Iterator
 from importlib.util import find_spec
 
 import pytest
@@ -32,7 +29,7 @@ BLOCK = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?", re.S |
 
 
 @pytest.fixture
-def spawned() -> Iterator[None]:
+def spawned():
     """Start worker processes afresh: a process with threads is not to be forked."""
     before = multiprocessing.get_start_method(allow_none=True)
     multiprocessing.set_start_method("spawn", force=True)
@@ -42,9 +39,9 @@ def spawned() -> Iterator[None]:
 
 @pytest.mark.usefixtures("spawned")
 @pytest.mark.parametrize("name", GUIDES)
-def test_the_code_of_a_guide_prints_what_stands_below_it(name: str) -> None:
+def test_the_code_of_a_guide_prints_what_stands_below_it(name):
     """Its blocks run one after the other; a script for ranks is the one that tests/distributed runs."""
-    namespace: dict[str, object] = {"__name__": "__main__"}
+    namespace = {"__name__": "__main__"}
     blocks = BLOCK.findall(guide(name))
     assert blocks
     for code, printed in blocks:
@@ -60,7 +57,7 @@ def test_the_code_of_a_guide_prints_what_stands_below_it(name: str) -> None:
         assert masked(found.getvalue()) == masked(printed)
 
 
-def test_the_pictures_of_the_pages_are_small_and_are_those_of_examples() -> None:
+def test_the_pictures_of_the_pages_are_small_and_are_those_of_examples():
     """Each is kept beside the pages, of at most 100 kB, and an example draws it; no other one is kept."""
     names = {*examples()} | {"three_problems"}
     for name in shown():
@@ -69,7 +66,7 @@ def test_the_pictures_of_the_pages_are_small_and_are_those_of_examples() -> None
     assert {file.stem for file in PICTURES.glob("*.png")} == {*shown(), "three_problems"}
 
 
-def test_notebooks_have_the_cells_of_the_examples_and_outputs() -> None:
+def test_notebooks_have_the_cells_of_the_examples_and_outputs():
     """Each has the cells of its script, and the outputs stored by `python tests/house/pages.py`."""
     assert sorted(file.stem for file in NOTEBOOKS.glob("*.ipynb")) == sorted(NAMES)
     for name in NAMES:
@@ -84,13 +81,13 @@ def test_notebooks_have_the_cells_of_the_examples_and_outputs() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", NAMES)
-def test_a_notebook_runs(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_notebook_runs(name, capsys):
     """Its cells, one after the other, print the checks of the example and leave its figure."""
     import matplotlib.pyplot as plt
 
     plt.switch_backend("agg")
     plt.close("all")  # figures of other tests
-    namespace: dict[str, object] = {"__name__": "notebook"}
+    namespace = {"__name__": "notebook"}
     with plt.rc_context(), contextlib.chdir(NOTEBOOKS):
         for kind, text in cells_of(name):
             if kind == "code":
@@ -100,7 +97,7 @@ def test_a_notebook_runs(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     plt.close("all")
 
 
-def test_every_application_has_a_picture_that_an_example_draws() -> None:
+def test_every_application_has_a_picture_that_an_example_draws():
     """The first picture of a page on an application is drawn by a script of the examples."""
     for name in TRADES:
         picture = re.findall(r"^!\[.*\]\(\.\./pictures/(\w+)\.png\)$", guide(name), re.M)[0]

@@ -34,7 +34,7 @@ def default_tolerance(name: str) -> float:
     return 1e-8 if default is None else float(default.default)  # an LCP has that of Settings
 
 
-def test_cheat_sheet_has_the_defaults_of_the_classes() -> None:
+def test_cheat_sheet_has_the_defaults_of_the_classes():
     """Bounds, tolerances and the name of the start are those of the signatures."""
     found = rows("cheat_sheet", "class")
     assert {row[0].strip("`").partition("(")[0] for row in found} == {*CLASSES}
@@ -50,7 +50,7 @@ def test_cheat_sheet_has_the_defaults_of_the_classes() -> None:
         assert row[4].strip("`") in known or "options" in known, name
 
 
-def test_cheat_sheet_has_the_statuses_of_every_language() -> None:
+def test_cheat_sheet_has_the_statuses_of_every_language():
     """Each status has the word of cvxpy, Pyomo and AMPL that the interfaces return."""
     words = {
         status: (of_cvxpy, str(of_pyomo), of_ampl)
@@ -64,7 +64,7 @@ def test_cheat_sheet_has_the_statuses_of_every_language() -> None:
         assert (int(of_ampl), shown, of_pyomo) == STATUS_ELSEWHERE[status], status
 
 
-def test_solved_has_the_tolerance_of_every_class() -> None:
+def test_solved_has_the_tolerance_of_every_class():
     """Each class has a row with its default tolerance."""
     found = {
         name: float(default.replace("10⁻⁸", "1e-8").replace("10⁻⁶", "1e-6"))
@@ -171,7 +171,7 @@ FORMULAS: dict[str, tuple[str, dict[str, Any], Callable[[Any], Any]]] = {
 
 
 @pytest.mark.parametrize("name", FORMULAS)
-def test_formula_of_the_table_is_the_method(name: str) -> None:
+def test_formula_of_the_table_is_the_method(name):
     """Five steps of the formula on the page are those of the method, to rounding error."""
     formula, options, step = FORMULAS[name]
     written = {row[0].strip("`"): row[2] for row in rows("algorithms", "name")}

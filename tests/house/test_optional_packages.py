@@ -1,7 +1,5 @@
 """Every package except numpy and scipy may be missing: a hidden module stands for one that is not installed."""
 
-from __future__ import annotations
-
 import pytest
 from tools.processes import printed_by
 
@@ -41,7 +39,7 @@ print([(one.status.name, one.proof.verify()) for one in proofs])
         *(pytest.param((name,), id=name, marks=pytest.mark.full) for name in PACKAGES),
     ],
 )
-def test_problems_are_solved_without_optional_packages(hidden: tuple[str, ...]) -> None:
+def test_problems_are_solved_without_optional_packages(hidden):
     """Each class is solved, with known answers, and a proof verifies; cvxpy is imported if it is installed."""
     code = f"import sys\nsys.modules |= dict.fromkeys({hidden!r})\n" + SOLVES
     if not {"cvxpy", "qdldl"}.isdisjoint(hidden):  # cvxpy imports qdldl
@@ -53,7 +51,7 @@ def test_problems_are_solved_without_optional_packages(hidden: tuple[str, ...]) 
     ]
 
 
-def test_an_engine_without_its_package_says_what_to_install_and_auto_goes_through_the_lcp() -> None:
+def test_an_engine_without_its_package_says_what_to_install_and_auto_goes_through_the_lcp():
     """Without external solvers auto solves a program by its LCP; an engine by name raises; both name the package."""
     code = (
         "import sys\nsys.modules |= dict.fromkeys(('piqp', 'daqp', 'clarabel'))\n"
@@ -90,9 +88,7 @@ USES = [  # the hidden package, a use of it, a part of the message, the extra th
 
 
 @pytest.mark.parametrize(("name", "use", "words", "extra"), USES)
-def test_a_use_without_its_package_says_what_to_install(
-    name: str, use: str, words: str, extra: str
-) -> None:
+def test_a_use_without_its_package_says_what_to_install(name, use, words, extra):
     """The message has the package and its extra; ``from lcp_plugin import *`` needs no hypothesis."""
     code = (
         f"import sys\nsys.modules[{name!r}] = None\nimport lcp_plugin\n"

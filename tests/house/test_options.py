@@ -1,10 +1,7 @@
 """The typed options of `solve` are those that the solvers take."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from inspect import signature
-from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -19,13 +16,13 @@ from lcp_plugin.solving.dispatch import options_of, solver_of
 
 
 @pytest.mark.parametrize("kind", [name for name, row in CLASSES.items() if row.options])
-def test_the_options_of_a_class_are_those_of_its_solver(kind: str) -> None:
+def test_the_options_of_a_class_are_those_of_its_solver(kind):
     """Those of the table are fields of Settings, and the solver does not name them."""
     own = set(CLASSES[kind].options.split())
     assert own <= set(DEFAULTS) - set(signature(solver_of(kind)).parameters)
 
 
-def test_the_typed_options_are_those_of_all_solvers_and_algorithms() -> None:
+def test_the_typed_options_are_those_of_all_solvers_and_algorithms():
     """An option of a new algorithm or solver is added to the table."""
     of_algorithms = {field.name for name in REGISTRY for field in fields(algorithm_class(name))}
     of_solvers = {name for kind in CLASSES for name in options_of(kind)} - {"algorithm", "options"}
@@ -35,7 +32,7 @@ def test_the_typed_options_are_those_of_all_solvers_and_algorithms() -> None:
 
 
 @pytest.mark.full
-def test_a_type_checker_finds_a_misspelled_option(tmp_path: Path) -> None:
+def test_a_type_checker_finds_a_misspelled_option(tmp_path):
     """`tolerence=` is an error for each class, options of a named algorithm and of an engine are none."""
     file = tmp_path / "call.py"
     file.write_text(

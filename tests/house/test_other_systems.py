@@ -1,7 +1,5 @@
 """What macOS or Windows lack is not needed; this imitates the lack, it does not run on them."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -37,7 +35,7 @@ LONGEST = 150  # characters of a path below the project: Windows has 260 for a w
 
 
 @pytest.mark.full
-def test_modules_and_calls_of_linux_alone_are_not_needed() -> None:
+def test_modules_and_calls_of_linux_alone_are_not_needed():
     """One problem, a batch, a model in cvxpy and the commands without them."""
     code = """
 import cvxpy as cp
@@ -61,7 +59,7 @@ for words in (["list"], ["solve", "obstacle_2d:size=10", "--json"], ["analyze", 
 
 
 @pytest.mark.full
-def test_files_are_opened_in_a_named_encoding(tmp_path: Path) -> None:
+def test_files_are_opened_in_a_named_encoding(tmp_path):
     """No file is read or written in the encoding of the system; a path may have any letter."""
     code = """
 import numpy as np
@@ -90,7 +88,7 @@ for words in (["solve", "ü ß.npz"], ["solve", "qp.npz"], ["list"], ["analyze",
 
 @pytest.mark.full
 @pytest.mark.parametrize("words", [["list"], ["solve", "obstacle_2d:size=6"], ["solve", "--help"]])
-def test_a_command_prints_in_a_code_page_of_windows(words: list[str]) -> None:
+def test_a_command_prints_in_a_code_page_of_windows(words):
     """Characters that cp1252 lacks are printed as '?'; no command ends with an error because of them."""
     done = subprocess.run(
         [sys.executable, "-m", "lcp_plugin", *words],
@@ -100,7 +98,7 @@ def test_a_command_prints_in_a_code_page_of_windows(words: list[str]) -> None:
     assert done.stdout.decode("cp1252")
 
 
-def test_names_of_files_are_different_without_case_and_allowed_on_windows() -> None:
+def test_names_of_files_are_different_without_case_and_allowed_on_windows():
     """No two files of a folder differ only in case, and no name is reserved, too long or has a forbidden character."""
     files = [
         file.relative_to(ROOT)

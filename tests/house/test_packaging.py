@@ -29,7 +29,7 @@ SMALL = 1_300_000  # bytes: nothing but code, which grew by the search for the b
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built(tmp_path_factory):
     """A folder with the wheel and the source archive of this tree."""
     build = pytest.importorskip("hatchling.build")
     folder = tmp_path_factory.mktemp("dist")
@@ -41,7 +41,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def recipe() -> str:
+def recipe():
     """The conda recipe without its comments."""
     file = ROOT / ".ci" / "conda" / "recipe.yaml"
     if not file.exists():
@@ -60,7 +60,7 @@ def sources(folder: str) -> set[str]:
     }
 
 
-def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
+def test_the_wheel_holds_the_package_and_nothing_else(built):
     """Below 1.15 MB: every module and data file of the package, the licence, the metadata; no test, no example."""
     (wheel,) = built.glob("*.whl")
     assert wheel.stat().st_size < SMALL
@@ -72,7 +72,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
     assert any(name.endswith("LICENSE") for name in about)
 
 
-def test_the_metadata_say_what_the_project_says(built: Path) -> None:
+def test_the_metadata_say_what_the_project_says(built):
     """Version of the package itself, licence, Python, README, and the command with the function behind it."""
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
@@ -93,7 +93,7 @@ def test_the_metadata_say_what_the_project_says(built: Path) -> None:
     assert needed == {re.match(r"[\w.-]+", line)[0] for line in DEPENDENCIES}  # type: ignore[index]
 
 
-def test_the_source_archive_can_be_tested(built: Path) -> None:
+def test_the_source_archive_can_be_tested(built):
     """It holds the package, every test with its data, every example with its picture, and what the tests read."""
     (archive,) = built.glob("*.tar.gz")
     with tarfile.open(archive) as opened:
@@ -110,9 +110,7 @@ def test_the_source_archive_can_be_tested(built: Path) -> None:
 
 
 @pytest.mark.full
-def test_the_source_archive_builds_the_same_wheel(
-    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_source_archive_builds_the_same_wheel(built, tmp_path, monkeypatch):
     """Byte for byte, from an unpacked archive and an hour later: what is uploaded can be built again by anybody."""
     import hatchling.build
 
@@ -136,7 +134,7 @@ def listed(recipe: str, key: str) -> list[str]:
     return [line.strip().removeprefix("- ") for line in found[2].splitlines()]
 
 
-def test_the_conda_recipe_says_what_the_project_says(recipe: str) -> None:
+def test_the_conda_recipe_says_what_the_project_says(recipe):
     """The same version, Python, dependencies, commands, licence and summary; qdldl has another name there."""
     floor = PROJECT["requires-python"].removeprefix(">=")
     assert f'version: "{lcp_plugin.__version__}"' in recipe
@@ -152,7 +150,7 @@ def test_the_conda_recipe_says_what_the_project_says(recipe: str) -> None:
     assert f'summary: "{PROJECT["description"]}"' in recipe
 
 
-def test_the_oldest_versions_are_the_floors_of_the_project() -> None:
+def test_the_oldest_versions_are_the_floors_of_the_project():
     """``oldest_versions.txt`` pins each dependency, and each extra of the tests, to its floor in pyproject.toml."""
     lines = ROOT.joinpath(".ci", "oldest_versions.txt").read_text(encoding="utf-8").splitlines()
     pins = dict(line.split("==") for line in lines if not line.startswith("#"))
@@ -165,7 +163,7 @@ def test_the_oldest_versions_are_the_floors_of_the_project() -> None:
         assert numbers == [*floor, "0", "0"][: len(numbers)], name
 
 
-def test_the_version_is_written_once() -> None:
+def test_the_version_is_written_once():
     """pyproject.toml takes the version from the package, and names every Python that it is tested with."""
     assert PROJECT["dynamic"] == ["version"]
     assert "version" not in PROJECT
@@ -174,7 +172,7 @@ def test_the_version_is_written_once() -> None:
     assert f"Programming Language :: Python :: 3.{sys.version_info.minor}" in PROJECT["classifiers"]
 
 
-def test_a_release_with_a_placeholder_is_refused(tmp_path: Path) -> None:
+def test_a_release_with_a_placeholder_is_refused(tmp_path):
     """publish.yml first runs the check, which names each placeholder; with addresses and a dated version it passes."""
     workflows = ROOT / ".github" / "workflows"
     if not workflows.exists():
@@ -195,7 +193,7 @@ def test_a_release_with_a_placeholder_is_refused(tmp_path: Path) -> None:
     assert len(find_faults(tmp_path, "v1.3")) == 4
 
 
-def test_workflow_runs_the_commands_of_the_readme() -> None:
+def test_workflow_runs_the_commands_of_the_readme():
     """test.yml has both shell blocks of the README on every system, without the virtual environment."""
     workflow = ROOT / ".github" / "workflows" / "test.yml"
     if not workflow.exists():

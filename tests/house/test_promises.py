@@ -27,7 +27,6 @@ from oracles.relations import bits, data_of, surroundings
 from lcp_plugin import (
     LCP,
     Certificate,
-    LCPError,
     QuadraticProgram,
     Status,
     UnsuitableMatrix,
@@ -71,7 +70,7 @@ def quoted() -> list[str]:
     return [words for text in texts for words in re.findall(r'"{3}“(.*?)”', text)]
 
 
-def test_every_promise_has_its_test_and_every_test_its_promise() -> None:
+def test_every_promise_has_its_test_and_every_test_its_promise():
     """The page and this file contain the same quotations."""
     assert len(promises()) >= 10
     assert {*promises()} == {*quoted()}
@@ -89,7 +88,7 @@ class Claiming(Algorithm):
             yield Step(np.full(problem.n, 0.25), residual=0.0, increment=0.0)
 
 
-def test_solved_is_measured() -> None:
+def test_solved_is_measured():
     """“SOLVED is verified”: claims change nothing; the residual is computed from the data."""
     assert not solve(TWO, Claiming()).is_solved
     result = solve(TWO)
@@ -111,7 +110,7 @@ class FarAway(Algorithm):
         yield Step(np.array([2001613005325266.0, 6004839015975798.0, 0.0]))
 
 
-def test_rounding_hides_no_residual() -> None:
+def test_rounding_hides_no_residual():
     """“SOLVED is verified”: not if z is so large that M z + q rounds from 2 to 0."""
     infeasible = LCP([[9.0, -3.0, 6.0], [-3.0, 1.0, -2.0], [6.0, -2.0, 4.0]], [-2.0, 0.0, 0.0])
     far = np.array([2001613005325266.0, 6004839015975798.0, 0.0])
@@ -127,7 +126,7 @@ def test_rounding_hides_no_residual() -> None:
 
 
 @pytest.mark.parametrize("z", [0.0, 0.3, 0.3 + 2.0**-53, 1e6])
-def test_bounds_hold_exactly(z: float) -> None:
+def test_bounds_hold_exactly(z):
     """“A rigorous bound holds for the exact solution”: in fractions, for near and far points, the last bit included."""
     problem, point = LCP([[3.0, -1.0], [-1.0, 3.0]], [-0.7, 0.1]), np.full(2, z)
     bound = error_bound(problem, point)
@@ -135,7 +134,7 @@ def test_bounds_hold_exactly(z: float) -> None:
 
 
 @pytest.mark.parametrize("last", [0.0, 2.0**-52, -(2.0**-52)])
-def test_verdicts_are_proved(last: float) -> None:
+def test_verdicts_are_proved(last):
     """“True and False are proved”: one ulp from singular, where a floating-point test guesses, none is wrong."""
     M = np.array([[1.0, -1.0], [-1.0, 1.0 + last]])
     determinant = Fraction(M[0, 0]) * Fraction(M[1, 1]) - Fraction(M[0, 1]) * Fraction(M[1, 0])
@@ -148,7 +147,7 @@ def test_verdicts_are_proved(last: float) -> None:
         assert all(Fraction(d) * Fraction(x) > Fraction(y) for d, x, y in rows)
 
 
-def test_infeasible_means_proved() -> None:
+def test_infeasible_means_proved():
     """“INFEASIBLE, NO_SOLUTION and UNBOUNDED come with a proof”: it verifies, and what is solved has none."""
     infeasible = solve(LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 1.0]))
     nothing = solve(LCP([[0.0, 1.0], [-1.0, 0.0]], [1.0, -1.0], upper=[np.inf, np.inf]))
@@ -196,14 +195,14 @@ def bits_in_a_process(**environment: str) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def own_bits() -> dict[str, Any]:
-    namespace: dict[str, Any] = {}
+def own_bits():
+    namespace = {}
     exec(BITS.replace('warnings.simplefilter("ignore")', ""), namespace)
     return json.loads(json.dumps(namespace["all_bits"]()))  # type: ignore[no-any-return]
 
 
 @pytest.mark.full
-def test_processes_agree(own_bits: dict[str, Any]) -> None:
+def test_processes_agree(own_bits):
     """“Results are bit-reproducible”: z, status, counts and samples agree in a new process."""
     assert bits_in_a_process(PYTHONHASHSEED="12345") == own_bits
 
@@ -230,7 +229,7 @@ def given_matrices() -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("form", given_matrices())
-def test_nothing_given_changes(form: str) -> None:
+def test_nothing_given_changes(form):
     """“Inputs are never modified”: matrix, q, bounds, start and batch, in any form, by any call."""
     M = given_matrices()[form]
     q, lower, upper = np.array([-3.0, 5.0, -1.0]), np.zeros(3), np.full(3, 9.0)
@@ -253,11 +252,11 @@ def test_nothing_given_changes(form: str) -> None:
 
 
 @EVERY_ALGORITHM
-def test_nothing_global_changes(name: str) -> None:
+def test_nothing_global_changes(name):
     """“Global state is never modified”: also after a stop, a rejection or an error."""
     assert scipy.optimize is not None  # loaded: its filter is not ours
 
-    def raises(sample: Any, z: np.ndarray) -> None:
+    def raises(sample, z):
         raise ZeroDivisionError
 
     surroundings()  # loads numba's threads, which the next line lists
@@ -290,7 +289,7 @@ def blas_threads() -> Any:
 
 
 @EVERY_ALGORITHM
-def test_callbacks_may_raise(name: str) -> None:
+def test_callbacks_may_raise(name):
     """“Exceptions raised in a callback propagate”: the same object, an LCPError and a SystemExit, too."""
     for error in (
         ZeroDivisionError("mine"),
@@ -299,7 +298,7 @@ def test_callbacks_may_raise(name: str) -> None:
         MemoryError("mine"),
     ):
 
-        def raises(sample: Any, z: np.ndarray, error: BaseException = error) -> None:
+        def raises(sample, z, error=error):
             raise error
 
         with pytest.raises(type(error)) as caught:
@@ -308,12 +307,12 @@ def test_callbacks_may_raise(name: str) -> None:
 
 
 @pytest.mark.parametrize("kind", [UnsuitableMatrix, UnsuitableProblem])
-def test_callbacks_may_raise_in_a_later_stage(kind: type[LCPError]) -> None:
+def test_callbacks_may_raise_in_a_later_stage(kind):
     """“Exceptions raised in a callback propagate”: also error classes that auto handles."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])  # no solution: several methods
-    labels: list[str] = []
+    labels = []
 
-    def raises(sample: Any, z: np.ndarray) -> None:
+    def raises(sample, z):
         labels.append(sample.label)
         if sample.label != labels[0]:
             raise kind("mine")
@@ -323,12 +322,12 @@ def test_callbacks_may_raise_in_a_later_stage(kind: type[LCPError]) -> None:
 
 
 @EVERY_ALGORITHM
-def test_an_ended_run_keeps_what_it_has(name: str) -> None:
+def test_an_ended_run_keeps_what_it_has(name):
     """“Ctrl-C and `max_seconds` keep the best iterate”: no worse than any that the callback has seen measured."""
     problem = gallery.build("half_active", n=100).problem
-    seen: list[float] = []
+    seen = []
 
-    def interrupts(sample: Any, z: np.ndarray) -> None:
+    def interrupts(sample, z):
         if sample.residual is not None:
             seen.append(sample.residual)
         if sample.iteration == 2:
@@ -343,7 +342,7 @@ def test_an_ended_run_keeps_what_it_has(name: str) -> None:
     assert bits(solve(problem, name).z) == bits(solve(LCP(problem.csr.copy(), problem.q), name).z)
 
 
-def test_caches_are_not_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_caches_are_not_needed(tmp_path, monkeypatch):
     """“The compilation cache is optional”: here none can be had; test_faults.py does it with real disks."""
     from lcp_plugin.core.kernels.compilation import kernel
 

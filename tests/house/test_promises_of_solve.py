@@ -20,7 +20,6 @@ from lcp_plugin import (
     FrictionalContact,
     NonlinearProblem,
     QuadraticProgram,
-    Result,
     Status,
     march,
     solve,
@@ -121,7 +120,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("sample", "promise"), CASES, ids=str)
-def test_solve_keeps_the_promise(sample: Sample, promise: str) -> None:
+def test_solve_keeps_the_promise(sample, promise):
     """Each promise of solve holds for each problem class."""
     PROMISES[promise](sample)
 
@@ -140,8 +139,8 @@ EMPTY: dict[str, Callable[[], Any]] = {
 
 
 @pytest.mark.parametrize("name", EMPTY)
-def test_an_empty_problem_is_solved(name: str) -> None:
+def test_an_empty_problem_is_solved(name):
     """A problem without unknowns is SOLVED by an empty x."""
-    answer: Result = EMPTY[name]()
+    answer = EMPTY[name]()
     assert answer.status is Status.SOLVED
     assert answer.x.shape == (0,)

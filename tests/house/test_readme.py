@@ -36,16 +36,16 @@ def commands() -> list[str]:
 
 
 @pytest.mark.parametrize("k", range(len(blocks("python"))))
-def test_python_blocks_run(k: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_python_blocks_run(k, capsys):
     """A Python block prints the text below it, apart from times and residuals, and says SOLVED."""
-    namespace: dict[str, object] = {"__name__": "readme"}
+    namespace = {"__name__": "readme"}
     exec(compile(blocks("python")[k], f"README block {k}", "exec", dont_inherit=True), namespace)
     assert masked(capsys.readouterr().out) == masked(blocks("text")[k])
     assert "SOLVED" in blocks("text")[k]
 
 
 @pytest.mark.parametrize("command", commands())
-def test_commands_run(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_run(command, tmp_path, monkeypatch):
     """A command of the README does what it says and exits with 0."""
     monkeypatch.chdir(tmp_path)
     outcome = CliRunner().invoke(app, shlex.split(command, comments=True)[1:])
@@ -56,7 +56,7 @@ def test_commands_run(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert (tmp_path / name).read_bytes().startswith(start)
 
 
-def test_first_two_shell_blocks_install_and_test() -> None:
+def test_first_two_shell_blocks_install_and_test():
     """The first shell block installs and solves with a picture, the second runs the quick tests and nothing else."""
     first, second = blocks("bash")[:2]
     assert "pip install" in first
@@ -80,19 +80,19 @@ def page(module: str) -> str:
 
 
 @pytest.mark.parametrize("module", pages(README))
-def test_pages_are_there(module: str) -> None:
+def test_pages_are_there(module):
     """A page that the README names is one, and help(lcp_plugin) lists it."""
     assert len(page(module).splitlines()) > 10
     assert module in pages(page("lcp_plugin"))
 
 
 @pytest.mark.parametrize("module", pages(page("lcp_plugin")))
-def test_pages_open_without_extras(module: str) -> None:
+def test_pages_open_without_extras(module):
     """Each page that help(lcp_plugin) lists opens, and is one."""
     assert len((importlib.import_module(module).__doc__ or "").splitlines()) > 10
 
 
-def test_links_lead_to_files() -> None:
+def test_links_lead_to_files():
     """Each link of the README and of the manual's pages leads to a file, and to a title of it."""
     followed = 0
     for file in (ROOT / "README.md", ROOT / "examples" / "README.md", *MANUAL.glob("*.md")):

@@ -58,19 +58,19 @@ def roles() -> list[tuple[str, str]]:
     )
 
 
-def test_role_with_a_full_name_resolves() -> None:
+def test_role_with_a_full_name_resolves():
     """A full name in a role is a module of the package, or an attribute of one."""
     for target in {name for _, name in roles() if "lcp_plugin" in name}:
         assert resolve(target) is not None, target
 
 
-def test_role_with_a_short_name_is_defined_in_the_package() -> None:
+def test_role_with_a_short_name_is_defined_in_the_package():
     """A short name in a role is the name of a function, class, method or module of the package."""
     short = {(file, name.strip(".~()")) for file, name in roles() if "lcp_plugin" not in name}
     assert {pair for pair in short if pair[1] not in defined_names()} == set()
 
 
-def test_every_help_command_opens_a_page() -> None:
+def test_every_help_command_opens_a_page():
     """The target of help("…"), in a docstring or on a page, is a module with a docstring or a public name."""
     import lcp_plugin
 
@@ -82,7 +82,7 @@ def test_every_help_command_opens_a_page() -> None:
             assert getattr(found, "__doc__", None), f"{file.name}: {module or name}"
 
 
-def test_install_commands_use_the_clone() -> None:
+def test_install_commands_use_the_clone():
     """No file installs lcp_plugin from an index: the name is not uploaded yet, so that a stranger could own it.
 
     Messages name the extra of the installed package in parentheses.
@@ -93,7 +93,7 @@ def test_install_commands_use_the_clone() -> None:
             assert not re.search(r"lcp[_-]plugin", command), f"{file.name}: {command}"
 
 
-def test_extras_of_install_commands_exist() -> None:
+def test_extras_of_install_commands_exist():
     """Every extra that a message or a page installs is defined in pyproject.toml."""
     import tomllib
 
@@ -103,7 +103,7 @@ def test_extras_of_install_commands_exist() -> None:
             assert extra in project["optional-dependencies"], f"{file.name}: {extra}"
 
 
-def test_examples_import_public_modules_only() -> None:
+def test_examples_import_public_modules_only():
     """Each import of a script or a page is of a module that CHANGELOG.md lists as public."""
     text = (ROOT / "examples" / "manual" / "CHANGELOG.md").read_text(encoding="utf-8")
     public = re.findall(r"`(lcp_plugin[\w.]*)`", text.partition("Everything else may")[0])

@@ -1,7 +1,5 @@
 """The site of the manual: no warning, which a dead link is, and no network."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -19,7 +17,7 @@ pytestmark = pytest.mark.full
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     """Build the site; a warning is an error."""
     folder = tmp_path_factory.mktemp("site")
     command = ["-m", "sphinx", "-q", "-W", "-c", "examples/manual", "examples", str(folder)]
@@ -30,14 +28,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_pages_load_nothing_from_the_network(site: Path) -> None:
+def test_pages_load_nothing_from_the_network(site):
     """No page has a script, a style or a picture from another host."""
     for page in site.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         assert not re.search(r'(?:src|<link[^>]*href)="(?:https?:)?//', text), page.name
 
 
-def test_reference_has_every_public_name(site: Path) -> None:
+def test_reference_has_every_public_name(site):
     """The reference has an anchor for each public name, except the gallery, which is a module."""
     page = (site / "manual" / "reference.html").read_text(encoding="utf-8")
     anchors = set(re.findall(r'\bid="([^"]*)"', page))
@@ -45,7 +43,7 @@ def test_reference_has_every_public_name(site: Path) -> None:
     assert names <= {anchor.removeprefix("lcp_plugin.") for anchor in anchors}
 
 
-def test_scripts_and_help_pages_are_not_empty(site: Path) -> None:
+def test_scripts_and_help_pages_are_not_empty(site):
     """The picture of an example leads to its highlighted code, and each module of the topics has its text."""
     readme = (site / "README.html").read_text(encoding="utf-8")
     assert 'href="scripts/american_put.html"' in readme

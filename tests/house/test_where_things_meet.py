@@ -468,14 +468,14 @@ REFUSALS: dict[str, Callable[[Any, Any], Any]] = {
 CELLS = [pytest.param(sample, way, id=f"{sample} × {way}") for sample in SAMPLES for way in WAYS]
 
 
-def test_every_kind_and_every_way_has_its_row() -> None:
+def test_every_kind_and_every_way_has_its_row():
     """A class without samples, or a way without a trial, is found here."""
     assert {sample.kind for sample in SAMPLES} == set(KINDS)
     assert TRIALS.keys() == set(WAYS)
     assert {f"lcp-plugin {one.name}" for one in app.registered_commands} >= set(COMMANDS)
 
 
-def test_readme_shows_the_table_in_small() -> None:
+def test_readme_shows_the_table_in_small():
     """README's rows are the classes, with a mark if all interfaces of a column accept the class."""
     text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
     head, _, *rows = next(
@@ -489,7 +489,7 @@ def test_readme_shows_the_table_in_small() -> None:
 
 
 @pytest.mark.parametrize(("sample", "way"), CELLS)
-def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_path: Path) -> None:
+def test_each_cell_works_or_is_refused_in_words(sample, way, tmp_path):
     """The answer of a way that takes the kind is right; any other way names the classes that it takes."""
     if way in KINDS[sample.kind]:
         TRIALS[way](sample, tmp_path)
@@ -503,7 +503,7 @@ def test_each_cell_works_or_is_refused_in_words(sample: Sample, way: str, tmp_pa
             assert command(way.split()[1], path).exit_code == 2
 
 
-def test_batches_of_contacts_work_or_are_refused_in_words(tmp_path: Path) -> None:
+def test_batches_of_contacts_work_or_are_refused_in_words(tmp_path):
     """A batch in arrays is solved, differentiated, pickled and saved; every other way names solve_batch."""
     batch = FrictionalContact.worlds(
         np.stack([np.eye(3)] * 2), [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5
@@ -549,7 +549,7 @@ WISHES: dict[str, Any] = {
 SOLVABLE = [sample for sample in SAMPLES if Status.SOLVED in sample.ends]
 
 
-def test_every_option_of_solve_is_walked() -> None:
+def test_every_option_of_solve_is_walked():
     """An option without a value to try is found here."""
     named = {"algorithm", "x0", "max_nodes", *OF_SOLVE}
     assert named == WISHES.keys()
@@ -557,7 +557,7 @@ def test_every_option_of_solve_is_walked() -> None:
 
 @pytest.mark.parametrize("name", WISHES)
 @pytest.mark.parametrize("sample", SOLVABLE, ids=repr)
-def test_each_option_is_taken_or_refused_in_words(sample: Sample, name: str, capsys: Any) -> None:
+def test_each_option_is_taken_or_refused_in_words(sample, name, capsys):
     """Each option has its documented effect; unsupported ones raise an error."""
     known, wish = options_of(sample.kind), WISHES[name]
     is_taken = name in OF_SOLVE or name == "algorithm" if "options" in known else name in known
@@ -585,11 +585,11 @@ def kinds_with_callback() -> list[Sample]:
 
 @pytest.mark.parametrize("sample", kinds_with_callback(), ids=repr)
 @pytest.mark.parametrize("how", ["a true value", "Ctrl-C"])
-def test_a_callback_ends_the_run(sample: Sample, how: str) -> None:
+def test_a_callback_ends_the_run(sample, how):
     """A true return value, or Ctrl-C, ends the run with INTERRUPTED and the best point so far."""
-    seen: list[Any] = []
+    seen = []
 
-    def callback(*given: Any) -> bool:
+    def callback(*given):
         seen.append(given)
         if how == "Ctrl-C":
             signal.raise_signal(signal.SIGINT)
@@ -604,7 +604,7 @@ def test_a_callback_ends_the_run(sample: Sample, how: str) -> None:
 
 @pytest.mark.parametrize("limit", ["max_seconds", "max_iterations"])
 @pytest.mark.parametrize("sample", SAMPLES, ids=repr)
-def test_without_time_or_steps_the_start_is_returned(sample: Sample, limit: str) -> None:
+def test_without_time_or_steps_the_start_is_returned(sample, limit):
     """No iteration is made: the status is that of the limit, or of a program that needs no step."""
     if limit not in options_of(sample.kind) and sample.kind == "EquilibriumProgram":
         return  # it counts nodes
@@ -626,7 +626,7 @@ def one_of_each_kind() -> list[Any]:
     return list({one.kind: one.problem for one in SOLVABLE}.values())
 
 
-def test_time_ends_a_batch_of_several_kinds() -> None:
+def test_time_ends_a_batch_of_several_kinds():
     """Each problem has a status, those that were not begun MAX_SECONDS, and none of them costs time.
 
     Stacks of small problems over cones and of small LCPs come first.
@@ -643,11 +643,11 @@ def test_time_ends_a_batch_of_several_kinds() -> None:
     assert {answers[-k].status for k in (1, 2, 3, 4)} == {Status.MAX_SECONDS}
 
 
-def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch):
     """Solved problems are kept, stacks come first, the remaining are INTERRUPTED."""
     one, two, *_ = problems = one_of_each_kind()
 
-    def interrupted(problem: Any, **options: Any) -> Any:
+    def interrupted(problem, **options):
         if problem is two and not options:
             raise KeyboardInterrupt
         return solve(problem, **options)
@@ -661,7 +661,7 @@ def test_ctrl_c_ends_a_batch_of_several_kinds(monkeypatch: pytest.MonkeyPatch) -
     ]
 
 
-def test_a_batch_tells_what_is_wrong_with_a_problem() -> None:
+def test_a_batch_tells_what_is_wrong_with_a_problem():
     """The errors and the summary of a batch contain the reason for an invalid problem."""
     bent = QuadraticProgram([[-1.0]], [0.0])
     for answers in (solve_batch([one_of_each_kind()[0], bent]), solve_batch([[[np.nan]]], [[1.0]])):
@@ -672,7 +672,7 @@ def test_a_batch_tells_what_is_wrong_with_a_problem() -> None:
             answers.require_solved()
 
 
-def test_a_batch_names_what_is_no_problem() -> None:
+def test_a_batch_names_what_is_no_problem():
     """The error names the index of the item, before anything is solved."""
     with pytest.raises(LCPError, match=r"item 1 of the batch: solve_batch needs .* got int"):
         solve_batch([QuadraticProgram([[1.0]], [0.0]), 3])
@@ -682,7 +682,7 @@ def test_a_batch_names_what_is_no_problem() -> None:
     solve_batch([]), solve_batch(np.eye(2), np.zeros((0, 2))), march(LCP(np.eye(2), [0, 0]), np.zeros((0, 2))),
     solve_batch(QuadraticProgram(np.eye(2), [0, 0]), np.zeros((0, 2))),
 ], ids=lambda answers: type(answers).__name__)  # fmt: skip
-def test_a_sequence_of_no_answers(no: Any) -> None:
+def test_a_sequence_of_no_answers(no):
     """A batch without problems is solved, and its summary is "none"."""
     assert len(no) == len(no.status) == 0
     assert no.is_solved
@@ -691,12 +691,12 @@ def test_a_sequence_of_no_answers(no: Any) -> None:
     assert "none" in no.explain()
 
 
-def test_no_marches() -> None:
+def test_no_marches():
     """They have no answer, as a batch of no problems has none."""
     assert march(LCP(np.eye(2), [0, 0]), np.zeros((0, 3, 2))) == []
 
 
-def test_derivative_names_the_answer_that_it_takes() -> None:
+def test_derivative_names_the_answer_that_it_takes():
     """The error of an unsupported batch says what to write instead; LCP results of a list are accepted."""
     answers = solve_batch(one_of_each_kind())
     with pytest.raises(InvalidOption, match=r"write \[derivative\(answer\) for answer in batch\]"):
@@ -704,7 +704,7 @@ def test_derivative_names_the_answer_that_it_takes() -> None:
     assert derivative(answers[0]).jvp(dq=np.ones(2)).shape == (2,)
 
 
-def test_a_start_is_refused_in_words_that_say_what_it_is_called() -> None:
+def test_a_start_is_refused_in_words_that_say_what_it_is_called():
     """x0 of an LCP is called z0; a z0 with NaN is an InvalidOption for every kind that takes one."""
     by_name = {sample.name: sample.problem for sample in SAMPLES}
     with pytest.raises(InvalidOption, match="x0"):
@@ -739,7 +739,7 @@ def start_in_pyomo(through_a_file: Path | None = None) -> Any:
     return solver.result
 
 
-def test_runs_begin_by_one_rule_whatever_the_language(tmp_path: Path) -> None:
+def test_runs_begin_by_one_rule_whatever_the_language(tmp_path):
     """Each interface starts at 1 instead of x = −1, solves log x + 1 = 0, and reports the start."""
     for run_from_start in (
         start_in_python,
@@ -756,7 +756,7 @@ def test_runs_begin_by_one_rule_whatever_the_language(tmp_path: Path) -> None:
         )
 
 
-def test_a_start_is_z0_and_a_tolerance_relative_in_every_kind() -> None:
+def test_a_start_is_z0_and_a_tolerance_relative_in_every_kind():
     """Every class accepts z0, equivalent to x0, and rejects a tolerance of 1 or more."""
     root = NonlinearProblem(lambda x: x**3 - 8.0, lower=[0.0])
     squares = BoundedLeastSquares(np.array([[2.0, 1.0], [1.0, 3.0]]), [1.0, -1.0])
@@ -774,15 +774,13 @@ def test_a_start_is_z0_and_a_tolerance_relative_in_every_kind() -> None:
             solve(problem, tolerance=2, **more)
 
 
-def test_which_tests_run_a_line_is_measured_first(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_which_tests_run_a_line_is_measured_first(monkeypatch, tmp_path):
     """In a fresh clone `of.py` and `mutate.py` run the quick suite under coverage before they read its data."""
     import of
 
-    begun: list[Any] = []
+    begun = []
 
-    def run(command: list[str], **_: Any) -> None:
+    def run(command, **_):
         begun.append(command)
         raise KeyboardInterrupt
 

@@ -1,7 +1,5 @@
 """The registered algorithms by what they are, so that a claim is tested on all to which it applies."""
 
-from __future__ import annotations
-
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 
 KINDS = {name: algorithm_class(name) for name in REGISTRY}

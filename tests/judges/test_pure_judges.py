@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ def planted(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("solver", ["clarabel", "piqp", "daqp"])
 @pytest.mark.parametrize("seed", range(8))
-def test_points_of_other_solvers_are_proved(seed: int, solver: str) -> None:
+def test_points_of_other_solvers_are_proved(seed, solver):
     """z_i = 1e-13 or −1e-13 is the point of an interior-point method for 0; moved by 1e-2 it is disproved."""
     M, q, z = planted(seed)
     P = sp.csc_matrix(M) if solver == "clarabel" else M
@@ -50,7 +49,7 @@ def test_points_of_other_solvers_are_proved(seed: int, solver: str) -> None:
 
 @pytest.mark.parametrize("solver", ["clarabel", "piqp", "daqp"])
 @pytest.mark.parametrize("seed", [1, 2, 4, 5])
-def test_points_of_other_solvers_are_proved_as_a_program(seed: int, solver: str) -> None:
+def test_points_of_other_solvers_are_proved_as_a_program(seed, solver):
     """1e-13 and −1e-17 stand for the bound 0; moved by a tenth, the value is disproved."""
     M, q, z = planted(seed)
     P = sp.csc_matrix(M) if solver == "clarabel" else M
@@ -60,7 +59,7 @@ def test_points_of_other_solvers_are_proved_as_a_program(seed: int, solver: str)
     assert certify(program, x + 0.1 * np.abs(q / M.diagonal()).max()).verdict == "disproved"
 
 
-def test_residuals_of_a_program_are_those_of_qpsolvers() -> None:
+def test_residuals_of_a_program_are_those_of_qpsolvers():
     """Absolute primal, dual and gap residuals of a point and its multipliers."""
     rng = np.random.default_rng(0)
     A, G, B = rng.normal(size=(5, 5)), rng.normal(size=(6, 5)), rng.normal(size=(2, 5))
@@ -81,12 +80,12 @@ def test_residuals_of_a_program_are_those_of_qpsolvers() -> None:
     [([-1.0, 2, 0], [1, -0.5 * (1 - 1e-12), 0]), ([1.0, 2, 0], [1e-12, 0, 0])],
     ids=["sliding", "open"],
 )
-def test_a_contact_that_is_right_to_rounding_is_proved(b: list[float], z: list[float]) -> None:
+def test_a_contact_that_is_right_to_rounding_is_proved(b, z):
     """Sliding within 1e-12 of the boundary, and open with an impulse of 1e-12."""
     assert certify(FrictionalContact(np.eye(3), b, 0.5, dimension=3), z).verdict == "proved"
 
 
-def test_an_impulse_outside_its_friction_cone_is_disproved_next_to_a_large_one() -> None:
+def test_an_impulse_outside_its_friction_cone_is_disproved_next_to_a_large_one():
     """Two contacts of 1e6 and 1e-3 that hardly interact: 1000 times the friction of the small one."""
     W = np.eye(6)
     W[0, 3] = W[3, 0] = 1e-12
@@ -98,7 +97,7 @@ def test_an_impulse_outside_its_friction_cone_is_disproved_next_to_a_large_one()
 
 
 @pytest.mark.parametrize("x", [(5, 0), (5, 9999995), (-5, 0), (-9, 1)])
-def test_an_inactive_row_is_no_scale_for_points_of_a_program(x: tuple[float, float]) -> None:
+def test_an_inactive_row_is_no_scale_for_points_of_a_program(x):
     """Next to x₁ + x₂ ≤ 1e7, 5 is far from the minimizer 0, and −5 far outside of the bound 0."""
     program = QuadraticProgram(None, [1, 0], G=[[1, 1]], h=[1e7], lower=[0, 0])
     found = certify(program, x)
@@ -106,7 +105,7 @@ def test_an_inactive_row_is_no_scale_for_points_of_a_program(x: tuple[float, flo
     assert found.violation == max(-x[0], 0.0)
 
 
-def test_a_gradient_that_is_no_rounding_error_has_no_price_by_cancelling_terms() -> None:
+def test_a_gradient_that_is_no_rounding_error_has_no_price_by_cancelling_terms():
     """P is singular, and x₁ = 0 without a cost gains 9e-4 on its way to the bound −1e6."""
     g = 2.0**-30
     program = QuadraticProgram(np.ones((3, 3)), [-g, 0, -g], lower=[-np.inf, -1e6, -np.inf])
@@ -114,7 +113,7 @@ def test_a_gradient_that_is_no_rounding_error_has_no_price_by_cancelling_terms()
     assert not KKTErrors.of(program.judged, x, np.zeros(0)).meet(1e-6)
 
 
-def test_a_sum_that_is_zero_by_rounding_is_no_least_squares_solution() -> None:
+def test_a_sum_that_is_zero_by_rounding_is_no_least_squares_solution():
     """30 x₁ + 20 x₂ + 2 is 0 in double precision at x of 8e14, and 0.75 exactly."""
     problem = BoundedLeastSquares([[30.0, 20.0]], [-2.0], [0, -np.inf], np.inf)
     found = solve(problem, x0=[554700196225229.1, -832050294337843.8])
@@ -122,7 +121,7 @@ def test_a_sum_that_is_zero_by_rounding_is_no_least_squares_solution() -> None:
 
 
 @pytest.mark.parametrize("t", [0.1, 0.5, -1.0])
-def test_a_contact_that_falls_straight_is_solved_from_each_start(t: float) -> None:
+def test_a_contact_that_falls_straight_is_solved_from_each_start(t):
     """No tangential velocity, no friction: z_T of a run is 1e-17, next to a row without terms."""
     problem = FrictionalContact(np.diag([5.0, 5.0]), [-0.9, 0], [0.5], dimension=2)
     assert solve(problem, z0=[1.0, t]).status is Status.SOLVED
@@ -132,19 +131,17 @@ def test_a_contact_that_falls_straight_is_solved_from_each_start(t: float) -> No
     ("q", "z", "verdict"),
     [([1.0, 0.0], [2.4e-14, 0.5], "proved"), ([1.0, 0.0], [2.4e-3, 0.5], "disproved")],
 )
-def test_rounding_errors_next_to_a_row_without_load_are_zeros(
-    q: list[float], z: list[float], verdict: str
-) -> None:
+def test_rounding_errors_next_to_a_row_without_load_are_zeros(q, z, verdict):
     """z* = (0, 1/2); the only term of the second row is an error of an interior-point method."""
     assert certify(LCP([[0, -2], [2, 0]], q), z).verdict == verdict
 
 
-def test_a_component_without_data_has_no_scale() -> None:
+def test_a_component_without_data_has_no_scale():
     """M z = 1e-7 at z = (1, 1) next to q = 0: the only solution is 0."""
     assert certify(LCP([[1, -1], [-1, 1 + 1e-7]], [0, 0]), [1, 1]).verdict == "disproved"
 
 
-def test_least_squares_solved_at_the_start_are_recorded() -> None:
+def test_least_squares_solved_at_the_start_are_recorded():
     """AᵀWb is 0 up to rounding: the record has no reference to divide by."""
     A = [[-0.1], [-0.2], [-0.1], [0.3], [0.1]]
     problem = BoundedLeastSquares(A, [3, -3, 1, -1, 1], -np.inf, np.inf)
@@ -152,7 +149,7 @@ def test_least_squares_solved_at_the_start_are_recorded() -> None:
 
 
 @pytest.mark.parametrize("n", [20, 40])
-def test_a_row_of_equal_spinning_discs_is_solved(n: int) -> None:
+def test_a_row_of_equal_spinning_discs_is_solved(n):
     """Discs on the ground that touch and spin: the velocities of their contacts are 0 up to rounding."""
     J = np.zeros((4 * n - 2, 3 * n))
     at = iter(range(4 * n - 2))
@@ -167,7 +164,7 @@ def test_a_row_of_equal_spinning_discs_is_solved(n: int) -> None:
     assert found.status is Status.SOLVED
 
 
-def test_least_squares_at_a_start_that_ran_away_are_not_solved_there() -> None:
+def test_least_squares_at_a_start_that_ran_away_are_not_solved_there():
     """Opposite columns allow x = 1e16 with any residual at rounding level of its terms; the minimum is 2.925."""
     rng = np.random.default_rng(9)
     B, a, b = rng.normal(size=(6, 4)), rng.normal(size=(6, 1)), rng.normal(size=6)
@@ -178,7 +175,7 @@ def test_least_squares_at_a_start_that_ran_away_are_not_solved_there() -> None:
     assert not found.is_solved or found.cost == pytest.approx(best.cost, rel=1e-6)
 
 
-def test_a_program_is_infeasible_also_next_to_large_ones_in_a_batch() -> None:
+def test_a_program_is_infeasible_also_next_to_large_ones_in_a_batch():
     """0 = 5e-10 is no rounding error of a right-hand side of 1e9 in another problem."""
     program = QuadraticProgram(np.eye(2), [0, 0], A=[[1.0, 1], [0, 0]], b=[1, 0])
     bad, big = program.with_vectors(b=[1, 5e-10]), program.with_vectors(b=[1e9, 0])
@@ -186,14 +183,14 @@ def test_a_program_is_infeasible_also_next_to_large_ones_in_a_batch() -> None:
     assert solve_batch([bad, big] * 20).status[0] is Status.INFEASIBLE
 
 
-def test_a_start_far_away_changes_no_status() -> None:
+def test_a_start_far_away_changes_no_status():
     """At a z that ran away along a null direction every residual is rounding; the problem stays INFEASIBLE."""
     problem = LCP([[1.0, -2], [-2, 4]], [7.0, -16])
     for z0 in (None, [8.8e14, 4.4e14], [1.0, 1.0]):
         assert solve(problem, z0=z0).status is Status.INFEASIBLE, z0
 
 
-def test_a_start_that_is_the_solution_is_used_however_far_away() -> None:
+def test_a_start_that_is_the_solution_is_used_however_far_away():
     """On a chain of 4000 the solution itself lies far beyond the data: no iteration is needed from there."""
     n = 4000
     M = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n))
@@ -202,7 +199,7 @@ def test_a_start_that_is_the_solution_is_used_however_far_away() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_one_problem_has_one_status_by_each_way(seed: int, tmp_path: Path) -> None:
+def test_one_problem_has_one_status_by_each_way(seed, tmp_path):
     """Conditions of a program, the same M and q by hand, after save and load, in batches, by each algorithm."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(4, 4))
@@ -219,7 +216,7 @@ def test_one_problem_has_one_status_by_each_way(seed: int, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-def test_the_same_point_has_the_same_status_by_each_algorithm(name: str) -> None:
+def test_the_same_point_has_the_same_status_by_each_algorithm(name):
     """A start that is a solution is SOLVED, and returned as it is."""
     problem = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])
     found = solve(problem, name, z0=[2.5, 0.0], max_iterations=1)

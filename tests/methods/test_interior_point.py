@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import product
 from typing import Any
 
@@ -35,7 +34,7 @@ def random_matrix(kind: str, n: int, rng: np.random.Generator) -> Any:
 @pytest.mark.parametrize("bounds", [False, True])
 @pytest.mark.parametrize("storage", ["dense", "sparse"])
 @pytest.mark.parametrize("kind", ["definite", "rank-deficient", "nonsymmetric", "skew", "zero"])
-def test_solves_monotone_problems(kind: str, storage: str, bounds: bool) -> None:
+def test_solves_monotone_problems(kind, storage, bounds):
     """Every monotone problem with a known answer is solved to 1e-10, degenerate rows included."""
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -55,9 +54,7 @@ def test_solves_monotone_problems(kind: str, storage: str, bounds: bool) -> None
 
 @pytest.mark.parametrize("condition", [1e2, 1e6, 1e8])
 @pytest.mark.parametrize("active", [0.3, 0.7])
-def test_ill_conditioned_dense_problem_is_solved_to_rounding(
-    condition: float, active: float
-) -> None:
+def test_ill_conditioned_dense_problem_is_solved_to_rounding(condition, active):
     """Dense SPD, n = 200: z is off by rounding times the condition."""
     n, rng = 200, np.random.default_rng(1)
     vectors, _ = np.linalg.qr(rng.standard_normal((n, n)))
@@ -89,14 +86,14 @@ def wall(side: int, seed: int) -> LCP:
 
 @pytest.mark.parametrize("algorithm", ["auto", "interior_point"])
 @pytest.mark.parametrize(("side", "seed"), [(4, 1), (5, 0), (5, 3), (5, 5)])
-def test_contacts_of_a_wall_that_hardly_moves(side: int, seed: int, algorithm: str) -> None:
+def test_contacts_of_a_wall_that_hardly_moves(side, seed, algorithm):
     """A run on singular active sets finds one of many z, which passes the rule of SOLVED in rational arithmetic."""
     problem = wall(side, seed)
     assert failures(problem, solve(problem, algorithm).require_solved().z) == []
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_linear_programs_agree_with_highs(seed: int) -> None:
+def test_linear_programs_agree_with_highs(seed):
     """P = 0, redundant equalities, a degenerate vertex: the objective is that of HiGHS."""
     rng = np.random.default_rng(seed)
     n, m = 20, 12
@@ -113,7 +110,7 @@ def test_linear_programs_agree_with_highs(seed: int) -> None:
     assert abs(solution.objective - truth) <= 1e-8 * (1.0 + abs(truth))
 
 
-def test_unsolvable_problem_ends_by_itself() -> None:
+def test_unsolvable_problem_ends_by_itself():
     """Where w = −1 whatever z ≥ 0 is, the run ends without success and without a limit."""
     result = solve(LCP(np.zeros((2, 2)), [-1.0, 1.0]), InteriorPoint())
     assert result.status is not Status.SOLVED
@@ -121,7 +118,7 @@ def test_unsolvable_problem_ends_by_itself() -> None:
 
 
 @pytest.mark.parametrize("n", [20, 200])
-def test_where_m_is_not_monotone_the_run_ends_by_itself(n: int) -> None:
+def test_where_m_is_not_monotone_the_run_ends_by_itself(n):
     """The program is not convex: few steps, and a status that tells what was reached."""
     rng = np.random.default_rng(n)
     problem = LCP(rng.standard_normal((n, n)), rng.standard_normal(n))
@@ -130,7 +127,7 @@ def test_where_m_is_not_monotone_the_run_ends_by_itself(n: int) -> None:
     assert result.status in (Status.STALLED, Status.SOLVED)
 
 
-def test_few_equations_hide_no_error() -> None:
+def test_few_equations_hide_no_error():
     """Residuals of few equations more than barely consistent, z ≥ 0: every w is 0 at the answer."""
     rng = np.random.default_rng(1)
     A, x = rng.standard_normal((300, 600)), rng.standard_normal(600) * (rng.random(600) < 0.1)
@@ -139,7 +136,7 @@ def test_few_equations_hide_no_error() -> None:
     assert solve(LCP(0.5 * (P + P.T), -A.T @ b), "interior_point").status is Status.SOLVED
 
 
-def test_a_dense_matrix_without_signs_is_not_copied_into_a_sparse_one() -> None:
+def test_a_dense_matrix_without_signs_is_not_copied_into_a_sparse_one():
     """Nonsymmetric, and skew with a positive diagonal: no signs, and only dense entries are read."""
     A = np.random.default_rng(98).standard_normal((300, 300))
     for M in (A, A - A.T + 1e-3 * np.eye(300)):
@@ -149,7 +146,7 @@ def test_a_dense_matrix_without_signs_is_not_copied_into_a_sparse_one() -> None:
         assert "csr" not in vars(matrix)
 
 
-def test_signs_of_dense_and_sparse_matrices_agree(draws: Callable[..., range]) -> None:
+def test_signs_of_dense_and_sparse_matrices_agree(draws):
     """Symmetric matrices with rows of random signs, some entries replaced: the same signs or none in both storages."""
     found = set()
     for seed in draws(240, 4):
@@ -171,7 +168,7 @@ def test_signs_of_dense_and_sparse_matrices_agree(draws: Callable[..., range]) -
 
 
 @pytest.mark.parametrize("unit", [1.0, 3.0])
-def test_a_zero_sum_game_has_the_value_of_its_linear_program(unit: float) -> None:
+def test_a_zero_sum_game_has_the_value_of_its_linear_program(unit):
     """A large game with B = u − t A has the value by HiGHS: a term per row of B has no influence."""
     rng = np.random.default_rng(100)
     A = rng.integers(-5, 6, (160, 150)).astype(float)
@@ -188,9 +185,7 @@ def test_a_zero_sum_game_has_the_value_of_its_linear_program(unit: float) -> Non
 
 
 @pytest.mark.parametrize("units", [(1.0, 1.0), (1e-6, 1e6), (1.0, 1e7)])
-def test_a_program_with_an_equation_is_recognized_in_any_units_of_its_row_and_multiplier(
-    units: tuple[float, float],
-) -> None:
+def test_a_program_with_an_equation_is_recognized_in_any_units_of_its_row_and_multiplier(units):
     """A body pressed by a given force, in SI units: K p − δ + g ≥ 0 and a sum of p: its program, by PIQP alone."""
     m, size, E = 18, 1e-2, 2e11
     h, s = size / m, (np.arange(m) + 0.5) * size / m - 0.5 * size

@@ -42,16 +42,14 @@ def gap_of(agent: Any) -> float | None:
 @pytest.mark.parametrize("start", [None, -1.0, 0.3])
 @pytest.mark.parametrize("form", ["entries", "sums"])
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_an_agent_stays_in_the_domain_of_its_functions(
-    name: str, form: str, start: float | None
-) -> None:
+def test_an_agent_stays_in_the_domain_of_its_functions(name, form, start):
     """From any start, the agent has the value of Clarabel for f(u) + |u − 1|² / 9 − y sum(u) / 4, y = 1 outside."""
     z, y = cp.Variable(2, bounds=[-3, 3]), cp.Variable()
     y.value = 1.0
     z.value = None if start is None else np.full(2, start)
     u = z if form == "entries" else np.array([[1.0, 0.5], [-0.25, 1.0]]) @ z
 
-    def program(other: Any) -> Any:
+    def program(other):
         goal = FUNCTIONS[name](u) + cp.sum_squares(u - 1) / 9 - other * cp.sum(u) / 4
         return cp.Problem(cp.Minimize(goal), [cp.sum(z) >= -1])
 
@@ -68,7 +66,7 @@ def test_an_agent_stays_in_the_domain_of_its_functions(
     assert value == pytest.approx(reference.value, abs=1e-5)
 
 
-def test_a_portfolio_of_logarithms_has_the_value_of_clarabel() -> None:
+def test_a_portfolio_of_logarithms_has_the_value_of_clarabel():
     """The sum of log(R w), whose gradient is finite beyond the domain: once the default start led outside."""
     returns = 1.05 + 0.3 * np.random.default_rng(0).standard_normal((20, 3))
     w = cp.Variable(3, bounds=[-5, 5])
@@ -82,7 +80,7 @@ def test_a_portfolio_of_logarithms_has_the_value_of_clarabel() -> None:
 
 
 @pytest.mark.parametrize("start", [21.0, -50.0])
-def test_a_logarithm_next_to_wide_bounds_has_its_maximum(start: float) -> None:
+def test_a_logarithm_next_to_wide_bounds_has_its_maximum(start):
     """10 log(y) − y has its maximum at 10."""
     y = cp.Variable(bounds=[-100, 5000], value=start)
     agent = optimal(cp.Problem(cp.Maximize(10 * cp.log(y) - y)), over=[y])
@@ -90,7 +88,7 @@ def test_a_logarithm_next_to_wide_bounds_has_its_maximum(start: float) -> None:
     assert float(y.value) == pytest.approx(10.0)
 
 
-def test_a_leader_gets_no_answer_outside_of_the_domain() -> None:
+def test_a_leader_gets_no_answer_outside_of_the_domain():
     """The follower max log(y) − (1 + t) y answers 1 / (1 + t); the leader's least y is 1/3."""
     y, t = cp.Variable(bounds=[-5, 5]), cp.Variable(bounds=[0, 2])
     agent = optimal(cp.Problem(cp.Maximize(cp.log(y) - cp.multiply(1 + t, y))), over=[y])
@@ -99,7 +97,7 @@ def test_a_leader_gets_no_answer_outside_of_the_domain() -> None:
     assert (agent.gap() or 0.0) <= 1e-5
 
 
-def test_a_cube_has_the_domain_of_the_rules_of_cvxpy() -> None:
+def test_a_cube_has_the_domain_of_the_rules_of_cvxpy():
     """y³ is convex for y ≥ 0: min y³ − y on [−1, 1] is at 1/√3, not at the maximum −1/√3."""
     y = cp.Variable(bounds=[-1, 1], value=-0.5)
     agent = optimal(cp.Problem(cp.Minimize(y**3 - y)), over=[y])
@@ -107,7 +105,7 @@ def test_a_cube_has_the_domain_of_the_rules_of_cvxpy() -> None:
     assert float(y.value) == pytest.approx(1 / np.sqrt(3))
 
 
-def test_the_boundary_of_a_domain_may_be_the_optimum() -> None:
+def test_the_boundary_of_a_domain_may_be_the_optimum():
     """Min (z₀ + z₁)³ + z₀ with z ≥ −1 − k is where z₀ + z₁ = 0, a condition with a multiplier."""
     z = cp.Variable(2, bounds=[-3, 3], value=np.ones(2))
     agent = optimal(
@@ -121,7 +119,7 @@ def test_the_boundary_of_a_domain_may_be_the_optimum() -> None:
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_the_gap_outside_of_a_domain_is_infinite_and_says_so(name: str) -> None:
+def test_the_gap_outside_of_a_domain_is_infinite_and_says_so(name):
     """At u = −1 the function is not defined; a warning names the condition."""
     z = cp.Variable(2, bounds=[-3, 3])
     agent = optimal(cp.Problem(cp.Minimize(FUNCTIONS[name](z) + cp.sum(z))), over=[z])
@@ -130,7 +128,7 @@ def test_the_gap_outside_of_a_domain_is_infinite_and_says_so(name: str) -> None:
         assert agent.gap() == np.inf
 
 
-def test_rounding_at_the_boundary_is_not_outside() -> None:
+def test_rounding_at_the_boundary_is_not_outside():
     """At −1e-18 the powers have the values of 0, and the logarithm has none."""
     y = cp.Variable(bounds=[-1, 1], value=-1e-18)
     root = optimal(cp.Problem(cp.Minimize(cp.power(y, 1.5) + y)), over=[y])
@@ -139,7 +137,7 @@ def test_rounding_at_the_boundary_is_not_outside() -> None:
         assert optimal(cp.Problem(cp.Maximize(cp.log(y) - y)), over=[y]).gap() == np.inf
 
 
-def test_functions_of_other_agents_have_the_values_that_they_have() -> None:
+def test_functions_of_other_agents_have_the_values_that_they_have():
     """q³ of another variable is a number for the agent: min y² − q³ y at q = −1 is y = −1/2."""
     y, q = cp.Variable(), cp.Variable()
     agent = optimal(cp.Problem(cp.Minimize(cp.square(y) - cp.multiply(q**3, y))), over=[y])

@@ -42,7 +42,7 @@ def cournot(n: int, sold: Any, a: float, b: float, cost: Any) -> list[Any]:
 
 @pytest.mark.parametrize("form", ["scalars", "entries"])
 @pytest.mark.parametrize("n", [1, 2, 5])
-def test_cournot_has_its_closed_form(n: int, form: str) -> None:
+def test_cournot_has_its_closed_form(n, form):
     """x_i = (a − c_i − Σ_j (c_i − c_j)) / (b (n + 1)) if all firms are active."""
     cost = np.linspace(1.0, 2.0, n)
     one = cp.Variable(n, nonneg=True)
@@ -76,7 +76,7 @@ def oligopoly(form: str) -> tuple[list[Any], Any]:
 
 
 @pytest.mark.parametrize("form", ["product", "disciplined"])
-def test_the_oligopoly_of_murphy_sherali_and_soyster_is_the_published_one(form: str) -> None:
+def test_the_oligopoly_of_murphy_sherali_and_soyster_is_the_published_one(form):
     """As a product with check="local", and in a form that cvxpy's rules accept; no warning is issued."""
     agents, sold = oligopoly(form)
     with warnings.catch_warnings():
@@ -88,7 +88,7 @@ def test_the_oligopoly_of_murphy_sherali_and_soyster_is_the_published_one(form: 
         assert all(gap is not None and gap <= 1e-4 for gap in gaps)  # Clarabel's values
 
 
-def test_an_income_that_is_not_known_to_be_concave_causes_one_warning() -> None:
+def test_an_income_that_is_not_known_to_be_concave_causes_one_warning():
     """The same oligopoly without check="local": the conditions are only necessary."""
     x, y = cp.Variable(nonneg=True, value=1.0), cp.Variable(nonneg=True, value=1.0)
     firms = [cp.Problem(cp.Maximize(cp.multiply(one, cp.exp(-x - y)))) for one in (x, y)]
@@ -103,7 +103,7 @@ def test_an_income_that_is_not_known_to_be_concave_causes_one_warning() -> None:
         problem.solve(method="LCP")
 
 
-def test_the_bilevel_program_of_pyomo_has_the_value_of_bard() -> None:
+def test_the_bilevel_program_of_pyomo_has_the_value_of_bard():
     """The leader minimizes x − 4y, the follower y: −12 at (4, 4), proved."""
     x, y = cp.Variable(), cp.Variable()
     rows = [-x - y <= -3, -2 * x + y <= 0, 2 * x + y <= 12, 3 * x - 2 * y <= 4]
@@ -113,7 +113,7 @@ def test_the_bilevel_program_of_pyomo_has_the_value_of_bard() -> None:
     np.testing.assert_allclose([x.value, y.value], 4.0, atol=1e-6)
 
 
-def test_the_bilevel_program_of_bards_book_has_its_value() -> None:
+def test_the_bilevel_program_of_bards_book_has_its_value():
     """(x − 5)² + (2y + 1)² over a follower with (y − 1)² − 1.5 x y: 17 at (1, 0), proved."""
     x, y = cp.Variable(nonneg=True), cp.Variable()
     rows = [y >= 0, 3 * x - y >= 3, -x + 0.5 * y >= -4, -x - y >= -7]
@@ -135,7 +135,7 @@ def shared_row(is_shared: bool) -> tuple[Any, Any, Any, list[Any]]:
     return x, y, row, agents
 
 
-def test_a_shared_constraint_gives_the_variational_equilibrium() -> None:
+def test_a_shared_constraint_gives_the_variational_equilibrium():
     """The agents min x² − 8x and min y² − 6y with x + y ≤ 4 have (2.5, 1.5), and one multiplier of 3."""
     x, y, row, agents = shared_row(is_shared=True)
     solved(agents)
@@ -144,7 +144,7 @@ def test_a_shared_constraint_gives_the_variational_equilibrium() -> None:
     assert [float(one.dual_value[0]) for one in agents] == pytest.approx([3.0, 3.0])
 
 
-def test_a_constraint_that_is_not_shared_has_a_multiplier_of_each_agent() -> None:
+def test_a_constraint_that_is_not_shared_has_a_multiplier_of_each_agent():
     """One of many generalized equilibria is returned: no agent could gain."""
     x, y, _, agents = shared_row(is_shared=False)
     solved(agents)
@@ -162,7 +162,7 @@ SHARED_BY_TWO = {
 
 
 @pytest.mark.parametrize("form", SHARED_BY_TWO)
-def test_agents_with_entries_of_one_vector_share_a_row_that_holds_their_entries(form: str) -> None:
+def test_agents_with_entries_of_one_vector_share_a_row_that_holds_their_entries(form):
     """Two of three agents share x₀ + x₁ ≤ 4; the third one has no entry in it, and its own minimum."""
     x = cp.Variable(3, value=np.ones(3))
     row = SHARED_BY_TWO[form](x)
@@ -179,7 +179,7 @@ def test_agents_with_entries_of_one_vector_share_a_row_that_holds_their_entries(
 
 
 @pytest.mark.parametrize("cap", [np.inf, np.array([1.0, np.inf])], ids=["number", "array"])
-def test_an_infinite_bound_is_no_bound(cap: Any) -> None:
+def test_an_infinite_bound_is_no_bound(cap):
     """The minimum of ‖x − 3‖² with x ≤ cap is min(3, cap); the dual value of an infinite bound is 0."""
     x = cp.Variable(2)
     program = cp.Problem(cp.Minimize(cp.sum_squares(x - 3)), [x <= cap, 2 * x >= -np.inf])
@@ -209,7 +209,7 @@ INFINITE = {
 
 
 @pytest.mark.parametrize("name", INFINITE)
-def test_a_row_with_an_infinite_constant_is_left_out(name: str) -> None:
+def test_a_row_with_an_infinite_constant_is_left_out(name):
     """The minimum of ‖x − t‖² has the prices of the rows with a finite side only; without such a row 0 is the price."""
     target, row, prices = INFINITE[name]
     x = cp.Variable(2)
@@ -250,14 +250,14 @@ v**2 <= np.inf → only affine inequalities
 cp.abs(v) <= -np.inf → only affine inequalities
 v == np.inf → v == inf in an agent's program
 """)
-def test_an_infinite_bound_that_excludes_or_hides_values_is_refused(call: str, words: str) -> None:
+def test_an_infinite_bound_that_excludes_or_hides_values_is_refused(call, words):
     """No finite v satisfies v ≥ ∞; the message has the user's constraint."""
     call = f"solved([optimal(cp.Problem(cp.Minimize((v - 3) ** 2), [{call}]), over=[v])])"
     names = {**globals(), "v": cp.Variable(name="v")}
     assert_refused(call, words, names, UnsupportedModel)
 
 
-def test_the_gap_of_a_program_that_is_not_convex_is_known_where_its_least_value_is_zero() -> None:
+def test_the_gap_of_a_program_that_is_not_convex_is_known_where_its_least_value_is_zero():
     """(x² − y)² at (3, 4) is 25, and 0 at (2, 4)."""
     x, y = cp.Variable(value=3.0), cp.Variable(value=4.0)
     goal = cp.Minimize(cp.square(cp.square(x) - y))
@@ -267,7 +267,7 @@ def test_the_gap_of_a_program_that_is_not_convex_is_known_where_its_least_value_
         assert best.gap() == pytest.approx(gain, abs=1e-6)
 
 
-def test_a_shared_constraint_must_be_jointly_convex() -> None:
+def test_a_shared_constraint_must_be_jointly_convex():
     """The row x y ≤ 4 is affine for each agent, and not convex for both."""
     x, y = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
     row = cp.multiply(x, y) <= 4
@@ -308,7 +308,7 @@ def programs_with(y: Any) -> tuple[dict[str, Any], Any]:
 
 
 @pytest.mark.parametrize("kind", programs_with(1.0)[0])
-def test_an_agent_has_the_optimum_and_the_dual_values_of_clarabel(kind: str) -> None:
+def test_an_agent_has_the_optimum_and_the_dual_values_of_clarabel(kind):
     """Kinks at the optimum, equalities, bounds, entropy and other smooth terms; an equation outside determines y."""
     programs, x = programs_with(cp.Parameter(value=1.5, nonneg=True))
     program = cp.Problem(cp.Minimize(programs[kind][0]), programs[kind][1])
@@ -330,7 +330,7 @@ def test_an_agent_has_the_optimum_and_the_dual_values_of_clarabel(kind: str) -> 
     assert 0.0 <= gap <= 1e-6
 
 
-def test_dual_values_of_a_maximum_are_those_of_its_minimization() -> None:
+def test_dual_values_of_a_maximum_are_those_of_its_minimization():
     """The dual value of z ≤ 1 in max 4z − z² is 2; the wider of two bounds has 0, and 2z ≤ 2 has 1."""
     z = cp.Variable(bounds=[-5, 7])
     firm = cp.Problem(cp.Maximize(4 * z - z**2), [z <= 1, z <= 3, 2 * z >= -3])
@@ -343,7 +343,7 @@ def test_dual_values_of_a_maximum_are_those_of_its_minimization() -> None:
     assert float(halved.dual_value[0]) == pytest.approx(1.0)
 
 
-def test_a_program_without_an_objective_is_a_feasibility_problem() -> None:
+def test_a_program_without_an_objective_is_a_feasibility_problem():
     """Any feasible point is optimal, and all dual values are 0."""
     x, y = cp.Variable(2), cp.Variable()
     best = optimal(cp.Problem(cp.Minimize(0), [x[0] >= 1, cp.sum(x) == y]), over=[x])
@@ -351,7 +351,7 @@ def test_a_program_without_an_objective_is_a_feasibility_problem() -> None:
     assert [float(one) for one in best.dual_value] == pytest.approx([0.0, 0.0])
 
 
-def test_a_bound_by_another_agents_variable_is_a_constraint_with_a_multiplier() -> None:
+def test_a_bound_by_another_agents_variable_is_a_constraint_with_a_multiplier():
     """With x ≤ y y = 1 of another agent: x = 1 and the multiplier 2."""
     x, y = cp.Variable(), cp.Variable()
     first = optimal(cp.Problem(cp.Minimize((x - 2) ** 2), [x <= y]), over=[x])
@@ -360,7 +360,7 @@ def test_a_bound_by_another_agents_variable_is_a_constraint_with_a_multiplier() 
     assert float(first.dual_value[0]) == pytest.approx(2.0)
 
 
-def test_dependent_constraints_have_some_multipliers() -> None:
+def test_dependent_constraints_have_some_multipliers():
     """The same row three times: the multipliers are not unique, and their sum is."""
     x, y = cp.Variable(2), cp.Variable()
     rows = [cp.sum(x) <= y, 2 * cp.sum(x) <= 2 * y, x[0] + x[1] <= y]
@@ -394,7 +394,7 @@ TERMS = {
 
 
 @pytest.mark.parametrize("name", TERMS)
-def test_the_gradient_of_a_smooth_term_agrees_with_differences(name: str) -> None:
+def test_the_gradient_of_a_smooth_term_agrees_with_differences(name):
     """By central differences of cvxpy's values; rounding and the step's square bound the error."""
     at = np.array([0.7, 1.3, 2.1])
     term = cp.sum(cp.multiply(np.arange(1.0, TERMS[name].size + 1), TERMS[name]))
@@ -410,7 +410,7 @@ def test_the_gradient_of_a_smooth_term_agrees_with_differences(name: str) -> Non
 
 
 @pytest.mark.parametrize("form", ["sum_squares", "quad_form", "products", "expanded"])
-def test_the_conditions_of_quadratic_programs_are_an_lcp(form: str) -> None:
+def test_the_conditions_of_quadratic_programs_are_an_lcp(form):
     """However the quadratic objective is written, and with bilinear terms of other agents."""
     P, A = np.array([[2.0, 1.0], [1.0, 3.0]]), np.array([[1.0, -1.0], [2.0, 0.5], [0.0, 1.0]])
     x, y = cp.Variable(2), cp.Variable(3)
@@ -429,7 +429,7 @@ def test_the_conditions_of_quadratic_programs_are_an_lcp(form: str) -> None:
 # --- economies and games ---
 
 
-def test_walras_prices_are_those_of_cobb_and_douglas() -> None:
+def test_walras_prices_are_those_of_cobb_and_douglas():
     """Two consumers with log utility and a linear producer: p = 1 for the numeraire, p₂ = its unit cost."""
     own, share = np.array([[4.0, 1.0], [2.0, 3.0]]), np.array([[0.3, 0.7], [0.4, 0.6]])
     price, made = cp.Variable(nonneg=True, value=1.0), cp.Variable(nonneg=True, value=1.0)
@@ -457,7 +457,7 @@ def test_walras_prices_are_those_of_cobb_and_douglas() -> None:
     assert all((one.gap() or 0.0) <= 1e-6 for one in (*consumers, producer))
 
 
-def test_a_polymatrix_game_of_three_players_has_an_equilibrium() -> None:
+def test_a_polymatrix_game_of_three_players_has_an_equilibrium():
     """Each player mixes 3 strategies; the payoff is a sum of bilinear terms: no player could gain."""
     rng = np.random.default_rng(4)
     x = [cp.Variable(3, nonneg=True) for _ in range(3)]
@@ -472,7 +472,7 @@ def test_a_polymatrix_game_of_three_players_has_an_equilibrium() -> None:
     assert max(gaps) <= 1e-7
 
 
-def test_price_takers_may_share_a_vector() -> None:
+def test_price_takers_may_share_a_vector():
     """Price takers in one program: marginal costs equal the price that clears the market."""
     cost = np.array([1.0, 2.0, 4.0, 9.0])
     x, p = cp.Variable(4, nonneg=True), cp.Variable(nonneg=True)
@@ -489,7 +489,7 @@ def test_price_takers_may_share_a_vector() -> None:
 # --- leaders, parameters and other constraints ---
 
 
-def test_a_constraint_on_a_follower_couples_it_with_the_leader() -> None:
+def test_a_constraint_on_a_follower_couples_it_with_the_leader():
     """The leader minimizes the tax for which the follower sells at most 1: 2; without an objective any is found."""
     tax, sold = cp.Variable(bounds=[0, 4]), cp.Variable(nonneg=True)
     firm = optimal(cp.Problem(cp.Maximize((3 - tax) * sold - cp.square(sold) / 2)), over=[sold])
@@ -507,7 +507,7 @@ def test_a_constraint_on_a_follower_couples_it_with_the_leader() -> None:
     ],
     ids=["infeasible", "unbounded"],
 )
-def test_a_follower_without_an_optimum_is_infeasible(goal: Any, rows: Any) -> None:
+def test_a_follower_without_an_optimum_is_infeasible(goal, rows):
     """An infeasible or unbounded program has no optimality conditions: the model is infeasible, with a proof."""
     x, y = cp.Variable(), cp.Variable()
     best = optimal(cp.Problem(cp.Minimize(goal(x, y)), rows(x, y)), over=[x])
@@ -519,7 +519,7 @@ def test_a_follower_without_an_optimum_is_infeasible(goal: Any, rows: Any) -> No
         best.gap()
 
 
-def test_parameters_move_an_equilibrium_as_its_derivative_states() -> None:
+def test_parameters_move_an_equilibrium_as_its_derivative_states():
     """By capacity and cost: derivative agrees with solves, trace with a piecewise affine path."""
     x, y = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
     cap, cost = cp.Parameter(value=2.0), cp.Parameter(value=1.0)
@@ -540,7 +540,7 @@ def test_parameters_move_an_equilibrium_as_its_derivative_states() -> None:
     assert float(agents[0].dual_value[0]) == 0.0
 
 
-def test_bounds_of_decisions_may_be_parameters_and_attributes() -> None:
+def test_bounds_of_decisions_may_be_parameters_and_attributes():
     """The tightest of an attribute with a parameter, of a constraint on one entry and of a constraint on all."""
     low, high = cp.Parameter(2, value=[0.5, 1.5]), cp.Parameter(nonneg=True, value=3.0)
     try:
@@ -559,7 +559,7 @@ def test_bounds_of_decisions_may_be_parameters_and_attributes() -> None:
     assert [float(best.dual_value[k]) for k in (0, 2)] == pytest.approx([0.0, 0.8])
 
 
-def test_an_agent_is_copied_and_pickled() -> None:
+def test_an_agent_is_copied_and_pickled():
     """The problem that pickle returns has the same solution."""
     sold = [cp.Variable(nonneg=True) for _ in range(2)]
     problem = cp.Problem(cp.Minimize(0), cournot(2, sold, 10.0, 1.0, [1.0, 1.0]))
@@ -569,7 +569,7 @@ def test_an_agent_is_copied_and_pickled() -> None:
         assert values == pytest.approx([3.0, 3.0])
 
 
-def test_a_smooth_terms_convexity_uses_the_signs_of_others() -> None:
+def test_a_smooth_terms_convexity_uses_the_signs_of_others():
     """The term y exp(x) is convex for y ≥ 0, which an attribute, a constraint outside or another program states."""
     for place in ("attribute", "outside", "program"):
         x, y = cp.Variable(value=0.0), cp.Variable(nonneg=place == "attribute", value=1.0)
@@ -588,18 +588,18 @@ def test_a_smooth_terms_convexity_uses_the_signs_of_others() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 3, 10])
-def test_no_agent_of_a_random_market_could_gain(seed: int) -> None:
+def test_no_agent_of_a_random_market_could_gain(seed):
     """Quadratic and smooth ones; Clarabel solves the agents' programs of the first and of the last."""
     assert campaign.market(seed) == ""
 
 
 @pytest.mark.full
-def test_many_random_markets_and_bilevel_programs_have_no_fault() -> None:
+def test_many_random_markets_and_bilevel_programs_have_no_fault():
     """A tenth of the campaign, with proofs."""
     assert list(campaign.faults(range(20), range(6))) == []
 
 
-def test_a_gap_is_measured_at_values_that_the_user_sets() -> None:
+def test_a_gap_is_measured_at_values_that_the_user_sets():
     """The least value of |x − 1| + x²/2 is 1/2: at 3 the gain is 6, at −1 it is 2; violations count."""
     x = cp.Variable()
     best = optimal(cp.Problem(cp.Minimize(cp.abs(x - 1) + x**2 / 2), [cp.abs(x) <= 2]), over=[x])
@@ -616,7 +616,7 @@ def test_a_gap_is_measured_at_values_that_the_user_sets() -> None:
 
 @pytest.mark.parametrize("margin", [0.0, 4e-16, 1.8e-15, -1.8e-15, 1e-10, 0.1, -0.1])
 @pytest.mark.parametrize("form", ["one", "chain", "kink"])
-def test_a_trader_with_constant_returns_gains_nothing_by_rounding(form: str, margin: float) -> None:
+def test_a_trader_with_constant_returns_gains_nothing_by_rounding(form, margin):
     """A margin at the rounding level of its prices gains 0; a tenth gains without limit, or its loss at 1.5 units."""
     price, made = cp.Variable(value=2 + margin), cp.Variable(2, nonneg=True, value=[1.5, 3.0])
     profit, rows = {
@@ -659,16 +659,14 @@ agent(cp.sum_squares(z), over=[z[-1], z[2]]) → lists var\d+ twice
 agent(cp.sum_squares(z), over=[z, z]) → lists var\d+ twice
 agent(x**2, over=[x], check="none") → InvalidOption: local
 """)
-def test_a_program_that_has_no_conditions_raises_an_error_that_names_the_part(
-    call: str, words: str
-) -> None:
+def test_a_program_that_has_no_conditions_raises_an_error_that_names_the_part(call, words):
     """What is not an agent's program, decision or constraint: when it is stated, or when it is solved."""
     names = {**globals(), "x": cp.Variable(), "y": cp.Variable(), "z": cp.Variable(3)}
     assert_refused(call, words, names, UnsupportedModel)
 
 
 @pytest.mark.parametrize("attribute", ["integer", "boolean"])
-def test_integer_decisions_have_no_conditions(attribute: str) -> None:
+def test_integer_decisions_have_no_conditions(attribute):
     """They belong to the leader."""
     x = cp.Variable(**{attribute: True})
     with pytest.raises(UnsupportedModel, match="no optimality conditions"):
@@ -679,7 +677,7 @@ def test_integer_decisions_have_no_conditions(attribute: str) -> None:
     assert float(x.value) == pytest.approx(1.0)
 
 
-def test_cvxpy_names_the_call_that_solves_agents() -> None:
+def test_cvxpy_names_the_call_that_solves_agents():
     """Without method="LCP" the model is not convex by cvxpy's rules."""
     x = cp.Variable()
     problem = cp.Problem(cp.Minimize(0), [optimal(cp.Problem(cp.Minimize(x**2)), over=[x])])
@@ -688,7 +686,7 @@ def test_cvxpy_names_the_call_that_solves_agents() -> None:
         problem.solve()
 
 
-def test_a_parameter_that_makes_a_program_concave_warns_at_the_next_solve() -> None:
+def test_a_parameter_that_makes_a_program_concave_warns_at_the_next_solve():
     """Min c x² + x/10 is convex for c = 1; with c = −1 the same model issues the warning of a new one."""
     c, x = cp.Parameter(value=1.0), cp.Variable(bounds=[-1, 1])
     best = optimal(cp.Problem(cp.Minimize(c * cp.square(x) + 0.1 * x)), over=[x])
@@ -700,7 +698,7 @@ def test_a_parameter_that_makes_a_program_concave_warns_at_the_next_solve() -> N
         problem.solve(method="LCP")
 
 
-def test_a_growing_agent_is_stated_in_proportion_to_its_size() -> None:
+def test_a_growing_agent_is_stated_in_proportion_to_its_size():
     """Twice the periods of a growth model take about twice the calls: bounds are read once, and not for each term."""
     calls = []
     for T in (10, 20):

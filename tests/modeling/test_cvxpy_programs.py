@@ -24,7 +24,7 @@ def hinge_loss() -> Any:
 
 
 @pytest.mark.parametrize("first", [None, cp.CLARABEL, cp.SCS], ids=str)
-def test_a_hinge_loss_has_its_minimum(first: Any) -> None:
+def test_a_hinge_loss_has_its_minimum(first):
     """The hinge loss is 0.017347 from the first solve and after another solver's, where bounds are inferred or not."""
     problem = hinge_loss()
     if first is not None:
@@ -46,7 +46,7 @@ def test_a_hinge_loss_has_its_minimum(first: Any) -> None:
     ids=str,
 )
 @pytest.mark.parametrize("turned", [cp.Minimize, cp.Maximize])
-def test_attributes_of_one_s_own_variables_hold(kind: dict[str, Any], turned: Any) -> None:
+def test_attributes_of_one_s_own_variables_hold(kind, turned):
     """Minima and maxima over variables of every attribute are Clarabel's, with constants and parameters about."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # cvxpy's words about sparse values
@@ -61,7 +61,7 @@ def test_attributes_of_one_s_own_variables_hold(kind: dict[str, Any], turned: An
 
 
 @pytest.mark.parametrize("name", ["lp_bound_attr", "qp_bound_attr"])
-def test_cvxpy_s_own_bounded_programs_are_solved(name: str) -> None:
+def test_cvxpy_s_own_bounded_programs_are_solved(name):
     """Programs of cvxpy's with bounds as attributes have their values; that they arrive as bounds is not wanted."""
     helpers = pytest.importorskip("cvxpy.tests.solver_test_helpers")
     if not hasattr(helpers, name):
@@ -98,7 +98,7 @@ PROBLEMS = {"optimal": losses, "infeasible": impossible, "unbounded": endless}
 
 @pytest.mark.parametrize("how", [{"solver": QPSolver}, {"method": "LCP"}], ids=["solver", "method"])
 @pytest.mark.parametrize("status", PROBLEMS)
-def test_extra_stats_have_one_shape(status: str, how: dict[str, Any]) -> None:
+def test_extra_stats_have_one_shape(status, how):
     """extra_stats is a Result with status and infeasibility, whatever became of the program."""
     problem = PROBLEMS[status]()
     problem.solve(**how)
@@ -113,7 +113,7 @@ def test_extra_stats_have_one_shape(status: str, how: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("q", [-1.0, 1.0])
-def test_extra_stats_of_complementarity_have_the_same_shape(q: float) -> None:
+def test_extra_stats_of_complementarity_have_the_same_shape(q):
     """The same names for a complementarity problem: solved, and proved to have no solution."""
     x = cp.Variable()
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, -x - q >= 0)])
@@ -141,7 +141,7 @@ def refused() -> dict[str, tuple[Any, str]]:
 
 
 @pytest.mark.parametrize("name", refused())
-def test_a_refusal_has_its_reason(name: str) -> None:
+def test_a_refusal_has_its_reason(name):
     """A cone program or one with integers is refused by the name of what is neither quadratic nor linear."""
     problem, reason = refused()[name]
     with pytest.raises(SolverError, match=reason):
@@ -150,7 +150,7 @@ def test_a_refusal_has_its_reason(name: str) -> None:
         problem.solve(solver=QPSolver)
 
 
-def test_a_quadratic_objective_outside_of_cvxpys_rules_is_told_two_ways() -> None:
+def test_a_quadratic_objective_outside_of_cvxpys_rules_is_told_two_ways():
     """DCPError names optimal(…), which solves it, and QuadraticProgram; another objective has cvxpy's text alone."""
     x, L = cp.Variable(2), np.diag([2.0, 1.0])
     problem = cp.Problem(cp.Minimize(x.T @ L @ (x - 1)), [x >= 0])

@@ -337,7 +337,7 @@ u.Y + cp.Variable((4, 4), name="b", integer=True) → variable b has the attribu
 u.Y + cp.Variable((4, 4), name="b", complex=True) → variable b has the attribute 'complex'
 u.Y + cp.Variable((4, 4), name="b", PSD=True) → variable b has the attribute 'PSD'
 """)
-def test_what_is_no_affine_map_is_refused_by_name(call: str, words: str) -> None:
+def test_what_is_no_affine_map_is_refused_by_name(call, words):
     """The error names the culprit, not the whole expression, and says what to do."""
     names = {**globals(), "u": Unknowns()}
     assert_refused(f"affine_map({call})", words, names, UnsupportedModel)

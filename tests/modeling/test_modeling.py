@@ -28,7 +28,7 @@ def model(*constraints: Any, **options: Any) -> Any:
     return problem
 
 
-def test_plain_pair_in_either_order() -> None:
+def test_plain_pair_in_either_order():
     """complements(x >= 0, F >= 0) and the sides exchanged give the LCP's z and w, status, value and statistics."""
     for swap in (False, True):
         x = cp.Variable(3)
@@ -45,7 +45,7 @@ def test_plain_pair_in_either_order() -> None:
         assert pair.value()
 
 
-def test_inner_inequalities_carry_the_duals_of_a_quadratic_program() -> None:
+def test_inner_inequalities_carry_the_duals_of_a_quadratic_program():
     """X >= 0 gets w and F >= 0 gets x, as a quadratic program's multipliers would be."""
     x = cp.Variable(3)
     bound, function = x >= 0, M @ x + Q >= 0
@@ -54,7 +54,7 @@ def test_inner_inequalities_carry_the_duals_of_a_quadratic_program() -> None:
     np.testing.assert_allclose(function.dual_value, PLAIN.z, atol=1e-10)
 
 
-def test_box_and_upper_bounds_have_the_sign_of_a_mixed_problem() -> None:
+def test_box_and_upper_bounds_have_the_sign_of_a_mixed_problem():
     """F ≤ 0 at an upper bound: box(x, l, u), x <= u with F <= 0 and attributes agree."""
     lower, upper = np.array([-1.0, -np.inf, 0.0]), np.array([0.25, np.inf, 0.25])
     expected = solve(LCP(M, Q, lower=lower, upper=upper), "pgs", tolerance=1e-13)
@@ -76,7 +76,7 @@ def test_box_and_upper_bounds_have_the_sign_of_a_mixed_problem() -> None:
     np.testing.assert_allclose(z.value, above.z, atol=1e-11)
 
 
-def test_obstacle_matrix_shaped_and_n_dimensional() -> None:
+def test_obstacle_matrix_shaped_and_n_dimensional():
     """complements(X >= psi, F(X) >= 0) with a matrix variable, and with a 3-D one where cvxpy has them."""
     psi = np.array([[1.0, -1.0], [0.5, 0.0], [-2.0, 0.25]])
     X = cp.Variable((3, 2))
@@ -93,7 +93,7 @@ def test_obstacle_matrix_shaped_and_n_dimensional() -> None:
     )
 
 
-def test_slices_scalars_and_several_pairs_of_one_variable() -> None:
+def test_slices_scalars_and_several_pairs_of_one_variable():
     """Slices of one variable in different pairs, and a scalar variable, make one problem."""
     x = cp.Variable(3)
     F = M @ x + Q
@@ -104,7 +104,7 @@ def test_slices_scalars_and_several_pairs_of_one_variable() -> None:
     assert s.value == pytest.approx(2.5)
 
 
-def test_free_variables_take_equations() -> None:
+def test_free_variables_take_equations():
     """A free variable with G == 0, paired or as a plain equality row, whose dual value is that variable."""
     for paired in (True, False):
         x, y = cp.Variable(3, nonneg=True), cp.Variable()
@@ -117,7 +117,7 @@ def test_free_variables_take_equations() -> None:
         assert row.dual_value == pytest.approx(y.value)
 
 
-def test_two_affine_sides_get_a_slack() -> None:
+def test_two_affine_sides_get_a_slack():
     """A x + a ≥ 0 ⟂ B x + b ≥ 0 without a variable side is solved through a slack."""
     x = cp.Variable(2)
     A, B = np.array([[3.0, 1.0], [0.0, 2.0]]), np.array([[2.0, 0.5], [0.5, 3.0]])
@@ -128,7 +128,7 @@ def test_two_affine_sides_get_a_slack() -> None:
     assert pair.violation() < 1e-9
 
 
-def test_parameters_dpp_or_not() -> None:
+def test_parameters_dpp_or_not():
     """Parameters in q and in M, also as a product of two, are evaluated at every solve."""
     a, b, c = cp.Parameter(), cp.Parameter(), cp.Parameter(3)
     x = cp.Variable(3)
@@ -141,7 +141,7 @@ def test_parameters_dpp_or_not() -> None:
         )
 
 
-def test_parameter_without_value_is_named() -> None:
+def test_parameter_without_value_is_named():
     """A parameter that has no value is named in the error."""
     c = cp.Parameter(3, name="load")
     x = cp.Variable(3)
@@ -149,7 +149,7 @@ def test_parameter_without_value_is_named() -> None:
         model(complements(x >= 0, M @ x + c >= 0))
 
 
-def test_second_solve_starts_from_the_first() -> None:
+def test_second_solve_starts_from_the_first():
     """A repeated solve begins at the present values; warm_start=False does not."""
     x = cp.Variable(3)
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + Q >= 0)])
@@ -161,7 +161,7 @@ def test_second_solve_starts_from_the_first() -> None:
     assert problem.solver_stats.num_iters == first
 
 
-def test_copies_of_a_model_are_models() -> None:
+def test_copies_of_a_model_are_models():
     """Copy, deepcopy and pickle of a problem with complementarities solve to the same values."""
     x = cp.Variable(3)
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + Q >= 0)])
@@ -174,7 +174,7 @@ def test_copies_of_a_model_are_models() -> None:
     assert not is_complementarity_problem(cp.Problem(cp.Minimize(x[0]), [x >= 0]))
 
 
-def test_limits_keep_the_values_and_warn() -> None:
+def test_limits_keep_the_values_and_warn():
     """An iteration limit gives user_limit with the best values and a warning that names it."""
     x = cp.Variable(3)
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + Q >= 0)])
@@ -184,7 +184,7 @@ def test_limits_keep_the_values_and_warn() -> None:
     assert x.value is not None
 
 
-def test_divergence_is_a_solver_error_with_advice() -> None:
+def test_divergence_is_a_solver_error_with_advice():
     """A run that diverges raises cvxpy's SolverError with our advice."""
     x = cp.Variable(2)
     problem = cp.Problem(
@@ -194,7 +194,7 @@ def test_divergence_is_a_solver_error_with_advice() -> None:
         problem.solve(method="LCP", algorithm="npgs")
 
 
-def test_a_proved_lack_of_solutions_is_a_status_with_its_proof() -> None:
+def test_a_proved_lack_of_solutions_is_a_status_with_its_proof():
     """A model without solution is infeasible for cvxpy and has a proof but no values; then q may change."""
     x, q = cp.Variable(2), cp.Parameter(2, value=[-1.0, -1.0])
     inner = x >= 0
@@ -211,7 +211,7 @@ def test_a_proved_lack_of_solutions_is_a_status_with_its_proof() -> None:
     assert problem.status == cp.OPTIMAL
 
 
-def test_plain_solve_names_the_method() -> None:
+def test_plain_solve_names_the_method():
     """A DCPError of cvxpy is raised for problem.solve() without a method, and names it."""
     x = cp.Variable(3)
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, M @ x + Q >= 0)])
@@ -240,13 +240,13 @@ model(with_other_bounds(cp.Variable(3, nonneg=True))) → other bounds
 model(complements(cp.SOC(x[0], x[1:]), x >= 0)) → a cone, and the other is
 model(complements(box(x, 0, 1), x == 1)) → needs an expression
 """)
-def test_models_beyond_complementarity_are_refused(call: str, words: str) -> None:
+def test_models_beyond_complementarity_are_refused(call, words):
     """Models that are not complementarity problems raise errors with the remedy."""
     assert_refused(call, words, {**globals(), "x": cp.Variable(3)}, UnsupportedModel)
 
 
 @pytest.mark.parametrize("goal", [lambda x: 0, lambda x: 0 * cp.sum(x)])
-def test_rows_and_bounds_without_a_pair_are_taken_with_any_objective(goal: Any) -> None:
+def test_rows_and_bounds_without_a_pair_are_taken_with_any_objective(goal):
     """Rows and bounds without a pair start the search; LCP.from_cvxpy raises an error."""
     x, z, bounded = cp.Variable(2), cp.Variable(2), cp.Variable(nonneg=True)
     rows = np.array([[2.0, 1.0], [1.0, 2.0]]) @ x + [-5.0, 1.0]
@@ -264,7 +264,7 @@ def test_rows_and_bounds_without_a_pair_are_taken_with_any_objective(goal: Any) 
         LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [pair, z >= 0.2]))
 
 
-def test_an_objective_states_no_single_lcp() -> None:
+def test_an_objective_states_no_single_lcp():
     """LCP.from_cvxpy rejects an objective with complementarity, and the message names solve."""
     x = cp.Variable(3, name="x")
     with pytest.raises(
@@ -274,7 +274,7 @@ def test_an_objective_states_no_single_lcp() -> None:
         LCP.from_cvxpy(cp.Problem(cp.Minimize(cp.sum(x)), [pair_of(x)]))
 
 
-def test_a_bound_beyond_the_doubles_is_refused_by_its_side() -> None:
+def test_a_bound_beyond_the_doubles_is_refused_by_its_side():
     """The side that states it is named."""
     x = cp.Variable(name="x")
     problem = cp.Problem(cp.Minimize(0), [complements(1e-200 * x >= 1e200, 1e200 * x - 1 >= 0)])
@@ -283,7 +283,7 @@ def test_a_bound_beyond_the_doubles_is_refused_by_its_side() -> None:
 
 
 @pytest.mark.full
-def test_the_method_is_known_after_a_modeling_name() -> None:
+def test_the_method_is_known_after_a_modeling_name():
     """The first use of a name for models registers method="LCP", and no import hook remains."""
     code = """
 import sys
@@ -303,7 +303,7 @@ print('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS, sys.meta_path == before)
         "import cvxpy as cp, lcp_plugin.modeling",
     ],
 )
-def test_a_plain_program_is_solved_with_the_method_after_the_imports(then: str) -> None:
+def test_a_plain_program_is_solved_with_the_method_after_the_imports(then):
     """In either order the imports register the method without loading the models, and no import hook remains."""
     code = (
         f"import sys\nbefore = list(sys.meta_path)\n{then}\nassert sys.meta_path == before\n"
@@ -325,7 +325,7 @@ ROUND_TRIPS = {
 
 
 @pytest.mark.parametrize("name", ROUND_TRIPS)
-def test_round_trip_through_cvxpy(name: str) -> None:
+def test_round_trip_through_cvxpy(name):
     """from_cvxpy(to_cvxpy(LCP)) has the same M, q and bounds, and solves to the same z."""
     problem = ROUND_TRIPS[name]
     back = LCP.from_cvxpy(problem.to_cvxpy())
@@ -344,14 +344,14 @@ def test_round_trip_through_cvxpy(name: str) -> None:
 
 
 @pytest.mark.parametrize("swap", [False, True])
-def test_diagonal_functions_are_not_taken_for_variables(swap: bool) -> None:
+def test_diagonal_functions_are_not_taken_for_variables(swap):
     """If F is a multiple of one unknown, both orders of the arguments are equivalent."""
     lower, upper = np.array([0.0, -1.0, 0.5]), np.array([1.0, np.inf, 0.75])
     d, q = np.array([2.0, 3.0, 4.0]), np.array([-1.0, 6.0, -8.0])
     expected = solve(LCP(np.diag(d), q, lower=lower, upper=upper), "pgs", tolerance=1e-13)
     plain = solve(LCP(np.diag(d), q), "pgs", tolerance=1e-13)
 
-    def pair(first: Any, second: Any) -> Any:
+    def pair(first, second):
         return complements(second, first) if swap else complements(first, second)
 
     x, y = cp.Variable(3), cp.Variable(3, nonneg=True)
@@ -374,7 +374,7 @@ def test_diagonal_functions_are_not_taken_for_variables(swap: bool) -> None:
     np.testing.assert_allclose(w.value, plain.z, atol=1e-11)
 
 
-def test_violation_is_the_natural_residual_of_any_form() -> None:
+def test_violation_is_the_natural_residual_of_any_form():
     """The violation is ‖x − mid(l, u, x − F)‖ at any values, for attributes and slices."""
     x = cp.Variable(3, nonneg=True)
     x.value = np.array([0.5, 0.0, 2.0])
@@ -417,7 +417,7 @@ def defined_below_its_bound() -> Any:
         (defined_below_its_bound, "infeasible"),
     ],
 )
-def test_bounds_that_no_pair_states_hold(make: Any, status: str) -> None:
+def test_bounds_that_no_pair_states_hold(make, status):
     """Solutions satisfy bounds without a pair, or none exists; from_cvxpy names the entry."""
     problem = cp.Problem(cp.Minimize(0), make())
     problem.solve(method="LCP")
@@ -443,7 +443,7 @@ def pair_of_named(has_bound_x: bool, has_bound_w: bool) -> tuple[Any, Any, Any]:
         (True, lambda x, w: complements(w, x)),
     ],
 )
-def test_a_bound_that_a_pair_implies_may_be_stated(has_bound_x: bool, state: Any) -> None:
+def test_a_bound_that_a_pair_implies_may_be_stated(has_bound_x, state):
     """W == M @ x + q with w declared nonneg is the model that it is without the attribute."""
     for has_bound_w in (False, True):
         x, w, equation = pair_of_named(has_bound_x, has_bound_w)
@@ -456,7 +456,7 @@ def test_a_bound_that_a_pair_implies_may_be_stated(has_bound_x: bool, state: Any
 @pytest.mark.parametrize(
     ("value", "expected"), [(lambda h: 0.0, [2.5, 0.0, 0.0]), (lambda h: h[0] + 1, [2.5, 0.0, 3.5])]
 )
-def test_a_bound_that_an_equation_implies_may_be_stated(value: Any, expected: list[float]) -> None:
+def test_a_bound_that_an_equation_implies_may_be_stated(value, expected):
     """complements(h[:2], …) with the rest of h given by an equation that keeps its bounds; each way to write it."""
     for write in (lambda h: h, lambda h: h >= 0):
         h = cp.Variable(3, nonneg=True)
@@ -468,7 +468,7 @@ def test_a_bound_that_an_equation_implies_may_be_stated(value: Any, expected: li
 
 
 @pytest.mark.parametrize("sense", [cp.Minimize, cp.Maximize])
-def test_an_equation_outside_the_bounds_is_infeasible(sense: Any) -> None:
+def test_an_equation_outside_the_bounds_is_infeasible(sense):
     """h[2] == −1 with h nonneg has no solution: +∞ of Minimize, −∞ of Maximize, with a proof."""
     h = cp.Variable(3, nonneg=True, name="h")
     problem = cp.Problem(sense(0), [complements(h[:2], h[:2] - 1), h[2] == -1])
@@ -477,7 +477,7 @@ def test_an_equation_outside_the_bounds_is_infeasible(sense: Any) -> None:
     assert problem.solver_stats.extra_stats.verify()
 
 
-def test_pairing_does_not_depend_on_the_order_of_constraints() -> None:
+def test_pairing_does_not_depend_on_the_order_of_constraints():
     """A variable in two pairs: each order has the one solution y = 1, x = 0 of y ⟂ x, y ⟂ 2 x + y − 1."""
     x, y = cp.Variable(), cp.Variable()
     pairs = [complements(y >= 0, x >= 0), complements(y >= 0, 2 * x + y - 1 >= 0)]
@@ -494,7 +494,7 @@ def test_pairing_does_not_depend_on_the_order_of_constraints() -> None:
 
 
 @pytest.mark.parametrize("other", [lambda x: x - 1, lambda x: -x + 1])
-def test_a_forgotten_nonneg_is_warned_of(other: Any) -> None:
+def test_a_forgotten_nonneg_is_warned_of(other):
     """A pair complements(x, F) without bounds of x means F == 0, with a warning at the call."""
     x = cp.Variable(2, name="x")
     problem = cp.Problem(cp.Minimize(0), [complements(x, other(x))])
@@ -517,7 +517,7 @@ def test_a_forgotten_nonneg_is_warned_of(other: Any) -> None:
         lambda x: x == 1,
     ],
 )
-def test_what_is_meant_is_not_warned_of(state: Any) -> None:
+def test_what_is_meant_is_not_warned_of(state):
     """A free variable with == 0, a box, a bound or infinite bounds raise no warning."""
     x = cp.Variable(2)
     assert cp.Problem(cp.Minimize(0), [state(x)]).solve(method="LCP") == 0.0
@@ -525,14 +525,14 @@ def test_what_is_meant_is_not_warned_of(state: Any) -> None:
     assert cp.Problem(cp.Minimize(0), [complements(free, free - 1)]).solve(method="LCP") == 0.0
 
 
-def test_an_inequality_opposite_two_bounds_is_refused() -> None:
+def test_an_inequality_opposite_two_bounds_is_refused():
     """F >= 0 with a box would be violated at the upper bound; the error recommends F."""
     x = cp.Variable(2)
     with pytest.raises(UnsupportedModel, match="F instead of F >= 0"):
         model(complements(box(x, 0, 1), x - 3 >= 0))
 
 
-def test_upper_bound_opposite_an_expression_has_the_sign_of_the_readme() -> None:
+def test_upper_bound_opposite_an_expression_has_the_sign_of_the_readme():
     """complements(x <= 1, F): at the upper bound F ≤ 0; so with any multiple of x, and for violation()."""
     for side in (lambda x: x <= 1, lambda x: 3 - 3 * x >= 0):
         x = cp.Variable()
@@ -544,7 +544,7 @@ def test_upper_bound_opposite_an_expression_has_the_sign_of_the_readme() -> None
         model(complements(cp.sum(x) + 2 * cp.square(x) >= 0, x - 3))
 
 
-def test_order_and_sign_of_equations_do_not_matter() -> None:
+def test_order_and_sign_of_equations_do_not_matter():
     """Equations in any order and with either sign are matched so that the iteration converges."""
     A = np.array([[2.0, 0.5, 0.1], [0.5, 2.0, 0.5], [0.1, 0.5, 2.0]])
     for flip in (1.0, -1.0):
@@ -556,7 +556,7 @@ def test_order_and_sign_of_equations_do_not_matter() -> None:
             np.testing.assert_allclose(F.value[1:], 0.0, atol=1e-9)
 
 
-def test_a_bound_is_a_number_or_a_parameter() -> None:
+def test_a_bound_is_a_number_or_a_parameter():
     """A variable, a text, NaN or a complex number as a bound raises an error at once."""
     x, y = cp.Variable(2), cp.Variable(value=0.5)
     for wrong in (y, "a", np.nan, 1j):
@@ -564,7 +564,7 @@ def test_a_bound_is_a_number_or_a_parameter() -> None:
             model(complements(box(x, wrong, 2), x - 1))
 
 
-def test_parameters_of_a_box_belong_to_the_problem() -> None:
+def test_parameters_of_a_box_belong_to_the_problem():
     """A parameter as a bound is among problem.parameters() and is evaluated at every solve."""
     x, low = cp.Variable(2), cp.Parameter(value=-1.0)
     problem = cp.Problem(cp.Minimize(0), [complements(box(x, low, 2), x + 5)])
@@ -587,7 +587,7 @@ complements([True, False, True], x) → Booleans
 box(None, 0, 1) → not a cvxpy expression
 complements(p.constraints[0], x) → is complements\(.*\); it must be an
 """)
-def test_misuse_is_told(call: str, words: str) -> None:
+def test_misuse_is_told(call, words):
     """Unsupported methods, flags and objects raise errors with a message."""
     x = cp.Variable(3, value=np.zeros(3))
     names = {**globals(), "x": x, "p": cp.Problem(cp.Minimize(0), [pair_of(x)])}
@@ -595,7 +595,7 @@ def test_misuse_is_told(call: str, words: str) -> None:
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_one_expression_in_two_boxes_keeps_the_bounds_of_each(order: int) -> None:
+def test_one_expression_in_two_boxes_keeps_the_bounds_of_each(order):
     """Two pairs of the same expression object with different bounds hold both, for variables and sums of them."""
     x, u = cp.Variable(), cp.Variable()
     pairs = [complements(box(x, 0, 1), x - 3), complements(box(x, 0, 2), x + u - 5)]
@@ -618,7 +618,7 @@ def test_one_expression_in_two_boxes_keeps_the_bounds_of_each(order: int) -> Non
     assert max(pair.violation() for pair in pairs) <= 1e-10
 
 
-def test_a_variable_of_several_pairs_is_warned_of() -> None:
+def test_a_variable_of_several_pairs_is_warned_of():
     """Five pairs of x next to four free unknowns are solved, and a warning names x; without them the error does."""
     x, u = cp.Variable(name="x"), [cp.Variable() for _ in range(4)]
     pairs = [complements(x >= 0, x - 1 >= 0)]
@@ -629,7 +629,7 @@ def test_a_variable_of_several_pairs_is_warned_of() -> None:
         model(complements(x >= 0, x - 1 >= 0), complements(x >= 0, x - 2 >= 0))
 
 
-def test_an_equation_that_fixes_a_variable_of_a_pair_is_named() -> None:
+def test_an_equation_that_fixes_a_variable_of_a_pair_is_named():
     """Next to a pair of x, x[1] == 2 has no unknown of its own: the advice is a box, not a market."""
     x = cp.Variable(3, name="x")
     with pytest.raises(UnsupportedModel, match=r"box\(x\[1\], 2, 2\)"):
@@ -639,14 +639,14 @@ def test_an_equation_that_fixes_a_variable_of_a_pair_is_named() -> None:
 
 
 @pytest.mark.parametrize(("sign", "status"), [(-1.0, "infeasible"), (1.0, "optimal")])
-def test_a_market_without_a_pair_is_named(sign: float, status: str) -> None:
+def test_a_market_without_a_pair_is_named(sign, status):
     """An unknown with bounds and without a pair is any value, and a warning names it, whether the run fails or not."""
     x = cp.Variable(2, name="x", nonneg=True)
     with pytest.warns(ModelWarning, match=rf"{status}: .*without a complementarity \(x\[1\]\)"):
         model(complements(x[0] >= 0, sign * cp.sum(x) - 1 >= 0))
 
 
-def test_keywords_of_cvxpys_compilation_are_taken() -> None:
+def test_keywords_of_cvxpys_compilation_are_taken():
     """A pair, an equilibrium with an objective and a program accept what every solver of cvxpy accepts."""
     x = cp.Variable(2, nonneg=True)
     pair = complements(x >= 0, x - np.array([1.0, -1.0]) >= 0)
@@ -682,7 +682,7 @@ ATTRIBUTES: dict[str, tuple[dict[str, Any], float]] = {  # and the point nearest
 
 
 @pytest.mark.parametrize("name", ATTRIBUTES)
-def test_the_attributes_of_variables_are_bounds_in_every_kind_of_model(name: str) -> None:
+def test_the_attributes_of_variables_are_bounds_in_every_kind_of_model(name):
     """The point nearest to t is t or the bound between: as a pair, an agent, a program and an equilibrium."""
     given, end = ATTRIBUTES[name]
     for t in (1.0, -1.0):
@@ -733,9 +733,7 @@ def market(signs: dict[str, Any]) -> cp.Problem:
     ],
     ids=["right", "one row", "a constraint", "ambiguous"],
 )
-def test_a_constraint_with_the_wrong_sign_in_all_rows_is_named(
-    signs: dict[str, Any], words: str
-) -> None:
+def test_a_constraint_with_the_wrong_sign_in_all_rows_is_named(signs, words):
     """A rule typed once for all plants is named as one constraint; a right model has no such line."""
     model = market(signs)
     model.solve(method="LCP", max_seconds=2.0)

@@ -33,7 +33,7 @@ def solved(*constraints: Any, **options: Any) -> Any:
     return problem
 
 
-def test_a_convex_program_over_cones_has_the_same_answer_in_cvxpy() -> None:
+def test_a_convex_program_over_cones_has_the_same_answer_in_cvxpy():
     """Of min ½ zᵀM z + qᵀz over a cone: complementarity is its optimality condition, duals included."""
     M, q = definite(4), RNG.standard_normal(4)
     z = cp.Variable(4)
@@ -52,7 +52,7 @@ def test_a_convex_program_over_cones_has_the_same_answer_in_cvxpy() -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_several_cones_beside_boxes_and_equations_make_one_cone_problem(axis: int) -> None:
+def test_several_cones_beside_boxes_and_equations_make_one_cone_problem(axis):
     """Each pair holds, whatever the order of rows in the model, and a second solve begins at the first."""
     t, X, y, total = cp.Variable(3), cp.Variable((2, 3)), cp.Variable(2), cp.Variable()
     q = RNG.standard_normal((3, 3))
@@ -71,7 +71,7 @@ def test_several_cones_beside_boxes_and_equations_make_one_cone_problem(axis: in
     assert "started from the values" in problem.solver_stats.extra_stats.begun
 
 
-def test_two_cones_of_expressions_complement_each_other() -> None:
+def test_two_cones_of_expressions_complement_each_other():
     """Neither side is entries of variables: a new unknown is, and both constraints get their duals."""
     x = cp.Variable(3)
     A, q = definite(3), RNG.standard_normal(3)
@@ -88,7 +88,7 @@ def test_two_cones_of_expressions_complement_each_other() -> None:
         )
 
 
-def test_friction_in_cvxpy_is_frictional_contact() -> None:
+def test_friction_in_cvxpy_is_frictional_contact():
     """By velocities of bodies as definitions, with parameters for μ and the push; again after they change."""
     J, push, mu = RNG.standard_normal((6, 4)), cp.Parameter(4), cp.Parameter(2)
     r, v = cp.Variable(6), cp.Variable(4)
@@ -107,7 +107,7 @@ def test_friction_in_cvxpy_is_frictional_contact() -> None:
         assert found.motion.touches.shape == (2,)
 
 
-def test_a_plane_contact_has_two_rows() -> None:
+def test_a_plane_contact_has_two_rows():
     """Their d is told by the number of coefficients, or by `dimension`."""
     for given in ({"friction": [0.5]}, {"friction": 0.5, "dimension": 2}):
         r = cp.Variable(2)
@@ -117,7 +117,7 @@ def test_a_plane_contact_has_two_rows() -> None:
         np.testing.assert_allclose(r.value, [1.0, -0.25], atol=1e-7)
 
 
-def test_the_order_of_the_sides_is_free() -> None:
+def test_the_order_of_the_sides_is_free():
     """Of cones and of friction."""
     for side in (lambda r: cp.SOC(r[0], r[1:]), lambda r: friction_cone(r, 1.0)):
         r = cp.Variable(3)
@@ -149,7 +149,7 @@ solved(complements(cp.SOC(t, (z := cp.Variable(2, nonneg=True))), cp.hstack([t, 
 LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [complements(friction_cone(y, 1.0), y - 1)])) → takes no cones
 solved(complements(friction_cone(y, 1.0), y - 1), relaxation=1) → takes no relaxation
 """)
-def test_what_is_no_model_over_cones_is_refused_in_words(call: str, words: str) -> None:
+def test_what_is_no_model_over_cones_is_refused_in_words(call, words):
     """Saying what was given and what is needed."""
     assert_refused(call, words, globals())
 
@@ -188,13 +188,13 @@ def with_boxes(rng: Any) -> tuple[Any, list[Any]]:
 
 @pytest.mark.parametrize("make", [with_friction, with_boxes])
 @pytest.mark.parametrize("seed", range(5))
-def test_gradients_over_cones_agree_with_differences_of_solves(make: Any, seed: int) -> None:
+def test_gradients_over_cones_agree_with_differences_of_solves(make, seed):
     """By friction, by bounds, by what stands in F; of variables and of duals; vjp is jvp transposed."""
     rng = np.random.default_rng(seed)
     problem, parameters = make(rng)
     pair = problem.constraints[0]
 
-    def solved() -> np.ndarray:
+    def solved():
         problem.solve(method="LCP", tolerance=1e-11)
         assert problem.status == "optimal"
         return np.concatenate(

@@ -38,7 +38,7 @@ def solved(constraints: list[Any], **options: Any) -> Any:
 
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize("side", ["w == F", "-3 w == -3 F", "first"])
-def test_a_defined_slack_leaves_the_problem_of_x_alone(side: str, order: int) -> None:
+def test_a_defined_slack_leaves_the_problem_of_x_alone(side, order):
     """A slack w == M x + q beside x ≥ 0 ⟂ w ≥ 0 is the problem (M, q), in either order of the sides."""
     M, q, x_true, w_true = planted()
     x, w = cp.Variable(N, name="x"), cp.Variable(N, name="w")
@@ -56,7 +56,7 @@ def test_a_defined_slack_leaves_the_problem_of_x_alone(side: str, order: int) ->
     np.testing.assert_allclose(np.abs(equation.dual_value), w_true, atol=1e-8)
 
 
-def test_chains_in_any_order() -> None:
+def test_chains_in_any_order():
     """Three definitions u == M x, v == 2 u + 1, w == v + q − 1: all three go, whichever order they are stated in."""
     M, q, x_true, w_true = planted(1)
     x, u, v, w = (cp.Variable(N, name=name) for name in "xuvw")
@@ -72,7 +72,7 @@ def test_chains_in_any_order() -> None:
         np.testing.assert_allclose(v.value, M @ x_true + 1, atol=1e-8)
 
 
-def test_a_box_beside_a_defined_function() -> None:
+def test_a_box_beside_a_defined_function():
     """The value of a defined variable may stand opposite a box, where its sign is free."""
     M, _, _, _ = planted(4)
     z = np.array([-1.0, 1.0, 0.3, -1.0, 1.0, -0.2])
@@ -86,7 +86,7 @@ def test_a_box_beside_a_defined_function() -> None:
     np.testing.assert_allclose(w.value, w_true, atol=1e-8)
 
 
-def test_parameters_and_a_second_solve() -> None:
+def test_parameters_and_a_second_solve():
     """A parameter in the definition has its new value at the second solve, which starts from the first."""
     M, q, x_true, w_true = planted(5)
     shift = cp.Parameter(N, value=np.zeros(N))
@@ -101,7 +101,7 @@ def test_parameters_and_a_second_solve() -> None:
     assert np.abs(x.value - x_true).max() > 0.1
 
 
-def test_a_cycle_of_definitions_is_an_equation() -> None:
+def test_a_cycle_of_definitions_is_an_equation():
     """Two equations u == v + 1 and v == 2 u define each other: u = −1, v = −2, found without a special case."""
     u, v, x = cp.Variable(3), cp.Variable(3), cp.Variable(3)
     solved([u == v + 1, v == 2 * u, complements(x >= 0, 2 * x + v >= 0)])
@@ -110,7 +110,7 @@ def test_a_cycle_of_definitions_is_an_equation() -> None:
     np.testing.assert_allclose(x.value, 1.0, atol=1e-9)
 
 
-def test_a_definition_that_would_fill_the_matrix_stays() -> None:
+def test_a_definition_that_would_fill_the_matrix_stays():
     """A mean that every row uses stays an unknown of its own: the matrix keeps its few entries."""
     n = 400
     x, mean = cp.Variable(n), cp.Variable()
@@ -123,7 +123,7 @@ def test_a_definition_that_would_fill_the_matrix_stays() -> None:
 
 
 @pytest.mark.parametrize("door", ["cvxpy", "pyomo"])
-def test_a_proof_is_about_the_numbers_of_the_model(door: str) -> None:
+def test_a_proof_is_about_the_numbers_of_the_model(door):
     """With t = a x, b t − fl(a b) x ≥ 1 has the solution x = 1/(a b − fl(a b)): no proof may cover such a large x."""
     rng, count = np.random.default_rng(1), 0
     while count < 5:

@@ -56,7 +56,7 @@ def dot(left: list[Any], right: list[Any]) -> float:
 
 @pytest.mark.filterwarnings("ignore:conv is deprecated")
 @pytest.mark.parametrize("name", FORMS)
-def test_every_affine_form_is_differentiated_by_its_parameters(name: str) -> None:
+def test_every_affine_form_is_differentiated_by_its_parameters(name):
     """With parameters in the place of variables the change is M times theirs, and the gradient is Mᵀ's."""
     F = expression(name)
     known, unknowns = Reader().rows(F), ParametersForUnknowns()
@@ -106,7 +106,7 @@ CURVED: dict[str, Callable[[Any], Any]] = {
 
 @pytest.mark.parametrize("held", [(), ("y", "X")], ids=["parameters", "beside variables"])
 @pytest.mark.parametrize("name", CURVED)
-def test_parameters_need_not_enter_affinely(name: str, held: tuple[str, ...]) -> None:
+def test_parameters_need_not_enter_affinely(name, held):
     """The change is that of central differences, and ⟨g, forward(h)⟩ = ⟨backward(g), h⟩."""
     unknowns = ParametersForUnknowns(tuple(leaf for leaf in LEAVES if leaf not in held))
     F = CURVED[name](unknowns)
@@ -144,7 +144,7 @@ def two_unknowns() -> Any:
     return problem, M, q, x
 
 
-def test_gradients_of_dual_values() -> None:
+def test_gradients_of_dual_values():
     """A gradient by a pair is one by w, which jvp returns too."""
     problem, M, q, _ = two_unknowns()
     pair = problem.constraints[0]
@@ -293,9 +293,7 @@ def solved(problem: Any, **options: Any) -> None:
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("make", MODELS, ids=lambda make: make.__name__)
-def test_derivatives_agree_with_differences_of_solves(
-    make: Callable[[Any], Parts], seed: int
-) -> None:
+def test_derivatives_agree_with_differences_of_solves(make, seed):
     """Changes of values and dual values are central differences of tight solves; vjp is the adjoint of jvp."""
     problem, parameters, variables, constraints = make(np.random.default_rng(seed))
     solved(problem)
@@ -324,7 +322,7 @@ def test_derivatives_agree_with_differences_of_solves(
 # --- degenerate, old, copied --------------------------------------------------------------------------------------
 
 
-def test_at_a_kink_vjp_gives_one_piece_and_jvp_one_side() -> None:
+def test_at_a_kink_vjp_gives_one_piece_and_jvp_one_side():
     """Of x = max(−q/2, 0) at q = 0 the gradient is 0 or −1/2, the change that of the side."""
     q, x = cp.Parameter(value=0.0), cp.Variable()
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, 2 * x + q >= 0)])
@@ -335,7 +333,7 @@ def test_at_a_kink_vjp_gives_one_piece_and_jvp_one_side() -> None:
         assert float(found.jvp({q: side})[x]) == change
 
 
-def test_derivatives_are_at_a_solution_of_the_present_parameters() -> None:
+def test_derivatives_are_at_a_solution_of_the_present_parameters():
     """A parameter that has changed since the solve, even in place, is named; the next solve has its derivative."""
     k, q, x = cp.Parameter(value=2.0), cp.Parameter(1, value=[-6.0]), cp.Variable(1)
     upper = cp.Parameter(1, value=[3.0])
@@ -366,7 +364,7 @@ RIGID: tuple[dict[str, Any], ...] = (
 
 
 @pytest.mark.parametrize("attributes", RIGID, ids=lambda attributes: next(iter(attributes)))
-def test_tied_or_discrete_parameters_are_refused(attributes: dict[str, Any]) -> None:
+def test_tied_or_discrete_parameters_are_refused(attributes):
     """Integer, Boolean, complex, symmetric, PSD, diagonal and sparse parameters are refused by name."""
     P, x = cp.Parameter((2, 2), name="rigid", **attributes), cp.Variable(2)
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, cp.real(P) @ x - 1 >= 0)])
@@ -377,7 +375,7 @@ def test_tied_or_discrete_parameters_are_refused(attributes: dict[str, Any]) -> 
 
 
 @pytest.mark.parametrize("given_gradient", [np.ones(3), 1.0, [np.nan, 0.0]], ids=str)
-def test_gradients_and_changes_of_another_shape_are_refused(given_gradient: Any) -> None:
+def test_gradients_and_changes_of_another_shape_are_refused(given_gradient):
     """What is set must be finite numbers of the leaf's own shape."""
     problem, _, q, x = two_unknowns()
     problem.solve(method="LCP")
@@ -400,7 +398,7 @@ def test_gradients_and_changes_of_another_shape_are_refused(given_gradient: Any)
         found.jvp(q=1.0)
 
 
-def test_what_has_no_solution_has_no_derivative() -> None:
+def test_what_has_no_solution_has_no_derivative():
     """Before a solve, after another solver's, of an infeasible model and of a program: refused with a way out."""
     q, x = cp.Parameter(value=1.0), cp.Variable()
     model = cp.Problem(cp.Minimize(0), [complements(x >= 0, -x - q >= 0)])
@@ -418,7 +416,7 @@ def test_what_has_no_solution_has_no_derivative() -> None:
         model.solve(method="LCP", requires_grad=True)
 
 
-def test_atoms_without_a_derivative_are_refused_by_name() -> None:
+def test_atoms_without_a_derivative_are_refused_by_name():
     """A root at 0: the atom, and what to do."""
     p, x = cp.Parameter(value=0.0), cp.Variable()
     problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, x - cp.sqrt(p) - 1 >= 0)])

@@ -128,7 +128,7 @@ def points(seed: int, count: int) -> Any:
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_values_and_derivatives_are_those_of_the_function(name: str) -> None:
+def test_values_and_derivatives_are_those_of_the_function(name):
     """Value and Jacobian agree with numpy's, differentiated along the imaginary axis, up to rounding."""
     program, reference, _, _ = compiled_form(name)
     for v in points(1, 5):
@@ -151,7 +151,7 @@ FAR_OUT: dict[str, tuple[Callable[[Any], Any], list[float]]] = {
 
 
 @pytest.mark.parametrize("name", FAR_OUT)
-def test_atoms_overflow_only_where_their_values_do(name: str) -> None:
+def test_atoms_overflow_only_where_their_values_do(name):
     """At large arguments the value agrees with cvxpy, and the derivatives are finite."""
     form, point = FAR_OUT[name]
     x = cp.Variable(3)
@@ -162,7 +162,7 @@ def test_atoms_overflow_only_where_their_values_do(name: str) -> None:
     assert np.isfinite(derivative.data).all()
 
 
-def test_relative_entropy_is_defined_where_cvxpy_has_it() -> None:
+def test_relative_entropy_is_defined_where_cvxpy_has_it():
     """Terms 0 log 0 and 0 log(0/y) are 0; negative arguments are undefined for every quotient."""
     x = cp.Variable(2)
     for atom in (cp.rel_entr, cp.kl_div):
@@ -174,7 +174,7 @@ def test_relative_entropy_is_defined_where_cvxpy_has_it() -> None:
         assert not np.isfinite(program.value(np.array([-1.0, -1.0]))).any()
 
 
-def test_log_sum_exp_of_thousands_is_solved() -> None:
+def test_log_sum_exp_of_thousands_is_solved():
     """log_sum_exp(x + 5000) + x = 6000 has its solution by hand."""
     x = cp.Variable(2)
     x.value = np.zeros(2)
@@ -184,7 +184,7 @@ def test_log_sum_exp_of_thousands_is_solved() -> None:
     np.testing.assert_allclose(x.value, [other - 1, other], atol=1e-8)
 
 
-def test_nothing_is_known_outside_a_domain() -> None:
+def test_nothing_is_known_outside_a_domain():
     """A point outside of the domain gives no number, and no exception."""
     x = cp.Variable(4)
     program = compiled(cp.hstack([cp.log(x[0]), cp.sqrt(x[1]), 1 / x[2], x[3] ** -1.5]))
@@ -202,7 +202,7 @@ def solved(constraints: list[Any], **options: Any) -> cp.Problem:
 
 @settings.get_profile("few")
 @given(st.integers(0, 2**32 - 1))
-def test_planted_answers_are_found(seed: int) -> None:
+def test_planted_answers_are_found(seed):
     """A monotone F with x and w chosen first, bounds on both sides and free rows: x is found."""
     generator = np.random.default_rng(seed)
     n = 6
@@ -226,7 +226,7 @@ def test_planted_answers_are_found(seed: int) -> None:
     np.testing.assert_allclose(pair.dual_value, w, atol=1e-6)
 
 
-def test_equations_pairs_and_slacks_may_be_nonlinear() -> None:
+def test_equations_pairs_and_slacks_may_be_nonlinear():
     """An equation with a product, a definition, and two nonlinear sides without a variable."""
     x, y, w = cp.Variable(2), cp.Variable(), cp.Variable(2, nonneg=True)
     x.value, y.value, w.value = np.ones(2), 1.0, np.ones(2)
@@ -253,7 +253,7 @@ PAIRS = [(a, b) for a in SIDES for b in SIDES if a != b and (SIDES[a][2] or SIDE
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
-def test_two_sides_may_be_nonlinear(first: str, second: str) -> None:
+def test_two_sides_may_be_nonlinear(first, second):
     """One side is zero at the solution, in either order, and each side is the dual of the other."""
     (G, zero_of_G, rises), (F, zero_of_F, also_rises) = SIDES[first], SIDES[second]
     x = cp.Variable(2)
@@ -270,7 +270,7 @@ def test_two_sides_may_be_nonlinear(first: str, second: str) -> None:
     np.testing.assert_allclose(sides[1].dual_value, G(x).value, atol=1e-9)
 
 
-def test_bounds_beside_two_expressions_hold_and_a_box_may_hold_an_expression() -> None:
+def test_bounds_beside_two_expressions_hold_and_a_box_may_hold_an_expression():
     """Bounds that no pair states are kept by the answer; exp(x) between 1 and 2 complements x − 3: x = ln 2."""
     x, y = cp.Variable(2, nonneg=True), cp.Variable()
     problem = solved([complements(cp.exp(x) >= 1, cp.exp(x) + x >= 4)])
@@ -283,7 +283,7 @@ def test_bounds_beside_two_expressions_hold_and_a_box_may_hold_an_expression() -
     assert float(pair.dual_value) == pytest.approx(math.log(2.0) - 3.0)
 
 
-def test_two_nonlinear_sides_have_derivatives_by_parameters() -> None:
+def test_two_nonlinear_sides_have_derivatives_by_parameters():
     """S = p eˣ − 9 ⟂ F = eˣ − 1: p eˣ = 9, so that dx/dp = −1/p and dF/dp = −9/p²; so with the sides exchanged."""
     for swap in (False, True):
         x, p = cp.Variable(), cp.Parameter(value=3.0)
@@ -296,7 +296,7 @@ def test_two_nonlinear_sides_have_derivatives_by_parameters() -> None:
         assert changed[pair] == pytest.approx(0.0 if swap else -1.0, abs=1e-9)
 
 
-def test_an_exponent_may_become_one_and_another_again() -> None:
+def test_an_exponent_may_become_one_and_another_again():
     """If a parameter makes a power affine, the next value of the parameter is read correctly."""
     x, exponent = cp.Variable(2), cp.Parameter(nonneg=True)
     problem = cp.Problem(
@@ -313,7 +313,7 @@ def test_an_exponent_may_become_one_and_another_again() -> None:
         assert np.allclose(x.value, answer)
 
 
-def test_parameters_are_read_at_every_solve() -> None:
+def test_parameters_are_read_at_every_solve():
     """A coefficient, an exponent and a bound may be parameters, read at each solve."""
     x, factor, exponent, bound = cp.Variable(), cp.Parameter(), cp.Parameter(), cp.Parameter()
     problem = cp.Problem(
@@ -331,7 +331,7 @@ def test_parameters_are_read_at_every_solve() -> None:
         assert x.value == pytest.approx(answer, abs=1e-9)
 
 
-def test_violation_is_measured_on_the_expressions() -> None:
+def test_violation_is_measured_on_the_expressions():
     """After a solve the violation is the residual of F; outside a domain it is NaN, and nothing warns."""
     x = cp.Variable()
     pair = complements(x >= 0, cp.log(x) - 1 >= 0)
@@ -341,7 +341,7 @@ def test_violation_is_measured_on_the_expressions() -> None:
     assert math.isnan(pair.violation())
 
 
-def test_start_is_the_value_of_the_variables() -> None:
+def test_start_is_the_value_of_the_variables():
     """The solution near the start is found; a start where F is not defined is replaced."""
     x = cp.Variable()
     problem = cp.Problem(cp.Minimize(0), [complements(box(x, -10, 10), x**2 - 4)])
@@ -356,7 +356,7 @@ def test_start_is_the_value_of_the_variables() -> None:
     assert x.value == pytest.approx(math.exp(-1))
 
 
-def test_affine_models_stay_lcps() -> None:
+def test_affine_models_stay_lcps():
     """A constant exponential, a product with a parameter and a first power are affine."""
     x, p = cp.Variable(3), cp.Parameter(value=2.0)
     model = build([complements(x >= 0, cp.exp(p) * x + cp.power(x, 1) - cp.square(p) >= 0)])
@@ -383,12 +383,12 @@ cp.Problem(cp.Minimize(0), [complements(cp.exp(X[:1]) >= 1, cp.exp(X[1:]) >= 3)]
 cp.Problem(cp.Minimize(0), [complements(cp.exp(X) - 1, cp.exp(X) - 3)]).solve(method="LCP") → has no sign.*y == side
 cp.Problem(cp.Minimize(0), [complements(X[0] >= 0, cp.exp(X[0]) + X[1] >= 0)]).solve(method="LCP") → 1 unknown without
 """)
-def test_what_is_refused_is_refused_in_words(call: str, words: str) -> None:
+def test_what_is_refused_is_refused_in_words(call, words):
     """The error names the expression and the remedy."""
     assert_refused(call, words, globals(), UnsupportedModel)
 
 
-def test_roads_for_affine_models_refuse_nonlinear_ones() -> None:
+def test_roads_for_affine_models_refuse_nonlinear_ones():
     """LCP.from_cvxpy requires affine sides; a wrong option is named."""
     from lcp_plugin import LCP
 
@@ -400,7 +400,7 @@ def test_roads_for_affine_models_refuse_nonlinear_ones() -> None:
         problem.solve(method="LCP", relaxation=1.7)
 
 
-def test_a_missing_start_is_named() -> None:
+def test_a_missing_start_is_named():
     """If F is undefined at the values, at 0 and at 1, the error recommends another start."""
     x = cp.Variable()
     x.value = -1.0
@@ -409,7 +409,7 @@ def test_a_missing_start_is_named() -> None:
 
 
 @pytest.mark.full
-def test_a_model_without_solution_is_not_called_solved() -> None:
+def test_a_model_without_solution_is_not_called_solved():
     """exp(x) + 1 = 0 has none: the status is honest, and x keeps the best iterate."""
     x = cp.Variable()
     problem = cp.Problem(cp.Minimize(0), [complements(x, cp.exp(x) + 1 == 0)])
@@ -419,7 +419,7 @@ def test_a_model_without_solution_is_not_called_solved() -> None:
     assert x.value is not None
 
 
-def test_a_wrong_rule_is_noticed_and_the_point_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_rule_is_noticed_and_the_point_kept(monkeypatch):
     """An atom whose rule disagrees with cvxpy's value causes a warning, and x keeps the computed point."""
     double = lambda u: 2 * np.exp(u)  # noqa: E731
     wrong = functions.Function("exp", 1, double, lambda u: (double(u),))
@@ -434,7 +434,7 @@ def test_a_wrong_rule_is_noticed_and_the_point_kept(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("d", [1e-8, 1e-10, 1e-12])
 @pytest.mark.parametrize("is_cube", [False, True])
-def test_a_root_at_rounding_level_is_returned(d: float, is_cube: bool) -> None:
+def test_a_root_at_rounding_level_is_returned(d, is_cube):
     """The root d of eˣ − 1 − d, and that of a cube, are returned although cvxpy's values there are rounding errors."""
     x = cp.Variable()
     x.value = 0.0
@@ -448,7 +448,7 @@ def test_a_root_at_rounding_level_is_returned(d: float, is_cube: bool) -> None:
     assert x.value == pytest.approx(d / (3 if is_cube else 1), abs=1e-15, rel=1e-7)
 
 
-def test_a_bearing_whose_oil_thickens_under_pressure() -> None:
+def test_a_bearing_whose_oil_thickens_under_pressure():
     """Viscosity e^(α p): the reduced pressure (1 − e^(−α p))/α solves the linear bearing, cavitation included."""
     n, alpha, eccentricity = 400, 0.5, 0.6
     x = np.linspace(0, 2 * np.pi, n + 2)

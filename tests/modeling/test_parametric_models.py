@@ -1,9 +1,5 @@
 """Paths of problems stated in cvxpy."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -12,7 +8,7 @@ from tools.refusals import assert_refused, refusals
 from lcp_plugin import QPSolver, Status, complements, trace
 
 
-def test_lasso_in_cvxpy_follows_its_penalty() -> None:
+def test_lasso_in_cvxpy_follows_its_penalty():
     """A penalty that is a Parameter: values at θ are those of a solve there."""
     rng = np.random.default_rng(0)
     A, b = rng.standard_normal((20, 6)), rng.standard_normal(20)
@@ -27,7 +23,7 @@ def test_lasso_in_cvxpy_follows_its_penalty() -> None:
     assert path.value(x, [1.0, 2.0]).shape == (2, 6)
 
 
-def test_frontier_in_cvxpy_has_no_end() -> None:
+def test_frontier_in_cvxpy_has_no_end():
     """Risk tolerance times return: from the least risk to the largest return, maximized."""
     rng = np.random.default_rng(1)
     root, mean = rng.standard_normal((5, 5)), rng.random(5)
@@ -41,7 +37,7 @@ def test_frontier_in_cvxpy_has_no_end() -> None:
     assert np.abs(path.value(x, 3.0) - x.value).max() <= 1e-6
 
 
-def test_pairs_follow_a_load() -> None:
+def test_pairs_follow_a_load():
     """A model of complementarities, with a definition that is put in, along a vector parameter."""
     x, y, load = cp.Variable(2), cp.Variable(), cp.Parameter(2, value=[-5.0, 1.0])
     M = np.array([[2.0, 1.0], [1.0, 2.0]])
@@ -55,7 +51,7 @@ def test_pairs_follow_a_load() -> None:
     assert load.value.tolist() == [-5.0, 1.0]
 
 
-def test_infeasible_from_a_value_on() -> None:
+def test_infeasible_from_a_value_on():
     """A budget that is too small from somewhere on."""
     x, need = cp.Variable(2, nonneg=True), cp.Parameter()
     path = trace(
@@ -79,10 +75,10 @@ trace(least(cp.sum_squares(x), cp.sum(x) >= cp.square(p)), p, 0.0, 1.0)
 trace(least(cp.sum_squares(x), cp.sum(x) >= p), p, -1.0, 1.0)
     → InvalidOption: does not accept its value at θ = -1
 """)
-def test_what_is_not_affine_is_refused_in_words(call: str, words: str) -> None:
+def test_what_is_not_affine_is_refused_in_words(call, words):
     """A parameter in a matrix, one that bends, one of another problem, one of several entries, one below its bound."""
 
-    def least(cost: Any, *rows: Any) -> cp.Problem:
+    def least(cost, *rows):
         return cp.Problem(cp.Minimize(cost), list(rows))
 
     x, p, v = cp.Variable(2), cp.Parameter(nonneg=True, value=1.0), cp.Parameter(2)

@@ -68,7 +68,7 @@ MODELS: dict[str, Callable[[], tuple[Any, list[Any]]]] = {
 
 @pytest.mark.parametrize("how", ["solver", "called", "method"])
 @pytest.mark.parametrize("name", MODELS)
-def test_quadratic_programs_agree_with_cvxpy(name: str, how: str) -> None:
+def test_quadratic_programs_agree_with_cvxpy(name, how):
     """Value, x and duals equal those of an accurate cvxpy solver to 1e-6, by solver= and by method=."""
     problem, constraints = MODELS[name]()
     problem.solve(solver=cp.OSQP, eps_abs=1e-10, eps_rel=1e-10, max_iter=200000)
@@ -108,7 +108,7 @@ def parametric(where: str, seed: int) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize("where", ["c", "b", "h", "bound", "G"])
-def test_a_parameter_changes_numbers_only(where: str) -> None:
+def test_a_parameter_changes_numbers_only(where):
     """Solved again with other parameters, a problem has the status, values and duals of a fresh one, there and back."""
     problem, p = parametric(where, 4)
     rng = np.random.default_rng(5)
@@ -129,7 +129,7 @@ def test_a_parameter_changes_numbers_only(where: str) -> None:
                 np.testing.assert_allclose(ours.dual_value, theirs.dual_value, atol=1e-6)
 
 
-def test_a_limit_is_never_called_optimal() -> None:
+def test_a_limit_is_never_called_optimal():
     """A run that ended at a limit is user_limit, however small its residuals beside a huge coefficient."""
     rng, x = np.random.default_rng(0), cp.Variable(30)
     goal = cp.sum_squares(x - rng.standard_normal(30)) + 1e7 * x[0]
@@ -152,7 +152,7 @@ def without_minimum(kind: str, n: int) -> Any:
 
 
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
-def test_the_first_failure_ends_in_a_proof(kind: str) -> None:
+def test_the_first_failure_ends_in_a_proof(kind):
     """A program without minimum gets its status with a proof before other methods are tried; the callback is called."""
     labels = set()
     problem = without_minimum(kind, 90)
@@ -164,7 +164,7 @@ def test_the_first_failure_ends_in_a_proof(kind: str) -> None:
 
 @has_duals
 @pytest.mark.parametrize("sense", [cp.Minimize, cp.Maximize])
-def test_duals_of_an_infeasible_problem_prove_it_and_name_its_constraints(sense: Any) -> None:
+def test_duals_of_an_infeasible_problem_prove_it_and_name_its_constraints(sense):
     """Σ y_i (lhs_i − rhs_i) ≤ 0 of all that holds is a positive constant, as other solvers' multipliers say."""
     x, y = cp.Variable(3, name="x"), cp.Variable(name="y", nonneg=True)
     constraints = [x[0] >= 1, cp.sum(x) <= 0, x >= 0, y <= 3, x[1] + y == 2]
@@ -186,7 +186,7 @@ def test_duals_of_an_infeasible_problem_prove_it_and_name_its_constraints(sense:
 
 
 @has_duals
-def test_a_constraint_that_cannot_hold_is_named() -> None:
+def test_a_constraint_that_cannot_hold_is_named():
     """The proof of |x| ≤ −1 names it, and the rows that cvxpy adds by their numbers."""
     x = cp.Variable(name="x")
     problem = cp.Problem(cp.Minimize(x), [cp.abs(x) <= -1, x >= -5])
@@ -222,9 +222,7 @@ def concave() -> Any:
         (concave, "not convex"),
     ],
 )
-def test_what_is_refused_is_a_solver_error_and_names_a_way_out(
-    made: Callable[[], Any], words: str
-) -> None:
+def test_what_is_refused_is_a_solver_error_and_names_a_way_out(made, words):
     """By method="LCP" with the reason and of both classes; by solver=QPSolver cones and integers in cvxpy's words."""
     for kind in (cp.SolverError, UnsupportedModel):
         with pytest.raises(kind, match=words):
@@ -233,7 +231,7 @@ def test_what_is_refused_is_a_solver_error_and_names_a_way_out(
         made().solve(solver=QPSolver)
 
 
-def test_a_solve_after_a_change_of_the_matrix_has_the_new_optimum() -> None:
+def test_a_solve_after_a_change_of_the_matrix_has_the_new_optimum():
     """Programs of the same matrices are shared between solves; a parameter in a row makes another program."""
     x, row, q = cp.Variable(2), cp.Parameter(2), cp.Parameter(2)
     problem = cp.Problem(cp.Minimize(cp.sum_squares(x) + q @ x), [row @ x >= 1])

@@ -21,7 +21,7 @@ def solved(*constraints: Any, goal: Any = None, **options: Any) -> Any:
     return problem
 
 
-def test_an_affine_map_and_its_row_have_the_values_of_the_arrays() -> None:
+def test_an_affine_map_and_its_row_have_the_values_of_the_arrays():
     """The solution is (1.25, 1.75); the constraint also has the multiplier 3.75."""
     x = cp.Variable(2, nonneg=True)
     row = cp.sum(x) <= 3
@@ -36,14 +36,14 @@ def test_an_affine_map_and_its_row_have_the_values_of_the_arrays() -> None:
     assert gap <= 1e-9
 
 
-def test_the_gap_is_measured_at_the_present_values() -> None:
+def test_the_gap_is_measured_at_the_present_values():
     """At x = 0 with F = q = (−8, −6) the best corner of the simplex is (3, 0): 24."""
     x = cp.Variable(2, nonneg=True, value=[0.0, 0.0])
     inequality = variational(M @ x + Q, over=[x], constraints=[cp.sum(x) <= 3])
     assert inequality.gap() == pytest.approx(24.0)
 
 
-def test_a_smooth_map_of_two_variables_and_a_kink_are_solved() -> None:
+def test_a_smooth_map_of_two_variables_and_a_kink_are_solved():
     """‖x‖₁ ≤ 3 becomes an epigraph; y of a list of expressions is at its bound 1."""
     x, y = cp.Variable(2), cp.Variable()
     F = [M @ x + Q + cp.hstack([x[0] ** 3, 0.0]), cp.exp(y) - 2 * np.e]
@@ -53,7 +53,7 @@ def test_a_smooth_map_of_two_variables_and_a_kink_are_solved() -> None:
     np.testing.assert_allclose(np.hstack(inequality.dual_value), [3.0, np.e], atol=1e-6)
 
 
-def test_a_quasi_variational_inequality_is_the_game_of_harker() -> None:
+def test_a_quasi_variational_inequality_is_the_game_of_harker():
     """Harker (1991): with a copy of x in the rows, (5, 9) or a point between (9, 6) and (10, 5) is a solution."""
     x, copy = cp.Variable(2, bounds=[0, 10]), cp.Variable(2)
     F = np.array([[2.0, 8 / 3], [5 / 4, 2.0]]) @ x - [34.0, 24.25]
@@ -62,7 +62,7 @@ def test_a_quasi_variational_inequality_is_the_game_of_harker() -> None:
     assert np.allclose(x.value, [5, 9]) or (np.isclose(x.value.sum(), 15) and 9 <= x.value[0] <= 10)
 
 
-def test_it_meets_a_pair_an_agent_and_a_leader() -> None:
+def test_it_meets_a_pair_an_agent_and_a_leader():
     """The price of the row is set by a leader who wants sum(x) = 2; an agent follows x."""
     x, y, price = cp.Variable(2, nonneg=True), cp.Variable(), cp.Variable(nonneg=True)
     inequality = variational(M @ x + Q + price, over=[x], constraints=[x <= 5])
@@ -75,7 +75,7 @@ def test_it_meets_a_pair_an_agent_and_a_leader() -> None:
     assert x.value.sum() == pytest.approx(2.0, abs=1e-5)
 
 
-def test_derivatives_by_parameters_of_the_map_and_of_the_set_agree_with_differences() -> None:
+def test_derivatives_by_parameters_of_the_map_and_of_the_set_agree_with_differences():
     """By h of the row, by a slope of F and by a bound."""
     x = cp.Variable(3, nonneg=True)
     h, slope, most = cp.Parameter(value=3.0), cp.Parameter(value=2.0), cp.Parameter(value=0.5)
@@ -94,11 +94,11 @@ def test_derivatives_by_parameters_of_the_map_and_of_the_set_agree_with_differen
 
 
 @pytest.mark.parametrize("kind", ["inequality", "agents"])
-def test_dual_values_of_bounds_and_rows_have_derivatives_by_parameters(kind: str) -> None:
+def test_dual_values_of_bounds_and_rows_have_derivatives_by_parameters(kind):
     """Of constraints that bound single decisions also: jvp agrees with differences, vjp with jvp."""
     cap, cost = cp.Parameter(value=2.0), cp.Parameter(value=1.0)
     if kind == "inequality":
-        x: Any = cp.Variable(3)
+        x = cp.Variable(3)
         rows = [2 * x >= cost * np.arange(3), x <= cap + 0.5, cp.sum(x) <= 9]
         F = np.array([[2, 1, 0], [-1, 2, 0], [0, 1, 3]]) @ x + [-1, 3, -9]
         stated = [variational(F, over=[x], constraints=rows)]
@@ -129,7 +129,7 @@ def test_dual_values_of_bounds_and_rows_have_derivatives_by_parameters(kind: str
 
 
 @pytest.mark.parametrize("is_smooth", [False, True])
-def test_an_empty_set_is_infeasible_with_a_proof(is_smooth: bool) -> None:
+def test_an_empty_set_is_infeasible_with_a_proof(is_smooth):
     """The conflict names both rows; the affine rows of a smooth model suffice."""
     x = cp.Variable(2, nonneg=True)
     rows = [cp.sum(x) <= 3, cp.sum(x) >= 4]
@@ -142,7 +142,7 @@ def test_an_empty_set_is_infeasible_with_a_proof(is_smooth: bool) -> None:
     assert len(result.conflict.names) == 2
 
 
-def test_an_affine_pair_without_solution_makes_a_smooth_model_infeasible() -> None:
+def test_an_affine_pair_without_solution_makes_a_smooth_model_infeasible():
     """The slack −x − 1 of a pair is negative for all x ≥ 0; the other pair is smooth."""
     x, y = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
     pairs = [complements(x >= 0, cp.exp(x) - y >= 0), complements(y >= 0, -x - 1 >= 0)]
@@ -155,7 +155,7 @@ def test_an_affine_pair_without_solution_makes_a_smooth_model_infeasible() -> No
     assert float(y.value) == pytest.approx(2.0)
 
 
-def test_the_constraint_is_copied_and_printed() -> None:
+def test_the_constraint_is_copied_and_printed():
     """Its text is the call."""
     x = cp.Variable(2, name="x")
     inequality = variational(x - [1, 2], over=[x], constraints=[x >= 0])
@@ -181,7 +181,7 @@ X = cp.Variable(2)
         (lambda: variational(X[:1], over=[cp.Variable(1, integer=True)]), "relax it"),
     ],
 )
-def test_a_wrong_call_is_told_what_to_write(call: Any, words: str) -> None:
+def test_a_wrong_call_is_told_what_to_write(call, words):
     """An error with the right call."""
     with pytest.raises(LCPError, match=words):
         call()

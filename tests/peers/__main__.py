@@ -4,8 +4,6 @@
 why; the exit code is 1 where anything does.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

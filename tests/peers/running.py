@@ -72,7 +72,7 @@ def _outcome(call: Callable[[], Any]) -> tuple[str, str]:
     return "passed", ""
 
 
-def tests() -> Iterator[tuple[str, Callable[[], Any]]]:
+def tests():
     """Yield the name of each test and what runs it."""
     yield from _of_cvxpy()
     linprog = import_module("scipy.optimize.tests.test_linprog")

@@ -1,7 +1,5 @@
 """The command that asks cvxpy's and scipy's own tests of this package."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +17,7 @@ COMMAND = [sys.executable, str(Path(__file__).parent)]
         ("no such test", 1, "0 passed"),
     ],
 )
-def test_the_command_runs_what_is_named(name: str, code: int, printed: str) -> None:
+def test_the_command_runs_what_is_named(name, code, printed):
     """Counts of what passed, failed and is not asked; exit code 1 where one fails, or none is named so."""
     done = subprocess.run([*COMMAND, name], capture_output=True, text=True)
     assert done.returncode == code, done.stderr
@@ -27,7 +25,7 @@ def test_the_command_runs_what_is_named(name: str, code: int, printed: str) -> N
 
 
 @pytest.mark.full
-def test_the_tests_of_cvxpy_and_scipy_pass() -> None:
+def test_the_tests_of_cvxpy_and_scipy_pass():
     """All of them, but those that say nothing about this package, each with its reason."""
     done = subprocess.run(COMMAND, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr

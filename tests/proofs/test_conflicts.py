@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -55,7 +54,7 @@ def assert_irreducible(program: QuadraticProgram, conflict: Any) -> None:
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_a_planted_conflict_is_found(seed: int) -> None:
+def test_a_planted_conflict_is_found(seed):
     """Conflicts of 2 to 6 rows among 50 to 2000, with equalities and bounds or without."""
     program, count = planted(seed, int(50 * 40 ** (seed / 29)), 4 + seed)
     conflict = solve(program).conflict
@@ -81,7 +80,7 @@ def planted_in_floats(seed: int, rows: int) -> tuple[QuadraticProgram, list[int]
 
 
 @pytest.mark.parametrize("rows", [50, 200, 800, 1600])
-def test_dense_conflicts_made_in_floats_are_found_to_rounding(rows: int) -> None:
+def test_dense_conflicts_made_in_floats_are_found_to_rounding(rows):
     """The planted rows are named, not 31 rows that conflict exactly; HiGHS finds a point without each of them."""
     program, own = planted_in_floats(4, rows)
     conflict = solve(program).conflict
@@ -91,7 +90,7 @@ def test_dense_conflicts_made_in_floats_are_found_to_rounding(rows: int) -> None
     assert all(is_feasible(program, [i for i in own if i != k]) for k in own)
 
 
-def test_a_conflict_within_a_radius_says_so() -> None:
+def test_a_conflict_within_a_radius_says_so():
     """A singular M in decimals contradicts its loads up to rounding: no infinite bound is named, no point is exact."""
     v = np.array([1.0, 0.1, 0.3])
     conflict = solve(LCP(np.outer(v, v), [1.0, 0.0, 0.0], lower=-np.inf)).conflict
@@ -101,7 +100,7 @@ def test_a_conflict_within_a_radius_says_so() -> None:
     assert 1e8 < conflict.radius < np.inf
 
 
-def test_an_idle_bound_is_no_member() -> None:
+def test_an_idle_bound_is_no_member():
     """The rows 3 x ≤ −2 and −x ≤ −3 conflict, whatever the bounds −1 ≤ x ≤ 2^58 are."""
     program = QuadraticProgram(None, [0.0], [[3.0], [-1.0]], [-2.0, -3.0], lower=-1, upper=2.0**58)
     conflict = solve(program).conflict
@@ -111,7 +110,7 @@ def test_an_idle_bound_is_no_member() -> None:
     assert find_conflict(rows, program.name, y).members == [0, 1]
 
 
-def test_random_conflicts_have_no_idle_member(draws: Callable[[int], range]) -> None:
+def test_random_conflicts_have_no_idle_member(draws):
     """Without any one member of a set, of integers, decimals or any doubles, HiGHS finds a point below 1e7."""
     for seed in draws(200):
         rng = np.random.default_rng(seed)
@@ -147,7 +146,7 @@ PUBLISHED = {  # G x ≤ h, bounds of x, the rows of the published set, and its 
 
 
 @pytest.mark.parametrize("source", PUBLISHED)
-def test_the_published_set_is_found(source: str) -> None:
+def test_the_published_set_is_found(source):
     """Each of these models of textbooks has one irreducible infeasible set."""
     G, h, bounds, members = PUBLISHED[source]
     program = QuadraticProgram(None, np.ones(len(G[0])), G, h, None, None, *bounds)
@@ -156,7 +155,7 @@ def test_the_published_set_is_found(source: str) -> None:
     assert_irreducible(program, conflict)
 
 
-def test_dependent_equalities_are_reduced() -> None:
+def test_dependent_equalities_are_reduced():
     """A proof by three rows, equalities that depend on one another among them, is reduced to two rows."""
     A = [[1.0, 1.0], [2.0, 2.0], [1.0, 1.0], [1.0, -1.0]]
     program = QuadraticProgram(None, [0, 0], A=A, b=[1, 2, 3, 0])
@@ -169,7 +168,7 @@ def test_dependent_equalities_are_reduced() -> None:
     assert (limited.members, limited.is_irreducible) == ([0, 1, 2], False)
 
 
-def test_a_large_program_takes_a_second() -> None:
+def test_a_large_program_takes_a_second():
     """The reduction of a proof with hundreds of rows is cheaper than the search for the proof."""
     program, _ = planted(3, 1000, 200)
     result = solve(program)
@@ -179,7 +178,7 @@ def test_a_large_program_takes_a_second() -> None:
     assert_irreducible(program, conflict)
 
 
-def test_an_lcp_without_signs_names_row_and_bound() -> None:
+def test_an_lcp_without_signs_names_row_and_bound():
     """The row of w and the bound of z conflict; without one of them z exists, in a box and with w ≤ 0 also."""
     conflict = solve(LCP([[-1, 0], [0, 1]], [-1, 2], names=["market", "price"])).conflict
     assert conflict.names == ["w ≥ 0 in market", "market ≥ 0"]
@@ -189,7 +188,7 @@ def test_an_lcp_without_signs_names_row_and_bound() -> None:
     assert upper.verify()
 
 
-def test_cvxpy_lists_what_conflicts_as_written() -> None:
+def test_cvxpy_lists_what_conflicts_as_written():
     """A demand above a capacity: three constraints of the user, in the user's words."""
     ship = cp.Variable(4, name="ship", nonneg=True)
     stated = [

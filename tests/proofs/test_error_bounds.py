@@ -53,7 +53,7 @@ def check(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: Error
     STEPS,
     st.booleans(),
 )
-def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
+def test_bound_holds_for_h_plus(drawn, direction, step, sharp):
     """The bound exceeds the exact error, and rows are classified correctly for H₊-matrices."""
     problem, exact = drawn
     z = near(exact, direction, step)
@@ -63,7 +63,7 @@ def test_bound_holds_for_h_plus(drawn, direction, step, sharp) -> None:
 
 @settings.get_profile("many")
 @given(solved_lcps(positive_definite_matrices(), bounds=True), POINTS, STEPS, st.booleans())
-def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
+def test_bound_holds_for_definite(drawn, direction, step, sharp):
     """The same where M is symmetric positive definite and usually no H₊-matrix."""
     problem, exact = drawn
     z = near(exact, direction, step)
@@ -77,7 +77,7 @@ def test_bound_holds_for_definite(drawn, direction, step, sharp) -> None:
 
 
 @pytest.mark.parametrize("radius", [0.5, 0.99, 0.999])
-def test_reference_point_removes_overestimation(radius) -> None:
+def test_reference_point_removes_overestimation(radius):
     """Bound/error ≤ 1.01 for random signs, also where ⟨M⟩⁻¹|r| exceeds |M⁻¹r| many times."""
     generator = np.random.default_rng(1)
     B = generator.standard_normal((40, 40))
@@ -95,7 +95,7 @@ def test_reference_point_removes_overestimation(radius) -> None:
 
 @settings.get_profile("many")
 @given(h_plus_matrices().map(sp.csr_array), st.integers(-40, 40))
-def test_v_certificate_is_attained(M, exponent) -> None:
+def test_v_certificate_is_attained(M, exponent):
     """For an M-matrix without bounds and z = z* + t v the v-certificate is the error itself."""
     M = sp.csr_array(2.0 * sp.diags_array(M.diagonal()) - abs(M))
     certificate = comparison_certificate(LCP(M, np.zeros(M.shape[0])).matrix)
@@ -107,7 +107,7 @@ def test_v_certificate_is_attained(M, exponent) -> None:
     assert (y <= z * (1.0 + 1e-10)).all()
 
 
-def test_bound_of_the_exact_solution_is_zero() -> None:
+def test_bound_of_the_exact_solution_is_zero():
     """If z = z* and w* has no rounding error, the bounds are 0 and every row is proved."""
     scene = gallery.half_active(n=400, degenerate=False)
     for sharp in (True, False):
@@ -117,7 +117,7 @@ def test_bound_of_the_exact_solution_is_zero() -> None:
         assert (bound.proven_active == (scene.exact == 0.0)).all()
 
 
-def test_large_five_point_matrix() -> None:
+def test_large_five_point_matrix():
     """A bound with n = 90 000 and no zeroth-order term has bound/error ≤ 1.6, all rows proved."""
     scene = gallery.half_active(n=90_000, delta=0.0, degenerate=False)
     z = scene.exact + 1e-7 * np.sin(np.arange(90_000))
@@ -129,7 +129,7 @@ def test_large_five_point_matrix() -> None:
 
 
 @pytest.mark.full
-def test_large_matrix_with_both_signs() -> None:
+def test_large_matrix_with_both_signs():
     """The bound of a large H₊-matrix with both signs is tightened by a Krylov method."""
     generator = np.random.default_rng(0)
     n = 60_000
@@ -148,21 +148,21 @@ def test_large_matrix_with_both_signs() -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("M", [[[2, 1], [1, 2]], [[1, 0.9], [0.9, 1]]])
-def test_no_bound_of_no_number(value, M) -> None:
+def test_no_bound_of_no_number(value, M):
     """NaN or infinite entries of z give the bound ∞ and prove nothing."""
     bound = error_bound(LCP(M, [-5, 1]), [value, 0.0])
     assert bound.infinity == bound.relative == np.inf
     assert not (bound.proven_active | bound.proven_inactive).any()
 
 
-def test_relative_bound_at_zero() -> None:
+def test_relative_bound_at_zero():
     """The relative bound at z = 0 is 0 if z* = 0 is proved, and otherwise ∞."""
     M = [[2.0, 1.0], [1.0, 2.0]]
     assert error_bound(LCP(M, [1, 1]), [0, 0]).relative == 0.0
     assert error_bound(LCP(M, [-1, 1]), [0, 0]).relative == np.inf
 
 
-def test_points_outside_the_bounds() -> None:
+def test_points_outside_the_bounds():
     """A z far outside a box is bounded by its distance to the solution."""
     problem = LCP([[2, -1], [-1, 2]], [-9, 9], lower=-1, upper=1)
     bound = error_bound(problem, [1e6, -1e6])
@@ -170,7 +170,7 @@ def test_points_outside_the_bounds() -> None:
     assert bound.proven_active.all()
 
 
-def test_free_and_fixed_rows_are_known() -> None:
+def test_free_and_fixed_rows_are_known():
     """A free row is inactive and a fixed row active for any z, numbers or not."""
     problem = LCP(np.eye(2) * 3, [-1, 1], lower=[-np.inf, 2], upper=[np.inf, 2])
     for z in ([1e3, 1e3], [np.nan, np.inf]):
@@ -179,14 +179,14 @@ def test_free_and_fixed_rows_are_known() -> None:
         assert bound.proven_active.tolist() == [False, True]
 
 
-def test_empty_problem() -> None:
+def test_empty_problem():
     """A problem without unknowns has error 0."""
     bound = error_bound(LCP(np.zeros((0, 0)), np.zeros(0)), np.zeros(0))
     assert bound.infinity == bound.relative == 0.0
     assert (bound.proven_active | bound.proven_inactive).all()
 
 
-def test_an_unsuitable_matrix_is_rejected() -> None:
+def test_an_unsuitable_matrix_is_rejected():
     """Neither H₊ nor positive definite, or beyond the range: the message names both classes, without a warning."""
     for M in ([[1, 2], [2, 1]], [[1, 0], [5, -2]], [[1e-300, 1e300], [1e300, 1e-300]]):
         with pytest.raises(UnsuitableMatrix, match=r"H₊-matrix.* M was not proven to have either"):
@@ -195,7 +195,7 @@ def test_an_unsuitable_matrix_is_rejected() -> None:
 
 @settings.get_profile("many")
 @given(scaled_symmetric(nearly_semidefinite(2.0**-20), 30), st.booleans())
-def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None:
+def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor):
     """C M C − λ I is positive definite or at least semidefinite, in exact arithmetic, by either factorization."""
     problem = LCP(M, np.zeros(M.shape[0]))
     if by_sparse_factor:
@@ -220,7 +220,7 @@ def test_eigenvalue_bound_is_below_every_eigenvalue(M, by_sparse_factor) -> None
 
 
 @pytest.mark.parametrize("kind", ["dense", "sparse"])
-def test_eigenvalue_bound_is_near(kind) -> None:
+def test_eigenvalue_bound_is_near(kind):
     """The proven bound is at least 0.9 of LAPACK's eigenvalue; a singular matrix gets none."""
     generator = np.random.default_rng(0)
     if kind == "dense":
@@ -248,7 +248,7 @@ DOUBLES = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(
 
 @settings.get_profile("many")
 @given(DOUBLES, DOUBLES)
-def test_rounding_is_upwards(a, b) -> None:
+def test_rounding_is_upwards(a, b):
     """Sums, products and quotients are never below the exact ones, nor more than two units above."""
     exact = [Fraction(a) + Fraction(b), Fraction(a) * Fraction(b)]
     with np.errstate(all="ignore"):
@@ -274,7 +274,7 @@ CIRCULANT = [[4.0, 3.0, 3.0], [3.0, 4.0, 3.0], [3.0, 3.0, 4.0]]  # definite, λ_
 # --- The 2-norm bound ---------------------------------------------------------------------------------------
 
 
-def test_an_exact_residual_counts() -> None:
+def test_an_exact_residual_counts():
     """A z a little above the bound that w keeps it at: r is exact, nothing is blurred, and the bound is not zero."""
     problem = LCP(CIRCULANT, [100.0, 100.0, 100.0])
     bound = error_bound(problem, np.full(3, 0.5), sharp=False)
@@ -286,7 +286,7 @@ def test_an_exact_residual_counts() -> None:
 
 
 @pytest.mark.parametrize("sharp", [True, False])
-def test_the_unit_of_z_changes_nothing(sharp) -> None:
+def test_the_unit_of_z_changes_nothing(sharp):
     """The bound, and the rows that it proves, scale exactly with z and q by 2⁻²⁰ or 2²⁰."""
     rng = np.random.default_rng(0)
     for _ in range(20):

@@ -72,7 +72,7 @@ def refuses(proof: Any) -> bool:
     return not proof.verify() and proof.margin == 0.0 and not proof.excludes(1e-300)
 
 
-def test_a_forged_contradiction_of_an_lcp_is_refused() -> None:
+def test_a_forged_contradiction_of_an_lcp_is_refused():
     """By one row, two rows, and a row with a bound."""
     for M, q in (
         ([[-1.0, 0], [0, 1]], [-1, 2]),
@@ -108,7 +108,7 @@ def with_leaf(tree: Case, leaf: Case, other: Case | None) -> Case:
     )
 
 
-def test_a_forged_tree_of_cases_is_refused() -> None:
+def test_a_forged_tree_of_cases_is_refused():
     """With an open piece, a missing piece, a Farkas vector of another piece, of a changed number or of another sign."""
     problem = LCP([[1.0, -2.0, 1.0], [-3.0, 2.0, -2.0], [1.0, -2.0, 0.0]], [-1.0, 2.0, 2.0])
     proof = search(problem)
@@ -131,7 +131,7 @@ def test_a_forged_tree_of_cases_is_refused() -> None:
     assert refuses(NoSolution(problem, Case(proof.tree.row, dict.fromkeys(split.branches, split))))
 
 
-def test_forged_multipliers_of_inconsistent_constraints_are_refused() -> None:
+def test_forged_multipliers_of_inconsistent_constraints_are_refused():
     """Of rows, equations and bounds on both sides: Cᵀy = 0, y ≥ 0 for inequalities, dᵀy < 0."""
     upper = QuadraticProgram(None, [0.0, 0], [[1.0, 1]], [1.0], lower=[1.0, 1.0])
     lower = QuadraticProgram(None, [0.0, 0], [[-1.0, -1]], [-3.0], upper=1.0)
@@ -141,9 +141,7 @@ def test_forged_multipliers_of_inconsistent_constraints_are_refused() -> None:
         C, is_equation = rows.matrix.toarray(), rows.is_equality.tolist()
         finite = np.where(np.isfinite(rows.limit), rows.limit, 0.0)
 
-        def holds(
-            y: Numbers, C: Any = C, finite: Any = finite, is_equation: Any = is_equation
-        ) -> bool:
+        def holds(y, C=C, finite=finite, is_equation=is_equation):
             signs = all(v >= 0 or free for v, free in zip(y, is_equation, strict=True))
             return signs and not any(product(C, y)) and dot(finite, y) < 0
 
@@ -155,7 +153,7 @@ def test_forged_multipliers_of_inconsistent_constraints_are_refused() -> None:
             assert other.verify() or (other.margin, other.excludes(1e-300)) == (0.0, False)
 
 
-def test_a_forged_direction_of_descent_is_refused() -> None:
+def test_a_forged_direction_of_descent_is_refused():
     """Point and direction must stay within rows and bounds on both sides; P d = 0 and cᵀd < 0."""
     P = [[0.0, 0, 0], [0, 0, 0], [0, 0, 1]]
     program = QuadraticProgram(
@@ -171,7 +169,7 @@ def test_a_forged_direction_of_descent_is_refused() -> None:
     proof, rows = solve(program.with_vectors(c=[-1.0, 0.5, 0])).proof, program.constraints
     C, c = rows.matrix.toarray(), [-1.0, 0.5, 0]
 
-    def holds(point: Numbers, d: Numbers) -> bool:
+    def holds(point, d):
         for k, limit in enumerate(rows.limit.tolist()):
             at, along = dot(C[k], point), dot(C[k], d)
             within = (
@@ -195,7 +193,7 @@ def test_a_forged_direction_of_descent_is_refused() -> None:
     assert not all(holds(point, proof.direction) for point in outside)
 
 
-def test_a_forged_conflict_is_refused() -> None:
+def test_a_forged_conflict_is_refused():
     """With a member missing, another multiplier, the other sign, and with a member that is not needed."""
     program = QuadraticProgram(
         None, [1.0, 1], [[1.0, 1], [0, -1], [1, 0]], [10.0, -7, 99], lower=[4.0, 0]
@@ -210,7 +208,7 @@ def test_a_forged_conflict_is_refused() -> None:
     assert not replace(conflict, multipliers=more).verify()
 
 
-def test_a_forged_proof_over_cones_is_refused() -> None:
+def test_a_forged_proof_over_cones_is_refused():
     """A pile without support: y in the dual cones, −Mᵀy in them, and qᵀy < 0; a part missing, changed, turned."""
     contact = FrictionalContact(np.zeros((6, 6)), [-1.0, 0, 0, 1.0, 0, 0], [0.5, 0.5], dimension=3)
     proof = solve(contact).proof
@@ -230,13 +228,13 @@ def test_a_forged_proof_over_cones_is_refused() -> None:
         assert not ContactInfeasibility(contact, wrong).verify()
 
 
-def test_a_forged_best_equilibrium_is_refused() -> None:
+def test_a_forged_best_equilibrium_is_refused():
     """With a piece of the tree missing, a larger bound, another point, another value."""
     program = QuadraticProgram(np.eye(2), [-2.0, -1.0], lower=[0.0, 0.0])
     result = solve(EquilibriumProgram(program, [0], [1], 0.0, np.inf), prove=True)
     assert result.verify()
     x = np.asarray(result.x)
-    forgeries: list[dict[str, Any]] = [
+    forgeries = [
         {"lower_bound": result.lower_bound + 0.1, "value": result.value + 0.1},
         {"x": x + np.array([0.0, 0.1])},
         {"x": np.array([-0.1, x[1]])},
@@ -251,7 +249,7 @@ def test_a_forged_best_equilibrium_is_refused() -> None:
 
 
 @pytest.mark.parametrize("n", [17, 40])
-def test_a_positive_definite_matrix_is_a_p_matrix_whatever_its_size(n: int) -> None:
+def test_a_positive_definite_matrix_is_a_p_matrix_whatever_its_size(n):
     """Not symmetric, not H₊, with more rows than minors are counted for; a negative eigenvalue takes the verdict."""
     A, B = np.random.default_rng(n).normal(size=(2, n, n))
     M = A @ A.T + 0.1 * np.eye(n) + B - B.T
@@ -263,7 +261,7 @@ def test_a_positive_definite_matrix_is_a_p_matrix_whatever_its_size(n: int) -> N
     assert other.is_p_matrix is not True
 
 
-def test_rows_of_extreme_size_bound_no_distance_to_feasible_points() -> None:
+def test_rows_of_extreme_size_bound_no_distance_to_feasible_points():
     """Powers of two beyond 2⁴⁰⁰ could leave the range of doubles in squares: the bound is refused, not wrong."""
     x, excess = np.array([0.5, 0.5]), np.array([1e-16])
     for size, is_bounded in (
@@ -314,7 +312,7 @@ MEASURES: dict[str, tuple[Callable[[], Any], list[float], list[list[float]]]] = 
 }  # fmt: skip
 
 
-def test_a_point_off_by_a_tenth_on_any_side_is_disproved() -> None:
+def test_a_point_off_by_a_tenth_on_any_side_is_disproved():
     """Below and above a bound, off an inner value, off a row or an equation, out of a cone: no side is unwatched."""
     for name, (build, right, wrong) in MEASURES.items():
         problem = build()
@@ -323,7 +321,7 @@ def test_a_point_off_by_a_tenth_on_any_side_is_disproved() -> None:
             assert certify(problem, point).verdict == "disproved", (name, point)
 
 
-def test_pairs_of_an_equilibrium_program_are_measured_on_each_side() -> None:
+def test_pairs_of_an_equilibrium_program_are_measured_on_each_side():
     """The distance to the nearest branch, below and above both bounds, with a slack of either sign."""
     problem = EquilibriumProgram(QuadraticProgram(np.eye(2), [0.0, 0.0]), [0], [1], 0.0, 2.0)
     for z, w, distance in (

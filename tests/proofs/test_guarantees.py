@@ -40,7 +40,7 @@ def with_matrix(M: Any) -> LCP:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_no_run_contradicts_a_guarantee(seed: int) -> None:
+def test_no_run_contradicts_a_guarantee(seed):
     """Rates, contraction bounds and arrivals hold in 40 random cases; the campaign runs thousands."""
     rng = np.random.default_rng(1000 + seed)
     outcomes = [run_case(rng) for _ in range(40)]
@@ -61,7 +61,7 @@ def test_no_run_contradicts_a_guarantee(seed: int) -> None:
         ("mgs", {}, 0.5),
     ],
 )
-def test_rates_of_a_matrix_by_hand(name: str, options: dict[str, Any], rate: float) -> None:
+def test_rates_of_a_matrix_by_hand(name, options, rate):
     """The rates for [[1, −½], [−½, 1]] with v = 1 equal the values computed by hand."""
     guarantee = convergence_guarantee(with_matrix([[1.0, -0.5], [-0.5, 1.0]]), name, **options)
     assert guarantee.is_guaranteed
@@ -71,7 +71,7 @@ def test_rates_of_a_matrix_by_hand(name: str, options: dict[str, Any], rate: flo
 
 @pytest.mark.parametrize("name", ["npgs", "npsor", "pgs", "paor"])
 @pytest.mark.parametrize("sweep", ["forward", "backward", "symmetric"])
-def test_the_contraction_bound_holds_and_is_not_far_off(name: str, sweep: str) -> None:
+def test_the_contraction_bound_holds_and_is_not_far_off(name, sweep):
     """c/(1 − c)‖z_k − z_{k−1}‖_v v bounds the error of every iterate, by less than a factor of 1000."""
     scene = gallery.half_active(n=100)
     plain = {"momentum": None} if name.startswith("np") else {}
@@ -97,9 +97,7 @@ def test_the_contraction_bound_holds_and_is_not_far_off(name: str, sweep: str) -
     share=st.floats(0.0, 1.0),
     sweep=st.sampled_from(["forward", "backward", "symmetric"]),
 )
-def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
-    M: np.ndarray, alpha: float, share: float, sweep: str
-) -> None:
+def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(M, alpha, share, sweep):
     """NP methods with scaling="auto", α > 0 and 0 ≤ β ≤ α are guaranteed on every H₊-matrix."""
     problem = with_matrix(M)
     algorithm = create(
@@ -126,13 +124,13 @@ def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(
 @pytest.mark.parametrize(
     "text", ["half_active:n=100,delta=0", "random_h_plus:n=100", "paper_example_2:n=100"]
 )
-def test_every_default_is_guaranteed_on_h_plus_matrices(name: str, text: str) -> None:
+def test_every_default_is_guaranteed_on_h_plus_matrices(name, text):
     """Every registered algorithm at its default options is proved to converge on the gallery's H₊-matrices."""
     guarantee = convergence_guarantee(membranes.parse(text).problem, name)
     assert guarantee.is_guaranteed, str(guarantee)
 
 
-def test_what_is_proved_of_direct_methods() -> None:
+def test_what_is_proved_of_direct_methods():
     """Lemke, Newton and banded have guarantees on certain matrices, interior point has none."""
     murty, rotation = textbook_scenes.murty(n=6).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     m_matrix = with_matrix([[2.0, -1.0], [-1.0, 2.0]])
@@ -155,7 +153,7 @@ def test_what_is_proved_of_direct_methods() -> None:
 
 
 @pytest.mark.parametrize("n", [1, 7, 60, 250])
-def test_newton_is_finite_on_m_matrices(n: int) -> None:
+def test_newton_is_finite_on_m_matrices(n):
     """An M-matrix problem takes at most n + 2 full Newton steps from any start."""
     chain = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     rng = np.random.default_rng(n)
@@ -172,7 +170,7 @@ def test_newton_is_finite_on_m_matrices(n: int) -> None:
             assert result.iterations <= n + 2
 
 
-def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_auto_is_covered_by_its_last_resort(monkeypatch):
     """Auto is guaranteed where lemke is, and where M is too large for it, where psor is."""
     h_plus, rotation = gallery.half_active(n=100).problem, with_matrix([[0.0, 1.0], [-1.0, 0.0]])
     assert "lemke: M is a P-matrix" in convergence_guarantee(h_plus).theorem
@@ -182,7 +180,7 @@ def test_auto_is_covered_by_its_last_resort(monkeypatch: pytest.MonkeyPatch) -> 
     assert not convergence_guarantee(rotation).is_guaranteed
 
 
-def test_nothing_is_claimed_for_the_scaling_trap_unscaled() -> None:
+def test_nothing_is_claimed_for_the_scaling_trap_unscaled():
     """Unscaled NPSOR(1.7), which runs into a limit cycle there, and its relatives get no guarantee, but a remedy."""
     trap = textbook_scenes.scaling_trap()
     for name in ("npgs", "npsor", "npaor", "npsplitting"):
@@ -192,7 +190,7 @@ def test_nothing_is_claimed_for_the_scaling_trap_unscaled() -> None:
     assert convergence_guarantee(trap.problem, "psor").is_guaranteed
 
 
-def test_positive_definite_matrices() -> None:
+def test_positive_definite_matrices():
     """SPD but not H₊: PSOR-type sweeps and a short gradient step are covered, Jacobi is not, and diverges."""
     problem = with_matrix(SPD_NOT_H)
     for name, options in (
@@ -223,9 +221,7 @@ def test_positive_definite_matrices() -> None:
         ("gfp", {"relaxation": 3.0}),
     ],
 )
-def test_a_relaxation_of_two_or_more_is_covered_on_no_matrix(
-    name: str, options: dict[str, float]
-) -> None:
+def test_a_relaxation_of_two_or_more_is_covered_on_no_matrix(name, options):
     """ω ≥ 2: determinant or trace forbid convergence where no constraint is active, even on the identity."""
     problem = with_matrix(np.eye(2))
     guarantee = convergence_guarantee(problem, name, **options)
@@ -235,7 +231,7 @@ def test_a_relaxation_of_two_or_more_is_covered_on_no_matrix(
     assert not solve(free, name, max_iterations=300, **options).is_solved
 
 
-def test_an_iteration_that_cannot_run_is_not_covered() -> None:
+def test_an_iteration_that_cannot_run_is_not_covered():
     """A zero diagonal or an upper bound gives the message of the algorithm."""
     assert (
         "positive diagonal"
@@ -246,14 +242,14 @@ def test_an_iteration_that_cannot_run_is_not_covered() -> None:
     assert convergence_guarantee(boxed, "pgs").is_guaranteed
 
 
-def test_an_algorithm_of_the_user_is_not_covered() -> None:
+def test_an_algorithm_of_the_user_is_not_covered():
     """An iteration without declared properties has no guarantee."""
 
     @dataclass(frozen=True, kw_only=True)
     class Still(Algorithm):
         name = "still"
 
-        def iterates(self, problem: LCP, z0: np.ndarray) -> Any:
+        def iterates(self, problem, z0):
             while True:
                 yield Step(z0)
 
@@ -266,7 +262,7 @@ convergence_guarantee(eye, "npgs", relaxation=1.0) → InvalidOption: relaxation
 convergence_guarantee(np.eye(2), "npgs") → InvalidOption: LCP
 convergence_guarantee(eye, "npgs", scaling_factor=2.0) → InvalidOption: needs scaling="diagonal"
 """)
-def test_arguments_are_checked(call: str, words: str) -> None:
+def test_arguments_are_checked(call, words):
     """Unknown names and options raise the errors of solve; automatic scaling takes no factor."""
     assert_refused(call, words, {"eye": with_matrix(np.eye(2))})
 
@@ -296,16 +292,14 @@ def test_arguments_are_checked(call: str, words: str) -> None:
         ),
     ],
 )
-def test_what_rounding_may_undo_is_not_guaranteed(
-    M: Any, name: str, options: dict[str, Any]
-) -> None:
+def test_what_rounding_may_undo_is_not_guaranteed(M, name, options):
     """A margin smaller than the rounding of the step sizes proves nothing of the iteration that runs."""
     problem = with_matrix(M)
     guarantee = convergence_guarantee(problem, name, **options)
     assert guarantee.verdict == "not covered"
 
 
-def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
+def test_a_jacobi_step_is_measured_by_the_diagonal():
     """The value ω = 0.9 is too large for a graded SPD matrix of small rows."""
     unit = np.array([1.0, 1e-11, 1e-22, 1e-33])
     M = unit[:, None] * (0.999 * np.ones((4, 4)) + 0.001 * np.eye(4)) * unit
@@ -321,7 +315,7 @@ def test_a_jacobi_step_is_measured_by_the_diagonal() -> None:
 # --- The numbers behind it -----------------------------------------------------------------------------------
 
 
-def test_theorem_4_1_bounds_the_spectral_radius_of_t() -> None:
+def test_theorem_4_1_bounds_the_spectral_radius_of_t():
     """The certified c is at least ρ(T), near it on irreducible T, and there is one wherever ρ(T) < 0.99."""
     rng = np.random.default_rng(1)
     covered = 0
@@ -342,7 +336,7 @@ def test_theorem_4_1_bounds_the_spectral_radius_of_t() -> None:
     assert 20 < covered < 100
 
 
-def test_a_splitting_of_one_s_own_is_covered_by_theorem_4_1() -> None:
+def test_a_splitting_of_one_s_own_is_covered_by_theorem_4_1():
     """A splitting that is not a part of M gets a rate from ρ(T) < 1, up to n = 1000."""
     for n, covered in ((30, True), (1001, False)):
         M = sp.diags_array(
@@ -363,7 +357,7 @@ def told(*arguments: str) -> Any:
     return result
 
 
-def test_the_command_tells_matrix_and_guarantees() -> None:
+def test_the_command_tells_matrix_and_guarantees():
     """The command prints claims, algorithms and the paper's variants."""
     result = told("paper_example_1:n=100")
     assert result.exit_code == 0
@@ -379,7 +373,7 @@ def test_the_command_tells_matrix_and_guarantees() -> None:
     assert rate <= printed <= rate + 1e-3  # rounded upwards
 
 
-def test_the_command_prints_json() -> None:
+def test_the_command_prints_json():
     """--json is one JSON document with both tables and no number that JSON does not know."""
     content = json.loads(told("half_active:n=4", "--json").stdout, parse_constant=pytest.fail)
     assert content["matrix"]["verdicts"]["is_h_plus"]["value"] is True
@@ -396,7 +390,7 @@ def negated_laplacian(k: int) -> sp.csr_array:
 
 
 @pytest.mark.parametrize("k", [4, 10])
-def test_a_negated_m_matrix_is_proved_infeasible(k: int) -> None:
+def test_a_negated_m_matrix_is_proved_infeasible(k):
     """A problem with −M an M-matrix and a random q has no solution, and a proof shows it."""
     M, rng = negated_laplacian(k), np.random.default_rng(k)
     infeasible = solve(LCP(M, rng.standard_normal(k * k)))
@@ -416,7 +410,7 @@ def test_a_negated_m_matrix_is_proved_infeasible(k: int) -> None:
         ([[-1.0, 2.0], [2.0, 0.0]], ""),
     ],
 )
-def test_the_remark_says_what_is_proved(M: Any, words: str) -> None:
+def test_the_remark_says_what_is_proved(M, words):
     """If all diagonal entries are negative, the remark names one and the proved class of −M."""
     message = sign_remark(LCP(M, np.zeros(len(M))).matrix)
     assert words in message
@@ -425,7 +419,7 @@ def test_the_remark_says_what_is_proved(M: Any, words: str) -> None:
         assert analyze(-np.array(M)).is_m_matrix
 
 
-def test_guaranteed_run_that_is_slow_ends_at_its_limit_of_steps() -> None:
+def test_guaranteed_run_that_is_slow_ends_at_its_limit_of_steps():
     """A sweep whose convergence is proved is never STALLED or DIVERGED, and the advice has the reason."""
     n = 400
     M = sp.diags_array([-np.ones(n - 1), 2.0 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])

@@ -41,7 +41,7 @@ def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 
 
 @pytest.mark.parametrize(("free", "boxes"), [(0, 0), (2, 0), (0, 2), (2, 2)])
 @pytest.mark.parametrize("n", [5, 12])
-def test_contradicting_constraints_are_proven(n: int, free: int, boxes: int) -> None:
+def test_contradicting_constraints_are_proven(n, free, boxes):
     """Problems built to contradict get a proof that independent fractions confirm."""
     for seed in range(8):
         problem = contradicting(np.random.default_rng(seed), n, free, boxes)
@@ -53,7 +53,7 @@ def test_contradicting_constraints_are_proven(n: int, free: int, boxes: int) -> 
 
 
 @given(st.integers(0, 10**6))
-def test_feasible_problems_are_never_called_infeasible(seed: int) -> None:
+def test_feasible_problems_are_never_called_infeasible(seed):
     """A problem built around a feasible point gets no proof."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 7))
@@ -66,7 +66,7 @@ def test_feasible_problems_are_never_called_infeasible(seed: int) -> None:
     assert find_infeasibility(problem) is None
 
 
-def test_random_doubles_are_repaired_exactly() -> None:
+def test_random_doubles_are_repaired_exactly():
     """A Farkas vector that exists only as a solution of linear equations is solved for, not rounded."""
     rng = np.random.default_rng(3)
     A = rng.standard_normal((40, 12))
@@ -82,7 +82,7 @@ def test_random_doubles_are_repaired_exactly() -> None:
     assert is_farkas(problem, list(proof.exact_y))
 
 
-def test_the_proof_does_not_depend_on_units() -> None:
+def test_the_proof_does_not_depend_on_units():
     """Rows and columns in units apart by many powers of ten leave a contradiction provable."""
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -97,7 +97,7 @@ def test_the_proof_does_not_depend_on_units() -> None:
 
 
 @pytest.mark.full
-def test_a_large_problem_is_proven_exactly() -> None:
+def test_a_large_problem_is_proven_exactly():
     """For n = 3000 a proof is found, and other fractions confirm it."""
     n = 3000
     laplacian = sp.diags_array(
@@ -112,7 +112,7 @@ def test_a_large_problem_is_proven_exactly() -> None:
 
 
 @given(st.integers(0, 10**6))
-def test_exact_solves_satisfy_their_equations(seed: int) -> None:
+def test_exact_solves_satisfy_their_equations(seed):
     """p-adic lifting returns the exact solution, or None just where the determinant is 0."""
     rng = np.random.default_rng(seed)
     k = int(rng.integers(1, 7))
@@ -127,7 +127,7 @@ def test_exact_solves_satisfy_their_equations(seed: int) -> None:
     assert solve_exactly([[1, 2], [2, 4]], [1, 1]) is None
 
 
-def test_signs_of_one_row_prove_a_large_problem_infeasible() -> None:
+def test_signs_of_one_row_prove_a_large_problem_infeasible():
     """A row of M ≤ 0 with q < 0 is a proof that a look at each entry finds; rows that can be satisfied are none."""
     M = -abs(
         sp.random_array((5000, 5000), density=0.001, rng=np.random.default_rng(1), format="csr")
@@ -143,7 +143,7 @@ def test_signs_of_one_row_prove_a_large_problem_infeasible() -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_no_z_has_a_residual_below_the_margin(seed: int) -> None:
+def test_no_z_has_a_residual_below_the_margin(seed):
     """Every z within the bounds, the answers of all methods among them, has a residual of at least the margin."""
     rng = np.random.default_rng(seed)
     problem = contradicting(rng, 6, seed % 3, seed % 2)
@@ -164,7 +164,7 @@ def test_no_z_has_a_residual_below_the_margin(seed: int) -> None:
 
 
 @pytest.mark.parametrize("shift", [1e-2, 1e-6, 1e-10, 1e-14])
-def test_the_margin_is_the_smallest_residual_that_the_signs_allow(shift: float) -> None:
+def test_the_margin_is_the_smallest_residual_that_the_signs_allow(shift):
     """z₁ − z₂ ≥ 1 and z₂ − z₁ ≥ shift − 1 miss each other by shift/2: that is the margin, rounded down."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - shift])
     exact = (Fraction(1.0) - Fraction(float(problem.q[1]))) / 2
@@ -175,7 +175,7 @@ def test_the_margin_is_the_smallest_residual_that_the_signs_allow(shift: float) 
     assert proof.exact
 
 
-def test_the_largest_margin_is_looked_for() -> None:
+def test_the_largest_margin_is_looked_for():
     """A row that contradicts by 1e-14 hides no contradiction of 0.1 in two others."""
     problem = LCP([[1.0, -1.0, -1.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, 0.8, -1e-14])
     proof = find_infeasibility(problem)
@@ -185,7 +185,7 @@ def test_the_largest_margin_is_looked_for() -> None:
 
 
 @pytest.mark.parametrize("t", [1e-3, 1e-6, 1e-10])
-def test_cases_have_a_margin_too(t: float) -> None:
+def test_cases_have_a_margin_too(t):
     """w₁ = 1 forces z₁ = 0, w₂ = z₁ − t asks for t: every z misses by t/2, which counts beyond the tolerance only."""
     problem = LCP([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 2.0]], [1.0, -t, -2.0])
     tree = search(problem)
@@ -208,7 +208,7 @@ def test_cases_have_a_margin_too(t: float) -> None:
         ([[0, -5e-324], [0, 0]], [-1, 1e308]),
     ],
 )
-def test_margins_at_the_edge_of_the_numbers_are_sound(M: list[list[float]], q: list[float]) -> None:
+def test_margins_at_the_edge_of_the_numbers_are_sound(M, q):
     """Whatever overflows or underflows on the way, the proof holds and its margin is not above the exact margin."""
     problem = LCP(M, q)
     proof = find_infeasibility(problem)
@@ -218,7 +218,7 @@ def test_margins_at_the_edge_of_the_numbers_are_sound(M: list[list[float]], q: l
 
 
 @given(st.integers(0, 10**6))
-def test_the_reference_is_bounded_from_above(seed: int) -> None:
+def test_the_reference_is_bounded_from_above(seed):
     """‖r̂(z°)‖∞ in fractions is never above the bound that a margin is relative to."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 6))
@@ -232,7 +232,7 @@ def test_the_reference_is_bounded_from_above(seed: int) -> None:
     assert bound <= float(exact) * (1.0 + 1e-12) + 1e-300
 
 
-def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> None:
+def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program():
     """Where rounding is all that acts in the optimality conditions of a consistent program, nothing is infeasible."""
     P, G = [[2.0, -2.0], [-2.0, 5.0]], [[-0.05, 0.06], [3.0, 1.0], [0.0, 0.01]]
     h, bounds = [0.17 - 2.0**-55, 3.0, 0.05], {"lower": [-np.inf, 2.0], "upper": [-1.0, np.inf]}
@@ -241,7 +241,7 @@ def test_a_contradiction_of_the_conditions_alone_is_none_of_the_program() -> Non
     assert not solve(LCP.from_qp(*data, **bounds)).has_no_solution
 
 
-def test_a_contradiction_between_numbers_of_many_sizes_is_found() -> None:
+def test_a_contradiction_between_numbers_of_many_sizes_is_found():
     """Rows and bounds of sizes from 1e-3 to 1e3 that miss each other by less than 1 % of the residual at 0."""
     M = [
         [1 / 4, 0, 128, -1 / 16, -1 / 128, 1 / 128, 64], [1 / 4, 0, 192, 0, 1 / 128, -3 / 128, -128],
@@ -302,7 +302,7 @@ NO_CLAIM = {"nodes", "name", "is_irreducible"}
 
 
 @pytest.mark.parametrize("name", list(PROOFS))
-def test_verify_rejects_each_replaced_field(name: str) -> None:
+def test_verify_rejects_each_replaced_field(name):
     """A proof of other data, or with other multipliers, is not verified."""
     find, wrong = PROOFS[name]
     proof = find()
@@ -318,7 +318,7 @@ def decimal_network(rng: np.random.Generator, n: int) -> np.ndarray:
     return np.diag((W + W.T).sum(axis=1)) - W - W.T
 
 
-def test_decimal_weights_that_do_not_sum_to_zero_are_no_contradiction() -> None:
+def test_decimal_weights_that_do_not_sum_to_zero_are_no_contradiction():
     """In tenths K · 1 = 0 exactly, so z = lower is a solution: a sum of 1e-16 of the doubles proves nothing."""
     rng = np.random.default_rng(8)
     for _ in range(3):
@@ -332,7 +332,7 @@ def test_decimal_weights_that_do_not_sum_to_zero_are_no_contradiction() -> None:
             assert status not in (Status.INFEASIBLE, Status.NO_SOLUTION)
 
 
-def test_a_load_above_rounding_is_a_contradiction() -> None:
+def test_a_load_above_rounding_is_a_contradiction():
     """A network that nothing holds, with a total load of 1e-9 of its terms, has no solution."""
     rng = np.random.default_rng(9)
     K = decimal_network(rng, 6)

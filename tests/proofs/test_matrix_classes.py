@@ -6,7 +6,6 @@ import contextlib
 import json
 import time
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pytest
@@ -80,7 +79,7 @@ CLAIMS = (
 
 @pytest.mark.parametrize("sparse", [False, True], ids=["dense", "sparse"])
 @pytest.mark.parametrize("name", KNOWN)
-def test_textbook_matrices(name: str, sparse: bool) -> None:
+def test_textbook_matrices(name, sparse):
     """Matrices whose classes are known by hand get exactly those, each with evidence."""
     matrix, expected = KNOWN[name]
     report = analyze(sp.csr_array(np.array(matrix, dtype=float)) if sparse else matrix)
@@ -91,7 +90,7 @@ def test_textbook_matrices(name: str, sparse: bool) -> None:
 
 @pytest.mark.parametrize("n", [40, 600])
 @pytest.mark.parametrize("distance", [1e-9, 1e-12])
-def test_both_sides_of_singular(n: int, distance: float) -> None:
+def test_both_sides_of_singular(n, distance):
     """The correct side is proved for |1 − ρ| = 1e-9 and 1e-12, also under scaling by 1e±100."""
     rng = np.random.default_rng(n)
     for sign in (-1.0, 1.0):
@@ -103,7 +102,7 @@ def test_both_sides_of_singular(n: int, distance: float) -> None:
             assert (verdict.certificate is not None) == (sign < 0)
 
 
-def test_laplacian_is_certified_through_a_solve() -> None:
+def test_laplacian_is_certified_through_a_solve():
     """Dominant nowhere strictly inside: H₊, SPD and P with a margin that is positive on every row."""
     for m in (5, 30, 90):
         report = analyze(laplacian(m))
@@ -116,7 +115,7 @@ def test_laplacian_is_certified_through_a_solve() -> None:
         assert exact >= Fraction(report.margin[0])
 
 
-def test_beyond_singular_on_a_large_grid() -> None:
+def test_beyond_singular_on_a_large_grid():
     """The five-point matrix minus more than its least eigenvalue is not an H-matrix, by proof."""
     m = 90
     smallest = 8.0 * np.sin(np.pi / (2 * (m + 1))) ** 2
@@ -128,7 +127,7 @@ def test_beyond_singular_on_a_large_grid() -> None:
         assert (report.not_h_vector is not None) != expected
 
 
-def test_singular_laplacian_ties_are_exact() -> None:
+def test_singular_laplacian_ties_are_exact():
     """Row sums of exactly 0 prove that the Neumann matrix is semidefinite, but not an H-matrix."""
     grid = laplacian(60)
     neumann = sp.csr_array(grid - sp.diags_array(grid @ np.ones(3600)))
@@ -138,7 +137,7 @@ def test_singular_laplacian_ties_are_exact() -> None:
 
 
 @pytest.mark.full
-def test_p_at_sixteen_rows() -> None:
+def test_p_at_sixteen_rows():
     """A scaled definite matrix with n = 16 is a P-matrix, one with a bad minor of 3 rows is not."""
     rng = np.random.default_rng(2)
     M = rng.normal(size=(16, 16))
@@ -157,7 +156,7 @@ def test_p_at_sixteen_rows() -> None:
     assert report.is_p_matrix is False
 
 
-def test_pairs() -> None:
+def test_pairs():
     """A nonpositive 2×2 principal minor is found in any size, and a tie of huge entries is decided exactly."""
     M = sp.lil_array(sp.eye_array(1000))
     M[3, 700], M[700, 3] = 2.0**-600, 2.0**600
@@ -166,7 +165,7 @@ def test_pairs() -> None:
     assert verdicts.nonpositive_pair(Matrix(M)) is None
 
 
-def test_large_and_undecided_says_so() -> None:
+def test_large_and_undecided_says_so():
     """If the number of minors explodes, the verdict is None and the evidence has the reason."""
     rng = np.random.default_rng(3)
     M = rng.normal(size=(30, 30))
@@ -179,7 +178,7 @@ def test_large_and_undecided_says_so() -> None:
 
 
 @pytest.mark.parametrize("n", [30, 700])
-def test_definite_symmetric_part(n: int) -> None:
+def test_definite_symmetric_part(n):
     """A large skew part hides nothing: the symmetric part decides, dense and sparse, on both sides of singular."""
     rng = np.random.default_rng(n)
     S = sp.random_array((n, n), density=5.0 / n, rng=rng)
@@ -194,7 +193,7 @@ def test_definite_symmetric_part(n: int) -> None:
         assert report.is_symmetric is False
 
 
-def test_definiteness_at_the_edge_is_undecided_or_exact() -> None:
+def test_definiteness_at_the_edge_is_undecided_or_exact():
     """A singular matrix is never called definite, nor semidefinite beyond n = 10."""
     rng = np.random.default_rng(5)
     factor = rng.integers(-4, 5, (30, 20)).astype(float)
@@ -226,7 +225,7 @@ def random_graph(n: int, degree: int, shift: float) -> sp.csr_array:
 
 
 @pytest.mark.full
-def test_a_random_graph_is_not_factorized() -> None:
+def test_a_random_graph_is_not_factorized():
     """Fill of order n² is foreseen: undecided in seconds, decided where dominance does it."""
     M = random_graph(20_000, 8, 1.2)
     assert not factor_fits(M)
@@ -240,7 +239,7 @@ def test_a_random_graph_is_not_factorized() -> None:
     assert is_positive_definite(M) is is_semidefinite_to_rounding(M) is None
 
 
-def test_the_empty_matrix_is_everything() -> None:
+def test_the_empty_matrix_is_everything():
     """The empty matrix belongs to every class."""
     report = analyze(np.zeros((0, 0)))
     assert {name: report.verdict(name).value for name in report.evidence} == dict.fromkeys(
@@ -260,7 +259,7 @@ def test_the_empty_matrix_is_everything() -> None:
         ([[1.0, 5.0], [-3.0 + 2.0**-50, 1.0]], False),
     ],
 )
-def test_semidefinite_is_exact_when_small(M: list[list[float]], is_semidefinite: bool) -> None:
+def test_semidefinite_is_exact_when_small(M, is_semidefinite):
     """Up to n = 10 semidefiniteness is decided in rational arithmetic, without any δ."""
     report = analyze(M)
     assert report.is_positive_semidefinite is is_semidefinite
@@ -278,7 +277,7 @@ MINORS_OF_ONE = [[1, 0, 0, -1e103], [1, 1, 1e84, 0], [0, -1e128, 1, 0], [0, -1e2
 
 
 @pytest.mark.parametrize(("M", "is_p"), [(NEGATIVE_MINOR, False), (MINORS_OF_ONE, True)])
-def test_p_at_the_ends_of_the_range(M: list[list[float]], is_p: bool) -> None:
+def test_p_at_the_ends_of_the_range(M, is_p):
     """Entries whose products leave the range of double precision are decided."""
     assert analyze(M).is_p_matrix is is_p
     lemke = convergence_guarantee(LCP(M, -np.ones(len(M))), "lemke")
@@ -288,7 +287,7 @@ def test_p_at_the_ends_of_the_range(M: list[list[float]], is_p: bool) -> None:
 # --- The report ---------------------------------------------------------------------------------------------
 
 
-def test_report_prints_and_survives_json() -> None:
+def test_report_prints_and_survives_json():
     """The table has one line a verdict; the content is JSON and agrees with the properties."""
     report = analyze([[0.0, 1.0], [1e-8, -2.0]])
     text = str(report)
@@ -312,7 +311,7 @@ def test_report_prints_and_survives_json() -> None:
         (None, [[1, 1], [1, 1]]),
     ],
 )
-def test_triangular_forms(form: str | None, M: object) -> None:
+def test_triangular_forms(form, M):
     """The triangular form is named."""
     report = analyze(M)
     assert report.triangular_form == form
@@ -328,10 +327,10 @@ def test_triangular_forms(form: str | None, M: object) -> None:
         [[1e300, 1e-300], [0.0, 1e-300]],
     ],
 )
-def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]]) -> None:
+def test_no_question_ends_in_a_warning_or_a_number_too_large(M):
     """Overflow inside a test of M raises no RuntimeWarning (an error here) and no OverflowError."""
 
-    def problem() -> LCP:
+    def problem():
         return LCP(M, -np.ones(len(M)))
 
     comparison_certificate(problem().matrix)
@@ -345,7 +344,7 @@ def test_no_question_ends_in_a_warning_or_a_number_too_large(M: list[list[float]
     _seems_monotone(problem())
 
 
-def test_a_symmetric_part_near_the_largest_double_is_no_error() -> None:
+def test_a_symmetric_part_near_the_largest_double_is_no_error():
     """An overflowing symmetric part of more than 10 rows is undecided, and raises no error."""
     skew = np.triu(np.random.default_rng(0).uniform(-1.0, 1.0, (12, 12)), 1)
     M = np.ldexp(np.eye(12) * 15.0 + skew - skew.T, 1019)
@@ -374,7 +373,7 @@ def small_matrices(draw: st.DrawFn) -> list[list[Fraction]]:
 
 @settings.get_profile("many")
 @given(small_matrices())
-def test_verdicts_on_small_integers_are_the_minors(A: list[list[Fraction]]) -> None:
+def test_verdicts_on_small_integers_are_the_minors(A):
     """The report on small integers agrees with the minors; a singular ⟨M⟩ may be undecided."""
     report = analyze([[float(entry) for entry in row] for row in A])
     symmetric = [[entry + A[j][i] for j, entry in enumerate(row)] for i, row in enumerate(A)]
@@ -410,9 +409,7 @@ def hidden_sign(sign: int, other_rows: int) -> sp.csr_array:
 
 
 @pytest.mark.parametrize("sign", [-1, 0, 1])
-def test_signs_that_the_sums_hide_are_decided_exactly(
-    sign: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_signs_that_the_sums_hide_are_decided_exactly(sign, monkeypatch):
     """If the compensated sum of a row has no certain sign, rational arithmetic decides it."""
     M = hidden_sign(sign, 1)
     ones = np.ones(M.shape[0])
@@ -434,7 +431,7 @@ def test_signs_that_the_sums_hide_are_decided_exactly(
 
 
 @pytest.mark.parametrize("v", [[1.0, 0.0], [1.0, -1.0], [1.0, np.inf], [1.0, np.nan]])
-def test_no_proof_from_a_vector_that_is_none(v: list[float]) -> None:
+def test_no_proof_from_a_vector_that_is_none(v):
     """A proof needs v positive and finite; or y finite, not negative and not zero."""
     assert positive_margin(sp.csr_array(np.eye(2)), np.array(v)) is None
     assert is_nonpositive(sp.csr_array([[0.0, 1.0], [1.0, 0.0]]), np.array(v)) == (v[1] == 0.0)
@@ -446,7 +443,7 @@ def test_no_proof_from_a_vector_that_is_none(v: list[float]) -> None:
 
 @pytest.mark.parametrize("eigenvalue", [1e-9, 0.0, -1e-9])
 @pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
-def test_definite_beyond_rounding_in_any_unit(eigenvalue: float, build: type) -> None:
+def test_definite_beyond_rounding_in_any_unit(eigenvalue, build):
     """The sign of a least eigenvalue ±1e-9 is proved for n = 30, of ±0 never."""
     rng = np.random.default_rng(3)
     Q = np.linalg.qr(rng.standard_normal((30, 30)))[0]
@@ -459,7 +456,7 @@ def test_definite_beyond_rounding_in_any_unit(eigenvalue: float, build: type) ->
 
 
 @pytest.mark.parametrize("build", [np.array, sp.csr_array], ids=["dense", "sparse"])
-def test_a_row_of_zeros_is_semidefinite(build: type) -> None:
+def test_a_row_of_zeros_is_semidefinite(build):
     """A zero on the diagonal requires a zero row, which then does not count."""
     assert (
         is_semidefinite_to_rounding(build([[0.0, 0.0, 0.0], [0.0, 4.0, 2.0], [0.0, 2.0, 1.0]]))
@@ -482,7 +479,7 @@ def test_a_row_of_zeros_is_semidefinite(build: type) -> None:
     ("entry", "is_p"),
     [(4.0, False), (np.nextafter(4.0, 0.0), True), (np.nextafter(4.0, 5.0), False)],
 )
-def test_minors_that_rounding_hides_are_settled_in_integers(entry: float, is_p: bool) -> None:
+def test_minors_that_rounding_hides_are_settled_in_integers(entry, is_p):
     """A minor of 0, or one unit in the last place from 0, is decided among 14 rows."""
     skew = np.triu(np.random.default_rng(2).integers(-3, 4, (14, 14)), 1).astype(float)
     M = 4.0 * np.eye(14) + skew - skew.T
@@ -490,7 +487,7 @@ def test_minors_that_rounding_hides_are_settled_in_integers(entry: float, is_p: 
     assert is_p_matrix_by_recursion(sp.csr_array(M)) is is_p
 
 
-def test_evidence_names_the_row() -> None:
+def test_evidence_names_the_row():
     """The first row that fails is named, with = or < as it fails."""
     equal = analyze([[3.0, 1.0, 1.0], [1.0, 3.0, 2.0], [1.0, 1.0, 2.0]])
     assert equal.evidence["is_strictly_dominant"] == "|m_ii| = Σ|m_ij| on row 1"
@@ -508,7 +505,7 @@ def test_evidence_names_the_row() -> None:
 # --- Equilibration ------------------------------------------------------------------------------------------
 
 
-def test_noise_of_an_assembly_is_symmetric_up_to_rounding() -> None:
+def test_noise_of_an_assembly_is_symmetric_up_to_rounding():
     """An asymmetry of 1e-7 in rows of 1e11 is small; a triangle is not symmetric."""
     stiffness = [[1e11, -5e10, 1e-7], [-5e10, 1e11, 0.0], [-2e-7, 0.0, 1e11]]
     assert analyze(np.array(stiffness)).evidence["is_symmetric"] == (
@@ -520,7 +517,7 @@ def test_noise_of_an_assembly_is_symmetric_up_to_rounding() -> None:
 
 
 @pytest.mark.parametrize("entry", [0.0, -1.0])
-def test_the_recursion_over_minors_sees_the_diagonal(entry: float) -> None:
+def test_the_recursion_over_minors_sees_the_diagonal(entry):
     """A diagonal entry that is not positive decides."""
     M = np.array([[entry, -1.0], [1.0, 1.0]])  # det > 0 for 0
     assert not is_p_matrix_by_recursion(sp.csr_array(M))
@@ -529,7 +526,7 @@ def test_the_recursion_over_minors_sees_the_diagonal(entry: float) -> None:
 @pytest.mark.parametrize(
     "M", [[[0, 1], [-1, 4]], [[0, 0], [0, 2]], [[0, 0], [0, 0]]], ids=["diagonal", "row", "zero"]
 )
-def test_zeros_of_a_matrix_do_not_count_as_its_scale(M: Any) -> None:
+def test_zeros_of_a_matrix_do_not_count_as_its_scale(M):
     """The spread of one size is 0 decades, whatever is 0 beside it, and the report is JSON."""
     report = analyze(np.array(M, dtype=float))
     content = json.loads(json.dumps(report.to_content(), allow_nan=False))

@@ -68,7 +68,7 @@ def redundant_program(kind: str, seed: int) -> QuadraticProgram:
         (False, MET, cp.OPTIMAL),
     ],
 )
-def test_redundant_decimal_rows_in_cvxpy(is_linear: bool, b: list[float], status: str) -> None:
+def test_redundant_decimal_rows_in_cvxpy(is_linear, b, status):
     """Rows that are redundant up to rounding are infeasible, or a descent leaves them beyond a radius."""
     x = cp.Variable(3)
     problem = cp.Problem(
@@ -84,7 +84,7 @@ def test_redundant_decimal_rows_in_cvxpy(is_linear: bool, b: list[float], status
         assert "up to" in result.explain()
 
 
-def test_the_advice_names_the_radius() -> None:
+def test_the_advice_names_the_radius():
     """INFEASIBLE within a radius, and a descent that ends beyond it, report its first digit rounded down."""
     result = solve(QuadraticProgram(None, np.zeros(3), A=DECIMAL, b=CONTRADICTORY))
     assert result.has_no_solution
@@ -105,7 +105,7 @@ def test_the_advice_names_the_radius() -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
-def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:
+def test_redundant_decimal_programs_are_proved_infeasible(kind):
     """All of 200 random programs get a proof that verifies, for all x or within a wide radius."""
     within = 0
     for seed in range(200):
@@ -119,7 +119,7 @@ def test_redundant_decimal_programs_are_proved_infeasible(kind: str) -> None:
 
 
 @pytest.mark.full
-def test_redundant_decimal_programs_that_are_met_are_never_infeasible() -> None:
+def test_redundant_decimal_programs_that_are_met_are_never_infeasible():
     """All 200 consistent programs with the same rows have no accepted proof of infeasibility."""
     proofs = [accepted_proof(redundant_program("optimal", seed)) for seed in range(200)]
     assert [
@@ -131,7 +131,7 @@ def test_redundant_decimal_programs_that_are_met_are_never_infeasible() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
+def test_no_x_within_the_radius_is_below_the_margin(seed):
     """Every x up to the radius violates some row by the margin, exactly; distant x may not."""
     rng = np.random.default_rng(seed)
     program = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
@@ -139,7 +139,7 @@ def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
     assert isinstance(proof, QPInfeasibility)
     unit = program.constraints.own_sizes
 
-    def residual(x: Any) -> Fraction:
+    def residual(x):
         sums = [
             sum(Fraction(a) * Fraction(v) for a, v in zip(row, x, strict=True))
             for row in DECIMAL.tolist()
@@ -162,7 +162,7 @@ def test_no_x_within_the_radius_is_below_the_margin(seed: int) -> None:
     )
 
 
-def test_a_tampered_proof_within_a_radius_does_not_verify() -> None:
+def test_a_tampered_proof_within_a_radius_does_not_verify():
     """Other signs, a direction upwards, or rounding replaced by data: no proof."""
     infeasible = accepted_proof(
         QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
@@ -179,7 +179,7 @@ def test_a_tampered_proof_within_a_radius_does_not_verify() -> None:
 
 
 @pytest.mark.parametrize("small", [1e-6, 1e-9, 1e-12, 1e-15])
-def test_a_small_coefficient_is_data_and_no_rounding(small: float) -> None:
+def test_a_small_coefficient_is_data_and_no_rounding(small):
     """Equations x₁ = 0, x₁ + small x₂ = 1 with the solution x₂ = 1/small is never infeasible."""
     A, b = np.array([[1.0, 0.0], [1.0, small]]), np.array([0.0, 1.0])
     for P in (np.zeros((2, 2)), np.eye(2)):
@@ -190,7 +190,7 @@ def test_a_small_coefficient_is_data_and_no_rounding(small: float) -> None:
 
 
 @pytest.mark.full
-def test_certify_proves_nothing_within_a_radius() -> None:
+def test_certify_proves_nothing_within_a_radius():
     """A proof within a radius is not sufficient for `certify`, whose claims hold for all x."""
     infeasible = QuadraticProgram(np.eye(3), np.zeros(3), A=DECIMAL, b=CONTRADICTORY)
     unbounded = QuadraticProgram(np.zeros((3, 3)), np.ones(3), A=DECIMAL, b=MET)
@@ -199,7 +199,7 @@ def test_certify_proves_nothing_within_a_radius() -> None:
     assert certify(unbounded, claim="unbounded").verdict != "proved"
 
 
-def test_values_of_another_solver_far_out_disprove_no_answer() -> None:
+def test_values_of_another_solver_far_out_disprove_no_answer():
     """Initial values of 4e16, for which rows do not cancel, do not affect the result."""
     A = np.array([[0.8, 0.4, 0.9, 0.6, -0.7, 0.1, 0.5, 0.9]] * 2)
     x = cp.Variable(8)
@@ -211,7 +211,7 @@ def test_values_of_another_solver_far_out_disprove_no_answer() -> None:
         assert problem.status == cp.OPTIMAL
 
 
-def test_multipliers_of_1e21_excuse_no_gradient() -> None:
+def test_multipliers_of_1e21_excuse_no_gradient():
     """Rows scaled by 1e±6, unbounded up to rounding, are not "optimal" with a wrong gradient."""
     scale, x = np.array([1e-6, 1e6, 1e-3]), cp.Variable(3)
     rows = [(scale[:, None] * DECIMAL) @ x == scale * np.array(MET)]
@@ -240,7 +240,7 @@ CLASSES: dict[str, Any] = {
 
 @pytest.mark.parametrize("name", CLASSES)
 @pytest.mark.parametrize("seed", [1, 2, 5])
-def test_a_low_rank_problem_is_infeasible_within_a_radius(name: str, seed: int) -> None:
+def test_a_low_rank_problem_is_infeasible_within_a_radius(name, seed):
     """M = J Jᵀ in floating point is INFEASIBLE in every class if a load excites a zero-energy mode of J."""
     J, q, least = low_rank(seed)
     result = CLASSES[name](J @ J.T, q)
@@ -254,7 +254,7 @@ def test_a_low_rank_problem_is_infeasible_within_a_radius(name: str, seed: int) 
 
 
 @pytest.mark.full
-def test_low_rank_problems_are_infeasible_where_their_structure_is() -> None:
+def test_low_rank_problems_are_infeasible_where_their_structure_is():
     """Among 100 random J Jᵀ, all feasible ones are SOLVED, and at most 5 infeasible ones lack a proof."""
     found = {}
     for seed in range(100):
@@ -265,9 +265,7 @@ def test_low_rank_problems_are_infeasible_where_their_structure_is() -> None:
     assert not any(least < -1e-3 and one.is_solved for least, one in found.values())
 
 
-def test_multipliers_of_a_solver_prove_a_large_program_infeasible(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_multipliers_of_a_solver_prove_a_large_program_infeasible(monkeypatch):
     """Second differences below -1 and convex: without a linear program, from the multipliers that PIQP ends with."""
     n = 3000
     D = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)).tocsr()
@@ -283,7 +281,7 @@ def test_multipliers_of_a_solver_prove_a_large_program_infeasible(
     assert not QPInfeasibility(band, tuple(-y for y in result.proof.multipliers)).verify()
 
 
-def test_the_pivots_of_a_search_fall_with_the_size_of_its_programs() -> None:
+def test_the_pivots_of_a_search_fall_with_the_size_of_its_programs():
     """On 12 000 rows and columns at most 10 000 pivots, which take some seconds; small programs have five per row."""
     assert [farkas.pivot_limit(size) for size in (100, 4000, 12_000, 24_000)] == [
         500,

@@ -1,9 +1,7 @@
 """Structures with zero-energy modes that the load excites: a factorization names them; others are solved."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -37,7 +35,7 @@ HELD = {
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", UNHELD)
-def test_a_program_of_a_structure_that_nothing_holds_is_unbounded(name: str) -> None:
+def test_a_program_of_a_structure_that_nothing_holds_is_unbounded(name):
     """UNBOUNDED with a proof that verifies; it names unknowns if its direction strains nothing."""
     result = solve(UNHELD[name]().program)
     assert result.status is Status.UNBOUNDED
@@ -49,7 +47,7 @@ def test_a_program_of_a_structure_that_nothing_holds_is_unbounded(name: str) -> 
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", [name for name in UNHELD if name != "chain of 5000"])
-def test_a_problem_of_a_structure_that_nothing_holds_is_not_solved(name: str) -> None:
+def test_a_problem_of_a_structure_that_nothing_holds_is_not_solved(name):
     """INFEASIBLE with a proof that verifies, where a linear program finds it; never SOLVED."""
     result = solve(UNHELD[name]().problem, max_seconds=10.0)
     assert not result.is_solved
@@ -59,7 +57,7 @@ def test_a_problem_of_a_structure_that_nothing_holds_is_not_solved(name: str) ->
 
 
 @pytest.mark.parametrize("name", HELD)
-def test_what_is_held_is_solved(name: str) -> None:
+def test_what_is_held_is_solved(name):
     """The same structures pressed down, weakly held or balanced are SOLVED; no message names a motion."""
     structure = HELD[name]()
     for result in (solve(structure.problem), solve(structure.program)):
@@ -67,7 +65,7 @@ def test_what_is_held_is_solved(name: str) -> None:
         assert "nothing holds" not in result.explain()
 
 
-def test_a_weak_spring_is_no_rounding() -> None:
+def test_a_weak_spring_is_no_rounding():
     """A chain that a spring of 1e-9 holds: its motion is no direction, and the program has a minimum at 1e9.
 
     The rounding of P moves that minimum by 1e-7 of it: the point is near, and its status says that it may be off.
@@ -82,7 +80,7 @@ def test_a_weak_spring_is_no_rounding() -> None:
 @pytest.mark.parametrize(
     ("n", "stiff", "weak"), [(300, 30, 10), (300, 30, 22), (300, 20, 22), (1500, 20, 18)]
 )
-def test_stiff_parts_do_not_hide_what_holds_a_soft_one(n: int, stiff: int, weak: int) -> None:
+def test_stiff_parts_do_not_hide_what_holds_a_soft_one(n, stiff, weak):
     """A stiff chain, at its end a spring of 1 and one of 2^-weak to the ground: a minimum at 2^weak, never no solution.
 
     The unknowns are in units in which the rows alone do not show that something holds the chain.
@@ -99,7 +97,7 @@ def test_stiff_parts_do_not_hide_what_holds_a_soft_one(n: int, stiff: int, weak:
         assert "nothing holds" not in result.explain()
 
 
-def test_a_direction_keeps_contacts_closed_or_opens_them() -> None:
+def test_a_direction_keeps_contacts_closed_or_opens_them():
     """What is pressed on a floor slides along it; what is pulled off it rises."""
     pressed, pulled = block(6, 6, 1.0, -1.0), block(6, 6, 0.0, 1.0)
     slides, rises = (
@@ -111,7 +109,7 @@ def test_a_direction_keeps_contacts_closed_or_opens_them() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_units_of_unknowns_do_not_matter(seed: int) -> None:
+def test_the_units_of_unknowns_do_not_matter(seed):
     """A free chain whose rows add up to rounding only, each unknown in a unit of its own: UNBOUNDED."""
     spring, rng = 0.1 * np.arange(1.0, 50.0), np.random.default_rng(seed)
     unit = sp.diags_array(np.ldexp(1.0, rng.integers(-10, 11, 50)))
@@ -120,7 +118,7 @@ def test_the_units_of_unknowns_do_not_matter(seed: int) -> None:
     assert solve(QuadraticProgram(K, -unit.diagonal())).status is Status.UNBOUNDED
 
 
-def test_rows_that_hold_the_structure_are_seen() -> None:
+def test_rows_that_hold_the_structure_are_seen():
     """G x ≤ h or A x = b in the way of the only motion: SOLVED; in the way of none: UNBOUNDED."""
     K, q, lower = chain(28, 1.0)
     last = np.zeros((1, 28))
@@ -135,7 +133,7 @@ def test_rows_that_hold_the_structure_are_seen() -> None:
         assert "nothing holds unknowns" in str(result.proof)
 
 
-def test_a_tampered_motion_proves_nothing() -> None:
+def test_a_tampered_motion_proves_nothing():
     """The other direction, one that strains the structure, or a point below the floor."""
     proof = solve(block(6, 6, 0.0, 1.0).program).proof
     assert not replace(proof, direction=tuple(-d for d in proof.direction)).verify()
@@ -145,7 +143,7 @@ def test_a_tampered_motion_proves_nothing() -> None:
     assert not replace(proof, point=tuple(below)).verify()
 
 
-def test_cvxpy_says_unbounded_and_why() -> None:
+def test_cvxpy_says_unbounded_and_why():
     """A model in cvxpy of a chain that is pulled off: unbounded, the words in its statistics."""
     K, q, lower = chain(40, 1.0)
     x = cp.Variable(40)
@@ -159,15 +157,15 @@ def test_cvxpy_says_unbounded_and_why() -> None:
 
 
 @pytest.mark.parametrize("algorithm", ["npsor", "interior_point", "lemke"])
-def test_a_named_algorithm_ends_with_the_same_words(algorithm: str) -> None:
+def test_a_named_algorithm_ends_with_the_same_words(algorithm):
     """A program is UNBOUNDED whoever ran; so is what a limit leaves open where no limit came first."""
     structure = chain(28, 1.0)
     assert solve(structure.program, algorithm, max_iterations=10_000).status is Status.UNBOUNDED
 
 
-def test_a_prepared_problem_and_one_that_asks_for_no_proof() -> None:
+def test_a_prepared_problem_and_one_that_asks_for_no_proof():
     """Prepare changes no verdict; prove_infeasibility=False looks for none."""
-    structure: Structure = chain(28, 1.0)
+    structure = chain(28, 1.0)
     assert prepare(structure.problem).solve().status is Status.INFEASIBLE
     assert solve(structure.problem, prove_infeasibility=False).status is Status.STALLED
     assert not solve(structure.program, prove_infeasibility=False).has_no_solution
@@ -175,9 +173,7 @@ def test_a_prepared_problem_and_one_that_asks_for_no_proof() -> None:
 
 @pytest.mark.parametrize("stored", [np.asarray, sp.csr_array], ids=["dense", "sparse"])
 @pytest.mark.parametrize("weak", [20, 30, 35, 40])
-def test_a_weak_spring_at_the_end_of_a_chain_is_never_unbounded(
-    weak: int, stored: Callable[[Any], Any]
-) -> None:
+def test_a_weak_spring_at_the_end_of_a_chain_is_never_unbounded(weak, stored):
     """200 unknowns in a chain on a spring of 2^-weak have their minimum at 2^weak: it is found, SOLVED or not.
 
     Rounding of P is more than the tolerance of the objective from 2^-21 on: SOLVED requires a gradient of 0 there.

@@ -26,7 +26,7 @@ CASES: dict[str, tuple[Any, Any, Any, list[int]]] = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_unknowns_that_are_not_determined_are_named(name: str) -> None:
+def test_unknowns_that_are_not_determined_are_named(name):
     """The names in explain(), and the mask of the derivative, are the unknowns that differ between solutions."""
     M, q, lower, expected = CASES[name]
     names = [f"unknown {k}" for k in range(len(q))]
@@ -40,7 +40,7 @@ def test_unknowns_that_are_not_determined_are_named(name: str) -> None:
     assert not (expected and found.is_unique)
 
 
-def test_a_price_that_is_not_unique_is_named_by_its_model() -> None:
+def test_a_price_that_is_not_unique_is_named_by_its_model():
     """Supply from 10, demand from 5, no trade: each price in [5, 10] is one; with trade it is unique."""
     s, y, p = (cp.Variable(name=name) for name in ("supply", "demand", "price"))
     c, cost = cp.Parameter(value=5.0, name="c"), cp.Parameter(value=10.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import cvxpy as cp
@@ -72,9 +71,7 @@ def in_cvxpy(of: Published, name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("way", [sparse, dense, as_a_file, in_a_batch, in_a_list, in_cvxpy])
 @pytest.mark.parametrize("name", COMPLEMENTARITY)
-def test_answers_are_those_published(
-    name: str, way: Callable[[Published, str], np.ndarray]
-) -> None:
+def test_answers_are_those_published(name, way):
     """Within the bounds, every w_i right beside its own terms, and z (of singular M: w) as published."""
     of = read(name)
     z, reference = way(of, name), of["z_reference"]
@@ -87,7 +84,7 @@ def test_answers_are_those_published(
 
 @pytest.mark.parametrize("algorithm", REGISTRY)
 @pytest.mark.parametrize("name", COMPLEMENTARITY)
-def test_whatever_is_called_solved_is_right(name: str, algorithm: str) -> None:
+def test_whatever_is_called_solved_is_right(name, algorithm):
     """By every method that takes the problem: √tolerance beside the rows' own terms, as its criterion promises."""
     of = read(name)
     try:
@@ -119,7 +116,7 @@ def paper_matrix(example: int, side: int) -> sp.csr_array:
 )
 @pytest.mark.parametrize("side", [10, 30, 50])
 @pytest.mark.parametrize("example", [1, 2])
-def test_the_paper_s_answers(example: int, side: int, way: str) -> None:
+def test_the_paper_s_answers(example, side, way):
     """The planted z = (1, 2, 1, 2, …) to 1e-6, by the methods of its tables and by ours."""
     M, right = paper_matrix(example, side), np.tile([1.0, 2.0], side * side // 2)
     q = -(M @ right)

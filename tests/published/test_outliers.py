@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from campaigns.outliers import (
@@ -33,7 +31,7 @@ HALF_SPACES = [
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_answer_is_false(kind: str, draws: Callable[[int], range]) -> None:
+def test_no_answer_is_false(kind, draws):
     """No SOLVED beside the conditions and every judge, no proof beside a solution, no exception."""
     found = [(k, run(kind, 69, k)) for k in draws(60)]
     assert [(k, outcome.text) for k, outcome in found if outcome.what == FALSE] == []
@@ -41,7 +39,7 @@ def test_no_answer_is_false(kind: str, draws: Callable[[int], range]) -> None:
 
 
 @pytest.mark.parametrize("name", ["a tiny diagonal entry", "heavy on light", "components"])
-def test_the_judge_separates_a_solution_from_a_wrong_point(name: str) -> None:
+def test_the_judge_separates_a_solution_from_a_wrong_point(name):
     """A wrong SOLVED and a wrong INFEASIBLE are FALSE, the solution is RIGHT, and no status at all is REFUSED."""
     case = CONSTRUCTED[name]
     problem = ExactLCP(LCP(case.M, case.q))
@@ -68,7 +66,7 @@ class _Named:
         ([0.0, 0.0], "INFEASIBLE", FALSE), ([0.0, 0.0], "STALLED", REFUSED),
     ],
 )  # fmt: skip
-def test_the_judge_of_programs(x: list[float], status: str, verdict: str) -> None:
+def test_the_judge_of_programs(x, status, verdict):
     """By value and violations, whatever the multipliers."""
     none = {
         "inequality": np.zeros(2),

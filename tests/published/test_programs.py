@@ -117,16 +117,14 @@ def agrees(of: PublishedProgram, x: np.ndarray, value: float) -> None:
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_value_and_violations_are_those_published(
-    name: str, way: Callable[[PublishedProgram, str], Answer]
-) -> None:
+def test_value_and_violations_are_those_published(name, way):
     """All interfaces give the published value, with ∞ and with 1e20 for infinite bounds."""
     of = PublishedProgram.read(name)
     agrees(of, *way(of, name))
 
 
 @pytest.mark.parametrize("name", ["QBORE3D", "QCAPRI", "QSC205"])
-def test_numbers_of_an_engine_at_rounding_level_are_zero(name: str) -> None:
+def test_numbers_of_an_engine_at_rounding_level_are_zero(name):
     """An interior point ends near 0, not at 0; rows where all terms are such numbers are violated by their own size."""
     of = PublishedProgram.read(name)
     result = solve(QuadraticProgram.from_ranges(of.P, of.q, of.A, of.l, of.u, constant=of.r))
@@ -135,7 +133,7 @@ def test_numbers_of_an_engine_at_rounding_level_are_zero(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_units_of_unknowns_and_rows_change_no_value(name: str) -> None:
+def test_units_of_unknowns_and_rows_change_no_value(name):
     """Each unknown and each row in a unit of its own, from 2⁻²⁰ to 2²⁰."""
     of, rng = PublishedProgram.read(name), np.random.default_rng(0)
     rows, low, high, lower, upper = of.split()
@@ -153,16 +151,14 @@ def test_units_of_unknowns_and_rows_change_no_value(name: str) -> None:
 
 @pytest.mark.parametrize("way", [in_a_batch, in_a_stack])
 @pytest.mark.parametrize("name", SMALL)
-def test_batches_give_what_is_published(
-    name: str, way: Callable[[PublishedProgram, str], Answer]
-) -> None:
+def test_batches_give_what_is_published(name, way):
     """A list of programs, and stacked data."""
     of = PublishedProgram.read(name)
     agrees(of, *way(of, name))
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name: str) -> None:
+def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name):
     """The published optimum is proved of no x that misses it."""
     of, rng = PublishedProgram.read(name), np.random.default_rng(0)
     rows, low, high, lower, upper = of.split()
@@ -175,7 +171,7 @@ def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name: str)
 
 
 @pytest.mark.parametrize("name", BY_SIZE)
-def test_certify_proves_every_answer_of_ours(name: str) -> None:
+def test_certify_proves_every_answer_of_ours(name):
     """Rows that a solve accepts relative to their terms are also accepted by certify."""
     result = solve(load_program(str(FOLDER / f"qp_{name}.npz")))
     assert certify(result).verdict == "proved"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import cvxpy as cp
@@ -44,9 +43,7 @@ def in_cvxpy(of: Published) -> np.ndarray:
 
 @pytest.mark.parametrize("way", [sparse, dense, in_a_batch, in_cvxpy])
 @pytest.mark.parametrize("name", CONTACTS)
-def test_the_laws_of_contact_and_friction_hold(
-    name: str, way: Callable[[Published], np.ndarray]
-) -> None:
+def test_the_laws_of_contact_and_friction_hold(name, way):
     """Impulses in their cones, velocities that do not close, no power but of sliding: in every contact."""
     of = read(f"fc3d_{name}")
     assert errors_of_contact(of, way(of)) <= TOLERANCE
@@ -55,7 +52,7 @@ def test_the_laws_of_contact_and_friction_hold(
 @pytest.mark.parametrize("ratio", [1.0, 1e-7])
 @pytest.mark.parametrize("other", CONTACTS)
 @pytest.mark.parametrize("name", CONTACTS)
-def test_two_groups_in_one_problem_are_right_each(name: str, other: str, ratio: float) -> None:
+def test_two_groups_in_one_problem_are_right_each(name, other, ratio):
     """Neither touches the other: each is right by its own velocities, 1e-7 times the other's or not."""
     groups = [read(f"fc3d_{name}"), read(f"fc3d_{other}")]
     groups[1]["q"] = ratio * groups[1]["q"]

@@ -103,11 +103,11 @@ def kinds(problem: LCP, z: tuple[Fraction, ...]) -> list[str]:
 
 
 @pytest.mark.parametrize("name", SOLVED)
-def test_solved_lcps_are_solved(name: str) -> None:
+def test_solved_lcps_are_solved(name):
     """The drawn z is exactly within the bounds and complementary, for the stored data."""
 
     @given(SOLVED[name])
-    def check(drawn: tuple[LCP, tuple[Fraction, ...]]) -> None:
+    def check(drawn):
         problem, z = drawn
         assert "wrong" not in kinds(problem, z)
         assert [Fraction(value) for value in np.array(z, dtype=float).tolist()] == list(z)
@@ -116,7 +116,7 @@ def test_solved_lcps_are_solved(name: str) -> None:
     check()
 
 
-def test_exact_checks_can_fail() -> None:
+def test_exact_checks_can_fail():
     """The exact checks of this file reject wrong matrices and wrong points."""
     matrix = np.array([[1.0, 2.0], [1.0, 1.0]])
     assert not is_h_plus(matrix)
@@ -189,13 +189,13 @@ CLASSES = {
 
 
 @pytest.mark.parametrize("name", CLASSES)
-def test_classes_hold_in_fractions(name: str) -> None:
+def test_classes_hold_in_fractions(name):
     """Every matrix drawn is of its class in fractions, and `analyze` finds it."""
     strategy, oracle, verdict = CLASSES[name]
 
     @settings.get_profile("few")
     @given(strategy)
-    def check(matrix: Any) -> None:
+    def check(matrix):
         assert matrix.dtype == np.float64
         assert sp.issparse(matrix) == name.endswith("sparse")
         assert oracle(matrix)
@@ -204,13 +204,13 @@ def test_classes_hold_in_fractions(name: str) -> None:
     check()
 
 
-def test_every_rank_occurs() -> None:
+def test_every_rank_occurs():
     """Semidefinite matrices of size 3 have each rank from 0 to 3, in fractions."""
     ranks = Counter()
 
     @settings.get_profile("many")
     @given(positive_semidefinite_matrices(3))
-    def collect(matrix: np.ndarray) -> None:
+    def collect(matrix):
         ranks[rank(exact_rows(matrix))] += 1
 
     collect()
@@ -225,12 +225,12 @@ INFEASIBLE = {
 
 
 @pytest.mark.parametrize("name", INFEASIBLE)
-def test_infeasible_lcps_have_a_proof(name: str) -> None:
+def test_infeasible_lcps_have_a_proof(name):
     """The Farkas vector is exact, and M is monotone if requested."""
 
     @settings.get_profile("few")
     @given(INFEASIBLE[name])
-    def check(drawn: tuple[LCP, object]) -> None:
+    def check(drawn):
         problem, proof = drawn
         assert proof.verify()
         assert max(map(abs, proof.exact_y)) == 1
@@ -257,11 +257,11 @@ def times(matrix: object, x: tuple[Fraction, ...]) -> list[Fraction]:
     ]
 
 
-def test_convex_qps_are_solved() -> None:
+def test_convex_qps_are_solved():
     """The answer is feasible, stationary and complementary in fractions, and the objective is its value."""
 
     @given(convex_qps() | convex_qps(bounds=False))
-    def check(drawn: tuple[object, object]) -> None:
+    def check(drawn):
         program, answer = drawn
         exact = [
             list(map(Fraction, values.tolist())) for values in (program.c, program.h, program.b)
@@ -327,7 +327,7 @@ def exact_diagonal(
         (lambda z: 1 / 0, "it gave up \\(raised ZeroDivisionError: division by zero\\)"),
     ],
 )
-def test_the_judge_names_what_is_wrong(spoil: object, complaint: str) -> None:
+def test_the_judge_names_what_is_wrong(spoil, complaint):
     """Each kind of wrong answer is named, on the 1 × 1 identity with q = −1, 0 or 1."""
     report = verdict_on(
         lambda *data: spoil(exact_diagonal(*data)), matrices=h_plus_matrices(density=0)
@@ -336,10 +336,10 @@ def test_the_judge_names_what_is_wrong(spoil: object, complaint: str) -> None:
     assert re.search(r"problem = LCP\(\[\[1.0\]\], \[(-1|0|1).0\]\)", report), report
 
 
-def test_the_judge_names_a_modified_input() -> None:
+def test_the_judge_names_a_modified_input():
     """A solver that writes into q fails, although its z is right."""
 
-    def writes_into_q(*data: np.ndarray) -> np.ndarray:
+    def writes_into_q(*data):
         z = exact_diagonal(*data)
         data[1][:] = 7.0
         return z
@@ -348,15 +348,15 @@ def test_the_judge_names_a_modified_input() -> None:
     assert "modified its input q" in report
 
 
-def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
+def test_the_judge_measures_the_distance_where_the_residual_is_small():
     """A small residual does not hide a wrong z for a nearly singular matrix, unless allowed."""
     nearly = st.just(np.array([[1.0 + 2.0**-30, -1.0], [-1.0, 1.0]]))
 
-    def careless(M: np.ndarray, q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    def careless(M, q, lower, upper):
         z = least_squares_point(M, q)
         return z + 1.0 if z.min() > 0 else z * 0.0
 
-    def least_squares_point(M: np.ndarray, q: np.ndarray) -> np.ndarray:
+    def least_squares_point(M, q):
         return np.linalg.solve(M, -q)
 
     inactive = {"matrices": nearly, "tolerance": 10.0}
@@ -368,7 +368,7 @@ def test_the_judge_measures_the_distance_where_the_residual_is_small() -> None:
 
 
 @pytest.mark.parametrize("density", [1.0, 0.5])
-def test_h_plus_matrices_shrink_to_the_identity(density: float) -> None:
+def test_h_plus_matrices_shrink_to_the_identity(density):
     """The simplest matrix of any options is the identity, 1 × 1."""
     matrices = h_plus_matrices(density=density)
     simplest = find(matrices, lambda matrix: matrix.shape[0] > 0, settings=SEARCH)
@@ -387,7 +387,7 @@ assert_solves(exact_diagonal, max_examples=0) → max_examples must be an intege
 assert_solves(exact_diagonal, tolerance=-1.0) → tolerance must be a number ≥ 0, got -1.0
 assert_solves(np.eye(2)) → solver must be callable
 """)
-def test_wrong_options_are_refused_at_once(call: str, words: str) -> None:
+def test_wrong_options_are_refused_at_once(call, words):
     """An option out of range raises an error with the value and the range, before anything is drawn."""
     assert_refused(call, words, globals(), InvalidOption)
 
@@ -397,14 +397,14 @@ def test_wrong_options_are_refused_at_once(call: str, words: str) -> None:
     [np.array([[2.0**60, 1.0], [1.0, 2.0**60]]), np.full((1, 1), np.finfo(float).max)],
     ids=["wide", "huge"],
 )
-def test_matrices_that_make_q_round_are_refused(matrix: np.ndarray) -> None:
+def test_matrices_that_make_q_round_are_refused(matrix):
     """If q = w − M z is not representable, an error is raised instead of a wrong problem."""
     with pytest.raises(InvalidProblem, match="not free of rounding in row 0"):
         find(solved_lcps(st.just(matrix)), lambda drawn: False, settings=FIRST)
 
 
 @pytest.mark.full
-def test_a_counterexample_can_be_copied() -> None:
+def test_a_counterexample_can_be_copied():
     """The judge prints the call that makes the problem, bounds included if there are any."""
     with pytest.raises(AssertionError) as caught:
         assert_solves(lambda *data: data[1] + 9.0, matrices=h_plus_matrices(1), bounds=True)

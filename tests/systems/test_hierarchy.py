@@ -1,7 +1,5 @@
 """The set-up of multigrid at extreme entries, and the symmetry of its truncated V-cycle."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -12,7 +10,7 @@ from lcp_plugin.systems.hierarchy.levels import build_hierarchy
 from lcp_plugin.systems.hierarchy.truncation import Truncation
 
 
-def test_extreme_entries_do_not_break_the_set_up() -> None:
+def test_extreme_entries_do_not_break_the_set_up():
     """Entries near the ends of the floating-point range give finite weights and inverses, or none."""
     M = gallery.build("obstacle_2d", size=12).problem.csr
     for scale in (1e-305, 1e-290, 1e300):
@@ -27,7 +25,7 @@ SYMMETRIC = ["obstacle_2d:size=20", "journal_bearing:size=20,eccentricity=0.95"]
 
 
 @pytest.mark.parametrize("text", SYMMETRIC)
-def test_a_truncated_cycle_is_symmetric_and_lowers_the_energy(text: str) -> None:
+def test_a_truncated_cycle_is_symmetric_and_lowers_the_energy(text):
     """The V-cycle on the free set F is a symmetric map, leaves the rest at 0, and lowers ½ xᵀMx − bᵀx."""
     M = gallery.parse(text).problem.csr
     truncation = Truncation(build_hierarchy(M, coarsest=3))
@@ -47,9 +45,7 @@ def test_a_truncated_cycle_is_symmetric_and_lowers_the_energy(text: str) -> None
     assert right[0] @ answers[1] == pytest.approx(right[1] @ answers[0], rel=1e-9)
 
 
-def test_the_residual_after_a_sweep_is_that_of_x_in_each_block(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_residual_after_a_sweep_is_that_of_x_in_each_block(monkeypatch):
     """Rows next to the edges of blocks, which run in another order, have the residual of the final x."""
     monkeypatch.setattr(grids, "SMALLEST_BLOCK", 64)
     M = gallery.build("obstacle_2d", size=40).problem.csr

@@ -46,7 +46,7 @@ MATRICES = {
 
 
 @pytest.mark.parametrize("name", MATRICES)
-def test_the_counts_are_nearly_those_of_the_factor(name: str) -> None:
+def test_the_counts_are_nearly_those_of_the_factor(name):
     """Entries within a fifth of SuperLU's, in its own order of minimum degree; operations from .6 to 1.6 times."""
     A = MATRICES[name]()
     entries, operations = factor_sizes(A)
@@ -57,7 +57,7 @@ def test_the_counts_are_nearly_those_of_the_factor(name: str) -> None:
     assert 0.6 * (counts @ counts) <= operations <= 1.6 * (counts @ counts)
 
 
-def test_full_rows_alone_exceed_the_limits_of_a_count() -> None:
+def test_full_rows_alone_exceed_the_limits_of_a_count():
     """If all rows count as full, their triangle is compared with the limits as well."""
     G = sp.random_array((2000, 2000), density=0.05, rng=np.random.default_rng(1), format="csr")
     A = sp.csr_array(sp.block_array([[None, G.T], [G, None]]))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -34,9 +33,7 @@ def no_factor(*_: Any, **__: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["newton", "interior_point"])
-def test_no_sparse_factorization_starts_that_would_end_after_the_limit(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_sparse_factorization_starts_that_would_end_after_the_limit(name, monkeypatch):
     """On a graph of 20 000 nodes with max_seconds=1 the run ends with MAX_SECONDS and a point, and no factor begins."""
     monkeypatch.setattr("scipy.sparse.linalg.splu", no_factor)
     monkeypatch.setattr("qdldl.Solver", no_factor)
@@ -48,9 +45,7 @@ def test_no_sparse_factorization_starts_that_would_end_after_the_limit(
 @pytest.mark.parametrize("factorise", [
     factors.cholesky, factors.dense_lu, lambda M: factors.factorise(sp.csr_array(M), bandwidth=(60, 4)),
 ])  # fmt: skip
-def test_no_factorization_starts_that_would_end_after_the_limit(
-    factorise: Callable[[Any], Any],
-) -> None:
+def test_no_factorization_starts_that_would_end_after_the_limit(factorise):
     """Where no time is left every factorization says so; with time, or where the limit is not enforced, it is made."""
     M = np.eye(2000)
     with time_limit(1e-4, is_enforced=True), pytest.raises(OutOfTimeError):
@@ -61,7 +56,7 @@ def test_no_factorization_starts_that_would_end_after_the_limit(
         assert factorise(M) is not None
 
 
-def test_no_hierarchy_is_built_after_the_limit() -> None:
+def test_no_hierarchy_is_built_after_the_limit():
     """A limit that is over ends the set-up of multigrid between two grids, also on an easy matrix."""
     M = gallery.build("obstacle_2d", size=20).problem.csr
     with time_limit(-1.0, is_enforced=True), pytest.raises(OutOfTimeError):
@@ -69,7 +64,7 @@ def test_no_hierarchy_is_built_after_the_limit() -> None:
 
 
 @pytest.mark.full
-def test_a_program_ends_where_its_factor_would_end_after_the_limit() -> None:
+def test_a_program_ends_where_its_factor_would_end_after_the_limit():
     """A dense program of 1 000 unknowns with max_seconds=.001 ends with MAX_SECONDS, and a point."""
     random = np.random.default_rng(0)
     n = 1000
@@ -84,12 +79,12 @@ def test_a_program_ends_where_its_factor_would_end_after_the_limit() -> None:
 @pytest.mark.skipif(
     not hasattr(signal, "pthread_kill"), reason="no way to send Ctrl-C to one thread"
 )
-def test_ctrl_c_acts_after_the_factorization_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_acts_after_the_factorization_under_way(monkeypatch):
     """SIGINT in the middle of a factorization gives INTERRUPTED, with the best iterate, after its end."""
     main, ended = threading.main_thread().ident, []
     assert main is not None
 
-    def interrupted(*arguments: Any, **options: Any) -> Any:
+    def interrupted(*arguments, **options):
         factor = splu(*arguments, **options)
         ended.append(factor)
         # Python hears it after the call, whenever it comes
@@ -103,7 +98,7 @@ def test_ctrl_c_acts_after_the_factorization_under_way(monkeypatch: pytest.Monke
     assert np.isfinite(result.z).all()
 
 
-def test_a_nested_time_limit_does_not_extend_the_outer_one() -> None:
+def test_a_nested_time_limit_does_not_extend_the_outer_one():
     """The smaller of two nested limits counts, also if the inner one is infinite; the outer one is restored."""
     with time_limit(0.0):
         for seconds in (100.0, np.inf):
@@ -142,18 +137,16 @@ def _best() -> EquilibriumProgram:
 
 
 @pytest.mark.parametrize("state", [_unbounded, _infeasible, _singular, _best])
-def test_a_limited_call_changes_no_later_one(
-    state: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_limited_call_changes_no_later_one(state, monkeypatch):
     """Whichever question to the clock is the first after the limit, the next call has the status of a new problem."""
     expected, real, asked, last = solve(state()), deadline._now, 0, 0
 
-    def stop_after_last() -> float:
+    def stop_after_last():
         nonlocal asked
         asked += 1
         return real() + (1e6 if asked > last else 0.0)
 
-    def solve_within_limit(problem: Any, questions: int) -> None:
+    def solve_within_limit(problem, questions):
         nonlocal asked, last
         asked, last = 0, questions
         with monkeypatch.context() as patch:

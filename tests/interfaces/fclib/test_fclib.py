@@ -71,7 +71,7 @@ def local(path: Path, W: Any = LOW, q: Any = PUSHED, mu: Any = (0.5,), **rest: A
 
 
 @pytest.mark.parametrize("kind", ["columns", "rows", "entries", "entries of CSparse"])
-def test_a_local_problem_in_space(kind: str, tmp_path: Path) -> None:
+def test_a_local_problem_in_space(kind, tmp_path):
     """Each form of a matrix states the same contacts."""
     problem = load_problem(local(tmp_path / "block.h5", kind=kind))
     assert isinstance(problem, FrictionalContact)
@@ -82,7 +82,7 @@ def test_a_local_problem_in_space(kind: str, tmp_path: Path) -> None:
     )
 
 
-def test_a_local_problem_in_the_plane(tmp_path: Path) -> None:
+def test_a_local_problem_in_the_plane(tmp_path):
     """Six rows of spacedim 2 are three contacts, whatever six rows could be besides."""
     q, mu = [-1.0, 0.1, -1.0, 2.0, 1.0, 0.0], [0.5, 0.5, 0.2]
     problem = load_problem(local(tmp_path / "three.hdf5", np.eye(6), q, mu, d=2))
@@ -92,7 +92,7 @@ def test_a_local_problem_in_the_plane(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["columns", "rows", "entries", "entries of CSparse"])
-def test_a_global_problem(kind: str, tmp_path: Path) -> None:
+def test_a_global_problem(kind, tmp_path):
     """M v = H r + f, u = Hᵀv + w: the impulses are those of the velocities that the contacts then have."""
     rng = np.random.default_rng(3)
     A = rng.normal(size=(2, 4, 4))
@@ -107,7 +107,7 @@ def test_a_global_problem(kind: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(result.w, H.T @ v + w, atol=1e-10)
 
 
-def test_the_command_solves_such_a_file(tmp_path: Path) -> None:
+def test_the_command_solves_such_a_file(tmp_path):
     """``lcp-plugin solve block.h5``."""
     found = CliRunner().invoke(app, ["solve", str(local(tmp_path / "block.h5"))])
     assert found.exit_code == 0, found.output
@@ -153,9 +153,7 @@ def with_(name: str, values: Any) -> Callable[[Path], None]:
         ),
     ],
 )
-def test_the_error_names_the_fault_of_a_file(
-    change: Callable[[Path], None], words: str, tmp_path: Path
-) -> None:
+def test_the_error_names_the_fault_of_a_file(change, words, tmp_path):
     """A missing key, an empty group, another dimension: what the file holds, what it should."""
     path = local(tmp_path / "block.h5")
     change(path)
@@ -165,7 +163,7 @@ def test_the_error_names_the_fault_of_a_file(
     assert found.exit_code == 2, found.output
 
 
-def test_other_files_are_told_apart(tmp_path: Path) -> None:
+def test_other_files_are_told_apart(tmp_path):
     """No file, no HDF5, equations beside contacts, a mass matrix that is none; LCP.load, which has no place for it."""
     with pytest.raises(UnreadableFile, match="no such file"):
         load_problem(tmp_path / "none.h5")

@@ -72,7 +72,7 @@ BELOW_1E20 = st.floats(-9e19, 9e19)
 
 @settings.get_profile("few")
 @given(data=st.data(), n=st.integers(1, 4))
-def test_round_trip_of_any_numbers(data: st.DataObject, n: int, tmp_path: Path) -> None:
+def test_round_trip_of_any_numbers(data, n, tmp_path):
     """A file preserves all doubles."""
     entries = data.draw(st.lists(FINITE, min_size=n * n, max_size=n * n))
     q = data.draw(st.lists(FINITE, min_size=n, max_size=n))
@@ -93,7 +93,7 @@ def test_round_trip_of_any_numbers(data: st.DataObject, n: int, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", ["a.mat", "deep/M.mtx", "problem.txt", "half.npy", "folder"])
-def test_a_file_of_another_kind_is_not_written(name: str, tmp_path: Path) -> None:
+def test_a_file_of_another_kind_is_not_written(name, tmp_path):
     """An unknown file extension raises an error that names the right one, and writes nothing."""
     words = rf"cannot write .*{name}: .*; write {Path(name).stem}\.npz"
     with pytest.raises(UnreadableFile, match=words):
@@ -104,7 +104,7 @@ def test_a_file_of_another_kind_is_not_written(name: str, tmp_path: Path) -> Non
 # --- third-party layouts -----------------------------------------------------------------------------------------
 
 
-def test_documented_keys_are_enough(tmp_path: Path) -> None:
+def test_documented_keys_are_enough(tmp_path):
     """A file with the documented keys, in any dtype that fits, is read; other keys are ignored, pickled ones too."""
     small = {
         "indices": PROBLEM.csr.indices.astype(np.uint8),
@@ -125,7 +125,7 @@ def test_documented_keys_are_enough(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("left_out", [("lower",), ("upper",), ("lower", "upper")])
-def test_missing_bounds_are_zero_and_infinity(left_out: tuple[str, ...], tmp_path: Path) -> None:
+def test_missing_bounds_are_zero_and_infinity(left_out, tmp_path):
     """A file without lower or upper means 0 and ∞."""
     expected = {name: getattr(PROBLEM, name) for name in ("lower", "upper") if name not in left_out}
     p = LCP(M, PROBLEM.q, **expected)
@@ -135,14 +135,14 @@ def test_missing_bounds_are_zero_and_infinity(left_out: tuple[str, ...], tmp_pat
 @pytest.mark.parametrize(
     "bounds", [{"lower": [0.0, 1e20, 0.0]}, {"lower": -np.inf, "upper": [1.0, -1e200, 1.0]}]
 )
-def test_huge_bounds_that_exclude_zero_come_back(bounds: dict[str, Any], tmp_path: Path) -> None:
+def test_huge_bounds_that_exclude_zero_come_back(bounds, tmp_path):
     """A lower bound of 1e20 and an upper one of −1e200 are bounds, in files too."""
     problem = LCP(M, PROBLEM.q, **bounds)
     problem.save(tmp_path / "p.npz")
     assert_same(problem, LCP.load(tmp_path / "p.npz"))
 
 
-def test_matrix_market_as_others_write_it(tmp_path: Path) -> None:
+def test_matrix_market_as_others_write_it(tmp_path):
     """Symmetric, integer, dense and coordinate files, comments, and vectors as rows or with gaps are read."""
     entries = "% by hand\n3 3 3\n1 1 2\n2 1 -1\n3 3 5\n"
     (tmp_path / "M.mtx").write_text(
@@ -199,7 +199,7 @@ WRONG_KEYS: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("changes", "pattern"), WRONG_KEYS.values(), ids=WRONG_KEYS.keys())
-def test_wrong_content_is_refused(changes: dict[str, Any], pattern: str, tmp_path: Path) -> None:
+def test_wrong_content_is_refused(changes, pattern, tmp_path):
     """A file with inconsistent arrays raises UnreadableFile with the file's name and the reason."""
     path = npz(tmp_path / "wrong.npz", **changes)
     with pytest.raises(UnreadableFile, match=pattern) as caught:
@@ -227,7 +227,7 @@ NO_ARCHIVES: dict[str, tuple[bytes, str]] = {
 
 
 @pytest.mark.parametrize(("content", "pattern"), NO_ARCHIVES.values(), ids=NO_ARCHIVES.keys())
-def test_no_archive_is_refused(content: bytes, pattern: str, tmp_path: Path) -> None:
+def test_no_archive_is_refused(content, pattern, tmp_path):
     """A file that is not an .npz archive raises UnreadableFile, without unsafe advice."""
     (tmp_path / "p.npz").write_bytes(content)
     with pytest.raises(UnreadableFile, match=pattern) as caught:
@@ -245,9 +245,7 @@ class Trap:
         return open, (str(self.mark), "w")  # the file it opens is the mark
 
 
-def test_an_archive_that_unpacks_to_a_multiple_is_refused_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_archive_that_unpacks_to_a_multiple_is_refused_before(tmp_path, monkeypatch):
     """8 MB of zeros from 8 kB, where 1 MB is much, are not unpacked; the same array without compression is read."""
     monkeypatch.setattr(files, "LARGE_UNPACKED", 10**6)
     M, q = np.zeros((1000, 1000)), np.zeros(1000)
@@ -261,7 +259,7 @@ def test_an_archive_that_unpacks_to_a_multiple_is_refused_before(
 
 
 @pytest.mark.parametrize("key", ["q", "data", "shape", "lower", "P_data", "unknown"])
-def test_pickles_are_never_read(key: str, tmp_path: Path) -> None:
+def test_pickles_are_never_read(key, tmp_path):
     """A pickled array raises an error, or is skipped, and its code never runs."""
     mark = tmp_path / "mark"
     path = npz(tmp_path / "p.npz", **{key: np.array([Trap(mark)], dtype=object)})
@@ -299,7 +297,7 @@ WRONG_MATRIX_MARKET = {
 @pytest.mark.parametrize(
     ("content", "pattern"), WRONG_MATRIX_MARKET.values(), ids=WRONG_MATRIX_MARKET.keys()
 )
-def test_wrong_matrix_market_file_is_refused(content: str, pattern: str, tmp_path: Path) -> None:
+def test_wrong_matrix_market_file_is_refused(content, pattern, tmp_path):
     """A text that is not a matrix raises UnreadableFile with the file's name."""
     (tmp_path / "M.mtx").write_text(content)
     scipy.io.mmwrite(tmp_path / "q.mtx", np.ones((3, 1)))
@@ -324,7 +322,7 @@ ENORMOUS = {
     sys.platform != "linux", reason="the peak of the memory is read from Linux's resource usage"
 )
 @pytest.mark.parametrize("what", ENORMOUS)
-def test_a_short_file_that_announces_much_takes_no_memory(what: str, tmp_path: Path) -> None:
+def test_a_short_file_that_announces_much_takes_no_memory(what, tmp_path):
     """A file of a few bytes that declares 3e8 rows raises an error before memory is allocated."""
     scipy.io.mmwrite(tmp_path / "q.mtx", np.ones((3, 1)))
     for name, content in ENORMOUS[what].items():
@@ -356,7 +354,7 @@ def no_space(file: Any, *_: object, **__: object) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_failed_archive_keeps_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_archive_keeps_the_old_one(tmp_path, monkeypatch):
     """If overwriting fails, the old file remains bit for bit."""
     PROBLEM.save(tmp_path / "p.npz")
     before = files_in(tmp_path)
@@ -373,7 +371,7 @@ def test_failed_archive_keeps_the_old_one(tmp_path: Path, monkeypatch: pytest.Mo
         ("file/p.npz", r"cannot write .*p\.npz: Not a directory"),
     ],
 )
-def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -> None:
+def test_impossible_target_is_refused(path, pattern, tmp_path):
     """A target in a missing folder, below a file or in place of a folder raises an error."""
     (tmp_path / "file").write_bytes(b"precious")
     (tmp_path / "taken.npz").mkdir()
@@ -384,7 +382,7 @@ def test_impossible_target_is_refused(path: str, pattern: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("line", ["array real general\n0 0", "coordinate real general\n0 0 0"])
-def test_an_empty_matrix_market_file_is_an_empty_matrix(line: str, tmp_path: Path) -> None:
+def test_an_empty_matrix_market_file_is_an_empty_matrix(line, tmp_path):
     """A matrix of shape (0, 0); scipy's reader divides by the number of columns, which ends the process."""
     (tmp_path / "M.mtx").write_text(f"%%MatrixMarket matrix {line}\n")
     assert files.read_matrix_market(tmp_path / "M.mtx").shape == (0, 0)

@@ -83,13 +83,13 @@ HIGHS = (".qps", ".mps", ".lp")
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """A current folder of its own."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def test_every_subcommand_and_every_format_has_its_row() -> None:
+def test_every_subcommand_and_every_format_has_its_row():
     """A new subcommand, or a new ending of files, fails here until it is walked."""
     assert {one.name for one in app.registered_commands} == {*CELLS, *WITHOUT_FILES}
     assert {Path(name).suffix for name in FILES} == {ARRAYS, *MPS, NL, MARKET}
@@ -99,7 +99,7 @@ def test_every_subcommand_and_every_format_has_its_row() -> None:
 @pytest.mark.parametrize(
     ("name", "command"), [(name, command) for name in FILES for command in CELLS]
 )
-def test_each_cell_works_or_names_what_the_command_needs(name: str, command: str) -> None:
+def test_each_cell_works_or_names_what_the_command_needs(name, command):
     """Exit code 0 and something on stdout; or 2 and one line on stderr that names the class that it needs."""
     kind, write = FILES[name]
     expected = CELLS[command][kind]
@@ -115,7 +115,7 @@ def test_each_cell_works_or_names_what_the_command_needs(name: str, command: str
     assert re.match(f"lcp-plugin: .*(?:{expected})", done.stderr), done.stderr
 
 
-def test_files_of_mps_are_answered_in_their_own_terms() -> None:
+def test_files_of_mps_are_answered_in_their_own_terms():
     """The output uses the names of variables, and the objective of the file with its constant."""
     pytest.importorskip("highspy")
     Path("qp.qps").write_text(QPS)
@@ -129,7 +129,7 @@ def test_files_of_mps_are_answered_in_their_own_terms() -> None:
         np.testing.assert_allclose(saved["inequality"], [1.0], atol=1e-7)
 
 
-def test_the_tolerance_of_the_command_reaches_a_program() -> None:
+def test_the_tolerance_of_the_command_reaches_a_program():
     """Option --tolerance is passed on unchanged; without it a program uses its default."""
     np.savez("qp.npz", **PROGRAM)
     given = [
@@ -139,7 +139,7 @@ def test_the_tolerance_of_the_command_reaches_a_program() -> None:
     assert given == [1e-6, 1e-8, 1e-4]
 
 
-def test_no_minimum_is_told_and_shows_no_point() -> None:
+def test_no_minimum_is_told_and_shows_no_point():
     """Infeasible and unbounded programs: exit code 1, the status and its proof, and no x that could be mistaken."""
     np.savez("no.npz", P=M, q=q, A=[[1.0, 0.0], [1.0, 0.0]], l=[-np.inf, 3.0], u=[2.0, 9.0])
     np.savez("falls.npz", c=q)
@@ -153,9 +153,9 @@ def test_no_minimum_is_told_and_shows_no_point() -> None:
 # --- Mistakes ---------------------------------------------------------------------------------------------------
 
 
-def test_each_example_in_a_help_page_is_a_command() -> None:
+def test_each_example_in_a_help_page_is_a_command():
     """The examples below each help page use existing subcommands and options."""
-    group: Any = typer.main.get_command(app)
+    group = typer.main.get_command(app)
     for name, command in group.commands.items():
         known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
         lines = re.findall(r"^  lcp-plugin (.*)$", command.epilog, re.MULTILINE)
@@ -165,7 +165,7 @@ def test_each_example_in_a_help_page_is_a_command() -> None:
             assert {word for word in words if word.startswith("-")} <= known, words
 
 
-def test_a_maximum_of_0_is_printed_without_a_sign(tmp_path: Path) -> None:
+def test_a_maximum_of_0_is_printed_without_a_sign(tmp_path):
     """The objective of a file to be maximized is the negative one of the program, and 0 is not −0."""
     path = tmp_path / "p.lp"
     path.write_text(LP.replace("2 first + 4", "- first - 4"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from contextlib import nullcontext
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,9 +51,7 @@ SAME = {  # the nearest point of x₁ + x₂ ≤ 2, x ≥ 0 to (1, 2), by every 
 
 
 @pytest.mark.parametrize("content", SAME.values(), ids=SAME)
-def test_programs_are_read_by_the_names_people_save(
-    content: dict[str, Any], tmp_path: Path
-) -> None:
+def test_programs_are_read_by_the_names_people_save(content, tmp_path):
     """Dense arrays, as ``numpy.savez`` writes them, in the names of OSQP, ours and qpsolvers'."""
     np.savez(tmp_path / "p.npz", **content)
     program = load_problem(tmp_path / "p.npz")
@@ -66,7 +63,7 @@ def test_programs_are_read_by_the_names_people_save(
 @pytest.mark.parametrize(
     "triangle", [sp.triu, sp.tril, sp.csc_array], ids=["upper", "lower", "all"]
 )
-def test_sparse_matrices_are_their_csc_arrays(triangle: Any, tmp_path: Path) -> None:
+def test_sparse_matrices_are_their_csc_arrays(triangle, tmp_path):
     """P whole or one triangle of it, A and G sparse too; a dense matrix may stand beside a sparse one."""
     np.savez(
         tmp_path / "p.npz",
@@ -83,7 +80,7 @@ def test_sparse_matrices_are_their_csc_arrays(triangle: Any, tmp_path: Path) -> 
     assert (program.h.tolist(), program.b.tolist()) == (h.tolist(), b.tolist())
 
 
-def test_no_p_is_a_linear_program(tmp_path: Path) -> None:
+def test_no_p_is_a_linear_program(tmp_path):
     """A cost and rows alone."""
     np.savez(tmp_path / "p.npz", c=[1.0, 2.0], A=[[1.0, 1.0]], b=[1.0], lower=0.0)
     assert solve(load_problem(tmp_path / "p.npz")).require_solved().x == pytest.approx(
@@ -91,7 +88,7 @@ def test_no_p_is_a_linear_program(tmp_path: Path) -> None:
     )
 
 
-def test_kinds_are_told_by_what_is_in_a_file(tmp_path: Path) -> None:
+def test_kinds_are_told_by_what_is_in_a_file(tmp_path):
     """M is an LCP's, P or a cost a program's, A and b alone those of least squares, whose bounds are 0 and ∞."""
     np.savez(tmp_path / "lcp.npz", M=P, q=c)
     np.savez(tmp_path / "fit.npz", A=[[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], b=[2.0, 1.0, -1.0])
@@ -135,16 +132,14 @@ REFUSED: list[tuple[dict[str, Any], type[LCPError], str]] = [
 @pytest.mark.parametrize(
     ("content", "kind", "words"), REFUSED, ids=[words for *_, words in REFUSED]
 )
-def test_what_states_no_program_is_refused_in_words(
-    content: dict[str, Any], kind: type[LCPError], words: str, tmp_path: Path
-) -> None:
+def test_what_states_no_program_is_refused_in_words(content, kind, words, tmp_path):
     """Names that contradict one another, shapes that do not fit, pickled objects: an error that says what is needed."""
     np.savez(tmp_path / "p.npz", **content)
     with pytest.raises(kind, match=words):
         load_problem(tmp_path / "p.npz")
 
 
-def test_contacts_are_no_program(tmp_path: Path) -> None:
+def test_contacts_are_no_program(tmp_path):
     """Neither by W nor by CSR arrays does a contact problem pass for a linear program."""
     contact = FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5)
     contact.save(tmp_path / "a.npz")
@@ -170,7 +165,7 @@ bounds
 """
 
 
-def test_lp_files_are_programs_and_integers_are_named(tmp_path: Path) -> None:
+def test_lp_files_are_programs_and_integers_are_named(tmp_path):
     """HiGHS reads .lp as it reads .mps; an integer variable is refused by its name."""
     pytest.importorskip("highspy")
     (tmp_path / "p.lp").write_text(LP.format(more=""))
@@ -180,7 +175,7 @@ def test_lp_files_are_programs_and_integers_are_named(tmp_path: Path) -> None:
         load_problem(tmp_path / "i.lp")
 
 
-def test_a_constant_and_a_maximum_are_told(tmp_path: Path) -> None:
+def test_a_constant_and_a_maximum_are_told(tmp_path):
     """A constant is part of the objective; a ModelWarning reports that the objective is negated."""
     pytest.importorskip("highspy")
     lp = "maximize\n 2 x + 4 y + 3\nsubject to\n x + y <= 2\nend\n"
@@ -217,8 +212,8 @@ ENDATA
     ],
 )
 def test_a_negative_upper_bound_in_mps_leaves_no_lower_bound_of_0(
-    bounds: str, lower: float, objective: float, tmp_path: Path
-) -> None:
+    bounds, lower, objective, tmp_path
+):
     """X + 2 y over x + y ≥ −6, 0 ≤ y ≤ 4 and x ≤ −3: the lower bound of x is −∞ unless the file gives one."""
     text = MPS.format(sense="", right="-6", constant="", bounds=bounds)
     (tmp_path / "p.mps").write_text(text)
@@ -243,7 +238,7 @@ def test_a_negative_upper_bound_in_mps_leaves_no_lower_bound_of_0(
         "MAX\n",
     ],
 )
-def test_a_maximum_in_mps_is_read_on_one_line_and_on_two(sense: str, tmp_path: Path) -> None:
+def test_a_maximum_in_mps_is_read_on_one_line_and_on_two(sense, tmp_path):
     """The largest x + 2 y + 10 over x + y ≥ 2, x ≤ 3, y ≤ 4 is 21; without the line, the least one is 12."""
     text = MPS.format(sense=sense, right="2", constant="\n RHS obj -10", bounds=" UP BND x 3\n")
     (tmp_path / "p.mps").write_text(text)
@@ -264,9 +259,7 @@ def test_a_maximum_in_mps_is_read_on_one_line_and_on_two(sense: str, tmp_path: P
         (" FR x\n LO x -4\n", -4.0, np.inf),
     ],
 )
-def test_a_later_bound_in_mps_replaces_an_earlier_one(
-    bounds: str, lower: float, upper: float, tmp_path: Path
-) -> None:
+def test_a_later_bound_in_mps_replaces_an_earlier_one(bounds, lower, upper, tmp_path):
     """The bounds of x are read in the order of the lines."""
     text = MPS.format(sense="", right="2", constant="", bounds=bounds)
     (tmp_path / "p.mps").write_text(text)
@@ -275,7 +268,7 @@ def test_a_later_bound_in_mps_replaces_an_earlier_one(
     assert (program.lower[1], program.upper[1]) == (0.0, 4.0)
 
 
-def test_an_mps_file_that_leaves_something_out_is_read_with_a_message(tmp_path: Path) -> None:
+def test_an_mps_file_that_leaves_something_out_is_read_with_a_message(tmp_path):
     """The right-hand side of a second free row is no constant; a repeated entry warns; ENDATA is required."""
     path = tmp_path / "p.mps"
     text = MPS.format(sense="", right="2", constant="\n RHS other 5", bounds="")
@@ -322,8 +315,8 @@ ENDATA
     ],
 )
 def test_names_of_an_mps_file_that_are_repeated_or_unknown_are_refused(
-    old: str, new: str, expected: str, tmp_path: Path
-) -> None:
+    old, new, expected, tmp_path
+):
     """HiGHS adds a second unknown or row of the name, and ignores or misreads the unknown row."""
     path = tmp_path / "p.mps"
     path.write_text(QPS)
@@ -341,9 +334,7 @@ def test_names_of_an_mps_file_that_are_repeated_or_unknown_are_refused(
         (" x y 1", " x z 1", '"x z 1" in QUADOBJ'),
     ],
 )
-def test_a_column_of_an_mps_file_without_coefficients_is_told(
-    old: str, new: str, line: str, tmp_path: Path
-) -> None:
+def test_a_column_of_an_mps_file_without_coefficients_is_told(old, new, line, tmp_path):
     """HiGHS writes a variable without cost and rows only in BOUNDS and QUADOBJ; it may be a wrong name also."""
     path = tmp_path / "p.mps"
     path.write_text(QPS.replace(old, new, 1))
@@ -361,8 +352,8 @@ def test_a_column_of_an_mps_file_without_coefficients_is_told(
     ],
 )
 def test_repeated_entries_of_an_mps_file_are_told_with_the_one_that_holds(
-    old: str, new: str, expected: str, entries: Any, tmp_path: Path
-) -> None:
+    old, new, expected, entries, tmp_path
+):
     """4 ≤ x + y ≤ 6, by the first right-hand side and the first range; quadratic terms are summed."""
     path = tmp_path / "p.mps"
     path.write_text(QPS.replace(old, new, 1))
@@ -388,7 +379,7 @@ def test_repeated_entries_of_an_mps_file_are_told_with_the_one_that_holds(
         ("QUADOBJ", "QMATRIX", "P must be symmetric"),
     ],
 )
-def test_faults_of_an_mps_file_are_named(old: str, new: str, fault: str, tmp_path: Path) -> None:
+def test_faults_of_an_mps_file_are_named(old, new, fault, tmp_path):
     """A number, a type of bound or row, a section or a sense that the format lacks is not passed over."""
     path = tmp_path / "p.mps"
     path.write_text(QPS.replace(old, new, 1))
@@ -398,9 +389,7 @@ def test_faults_of_an_mps_file_are_named(old: str, new: str, fault: str, tmp_pat
 
 @pytest.mark.parametrize("section", ["RHS", "RANGES", "QUADOBJ"])
 @pytest.mark.parametrize("number", ["1_0", "\u0661", "nan"])
-def test_every_section_of_an_mps_file_takes_ascii_numbers_only(
-    section: str, number: str, tmp_path: Path
-) -> None:
+def test_every_section_of_an_mps_file_takes_ascii_numbers_only(section, number, tmp_path):
     """The last number of the first line of a section is replaced; the message names the line."""
     before, after = QPS.split(f"\n{section}\n")
     line, rest = after.split("\n", 1)
@@ -411,7 +400,7 @@ def test_every_section_of_an_mps_file_takes_ascii_numbers_only(
         load_problem(path)
 
 
-def test_an_infinite_right_hand_side_of_an_mps_file_is_named(tmp_path: Path) -> None:
+def test_an_infinite_right_hand_side_of_an_mps_file_is_named(tmp_path):
     """RHS −∞ of a row is a fault of its line."""
     before, after = QPS.split("\nRHS\n")
     line, rest = after.split("\n", 1)
@@ -423,7 +412,7 @@ def test_an_infinite_right_hand_side_of_an_mps_file_is_named(tmp_path: Path) -> 
         load_problem(path)
 
 
-def test_integers_of_an_mps_file_are_named(tmp_path: Path) -> None:
+def test_integers_of_an_mps_file_are_named(tmp_path):
     """Columns between markers, and bounds of integers, are rejected by the name of the first."""
     path = tmp_path / "p.mps"
     marker = "    M1        'MARKER'                 'INTORG'\n"
@@ -434,7 +423,7 @@ def test_integers_of_an_mps_file_are_named(tmp_path: Path) -> None:
             load_problem(path)
 
 
-def test_a_dollar_begins_a_comment_unless_a_name_does(tmp_path: Path) -> None:
+def test_a_dollar_begins_a_comment_unless_a_name_does(tmp_path):
     """Comments after $ and * change nothing, and $y remains the name of a column."""
     path = tmp_path / "p.mps"
     path.write_text(QPS)
@@ -448,7 +437,7 @@ def test_a_dollar_begins_a_comment_unless_a_name_does(tmp_path: Path) -> None:
     assert (read.P != plain.P).nnz == (read.G != plain.G).nnz == 0
 
 
-def test_names_with_blanks_have_fixed_places(tmp_path: Path) -> None:
+def test_names_with_blanks_have_fixed_places(tmp_path):
     """In fixed format a name has its columns of a line, and may hold blanks."""
     row = "    {:<8}  {:<8}  {:>12}\n".format
     (tmp_path / "p.mps").write_text(
@@ -467,7 +456,7 @@ def test_names_with_blanks_have_fixed_places(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_mps_files_of_highs_are_read_as_highs_reads_them(seed: int, tmp_path: Path) -> None:
+def test_mps_files_of_highs_are_read_as_highs_reads_them(seed, tmp_path):
     """A random program that HiGHS wrote has the arrays that HiGHS holds, with ranges, free rows and all bounds."""
     highspy = pytest.importorskip("highspy")
     rng = np.random.default_rng(seed)
@@ -510,7 +499,7 @@ def test_mps_files_of_highs_are_read_as_highs_reads_them(seed: int, tmp_path: Pa
         )
 
 
-def test_contacts_with_a_dense_matrix_called_m_are_read(tmp_path: Path) -> None:
+def test_contacts_with_a_dense_matrix_called_m_are_read(tmp_path):
     """M, q and mu are a contact problem, as W, b and friction are."""
     np.savez(tmp_path / "c.npz", M=np.eye(3), q=[-1.0, 0.25, 0.0], mu=[0.5])
     problem = load_problem(tmp_path / "c.npz")
@@ -518,7 +507,7 @@ def test_contacts_with_a_dense_matrix_called_m_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(solve(problem).require_solved().z, [1.0, -0.25, 0.0], atol=1e-7)
 
 
-def test_a_triangle_and_the_whole_of_a_matrix_state_one_program(tmp_path: Path) -> None:
+def test_a_triangle_and_the_whole_of_a_matrix_state_one_program(tmp_path):
     """QUADOBJ has one triangle of P, QMATRIX all of it: P = [[2, 1], [1, 2]], c = (1, 1)."""
     path = tmp_path / "p.mps"
     for text in (QPS, QPS.replace("QUADOBJ", "QMATRIX").replace(" x y 1\n", " x y 1\n y x 1\n")):

@@ -1,10 +1,6 @@
 """The layer for JAX: its gradients are those of differences, under jit and vmap too, and what it cannot do it says."""
 
-from __future__ import annotations
-
 import doctest
-from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,14 +27,14 @@ from lcp_plugin.interfaces.learn.jax import contact_layer, lcp_layer, qp_layer  
 
 
 @pytest.fixture(autouse=True)
-def _double_precision() -> Iterator[None]:
+def _double_precision():
     before = jax.config.jax_enable_x64
     jax.config.update("jax_enable_x64", True)
     yield
     jax.config.update("jax_enable_x64", before)
 
 
-def test_examples_of_its_help() -> None:
+def test_examples_of_its_help():
     """The doctests of the module, which others leave out."""
     assert doctest.testmod(layers).failed == 0
     assert doctest.testmod(layers).attempted > 3
@@ -46,7 +42,7 @@ def test_examples_of_its_help() -> None:
 
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
-def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> None:
+def test_gradients_are_those_of_differences(symmetric, shared):
     """jax.test_util.check_grads in M, q, lower and upper, with boxes and half-lines; also compiled."""
     M, q, lower, upper = planted(4, 5, 1, symmetric=symmetric, shared=shared, fixed=0.0)
     data = M, q, np.maximum(lower, -1e3), np.minimum(upper, 1e3)  # differences of ±inf are none
@@ -57,13 +53,13 @@ def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> No
 @pytest.mark.parametrize(
     "axes", [(None, 0, None, None), (0, None, None, None), (None, None, 0, 0), (0, 0, 0, 0)]
 )
-def test_a_mapped_axis_is_one_more_of_the_batch(axes: tuple[Any, ...]) -> None:
+def test_a_mapped_axis_is_one_more_of_the_batch(axes):
     """With vmap of the layer and of its gradients, over any of the arguments, inside and outside of jit."""
     data = [
         array if axis == 0 else array[0] for array, axis in zip(planted(4, 5, 6), axes, strict=True)
     ]
 
-    def one_by_one(function: Callable[..., Any]) -> Any:
+    def one_by_one(function):
         rows = [
             [array[k] if axis == 0 else array for array, axis in zip(data, axes, strict=True)]
             for k in range(4)
@@ -78,7 +74,7 @@ def test_a_mapped_axis_is_one_more_of_the_batch(axes: tuple[Any, ...]) -> None:
             assert all(np.allclose(a, b, rtol=1e-12, atol=1e-12) for a, b in pairs)
 
 
-def test_jacobians() -> None:
+def test_jacobians():
     """jax.jacrev asks for many gradients of one solution: −M_FF⁻¹ on the free rows; also under vmap."""
     M, q, lower, upper = planted(3, 6, 7)
     jacobian = jax.jacrev(lcp_layer, argnums=1)
@@ -97,14 +93,14 @@ def test_jacobians() -> None:
 @pytest.mark.parametrize(
     "second", [jax.hessian, lambda loss: jax.grad(lambda q: jax.grad(loss)(q).sum())]
 )
-def test_second_derivatives_and_forward_mode_are_refused(second: Callable[..., Any]) -> None:
+def test_second_derivatives_and_forward_mode_are_refused(second):
     """JAX says that a callback has no derivative."""
     M, q = jnp.eye(2) * 2.0, -jnp.ones(2)
     with pytest.raises((TypeError, ValueError, NotImplementedError)):
         second(lambda q: (lcp_layer(M, q) ** 2).sum())(q)
 
 
-def test_a_sparse_matrix_is_a_constant() -> None:
+def test_a_sparse_matrix_is_a_constant():
     """An obstacle problem with 10 000 unknowns, differentiated by its load and its obstacle, compiled."""
     scene = gallery.obstacle_2d(size=100).problem
     layer = jax.jit(jax.grad(lambda q, lower: lcp_layer(scene.M, q, lower).sum(), argnums=(0, 1)))
@@ -114,7 +110,7 @@ def test_a_sparse_matrix_is_a_constant() -> None:
     assert np.allclose(by_lower, own.lower, rtol=1e-8, atol=1e-8)
 
 
-def test_what_is_not_solved_is_named() -> None:
+def test_what_is_not_solved_is_named():
     """A batch with a problem that has no solution raises, and names it within JAX's own error."""
     M = jnp.stack([jnp.eye(2), -jnp.eye(2), jnp.eye(2)])
     for layer in (lcp_layer, jax.jit(lcp_layer)):
@@ -127,7 +123,7 @@ def test_what_is_not_solved_is_named() -> None:
             jax.block_until_ready(layer(jnp.eye(2), jnp.array([jnp.nan, 0.0])))
 
 
-def test_single_precision_is_refused() -> None:
+def test_single_precision_is_refused():
     """Where JAX has not been told otherwise, and where an array has it all the same."""
     with pytest.raises(
         InvalidProblem, match=r"q must be an array of float64, got float32; write q.astype\(float\)"
@@ -138,12 +134,12 @@ def test_single_precision_is_refused() -> None:
         lcp_layer(jnp.eye(2), jnp.ones(2))
 
 
-def test_contact_has_the_gradients_of_its_derivative() -> None:
+def test_contact_has_the_gradients_of_its_derivative():
     """Compiled, mapped and at once."""
     W, b, friction = planted_worlds(6)
     gradient = derivative(solve_batch(FrictionalContact.worlds(W, b, friction))).vjp(np.ones(6))
 
-    def loss(W: Any, b: Any, friction: Any) -> Any:
+    def loss(W, b, friction):
         return contact_layer(W, b, friction).sum()
 
     ways = (
@@ -158,7 +154,7 @@ def test_contact_has_the_gradients_of_its_derivative() -> None:
             np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
 
 
-def test_mask_replaces_the_error_of_a_failed_instance() -> None:
+def test_mask_replaces_the_error_of_a_failed_instance():
     """An instance without a solution has z = 0 and the gradient 0, also under jit."""
     q = jnp.array([[-1.0, 2.0], [np.nan, -1.0]])
     z, is_solved = lcp_layer(jnp.eye(2), q, mask=True)
@@ -168,14 +164,14 @@ def test_mask_replaces_the_error_of_a_failed_instance() -> None:
 
 
 @pytest.mark.parametrize("names", [(), ("c", "h"), ("P", "c")])
-def test_gradients_of_programs_are_those_of_differences(names: tuple[str, ...]) -> None:
+def test_gradients_of_programs_are_those_of_differences(names):
     """check_grads in all data, plain and compiled, these with an axis of a batch; vmap; names of wrong arrays."""
     data = differentiable_programs(3, names)
     for layer in (qp_layer, jax.jit(qp_layer)):
         check_grads(layer, tuple(map(jnp.array, data.values())), order=1, modes=["rev"], eps=1e-6)
     single = differentiable_programs(3)
 
-    def loss(c: Any) -> Any:
+    def loss(c):
         return qp_layer(*(data | {"P": single["P"], "h": single["h"], "c": c}).values()).sum()
 
     costs = single["c"] + 0.01 * jnp.arange(3.0)[:, None]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import doctest
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -47,7 +46,7 @@ def leaves(*arrays: Any) -> list[Any]:
     return [torch.tensor(array, dtype=torch.float64, requires_grad=True) for array in arrays]
 
 
-def test_examples_of_its_help() -> None:
+def test_examples_of_its_help():
     """The doctests of the module, which others leave out."""
     assert doctest.testmod(layers).failed == 0
     assert doctest.testmod(layers).attempted > 3
@@ -55,13 +54,13 @@ def test_examples_of_its_help() -> None:
 
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
-def test_gradients_are_those_of_differences(symmetric: bool, shared: bool) -> None:
+def test_gradients_are_those_of_differences(symmetric, shared):
     """torch.autograd.gradcheck in M, q, lower and upper, with boxes, half-lines and free rows."""
     data = leaves(*planted(4, 5, 1, symmetric=symmetric, shared=shared, fixed=0.0))
     assert torch.autograd.gradcheck(lcp_layer, data)
 
 
-def test_gradients_are_those_of_each_problem() -> None:
+def test_gradients_are_those_of_each_problem():
     """Gradients for a single problem without batch axes agree with the derivative of its Result."""
     M, q, lower, upper = (array[0] for array in planted(1, 12, 3, symmetric=False))
     tensors = leaves(M, q, lower, upper)
@@ -73,7 +72,7 @@ def test_gradients_are_those_of_each_problem() -> None:
         assert np.allclose(tensor.grad.numpy(), gradient, rtol=1e-12, atol=1e-13)
 
 
-def test_axes_in_front_broadcast() -> None:
+def test_axes_in_front_broadcast():
     """M of shape (3, 1, n, n), q of (4, n) and one bound for all are twelve problems."""
     M, q, _, _ = planted(4, 6, 4)
     M, q, lower = leaves(M[:3, None], q, np.zeros(6))
@@ -87,7 +86,7 @@ def test_axes_in_front_broadcast() -> None:
     assert lcp_layer(M[:0], q).shape == (0, 4, 6)
 
 
-def test_many_unknowns() -> None:
+def test_many_unknowns():
     """An obstacle problem with 10 000 unknowns, differentiated by its load and its obstacle."""
     scene = gallery.obstacle_2d(size=100).problem
     q, lower = leaves(scene.q, scene.lower)
@@ -97,14 +96,14 @@ def test_many_unknowns() -> None:
     assert np.allclose(lower.grad, own.lower, rtol=1e-8, atol=1e-8)
 
 
-def test_at_a_kink_the_gradient_is_that_of_a_piece() -> None:
+def test_at_a_kink_the_gradient_is_that_of_a_piece():
     """The gradient of z = max(−q, 0)/2 at q = 0 belongs to one piece, as for a ReLU."""
     q = torch.zeros(1, dtype=torch.float64, requires_grad=True)
     lcp_layer(torch.tensor([[2.0]], dtype=torch.float64), q).sum().backward()
     assert q.grad.item() in (0.0, -0.5)
 
 
-def test_what_is_not_solved_is_named() -> None:
+def test_what_is_not_solved_is_named():
     """A batch with unsolvable problems, or with NaN, raises an error with their indices."""
     q = torch.zeros((2, 3, 2), dtype=torch.float64)
     M = torch.eye(2, dtype=torch.float64).repeat(2, 3, 1, 1)
@@ -128,7 +127,7 @@ def test_what_is_not_solved_is_named() -> None:
         )
 
 
-def test_a_singular_block_has_the_gradient_of_least_change() -> None:
+def test_a_singular_block_has_the_gradient_of_least_change():
     """The gradient uses the generalized inverse."""
     M, q = leaves(np.ones((2, 2)), np.zeros(2))
     lcp_layer(M, q, -INF).sum().backward()
@@ -136,7 +135,7 @@ def test_a_singular_block_has_the_gradient_of_least_change() -> None:
 
 
 @pytest.mark.full
-def test_what_autograd_must_not_do() -> None:
+def test_what_autograd_must_not_do():
     """A second derivative, and a matrix changed between the passes, raise errors."""
     M, q = leaves(np.eye(2) * 2.0, -np.ones(2))
     for of in (lambda z: z.square().sum(), lambda z: z.sum()):
@@ -152,7 +151,7 @@ def test_what_autograd_must_not_do() -> None:
         z.sum().backward()
 
 
-def test_what_the_loss_ignores_may_be_singular() -> None:
+def test_what_the_loss_ignores_may_be_singular():
     """A problem without derivative costs the others nothing, and a batch may have no unknowns."""
     M, q = leaves(np.array([[[2.0]], [[0.0]]]), np.array([[-2.0], [0.0]]))
     lcp_layer(M, q, -INF)[0].sum().backward()
@@ -160,7 +159,7 @@ def test_what_the_loss_ignores_may_be_singular() -> None:
     assert lcp_layer(*leaves(np.zeros((0, 0)), np.zeros(0))).shape == (0,)
 
 
-def test_torch_func_takes_gradients_and_no_vmap() -> None:
+def test_torch_func_takes_gradients_and_no_vmap():
     """Functions torch.func.grad and vjp support the layer; vmap raises an error."""
     M = torch.tensor([[2.0, 1.0], [1.0, 2.0]], dtype=torch.float64)
     q = torch.tensor([-5.0, 1.0], dtype=torch.float64)
@@ -190,17 +189,17 @@ EYE, ONES = np.eye(2), np.ones(2)
         (lambda t: (t(EYE), t(ONES), t(np.zeros(3))), "lower must be .* the length of q, 2"),
     ],
 )
-def test_what_is_refused(call: Callable[[Any], Any], message: str) -> None:
+def test_what_is_refused(call, message):
     """Other types, devices, layouts and shapes raise errors with the argument and the remedy."""
     with pytest.raises(InvalidProblem, match=message):
         lcp_layer(*call(lambda array: torch.tensor(array, dtype=torch.float64)))
 
 
-def test_contact_has_the_gradients_of_differences() -> None:
+def test_contact_has_the_gradients_of_differences():
     """Gradients by W (symmetric), b and friction, also a scalar, agree with differences."""
     W, b, friction = leaves(*planted_worlds(6))
 
-    def layer(A: Any, b: Any, friction: Any) -> Any:
+    def layer(A, b, friction):
         return contact_layer(A + A.mT, b, friction, tolerance=1e-12)
 
     assert torch.autograd.gradcheck(
@@ -212,7 +211,7 @@ def test_contact_has_the_gradients_of_differences() -> None:
     )
 
 
-def test_mask_replaces_the_error_of_a_failed_instance() -> None:
+def test_mask_replaces_the_error_of_a_failed_instance():
     """An instance without a solution has z = 0 and the gradient 0, and does not change the others."""
     M, q = leaves(np.eye(2), [[-1.0, 2.0], [np.nan, -1.0], [-3.0, -4.0]])
     z, is_solved = lcp_layer(M, q, mask=True)
@@ -230,7 +229,7 @@ def test_mask_replaces_the_error_of_a_failed_instance() -> None:
 
 
 @pytest.mark.parametrize("names", [(), ("c", "h"), ("P", "c"), ("G", "b", "lower")])
-def test_gradients_of_programs_are_those_of_differences(names: tuple[str, ...]) -> None:
+def test_gradients_of_programs_are_those_of_differences(names):
     """torch.autograd.gradcheck in all data, these with an axis of a batch; rows in None or empty as in qpth."""
     data = leaves(*differentiable_programs(3, names).values())
     assert torch.autograd.gradcheck(qp_layer, data)
@@ -239,7 +238,7 @@ def test_gradients_of_programs_are_those_of_differences(names: tuple[str, ...]) 
     assert torch.equal(qp_layer(P, c, G, h, empty, empty), qp_layer(P, c, G, h))
 
 
-def test_a_program_layer_names_what_does_not_fit() -> None:
+def test_a_program_layer_names_what_does_not_fit():
     """The array with a wrong shape or type, a program without a solution, dependent rows; kinks have a gradient."""
     data = differentiable_programs(2)
     n = data["c"].size
@@ -278,7 +277,7 @@ def test_a_program_layer_names_what_does_not_fit() -> None:
         qp_layer(eye, c, A=rows, b=right).sum().backward()
 
 
-def test_a_layer_without_P_is_a_linear_program() -> None:
+def test_a_layer_without_P_is_a_linear_program():
     """The cheaper unknown is at the limit of the row, and moves with it."""
     c = torch.tensor([-1.0, -2.0]).double()
     h = torch.tensor([2.0], dtype=torch.float64, requires_grad=True)

@@ -32,9 +32,7 @@ NO_PAIRS = dict(partners=np.array([-1]), partner_bounds=np.array([0]))
 
 @pytest.mark.parametrize("ending", ["", ".nl"])
 @pytest.mark.parametrize("binary", [False, True])
-def test_a_stub_is_answered_by_a_sol_file(
-    tmp_path: Path, capsys: Any, ending: str, binary: bool
-) -> None:
+def test_a_stub_is_answered_by_a_sol_file(tmp_path, capsys, ending, binary):
     """Stub -AMPL writes values, multipliers, the head's options and code 0, prints nothing and exits with 0."""
     write_form(SOLVABLE, tmp_path / "m.nl", binary=binary)
     assert ampl.main([str(tmp_path / f"m{ending}"), "-AMPL"]) == 0
@@ -77,9 +75,7 @@ WHOLE = content_of(
     ],
     ids=["solved", "at 0", "no signs", "empty", "unbounded", "iterations", "seconds", "integer"],
 )  # fmt: skip
-def test_codes_say_how_it_ended(
-    tmp_path: Path, content: NLContent, words: list[str], code: Any, message: str
-) -> None:
+def test_codes_say_how_it_ended(tmp_path, content, words, code, message):
     """AMPL's ranges: 0 solved, 100 less precisely, 200 infeasible, 300 unbounded, 400 limit, 500 failure."""
     write_nl(content, tmp_path / "m.nl")
     assert ampl.main([str(tmp_path / "m"), "-AMPL", *words]) == 0
@@ -154,9 +150,7 @@ def hard() -> NLContent:
     ids=["optimal", "maximum", "unbounded", "infeasible", "no solution", "not convex", "nonlinear", "integer",
          "unknown", "nodes", "seconds", "harmless options", "proof", "algorithm", "absolute tolerance"],
 )  # fmt: skip
-def test_an_objective_beside_complementarities_is_answered(
-    tmp_path: Path, content: NLContent, words: list[str], code: int, message: str
-) -> None:
+def test_an_objective_beside_complementarities_is_answered(tmp_path, content, words, code, message):
     """Code and message of each end, values where there are any, and what does not fit is told in the .sol."""
     write_nl(content, tmp_path / "m.nl")
     assert ampl.main([str(tmp_path / "m"), "-AMPL", *words]) == 0
@@ -171,7 +165,7 @@ def test_an_objective_beside_complementarities_is_answered(
         assert found.values is None
 
 
-def test_an_option_that_does_not_fit_is_told_in_the_sol(tmp_path: Path) -> None:
+def test_an_option_that_does_not_fit_is_told_in_the_sol(tmp_path):
     """An algorithm that nobody knows is in the .sol where one is asked for, else on stderr."""
     write_nl(SOLVABLE, tmp_path / "m.nl")
     assert ampl.main([str(tmp_path / "m"), "-AMPL", "algorithm=psr"]) == 0
@@ -179,7 +173,7 @@ def test_an_option_that_does_not_fit_is_told_in_the_sol(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_ctrl_c_keeps_the_best_solution_of_a_search(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_the_best_solution_of_a_search(tmp_path):
     """SIGINT to the executable while it searches: code 402, the best solution in the .sol, exit code 0."""
     write_nl(hard(), tmp_path / "m.nl")
     code = "from lcp_plugin.commands.ampl import run; run()"
@@ -215,9 +209,7 @@ def test_ctrl_c_keeps_the_best_solution_of_a_search(tmp_path: Path) -> None:
          (["damaged", "-AMPL"], r"line 3 \("),
     ],
 )  # fmt: skip
-def test_a_wrong_call_is_one_line_and_a_code(
-    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
-) -> None:
+def test_a_wrong_call_is_one_line_and_a_code(tmp_path, capsys, monkeypatch, words, message):
     """What the caller got wrong is one line on stderr, exit code 2, and no .sol."""
     monkeypatch.chdir(tmp_path)
     write_nl(SOLVABLE, "m.nl")
@@ -230,7 +222,7 @@ def test_a_wrong_call_is_one_line_and_a_code(
     assert not list(tmp_path.rglob("*.sol"))
 
 
-def test_assignments_may_have_quotes() -> None:
+def test_assignments_may_have_quotes():
     """key=value, several in one word."""
     found = ampl.assigned("tolerance=1e-3 outlev=1 max_seconds=7 algorithm='psor'")
     assert found == {"tolerance": 1e-3, "outlev": 1, "max_seconds": 7, "algorithm": "psor"}
@@ -239,7 +231,7 @@ def test_assignments_may_have_quotes() -> None:
 @pytest.mark.parametrize(
     "text", ["max_seconds 5 version outlev 0", "max_seconds = 5 version outlev= 0"]
 )
-def test_assignments_may_have_a_blank_for_the_equals_sign(text: str) -> None:
+def test_assignments_may_have_a_blank_for_the_equals_sign(text):
     """Key value, as modeling systems also send it; `version` has no value."""
     assert ampl.assigned(text) == {"max_seconds": 5, "version": 1, "outlev": 0}
 
@@ -254,9 +246,7 @@ def test_assignments_may_have_a_blank_for_the_equals_sign(text: str) -> None:
         (["version"], r"\Alcp_plugin \d.*\nlcp_plugin.*solved"),
     ],
 )
-def test_the_keywords_that_every_solver_has_are_obeyed(
-    tmp_path: Path, capsys: Any, words: list[str], message: str
-) -> None:
+def test_the_keywords_that_every_solver_has_are_obeyed(tmp_path, capsys, words, message):
     """wantsol, timing and version: the .sol is written, and only the printed text differs."""
     write_nl(SOLVABLE, tmp_path / "m.nl")
     assert ampl.main([str(tmp_path / "m"), *words]) == 0
@@ -265,7 +255,7 @@ def test_the_keywords_that_every_solver_has_are_obeyed(
     assert re.search(message, out.strip(), re.DOTALL)
 
 
-def test_the_command_line_goes_before_the_environment(tmp_path: Path, capsys: Any) -> None:
+def test_the_command_line_goes_before_the_environment(tmp_path, capsys):
     """Without -AMPL the message is printed as well; the .sol is written in any case."""
     write_nl(SOLVABLE, tmp_path / "m.nl")
     words = [str(tmp_path / "m"), "tolerance=1e-3", "algorithm=psor"]
@@ -274,7 +264,7 @@ def test_the_command_line_goes_before_the_environment(tmp_path: Path, capsys: An
     assert read_sol(tmp_path / "m.sol").code == 0
 
 
-def test_the_executable_prints_version_options_and_help(capsys: Any) -> None:
+def test_the_executable_prints_version_options_and_help(capsys):
     """-v, -= and -? end with 0; every keyword is listed."""
     for word, message in (
         ("-v", "lcp_plugin "),
@@ -290,11 +280,11 @@ def test_the_executable_prints_version_options_and_help(capsys: Any) -> None:
     assert mark.startswith("* not for an objective")
 
 
-def test_an_interrupt_is_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_is_answered(tmp_path, monkeypatch):
     """Ctrl-C before there is an answer gives a .sol of code 402; while a file is read, exit code 130."""
     from lcp_plugin.interfaces.nl import model, reading
 
-    def interrupted(_: object) -> None:
+    def interrupted(_):
         os.kill(os.getpid(), signal.SIGINT)
 
     write_nl(SOLVABLE, tmp_path / "m.nl")
@@ -305,9 +295,7 @@ def test_an_interrupt_is_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert ampl.main([str(tmp_path / "m"), "-AMPL"]) == 130
 
 
-def test_the_other_command_answers_too_where_it_is_called_as_a_solver(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_other_command_answers_too_where_it_is_called_as_a_solver(tmp_path, monkeypatch):
     """`lcp-plugin stub -AMPL`, as Pyomo's SolverFactory("lcp-plugin") calls it without lcp_plugin.pyomo."""
     write_nl(SOLVABLE, tmp_path / "m.nl")
     monkeypatch.setattr(
@@ -319,9 +307,7 @@ def test_the_other_command_answers_too_where_it_is_called_as_a_solver(
 
 
 @pytest.mark.full
-def test_pyomo_solves_through_the_executable(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pyomo_solves_through_the_executable(tmp_path, monkeypatch):
     """SolverFactory("asl:lcp-plugin-ampl") finds it on the path, hands options over and loads values."""
     pe = pytest.importorskip("pyomo.environ")
     from pyomo.mpec import Complementarity, complements

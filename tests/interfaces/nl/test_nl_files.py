@@ -71,7 +71,7 @@ def read(folder: Path, data: bytes) -> object:
 
 
 @given(st.integers(0, 2**32))
-def test_what_is_written_is_read_bit_for_bit(tmp_path: Path, seed: int) -> None:
+def test_what_is_written_is_read_bit_for_bit(tmp_path, seed):
     """Text and both binary orders return the arrays that were written."""
     content = random_content(np.random.default_rng(seed))
     for form in FORMS.values():
@@ -79,7 +79,7 @@ def test_what_is_written_is_read_bit_for_bit(tmp_path: Path, seed: int) -> None:
         assert difference(content, read_content(tmp_path / "m.nl")) == ""
 
 
-def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
+def test_a_small_file_says_what_it_says(tmp_path):
     """Bounds, partners, linear terms, expressions and the start are read from their segments."""
     content = read(tmp_path, SMALL)
     assert content.lower.tolist() == [0, -np.inf]
@@ -99,9 +99,7 @@ def test_a_small_file_says_what_it_says(tmp_path: Path) -> None:
         (b"C1\no2", b"F0 1 -1 gsl\nC1\no2", "calls external functions"),
     ],
 )
-def test_logical_rows_and_external_functions_are_refused(
-    tmp_path: Path, old: bytes, new: bytes, words: str
-) -> None:
+def test_logical_rows_and_external_functions_are_refused(tmp_path, old, new, words):
     """A file with logical constraints or external functions raises an error that names them."""
     assert SMALL.count(old) == 1
     with pytest.raises(errors.UnsupportedModel, match=words):
@@ -129,9 +127,7 @@ def test_logical_rows_and_external_functions_are_refused(
         (b"o2\nv0", b"o2\n\x01", 21, "neither a number"),
     ],
 )
-def test_a_wrong_line_is_named(
-    tmp_path: Path, old: bytes, new: bytes, line: int, words: str
-) -> None:
+def test_a_wrong_line_is_named(tmp_path, old, new, line, words):
     """A line inconsistent with the format or other lines raises an error with its number."""
     assert SMALL.count(old) == 1
     with pytest.raises(errors.UnreadableFile, match=rf"line {line} \(.*\): .*{words}"):
@@ -148,14 +144,14 @@ def test_a_wrong_line_is_named(
     ],
     ids=["CRLF", "comments", "K", "no k", "blank end", "no last newline", "short head", "order", "long", "d", "S"],
 )  # fmt: skip
-def test_what_writers_differ_in_says_the_same(tmp_path: Path, old: bytes, new: bytes) -> None:
+def test_what_writers_differ_in_says_the_same(tmp_path, old, new):
     """Line ends, comments, missing counts, the order of entries and suffixes change nothing."""
     assert old in SMALL
     content, plain = read(tmp_path, SMALL.replace(old, new)), read(tmp_path, SMALL)
     assert difference(content, plain) == ""
 
 
-def test_suffixes_of_binary_files_are_passed_over(tmp_path: Path) -> None:
+def test_suffixes_of_binary_files_are_passed_over(tmp_path):
     """Integers take four bytes, floats eight, and the segments after suffixes are read."""
     plain = read(tmp_path, SMALL)
     write_form(plain, tmp_path / "m.nl", binary=True)
@@ -166,7 +162,7 @@ def test_suffixes_of_binary_files_are_passed_over(tmp_path: Path) -> None:
     assert difference(read(tmp_path, data[:at] + whole + real + data[at:]), plain) == ""
 
 
-def test_names_are_read_where_the_head_announces_them(tmp_path: Path) -> None:
+def test_names_are_read_where_the_head_announces_them(tmp_path):
     """Names come from .col and .row; where none are announced or some are missing, such files are left alone."""
     (tmp_path / "m.col").write_text("price\nquantity [a b]\n")
     (tmp_path / "m.row").write_text("balance\nproduct\nan objective\n")
@@ -181,7 +177,7 @@ def test_names_are_read_where_the_head_announces_them(tmp_path: Path) -> None:
     assert read(tmp_path, named).names is None
 
 
-def test_the_ending_may_be_left_out(tmp_path: Path) -> None:
+def test_the_ending_may_be_left_out(tmp_path):
     """A stub is read as AMPL reads it; a file that is not there is named with its ending."""
     read(tmp_path, SMALL)
     assert read_content(tmp_path / "m").lower.size == 2
@@ -191,9 +187,7 @@ def test_the_ending_may_be_left_out(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("seed", range(170))
-def test_a_mutilated_file_is_refused_with_its_place_or_valid(
-    tmp_path: Path, form: str, seed: int
-) -> None:
+def test_a_mutilated_file_is_refused_with_its_place_or_valid(tmp_path, form, seed):
     """A corrupt file gives a content, or an UnreadableFile that names line or byte."""
     rng = np.random.default_rng([seed, len(form)])
     write_form(random_content(rng, 30), tmp_path / "m.nl", **FORMS[form])
@@ -219,7 +213,7 @@ def require_refused_or_valid(folder: Path, data: bytes) -> None:
 @pytest.mark.parametrize(
     ("form", "end"), [("text", b"n1.0\n"), ("little", b"n" + struct.pack("<d", 1.0))]
 )
-def test_depth_costs_nothing(tmp_path: Path, form: str, end: bytes) -> None:
+def test_depth_costs_nothing(tmp_path, form, end):
     """A tree of 10⁵ levels is read, or raises an error if its end is missing, without recursion."""
     levels = 100_000
     kinds, values = np.full(levels + 2, 2, dtype=np.uint8), np.full(levels + 2, 16.0)
@@ -238,7 +232,7 @@ def test_depth_costs_nothing(tmp_path: Path, form: str, end: bytes) -> None:
 @pytest.mark.parametrize(
     "old", [b" 2 2 0", b"V2 1", b"x1", b"k1", b"J1 2", b"o0\t#+\nv2", b" 0 1 0 0 0"]
 )
-def test_huge_counts_allocate_nothing(tmp_path: Path, old: bytes) -> None:
+def test_huge_counts_allocate_nothing(tmp_path, old):
     """A count larger than the file raises an error before memory of this size is allocated."""
     for count in (b"999999999999", b"9" * 30, b"1e12"):
         new = {
@@ -254,9 +248,7 @@ def test_huge_counts_allocate_nothing(tmp_path: Path, old: bytes) -> None:
 
 @pytest.mark.parametrize("options", [(3, 1, 1, 0), (5, 0, 1, 0, 7, 2021), (3, 1, 3, 0)])
 @pytest.mark.parametrize("has_values", [True, False])
-def test_answers_are_read_by_ourselves_and_by_both_readers_of_pyomo(
-    tmp_path: Path, options: tuple[int, ...], has_values: bool
-) -> None:
+def test_answers_are_read_by_ourselves_and_by_both_readers_of_pyomo(tmp_path, options, has_values):
     """Message, values, multipliers and code are read, with and without values, for all options."""
     x, y = (np.array([1.5, -1e-7, 0.1]), np.array([0.0, 1e300])) if has_values else (None, None)
     path, message = tmp_path / "m.sol", "lcp_plugin: solved\n\nOptions in a message\nresidual 1e-9"
@@ -297,7 +289,7 @@ def read_by_pyomo(path: Path, x: object, y: object, options: tuple[int, ...]) ->
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_problems_are_written_and_read_back(seed: int, tmp_path: Path) -> None:
+def test_problems_are_written_and_read_back(seed, tmp_path):
     """An LCP comes back to the bit, with every kind of bounds."""
     rng, n = np.random.default_rng(seed), 1 + seed
     lower = np.where(rng.random(n) < 0.3, -np.inf, rng.integers(-2, 1, n))
@@ -315,7 +307,7 @@ def test_problems_are_written_and_read_back(seed: int, tmp_path: Path) -> None:
         )
 
 
-def test_what_no_file_can_state_is_refused_in_words(tmp_path: Path) -> None:
+def test_what_no_file_can_state_is_refused_in_words(tmp_path):
     """A Python function, and an object that is not a problem, raise errors."""
     problem = NonlinearProblem(np.exp)
     with pytest.raises(errors.InvalidProblem, match=r"got NonlinearProblem"):

@@ -6,7 +6,6 @@ import cmath
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import cvxpy as cp
@@ -240,7 +239,7 @@ def systems(draw: Any) -> tuple[list[Tree], list[Tree], np.ndarray, np.ndarray]:
 
 
 @given(systems())
-def test_values_and_derivatives_are_those_of_the_trees(system: Any) -> None:
+def test_values_and_derivatives_are_those_of_the_trees(system):
     """For any trees and defined variables, F and F′ agree with Python's complex arithmetic."""
     require_same_derivatives(*system)
 
@@ -253,7 +252,7 @@ def stocks(n: int) -> tuple[list[Tree], list[Tree], np.ndarray]:
     return rows, defined, np.where(distance >= 0, 0.5 ** np.maximum(distance, 0), 0.0) + np.eye(n)
 
 
-def test_long_chains_of_affine_defined_variables_stay_affine() -> None:
+def test_long_chains_of_affine_defined_variables_stay_affine():
     """Defined variables that would fill the matrix become unknowns with equations: a sparse LCP."""
     rows, defined, M = stocks(300)
     model = model_of(paired(content_of(300, rows, defined=defined)))
@@ -276,7 +275,7 @@ def random_pairs(seed: int = 3, n: int = 6) -> tuple[np.ndarray, np.ndarray, np.
     return M, w - M @ z, z
 
 
-def test_affine_rows_are_the_lcp_that_cvxpy_states() -> None:
+def test_affine_rows_are_the_lcp_that_cvxpy_states():
     """Affine complementarity rows give the LCP of the same model in cvxpy, and its solution; duals are w."""
     M, q, z = random_pairs()
     model = model_of(paired(content_of(6, list(q), linear=M)))
@@ -294,7 +293,7 @@ def test_affine_rows_are_the_lcp_that_cvxpy_states() -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_all_kinds_of_bounds_in_any_order(seed: int) -> None:
+def test_all_kinds_of_bounds_in_any_order(seed):
     """Lower, upper, both or no bounds, rows in any order, affine and smooth, as Pyomo writes them: all are solved."""
     rng = np.random.default_rng(seed)
     n, kinds, order = 6, np.array([0, 1, 2, 3, 1, 3]), rng.permutation(6)
@@ -359,7 +358,7 @@ def program(kind: str, sign: float = 1.0, right: Any = (0.5, 0.25, 1.0)) -> NLCo
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("kind", ["products", "squares", "shared"])
-def test_quadratic_objectives_are_recognised(kind: str, sign: float) -> None:
+def test_quadratic_objectives_are_recognised(kind, sign):
     """Products, squares and defined variables give P and c; the optimum is cvxpy's, and duals are its derivatives."""
     model = model_of(program(kind, sign))
     assert isinstance(model.problem, QuadraticProgram)
@@ -448,13 +447,13 @@ def one_equation() -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("content", "words"), [pytest.param(*row[1:], id=row[0]) for row in refusals()]
 )
-def test_what_is_not_taken_is_named(content: NLContent, words: str) -> None:
+def test_what_is_not_taken_is_named(content, words):
     """Each error names the row or the variable, and the reason."""
     with pytest.raises(UnsupportedModel, match=words):
         model_of(content)
 
 
-def test_what_the_rounding_of_a_large_row_leaves_open_is_no_missed_sign() -> None:
+def test_what_the_rounding_of_a_large_row_leaves_open_is_no_missed_sign():
     """z_3 is known to 1e-7 from a row of 10^9, and is all that another row, which must be 0, holds."""
     M = np.array([
         [1767.0789394778778, -15.091112263833528, 451.24801270459926, 0.0],
@@ -474,7 +473,7 @@ def test_what_the_rounding_of_a_large_row_leaves_open_is_no_missed_sign() -> Non
     assert answer.is_solved
 
 
-def test_statuses_tell_the_truth() -> None:
+def test_statuses_tell_the_truth():
     """Infeasible and unbounded programs have AMPL's codes; equations that hold only beyond bounds are unsolved."""
     infeasible = content_of(
         1, [0.0], linear=[[1.0]], row_lower=[2.0], row_upper=[INFINITY], upper=[1.0]
@@ -495,7 +494,7 @@ def test_statuses_tell_the_truth() -> None:
     assert "equations are solved, but variable 0 does not hold" in outside.message
 
 
-def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
+def test_fixed_and_unused_variables_and_empty_rows_change_nothing():
     """A fixed variable is its value, also as an exponent; an unused variable stays at its start."""
     rows = [("-", ("^", X[0], X[1]), 9.0), 0.0]
     content = replace(
@@ -512,7 +511,7 @@ def test_fixed_and_unused_variables_and_empty_rows_change_nothing() -> None:
     np.testing.assert_allclose(answer.x, [3.0, 2.0, 5.0], rtol=1e-12)
 
 
-def test_a_long_defined_variable_that_many_rows_share_is_taken_in_a_program() -> None:
+def test_a_long_defined_variable_that_many_rows_share_is_taken_in_a_program():
     """The least S = Σ x with S + x_i ≥ 1 for 80 rows is 80/81; S is a defined variable, too long to be put in."""
     rows, ones = [("x", 80)] * 80, np.ones((1, 80))
     defined = {"defined": [0.0], "defined_linear": np.append(ones, [[0.0]], axis=1)}
@@ -523,7 +522,7 @@ def test_a_long_defined_variable_that_many_rows_share_is_taken_in_a_program() ->
     np.testing.assert_allclose(answer.duals, 1 / 81, atol=1e-8)
 
 
-def test_a_fixed_variable_in_a_defined_one_is_its_value() -> None:
+def test_a_fixed_variable_in_a_defined_one_is_its_value():
     """With v = 3 x₁ + x₀, x₁ = 2 and v = 10, x₀ is 4."""
     content = content_of(
         2, [("-", ("x", 2), 10.0)], defined=[X[0]], defined_linear=[[0.0, 3.0, 0.0]]
@@ -553,9 +552,7 @@ def beside_pairs(kind: str, at: float) -> NLContent:
 
 
 @pytest.mark.parametrize("kind", ["inequality", "bound of another"])
-def test_what_stands_beside_complementarities_is_held_against_the_answer(
-    kind: str, tmp_path: Path
-) -> None:
+def test_what_stands_beside_complementarities_is_held_against_the_answer(kind, tmp_path):
     """An inequality or bound without a pair gives SOLVED or infeasible."""
     holds = model_of(beside_pairs(kind, 3.0)).solve()
     assert (holds.status, holds.x[0]) == (Status.SOLVED, pytest.approx(2.0))
@@ -575,9 +572,7 @@ def test_what_stands_beside_complementarities_is_held_against_the_answer(
 
 
 @pytest.mark.parametrize(("sign", "wanted"), [(1.0, [0.0, 0.0]), (-1.0, [0.5, 0.0])])
-def test_a_bound_that_a_pair_does_not_state_is_a_plain_one_beside_an_objective(
-    sign: float, wanted: Any
-) -> None:
+def test_a_bound_that_a_pair_does_not_state_is_a_plain_one_beside_an_objective(sign, wanted):
     """0 ≤ x₀ ⟂ x₁ ≥ 0 and x₀ ≤ ½ of its own: at ½ nothing is gained by x₁ < 0."""
     objective = content_of(2, objective=0.0, objective_linear=[[sign, 1.0]])
     pair = paired(content_of(2, [X[1], 0.0]))
@@ -588,7 +583,7 @@ def test_a_bound_that_a_pair_does_not_state_is_a_plain_one_beside_an_objective(
     np.testing.assert_allclose(answer.x, wanted, atol=1e-9)
 
 
-def test_lcp_load_reads_the_affine_ones(tmp_path: Path) -> None:
+def test_lcp_load_reads_the_affine_ones(tmp_path):
     """LCP.load reads affine complementarity files; the error for others names read_nl."""
     M, q, _ = random_pairs()
     write_nl(paired(content_of(6, list(q), linear=M)), tmp_path / "m.nl")
@@ -610,7 +605,7 @@ def best(bound: float = INFINITY) -> NLContent:
     )
 
 
-def test_a_side_condition_holds_as_closely_as_the_tolerance_asks() -> None:
+def test_a_side_condition_holds_as_closely_as_the_tolerance_asks():
     """Ten times a loose tolerance is allowed: the start 2.00005 solves x = 2, and misses exp(x) ≤ exp(2) by 4e-4."""
     model = beside_pairs("inequality", 2.0)
     start = replace(model, start=np.array([2.00005, 0.0]), has_start=np.array([True, True]))

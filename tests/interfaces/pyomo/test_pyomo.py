@@ -28,7 +28,7 @@ SOLVER = pe.SolverFactory("lcp_plugin")
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_published_models_are_solved_as_published(name: str) -> None:
+def test_published_models_are_solved_as_published(name):
     """The solution of each model is optimal, satisfies Pyomo's expressions, and is published."""
     case = MODELS[name]()
     results = SOLVER.solve(case.model, options={"tolerance": 1e-12})
@@ -158,7 +158,7 @@ STATED: dict[str, tuple[Callable[[Any], None], float]] = {
 
 
 @pytest.mark.parametrize("name", STATED)
-def test_what_may_be_stated(name: str) -> None:
+def test_what_may_be_stated(name):
     """Every form of a pair has the right solution, even if Pyomo's transformation fails."""
     build, value = STATED[name]
     m = model(build)
@@ -180,7 +180,7 @@ OF_ITS_OWN = {  # the model, its bound, and the row there
 
 
 @pytest.mark.parametrize("name", OF_ITS_OWN)
-def test_bounds_of_a_variable_belong_to_its_pair(name: str, tmp_path: Path) -> None:
+def test_bounds_of_a_variable_belong_to_its_pair(name, tmp_path):
     """Bounds of a variable belong to its pair, as in PATH and AMPL."""
     build, bound, row = OF_ITS_OWN[name]
     m = model(build)
@@ -197,9 +197,7 @@ def test_bounds_of_a_variable_belong_to_its_pair(name: str, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("inside", "outside"), [("x", "n"), ("n", "x")], ids=["linear", "before a continuous one"]
 )
-def test_an_integer_of_a_nonlinear_term_stays_one_in_a_file(
-    inside: str, outside: str, tmp_path: Path
-) -> None:
+def test_an_integer_of_a_nonlinear_term_stays_one_in_a_file(inside, outside, tmp_path):
     """SCIP reads n as an integer, 2, if a nonlinear term of the objective holds it, and the row holds x or n."""
     scip = pytest.importorskip("pyscipopt")
     m = pe.ConcreteModel()
@@ -216,7 +214,7 @@ def test_an_integer_of_a_nonlinear_term_stays_one_in_a_file(
     assert (n.vtype(), read.getVal(n)) == ("INTEGER", pytest.approx(2.0))
 
 
-def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
+def test_a_file_is_written_without_a_solve(tmp_path):
     """model.write raises ValueError for pairs; write_nl writes pairs and other rows, with names."""
     m = MODELS["oligomcp"]().model
     with pytest.raises(ValueError, match="Complementarity"):
@@ -233,7 +231,7 @@ def test_a_file_is_written_without_a_solve(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [1e-10, 1e-3, 1.0, 1e10])
-def test_what_holds_only_in_part_is_not_optimal_in_any_unit(size: float) -> None:
+def test_what_holds_only_in_part_is_not_optimal_in_any_unit(size):
     """A violated inequality, or pair of a fixed variable, is not optimal at any scale."""
     m = model(lambda m: pair(m, m.x >= 0, m.x - 5 >= 0))
     m.beside = pe.Constraint(expr=size * m.x <= size)
@@ -265,7 +263,7 @@ def derivative(m: Any) -> None:
     pair(m, m.x >= 0, m.x >= 2)
 
 
-def test_an_abstract_model_is_told_apart() -> None:
+def test_an_abstract_model_is_told_apart():
     """A model without data raises an error with advice."""
     abstract = pe.AbstractModel()
     abstract.x = pe.Var()
@@ -337,7 +335,7 @@ REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_is_not_taken_is_refused_by_name(name: str) -> None:
+def test_what_is_not_taken_is_refused_by_name(name):
     """The message names the component and the remedy; the model is unchanged."""
     build, words = REFUSED[name]
     m = model(build)
@@ -372,7 +370,7 @@ FORMS = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_pyomos_own_models_of_each_form(form: str) -> None:
+def test_pyomos_own_models_of_each_form(form):
     """Equations are solved or proved infeasible; unknowns without an equation raise an error."""
     case = PyomosOwn()
     getattr(case, f"test_{form}")()
@@ -393,14 +391,14 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("given", "words"), WRONG.values(), ids=WRONG)
-def test_wrong_options_are_refused_in_words(given: dict[str, Any], words: str) -> None:
+def test_wrong_options_are_refused_in_words(given, words):
     """A mistyped keyword, option or algorithm raises an error that suggests the nearest name."""
     with pytest.raises(LCPError) as caught:
         SOLVER.solve(simple(), **given)
     assert words in str(caught.value)
 
 
-def test_options_of_the_solver_stay_and_those_of_a_solve_do_not() -> None:
+def test_options_of_the_solver_stay_and_those_of_a_solve_do_not():
     """``solver.options`` hold for every solve; ``options=`` for one."""
     solver = pe.SolverFactory("lcp_plugin", options={"max_iterations": 0})
     m = simple()
@@ -412,7 +410,7 @@ def test_options_of_the_solver_stay_and_those_of_a_solve_do_not() -> None:
     assert solver.solve(m, timelimit=0.0).solver.termination_condition.value == "maxTimeLimit"
 
 
-def test_a_changed_parameter_needs_another_solve_only_and_begins_at_the_last_answer() -> None:
+def test_a_changed_parameter_needs_another_solve_only_and_begins_at_the_last_answer():
     """Mutable parameters may change in rows and bounds; a second solve of the same begins at its answer."""
     m = pe.ConcreteModel()
     m.a, m.floor = pe.Param(mutable=True, initialize=2.0), pe.Param(mutable=True, initialize=0.0)
@@ -431,7 +429,7 @@ def test_a_changed_parameter_needs_another_solve_only_and_begins_at_the_last_ans
     assert residual(m) < 1e-8
 
 
-def test_suffixes_get_the_row_of_each_pair() -> None:
+def test_suffixes_get_the_row_of_each_pair():
     """``dual`` of a pair and ``rc`` of its variable are the row; stale values are removed."""
     m = pe.ConcreteModel()
     m.x = pe.Var([1, 2], initialize=1.0)
@@ -456,7 +454,7 @@ def program() -> Any:
 
 
 @pytest.mark.parametrize("sense", [pe.minimize, pe.maximize])
-def test_convex_programs_have_pyomos_multipliers(sense: Any) -> None:
+def test_convex_programs_have_pyomos_multipliers(sense):
     """``dual`` is the derivative of the objective by a right-hand side, ``rc`` by a bound."""
     m = program()
     sign = 1.0 if sense == pe.minimize else -1.0
@@ -471,7 +469,7 @@ def test_convex_programs_have_pyomos_multipliers(sense: Any) -> None:
     assert (results.problem.sense == pe.maximize) == (sense == pe.maximize)
 
 
-def test_a_row_of_fixed_variables_that_does_not_hold_makes_a_program_infeasible() -> None:
+def test_a_row_of_fixed_variables_that_does_not_hold_makes_a_program_infeasible():
     """A violated row of fixed variables makes a program infeasible; rounding errors do not."""
     m = model(lambda m: None)
     m.y = pe.Var([1, 2])
@@ -487,7 +485,7 @@ def test_a_row_of_fixed_variables_that_does_not_hold_makes_a_program_infeasible(
     assert SOLVER.solve(m).solver.termination_condition.value == "infeasible"
 
 
-def test_a_model_without_solution_has_a_proof_and_loads_nothing() -> None:
+def test_a_model_without_solution_has_a_proof_and_loads_nothing():
     """Infeasible and unbounded are proved, and the variables keep their values."""
     m = model(lambda m: pair(m, m.x >= 0, -m.x - 3 >= 0))
     m.x.set_value(0.5)
@@ -502,9 +500,7 @@ def test_a_model_without_solution_has_a_proof_and_loads_nothing() -> None:
     assert SOLVER.solve(m).solver.termination_condition.value == "unbounded"
 
 
-def test_tee_prints_the_run_and_keepfiles_keeps_the_file(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tee_prints_the_run_and_keepfiles_keeps_the_file(capsys, tmp_path, monkeypatch):
     """tee=True prints the run; keepfiles=True leaves an .nl file that states the same model by itself."""
     monkeypatch.chdir(tmp_path)
     m = MODELS["oligomcp"]().model
@@ -520,7 +516,7 @@ def test_tee_prints_the_run_and_keepfiles_keeps_the_file(
     assert read_nl(file).solve().x == pytest.approx([m.q[i].value for i in m.q], rel=1e-6)
 
 
-def test_a_run_that_is_stopped_says_so_and_loads_its_best_point() -> None:
+def test_a_run_that_is_stopped_says_so_and_loads_its_best_point():
     """A callback that ends the run, as Ctrl-C does: userInterrupt, aborted."""
     m = simple()
     results = SOLVER.solve(m, options={"callback": lambda sample, _: sample.iteration >= 1})
@@ -531,7 +527,7 @@ def test_a_run_that_is_stopped_says_so_and_loads_its_best_point() -> None:
     assert m.x.value is not None
 
 
-def test_a_model_that_pyomo_transformed_before_is_solved_too() -> None:
+def test_a_model_that_pyomo_transformed_before_is_solved_too():
     """After ``mpec.nl`` the rows carry their partners, and what was added is loaded like the rest."""
     m = MODELS["munson1c"]().model
     pe.TransformationFactory("mpec.nl").apply_to(m)
@@ -539,7 +535,7 @@ def test_a_model_that_pyomo_transformed_before_is_solved_too() -> None:
     assert [m.x1.value, m.x2.value, m.x3.value] == pytest.approx([1, 0, 0], abs=1e-8)
 
 
-def test_the_name_with_a_hyphen_is_the_same_solver() -> None:
+def test_the_name_with_a_hyphen_is_the_same_solver():
     """SolverFactory("lcp-plugin") is not an executable of that name."""
     m = simple()
     pe.assert_optimal_termination(pe.SolverFactory("lcp-plugin").solve(m))
@@ -558,7 +554,7 @@ model.other = Complementarity(expr=complements(model.x[2] >= 0, model.x[1] + 2 *
 
 
 @pytest.mark.full
-def test_pyomos_command_solves_and_writes_the_answer(tmp_path: Path) -> None:
+def test_pyomos_command_solves_and_writes_the_answer(tmp_path):
     """``pyomo solve --solver=lcp_plugin``, with the options of Pyomo's own tests; the file holds the values."""
     (tmp_path / "model.py").write_text(COMMANDS_MODEL)
     options = [
@@ -576,14 +572,14 @@ def test_pyomos_command_solves_and_writes_the_answer(tmp_path: Path) -> None:
     assert solution["Variable"]["x[1]"]["Value"] == pytest.approx(2.5, abs=1e-9)
 
 
-def test_pyomos_command_finds_the_solver_by_its_entry_point() -> None:
+def test_pyomos_command_finds_the_solver_by_its_entry_point():
     """Pyomo imports the entry points of pyomo.command before it reads its arguments."""
     source = Path(__file__).parents[3] / "pyproject.toml"
     project = tomllib.loads(source.read_text(encoding="utf-8"))["project"]
     assert project["entry-points"]["pyomo.command"] == {"lcp_plugin": lcp_plugin.pyomo.__name__}
 
 
-def test_another_solution_of_the_pairs_is_found_if_an_inequality_asks_for_it() -> None:
+def test_another_solution_of_the_pairs_is_found_if_an_inequality_asks_for_it():
     """0 ≤ x ⟂ 1 − x ≥ 0 has the solutions 0 and 1, of which x ≥ 1/2 and x ≤ 1/2 leave one each."""
     for wanted in (1.0, 0.0):
         m = model(lambda m: pair(m, m.x >= 0, 1 - m.x >= 0))
@@ -592,7 +588,7 @@ def test_another_solution_of_the_pairs_is_found_if_an_inequality_asks_for_it() -
         assert m.x.value == pytest.approx(wanted, abs=1e-8)
 
 
-def test_a_variable_of_an_inequality_alone_gives_way_to_it() -> None:
+def test_a_variable_of_an_inequality_alone_gives_way_to_it():
     """The pairs hold for any z and t; values are found that satisfy the inequalities as well."""
     m = pe.ConcreteModel()
     m.x, m.z, m.t = pe.Var(initialize=7), pe.Var(), pe.Var(bounds=(None, 4), initialize=3)
@@ -608,7 +604,7 @@ def test_a_variable_of_an_inequality_alone_gives_way_to_it() -> None:
     pe.assert_optimal_termination(SOLVER.solve(m))
 
 
-def test_a_variable_with_equal_bounds_is_a_number() -> None:
+def test_a_variable_with_equal_bounds_is_a_number():
     """A variable with equal bounds is a number in pairs; an equation for it is one too many."""
     m = pe.ConcreteModel()
     m.x, m.y = pe.Var(), pe.Var(bounds=(3, 3))

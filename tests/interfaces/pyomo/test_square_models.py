@@ -44,7 +44,7 @@ def without_pairs(m: Any) -> ComponentMap:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_stated_pairs_have_the_published_solution(name: str) -> None:
+def test_stated_pairs_have_the_published_solution(name):
     """Constraints with ``pairs=ComponentMap`` satisfy the published complementarities."""
     case, original = MODELS[name](), MODELS[name]()
     solve(case.model, without_pairs(case.model))
@@ -76,7 +76,7 @@ def functions(F: Any, n: int, lower: Any = 0.0, start: Any = 1.0) -> Any:
         (models.NASH_10, [models.NASH_10_SOLUTION]),
     ],
 )
-def test_rows_over_the_index_set_of_their_variables_are_matched(F: Any, solutions: Any) -> None:
+def test_rows_over_the_index_set_of_their_variables_are_matched(F, solutions):
     """Published functions over one index set."""
     m = functions(F, len(solutions[0]))
     solve(m, "match")
@@ -84,7 +84,7 @@ def test_rows_over_the_index_set_of_their_variables_are_matched(F: Any, solution
     assert min(np.abs(x - solution).max() for solution in solutions) < 1e-4
 
 
-def test_transport_of_dantzig() -> None:
+def test_transport_of_dantzig():
     """G. B. Dantzig, Linear Programming and Extensions (1963): 153.675, and the prices of the three markets."""
     m, plants, markets = pe.ConcreteModel(), [350, 600], [325, 300, 275]
     cost = 0.09 * np.array([[2.5, 1.7, 1.8], [2.5, 1.8, 1.4]])
@@ -101,7 +101,7 @@ def test_transport_of_dantzig() -> None:
     assert m.dual[m.supply[0]] == pytest.approx(350 - sum(x.value for x in m.x[0, :]))
 
 
-def test_spatial_prices_of_samuelson() -> None:
+def test_spatial_prices_of_samuelson():
     """Prices and flows between regions have the largest surplus, by Clarabel; stated pairs decide the others."""
     rng, n = np.random.default_rng(7), 4
     a, b, c, d = (
@@ -125,7 +125,7 @@ def test_spatial_prices_of_samuelson() -> None:
     assert [p.value for p in m.rho.values()] == pytest.approx(c - d * y.value, rel=1e-5)
 
 
-def test_economy_of_scarf_and_hansen() -> None:
+def test_economy_of_scarf_and_hansen():
     """Six prices, eight activities, five incomes of which the first is fixed: goods, activities and agents are sets."""
     problem, start, excess = models.scarf()
     m = pe.ConcreteModel()
@@ -147,7 +147,7 @@ def test_economy_of_scarf_and_hansen() -> None:
     assert np.abs(np.minimum(prices, supply)).max() < 1e-6
 
 
-def test_traffic_of_braess_has_equations_without_pairs() -> None:
+def test_traffic_of_braess_has_equations_without_pairs():
     """Wardrop's rows belong to the flows by their indices, and the equations to variables without bounds."""
     m = MODELS["braess"]().model
     m.wardrop.deactivate()
@@ -163,7 +163,7 @@ def test_traffic_of_braess_has_equations_without_pairs() -> None:
         solve(m, "match")
 
 
-def test_a_row_without_its_variable_is_not_matched_by_the_pattern() -> None:
+def test_a_row_without_its_variable_is_not_matched_by_the_pattern():
     """In "maximize x for x ≤ 3" the pattern would pair the limit with x, and accept x = 0."""
     m = pe.ConcreteModel()
     m.x, m.p = (pe.Var(within=pe.NonNegativeReals) for _ in range(2))
@@ -174,7 +174,7 @@ def test_a_row_without_its_variable_is_not_matched_by_the_pattern() -> None:
     assert (m.x.value, m.p.value) == pytest.approx((3, 1))
 
 
-def test_a_market_that_is_missing_is_named() -> None:
+def test_a_market_that_is_missing_is_named():
     """A row is written for one of two prices."""
     m = two((0, None))
     m.row[1].deactivate()
@@ -204,7 +204,7 @@ solve(m, {m.last: m.y}) → last cannot be the row of y
 solve(m, {m.last: m.x}) → pairs gives last no variable: x has no index None
 solve(m, 'match') → last has no partner with the same indices \(for an inequality, a variable with bounds\)
 """)
-def test_pairs_that_are_wrong_are_refused_by_name(call: str, words: str) -> None:
+def test_pairs_that_are_wrong_are_refused_by_name(call, words):
     """The message names the constraint and the variable."""
     m = two()
     assert_refused(call, words, {**globals(), "m": m, "ComponentMap": ComponentMap})

@@ -1,9 +1,5 @@
 """Interface for qpsolvers: x and duals in its conventions, found only if they are optimal."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 import qpsolvers
@@ -24,7 +20,7 @@ G, H = np.array([[1.0, 1.0]]), np.array([2.0])
 
 
 @pytest.mark.parametrize("name", [name for name in dir(published) if name.startswith("get_qp")])
-def test_published_programs(name: str) -> None:
+def test_published_programs(name):
     """The test programs of qpsolvers have residuals below 1e-9, relative to the objective."""
     problem, reference = getattr(published, name)()
     solution = solve_problem(problem, NAME)
@@ -36,7 +32,7 @@ def test_published_programs(name: str) -> None:
 
 
 @given(convex_qps())
-def test_random_programs_sparse_and_dense(drawn: Any) -> None:
+def test_random_programs_sparse_and_dense(drawn):
     """Programs with or without G, A and bounds have the known objective and optimal duals."""
     program, answer = drawn
     none = [None if matrix.shape[0] == 0 else matrix for matrix in (program.G, program.A)]
@@ -64,7 +60,7 @@ def test_random_programs_sparse_and_dense(drawn: Any) -> None:
         assert solution.extras["status"] is Status.SOLVED
 
 
-def test_duals_have_the_signs_of_qpsolvers() -> None:
+def test_duals_have_the_signs_of_qpsolvers():
     """Duals have the signs of qpsolvers: z ≥ 0, z_box > 0 at an upper bound, empty without rows."""
     solution = solve_problem(Problem(P, Q, lb=np.array([2.0, 0.0]), ub=np.array([3.0, 1.0])), NAME)
     assert solution.x.tolist() == [2.0, 1.0]
@@ -77,7 +73,7 @@ def test_duals_have_the_signs_of_qpsolvers() -> None:
 
 
 @pytest.mark.parametrize("sparse", [None, True, False])
-def test_least_squares(sparse: bool | None) -> None:
+def test_least_squares(sparse):
     """``solve_ls`` within bounds agrees with scipy's nnls for both of its conversions."""
     rng = np.random.default_rng(2)
     R, s = rng.standard_normal((9, 4)), rng.standard_normal(9)
@@ -85,7 +81,7 @@ def test_least_squares(sparse: bool | None) -> None:
     np.testing.assert_allclose(x, nnls(R, s)[0], atol=1e-9)
 
 
-def test_infeasible_comes_with_a_proof() -> None:
+def test_infeasible_comes_with_a_proof():
     """An infeasible program has x None, INFEASIBLE in the extras, and a proof that verifies."""
     problem = Problem(P, Q, np.array([[1.0, 1.0], [-1.0, -1.0]]), np.array([1.0, -2.0]))
     solution = solve_problem(problem, NAME)
@@ -98,7 +94,7 @@ def test_infeasible_comes_with_a_proof() -> None:
     assert solution.extras["result"].has_no_solution
 
 
-def test_a_limit_is_no_solution() -> None:
+def test_a_limit_is_no_solution():
     """A run that ended early has found False, and its best x with residuals in the extras."""
     rng = np.random.default_rng(1)
     rows = rng.standard_normal((80, 60))
@@ -113,7 +109,7 @@ def test_a_limit_is_no_solution() -> None:
     assert solve_problem(problem, NAME).found
 
 
-def test_initvals_start_a_program_with_bounds() -> None:
+def test_initvals_start_a_program_with_bounds():
     """The solution as a start takes no step; in a program with rows it changes nothing."""
     n = 300
     laplacian = sp.diags_array(
@@ -145,7 +141,7 @@ def test_initvals_start_a_program_with_bounds() -> None:
     ],
     ids=lambda value: str(value)[:24] if isinstance(value, (str, dict)) else "",
 )
-def test_what_is_refused(error: type[Exception], given: dict[str, Any], words: str) -> None:
+def test_what_is_refused(error, given, words):
     """Invalid arguments raise qpsolvers' exceptions, with a message."""
     with pytest.raises(error, match=words):
         solve_qp(**{"P": P, "q": Q, "solver": NAME, **given})

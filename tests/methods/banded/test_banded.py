@@ -76,9 +76,7 @@ def definite(n: int, below: int, above: int, rng: Generator) -> sp.csr_array:
 
 @settings.get_profile("many")
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 13), boxes=st.booleans())
-def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(
-    seed: int, n: int, boxes: bool
-) -> None:
+def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(seed, n, boxes):
     """Also where nobody chose the answer: it agrees with exact rational arithmetic."""
     rng = np.random.default_rng(seed)
     M = tridiagonal_m(n, rng) if n > 1 else sp.csr_array([[2.0]])
@@ -97,7 +95,7 @@ def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(
 
 
 @pytest.mark.parametrize("upside_down", [False, True])
-def test_bounds_on_one_side_take_one_round(upside_down: bool) -> None:
+def test_bounds_on_one_side_take_one_round(upside_down):
     """Of 10 000 rows with thousands of contact intervals, whichever side the bounds are on: O(n)."""
     rng = np.random.default_rng(0)
     problem, z = planted(tridiagonal_m(10_000, rng), rng, boxes=False)
@@ -111,7 +109,7 @@ def test_bounds_on_one_side_take_one_round(upside_down: bool) -> None:
     np.testing.assert_allclose(result.z, z, atol=1e-9)
 
 
-def test_two_obstacles_take_few_rounds_however_fine_the_grid_is() -> None:
+def test_two_obstacles_take_few_rounds_however_fine_the_grid_is():
     """A string between two walls, 20 000 nodes: the sides take turns, and no front moves row by row."""
     n = 20_000
     x = np.linspace(0.0, 1.0, n + 2)[1:-1]
@@ -127,7 +125,7 @@ def test_two_obstacles_take_few_rounds_however_fine_the_grid_is() -> None:
 
 
 @pytest.mark.full
-def test_without_an_m_matrix_no_status_is_false() -> None:
+def test_without_an_m_matrix_no_status_is_false():
     """Where a pivot is not positive, rounds go on without the direct way, or the run ends unsolved."""
     rng = np.random.default_rng(5)
     for _ in range(300):
@@ -144,9 +142,7 @@ def test_without_an_m_matrix_no_status_is_false() -> None:
 @pytest.mark.parametrize(
     ("right", "status"), [(0.5, Status.INFEASIBLE), (1.0, Status.SOLVED), (2.0, Status.SOLVED)]
 )
-def test_a_string_without_hold_is_proved_infeasible_or_solved(
-    name: str, right: float, status: Status
-) -> None:
+def test_a_string_without_hold_is_proved_infeasible_or_solved(name, right, status):
     """Singular, pulled up by 1 at one end and down at the other: no huge z makes its rounding an excuse."""
     diagonal = np.full(30, 2.0)
     diagonal[[0, -1]] = 1.0
@@ -162,7 +158,7 @@ def test_a_string_without_hold_is_proved_infeasible_or_solved(
 @pytest.mark.parametrize("make", [dominant, definite])
 @pytest.mark.parametrize(("below", "above"), [(1, 1), (2, 2), (4, 4), (0, 3), (3, 0), (1, 5)])
 @pytest.mark.parametrize("boxes", [False, True])
-def test_other_bands_take_rounds(make: Any, below: int, above: int, boxes: bool) -> None:
+def test_other_bands_take_rounds(make, below, above, boxes):
     """Boxes, more bands: H₊-matrices are solved to seven digits; others too, or by auto if the wrong rows cycle."""
     rng = np.random.default_rng(3)
     for _ in range(40):
@@ -176,7 +172,7 @@ def test_other_bands_take_rounds(make: Any, below: int, above: int, boxes: bool)
         assert result.iterations <= 200
 
 
-def test_a_beam_over_an_obstacle() -> None:
+def test_a_beam_over_an_obstacle():
     """The biharmonic operator, condition 1e9, two bands on either side: few rounds."""
     n = 400
     second = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n))
@@ -192,7 +188,7 @@ def test_a_beam_over_an_obstacle() -> None:
 # --- Marches in time ------------------------------------------------------------------------------------------
 
 
-def test_one_round_a_step_prices_an_american_put() -> None:
+def test_one_round_a_step_prices_an_american_put():
     """Auto takes one round a step, from the last price or from nowhere, to the bits of an answer of its own."""
     scene = gallery.build("american_put_march", size=301, steps=30)
     problem, z = prepare(scene.problem).problem, np.array(scene.problem.lower)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from collection import all_entries
-from collection.entry import Entry
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inputs.planted import planted_lcp
@@ -46,7 +45,7 @@ def best(problem: LCP, **options: Any) -> Certificate:
 
 
 @pytest.mark.parametrize("entry", PUBLISHED, ids=[entry.name for entry in PUBLISHED])
-def test_published_problems(entry: Entry) -> None:
+def test_published_problems(entry):
     """The collection's textbook problems, games and programs of up to 60 rows are solved to rounding level."""
     assert best(entry.problem).relative_residual <= 1e-12
 
@@ -72,12 +71,12 @@ MIXED: dict[str, Callable[[], LCP]] = {
 
 
 @pytest.mark.parametrize("name", MIXED)
-def test_boxes_and_free_rows(name: str) -> None:
+def test_boxes_and_free_rows(name):
     """Box, one-sided, fixed and free rows are solved, singular free blocks included."""
     assert best(MIXED[name]()).relative_residual <= 1e-14
 
 
-def test_many_definitions_are_eliminated() -> None:
+def test_many_definitions_are_eliminated():
     """Eighty free variables are defined by two others, whose sum is 1; the multiplier of the sum is dependent."""
     R, one = np.tile(np.eye(2), (40, 1)), np.ones((2, 1))
     rows = [[np.eye(80), -R, None], [R.T, None, one], [None, one.T, None]]
@@ -86,7 +85,7 @@ def test_many_definitions_are_eliminated() -> None:
     assert result.require_solved().z == pytest.approx([0.5] * 82 + [-20], rel=1e-14)
 
 
-def test_the_end_of_a_path_is_solved_again_before_it_is_judged() -> None:
+def test_the_end_of_a_path_is_solved_again_before_it_is_judged():
     """A payoff of −1e15 is played with 1e-15, right to more digits than the tableau has left."""
     problem = LCP.from_game([[-1e15, 1.0], [0.0, 0.0]], [[99.0, 2.0], [88.0, 94.0]])
     found = problem.origin.recover(solve(problem, "lemke"))
@@ -111,7 +110,7 @@ FAMILIES: dict[str, Callable[[int], np.ndarray]] = {
 
 @pytest.mark.parametrize("n", [1, 5, 20, 60])
 @pytest.mark.parametrize("name", FAMILIES)
-def test_exponential_families(name: str, n: int) -> None:
+def test_exponential_families(name, n):
     """Where one covering vector needs 2ⁿ pivots another needs few."""
     M = FAMILIES[name](n)
     # Csizmadia's answer to q = −1 is 2ⁱ, whose w no double can check at n = 60.
@@ -122,7 +121,7 @@ def test_exponential_families(name: str, n: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_degenerate_integers_end(seed: int) -> None:
+def test_degenerate_integers_end(seed):
     """With ties at every pivot each path ends long before the limit, and numerically sound."""
     generator = np.random.default_rng(seed)
     n = 12
@@ -138,7 +137,7 @@ def test_degenerate_integers_end(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("k", "seed"), [(5, 1), (10, 0), (15, 0), (15, 1)])
-def test_degenerate_assignments_end_in_an_optimum(k: int, seed: int) -> None:
+def test_degenerate_assignments_end_in_an_optimum(k, seed):
     """Multipliers of dependent equations are free, without a diagonal; scipy's assignment costs as much."""
     costs = np.random.default_rng(seed).integers(0, 10, (k, k))
     one, each = np.ones(k), np.eye(k)
@@ -173,13 +172,13 @@ MONOTONE: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
 
 @pytest.mark.parametrize("n", [3, 40, 150])
 @pytest.mark.parametrize("kind", MONOTONE)
-def test_classes_with_a_guarantee(kind: str, n: int) -> None:
+def test_classes_with_a_guarantee(kind, n):
     """Monotone and strictly copositive problems with a solution are solved along the first path."""
     problem = planted_lcp(MONOTONE[kind](np.random.default_rng(n), n), n, bounds=False)[0]
     assert best(problem, restarts=0).relative_residual <= 1e-10
 
 
-def test_wild_units() -> None:
+def test_wild_units():
     """Rows scaled by 1e±150 and unknowns by 1e±30 make no difference."""
     generator = np.random.default_rng(0)
     B = generator.standard_normal((6, 6))
@@ -189,7 +188,7 @@ def test_wild_units() -> None:
     assert best(problem).relative_residual <= 1e-12
 
 
-def test_a_row_that_completes_free_rows_keeps_its_value() -> None:
+def test_a_row_that_completes_free_rows_keeps_its_value():
     """Next to a second component: no value is moved to a bound because it is small in the units of the path."""
     M = np.zeros((5, 5))
     M[0, 1:4], M[1:4, 0], M[4, 4] = (
@@ -203,13 +202,13 @@ def test_a_row_that_completes_free_rows_keeps_its_value() -> None:
 
 @settings.get_profile("many")
 @given(solved_lcps())
-def test_problems_with_a_known_answer(drawn: tuple[LCP, Any]) -> None:
+def test_problems_with_a_known_answer(drawn):
     """Problems whose answer was chosen first are solved."""
     assert best(drawn[0]).relative_residual <= 1e-9
 
 
 @given(st.integers(1, 6), st.integers(0, 2**32 - 1))
-def test_a_finite_box_always_has_an_answer(n: int, seed: int) -> None:
+def test_a_finite_box_always_has_an_answer(n, seed):
     """Any matrix with finite bounds: the path from r > 0 cannot escape and ends in a solution."""
     generator = np.random.default_rng(seed)
     lower = generator.integers(-3, 2, size=n)
@@ -225,7 +224,7 @@ def test_a_finite_box_always_has_an_answer(n: int, seed: int) -> None:
 # --- the contract -----------------------------------------------------------------------------------------------
 
 
-def test_no_false_success() -> None:
+def test_no_false_success():
     """Without a solution no step passes."""
     M, q = np.array([[0.0, -1.0], [1.0, 0.0]]), np.array([1.0, -2.0])
     problem = LCP(M[::-1, ::-1], [-2.0, -1.0])
@@ -234,7 +233,7 @@ def test_no_false_success() -> None:
     assert best(LCP(M, q)).relative_residual <= 1e-14
 
 
-def test_components_are_solved_one_by_one() -> None:
+def test_components_are_solved_one_by_one():
     """Connected components of the matrix are found and each is solved, whatever the order of the rows."""
     order = np.random.default_rng(0).permutation(30)
     M = np.kron(np.eye(10), [[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])[
@@ -245,7 +244,7 @@ def test_components_are_solved_one_by_one() -> None:
     assert best(problem).relative_residual <= 1e-14
 
 
-def test_warm_start_shortens_the_path() -> None:
+def test_warm_start_shortens_the_path():
     """From a point near the answer a few pivots do."""
     generator = np.random.default_rng(1)
     B = generator.standard_normal((100, 100))
@@ -259,7 +258,7 @@ def test_warm_start_shortens_the_path() -> None:
     assert sum(step.work for step, _ in near) <= 2 * cold
 
 
-def test_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_large_is_refused(monkeypatch):
     """A connected component that is too large for a dense inverse is refused by its size."""
     monkeypatch.setattr("lcp_plugin.methods.lemke.PIVOTED_UP_TO", 3)
     with pytest.raises(UnsuitableProblem, match=r"up to n = 3, got one of 4"):
@@ -279,7 +278,7 @@ EXTREME = {
 
 
 @pytest.mark.parametrize("name", EXTREME)
-def test_numbers_at_the_edge_raise_nothing(name: str) -> None:
+def test_numbers_at_the_edge_raise_nothing(name):
     """Data whose scaled tableau leaves the range of doubles end a run in words, with a finite z."""
     problem = LCP(*EXTREME[name])
     result = solve(problem, "lemke")
@@ -287,14 +286,14 @@ def test_numbers_at_the_edge_raise_nothing(name: str) -> None:
     assert result.status in (Status.SOLVED, Status.STALLED, Status.PRECISION_LIMIT)
 
 
-def test_a_huge_q_that_does_not_matter_is_no_obstacle() -> None:
+def test_a_huge_q_that_does_not_matter_is_no_obstacle():
     """A row far from being active whose q overflows in the scale of the row leaves the others solvable."""
     result = solve(LCP(*EXTREME["q beyond, and no matter"]), "lemke")
     assert result.status is Status.SOLVED
     assert result.z.tolist() == [0.0, 1.0]
 
 
-def test_a_time_limit_ends_lemke_before_its_other_starts() -> None:
+def test_a_time_limit_ends_lemke_before_its_other_starts():
     """A limit is kept within a second and one factorization; each of twelve starts would factorize again."""
     rng = np.random.default_rng(0)
     M = rng.standard_normal((1200, 1200)) / 35.0 + 2.0 * np.eye(1200)
@@ -306,7 +305,7 @@ def test_a_time_limit_ends_lemke_before_its_other_starts() -> None:
     assert time.process_time() - began - factorization < 1.01 + factorization
 
 
-def test_a_time_limit_ends_starts_that_have_no_path() -> None:
+def test_a_time_limit_ends_starts_that_have_no_path():
     """A start in a singular active set gives no path, so only the loop over the starts can read the clock."""
     problem = LCP(np.full((30, 30), -1.0), np.full(30, -1.0))
     result = solve(problem, "lemke", restarts=100_000, max_seconds=0.1)
@@ -314,7 +313,7 @@ def test_a_time_limit_ends_starts_that_have_no_path() -> None:
     assert result.seconds < 1.1
 
 
-def test_independent_free_rows_are_eliminated_next_to_a_singular_one() -> None:
+def test_independent_free_rows_are_eliminated_next_to_a_singular_one():
     """Definitions d = R w are eliminated, and the sum of w with its multiplier and one of the w."""
     rng, d, w = np.random.default_rng(7), np.arange(30), 30 + np.arange(4)
     R, M = rng.random((30, 4)), np.zeros((35, 35))
@@ -327,7 +326,7 @@ def test_independent_free_rows_are_eliminated_next_to_a_singular_one() -> None:
     assert Certificate.of(problem, solve(problem, "lemke").z).relative_residual < 1e-12
 
 
-def test_a_square_system_is_one_factorization() -> None:
+def test_a_square_system_is_one_factorization():
     """Without bounds, auto solves a sparse nonsymmetric system with a negative diagonal by newton, in one step."""
     line = sp.diags_array([1.5, -2.0, 0.25], offsets=[-1, 0, 1], shape=(75, 75))
     one = sp.eye_array(75)
@@ -341,7 +340,7 @@ def test_a_square_system_is_one_factorization() -> None:
     np.testing.assert_allclose(result.z, spsolve(M.tocsc(), -np.ones(5625)), rtol=1e-9)
 
 
-def test_elimination_of_a_free_row_of_rank_one_leaves_zeros() -> None:
+def test_elimination_of_a_free_row_of_rank_one_leaves_zeros():
     """M = v vᵀ without its free row is 0, also in double precision, because pivots must not use rounding errors."""
     for seed in range(20):
         v = np.random.default_rng(seed).integers(1, 100, 9).astype(float)
@@ -349,7 +348,7 @@ def test_elimination_of_a_free_row_of_rank_one_leaves_zeros() -> None:
         assert not canonical_box(problem).M.any()
 
 
-def test_each_label_of_a_game_has_a_path_to_an_equilibrium() -> None:
+def test_each_label_of_a_game_has_a_path_to_an_equilibrium():
     """Lemke, Howson (1964): whichever label is dropped, the path of a nondegenerate game ends in a solution."""
     rng = np.random.default_rng(0)
     for n in (2, 3, 4):

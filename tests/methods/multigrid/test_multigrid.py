@@ -41,7 +41,7 @@ def assert_same(problem: LCP, result: Result, relative: float = 1e-6) -> None:
 
 
 @pytest.mark.parametrize("algorithm", ["multigrid", "auto"])
-def test_neumann_problem_with_a_mean_load_below_zero_is_infeasible(algorithm: str) -> None:
+def test_neumann_problem_with_a_mean_load_below_zero_is_infeasible(algorithm):
     """M 1 = 0: no z has M z + q ≥ 0 if the sum of q is negative."""
     D = sp.diags_array(
         [np.r_[1, np.full(38, 2), 1], -np.ones(39), -np.ones(39)], offsets=[0, 1, -1]
@@ -51,7 +51,7 @@ def test_neumann_problem_with_a_mean_load_below_zero_is_infeasible(algorithm: st
     assert solve(LCP(M, q), algorithm).status is Status.INFEASIBLE
 
 
-def test_regular_coarsest_matrix_is_solved_to_rounding() -> None:
+def test_regular_coarsest_matrix_is_solved_to_rounding():
     """A ridge there slowed the cycles of a tower of masses, which ended SOLVED with 0.98 of its weight."""
     coarsest = Truncation(hierarchy_of(gallery.obstacle_2d(size=60).problem.matrix, 50)).grids[-1]
     A = coarsest.grid.dense(coarsest.values)
@@ -63,7 +63,7 @@ def test_regular_coarsest_matrix_is_solved_to_rounding() -> None:
 
 
 @pytest.mark.parametrize("text", SCENES)
-def test_the_answer_is_that_of_the_direct_active_set(text: str) -> None:
+def test_the_answer_is_that_of_the_direct_active_set(text):
     """The z of the default tolerance is within 1e-6 of the direct solution, in 40 iterations."""
     problem = membranes.parse(text).problem
     result = solve(problem, "multigrid", max_iterations=40)
@@ -90,7 +90,7 @@ def jumps_by_edge(kind: str, decades: int, *, size: int = 60, seed: int = 0) -> 
 
 @pytest.mark.parametrize("kind", ["all", "half", "tenth"])
 @pytest.mark.parametrize("decades", [3, 6, 10])
-def test_couplings_that_jump_from_edge_to_edge(kind: str, decades: int) -> None:
+def test_couplings_that_jump_from_edge_to_edge(kind, decades):
     """Contrasts up to 1e10 between neighboring edges are SOLVED, and up to 1e6 the error is small as well."""
     problem = jumps_by_edge(kind, decades)
     result = solve(problem, "multigrid", max_iterations=60)
@@ -100,7 +100,7 @@ def test_couplings_that_jump_from_edge_to_edge(kind: str, decades: int) -> None:
 
 
 @pytest.mark.parametrize("decades", [1, 3, 10])
-def test_the_units_of_single_rows_hardly_matter(decades: int) -> None:
+def test_the_units_of_single_rows_hardly_matter(decades):
     """Rows times random powers of ten need at most 8 more cycles."""
     problem = gallery.build("obstacle_2d", size=60).problem
     plain = solve(problem, "multigrid")
@@ -173,7 +173,7 @@ def second_order(cells: int) -> LCP:
     return LCP(sp.csr_array(M[inside][:, inside]), -force / cells**2)
 
 
-def test_elements_of_second_order_need_few_cycles() -> None:
+def test_elements_of_second_order_need_few_cycles():
     """Positive couplings end with the finest grid: coarser ones shrink as usual, and 10 cycles do."""
     problem = second_order(60)
     sizes = [grid.n for grid in hierarchy_of(problem.matrix, Multigrid.coarsest).grids]
@@ -185,7 +185,7 @@ def test_elements_of_second_order_need_few_cycles() -> None:
 
 
 @pytest.mark.parametrize("block", range(10))
-def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:
+def test_small_problems_with_tiny_coarsest_grids(block):
     """All 200 small H₊ and SPD problems with boxes, free and fixed rows are solved."""
     for seed in range(20 * block, 20 * block + 20):
         problem, z = planted(seed)
@@ -210,7 +210,7 @@ def test_small_problems_with_tiny_coarsest_grids(block: int) -> None:
     ],
     ids=["positive", "many", "box", "free", "empty"],
 )
-def test_problems_without_coarser_grids(problem: LCP, z: list[float]) -> None:
+def test_problems_without_coarser_grids(problem, z):
     """A single unknown, a diagonal, boxes and free rows need no hierarchy."""
     result = solve(problem, "multigrid")
     assert result.status is Status.SOLVED
@@ -220,7 +220,7 @@ def test_problems_without_coarser_grids(problem: LCP, z: list[float]) -> None:
 # --- Cycles, work, starts -----------------------------------------------------------------------------------
 
 
-def test_cycles_hardly_grow_with_the_grid() -> None:
+def test_cycles_hardly_grow_with_the_grid():
     """16 times the unknowns cost at most 6 more cycles, for each of three families."""
     for name, facts in [
         ("obstacle_2d", {}),
@@ -234,7 +234,7 @@ def test_cycles_hardly_grow_with_the_grid() -> None:
         assert cycles[1] <= cycles[0] + 6, (name, cycles)
 
 
-def test_a_warm_start_pays() -> None:
+def test_a_warm_start_pays():
     """A run from its solution ends at once, and from a close one sooner than a cold run."""
     problem = prepare(gallery.build("obstacle_2d", size=80).problem).problem
     cold = solve(problem, "multigrid", tolerance=1e-10)
@@ -248,7 +248,7 @@ def test_a_warm_start_pays() -> None:
 
 
 @pytest.mark.full
-def test_a_march_in_time_needs_few_corrections() -> None:
+def test_a_march_in_time_needs_few_corrections():
     """If the free boundary moves by many rows per step, warm starts need 6 corrections."""
     scene = gallery.build("american_put_march", size=20_001, steps=20)
     problem, z, corrections = prepare(scene.problem).problem, np.array(scene.problem.lower), 0
@@ -278,7 +278,7 @@ def random_sparse(margin: float, *, n: int = 1000, positive: bool = False) -> LC
 
 
 @pytest.mark.full
-def test_a_matrix_without_geometry_is_left_to_sweeps() -> None:
+def test_a_matrix_without_geometry_is_left_to_sweeps():
     """If no coarser grid pays, sweeps continue as long as they contract, and then the run ends."""
     assert solve(random_sparse(1.4), "multigrid").status is Status.SOLVED
     slow = solve(random_sparse(1.0001), "multigrid")
@@ -286,7 +286,7 @@ def test_a_matrix_without_geometry_is_left_to_sweeps() -> None:
     assert slow.work <= 150
 
 
-def test_an_indefinite_matrix_ends_the_run() -> None:
+def test_an_indefinite_matrix_ends_the_run():
     """The run on a matrix that is neither definite nor H₊ ends by itself, with its best iterate."""
     M = random_sparse(0.3, n=800, positive=True).csr
     shifted = LCP(
@@ -301,7 +301,7 @@ def test_an_indefinite_matrix_ends_the_run() -> None:
 
 
 @pytest.mark.parametrize(("n", "contrast"), [(1000, 1e4), (1000, 1e6), (3000, 1e6), (20_000, 1.0)])
-def test_stiff_layers_and_long_chains_need_few_cycles(n: int, contrast: float) -> None:
+def test_stiff_layers_and_long_chains_need_few_cycles(n, contrast):
     """Twenty layers with alternating stiffness, and a chain of one material, need few cycles."""
     edges = np.where(np.arange(n + 1) // (n // 20) % 2 == 0, 1.0, contrast)
     M = sp.diags_array(
@@ -346,9 +346,7 @@ def planted_safeguard(seed: int, n: int) -> tuple[LCP, np.ndarray]:
 
 @given(st.integers(0, 10**6), st.integers(70, 150), st.sampled_from(sorted(WAYS)))
 @example(79, 79, "no number")
-def test_it_converges_on_positive_definite_matrices_from_any_start(
-    seed: int, n: int, way: str
-) -> None:
+def test_it_converges_on_positive_definite_matrices_from_any_start(seed, n, way):
     """Known solutions are found from random starts with broken corrections and small grids."""
     problem, z = planted_safeguard(seed, n)
     start = np.random.default_rng(seed + 1).normal(scale=100.0, size=n)
@@ -359,7 +357,7 @@ def test_it_converges_on_positive_definite_matrices_from_any_start(
     assert np.abs(result.z - z).max() <= 1e-6
 
 
-def test_free_sets_that_come_back_do_not_hold_up_the_run() -> None:
+def test_free_sets_that_come_back_do_not_hold_up_the_run():
     """If iterations on free sets would cycle, the run continues with single corrections."""
     generator = np.random.default_rng(2924)
     n = int(generator.integers(100, 350))
@@ -374,7 +372,7 @@ def test_free_sets_that_come_back_do_not_hold_up_the_run() -> None:
     assert result.iterations <= 300
 
 
-def test_what_is_proven_about_multigrid() -> None:
+def test_what_is_proven_about_multigrid():
     """Multigrid is guaranteed on positive definite matrices unless it may hand over."""
     problem = gallery.build("obstacle_2d", size=10).problem
     assert convergence_guarantee(problem, "multigrid").is_guaranteed
@@ -387,7 +385,7 @@ def test_what_is_proven_about_multigrid() -> None:
     ).is_guaranteed
 
 
-def test_a_row_at_a_bound_stays_there_in_units_that_differ() -> None:
+def test_a_row_at_a_bound_stays_there_in_units_that_differ():
     """Iterates in columns of other units have the numbers of the bounds, which units times quotients round."""
     grid = gallery.obstacle_2d(size=40).problem
     rng = np.random.default_rng(0)

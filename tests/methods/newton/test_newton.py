@@ -34,7 +34,7 @@ def five_point(m: int) -> sp.csr_array:
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("kind", ["dense SPD", "sparse SPD", "banded", "nonsymmetric P"])
-def test_newton_finds_the_planted_answer_with_bounds_of_every_kind(kind: str, seed: int) -> None:
+def test_newton_finds_the_planted_answer_with_bounds_of_every_kind(kind, seed):
     """Boxed, one-sided, free, fixed and degenerate rows come out right on each of the four kinds of factor."""
     rng = np.random.default_rng(100 + seed)
     B = rng.integers(-3, 4, (40, 40)).astype(float)
@@ -66,7 +66,7 @@ def cyclic(entries: list[float]) -> np.ndarray:
     return M
 
 
-def test_full_steps_cycle_on_a_p_matrix_and_newton_arrives_all_the_same() -> None:
+def test_full_steps_cycle_on_a_p_matrix_and_newton_arrives_all_the_same():
     """On a 3×3 P-matrix plain active-set steps run in a circle; the safeguarded method solves it from there."""
     entries, q, z0 = CYCLES
     problem = LCP(cyclic(entries), q)
@@ -79,7 +79,7 @@ def test_full_steps_cycle_on_a_p_matrix_and_newton_arrives_all_the_same() -> Non
 
 
 @pytest.mark.parametrize("family", ["definite", "cyclic"])
-def test_the_line_search_leads_to_the_solution_of_each_p_matrix(family: str) -> None:
+def test_the_line_search_leads_to_the_solution_of_each_p_matrix(family):
     """Full steps cycle or are off in some of these, with bounds of every kind: SOLVED by the rule in fractions."""
     for problem in draw(family, 60, 12):
         assert failures(problem, solve(problem, "newton").require_solved().z) == []
@@ -87,7 +87,7 @@ def test_the_line_search_leads_to_the_solution_of_each_p_matrix(family: str) -> 
 
 @pytest.mark.parametrize("n", [1, 2, 50, 200])
 @pytest.mark.parametrize("family", ["murty", "murty transposed", "fathi", "fathi transposed"])
-def test_exponential_families_take_at_most_one_step_a_row(family: str, n: int) -> None:
+def test_exponential_families_take_at_most_one_step_a_row(family, n):
     """On Murty's and Fathi's matrices, exponential for pivoting, Newton needs at most n + 1 steps."""
     L = lower_triangle(n)
     M = {"murty": L, "murty transposed": L.T, "fathi": L @ L.T, "fathi transposed": L.T @ L}[family]
@@ -96,7 +96,7 @@ def test_exponential_families_take_at_most_one_step_a_row(family: str, n: int) -
     assert result.iterations <= n + 1
 
 
-def test_csizmadia_is_solved_exactly_where_doubles_can_state_the_answer() -> None:
+def test_csizmadia_is_solved_exactly_where_doubles_can_state_the_answer():
     """The triangular matrix of minus ones is almost singular, but z = 1, 2, 4, … is found to the last bit."""
     for n in (10, 50):
         M = np.eye(n) - np.tril(np.ones((n, n)), -1)
@@ -104,7 +104,7 @@ def test_csizmadia_is_solved_exactly_where_doubles_can_state_the_answer() -> Non
         assert np.array_equal(result.z, 2.0 ** np.arange(n))
 
 
-def test_contact_with_more_contacts_than_freedoms_is_solved() -> None:
+def test_contact_with_more_contacts_than_freedoms_is_solved():
     """A rank-deficient M = J Jᵀ has many z but one w, and Newton finds that w."""
     rng = np.random.default_rng(0)
     J = rng.integers(-2, 3, (60, 20)).astype(float)
@@ -115,7 +115,7 @@ def test_contact_with_more_contacts_than_freedoms_is_solved() -> None:
     assert np.allclose(result.w, w, atol=1e-6)
 
 
-def test_the_generator_ends_and_yields_ever_better_iterates() -> None:
+def test_the_generator_ends_and_yields_ever_better_iterates():
     """Where there is no solution the steps end by themselves, and their residuals never rise."""
     problem = LCP([[-1.0, 0.0], [1.0, -2.0]], [-1.0, -1.0])
     residuals = [step.residual for step in Newton().iterates(problem, np.zeros(2))]
@@ -145,7 +145,7 @@ print(sum(1 for _ in islice(Newton().iterates(problem, np.zeros(problem.n)), 40)
 
 @pytest.mark.full
 @pytest.mark.parametrize("size", [(55, 60), (50, 70)])
-def test_transport_programs_leave_the_interpreter_alive(size: tuple[int, int]) -> None:
+def test_transport_programs_leave_the_interpreter_alive(size):
     """Free blocks of a transport program are structurally singular: Newton goes on, and SuperLU prints nothing."""
     command = [sys.executable, "-c", TRANSPORT, *map(str, size)]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from oracles.truth import SOLVABLE, decide
@@ -22,7 +20,7 @@ def drawn(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(
     ("n", "is_boxed"), [(4, True), (1, False), (2, False), (3, False), (4, False), (5, False)]
 )
-def test_the_status_is_true(n: int, is_boxed: bool, draws: Callable[[int], range]) -> None:
+def test_the_status_is_true(n, is_boxed, draws):
     """SOLVED where there is a solution in exact arithmetic, else a proof that verifies, by rounds and the search."""
     for seed in draws(60 if n < 5 else 25):
         M, q = drawn(seed, n)
@@ -39,7 +37,7 @@ def test_the_status_is_true(n: int, is_boxed: bool, draws: Callable[[int], range
 
 
 @pytest.mark.parametrize("n", [3, 6, 8, 12])
-def test_planted_problems_are_never_infeasible(n: int, draws: Callable[[int], range]) -> None:
+def test_planted_problems_are_never_infeasible(n, draws):
     """Integer data, a solution with active, inactive and degenerate rows: solved, with a look for proofs or without."""
     for seed in draws(80):
         rng = np.random.default_rng([32, seed, n])
@@ -53,7 +51,7 @@ def test_planted_problems_are_never_infeasible(n: int, draws: Callable[[int], ra
             assert result.infeasibility is None
 
 
-def test_random_problems_are_decided(draws: Callable[..., range]) -> None:
+def test_random_problems_are_decided(draws):
     """Standard normal problems with n = 8 are SOLVED or proved to have no solution, and every proof verifies."""
     rng = np.random.default_rng(7)
     count = len(draws(200, 32))
@@ -63,7 +61,7 @@ def test_random_problems_are_decided(draws: Callable[..., range]) -> None:
 
 
 @pytest.mark.parametrize("name", ["auto", "newton", "lemke", "interior_point"])
-def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
+def test_without_prove_infeasibility_nothing_is_proved(name):
     """STALLED with words that say why, and no proof, where prove_infeasibility=True ends INFEASIBLE."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
     assert solve(problem, name).status is Status.INFEASIBLE
@@ -73,14 +71,14 @@ def test_without_prove_infeasibility_nothing_is_proved(name: str) -> None:
     assert "not proved infeasible, because prove_infeasibility=False" in result.advice
 
 
-def test_a_contradiction_within_the_tolerance_ends_nothing() -> None:
+def test_a_contradiction_within_the_tolerance_ends_nothing():
     """What contradicts by 5e-7 in every case is excluded at 1e-8, and solved at 1e-5, a proof looked for or not."""
     problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - 1e-6])
     assert solve(problem, prove_infeasibility=False).status is Status.STALLED
     assert solve(problem, prove_infeasibility=False, tolerance=1e-5).is_solved
 
 
-def test_an_inconsistency_within_the_tolerance_does_not_end_a_run_after_the_search() -> None:
+def test_an_inconsistency_within_the_tolerance_does_not_end_a_run_after_the_search():
     """Exact data without a solution, M not monotone: SOLVED at the tolerance that a point satisfies."""
     M = np.zeros((4, 4))
     M[:2, :2], M[2:, 2:] = [[1.0, -1.0], [-1.0, 1.0]], [[-1.0, 2.0], [2.0, -1.0]]
@@ -90,7 +88,7 @@ def test_an_inconsistency_within_the_tolerance_does_not_end_a_run_after_the_sear
         assert solve(problem, prove_infeasibility=prove_infeasibility, tolerance=1e-5).is_solved
 
 
-def test_prove_infeasibility_is_true_or_false() -> None:
+def test_prove_infeasibility_is_true_or_false():
     """Anything else is refused by name."""
     for call in (
         lambda: solve(LCP([[1.0]], [1.0]), prove_infeasibility="no"),

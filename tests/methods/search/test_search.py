@@ -1,8 +1,5 @@
 """Exhaustive search: every solution, or a proof of none, against an enumeration written for the campaign."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -27,7 +24,7 @@ from lcp_plugin.proofs.no_solution import Case, NoSolution
 
 
 @pytest.mark.parametrize("block", range(8))
-def test_random_problems_agree_with_an_enumeration(block: int, draws: Callable[..., range]) -> None:
+def test_random_problems_agree_with_an_enumeration(block, draws):
     """Verdicts, solutions, faces, flags and proofs agree with linear inequalities over all patterns."""
     for case in draws(10, 3):
         assert not violations(random_problem(np.random.default_rng([7, block, case]), largest=3))
@@ -41,7 +38,7 @@ GAMES = {
 
 
 @pytest.mark.parametrize("name", GAMES)
-def test_known_games_have_their_equilibria(name: str) -> None:
+def test_known_games_have_their_equilibria(name):
     """Textbook games have as many equilibria as the textbooks say, each without regret."""
     A, B, count = GAMES[name]
     problem = lcp_from_bimatrix_game(A, B)
@@ -52,7 +49,7 @@ def test_known_games_have_their_equilibria(name: str) -> None:
         assert problem.origin.recover(solution.z).regret < 1e-14
 
 
-def test_ties_of_integer_payoffs_are_kept() -> None:
+def test_ties_of_integer_payoffs_are_kept():
     """Rows 0 and a half of 1 and 2 tie for the column player: the equilibria are a segment, as in the game itself."""
     problem = lcp_from_bimatrix_game([[7, 7], [13, 4], [3, 9]], [[1, 1], [0, 3], [3, 0]])
     (face,) = all_solutions(problem)
@@ -66,7 +63,7 @@ def test_ties_of_integer_payoffs_are_kept() -> None:
 
 
 @pytest.mark.parametrize("odd", [None, 1e19, -1e19, 1e10, 1e-9, 1e-17])
-def test_equilibria_are_those_of_the_payoffs(odd: float | None) -> None:
+def test_equilibria_are_those_of_the_payoffs(odd):
     """Extreme equilibria, ties included, agree with an exact enumeration of vertices."""
     rng = np.random.default_rng(7)
     for _ in range(12):
@@ -76,7 +73,7 @@ def test_equilibria_are_those_of_the_payoffs(odd: float | None) -> None:
             assert not missed(A, B)
 
 
-def test_a_degenerate_game_reports_a_face() -> None:
+def test_a_degenerate_game_reports_a_face():
     """Every pair of strategies of a game with zero payoffs is an equilibrium: a face."""
     problem = lcp_from_bimatrix_game(np.zeros((2, 2)), np.zeros((2, 2)))
     (face,) = all_solutions(problem)
@@ -86,7 +83,7 @@ def test_a_degenerate_game_reports_a_face() -> None:
     assert problem.origin.recover(face.z).regret == 0.0
 
 
-def test_every_pure_equilibrium_is_a_vertex_of_a_face() -> None:
+def test_every_pure_equilibrium_is_a_vertex_of_a_face():
     """If the row player's payoffs are equal, both pure equilibria are vertices of segments."""
     problem = lcp_from_bimatrix_game([[1, 1], [1, 1]], [[1, 0], [0, 1]])
     faces = all_solutions(problem)
@@ -105,7 +102,7 @@ def test_every_pure_equilibrium_is_a_vertex_of_a_face() -> None:
     )
 
 
-def test_vertices_of_faces_without_and_with_an_end() -> None:
+def test_vertices_of_faces_without_and_with_an_end():
     """A line has no vertex, a ray one; of many only some are printed, and an isolated solution is its own."""
     (line,) = all_solutions(LCP([[0.0]], [0.0], lower=-np.inf))
     assert line.exact_vertices == ()
@@ -120,7 +117,7 @@ def test_vertices_of_faces_without_and_with_an_end() -> None:
     assert point.exact_vertices == ((Fraction(1, 3),),)
 
 
-def test_an_isolated_solution_beside_a_continuum_is_told_apart() -> None:
+def test_an_isolated_solution_beside_a_continuum_is_told_apart():
     """A block with a ray of solutions and a block with two points give two faces, in lexicographic order."""
     M = np.array([[0.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
     found = all_solutions(LCP(M, [0.0, 1.0, -1.0]))
@@ -128,7 +125,7 @@ def test_an_isolated_solution_beside_a_continuum_is_told_apart() -> None:
     assert [s.dimension for s in found] == [1, 1]
 
 
-def test_a_feasible_problem_without_solution_is_proven() -> None:
+def test_a_feasible_problem_without_solution_is_proven():
     """For feasible constraints without a solution, the tree verifies, a modified one does not."""
     problem = LCP([[1.0, -2.0, 1.0], [-3.0, 2.0, -2.0], [1.0, -2.0, 0.0]], [-1.0, 2.0, 2.0])
     truth = Enumeration(problem.csr.toarray(), problem.q, problem.lower, problem.upper)
@@ -147,7 +144,7 @@ def test_a_feasible_problem_without_solution_is_proven() -> None:
     assert not NoSolution(problem.with_q([1.0, 1.0, 1.0]), proof.tree).verify()
 
 
-def test_a_linear_contradiction_is_found_by_the_search_too() -> None:
+def test_a_linear_contradiction_is_found_by_the_search_too():
     """If the linear constraints are inconsistent, the proof is one Farkas vector."""
     proof = search(LCP([[0.0]], [-1.0]))
     assert isinstance(proof, NoSolution)
@@ -156,7 +153,7 @@ def test_a_linear_contradiction_is_found_by_the_search_too() -> None:
     assert proof.infeasibility.verify()
 
 
-def test_the_answer_is_the_rounding_of_the_exact_one() -> None:
+def test_the_answer_is_the_rounding_of_the_exact_one():
     """The solution of 3 z = 1 is an exact third, and the nearest double."""
     (solution,) = all_solutions(LCP([[3.0]], [-1.0]))
     assert solution.exact_z == (Fraction(1, 3),)
@@ -165,7 +162,7 @@ def test_the_answer_is_the_rounding_of_the_exact_one() -> None:
     assert solution.pattern == ("zero",)
 
 
-def test_boxes_free_and_fixed_rows_take_part() -> None:
+def test_boxes_free_and_fixed_rows_take_part():
     """Three points on a box with M = −1; equations and fixed entries keep their place."""
     box = all_solutions(LCP([[-1.0]], [0.5], lower=[0.0], upper=[1.0]))
     assert [s.exact_z for s in box] == [(0,), (Fraction(1, 2),), (1,)]
@@ -175,7 +172,7 @@ def test_boxes_free_and_fixed_rows_take_part() -> None:
     assert solution.pattern == ("zero", "fixed")
 
 
-def test_limits_end_the_search_honestly() -> None:
+def test_limits_end_the_search_honestly():
     """Too few nodes decide nothing; a problem that is too large raises an error with its size."""
     problem = lcp_from_bimatrix_game(np.eye(3), np.eye(3))
     assert search(problem, first_only=False, max_nodes=3) is None
@@ -194,7 +191,7 @@ def test_limits_end_the_search_honestly() -> None:
 BEYOND_DOUBLES = LCP([[0.0, -1e-145], [1.0, 0.0]], [1e278, -1.0])  # its solution: (1, 1e423)
 
 
-def test_a_solution_beyond_the_doubles_is_exact_and_never_infinite() -> None:
+def test_a_solution_beyond_the_doubles_is_exact_and_never_infinite():
     """If z exceeds the range of doubles, exact_z is rational, and the rounded z raises an error."""
     (solution,) = all_solutions(BEYOND_DOUBLES)
     assert is_exact_solution(BEYOND_DOUBLES, solution.exact_z)
@@ -206,7 +203,7 @@ def test_a_solution_beyond_the_doubles_is_exact_and_never_infinite() -> None:
     assert solution.w.tolist() == [0.0, 0.0]
 
 
-def test_auto_names_a_solution_beyond_double_precision() -> None:
+def test_auto_names_a_solution_beyond_double_precision():
     """A run whose only solution exceeds the range of doubles ends STALLED, with a message."""
     result = solve(BEYOND_DOUBLES)
     assert result.status is Status.STALLED
@@ -217,7 +214,7 @@ def test_auto_names_a_solution_beyond_double_precision() -> None:
     )
 
 
-def test_energy_that_falls_for_ever_does_not_keep_the_run_from_a_proof() -> None:
+def test_energy_that_falls_for_ever_does_not_keep_the_run_from_a_proof():
     """The energy of a singular M without a solution is unbounded, and INFEASIBLE is proved."""
     line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20)).tolil()
     line[0, 0] = line[-1, -1] = 1.0
@@ -227,7 +224,7 @@ def test_energy_that_falls_for_ever_does_not_keep_the_run_from_a_proof() -> None
     assert result.iterations < 10_000
 
 
-def test_a_limit_of_solutions_ends_the_search() -> None:
+def test_a_limit_of_solutions_ends_the_search():
     """`limit=1` of a problem with 2ⁿ solutions examines a few pieces only, and finds a solution."""
     problem = LCP(-np.eye(12), np.ones(12))  # z_i is 0 or 1
     found = all_solutions(problem, limit=1, max_nodes=100)
@@ -238,7 +235,7 @@ def test_a_limit_of_solutions_ends_the_search() -> None:
         all_solutions(problem, max_nodes=100)
 
 
-def test_a_limited_search_reports_maximal_faces(draws: Callable[..., range]) -> None:
+def test_a_limited_search_reports_maximal_faces(draws):
     """With `limit`, a vertex of a ray is not isolated: every face is one of the search without a limit."""
     (ray,) = all_solutions(LCP([[1, -1], [-1, 1]], [0, 0]), limit=1)
     assert (ray.dimension, ray.is_isolated) == (1, False)
@@ -257,7 +254,7 @@ def test_a_limited_search_reports_maximal_faces(draws: Callable[..., range]) -> 
             assert {(one.dimension, one.exact_vertices) for one in found} <= faces
 
 
-def test_a_line_of_solutions_has_no_vertex() -> None:
+def test_a_line_of_solutions_has_no_vertex():
     """z₀ is any number and z₁ = 1: the face has no vertices, as its text states."""
     (line,) = all_solutions(LCP([[0, 0], [0, 1]], [0, -1], lower=[-np.inf, 0]))
     assert line.exact_vertices == ()

@@ -1,11 +1,8 @@
 """Rounds of active sets and Lemke's paths on small dense problems, one or a stack."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable
 from importlib import import_module
 
 import numpy as np
@@ -23,7 +20,7 @@ INF = np.inf
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_watching_a_run_changes_nothing(family: str, draws: Callable[..., range]) -> None:
+def test_watching_a_run_changes_nothing(family, draws):
     """With record or a callback the same bits, iterations, work and stages, for cold and warm starts and limits."""
     rng = np.random.default_rng(0)
     for k, drawn in enumerate(draw(family, len(draws(6, 2)), 9)):
@@ -36,7 +33,7 @@ def test_watching_a_run_changes_nothing(family: str, draws: Callable[..., range]
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_no_solved_point_is_a_lie(family: str, draws: Callable[..., range]) -> None:
+def test_no_solved_point_is_a_lie(family, draws):
     """Exact arithmetic confirms the residual of each SOLVED point, and a batch has the same statuses."""
     problems = draw(family, len(draws(12, 2)), 8)
     results = [solve(drawn) for drawn in problems]
@@ -49,7 +46,7 @@ def test_no_solved_point_is_a_lie(family: str, draws: Callable[..., range]) -> N
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 17, 60, 128, 256])
-def test_a_planted_solution_is_found_by_the_first_rounds(n: int) -> None:
+def test_a_planted_solution_is_found_by_the_first_rounds(n):
     """Bounds on both sides and free rows; M positive definite, or triangular and P."""
     rng = np.random.default_rng(n)
     for matrix in (
@@ -70,7 +67,7 @@ def test_a_planted_solution_is_found_by_the_first_rounds(n: int) -> None:
         assert {stage.name for stage in result.stages} <= {"rounds", "path"}
 
 
-def test_a_game_is_solved_by_its_path() -> None:
+def test_a_game_is_solved_by_its_path():
     """Lemke and Howson's path on random bimatrix games, where paths from r > 0 end on a ray."""
     rng = np.random.default_rng(0)
     for n in (3, 8, 20):
@@ -80,7 +77,7 @@ def test_a_game_is_solved_by_its_path() -> None:
 
 
 @pytest.mark.parametrize("is_regular", [True, False])
-def test_free_rows_without_a_diagonal_are_eliminated_or_split(is_regular: bool) -> None:
+def test_free_rows_without_a_diagonal_are_eliminated_or_split(is_regular):
     """A program with an equation, and one with the same equation twice."""
     G = np.array([[1.0, 2.0, 1.0]]) if is_regular else np.array([[1.0, 2.0, 1.0]] * 2)
     m = len(G)
@@ -92,7 +89,7 @@ def test_free_rows_without_a_diagonal_are_eliminated_or_split(is_regular: bool) 
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_the_loop_over_many_problems_has_the_statuses_of_single_solves(family: str) -> None:
+def test_the_loop_over_many_problems_has_the_statuses_of_single_solves(family):
     """Exact arithmetic also confirms each of its SOLVED points."""
     drawn = draw(family, 250, 8)
     n = Counter(one.n for one in drawn).most_common(1)[0][0]
@@ -104,7 +101,7 @@ def test_the_loop_over_many_problems_has_the_statuses_of_single_solves(family: s
 
 
 @pytest.mark.full
-def test_a_point_that_the_sufficient_test_accepts_passes_the_criterion() -> None:
+def test_a_point_that_the_sufficient_test_accepts_passes_the_criterion():
     """The criterion does not move the point, and its residual is at most the bound."""
     kernel, accepted = import_module("lcp_plugin.judges.lcp").bound_residuals, 0
     rng = np.random.default_rng(0)
@@ -124,7 +121,7 @@ def test_a_point_that_the_sufficient_test_accepts_passes_the_criterion() -> None
     assert accepted > 500
 
 
-def test_a_point_that_the_quick_test_of_one_problem_accepts_passes_the_criterion() -> None:
+def test_a_point_that_the_quick_test_of_one_problem_accepts_passes_the_criterion():
     """The criterion does not move the point, and z° does not pass."""
     rng, accepted = np.random.default_rng(0), 0
     for drawn in (one for family in FAMILIES for one in draw(family, 20, 8)):
@@ -149,7 +146,7 @@ def test_a_point_that_the_quick_test_of_one_problem_accepts_passes_the_criterion
         "np.array([[0., -1.], [1., 0.]]), [1., -1.], lower=[-np.inf, 0.]",
     ],
 )
-def test_a_small_problem_loads_no_numba(problem: str) -> None:
+def test_a_small_problem_loads_no_numba(problem):
     """The first solve of a process compiles nothing, and a batch of 10 problems does not wait for the loop."""
     code = (
         "import sys, numpy as np, lcp_plugin as lp\n"
@@ -160,7 +157,7 @@ def test_a_small_problem_loads_no_numba(problem: str) -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_a_point_of_nearly_singular_rows_passes_the_rule_at_a_tolerance_of_rounding() -> None:
+def test_a_point_of_nearly_singular_rows_passes_the_rule_at_a_tolerance_of_rounding():
     """At 1e-16, SOLVED points pass the rule in rational arithmetic; a point that fails is followed by other stages."""
     rng = np.random.default_rng(0)
     for _ in range(60):
@@ -170,7 +167,7 @@ def test_a_point_of_nearly_singular_rows_passes_the_rule_at_a_tolerance_of_round
         assert not result.is_solved or failures(problem, result.z, tolerance=1e-16) == []
 
 
-def test_the_far_field_of_a_batch_is_solved_to_its_terms() -> None:
+def test_the_far_field_of_a_batch_is_solved_to_its_terms():
     """A chain decays by 10⁻³ from row to row: every row of every problem is right to 1e-6 of its terms."""
     n, count = 6, 200
     M = 2.0 * np.eye(n) - 1e-3 * (np.eye(n, k=1) + np.eye(n, k=-1))
@@ -184,9 +181,7 @@ def test_the_far_field_of_a_batch_is_solved_to_its_terms() -> None:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_lemke_by_name_has_the_bits_of_a_batch_and_of_a_watched_run(
-    family: str, draws: Callable[..., range]
-) -> None:
+def test_lemke_by_name_has_the_bits_of_a_batch_and_of_a_watched_run(family, draws):
     """The compiled path solves a problem by itself, in a batch of any size and under watch or limits with one z."""
     problems = draw(family, len(draws(6, 2)), 9)
     batch = solve_batch(problems, algorithm="lemke", prove_infeasibility=False)
@@ -205,9 +200,7 @@ def test_lemke_by_name_has_the_bits_of_a_batch_and_of_a_watched_run(
         assert not alone.is_solved or alone.z.tobytes() == batch[k].z.tobytes()
 
 
-def test_lemke_by_name_and_its_batches_take_no_pivots_in_python(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_lemke_by_name_and_its_batches_take_no_pivots_in_python(monkeypatch):
     """The compiled path alone solves a problem and a batch of one; options of the method lead to its own steps."""
     pytest.importorskip("numba")
     monkeypatch.delattr("lcp_plugin.methods.lemke.Lemke._paths")
@@ -221,7 +214,7 @@ def test_lemke_by_name_and_its_batches_take_no_pivots_in_python(
         solve(LCP(M[0], q[0]), "lemke", restarts=0)
 
 
-def test_zeros_of_degenerate_problems_are_zeros_in_watched_runs_of_lemke() -> None:
+def test_zeros_of_degenerate_problems_are_zeros_in_watched_runs_of_lemke():
     """Whole numbers with z_i = w_i = 0: the noise that one way sets to a bound, the others set to it."""
     rng = np.random.default_rng(25)
     for _ in range(40):

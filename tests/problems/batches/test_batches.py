@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ INF = np.inf
 
 @pytest.mark.parametrize("algorithm", [*ON_THE_ROAD, "psor"])
 @pytest.mark.parametrize("shared", [False, True])
-def test_a_batch_is_what_solve_gives_one_by_one(algorithm: str, shared: bool) -> None:
+def test_a_batch_is_what_solve_gives_one_by_one(algorithm, shared):
     """The same bits for any number of threads, and the answers of single solves; M for all or each."""
     M, q = definite_stack(40, 9)
     M = M[0] if shared else M
@@ -51,7 +50,7 @@ def test_a_batch_is_what_solve_gives_one_by_one(algorithm: str, shared: bool) ->
     assert listed.z.tobytes() == batch.z.tobytes()
 
 
-def test_solve_batch_of_large_problems_gives_blas_one_thread() -> None:
+def test_solve_batch_of_large_problems_gives_blas_one_thread():
     """BLAS has one thread in a batch of problems with more than 128 unknowns, if threadpoolctl is installed."""
     tools, seen = pytest.importorskip("threadpoolctl"), list[int]()
     with tools.threadpool_limits(2):
@@ -64,7 +63,7 @@ def test_solve_batch_of_large_problems_gives_blas_one_thread() -> None:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_batch_of_any_sizes_and_kinds(family: str, draws: Callable[..., range]) -> None:
+def test_a_batch_of_any_sizes_and_kinds(family, draws):
     """A list of LCPs of different sizes: each has the status of its own run, solvable or not."""
     problems = draw(family, len(draws(10, 2)), 9)
     batch = solve_batch(problems)
@@ -73,7 +72,7 @@ def test_a_batch_of_any_sizes_and_kinds(family: str, draws: Callable[..., range]
         assert result.status is solve(drawn).status
 
 
-def test_a_bad_problem_costs_that_one_alone() -> None:
+def test_a_bad_problem_costs_that_one_alone():
     """NaN in M, q or a bound, crossed bounds, no solution: in their places, and the others are solved."""
     M, q = definite_stack(8, 4)
     lower, upper = np.zeros((8, 4)), np.full((8, 4), INF)
@@ -107,12 +106,12 @@ solve_batch(*(np.ones((4, 3, 3)), np.ones((4, 2)))) → q must have shape \(B, n
 solve_batch(*(np.ones((4, 3, 3)), 1.0)) → q must have shape
 solve_batch(*(['M'], np.ones(3))) → real numbers|M must
 """)
-def test_shapes_that_do_not_fit_are_refused(call: str, words: str) -> None:
+def test_shapes_that_do_not_fit_are_refused(call, words):
     """Before anything is solved, with what was given and what is needed."""
     assert_refused(call, words, {}, InvalidProblem)
 
 
-def test_batches_of_nothing_of_one_and_of_sparse_matrices() -> None:
+def test_batches_of_nothing_of_one_and_of_sparse_matrices():
     """No problem at all, no unknowns, one problem without an axis in front, a sparse M for all, boxes as numbers."""
     assert len(solve_batch([])) == 0
     assert solve_batch(np.zeros((0, 3, 3)), np.zeros((0, 3))).z.shape == (0, 3)
@@ -130,7 +129,7 @@ def test_batches_of_nothing_of_one_and_of_sparse_matrices() -> None:
     assert told(batch[-1]) == told(batch[5])
 
 
-def test_warm_starts_of_a_batch() -> None:
+def test_warm_starts_of_a_batch():
     """One for all or one each, outside the bounds too: as solve takes them."""
     M, q = definite_stack(5, 6)
     starts = np.random.default_rng(0).normal(size=(5, 6))
@@ -143,7 +142,7 @@ def test_warm_starts_of_a_batch() -> None:
                 np.testing.assert_allclose(batch[k].z, alone.z, atol=1e-10)
 
 
-def test_lcps_bring_their_bounds_and_are_not_mixed_with_other_things() -> None:
+def test_lcps_bring_their_bounds_and_are_not_mixed_with_other_things():
     """What would be ignored is refused, and so is a list of something else."""
     drawn = LCP([[2.0]], [-5.0])
     for options in ({"upper": 1.0}, {"lower": 3.0}, {"lower": [0.0]}, {"q": [1.0]}):
@@ -159,7 +158,7 @@ def test_lcps_bring_their_bounds_and_are_not_mixed_with_other_things() -> None:
         solve_batch(np.ones((4, 3, 3)), np.ones((3, 4)))
 
 
-def test_a_batch_is_a_sequence() -> None:
+def test_a_batch_is_a_sequence():
     """Slices and negative numbers, as a list has them."""
     M, q = definite_stack(5, 3)
     batch = solve_batch(M, q)
@@ -168,7 +167,7 @@ def test_a_batch_is_a_sequence() -> None:
         batch[1.0]
 
 
-def test_one_problem_takes_many_q() -> None:
+def test_one_problem_takes_many_q():
     """solve_batch(problem, Q) has the problem's bounds and the answers of solve; a bad row harms no other."""
     problem = LCP(sp.csr_array([[2.0, 1.0], [1.0, 2.0]]), [0.0, 0.0], upper=[1.0, 4.0])
     Q = np.array([[-5.0, 1.0], [np.nan, 0.0], [-3.0, -3.0]])
@@ -185,7 +184,7 @@ def test_one_problem_takes_many_q() -> None:
             solve_batch(one)
 
 
-def test_nonlinear_problems_begin_at_their_own_starts() -> None:
+def test_nonlinear_problems_begin_at_their_own_starts():
     """A list of problems with starts as z0: x² = a has two roots, and the start chooses one."""
     problems = [NonlinearProblem(lambda x, a=a: x**2 - a, lower=[-INF]) for a in (1.0, 4.0)]
     answers = solve_batch(problems, z0=[[3.0], [-3.0]])
@@ -204,7 +203,7 @@ CLASSES: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", CLASSES)
-def test_a_batch_has_the_limits_of_single_solves(name: str) -> None:
+def test_a_batch_has_the_limits_of_single_solves(name):
     """No iteration solves none of these; the points and statuses of a batch are those of `solve`."""
     problem = CLASSES[name]
     for limit in (0, 1, 100):
@@ -216,7 +215,7 @@ def test_a_batch_has_the_limits_of_single_solves(name: str) -> None:
             np.testing.assert_allclose(one.x, alone.x, atol=1e-9)
 
 
-def test_the_starts_of_a_batch_choose_among_solutions() -> None:
+def test_the_starts_of_a_batch_choose_among_solutions():
     """The points (0, 1), (1, 0) and (⅓, ⅓) are solutions, and the run stays at each."""
     problem = LCP([[1.0, 2.0], [2.0, 1.0]], [-1.0, -1.0])
     for z0 in ([0.0, 1.0], [1.0, 0.0], [1 / 3, 1 / 3]):
@@ -224,7 +223,7 @@ def test_the_starts_of_a_batch_choose_among_solutions() -> None:
         np.testing.assert_allclose(batch.z, [z0] * 4, atol=1e-9)
 
 
-def test_conditions_of_a_program_have_one_status_alone_and_in_a_batch() -> None:
+def test_conditions_of_a_program_have_one_status_alone_and_in_a_batch():
     """At (0, 0, 96) the conditions hold, and (0, 48, 0) costs 4e-9 less: one status for one and for 40 copies."""
     c = [1.0000000009313226, 1.9999999944120646, 1.0000000009313226]
     P, G = np.diag([2.0**-23, 0, 0]), [[0.0, -2, -1]]
@@ -232,7 +231,7 @@ def test_conditions_of_a_program_have_one_status_alone_and_in_a_batch() -> None:
     assert {*solve_batch(problems).status} == {solve(problems[0]).status} == {Status.SOLVED}
 
 
-def test_objectives_of_a_batch_and_of_a_path_have_the_sense_of_their_programs() -> None:
+def test_objectives_of_a_batch_and_of_a_path_have_the_sense_of_their_programs():
     """A program that maximizes has the objective 5 alone, in a list, with other costs, and along a path."""
     program = QuadraticProgram(2 * np.eye(2), [-2.0, -4], G=[[1.0, 1]], h=[9.0]).replaced(
         sense=-1.0

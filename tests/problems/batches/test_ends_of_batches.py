@@ -53,7 +53,7 @@ BATCHES: dict[str, tuple[tuple[Any, ...], dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("name", BATCHES)
-def test_a_batch_without_time_loses_no_problem(name: str) -> None:
+def test_a_batch_without_time_loses_no_problem(name):
     """With no time at all each problem ends with MAX_SECONDS or is solved."""
     given, options = BATCHES[name]
     late = solve_batch(*given, max_seconds=0.0, **options)
@@ -63,7 +63,7 @@ def test_a_batch_without_time_loses_no_problem(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", BATCHES)
-def test_the_results_of_a_batch_travel_between_processes(name: str) -> None:
+def test_the_results_of_a_batch_travel_between_processes(name):
     """A process can return the results: unpickled, they have the same bits, statuses and single results."""
     given, options = BATCHES[name]
     here = solve_batch(*given, callback=lambda *_: None, **options)
@@ -76,7 +76,7 @@ def test_the_results_of_a_batch_travel_between_processes(name: str) -> None:
     np.testing.assert_array_equal(there[1].x, here[1].x)
 
 
-def test_an_invalid_problem_raises_its_own_error_only_when_it_is_read() -> None:
+def test_an_invalid_problem_raises_its_own_error_only_when_it_is_read():
     """A NaN, an infeasible problem and an invalid program do not affect the others."""
     q = Q.copy()
     q[3] = np.nan
@@ -95,14 +95,14 @@ def test_an_invalid_problem_raises_its_own_error_only_when_it_is_read() -> None:
     ("given", "count"),
     [(([],), 0), ((M[0], np.empty((0, 4))), 0), ((M[0], np.full((3, 4), np.nan)), 3)],
 )
-def test_a_batch_without_a_valid_problem_has_only_errors(given: Any, count: int) -> None:
+def test_a_batch_without_a_valid_problem_has_only_errors(given, count):
     """The length is the number of problems, and each has its error."""
     answers = solve_batch(*given)
     assert len(answers) == count
     assert answers.errors.keys() == {*range(count)}
 
 
-def test_a_callback_ends_a_batch() -> None:
+def test_a_callback_ends_a_batch():
     """Problems without a result are INTERRUPTED after the callback."""
     ended = solve_batch(M, Q, algorithm="newton", callback=lambda *_: True)
     assert {*ended.status} == {Status.INTERRUPTED, Status.SOLVED}
@@ -112,21 +112,19 @@ def _fails(x: Any) -> Any:
     raise ZeroDivisionError("demand 0")
 
 
-def test_an_error_of_a_function_has_the_number_of_its_problem() -> None:
+def test_an_error_of_a_function_has_the_number_of_its_problem():
     """The exception passes as it is, with a note and the results before it."""
     problems = [NonlinearProblem(np.exp, lower=[0.0])] * 70
     with pytest.raises(ZeroDivisionError, match="demand 0") as caught:
         solve_batch([*problems, NonlinearProblem(_fails, lower=[0.0])])
     assert caught.value.__notes__ == ["in problem 70 of the batch"]
-    finished: Any = caught.value.finished  # type: ignore[attr-defined]
+    finished = caught.value.finished  # type: ignore[attr-defined]
     assert finished.counts() == "70 SOLVED, 1 INTERRUPTED"
 
 
 @pytest.mark.parametrize("name", ["w", "motion"])
 @pytest.mark.parametrize("given", [(PROGRAM, Q[:2, :3]), (FIT, np.ones((2, 7))), ([FIT, PAIR[0]],)])
-def test_an_array_that_the_problems_lack_is_an_error_of_batch_answers(
-    name: str, given: tuple[Any, ...]
-) -> None:
+def test_an_array_that_the_problems_lack_is_an_error_of_batch_answers(name, given):
     """The message has the name of the public class and the arrays of the batch, not the name of an internal class."""
     answers = solve_batch(*given)
     with pytest.raises(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +31,7 @@ def mixtures(count: int, m: int = 30, n: int = 8, seed: int = 0) -> tuple[np.nda
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_batch_of_small_integers_has_the_exact_least_cost(seed: int) -> None:
+def test_batch_of_small_integers_has_the_exact_least_cost(seed):
     """No SOLVED point costs more than the exact minimum by more than the tolerance."""
     rng = np.random.default_rng(seed)
     m, n, count = int(rng.integers(1, 9)), int(rng.integers(1, 7)), 30
@@ -56,7 +55,7 @@ def test_batch_of_small_integers_has_the_exact_least_cost(seed: int) -> None:
 
 
 @pytest.mark.parametrize("form", [np.asarray, sp.csr_array])
-def test_batch_has_the_costs_and_results_of_scipy_and_of_solve(form: Any) -> None:
+def test_batch_has_the_costs_and_results_of_scipy_and_of_solve(form):
     """A batch of mixtures has the costs of nnls, and its items are results at its own points."""
     A, B = mixtures(200)
     problem = BoundedLeastSquares(form(A), B[0])
@@ -74,7 +73,7 @@ def test_batch_has_the_costs_and_results_of_scipy_and_of_solve(form: Any) -> Non
         assert one.gap <= 1e-8 * one.cost
 
 
-def test_list_of_problems_with_one_matrix_has_the_same_points() -> None:
+def test_list_of_problems_with_one_matrix_has_the_same_points():
     """A list of problems that share A, also with penalties, has the points of solve."""
     A, B = mixtures(20)
     problem = BoundedLeastSquares(A, B[0])
@@ -90,7 +89,7 @@ def test_list_of_problems_with_one_matrix_has_the_same_points() -> None:
         np.testing.assert_allclose(one.x, solve(lasso).x, rtol=1e-8, atol=1e-10)
 
 
-def test_dependent_or_ill_conditioned_columns_are_solved_by_themselves() -> None:
+def test_dependent_or_ill_conditioned_columns_are_solved_by_themselves():
     """Problems whose normal equations lose the answer are solved one by one."""
     times, rates = np.linspace(0.01, 0.32, 60), np.logspace(-2.0, 0.3, 40)
     A = np.exp(-times[:, None] / rates)
@@ -100,7 +99,7 @@ def test_dependent_or_ill_conditioned_columns_are_solved_by_themselves() -> None
     assert (np.linalg.norm(results.x @ A.T - B, axis=1) <= 1e-6 * np.linalg.norm(B, axis=1)).all()
 
 
-def test_invalid_right_side_harms_no_other() -> None:
+def test_invalid_right_side_harms_no_other():
     """A right-hand side with NaN, or out of range, has an error; shapes that do not fit are refused."""
     A, B = mixtures(4)
     problem = BoundedLeastSquares(A, B[0], upper=3.0)
@@ -121,7 +120,7 @@ def test_invalid_right_side_harms_no_other() -> None:
             solve_batch(problem, B, **refused)
 
 
-def test_starts_are_those_of_solve() -> None:
+def test_starts_are_those_of_solve():
     """A start that is optimal is returned."""
     A, B = mixtures(4)
     problem = BoundedLeastSquares(A, B[0])
@@ -132,7 +131,7 @@ def test_starts_are_those_of_solve() -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_callback_counts_finished_problems_and_may_end_the_batch(threads: int) -> None:
+def test_callback_counts_finished_problems_and_may_end_the_batch(threads):
     """Chunks report the number of finished problems; a truthy return value interrupts the others."""
     A, B = mixtures(5000)
     problem, seen = BoundedLeastSquares(A, B[0]), []
@@ -149,7 +148,7 @@ def test_callback_counts_finished_problems_and_may_end_the_batch(threads: int) -
         solve_batch(problem, B, callback=3)
 
 
-def test_one_program_takes_an_array_of_costs() -> None:
+def test_one_program_takes_an_array_of_costs():
     """solve_batch(program, C) has the results of mappings {"c": c}; a NaN harms no other program."""
     rng = np.random.default_rng(0)
     factor, C = rng.standard_normal((4, 4)), rng.standard_normal((6, 4))
@@ -171,7 +170,7 @@ def test_one_program_takes_an_array_of_costs() -> None:
     assert np.array_equal(solve_batch(large, -np.ones((2, 500))).x, np.ones((2, 500)))
 
 
-def test_more_than_128_atoms_stay_in_the_compiled_loop() -> None:
+def test_more_than_128_atoms_stay_in_the_compiled_loop():
     """Fewer bands than atoms: each pixel has scipy's cost, and no pixel leaves the stack for a solve by itself."""
     rng = np.random.default_rng(4)
     A, B = rng.random((30, 160)), rng.random((32, 30))

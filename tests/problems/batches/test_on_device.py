@@ -1,11 +1,8 @@
 """Batches in arrays on a GPU, without a GPU; with one, run ``python .ci/on_a_gpu.py``."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +12,7 @@ from lcp_plugin import InvalidOption, InvalidProblem, UnsuitableProblem, solve_b
 
 
 @pytest.mark.full
-def test_on_a_gpu_simulated_kernels_give_results_of_cpu() -> None:
+def test_on_a_gpu_simulated_kernels_give_results_of_cpu():
     """The checks of .ci/on_a_gpu.py pass with numba's simulator and arrays that do not mix with numpy's."""
     script = Path(__file__).parents[3] / ".ci" / "on_a_gpu.py"
     command = [sys.executable, "-W", "ignore", str(script), "--simulated"]
@@ -33,9 +30,7 @@ def test_on_a_gpu_simulated_kernels_give_results_of_cpu() -> None:
         ({}, {"algorithm": "lemke"}, InvalidOption, "or algorithm"),
     ],
 )
-def test_solve_batch_on_a_gpu_refuses(
-    monkeypatch: Any, change: Any, options: Any, error: Any, words: str
-) -> None:
+def test_solve_batch_on_a_gpu_refuses(monkeypatch, change, options, error, words):
     """Arrays of two memories, wrong shapes, large problems and options of the host raise an error with advice."""
     xp = strict_cupy.module()
     monkeypatch.setitem(sys.modules, "cupy", xp)
@@ -47,7 +42,7 @@ def test_solve_batch_on_a_gpu_refuses(
         solve_batch(given["M"], given["q"], **options)
 
 
-def test_solve_batch_on_a_gpu_without_cupy_names_what_to_install(monkeypatch: Any) -> None:
+def test_solve_batch_on_a_gpu_without_cupy_names_what_to_install(monkeypatch):
     """Without CuPy the message contains the command that installs it, also for CUDA 12."""
     monkeypatch.setitem(sys.modules, "cupy", None)
     array = strict_cupy.module().asarray(np.eye(2))

@@ -69,7 +69,7 @@ def bits(answers: BatchAnswers) -> list[bytes]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_planted_programs_are_solved_in_the_compiled_loop(kind: str) -> None:
+def test_planted_programs_are_solved_in_the_compiled_loop(kind):
     """Every kind of row and bound, P definite, semidefinite or 0: the least value that was known before."""
     for seed in range(6):
         programs, least = planted(kind, 25, seed)
@@ -79,7 +79,7 @@ def test_planted_programs_are_solved_in_the_compiled_loop(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_status_and_a_residual_are_those_of_the_program(kind: str) -> None:
+def test_a_status_and_a_residual_are_those_of_the_program(kind):
     """An optimal x is optimal for QPSolution, too, and its largest residual is the one of the batch up to rounding."""
     answers = solve_batch(planted(kind, 30, 7)[0])
     for k, answer in enumerate(answers):
@@ -95,11 +95,11 @@ def test_a_status_and_a_residual_are_those_of_the_program(kind: str) -> None:
 # --- One bad item, and the others --------------------------------------------------------------------------------
 
 
-def test_a_bad_program_costs_that_one_alone() -> None:
+def test_a_bad_program_costs_that_one_alone():
     """NaN, ∞ and crossed bounds have an error each, and the bits of the other programs stay the same."""
     (P, *_), c, (G, *_), (h, *_) = dense(12)
     program = QuadraticProgram(P, c[0], G, h, lower=-9.0, upper=9.0)
-    given: list[dict[str, Any]] = [{"c": one} for one in c]
+    given = [{"c": one} for one in c]
     before = solve_batch(program, given)
     wrong = {"c": (2, np.nan), "h": (1, -INF), "lower": (3, 10.0), "upper": (0, -INF)}
     for k, (name, (i, value)) in enumerate(wrong.items(), 1):
@@ -123,7 +123,7 @@ def test_a_bad_program_costs_that_one_alone() -> None:
     assert "4 no program" in repr(answers)
 
 
-def test_programs_without_a_minimum_come_with_a_proof() -> None:
+def test_programs_without_a_minimum_come_with_a_proof():
     """Contradicting rows, a slope without end, and one with a minimum; where no proof is wanted, none is looked for."""
     programs = programs_of(
         np.diag([1.0, 0.0]),
@@ -142,7 +142,7 @@ def test_programs_without_a_minimum_come_with_a_proof() -> None:
 
 
 @pytest.mark.parametrize("name", ["daqp", "piqp"])
-def test_a_batch_takes_an_engine_by_its_name(name: str) -> None:
+def test_a_batch_takes_an_engine_by_its_name(name):
     """As solve does, each program; the answers are those of auto."""
     P, c, G, h = dense(4)
     programs = programs_of(P, c, G, h)
@@ -155,7 +155,7 @@ def test_a_batch_takes_an_engine_by_its_name(name: str) -> None:
 # --- Arrays, threads, clock --------------------------------------------------------------------------------------
 
 
-def test_arrays_for_all_programs_are_broadcast() -> None:
+def test_arrays_for_all_programs_are_broadcast():
     """Each of P, c, G, h, A, b and the bounds stacked or the same for all: the same bits, and the same programs."""
     rng, count = np.random.default_rng(1), 5
     (P,), (c,), (G,), (h,) = dense(1)
@@ -182,7 +182,7 @@ def test_arrays_for_all_programs_are_broadcast() -> None:
     assert solve_batch(alone).all_solved
 
 
-def test_empty_batches_and_programs_without_rows_or_variables() -> None:
+def test_empty_batches_and_programs_without_rows_or_variables():
     """No program, no rows, no variables."""
     assert len(solve_batch(programs_of(np.zeros((0, 3, 3)), np.zeros((0, 3))))) == 0
     free = solve_batch(programs_of(2.0 * np.eye(2), [[2.0, -4.0]]))
@@ -208,12 +208,12 @@ solve_batch(one, [[1.0, 2.0]], algorithm="interior_pont") → UnknownAlgorithm: 
 solve_batch(QuadraticProgram([[1.0, 2.0], [2.0, 1.0]], [0, 0]), np.zeros((5, 2)))
     → UnsupportedModel: the smallest eigenvalue of P is -1
 """)
-def test_an_error_of_all_programs_is_raised_before_the_first(call: str, words: str) -> None:
+def test_an_error_of_all_programs_is_raised_before_the_first(call, words):
     """Options that a batch of programs does not take, unknown algorithms, a P for all that is not convex."""
     assert_refused(call, words, {"one": QuadraticProgram(*ONE)})
 
 
-def test_terms_that_cancel_excuse_an_error_beside_them_alone() -> None:
+def test_terms_that_cancel_excuse_an_error_beside_them_alone():
     """−x₁ + (1 − 10⁻¹⁰) x₂ over x₁ = x₂, 10⁶ ≤ x ≤ 10⁸: what is SOLVED is off by no more than 10⁻⁶ of its terms."""
     batch = programs_of(
         np.zeros((2, 2)), [[-1.0, 1.0 - 1e-10]] * 2, A=[[1.0, -1.0]], b=[0.0], lower=1e6, upper=1e8
@@ -227,7 +227,7 @@ def test_terms_that_cancel_excuse_an_error_beside_them_alone() -> None:
         )
 
 
-def test_programs_of_a_list_are_answered_together() -> None:
+def test_programs_of_a_list_are_answered_together():
     """A list, or one program with many vectors, gives x, objective and status in rows; a wrong one stands alone."""
     rng, programs = np.random.default_rng(3), []
     for _ in range(5):
@@ -250,7 +250,7 @@ def test_programs_of_a_list_are_answered_together() -> None:
             assert answers[k].status is answers.status[k] is Status.SOLVED
 
 
-def test_an_algorithm_in_the_place_of_vectors_is_told_where_it_goes() -> None:
+def test_an_algorithm_in_the_place_of_vectors_is_told_where_it_goes():
     """solve(p, "lemke") names it second, solve_batch by its keyword."""
     program = QuadraticProgram(np.eye(2), [1, -1])
     for many in ([program, program], [LCP(np.eye(2), [1, -1])]):
@@ -258,7 +258,7 @@ def test_an_algorithm_in_the_place_of_vectors_is_told_where_it_goes() -> None:
             solve_batch(many, "lemke")
 
 
-def test_a_number_stands_for_a_vector_of_one() -> None:
+def test_a_number_stands_for_a_vector_of_one():
     """A right-hand side of one row is written as a number; a wrong length is told by the advice of the batch."""
     program = QuadraticProgram(
         np.eye(2), [-1.0, 0.0], A=[[1.0, 1.0]], b=[1.0], G=[[1.0, 0.0]], h=[3.0]
@@ -272,7 +272,7 @@ def test_a_number_stands_for_a_vector_of_one() -> None:
     assert solve_batch(program, [{"b": 1}]).advice == solve(program).status.value
 
 
-def test_seconds_of_a_result_are_those_of_the_batch() -> None:
+def test_seconds_of_a_result_are_those_of_the_batch():
     """A second look at a result shows the same seconds as the first."""
     answers = solve_batch([QuadraticProgram(np.eye(2), [-1, k]) for k in (1, 2)])
     assert answers[0].seconds == answers[0].seconds <= answers.seconds

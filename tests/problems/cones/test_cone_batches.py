@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from lcp_plugin import LCP, ConeProblem, FrictionalContact, Status, derivative, solve, solve_batch
@@ -18,7 +16,7 @@ def contacts(count: int, k: int = 4, seed: int = 0) -> list[FrictionalContact]:
     return [FrictionalContact(*one) for one in zip(W, b, mu, strict=True)]
 
 
-def test_a_batch_of_contacts_is_judged_as_by_solve() -> None:
+def test_a_batch_of_contacts_is_judged_as_by_solve():
     """Every item within the tolerance by its own certificate, open, sticking and sliding, with the answers of solve."""
     problems = contacts(200)
     batch = solve_batch(problems, tolerance=1e-10)
@@ -36,13 +34,13 @@ def test_a_batch_of_contacts_is_judged_as_by_solve() -> None:
     assert derivative(batch[0]).jvp(dq=np.ones(12)).shape == (12,)
 
 
-def test_cones_boxes_and_friction_share_a_batch_with_others() -> None:
+def test_cones_boxes_and_friction_share_a_batch_with_others():
     """Each kind in a loop of its own, what has no loop one by one, all in order."""
     rng = np.random.default_rng(2)
     A = rng.standard_normal((6, 6))
     M = A @ A.T + np.eye(6)
     cones = [("box", [-1.0, 0.0], [1.0, np.inf]), ("second_order", 4)]
-    mixed: list[Any] = []
+    mixed = []
     for contact in contacts(3, k=2, seed=3):
         mixed += [
             contact,
@@ -55,7 +53,7 @@ def test_cones_boxes_and_friction_share_a_batch_with_others() -> None:
         np.testing.assert_allclose(answer.z, solve(problem).z, atol=1e-6)
 
 
-def test_what_the_loop_leaves_open_is_solved_by_itself() -> None:
+def test_what_the_loop_leaves_open_is_solved_by_itself():
     """An item without an answer ends INFEASIBLE with a proof; one that 0 answers is 0; mixed units stay out."""
     hopeless = FrictionalContact(np.diag([0.0, 1.0, 1.0]), [[-1.0, 0.0, 0.0]], 0.5)
     open_one = FrictionalContact(np.eye(3), [[1.0, 0.3, 0.0]], 0.5)
@@ -72,7 +70,7 @@ def test_what_the_loop_leaves_open_is_solved_by_itself() -> None:
     np.testing.assert_allclose(batch[2].z, [1.0, -0.3, -0.4], atol=1e-8)
 
 
-def test_a_start_or_an_algorithm_is_the_callers() -> None:
+def test_a_start_or_an_algorithm_is_the_callers():
     """A named algorithm solves each problem, and no iteration is made from its solution."""
     problems = contacts(3)
     batch = solve_batch(problems, algorithm="nsgs", tolerance=1e-6)

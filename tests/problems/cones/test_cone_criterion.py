@@ -49,7 +49,7 @@ CONSTRUCTED: dict[str, tuple[Any, Any, Any]] = {  # problem, a wrong point, the 
 
 
 @pytest.mark.parametrize("name", CONSTRUCTED)
-def test_a_constructed_wrong_point_is_never_solved(name: str) -> None:
+def test_a_constructed_wrong_point_is_never_solved(name):
     """From the wrong point and from none, solve, march and solve_batch are right or not SOLVED."""
     problem, wrong, right = CONSTRUCTED[name]
     wrong = np.array(wrong, float)
@@ -70,14 +70,14 @@ def test_a_constructed_wrong_point_is_never_solved(name: str) -> None:
     assert is_moved or not measured.passes[0]
 
 
-def test_no_small_problem_is_solved_falsely(draws: Any) -> None:
+def test_no_small_problem_is_solved_falsely(draws):
     """Every SOLVED point of a small problem, from right, wrong and no starts, is a solution in fractions."""
     for seed in draws(200, 20):
         found = campaign.check(seed, max_seconds=1.0, prove_infeasibility=False)
         assert not any(verdict.endswith("false") for verdict in found), (seed, found)
 
 
-def test_solutions_pass_exactly_and_one_ulp_off(draws: Any) -> None:
+def test_solutions_pass_exactly_and_one_ulp_off(draws):
     """A solution in fractions passes when it is rounded, and so do its neighbors with other last bits."""
     rng, count = np.random.default_rng(0), 0
     for seed in draws(200):
@@ -96,7 +96,7 @@ def test_solutions_pass_exactly_and_one_ulp_off(draws: Any) -> None:
     assert count > 10
 
 
-def test_without_cones_the_search_of_an_lcp_proves_that_no_solution_exists() -> None:
+def test_without_cones_the_search_of_an_lcp_proves_that_no_solution_exists():
     """A problem over boxes is an LCP; the proof verifies on its rows."""
     M, upper = [[1, -1, 3], [0, -1, 0], [3, -2, 0]], [np.inf, 2, np.inf]
     problem = ConeProblem(np.array(M, float), [0.0078125, 0, -256], [("box", 0, upper)])
@@ -106,7 +106,7 @@ def test_without_cones_the_search_of_an_lcp_proves_that_no_solution_exists() -> 
     assert result.proof.problem is problem.rows
 
 
-def test_a_contact_without_a_solution_ends_after_few_sweeps() -> None:
+def test_a_contact_without_a_solution_ends_after_few_sweeps():
     """None of the four modes of the contact holds; Newton's method does not repeat halved steps."""
     problem = FrictionalContact([[1.0, -2.0], [-2.0, 4.0]], [-6.0, -32.0], 0.75, dimension=2)
     assert campaign.solutions(problem) == ([], False)
@@ -116,7 +116,7 @@ def test_a_contact_without_a_solution_ends_after_few_sweeps() -> None:
     assert result.guarantee is None
 
 
-def test_bounds_of_the_residual_hold_within_rounding_of_an_edge() -> None:
+def test_bounds_of_the_residual_hold_within_rounding_of_an_edge():
     """The bounds enclose the residual in 60 digits for points whose step ends within rounding of the cone's edge."""
     for seed in range(60):
         rng = np.random.default_rng(seed)
@@ -131,11 +131,11 @@ def test_bounds_of_the_residual_hold_within_rounding_of_an_edge() -> None:
         assert low <= right <= high, seed
 
 
-def test_solved_by_an_absolute_tolerance_means_residuals_within_it(draws: Any) -> None:
+def test_solved_by_an_absolute_tolerance_means_residuals_within_it(draws):
     """Problems of two sizes, also with tolerance=0: SOLVED, and the residual in 60 digits is within the tolerance."""
     for seed in draws(80):
         rng = np.random.default_rng(seed)
-        problem: Any = planted_contacts(3, 3, 10, rng)[0] if seed % 2 else planted_cones(4, rng)[0]
+        problem = planted_contacts(3, 3, 10, rng)[0] if seed % 2 else planted_cones(4, rng)[0]
         absolute = 10.0 ** rng.uniform(-8, -1)
         result = solve(problem, tolerance=0.0, absolute_tolerance=absolute)
         assert result.is_solved, seed
@@ -145,7 +145,7 @@ def test_solved_by_an_absolute_tolerance_means_residuals_within_it(draws: Any) -
         assert again.iterations == 0
 
 
-def test_the_projection_onto_boxes_and_a_cone_is_the_nearest_point() -> None:
+def test_the_projection_onto_boxes_and_a_cone_is_the_nearest_point():
     """Boxes clip, and the projections of x and −x onto a cone are orthogonal with the difference x."""
     cones = [("box", -1.0, 2.0), ("nonnegative", 1), ("free", 1), ("second_order", 3)]
     stack = stack_of(ConeProblem(np.eye(6), np.zeros(6), cones))
@@ -161,7 +161,7 @@ def test_the_projection_onto_boxes_and_a_cone_is_the_nearest_point() -> None:
         assert min(one[0] - np.hypot(*one[1:]) for one in (near[3:], other)) >= -1e-14
 
 
-def test_the_sufficient_test_accepts_only_points_that_pass(draws: Any) -> None:
+def test_the_sufficient_test_accepts_only_points_that_pass(draws):
     """Solutions with errors from 0 to 1e-4, and of other scales: the criterion passes, with no larger residual."""
     accepted, refused = 0, 0
     for seed in draws(2000, 60):
@@ -180,7 +180,7 @@ def test_the_sufficient_test_accepts_only_points_that_pass(draws: Any) -> None:
     assert min(accepted, refused) > 5
 
 
-def test_a_small_residual_next_to_a_large_impulse_is_no_rounding() -> None:
+def test_a_small_residual_next_to_a_large_impulse_is_no_rounding():
     """Of connected contacts of sizes 1 and 1e-6 … 1e-9, no SOLVED is refused by `certify`."""
     for seed, size in ((0, 1e-8), (212, 1e-6), (0, 1e-9)):
         rng = np.random.default_rng(seed)
@@ -194,7 +194,7 @@ def test_a_small_residual_next_to_a_large_impulse_is_no_rounding() -> None:
         )
 
 
-def test_a_run_that_is_recorded_or_limited_has_the_same_bits() -> None:
+def test_a_run_that_is_recorded_or_limited_has_the_same_bits():
     """Sweeps that solve a small problem are a stage of the run."""
     problem, _, _ = planted_contacts(5, 5, 10.0, np.random.default_rng(1), definite=True)
     plain, recorded = solve(problem), solve(problem, record=True)
@@ -213,7 +213,7 @@ def small_contacts(seed: int) -> FrictionalContact:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_tiny_absolute_tolerance_changes_nothing(seed: int) -> None:
+def test_a_tiny_absolute_tolerance_changes_nothing(seed):
     """Small contact problems are swept to rounding with and without one."""
     problem = small_contacts(seed)
     plain, absolute = solve(problem), solve(problem, absolute_tolerance=1e-300)
@@ -222,11 +222,11 @@ def test_a_tiny_absolute_tolerance_changes_nothing(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [18, 38])
-def test_all_sweeps_count_as_work(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_sweeps_count_as_work(seed, monkeypatch):
     """Also those to a point that does not pass."""
     counts = list[float]()
 
-    def counted(*args: Any) -> Any:
+    def counted(*args):
         found = sweep_blocks(*args)
         counts.append(float(found[1].sum()))
         return found
@@ -237,7 +237,7 @@ def test_all_sweeps_count_as_work(seed: int, monkeypatch: pytest.MonkeyPatch) ->
     assert 0.0 < sum(counts) <= result.work
 
 
-def test_a_limit_just_above_the_quick_sweeps_changes_nothing() -> None:
+def test_a_limit_just_above_the_quick_sweeps_changes_nothing():
     """Sweeps that lead nowhere take no iterations of a limit."""
     problem = small_contacts(18)
     plain = solve(problem)

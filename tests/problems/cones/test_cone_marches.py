@@ -25,7 +25,7 @@ def pulled(*distances: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "nsgs", "newton"])
-def test_a_pad_pulled_to_and_fro_sticks_after_each_turn(algorithm: str) -> None:
+def test_a_pad_pulled_to_and_fro_sticks_after_each_turn(algorithm):
     """Each step is solve's answer to its q, and a pad that is pulled back sticks before it slides."""
     forcing = pulled(*[0.1] * 8, *[-0.1] * 12)
     done = march(PAD, forcing, SLIP, algorithm=algorithm)
@@ -40,7 +40,7 @@ def test_a_pad_pulled_to_and_fro_sticks_after_each_turn(algorithm: str) -> None:
     np.testing.assert_allclose(done.z[7][1], -0.5 * done.z[7][0], rtol=1e-7)  # at friction's limit
 
 
-def test_free_rows_carry_a_body_s_velocity_from_step_to_step() -> None:
+def test_free_rows_carry_a_body_s_velocity_from_step_to_step():
     """M dv = h f + r for a body whose impulse r lies in a cone: it falls to rest on the floor of a corner."""
     mass, step = 2.0, 0.1
     M = np.block([[mass * np.eye(3), -np.eye(3)], [np.eye(3), np.zeros((3, 3))]])
@@ -54,7 +54,7 @@ def test_free_rows_carry_a_body_s_velocity_from_step_to_step() -> None:
     np.testing.assert_allclose(done.z[1][3], 1.0, atol=1e-6)
 
 
-def test_what_no_march_over_cones_does_is_named() -> None:
+def test_what_no_march_over_cones_does_is_named():
     """Options, sizes, derivatives."""
     with pytest.raises(InvalidOption, match="solve takes no polish for a FrictionalContact"):
         march(PAD, pulled(0.1), SLIP, polish=False)

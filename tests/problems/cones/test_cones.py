@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import cvxpy as cp
@@ -62,13 +61,13 @@ CP(np.eye(3), np.zeros(3), [('free', 2.5)]) → integer
 CP(np.eye(1), np.zeros(1), [('box', 1.0, 0.0)]) → lower ≤ upper
 CP(np.ones((2, 3)), np.zeros(2), [('free', 2)]) → square
 """)
-def test_bad_input_is_refused_in_words(call: str, words: str) -> None:
+def test_bad_input_is_refused_in_words(call, words):
     """The error message contains the invalid value and the requirement."""
     assert_refused(call, words, globals(), InvalidProblem)
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_planted_contacts_are_solved(seed: int) -> None:
+def test_planted_contacts_are_solved(seed):
     """Open, sticking, sliding and degenerate contacts are SOLVED, with the known impulses."""
     rng = np.random.default_rng(seed)
     problem, r, _ = planted_contacts(
@@ -85,7 +84,7 @@ def test_planted_contacts_are_solved(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("name", ["nsgs", "newton", "fixed_point"])
-def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
+def test_each_method_solves_convex_problems(name, seed):
     """Each method finds the known solution over cones without friction for definite M."""
     problem, _ = planted_cones(4, np.random.default_rng(seed))
     # of an interior point, where cases are on the edge
@@ -96,7 +95,7 @@ def test_each_method_solves_convex_problems(name: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_each_method_solves_a_contact_that_slides(name: str) -> None:
+def test_each_method_solves_a_contact_that_slides(name):
     """The impulse that friction allows, against the push."""
     result = solve(FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5), name)
     assert result.is_solved
@@ -104,10 +103,10 @@ def test_each_method_solves_a_contact_that_slides(name: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_the_certificate_bounds_the_exact_residual(seed: int) -> None:
+def test_the_certificate_bounds_the_exact_residual(seed):
     """The certificate bounds the residual in 60 digits from above, up to rounding error; contacts have two laws."""
     rng = np.random.default_rng(seed)
-    problem: Any = planted_contacts(4, 3, 1e4, rng)[0] if seed % 2 else planted_cones(4, rng)[0]
+    problem = planted_contacts(4, 3, 1e4, rng)[0] if seed % 2 else planted_cones(4, rng)[0]
     near = solve(problem, tolerance=1e-12).z
     for z in (
         near,
@@ -122,7 +121,7 @@ def test_the_certificate_bounds_the_exact_residual(seed: int) -> None:
         assert certificate.relative_residual <= exact * (1.0 + 1e-9) + 1e-9
 
 
-def test_components_have_their_own_references() -> None:
+def test_components_have_their_own_references():
     """A light contact has a reference of its own next to a heavy contact that it does not touch."""
     problem = FrictionalContact(np.eye(6), [-1e10, 0.0, 0.0, -0.5, 0.0, 0.0], 0.5, dimension=3)
     certificate = solve(problem, z0=[1e10, 0, 0, 0.6, 0, 0], max_iterations=0).certificate
@@ -131,7 +130,7 @@ def test_components_have_their_own_references() -> None:
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3, 2.0])
-def test_a_block_slides_against_its_impulse(friction: float) -> None:
+def test_a_block_slides_against_its_impulse(friction):
     """Every contact has r_T = −μ r_N u_T/‖u_T‖ if the push exceeds friction, else u_T = 0."""
     for angle in np.linspace(0.0, 6.0, 13):
         push = np.array([np.cos(angle), np.sin(angle)])
@@ -142,7 +141,7 @@ def test_a_block_slides_against_its_impulse(friction: float) -> None:
         assert result.motion.sticks.tolist() == [friction >= 1.0]
 
 
-def test_in_the_plane_friction_is_an_lcp() -> None:
+def test_in_the_plane_friction_is_an_lcp():
     """The cone is a pyramid in two dimensions, so the impulses agree with LCP.from_contacts."""
     rng = np.random.default_rng(1)
     for _ in range(10):
@@ -155,7 +154,7 @@ def test_in_the_plane_friction_is_an_lcp() -> None:
         np.testing.assert_allclose(result.motion.tangential, motion.tangential, atol=1e-7)
 
 
-def test_bodies_move_as_their_impulses_say() -> None:
+def test_bodies_move_as_their_impulses_say():
     """Given a mass matrix, the motion has the velocities of the bodies after the step."""
     block = 2.0 * np.eye(3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]
     motion = solve(FrictionalContact(block, [3.0, 4.0, -1.0], 0.5)).motion
@@ -163,7 +162,7 @@ def test_bodies_move_as_their_impulses_say() -> None:
     np.testing.assert_allclose(motion.body_velocities, [3.0 - 0.3, 4.0 - 0.4, 0.0], atol=1e-8)
 
 
-def test_a_warm_start_ends_at_once() -> None:
+def test_a_warm_start_ends_at_once():
     """A run from its solution takes no step; from a nearby solution it takes a few."""
     problem, _, _ = planted_contacts(10, 5, 10.0, np.random.default_rng(3))
     first = solve(problem)
@@ -173,7 +172,7 @@ def test_a_warm_start_ends_at_once() -> None:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_derivatives_are_those_of_differences(seed: int) -> None:
+def test_derivatives_are_those_of_differences(seed):
     """The derivatives by velocities, W and friction are right; vjp is the transpose of jvp."""
     rng = np.random.default_rng(seed)
     problem, _, _ = planted_contacts(3, 3, 10.0, rng, definite=True, most=0.5)
@@ -185,7 +184,7 @@ def test_derivatives_are_those_of_differences(seed: int) -> None:
     dW = rng.standard_normal((9, 9))
     dW = (dW + dW.T) * (problem.W != 0.0)
 
-    def moved(sign: float) -> Any:
+    def moved(sign):
         t = sign * step
         other = FrictionalContact(
             problem.W + t * dW, problem.b + t * db, problem.friction + t * dmu
@@ -212,12 +211,12 @@ ConeProblem(np.eye(4), -np.ones(4), [('box', 'low', 1.0)])
 ConeProblem(np.eye(4), -np.ones(4), [('box', np.full(4, np.nan), 1.0)]) → lower of cones\[0\] must not hold NaN
 ConeProblem(np.eye(4), -np.ones(4), [('second_order', np.inf)]) → must name an integer of rows
 """)
-def test_a_cone_of_a_wrong_shape_is_told_what_to_write(call: str, words: str) -> None:
+def test_a_cone_of_a_wrong_shape_is_told_what_to_write(call, words):
     """Never an exception of numpy's, nor a box of as many rows as both shapes make together."""
     assert_refused(call, words, {})
 
 
-def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path: Path) -> None:
+def test_a_file_over_cones_is_not_taken_for_an_lcp(tmp_path):
     """LCP.load rejects the file, and the message names the problem class and load_problem."""
     contact, _, _ = planted_contacts(2, 3, 10.0, np.random.default_rng(0))
     cones = ConeProblem(np.eye(3), [-1.0, 0.0, 0.0], [("second_order", 3)])
@@ -250,7 +249,7 @@ HOPELESS: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", HOPELESS)
-def test_what_has_no_answer_is_proved_infeasible(name: str) -> None:
+def test_what_has_no_answer_is_proved_infeasible(name):
     """INFEASIBLE with a proof that verifies, and whose margin no point is below."""
     problem = HOPELESS[name]
     result = solve(problem)
@@ -268,13 +267,13 @@ def test_what_has_no_answer_is_proved_infeasible(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["J Jᵀ, contacts", "J Jᵀ, cones"])
-def test_a_multiplier_that_rounding_spoils_is_not_a_proof(name: str) -> None:
+def test_a_multiplier_that_rounding_spoils_is_not_a_proof(name):
     """Rounded multipliers of Clarabel do not verify for a singular M; the proof that is returned does."""
     with np.errstate(all="ignore"):
         assert infeasibility_proof(HOPELESS[name]).verify()
 
 
-def test_a_result_tells_of_its_contacts() -> None:
+def test_a_result_tells_of_its_contacts():
     """The explanation counts open, sticking and sliding contacts and contains the dissipation."""
     told = solve(
         FrictionalContact(np.eye(6), [-1.0, 3.0, 4.0, 1.0, 0.0, 0.0], 0.5, dimension=3)
@@ -284,7 +283,7 @@ def test_a_result_tells_of_its_contacts() -> None:
     )  # ½·26 − ½·4.5²
 
 
-def test_other_velocities_of_contacts_do_not_tell_those_of_bodies() -> None:
+def test_other_velocities_of_contacts_do_not_tell_those_of_bodies():
     """With another q the body velocities are None, because the old velocities would be wrong."""
     block = 2.0 * np.eye(3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]
     problem = FrictionalContact(block, [1.0, 0.0, -1.0], 0.1)
@@ -294,7 +293,7 @@ def test_other_velocities_of_contacts_do_not_tell_those_of_bodies() -> None:
     assert other.motion.separation == pytest.approx([4.0])
 
 
-def test_pyramids_of_many_edges_come_near_to_the_cone() -> None:
+def test_pyramids_of_many_edges_come_near_to_the_cone():
     """64 edges give bodies and gaps nearly the velocities of the cone."""
     bodies = (np.diag([2.0] * 3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
     friction = 0.4
@@ -311,7 +310,7 @@ def test_pyramids_of_many_edges_come_near_to_the_cone() -> None:
     assert 0.0 < np.abs(near - moved).max() < 0.1
 
 
-def test_the_answer_is_in_the_cone_where_a_diagonal_cancels() -> None:
+def test_the_answer_is_in_the_cone_where_a_diagonal_cancels():
     """The scale ignores rounding error in a block's diagonal: z is in K, and w in K*."""
     M = [[0.2, -0.5, 0.7], [0.0, 0.0, 0.5], [-0.7, 0.6, -0.2 + 2.0**-54]]
     problem = ConeProblem(M, [1.1, -1.2, 1.2], [("second_order", 3)])
@@ -321,7 +320,7 @@ def test_the_answer_is_in_the_cone_where_a_diagonal_cancels() -> None:
     assert violation(problem, result.z) <= 1e-7
 
 
-def test_a_small_residual_with_another_case_is_solved_on() -> None:
+def test_a_small_residual_with_another_case_is_solved_on():
     """Diagonal entries of 1e-6 and 1e-9: z_1 was 2.8 times the right one, with a relative residual of 1e-9."""
     M = [[1e-6, 1.0, 0.0], [-1.0, 1.0, -1.0], [0.0, 1.0, 1e-9]]
     problem = ConeProblem(
@@ -332,7 +331,7 @@ def test_a_small_residual_with_another_case_is_solved_on() -> None:
     assert result.z == pytest.approx([1e6, 1e6, 1e6], rel=1e-9)
 
 
-def test_solved_means_solved_where_diagonals_cancel(draws: Any) -> None:
+def test_solved_means_solved_where_diagonals_cancel(draws):
     """Cones over small M that are not monotone: what is called SOLVED is so in 50 digits, block by block."""
     solved = 0
     for seed in draws(60):
@@ -355,7 +354,7 @@ AMBIGUOUS: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("door", AMBIGUOUS)
-def test_contacts_of_the_plane_or_of_space_are_not_guessed_silently(door: str) -> None:
+def test_contacts_of_the_plane_or_of_space_are_not_guessed_silently(door):
     """6, 12 and 18 rows with one number μ cause a ModelWarning; `dimension`, an array μ or 4 rows decide."""
     build = AMBIGUOUS[door]
     for n in (6, 12, 18):
@@ -382,7 +381,7 @@ def together(*problems: FrictionalContact) -> FrictionalContact:
 
 
 @pytest.mark.parametrize("seeds", [(0, 2), (4, 6), (7, 8), (11, 13), (14, 15)])
-def test_groups_of_contacts_are_right_each(seeds: tuple[int, int]) -> None:
+def test_groups_of_contacts_are_right_each(seeds):
     """Two groups of 70 contacts with velocities 1 : 1e-7 are SOLVED together."""
     rngs = [np.random.default_rng(seed) for seed in seeds]
     groups = [planted_contacts(70, int(rng.integers(3, 15)), 1e3, rng)[0] for rng in rngs]
@@ -394,7 +393,7 @@ def test_groups_of_contacts_are_right_each(seeds: tuple[int, int]) -> None:
         assert errors_of_contact(data, r) <= 1e-6
 
 
-def test_one_group_without_an_answer_makes_all_infeasible() -> None:
+def test_one_group_without_an_answer_makes_all_infeasible():
     """One contact that nothing opens makes the problem INFEASIBLE, with a proof."""
     good = planted_contacts(5, 4, 1e3, np.random.default_rng(0))[0]
     problem = together(good, FrictionalContact(np.diag([0.0, 1.0, 1.0]), [-1.0, 0.2, 0.0], 0.5))
@@ -408,7 +407,7 @@ def test_one_group_without_an_answer_makes_all_infeasible() -> None:
     assert violation(good, limited.z[: good.n]) <= 1e-6
 
 
-def test_a_row_on_the_edge_has_one_sided_derivatives() -> None:
+def test_a_row_on_the_edge_has_one_sided_derivatives():
     """A row with z = w = 0 in a half-line is degenerate, with one-sided derivatives."""
     found = derivative(solve(ConeProblem([[2, 1], [1, 2]], [-1, -2], [("nonnegative", 2)])))
     assert found.degenerate.tolist() == [0]
@@ -429,7 +428,7 @@ EDGES: dict[str, Any] = {  # μ, z, w; without μ a second-order cone
 
 
 @pytest.mark.parametrize("name", EDGES)
-def test_derivatives_on_an_edge_are_one_sided_differences(name: str) -> None:
+def test_derivatives_on_an_edge_are_one_sided_differences(name):
     """The jvp equals one-sided differences in every direction, and names a degenerate block."""
     mu, z, w = EDGES[name]
     for seed in range(6):
@@ -438,7 +437,7 @@ def test_derivatives_on_an_edge_are_one_sided_differences(name: str) -> None:
         M = 0.3 * A @ A.T + np.eye(3)
         q = np.array(w) - M @ z
 
-        def answer(of_q: Any, M: Any = M) -> Any:
+        def answer(of_q, M=M):
             cone = (
                 ConeProblem(M, of_q, [("second_order", 3)])
                 if mu is None
@@ -456,7 +455,7 @@ TWO_MODES = "a contact about to slide", "a contact that grazes", "the boundary, 
 
 @pytest.mark.parametrize("distance", [5e-7, 1e-9])
 @pytest.mark.parametrize("name", TWO_MODES)
-def test_next_to_an_edge_jvp_and_vjp_are_transposes(name: str, distance: float) -> None:
+def test_next_to_an_edge_jvp_and_vjp_are_transposes(name, distance):
     """⟨g, J d⟩ = ⟨Jᵀg, d⟩ by q and friction: an edge is as wide as rounding; the gradient on it is that of a piece."""
     mu, z, w = EDGES[name]
     of_edge = []
@@ -466,7 +465,7 @@ def test_next_to_an_edge_jvp_and_vjp_are_transposes(name: str, distance: float) 
         M = 0.3 * A @ A.T + np.eye(3)
         q = np.array(w) - M @ z
 
-        def found_at(q: Any, M: Any = M) -> Any:
+        def found_at(q, M=M):
             of_cone = ConeProblem(M, q, [("second_order", 3)])
             cone = of_cone if mu is None else FrictionalContact(M, q, mu)
             return derivative(solve(cone).require_solved())
@@ -482,7 +481,7 @@ def test_next_to_an_edge_jvp_and_vjp_are_transposes(name: str, distance: float) 
     assert min(np.abs(one).max() for one in of_edge) < 1e-5
 
 
-def test_a_contact_close_to_its_limit_of_friction_sticks() -> None:
+def test_a_contact_close_to_its_limit_of_friction_sticks():
     """5e-7 below μ r_N the impulse follows the push; beyond the limit it would not."""
     problem = FrictionalContact(np.eye(3), [-1.0, 0.5 * (1.0 - 5e-7), 0.0], 0.5)
     found = derivative(solve(problem))
@@ -492,7 +491,7 @@ def test_a_contact_close_to_its_limit_of_friction_sticks() -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-170, 1e170])
-def test_a_sliding_contact_of_any_size_has_a_derivative(unit: float) -> None:
+def test_a_sliding_contact_of_any_size_has_a_derivative(unit):
     """Squares may leave the range of doubles: 1e±170 times the velocities makes 1e±170 times the derivative."""
     result = solve(FrictionalContact(np.eye(3), unit * np.array([-1.0, 3.0, 4.0]), 0.5))
     assert not result.motion.sticks[0]
@@ -501,7 +500,7 @@ def test_a_sliding_contact_of_any_size_has_a_derivative(unit: float) -> None:
     )
 
 
-def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding() -> None:
+def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding():
     """With μ‖u_T‖ = 27 nearly canceling in R and a reference of 2e-5, few steps suffice."""
     W = np.array([[3.128, -2.472], [-2.472, 3.872]])
     for algorithm in ("auto", "newton", "nsgs", "interior_point", "fixed_point"):
@@ -515,7 +514,7 @@ def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding() -> None:
 @pytest.mark.parametrize(
     "masses", [2.0 ** np.arange(19), 2.0 ** np.arange(20), [1.0, 1e2, 1e4, 1e6]]
 )
-def test_towers_that_get_heavier_upwards_stand(masses: Any) -> None:
+def test_towers_that_get_heavier_upwards_stand(masses):
     """Four contacts a box in space carry what is above; no start at random takes part."""
     count = len(masses)
     J = corners_of_a_tower(count, np.random.default_rng(0))[0].reshape(12 * count, -1)
@@ -528,7 +527,7 @@ def test_towers_that_get_heavier_upwards_stand(masses: Any) -> None:
     assert "from a point nearby" not in result.explain()
 
 
-def test_what_rounding_limits_ends_after_one_look() -> None:
+def test_what_rounding_limits_ends_after_one_look():
     """If the slack at 0 leaves the dual cone by 1e-8 of its size, the run ends without restarts."""
     M, q = np.array([[5.0, 5.0], [5.0, 10.0]]), [1.0, -1.0 - 1e-8]
     alone = solve(ConeProblem(M, q, [("second_order", 2)]))
@@ -563,7 +562,7 @@ def poured(count: int, seed: int) -> tuple[Any, Any, Any, Any]:
 
 @pytest.mark.full  # half a minute of compilation
 @pytest.mark.parametrize("seed", range(4))
-def test_an_answer_of_bodies_is_one_of_their_contacts(seed: int) -> None:
+def test_an_answer_of_bodies_is_one_of_their_contacts(seed):
     """A solution in the velocities of bodies is also one for W only, from cold and warm starts."""
     *contacts, velocities = poured(30, seed)
     found = solve(FrictionalContact(tuple(contacts), velocities, 0.4)).require_solved()
@@ -579,7 +578,7 @@ SLIDES = np.array([-1.0, 3.0, 4.0])
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_components_are_those_of_the_pattern(seed: int) -> None:
+def test_components_are_those_of_the_pattern(seed):
     """Blocks in order, permuted, sparse, with stored zeros between them: one status, residuals by components."""
     rng = np.random.default_rng(seed)
     groups = [planted_contacts(count, 2, 10.0, rng)[0] for count in (2, 3, 1)]
@@ -613,9 +612,7 @@ HUGE = [1e-160, 1e160, 1e308]
 
 @pytest.mark.parametrize("entry", HUGE)
 @pytest.mark.parametrize("where", ["W", "b", "W of another", "b of another", "z0"])
-def test_numbers_at_the_ends_of_the_range_are_never_falsely_solved(
-    entry: float, where: str
-) -> None:
+def test_numbers_at_the_ends_of_the_range_are_never_falsely_solved(entry, where):
     """Alone or next to numbers of size 1, coupled or not: SOLVED only within the tolerance, with 60 digits."""
     W, b = np.eye(6), np.concatenate([SLIDES, SLIDES])
     if where.startswith("W"):
@@ -627,7 +624,7 @@ def test_numbers_at_the_ends_of_the_range_are_never_falsely_solved(
     z0 = np.full(6, entry) if where == "z0" else None
     cones = [("second_order", 3)] * 2
     with np.errstate(all="ignore"):
-        problems: list[Any] = [FrictionalContact(W, b, 0.5, dimension=3), ConeProblem(W, b, cones)]
+        problems = [FrictionalContact(W, b, 0.5, dimension=3), ConeProblem(W, b, cones)]
         for problem in problems:
             result = solve(problem, z0=z0, max_iterations=300)
             if result.is_solved:
@@ -640,7 +637,7 @@ def test_numbers_at_the_ends_of_the_range_are_never_falsely_solved(
             assert not result.is_solved or exact_relative_residual(result.problem, result.z) <= 1e-8
 
 
-def test_more_friction_than_a_solution_has_ends_soon() -> None:
+def test_more_friction_than_a_solution_has_ends_soon():
     """Coefficients of 1000, which may jam any contact, give a correct status in seconds."""
     W = [[3.0, -1.0, 0.0], [-1.0, 1.0, -1.0], [0.0, -1.0, 2.0]]
     with pytest.warns(ModelWarning):
@@ -652,7 +649,7 @@ def test_more_friction_than_a_solution_has_ends_soon() -> None:
         assert exact_relative_residual(problem, result.z) <= 1e-8
 
 
-def test_components_that_are_solved_alone_are_seen_by_the_callback() -> None:
+def test_components_that_are_solved_alone_are_seen_by_the_callback():
     """The callback receives samples and points of the entire problem, and ends the run."""
     rngs = [np.random.default_rng(seed) for seed in (0, 2)]
     groups = [planted_contacts(70, int(rng.integers(3, 15)), 1e3, rng)[0] for rng in rngs]
@@ -670,7 +667,7 @@ def test_components_that_are_solved_alone_are_seen_by_the_callback() -> None:
     assert solve(problem).z.tobytes() == result.z.tobytes()
 
 
-def test_warm_steps_of_a_pile_obey_their_limit() -> None:
+def test_warm_steps_of_a_pile_obey_their_limit():
     """max_seconds=1e-4 from a bad start ends the run at its second of 17 steps, with the best point so far."""
     *contacts, velocities = poured(60, 0)
     problem = FrictionalContact(tuple(contacts), velocities, 0.4)
@@ -680,7 +677,7 @@ def test_warm_steps_of_a_pile_obey_their_limit() -> None:
     assert np.isfinite(result.z).all()
 
 
-def test_gaps_next_to_w_are_as_next_to_bodies() -> None:
+def test_gaps_next_to_w_are_as_next_to_bodies():
     """For W in few digits, sparse, b flat: gap / time step is added, W is unchanged."""
     W = np.eye(6)
     W[0, 3], W[3, 0] = 0.1, 0.101
@@ -710,9 +707,7 @@ def test_gaps_next_to_w_are_as_next_to_bodies() -> None:
         ({"data": None}, "lacks the keys"),
     ],
 )
-def test_a_damaged_file_over_cones_is_told_what_is_wrong(
-    changed: Any, words: str, tmp_path: Path
-) -> None:
+def test_a_damaged_file_over_cones_is_told_what_is_wrong(changed, words, tmp_path):
     """Invalid shapes, indices, types and row numbers in a file raise UnreadableFile."""
     ConeProblem(np.eye(4), -np.ones(4), [("second_order", 3), ("nonnegative", 1)]).save(
         tmp_path / "p.npz"
@@ -731,9 +726,7 @@ def test_a_damaged_file_over_cones_is_told_what_is_wrong(
     ("heavy", "light", "corners", "has_foot"),
     [(1e6, 2, (0.0,), True), (1e6, 10, (-0.5, 0.5), False), (1e8, 5, (-0.5, 0.5), True)],
 )
-def test_heavy_stands_on_light(
-    heavy: float, light: int, corners: tuple[float, ...], has_foot: bool
-) -> None:
+def test_heavy_stands_on_light(heavy, light, corners, has_foot):
     """Each face of a tower of heavy and light boxes carries the weight above the face."""
     problem, weights = tower([heavy] * has_foot + [1.0] * light + [heavy], corners)
     result = solve(problem)

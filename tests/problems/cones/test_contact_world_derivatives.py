@@ -37,7 +37,7 @@ def close(a: Any, b: Any, tolerance: float) -> bool:
     return bool(np.abs(a - b).max(initial=0.0) <= tolerance * max(np.abs(b).max(initial=0.0), 1e-6))
 
 
-def test_what_sticks_on_one_body_has_the_gradient_of_least_norm() -> None:
+def test_what_sticks_on_one_body_has_the_gradient_of_least_norm():
     """The gradient uses the pseudo-inverse of D⁻¹W, and is independent of rounding directions."""
     rng = np.random.default_rng(0)
     J = rng.standard_normal((40, 12, 6))
@@ -56,7 +56,7 @@ def test_what_sticks_on_one_body_has_the_gradient_of_least_norm() -> None:
     assert np.abs(found.dw(found.jvp(dq=W @ r), dq=W @ r)[sticks]).max() < 1e-10
 
 
-def test_instances_of_different_size() -> None:
+def test_instances_of_different_size():
     """Data and changes of absent contacts have no effect on instances of different size."""
     rng = np.random.default_rng(2)
     W, b, mu = drawn(15, rng)
@@ -77,7 +77,7 @@ def test_instances_of_different_size() -> None:
         assert close(gradient.q[k, own], one.vjp(g[k, own], gw[k, own]).q, 1e-9)
 
 
-def test_what_the_loop_leaves_and_what_has_no_derivative() -> None:
+def test_what_the_loop_leaves_and_what_has_no_derivative():
     """Badly scaled instances are solved singly; NaN rows belong only to failed instances."""
     scale = np.array([1.0, 1.0, 1.0, 1e4, 1e4, 1e4])
     coupled = np.eye(6) + 0.3 * np.fliplr(np.eye(6))
@@ -111,7 +111,7 @@ found.jvp(dM=np.zeros(3)) → dM must have shape \(B, n, n\)
 found.jvp(dfriction=[1.0, 2.0]) → dfriction must have shape
 found.jvp(dq=[np.nan, 0.0, 0.0]) → dq\[0, 0\] = nan
 """)
-def test_wrong_changes_are_refused_in_words(call: str, words: str) -> None:
+def test_wrong_changes_are_refused_in_words(call, words):
     """Wrong changes raise errors with the required shapes."""
     found = derived(np.eye(3)[None], np.array([[-1.0, 3.0, 4.0]]), 0.5)
     assert_refused(call, words, {"found": found}, InvalidProblem)

@@ -23,7 +23,7 @@ def arrays(count: int, k: int = 4, seed: int = 0) -> tuple[Any, Any, Any]:
 
 
 @pytest.mark.parametrize("is_warm", [False, True])
-def test_instances_have_the_results_of_each_by_itself(is_warm: bool) -> None:
+def test_instances_have_the_results_of_each_by_itself(is_warm):
     """As solve to rounding, the same bits on any number of threads; residuals hold with 60 digits."""
     W, b, friction = arrays(100)
     z0 = solve_batch(FrictionalContact.worlds(W, 1.01 * b, friction)).z if is_warm else None
@@ -48,7 +48,7 @@ def test_instances_have_the_results_of_each_by_itself(is_warm: bool) -> None:
     assert "100 worlds: 100 SOLVED" in batch.explain()
 
 
-def test_instances_have_as_many_contacts_as_they_have() -> None:
+def test_instances_have_as_many_contacts_as_they_have():
     """Behind a world's last contact anything may stand; its result has its own contacts only."""
     W, b, friction = arrays(12, seed=2)
     counts = np.arange(12) % 5
@@ -67,7 +67,7 @@ def test_instances_have_as_many_contacts_as_they_have() -> None:
         np.testing.assert_allclose(batch.z[i, : 3 * count], alone.z, atol=1e-7)
 
 
-def test_one_world_harms_no_other() -> None:
+def test_one_world_harms_no_other():
     """NaN, a W that is not symmetric, no answer, mixed units: each is said of its own world."""
     W, b = np.stack([np.eye(3)] * 5), np.tile([-1.0, 3.0, 4.0], (5, 1))
     W[0, 0, 0], W[1, 0, 1], W[2] = np.nan, 1.0, np.diag([0.0, 1.0, 1.0])
@@ -90,12 +90,12 @@ FrictionalContact.worlds(np.eye(6), TWO, np.ones(4)) → shape \(2,\) or \(B, 2\
 FrictionalContact.worlds(np.zeros((3, 6, 6)), TWO, 0.5, dimension=3) → B = 2 and 6 as b has, got \(3, 6, 6\)
 FrictionalContact.worlds(np.eye(6), TWO, 0.5, dimension=3, contacts=[1, 3]) → from 0 to 2
 """)
-def test_wrong_arrays_are_refused_in_words(call: str, words: str) -> None:
+def test_wrong_arrays_are_refused_in_words(call, words):
     """With what they must be."""
     assert_refused(call, words, globals(), InvalidProblem)
 
 
-def test_what_no_batch_of_contacts_takes_is_refused_in_words() -> None:
+def test_what_no_batch_of_contacts_takes_is_refused_in_words():
     """A start of another shape, vectors beside the worlds, one solve."""
     batch = FrictionalContact.worlds(*ONE)
     with pytest.raises(InvalidOption, match=r"z0 must have shape \(1, 3\) or \(3,\)"):
@@ -109,7 +109,7 @@ def test_what_no_batch_of_contacts_takes_is_refused_in_words() -> None:
     )
 
 
-def test_gaps_of_a_batch_are_the_gaps_of_each() -> None:
+def test_gaps_of_a_batch_are_the_gaps_of_each():
     """The speed gaps / time_step is added to the normal rows of every instance, for a number and for each shape."""
     rng = np.random.default_rng(0)
     b = rng.normal(size=(3, 4, 2))
@@ -127,14 +127,14 @@ def test_gaps_of_a_batch_are_the_gaps_of_each() -> None:
 
 
 @pytest.mark.parametrize("index", [slice(0, 1), 0.0, "first"])
-def test_instances_are_taken_one_by_one(index: Any) -> None:
+def test_instances_are_taken_one_by_one(index):
     """An index that is no integer is refused, with what to write."""
-    batch: Any = FrictionalContact.worlds(np.eye(3)[None], [[-1.0, 0.0, 0.0]], 0.3)
+    batch = FrictionalContact.worlds(np.eye(3)[None], [[-1.0, 0.0, 0.0]], 0.3)
     with pytest.raises(TypeError, match=r"batch\[i\], i an integer"):
         batch[index]
 
 
-def test_a_default_that_is_stated_is_no_other_way() -> None:
+def test_a_default_that_is_stated_is_no_other_way():
     """absolute_tolerance=0.0 and an equal string for the algorithm change no bit."""
     batch = FrictionalContact.worlds(*arrays(10))
     stated = solve_batch(batch, absolute_tolerance=0.0, algorithm="".join(["au", "to"]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,7 +38,7 @@ def drawn(seed: int, d: int, *, dependent: bool) -> tuple[Any, Any, int]:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("d", [2, 3])
-def test_a_constructed_motion_with_impulses_of_both_kinds_is_found(seed: int, d: int) -> None:
+def test_a_constructed_motion_with_impulses_of_both_kinds_is_found(seed, d):
     """Impulses and velocities come first: open, sticking and sliding contacts; then b."""
     random = np.random.default_rng(seed)
     W, _, p = drawn(seed, d, dependent=False)
@@ -59,9 +58,7 @@ def test_a_constructed_motion_with_impulses_of_both_kinds_is_found(seed: int, d:
 
 @pytest.mark.parametrize("algorithm", ["auto", "newton", "interior_point", "fixed_point"])
 @pytest.mark.parametrize("seed", range(3))
-def test_dependent_equations_give_the_motion_of_the_eliminated_ones(
-    seed: int, algorithm: str
-) -> None:
+def test_dependent_equations_give_the_motion_of_the_eliminated_ones(seed, algorithm):
     """The contacts alone, with the generalized inverse of the equations' block, move as they do together."""
     W, b, p = drawn(seed, 3, dependent=True)
     first, last = slice(12), slice(12, None)
@@ -83,7 +80,7 @@ def pendulum(angle: float, heavy: float) -> tuple[Any, Any, Any]:
 
 @pytest.mark.parametrize("form", ["cone", "pyramid"])
 @pytest.mark.parametrize("heavy", [1.0, 100.0])
-def test_a_pendulum_on_a_rail_sticks_and_slides_as_the_closed_form(heavy: float, form: str) -> None:
+def test_a_pendulum_on_a_rail_sticks_and_slides_as_the_closed_form(heavy, form):
     """Sticks if μ ≥ m s c / (1 + m c²), s and c the sine and cosine of the angle; a sliding cart solves 3 equations."""
     s, c = np.sin(0.5), np.cos(0.5)
     bodies, rod, u = pendulum(0.5, heavy)
@@ -109,13 +106,13 @@ def test_a_pendulum_on_a_rail_sticks_and_slides_as_the_closed_form(heavy: float,
 
 
 @pytest.mark.parametrize("is_sparse", [False, True])
-def test_a_chain_of_40_links_pulls_a_block_a_thousand_times_as_heavy(is_sparse: bool) -> None:
+def test_a_chain_of_40_links_pulls_a_block_a_thousand_times_as_heavy(is_sparse):
     """One line: all move with (P − μ N) / (39 + 1000), link i carries P − i v; P = 200 N s moves, 20 N s does not."""
     n, heavy, friction = 40, 1000.0, 0.3
     mass = np.append(np.ones(n - 1), [heavy, heavy])  # along, and the block also up
     links = np.diag(np.ones(n + 1), 0)[: n - 1] - np.diag(np.ones(n), 1)[: n - 1]
     normals, tangents = np.eye(n + 1)[[n]], np.eye(n + 1)[[n - 1]]
-    parts: Any = np.diag(mass), normals, tangents, links
+    parts = np.diag(mass), normals, tangents, links
     *bodies, joints = map(sp.csr_array, parts) if is_sparse else parts
     for push in (500.0, 20.0):
         u = np.zeros(n + 1)
@@ -154,7 +151,7 @@ def four_bar() -> tuple[Any, Any, Any, Any]:
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.2, 2.0])
-def test_a_four_bar_linkage_on_the_floor_moves_as_in_its_one_coordinate(friction: float) -> None:
+def test_a_four_bar_linkage_on_the_floor_moves_as_in_its_one_coordinate(friction):
     """Of 12 hinge rows 8 are independent, and one coordinate is left: u = Z s with hinges · Z = 0."""
     mass, J, hinges, u = four_bar()
     Z = np.linalg.svd(hinges)[2][8:].T
@@ -175,7 +172,7 @@ def test_a_four_bar_linkage_on_the_floor_moves_as_in_its_one_coordinate(friction
     np.testing.assert_allclose(motion.body_velocities, result.motion.body_velocities, atol=1e-9)
 
 
-def test_a_motor_reaches_its_velocity_and_contradictory_motors_are_infeasible() -> None:
+def test_a_motor_reaches_its_velocity_and_contradictory_motors_are_infeasible():
     """A cart of 2 kg on a rail must have 3 m/s: friction .5 · 2 G and the push add up to its impulse."""
     bodies = np.diag([2.0, 2.0]), [[0, 1]], [[1, 0]]
     motor = solve(FrictionalContact(bodies, [-G, 0.0, -3.0], 0.5, equations=[[1, 0]]))
@@ -187,7 +184,7 @@ def test_a_motor_reaches_its_velocity_and_contradictory_motors_are_infeasible() 
     assert result.proof.verify()
 
 
-def test_a_gap_is_added_to_contacts_only() -> None:
+def test_a_gap_is_added_to_contacts_only():
     """A gap of 4 mm in a step of .01 s adds .4 m/s to the normal."""
     W, b, p = drawn(0, 3, dependent=False)
     opened = FrictionalContact(W, b, np.full(4, 0.4), equations=p, gaps=0.004, time_step=0.01)
@@ -196,7 +193,7 @@ def test_a_gap_is_added_to_contacts_only() -> None:
 
 @pytest.mark.parametrize("dependent", [False, True])
 @pytest.mark.parametrize("seed", range(4))
-def test_derivatives_agree_with_differences_of_solves(seed: int, dependent: bool) -> None:
+def test_derivatives_agree_with_differences_of_solves(seed, dependent):
     """By b and friction, of velocities; the gradient is the transpose."""
     W, b, p = drawn(seed, 3, dependent=dependent)
     random, mu, step = np.random.default_rng(seed), np.full(4, 0.4), 1e-6
@@ -217,9 +214,7 @@ def test_derivatives_agree_with_differences_of_solves(seed: int, dependent: bool
 
 
 @pytest.mark.parametrize("contacts", [None, np.arange(8) % 5])
-def test_a_batch_is_its_instances_with_derivatives_and_a_file(
-    contacts: Any, tmp_path: Path
-) -> None:
+def test_a_batch_is_its_instances_with_derivatives_and_a_file(contacts, tmp_path):
     """Arrays of eight instances with three equations each; some have fewer contacts."""
     drawn_ones = [drawn(seed, 3, dependent=False)[:2] for seed in range(8)]
     W, b = map(np.array, zip(*drawn_ones, strict=True))
@@ -238,7 +233,7 @@ def test_a_batch_is_its_instances_with_derivatives_and_a_file(
         )
     worlds.save(tmp_path / "worlds.npz")
     worlds[0].save(tmp_path / "one.npz")
-    one: Any = load_problem(tmp_path / "one.npz")
+    one = load_problem(tmp_path / "one.npz")
     assert load_problem(tmp_path / "worlds.npz").equations == one.equations == 3  # type: ignore[attr-defined]
     assert certify(one, batch.z[0]).verdict == "proved"
 
@@ -267,13 +262,13 @@ def test_a_batch_is_its_instances_with_derivatives_and_a_file(
         ),
     ],
 )
-def test_a_wrong_call_is_told_what_to_write(call: Any, words: str) -> None:
+def test_a_wrong_call_is_told_what_to_write(call, words):
     """InvalidProblem with the right form."""
     with pytest.raises(InvalidProblem, match=words):
         call()
 
 
-def test_contradictory_equations_without_a_contact_are_infeasible() -> None:
+def test_contradictory_equations_without_a_contact_are_infeasible():
     """x₁ + x₂ = 1 and = −1, alone and next to a contact."""
     alone = FrictionalContact(np.ones((2, 2)), [-1.0, 1], [], dimension=3, equations=2)
     W = np.diag([1.0, 1, 1, 0])

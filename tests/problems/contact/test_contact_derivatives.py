@@ -12,7 +12,6 @@ from inputs.contact_families import rows_of_bodies
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, FrictionalContact, InvalidProblem, ModelWarning, solve
-from lcp_plugin.problems.contact import Contacts
 
 STEP = 0.01
 
@@ -48,12 +47,12 @@ def impulses(problem: LCP, z: Any) -> np.ndarray:
     return np.column_stack([motion.normal, motion.tangential]).ravel()
 
 
-def test_a_gap_is_what_a_contact_may_lose_in_a_step() -> None:
+def test_a_gap_is_what_a_contact_may_lose_in_a_step():
     """Gaps beside a mass matrix, beside W, and gap / time step added by hand to contacts' velocities are the same."""
     for seed in range(6):
         data = given(seed)
         problem = stated(data)
-        origin: Contacts = problem.origin
+        origin = problem.origin
         by_W = LCP.from_contacts(
             origin.W, data["friction"], origin.velocities, gaps=data["gaps"], time_step=STEP
         )
@@ -68,7 +67,7 @@ def test_a_gap_is_what_a_contact_may_lose_in_a_step() -> None:
         )
 
 
-def test_bodies_have_velocities_after_the_impulses() -> None:
+def test_bodies_have_velocities_after_the_impulses():
     """They gain m⁻¹ Jᵀ impulses, and J of them is separation and slip; None where nobody gave u, or q is another."""
     data = given(1)
     problem = stated(data)
@@ -95,12 +94,12 @@ LCP.from_contacts(body, 0.5, [0.0, -1.0], gaps=0.1, time_step=0) → time_step m
 LCP.from_contacts(body, 0.5, [0.0, -1.0], gaps=[0, 0], time_step=1)
     → gaps must be a number, or .* of shape \(1,\).*got shape \(2,\)
 """)
-def test_gaps_need_a_time_step_and_gaps(call: str, words: str) -> None:
+def test_gaps_need_a_time_step_and_gaps(call, words):
     """One without the other, another number of gaps, or a step that takes no time is refused in words."""
     assert_refused(call, words, {"body": (np.eye(2), [[0, 1]], [[1, 0]])}, InvalidProblem)
 
 
-def test_more_friction_than_any_material_has_is_warned_of() -> None:
+def test_more_friction_than_any_material_has_is_warned_of():
     """μ = 50 is a ModelWarning that says where and what may be meant, at the caller's line; 5 passes in silence."""
     with pytest.warns(
         ModelWarning, match=r"friction\[1\] = 50 is more than 5.*if a percentage, divide by 100"

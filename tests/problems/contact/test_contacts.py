@@ -20,7 +20,7 @@ def contacts_of_bodies(count: int, bodies: int, seed: int) -> tuple[np.ndarray, 
 
 
 @pytest.mark.parametrize("directions", [4, 6, 8])
-def test_an_answer_keeps_the_conditions_of_contact_and_friction(directions: int) -> None:
+def test_an_answer_keeps_the_conditions_of_contact_and_friction(directions):
     """Normals do not pull or overlap, friction is in its pyramid, and is the most that opposes the slip."""
     for seed in range(8):
         W, velocities = contacts_of_bodies(5, 4, seed)
@@ -52,7 +52,7 @@ def block_on_incline(angle: float, friction: float) -> tuple[float, bool]:
     return motion.slip[0, 0], bool(motion.sticks.all())
 
 
-def test_a_block_slides_where_the_slope_is_steeper_than_its_friction() -> None:
+def test_a_block_slides_where_the_slope_is_steeper_than_its_friction():
     """It slides at tan θ > μ with the speed of the closed form, to 1e-9, and rests below; also a millionth beside."""
     for friction in (0.3, 0.8):
         for share in (0.5, 0.999999, 1.000001, 1.2):
@@ -87,12 +87,12 @@ LCP.from_contacts(EYE, 0.5, FALL, 2) → even number ≥ 4, got 2; leave directi
 LCP.from_contacts(EYE, 0.5, FALL, 5) → even number ≥ 4.*got 5
 LCP.from_contacts(EYE, 0.5, [FALL, FALL]) → must have shape \(1, 3\)
 """)
-def test_a_mistake_is_refused_in_words(call: str, words: str) -> None:
+def test_a_mistake_is_refused_in_words(call, words):
     """What does not state contacts is an InvalidProblem that says what is needed."""
     assert_refused(call, words, globals(), InvalidProblem)
 
 
-def test_rotations_of_length_one_are_no_mistake() -> None:
+def test_rotations_of_length_one_are_no_mistake():
     """Of a body with spherical inertia, rotations before translations, lever arms may have any length."""
     for arm in ([1.0, 0, 0], [0, 1.0, 0], [1.0, 1.0, -1.0], [0, 0, -1.0]):
         directions = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])
@@ -118,7 +118,7 @@ def test_rotations_of_length_one_are_no_mistake() -> None:
         *("zero", "one is zero", "equal", "equal to the normal"),
     ],
 )
-def test_tangents_of_a_free_body_are_orthogonal_unit_vectors(tangents: list[list[float]]) -> None:
+def test_tangents_of_a_free_body_are_orthogonal_unit_vectors(tangents):
     """What is skew is refused as well, with a way out for unknowns that are no translations."""
     bodies = 2.0 * np.eye(3), [[0.0, 0.0, 1.0]], [tangents]
     with pytest.raises(
@@ -131,7 +131,7 @@ def test_tangents_of_a_free_body_are_orthogonal_unit_vectors(tangents: list[list
             FrictionalContact(given, np.zeros(6), 0.4)
 
 
-def test_an_answer_to_another_q_has_its_own_velocities() -> None:
+def test_an_answer_to_another_q_has_its_own_velocities():
     """``problem.with_q(q)`` along a trajectory leads back to the velocities that its q stands for."""
     bodies = [np.diag([2.0, 2.0, 2.0]), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]]
     here, there = (LCP.from_contacts(bodies, 0.4, u) for u in ([0.5, 0.3, -1.0], [4.0, -0.2, -0.5]))
@@ -141,7 +141,7 @@ def test_an_answer_to_another_q_has_its_own_velocities() -> None:
         assert getattr(moved, name) == pytest.approx(getattr(truth, name), abs=1e-14)
 
 
-def test_a_batch_of_other_velocities_is_not_led_back_with_these() -> None:
+def test_a_batch_of_other_velocities_is_not_led_back_with_these():
     """Contacts of one problem know one set of velocities: answers of many are refused in words."""
     problem = LCP.from_contacts(np.eye(3), 0.5, FALL)
     batch = solve_batch(np.array([problem.M]), np.array([2.0 * problem.q]))

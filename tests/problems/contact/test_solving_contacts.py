@@ -20,9 +20,7 @@ def problem_of(data: Contacts) -> LCP:
 
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from(sorted(FAMILIES)), SIZES, st.sampled_from([1.0, 1e3]), st.integers(0, 2**16))
-def test_contacts_that_have_an_answer_get_one(
-    name: str, size: tuple[int, int], ratio: float, seed: int
-) -> None:
+def test_contacts_that_have_an_answer_get_one(name, size, ratio, seed):
     """Of any rank of W, masses up to 10³ apart, contacts at a kink: SOLVED, and the motion keeps Coulomb's law."""
     data = FAMILIES[name](*size, ratio, np.random.default_rng(seed))
     result = solve(problem_of(data)).require_solved()
@@ -41,7 +39,7 @@ def test_contacts_that_have_an_answer_get_one(
     assert (np.abs(motion.tangential).sum(axis=1) <= limit + rounding).all()
 
 
-def test_a_start_with_the_answers_contacts_costs_no_more_work() -> None:
+def test_a_start_with_the_answers_contacts_costs_no_more_work():
     """From the answer before, where velocities have moved a little, contacts take no more work."""
     data = planted(8, 8, 10.0, np.random.default_rng(3))
     before = solve(problem_of(data))
@@ -53,7 +51,7 @@ def test_a_start_with_the_answers_contacts_costs_no_more_work() -> None:
     np.testing.assert_allclose(data.recover(warm).slip, data.recover(cold).slip, atol=1e-7)
 
 
-def test_an_answer_of_another_length_is_refused() -> None:
+def test_an_answer_of_another_length_is_refused():
     """The message has the length that it must have."""
     data = falling(2, 1, 1.0, np.random.default_rng(0))
     with pytest.raises(InvalidProblem, match=r"z must have shape \(12,\)"):

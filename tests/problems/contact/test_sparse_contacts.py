@@ -45,7 +45,7 @@ def scene(bodies: int, contacts: int, seed: int = 0) -> tuple[Any, Any, Any, Any
     )
 
 
-def test_sparse_and_dense_bodies_state_the_same_contacts() -> None:
+def test_sparse_and_dense_bodies_state_the_same_contacts():
     """W, b, the motion and the bodies' velocities agree; of W given sparse bodies only what is not 0 is kept."""
     mass, normals, tangents, velocities = scene(20, 40)
     whole = mass.toarray(), normals.toarray(), tangents.toarray().reshape(40, 2, -1)
@@ -64,7 +64,7 @@ def test_sparse_and_dense_bodies_state_the_same_contacts() -> None:
     )
 
 
-def test_gaps_and_pyramids_take_them_too() -> None:
+def test_gaps_and_pyramids_take_them_too():
     """Gaps are added to normal velocities; pyramids of sparse arrays are those of dense ones."""
     mass, normals, tangents, velocities = scene(6, 8)
     shut = FrictionalContact((mass, normals, tangents), velocities, 0.5, gaps=0.02, time_step=0.1)
@@ -81,7 +81,7 @@ def test_gaps_and_pyramids_take_them_too() -> None:
     np.testing.assert_allclose(sparse, dense, rtol=1e-13, atol=1e-13)  # sums in another order
 
 
-def test_in_the_plane_one_tangent_a_contact() -> None:
+def test_in_the_plane_one_tangent_a_contact():
     """Two masses on the ground, one held and one pushed beyond friction."""
     identity = sp.eye_array(4, format="csr")
     problem = FrictionalContact(
@@ -94,7 +94,7 @@ def test_in_the_plane_one_tangent_a_contact() -> None:
 
 
 @pytest.mark.full
-def test_3_000_contacts_of_1_000_bodies_stay_sparse() -> None:
+def test_3_000_contacts_of_1_000_bodies_stay_sparse():
     """A dense W would have 81 million entries; this one has as many as contacts share bodies."""
     mass, normals, tangents, velocities = scene(1000, 3000)
     problem = FrictionalContact((mass, normals, tangents), velocities, 0.5)
@@ -124,12 +124,12 @@ FrictionalContact((MASS + sp.eye_array(24, k=1), NORMALS, TANGENTS), VELOCITIES,
 FrictionalContact((MASS * np.nan, NORMALS, TANGENTS), VELOCITIES, 0.5) → the mass matrix must be finite
 FrictionalContact((MASS, NORMALS[:0], TANGENTS[:0]), VELOCITIES, 0.5) → a contact has 3 rows, .*: 0 rows
 """)
-def test_what_does_not_fit_is_refused_in_words(call: str, words: str) -> None:
+def test_what_does_not_fit_is_refused_in_words(call, words):
     """Shapes, definiteness, directions, numbers."""
     assert_refused(call, words, globals(), InvalidProblem)
 
 
-def test_a_contact_that_no_impulse_moves_may_be_one_of_many() -> None:
+def test_a_contact_that_no_impulse_moves_may_be_one_of_many():
     """A sparse W beyond the dense sizes may have a contact without entries: it opens, and the others slide."""
     count = 120
     diagonal = np.ones(3 * count)

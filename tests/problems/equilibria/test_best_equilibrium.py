@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
@@ -33,7 +32,7 @@ def solved(problem: cp.Problem, **options: Any) -> Any:
 
 
 @pytest.mark.parametrize("name", list(COLLECTION))
-def test_published_optima_are_found_and_proved(name: str) -> None:
+def test_published_optima_are_found_and_proved(name):
     """Status optimal, the published value or the better one that is known, and every bound of the tree verifies."""
     published = COLLECTION[name]
     problem = published.state()
@@ -48,9 +47,7 @@ def test_published_optima_are_found_and_proved(name: str) -> None:
 
 @pytest.mark.parametrize(("bounds", "wanted"), [((-9, 1), 8.0), ((1, 9), 20.0), ((2, 4), 26.0)])
 @pytest.mark.parametrize("is_attribute", [False, True])
-def test_bounds_beside_a_pair_are_no_bounds_of_the_pair(
-    bounds: tuple[float, float], wanted: float, is_attribute: bool
-) -> None:
+def test_bounds_beside_a_pair_are_no_bounds_of_the_pair(bounds, wanted, is_attribute):
     """0 ≤ y ⟂ y − x ≥ 0 says y = x wherever y > 0, also at a bound of y that is stated elsewhere."""
     x, y = cp.Variable(), cp.Variable(bounds=list(bounds)) if is_attribute else cp.Variable()
     others = [] if is_attribute else [bounds[0] <= y, y <= bounds[1]]
@@ -62,7 +59,7 @@ def test_bounds_beside_a_pair_are_no_bounds_of_the_pair(
     np.testing.assert_allclose(problem.value, wanted, atol=1e-9)
 
 
-def test_two_pairs_may_give_one_variable_different_bounds() -> None:
+def test_two_pairs_may_give_one_variable_different_bounds():
     """0 ≤ y ⟂ y − x ≥ 0 and 1 ≤ y ≤ 2 ⟂ u: y ≥ 1 > 0, so that y = x, while u > 0 only where y = 1."""
     x, y, u = cp.Variable(), cp.Variable(), cp.Variable()
     pairs = [complements(y >= 0, y - x >= 0), complements(box(y, 1, 2), u)]
@@ -71,7 +68,7 @@ def test_two_pairs_may_give_one_variable_different_bounds() -> None:
     np.testing.assert_allclose([problem.value, x.value, u.value], [16.0, 1.0, 1.0], atol=1e-9)
 
 
-def test_a_cost_far_above_the_others_leaves_the_only_solution() -> None:
+def test_a_cost_far_above_the_others_leaves_the_only_solution():
     """Of an LCP with one solution it is the best, where the least multipliers of a cost of 3e9 are none."""
     M, q = np.array([[6.0, -3.0], [-3.0, 4.0]]), np.array([-1e-7, 0.0])
     lower, cost = np.append(np.zeros(2), np.full(2, -np.inf)), [-2.0, -3e9, 0.0, 0.0]
@@ -81,7 +78,7 @@ def test_a_cost_far_above_the_others_leaves_the_only_solution() -> None:
 
 
 @pytest.mark.full
-def test_random_programs_agree_with_all_their_pieces(draws: Callable[[int], range]) -> None:
+def test_random_programs_agree_with_all_their_pieces(draws):
     """Status, value, bound and verify() hold against every piece, and verify() sees each of a dozen damages."""
     from campaigns.best_equilibria import complaints, random_problem, truth, undetected
 
@@ -101,7 +98,7 @@ def test_random_programs_agree_with_all_their_pieces(draws: Callable[[int], rang
                 assert undetected(result) == [], case
 
 
-def test_verify_sees_a_variable_beyond_the_bounds_of_its_pair() -> None:
+def test_verify_sees_a_variable_beyond_the_bounds_of_its_pair():
     """0 ≤ z is said by the pair alone: z = −7 opposite w = 0 is no solution."""
     program = QuadraticProgram(
         np.zeros((3, 3)), [1, 0, 0], A=[[1, 0, -1]], b=[1], lower=[0, -np.inf, -np.inf]
@@ -130,7 +127,7 @@ def ending(status: Status, height: float = 1.0) -> EquilibriumProgram:
 
 
 @pytest.mark.parametrize("status", list(ENDS))
-def test_the_conflict_is_the_one_of_the_linear_constraints(status: Status) -> None:
+def test_the_conflict_is_the_one_of_the_linear_constraints(status):
     """Only a program whose linear constraints are inconsistent has a conflict, which is exact."""
     result = solve(ending(status))
     assert (result.status, result.verify()) == (status, True)
@@ -159,10 +156,10 @@ TRUE_ALSO = {  # fields whose replaced values leave a true statement
 
 
 @pytest.mark.parametrize("status", list(ENDS))
-def test_verify_rejects_each_replaced_field(status: Status) -> None:
+def test_verify_rejects_each_replaced_field(status):
     """A problem, point, value, bound, tree or status that is replaced by a wrong one is not verified."""
     result = solve(ending(status))
-    wrong: dict[str, list[Any]] = {
+    wrong = {
         "problem": [ending(Status.SOLVED if status is not Status.SOLVED else Status.INFEASIBLE)],
         "x": [None, np.full(3, 0.3), np.full(3, np.nan)],
         "value": [-1e9, 1e9, np.nan],
@@ -184,9 +181,7 @@ def test_verify_rejects_each_replaced_field(status: Status) -> None:
     assert [value for name, value in passed if name == "status"] in ([], [Status.NO_SOLUTION])
 
 
-def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(monkeypatch):
     """The status is user_limit, variables keep what they hold, and a bound of (y − x)² + x² + 1 is one."""
     monkeypatch.setattr(BranchAndBound, "descend_from", lambda self, x, cases=None: None)
     monkeypatch.setitem(sys.modules, "pyscipopt", None)
@@ -202,7 +197,7 @@ def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(
 
 
 @pytest.mark.full
-def test_wherever_the_search_is_interrupted_its_bound_and_status_hold() -> None:
+def test_wherever_the_search_is_interrupted_its_bound_and_status_hold():
     """No bound lies above the optimum, nothing is called optimal that is not, and verify() agrees."""
     rng, k = np.random.default_rng(3), 5
     program = QuadraticProgram(
@@ -210,10 +205,10 @@ def test_wherever_the_search_is_interrupted_its_bound_and_status_hold() -> None:
     )
     M, q = rng.integers(-3, 4, (k, k + 2)), rng.integers(-3, 4, k)
     problem = EquilibriumProgram.of_rows(program, range(2, k + 2), M, q)
-    calls: list[Any] = []
+    calls = []
 
-    def interrupted(at: int) -> Any:
-        def callback(search: Any) -> None:
+    def interrupted(at):
+        def callback(search):
             calls.append(search)
             if len(calls) == at:
                 raise KeyboardInterrupt
@@ -230,7 +225,7 @@ def test_wherever_the_search_is_interrupted_its_bound_and_status_hold() -> None:
     assert len(calls) > 0
 
 
-def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms() -> None:
+def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms():
     """Row 0, w = −2 z₀ − 2 z₁ − 3 ≥ 0, excludes every z ≥ 0; 6e-17 in row 1 made w = −3 pass for 0."""
     M, q = [[-2.0, -2.0], [6.123233995736766e-17, -2.0]], [-3.0, 1e10]
     problem = EquilibriumProgram.of_rows(
@@ -244,7 +239,7 @@ def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms() -> None:
 
 @pytest.mark.parametrize("unit", [1e-12, 1e-9, 1e-6, 1.0, 1e9])
 @pytest.mark.parametrize("prove", [False, True])
-def test_the_unit_of_the_objective_changes_no_answer(unit: float, prove: bool) -> None:
+def test_the_unit_of_the_objective_changes_no_answer(unit, prove):
     """Costs of 1e-12 or of 1e9: the least over all cases, by enumeration with HiGHS, to 1e-6 of it."""
     rng, n = np.random.default_rng(3), 6
     root, N, q, costs = (rng.standard_normal(shape) for shape in ((n, n), (n, n), n, 2 * n))
@@ -264,7 +259,7 @@ def test_the_unit_of_the_objective_changes_no_answer(unit: float, prove: bool) -
     np.testing.assert_allclose(result.value, best, rtol=1e-6)
 
 
-def test_a_nonconvex_box_program_is_solved_at_its_least_face() -> None:
+def test_a_nonconvex_box_program_is_solved_at_its_least_face():
     """Without pairs: the least value of an indefinite quadratic on a box, against an enumeration of its faces."""
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -282,7 +277,7 @@ def test_a_nonconvex_box_program_is_solved_at_its_least_face() -> None:
         assert result.value == pytest.approx(best, rel=1e-6)
 
 
-def test_an_integer_beside_pairs_is_solved_at_the_only_least_point() -> None:
+def test_an_integer_beside_pairs_is_solved_at_the_only_least_point():
     """Five unknowns, two pairs, one integer: (0, 0, 1, 0, 0), of value 1."""
     G = [[-1.0, 2.0, 0.0, 2.0, 0.0]]
     A = [[-1.0, 1.0, 2.0, 2.0, 0.0], [0.0, 2.0, -2.0, 0.0, -2.0]]
@@ -293,7 +288,7 @@ def test_an_integer_beside_pairs_is_solved_at_the_only_least_point() -> None:
     assert result.value == pytest.approx(1.0)
 
 
-def test_pairs_without_a_solution_are_proved_so_beside_integers() -> None:
+def test_pairs_without_a_solution_are_proved_so_beside_integers():
     """Y ≥ 1 contradicts both cases of y ≥ 0 ⟂ y + 1 ≥ 0, whatever the integer is."""
     x, y = cp.Variable(integer=True), cp.Variable()
     rows = [complements(y >= 0, y + 1 >= 0), y >= 1, x >= 0, x <= 5]
@@ -303,7 +298,7 @@ def test_pairs_without_a_solution_are_proved_so_beside_integers() -> None:
     assert problem.solver_stats.extra_stats.verify()
 
 
-def test_a_solution_far_beyond_the_data_leaves_zero_unproved() -> None:
+def test_a_solution_far_beyond_the_data_leaves_zero_unproved():
     """The solution with z₂ = 4.8e16 is better than z = 0, which is not proved, also where numpy raises at underflow."""
     M = [
         [9.000000000000001e-09, -3.0000000000000004e-09, -3.0000000000000004e-09],
@@ -321,14 +316,14 @@ def test_a_solution_far_beyond_the_data_leaves_zero_unproved() -> None:
     assert not result.is_solved or result.value < -1e16
 
 
-def test_an_objective_of_zero_has_no_gap() -> None:
+def test_an_objective_of_zero_has_no_gap():
     """The gap is 0 if value and bound are equal, also relative to an objective without terms."""
     program = QuadraticProgram(None, [0.0, 0.0], [[-1.0, -1.0]], [-1.0], lower=0.0, upper=4.0)
     result = solve(EquilibriumProgram(program, [0], [1]))
     assert (result.value, result.gap) == (0.0, 0.0)
 
 
-def test_a_leaders_decision_is_polished() -> None:
+def test_a_leaders_decision_is_polished():
     """A monopolist over a follower in quantities, 4.25 by hand, at any tolerance: its piece is a program."""
     Q, q, o = cp.Variable(nonneg=True), cp.Variable(nonneg=True), cp.Parameter(value=0.5)
     own = cp.Maximize(cp.multiply(10 - q - Q - o, q) - q)

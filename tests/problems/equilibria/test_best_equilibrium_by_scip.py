@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from functools import partial
-from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -16,16 +15,14 @@ from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_soluti
 
 
 @pytest.fixture
-def without_scip(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_scip(monkeypatch):
     """Make pyscipopt unavailable."""
     monkeypatch.setitem(sys.modules, "pyscipopt", None)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("has_scip", [True, False])
-def test_fifty_pairs_have_their_published_optimum_with_scip_and_without(
-    has_scip: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fifty_pairs_have_their_published_optimum_with_scip_and_without(has_scip, monkeypatch):
     """The optimum is right, and the explanation names SCIP; without it our own nodes prove the optimum."""
     if not has_scip:
         monkeypatch.setitem(sys.modules, "pyscipopt", None)
@@ -40,7 +37,7 @@ def test_fifty_pairs_have_their_published_optimum_with_scip_and_without(
     assert problem.value == pytest.approx(published.optimum, abs=1e-6 + published.accuracy)
 
 
-def test_a_known_equilibrium_is_returned_without_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_known_equilibrium_is_returned_without_time(monkeypatch):
     """The variables hold an equilibrium: with no time at all the answer is no worse."""
     problem, _ = monopolist()
     value = problem.solve(method="LCP")
@@ -57,7 +54,7 @@ def monopolist() -> tuple[cp.Problem, cp.Variable]:
     return cp.Problem(cp.Maximize(cp.multiply(price, x) - x), [fringe, price == 10 - x - y]), x
 
 
-def test_a_bilinear_leader_is_solved_by_scip() -> None:
+def test_a_bilinear_leader_is_solved_by_scip():
     """Income (p − 1) x with y = (8 − x)/2 for x ≤ 6 and p = (12 − x)/2: x = 5, 12.5."""
     problem, x = monopolist()
     assert problem.solve(method="LCP") == pytest.approx(12.5, abs=1e-6)
@@ -66,7 +63,7 @@ def test_a_bilinear_leader_is_solved_by_scip() -> None:
 
 
 @pytest.mark.parametrize("cost", [52.4, 52.6, 90.0])
-def test_a_leader_who_stays_out_is_solved(cost: float) -> None:
+def test_a_leader_who_stays_out_is_solved(cost):
     """Against a rival with cost 5, demand 100 − q, the leader earns (105 − 2c)²/8, or 0 if his cost c exceeds 52.5."""
     own, rival = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
     reply = complements(rival >= 0, 2 * rival + own - 95 >= 0)
@@ -77,7 +74,7 @@ def test_a_leader_who_stays_out_is_solved(cost: float) -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3])
-def test_a_bilinear_minimum_of_zero_is_solved(unit: float) -> None:
+def test_a_bilinear_minimum_of_zero_is_solved(unit):
     """The least x y is 0 for x and y from 0 to 3 units, and −0.3 units² if they are at least −0.1."""
     P = np.array([[0.0, 1.0], [1.0, 0.0]])
     at_zero = QuadraticProgram(P, np.zeros(2), lower=0.0, upper=3.0 * unit)
@@ -88,7 +85,7 @@ def test_a_bilinear_minimum_of_zero_is_solved(unit: float) -> None:
     assert result.require_solved().value == pytest.approx(-0.3 * unit**2, rel=1e-5)
 
 
-def test_a_road_on_which_the_toll_earns_nothing_is_solved() -> None:
+def test_a_road_on_which_the_toll_earns_nothing_is_solved():
     """The free road takes 2, the other one 3 and the toll: all 5 drive on the free road at every toll."""
     toll, paid, free, time = cp.Variable(), cp.Variable(), cp.Variable(), cp.Variable()
     choice = [complements(paid >= 0, 3 + toll - time >= 0), complements(free >= 0, 2 - time >= 0)]
@@ -98,7 +95,7 @@ def test_a_road_on_which_the_toll_earns_nothing_is_solved() -> None:
     assert problem.status == "optimal"
 
 
-def test_an_unbounded_objective_that_is_not_convex_is_named() -> None:
+def test_an_unbounded_objective_that_is_not_convex_is_named():
     """Income x² + x y with 0 ≤ y ⟂ 2 + y − p ≥ 0, p = 10 − x − y, x not bounded: no value is called optimal."""
     x, y, price = cp.Variable(nonneg=True), cp.Variable(), cp.Variable()
     rows = [complements(y >= 0, 2 + y - price >= 0), price == 10 - x - y]
@@ -111,7 +108,7 @@ def test_an_unbounded_objective_that_is_not_convex_is_named() -> None:
     assert bounded.solve(method="LCP") == pytest.approx(24.0, abs=1e-5)
 
 
-def test_an_absolute_value_that_is_not_convex_is_taken_as_a_pair() -> None:
+def test_an_absolute_value_that_is_not_convex_is_taken_as_a_pair():
     """|x − 3| − x is largest at x = 0, proved; |a| + |b| − a b, |a| + b² ≤ 2, where 3 = 2 b + 3 b²; starts count."""
     x, y, v = cp.Variable(bounds=[0, 10]), cp.Variable(), cp.Variable(2, bounds=[-2, 1])
     problem = cp.Problem(cp.Maximize(cp.abs(x - 3) - x), [complements(y >= 0, 2 * y + x - 8 >= 0)])
@@ -123,9 +120,7 @@ def test_an_absolute_value_that_is_not_convex_is_taken_as_a_pair() -> None:
     assert bent.solve(method="LCP") == pytest.approx(2.0 + 3.0 * b - b**2 - b**3, abs=1e-5)
 
 
-def test_programs_beyond_complementarity_problems_are_solved_without_scip(
-    without_scip: None,
-) -> None:
+def test_programs_beyond_complementarity_problems_are_solved_without_scip(without_scip):
     """More rows than unknowns, and one unknown in two pairs."""
     over = QuadraticProgram(None, [1, 0], A=[[1, 0], [0, 1]], b=[1, 0], lower=0)
     twice = QuadraticProgram(None, [1, 0, 0], A=[[1, -1, 0]], b=[1], lower=0)
@@ -138,7 +133,7 @@ def test_programs_beyond_complementarity_problems_are_solved_without_scip(
         )
 
 
-def test_rows_that_limit_sides_of_pairs_give_a_bound(without_scip: None) -> None:
+def test_rows_that_limit_sides_of_pairs_give_a_bound(without_scip):
     """Without an upper bound of sides of pairs there is no bound; rows that limit them give one, and keep the pairs."""
     M, q = [[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0]  # 0 ≤ y₀ ⟂ 1 + y₁, 0 ≤ y₁ ⟂ 1 + y₀: y = 0
     results = [
@@ -165,7 +160,7 @@ def interdiction(rows: int) -> cp.Problem:
 
 
 @pytest.mark.parametrize("rows", [2, 3])
-def test_multipliers_of_redundant_balances_are_left_out(rows: int) -> None:
+def test_multipliers_of_redundant_balances_are_left_out(rows):
     """Balances of all nodes are dependent, and their multipliers have no bound; the longest shortest way is 3."""
     problem = interdiction(rows)
     assert problem.solve(method="LCP") == pytest.approx(3.0, abs=1e-6)
@@ -173,7 +168,7 @@ def test_multipliers_of_redundant_balances_are_left_out(rows: int) -> None:
 
 
 @pytest.mark.parametrize("coefficient", [33554393.0, 33554393 / 2**20, 2.0 * 33554393])
-def test_an_unknown_whose_column_only_a_prime_divides_is_kept(coefficient: float) -> None:
+def test_an_unknown_whose_column_only_a_prime_divides_is_kept(coefficient):
     """The free f makes x = −2, t = 0 feasible, although its column is 0 modulo the prime of the rank."""
     x, t, z, f = cp.Variable(integer=True), cp.Variable(), cp.Variable(), cp.Variable()
     box = [x >= -3, x <= 3, t >= 0, t <= 1, complements(z >= 0, 1 - z >= 0)]
@@ -183,7 +178,7 @@ def test_an_unknown_whose_column_only_a_prime_divides_is_kept(coefficient: float
     assert x.value == pytest.approx(-2.0)
 
 
-def test_only_exact_sums_of_other_columns_are_redundant() -> None:
+def test_only_exact_sums_of_other_columns_are_redundant():
     """Of the columns a, b, a + 2 b, a + p b + e and e, p the prime of the rank, one is a sum of others."""
     a, b = np.array([1.0, 2.0, 0.0]), np.array([0.0, 1.0, 3.0])
     far = np.array([0.0, 0.0, 33554393.0])
@@ -194,7 +189,7 @@ def test_only_exact_sums_of_other_columns_are_redundant() -> None:
 
 
 @pytest.mark.parametrize("end", [1.0, 5.0])
-def test_a_follower_of_value_0_is_polished(end: float) -> None:
+def test_a_follower_of_value_0_is_polished(end):
     """The follower minimizes (x + eˣ) y: y is 0 to 1e-4 in SCIP's point, and 0 in the minimizer of its piece."""
     x, y = cp.Variable(bounds=[-2, 2]), cp.Variable(bounds=[-3, end])
     way = optimal(cp.Problem(cp.Minimize(cp.multiply(x + cp.exp(x), y))), [y])
@@ -236,7 +231,7 @@ def quartic() -> tuple[cp.Problem, float]:
     [partial(game, has_start=True), partial(game, has_start=False), routes, quartic],
     ids=["game from an equilibrium", "game", "routes", "quartic"],
 )
-def test_followers_answers_to_a_decision_are_a_point(model: Any, without_scip: None) -> None:
+def test_followers_answers_to_a_decision_are_a_point(model, without_scip):
     """Every search returns a point before SCIP starts, not worse than the start, at which no follower could gain."""
     problem, least = model()
     problem.solve(method="LCP")

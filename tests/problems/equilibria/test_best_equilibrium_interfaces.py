@@ -1,7 +1,5 @@
 """The best of all solutions through Pyomo and .nl files."""
 
-from pathlib import Path
-
 import numpy as np
 import pyomo.environ as pe
 import pytest
@@ -24,7 +22,7 @@ def bard() -> pe.ConcreteModel:
     return m
 
 
-def test_pyomo_finds_the_published_optimum() -> None:
+def test_pyomo_finds_the_published_optimum():
     """An objective beside complementarities is minimized over all of their solutions."""
     m = bard()
     solver = pe.SolverFactory("lcp_plugin")
@@ -36,7 +34,7 @@ def test_pyomo_finds_the_published_optimum() -> None:
         assert solver.result.bound_by == "proof"
 
 
-def test_a_file_and_its_maximum(tmp_path: Path) -> None:
+def test_a_file_and_its_maximum(tmp_path):
     """The file that Pyomo writes after mpec.nl gives the same; −f maximized has minus the value."""
     for sense in (pe.minimize, pe.maximize):
         m = bard()
@@ -49,7 +47,7 @@ def test_a_file_and_its_maximum(tmp_path: Path) -> None:
         assert answer.objective == pytest.approx(17.0 if sense == pe.minimize else -17.0, abs=1e-6)
 
 
-def test_bounds_beside_a_pair_are_plain_ones() -> None:
+def test_bounds_beside_a_pair_are_plain_ones():
     """A bound of a variable that its pair does not state, and an inequality, hold without a partner."""
     m = pe.ConcreteModel()
     m.x, m.y = pe.Var(bounds=(0, 1.5)), pe.Var(bounds=(0, None))
@@ -60,7 +58,7 @@ def test_bounds_beside_a_pair_are_plain_ones() -> None:
     assert (m.x.value, m.y.value) == pytest.approx((1.5, 0.5), abs=1e-7)
 
 
-def test_what_is_not_convex_is_found() -> None:
+def test_what_is_not_convex_is_found():
     """A convex objective maximized over a polygon is largest in a corner; a smooth pair excludes what it should."""
     m = bard()
     m.cost.sense = pe.maximize
@@ -77,7 +75,7 @@ def test_what_is_not_convex_is_found() -> None:
     assert solver.result.problem.excess(solver.result.x) <= 1e-7
 
 
-def test_a_yes_or_no_beside_pairs() -> None:
+def test_a_yes_or_no_beside_pairs():
     """With x ≥ 2 b, b earns 3 b x: worth it, b is one, exactly; without pairs an integer is refused in words."""
     m = bard()
     m.b = pe.Var(within=pe.Binary)
@@ -94,7 +92,7 @@ def test_a_yes_or_no_beside_pairs() -> None:
         solver.solve(m)
 
 
-def test_what_is_not_taken_is_named() -> None:
+def test_what_is_not_taken_is_named():
     """Functions that SCIP does not know, proofs of what is not convex, and options of other runs, in words."""
     solver = pe.SolverFactory("lcp_plugin")
     m = bard()
@@ -117,7 +115,7 @@ def test_what_is_not_taken_is_named() -> None:
         solver.solve(bard(), options={"max_nodes": -1})
 
 
-def test_an_infeasible_best_has_a_proof() -> None:
+def test_an_infeasible_best_has_a_proof():
     """Where no piece has a point the condition is infeasible, and every leaf of the tree is proved so."""
     m = bard()
     m.never = pe.Constraint(expr=m.x + m.y >= 20)
@@ -128,7 +126,7 @@ def test_an_infeasible_best_has_a_proof() -> None:
 
 
 @pytest.mark.parametrize("limit", [0.5, 2.0])
-def test_the_message_names_the_conflict_only_where_there_is_one(limit: float) -> None:
+def test_the_message_names_the_conflict_only_where_there_is_one(limit):
     """X ≤ 0.5 contradicts the pair's x ≥ 1 without a branch; x ≤ 2 leaves the solution x = 1."""
     m = pe.ConcreteModel()
     m.x = pe.Var()
@@ -144,7 +142,7 @@ def test_the_message_names_the_conflict_only_where_there_is_one(limit: float) ->
 @pytest.mark.parametrize(
     ("fixed", "falls", "wanted"), [(0, 1, 1.0), (1, -1, -1.0), (0, -1, -np.inf), (-1, 1, np.inf)]
 )
-def test_a_pair_of_a_fixed_variable_holds(fixed: float, falls: float, wanted: float) -> None:
+def test_a_pair_of_a_fixed_variable_holds(fixed, falls, wanted):
     """Fixed x at its bound leaves y ≥ 1, above it y = 1, below it nothing."""
     m = pe.ConcreteModel()
     m.x, m.y, m.t = pe.Var(), pe.Var(), pe.Var(bounds=(0, 5))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import cvxpy as cp
@@ -55,7 +54,7 @@ def boxes() -> Any:
 @pytest.mark.parametrize(
     "model", [parts_of_a_matrix, with_minus, expression_first, from_above, boxes]
 )
-def test_a_pair_means_the_same_with_an_objective(model: Callable[[], Any]) -> None:
+def test_a_pair_means_the_same_with_an_objective(model):
     """Where there is one solution both ways find it, with the duals of the pair and of the inequalities in it."""
     found = []
     for with_objective in (False, True):
@@ -74,7 +73,7 @@ def test_a_pair_means_the_same_with_an_objective(model: Callable[[], Any]) -> No
         np.testing.assert_allclose(one, other, atol=1e-7)
 
 
-def test_an_equality_opposite_an_inequality_is_refused() -> None:
+def test_an_equality_opposite_an_inequality_is_refused():
     """It would leave the inequality without a partner."""
     x, y = cp.Variable(), cp.Variable()
     pairs = [complements(x >= 0, y - 3 == 0), complements(y, x + 2 == 0)]
@@ -87,9 +86,7 @@ def test_an_equality_opposite_an_inequality_is_refused() -> None:
     [(lambda z: z - 3, 1.0, -2.0), (lambda z: 3 - z, 0.0, 3.0), (lambda z: 2 * z - 1, 0.5, 0.0)],
 )
 @pytest.mark.parametrize("beside", ["nothing", "a pair and a row", "an objective"])
-def test_an_equality_opposite_bounds_is_a_pair_between_them(
-    F: Any, z: float, w: float, beside: str
-) -> None:
+def test_an_equality_opposite_bounds_is_a_pair_between_them(F, z, w, beside):
     """As PATH takes it: 0 ≤ z ≤ 1 with F == 0 is F ≥ 0 at 0, F ≤ 0 at 1 and 0 between; a warning says so."""
     x, y = cp.Variable(2, bounds=[0, 1]), cp.Variable(nonneg=True)
     pair = complements(x, F(x) == 0)
@@ -104,7 +101,7 @@ def test_an_equality_opposite_bounds_is_a_pair_between_them(
     np.testing.assert_allclose([x.value, pair.dual_value], [[z, z], [w, w]], atol=1e-7)
 
 
-def test_variables_that_pairs_alone_name_have_values() -> None:
+def test_variables_that_pairs_alone_name_have_values():
     """On either side, and of an equation."""
     x, y, z = cp.Variable(), cp.Variable(), cp.Variable(2)
     pairs = [complements(x >= 0, y - 1 >= 0), complements(box(z[0], 1, 2), z[1])]
@@ -119,7 +116,7 @@ def test_variables_that_pairs_alone_name_have_values() -> None:
 
 
 @pytest.mark.parametrize("is_first", [True, False])
-def test_a_free_variable_opposite_an_expression_means_an_equation(is_first: bool) -> None:
+def test_a_free_variable_opposite_an_expression_means_an_equation(is_first):
     """complements(x, y − 1) with x free says y = 1 in either order, as without an objective, and warns of it."""
     x, y = cp.Variable(), cp.Variable()
     pair = complements(x, y - 1) if is_first else complements(y - 1, x)
@@ -128,7 +125,7 @@ def test_a_free_variable_opposite_an_expression_means_an_equation(is_first: bool
     assert (x.value, y.value) == pytest.approx((2.0, 1.0), abs=1e-8)
 
 
-def test_a_pair_of_any_sides_has_a_violation() -> None:
+def test_a_pair_of_any_sides_has_a_violation():
     """Of boxes of expressions, and of variables with other bounds than the pair states, which have none otherwise."""
     x, y = cp.Variable(2, bounds=[-3, 3]), cp.Variable(2)
     pairs = [complements(box(x + y, -1, 1), x - y + 3), complements(x[0] >= 0, x[1] + 2 >= 0)]
@@ -141,7 +138,7 @@ def test_a_pair_of_any_sides_has_a_violation() -> None:
 
 
 @pytest.mark.parametrize("beside", [False, True])
-def test_an_equality_that_says_nothing_is_taken_beside_no_objective(beside: bool) -> None:
+def test_an_equality_that_says_nothing_is_taken_beside_no_objective(beside):
     """A free z with 0*z == 0 may have any value, alone and beside a pair that needs it."""
     z, x = cp.Variable(2), cp.Variable(2)
     more = [complements(x >= 0, x + z - 1 >= 0)] if beside else []

@@ -98,7 +98,7 @@ def bilinear(**more: Any) -> EquilibriumProgram:
     return EquilibriumProgram(program, [0], [2])
 
 
-def test_more_nodes_than_scip_can_count_are_no_limit() -> None:
+def test_more_nodes_than_scip_can_count_are_no_limit():
     """The bound is that of a run without a limit."""
     assert minimize_over_solutions(bilinear(), max_nodes=10**30).value == pytest.approx(2.0)
 
@@ -112,9 +112,9 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
 }  # fmt: skip
 
 
-def test_functions_that_scip_lacks_have_the_values_of_numpy() -> None:
+def test_functions_that_scip_lacks_have_the_values_of_numpy():
     """They are written by exp, log, sqrt, sin and cos; numpy takes the place of SCIP."""
-    model: Any = SimpleNamespace(scip=np)
+    model = SimpleNamespace(scip=np)
     for name, (function, *at) in FUNCTIONS.items():
         assert scip._Model._applied(model, name, *at) == pytest.approx(function(*at)), name
 
@@ -123,7 +123,7 @@ def test_functions_that_scip_lacks_have_the_values_of_numpy() -> None:
 
 
 @pytest.fixture(params=["absent", pytest.param("broken", marks=pytest.mark.full)])
-def without_scip(request: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def without_scip(request, monkeypatch):
     """Let pyscipopt be not installed, or not load."""
     monkeypatch.setitem(sys.modules, "pyscipopt", None)
     if request.param == "broken":
@@ -138,7 +138,7 @@ class _Broken:
 
 
 @pytest.mark.full
-def test_without_scip_every_way_in_tells_the_extra(without_scip: None, tmp_path: Path) -> None:
+def test_without_scip_every_way_in_tells_the_extra(without_scip, tmp_path):
     """Without SCIP a nonconvex leader gets no point, no bound, and advice in every interface."""
     solver = pe.SolverFactory("lcp_plugin")
     solver.solve(toll_in_pyomo())
@@ -156,7 +156,7 @@ def test_without_scip_every_way_in_tells_the_extra(without_scip: None, tmp_path:
 
 
 @pytest.mark.full
-def test_half_a_second_keeps_the_best_point() -> None:
+def test_half_a_second_keeps_the_best_point():
     """The status is MAX_SECONDS, x an equilibrium, and no bound is above its value."""
     result = minimize_over_solutions(knapsack(), max_seconds=0.5)
     assert result.status is Status.MAX_SECONDS
@@ -167,18 +167,16 @@ def test_half_a_second_keeps_the_best_point() -> None:
 
 
 @pytest.mark.full
-def test_ctrl_c_inside_scip_keeps_the_best_point_and_frees_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_ctrl_c_inside_scip_keeps_the_best_point_and_frees_it(monkeypatch):
     """INTERRUPTED with an equilibrium, no traceback; the handler is Python's again, SCIP's model is gone."""
     models, before = [], signal.getsignal(signal.SIGINT)
 
     class Watched(scip._Model):
-        def __init__(self, *arguments: Any) -> None:
+        def __init__(self, *arguments):
             super().__init__(*arguments)
             models.append(weakref.ref(self.model))
 
-    def interrupt(search: Any) -> None:
+    def interrupt(search):
         if search.nodes == 20:  # some are our own
             os.kill(os.getpid(), signal.SIGINT)
 
@@ -195,10 +193,10 @@ def test_ctrl_c_inside_scip_keeps_the_best_point_and_frees_it(
     assert minimize_over_solutions(bilinear()).value == pytest.approx(2.0)
 
 
-def test_what_a_callback_raises_inside_scip_reaches_the_caller() -> None:
+def test_what_a_callback_raises_inside_scip_reaches_the_caller():
     """SCIP, written in C, swallows it; the run around it does not."""
 
-    def fails(search: Any) -> bool:
+    def fails(search):
         raise ZeroDivisionError("mine")
 
     with pytest.raises(ZeroDivisionError, match="mine"):
@@ -208,7 +206,7 @@ def test_what_a_callback_raises_inside_scip_reaches_the_caller() -> None:
 # --- Infeasible, unbounded and invalid problems ---
 
 
-def test_what_scip_finds_infeasible_is_no_proof(tmp_path: Path) -> None:
+def test_what_scip_finds_infeasible_is_no_proof(tmp_path):
     """Infeasible integers with pairs are reported by all interfaces, with the matching advice."""
     toll, half = Toll(), cp.Variable(integer=True)
     for more in (
@@ -233,7 +231,7 @@ def test_what_scip_finds_infeasible_is_no_proof(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_what_falls_for_ever_is_told_and_that_bounds_help(tmp_path: Path) -> None:
+def test_what_falls_for_ever_is_told_and_that_bounds_help(tmp_path):
     """Unbounded products and exponentials keep a finite point; an upper bound makes it optimal."""
     toll = Toll()
     problem, result = toll.solved(cp.square(toll.toll))
@@ -260,7 +258,7 @@ def test_what_falls_for_ever_is_told_and_that_bounds_help(tmp_path: Path) -> Non
     assert "bound the variables" in found.message
 
 
-def test_nan_is_refused_in_words_by_every_way_in(tmp_path: Path) -> None:
+def test_nan_is_refused_in_words_by_every_way_in(tmp_path):
     """NaN in rows, objectives, pairs or starts raises errors in arrays, cvxpy and Pyomo."""
     nan = float("nan")
     with pytest.raises(InvalidProblem, match=r"finite|NaN|nan"):
@@ -277,7 +275,7 @@ def test_nan_is_refused_in_words_by_every_way_in(tmp_path: Path) -> None:
         pe.SolverFactory("lcp_plugin").solve(m)
 
 
-def test_functions_that_scip_does_not_know_have_names(tmp_path: Path) -> None:
+def test_functions_that_scip_does_not_know_have_names(tmp_path):
     """Pyomo and AMPL report atan in a row by name; a Python function has no terms."""
     m = toll_in_pyomo()
     m.row = pe.Constraint(expr=pe.atan(m.toll) <= 1)
@@ -288,10 +286,10 @@ def test_functions_that_scip_does_not_know_have_names(tmp_path: Path) -> None:
     assert "SCIP knows no atan" in found.message
 
     class Map:
-        def value(self, x: Any) -> Any:
+        def value(self, x):
             return np.array([x[0] ** 3])
 
-        def jacobian(self, x: Any) -> Any:
+        def jacobian(self, x):
             return np.array([[3 * x[0] ** 2, 0, 0]])
 
     problem = bilinear()
@@ -302,7 +300,7 @@ def test_functions_that_scip_does_not_know_have_names(tmp_path: Path) -> None:
         minimize_over_solutions(smooth)
 
 
-def test_an_absolute_value_is_taken_from_cvxpy_and_refused_with_a_pair_elsewhere() -> None:
+def test_an_absolute_value_is_taken_from_cvxpy_and_refused_with_a_pair_elsewhere():
     """|t − 3| in an objective that is not convex; in a row of Pyomo the followed advice, t − 3 + 2 s, is solved."""
     toll = Toll()
     problem, _ = toll.solved(toll.toll * toll.flow[0] - 2 * cp.abs(toll.toll - 3))
@@ -323,7 +321,7 @@ def test_an_absolute_value_is_taken_from_cvxpy_and_refused_with_a_pair_elsewhere
 # --- Whose bound it is, and how to ask for a proof ---
 
 
-def test_a_proof_of_what_is_not_convex_is_refused_with_what_to_do() -> None:
+def test_a_proof_of_what_is_not_convex_is_refused_with_what_to_do():
     """A proof for a nonconvex cvxpy problem raises an error; otherwise the bound is SCIP's."""
     with pytest.raises(
         UnsupportedModel,
@@ -338,7 +336,7 @@ def test_a_proof_of_what_is_not_convex_is_refused_with_what_to_do() -> None:
     assert not result.verify()
 
 
-def test_a_point_does_not_hide_that_the_objective_falls_for_ever() -> None:
+def test_a_point_does_not_hide_that_the_objective_falls_for_ever():
     """SCIP calls the bound of its first relaxation ∞ rather than −∞ there, and a point of value −13.5 optimal."""
     M, N = np.array([[6, 1, 1], [1, 3, -5], [1, -5, 18]]), np.array([[2, 0], [1, 2], [-2, 2]])
     lower, upper = [0, 0, -1, 0, -np.inf, 0, 0, 0], [np.inf, 3, *[np.inf] * 6]
@@ -378,18 +376,18 @@ def hard_followers(seed: int, pairs: int = 42) -> EquilibriumProgram:
 
 
 @pytest.mark.full
-def test_followers_that_take_long_do_not_keep_scip_waiting() -> None:
+def test_followers_that_take_long_do_not_keep_scip_waiting():
     """A leader over 42 pairs, whose followers no method solves quickly: a point, and its proof, within the limit."""
     result = minimize_over_solutions(hard_followers(0), max_seconds=20.0)
     assert result.status is Status.SOLVED
     assert result.value == pytest.approx(6.260972762935, rel=1e-6)
 
 
-def test_stderr_of_the_process_stays_while_scip_runs() -> None:
+def test_stderr_of_the_process_stays_while_scip_runs():
     """File descriptors 1 and 2 are the same inside a callback, so that no other thread loses output."""
     before, seen = [os.fstat(k).st_ino for k in (1, 2)], []
 
-    def look(search: Any) -> bool:
+    def look(search):
         seen.append([os.fstat(k).st_ino for k in (1, 2)])
         return search.nodes > 20
 
@@ -398,7 +396,7 @@ def test_stderr_of_the_process_stays_while_scip_runs() -> None:
     assert all(one == before for one in seen)
 
 
-def test_a_coefficient_that_is_infinite_for_scip_is_a_failure_of_scip() -> None:
+def test_a_coefficient_that_is_infinite_for_scip_is_a_failure_of_scip():
     """SCIP takes 1e20 as infinite; its error ends its search, and no exception reaches the caller."""
     program = QuadraticProgram(None, [1.0, 0.0], A=[[1e21, -1.0]], b=[1.0], lower=[0.0, -np.inf])
     found = scip.minimize(EquilibriumProgram(program, [0], [1]), tolerance=1e-6, max_nodes=100.0)

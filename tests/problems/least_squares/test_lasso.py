@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import cvxpy as cp
@@ -74,7 +73,7 @@ def exact_cost(A: Any, b: Any, x: Any, **rest: Any) -> Fraction:
 
 
 @given(st.integers(2, 9), st.integers(1, 9), st.integers(0, 10**6), st.sampled_from([0.0, 1.0]))
-def test_planted_lassos_are_solved_exactly(m: int, n: int, seed: int, ridge: float) -> None:
+def test_planted_lassos_are_solved_exactly(m, n, seed, ridge):
     """Penalties per unknown, bounds, weights, a ridge: SOLVED, optimal in rational arithmetic, the planted cost."""
     A, b, rest, x = planted(m, n, seed, ridge)
     result = bounded_least_squares(A, b, **rest).require_solved()
@@ -87,7 +86,7 @@ def test_planted_lassos_are_solved_exactly(m: int, n: int, seed: int, ridge: flo
 
 @pytest.mark.parametrize("form", [np.asarray, sp.csr_array, aslinearoperator])
 @pytest.mark.parametrize("bounds", [{}, {"upper": 0.2}, {"lower": 0.0}])
-def test_large_lassos_are_solved_without_doubling(form: Any, bounds: dict[str, Any]) -> None:
+def test_large_lassos_are_solved_without_doubling(form, bounds):
     """Dense, sparse, an operator, 400 columns: what the optimality conditions ask for; columns at 0 are exactly so."""
     rng = np.random.default_rng(5)
     A = rng.standard_normal((250, 400)) * (rng.random((250, 400)) < 0.3)
@@ -103,7 +102,7 @@ def test_large_lassos_are_solved_without_doubling(form: Any, bounds: dict[str, A
     assert 5 <= np.count_nonzero(result.x) <= 100
 
 
-def test_a_penalty_that_is_large_enough_leaves_nothing() -> None:
+def test_a_penalty_that_is_large_enough_leaves_nothing():
     """From ‖AᵀWb‖∞ on x is 0, below it is not; a penalty on one side of 0 is a linear term."""
     A, b = np.array([[1.0, 2.0], [0.5, -1.0], [1.0, 0.0]]), np.array([1.0, -3.0, 0.5])
     largest = np.abs(A.T @ b).max()
@@ -115,7 +114,7 @@ def test_a_penalty_that_is_large_enough_leaves_nothing() -> None:
     np.testing.assert_allclose(nonnegative.x, program.x, atol=1e-8)
 
 
-def test_a_lasso_goes_in_and_out_as_other_least_squares_do(tmp_path: Path) -> None:
+def test_a_lasso_goes_in_and_out_as_other_least_squares_do(tmp_path):
     """A batch, pickle, a file of arrays, repr, explain: the same answer as from solve, bit for bit."""
     A, b, rest, _ = planted(6, 5, 1)
     problem = BoundedLeastSquares(A, b, **rest)
@@ -129,7 +128,7 @@ def test_a_lasso_goes_in_and_out_as_other_least_squares_do(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("l1", [-1.0, INF, np.nan, [1.0, 2.0, 3.0], [0.0, -2.0], "much"])
-def test_what_is_no_penalty_is_refused(l1: Any) -> None:
+def test_what_is_no_penalty_is_refused(l1):
     """A negative or infinite one, NaN, another length, a word: in words that name l1."""
     with pytest.raises(InvalidProblem, match="l1"):
         BoundedLeastSquares(np.eye(2), [1.0, 2.0], l1=l1)
@@ -137,7 +136,7 @@ def test_what_is_no_penalty_is_refused(l1: Any) -> None:
 
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 @pytest.mark.parametrize("l1", [1e-1, 1e-6])
-def test_a_tiny_penalty_is_no_trouble(l1: float, noise: float) -> None:
+def test_a_tiny_penalty_is_no_trouble(l1, noise):
     """256 × 512, l1 down to 1e-6, with and without noise: SOLVED, and a ray of the dual bounds the cost from below."""
     rng = np.random.default_rng(5)
     A, x = rng.standard_normal((256, 512)), np.zeros(512)
@@ -160,9 +159,7 @@ def test_a_tiny_penalty_is_no_trouble(l1: float, noise: float) -> None:
     ("n", "seed", "l1"),
     [(32, 3, 1e-6), (32, 3, 1e-9), (32, 4, 1e-9), (128, 1, 1e-9), (64, 2, 1e-11), (16, 5, 1e-11)],
 )
-def test_a_tiny_penalty_on_an_exact_fit_has_the_cost_of_basis_pursuit(
-    n: int, seed: int, l1: float
-) -> None:
+def test_a_tiny_penalty_on_an_exact_fit_has_the_cost_of_basis_pursuit(n, seed, l1):
     """The least ‖x‖₁ of an x that fits b exactly, by HiGHS, is the cost; it is SOLVED for l1 of 1e-9 and more."""
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((n, 2 * n))
@@ -174,7 +171,7 @@ def test_a_tiny_penalty_on_an_exact_fit_has_the_cost_of_basis_pursuit(
 
 
 @pytest.mark.parametrize("weight", [1e4, 1e8])
-def test_trend_of_changing_slopes_is_solved_next_to_the_whole_objective(weight: float) -> None:
+def test_trend_of_changing_slopes_is_solved_next_to_the_whole_objective(weight):
     """A trend x with penalized slope changes d, weight (D x − d)², is SOLVED with the cost that Clarabel finds."""
     n, rng = 600, np.random.default_rng(0)
     D = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n))
@@ -199,8 +196,8 @@ def test_trend_of_changing_slopes_is_solved_next_to_the_whole_objective(weight: 
 
 @pytest.mark.parametrize(("lower", "upper", "active"), [(2.0, INF, 0), (-INF, -0.5, 1)])
 def test_a_bound_that_is_not_zero_leaves_the_rows_of_a_penalty_their_multipliers(
-    lower: float, upper: float, active: int
-) -> None:
+    lower, upper, active
+):
     """½ (2 x − 3)² + |x| at a bound of x: the active row of |x| has the penalty, the bound has the rest."""
     P, G = sp.diags_array([0.0, 0.0, 1.0]), [[1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]]
     bounds = {"lower": [lower, -INF, -INF], "upper": [upper, INF, INF]}

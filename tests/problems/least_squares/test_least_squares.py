@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -80,7 +79,7 @@ def own_optimality(A: Any, b: Any, x: Any, lower: Any = 0.0, upper: Any = INF) -
 
 @pytest.mark.parametrize("condition", [1e2, 1e5, 1e8])
 @pytest.mark.parametrize("shape", [(60, 30), (30, 60), (300, 280), (400, 400)])
-def test_planted_dense_answers_are_found(shape: tuple[int, int], condition: float) -> None:
+def test_planted_dense_answers_are_found(shape, condition):
     """A dense A of condition up to 1e8, tall, square or wide, gives SOLVED and the known cost."""
     A, b, upper, x = planted(of_condition(*shape, condition), boxed=0.2)
     result = bounded_least_squares(A, b, upper=upper).require_solved()
@@ -94,7 +93,7 @@ def test_planted_dense_answers_are_found(shape: tuple[int, int], condition: floa
 
 
 @pytest.mark.parametrize("form", [sp.csr_array, sp.csc_matrix, sp.coo_array, aslinearoperator])
-def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
+def test_planted_sparse_answers_are_found(form):
     """Any sparse format and a LinearOperator give the known solution; is_proved is correct."""
     A, b, upper, x = planted(random_rows(3000, 600, 8), boxed=0.2)
     result = bounded_least_squares(form(A), b, 0.0, upper).require_solved()
@@ -103,7 +102,7 @@ def test_planted_sparse_answers_are_found(form: Callable[[Any], Any]) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_products_alone_solve_a_fit_with_a_large_ridge(seed: int) -> None:
+def test_products_alone_solve_a_fit_with_a_large_ridge(seed):
     """With A as a LinearOperator and a ridge of the size of AᵀA, x is scipy's of the stacked problem."""
     rng = np.random.default_rng(seed)
     A, b = rng.normal(size=(30, 12)), 3.0 * rng.normal(size=30)
@@ -119,9 +118,7 @@ def test_products_alone_solve_a_fit_with_a_large_ridge(seed: int) -> None:
 @pytest.mark.parametrize(
     ("m", "n", "rank"), [(40, 2, 1), (34, 5, 1), (20, 161, 6), (30, 300, 10), (400, 300, 40)]
 )
-def test_rank_deficient_problems_have_an_answer_of_moderate_size(
-    m: int, n: int, rank: int, lower: float
-) -> None:
+def test_rank_deficient_problems_have_an_answer_of_moderate_size(m, n, rank, lower):
     """If x is not unique, the solution is not large along singular vectors at rounding level."""
     rng = np.random.default_rng(m + n)
     A, b = rng.standard_normal((m, rank)) @ rng.standard_normal((rank, n)), rng.standard_normal(m)
@@ -132,7 +129,7 @@ def test_rank_deficient_problems_have_an_answer_of_moderate_size(
 
 
 @given(st.integers(1, 12), st.integers(1, 12), st.integers(0, 10**6), st.floats(0.0, 0.8))
-def test_conditions_hold_on_random_problems(m: int, n: int, seed: int, share: float) -> None:
+def test_conditions_hold_on_random_problems(m, n, seed, share):
     """Weights, a ridge, boxes, free and fixed columns, zero rows and columns, any rank: the conditions hold at x."""
     rng = np.random.default_rng(seed)
     A = rng.integers(-3, 4, (m, n)) * (rng.random((m, n)) < share)
@@ -170,7 +167,7 @@ def of_rank(n: int, rank: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("bound", [INF, 1e3])
 @pytest.mark.parametrize("n", [300, 500, 700])
-def test_rounding_of_a_rank_hides_no_cost(n: int, bound: float) -> None:
+def test_rounding_of_a_rank_hides_no_cost(n, bound):
     """Rank n − n/100, free or within ±1000: SOLVED at the cost of scipy's lsq_linear, with a moderate x."""
     A, b = of_rank(n, n - n // 100)
     result = bounded_least_squares(A, b, -bound, bound).require_solved()
@@ -180,9 +177,7 @@ def test_rounding_of_a_rank_hides_no_cost(n: int, bound: float) -> None:
 
 
 @given(st.integers(0, 10**6), st.sampled_from([np.asarray, aslinearoperator]), st.booleans())
-def test_no_point_that_costs_more_than_a_known_one_is_solved(
-    seed: int, form: Callable[[Any], Any], has_start: bool
-) -> None:
+def test_no_point_that_costs_more_than_a_known_one_is_solved(seed, form, has_start):
     """Dependent columns, bounds up to 1e19, any start: SOLVED costs at most as much as the start or lstsq's point."""
     rng = np.random.default_rng(seed)
     m, n = (int(k) for k in rng.integers(2, 9, 2))
@@ -211,7 +206,7 @@ def relaxations(m: int, n: int) -> np.ndarray:
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 @pytest.mark.parametrize(("m", "n"), [(60, 80), (200, 300)])
-def test_an_inversion_for_decay_times_is_solved(m: int, n: int, noise: float) -> None:
+def test_an_inversion_for_decay_times_is_solved(m, n, noise):
     """Condition 1e16 and more, with and without noise: SOLVED, at no more than the cost of scipy's nnls, in a step."""
     A = relaxations(m, n)
     b = A @ np.exp(-4.0 * np.linspace(-2.0, 2.0, n) ** 2) + noise * np.random.default_rng(
@@ -223,7 +218,7 @@ def test_an_inversion_for_decay_times_is_solved(m: int, n: int, noise: float) ->
 
 
 @pytest.mark.parametrize("lower", [0.0, -INF])
-def test_a_clock_is_kept_by_the_judge_as_well(lower: float) -> None:
+def test_a_clock_is_kept_by_the_judge_as_well(lower):
     """Tridiagonal, 2·10⁵ unknowns, max_seconds=.2: the run ends soon after, and nothing is proved."""
     n = 200_000
     A = sp.diags_array(
@@ -246,9 +241,7 @@ def test_a_clock_is_kept_by_the_judge_as_well(lower: float) -> None:
     st.integers(0, 10**6),
     st.sampled_from([1e-1, 1e-4, 1e-8, 1e-14]),
 )
-def test_solved_costs_no_more_than_the_tolerance_allows(
-    m: int, n: int, seed: int, tolerance: float
-) -> None:
+def test_solved_costs_no_more_than_the_tolerance_allows(m, n, seed, tolerance):
     """Rational arithmetic confirms SOLVED for all ranks and weights."""
     rng = np.random.default_rng(seed)
     A, b, weights = (
@@ -270,7 +263,7 @@ def test_solved_costs_no_more_than_the_tolerance_allows(
         assert complaint(case, exact, result.x, tolerance) != "FALSE"
 
 
-def test_least_squares_in_mixed_units(draws: Callable[[int], range]) -> None:
+def test_least_squares_in_mixed_units(draws):
     """Mixed scaling, any rank and exact fits give no false SOLVED, and 2 % unsolved."""
     kinds = (*campaign.KINDS, campaign.ODD)
     found = [
@@ -283,7 +276,7 @@ def test_least_squares_in_mixed_units(draws: Callable[[int], range]) -> None:
 
 
 @given(st.integers(0, 10**6), st.sampled_from([1e-8, 1e-3]))
-def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None:
+def test_the_meaning_of_solved_has_no_units(seed, tolerance):
     """Scaled rows (× 2^k, weights ÷ 4^k) and columns (× 2^k) give the same x bit for bit.
 
     Without weights nnls may solve the unscaled problem, with the same status and, up to rounding error, the same
@@ -318,9 +311,7 @@ def test_the_meaning_of_solved_has_no_units(seed: int, tolerance: float) -> None
 
 
 @pytest.mark.parametrize(("lower", "upper"), [(-1e10, 1e10), (-1e10, INF), (-INF, INF)])
-def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(
-    lower: float, upper: float
-) -> None:
+def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(lower, upper):
     """Half the singular values × 1e-8, mixed: a small gradient hides a third of the cost."""
     rng = np.random.default_rng(0)
     mix = np.linalg.qr(rng.standard_normal((100, 100)))[0]
@@ -334,7 +325,7 @@ def test_what_a_gradient_hides_of_a_linear_operator_is_not_solved(
 
 
 @pytest.mark.parametrize("unit", [1e-150, 1e-60, 1e60, 1e150])
-def test_a_linear_operator_has_any_unit(unit: float) -> None:
+def test_a_linear_operator_has_any_unit(unit):
     """Products whose squares overflow or underflow: the same answer in that unit."""
     A, b, _, x = planted(of_condition(60, 30, 1e1))
     for given_A, given_b, answer in (
@@ -359,13 +350,13 @@ def test_a_linear_operator_has_any_unit(unit: float) -> None:
         ([[1.0, 0.0], [0.0, 0.0]], [2.0, 5.0], 0.0, [2.0, 0.0]),
     ],
 )
-def test_empty_and_trivial_problems(A: Any, b: Any, lower: float, x: list[float]) -> None:
+def test_empty_and_trivial_problems(A, b, lower, x):
     """Empty problems, and problems with a trivial solution, return the best point nearest to 0."""
     result = bounded_least_squares(A, b, lower).require_solved()
     np.testing.assert_array_equal(result.x, x)
 
 
-def test_statuses_say_why_a_run_ended() -> None:
+def test_statuses_say_why_a_run_ended():
     """Limits end a run with their status and the best point; rounding level is SOLVED."""
     A, b, _, _ = planted(random_rows(3000, 600, 8))
     none = bounded_least_squares(A, b, max_iterations=0)
@@ -381,7 +372,7 @@ def test_statuses_say_why_a_run_ended() -> None:
     assert again.nit == 0
 
 
-def test_advice_names_what_is_wrong_with_an_operator() -> None:
+def test_advice_names_what_is_wrong_with_an_operator():
     """Products that are not finite, or in single precision, are not blamed on the condition of A."""
     A, b, _, _ = planted(random_rows(300, 60, 8))
     adjoint = {"rmatvec": lambda y: A.T @ y, "dtype": float}
@@ -397,7 +388,7 @@ def test_advice_names_what_is_wrong_with_an_operator() -> None:
 
 
 @pytest.mark.parametrize("size", [1e-300, 1e-160, 1e160, 1e300])
-def test_data_whose_squares_are_no_doubles_are_refused(size: float) -> None:
+def test_data_whose_squares_are_no_doubles_are_refused(size):
     """An A, a b or weights of 1e±160 raise InvalidProblem; one tiny entry is accepted."""
     A, b = np.array([[1.0, 0.5], [0.5, 1.0], [2.0, 1.0]]), np.ones(3)
     for data in ((size * A, b), (sp.csr_array(size * A), b), (A, size * b)):
@@ -438,7 +429,7 @@ fit(A, B, tolerance=-1e-8) → InvalidOption: tolerance must be finite and not n
 fit(A, B, max_iterations=1.5) → InvalidOption: max_iterations must be an integer
 fit(A, B, max_seconds="1") → InvalidOption: max_seconds must be a finite number
 """)
-def test_mistakes_are_refused_in_words(call: str, words: str) -> None:
+def test_mistakes_are_refused_in_words(call, words):
     """Error messages state the invalid value, its place, and the requirement."""
     data = {"A": np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), "B": np.array([2.0, 1.0, -1.0])}
     names = {"fit": bounded_least_squares, "LinearOperator": LinearOperator}
@@ -449,7 +440,7 @@ def test_mistakes_are_refused_in_words(call: str, words: str) -> None:
 
 
 @pytest.mark.parametrize("far", [1e20, 1e25, 9.999999999999999e19])
-def test_a_bound_of_1e20_is_none(far: float) -> None:
+def test_a_bound_of_1e20_is_none(far):
     """Bounds of ±1e20 and beyond mean none: the solution equals scipy's unbounded solution."""
     rng = np.random.default_rng(1)
     A, b = rng.normal(size=(5, 3)), rng.normal(size=5)
@@ -460,14 +451,14 @@ def test_a_bound_of_1e20_is_none(far: float) -> None:
 
 
 @pytest.mark.parametrize("small", [1e-120, 1e-100])
-def test_a_bound_that_acts_is_one_beside_a_tiny_right_hand_side(small: float) -> None:
+def test_a_bound_that_acts_is_one_beside_a_tiny_right_hand_side(small):
     """With b of 1e-120, lower bounds of 1 are active and never count as infinite."""
     found = bounded_least_squares([[1.0, 0.0], [1.0, 2.0]], [small, small], lower=[1.0, -INF])
     assert found.status is Status.SOLVED
     np.testing.assert_allclose(found.x, [1.0, -0.5], rtol=1e-14)
 
 
-def test_rounding_that_every_answer_has_is_no_hidden_cost() -> None:
+def test_rounding_that_every_answer_has_is_no_hidden_cost():
     """Equations with right-hand side 0 and large x are SOLVED at rounding level."""
     A, b = [[3.0, -2.0, 2.0], [-1.0, -3.0, 2.0], [1.0, -2.0, -2.0]], [1e15, -3.0, -2.0]
     bounds = {"lower": [0.0, 0.0, -np.inf], "upper": [np.inf, 1.0, np.inf]}
@@ -479,7 +470,7 @@ def test_rounding_that_every_answer_has_is_no_hidden_cost() -> None:
     assert solve(BoundedLeastSquares(rows, rows @ x)).is_solved
 
 
-def test_a_cost_is_that_of_its_x() -> None:
+def test_a_cost_is_that_of_its_x():
     """For nearly dependent columns x is large, the residual cancels, its cost accurate to 1e-7."""
     A, b = [[2.0, 2.0], [1.0, 1.0 + 1e-12], [3.0, 3.0]], [1.0, 2.0, 3.0]
     result = solve(BoundedLeastSquares(A, b, lower=-np.inf))
@@ -491,7 +482,7 @@ def test_a_cost_is_that_of_its_x() -> None:
     assert result.cost == pytest.approx(float(sum(one * one for one in off) / 2), rel=1e-7)
 
 
-def test_a_vandermonde_matrix_is_solved() -> None:
+def test_a_vandermonde_matrix_is_solved():
     """An exact fit with powers up to 11 on [0, 1] is SOLVED, to the accuracy of the condition."""
     A = np.vander(np.linspace(0.0, 1.0, 120), 12)
     result = bounded_least_squares(A, A @ np.arange(12.0)).require_solved()

@@ -49,7 +49,7 @@ def binomial(spot: float, dates: int, each: int) -> float:
     return float(value[0])
 
 
-def test_bermudan_puts_have_their_published_values() -> None:
+def test_bermudan_puts_have_their_published_values():
     """In one call, within 2e-3 of Longstaff and Schwartz, and within 1e-3 of a binomial tree with 50 dates."""
     x, dates, each = np.linspace(np.log(STRIKE) - 1.5, np.log(STRIKE) + 1.5, 401), 50, 20
     k, payoff = dates * each, np.maximum(STRIKE - np.exp(x), 0.0)
@@ -70,12 +70,12 @@ def local(x: Any, to_maturity: float) -> Any:
     return 0.2 + 0.1 * np.exp(-((x - np.log(30.0)) ** 2) / 0.1) * (0.5 + to_maturity)
 
 
-def test_a_put_of_local_volatility_is_that_of_a_tree() -> None:
+def test_a_put_of_local_volatility_is_that_of_a_tree():
     """An American put by M_at, within 1e-3 of a trinomial tree over the same prices in time."""
     x, k = np.linspace(np.log(STRIKE) - 1.5, np.log(STRIKE) + 1.5, 501), 800
     payoff, identity = np.maximum(STRIKE - np.exp(x), 0.0), sp.eye_array(x.size)
 
-    def matrix(step: int) -> Any:
+    def matrix(step):
         return identity + black_scholes(x, local(x, (step + 1.0) / k)) / k
 
     put = LCP(matrix(0), np.zeros(x.size), lower=payoff)
@@ -106,7 +106,7 @@ def moving(n: int = 6, k: int = 5) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("is_sparse", [False, True])
-def test_changes_of_the_data_of_steps_are_those_of_differences(is_sparse: bool) -> None:
+def test_changes_of_the_data_of_steps_are_those_of_differences(is_sparse):
     """Jvp of all data at once, and vjp along the same changes, within 1e-5; steps are those of solve."""
     data = moving()
     if is_sparse:
@@ -121,7 +121,7 @@ def test_changes_of_the_data_of_steps_are_those_of_differences(is_sparse: bool) 
         z = solve(LCP(data["M_at"][step], data["forcing"][step] - z, **bounds)).z
         np.testing.assert_allclose(at, z, rtol=1e-7, atol=1e-8)
 
-    def shifted(step: float) -> Any:
+    def shifted(step):
         now = {name: value + step * d[name] for name, value in moved.items()}
         return march(data["problem"], tolerance=1e-13, **now).z
 
@@ -139,7 +139,7 @@ def test_changes_of_the_data_of_steps_are_those_of_differences(is_sparse: bool) 
     np.testing.assert_allclose(gradient.lower, gradient.lower_at.sum(axis=0))
 
 
-def test_a_band_has_the_derivative_by_the_bounds_of_each_step() -> None:
+def test_a_band_has_the_derivative_by_the_bounds_of_each_step():
     """Constant bounds given as lower_at agree with the march in one loop, and its gradients."""
     n, k = 40, 70
     M = sp.diags_array([[-1.0] * (n - 1), [3.0] * n, [-1.0] * (n - 1)], offsets=[-1, 0, 1])
@@ -154,7 +154,7 @@ def test_a_band_has_the_derivative_by_the_bounds_of_each_step() -> None:
 
 
 @pytest.mark.parametrize("has_upper", [False, True])
-def test_moving_bounds_on_a_band_have_the_derivative_of_differences(has_upper: bool) -> None:
+def test_moving_bounds_on_a_band_have_the_derivative_of_differences(has_upper):
     """Steps with bounds of their own run in the loop on the band, forwards and backwards."""
     n, k, rng = 30, 70, np.random.default_rng(5)
     M = sp.diags_array([[-1.0] * (n - 1), [3.0] * n, [-1.0] * (n - 1)], offsets=[-1, 0, 1])
@@ -170,7 +170,7 @@ def test_moving_bounds_on_a_band_have_the_derivative_of_differences(has_upper: b
         alone = solve(LCP(M, done[step].certificate.problem.q, **own), tolerance=1e-12)
         np.testing.assert_allclose(done.z[step], alone.z, rtol=1e-9, atol=1e-9)
 
-    def shifted(step: float) -> Any:
+    def shifted(step):
         return march(
             problem, forcing, **{name: at + step * d[name] for name, at in bounds.items()}
         ).z
@@ -206,9 +206,7 @@ def test_moving_bounds_on_a_band_have_the_derivative_of_differences(has_upper: b
         ({"lower_at": np.zeros(6)}, r"lower_at must be an array of shape \(5, 6\)"),
     ],
 )
-def test_data_of_a_step_that_do_not_fit_name_the_step(
-    changed: dict[str, Any], message: str
-) -> None:
+def test_data_of_a_step_that_do_not_fit_name_the_step(changed, message):
     """Wrong numbers of steps, NaN, crossed bounds, a matrix of another size."""
     data = moving() | {"upper_at": np.full((5, 6), 3.0)} | changed
     with pytest.raises(InvalidProblem, match=message):
@@ -216,12 +214,12 @@ def test_data_of_a_step_that_do_not_fit_name_the_step(
 
 
 @pytest.mark.parametrize("convert", [np.asarray, sp.csr_array])
-def test_a_function_that_uses_one_array_again_has_its_own_steps(convert: Any) -> None:
+def test_a_function_that_uses_one_array_again_has_its_own_steps(convert):
     """An array that a callable overwrites is read in each step."""
     data = moving()
     buffer = np.zeros((6, 6))
 
-    def matrix(step: int) -> Any:
+    def matrix(step):
         buffer[:] = data["M_at"][step]
         return convert(buffer)
 
@@ -229,14 +227,14 @@ def test_a_function_that_uses_one_array_again_has_its_own_steps(convert: Any) ->
     np.testing.assert_allclose(same.z, march(**data).z, rtol=1e-9, atol=1e-9)
 
 
-def test_an_invalid_matrix_of_a_later_step_ends_the_march() -> None:
+def test_an_invalid_matrix_of_a_later_step_ends_the_march():
     """The steps before it are kept, and the error names the step."""
     done = march(**moving() | {"M_at": lambda step: np.eye(6) * (np.nan if step == 3 else 3.0)})
     assert len(done) == 3
     assert "M_at of step 3" in str(done.error)
 
 
-def test_data_of_steps_exclude_those_of_all_steps() -> None:
+def test_data_of_steps_exclude_those_of_all_steps():
     """Lower with lower_at, cones, and a wrong number of changes are refused."""
     data = moving()
     with pytest.raises(InvalidOption, match="lower and lower_at exclude each other"):
@@ -255,7 +253,7 @@ def test_data_of_steps_exclude_those_of_all_steps() -> None:
     assert [len(one) for one in many] == [5, 5]
 
 
-def test_bounds_of_a_step_that_cross_the_bounds_of_the_problem_name_both() -> None:
+def test_bounds_of_a_step_that_cross_the_bounds_of_the_problem_name_both():
     """The problem's own bound has its own name."""
     problem = LCP(np.eye(2), [1.0, 1.0], lower=0.0, upper=1.0)
     with pytest.raises(InvalidProblem, match=r"step 0: .*lower_at\[0\] = 2.0 and upper\[0\] = 1.0"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,7 @@ def heated(n: int, k: int, seed: int = 0, **options: Any) -> March:
 
 
 @pytest.mark.parametrize("n", [3, 40], ids=["dense", "band"])
-def test_the_solutions_of_a_march_are_one_array(n: int) -> None:
+def test_the_solutions_of_a_march_are_one_array(n):
     """Row k is the solution of kept step k, also before and after more steps, and without any step."""
     done = heated(n, 6)
     assert done.z.shape == (6, n)
@@ -48,7 +47,7 @@ def test_the_solutions_of_a_march_are_one_array(n: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["lower", "upper"])
-def test_bounds_with_as_many_rows_as_steps_are_refused(name: str) -> None:
+def test_bounds_with_as_many_rows_as_steps_are_refused(name):
     """Bounds (k, n) may be of steps or of marches: the message has both; other numbers of rows are marches."""
     rod, forcing = LCP([[3.0, -1.0], [-1.0, 3.0]], [0.0, 0.0]), -np.ones((3, 2))
     ends = 0.1 * np.arange(6.0).reshape(3, 2)
@@ -66,7 +65,7 @@ def test_bounds_with_as_many_rows_as_steps_are_refused(name: str) -> None:
 
 @pytest.mark.parametrize("algorithm", ["auto", "npsor"])
 @pytest.mark.parametrize(("keep", "steps"), [(1, range(10)), (4, [3, 7, 9]), ("last", [9])])
-def test_keep_leaves_every_kth_step_and_the_last(keep: Any, steps: Any, algorithm: str) -> None:
+def test_keep_leaves_every_kth_step_and_the_last(keep, steps, algorithm):
     """The kept steps are steps of the whole march, also if the march has several blocks of a band."""
     whole, some = (heated(5, 10, algorithm=algorithm, keep=one) for one in (1, keep))
     assert some.steps == [*steps]
@@ -83,7 +82,7 @@ def test_keep_leaves_every_kth_step_and_the_last(keep: Any, steps: Any, algorith
             derivative(some)
 
 
-def test_keep_is_a_number_of_steps_or_last() -> None:
+def test_keep_is_a_number_of_steps_or_last():
     """Another value is an error before the first step."""
     for wrong in (0, "first", 2.5):
         with pytest.raises(InvalidOption, match='keep must be an integer ≥ 1, or "last"'):
@@ -180,7 +179,7 @@ def change_of(done: March, seed: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_march_has_the_derivative_of_one_large_problem(case: str) -> None:
+def test_a_march_has_the_derivative_of_one_large_problem(case):
     """Forward derivatives of all steps equal the derivatives of one stacked problem."""
     done = CASES[case]()
     k, n, change = len(done), done.problem.n, change_of(done, 7)
@@ -207,7 +206,7 @@ def test_a_march_has_the_derivative_of_one_large_problem(case: str) -> None:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
+def test_gradients_go_backwards_what_changes_go_forwards(case):
     """The product ⟨g, dz⟩ equals the product of gradients and changes, for all steps."""
     done = CASES[case]()
     found, change, rng = derivative(done), change_of(done, 8), np.random.default_rng(9)
@@ -231,7 +230,7 @@ def test_gradients_go_backwards_what_changes_go_forwards(case: str) -> None:
         assert sum(terms) == pytest.approx(expected, rel=0, abs=1e-11 * sum(map(abs, terms)))
 
 
-def test_kinks_are_held_backwards_and_one_sided_forwards() -> None:
+def test_kinks_are_held_backwards_and_one_sided_forwards():
     """A row with z = lower and w = 0 has one-sided changes, and gradients with the row fixed."""
     rod = LCP(sp.diags_array([-1.0, 3.0, -1.0], offsets=[-1, 0, 1], shape=(40, 40)), np.zeros(40))
     forcing = np.zeros((3, 40))
@@ -260,13 +259,13 @@ found.jvp(**{'dM': np.eye(4)}) → dM must be
 found.jvp(**{'dpropagator': np.eye(4)}) → dpropagator must be
 found.jvp(**{'dlower': np.inf}) → dlower must be finite
 """)
-def test_what_changes_are_refused(call: str, words: str) -> None:
+def test_what_changes_are_refused(call, words):
     """Changes of another shape, or not finite; and marches that did not get to their end."""
     found = derivative(heated(5, 4))
     assert_refused(call, words, {"found": found}, InvalidProblem)
 
 
-def test_what_has_no_derivative() -> None:
+def test_what_has_no_derivative():
     """A wrong shape of g, an unsolved march, and other objects raise errors."""
     with pytest.raises(
         InvalidProblem, match=r"g must be a finite array of shape \(4, 5\), or \(5,\) for the last"
@@ -284,7 +283,7 @@ def test_what_has_no_derivative() -> None:
         derivative(overflown)
 
 
-def test_a_march_without_steps_has_a_derivative() -> None:
+def test_a_march_without_steps_has_a_derivative():
     """The derivative without steps has no changes, and its gradients are 0."""
     found = derivative(march(LCP(np.eye(3), np.zeros(3)), np.zeros((0, 3))))
     assert found.jvp(dz0=np.ones(3)).shape == (0, 3)
@@ -302,7 +301,7 @@ def test_a_march_without_steps_has_a_derivative() -> None:
         lambda: drawn(25, 1, z=True),
     ],
 )
-def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) -> None:
+def test_many_marches_of_any_kind_are_those_one_by_one(make):
     """Forcings, bounds and states of their own, or one for all; where steps are hard, and on any matrix."""
     (problem, propagator), rng = make(), np.random.default_rng(3)
     forcing, states = rng.normal(scale=5.0, size=(6, 8, 25)), rng.normal(size=(6, 25))
@@ -327,7 +326,7 @@ def test_many_marches_of_any_kind_are_those_one_by_one(make: Callable[[], Any]) 
     assert [len(one) for one in march(problem, forcing[:, :0], propagator)] == [0] * 6
 
 
-def test_one_march_that_ends_early_does_not_stop_the_others() -> None:
+def test_one_march_that_ends_early_does_not_stop_the_others():
     """Marches that overflow or are not solved report it, and other marches reach their end."""
     rod = LCP(sp.diags_array([-1.0, 2.5, -1.0], offsets=[-1, 0, 1], shape=(6, 6)), np.zeros(6))
     forcing = np.full((3, 4, 6), -1.0)
@@ -353,7 +352,7 @@ def heston_march(m: int, k: int, steps: int) -> tuple[LCP, Any, Any, Any]:
     return LCP(one.M, 0.0 * one.q, lower=one.lower), forcing, propagator, one.lower
 
 
-def test_time_that_runs_out_keeps_the_steps_before() -> None:
+def test_time_that_runs_out_keeps_the_steps_before():
     """A march with max_seconds ends with MAX_SECONDS, and all earlier steps are SOLVED."""
     problem, forcing, propagator, z0 = heston_march(80, 32, 400)
     done = march(problem, forcing, propagator, z0=z0, max_seconds=0.2)
@@ -362,7 +361,7 @@ def test_time_that_runs_out_keeps_the_steps_before() -> None:
     assert done[-1].status in (Status.MAX_SECONDS, Status.SOLVED)
 
 
-def test_a_put_in_heston_s_model_has_its_published_value() -> None:
+def test_a_put_in_heston_s_model_has_its_published_value():
     """The values of Clarke and Parrott 1999, doi:10.1080/135048699334528, that later papers agree upon."""
     problem, forcing, propagator, z0 = heston_march(80, 32, 20)
     z = march(problem, forcing, propagator, z0=z0).z[-1].reshape(80, 33)
@@ -374,7 +373,7 @@ def test_a_put_in_heston_s_model_has_its_published_value() -> None:
 # --- A march equals single steps ---
 
 
-def test_a_march_is_its_steps_one_by_one() -> None:
+def test_a_march_is_its_steps_one_by_one():
     """A march has the z, bit for bit, and the status of single solves, with every algorithm."""
     scene = gallery.build("american_put_march", size=101, steps=25)
     assert scene.advance is not None
@@ -395,7 +394,7 @@ def test_a_march_is_its_steps_one_by_one() -> None:
         assert steps[-1].is_solved
 
 
-def test_a_march_takes_what_a_solve_takes() -> None:
+def test_a_march_takes_what_a_solve_takes():
     """Options, a callback, an error measure and a limit in seconds have the meaning of `solve`."""
     scene = gallery.build("american_put_march", size=31, steps=4)
     forcing, heard = np.broadcast_to(scene.problem.q, (4, scene.problem.n)), []
@@ -429,7 +428,7 @@ def test_a_march_takes_what_a_solve_takes() -> None:
         march(scene.problem, forcing, algorithm="psor", relaxaton=1.2)
 
 
-def test_a_march_ends_where_a_step_is_not_solved() -> None:
+def test_a_march_ends_where_a_step_is_not_solved():
     """A march ends at an unsolved step; others run outside of the compiled loop."""
     problem = LCP(
         sp.diags_array([0.5, 1.0, 0.5], offsets=[-1, 0, 1], shape=(30, 30)), np.zeros(30), upper=1.0
@@ -461,13 +460,13 @@ march([still] * 2, np.zeros((2, 3)), z0=np.zeros((3, 3))) → must be equally lo
 march([still, np.eye(3)], np.zeros((2, 3)))
     → InvalidOption: march needs an LCP, ConeProblem or FrictionalContact, got ndarray
 """)
-def test_what_a_march_refuses(call: str, words: str) -> None:
+def test_what_a_march_refuses(call, words):
     """Data of another shape, or not finite, raise errors before the first step."""
     assert_refused(call, words, {"still": LCP(np.eye(3), np.zeros(3))}, InvalidProblem)
     assert march([], [[0, 0, 0]]) == []
 
 
-def test_a_march_keeps_what_it_has() -> None:
+def test_a_march_keeps_what_it_has():
     """An overflowing q ends a march with an error in `error`; in the first step it is raised."""
     steps = march(LCP([[1.0]], [0.0]), [[-1.0]] * 3, propagator=-1e200)
     assert not steps.all_solved
@@ -486,13 +485,11 @@ BAND = LCP(
 )
 
 
-def test_march_on_a_band_after_ctrl_c_keeps_the_steps_so_far(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_march_on_a_band_after_ctrl_c_keeps_the_steps_so_far(monkeypatch):
     """Ctrl-C in the third block of steps leaves the steps of the first two."""
     solve_block, blocks = BandSteps.solve, []
 
-    def interrupted(self: BandSteps, *given: Any) -> Any:
+    def interrupted(self, *given):
         blocks.append(given)
         if len(blocks) == 3:
             raise KeyboardInterrupt
@@ -508,7 +505,7 @@ def test_march_on_a_band_after_ctrl_c_keeps_the_steps_so_far(
         march(BAND, np.broadcast_to(-1.0, (400, 200)))
 
 
-def test_a_step_that_the_method_before_does_not_take_is_planned_by_auto() -> None:
+def test_a_step_that_the_method_before_does_not_take_is_planned_by_auto():
     """Sweeps solve the steps of a heat equation; the last matrix has a zero on its diagonal, so they refuse it."""
     nodes, time_step = 20, 0.2
     line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(nodes, nodes))
@@ -525,14 +522,14 @@ def test_a_step_that_the_method_before_does_not_take_is_planned_by_auto() -> Non
 
 
 @pytest.mark.parametrize("upper", [np.inf, 0.6])
-def test_march_on_a_band_obeys_max_iterations(upper: float) -> None:
+def test_march_on_a_band_obeys_max_iterations(upper):
     """Without an iteration no step is solved; a limit of 50 suffices for each step."""
     none = march(BAND, np.broadcast_to(-1.0, (3, 200)), upper=upper, max_iterations=0)
     assert [one.status for one in none] == [Status.MAX_ITERATIONS]
     assert march(BAND, np.broadcast_to(-1.0, (3, 200)), upper=upper, max_iterations=50).all_solved
 
 
-def test_jvp_of_a_march_names_the_option_for_q() -> None:
+def test_jvp_of_a_march_names_the_option_for_q():
     """The messages name dforcing for dq, and a list of derivatives for a list of marches."""
     done = march(BAND, np.broadcast_to(-1.0, (2, 200)))
     with pytest.raises(InvalidOption, match=r"no option 'dq'.*dforcing"):

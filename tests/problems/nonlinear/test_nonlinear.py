@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -40,15 +39,13 @@ def solved(result: Result) -> np.ndarray:
 @pytest.mark.parametrize(
     ("F", "roots"), [(models.kojima_shindo, ROOTS), (models.josephy, {max(ROOTS)})]
 )
-def test_kojima_shindo_and_josephy(
-    F: Callable[..., Any], roots: set[tuple[float, ...]], x0: tuple[int, ...]
-) -> None:
+def test_kojima_shindo_and_josephy(F, roots, x0):
     """The published solutions are found from the starts of the literature."""
     x = solved(solve_nonlinear(NonlinearProblem(F), x0, tolerance=1e-10))
     assert min(np.abs(x - root).max() for root in roots) < 1e-6
 
 
-def test_both_solutions_of_kojima_and_shindo_are_found() -> None:
+def test_both_solutions_of_kojima_and_shindo_are_found():
     """Both solutions are found, depending on the start."""
     starts = np.random.default_rng(0).uniform(0, 3, (40, 4))
     found = {
@@ -63,14 +60,14 @@ def test_both_solutions_of_kojima_and_shindo_are_found() -> None:
     ("F", "published"),
     [(models.NASH_5, models.NASH_5_SOLUTION), (models.NASH_10, models.NASH_10_SOLUTION)],
 )
-def test_nash_cournot(F: Callable[..., Any], published: list[float], start: float) -> None:
+def test_nash_cournot(F, published, start):
     """Oligopolies of 5 and 10 firms have their published equilibria, with F undefined at 0."""
     result = solve_nonlinear(NonlinearProblem(F), np.full(len(published), start))
     np.testing.assert_allclose(solved(result), published, rtol=1e-4)
     assert result.iterations <= 12
 
 
-def test_mathiesen() -> None:
+def test_mathiesen():
     """Mathiesen's equilibrium is one of the published (λ, 0, 0, 0), 0 ≤ λ ≤ 3, also where 0 is excluded."""
     for lower in (0.0, [0.5, 0, 0, 0]):
         x = solved(solve_nonlinear(NonlinearProblem(models.mathiesen, lower=lower), np.ones(4)))
@@ -79,7 +76,7 @@ def test_mathiesen() -> None:
 
 
 @pytest.mark.parametrize("x0", [0.0, 0.5, 5.0])
-def test_billups(x0: float) -> None:
+def test_billups(x0):
     """A local minimum of every merit function is left by another start."""
     x = solved(
         solve_nonlinear(NonlinearProblem(models.billups, lambda x: np.diag(2 * x - 2)), [x0])
@@ -87,7 +84,7 @@ def test_billups(x0: float) -> None:
     assert x[0] == pytest.approx(1 + np.sqrt(1.01), abs=1e-6)
 
 
-def test_scarf() -> None:
+def test_scarf():
     """Scarf's economy has no shortage, goods in excess are free, and no activity makes a profit."""
     problem, start, excess_supply = models.scarf()
     result = solve_nonlinear(problem, start)
@@ -99,7 +96,7 @@ def test_scarf() -> None:
 
 
 @pytest.mark.parametrize("strength", [1.0, 6.0, 50.0])
-def test_bratu_with_a_ceiling(strength: float) -> None:
+def test_bratu_with_a_ceiling(strength):
     """Bratu's problem has an answer under a ceiling, beyond its turning point λ = 6.81 as well; below it is smooth."""
     x = solved(solve_nonlinear(models.bratu(20, strength, 1.0), np.zeros(400)))
     assert (x.max() == 1.0) == (strength > 6.81)
@@ -126,7 +123,7 @@ def mixed_strategies(payoffs: list[np.ndarray]) -> NonlinearProblem:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_game_of_four_players_with_four_actions_is_solved(seed: int) -> None:
+def test_a_game_of_four_players_with_four_actions_is_solved(seed):
     """A mixed equilibrium is found from equal shares: no action pays more than the value, by the payoffs themselves."""
     rng = np.random.default_rng(seed)
     payoffs = [np.round(rng.uniform(0, 10, (4,) * 4), 2) for _ in range(4)]
@@ -139,7 +136,7 @@ def test_a_game_of_four_players_with_four_actions_is_solved(seed: int) -> None:
 
 
 @pytest.mark.parametrize("size", [10, 30])
-def test_a_convex_minimal_surface_takes_few_steps(size: int) -> None:
+def test_a_convex_minimal_surface_takes_few_steps(size):
     """A monotone search reaches the surface over an obstacle in at most 20 steps; ‖∇F‖ degenerates on other ways."""
     problem = models.minimal_surface(size)
     result = solve(problem, x0=np.full(size * size, 0.5))
@@ -151,7 +148,7 @@ def test_a_convex_minimal_surface_takes_few_steps(size: int) -> None:
 
 
 @pytest.mark.parametrize("search", ["monotone", "nonmonotone"])
-def test_a_search_can_be_chosen(search: str) -> None:
+def test_a_search_can_be_chosen(search):
     """Each search alone solves an oligopoly; without restarts a local minimum ends the run."""
     solved(solve(NonlinearProblem(models.NASH_5), x0=np.ones(5), search=search))
     problem = NonlinearProblem(models.billups)
@@ -163,7 +160,7 @@ def test_a_search_can_be_chosen(search: str) -> None:
 
 @settings.get_profile("few")
 @given(SEEDS, st.sampled_from(KINDS), st.integers(1, 30), st.booleans())
-def test_planted_problems(seed: int, kind: str, n: int, is_far: bool) -> None:
+def test_planted_problems(seed, kind, n, is_far):
     """SOLVED is true in extended precision; all other ends of solvable problems are honest failures."""
     rng = np.random.default_rng(seed)
     one = planted(rng, kind, n)
@@ -176,7 +173,7 @@ def test_planted_problems(seed: int, kind: str, n: int, is_far: bool) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("n", [2, 20, 100])
-def test_planted_problems_are_solved(kind: str, n: int) -> None:
+def test_planted_problems_are_solved(kind, n):
     """Monotone and P₀ problems of all families are solved from the point nearest to 0."""
     for seed in range(3):
         solved(solve_nonlinear(planted(np.random.default_rng(seed), kind, n).problem, np.zeros(n)))
@@ -184,7 +181,7 @@ def test_planted_problems_are_solved(kind: str, n: int) -> None:
 
 @settings.get_profile("few")
 @given(SEEDS, st.integers(1, 8))
-def test_affine_problems_have_the_certificate_of_their_lcp(seed: int, n: int) -> None:
+def test_affine_problems_have_the_certificate_of_their_lcp(seed, n):
     """For F(x) = M x + q the residuals equal the residuals of the LCP, and three steps suffice."""
     rng = np.random.default_rng(seed)
     M = rng.standard_normal((n, n))
@@ -207,7 +204,7 @@ def test_affine_problems_have_the_certificate_of_their_lcp(seed: int, n: int) ->
 
 @settings.get_profile("few")
 @given(SEEDS, st.integers(1, 6))
-def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
+def test_the_residual_is_invariant_under_units(seed, n):
     """Scaling the rows of F, and changing the unit of x, does not change the relative residual."""
     rng = np.random.default_rng(seed)
     one = planted(rng, "monotone polynomial", n)
@@ -229,9 +226,7 @@ def test_the_residual_is_invariant_under_units(seed: int, n: int) -> None:
 @pytest.mark.parametrize(
     ("offset", "answer"), [(1.0, 0.0), (-1.0, 1.0), (-1e-3, 1e-6), (-1e-6, 1e-12), (-1e-9, 1e-18)]
 )
-def test_an_infinite_slope_at_a_bound_is_no_obstacle(
-    start: float, offset: float, answer: float
-) -> None:
+def test_an_infinite_slope_at_a_bound_is_no_obstacle(start, offset, answer):
     """√x + c, whose slope at the bound 0 is infinite, is solved where the bound is the answer, and where it is not."""
     problem = NonlinearProblem(
         lambda x: np.sqrt(x) + offset, lambda x: np.diag(0.5 / np.sqrt(x)), lower=[0.0]
@@ -242,7 +237,7 @@ def test_an_infinite_slope_at_a_bound_is_no_obstacle(
     np.testing.assert_allclose(result.z, answer, rtol=1e-7)
 
 
-def test_a_solve_from_the_answer_is_solved_where_F_is_undefined_at_0() -> None:
+def test_a_solve_from_the_answer_is_solved_where_F_is_undefined_at_0():
     """An oligopoly, in which the price at no output is infinite, is solved from its own equilibrium in no steps."""
     problem = NonlinearProblem(models.NASH_5)
     first = solve_nonlinear(problem, np.full(5, 10.0)).require_solved()
@@ -251,7 +246,7 @@ def test_a_solve_from_the_answer_is_solved_where_F_is_undefined_at_0() -> None:
     assert again.iterations == 0
 
 
-def test_steps_into_the_undefined_are_shortened() -> None:
+def test_steps_into_the_undefined_are_shortened():
     """The root of log x − 1, x ≥ 0, is found from both sides, although full steps lead to where log is undefined."""
     for start in (0.01, 100.0):
         assert solved(solve_nonlinear(NonlinearProblem(lambda x: np.log(x) - 1.0), [start]))[
@@ -260,7 +255,7 @@ def test_steps_into_the_undefined_are_shortened() -> None:
 
 
 @pytest.mark.parametrize("start", [-2.0, 3.0])
-def test_steps_to_points_without_a_derivative_are_shortened(start: float) -> None:
+def test_steps_to_points_without_a_derivative_are_shortened(start):
     """The root 1 of x³ − 1 is found, although the derivative is NaN between 1.3 and 2.2."""
     problem = NonlinearProblem(
         lambda x: x**3 - 1.0,
@@ -271,7 +266,7 @@ def test_steps_to_points_without_a_derivative_are_shortened(start: float) -> Non
 
 
 @pytest.mark.parametrize("size", [32, 100, 316])
-def test_steps_do_not_grow_under_refinement(size: int) -> None:
+def test_steps_do_not_grow_under_refinement(size):
     """A membrane with a nonlinear source takes at most 8 steps at n = 10³, 10⁴ and 10⁵."""
     result = solve_nonlinear(models.membrane(size)[0], np.zeros(size * size))
     assert 0.2 < (solved(result) == models.membrane(size)[0].lower).mean() < 0.4
@@ -281,12 +276,12 @@ def test_steps_do_not_grow_under_refinement(size: int) -> None:
 # --- differences -------------------------------------------------------------------------------------------------
 
 
-def test_differences_on_a_pattern() -> None:
+def test_differences_on_a_pattern():
     """Differences on a five-point pattern take 7 evaluations, and give the same solution."""
     problem, A = models.membrane(15)
     calls = []
 
-    def F(x: np.ndarray) -> np.ndarray:
+    def F(x):
         calls.append(x)
         return problem.F(x)
 
@@ -302,17 +297,17 @@ def test_differences_on_a_pattern() -> None:
     )
 
 
-def test_differences_stay_within_the_bounds() -> None:
+def test_differences_stay_within_the_bounds():
     """Differences are one-sided at an upper bound, or if F is undefined above x."""
     problem = NonlinearProblem(lambda x: np.sqrt(2.0 - x), upper=[2.0, 3.0])
     assert problem.derivative([1.0, 2.0 - 1e-9])[0, 0] == pytest.approx(-0.5)
     assert np.isfinite(problem.derivative([1.0, 2.0 - 1e-9])).all()
 
 
-def test_columns_of_one_group_may_leave_the_domain_on_different_sides() -> None:
+def test_columns_of_one_group_may_leave_the_domain_on_different_sides():
     """Each entry is taken on the side where F is defined."""
 
-    def F(x: np.ndarray) -> np.ndarray:
+    def F(x):
         return np.array([(x[0] - 0.5) - (1.0 - x[0]) ** 1.5, (x[1] - 2.0) + (x[1] - 1.0) ** 1.5])
 
     problem = NonlinearProblem(F, pattern=sp.eye_array(2, format="csc"))
@@ -322,7 +317,7 @@ def test_columns_of_one_group_may_leave_the_domain_on_different_sides() -> None:
 # --- how a run ends ----------------------------------------------------------------------------------------------
 
 
-def test_an_equation_without_a_root_is_stalled() -> None:
+def test_an_equation_without_a_root_is_stalled():
     """An equation without a root ends STALLED with advice, never INFEASIBLE and never SOLVED."""
     result = solve_nonlinear(NonlinearProblem(lambda x: x**2 + 1.0, lower=-INF), [3.0])
     assert result.status is Status.STALLED
@@ -345,7 +340,7 @@ def test_an_equation_without_a_root_is_stalled() -> None:
     ],
 )
 @pytest.mark.parametrize("start", [1.0, 3.0])
-def test_running_away_is_no_solution(F: Callable[..., Any], lower: float, start: float) -> None:
+def test_running_away_is_no_solution(F, lower, start):
     """An F that only tends to 0 has no solution, however far x runs and however flat F is there."""
     result = solve_nonlinear(
         NonlinearProblem(F, lower=lower), np.full(np.size(F(np.ones(2))), start)
@@ -353,13 +348,13 @@ def test_running_away_is_no_solution(F: Callable[..., Any], lower: float, start:
     assert result.status is Status.STALLED
 
 
-def test_slack_at_a_bound_lends_no_tolerance() -> None:
+def test_slack_at_a_bound_lends_no_tolerance():
     """Unknown x₀ runs to 7e11 while slack of 5e10 keeps x₁ at its bound: row 0 must not pass."""
 
-    def F(x: np.ndarray) -> np.ndarray:
+    def F(x):
         return np.array([-(x[0] ** -3.0) - 0.1 + 0.1 * x[1], 0.1 * x[0] + x[1] - 1.0])
 
-    def jacobian(x: np.ndarray) -> np.ndarray:
+    def jacobian(x):
         return np.array([[3.0 * x[0] ** -4.0, 0.1], [0.1, 1.0]])
 
     problem = NonlinearProblem(F, jacobian, lower=[-INF, 0.0])
@@ -379,15 +374,15 @@ def test_slack_at_a_bound_lends_no_tolerance() -> None:
         ),
     ],
 )
-def test_a_multiplier_that_runs_away_is_no_solution(x0: list[float], has_jacobian: bool) -> None:
+def test_a_multiplier_that_runs_away_is_no_solution(x0, has_jacobian):
     """The minimum of (x₀−2)² + x₁² on x₁ ≤ (1−x₀)³, x ≥ 0, is a cusp: its multiplier runs away."""
 
-    def F(z: np.ndarray) -> np.ndarray:
+    def F(z):
         return np.array(
             [2 * (z[0] - 2) + 3 * z[2] * (1 - z[0]) ** 2, 2 * z[1] + z[2], (1 - z[0]) ** 3 - z[1]]
         )
 
-    def jacobian(z: np.ndarray) -> np.ndarray:
+    def jacobian(z):
         flat = 3 * (1 - z[0]) ** 2
         return np.array([[2 - 6 * z[2] * (1 - z[0]), 0, flat], [0, 2, 1], [-flat, -1, 0]])
 
@@ -401,7 +396,7 @@ def test_a_multiplier_that_runs_away_is_no_solution(x0: list[float], has_jacobia
 
 
 @pytest.mark.parametrize("none", [1e20, 9.999999999999999e19, 1e300])
-def test_a_bound_of_1e20_is_none(none: float) -> None:
+def test_a_bound_of_1e20_is_none(none):
     """Between −1e20 and 1e20 an equation and a bounded row have the answer that they have between infinities."""
     problem = NonlinearProblem(
         lambda x: x**3 - np.array([8.0, -1.0]), lower=[-none, 0.0], upper=none
@@ -413,13 +408,13 @@ def test_a_bound_of_1e20_is_none(none: float) -> None:
     np.testing.assert_allclose(result.z, [2.0, 0.0], rtol=1e-7, atol=1e-12)
 
 
-def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:
+def test_beside_a_pole_the_unit_of_the_part_excuses_nothing():
     """A derivative of 2e14 promises a zero 8e-9 away, nothing in the unit 100 of the other row; the zero is at .017."""
 
-    def F(x: np.ndarray) -> np.ndarray:
+    def F(x):
         return np.array([1e-2 * (x[1] - 100.0) + 0.7 - 0.0128549 / x[0], x[1] - 100.0])
 
-    def jacobian(x: np.ndarray) -> np.ndarray:
+    def jacobian(x):
         return np.array([[0.0128549 / x[0] ** 2, 1e-2], [0.0, 1.0]])
 
     problem = NonlinearProblem(F, jacobian, lower=1e-9)
@@ -433,9 +428,7 @@ def test_beside_a_pole_the_unit_of_the_part_excuses_nothing() -> None:
 
 
 @pytest.mark.parametrize("jacobian", [None, lambda x: np.diag(-10.0 / x**2)])
-def test_ten_by_x_less_one_is_solved_at_its_root_or_not(
-    jacobian: Callable[..., Any] | None,
-) -> None:
+def test_ten_by_x_less_one_is_solved_at_its_root_or_not(jacobian):
     """10/x − 1 from 100: a SOLVED x is 10, never so large that F = −1, and the run ends where the merit overflows."""
     result = solve_nonlinear(NonlinearProblem(lambda x: 10.0 / x - 1.0, jacobian), [100.0])
     assert result.iterations < 1000
@@ -443,15 +436,13 @@ def test_ten_by_x_less_one_is_solved_at_its_root_or_not(
 
 
 @pytest.mark.parametrize("jacobian", [None, lambda x: np.diag(3.0 * x**2 + 2.0 * x - 2.0)])
-def test_of_several_solutions_one_near_the_start_is_found(
-    jacobian: Callable[..., Any] | None,
-) -> None:
+def test_of_several_solutions_one_near_the_start_is_found(jacobian):
     """F = x (x − 1) (x + 2) from its root 1 stays there, although 0 solves as well."""
     problem = NonlinearProblem(lambda x: x * (x - 1.0) * (x + 2.0), jacobian)
     assert solved(solve_nonlinear(problem, [1.0]))[0] == 1.0
 
 
-def test_lotka_volterra_stays_inside() -> None:
+def test_lotka_volterra_stays_inside():
     """Two competitors from (0.7, 0.7) reach their interior equilibrium."""
     problem = NonlinearProblem(
         lambda x: x * np.array([1.0 - x[0] - 0.5 * x[1], 1.0 - 0.5 * x[0] - x[1]])
@@ -461,9 +452,7 @@ def test_lotka_volterra_stays_inside() -> None:
 
 @pytest.mark.parametrize("jacobian", [None, lambda x: np.diag([1.0, -1.0 / x[1] ** 2])])
 @pytest.mark.parametrize("start", [(1e10, 0.6), (0.0, 0.6)])
-def test_two_problems_in_units_of_their_own(
-    jacobian: Callable[..., Any] | None, start: tuple[float, float]
-) -> None:
+def test_two_problems_in_units_of_their_own(jacobian, start):
     """The equations x₀ = 1e10 and 1/x₁ = 2 are two components, each solved at its size."""
     problem = NonlinearProblem(lambda x: np.array([x[0] - 1e10, 1.0 / x[1] - 2.0]), jacobian)
     np.testing.assert_allclose(solved(solve_nonlinear(problem, start)), [1e10, 0.5], rtol=1e-7)
@@ -471,13 +460,13 @@ def test_two_problems_in_units_of_their_own(
 
 @pytest.mark.parametrize("lower", [-INF, 0.0])
 @pytest.mark.parametrize("has_jacobian", [True, False])
-def test_powells_badly_scaled_function(lower: float, has_jacobian: bool) -> None:
+def test_powells_badly_scaled_function(lower, has_jacobian):
     """M. J. D. Powell 1970, no. 3 of Moré, Garbow, Hillstrom, doi:10.1145/355934.355936: both rows nearly vanish."""
 
-    def F(x: np.ndarray) -> np.ndarray:
+    def F(x):
         return np.array([1e4 * x[0] * x[1] - 1.0, np.exp(-x).sum() - 1.0001])
 
-    def jacobian(x: np.ndarray) -> np.ndarray:
+    def jacobian(x):
         return np.array([[1e4 * x[1], 1e4 * x[0]], -np.exp(-x)])
 
     x = solved(
@@ -488,7 +477,7 @@ def test_powells_badly_scaled_function(lower: float, has_jacobian: bool) -> None
 
 
 @pytest.mark.full
-def test_an_algorithm_that_does_not_take_a_linearisation_is_replaced() -> None:
+def test_an_algorithm_that_does_not_take_a_linearisation_is_replaced():
     """Algorithm psor requires a positive diagonal, and auto replaces it otherwise."""
     problem = NonlinearProblem(
         lambda x: np.array([x[0] ** 2 - 2.0 * x[0] + 0.5 * x[1] - 1.0, x[1] - 1.0])
@@ -507,14 +496,14 @@ HOPELESS = {
 @pytest.mark.full
 @pytest.mark.parametrize("algorithm", POLICIES)
 @pytest.mark.parametrize("name", HOPELESS)
-def test_a_hopeless_nonlinear_problem_ends(algorithm: str, name: str) -> None:
+def test_a_hopeless_nonlinear_problem_ends(algorithm, name):
     """If nothing can be solved every policy ends after a bounded number of steps."""
     result = solve_nonlinear(NonlinearProblem(HOPELESS[name]), [1.0, 0.5], algorithm)
     assert not result.is_solved
     assert result.iterations <= 15 * 30  # starts and searches, and steps without a gain
 
 
-def test_prices_near_zero_lend_no_tolerance() -> None:
+def test_prices_near_zero_lend_no_tolerance():
     """F is 1e20 at z°, prices of 1e-5, but a SOLVED still means that the markets clear."""
     supply = np.array([3.0, 1.0, 0.5])
     result = solve_nonlinear(
@@ -525,7 +514,7 @@ def test_prices_near_zero_lend_no_tolerance() -> None:
 
 
 @pytest.mark.full
-def test_rounding_in_f_is_a_precision_limit() -> None:
+def test_rounding_in_f_is_a_precision_limit():
     """Rounding error in F above the tolerance gives PRECISION_LIMIT, a wrong derivative not."""
     noisy = NonlinearProblem(
         lambda x: (x**3 + 1e9 * np.sin(1e15 * x) * 2.0**-52) - 7.3,
@@ -549,9 +538,7 @@ FUNCTIONS_AT_ROUNDING_LEVEL: dict[str, tuple[Any, Any]] = {  # F(x) − d, and i
 
 @pytest.mark.parametrize("name", FUNCTIONS_AT_ROUNDING_LEVEL)
 @pytest.mark.parametrize("is_coupled", [False, True])
-def test_a_root_below_the_rounding_errors_of_constants_is_found(
-    name: str, is_coupled: bool
-) -> None:
+def test_a_root_below_the_rounding_errors_of_constants_is_found(name, is_coupled):
     """Constants of F hide the root from 10⁻⁷ to 10⁻¹³: x is as near to it as F tells.
 
     Some coupled rows end STALLED: there a Newton step of the size of rounding errors does not become smaller.
@@ -571,7 +558,7 @@ def test_a_root_below_the_rounding_errors_of_constants_is_found(
         assert result.iterations < (200 if is_coupled else 30)
 
 
-def test_a_tolerance_below_the_rounding_errors_of_exponentials_is_a_precision_limit() -> None:
+def test_a_tolerance_below_the_rounding_errors_of_exponentials_is_a_precision_limit():
     """1 − e⁻ˣ has rounding errors of 2⁻⁵⁴, and x is small: no point has a measured residual of 1e-15."""
     n = 100
     A = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
@@ -584,11 +571,11 @@ def test_a_tolerance_below_the_rounding_errors_of_exponentials_is_a_precision_li
     np.testing.assert_allclose(result.z, -np.log1p(-solve(LCP(A, load)).z), atol=1e-8)
 
 
-def test_nothing_of_the_callers_is_changed() -> None:
+def test_nothing_of_the_callers_is_changed():
     """Start, bounds and returned arrays of F are not modified, and F receives read-only arrays."""
     x0, lower, kept = np.ones(2), np.zeros(2), np.array([-1.0, 2.0])
 
-    def F(x: np.ndarray) -> np.ndarray:
+    def F(x):
         assert not x.flags.writeable
         return kept
 
@@ -601,10 +588,10 @@ def test_nothing_of_the_callers_is_changed() -> None:
 
 
 @pytest.mark.parametrize("kind", ["csr", "csc", "coo", "lil", "dok", "dia", "bsr"])
-def test_every_kind_of_sparse_derivative_is_taken(kind: str) -> None:
+def test_every_kind_of_sparse_derivative_is_taken(kind):
     """The solution is the same for every sparse format of scipy."""
 
-    def jacobian(x: np.ndarray) -> Any:
+    def jacobian(x):
         return sp.csr_array(np.diag(3 * x**2) + np.eye(3, k=1)).asformat(kind)
 
     result = solve_nonlinear(
@@ -613,15 +600,15 @@ def test_every_kind_of_sparse_derivative_is_taken(kind: str) -> None:
     np.testing.assert_allclose(result.w, 0.0, atol=1e-7)
 
 
-def test_a_derivative_that_is_written_to_again_is_no_obstacle() -> None:
+def test_a_derivative_that_is_written_to_again_is_no_obstacle():
     """A derivative in one reused array gives the same result bit for bit as new arrays."""
     F, slopes = models.kojima_shindo, NonlinearProblem(models.kojima_shindo).derivative
     shared = sp.csr_array(np.ones((4, 4)))
 
-    def fresh(x: np.ndarray) -> Any:
+    def fresh(x):
         return sp.csr_array((np.ravel(slopes(x)), shared.indices, shared.indptr), shape=(4, 4))
 
-    def refilled(x: np.ndarray) -> Any:
+    def refilled(x):
         shared.data[:] = fresh(x).data
         return shared
 
@@ -637,7 +624,7 @@ def test_a_derivative_that_is_written_to_again_is_no_obstacle() -> None:
     assert (first.M != second.M).nnz > 0
 
 
-def test_the_lcp_solver_can_be_chosen() -> None:
+def test_the_lcp_solver_can_be_chosen():
     """A named algorithm, or an object, solves the linearizations; a wrong name is rejected."""
     for algorithm in ("lemke", "newton"):
         solved(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), algorithm))
@@ -668,16 +655,16 @@ run(NP(np.sin), np.ones(1001)) → InvalidProblem: pattern
 run(NP(np.sin), [1.0], search="both") → InvalidOption: search must be "monotone", "nonmonotone" or None, got 'both'
 run(NP(np.sin), [1.0], restarts=-1) → InvalidOption: restarts must be an integer ≥ 0
 """)
-def test_mistakes_are_refused_in_words(call: str, words: str) -> None:
+def test_mistakes_are_refused_in_words(call, words):
     """Every mistake is named, with what is needed instead."""
     assert_refused(call, words, globals())
 
 
-def test_a_wrong_jacobian_is_named() -> None:
+def test_a_wrong_jacobian_is_named():
     """The row of a derivative that contradicts F is named in explain(); the check can be switched off."""
     problem, _ = models.membrane(10)
 
-    def wrong(x: np.ndarray) -> Any:
+    def wrong(x):
         J = sp.lil_array(problem.jacobian(x))
         J[37, 38] = 5.0
         return J.tocsr()
@@ -692,7 +679,7 @@ def test_a_wrong_jacobian_is_named() -> None:
 @pytest.mark.parametrize("precision", [np.float64, np.float32])
 @settings.get_profile("few")
 @given(SEEDS, st.sampled_from(KINDS), st.integers(1, 20))
-def test_a_right_jacobian_is_not_warned_of(precision: Any, seed: int, kind: str, n: int) -> None:
+def test_a_right_jacobian_is_not_warned_of(precision, seed, kind, n):
     """The check finds no fault in derivatives that are right, in single precision also, wherever the start is."""
     rng = np.random.default_rng(seed)
     one = planted(rng, kind, n)
@@ -706,10 +693,10 @@ def test_a_right_jacobian_is_not_warned_of(precision: Any, seed: int, kind: str,
     assert "disagrees" not in result.explain()
 
 
-def test_an_unknown_that_no_active_row_depends_on_is_excused() -> None:
+def test_an_unknown_that_no_active_row_depends_on_is_excused():
     """Unknown x₂ appears only in a row at its bound, and does not affect the small x₁."""
 
-    def F(v: np.ndarray) -> np.ndarray:
+    def F(v):
         return np.array(
             [
                 v[0] / 3 + v[1] / 7 - 1000.1,
@@ -719,7 +706,7 @@ def test_an_unknown_that_no_active_row_depends_on_is_excused() -> None:
             ]
         )
 
-    def jacobian(v: np.ndarray) -> np.ndarray:
+    def jacobian(v):
         return np.array(
             [[1 / 3, 1 / 7, 0, 0], [1 / 3 + 1e-9, -1 / 11, 0, 0], [0, 0, 0, 1], [1e-3, 0, 1, 0]]
         )
@@ -736,7 +723,7 @@ def test_an_unknown_that_no_active_row_depends_on_is_excused() -> None:
 
 @settings.get_profile("few")
 @given(SEEDS)
-def test_derivatives_are_those_of_solved_problems(seed: int) -> None:
+def test_derivatives_are_those_of_solved_problems(seed):
     """jvp(dq=dF) is the difference quotient of re-solved problems, and vjp its transpose."""
     rng = np.random.default_rng(seed)
     n, step = int(rng.integers(1, 6)), 2.0**-20
@@ -744,7 +731,7 @@ def test_derivatives_are_those_of_solved_problems(seed: int) -> None:
     one = dataclasses.replace(one, M=one.M + np.eye(n), c=one.c - one.x)
     dF = rng.standard_normal(n)
 
-    def answer(shift: float) -> Result:
+    def answer(shift):
         moved = NonlinearProblem(
             lambda x: one.F(x) + shift * dF, one.jacobian, one.lower, one.upper
         )
@@ -762,11 +749,11 @@ def test_derivatives_are_those_of_solved_problems(seed: int) -> None:
 
 
 @pytest.mark.parametrize("k", [1, 3, 8, 20])
-def test_after_ctrl_c_the_function_is_not_called_again(k: int) -> None:
+def test_after_ctrl_c_the_function_is_not_called_again(k):
     """An interrupt in call k of F is the last call, and the result is INTERRUPTED after the first step."""
     calls = []
 
-    def F(x: Any) -> Any:
+    def F(x):
         calls.append(x)
         if len(calls) == k:
             raise KeyboardInterrupt
@@ -779,9 +766,9 @@ def test_after_ctrl_c_the_function_is_not_called_again(k: int) -> None:
     assert len(calls) == k
 
 
-def test_a_run_without_a_start_begins_in_the_bounds_nearest_to_0() -> None:
+def test_a_run_without_a_start_begins_in_the_bounds_nearest_to_0():
     """The lower bound 1, the upper bound −2 and no bound give the start (1, −2, 0)."""
-    seen: list[Any] = []
+    seen = []
     problem = NonlinearProblem(
         lambda x: seen.append(x.copy()) or x - [3.0, -3.0, 2.0],  # type: ignore[func-returns-value]
         lower=[1.0, -np.inf, -np.inf],
@@ -792,13 +779,13 @@ def test_a_run_without_a_start_begins_in_the_bounds_nearest_to_0() -> None:
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-3])
-def test_a_root_without_slope_ends_at_the_limit(size: float) -> None:
+def test_a_root_without_slope_ends_at_the_limit(size):
     """Hock and Schittkowski's problem 78 has stationary points at which the conditions lose their slope.
 
     min Π x_i under Σ x² = 10, x₂ x₃ = 5 x₄ x₅, x₁³ + x₂³ = −1: from (−1, 1.5, 2, −1, −2) at (−1, 0, 0, 0, −3).
     """
 
-    def F(z: np.ndarray) -> np.ndarray:
+    def F(z):
         x, (a, b, c) = z[:5], z[5:]
         slopes = np.array([np.prod(np.delete(x, i)) for i in range(5)]) - 2 * a * x
         slopes -= b * np.array([0, x[2], x[1], -5 * x[4], -5 * x[3]])
@@ -812,9 +799,9 @@ def test_a_root_without_slope_ends_at_the_limit(size: float) -> None:
     assert result.iterations < 100
 
 
-def test_evaluations_are_counted() -> None:
+def test_evaluations_are_counted():
     """The result has the numbers of calls of F, of derivatives, and of calls without a finite value."""
-    calls: list[Any] = []
+    calls = []
     problem = NonlinearProblem(lambda x: calls.append(x) or np.log(x) - 1.0)  # type: ignore[func-returns-value]
     F, slopes, undefined = solve(problem, x0=[100.0]).evaluations
     assert len(calls) == F
@@ -823,7 +810,7 @@ def test_evaluations_are_counted() -> None:
 
 
 @pytest.mark.parametrize("F", [lambda x: x**3, lambda x: x * np.sin(x)])
-def test_a_root_at_0_without_a_slope_is_reached_from_afar(F: Callable[[Any], Any]) -> None:
+def test_a_root_at_0_without_a_slope_is_reached_from_afar(F):
     """Newton's steps only halve the distance or so, and the run ends at the exact root."""
     result = solve(NonlinearProblem(F, lower=np.full(1, -np.inf)), x0=np.ones(1))
     assert (result.status, result.z[0]) == (Status.SOLVED, 0.0)

@@ -17,7 +17,7 @@ from lcp_plugin import LCP, NonlinearProblem, Status, certify, solve
 from lcp_plugin.problems.nonlinear.data import Linearization
 
 
-def test_an_idle_row_is_no_reference_for_a_curved_one() -> None:
+def test_an_idle_row_is_no_reference_for_a_curved_one():
     """Next to F₀ = x₀ − 1e4 + 1e5 x₁, a double root is right to 2e-4: F₂ is within 1e-8 of its terms."""
     problem = NonlinearProblem(
         lambda x: np.array(
@@ -31,11 +31,9 @@ def test_an_idle_row_is_no_reference_for_a_curved_one() -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_random_small_problems_have_no_false_solution(
-    shape: str, draws: Callable[..., range]
-) -> None:
+def test_random_small_problems_have_no_false_solution(shape, draws):
     """No problem with known solutions is SOLVED at a point that is not near a solution."""
-    found: Counter[str] = Counter()
+    found = Counter()
     texts = []
     for what, text in attacks(
         np.random.default_rng([91, SHAPES.index(shape)]), len(draws(200, 16)), shape
@@ -71,7 +69,7 @@ RIGHT: dict[str, tuple[Callable[..., Any], int, float, Any]] = {  # F, start, lo
 
 
 @pytest.mark.parametrize("name", RIGHT)
-def test_a_right_point_is_solved_and_solved_again(name: str) -> None:
+def test_a_right_point_is_solved_and_solved_again(name):
     """The result is right, and it passes from itself without a step, also with the last bits changed."""
     F, n, lower, root = RIGHT[name]
     start = np.full(n, 2.0)
@@ -97,7 +95,7 @@ def test_a_right_point_is_solved_and_solved_again(name: str) -> None:
         (lambda x: -((x - 1) ** 2) - 1e-15, None),
     ],
 )
-def test_a_run_without_a_slope_ends_soon(F: Callable[..., Any], jacobian: Any) -> None:
+def test_a_run_without_a_slope_ends_soon(F, jacobian):
     """Near-double roots from 0 end within 2000 steps, restarts included, right or STALLED."""
     result = solve(NonlinearProblem(F, jacobian, lower=[0.0]))
     assert result.iterations <= 2000
@@ -107,7 +105,7 @@ def test_a_run_without_a_slope_ends_soon(F: Callable[..., Any], jacobian: Any) -
         assert result.status is Status.STALLED
 
 
-def test_the_check_of_the_draws_separates_a_solution_from_a_wrong_point() -> None:
+def test_the_check_of_the_draws_separates_a_solution_from_a_wrong_point():
     """The check in fractions accepts (0, 1, 1) and rejects (0, 1.5, .5) in the idle row's problem."""
     case = CONSTRUCTED["an idle row is not a reference"]
     linear = LCP(case.M, case.q)
@@ -129,7 +127,7 @@ UNITS = {"small unit": 0.01, "large unit": 100.0}  # of x₁; with exp(−1900) 
 
 @pytest.mark.parametrize("has_start", [False, True])
 @pytest.mark.parametrize("name", ENDLESS)
-def test_a_point_on_the_way_to_infinity_is_not_solved(name: str, has_start: bool) -> None:
+def test_a_point_on_the_way_to_infinity_is_not_solved(name, has_start):
     """The rows have the scale of x₀, so that they are small before x₁ is large: STALLED, with the reason."""
     start = [1.0, 19.0 * UNITS.get(name, 1.0)] if has_start else None
     result = solve(NonlinearProblem(ENDLESS[name], lower=np.zeros(2)), x0=start)
@@ -139,7 +137,7 @@ def test_a_point_on_the_way_to_infinity_is_not_solved(name: str, has_start: bool
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_manufactured_solution_is_not_taken_for_a_point_on_its_way(kind: str) -> None:
+def test_a_manufactured_solution_is_not_taken_for_a_point_on_its_way(kind):
     """Units of 10^±4 in rows and unknowns, last bits changed, unknowns a bit off their bounds: none moves on."""
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -166,9 +164,7 @@ TAILS: dict[str, Any] = {
 @pytest.mark.parametrize("offset", [0.0, 64.0, 1000.0])
 @pytest.mark.parametrize("size", [1e3, 1e5, 1e7])
 @pytest.mark.parametrize("name", TAILS)
-def test_no_offset_and_no_large_neighbor_makes_a_solution(
-    name: str, size: float, offset: float
-) -> None:
+def test_no_offset_and_no_large_neighbor_makes_a_solution(name, size, offset):
     """x₀ − A + g(x₁ − offset) = 0 = x₀ − A has no solution, because g > 0 everywhere: no such point passes."""
     g, dg = TAILS[name]
     problem = NonlinearProblem(
@@ -182,7 +178,7 @@ def test_no_offset_and_no_large_neighbor_makes_a_solution(
         assert not solve(problem, x0=[1.0, offset], tolerance=tolerance).is_solved
 
 
-def test_a_zero_that_only_rounding_makes_is_not_solved() -> None:
+def test_a_zero_that_only_rounding_makes_is_not_solved():
     """x₀ (1 + e^(−x₁)) = A = x₀ has no solution; at x₁ = 1000 both rows are 0 as doubles."""
     problem = NonlinearProblem(
         lambda x: np.array([x[0] * (1 + np.exp(-x[1])) - 1e3, x[0] - 1e3]), lower=[0.0, 0.0]
@@ -190,10 +186,10 @@ def test_a_zero_that_only_rounding_makes_is_not_solved() -> None:
     assert not solve(problem, x0=[1e3, 1e3]).is_solved
 
 
-def test_another_start_finds_the_solution_next_to_an_endless_path() -> None:
+def test_another_start_finds_the_solution_next_to_an_endless_path():
     """The path of Newton leads to x₁ = 2e8, and the solution is (e^¼ − 1, 0, √1.25)."""
 
-    def F(x: Any) -> Any:
+    def F(x):
         log, far, square = 2 * np.log1p(x[0]), 2 / (1 + x[1]), 2 * x[2] ** 2
         return np.array([log + far - square, -log + far - square + 2, log - far / 2 + square - 2])
 
@@ -203,7 +199,7 @@ def test_another_start_finds_the_solution_next_to_an_endless_path() -> None:
 
 
 @pytest.mark.parametrize("weak", [1e-6, 1e-9, 1e-12])
-def test_an_unknown_with_small_slopes_is_not_taken_for_endless(weak: float) -> None:
+def test_an_unknown_with_small_slopes_is_not_taken_for_endless(weak):
     """x₀ − 1 + weak (x₁ − 3)³ = 0 = x₀ − 1 + weak (x₁ − 3) has the solution (1, 3): its F is 0 there."""
     problem = NonlinearProblem(
         lambda x: np.array([x[0] - 1 + weak * (x[1] - 3) ** 3, x[0] - 1 + weak * (x[1] - 3)]),
@@ -215,7 +211,7 @@ def test_an_unknown_with_small_slopes_is_not_taken_for_endless(weak: float) -> N
 
 
 @pytest.mark.parametrize("start", [[5.0, 1.0], [2.0, 1.0], [-3.0, 7.0]])
-def test_a_wrong_jacobian_gives_no_false_solution(start: list[float]) -> None:
+def test_a_wrong_jacobian_gives_no_false_solution(start):
     """Its −1e9 for −1 makes every residual small: only (2, 1), where differences of F agree, is SOLVED."""
     problem = NonlinearProblem(
         lambda x: np.array([x[0] - x[1] - 1, x[1] - 1]),
@@ -230,7 +226,7 @@ def test_a_wrong_jacobian_gives_no_false_solution(start: list[float]) -> None:
 
 
 @pytest.mark.parametrize("size", [1e17, 1e20])
-def test_contradictory_rows_that_rounding_makes_zero_are_not_solved(size: float) -> None:
+def test_contradictory_rows_that_rounding_makes_zero_are_not_solved(size):
     """The rows x₀ = x₁ + 1 and x₀ = x₁ − 1 hold as doubles at x₀ = x₁ = 10¹⁷, and at no x in exact numbers."""
     problem = NonlinearProblem(
         lambda x: np.array([x[0] - (x[1] + 1.0), x[0] - (x[1] - 1.0)]), lower=[-np.inf, -np.inf]

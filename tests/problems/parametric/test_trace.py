@@ -40,7 +40,7 @@ def assert_pieces_join(path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_small_paths_are_exact(seed: int) -> None:
+def test_small_paths_are_exact(seed):
     """Solutions by exact enumeration for n ≤ 5 are on the path, at breakpoints and between them."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 6))
@@ -63,13 +63,13 @@ def test_small_paths_are_exact(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_monotone_paths_meet_solves(seed: int) -> None:
+def test_monotone_paths_meet_solves(seed):
     """Between two solvable ends the path of a monotone LCP is solved everywhere, singular M included."""
     status, wrong, apart = paths.examined(np.random.default_rng(seed), 60, 5)
     assert (status, wrong, apart) == ("SOLVED", 0, 0)
 
 
-def test_bounds_move() -> None:
+def test_bounds_move():
     """Bounds may move as q does."""
     path = trace(LCP(np.eye(2), [-1, -1], upper=[1, 4]), {"upper": [1, -1], "q": [-1, 0]}, 0, 4)
     for theta in (0.0, 0.5, 2.0, 3.5):
@@ -98,7 +98,7 @@ def cheapest(S: Any, mean: Any, tolerance: float) -> tuple[np.ndarray, np.ndarra
     return best, least
 
 
-def test_frontier_is_that_of_all_sets_of_assets() -> None:
+def test_frontier_is_that_of_all_sets_of_assets():
     """An efficient frontier is the least of all sets of assets at every risk tolerance, corners at breakpoints."""
     rng = np.random.default_rng(7)
     factors, mean = rng.standard_normal((6, 12)), rng.random(6)
@@ -115,7 +115,7 @@ def test_frontier_is_that_of_all_sets_of_assets() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_linear_programs_move_along_faces(seed: int) -> None:
+def test_linear_programs_move_along_faces(seed):
     """Paths of linear programs with singular M follow right-hand sides and costs."""
     rng = np.random.default_rng(seed)
     n, m = 8, 5
@@ -132,7 +132,7 @@ def test_linear_programs_move_along_faces(seed: int) -> None:
         assert path.at(theta).is_solved
 
 
-def test_infeasible_from_somewhere_on_comes_with_the_proof() -> None:
+def test_infeasible_from_somewhere_on_comes_with_the_proof():
     """A path ends where the program has no point any more, exactly there, and what is beyond is proved."""
     path = trace(
         QuadraticProgram(np.eye(2), [0, 0], A=[[1, 1]], b=[0], lower=0, upper=1), {"b": [1]}, 0, 5
@@ -148,14 +148,14 @@ def test_infeasible_from_somewhere_on_comes_with_the_proof() -> None:
         path.require_solved()
 
 
-def test_unbounded_from_somewhere_on_comes_with_the_proof() -> None:
+def test_unbounded_from_somewhere_on_comes_with_the_proof():
     """A path ends where the objective becomes unbounded below."""
     path = trace(QuadraticProgram(None, [1], lower=0), {"c": [-1]}, 0, 2)
     assert path.status is Status.UNBOUNDED
     assert path.reached == pytest.approx(1.0, abs=1e-12)
 
 
-def test_no_solution_at_the_start() -> None:
+def test_no_solution_at_the_start():
     """A path without a solution at the start is empty, and has the status of the start."""
     path = trace(
         QuadraticProgram(np.eye(1), [0], lower=1, upper=2, A=[[1]], b=[3]), {"c": [1]}, 0, 1
@@ -165,7 +165,7 @@ def test_no_solution_at_the_start() -> None:
     assert path.breakpoints.size == 0
 
 
-def test_a_solution_that_jumps_is_named() -> None:
+def test_a_solution_that_jumps_is_named():
     """If M is not monotone a path may turn back: the solution jumps, and is right beyond."""
     path = trace(LCP([[-1]], [2], upper=1), {"q": [-1]}, 0, 3)
     assert path.jumps == pytest.approx([2.0])
@@ -186,7 +186,7 @@ def lasso(seed: int, m: int, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("shape", [(30, 10), (20, 40), (60, 60)])
-def test_lasso_path_meets_solves(shape: tuple[int, int]) -> None:
+def test_lasso_path_meets_solves(shape):
     """Every value of a penalty has the x that a solve has; wide problems too."""
     A, b = lasso(1, *shape)
     most = np.abs(A.T @ b).max()
@@ -201,7 +201,7 @@ def test_lasso_path_meets_solves(shape: tuple[int, int]) -> None:
         assert path.at(share * most).objective == pytest.approx(answer.cost, rel=1e-8)
 
 
-def test_penalties_within_bounds_weights_and_a_ridge() -> None:
+def test_penalties_within_bounds_weights_and_a_ridge():
     """Bounds on both sides of 0, on one side, columns without a penalty, weights and a ridge, sparse and dense."""
     rng = np.random.default_rng(5)
     A, b = lasso(5, 25, 6)
@@ -240,15 +240,13 @@ REFUSED = [
 @pytest.mark.parametrize(
     ("problem", "along", "stop", "error", "words"), REFUSED, ids=[case[-1] for case in REFUSED]
 )
-def test_what_cannot_be_traced_is_refused_in_words(
-    problem: Any, along: Any, stop: float, error: type[Exception], words: str
-) -> None:
+def test_what_cannot_be_traced_is_refused_in_words(problem, along, stop, error, words):
     """Each error contains the argument and the remedy."""
     with pytest.raises(error, match=words):
         trace(problem, along, float("l1" in along), stop)
 
 
-def test_a_path_is_shown_in_words_tables_and_pictures() -> None:
+def test_a_path_is_shown_in_words_tables_and_pictures():
     """explain, repr, to_dataframe and plot show what was traced."""
     pytest.importorskip("matplotlib").use("agg")
     path = trace(LCP([[2, 1], [1, 2]], [-5, 1]), {"q": [0, -1]}, 0, 6)
@@ -276,7 +274,7 @@ def short_lcp(seed: int) -> tuple[LCP, np.ndarray] | None:
 
 
 @pytest.mark.full
-def test_terms_that_cancel_at_a_breakpoint_stall_no_path() -> None:
+def test_terms_that_cancel_at_a_breakpoint_stall_no_path():
     """A path is right if z and w both vanish up to rounding; some once ended STALLED."""
     path = trace(LCP([[5.0]], [-1.0]), {"q": [-3.0]}, 1.5, -1.0).require_solved()
     assert path.at(path.breakpoints[1]).is_solved
@@ -287,7 +285,7 @@ def test_terms_that_cancel_at_a_breakpoint_stall_no_path() -> None:
 
 
 @pytest.mark.parametrize("share", [1e-3, 1e-5, 1e-7])
-def test_a_piece_that_is_wrong_is_not_solved(share: float) -> None:
+def test_a_piece_that_is_wrong_is_not_solved(share):
     """A segment that is shifted, turned or extended a little is not SOLVED, even near zeros."""
     rng, refused, planted = np.random.default_rng(1), 0, 0
     for seed in range(60):
@@ -317,7 +315,7 @@ def test_a_piece_that_is_wrong_is_not_solved(share: float) -> None:
     assert refused == planted
 
 
-def test_solved_is_the_status_of_the_whole_way_only() -> None:
+def test_solved_is_the_status_of_the_whole_way_only():
     """A path that did not reach stop is not SOLVED, and the explanation reports where it ended."""
     path = trace(LCP([[2, 1], [1, 2]], [-5, 1]), {"q": [0, -1]}, 0, 6)
     cut = Path(path.line)
@@ -335,7 +333,7 @@ CROSSING = [
 
 
 @pytest.mark.parametrize(("problem", "along"), CROSSING)
-def test_a_path_ends_where_bounds_cross(problem: Any, along: Any) -> None:
+def test_a_path_ends_where_bounds_cross(problem, along):
     """Up to where bounds meet there is a path, beyond it a proof; from beyond there is none."""
     path = trace(problem, along, 0.0, -2.0)
     assert path.status is Status.INFEASIBLE
@@ -349,7 +347,7 @@ def test_a_path_ends_where_bounds_cross(problem: Any, along: Any) -> None:
 
 
 @pytest.mark.parametrize("size", [1.0, 1e7, 1e9, 1e12])
-def test_units_of_cost_and_of_columns_end_no_path(size: float) -> None:
+def test_units_of_cost_and_of_columns_end_no_path(size):
     """Pivots are scaled by rows and columns: paths exist for costs and columns of any size."""
     rng = np.random.default_rng(0)
     B = rng.standard_normal((7, 7))
@@ -393,7 +391,7 @@ def assert_on_the_path(path: Path, solved: Any) -> None:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_between_pieces_there_is_no_gap(seed: int) -> None:
+def test_between_pieces_there_is_no_gap(seed):
     """Segments join without gaps, and around every joint the path agrees with solves."""
     rng = np.random.default_rng(seed)
     B, n = rng.standard_normal((6, 6)), 6
@@ -414,7 +412,7 @@ def test_between_pieces_there_is_no_gap(seed: int) -> None:
     )
 
 
-def test_a_parameter_far_from_zero_has_its_pieces() -> None:
+def test_a_parameter_far_from_zero_has_its_pieces():
     """The path of an M-matrix from 1e9 to 1e9 + 1 has the segments of single solves."""
     rng, n, base = np.random.default_rng(0), 8, 1e9
     M = 3.0 * np.eye(n) - np.diag(np.ones(n - 1), 1) - np.diag(np.ones(n - 1), -1)
@@ -428,7 +426,7 @@ def test_a_parameter_far_from_zero_has_its_pieces() -> None:
     )
 
 
-def test_beyond_a_singular_breakpoint_infeasibility_is_told() -> None:
+def test_beyond_a_singular_breakpoint_infeasibility_is_told():
     """Four unknowns, four rows and an equation along h: INFEASIBLE beyond −4/3, a path before."""
     program = QuadraticProgram(
         [[3, 2, 2, -1], [2, 3, 2, -1], [2, 2, 5, 0], [-1, -1, 0, 3]],
@@ -446,7 +444,7 @@ def test_beyond_a_singular_breakpoint_infeasibility_is_told() -> None:
     assert path.pieces[-1].end == path.reached
 
 
-def test_a_path_without_unknowns_is_solved() -> None:
+def test_a_path_without_unknowns_is_solved():
     """N = 0 has the empty solution for every θ."""
     empty = trace(LCP(np.zeros((0, 0)), []), {"q": []}, 0.0, 1.0).require_solved()
     assert empty.x([0.0, 0.5]).shape == (2, 0)
@@ -454,7 +452,7 @@ def test_a_path_without_unknowns_is_solved() -> None:
     assert trace(program, {"c": []}, 0.0, 1.0).is_solved
 
 
-def test_an_unknown_without_a_column_stays_at_its_start() -> None:
+def test_an_unknown_without_a_column_stays_at_its_start():
     """A column of zeros lets x₁ ≤ ∞ be anything; the path keeps the finite value of its start."""
     fit = BoundedLeastSquares([[1.0, 0.0]], [1.0], lower=[0.0, -INF])
     path = trace(fit, {"b": [1.0]}, -2.0, 2.0)
@@ -462,7 +460,7 @@ def test_an_unknown_without_a_column_stays_at_its_start() -> None:
     assert path.x([1.0, -1.5]).tolist() == [[2.0, 0.0], [0.0, 0.0]]
 
 
-def test_a_point_on_a_moving_bound_is_on_it() -> None:
+def test_a_point_on_a_moving_bound_is_on_it():
     """An obstacle that rises below a rod, and bounds of P-matrices: no bound is missed by a rounding error."""
     problem = LCP([[1.0, 0], [-3, 10]], [3.0, 5], upper=[np.inf, 3])
     move = np.array([-0.16, -0.97])
@@ -492,9 +490,7 @@ def test_a_point_on_a_moving_bound_is_on_it() -> None:
         lambda c, u: QuadraticProgram(None, c, lower=-1.0, upper=u),
     ],
 )
-def test_an_unknown_without_curvature_begins_at_the_bound_that_its_cost_pushes_to(
-    build: Any,
-) -> None:
+def test_an_unknown_without_curvature_begins_at_the_bound_that_its_cost_pushes_to(build):
     """Also if it is the upper bound; where the cost changes its sign a line of solutions connects the bounds."""
     name = "q" if isinstance(build([1.0], 3.0), LCP) else "c"
     path = trace(build([-5.0], 3.0), {name: [0.1]}, 0, 2).require_solved()
@@ -504,7 +500,7 @@ def test_an_unknown_without_curvature_begins_at_the_bound_that_its_cost_pushes_t
     assert turned.segments == pytest.approx([1.0])
 
 
-def test_a_path_goes_through_data_that_are_0() -> None:
+def test_a_path_goes_through_data_that_are_0():
     """With b = 0 or q = 0 on the way all rows change at once; x before it has as many digits as b."""
     path = trace(BoundedLeastSquares([[1.0]], [1.0], lower=0), {"b": [1.0]}, 2, -2).require_solved()
     assert path.at(-0.999).x[0] == pytest.approx(1e-3, rel=1e-12)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -44,7 +43,7 @@ def random_program(rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_prepared_lcp_has_the_status_of_solve(family: str, draws: Callable[..., range]) -> None:
+def test_a_prepared_lcp_has_the_status_of_solve(family, draws):
     """Each problem of a family with the q, M and bounds of the next of its size, in a loop of one solver."""
     drawn = draw(family, len(draws(1000, 60)), 8)
     steps = {one.n: prepare(one) for one in drawn}
@@ -59,7 +58,7 @@ def test_a_prepared_lcp_has_the_status_of_solve(family: str, draws: Callable[...
             assert error <= 1e-6 * (np.abs(one.q).max() + np.abs(M @ whole.z).max())
 
 
-def test_a_prepared_program_has_the_status_of_solve(draws: Callable[..., range]) -> None:
+def test_a_prepared_program_has_the_status_of_solve(draws):
     """Random programs, some of them infeasible, and then with other vectors."""
     rng = np.random.default_rng(0)
     for _ in draws(1000, 60):
@@ -75,9 +74,7 @@ def test_a_prepared_program_has_the_status_of_solve(draws: Callable[..., range])
                 assert abs(found.objective - whole.objective) <= 1e-5 * size
 
 
-def test_a_prepared_contact_fit_and_nonlinear_problem_have_the_status_of_solve(
-    draws: Callable[..., range],
-) -> None:
+def test_a_prepared_contact_fit_and_nonlinear_problem_have_the_status_of_solve(draws):
     """Random data: contacts with b and W anew, least squares with b anew, and a nonlinear problem from x0."""
     rng = np.random.default_rng(0)
     for _ in draws(1000, 20):
@@ -96,7 +93,7 @@ def test_a_prepared_contact_fit_and_nonlinear_problem_have_the_status_of_solve(
 
 
 @pytest.mark.parametrize("name", [name for name, size in PROGRAMS.items() if size < 400])
-def test_a_prepared_published_program_has_the_status_of_solve(name: str) -> None:
+def test_a_prepared_published_program_has_the_status_of_solve(name):
     """Dense and sparse, with rows of one unknown, equations and far limits."""
     of = PublishedProgram.read(name)
     program = QuadraticProgram.from_ranges(of.P, of.q, of.A, of.l, of.u)
@@ -104,9 +101,7 @@ def test_a_prepared_published_program_has_the_status_of_solve(name: str) -> None
 
 
 @pytest.mark.parametrize("family", CONTACTS)
-def test_prepared_contacts_between_bodies_have_the_status_of_solve(
-    family: str, draws: Callable[..., range]
-) -> None:
+def test_prepared_contacts_between_bodies_have_the_status_of_solve(family, draws):
     """Exact cones and pyramids, masses apart by up to 100, from one step to the next."""
     for seed in draws(100, 8):
         rng = np.random.default_rng(seed)
@@ -119,7 +114,7 @@ def test_prepared_contacts_between_bodies_have_the_status_of_solve(
             assert step.solve(**other).status is step.solve().status
 
 
-def test_a_point_that_the_compiled_test_of_programs_accepts_passes_the_criterion() -> None:
+def test_a_point_that_the_compiled_test_of_programs_accepts_passes_the_criterion():
     """3000 points near solutions: two bounds within half of the tolerances imply the criterion by plain sums."""
     rng, accepted = np.random.default_rng(1), 0
     for _ in range(600):
@@ -142,7 +137,7 @@ def test_a_point_that_the_compiled_test_of_programs_accepts_passes_the_criterion
     assert accepted > 1000
 
 
-def test_data_that_are_not_passed_are_the_prepared_problems() -> None:
+def test_data_that_are_not_passed_are_the_prepared_problems():
     """A call with other data, bounds or a start leaves the next call's bits alone."""
     step, other = prepare(LOOP), np.array([1.0, -4.0])
     first = step.solve()
@@ -155,7 +150,7 @@ def test_data_that_are_not_passed_are_the_prepared_problems() -> None:
     np.testing.assert_allclose(step.solve(q=other).z, [2.0 / 3.0, 7.0 / 3.0])
 
 
-def test_wrong_data_are_refused_as_by_the_constructor() -> None:
+def test_wrong_data_are_refused_as_by_the_constructor():
     """A NaN, another shape, crossed bounds, and classes without a loop."""
     step, of_program = (
         prepare(LOOP),
@@ -184,7 +179,7 @@ def test_wrong_data_are_refused_as_by_the_constructor() -> None:
         prepare(LOOP, tolerrance=1e-8)
 
 
-def test_threads_may_share_a_solver() -> None:
+def test_threads_may_share_a_solver():
     """400 calls by four threads have the bits of calls one after another."""
     rng = np.random.default_rng(0)
     loads = rng.normal(size=(400, 2))
@@ -194,7 +189,7 @@ def test_threads_may_share_a_solver() -> None:
         assert [*pool.map(lambda q: step.solve(q=q).z.tobytes(), loads)] == alone
 
 
-def test_the_caller_may_write_to_the_data_after_the_call() -> None:
+def test_the_caller_may_write_to_the_data_after_the_call():
     """The record of a result, which is made on access, belongs to the data of its call."""
     step, q = prepare(LOOP), np.array([-1.0, 0.5])
     found = step.solve(q=q)
@@ -204,7 +199,7 @@ def test_the_caller_may_write_to_the_data_after_the_call() -> None:
     assert "SOLVED" in str(found)
 
 
-def test_a_batch_takes_a_solver() -> None:
+def test_a_batch_takes_a_solver():
     """Its problem is the problem of the batch."""
     loads = np.array([[-1.0, 0.0], [0.0, -2.0]])
     assert (solve_batch(prepare(LOOP), loads).z == solve_batch(LOOP, loads).z).all()

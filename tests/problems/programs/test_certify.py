@@ -35,7 +35,7 @@ SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
 
 
 @pytest.mark.parametrize("kind", certify_campaign.KINDS)
-def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
+def test_right_answers_are_proved_and_wrong_ones_never(kind):
     """Programs of each class: right points are proved, wrong points never are."""
     off = []
     for seed in range(5):
@@ -59,7 +59,7 @@ def test_right_answers_are_proved_and_wrong_ones_never(kind: str) -> None:
 
 @settings.get_profile("few")
 @given(convex_qps())
-def test_bounds_hold_for_exact_answers(drawn: Any) -> None:
+def test_bounds_hold_for_exact_answers(drawn):
     """Lower ≤ the exact minimum ≤ upper, of programs with exact answers of any kind."""
     program, answer = drawn
     x = np.array([float(value) for value in answer.x])
@@ -69,7 +69,7 @@ def test_bounds_hold_for_exact_answers(drawn: Any) -> None:
     assert result.upper is None or Fraction(result.upper) >= answer.objective
 
 
-def test_an_optimal_verdict_has_its_reason() -> None:
+def test_an_optimal_verdict_has_its_reason():
     """The reason of an optimal verdict states the bound and the argument of the proof."""
     result = certify(SIMPLE, [0.5, 1.5])
     assert re.fullmatch(
@@ -86,14 +86,14 @@ def test_an_optimal_verdict_has_its_reason() -> None:
         ([0.4, 1.4], "a feasible point has the objective -4.5, below"),
     ],
 )
-def test_a_disproved_verdict_has_its_reason(x: list[float], reason: str) -> None:
+def test_a_disproved_verdict_has_its_reason(x, reason):
     """A violated constraint; a better feasible point."""
     result = certify(SIMPLE, x)
     assert result.verdict == "disproved"
     assert result.reason.startswith(reason)
 
 
-def test_a_value_that_no_feasible_point_has_is_disproved() -> None:
+def test_a_value_that_no_feasible_point_has_is_disproved():
     """A violation within the tolerance that buys much more than the tolerance in the objective."""
     program = QuadraticProgram([[1.0]], [-1e3], upper=1.0)
     # relative to |c x| + xᵀP x
@@ -118,9 +118,7 @@ SLOPING = QuadraticProgram([[1, 0], [0, 0]], [0, 1], G=[[1e-5, 1]], h=[-1], lowe
         (SLOPING, [0.0, -6.5], [0.0, -10.0], -10.0),
     ],
 )
-def test_one_odd_coefficient_proves_no_point(
-    program: QuadraticProgram, wrong: Any, right: Any, optimum: float
-) -> None:
+def test_one_odd_coefficient_proves_no_point(program, wrong, right, optimum):
     """A coefficient of cos(π/2) or 1e-5 makes nothing small: only the optimum, known in closed form, is proved."""
     assert certify(program, wrong).verdict == "disproved"
     result = certify(program, right)
@@ -129,14 +127,14 @@ def test_one_odd_coefficient_proves_no_point(
     assert result.upper == pytest.approx(optimum, rel=1e-12)
 
 
-def test_multipliers_are_a_pair_or_a_solution() -> None:
+def test_multipliers_are_a_pair_or_a_solution():
     """A pair of multipliers (G, A) and a QPSolution have the same verdict."""
     zeros = np.zeros(2)
     for multipliers in (([1.0], []), QPSolution(SIMPLE, [0.5, 1.5], [1.0], [], zeros, zeros)):
         assert certify(SIMPLE, [0.5, 1.5], multipliers).verdict == "proved"
 
 
-def test_multipliers_of_any_sign_prove_no_bound_above_the_minimum() -> None:
+def test_multipliers_of_any_sign_prove_no_bound_above_the_minimum():
     """Random multipliers of inequalities, at a right x: the lower bound is not above the exact minimum."""
     for seed in range(60):
         rng = np.random.default_rng([seed, 21])
@@ -147,7 +145,7 @@ def test_multipliers_of_any_sign_prove_no_bound_above_the_minimum() -> None:
         assert lower is None or Fraction(lower) <= case.value
 
 
-def test_wrong_multipliers_of_a_right_x_are_told() -> None:
+def test_wrong_multipliers_of_a_right_x_are_told():
     """A wrong sign, or a remaining gradient, is reported; the lower and upper bounds stay valid."""
     for wrong in ([-1.0], [0.5]):
         result = certify(SIMPLE, [0.5, 1.5], (wrong, []))
@@ -171,7 +169,7 @@ def test_wrong_multipliers_of_a_right_x_are_told() -> None:
         "a bound that is none",
     ],
 )
-def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong: Any) -> None:
+def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong):
     """Multipliers that cancel in the gradient are wrong if their constraints have slack."""
     program = QuadraticProgram(
         [[2, 0], [0, 2]],
@@ -189,7 +187,7 @@ def test_multipliers_that_cancel_are_wrong_where_nothing_holds(wrong: Any) -> No
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
-def test_a_violation_far_below_the_tolerance_may_buy_everything(tolerance: float) -> None:
+def test_a_violation_far_below_the_tolerance_may_buy_everything(tolerance):
     """A small row scale makes the violation of a distant x small, and proves nothing."""
     n = SMALL + 20
     P = sp.diags_array(np.append(1e3, np.ones(n - 1)))
@@ -204,7 +202,7 @@ def test_a_violation_far_below_the_tolerance_may_buy_everything(tolerance: float
 # --- Numbers at the edge -----------------------------------------------------------------------------------------
 
 
-def test_an_objective_that_overflows_is_not_proved() -> None:
+def test_an_objective_that_overflows_is_not_proved():
     """An objective of more than the largest double has no bounds: nothing is proved of it, and nothing is warned."""
     steep = QuadraticProgram(
         [[5, -1, -1], [-1, 2, 2], [-1, 2, 2]], [-3.0, 0.0, 1.7e308], lower=[-INF, 0.0, 0.0]
@@ -214,7 +212,7 @@ def test_an_objective_that_overflows_is_not_proved() -> None:
     assert (huge.verdict, huge.gap) == ("unproved", None)
 
 
-def test_a_row_that_overflows_is_not_met() -> None:
+def test_a_row_that_overflows_is_not_met():
     """A row that overflows gives no proof of feasibility and no upper bound."""
     program = QuadraticProgram(np.eye(2), [-1.0, -1.0], G=[[1e308, 1e308]], h=[0.0])
     result = certify(program, [1.0, 1.0])
@@ -222,7 +220,7 @@ def test_a_row_that_overflows_is_not_met() -> None:
     assert result.upper is None or result.upper >= 0.0
 
 
-def test_a_row_is_met_only_if_it_is_proved_to_be() -> None:
+def test_a_row_is_met_only_if_it_is_proved_to_be():
     """A row violated by less than its rounding error in double precision has an excess above 0."""
     row = [
         -348.8201551564181,
@@ -238,7 +236,7 @@ def test_a_row_is_met_only_if_it_is_proved_to_be() -> None:
 
 
 @pytest.mark.parametrize("row", [[1e-160, 2.8e-162], [5e-324, 0.0], [1e-200, 1e200]])
-def test_equations_of_tiny_numbers_give_no_curvature(row: list[float]) -> None:
+def test_equations_of_tiny_numbers_give_no_curvature(row):
     """Underflowing squares are not weights: P + ρ AᵀA at rounding level proves no curvature."""
     A, P = np.array([row]), np.diag([1e-16, 0.0])
     found = constrained_curvature(P, A)
@@ -251,7 +249,7 @@ def test_equations_of_tiny_numbers_give_no_curvature(row: list[float]) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_curvature_on_a_null_space_is_rounded_downwards(seed: int) -> None:
+def test_the_curvature_on_a_null_space_is_rounded_downwards(seed):
     """P + ρ AᵀA − diag(weights) has nonnegative minors in fractions, for P singular on the null space also."""
     rng = np.random.default_rng(seed)
     for k in range(12):
@@ -277,7 +275,7 @@ def test_the_curvature_on_a_null_space_is_rounded_downwards(seed: int) -> None:
 # --- Claims ------------------------------------------------------------------------------------------------------
 
 
-def test_claims_are_proved_by_proofs_and_disproved_by_points() -> None:
+def test_claims_are_proved_by_proofs_and_disproved_by_points():
     """Infeasible and unbounded, right and wrong."""
     infeasible = QuadraticProgram([[0.0]], [1.0], G=[[1.0], [-1.0]], h=[0.0, -1.0])
     unbounded = QuadraticProgram([[0.0]], [1.0], upper=1.0)
@@ -299,7 +297,7 @@ def test_claims_are_proved_by_proofs_and_disproved_by_points() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_claim_is_proved_after_a_solve_as_before(seed: int) -> None:
+def test_a_claim_is_proved_after_a_solve_as_before(seed):
     """The proof of a compiled solve may be rounded, but "infeasible" is proved exactly."""
     rng = np.random.default_rng(seed)
     G, h = rng.normal(size=(40, 6)), np.full(40, -1.0)
@@ -311,7 +309,7 @@ def test_a_claim_is_proved_after_a_solve_as_before(seed: int) -> None:
     assert certify(program, result).claim == "infeasible"
 
 
-def test_a_result_claims_what_its_status_says() -> None:
+def test_a_result_claims_what_its_status_says():
     """`certify` of a result without a minimum proves that there is none."""
     contradicting = QuadraticProgram(
         np.eye(2), [1.0, 1.0], A=[[1.0, 1.0], [1.0, 1.0]], b=[1.0, 2.0]
@@ -327,7 +325,7 @@ def test_a_result_claims_what_its_status_says() -> None:
 
 
 @pytest.mark.parametrize("miss", [1e-7, 1e-5])
-def test_optimal_and_infeasible_are_never_both_proved(miss: float) -> None:
+def test_optimal_and_infeasible_are_never_both_proved(miss):
     """Constraints inconsistent by less than the tolerance pass; else "infeasible" is proved."""
     program = QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[1.0, -1.0 - miss])
     claimed, answered = certify(program, claim="infeasible"), certify(program, [1.0 + miss / 2.0])
@@ -366,7 +364,7 @@ def models() -> dict[str, cp.Problem]:
 )  # osqp's, of options that old cvxpy sends
 @pytest.mark.parametrize("name", models())
 @pytest.mark.parametrize("solver", ["CLARABEL", "OSQP"])
-def test_answers_of_any_solver_to_cvxpy_problems(name: str, solver: str) -> None:
+def test_answers_of_any_solver_to_cvxpy_problems(name, solver):
     """Proved, with bounds on either side of the value, in the user's sense; nothing of the problem is changed."""
     problem = models()[name]
     problem.solve(solver=solver)
@@ -384,7 +382,7 @@ def test_answers_of_any_solver_to_cvxpy_problems(name: str, solver: str) -> None
         np.testing.assert_array_equal(before, variable.value)
 
 
-def test_wrong_values_of_cvxpy_variables() -> None:
+def test_wrong_values_of_cvxpy_variables():
     """Off by 1e-4: never proved; off by 1e-2, and the answer without a row: disproved."""
     problem = models()["portfolio"]
     problem.solve(solver="CLARABEL")
@@ -404,7 +402,7 @@ def test_wrong_values_of_cvxpy_variables() -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, 0.25, 1.0])
-def test_every_optimal_value_is_proved(value: float) -> None:
+def test_every_optimal_value_is_proved(value):
     """If x is not unique, the auxiliary variables of cvxpy are chosen optimally for this x."""
     x = cp.Variable()
     problem = cp.Problem(cp.Minimize(cp.pos(x) + cp.pos(1.0 - x)), [x <= 5.0])
@@ -416,7 +414,7 @@ def test_every_optimal_value_is_proved(value: float) -> None:
     assert certify(problem).verdict == "disproved"
 
 
-def test_claims_of_cvxpy_solvers() -> None:
+def test_claims_of_cvxpy_solvers():
     """Statuses of cvxpy solvers are checked against the problem, right and wrong statuses."""
     x = cp.Variable(2)
     infeasible = cp.Problem(cp.Minimize(cp.sum_squares(x)), [x >= 1, cp.sum(x) <= 1])
@@ -466,7 +464,7 @@ certify([[1.0]]) → InvalidProblem: got list
 certify(CURVED) → InvalidOption: needs a point of the NonlinearProblem
 certify(CURVED, [1.0], claim='optimal') → InvalidOption: go with a QuadraticProgram
 """)
-def test_mistakes_are_refused_in_words(call: str, words: str) -> None:
+def test_mistakes_are_refused_in_words(call, words):
     """Invalid arguments raise errors that state the requirement."""
     assert_refused(call, words, globals())
 
@@ -475,7 +473,7 @@ def test_mistakes_are_refused_in_words(call: str, words: str) -> None:
 
 
 @pytest.mark.parametrize("kind", multipliers_campaign.KINDS)
-def test_multipliers_are_not_far_above_those_of_highs(kind: str) -> None:
+def test_multipliers_are_not_far_above_those_of_highs(kind):
     """Multipliers of degenerate programs are at most 1e3 times the largest multiplier of HiGHS."""
     pytest.importorskip("scipy", minversion="1.15")  # the programs are drawn by random_array(rng=…)
     for seed in SEEDS.get(kind, range(3)):
@@ -493,9 +491,7 @@ def test_multipliers_are_not_far_above_those_of_highs(kind: str) -> None:
     st.integers(-20, 20),
     st.sampled_from(["right", "with multipliers", "off", "a sign", "beside slack", "a gradient"]),
 )
-def test_verdicts_do_not_depend_on_units(
-    objective: int, row: int, unknowns: int, answer: str
-) -> None:
+def test_verdicts_do_not_depend_on_units(objective, row, unknowns, answer):
     """The objective, a row, and all unknowns times powers of two: the same verdict, of x and of its multipliers."""
     P, c = np.array([[2.0, 1.0], [1.0, 3.0]]), np.array([-6.0, -4.0])
     G, h = np.array([[1.0, 1.0], [1.0, -2.0]]), np.array([2.0, 8.0])
@@ -521,7 +517,7 @@ def test_verdicts_do_not_depend_on_units(
         assert found.lower == pytest.approx(s * expected.lower, rel=1e-6)
 
 
-def test_a_program_without_unknowns_is_judged() -> None:
+def test_a_program_without_unknowns_is_judged():
     """A program without unknowns has the value 0, and its rows 0 ≤ h are checked."""
     empty = np.zeros((0, 0))
     assert certify(QuadraticProgram(empty, []), []).verdict == "proved"
@@ -531,7 +527,7 @@ def test_a_program_without_unknowns_is_judged() -> None:
 
 
 @pytest.mark.parametrize("n", [1, 2, 5])
-def test_a_fit_without_an_error_is_proved(n: int) -> None:
+def test_a_fit_without_an_error_is_proved(n):
     """The least maximum norm of A x − b is 0; no x of doubles reaches it, and a residual of 1e-9 is disproved."""
     rng = np.random.default_rng(n)
     A, b = rng.normal(size=(n, n)), rng.normal(size=n)
@@ -543,7 +539,7 @@ def test_a_fit_without_an_error_is_proved(n: int) -> None:
     assert certify(program, np.append(x, 1e-9)).verdict == "disproved"
 
 
-def test_inactive_bounds_change_no_verdict() -> None:
+def test_inactive_bounds_change_no_verdict():
     """Exact integer optima in mixed units: with bounds of 1e6 that hold nothing the verdict is as without them."""
     for seed in range(60):
         rng = np.random.default_rng(seed)

@@ -85,7 +85,7 @@ def vars_of(solution: QPSolution) -> tuple[Any, Any, Any, Any]:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_direct_form_solved_and_recovered(seed: int) -> None:
+def test_direct_form_solved_and_recovered(seed):
     """A program with bounds and singleton rows only is the direct problem of n rows, and PSOR solves it."""
     answer = planted(seed, m=0, p=0, singletons=3)
     problem = lcp_from_qp(answer.program)
@@ -97,7 +97,7 @@ def test_direct_form_solved_and_recovered(seed: int) -> None:
 
 @pytest.mark.parametrize("rank", [None, 3, 0])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_kkt_form_has_the_planted_solution(seed: int, rank: int | None) -> None:
+def test_kkt_form_has_the_planted_solution(seed, rank):
     """The triple (x, λ, ν) of any convex program solves the monotone KKT form and is recovered."""
     answer = planted(seed, rank=rank)
     problem = lcp_from_qp(answer.program)
@@ -112,7 +112,7 @@ def test_kkt_form_has_the_planted_solution(seed: int, rank: int | None) -> None:
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_multipliers_of_crowded_variables(seed: int) -> None:
+def test_multipliers_of_crowded_variables(seed):
     """Many singleton rows and bounds on the same variables, ties included: the multipliers found are optimal ones."""
     rng = np.random.default_rng(seed)
     n, m = 4, 12
@@ -135,14 +135,14 @@ def test_multipliers_of_crowded_variables(seed: int) -> None:
     [([[0.0, 0.0]], [-1.0]), ([[1.0, 0.0], [-1.0, 0.0]], [0.0, -1.0])],
     ids=["0 ≤ −1", "1 ≤ x ≤ 0"],
 )
-def test_contradictions_stay_rows(G: Any, h: Any) -> None:
+def test_contradictions_stay_rows(G, h):
     """Inconsistent rows remain in the LCP, and no x has a small primal residual."""
     problem = lcp_from_qp(QuadraticProgram(np.eye(2), [0, 0], G, h))
     assert problem.n == 2 + len(h)
     assert problem.origin.recover(np.zeros(problem.n)).solution.primal_residual > 0.1
 
 
-def test_origins_survive_pickling() -> None:
+def test_origins_survive_pickling():
     """A pickled origin recovers the same solution, in either form."""
     for answer in (planted(1), planted(1, m=0, p=0)):
         problem = lcp_from_qp(answer.program)
@@ -162,7 +162,7 @@ TIGHTLY = {  # an interior point is off by the root of its tolerance where a row
 
 @pytest.mark.parametrize(("solver", "accuracy"), [("CLARABEL", 1e-4), ("OSQP", 1e-5)])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_agrees_with_cvxpy(seed: int, solver: str, accuracy: float) -> None:
+def test_agrees_with_cvxpy(seed, solver, accuracy):
     """x, the objective and the signs of all multipliers are those that cvxpy reports."""
     answer = planted(seed, singletons=1)
     program = answer.program
@@ -190,7 +190,7 @@ def test_agrees_with_cvxpy(seed: int, solver: str, accuracy: float) -> None:
 
 @pytest.mark.parametrize("n", [0, 1, 5])
 @pytest.mark.parametrize("sparse", [False, True])
-def test_round_trip_of_symmetric_problems(n: int, sparse: bool) -> None:
+def test_round_trip_of_symmetric_problems(n, sparse):
     """from_qp(to_qp(problem)) has the same M, q and bounds, boxes and free rows included."""
     rng = np.random.default_rng(n)
     factor = rng.normal(size=(n, n))
@@ -206,7 +206,7 @@ def test_round_trip_of_symmetric_problems(n: int, sparse: bool) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_gap_program_of_monotone_problems(seed: int) -> None:
+def test_gap_program_of_monotone_problems(seed):
     """The gap program's minimum is at the problem's solution, with value aᵀq, one-sided and free rows included."""
     rng = np.random.default_rng(seed)
     n = 6
@@ -266,7 +266,7 @@ GAMES = {
 
 
 @pytest.mark.parametrize("name", GAMES)
-def test_bimatrix_games(name: str) -> None:
+def test_bimatrix_games(name):
     """A known equilibrium, scaled by the costs it meets, solves the problem; recovered, it has no regret."""
     A, B, x, y, payoffs = GAMES[name]
     problem = lcp_from_bimatrix_game(A, B)
@@ -283,7 +283,7 @@ def test_bimatrix_games(name: str) -> None:
 
 
 @pytest.mark.full
-def test_a_game_of_players_is_taken_as_it_is() -> None:
+def test_a_game_of_players_is_taken_as_it_is():
     """A game of two by three actions equals (A, B), with the player's action on the first axis."""
     A = np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]])
     B = np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]])
@@ -340,12 +340,12 @@ game(game_of(EYE, EYE, EYE)) → InvalidProblem: two players, got a game of 3
 game(np.zeros((0, 2)), EYE) → InvalidProblem: at least one row
 game(EYE, EYE).origin.recover(np.zeros(4)) → NotConverged: row player
 """)
-def test_refused(call: str, words: str) -> None:
+def test_refused(call, words):
     """Invalid data and options raise errors with the value and the next step."""
     assert_refused(call, words, globals())
 
 
-def test_rounding_in_the_symmetry_is_averaged_away() -> None:
+def test_rounding_in_the_symmetry_is_averaged_away():
     """A P that is symmetric up to rounding error is symmetrized, and the asymmetry is reported."""
     P = np.array([[2.0, 1.0], [1.0 + 1e-15, 2.0]])
     program = QuadraticProgram(P, [0, 0])
@@ -354,7 +354,7 @@ def test_rounding_in_the_symmetry_is_averaged_away() -> None:
     assert "asymmetry" in str(program)
 
 
-def test_data_are_read_only_and_the_callers_own_stay_as_they_are() -> None:
+def test_data_are_read_only_and_the_callers_own_stay_as_they_are():
     """The program keeps read-only copies, sparse for sparse input; the input stays writable."""
     P, G = sp.csr_array([[2.0, 0.0], [0.0, 2.0]]), np.array([[1.0, 1.0]])
     before = P.toarray(), G.copy()
@@ -400,7 +400,7 @@ def program_with_all(seed: int, *, contradicts: bool = False) -> QuadraticProgra
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_program_with_rows_that_become_bounds_is_solved_with_its_multipliers(seed: int) -> None:
+def test_a_program_with_rows_that_become_bounds_is_solved_with_its_multipliers(seed):
     """Points and multipliers belong to the original program, with every row and fixed variable."""
     program = program_with_all(seed)
     found = solve(program)
@@ -413,9 +413,7 @@ def test_a_program_with_rows_that_become_bounds_is_solved_with_its_multipliers(s
 
 @pytest.mark.parametrize("is_sparse", [False, True])
 @pytest.mark.parametrize("P", [None, [[2.0**-60, 0.0], [0.0, 0.0]]])
-def test_conditions_at_a_distant_point_with_another_objective_are_not_solved(
-    P: Any, is_sparse: bool
-) -> None:
+def test_conditions_at_a_distant_point_with_another_objective_are_not_solved(P, is_sparse):
     """The conditions hold to 2⁻³⁰ at (1 + 2²⁰, 2²⁰), but the objective is larger by 2⁻¹⁰ than at the solution (1, 0).
 
     The program is: minimize (1 + 2⁻³⁰) x₀ − x₁ with x₀ − x₁ = 1.
@@ -432,7 +430,7 @@ def test_conditions_at_a_distant_point_with_another_objective_are_not_solved(
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "multigrid"])
-def test_conditions_without_rows_end_where_the_plain_problem_ends(algorithm: str) -> None:
+def test_conditions_without_rows_end_where_the_plain_problem_ends(algorithm):
     """The duality gap of an obstacle problem is not tested: sweeps would need a third more iterations."""
     n = 200
     P = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n)).tocsr()
@@ -452,9 +450,7 @@ def test_conditions_without_rows_end_where_the_plain_problem_ends(algorithm: str
         ("large P", 4000000002315),
     ],
 )
-def test_conditions_of_a_program_of_low_rank_are_solved_at_its_value(
-    family: str, number: int
-) -> None:
+def test_conditions_of_a_program_of_low_rank_are_solved_at_its_value(family, number):
     """P is singular up to rounding, and PIQP ends up to 7e8 away: rows hold to 1e-8, the objective was -29 for -2.6."""
     program, value = convex_programs.planted(family, np.random.default_rng(number), 12)
     problem = lcp_from_qp(program)
@@ -462,7 +458,7 @@ def test_conditions_of_a_program_of_low_rank_are_solved_at_its_value(
     assert not found.is_solved or abs(found.objective - value) <= 1e-6 * (1.0 + abs(value))
 
 
-def test_a_point_with_a_large_duality_gap_solves_the_conditions_and_not_the_program() -> None:
+def test_a_point_with_a_large_duality_gap_solves_the_conditions_and_not_the_program():
     """At (1 + 2²⁰, 2²⁰) the conditions hold to 2⁻³⁰ and the objective is off by 2⁻¹⁰; the way out is named."""
     problem = LCP.from_qp(None, [1.0 + 2.0**-30, -1.0], A=[[1.0, -1.0]], b=[1.0], lower=0.0)
     z = [1.0 + 2.0**20, 2.0**20, -1.0]
@@ -473,7 +469,7 @@ def test_a_point_with_a_large_duality_gap_solves_the_conditions_and_not_the_prog
         assert "solve(problem.origin.program)" in found.explain()
 
 
-def test_a_point_of_the_conditions_has_the_status_of_the_program() -> None:
+def test_a_point_of_the_conditions_has_the_status_of_the_program():
     """A point 1e-9 from the minimizer is SOLVED below a limit of 1, and keeps the status of a run that ended early."""
     problem = LCP.from_qp(np.eye(2), [-1.0, -1.0], G=[[1.0, 1.0]], h=[1.0])
     assert problem.origin.recover([0.5, 0.5, 0.5]).status is Status.SOLVED
@@ -482,7 +478,7 @@ def test_a_point_of_the_conditions_has_the_status_of_the_program() -> None:
     assert problem.origin.recover([0.2, 0.2, 0.5]).status is Status.STALLED
 
 
-def test_values_of_a_program_with_huge_bounds() -> None:
+def test_values_of_a_program_with_huge_bounds():
     """Methods solve its conditions at its value, or not at all."""
     rng = np.random.default_rng(4000000000664)
     program, value = convex_programs.planted("huge bounds", rng, 12)
@@ -494,7 +490,7 @@ def test_values_of_a_program_with_huge_bounds() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_contradiction_beside_rows_that_become_bounds_is_proved(seed: int) -> None:
+def test_a_contradiction_beside_rows_that_become_bounds_is_proved(seed):
     """The proof uses the rows of the original program."""
     program = program_with_all(seed, contradicts=True)
     proof = solve(program).proof
@@ -502,7 +498,7 @@ def test_a_contradiction_beside_rows_that_become_bounds_is_proved(seed: int) -> 
     assert proof.verify()
 
 
-def test_a_direction_of_descent_beside_fixed_variables_is_proved() -> None:
+def test_a_direction_of_descent_beside_fixed_variables_is_proved():
     """A row of one variable becomes a bound, and the last variable is fixed: UNBOUNDED with a proof."""
     P = np.diag([0.0, 0.0, 1.0, 0.0])
     program = QuadraticProgram(
@@ -550,7 +546,7 @@ def moved(given: QuadraticProgram, rng: np.random.Generator) -> dict[str, Any]:
 
 @pytest.mark.parametrize("kind", SOLVABLE)
 @pytest.mark.parametrize("seed", range(6))
-def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, seed: int) -> None:
+def test_a_program_with_other_vectors_is_the_program_of_these_data(kind, seed):
     """Method with_vectors gives the LCP and measures of a fresh program, bit by bit."""
     rng = np.random.default_rng([seed, SOLVABLE.index(kind)])
     first, _ = case(kind, seed, 0, 12)
@@ -571,7 +567,7 @@ def test_a_program_with_other_vectors_is_the_program_of_these_data(kind: str, se
 
 @pytest.mark.parametrize("name", VECTORS)
 @pytest.mark.parametrize("wrong", [[np.nan, 0.0], [0.0], "two"])
-def test_other_vectors_are_checked(name: str, wrong: Any) -> None:
+def test_other_vectors_are_checked(name, wrong):
     """A vector of another length, of text or with a NaN raises an error."""
     first = QuadraticProgram(np.eye(2), [1, 1], G=np.eye(2), h=[1, 1], A=np.eye(2), b=[1, 1])
     with pytest.raises(InvalidProblem, match=name):
@@ -587,7 +583,7 @@ def exactly(row: Any, x: Any) -> Fraction:
 
 
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
-def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
+def test_residuals_of_a_program_are_bounds(kind):
     """If terms cancel, the primal residual is the exact one."""
     rng = np.random.default_rng(2)
     for _ in range(20):
@@ -608,7 +604,7 @@ def test_residuals_of_a_program_are_bounds(kind: Any) -> None:
         assert abs(Fraction(solution.primal_residual) - exact) <= exact * Fraction(1, 2**40)
 
 
-def test_from_qp_takes_a_program_alone() -> None:
+def test_from_qp_takes_a_program_alone():
     """LCP.from_qp(program) is LCP.from_qp(P, c, …); other data next to a program are refused."""
     program = QuadraticProgram([[2.0]], [-4.0], G=[[1.0], [2.0]], h=[1.0, 9.0])
     one, other = LCP.from_qp(program), LCP.from_qp([[2.0]], [-4.0], [[1.0], [2.0]], [1.0, 9.0])

@@ -56,7 +56,7 @@ AGREE = (
 
 
 @pytest.mark.parametrize("kind", convex_programs.SOLVABLE)
-def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
+def test_every_kind_of_convex_program_is_solved(kind):
     """As a program and as an LCP, two of each family reach the known value and the conditions."""
     for seed in (77, 78):
         case, value = convex_programs.case(kind, seed, 0, 25)
@@ -75,16 +75,14 @@ def test_every_kind_of_convex_program_is_solved(kind: str) -> None:
         ([9.0, 0.0, -7.0, 2.0], [7.0], Status.INFEASIBLE),
     ],
 )
-def test_a_program_without_unknowns_is_what_its_rows_say(
-    h: list[float], b: list[float], status: Status
-) -> None:
+def test_a_program_without_unknowns_is_what_its_rows_say(h, b, status):
     """All variables of a file may be fixed: 0 = 0 and 0 <= 2 hold, 0 = 1 and 0 <= -1 are proved not to."""
     rows = [np.zeros((len(right), 0)) for right in (h, b)]
     program = QuadraticProgram(np.zeros((0, 0)), np.zeros(0), rows[0], h, rows[1], b)
     assert solve_program(program).status is status
 
 
-def test_ranges_say_what_they_say() -> None:
+def test_ranges_say_what_they_say():
     """Rows with limits on both sides, one side, none, and equal ones; multipliers come back in that shape."""
     A = np.array(
         [[1.0, 1.0, 0.0], [1.0, -1.0, 1.0], [0.0, 1.0, 2.0], [1.0, 0.0, 3.0], [2.0, 1.0, 1.0]]
@@ -149,7 +147,7 @@ HARD = (
 
 @pytest.mark.parametrize("largest", [60, 400])
 @pytest.mark.parametrize("kind", HARD)
-def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> None:
+def test_what_interior_points_find_hard_is_solved(kind, largest):
     """Hard programs reach the known value with row-wise KKT residuals of 1e-6 in twelve steps."""
     for seed in range(4):
         made = chain(6 * largest, np.random.default_rng(seed)) if kind == HARD[0] else None
@@ -161,7 +159,7 @@ def test_what_interior_points_find_hard_is_solved(kind: str, largest: int) -> No
         assert result.iterations <= 2000
 
 
-def test_auto_solves_a_long_chain_of_differences_in_units_of_limits_and_costs() -> None:
+def test_auto_solves_a_long_chain_of_differences_in_units_of_limits_and_costs():
     """A program that no external solver solves in fitted or given units is solved in a further attempt."""
     program, value = chain(2400, np.random.default_rng(3))
     result = solve(program)
@@ -178,9 +176,7 @@ def test_auto_solves_a_long_chain_of_differences_in_units_of_limits_and_costs() 
         ("everything", 5, 2),
     ],
 )
-def test_solve_of_a_badly_scaled_program_has_the_planted_value_or_is_not_solved(
-    family: str, seed: int, case: int
-) -> None:
+def test_solve_of_a_badly_scaled_program_has_the_planted_value_or_is_not_solved(family, seed, case):
     """A program with data of 1e-9 to 1e9 has no false proof, and SOLVED means its known value."""
     program, value = convex_programs.case(
         family, seed, case, 400 if family == "everything" else 2000
@@ -191,9 +187,7 @@ def test_solve_of_a_badly_scaled_program_has_the_planted_value_or_is_not_solved(
 
 
 @pytest.mark.parametrize(("seed", "largest", "case"), [(5, 300, 15), (1, 1000, 12), (1, 1000, 42)])
-def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
-    seed: int, largest: int, case: int
-) -> None:
+def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(seed, largest, case):
     """If equalities are inconsistent by about the tolerance, the value is right, SOLVED or PRECISION_LIMIT."""
     program, value = convex_programs.case("redundant, rounded", seed, case, largest)
     result = solve(program)
@@ -203,7 +197,7 @@ def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(
     assert result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
-def test_a_factor_that_magnifies_errors_is_not_used() -> None:
+def test_a_factor_that_magnifies_errors_is_not_used():
     """Redundant rows whose first factor answers with far too large numbers: a dozen steps."""
     problem = lcp_from_qp(convex_programs.case("redundant, rounded", 131, 0, 120)[0])
     result = solve(problem, INTERIOR)
@@ -211,7 +205,7 @@ def test_a_factor_that_magnifies_errors_is_not_used() -> None:
     assert result.iterations <= 20
 
 
-def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
+def test_a_reduced_cost_is_called_what_is_the_smaller_error():
     """Far from the bound 1e-6 next to terms of 62 is a dual residual, near it a multiplier; a large one never hides."""
     program = QuadraticProgram([[1.0]], [1e-6 - 62.0], lower=0.0)
     solution = lcp_from_qp(program).origin.recover([62.0]).solution
@@ -230,7 +224,7 @@ def test_a_reduced_cost_is_called_what_is_the_smaller_error() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
-def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
+def test_programs_without_minimum_are_proven_so(kind, seed):
     """Infeasible and unbounded programs get an exact proof, which fails after any modification."""
     case, _ = convex_programs.case(kind, seed, 5, 20)
     proof = proof_of_no_minimum(case)
@@ -240,7 +234,7 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
     if isinstance(proof, QPInfeasibility):
         m = case.h.size
         flipped = (*(-y for y in proof.multipliers[:m]), *proof.multipliers[m:])
-        broken: Any = QPInfeasibility(case, flipped)
+        broken = QPInfeasibility(case, flipped)
     else:
         broken = QPUnboundedness(case, proof.point, tuple(-d for d in proof.direction))
     assert not broken.verify()
@@ -248,7 +242,7 @@ def test_programs_without_minimum_are_proven_so(kind: str, seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", convex_programs.SOLVABLE)
-def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
+def test_nothing_is_proven_of_a_solvable_program(kind, seed):
     """Programs with a known minimum have no accepted proof; rounded data may have one."""
     case, _ = convex_programs.case(kind, seed, 6, 10)
     assert accepted_proof(case, 1e-6) is None
@@ -265,9 +259,7 @@ def test_nothing_is_proven_of_a_solvable_program(kind: str, seed: int) -> None:
         (QuadraticProgram(None, [1.0, 1.0], [[1.0, 1.0], [1.0, -1.0]], [-1.0, -1.0]), "unbounded"),
     ],
 )
-def test_a_run_that_a_proof_ends_says_so(
-    program: Any, word: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_that_a_proof_ends_says_so(program, word, capsys):
     """An infeasible program has no multipliers, and verbose=True ends with the proof."""
     watched, quiet = solve(program, verbose=True), solve(program)
     end = capsys.readouterr().out.splitlines()[-1]
@@ -281,7 +273,7 @@ def test_a_run_that_a_proof_ends_says_so(
         assert "no multipliers" in str(result.solution)
 
 
-def test_a_rounded_bound_proves_nothing() -> None:
+def test_a_rounded_bound_proves_nothing():
     """3 x ≥ 1 and x = a double below 1/3 contradict, if by rounding only: no proof or an exact one; above it, none."""
     for right in (np.nextafter(1.0 / 3.0, 0.0), 1.0 / 3.0, np.nextafter(1.0 / 3.0, 1.0)):
         program = QuadraticProgram([[0.0]], [1.0], [[-3.0]], [-1.0], A=[[1.0]], b=[right])
@@ -289,7 +281,7 @@ def test_a_rounded_bound_proves_nothing() -> None:
         assert proof is None or (Fraction(right) * 3 < 1 and proof.verify())
 
 
-def test_a_linear_program_under_a_limit_of_seconds_is_refuted() -> None:
+def test_a_linear_program_under_a_limit_of_seconds_is_refuted():
     """Σ x = 1 and x₀ = 2 are infeasible; there are too many unknowns for an active set."""
     rows = sp.csr_array(np.vstack([np.ones(240), np.eye(1, 240)]))
     program = QuadraticProgram(None, np.arange(1.0, 241.0), A=rows, b=[1.0, 2.0], lower=0.0)
@@ -318,7 +310,7 @@ NONCONVEX = {
     ("P", "c", "value"),
     [(np.array([[1, 1 + 1e-8, 0], [1 + 1e-8, 1, 0], [0, 0, 4]]), [1, 1, 0], -0.5)],
 )
-def test_p_that_is_semidefinite_but_for_rounding_is_solved(P: Any, c: Any, value: float) -> None:
+def test_p_that_is_semidefinite_but_for_rounding_is_solved(P, c, value):
     """An eigenvalue of −1e-8 relative to its rows is rounding error, and the advice mentions it."""
     n = len(c)
     result = solve(QuadraticProgram(P, c, lower=-np.ones(n), upper=np.ones(n)))
@@ -329,7 +321,7 @@ def test_p_that_is_semidefinite_but_for_rounding_is_solved(P: Any, c: Any, value
 
 
 @pytest.mark.parametrize("name", NONCONVEX)
-def test_a_program_that_is_clearly_not_convex_is_refused(name: str) -> None:
+def test_a_program_that_is_clearly_not_convex_is_refused(name):
     """A negative eigenvalue beyond rounding is rejected with a value and advice."""
     P, words = NONCONVEX[name]
     with pytest.raises(
@@ -339,7 +331,7 @@ def test_a_program_that_is_clearly_not_convex_is_refused(name: str) -> None:
         LCP.from_qp(P, np.full(P.shape[0] if sp.issparse(P) else 2, 0.1), lower=-1.0, upper=1.0)
 
 
-def test_an_unbounded_direction_needs_a_feasible_point() -> None:
+def test_an_unbounded_direction_needs_a_feasible_point():
     """A direction of descent with inconsistent constraints is infeasible, never unbounded."""
     program = QuadraticProgram(
         np.zeros((2, 2)), [-1.0, 0.0], [[0.0, 1.0], [0.0, -1.0]], [0.0, -1.0]
@@ -366,9 +358,7 @@ def test_an_unbounded_direction_needs_a_feasible_point() -> None:
     ],
     ids=["beside a large cost", "a small cost", "rows that cancel"],
 )
-def test_an_exact_descent_counts_beside_its_own_costs(
-    program: QuadraticProgram, along: Any
-) -> None:
+def test_an_exact_descent_counts_beside_its_own_costs(program, along):
     """A recession direction with a small cost, relative to others, proves unboundedness."""
     point = np.zeros(program.n) if not program.b.size else np.array([1.0, 0.0])
     proof = QPUnboundedness(program, tuple(map(Fraction, point)), tuple(map(Fraction, along)))
@@ -378,14 +368,14 @@ def test_an_exact_descent_counts_beside_its_own_costs(
     assert certify(program, claim="unbounded").verdict == "proved"
 
 
-def test_negative_curvature_excludes_every_minimum() -> None:
+def test_negative_curvature_excludes_every_minimum():
     """−x²/2 falls without a cost: no change of costs ends the descent."""
     proof = QPUnboundedness(QuadraticProgram([[-1.0]], [0.0]), (Fraction(0),), (Fraction(1),))
     assert proof.verify()
     assert (proof.margin, proof.excludes(1e-6)) == (INF, True)
 
 
-def test_a_proof_says_by_how_much_its_point_misses_constraints() -> None:
+def test_a_proof_says_by_how_much_its_point_misses_constraints():
     """If constraints are inconsistent by rounding, the proof reports the violation."""
     found = solve(
         QuadraticProgram(None, [-1.0, -1.0, -1.0], [[-4, -1, 2], [4, 1, -2]], [2e6, -2000000.001])
@@ -397,7 +387,7 @@ def test_a_proof_says_by_how_much_its_point_misses_constraints() -> None:
     assert f"misses constraints by {found.proof.violation:.1e}" in found.explain()
 
 
-def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
+def test_a_splitting_method_is_refused_where_it_cannot_run():
     """A named method that needs a positive diagonal rejects a linear program."""
     x = cp.Variable(3)
     problem = cp.Problem(cp.Minimize(cp.sum(x)), [x >= 0, x[0] + x[1] + x[2] >= 1])
@@ -409,7 +399,7 @@ def test_a_splitting_method_is_refused_where_it_cannot_run() -> None:
 
 
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
-def test_infeasible_by_a_millionth_is_proved(size: float) -> None:
+def test_infeasible_by_a_millionth_is_proved(size):
     """x₁ − x₂ = s and = s (1 + 2e-6) contradict by 1e-6 of their scale: proved at default tolerance."""
     x = cp.Variable(2)
     constraints = [x[0] - x[1] == size, x[0] - x[1] == size * (1 + 2e-6)]
@@ -422,7 +412,7 @@ def test_infeasible_by_a_millionth_is_proved(size: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_no_saddle_is_called_a_minimum_in_whatever_units(seed: int) -> None:
+def test_no_saddle_is_called_a_minimum_in_whatever_units(seed):
     """A block [[1, 2], [2, 1]] next to entries up to 1e12 larger, scaled, is never a minimum."""
     random = np.random.default_rng(seed)
     units, A = 10.0 ** random.integers(-6, 7, 4), random.standard_normal((4, 4))
@@ -449,7 +439,7 @@ def test_no_saddle_is_called_a_minimum_in_whatever_units(seed: int) -> None:
         assert values.min() >= 0.5 * own @ P @ own + c @ own - 1e-5 * terms
 
 
-def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
+def test_bounds_that_cross_by_rounding_contradict_nothing():
     """A bound x ≤ 1 and a row x ≥ 1 + 2e-16 are met at x = 1; the proof that they are not does not count."""
     problem = LCP.from_qp([[0.0]], [1.0], G=[[-1.0]], h=[-np.nextafter(1.0, 2.0)], upper=1.0)
     solution = problem.origin.recover(solve(problem)).solution
@@ -465,7 +455,7 @@ def test_bounds_that_cross_by_rounding_contradict_nothing() -> None:
 
 @pytest.mark.parametrize("turned", [1.0, -1.0])
 @pytest.mark.parametrize("rank", [8, 3, 0])
-def test_conditions_written_by_hand_are_solved(rank: int, turned: float) -> None:
+def test_conditions_written_by_hand_are_solved(rank, turned):
     """Stationarity, feasibility and pairs of a QP have its value, whichever way its equations are turned."""
     rng = np.random.default_rng(rank)
     F = rng.normal(size=(8, rank))
@@ -492,12 +482,12 @@ def test_conditions_written_by_hand_are_solved(rank: int, turned: float) -> None
 # --- One program, many callers -----------------------------------------------------------------------------------
 
 
-def test_threads_that_share_the_matrices_of_a_program_get_its_solutions() -> None:
+def test_threads_that_share_the_matrices_of_a_program_get_its_solutions():
     """Right-hand sides 9 and ∞ in turn change which rows remain, in four threads at once; x = min(1, h)."""
     base = QuadraticProgram(np.eye(3), -np.ones(3), np.vstack([np.eye(3), np.ones(3)]), np.ones(4))
     limits = [[np.inf, 0.5, 9.0, np.inf], [0.25, np.inf, 9.0, 9.0], [9.0, 9.0, np.inf, np.inf]]
 
-    def solved(k: int) -> Any:
+    def solved(k):
         h = np.array(limits[k % 3])
         return np.abs(solve(base.with_vectors(h=h)).x - np.minimum(1.0, h[:3])).max()
 
@@ -510,7 +500,7 @@ def test_threads_that_share_the_matrices_of_a_program_get_its_solutions() -> Non
         sys.setswitchinterval(before)
 
 
-def test_a_stiff_difference_of_two_unknowns_ends_soon() -> None:
+def test_a_stiff_difference_of_two_unknowns_ends_soon():
     """P = 2⁵⁰ ((1, −1), (−1, 1)) up to 10⁶: the gradient of one double next to another is 1e5, larger than c."""
     P = 2.0**50 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     program = QuadraticProgram(P, [-1.0, 0.5], lower=0.0, upper=1e6)
@@ -521,7 +511,7 @@ def test_a_stiff_difference_of_two_unknowns_ends_soon() -> None:
     assert not result.is_solved or result.objective == pytest.approx(-5e5)
 
 
-def test_negative_curvature_at_rounding_level_counts_as_none() -> None:
+def test_negative_curvature_at_rounding_level_counts_as_none():
     """P = diag(−1e-15, 10): a free x₁ has a minimum if its cost has one, and is free without a cost."""
     P = np.diag([-1e-15, 10.0])
     found = solve(QuadraticProgram(P, [1.0, 1.0], [[-1.0, 0.0]], [-1.0])).require_solved()
@@ -547,12 +537,12 @@ def minimum_by_clarabel(program: QuadraticProgram, P: Any) -> float:
 
 
 @pytest.mark.parametrize("kind", [0, 1, 2])
-def test_a_matrix_in_single_precision_is_solved_and_certified(kind: int) -> None:
+def test_a_matrix_in_single_precision_is_solved_and_certified(kind):
     """With Laplacians, Gram matrices and covariances in float32, x is feasible and as good as Clarabel's for P + δD."""
     for seed in range(kind, 12, 3):
         rng = np.random.default_rng(seed)
         n = int(rng.integers(5, 40))
-        given: dict[str, Any] = {"lower": 1.0 if kind == 0 else 0.0}
+        given = {"lower": 1.0 if kind == 0 else 0.0}
         c = np.zeros(n)
         if kind == 0:
             W = np.triu(rng.random((n, n)), 1)
@@ -582,7 +572,7 @@ def test_a_matrix_in_single_precision_is_solved_and_certified(kind: int) -> None
         assert ("within rounding" in answer.reason) == is_rounded
 
 
-def test_a_matrix_that_is_indefinite_by_rounding_has_no_far_minimum() -> None:
+def test_a_matrix_that_is_indefinite_by_rounding_has_no_far_minimum():
     """The Laplacian of a triangle, of which one entry is 3e-12 too small: the least x, (1, 1, 1), has the value 0."""
     P = 3.0 * np.eye(3) - np.ones((3, 3))
     P[0, 0] -= 3e-12
@@ -602,7 +592,7 @@ def test_a_matrix_that_is_indefinite_by_rounding_has_no_far_minimum() -> None:
         )
 
 
-def test_x_and_z_of_a_result_are_one_point() -> None:
+def test_x_and_z_of_a_result_are_one_point():
     """The z of a result is its x with the multipliers of the rows, from any solver."""
     far = 2.0**30 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     for program in (
@@ -615,9 +605,7 @@ def test_x_and_z_of_a_result_are_one_point() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("curvature", [-1e-10, -1.0])
-def test_negative_curvature_of_a_fixed_unknown_is_no_obstacle(
-    curvature: float, sign: float
-) -> None:
+def test_negative_curvature_of_a_fixed_unknown_is_no_obstacle(curvature, sign):
     """xᵀ diag(curvature, 10) x at x = (1, 2), and over x₁ = 1, x₂ ≥ 2; not convex with x₁ free."""
     x, P = cp.Variable(2), np.diag([curvature, 10.0])
     form = sign * cp.quad_form(x, cp.psd_wrap(P))
@@ -631,7 +619,7 @@ def test_negative_curvature_of_a_fixed_unknown_is_no_obstacle(
         solve(QuadraticProgram(2.0 * P, [0.0, 0.0], lower=[0.0, 2.0]))
 
 
-def test_the_refusal_of_a_rounded_correlation_matrix_names_the_nearest_semidefinite_one() -> None:
+def test_the_refusal_of_a_rounded_correlation_matrix_names_the_nearest_semidefinite_one():
     """The line of the message makes the program of 20 assets from 8 returns, rounded to 6 digits, convex."""
     returns = np.random.default_rng(0).normal(size=(8, 20))
     P = np.round(np.corrcoef(returns.T), 6)
@@ -644,7 +632,7 @@ def test_the_refusal_of_a_rounded_correlation_matrix_names_the_nearest_semidefin
     assert solve(QuadraticProgram(V * w.clip(0) @ V.T, np.zeros(20), **rows)).is_solved
 
 
-def test_an_unstable_plant_by_single_shooting_is_not_worse_than_its_engines() -> None:
+def test_an_unstable_plant_by_single_shooting_is_not_worse_than_its_engines():
     """The terms of the objective are 1e11 times the optimum, .680: rounding decides what an engine returns."""
     N, begin = 60, np.array([0.05, 0.0])
     A, B = np.array([[1.3, 0.1], [0.0, 1.05]]), np.array([0.005, 0.1])
@@ -655,7 +643,7 @@ def test_an_unstable_plant_by_single_shooting_is_not_worse_than_its_engines() ->
     P = S.T @ S + 0.1 * np.eye(N)
     program = QuadraticProgram(0.5 * (P + P.T), S.T @ (H @ begin), lower=-1.0, upper=1.0)
 
-    def cost(u: Any) -> float:
+    def cost(u):
         x, total = begin, 0.0
         for v in u:
             x = A @ x + B * v

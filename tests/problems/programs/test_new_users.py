@@ -26,7 +26,7 @@ from lcp_plugin import (
 
 
 @pytest.mark.parametrize("n", [5_000, 200_000])
-def test_a_linear_program_over_a_box_is_solved_at_once(n: int) -> None:
+def test_a_linear_program_over_a_box_is_solved_at_once(n):
     """The signs of the costs decide: P without entries, None or 0, is never made dense."""
     c = np.random.default_rng(n).standard_normal(n)
     start = time.perf_counter()
@@ -37,7 +37,7 @@ def test_a_linear_program_over_a_box_is_solved_at_once(n: int) -> None:
     assert solve(QuadraticProgram(0, c[:50], lower=0)).status is Status.UNBOUNDED
 
 
-def test_one_full_row_makes_no_dense_matrix() -> None:
+def test_one_full_row_makes_no_dense_matrix():
     """The cheapest of 5 000 unknowns whose sum is 1."""
     c = np.random.default_rng(0).standard_normal(5_000)
     result = solve(QuadraticProgram(None, c, A=np.ones((1, c.size)), b=[1], lower=0))
@@ -46,7 +46,7 @@ def test_one_full_row_makes_no_dense_matrix() -> None:
 
 
 @pytest.mark.parametrize("by", [1e-7, 2e-7])
-def test_a_small_contradiction_has_one_status(by: float) -> None:
+def test_a_small_contradiction_has_one_status(by):
     """x₁ = 1, x₂ = x₁ and x₂ = 1 − 1e-7, the same with every row twice, and in another unit of the objective."""
     A, b = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]), np.array([1.0, 0.0, -1.0 + by])
     stated = (
@@ -65,7 +65,7 @@ def grid(n: int, seed: int = 0) -> Any:
 
 @pytest.mark.full
 @pytest.mark.parametrize("seconds", [None, 5.0, 20.0])
-def test_an_unbounded_program_of_thousand_rows_keeps_its_limit(seconds: float | None) -> None:
+def test_an_unbounded_program_of_thousand_rows_keeps_its_limit(seconds):
     """UNBOUNDED with its proof, or MAX_SECONDS within a second of the limit."""
     G = grid(1_000)
     rows = sp.csr_array(sp.hstack([G, -G.sum(axis=1)[:, np.newaxis]]))
@@ -79,7 +79,7 @@ def test_an_unbounded_program_of_thousand_rows_keeps_its_limit(seconds: float | 
 
 
 @pytest.mark.full
-def test_an_infeasible_program_of_thousand_rows_is_proved() -> None:
+def test_an_infeasible_program_of_thousand_rows_is_proved():
     """All rows sum up to a contradiction that rounding of their sum does not hide."""
     n = 1_000
     G = grid(n)
@@ -91,7 +91,7 @@ def test_an_infeasible_program_of_thousand_rows_is_proved() -> None:
     assert result.proof.verify()
 
 
-def test_the_tolerance_is_the_one_that_is_tested() -> None:
+def test_the_tolerance_is_the_one_that_is_tested():
     """1e-6 by default, in `solve`, `solve_batch` and `trace`; rows are tested to 1e-9 at any tolerance."""
     program = QuadraticProgram(np.eye(2), [-1, -2], [[1, 1]], [1])
     assert solve(program).tolerance == 1e-6
@@ -109,7 +109,7 @@ def test_the_tolerance_is_the_one_that_is_tested() -> None:
 
 @pytest.mark.filterwarnings("ignore:Solution may be inaccurate")
 @pytest.mark.full
-def test_a_quasiconvex_program_is_bisected() -> None:
+def test_a_quasiconvex_program_is_bisected():
     """(v₀ + 2 v₁ + 1)/(v₀ + v₁ + 1) over [0, 3]² is 1 at v₁ = 0.
 
     The bisection ends with constraints that contradict by 10⁻¹⁴: neither feasible nor infeasible.
@@ -122,7 +122,7 @@ def test_a_quasiconvex_program_is_bisected() -> None:
 
 
 @pytest.mark.parametrize("name", ["lemke", "npsor"])
-def test_methods_of_complementarity_solve_programs_by_name(name: str) -> None:
+def test_methods_of_complementarity_solve_programs_by_name(name):
     """Their answer passes the same test."""
     program = QuadraticProgram([[2, 1], [1, 2]], [-3, -3], lower=0)
     result = solve(program, name)
@@ -132,7 +132,7 @@ def test_methods_of_complementarity_solve_programs_by_name(name: str) -> None:
     assert result.z.shape == (2,)
 
 
-def test_a_constant_is_in_the_objective_and_in_its_bounds() -> None:
+def test_a_constant_is_in_the_objective_and_in_its_bounds():
     """(x − 3)² over x ≤ 1 as x² − 6 x + 9 is 4: in a result, a certificate, a batch, cvxpy, and for other vectors."""
     program = QuadraticProgram([[2.0]], [-6.0], upper=1.0, constant=9.0)
     result = solve(program)
@@ -161,13 +161,13 @@ def test_a_constant_is_in_the_objective_and_in_its_bounds() -> None:
             QuadraticProgram([[2.0]], [-6.0], constant=wrong)
 
 
-def test_a_constant_that_cancels_the_rest_leaves_the_digits_of_both() -> None:
+def test_a_constant_that_cancels_the_rest_leaves_the_digits_of_both():
     """(x − 10⁸)² at x = 10⁸ + 1 is 1: the terms are 10¹⁶, and the constant is one of them."""
     program = QuadraticProgram([[2.0]], [-2e8], constant=1e16)
     assert program.objective([1e8 + 1.0]) == 1.0
 
 
-def test_a_sparse_program_of_six_thousand_rows_and_variables_is_proved_unbounded() -> None:
+def test_a_sparse_program_of_six_thousand_rows_and_variables_is_proved_unbounded():
     """Fewer rows than unknowns leave a direction along which any other costs fall."""
     rng = np.random.default_rng(0)
     rows = sp.random_array((2_900, 3_200), density=1.6e-3, rng=rng, format="csr")
@@ -180,7 +180,7 @@ def test_a_sparse_program_of_six_thousand_rows_and_variables_is_proved_unbounded
 
 
 @pytest.mark.full
-def test_the_search_for_a_proof_against_a_huge_point_ends() -> None:
+def test_the_search_for_a_proof_against_a_huge_point_ends():
     """A nearly singular matrix: x is of size 1e9, and the simplex method of the search repeats its vertices."""
     rng = np.random.default_rng(1)
     rows = sp.random_array((1_000, 1_000), density=3e-3, rng=rng, format="csr")
@@ -189,7 +189,7 @@ def test_the_search_for_a_proof_against_a_huge_point_ends() -> None:
     assert result.seconds < 20.0
 
 
-def test_a_banded_program_loads_no_numba() -> None:
+def test_a_banded_program_loads_no_numba():
     """5 000 unknowns in a chain: the band in another order shows that a factorization stays sparse."""
     code = (
         "import sys, numpy as np, scipy.sparse as sp, lcp_plugin as lp\n"
@@ -201,7 +201,7 @@ def test_a_banded_program_loads_no_numba() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_a_point_inside_an_optimal_face_names_the_solver_that_returns_a_vertex() -> None:
+def test_a_point_inside_an_optimal_face_names_the_solver_that_returns_a_vertex():
     """An assignment with ties: shares by auto, zeros and ones by HiGHS, whose advice does not repeat it."""
     n = 12
     rows = np.vstack([np.kron(np.eye(n), np.ones(n)), np.kron(np.ones(n), np.eye(n))])
@@ -214,7 +214,7 @@ def test_a_point_inside_an_optimal_face_names_the_solver_that_returns_a_vertex()
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_only_optimum_of_a_linear_program_is_a_vertex_without_advice(seed: int) -> None:
+def test_the_only_optimum_of_a_linear_program_is_a_vertex_without_advice(seed):
     """Random costs over random rows; a quadratic program has an optimum inside, and no such advice either."""
     random = np.random.default_rng(seed)
     G, c = random.standard_normal((5, 8)), random.standard_normal(8)

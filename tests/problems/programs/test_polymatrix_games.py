@@ -31,7 +31,7 @@ def regret(game: Any, strategies: Any) -> float:
     return found
 
 
-def test_three_matching_pennies_have_jordans_only_equilibrium() -> None:
+def test_three_matching_pennies_have_jordans_only_equilibrium():
     """Jordan (1993): each player matches the next one, the last mismatches the first; all toss a coin."""
     game = LCP.from_game({(0, 1): SAME, (1, 2): SAME, (2, 0): 1 - SAME})
     (only,) = all_solutions(game)
@@ -43,9 +43,7 @@ def test_three_matching_pennies_have_jordans_only_equilibrium() -> None:
 @pytest.mark.parametrize("algorithm", ["auto", "lemke"])
 @pytest.mark.parametrize("integers", [False, True])
 @pytest.mark.parametrize(("players", "actions"), [(3, 2), (3, 10), (5, 4), (8, 8)])
-def test_no_player_of_a_random_game_gains(
-    players: int, actions: int, integers: bool, algorithm: str
-) -> None:
+def test_no_player_of_a_random_game_gains(players, actions, integers, algorithm):
     """Regrets by the payoffs themselves; integers have ties."""
     for seed in range(3):
         payoffs = drawn(seed, players, actions, integers=integers)
@@ -56,7 +54,7 @@ def test_no_player_of_a_random_game_gains(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_all_pure_equilibria_of_two_actions_are_among_all_solutions(seed: int) -> None:
+def test_all_pure_equilibria_of_two_actions_are_among_all_solutions(seed):
     """The eight profiles of three players are tried one by one."""
     payoffs = drawn(seed, 3, 2, integers=False)
     game = LCP.from_game(payoffs)
@@ -73,7 +71,7 @@ def test_all_pure_equilibria_of_two_actions_are_among_all_solutions(seed: int) -
     assert listed == pure
 
 
-def test_players_may_have_different_numbers_of_actions_and_payoffs_of_any_unit() -> None:
+def test_players_may_have_different_numbers_of_actions_and_payoffs_of_any_unit():
     """Sizes 2, 3, 4; a constant that another player's action adds to all payoffs changes nothing."""
     random, sizes = np.random.default_rng(0), (2, 3, 4)
     payoffs = {
@@ -89,7 +87,7 @@ def test_players_may_have_different_numbers_of_actions_and_payoffs_of_any_unit()
         np.testing.assert_allclose(first, second, atol=1e-7)
 
 
-def test_a_dict_of_two_players_is_the_bimatrix_game() -> None:
+def test_a_dict_of_two_players_is_the_bimatrix_game():
     """The same problem, with its own payoffs."""
     A, B = (
         np.array([[2.0, 0.0, 1.0], [0.0, 1.0, 3.0]]),
@@ -111,13 +109,13 @@ def test_a_dict_of_two_players_is_the_bimatrix_game() -> None:
         (SAME, r"is \{\(0, 1\): …, \(1, 0\): …\}"),
     ],
 )
-def test_a_wrong_game_is_told_what_to_write(game: Any, words: str) -> None:
+def test_a_wrong_game_is_told_what_to_write(game, words):
     """InvalidProblem with the right form."""
     with pytest.raises(InvalidProblem, match=words):
         LCP.from_game(game)
 
 
-def test_a_point_without_actions_of_a_player_is_no_strategy() -> None:
+def test_a_point_without_actions_of_a_player_is_no_strategy():
     """The message has the number of the player."""
     game = LCP.from_game({(0, 1): SAME, (1, 2): SAME, (2, 0): 1 - SAME})
     with pytest.raises(NotConverged, match="player 1 has no action"):

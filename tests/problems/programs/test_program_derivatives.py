@@ -54,7 +54,7 @@ def agree(found: Any, dx: Any, d: dict[str, Any], accuracy: float) -> None:
 
 
 @pytest.mark.parametrize("first", range(0, 300, 100))
-def test_the_derivative_of_a_program_is_that_of_differences(first: int) -> None:
+def test_the_derivative_of_a_program_is_that_of_differences(first):
     """300 random programs, in all data at once, to 1e-6; every tenth is sparse."""
     for seed in range(first, first + 100):
         data = differentiable_program(seed)
@@ -70,9 +70,7 @@ def test_the_derivative_of_a_program_is_that_of_differences(first: int) -> None:
 
 
 @pytest.mark.parametrize(("seed", "unit"), [(0, 1.0), (26, 1e4), (233, 1e6)])
-def test_a_kink_is_found_although_the_data_are_rounded_in_other_units(
-    seed: int, unit: float
-) -> None:
+def test_a_kink_is_found_although_the_data_are_rounded_in_other_units(seed, unit):
     """The row is active with multiplier 0 up to the rounding of c and h, which the inverse of P amplifies."""
     rng = np.random.default_rng(seed)
     B = rng.normal(size=(2, 2))
@@ -83,7 +81,7 @@ def test_a_kink_is_found_although_the_data_are_rounded_in_other_units(
         found.jvp(dh=[1.0])
 
 
-def test_degenerate_programs_are_refused_by_the_name_of_the_part() -> None:
+def test_degenerate_programs_are_refused_by_the_name_of_the_part():
     """60 random ones; one-sided derivatives are those of differences on that side."""
     for seed in range(60):
         data = differentiable_program(seed, is_degenerate=True)
@@ -105,11 +103,11 @@ def test_degenerate_programs_are_refused_by_the_name_of_the_part() -> None:
         assert np.isfinite(found.one_sided().vjp(result.x).c).all()
 
 
-def test_the_derivative_of_a_program_is_that_of_clarabel() -> None:
+def test_the_derivative_of_a_program_is_that_of_clarabel():
     """20 random programs, by central differences of Clarabel's solutions."""
     clarabel = pytest.importorskip("clarabel")
 
-    def solved(data: dict[str, Any]) -> Any:
+    def solved(data):
         n, settings = data["c"].size, clarabel.DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-13
@@ -129,7 +127,7 @@ def test_the_derivative_of_a_program_is_that_of_clarabel() -> None:
         agree(derivative(solve(QuadraticProgram(**data))), (ahead - behind) / 2e-5, d, 1e-5)
 
 
-def test_a_program_without_a_derivative_names_the_part() -> None:
+def test_a_program_without_a_derivative_names_the_part():
     """Several solutions, dependent rows, a status that is not SOLVED; names of the user appear."""
     several = QuadraticProgram(
         None, [-1.0, -1.0], [[1.0, 1.0]], [2.0], lower=0.0, names=["coal", "gas"]
@@ -151,7 +149,7 @@ def test_a_program_without_a_derivative_names_the_part() -> None:
 
 
 @pytest.mark.parametrize("is_shared", [True, False])
-def test_a_batch_has_the_derivatives_of_its_programs(is_shared: bool) -> None:
+def test_a_batch_has_the_derivatives_of_its_programs(is_shared):
     """Rows agree with single derivatives; a degenerate and an infeasible program have errors and NaN."""
     data = differentiable_program(8)
     program, n = QuadraticProgram(**data), data["c"].size
@@ -193,7 +191,7 @@ def test_a_batch_has_the_derivatives_of_its_programs(is_shared: bool) -> None:
 
 
 @pytest.mark.parametrize("kind", ["nonnegative", "lasso", "boxes"])
-def test_the_derivative_of_least_squares_is_that_of_differences(kind: str) -> None:
+def test_the_derivative_of_least_squares_is_that_of_differences(kind):
     """In A, b, bounds, penalties, weights and ridge at once; single, sparse and in a batch."""
     rng = np.random.default_rng(4)
     data = {"A": rng.normal(size=(9, 5)), "b": rng.normal(size=9), "weights": rng.uniform(0.5, 2.0, 9),
@@ -225,7 +223,7 @@ def test_the_derivative_of_least_squares_is_that_of_differences(kind: str) -> No
     )
 
 
-def test_a_batch_of_least_squares_with_starts_has_the_derivatives_of_its_problems() -> None:
+def test_a_batch_of_least_squares_with_starts_has_the_derivatives_of_its_problems():
     rng = np.random.default_rng(0)
     problem = BoundedLeastSquares(rng.random((6, 3)), rng.random(6), lower=0)
     problems = [problem.with_vectors(rng.random(6)) for _ in range(3)]
@@ -238,7 +236,7 @@ def test_a_batch_of_least_squares_with_starts_has_the_derivatives_of_its_problem
         derivative(solve_batch(apart))
 
 
-def test_least_squares_name_their_parts() -> None:
+def test_least_squares_name_their_parts():
     """A penalty whose gradient it just balances, and an operator, are refused."""
     with pytest.raises(UnsuitableProblem, match=r"kink here: l1.0. active"):
         derivative(solve(BoundedLeastSquares(np.eye(2), [1.0, 3.0], -np.inf, l1=1.0))).vjp(
@@ -249,7 +247,7 @@ def test_least_squares_name_their_parts() -> None:
         derivative(solve(BoundedLeastSquares(operator, [1.0, 3.0])))
 
 
-def test_the_derivative_of_a_program_is_that_of_its_lcp() -> None:
+def test_the_derivative_of_a_program_is_that_of_its_lcp():
     """The way users went before, LCP.from_qp, has the same numbers."""
     data = differentiable_program(2)
     n = data["c"].size
@@ -262,7 +260,7 @@ def test_the_derivative_of_a_program_is_that_of_its_lcp() -> None:
     np.testing.assert_allclose(ours, by_lcp[:n], rtol=1e-10, atol=1e-10)
 
 
-def test_a_derivative_can_be_sent_to_another_process() -> None:
+def test_a_derivative_can_be_sent_to_another_process():
     """After pickle the numbers are equal, of one program and of a batch; a single one has no errors."""
     program = QuadraticProgram(**differentiable_program(3))
     for solved in (solve(program), solve_batch([program, program])):
@@ -272,7 +270,7 @@ def test_a_derivative_can_be_sent_to_another_process() -> None:
         assert found.errors == {}
 
 
-def test_derivatives_of_a_batch_of_programs_are_a_sequence() -> None:
+def test_derivatives_of_a_batch_of_programs_are_a_sequence():
     """len, [k] and a one-sided [k], as of a batch of LCPs."""
     programs = [QuadraticProgram(np.eye(2), [-1, -2], G=[[1, 1]], h=[h]) for h in (2.0, 3.0)]
     found = derivative(solve_batch(programs))
@@ -285,7 +283,7 @@ def test_derivatives_of_a_batch_of_programs_are_a_sequence() -> None:
         found[2]
 
 
-def test_a_jvp_names_what_it_takes() -> None:
+def test_a_jvp_names_what_it_takes():
     """Changes without a name, in every kind of derivative, and rows of from_ranges."""
     lcp, contact = LCP(np.eye(2), [-1.0, -1.0]), FrictionalContact(np.eye(3), [-1.0, 0.3, 0.0], 0.5)
     program = QuadraticProgram.from_ranges(np.eye(2), [-1, -2], [[1, 1]], [0], [2])
@@ -301,7 +299,7 @@ def test_a_jvp_names_what_it_takes() -> None:
 
 
 @pytest.mark.parametrize("seed", [11, 14, 58])
-def test_a_kink_is_found_in_units_far_apart(seed: int) -> None:
+def test_a_kink_is_found_in_units_far_apart(seed):
     """A multiplier of 0 is a kink, and one of 1e-3 is none, in units of x and of the rows up to 1e8 apart."""
     rng = np.random.default_rng(seed)
     B, G, x = rng.normal(size=(4, 4)), rng.normal(size=(3, 4)), rng.normal(size=4)
@@ -320,9 +318,7 @@ def test_a_kink_is_found_in_units_far_apart(seed: int) -> None:
 
 @pytest.mark.parametrize("lower", [-np.inf, 0.0])
 @pytest.mark.parametrize("name", ["l1", "weights", "ridge", "upper"])
-def test_a_derivative_by_a_parameter_at_its_own_limit_is_the_one_sided_difference(
-    name: str, lower: float
-) -> None:
+def test_a_derivative_by_a_parameter_at_its_own_limit_is_the_one_sided_difference(name, lower):
     """With l1 = 0, weights = 0, ridge = 0 and upper = ∞, for unknowns of both signs; vjp is the transpose."""
     for seed in range(5):
         rng = np.random.default_rng(seed)
@@ -335,7 +331,7 @@ def test_a_derivative_by_a_parameter_at_its_own_limit_is_the_one_sided_differenc
         agree(found, (other.x - result.x) / change, d, 1e-4)
 
 
-def test_a_penalty_that_begins_at_an_unknown_that_is_0_is_a_kink() -> None:
+def test_a_penalty_that_begins_at_an_unknown_that_is_0_is_a_kink():
     """By l1 = 0 of an x that is 0 no derivative exists; by all other data it does."""
     found = derivative(solve(BoundedLeastSquares(np.eye(2), [-1.0, 0.0], -np.inf)))
     np.testing.assert_allclose(found.jvp(dl1=[1.0, 0.0], db=[0.0, 1.0]), [1.0, 1.0])
@@ -351,7 +347,7 @@ REPEATED = {
 
 
 @pytest.mark.parametrize("name", REPEATED)
-def test_constraints_that_are_active_twice_are_kinks_of_their_own_sides_only(name: str) -> None:
+def test_constraints_that_are_active_twice_are_kinks_of_their_own_sides_only(name):
     """Min (x − 2)² with x ≤ 1 stated twice is smooth in c and P, and if both sides move; one alone is a kink."""
     program = QuadraticProgram([[2.0]], [-4.0], **REPEATED[name])
     found = derivative(solve(program))
@@ -366,7 +362,7 @@ def test_constraints_that_are_active_twice_are_kinks_of_their_own_sides_only(nam
             call()
 
 
-def test_repeated_constraints_of_a_controller_leave_x_smooth_in_c() -> None:
+def test_repeated_constraints_of_a_controller_leave_x_smooth_in_c():
     """Every row of G twice: the derivative by c is that of differences."""
     rng = np.random.default_rng(0)
     P, c, dc = np.eye(6) + 0.1, 3 * rng.normal(size=6), rng.normal(size=6)

@@ -1,9 +1,6 @@
 """No answer to a program depends on its units: one criterion, and exact proofs that no tolerance overrules."""
 
-from __future__ import annotations
-
 import contextlib
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,9 +22,7 @@ from lcp_plugin import InvalidProblem, QuadraticProgram, Status, solve, solve_ba
         *(([-1.0, 0.0], {"A": [[s, -s]], "b": [0.0]}) for s in (1e-12, 1e-9, 1e-6, 1e6, 1e9, 1e12)),
     ],
 )
-def test_what_falls_for_ever_is_unbounded_in_any_unit(
-    c: list[float], rows: dict[str, Any], tolerance: float
-) -> None:
+def test_what_falls_for_ever_is_unbounded_in_any_unit(c, rows, tolerance):
     """However small the slope, however large the row: UNBOUNDED, with a proof that verifies exactly."""
     result = solve(QuadraticProgram(None, c, **rows), tolerance=tolerance)
     assert result.status is Status.UNBOUNDED
@@ -36,7 +31,7 @@ def test_what_falls_for_ever_is_unbounded_in_any_unit(
     assert result.proof.verify()
 
 
-def test_a_small_slope_is_followed_to_its_bound() -> None:
+def test_a_small_slope_is_followed_to_its_bound():
     """Minimizing −1e-9 x over x ≤ 1 is at x = 1, alone and in a batch, not at 0 within a tolerance."""
     assert solve(QuadraticProgram(None, [-1e-9], upper=1.0)).x.tolist() == [1.0]
     answers = solve_batch(QuadraticProgram(None, [0.0], upper=1.0), [[-1e-9], [-1e-6]])
@@ -45,7 +40,7 @@ def test_a_small_slope_is_followed_to_its_bound() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("family", scaled_programs.FAMILIES)
-def test_planted_programs_say_the_same_in_every_unit(family: str, seed: int) -> None:
+def test_planted_programs_say_the_same_in_every_unit(family, seed):
     """Sparse, dense, degenerate, of low rank, linear; with a minimum, infeasible, unbounded; units of 10^±12."""
     pytest.importorskip("scipy", minversion="1.15")  # the programs are drawn by random_array(rng=…)
     assert scaled_programs.one(family, seed) == []
@@ -55,7 +50,7 @@ def test_planted_programs_say_the_same_in_every_unit(family: str, seed: int) -> 
     "far", [{"upper": [np.inf, 1e15]}, {"upper": [np.inf, 1e19]}, "row"], ids=str
 )
 @pytest.mark.parametrize("by", [1e-3, 1e-5])
-def test_a_far_limit_hides_no_contradiction(far: Any, by: float) -> None:
+def test_a_far_limit_hides_no_contradiction(far, by):
     """x₁ ≤ 1 and x₁ ≥ 1 + 1e-5 contradict, whatever limit of x₂ nobody reaches."""
     G, h = [[1.0, 0.0], [-1.0, 0.0]], [1.0, -1.0 - by]
     rows = {"G": [*G, [0.0, 1.0]], "h": [*h, 1e15]} if far == "row" else {"G": G, "h": h, **far}
@@ -67,7 +62,7 @@ def test_a_far_limit_hides_no_contradiction(far: Any, by: float) -> None:
 
 
 @pytest.mark.parametrize("far", [-1e13, -1e15, -1e16, -1e19])
-def test_an_unknown_far_out_excuses_no_row_that_it_has_no_part_in(far: float) -> None:
+def test_an_unknown_far_out_excuses_no_row_that_it_has_no_part_in(far):
     """x₂ = −1 by one row and x₁ at a bound of −1e19: right where −1 is permitted, contradictory where it is −10."""
     programs = [
         QuadraticProgram(
@@ -85,7 +80,7 @@ def test_an_unknown_far_out_excuses_no_row_that_it_has_no_part_in(far: float) ->
 
 @pytest.mark.parametrize("exponent", [-40, -35, 35, 40])
 @pytest.mark.parametrize("curvature", [0.0, 2.0])
-def test_an_unknown_in_no_row_has_the_unit_of_the_others(exponent: int, curvature: float) -> None:
+def test_an_unknown_in_no_row_has_the_unit_of_the_others(exponent, curvature):
     """One unknown in a row or in P, one that only falls: UNBOUNDED, whatever unit both of them are in."""
     s = 2.0**exponent
     program = QuadraticProgram(
@@ -105,9 +100,7 @@ def test_an_unknown_in_no_row_has_the_unit_of_the_others(exponent: int, curvatur
         (np.eye(2), [1.0, 1.0], -1.0, None),
     ],
 )
-def test_numbers_beyond_the_range_of_doubles_are_no_answer(
-    P: Any, c: list[float], h: float, message: Status
-) -> None:
+def test_numbers_beyond_the_range_of_doubles_are_no_answer(P, c, h, message):
     """−1e-200 x ≤ h: a status and finite x; not SOLVED with a multiplier or an objective of 1e400; never a warning."""
     program = QuadraticProgram(P, c, G=[[0.0, -1e-200]], h=[h])
     if message is None:
@@ -123,7 +116,7 @@ def test_numbers_beyond_the_range_of_doubles_are_no_answer(
 
 
 @pytest.mark.parametrize("exponent", [0, 60, 100, 300, 996, -60, -300])
-def test_costs_of_any_size_have_the_value_of_ordinary_ones(exponent: int) -> None:
+def test_costs_of_any_size_have_the_value_of_ordinary_ones(exponent):
     """Costs times 2^k, also where products of doubles overflow; unbounded optimal faces hide no better value."""
     costs = 2.0**exponent
     square = solve(
@@ -140,7 +133,7 @@ def test_costs_of_any_size_have_the_value_of_ordinary_ones(exponent: int) -> Non
         assert solve(space).objective / costs == pytest.approx(-10.0, rel=1e-5)
 
 
-def test_quantile_regression_with_heavy_tails_is_solved_by_the_first_solver() -> None:
+def test_quantile_regression_with_heavy_tails_is_solved_by_the_first_solver():
     """The polish balances a gradient of 10 000 multipliers, whose plain sum has a rounding error of 1e-9."""
     rng, m = np.random.default_rng(5), 5000
     Z = np.column_stack([np.ones(m), rng.normal(size=m)])
@@ -155,7 +148,7 @@ def test_quantile_regression_with_heavy_tails_is_solved_by_the_first_solver() ->
     assert result.objective == pytest.approx(-dual.fun, rel=1e-9)
 
 
-def test_full_matrices_are_dense_in_any_storage() -> None:
+def test_full_matrices_are_dense_in_any_storage():
     """Sparse storage of full rows does not lead to sparse arithmetic; rows with few entries stay sparse."""
     rows, n = sp.csr_array(np.ones((500, 500))), 500
     full = QuadraticProgram(sp.eye_array(n), np.zeros(n), rows, np.ones(n))

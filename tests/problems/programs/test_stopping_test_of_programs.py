@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -81,7 +80,7 @@ def by_cvxpy(far: float) -> Any:
 @pytest.mark.parametrize(
     "answer", [by_bounds, by_rows, by_other_vectors, by_batch, by_qpsolvers, by_cvxpy]
 )
-def test_limits_of_1e20_say_nothing(answer: Callable[[float], Any], far: float) -> None:
+def test_limits_of_1e20_say_nothing(answer, far):
     """An upper limit of 1e20 and beyond means none in every interface."""
     np.testing.assert_allclose(answer(far), NEAREST, rtol=1e-9)
 
@@ -119,7 +118,7 @@ RIGHT = {
 
 
 @pytest.mark.parametrize("name", RIGHT)
-def test_numbers_that_users_write(name: str) -> None:
+def test_numbers_that_users_write(name):
     """The optimum is right, and no constraint is violated, for extreme limits or coefficients."""
     program, value = RIGHT[name]
     result = solve(program)
@@ -174,7 +173,7 @@ FELL = {
 
 
 @pytest.mark.parametrize("name", FELL)
-def test_the_judge_refuses_what_is_far_from_optimal(name: str) -> None:
+def test_the_judge_refuses_what_is_far_from_optimal(name):
     """Wrong objectives with large multipliers, idle unknowns and slacks do not pass."""
     program, x, multipliers = FELL[name]
     y = np.array(multipliers[: program.constraints.right.size], np.float64)
@@ -183,7 +182,7 @@ def test_the_judge_refuses_what_is_far_from_optimal(name: str) -> None:
 
 
 @pytest.mark.parametrize("limit", [1e9, 1e11, 1e12, 1e14, 1e17])
-def test_no_rounding_of_a_curvature_hides_a_cost(limit: float) -> None:
+def test_no_rounding_of_a_curvature_hides_a_cost(limit):
     """With P d = 0 and only a loose row along d, the value is right to 1e-6, or not SOLVED."""
     P, c = [[2.691650390625, 0.41015625], [0.41015625, 0.0625]], [-0.984375, -0.171875]
     G = [[-1.296875, 0.015625], [-0.03125, -0.296875]]
@@ -193,7 +192,7 @@ def test_no_rounding_of_a_curvature_hides_a_cost(limit: float) -> None:
         assert is_right or not result.is_solved, algorithm
 
 
-def test_rounding_of_a_curvature_is_no_size_of_an_objective() -> None:
+def test_rounding_of_a_curvature_is_no_size_of_an_objective():
     """The term xᵀP x is rounding error at x = 1e41 along P d = 0, where −2.667 must not pass."""
     P = [
         [8.0, 10.0, -4.0, -6.0],
@@ -210,7 +209,7 @@ def test_rounding_of_a_curvature_is_no_size_of_an_objective() -> None:
 
 @pytest.mark.parametrize("norm", [cp.norm1, cp.norm_inf], ids=["1", "infinity"])
 @pytest.mark.parametrize("n", [1, 2, 10, 20])
-def test_a_fit_without_an_error_is_solved(n: int, norm: Any) -> None:
+def test_a_fit_without_an_error_is_solved(n, norm):
     """A fit with minimum 0 that no double attains is solved, with the x of the linear system."""
     draw = np.random.default_rng(n)
     A, x = draw.normal(size=(n, n)), cp.Variable(n)
@@ -222,7 +221,7 @@ def test_a_fit_without_an_error_is_solved(n: int, norm: Any) -> None:
     np.testing.assert_allclose(x.value, np.linalg.solve(A, b), rtol=1e-9)
 
 
-def test_a_minimum_at_0_where_products_of_a_curvature_cancel_is_solved() -> None:
+def test_a_minimum_at_0_where_products_of_a_curvature_cancel_is_solved():
     """The product P w is a rounding error where (w₀ + w₁)² is 0, and no cost is hidden in it."""
     w = cp.Variable(2)
     flat = cp.quad_form(w, np.ones((2, 2)))
@@ -232,7 +231,7 @@ def test_a_minimum_at_0_where_products_of_a_curvature_cancel_is_solved() -> None
 
 
 @pytest.mark.parametrize("end", [1e2, 1e6, 1e9])
-def test_a_tiny_cost_decides_the_point_along_a_flat_curvature(end: float) -> None:
+def test_a_tiny_cost_decides_the_point_along_a_flat_curvature(end):
     """The cost −1e-9 is below the rounding of P x, but exact sums have its sign: only the upper bounds are optimal."""
     program = QuadraticProgram([[1, -1], [-1, 1]], [-1e-9, 0], lower=-end, upper=end)
     result = solve(program)
@@ -251,9 +250,7 @@ ROWS_OFF_BY_ONE = {
 
 @pytest.mark.parametrize("least", [1e6, 1e9, 1e11, 1e13])
 @pytest.mark.parametrize("rows", ROWS_OFF_BY_ONE.values(), ids=ROWS_OFF_BY_ONE)
-def test_rows_that_are_off_by_one_are_infeasible_at_large_unknowns(
-    rows: dict[str, Any], least: float
-) -> None:
+def test_rows_that_are_off_by_one_are_infeasible_at_large_unknowns(rows, least):
     """A violation of 1/2 is small relative to x, but the engine reports infeasible and an exact proof exists."""
     program = QuadraticProgram(None, [1.0, 1.0], lower=least, **rows)
     result = solve(program)
@@ -264,7 +261,7 @@ def test_rows_that_are_off_by_one_are_infeasible_at_large_unknowns(
     assert certify(program, [least + 0.5, least]).verdict == "disproved"
 
 
-def test_a_minimum_at_0_has_multipliers() -> None:
+def test_a_minimum_at_0_has_multipliers():
     """An engine's x is 0 up to noise, and its multipliers are not: x = 0 is tried with them."""
     x, one = cp.Variable(), cp.Variable()
     e = cp.hstack([-0.081807 * x, -2.196497 * x, 0.042343 * x])
@@ -278,7 +275,7 @@ def test_a_minimum_at_0_has_multipliers() -> None:
     assert problem.status == cp.OPTIMAL
 
 
-def test_an_objective_is_right_where_its_terms_cancel() -> None:
+def test_an_objective_is_right_where_its_terms_cancel():
     """½ xᵀP x + cᵀx of a singular P of large norm, by fractions: rounding of its terms was 378 times the value."""
     P = np.array(
         [
@@ -326,7 +323,7 @@ NEARLY_SINGULAR = (
 
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
 @pytest.mark.parametrize("algorithm", ["auto", "daqp", "piqp", "clarabel"])
-def test_products_that_cancel_hide_no_cost(algorithm: str, kind: Any) -> None:
+def test_products_that_cancel_hide_no_cost(algorithm, kind):
     """Cost c₁ is 7e-8 of the terms of its component, and 2 % of the objective."""
     P, c, G, h = NEARLY_SINGULAR
     result = solve(QuadraticProgram(kind(P), c, kind(G), h), algorithm)
@@ -368,9 +365,7 @@ def beside_a_large_part(rng: Generator) -> tuple[Any, ...]:
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6])
 @pytest.mark.parametrize("draw", [nearly_singular, beside_a_large_part])
-def test_what_is_solved_of_a_nearly_singular_curvature_is_right(
-    draw: Callable[[Generator], Any], tolerance: float, draws: Callable[..., range]
-) -> None:
+def test_what_is_solved_of_a_nearly_singular_curvature_is_right(draw, tolerance, draws):
     """The objective of SOLVED results is right to ten times the tolerance, and 45 % at the least are SOLVED.
 
     If x violates a row by at most the tolerance, the reference uses the right-hand side that x satisfies, because
@@ -445,7 +440,7 @@ CONSTRUCTED = {
 
 @pytest.mark.parametrize("kind", [np.asarray, sp.csr_array])
 @pytest.mark.parametrize("name", CONSTRUCTED)
-def test_constructed_points_are_refused(name: str, kind: Any) -> None:
+def test_constructed_points_are_refused(name, kind):
     """Each is far from optimal, infeasible, or has no proof."""
     data, x, y = CONSTRUCTED[name]
     matrices = {key: kind(np.array(data[key], float)) for key in ("P", "G", "A") if key in data}
@@ -458,9 +453,7 @@ def test_constructed_points_are_refused(name: str, kind: Any) -> None:
     [(1e14, 1e14, []), (1e14, np.inf, []), (-np.inf, np.inf, [[0.0, 0.0, -1.0]])],
     ids=["fixed", "bound", "row"],
 )
-def test_inconsistent_rows_next_to_a_large_unknown_are_infeasible(
-    lower: float, upper: float, row: list[list[float]]
-) -> None:
+def test_inconsistent_rows_next_to_a_large_unknown_are_infeasible(lower, upper, row):
     """x₁ + x₂ ≤ −1 and x ≥ 0 are inconsistent; the violation is small next to x₃ = 1e14 of this component."""
     G, h = [[1, 1, 0], [1, 0, -1], *row], [-1, 0, *(-1e14 for _ in row)]
     program = QuadraticProgram(
@@ -471,7 +464,7 @@ def test_inconsistent_rows_next_to_a_large_unknown_are_infeasible(
     assert solve_batch([program, program]).status[1] is Status.INFEASIBLE
 
 
-def test_documented_limits_of_the_test() -> None:
+def test_documented_limits_of_the_test():
     """A row violated by 9e-10 of its terms passes, also a program within 1e-11 of a bounded one."""
     row = QuadraticProgram(np.diag([1.0, 0.0]), [0, 0], [[0, 1], [-1, -1e11]], [1, -1e11 - 50])
     assert KKTErrors.of(row.judged, np.array([0, 1 + 9e-10]), np.zeros(2)).meet(1e-6)
@@ -479,14 +472,14 @@ def test_documented_limits_of_the_test() -> None:
     assert solve(nearly).status is Status.SOLVED
 
 
-def test_an_objective_near_0_leaves_no_unknown_beyond_its_bound() -> None:
+def test_an_objective_near_0_leaves_no_unknown_beyond_its_bound():
     """The row x₁ + x₂ ≥ 1 has a multiplier of 1; x₂ is 1e-15 below its bound, which costs x₁ a thousand optima."""
     program = QuadraticProgram(None, [1, 1e-18], [[-1, -1]], [-1], lower=0, upper=[10, 1])
     assert not KKTErrors.of(program.judged, np.array([1e-15, 1 - 1e-15]), np.ones(1)).meet(1e-6)
     assert KKTErrors.of(program.judged, np.array([0.0, 1.0]), np.ones(1)).meet(1e-6)
 
 
-def test_an_exact_minimizer_is_optimal_although_products_cancel() -> None:
+def test_an_exact_minimizer_is_optimal_although_products_cancel():
     """P x = 0 is the sum of terms of 1e12; the optimum of x₃ is 0."""
     v = np.array([1e6, 1.0, -1.0])
     program = QuadraticProgram(np.outer(v, v), [0, 0, 1], lower=[-10, -2e6, 0], upper=[10, 2e6, 1])
@@ -496,14 +489,14 @@ def test_an_exact_minimizer_is_optimal_although_products_cancel() -> None:
 
 
 @pytest.mark.parametrize("value", [1e160, 1e308, np.nan, np.inf])
-def test_no_number_is_no_answer(value: float) -> None:
+def test_no_number_is_no_answer(value):
     """NaN, ∞ and overflowing values are rejected as x and as multipliers."""
     program = QuadraticProgram(np.eye(2), [-1, -2], [[1, 1]], [1])
     for x, y in (([value, 1.0], [1.0]), ([0.0, 1.0], [value])):
         assert not KKTErrors.of(program.judged, np.array(x), np.array(y)).meet(1e-6)
 
 
-def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws: Callable[..., range]) -> None:
+def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws):
     """Plain sums with a bound of their rounding bound the measures of dense and sparse programs."""
     rng, passed = np.random.default_rng(5), 0
     for _ in draws(2000, 32):
@@ -531,7 +524,7 @@ def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws: Callable[..., ran
 
 
 @pytest.mark.parametrize("exponent", [12, 20, 28, 32, 36])
-def test_a_cost_that_forbids_hides_no_better_transport(exponent: int) -> None:
+def test_a_cost_that_forbids_hides_no_better_transport(exponent):
     """Sums of 1/3 and two forbidden pairs: 5, and certify disproves 6 and 6 with noise on the forbidden pairs."""
     B, third = 10.0**exponent, np.full(3, 1.0 / 3.0)
     program = transport([[B, 4.0, 4.0], [10.0, 6.0, 7.0], [B, 7.0, 1.0]], third, third)
@@ -546,7 +539,7 @@ def test_a_cost_that_forbids_hides_no_better_transport(exponent: int) -> None:
             assert certify(program, x, given).verdict != "proved"
 
 
-def test_multipliers_as_large_as_a_cost_that_forbids_excuse_no_gap() -> None:
+def test_multipliers_as_large_as_a_cost_that_forbids_excuse_no_gap():
     """Costs of 1e34 allow multipliers of 1e33, next to whose sums 2 and 6 are lost: 5.5 is not optimal, 3 is."""
     B, third = 1e34, np.full(3, 1.0 / 3.0)
     program = transport([[2.0, B, 8.0], [6.0, 6.0, B], [10.0, B, 1.0]], third, third)
@@ -560,7 +553,7 @@ def test_multipliers_as_large_as_a_cost_that_forbids_excuse_no_gap() -> None:
 
 
 @pytest.mark.parametrize("seed", range(200))
-def test_drawn_transports_are_solved_and_proved_as_without_the_forbidden_pairs(seed: int) -> None:
+def test_drawn_transports_are_solved_and_proved_as_without_the_forbidden_pairs(seed):
     """Transports and assignments with costs of 1e20 … 1e36 have the value that HiGHS finds without these pairs."""
     if (drawn := forbidding_costs.draw(seed)) is not None:
         program, known = drawn

@@ -32,7 +32,7 @@ def gap_by_enumeration(F: Any, x: Any, corners: Any) -> float:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_constructed_solution_with_multipliers_is_found(seed: int) -> None:
+def test_a_constructed_solution_with_multipliers_is_found(seed):
     """x* and multipliers come first, then q: M is monotone and not symmetric, with bounds, G and A."""
     random = np.random.default_rng(seed)
     n, m, p = 12, 3, 1
@@ -52,7 +52,7 @@ def test_a_constructed_solution_with_multipliers_is_found(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_of_a_gradient_it_is_the_minimum_that_clarabel_finds(seed: int) -> None:
+def test_of_a_gradient_it_is_the_minimum_that_clarabel_finds(seed):
     """F = P x + c with P symmetric: the minimum of ½ xᵀP x + cᵀx over the same set."""
     random = np.random.default_rng(seed)
     root, G = random.standard_normal((10, 10)), random.standard_normal((6, 10))
@@ -64,10 +64,10 @@ def test_of_a_gradient_it_is_the_minimum_that_clarabel_finds(seed: int) -> None:
 
 
 @pytest.mark.parametrize("is_function", [False, True])
-def test_the_network_of_braess_has_its_published_flows(is_function: bool) -> None:
+def test_the_network_of_braess_has_its_published_flows(is_function):
     """Flows 4, 2, 2, 4, 2 on the arcs: each path takes 92. Conservation at one node follows from the others."""
     slopes, free = COSTS
-    F: Any = (lambda f: slopes @ f + free, lambda f: slopes) if is_function else COSTS
+    F = (lambda f: slopes @ f + free, lambda f: slopes) if is_function else COSTS
     found = answer(variational(F, A=BRAESS, b=[6.0, 0.0, 0.0, -6.0], lower=0))
     np.testing.assert_allclose(found.x, [4.0, 2.0, 2.0, 4.0, 2.0], atol=1e-9)
     assert found.equality[3] - found.equality[0] == pytest.approx(92.0)
@@ -75,7 +75,7 @@ def test_the_network_of_braess_has_its_published_flows(is_function: bool) -> Non
     np.testing.assert_allclose(answer(without).x, [3.0, 3.0, 3.0, 3.0, 0.0], atol=1e-9)
 
 
-def test_the_game_of_harker_with_a_shared_row_has_the_published_solution() -> None:
+def test_the_game_of_harker_with_a_shared_row_has_the_published_solution():
     """Harker (1991), European J. Oper. Res. 54: (5, 9) is the only equilibrium with one multiplier."""
     F = np.array([[2.0, 8 / 3], [5 / 4, 2.0]]), np.array([-34.0, -24.25])
     found = answer(variational(F, [[1, 1]], [15], lower=0, upper=10))
@@ -83,7 +83,7 @@ def test_the_game_of_harker_with_a_shared_row_has_the_published_solution() -> No
     assert found.inequality == [0.0]
 
 
-def test_the_simple_inequality_of_gams_has_its_solution() -> None:
+def test_the_simple_inequality_of_gams_has_its_solution():
     """F = 2 x over x₁ + x₂ ≥ 6, x₂ + x₃ ≥ 9, x ≥ 0 (GAMS EMP, simplevi): x = (1, 5, 4), multipliers 2 and 8."""
     found = answer(
         variational((2 * np.eye(3), np.zeros(3)), [[-1, -1, 0], [0, -1, -1]], [-6, -9], lower=0)
@@ -93,13 +93,13 @@ def test_the_simple_inequality_of_gams_has_its_solution() -> None:
 
 
 @pytest.mark.parametrize("has_jacobian", [True, False])
-def test_a_smooth_function_has_its_constructed_solution(has_jacobian: bool) -> None:
+def test_a_smooth_function_has_its_constructed_solution(has_jacobian):
     """x* = (1, 2) with multiplier 3 of x₁ + x₂ ≤ 3: F is a cubic that is no gradient."""
 
-    def F(x: Any) -> Any:
+    def F(x):
         return np.array([2 * x[0] + x[1] + x[0] ** 3 - 8, 2 * x[1] - x[0] - 6])
 
-    def slopes(x: Any) -> Any:
+    def slopes(x):
         return np.array([[2 + 3 * x[0] ** 2, 1], [-1, 2]])
 
     found = answer(variational((F, slopes) if has_jacobian else F, [[1, 1]], [3], lower=0))
@@ -108,7 +108,7 @@ def test_a_smooth_function_has_its_constructed_solution(has_jacobian: bool) -> N
     assert found.gap() <= 1e-6
 
 
-def test_the_gap_is_the_largest_gain_over_all_corners() -> None:
+def test_the_gap_is_the_largest_gain_over_all_corners():
     """At any point of the set; ∞ where F decreases along a ray of the set."""
     M, q = np.array([[2.0, 1.0], [-1.0, 2.0]]), np.array([-8.0, -6.0])
     origin = variational((M, q), [[1, 1]], [3], lower=0).origin
@@ -123,10 +123,10 @@ def test_the_gap_is_the_largest_gain_over_all_corners() -> None:
 
 
 @pytest.mark.parametrize("is_smooth", [False, True])
-def test_an_empty_set_has_a_farkas_certificate_with_the_names_of_its_rows(is_smooth: bool) -> None:
+def test_an_empty_set_has_a_farkas_certificate_with_the_names_of_its_rows(is_smooth):
     """x₁ + x₂ ≤ 3 contradicts x₁ + x₂ = 5; the proof is checked again."""
     M, q = np.array([[2.0, 1.0], [-1.0, 2.0]]), np.array([-8.0, -6.0])
-    F: Any = (lambda x: M @ x + q + x**3) if is_smooth else (M, q)
+    F = (lambda x: M @ x + q + x**3) if is_smooth else (M, q)
     problem = variational(F, [[1, 1]], [3], [[1, 1]], [5])
     result = solve(problem)
     assert result.status is Status.INFEASIBLE
@@ -135,7 +135,7 @@ def test_an_empty_set_has_a_farkas_certificate_with_the_names_of_its_rows(is_smo
     assert np.isnan(problem.origin.recover(result).solution.gap())
 
 
-def test_a_constant_map_without_minimum_on_an_unbounded_set_has_no_solution() -> None:
+def test_a_constant_map_without_minimum_on_an_unbounded_set_has_no_solution():
     """F = (−1, 0) on x₁ − x₂ ≤ 1, x ≥ 0 descends along (1, 1): the dual rows are inconsistent."""
     problem = variational((np.zeros((2, 2)), [-1, 0]), [[1, -1]], [1], lower=0)
     result = solve(problem)
@@ -144,7 +144,7 @@ def test_a_constant_map_without_minimum_on_an_unbounded_set_has_no_solution() ->
     assert problem.origin.recover(result).solution.gap() == np.inf
 
 
-def test_an_equation_stated_twice_changes_nothing_but_its_multipliers() -> None:
+def test_an_equation_stated_twice_changes_nothing_but_its_multipliers():
     """Their sum is the multiplier of one."""
     F = [[2, 1], [-1, 2]], [-8, -6]
     once, twice = (
@@ -155,7 +155,7 @@ def test_an_equation_stated_twice_changes_nothing_but_its_multipliers() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_projection_on_a_simplex_is_the_sorted_one(seed: int) -> None:
+def test_a_projection_on_a_simplex_is_the_sorted_one(seed):
     """F = x − y: the projection of y on the simplex, which sorting gives."""
     y = np.random.default_rng(seed).standard_normal(40)
     falling = np.sort(y)[::-1]
@@ -165,7 +165,7 @@ def test_a_projection_on_a_simplex_is_the_sorted_one(seed: int) -> None:
     np.testing.assert_allclose(found.x, expected, atol=1e-12)
 
 
-def test_the_problem_has_derivatives_and_can_be_pickled() -> None:
+def test_the_problem_has_derivatives_and_can_be_pickled():
     """Of x = (1.25, 1.75) by h: 1/4 and 3/4."""
     problem = variational(([[2, 1], [-1, 2]], [-8, -6]), [[1, 1]], [3], lower=0)
     change = derivative(solve(problem)).jvp(dq=[0, 0, 1])
@@ -173,7 +173,7 @@ def test_the_problem_has_derivatives_and_can_be_pickled() -> None:
     assert answer(pickle.loads(pickle.dumps(problem))).gap() <= 1e-12
 
 
-def test_a_loosely_solved_inequality_is_recovered_as_solved() -> None:
+def test_a_loosely_solved_inequality_is_recovered_as_solved():
     """At the tolerance .1 the linear program of F(x) is far from its minimum; the criterion is the problem's own."""
     problem = variational((np.diag([1.0, 1e3]), [-1.0, -1.0]))
     result = solve(problem, "npsor", tolerance=0.1, polish=False)
@@ -193,13 +193,13 @@ def test_a_loosely_solved_inequality_is_recovered_as_solved() -> None:
         (lambda: variational((np.eye(2), [0])), "length 2"),
     ],
 )
-def test_a_wrong_call_is_told_what_to_write(call: Any, words: str) -> None:
+def test_a_wrong_call_is_told_what_to_write(call, words):
     """InvalidProblem with the right call."""
     with pytest.raises(InvalidProblem, match=words):
         call()
 
 
-def test_a_result_of_other_data_is_not_solved_here() -> None:
+def test_a_result_of_other_data_is_not_solved_here():
     """X = 0 solves the inequality with q = (8, 6), and not the one with q = (−8, −6)."""
     problem = variational(([[2.0, 1], [-1, 2]], [-8.0, -6]), G=[[1.0, 1]], h=[3.0], lower=0)
     other = solve(LCP(problem.M, [8.0, 6, 3], lower=problem.lower, upper=problem.upper))
@@ -209,7 +209,7 @@ def test_a_result_of_other_data_is_not_solved_here() -> None:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_gap_of_free_unknowns_is_zero_at_a_solution(seed: int) -> None:
+def test_the_gap_of_free_unknowns_is_zero_at_a_solution(seed):
     """F(x) of free unknowns is a rounding error, along which y is unbounded."""
     rng = np.random.default_rng(seed)
     S = rng.normal(size=(3, 3))
@@ -220,7 +220,7 @@ def test_the_gap_of_free_unknowns_is_zero_at_a_solution(seed: int) -> None:
     assert solve(program).solution.gap() <= 1e-9
 
 
-def test_bounds_next_to_an_expression_of_cvxpy_are_refused() -> None:
+def test_bounds_next_to_an_expression_of_cvxpy_are_refused():
     """They would be ignored: the set of a cvxpy expression is its constraints."""
     x = cp.Variable(2)
     with pytest.raises(InvalidProblem, match="x >= lower"):

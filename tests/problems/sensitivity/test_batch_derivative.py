@@ -64,7 +64,7 @@ def assert_each(found: BatchDerivative, seed: int = 0) -> None:
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
 @pytest.mark.parametrize("n", [1, 2, 9, 30])
-def test_a_batch_has_the_derivatives_of_each(symmetric: bool, shared: bool, n: int) -> None:
+def test_a_batch_has_the_derivatives_of_each(symmetric, shared, n):
     """Arrays, one M for all and lists have the derivatives, z and free rows of single problems."""
     data = planted(20, n, n, symmetric=symmetric, shared=shared)
     found = of(data)
@@ -75,7 +75,7 @@ def test_a_batch_has_the_derivatives_of_each(symmetric: bool, shared: bool, n: i
     assert np.array_equal(again.vjp(np.ones(n)).q, found.vjp(np.ones(n)).q)
 
 
-def test_problems_of_any_sizes_and_kinds() -> None:
+def test_problems_of_any_sizes_and_kinds():
     """Dense, sparse, large and tridiagonal problems, some too large for the stack."""
     problems = []
     for k, n in enumerate((1, 3, 7, 30, 300)):
@@ -103,7 +103,7 @@ def test_problems_of_any_sizes_and_kinds() -> None:
         derivative(solve_batch(problems))
 
 
-def test_entries_of_the_matrix() -> None:
+def test_entries_of_the_matrix():
     """Gradient ∂L/∂M has one matrix per problem, or the sum for a shared M; dM is adjoint."""
     rng = np.random.default_rng(1)
     g = rng.normal(size=(12, 8))
@@ -122,7 +122,7 @@ def test_entries_of_the_matrix() -> None:
         assert np.isclose((total * change).sum(), (g * shared.jvp(dM=change)).sum(), rtol=1e-12)
 
 
-def test_kinks() -> None:
+def test_kinks():
     """Degenerate rows are named, with one-sided changes and fixed gradients."""
     M, q, lower, upper = planted(40, 6, 8)
     plain = of((M, q, lower, upper))
@@ -140,7 +140,7 @@ def test_kinks() -> None:
         assert np.array_equal(gradient.lower[k], found[k].vjp(dq[k]).lower)
 
 
-def test_zero_rows_that_are_free_together_with_a_kink() -> None:
+def test_zero_rows_that_are_free_together_with_a_kink():
     """If fixed degenerate rows leave a singular block, they are free, as one by one."""
     M = np.array([[[0.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [1.0, 0.0, 1.0]]])
     found = derivative(
@@ -153,7 +153,7 @@ def test_zero_rows_that_are_free_together_with_a_kink() -> None:
     assert found.free.tolist() == [found[0].free.tolist()]
 
 
-def test_contacts_have_gradients_where_impulses_are_not_determined() -> None:
+def test_contacts_have_gradients_where_impulses_are_not_determined():
     """Pyramids make M_FF singular and rows degenerate: each has a gradient in the loop, that which each has alone."""
     rng = np.random.default_rng(5)
     drawn = [falling(4, 2, 10.0, rng).arrays for _ in range(60)]
@@ -172,7 +172,7 @@ def test_contacts_have_gradients_where_impulses_are_not_determined() -> None:
         assert one.is_unique is False or not one.advice
 
 
-def test_a_bad_problem_costs_itself_alone() -> None:
+def test_a_bad_problem_costs_itself_alone():
     """Invalid or unsolved problems have NaN rows and an error; other problems are unaffected."""
     M, q, lower, upper = planted(8, 4, 9)
     lower[:], upper[:] = 0.0, INF
@@ -207,7 +207,7 @@ def test_a_bad_problem_costs_itself_alone() -> None:
     assert np.isnan(found.vjp(g).q[1]).all()
 
 
-def test_a_change_that_fails_spoils_no_gradient() -> None:
+def test_a_change_that_fails_spoils_no_gradient():
     """For w = −z, z = 0 has no one-sided derivative, but its gradients with fixed z exist."""
     found = derivative(solve_batch([[[-1.0]], [[1.0]]], [[0.0], [-1.0]]))
     before = found.vjp([[2.0], [3.0]])
@@ -221,7 +221,7 @@ def test_a_change_that_fails_spoils_no_gradient() -> None:
     )
 
 
-def test_batches_of_nothing() -> None:
+def test_batches_of_nothing():
     """Batches without problems, or without unknowns, have empty derivatives."""
     assert derivative(solve_batch(np.zeros((0, 3, 3)), np.zeros((0, 3)))).vjp(
         np.ones(3)
@@ -239,12 +239,12 @@ one.jvp(dM=np.ones((4, 4, 4))) → dM must have shape \(B, n, n\) or
 one.jvp(dM=np.full((5, 4, 4), INF)) → dM must be finite
 one.jvp(dlower='no') → dlower must have shape
 """)
-def test_what_is_refused(call: str, words: str) -> None:
+def test_what_is_refused(call, words):
     """Other shapes and numbers that are not finite raise errors that name the argument."""
     assert_refused(call, words, {**globals(), "one": of(planted(5, 4, 10))}, InvalidProblem)
 
 
-def test_a_slack_of_rounding_need_not_be_a_kink() -> None:
+def test_a_slack_of_rounding_need_not_be_a_kink():
     """The second row barely depends on its variable, which is exactly free and large."""
     found = derivative(solve_batch([[[10.0, 0.0], [1.0, 1e-11]]], [[-1.0, -0.1]]))
     assert found[0].is_unique

@@ -56,7 +56,7 @@ def check_against(piece: Piece, found: Derivative, accuracy: float = ACCURACY) -
 
 @settings.get_profile("few")
 @given(STRICT | strict(solved_lcps(h_plus_matrices(density=0.5).map(sp.csr_array))))
-def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
+def test_both_products_are_those_in_rational_arithmetic(drawn):
     """Products at the known solution are exact for M, q and bounds and all row types."""
     problem, z = drawn
     found = found_of(problem)
@@ -69,7 +69,7 @@ def test_both_products_are_those_in_rational_arithmetic(drawn) -> None:
 
 @settings.get_profile("few")
 @given(scaled_solved(STRICT, 20, 20), st.integers(0, 9))
-def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
+def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed):
     """With rows and columns times 2^±20, dz has 12 digits of the largest scaled component."""
     problem, z = drawn
     found = found_of(problem)
@@ -92,7 +92,7 @@ def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed) -> None:
 
 @pytest.mark.parametrize("kind", campaign.KINDS)
 @pytest.mark.parametrize("family", campaign.FAMILIES)
-def test_the_campaign_finds_nothing(family: str, kind: str) -> None:
+def test_the_campaign_finds_nothing(family, kind):
     """Five random problems per family and class of the campaign pass."""
     for k in range(5):
         assert not [*campaign.faults(family, kind, 6, np.random.default_rng([7, k]))]
@@ -100,7 +100,7 @@ def test_the_campaign_finds_nothing(family: str, kind: str) -> None:
 
 @settings.get_profile("few")
 @given(STRICT, st.integers(0, 9))
-def test_the_products_are_adjoint(drawn, seed) -> None:
+def test_the_products_are_adjoint(drawn, seed):
     """⟨vjp(g, gw), h⟩ = ⟨g, dz⟩ + ⟨gw, dw⟩ to 1e-13 of the terms, h any change of the data on M's pattern."""
     problem, _ = drawn
     found, rng, M, n = found_of(problem), np.random.default_rng(seed), problem.csr, problem.n
@@ -121,7 +121,7 @@ def test_the_products_are_adjoint(drawn, seed) -> None:
     assert abs(terms.sum()) <= 1e-13 * max(1.0, condition / 100.0) * abs(terms).sum()
 
 
-def test_the_gradient_by_the_matrix_has_its_pattern() -> None:
+def test_the_gradient_by_the_matrix_has_its_pattern():
     """The gradient is a CSR array on the sparsity pattern of M, for dense and sparse M."""
     dense = campaign.h_plus(6, np.random.default_rng(2))
     for M in (dense, sp.csr_array(dense)):
@@ -135,7 +135,7 @@ def test_the_gradient_by_the_matrix_has_its_pattern() -> None:
 
 
 @pytest.mark.full
-def test_uniqueness_is_proven_of_most() -> None:
+def test_uniqueness_is_proven_of_most():
     """is_unique is True on at least 90 % of 200 problems with H₊-matrices that are not degenerate."""
     rng, unique = np.random.default_rng(5), 0
     for k in range(200):
@@ -147,7 +147,7 @@ def test_uniqueness_is_proven_of_most() -> None:
 
 @settings.get_profile("few")
 @given(solved_lcps(bounds=True), st.integers(0, 99))
-def test_planted_degenerate_rows_are_named(drawn, seed) -> None:
+def test_planted_degenerate_rows_are_named(drawn, seed):
     """Never unique; jvp is the exact one-sided derivative, and vjp the gradient of the piece that `free` names."""
     problem, z = drawn
     found = found_of(problem)
@@ -183,7 +183,7 @@ def test_planted_degenerate_rows_are_named(drawn, seed) -> None:
     assert not (gradient.lower * gradient.upper).any()
 
 
-def test_one_sided_derivatives_differ_by_side() -> None:
+def test_one_sided_derivatives_differ_by_side():
     """z(q) of a 1 × 1 problem has slope −½ on one side and 0 on the other; both bounds, and by the bound as well."""
     below = found_of(LCP([[2.0]], [0.0]))
     assert (below.jvp(dq=[-1.0]), below.jvp(dq=[1.0])) == (0.5, 0.0)
@@ -193,7 +193,7 @@ def test_one_sided_derivatives_differ_by_side() -> None:
     assert (above.jvp(dupper=1.0), above.jvp(dupper=-1.0)) == (0.0, -1.0)
 
 
-def test_degenerate_rows_are_freed_where_the_rest_is_singular() -> None:
+def test_degenerate_rows_are_freed_where_the_rest_is_singular():
     """If M_FF is singular and M_(F∪β) is not, vjp treats the degenerate rows as free."""
     # solved by all z₀ ≤ 3, z₁ = 1
     problem = LCP([[0.0, 1.0], [-1.0, 1.0]], [-1.0, 2.0], lower=[-np.inf, 1.0])
@@ -205,7 +205,7 @@ def test_degenerate_rows_are_freed_where_the_rest_is_singular() -> None:
     assert distance(found.vjp([1.0, 1.0]).q, check.q) == 0.0
 
 
-def test_a_row_is_degenerate_to_the_rounding_of_others() -> None:
+def test_a_row_is_degenerate_to_the_rounding_of_others():
     """Row 0 with w₀ = z₁ is degenerate if z₁ = 0 is 4e-16 because of cancellation with z₂ = 3."""
     problem = LCP(
         [[2.0, 1.0, 0.0], [0.0, 5.0, 3.0], [0.0, 3.0, 4.0]],
@@ -226,7 +226,7 @@ def test_a_row_is_degenerate_to_the_rounding_of_others() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_row_leaves_a_bound_far_from_zero(side: float) -> None:
+def test_a_row_leaves_a_bound_far_from_zero(side):
     """If w = ∓3e-11 at a bound of 10⁶ is lost in z − w/d, the row is nevertheless free, 3 away."""
     M = np.array([[1e-11, 1.0], [0.0, 1.0]])
     z = np.array([1e6 + 3.0 * side, 1.0])
@@ -243,7 +243,7 @@ def test_a_row_leaves_a_bound_far_from_zero(side: float) -> None:
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
 @pytest.mark.parametrize("scale", [1.0, 1e6])
-def test_rows_are_settled_from_a_coarse_solution(tolerance: float, scale: float) -> None:
+def test_rows_are_settled_from_a_coarse_solution(tolerance, scale):
     """A z at tolerance 1e-3 is refined: rows and derivative agree with the exact solution."""
     rng = np.random.default_rng(3)
     for k, family in itertools.product(range(9), ("h_plus", "definite", "chain")):
@@ -268,7 +268,7 @@ SINGULAR_ROOTS = ([[1.0], [1.0]], [[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]], [[0.0]])
 
 
 @pytest.mark.parametrize("root", SINGULAR_ROOTS)
-def test_a_singular_block_has_the_derivative_of_least_change(root: list[list[float]]) -> None:
+def test_a_singular_block_has_the_derivative_of_least_change(root):
     """The derivative uses M⁺, also if rounding gives Cholesky a last pivot."""
     M, n = np.array(root) @ np.array(root).T, len(root)
     found, inverse = found_of(LCP(M, np.zeros(n), lower=-np.inf)), np.linalg.pinv(M)
@@ -280,7 +280,7 @@ def test_a_singular_block_has_the_derivative_of_least_change(root: list[list[flo
     assert found.vjp(g).q == pytest.approx(-inverse.T @ g, rel=1e-12)
 
 
-def test_a_change_that_leaves_no_solution_is_refused_in_words() -> None:
+def test_a_change_that_leaves_no_solution_is_refused_in_words():
     """If M_FF z_F cannot follow dq, jvp raises an error; the gradient of least change exists."""
     found = Derivative(LCP([[1.0, 1.0], [1.0, 1.0]], [-2.0, -2.0]), np.ones(2), np.zeros(2))
     with pytest.raises(UnsuitableProblem, match="after this change no z solves them"):
@@ -289,7 +289,7 @@ def test_a_change_that_leaves_no_solution_is_refused_in_words() -> None:
 
 
 @pytest.mark.parametrize("small", [1e-4, 1e-8, 1e-10])
-def test_a_nearly_singular_block_is_solved_as_its_condition_allows(small: float) -> None:
+def test_a_nearly_singular_block_is_solved_as_its_condition_allows(small):
     """κ(M_FF) of 4/small: the products are within 1e-16 κ of the exact ones, the row outside F is none of it."""
     M = np.array([[1.0, 1.0, 0.5], [1.0, 1.0 + small, -0.25], [0.5, 0.125, 3.0]])
     problem = LCP(M, [-2.0, -2.0 - small, 4.0])
@@ -312,13 +312,13 @@ def convection(n: int, drift: float) -> sp.csr_array:
     ("given_one", "words"),
     [(KINK, "LCP"), (None, "NoneType"), ([1.0, 0.0], "list"), (derivative, "function")],
 )
-def test_what_is_no_result_is_refused(given_one: object, words: str) -> None:
+def test_what_is_no_result_is_refused(given_one, words):
     """InvalidOption contains the argument and the remedy."""
     with pytest.raises(InvalidOption, match=rf"got {words}"):
         derivative(given_one)
 
 
-def test_what_is_not_solved_has_no_derivative() -> None:
+def test_what_is_not_solved_has_no_derivative():
     """UnsuitableProblem names the status and gives its advice."""
     stopped = solve(LCP(convection(20, 0.0), -np.ones(400)), "pgs", max_iterations=1)
     with pytest.raises(
@@ -339,7 +339,7 @@ def test_what_is_not_solved_has_no_derivative() -> None:
     lambda found: found.vjp([1.0]), lambda found: found.vjp([1.0, np.nan]), lambda found: found.vjp([1.0, 1.0], [1.0]),
     lambda found: found.dw([1.0]), lambda found: found.dw([1.0, 1.0], dq=[np.inf, 0.0]),
 ])  # fmt: skip
-def test_wrong_shapes_and_numbers_are_refused(call) -> None:
+def test_wrong_shapes_and_numbers_are_refused(call):
     """InvalidProblem names the argument; the derivative stays usable."""
     found = found_of(LCP([[2, 1], [1, 2]], [-5, 1]))
     with pytest.raises(InvalidProblem, match=r"^(dM|dq|dlower|dupper|dz|g|gw) must be "):
@@ -348,7 +348,7 @@ def test_wrong_shapes_and_numbers_are_refused(call) -> None:
 
 
 @pytest.mark.parametrize("diagonal", [1e-6, 1e-9, 1e-12])
-def test_a_tiny_diagonal_entry_makes_no_row_degenerate(diagonal: float) -> None:
+def test_a_tiny_diagonal_entry_makes_no_row_degenerate(diagonal):
     """Unknown z₀ = 1e-9 is determined by row 1 only, and free in spite of rounding at m₀₀."""
     M, z = np.array([[diagonal, 1.0], [-1.0, 1.0]]), np.array([1e-9, 1.0])
     found = derivative(solve(LCP(M, -M @ z)))
@@ -360,7 +360,7 @@ def test_a_tiny_diagonal_entry_makes_no_row_degenerate(diagonal: float) -> None:
 
 @pytest.mark.parametrize("q", [-1e19, 1e19, -1e-17, 1e-9])
 @pytest.mark.parametrize("coupling", [0.0, 1e-9, -1.0])
-def test_a_row_of_another_size_hides_no_kink(q: float, coupling: float) -> None:
+def test_a_row_of_another_size_hides_no_kink(q, coupling):
     """Rows 0 and 1, a kink and a free row, are unaffected by row 2 with q of another size."""
     M, z, w = np.array([[3.0, 1.0], [-1.0, 4.0]]), np.array([0.0, 2.0]), np.zeros(2)
     whole = np.block([[M, np.zeros((2, 1))], [np.array([[0.0, coupling, 1.0]])]])
@@ -374,7 +374,7 @@ FIT = BoundedLeastSquares(np.eye(2), [1.0, 2.0], lower=0.0, upper=[np.inf, 1.5])
 PROGRAM = QuadraticProgram(2.0 * np.eye(2), [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0], lower=0.0)
 
 
-def test_the_advice_for_a_program_works_as_it_is_written() -> None:
+def test_the_advice_for_a_program_works_as_it_is_written():
     """The call in the message for a program, for a list of results and for a mixed batch, executed."""
     both = solve_batch([PROGRAM, LCP([[1.0]], [1.0])])
     named = {"problem": PROGRAM, "results": [solve(PROGRAM), solve(FIT)], "batch": both}
@@ -387,7 +387,7 @@ def test_the_advice_for_a_program_works_as_it_is_written() -> None:
         np.testing.assert_allclose(first.jvp(dc=[-1.0, 1.0]), [0.5, -0.5], atol=1e-8)
 
 
-def test_the_advice_for_a_batch_of_other_classes_works_as_it_is_written() -> None:
+def test_the_advice_for_a_batch_of_other_classes_works_as_it_is_written():
     """Of LCPs of two sizes, contacts and nonlinear problems each answer has a derivative."""
     contact = FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5)
     curved = NonlinearProblem(lambda x: x - 1, lower=[0.0, 0.0])
@@ -436,7 +436,7 @@ def cases_of_each_class(rng: np.random.Generator) -> dict[str, tuple]:
 
 @pytest.mark.parametrize("is_batch", [False, True])
 @pytest.mark.parametrize("name", cases_of_each_class(np.random.default_rng(0)))
-def test_in_every_class_jvp_and_vjp_are_transposes(name: str, is_batch: bool) -> None:
+def test_in_every_class_jvp_and_vjp_are_transposes(name, is_batch):
     """⟨g, J d⟩ = ⟨Jᵀg, d⟩ by all data at once, for solutions 1e-3 and 5e-7 from a kink, alone and in a batch."""
     for seed in range(5):
         rng = np.random.default_rng([7, seed])
@@ -464,16 +464,16 @@ def test_in_every_class_jvp_and_vjp_are_transposes(name: str, is_batch: bool) ->
 
 
 @pytest.mark.parametrize("power", [0.0, 0.1])
-def test_the_advice_names_a_split_that_is_not_unique(power: float) -> None:
+def test_the_advice_names_a_split_that_is_not_unique(power):
     """Two classes of vehicles on two routes: only their sum is determined, linear or not, also if one flow is 0."""
     R, E = np.tile(np.eye(2), (2, 2)), np.kron(np.eye(2), np.ones((1, 2)))
     M = np.block([[R, -E.T], [E, np.zeros((2, 2))]])
     q, free = np.array([1, 1.5, 1, 1.5, -2, -1]), [-np.inf, -np.inf]
 
-    def F(x: np.ndarray) -> np.ndarray:
+    def F(x):
         return M @ x + q + np.append(power * (R @ x[:4]) ** 4, [0, 0])
 
-    def slope(x: np.ndarray) -> np.ndarray:
+    def slope(x):
         steeper = 4 * power * (R @ x[:4]) ** 3
         return M + np.pad(steeper[:, np.newaxis] * R, ((0, 2), (0, 2)))
 
@@ -484,7 +484,7 @@ def test_the_advice_names_a_split_that_is_not_unique(power: float) -> None:
     assert "other solutions differ in car 0, car 1, truck 0, truck 1" in found.advice
 
 
-def test_a_consistent_change_of_a_repeated_equation_has_a_derivative() -> None:
+def test_a_consistent_change_of_a_repeated_equation_has_a_derivative():
     """z₀ = 1 stands twice: dq of the first row moves z₁ + z₂ alone, by the least change (0, 1/2, 1/2)."""
     problem = LCP([[1.0, -1, -1], [1, 0, 0], [1, 0, 0]], [-3.0, -1, -1], lower=-np.inf)
     found = derivative(solve(problem)).jvp(dq=[1.0, 0, 0])

@@ -1,9 +1,5 @@
 """Nonlinear complementarity problems of the literature are solved from their starts, as an outsider measures it."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 from published_problems import PUBLISHED, outsiders_residual
@@ -14,7 +10,7 @@ CASES = [(name, k) for name, one in PUBLISHED.items() for k in range(len(one.sta
 
 
 @pytest.mark.parametrize(("name", "k"), CASES)
-def test_a_published_problem_is_solved_or_refused(name: str, k: int) -> None:
+def test_a_published_problem_is_solved_or_refused(name, k):
     """SOLVED has an outsider's residual below 1e-6; without a solution no point is SOLVED."""
     one = PUBLISHED[name]
     result = solve(one.problem, x0=np.array(one.starts[k], dtype=float))
@@ -32,7 +28,7 @@ def test_a_published_problem_is_solved_or_refused(name: str, k: int) -> None:
     ("shapley_shubik", [2.0], True),
     ("shapley_shubik", [1.9], False),
 ])  # fmt: skip
-def test_the_outsider_knows_published_solutions(name: str, x: Any, is_right: bool) -> None:
+def test_the_outsider_knows_published_solutions(name, x, is_right):
     """The outsider's residual accepts published solutions and rejects points next to them."""
     residual = outsiders_residual(PUBLISHED[name].problem, np.array(x, dtype=float))
     assert (residual < 1e-9) == is_right

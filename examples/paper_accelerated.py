@@ -37,11 +37,25 @@ def random_m_matrix() -> LCP:
     return LCP(M, rng.normal(size=UNKNOWNS))
 
 
+def american_put() -> LCP:
+    """Return the last of a hundred steps in time of an option with strike 1, one year before its maturity."""
+    size, step, rate, volatility = 1001, 0.01, 0.05, 0.2
+    x = np.linspace(-1.5, 1.5, size + 2)  # log(price / strike)
+    h, payoff = x[1] - x[0], np.maximum(1.0 - np.exp(x), 0.0)
+    diffusion, drift = 0.5 * (volatility / h) ** 2, 0.5 * (rate - 0.5 * volatility**2) / h
+    below, above = step * (drift - diffusion), -step * (drift + diffusion)
+    diagonals = [below, 1.0 + step * rate - below - above, above]
+    M = sp.diags_array(diagonals, offsets=[-1, 0, 1], shape=(size, size))
+    q = -payoff[1:-1]
+    q[0] += below * payoff[0]
+    return LCP(M, q, lower=payoff[1:-1])
+
+
 def main(out: Path = Path()) -> None:
     """Run the methods, print their iterations, and save the curves into the folder OUT."""
     problems = {
         "obstacle": gallery.build("obstacle_2d", size=SIZE, shifted=True).problem,
-        "American put": gallery.build("american_put").problem,
+        "American put": american_put(),
         "random M-matrix": random_m_matrix(),
     }
     plt.style.use(Path(__file__).with_name("plots.mplstyle"))

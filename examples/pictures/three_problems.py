@@ -8,10 +8,11 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+import scipy.sparse as sp
 import typer
 from PIL import Image
 
-from lcp_plugin import gallery, march, solve
+from lcp_plugin import LCP, gallery, march, solve
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from stack_of_blocks import BLOCKS, GRAVITY, INERTIA, contact_problem, draw, tower
@@ -36,12 +37,19 @@ def membrane(axes: plt.Axes) -> None:
 
 def exercise_boundary(axes: plt.Axes) -> None:
     """Draw where exercising an American put is best, through its year."""
-    scene = gallery.american_put_march(size=901, volatility=0.3, steps=150)
-    lower, spot = scene.problem.lower, scene.coordinates[0]
-    q = np.broadcast_to(scene.advance(np.zeros(scene.n)), (scene.steps, scene.n))
-    steps = [step.require_solved() for step in march(scene.problem, q, propagator=-1.0, z0=lower)]
+    size, count, rate, volatility = 901, 150, 0.05, 0.3
+    x = np.linspace(-1.5, 1.5, size + 2)  # log(price / strike)
+    h, spot, payoff = x[1] - x[0], 100.0 * np.exp(x[1:-1]), 100.0 * np.maximum(1 - np.exp(x), 0)
+    diffusion, drift = 0.5 * (volatility / h) ** 2, 0.5 * (rate - 0.5 * volatility**2) / h
+    below, above = (drift - diffusion) / count, -(drift + diffusion) / count
+    diagonals = [below, 1 + rate / count - below - above, above]
+    M = sp.diags_array(diagonals, offsets=[-1, 0, 1], shape=(size, size))
+    q, lower = np.zeros((count, size)), payoff[1:-1]
+    q[:, 0] = below * payoff[0]
+    path = march(LCP(M, q[0], lower=lower), q, propagator=-1.0, z0=lower)
+    steps = [step.require_solved() for step in path]
     boundary = [100.0, *(spot[(step.z == lower) & (lower > 0)].max() for step in steps)]
-    years = np.linspace(1, 0, scene.steps + 1)
+    years = np.linspace(1, 0, count + 1)
     axes.plot(years, boundary, color="#D55E00", linewidth=1.8)
     axes.fill_between(
         years, boundary, 60, color="#D55E00", alpha=0.2, linewidth=0, antialiased=False

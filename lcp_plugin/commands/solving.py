@@ -131,8 +131,8 @@ def run(
         arrays = {} if x is None else {"x": x, "duals": found.duals}
         objective = found.objective
     else:
-        answers = _steps(given, algorithm, options, settings)
-        answer, x, lines = answers[-1], answers[-1].x, _march_lines(given, answers)
+        answer = _solved(given, algorithm, options, settings)
+        x, lines = answer.x, _certificate_lines(given, answer)
         arrays = _arrays(answer)
         objective = answer.objective
     content: dict[str, Any] = {} if objective is None else {"objective": objective}
@@ -176,10 +176,10 @@ def json_content(answer: Any) -> dict[str, Any]:
     }
 
 
-def _steps(
+def _solved(
     given: Target, algorithm: str, options: dict[str, Any], settings: dict[str, Any]
-) -> list[Any]:
-    """Return the answers to all steps of a march, each from the one before; a step that is not solved ends it."""
+) -> Any:
+    """Return the result of the problem from the start of its test problem, with progress on a terminal."""
     problem, scene = given.problem, given.test_problem
     start = {} if scene is None or scene.start is None else {"z0": scene.start}
     chosen: Any = algorithm
@@ -189,11 +189,7 @@ def _steps(
     with progress_on_terminal() as show:
         if show is not None and isinstance(problem, LCP):
             options |= {"callback": show}
-        answers = [solve(problem, chosen, **start, **options)]
-        while answers[-1].is_solved and scene is not None and len(answers) < scene.steps:
-            problem = problem.with_q(scene.advance(answers[-1].z))
-            answers.append(solve(problem, chosen, z0=answers[-1].z, **options))
-    return answers
+        return solve(problem, chosen, **start, **options)
 
 
 @contextmanager
@@ -218,24 +214,18 @@ def progress_on_terminal() -> Iterator[Callable[[Sample, Vector], bool] | None]:
         yield show
 
 
-def _march_lines(given: Target, answers: list[Any]) -> list[str]:
-    """Return lines with the residuals of an LCP, the errors against a known solution, and the totals of a march."""
-    scene, last = given.test_problem, answers[-1]
-    lines = str(last.certificate).splitlines() if isinstance(given.problem, LCP) else []
+def _certificate_lines(given: Target, answer: Any) -> list[str]:
+    """Return lines with the residuals of an LCP, and the errors against a known solution."""
+    scene = given.test_problem
+    lines = str(answer.certificate).splitlines() if isinstance(given.problem, LCP) else []
     if scene is None:
         return lines
-    if scene.steps > 1:
-        iterations, seconds = (
-            sum(getattr(one, name) for one in answers) for name in ("iterations", "seconds")
-        )
-        done = f"march: {len(answers)} of {scene.steps} steps"
-        return [*lines, f"{done}, {iterations} iterations, {seconds:.3g} s; the last step is shown"]
     for name, known in (
         ("true error", scene.exact),
         ("difference from the exact solution without grid", scene.continuum),
     ):
         if known is not None:
-            lines.append(f"{name:<18} {np.abs(last.z - known).max(initial=0.0):.3e}")
+            lines.append(f"{name:<18} {np.abs(answer.z - known).max(initial=0.0):.3e}")
     return lines
 
 
@@ -320,7 +310,7 @@ def compile_everything() -> str:
     # an exact search enumerates all pieces
     no_solution = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
     lcp_plugin.solve_batch([no_solution, no_solution], prove_infeasibility=False)
-    for problem in (no_solution, gallery.build("bimatrix_game").problem):
+    for problem in (no_solution, LCP.from_game([[2, 0], [0, 1]], [[1, 0], [0, 2]])):
         solve(problem)
     for one in (dense, lcp_plugin.QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])):
         lcp_plugin.prepare(one).solve()

@@ -258,15 +258,13 @@ def _draw_unknowns(axes: Any, answer: Any, frame: Frame | Scene) -> None:
             level = contact_level(answer.certificate)
         _draw_map(axes, x.reshape(grid), active.reshape(grid), level.reshape(grid), frame)
         return
-    if frame.coordinates is not None and len(frame.coordinates) == 1:
-        where, label = frame.coordinates[0], frame.axis_labels[0]
-    else:
-        where, label = np.arange(x.size), "index"
     for chosen, color in ((~active, FREE), (active, ACTIVE)):
-        axes.plot(where[chosen], x[chosen], ".", color=color, markersize=4.0, rasterized=True)
+        axes.plot(
+            np.flatnonzero(chosen), x[chosen], ".", color=color, markersize=4.0, rasterized=True
+        )
     if active.any():
         axes.set_title(f"orange: {frame.active_means}", color=ACTIVE, fontsize=8.5)
-    axes.set(xlabel=label, ylabel=frame.unknown)
+    axes.set(xlabel="index", ylabel=frame.unknown)
 
 
 def contact_level(answer: Certificate) -> Vector:

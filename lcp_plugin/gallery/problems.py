@@ -1,21 +1,12 @@
-"""Test problems: membranes over an obstacle.
+"""Test problems: a membrane over an obstacle, the paper's examples, and a solution with active constraints.
 
-A journal bearing with cavitation, and the elastic-plastic torsion of a bar.
-
-Games and options: Nash equilibria, the American put and the tree that checks it.
-
-Matrices that couple each node of a grid with its nearest neighbors.
-
-Problems with a solution chosen first: the paper's examples, and one with active constraints.
+Also matrices that couple each node of a grid with its nearest neighbors, and a binomial tree for American puts.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.checks import Vector
 from ..core.lcp import LCP
-from ..problems.reformulations import lcp_from_bimatrix_game
 from .scene import Scene, require, scene_builder
 
 Field = NDArray[np.float64]
@@ -206,276 +196,6 @@ def sphere_solution(r: Field) -> Field:
     return np.where(r < CONTACT_RADIUS, sphere_obstacle(r), strength * free)
 
 
-@scene_builder
-def journal_bearing(
-    *, size: int = 100, eccentricity: float = 0.8, half_length: float = 10.0
-) -> Scene:
-    """Pressure in the oil film of a journal bearing with cavitation.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size².
-    eccentricity
-        Eccentricity relative to the clearance; at 1 the journal would touch. The film's coefficient spans a ratio of
-        ((1 + ε)/(1 − ε))³: 8e6 at 0.99.
-    half_length
-        Half the width of the bearing, in radii.
-
-    Notes
-    -----
-    Reynolds' equation on θ in (0, 2π) and y in (0, 2 · half_length): −∇·(h³ ∇p) ≥ −∂h/∂θ = ε sin θ, p ≥ 0,
-    complementary, p = 0 on the boundary, h = 1 + ε cos θ. An edge takes h³ at its midpoint. Rows are the rows of the
-    five-point stencil times both mesh widths.
-
-    References
-    ----------
-    Cryer, *The method of Christopherson for solving free boundary problems for infinite journal bearings*, Math.
-    Comp. 25, 1971, doi:10.1090/S0025-5718-1971-0298961-7. Moré, Toraldo, *On the solution of large quadratic
-    programming problems with bound constraints*, SIAM J. Optim. 1, 1991, doi:10.1137/0801008.
-    """
-    require(0.0 <= eccentricity < 1.0, f"eccentricity must lie in [0, 1), got {eccentricity}")
-    require(half_length > 0.0, f"half_length must be a number > 0, got {half_length}")
-    angle = nodes(0.0, 2.0 * np.pi, size)
-    width = nodes(0.0, 2.0 * half_length, size)
-    step, depth = angle[1] - angle[0], width[1] - width[0]
-
-    def film_cubed(at: np.ndarray) -> np.ndarray:
-        return np.asarray((1.0 + eccentricity * np.cos(at)) ** 3)[:, None]
-
-    middle = 0.5 * (angle[1:] + angle[:-1])
-    around = film_cubed(middle) * (depth / step)
-    across = film_cubed(angle[1:-1]) * (step / depth)
-    M = balanced_matrix((size, size), ([-around[:-1], -across], [-around[1:], -across]))
-    source = eccentricity * np.sin(angle[1:-1]) * (step * depth)
-    return Scene(
-        problem=LCP(M, -np.repeat(source, size)),
-        coordinates=(angle[1:-1], width[1:-1]),
-        axis_labels=("angle", "width"),
-        unknown="pressure",
-        active_means="torn film, no pressure",
-    )
-
-
-@scene_builder
-def elastic_plastic_torsion(
-    *, size: int = 100, section: str = "square", plastic_share: float = 0.5, mixed: bool = False
-) -> Scene:
-    """Stress function of a twisted elastic, perfectly plastic bar: a box whose width is the distance to the boundary.
-
-    Parameters
-    ----------
-    size
-        Interior nodes along each axis; n = size², mesh width 2/(size + 1).
-    section
-        Square [−1, 1]², or the unit disc within it; the nodes outside the disc are fixed at 0.
-    plastic_share
-        Share of the disc that is plastic, in [0, 1); the square is twisted as much as the disc would be, and less of
-        it yields: its corners stay elastic.
-    mixed
-        Twist the two halves of the section in opposite directions, so that both bounds become active.
-
-    Notes
-    -----
-    −Δu = c where |u| < dist, −dist ≤ u ≤ dist, dist the distance to the boundary; |∇u| ≤ 1 is the yield condition.
-    On the disc, without `mixed`, u = 1 − r where r ≥ r* = 2/c, and u = 1 − r* + c (r*² − r²)/4 elsewhere, so that
-    c = 2/√(1 − plastic_share). Rows are the rows of the five-point stencil (4, −1), that is −h²Δ.
-
-    References
-    ----------
-    Ting, *Elastic-plastic torsion of convex cylindrical bars*, J. Math. Mech. 19, 1969. Moré, Toraldo, *On the
-    solution of large quadratic programming problems with bound constraints*, SIAM J. Optim. 1, 1991,
-    doi:10.1137/0801008.
-    """
-    require(section in ("square", "disc"), f"section must be 'square' or 'disc', got {section!r}")
-    require(0.0 <= plastic_share < 1.0, f"plastic_share must lie in [0, 1), got {plastic_share}")
-    axis = nodes(-1.0, 1.0, size)[1:-1]
-    x, y = np.ix_(axis, axis)
-    r = np.hypot(x, y)
-    distance = (
-        1.0 - np.maximum(np.abs(x), np.abs(y)) if section == "square" else np.maximum(1.0 - r, 0.0)
-    )
-    twist = 2.0 / math.sqrt(1.0 - plastic_share)
-    load = twist * (np.sign(x) if mixed else 1.0) * (2.0 / (size + 1)) ** 2
-    continuum = None
-    if section == "disc" and not mixed:
-        elastic_radius = 2.0 / twist  # plastic, u = 1 − r, from here on
-        core = 1.0 - elastic_radius + 0.25 * twist * (elastic_radius**2 - r**2)
-        continuum = np.where(r < elastic_radius, np.minimum(core, distance), distance).ravel()
-    bound = distance.ravel()
-    legs = (-1.0, -1.0)
-    return Scene(
-        problem=LCP(
-            stencil_matrix((size, size), 4.0, legs, legs),
-            -np.broadcast_to(load, (size, size)).ravel(),
-            lower=-bound,
-            upper=bound,
-        ),
-        continuum=continuum,
-        unknown="stress function",
-        active_means="plastic",
-        coordinates=(axis, axis),
-        axis_labels=("x", "y"),
-    )
-
-
-_CYCLE = np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]])
-
-# Payoffs of the row and of the column player; the equilibrium if there is only one.
-_GAMES: dict[str, tuple[Any, Any, tuple[list[float], list[float]] | None]] = {
-    "battle_of_the_sexes": ([[2, 0], [0, 1]], [[1, 0], [0, 2]], None),
-    "prisoners_dilemma": ([[-1, -3], [0, -2]], [[-1, 0], [-3, -2]], ([0, 1], [0, 1])),
-    "matching_pennies": ([[1, -1], [-1, 1]], [[-1, 1], [1, -1]], ([1, 1], [1, 1])),
-    "chicken": ([[0, -1], [1, -9]], [[0, 1], [-1, -9]], None),
-    "stag_hunt": ([[4, 1], [3, 2]], [[4, 3], [1, 2]], None),
-    "rock_paper_scissors": (_CYCLE, -_CYCLE, ([1, 1, 1], [1, 1, 1])),
-    "shapley": (np.eye(3), np.roll(np.eye(3), 1, axis=1), ([1, 1, 1], [1, 1, 1])),
-    "indifferent": (np.ones((3, 4)), np.ones((3, 4)), None),
-}
-
-
-@scene_builder
-def bimatrix_game(*, game: str = "battle_of_the_sexes") -> Scene:
-    """Nash equilibria of a classical two-player game: M = [[0, K], [Lᵀ, 0]], zero diagonal, often several answers.
-
-    Parameters
-    ----------
-    game
-        Name of the game. Pure and mixed, unique and several equilibria; "indifferent" is degenerate everywhere.
-
-    Notes
-    -----
-    ``scene.problem.origin.recover(result)`` gives the mixed strategies. `exact` is declared if the equilibrium is
-    unique. In Shapley's game the players' best answers chase each other round a cycle.
-
-    References
-    ----------
-    Luce, Raiffa, *Games and Decisions*, Wiley 1957. Lemke, Howson, *Equilibrium points of bimatrix games*, J. SIAM 12,
-    1964, doi:10.1137/0112033.
-    """
-    require(game in _GAMES, f"game must be one of {', '.join(_GAMES)}, got {game!r}")
-    row_payoffs, column_payoffs, unique = _GAMES[game]
-    problem = lcp_from_bimatrix_game(row_payoffs, column_payoffs)
-    M = problem.csr.toarray()
-    exact = None if unique is None else _scaled(M, *unique)
-    return Scene(problem=problem, exact=exact)
-
-
-def _scaled(M: NDArray[np.float64], row: list[float], column: list[float]) -> Vector:
-    """Return (x, y) with the smallest cost of either player scaled to 1."""
-    m = len(row)
-    x, y = np.array(row, dtype=np.float64), np.array(column, dtype=np.float64)
-    return np.concatenate([x / np.min(M[m:, :m] @ x), y / np.min(M[:m, m:] @ y)])
-
-
-# --- Options ----------------------------------------------------------------------------------------------------
-
-
-@scene_builder
-def american_put(
-    *,
-    size: int = 1001,
-    strike: float = 100.0,
-    rate: float = 0.05,
-    volatility: float = 0.2,
-    maturity: float = 1.0,
-    log_range: float = 1.5,
-    steps: int = 100,
-) -> Scene:
-    """American put, one implicit Euler step of length maturity/steps back from the payoff.
-
-    Parameters
-    ----------
-    size
-        Interior nodes in the logarithm of the spot price; odd numbers put one on the strike.
-    strike
-        Strike price K, currency; the unit of z.
-    rate
-        Riskless rate r ≥ 0, 1/year.
-    volatility
-        σ > 0, 1/√year.
-    maturity
-        T > 0, years.
-    log_range
-        The grid covers spot prices K e^±log_range.
-    steps
-        Number of steps that `maturity` is divided into; this problem is the first of them.
-
-    Notes
-    -----
-    With x = log(S/K), time to maturity τ and 𝓐V = −½σ² V_xx − (r − ½σ²) V_x + r V the value solves
-    V_τ + 𝓐V ≥ 0, V ≥ K(1 − eˣ)₊, complementary. One step: M = I + Δτ 𝓐ₕ, q = −V_old, lower = payoff, and
-    the payoff on both endpoints of the grid folded into q. The drift is differenced centrally if that keeps the
-    off-diagonal entries ≤ 0, which is h |r − ½σ²| ≤ σ², and upwind otherwise: M is always a strictly dominant
-    M-matrix. The contact set is one interval of low prices.
-
-    References
-    ----------
-    Brennan, Schwartz, *The valuation of American put options*, J. Finance 32, 1977, doi:10.2307/2326779.
-    Jaillet, Lamberton, Lapeyre, *Variational inequalities and the pricing of American options*, Acta Appl.
-    Math. 21, 1990, doi:10.1007/BF00047211.
-    """
-    return replace(american_put_march(**locals()), steps=1, advance=None)
-
-
-@scene_builder
-def american_put_march(
-    *,
-    size: int = 1001,
-    strike: float = 100.0,
-    rate: float = 0.05,
-    volatility: float = 0.2,
-    maturity: float = 1.0,
-    log_range: float = 1.5,
-    steps: int = 100,
-) -> Scene:
-    """American put, the whole march of implicit Euler steps from the payoff back to today.
-
-    Parameters
-    ----------
-    size, strike, rate, volatility, maturity, log_range
-        As in `american_put`.
-    steps
-        Number of equal steps in time; the solution of the last is today's price.
-
-    Notes
-    -----
-    The matrix is the same in every step, only q changes: ``problem = problem.with_q(scene.advance(z))``.
-    """
-    names = ("strike", "volatility", "maturity", "log_range")
-    for name, value in zip(names, (strike, volatility, maturity, log_range), strict=True):
-        require(value > 0.0, f"{name} must be a number > 0, got {value}")
-    time_step = maturity / steps
-    log_price = nodes(-log_range, log_range, size)
-    payoff = strike * np.maximum(1.0 - np.exp(log_price), 0.0)
-    below, above = _log_price_legs(rate, volatility, time_step, 2.0 * log_range / (size + 1))
-    M = stencil_matrix((size,), 1.0 + time_step * rate - below - above, [below], [above])
-    # boundary − values, as a partial function that can be sent to other processes
-    advance = partial(np.subtract, dirichlet_terms(payoff, [below], [above]))
-    inside = payoff[1:-1]
-    return Scene(
-        problem=LCP(M, advance(inside), lower=inside),
-        coordinates=(strike * np.exp(log_price[1:-1]),),
-        axis_labels=("spot price",),
-        unknown="option price",
-        active_means="exercise at once",
-        steps=steps,
-        advance=advance,
-    )
-
-
-def _log_price_legs(
-    rate: float, volatility: float, time_step: float, h: float
-) -> tuple[float, float]:
-    """Return the entries of Δτ 𝓐ₕ below and above the diagonal, neither of them positive."""
-    diffusion = 0.5 * volatility**2 / h**2
-    drift = (rate - 0.5 * volatility**2) / h
-    below, above = 0.5 * drift - diffusion, -0.5 * drift - diffusion
-    if max(below, above) > 0.0:
-        below, above = min(drift, 0.0) - diffusion, min(-drift, 0.0) - diffusion
-    return time_step * below, time_step * above
-
-
 def binomial_put(
     spot: ArrayLike,
     *,
@@ -492,7 +212,7 @@ def binomial_put(
     spot
         Spot prices, any shape, currency.
     strike, rate, volatility, maturity
-        As in `american_put`.
+        K in currency, r in 1/year, σ > 0 in 1/√year, T > 0 in years.
     steps
         Levels of the tree, at least 1; the error falls like 1/steps.
 

@@ -18,7 +18,7 @@ from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
 from ..core.settings import parse_options
 
-SIZES = {"n", "size", "block", "bumps", "goods", "steps"}  # parameters that are at least 1
+SIZES = {"n", "size", "block"}  # parameters that are at least 1
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -30,7 +30,7 @@ class Scene:
     Parameters
     ----------
     problem : LCP
-        The problem; the first one of a march in time.
+        Problem.
     name, description, parameters
         Filled in by `scene_builder`: the builder's name, its first docstring line, the values used.
     exact : shape (n,), optional
@@ -47,11 +47,6 @@ class Scene:
         One label per axis of `grid`.
     unknown, active_means
         Meaning of z, and of a component at a bound; for plots.
-    steps : int, at least 1
-        Length of the march in time; 1 for a single problem.
-    advance : callable, optional
-        From the solution z of one step the q of the next, shapes (n,): the march is
-        ``problem, problem.with_q(advance(z)), …``, `steps` problems in all.
 
     Raises
     ------
@@ -80,8 +75,6 @@ class Scene:
     axis_labels: tuple[str, ...] = ()
     unknown: str = "z"
     active_means: str = "at a bound"
-    steps: int = 1
-    advance: Callable[[Vector], Vector] | None = None
 
     def __post_init__(self) -> None:
         for fact in ("exact", "continuum", "start"):
@@ -190,7 +183,6 @@ def _checked(name: str, key: str, value: Any, default: Any) -> Any:
     kind, least = type(default), 1 if key in SIZES else 0
     kinds: dict[Any, Any] = {
         bool: (bool | np.bool_, "true or false"),
-        str: (str, "a word"),
         int: (int | np.integer, f"an integer ≥ {least}"),
         float: (float | int | np.number, "a finite number"),
     }
@@ -227,8 +219,8 @@ def describe() -> list[Description]:
 
     Examples
     --------
-    >>> describe()[0].parameters["strike"]
-    100.0
+    >>> describe()[0].parameters["n"]
+    10000
     """
     return [
         Description(
@@ -267,7 +259,7 @@ def parse(text: str) -> Scene:
     Parameters
     ----------
     text : str
-        Values are numbers, words, or true/false.
+        Values are numbers or true/false.
 
     Raises
     ------

@@ -34,8 +34,8 @@ SECONDS, SHIFT, ENOUGH = 5.0, 1e-3, 1e-6  # limit; of the geometric mean; the re
 TIGHT = {"eps_abs": 1e-8, "eps_rel": 1e-8}  # as Clarabel and PIQP by default
 GALLERY = (
     *("paper_example_1:n=900", "paper_example_1:n=10000", "paper_example_2:n=900"),
-    *("obstacle_2d:size=30", "obstacle_2d:size=100", "journal_bearing", "elastic_plastic_torsion"),
-    *("american_put", "convection_diffusion", "half_active:n=900"),
+    *("obstacle_2d:size=30", "obstacle_2d:size=100", "journal_bearing", "convection_diffusion"),
+    "half_active:n=900",
 )
 INFINITE = 1e20  # of SCIP
 FIELDS = ("M", "q", "lower", "upper")

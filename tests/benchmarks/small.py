@@ -13,6 +13,7 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from inputs.contact_families import pyramids
+from inputs.membranes import american_put
 from inputs.published_problems import PROGRAMS, PublishedProgram
 from inputs.small_families import spectrum
 from scipy.linalg import solve_banded
@@ -32,7 +33,6 @@ from lcp_plugin import (
     solve_batch,
     trace,
 )
-from lcp_plugin.gallery import american_put_march
 
 from .timing import rounds
 
@@ -180,7 +180,7 @@ def _lcps(quick: bool) -> Iterator[Row]:
         other = partial(lemke, P, p)
         yield "5 contacts, pyramids, as an LCP", 10.0, partial(_solve_lcp, P, p), rival, other, 1
     steps = 20 if quick else 200
-    put = american_put_march(size=301, steps=steps)
+    put = american_put(size=301, steps=steps)
     forcing = np.broadcast_to(put.advance(np.zeros(put.problem.n)), (steps, put.problem.n))
     priced = partial(march, put.problem, forcing, z0=put.problem.lower)
     tridiagonal = np.zeros((3, put.problem.n))

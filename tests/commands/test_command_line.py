@@ -31,7 +31,7 @@ BOX = LCP(
 PNG = b"\x89PNG\r\n\x1a\n"
 
 # Every test problem at a size that takes no time, and some also at sizes with a degenerate figure.
-SMALL_SCENES = [*SMALL, "american_put:size=1", "obstacle_2d:size=1"]
+SMALL_SCENES = [*SMALL, "obstacle_2d:size=1"]
 
 
 @pytest.fixture(autouse=True)
@@ -162,22 +162,6 @@ def test_out_replaces_an_earlier_answer_but_not_the_problem():
         assert saved["z"].size == 3
     assert lcp_plugin("solve", "p.npz", "--out", "./p.npz").exit_code == 2
     assert str(LCP.load("p.npz")) == str(BOX)
-
-
-def test_march_prints_its_totals():
-    """A march in time reports the steps done and the iterations of all of them; --out holds the last step."""
-    done = lcp_plugin("solve", "american_put_march:size=31,steps=4")
-    scene = gallery.build("american_put_march", size=31, steps=4)
-    problem, start, total = scene.problem, scene.start, 0
-    for _ in range(4):
-        result = solve(problem, z0=start)
-        start, total = result.z, total + result.iterations
-        problem = problem.with_q(scene.advance(start))
-    assert done.exit_code == 0
-    assert f"march: 4 of 4 steps, {total} iterations" in done.stdout
-    lcp_plugin("solve", "american_put_march:size=31,steps=4", "--out", "z.npz")
-    with np.load("z.npz") as saved:
-        assert saved["z"].tobytes() == result.z.tobytes()
 
 
 @pytest.mark.parametrize(

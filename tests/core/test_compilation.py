@@ -20,8 +20,9 @@ from lcp_plugin import LCP, QuadraticProgram, derivative, error_bound, march, so
 from lcp_plugin import gallery
 from numba.core.dispatcher import Dispatcher
 
-for name in ("obstacle_2d:size=30", "half_active:n=25", "bimatrix_game"):
-    problem = gallery.parse(name).problem
+game = LCP.from_game([[2, 0], [0, 1]], [[1, 0], [0, 2]])
+for name in ("obstacle_2d:size=30", "half_active:n=25", "game"):
+    problem = game if name == "game" else gallery.parse(name).problem
     for algorithm in ("auto", "npsor", "multigrid") if name.startswith("obstacle") else ("auto",):
         result = solve(problem, algorithm)
         if name.startswith("half"):

@@ -160,13 +160,7 @@ NUMBERS = st.sampled_from(
 WORDS = st.sampled_from(
     ["", "--", "-", ".", "/", "//", "'", "a b", "\t", "-h", "--json", "ü", "=", ":", ",", "%s"]
 )
-SCENES = (
-    "half_active:n=9",
-    "obstacle_2d:size=4",
-    "bimatrix_game",
-    "paper_example_1:n=9",
-    "american_put_march:size=9",
-)
+SCENES = ("half_active:n=9", "obstacle_2d:size=4", "paper_example_1:n=9", "paper_example_2:n=4")
 OPTIONS = st.sampled_from(["sweep", "scaling", "omega", "relaxation", "x", "", "tolerance"])
 PATHS = ("p.npz", "M.mtx", "damaged.npz", "nothing.npz", "empty", "folder/")
 

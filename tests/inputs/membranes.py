@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -210,6 +210,68 @@ def random_h_plus(
     return Scene(problem=LCP(A, q), exact=z / column_power)
 
 
+def journal_bearing(
+    *, size: int = 100, eccentricity: float = 0.8, half_length: float = 10.0
+) -> Scene:
+    """Pressure in the oil film of a journal bearing with cavitation.
+
+    Parameters
+    ----------
+    size
+        Interior nodes along each axis; n = size².
+    eccentricity
+        Eccentricity relative to the clearance; at 1 the journal would touch. The film's coefficient spans a ratio of
+        ((1 + ε)/(1 − ε))³: 8e6 at 0.99.
+    half_length
+        Half the width of the bearing, in radii.
+
+    Notes
+    -----
+    Reynolds' equation on θ in (0, 2π) and y in (0, 2 · half_length): −∇·(h³ ∇p) ≥ −∂h/∂θ = ε sin θ, p ≥ 0,
+    complementary, p = 0 on the boundary, h = 1 + ε cos θ. An edge takes h³ at its midpoint. Rows are the rows of the
+    five-point stencil times both mesh widths.
+    """
+    angle = nodes(0.0, 2.0 * np.pi, size)
+    width = nodes(0.0, 2.0 * half_length, size)
+    step, depth = angle[1] - angle[0], width[1] - width[0]
+
+    def film_cubed(at: np.ndarray) -> np.ndarray:
+        return np.asarray((1.0 + eccentricity * np.cos(at)) ** 3)[:, None]
+
+    middle = 0.5 * (angle[1:] + angle[:-1])
+    around = film_cubed(middle) * (depth / step)
+    across = film_cubed(angle[1:-1]) * (step / depth)
+    M = balanced_matrix((size, size), ([-around[:-1], -across], [-around[1:], -across]))
+    source = eccentricity * np.sin(angle[1:-1]) * (step * depth)
+    return Scene(
+        problem=LCP(M, -np.repeat(source, size)),
+        coordinates=(angle[1:-1], width[1:-1]),
+        axis_labels=("angle", "width"),
+        unknown="pressure",
+        active_means="torn film, no pressure",
+    )
+
+
+class Put(NamedTuple):
+    """The first problem of an American put in implicit Euler steps; ``advance(z)`` is the q of the next step."""
+
+    problem: LCP
+    steps: int
+    advance: Callable[[Field], Field]
+
+
+def american_put(*, size: int = 1001, volatility: float = 0.2, steps: int = 100) -> Put:
+    """An American put of one year, at a strike of 100 and 5 % interest, over log(S/K) in (−1.5, 1.5)."""
+    log_price = nodes(-1.5, 1.5, size)
+    payoff, h = 100.0 * np.maximum(1.0 - np.exp(log_price), 0.0), 3.0 / (size + 1)
+    diffusion, drift = 0.5 * (volatility / h) ** 2, 0.5 * (0.05 - 0.5 * volatility**2) / h
+    below, above = (drift - diffusion) / steps, -(drift + diffusion) / steps
+    M = stencil_matrix((size,), 1.0 + 0.05 / steps - below - above, [below], [above])
+    terms = dirichlet_terms(payoff, [below], [above])
+    inside = payoff[1:-1]
+    return Put(LCP(M, terms - inside, lower=inside), steps, lambda z: terms - z)
+
+
 def active_set(problem: LCP, z: Field) -> Field:
     """Return the answer by primal-dual active-set steps from z, each one sparse direct solve."""
     M, lower, upper, known = problem.csr, problem.lower, problem.upper, None
@@ -233,6 +295,7 @@ BUILDERS: dict[str, Callable[..., Scene]] = {
         coefficient_jumps,
         rotated_anisotropy,
         random_h_plus,
+        journal_bearing,
     )
 }
 

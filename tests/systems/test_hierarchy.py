@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from inputs import membranes
 
 from lcp_plugin import gallery
 from lcp_plugin.systems.hierarchy import grids, kernels
@@ -27,7 +28,7 @@ SYMMETRIC = ["obstacle_2d:size=20", "journal_bearing:size=20,eccentricity=0.95"]
 @pytest.mark.parametrize("text", SYMMETRIC)
 def test_a_truncated_cycle_is_symmetric_and_lowers_the_energy(text):
     """The V-cycle on the free set F is a symmetric map, leaves the rest at 0, and lowers ½ xᵀMx − bᵀx."""
-    M = gallery.parse(text).problem.csr
+    M = membranes.parse(text).problem.csr
     truncation = Truncation(build_hierarchy(M, coarsest=3))
     generator = np.random.default_rng(3)
     top = truncation.grids[0]

@@ -10,9 +10,10 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from inputs import membranes
 from oracles.exact import exact_solution
 
-from lcp_plugin import LCP, Status, gallery, prepare, solve
+from lcp_plugin import LCP, Status, prepare, solve
 
 Generator = np.random.Generator
 
@@ -190,7 +191,7 @@ def test_a_beam_over_an_obstacle():
 
 def test_one_round_a_step_prices_an_american_put():
     """Auto takes one round a step, from the last price or from nowhere, to the bits of an answer of its own."""
-    scene = gallery.build("american_put_march", size=301, steps=30)
+    scene = membranes.american_put(size=301, steps=30)
     problem, z = prepare(scene.problem).problem, np.array(scene.problem.lower)
     for _ in range(scene.steps):
         result = solve(problem, z0=z).require_solved()

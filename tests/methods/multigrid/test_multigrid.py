@@ -250,7 +250,7 @@ def test_a_warm_start_pays():
 @pytest.mark.full
 def test_a_march_in_time_needs_few_corrections():
     """If the free boundary moves by many rows per step, warm starts need 6 corrections."""
-    scene = gallery.build("american_put_march", size=20_001, steps=20)
+    scene = membranes.american_put(size=20_001, steps=20)
     problem, z, corrections = prepare(scene.problem).problem, np.array(scene.problem.lower), 0
     for step in range(20):
         before = np.count_nonzero(z > problem.lower)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from applications.finance import heston
+from inputs import membranes
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
@@ -17,7 +18,6 @@ from lcp_plugin import (
     Status,
     UnsuitableProblem,
     derivative,
-    gallery,
     march,
     solve,
 )
@@ -375,8 +375,7 @@ def test_a_put_in_heston_s_model_has_its_published_value():
 
 def test_a_march_is_its_steps_one_by_one():
     """A march has the z, bit for bit, and the status of single solves, with every algorithm."""
-    scene = gallery.build("american_put_march", size=101, steps=25)
-    assert scene.advance is not None
+    scene = membranes.american_put(size=101, steps=25)
     forcing = np.broadcast_to(scene.advance(np.zeros(101)), (25, 101))
     for algorithm in ("auto", "banded", "psor"):
         steps = march(scene.problem, forcing, z0=scene.problem.lower, algorithm=algorithm)
@@ -396,7 +395,7 @@ def test_a_march_is_its_steps_one_by_one():
 
 def test_a_march_takes_what_a_solve_takes():
     """Options, a callback, an error measure and a limit in seconds have the meaning of `solve`."""
-    scene = gallery.build("american_put_march", size=31, steps=4)
+    scene = membranes.american_put(size=31, steps=4)
     forcing, heard = np.broadcast_to(scene.problem.q, (4, scene.problem.n)), []
     plain = march(scene.problem, forcing, z0=scene.problem.lower)
     watched = march(

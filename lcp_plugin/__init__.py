@@ -88,6 +88,8 @@ DOORS.update(
         "LCP.to_cvxpy": "modeling.registration:stated_in_cvxpy",
         "LCP.load": "lcp:load",
         "LCP.save": "lcp:save",
+        "NonlinearProblem.from_jax": "interfaces.derivatives:from_jax",
+        "NonlinearProblem.from_casadi": "interfaces.derivatives:from_casadi",
         "BaseResult.plot": "evidence.drawing:plot_answer",
         "Path.plot": "evidence.drawing:plot_path",
         "certify cvxpy": "modeling.registration:certify_model",

@@ -11,6 +11,7 @@
 | programs in ``.qps``, ``.mps``, ``.npz``; A, b of least squares | ``solve(load_problem("p.qps"))`` |
 | contacts with friction in ``.h5`` of fclib (extra ``[fclib]``), ``.npz`` | ``solve(load_problem("pile.h5"))`` |
 | finite elements, for example scikit-fem | ``solve(LCP(M, q, lower=psi))`` |
+| F(x) in JAX or CasADi (extras ``[jax]``, ``[casadi]``) | ``NonlinearProblem.from_jax(F)``, ``.from_casadi(x, F)`` |
 | cvxpy; PyTorch, JAX | ``help("lcp_plugin.modeling")``; ``help("lcp_plugin.interfaces.learn")`` |
 
 Every interface measures a result on the data that it passed on before it reports "solved" or "optimal", and verifies

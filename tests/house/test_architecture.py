@@ -37,6 +37,7 @@ HEAVY = (
     "jinja2",
     "torch",
     "jax",
+    "casadi",
     "pyomo",
     "qpsolvers",
     "quantecon",

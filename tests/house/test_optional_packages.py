@@ -74,6 +74,7 @@ file.write_bytes(b"HDF")
 lcp_plugin.load_problem(file)
 """
 LEARN, STRATEGIES = "lcp_plugin.interfaces.learn", "lcp_plugin.strategies"
+NONLINEAR = "lcp_plugin.NonlinearProblem"
 QPSOLVERS = "from lcp_plugin.interfaces import qpsolvers as q\nq.register_with_qpsolvers()"
 USES = [  # the hidden package, a use of it, a part of the message, the extra that it names
     ("hypothesis", f"from lcp_plugin import *\nimport {STRATEGIES}", f"{STRATEGIES} needs hypothesis", "test"),
@@ -83,6 +84,8 @@ USES = [  # the hidden package, a use of it, a part of the message, the extra th
     ("jax", f"import {LEARN}\nimport {LEARN}.jax", f"{LEARN}.jax needs JAX", "jax"),
     ("pyomo", "import lcp_plugin.pyomo", "lcp_plugin.pyomo needs pyomo", "pyomo"),
     ("qpsolvers", QPSOLVERS, "register_with_qpsolvers needs qpsolvers", "qpsolvers"),
+    ("jax", f"{NONLINEAR}.from_jax(abs)", "NonlinearProblem.from_jax needs JAX", "jax"),
+    ("casadi", f"{NONLINEAR}.from_casadi(0, 0)", "NonlinearProblem.from_casadi needs CasADi", "casadi"),
     ("h5py", H5, "is read by h5py", "fclib"),
 ]  # fmt: skip
 

@@ -20,7 +20,8 @@ except ImportError:
 import jax.numpy as jnp
 
 from ...core.checks import AnyMatrix, Array, check_kind, real_array
-from ...core.errors import InvalidOption, InvalidProblem
+from ...core.errors import InvalidProblem
+from ..derivatives import require_double
 from . import ContactLayer, Layer, LayerCall, LCPLayer, QPLayer
 
 __all__ = ["contact_layer", "lcp_layer", "qp_layer"]
@@ -73,7 +74,7 @@ def lcp_layer(
     >>> jax.grad(lambda q: lcp_layer(M, q).sum())(q).tolist()
     [[-0.5, 0.0], [0.0, -0.5]]
     """
-    _require_double("lcp_layer")
+    require_double(jax, "lcp_layer")
     return _broadcast_solution(LCPLayer.of(_array, M, q, (lower, upper), mask=mask, **options))
 
 
@@ -131,7 +132,7 @@ def qp_layer(
     >>> jax.jacrev(qp_layer, 1)(jnp.eye(2), c, G, h).round(6).tolist()
     [[-0.5, 0.5], [0.5, -0.5]]
     """
-    _require_double("qp_layer")
+    require_double(jax, "qp_layer")
     data = dict(P=P, c=c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
     return _broadcast_solution(QPLayer.of(_array, data, mask=mask, **options))
 
@@ -172,7 +173,7 @@ def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **option
     >>> jax.grad(lambda mu: contact_layer(jnp.eye(3), b, mu) @ jnp.array([0.0, 3.0, 4.0]))(friction).round(6).tolist()
     [-5.0]
     """
-    _require_double("contact_layer")
+    require_double(jax, "contact_layer")
     return _broadcast_solution(ContactLayer.of(_array, W, b, friction, mask=mask, **options))
 
 
@@ -189,12 +190,6 @@ def _broadcast_solution(call: LayerCall) -> Any:
     )
     found = _solution(layer, tuple(wide))
     return found if layer.mask else found[0]
-
-
-def _require_double(name: str) -> None:
-    if not jax.config.jax_enable_x64:
-        step = 'begin the program with jax.config.update("jax_enable_x64", True)'
-        raise InvalidOption(f"{name} works in double precision; {step}")
 
 
 def _called(function: Callable[..., Any], like: Any, *data: Any) -> Any:

@@ -61,6 +61,7 @@ from ...core.matrix import (
     row_numbers,
 )
 from ...core.names import checked_names
+from ...core.problem_classes import Door
 from ...core.settings import Settings
 from ...judges.certificate import PRECISE, Certificate
 from ...judges.lcp import Measured, RowData, RowsAtPoint
@@ -176,7 +177,7 @@ class NonlinearProblem:
         ``jacobian(x)`` returns the derivative, a sparse array or an ndarray of shape (n, n). By default the derivative
         is computed by forward differences on `pattern`, with columns that share no row in one evaluation. Differences
         have about half of the digits, and assume that every x_i has size 1 at least: choose the unit of x accordingly,
-        or pass a jacobian.
+        or pass a jacobian. ``from_jax`` and ``from_casadi`` compute it.
     lower, upper : scalar or array, shape (n,)
         Bounds of x, lower ≤ upper; ±1e20 and beyond means none, as ±∞ does.
     pattern : sparse array, shape (n, n), optional
@@ -205,6 +206,7 @@ class NonlinearProblem:
     affine_part: Any = None
     #: Calls of F, derivatives, and calls without a finite value, if a run counts them.
     counts: Any = None
+    from_jax, from_casadi = Door(is_static=True), Door(is_static=True)
 
     def __init__(
         self,

@@ -67,7 +67,10 @@ def analysis_content(problem: LCP) -> dict[str, Any]:
         }
         for title, found in guarantees(problem)
     ]
-    return finite({"matrix": analyze(problem).to_content(), "convergence": rows})
+    report = analyze(problem)
+    verdicts = {name: report.verdict(name)._asdict() for name in report.evidence}
+    matrix = {"n": report.n, "nonzeros": report.matrix.nonzeros, "verdicts": verdicts}
+    return finite({"matrix": matrix, "convergence": rows})
 
 
 def finite(value: object) -> Any:

@@ -33,7 +33,7 @@ often meant to be its negative.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -82,14 +82,12 @@ class HCertificate:
     margin: Vector
 
 
-@dataclass(frozen=True, eq=False)
-class HVerdict:
-    """Verdict on ⟨M⟩: `is_h` True, False or None, and its proof."""
+class HVerdict(NamedTuple):
+    """Verdict on ⟨M⟩: `value` True, False or None, the reason, and the proof of True."""
 
-    is_h: bool | None
+    value: bool | None
     evidence: str
     certificate: HCertificate | None = None
-    not_h_vector: Vector | None = None
 
 
 def comparison_certificate(matrix: Matrix) -> HCertificate | None:
@@ -122,19 +120,16 @@ def h_verdict(matrix: Matrix) -> HVerdict:
     Weights |v| make the margin of every row relative to its own v.
     """
     M = matrix.csr
-    n = M.shape[0]
     zeros = np.flatnonzero(M.diagonal() == 0.0)
     if zeros.size:
-        y = np.zeros(n)
-        y[zeros[0]] = 1.0
-        return HVerdict(False, f"M[{zeros[0]}, {zeros[0]}] = 0", not_h_vector=read_only(y))
-    ones = read_only(np.ones(n))
+        return HVerdict(False, f"M[{zeros[0]}, {zeros[0]}] = 0")
+    ones = read_only(np.ones(matrix.n))
     if (margin := positive_margin(M, ones)) is not None:
         return HVerdict(
             True, "v = 1: every row sum of ⟨M⟩ is positive", HCertificate(ones, read_only(margin))
         )
     if is_nonpositive(M, ones):
-        return HVerdict(False, "y = 1: no row sum of ⟨M⟩ is positive", not_h_vector=ones)
+        return HVerdict(False, "y = 1: no row sum of ⟨M⟩ is positive")
     system, weights = ComparisonMatrix(M), ones
     for tolerance in TOLERANCES:
         x = system.solve(system.diagonal * weights, tolerance=tolerance)
@@ -147,9 +142,7 @@ def h_verdict(matrix: Matrix) -> HVerdict:
             return HVerdict(True, evidence, HCertificate(read_only(v), read_only(margin)))
         y = _centred(system.to_caller(np.maximum(-x, 0.0)))
         if is_nonpositive(M, y):
-            return HVerdict(
-                False, "y ≥ 0 from a solve with ⟨M⟩: ⟨M⟩y ≤ 0 checked", not_h_vector=read_only(y)
-            )
+            return HVerdict(False, "y ≥ 0 from a solve with ⟨M⟩: ⟨M⟩y ≤ 0 checked")
         weights = np.maximum(np.abs(x) / np.abs(x).max(), 1e-30)
     return HVerdict(None, "solutions of ⟨M⟩v = |diag(M)| pass neither check: ρ is 1 up to rounding")
 
@@ -230,21 +223,15 @@ class Verdict(NamedTuple):
 @fact
 def symmetric(matrix: Matrix) -> Verdict:
     """M = Mᵀ, entry by entry."""
-    found = graph.asymmetry(matrix)
-    if found == 0.0:
-        return Verdict(True, "M = Mᵀ exactly")
-    # Relative to the rows, the noise of an assembly is small.
     M = matrix.csr
-    root = np.sqrt(np.maximum(largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))))
     difference = sp.coo_array(M - M.T)
-    noise = np.abs(difference.data) / root[difference.row] / root[difference.col]
-    beside = float(noise.max(initial=0.0))
-    if min(found, beside) <= SYMMETRIC_TO_ROUNDING:
-        return Verdict(
-            False,
-            f"symmetric up to rounding: its largest asymmetry relative to the rows is {beside:.2g}",
-        )
-    return Verdict(False, f"asymmetry {found:.2g} relative to entries, {beside:.2g} to rows")
+    if not difference.count_nonzero():
+        return Verdict(True, "M = Mᵀ exactly")
+    # relative to the rows, because the rounding error of an assembly is small there
+    root = np.sqrt(np.maximum(largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))))
+    largest = float(np.max(np.abs(difference.data) / root[difference.row] / root[difference.col]))
+    to_rounding = "symmetric up to rounding: its " * (largest <= SYMMETRIC_TO_ROUNDING)
+    return Verdict(False, f"{to_rounding}largest asymmetry relative to the rows is {largest:.2g}")
 
 
 @fact
@@ -279,7 +266,7 @@ def strictly_dominant(matrix: Matrix) -> Verdict:
 @fact
 def h_matrix(matrix: Matrix) -> Verdict:
     """⟨M⟩ is a nonsingular M-matrix, for any signs of the diagonal."""
-    return Verdict(h_verdict(matrix).is_h, h_verdict(matrix).evidence)
+    return Verdict(*h_verdict(matrix)[:2])
 
 
 @fact
@@ -291,9 +278,14 @@ def h_plus(matrix: Matrix) -> Verdict:
 @fact
 def irreducible(matrix: Matrix) -> Verdict:
     """M has a strongly connected graph."""
-    if graph.diagonal_blocks(matrix)[0] <= 1:
+    from scipy.sparse.csgraph import connected_components  # slow to import
+
+    M = matrix.csr  # the routine drops explicit zeros of floats, and only the pattern counts
+    pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
+    count, _ = connected_components(pattern, directed=True, connection="strong")
+    if count <= 1:
         return Verdict(True, "the graph of M is strongly connected")
-    return Verdict(False, f"{graph.diagonal_blocks(matrix)[0]} strongly connected blocks")
+    return Verdict(False, f"{count} strongly connected blocks")
 
 
 @fact
@@ -477,17 +469,6 @@ def can_factorise(matrix: Matrix) -> bool:
 WORDS = {True: "yes", False: "no", None: "undecided"}
 
 
-def _view(tell: Callable[[Matrix], Any]) -> Any:
-    """Return an attribute of a report that is a cached property of its matrix."""
-
-    @property  # type: ignore[misc]
-    @np.errstate(all="ignore")  # an overflow fails the check
-    def view(report: MatrixReport) -> Any:
-        return tell(report.matrix)
-
-    return view
-
-
 class Claim:
     """A property of a report: True, False or None (undecided); computed once, on first access."""
 
@@ -518,20 +499,6 @@ class MatrixReport:
     ----------
     v, margin : arrays, shape (n,), or None
         Proof that M is an H-matrix: ⟨M⟩v ≥ margin > 0, rigorous.
-    not_h_vector : array, shape (n,), or None
-        Proof that it is none: y ≥ 0, y ≠ 0, ⟨M⟩y ≤ 0.
-    asymmetry : float
-        Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|).
-    triangular_form : str or None
-        "diagonal", "lower", "upper".
-    components, blocks : int
-        Numbers of connected components and of strongly connected blocks of the graph of M.
-    zero_diagonal, negative_diagonal : arrays
-        Row numbers.
-    scale_spread : mapping
-        log10 of largest over smallest nonzero magnitude of entries, rows, columns, diagonal.
-    row_excess_signs : array, shape (n,)
-        Exact signs of |m_ii| − Σ_j≠i |m_ij|.
 
     Examples
     --------
@@ -554,26 +521,26 @@ class MatrixReport:
     is_triangular = Claim("triangular", triangular)
     is_irreducible = Claim("irreducible", irreducible)
 
-    v = _view(lambda matrix: getattr(h_verdict(matrix).certificate, "v", None))
-    margin = _view(lambda matrix: getattr(h_verdict(matrix).certificate, "margin", None))
-    not_h_vector = _view(lambda matrix: h_verdict(matrix).not_h_vector)
-    asymmetry = _view(graph.asymmetry)
-    triangular_form = _view(triangular_form)
-    row_excess_signs = _view(graph.row_excess_signs)
-    components = _view(graph.components)
-    blocks = _view(lambda matrix: graph.diagonal_blocks(matrix)[0])
-    zero_diagonal = _view(lambda matrix: np.flatnonzero(matrix.diagonal == 0.0))
-    negative_diagonal = _view(lambda matrix: np.flatnonzero(matrix.diagonal < 0.0))
-    scale_spread = _view(graph.scale_spread)
-
     def __init__(self, matrix: AnyMatrix) -> None:
         self.matrix = matrix_of(matrix)
         self.n = self.matrix.n
 
     @property
+    def v(self) -> Vector | None:
+        """See the class."""
+        certificate = comparison_certificate(self.matrix)
+        return None if certificate is None else certificate.v
+
+    @property
+    def margin(self) -> Vector | None:
+        """See the class."""
+        certificate = comparison_certificate(self.matrix)
+        return None if certificate is None else certificate.margin
+
+    @property
     def evidence(self) -> dict[str, str]:
         """The reasons of all verdicts, by name."""
-        return {name: v.evidence for name, v in self._all()}
+        return {name: self.verdict(name).evidence for name in CLAIMS}
 
     @np.errstate(all="ignore")  # an overflow fails the check
     def verdict(self, name: str) -> Verdict:
@@ -588,36 +555,11 @@ class MatrixReport:
             raise KeyError(f"no verdict {name!r}; there are {', '.join(CLAIMS)}")
         return CLAIMS[name].decide(self.matrix)
 
-    def to_content(self) -> dict[str, Any]:
-        """Return all verdicts and facts as a dict that JSON can hold."""
-        return {
-            "n": self.n,
-            "nonzeros": self.matrix.nonzeros,
-            "verdicts": {
-                name: {"value": v.value, "evidence": v.evidence} for name, v in self._all()
-            },
-            "triangular_form": self.triangular_form,
-            "components": self.components,
-            "blocks": self.blocks,
-            "zero_diagonal": [int(row) for row in self.zero_diagonal],
-            "negative_diagonal": [int(row) for row in self.negative_diagonal],
-            "scale_spread": dict(self.scale_spread),
-        }
-
-    def _all(self) -> Iterator[tuple[str, Verdict]]:
-        return ((name, self.verdict(name)) for name in CLAIMS)
-
     def __str__(self) -> str:
         lines = [f"matrix of size {self.n}, {self.matrix.nonzeros} nonzeros"]
-        for name, v in self._all():
-            lines += wrapped(f"{CLAIMS[name].title:<29} {WORDS[v.value]:<10} ", v.evidence)
-        lines.append(
-            f"{'connected components':<29} {self.components}, strongly connected blocks {self.blocks}"
-        )
-        rows = f"{self.zero_diagonal.size} zero, {self.negative_diagonal.size} negative"
-        lines.append(f"{'diagonal':<29} {rows}")
-        spread = ", ".join(f"{name} {decades:.1f}" for name, decades in self.scale_spread.items())
-        lines.append(f"{'orders of magnitude':<29} {spread}")
+        for name, claim in CLAIMS.items():
+            value, evidence = self.verdict(name)
+            lines += wrapped(f"{claim.title:<29} {WORDS[value]:<10} ", evidence)
         return "\n".join(lines)
 
     def __repr__(self) -> str:
@@ -696,7 +638,7 @@ def sign_remark(matrix: Matrix) -> str:
     if not is_negative(matrix):
         return ""
     known = ""
-    if h_verdict(matrix).is_h:
+    if h_verdict(matrix).value:
         is_m = int((matrix.csr.data < 0.0).sum()) == matrix.n
         kind = "M-matrix" if is_m else "H₊-matrix"
         known = f", and −M is {'a positive definite' if symmetric(matrix).value else 'an'} {kind}"

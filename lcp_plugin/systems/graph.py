@@ -1,6 +1,4 @@
-"""Graph of M: diagonal blocks, bandwidth, neighbors.
-
-Distance of a matrix from its transpose, for verdicts: exactly per entry, and relative to the size of the rows.
+"""Graph of M: bandwidth, neighbors.
 
 The comparison matrix ⟨M⟩ and its row sums: with a rigorous bound of the rounding error, and exact. Approximate
 solutions of its equilibrated systems: none is rigorous, :mod:`lcp_plugin.proofs.verdicts` verifies them.
@@ -8,10 +6,9 @@ solutions of its equilibrated systems: none is rigorous, :mod:`lcp_plugin.proofs
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from fractions import Fraction
 from functools import cached_property
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,9 +20,7 @@ from ..core.matrix import (
     Exponents,
     IntVector,
     Matrix,
-    connected_components,
     fact,
-    largest_in_rows,
     mismatch,
     row_numbers,
     scale_matrix,
@@ -110,25 +105,6 @@ def sum_of_outer(A: sp.csr_array, left: Vector, right: Vector) -> sp.csr_array:
     return sp.csr_array((data, A.indices, A.indptr), shape=A.shape)
 
 
-@fact
-def components(matrix: Matrix) -> int:
-    """Return the number of connected components of the graph of M."""
-    found = connected_components(matrix)
-    return min(matrix.n, 1) if found is None else found.count
-
-
-@fact
-def diagonal_blocks(matrix: Matrix) -> tuple[int, IntVector]:
-    """Return the number of strongly connected blocks of M's graph and the block of each row, shape (n,)."""
-    from scipy.sparse.csgraph import connected_components as labeled  # slow to import
-
-    M = matrix.csr
-    # The routine drops explicit zeros of floats; only the pattern counts.
-    pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
-    count, labels = labeled(pattern, directed=True, connection="strong")
-    return int(count), read_only(labels.astype(np.int64))
-
-
 def block_rows(labels: IntVector, count: int) -> list[IntVector]:
     """Return the row numbers of each block, in order of the labels."""
     order = np.argsort(labels, kind="stable")
@@ -150,25 +126,6 @@ def row_excess_signs(matrix: Matrix) -> IntVector:
 
 
 @fact
-def scale_spread(matrix: Matrix) -> Mapping[str, float]:
-    """Decades between largest and smallest nonzero magnitude: entries, rows, columns, diagonal."""
-    M = matrix.csr
-    magnitudes = np.abs(M.data)
-    row_largest, column_largest = largest_in_rows(M), largest_in_rows(sp.csr_array(M.T))
-    sizes = {
-        "entries": magnitudes,
-        "rows": row_largest,
-        "columns": column_largest,
-        "diagonal": np.abs(M.diagonal()),
-    }
-    decades = dict.fromkeys(sizes, 0.0)
-    for name, values in sizes.items():
-        if (nonzero := values[values > 0.0]).size:
-            decades[name] = float(np.log10(nonzero.max()) - np.log10(nonzero.min()))
-    return MappingProxyType(decades)
-
-
-@fact
 def bandwidth(matrix: Matrix) -> tuple[int, int] | None:
     """Return the numbers of sub- and superdiagonals of a sparse M, None if M is kept dense."""
     M = matrix.array
@@ -176,19 +133,6 @@ def bandwidth(matrix: Matrix) -> tuple[int, int] | None:
         return None
     offsets = M.indices.astype(np.int64) - row_numbers(M)
     return (max(0, -int(offsets.min())), max(0, int(offsets.max()))) if offsets.size else (0, 0)
-
-
-@fact
-def asymmetry(matrix: Matrix) -> float:
-    """Largest |m_ij − m_ji|/max(|m_ij|, |m_ji|): 0 if M is exactly symmetric."""
-    M = matrix.csr
-    difference = sp.coo_array(M - M.T)
-    if not difference.nnz:
-        return 0.0
-    at = difference.row, difference.col
-    ours, theirs = (np.asarray(M[places]).ravel() for places in (at, at[::-1]))
-    larger = np.maximum(np.abs(ours), np.abs(theirs))
-    return float(np.abs(ours / larger - theirs / larger).max())
 
 
 Solver = Callable[[Vector], Vector]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import time
 from fractions import Fraction
 
@@ -98,7 +97,7 @@ def test_both_sides_of_singular(n, distance):
         units = 10.0 ** rng.uniform(-100, 100, (n, 1)) * 10.0 ** rng.uniform(-100, 100, n)
         for matrix in (M, M * units):
             verdict = h_verdict(LCP(sp.csr_array(matrix), np.zeros(n)).matrix)
-            assert verdict.is_h == (sign < 0)
+            assert verdict.value == (sign < 0)
             assert (verdict.certificate is not None) == (sign < 0)
 
 
@@ -124,7 +123,6 @@ def test_beyond_singular_on_a_large_grid():
         assert report.is_h_plus is expected
         assert report.is_positive_definite is expected
         assert (report.v is not None) == expected
-        assert (report.not_h_vector is not None) != expected
 
 
 def test_singular_laplacian_ties_are_exact():
@@ -287,17 +285,13 @@ def test_p_at_the_ends_of_the_range(M, is_p):
 # --- The report ---------------------------------------------------------------------------------------------
 
 
-def test_report_prints_and_survives_json():
-    """The table has one line a verdict; the content is JSON and agrees with the properties."""
+def test_report_prints_each_verdict():
+    """The table has one line for each verdict, which agrees with the properties."""
     report = analyze([[0.0, 1.0], [1e-8, -2.0]])
     text = str(report)
-    content = json.loads(json.dumps(report.to_content()))
-    assert "1 zero, 1 negative" in text
-    for name, verdict in content["verdicts"].items():
-        assert verdict["value"] == getattr(report, name)
-        assert verdict["evidence"] in text
-    assert content["zero_diagonal"] == [0]
-    assert content["scale_spread"]["entries"] == pytest.approx(np.log10(2e8))
+    for name, evidence in report.evidence.items():
+        assert report.verdict(name) == (getattr(report, name), evidence)
+        assert evidence in text
     with pytest.raises(KeyError, match="is_h_plus"):
         report.verdict("is_nice")
 
@@ -314,7 +308,7 @@ def test_report_prints_and_survives_json():
 def test_triangular_forms(form, M):
     """The triangular form is named."""
     report = analyze(M)
-    assert report.triangular_form == form
+    assert report.evidence["is_triangular"].startswith(form or "entries on both sides")
     assert report.is_triangular is (form is not None)
 
 
@@ -492,14 +486,11 @@ def test_evidence_names_the_row():
     equal = analyze([[3.0, 1.0, 1.0], [1.0, 3.0, 2.0], [1.0, 1.0, 2.0]])
     assert equal.evidence["is_strictly_dominant"] == "|m_ii| = Σ|m_ij| on row 1"
     less = analyze([[3.0, 2.0, 1.0], [1.0, 3.0, 2.0], [1.0, 2.0, 2.0]])
-    assert less.row_excess_signs.tolist() == [0, 0, -1]
     assert less.evidence["is_strictly_dominant"] == "|m_ii| = Σ|m_ij| on row 0"
     assert (
         analyze([[1.0, 2.0], [0.0, 1.0]]).evidence["is_strictly_dominant"]
         == "|m_ii| < Σ|m_ij| on row 0"
     )
-    assert analyze(np.diag([0.0, 1.0, -2.0])).zero_diagonal.tolist() == [0]
-    assert analyze(np.diag([0.0, 1.0, -2.0])).negative_diagonal.tolist() == [2]
 
 
 # --- Equilibration ------------------------------------------------------------------------------------------
@@ -512,7 +503,7 @@ def test_noise_of_an_assembly_is_symmetric_up_to_rounding():
         "symmetric up to rounding: its largest asymmetry relative to the rows is 3e-18"
     )
     assert analyze(np.array([[2.0, 1.0], [0.0, 2.0]])).evidence["is_symmetric"] == (
-        "asymmetry 1 relative to entries, 0.5 to rows"
+        "largest asymmetry relative to the rows is 0.5"
     )
 
 
@@ -521,14 +512,3 @@ def test_the_recursion_over_minors_sees_the_diagonal(entry):
     """A diagonal entry that is not positive decides."""
     M = np.array([[entry, -1.0], [1.0, 1.0]])  # det > 0 for 0
     assert not is_p_matrix_by_recursion(sp.csr_array(M))
-
-
-@pytest.mark.parametrize(
-    "M", [[[0, 1], [-1, 4]], [[0, 0], [0, 2]], [[0, 0], [0, 0]]], ids=["diagonal", "row", "zero"]
-)
-def test_zeros_of_a_matrix_do_not_count_as_its_scale(M):
-    """The spread of one size is 0 decades, whatever is 0 beside it, and the report is JSON."""
-    report = analyze(np.array(M, dtype=float))
-    content = json.loads(json.dumps(report.to_content(), allow_nan=False))
-    assert all(0.0 <= spread <= np.log10(4.0) for spread in content["scale_spread"].values())
-    assert content["scale_spread"]["diagonal"] == 0.0

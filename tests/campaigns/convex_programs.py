@@ -18,9 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin import solve
-from lcp_plugin.problems.programs.conversion import QuadraticProgram, lcp_from_qp
-from lcp_plugin.problems.programs.solving import solve_program
+from lcp_plugin import LCP, QuadraticProgram, solve
 
 TOLERANCE = 1e-6
 STATES, INPUTS = 4, 2  # of a system that is controlled
@@ -494,10 +492,10 @@ def judged(family: str, program: QuadraticProgram, value: float) -> tuple[list[s
     for way in ("QP", "LCP"):
         fresh = afresh(program)
         if way == "QP":
-            result = solve_program(fresh, max_seconds=60.0)
+            result = solve(fresh, max_seconds=60.0)
             answer = result.solution
         else:
-            problem = lcp_from_qp(fresh)
+            problem = LCP.from_qp(fresh)
             result = solve(problem, max_seconds=60.0)
             answer = problem.origin.recover(result).solution
         status = result.status.name

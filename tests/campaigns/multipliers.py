@@ -11,8 +11,7 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from lcp_plugin import QuadraticProgram
-from lcp_plugin.problems.programs.solving import solve_program
+from lcp_plugin import QuadraticProgram, solve
 
 from . import convex_programs
 
@@ -35,7 +34,7 @@ def program(kind: str, rng: np.random.Generator, largest: int = 25) -> Quadratic
     if kind != "fixed":
         return convex_programs.planted(kind, rng, largest)[0]
     free, _ = convex_programs.planted(str(rng.choice(["linear", "degenerate"])), rng, largest)
-    x = solve_program(free).solution.x
+    x = solve(free).solution.x
     is_fixed = rng.random(free.n) < 0.5
     A, b = sp.csr_array(free.A), free.b
     if b.size:  # once more, summed up

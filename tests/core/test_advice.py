@@ -13,7 +13,7 @@ from campaigns.least_squares import bounded_least_squares
 from inputs.small_families import falling_bodies
 from inputs.textbook_scenes import scaling_trap
 
-from lcp_plugin import LCP, LCPError, QuadraticProgram, Status, complements, gallery, solve
+from lcp_plugin import LCP, LCPError, Status, complements, gallery, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.settings import Settings
 from lcp_plugin.solving.lcp_run import advice_of_run
@@ -150,13 +150,6 @@ def test_a_start_that_is_the_solution_is_named(size, algorithm):
     assert words in again.explain()
     assert "0 iterations" in again.explain()
     assert words not in answer.explain()
-
-
-def test_an_infeasible_program_tells_the_run_that_proved_it():
-    """The explanation of a small infeasible program uses the run, and starts no second run."""
-    result = solve(QuadraticProgram([[1.0]], [0.0], G=[[1.0], [-1.0]], h=[-1.0, -1.0]))
-    assert result.status is Status.INFEASIBLE
-    assert "npsor" not in result.explain()
 
 
 def test_least_squares_that_stop_are_told_what_helps():

@@ -5,12 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from applications.table import Case
-from inputs.small_families import falling_bodies
 
-from lcp_plugin import LCP, QuadraticProgram, Result, Status, gallery, solve
-from lcp_plugin.core.names import format_count
-from lcp_plugin.gallery.problems import stencil_matrix
+from lcp_plugin import LCP, QuadraticProgram, Result, Status, solve
 
 
 def names(result: Result) -> list[str]:
@@ -23,49 +19,7 @@ def names(result: Result) -> list[str]:
 # --- The second table --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("contacts", [25, 40, 80])
-def test_frictional_contact_is_solved_by_pivots_alone(contacts):
-    """Copositive, neither symmetric nor H₊: up to 500 rows a compiled path comes first, of at most 3 n pivots."""
-    problem = falling_bodies(contacts)
-    result = solve(problem)
-    assert result.is_solved
-    assert names(result)[-1] in ("lemke", "path")
-    assert result.work * problem.nonzeros <= 3.0 * problem.n**3
-
-
-@pytest.mark.parametrize("is_dense", [True, False])
-def test_a_budget_row_is_pivoted_before_it_is_factorized(is_dense):
-    """A portfolio holds few of its assets: pivots find them, for less than a factorization of M."""
-    stated = Case("portfolio", {"assets": 200}).in_units("own")[0]
-    problem = (
-        stated if is_dense else LCP(stated.csr, stated.q, lower=stated.lower, upper=stated.upper)
-    )
-    assert problem.is_dense == is_dense
-    result = solve(problem)
-    assert result.is_solved
-    assert names(result) == ["path" if is_dense else "lemke"]
-    if not is_dense:  # the work of a compiled path is a constant, not the number of its pivots
-        assert result.work * problem.nonzeros <= problem.n**3 / 3.0
-
-
 # --- What runs end with ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.full
-def test_a_grid_with_strong_flows_is_solved_by_newton():
-    """K + S, S skew and between any two nodes: sweeps and cycles diverge, and as a program its factors fill."""
-    rng, m = np.random.default_rng(0), 50
-    n = m * m
-    flows = sp.coo_array(
-        (5.0 * rng.normal(size=2 * n), rng.integers(n, size=(2, 2 * n))), shape=(n, n)
-    ).tocsr()
-    M = sp.csr_array(stencil_matrix((m, m), 4.0, [-1.0, -1.0], [-1.0, -1.0]) + flows - flows.T)
-    z = np.where(rng.random(n) < 0.5, 0.0, rng.random(n))
-    w = np.where(z == 0.0, rng.random(n), 0.0)
-    result = solve(LCP(M, w - M @ z), max_seconds=60.0)
-    assert result.is_solved
-    np.testing.assert_allclose(result.z, z, atol=1e-12)
-    assert [stage.name for stage in result.stages][-1] == "newton"
 
 
 def test_an_infeasible_problem_ends_with_its_proof():
@@ -81,19 +35,6 @@ def test_an_infeasible_problem_ends_with_its_proof():
     assert swept.status not in (Status.SOLVED, Status.INFEASIBLE)
     assert swept.infeasibility is None
     assert len(swept.stages) == 1
-
-
-def test_the_story_names_every_stage_with_its_reason():
-    """explain() tells what ran, how much of the work it was, and why it came."""
-    result = solve(gallery.build("obstacle_2d", size=40).problem)
-    assert result.is_solved
-    assert names(result)[:2] == ["npsor", "psor"]
-    assert result.algorithm == "auto: " + ", ".join(names(result))
-    # the rest: measuring
-    assert 0.9 * result.work <= sum(stage.work for stage in result.stages) <= result.work
-    for stage in result.stages:
-        assert f"  {stage.name}, {format_count(stage.iterations, 'iteration')}" in result.explain()
-        assert stage.because in result.explain()
 
 
 @pytest.mark.parametrize("as_stored", [np.asarray, sp.csr_array])

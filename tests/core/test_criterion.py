@@ -30,7 +30,6 @@ from lcp_plugin import (
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.core.matrix import Matrix, is_nearly_symmetric
 from lcp_plugin.judges.lcp import row_data
-from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 
 @np.errstate(all="ignore")
@@ -60,19 +59,6 @@ def test_right_to_an_ulp_is_solved_whatever_the_diagonal_entry_is():
         beside = LCP([[1.0, -2.0], [3.0, tiny]], [-1.0, -5.0])
         z_2 = 2.0 / (tiny + 6.0)
         assert passes(beside, [1.0 + 2.0 * z_2, np.nextafter(z_2, 1.0)])
-
-
-def test_rows_where_no_double_is_nearer_are_right():
-    """A diffusion step into an underflowing far field is SOLVED; an error of 1 % in 1e-290 is detected."""
-    n = 2400
-    M = sp.diags_array([-8.0, 17.0, -8.0], offsets=[-1, 0, 1], shape=(n, n), format="csr")
-    problem = LCP(M, -np.fmax(5e-324, 0.1 ** np.arange(n)))
-    result = solve(problem)
-    assert result.is_solved
-    assert 0.0 < result.z[-1] < 1e-320
-    false = result.z.copy()
-    false[1800] *= 1.01
-    assert not passes(problem, false)
 
 
 def test_a_degenerate_row_that_sweeps_approach_is_right():
@@ -112,21 +98,6 @@ def is_lie(problem: LCP, z: np.ndarray) -> bool:
     return ExactData(problem).is_lie(z.tolist(), TOLERANCE)
 
 
-def two_grids(*units: float, side: int = 20, seed: int = 0) -> tuple[LCP, np.ndarray]:
-    """Return five-point grids without coupling, with known solutions, and q in these units."""
-    rng, n = np.random.default_rng(seed), side * side
-    T = sp.diags_array(
-        [-np.ones(side - 1), 2.0 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1]
-    )
-    M = sp.csr_array(sp.kron(T, sp.eye_array(side)) + sp.kron(sp.eye_array(side), T))
-    z = rng.integers(1, 5, (len(units), n)) * (rng.random((len(units), n)) < 0.3)
-    q = (z == 0) * 1.0 - (M @ z.T).T
-    size = np.repeat(units, n)
-    return LCP(
-        sp.block_diag([sp.csr_array(M)] * len(units), format="csr"), size * q.ravel()
-    ), size * z.ravel()
-
-
 # --- One component is wrong and small relative to another
 # -------------------------------------------------------------
 
@@ -139,28 +110,12 @@ def test_no_method_stops_at_a_component_that_is_wrong(name):
     assert abs(result.z[1] - 0.5) <= TOLERANCE * 0.5
 
 
-def test_the_certificate_names_the_worst_component():
-    """The worst row belongs to the component with the largest relative, not absolute, residual."""
-    certificate = Certificate.of(FAR_APART, [1e10 - 1.0, 0.6])
-    assert certificate.worst_index == 1
-    assert certificate.relative_residual == pytest.approx(0.2)
-
-
 def test_the_worst_component_is_one_beyond_its_rounding_level():
     """The second row is wrong by the rounding error of 3 · 0.1, which counts as 0; the first one by 1e-12."""
     problem = LCP(np.diag([1.0, 0.1]), [-1.0, -(3.0 * 0.1)], lower=[0.0, 3.0])
     certificate = Certificate.of(problem, [1.0 + 1e-12, 3.0])
     assert certificate.relative_residual == pytest.approx(1e-12, rel=1e-2)
     assert certificate.worst_index == 0
-
-
-@pytest.mark.parametrize("unit", [1e12, 1e-12])
-def test_the_interior_point_method_solves_components_far_apart(unit):
-    """The path of the interior point is shared by components 10^±12 apart, both SOLVED."""
-    problem, z = two_grids(unit, 1.0, side=10)
-    result = solve(problem, "interior_point")
-    assert result.is_solved
-    assert (np.abs(result.z - z) <= 1e-6 * np.repeat([unit, 1.0], 100)).all()
 
 
 # --- Components that z° solves ---------------------------------------------------------------------------------------
@@ -340,15 +295,6 @@ def test_nothing_calls_a_z_solved_that_is_wrong_in_its_small_unknowns(algorithm)
         assert result.z == pytest.approx(badly_scaled.ANSWER, rel=1e-6)
 
 
-def test_what_is_small_by_the_callers_word_is_right():
-    """A row whose residual is within absolute_tolerance, in the unit of its z, is right."""
-    problem = LCP([[1.0, 2.0**-40], [2.0**40, 2.0]], [-1e-9, -1e3], upper=[np.inf, 1e3])
-    z = [0.0, 500.0]
-    assert Certificate.of(problem, z).relative_residual > 1e-8
-    result = solve(problem, z0=z, absolute_tolerance=1e-3)
-    assert result.is_solved
-
-
 def test_a_far_field_in_one_unit_is_solved():
     """Far from the load z is 1e-20 with errors of this size, which count relative to the load."""
     n = 60
@@ -457,14 +403,6 @@ def test_solved_means_one_tolerance_or_the_other_in_every_part(seed, n, exponent
     assert result.is_solved
 
 
-def test_a_start_that_is_good_enough_stays():
-    """A start within the absolute tolerance takes no iteration; without the tolerance it does."""
-    problem = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, -1.0])
-    near = [1.0 + 1e-6, 1.0]
-    assert solve(problem, "psor", z0=near, absolute_tolerance=1e-5).iterations == 0
-    assert solve(problem, "psor", z0=near).iterations > 0
-
-
 def test_batches_marches_and_nonlinear_problems_take_it():
     """The same sentence holds for each problem of a batch, each step of a march, and F."""
     M, q = AT_REST
@@ -477,21 +415,8 @@ def test_batches_marches_and_nonlinear_problems_take_it():
     def F(x):
         return np.array(M) @ x + q + np.array([-1e-9, 0.0]) * x**2
 
-    assert not solve_nonlinear(NonlinearProblem(F), [0.0, 0.0]).is_solved
-    assert solve_nonlinear(NonlinearProblem(F), [0.0, 0.0], absolute_tolerance=1e-15).is_solved
-
-
-def test_a_part_at_rest_does_not_hide_another():
-    """A contact that is open, by rounding error or by more, does not hide a free body."""
-    M = np.zeros((4, 4))
-    M[:2, :2], M[2:, 2:] = AT_REST[0], [[2.0, -1.0], [-1.0, 2.0]]
-    problem = LCP(M, [*AT_REST[1], -1.0, -1.0])
-    for absolute in (1e-16, 1e-9, 1e-3):
-        for algorithm in ("auto", "newton", "interior_point"):
-            result = solve(problem, algorithm, absolute_tolerance=absolute)
-            assert result.is_solved, (absolute, algorithm)
-            assert np.allclose(result.z, [0.0, 0.0, 1.0, 1.0], atol=2.0 * absolute)
-    assert solve(LCP([[-1.0, 0.0], [0.0, 2.0]], [-1e-3, -1.0]), absolute_tolerance=2e-3).is_solved
+    assert not solve(NonlinearProblem(F), x0=[0.0, 0.0]).is_solved
+    assert solve(NonlinearProblem(F), x0=[0.0, 0.0], absolute_tolerance=1e-15).is_solved
 
 
 @given(st.integers(0, 10**6))

@@ -5,10 +5,8 @@ from __future__ import annotations
 import campaign as trust
 import numpy as np
 import pytest
-from campaigns import small_lcps
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inputs.families import DIRECT
 from oracles.exact import exact_solution
 
 from lcp_plugin import LCP, Status, UnsuitableMatrix, UnsuitableProblem, solve
@@ -47,20 +45,6 @@ def test_all_algorithms_agree_with_each_other_and_with_enumeration(drawn):
         assert abs(z - truth).max() <= 1e-7 * (1.0 + abs(truth).max()), name
 
 
-@settings.get_profile("few")
-@given(SEEDS, st.integers(1, 5))
-def test_on_p_matrices_direct_methods_find_the_one_solution(seed, n):
-    """Beyond H₊: lemke and auto always, the others where they say so, find what exact enumeration finds."""
-    rng = np.random.default_rng(seed)
-    lower, upper = small_lcps.random_bounds(n, rng)
-    problem = LCP(small_lcps.p_matrix(n, rng), rng.integers(-6, 7, n), lower=lower, upper=upper)
-    truth = np.array([float(value) for value in exact_solution(problem).z])
-    found = answers(problem, ["auto", *DIRECT])
-    assert {"auto", "lemke"} <= {*found}
-    for name, z in found.items():
-        assert abs(z - truth).max() <= 1e-7 * (1.0 + abs(truth).max()), name
-
-
 # --- The campaign itself --------------------------------------------------------------------------------------------
 
 
@@ -81,12 +65,3 @@ def test_the_campaign_finds_nothing_in_a_few_cases(name):
             if finding.what in trust.VIOLATIONS
         ]
         assert not found, (kind, k)
-
-
-def test_a_case_can_be_repeated_from_its_name(capsys):
-    """--only KIND:NUMBER runs that case; a wrong name is told with the right ones."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trust, "prepare_process", lambda: None)
-        assert trust.repeat("search any:11") == 0
-        assert trust.repeat("no such:11") == 2
-    assert "small indefinite" in capsys.readouterr().out

@@ -8,7 +8,6 @@ import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
@@ -30,8 +29,6 @@ from lcp_plugin import (
     solve,
 )
 from lcp_plugin.algorithms import REGISTRY, Algorithm, Step, create
-from lcp_plugin.core.settings import Settings
-from lcp_plugin.solving.run import Progress, Run, Stage
 
 EXAMPLE = gallery.build("paper_example_1", n=400)
 OBSTACLE = gallery.build("obstacle_2d", size=20)
@@ -56,17 +53,6 @@ class Scripted(Algorithm):
 
 
 TWO = LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0])  # solved by (2.5, 0)
-
-
-@pytest.mark.parametrize("name", REGISTRY)
-def test_solved_means_the_certificate_passes(name):
-    """SOLVED comes with a certificate at or below the tolerance."""
-    for tolerance in (1e-9, 1e-7):
-        result = solve(EXAMPLE.problem, name, z0=EXAMPLE.start, tolerance=tolerance)
-        assert result.status is Status.SOLVED
-        assert result.certificate.relative_residual <= tolerance
-        assert result.residual == result.certificate.relative_residual
-        np.testing.assert_array_equal(result.w, EXAMPLE.problem.slack(result.z))
 
 
 def test_an_honest_iterate_is_solved_whatever_ends_the_run():
@@ -152,16 +138,6 @@ class OwnJacobi(Algorithm):
         for _ in range(self.steps + 1):
             yield Step(z if self.length is None else np.zeros(self.length))
             z = np.clip(z - problem.slack(z) / problem.diagonal, problem.lower, problem.upper)
-
-
-@pytest.mark.parametrize("name", ["obstacle", "example"])
-def test_measuring_a_point_is_not_work_of_the_method(name):
-    """A Jacobi step of a user without a residual has the work of the same built-in step: one pass."""
-    problem = {"obstacle": OBSTACLE, "example": EXAMPLE}[name].problem
-    works = [
-        solve(problem, one, polish=False, max_iterations=20).work for one in (OwnJacobi(), "pj")
-    ]
-    assert works == [21.0, 21.0]
 
 
 def test_iterates_that_end_and_points_of_a_wrong_length_are_named():
@@ -255,25 +231,6 @@ def test_history_is_geometric_and_complete(name):
     assert all(sample.residual is not None and sample.residual >= 0.0 for sample in samples)
     assert samples[0].seconds == result.setup_seconds
     assert all(a.seconds <= b.seconds and a.work <= b.work for a, b in pairwise(samples))
-
-
-def test_recorded_residuals_are_those_of_the_certificate():
-    """The residual of a sample is the relative residual of that z."""
-    from lcp_plugin import Certificate
-
-    for name in ("npsor", "psor"):
-        seen = []
-        solve(
-            OBSTACLE.problem,
-            name,
-            max_iterations=20,
-            callback=lambda s, z: seen.append(  # noqa: B023
-                (s.residual, Certificate.of(OBSTACLE.problem, z).relative_residual)
-            ),
-        )
-        known = [(a, b) for a, b in seen if a is not None]
-        assert len(known) >= 3
-        np.testing.assert_allclose([a for a, _ in known], [b for _, b in known], rtol=1e-12)
 
 
 def test_callback_stops_the_run_and_cannot_write():
@@ -452,20 +409,6 @@ def test_flows_that_split_freely_are_no_wrong_digits(count):
     assert "; w is the same for all of them" in words
     assert " of them in" not in words
     assert "wrong in every digit" not in words
-
-
-def test_a_callback_ends_the_run_at_a_step_that_ends_its_stage():
-    """No further method begins after a callback returned True, also if its step had stalled."""
-
-    class Stalling(Run):
-        def end_of(self, stage, step, found):
-            return Status.STALLED
-
-    seen = []
-    progress = Progress(None, Settings(), lambda sample, z: seen.append(sample.label) or True)
-    stages = [Stage(SimpleNamespace(name=name), steps=[Step(np.zeros(1))]) for name in ("a", "b")]
-    end = Stalling(progress).follow_all(stages)
-    assert (end, seen) == (Status.INTERRUPTED, ["a"])
 
 
 def test_a_slow_run_that_its_limit_allows_is_not_ended():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from fractions import Fraction
 from typing import Any
 
 import cvxpy as cp
@@ -22,7 +21,6 @@ from lcp_plugin import (
     NonlinearProblem,
     QuadraticProgram,
     Status,
-    certify,
     complements,
     march,
     solve,
@@ -194,25 +192,6 @@ def test_a_smooth_equation_with_a_small_root_is_solved(function, small):
     assert abs((function(x) - small).value) <= 1e-12
 
 
-@pytest.mark.parametrize("n", [3, 12, 39])
-@pytest.mark.parametrize("kind", ["covariance", "gram", "laplacian"])
-def test_a_program_from_single_precision_has_the_optimum_of_clarabel(kind, n):
-    """P, indefinite by the rounding of single precision, counts as semidefinite; values agree to that precision."""
-    rng = np.random.default_rng(n)
-    P = everyday.single_precision(kind, n, rng)
-    c = 0.01 * rng.normal(size=n) * (kind == "covariance")
-    equations = {"A": np.ones((1, n)), "b": [1.0]} if kind == "covariance" else {}
-    low = 1.0 if kind == "laplacian" else 0.0
-    program = QuadraticProgram(P, c, lower=low, **equations)
-    x = cp.Variable(n)
-    rows = [x >= low, *([cp.sum(x) == 1] if equations else [])]
-    model = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) + c @ x), rows)
-    expected = model.solve(solver=cp.CLARABEL)
-    result = solve(program, max_seconds=5.0).require_solved()
-    assert result.x.min() >= low - 1e-9
-    assert program.objective(result.x) == pytest.approx(expected, abs=1e-6 * (1.0 + abs(P).max()))
-
-
 # --- Rounding noise changes no status --------------------------------------------------------------------------------
 
 
@@ -328,24 +307,6 @@ def test_a_wall_of_22_contacts_takes_no_search():
     contacts = everyday.wall(3, 3, 0.3)
     assert len(contacts.normals) == 22
     assert solve(contacts.lcp(), max_seconds=1.0).is_solved
-
-
-@pytest.mark.parametrize(
-    ("M", "q", "low", "z", "verdict"),
-    [
-        ([[0.1, -0.1], [-0.1, 0.1]], [0, 0], 0.3, [0.3, 0.3], "proved"),
-        ([[0, 0], [-1, 1]], [0, 1], 0.0, [5, 0], "disproved"),
-    ],
-)
-def test_certify_decides_as_fractions_do(M, q, low, z, verdict):
-    """The verdict on a point is that of w = M z + q in fractions."""
-    w = [
-        sum(Fraction(m) * Fraction(x) for m, x in zip(row, z, strict=True)) + Fraction(b)
-        for row, b in zip(M, q, strict=True)
-    ]
-    is_right = all(v >= 0 and (v == 0 or x == low) for v, x in zip(w, z, strict=True))
-    assert ("proved" if is_right else "disproved") == verdict
-    assert certify(LCP(M, q, lower=low), z).verdict == verdict
 
 
 def test_a_problem_of_the_largest_numbers_is_solved():

@@ -14,8 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, Certificate, solve
-from lcp_plugin.problems.programs.conversion import QuadraticProgram
+from lcp_plugin import LCP, Certificate, QuadraticProgram, solve
 
 A = np.array(
     [[4.0, -1.0, 0.0, 0.0], [0.0, 5.0, -2.0, 0.0], [0.0, 0.0, 6.0, 0.0], [-3.0, 0.0, 0.0, 0.5]]

@@ -19,22 +19,26 @@ from tools.refusals import BUILTIN_BASE, assert_refused, refusals
 from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
+    InvalidOption,
     InvalidProblem,
+    LCPError,
     NonlinearProblem,
     QuadraticProgram,
+    UnsuitableMatrix,
+    UnsuitableProblem,
     UnsupportedModel,
     algorithms,
     convergence_guarantee,
+    cross_validate,
+    error_against_time,
     error_bound,
     gallery,
     solve,
     solve_batch,
+    stability_atlas,
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
-from lcp_plugin.core.errors import InvalidOption, LCPError, UnsuitableMatrix, UnsuitableProblem
-from lcp_plugin.evidence.cross_check import cross_validate
-from lcp_plugin.evidence.stability import stability_atlas
-from lcp_plugin.evidence.study import Study, error_against_time
+from lcp_plugin.evidence.study import Study
 
 NAN, INF = float("nan"), float("inf")
 KINDS = {name: algorithm_class(name) for name in REGISTRY}
@@ -403,12 +407,6 @@ def test_an_argument_of_a_wrong_kind_is_refused_in_words(what, kind):
     """An argument of a wrong type ends in an LCPError, not in a TypeError of another package."""
     with pytest.raises(LCPError):
         TAKE[what](given()["plain"], WRONG[kind])
-
-
-def test_with_q_of_a_program_is_refused_with_the_spelling():
-    """The message has the call that works."""
-    with pytest.raises(AttributeError, match=r"write program\.with_vectors"):
-        QuadraticProgram([[1.0]], [1.0]).with_q([2.0])
 
 
 def test_rows_on_ranks_without_mpi4py(monkeypatch):

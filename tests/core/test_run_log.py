@@ -9,7 +9,6 @@ import sys
 import numpy as np
 
 from lcp_plugin import LCP, NonlinearProblem, Result, gallery, solve
-from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 LINE = re.compile(r" +(\d+) +[\d.]+ +\d\.\d\de[+-]\d\d +[\d.]+")
 
@@ -50,9 +49,9 @@ def test_a_nonlinear_run_is_printed_by_its_newton_steps(capsys):
     problem = NonlinearProblem(
         lambda x: np.array([np.exp(x[0]) + x[1] - 3, x[1] - x[0] + 2]), names=["coal", "gas"]
     )
-    solve_nonlinear(problem, [0.0, 0.0])
+    solve(problem, x0=[0.0, 0.0])
     assert capsys.readouterr().out == ""
-    result = solve_nonlinear(problem, [0.0, 0.0], verbose=True)
+    result = solve(problem, x0=[0.0, 0.0], verbose=True)
     header, lines, _, end = printed_by(result, capsys.readouterr().out)
     assert header == "NonlinearProblem(n=2, differences)"
     assert lines[0].startswith("josephy_newton: each iteration replaces F by its tangent at x")

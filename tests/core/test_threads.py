@@ -15,7 +15,6 @@ from lcp_plugin import LCP, InvalidOption, NonlinearProblem, prepare, solve
 from lcp_plugin.algorithms import NPGS
 from lcp_plugin.core.kernels.threads import share, threads_for, threads_now
 from lcp_plugin.core.settings import checked_threads
-from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 TWO = LCP([[2.0, -1.0], [-1.0, 2.0]], [-1.0, 1.0])
 
@@ -66,7 +65,7 @@ def in_solve(algorithm: Any, **options: Any) -> Any:
 
 def in_a_nonlinear_solve(algorithm: Any, **options: Any) -> Any:
     problem = NonlinearProblem(lambda x: TWO.M @ x + TWO.q)
-    return solve_nonlinear(problem, [3.0, 3.0], algorithm, **options)
+    return solve(problem, x0=[3.0, 3.0], algorithm=algorithm, **options)
 
 
 @pytest.mark.parametrize("run", [in_solve, in_a_nonlinear_solve], ids=lambda run: run.__name__)
@@ -84,7 +83,7 @@ def test_wrong_numbers_of_threads_are_refused(wrong):
     for attempt in (
         lambda: solve(TWO, threads=wrong),
         lambda: prepare(TWO, threads=wrong),
-        lambda: solve_nonlinear(problem, [1.0], threads=wrong),
+        lambda: solve(problem, x0=[1.0], threads=wrong),
     ):
         with pytest.raises(InvalidOption, match=r"threads must be an integer ≥ 1, or None .* got"):
             attempt()

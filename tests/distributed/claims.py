@@ -16,13 +16,17 @@ import scipy.sparse as sp
 from inputs import membranes
 from mpi4py import MPI
 
-from lcp_plugin import LCP, Status, certify, gallery, solve
-from lcp_plugin.core.errors import (
+from lcp_plugin import (
+    LCP,
     InvalidOption,
     InvalidProblem,
     LCPError,
     NotConverged,
+    Status,
     UnsuitableProblem,
+    certify,
+    gallery,
+    solve,
 )
 from lcp_plugin.ranks.methods import build_hierarchy
 from lcp_plugin.ranks.problem import RowsOnRanks

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +12,7 @@ from inputs.planted import planted_lcp
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, Certificate, Result, cross_validate, solve
-from lcp_plugin.evidence import cross_check
 from lcp_plugin.evidence.cross_check import GAP, PLAIN
-from lcp_plugin.judges.lcp import Measured, RowData
 
 COUNT = 60
 BATCHES = 10
@@ -148,20 +145,6 @@ def test_ill_conditioned_problem_agrees_in_the_sense_of_residuals():
     assert "conditioning" in check.reason
 
 
-@pytest.mark.parametrize("exponent", [-100, -30, 30, 100])
-def test_units_do_not_matter(exponent):
-    """The verdict is independent of the scaling of z and w; reference tolerances are absolute."""
-    problem = random_spd_problem(3)
-    for row, column in ((exponent, 0), (0, exponent)):
-        scaled = LCP(
-            problem.M * 2.0 ** (row - column),
-            problem.q * 2.0**row,
-            lower=problem.lower * 2.0**column,
-            upper=problem.upper * 2.0**column,
-        )
-        assert cross_validate(scaled).agrees
-
-
 # --- What is wrong is caught --------------------------------------------------------------------------------
 
 
@@ -177,22 +160,6 @@ def test_planted_wrong_answer_is_caught(target, by):
     assert check.difference_z == pytest.approx(by, rel=1e-2)
 
 
-def test_residuals_that_lie_are_caught(monkeypatch):
-    """If our measure of a residual were blind, the distance to the reference would still betray a wrong answer."""
-    problem = membranes.parse("obstacle_2d:size=8").problem
-    right = solve(problem, tolerance=1e-15)
-    wrong = altered(solve(problem, tolerance=1e-9), 20, 1e-3)
-    monkeypatch.setattr(
-        cross_check, "scaled_residual", lambda problem, z, w, scale: np.zeros_like(z)
-    )
-    passes = Measured(right.z, 0.0, passes=True)
-    monkeypatch.setattr(RowData, "measure_at", lambda *given, **how: passes)
-    check = cross_validate(problem, wrong)
-    assert check.verdict == "mismatch"
-    assert "disagreement" in check.reason
-    assert cross_validate(problem, right).agrees
-
-
 def test_a_result_less_accurate_than_the_tolerance_is_no_mismatch():
     """A run that ended early is not comparable; a run with a loose tolerance agrees."""
     problem = membranes.parse("obstacle_2d:size=20").problem
@@ -200,20 +167,6 @@ def test_a_result_less_accurate_than_the_tolerance_is_no_mismatch():
     assert early.verdict == "not comparable"
     assert "our solution is not accurate, MAX_ITERATIONS" in early.reason
     assert cross_validate(problem, solve(problem, tolerance=1e-5)).agrees
-
-
-def test_inaccurate_reference_condemns_nobody(monkeypatch):
-    """A reference that stops early yields "not comparable", and the reason gives both residuals."""
-    monkeypatch.setattr(cross_check, "POLISH_ROUNDS", 0)
-    rough = {"eps_abs": 1e-1, "eps_rel": 1e-1, "max_iters": 3}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # cvxpy warns that the solution may be inaccurate
-        check = cross_validate(
-            membranes.parse("obstacle_2d:size=8").problem, reference="SCS", **rough
-        )
-    assert check.verdict == "not comparable", check
-    assert "the solution of SCS does not reach 1e-07: relative residuals" in check.reason
-    assert check.difference_z > 1e-3
 
 
 # --- Only where it is legitimate ----------------------------------------------------------------------------
@@ -296,11 +249,3 @@ def test_explain_tells_verdict_first(capfd):
     for word in ("formulation", "ours", check.reference, "|Δz|", "objective gap", "disagreement"):
         assert any(line.startswith(word) for line in lines), word
     assert str(check) == check.explain()
-
-
-@pytest.mark.parametrize(("q", "unit"), [([0.0, 0.0], 1.0), ([0.0, -8.0], 8.0)])
-def test_convex_solvers_get_numbers_of_size_one(q, unit):
-    """The largest cost is 1, and costs of 0 stay 0."""
-    form = cross_check.ConvexForm.of(LCP(np.eye(2), q))
-    assert (form.weight * unit).tolist() == [1.0, 1.0]
-    assert (form.problem.q * unit).tolist() == q

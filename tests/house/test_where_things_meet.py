@@ -36,13 +36,16 @@ from lcp_plugin import (
     certify,
     complements,
     convergence_guarantee,
+    cross_validate,
     derivative,
+    error_against_time,
     error_bound,
     load_problem,
     march,
     prepare,
     solve,
     solve_batch,
+    study,
     trace,
 )
 from lcp_plugin.commands import ampl
@@ -51,8 +54,6 @@ from lcp_plugin.commands.reports import finite
 from lcp_plugin.commands.solving import json_content
 from lcp_plugin.core.problem_classes import class_of
 from lcp_plugin.core.settings import OF_SOLVE
-from lcp_plugin.evidence.cross_check import cross_validate
-from lcp_plugin.evidence.study import error_against_time, study
 from lcp_plugin.interfaces.nl import read_nl, write_nl
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
 from lcp_plugin.modeling._compat import CVXPY_STATUS
@@ -691,11 +692,6 @@ def test_a_sequence_of_no_answers(no):
     assert "none" in no.explain()
 
 
-def test_no_marches():
-    """They have no answer, as a batch of no problems has none."""
-    assert march(LCP(np.eye(2), [0, 0]), np.zeros((0, 3, 2))) == []
-
-
 def test_derivative_names_the_answer_that_it_takes():
     """The error of an unsupported batch says what to write instead; LCP results of a list are accepted."""
     answers = solve_batch(one_of_each_kind())
@@ -772,20 +768,3 @@ def test_a_start_is_z0_and_a_tolerance_relative_in_every_kind():
             InvalidOption, match="tolerance must be less than 1, got 2: it is relative"
         ):
             solve(problem, tolerance=2, **more)
-
-
-def test_which_tests_run_a_line_is_measured_first(monkeypatch, tmp_path):
-    """In a fresh clone `of.py` and `mutate.py` run the quick suite under coverage before they read its data."""
-    import of
-
-    begun = []
-
-    def run(command, **_):
-        begun.append(command)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(of, "STORE", tmp_path / "none")
-    monkeypatch.setattr(of.subprocess, "run", run)
-    with pytest.raises(KeyboardInterrupt):
-        of.tests_of(of.ROOT / "lcp_plugin" / "api.py")
-    assert "--cov-context=test" in begun[0]

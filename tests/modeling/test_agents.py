@@ -103,16 +103,6 @@ def test_an_income_that_is_not_known_to_be_concave_causes_one_warning():
         problem.solve(method="LCP")
 
 
-def test_the_bilevel_program_of_pyomo_has_the_value_of_bard():
-    """The leader minimizes x − 4y, the follower y: −12 at (4, 4), proved."""
-    x, y = cp.Variable(), cp.Variable()
-    rows = [-x - y <= -3, -2 * x + y <= 0, 2 * x + y <= 12, 3 * x - 2 * y <= 4]
-    best = optimal(cp.Problem(cp.Minimize(y), rows), over=[y])
-    problem = solved([best], objective=cp.Minimize(x - 4 * y), prove=True)
-    assert problem.value == pytest.approx(-12.0, abs=1e-6)
-    np.testing.assert_allclose([x.value, y.value], 4.0, atol=1e-6)
-
-
 def test_the_bilevel_program_of_bards_book_has_its_value():
     """(x − 5)² + (2y + 1)² over a follower with (y − 1)² − 1.5 x y: 17 at (1, 0), proved."""
     x, y = cp.Variable(nonneg=True), cp.Variable()
@@ -142,15 +132,6 @@ def test_a_shared_constraint_gives_the_variational_equilibrium():
     np.testing.assert_allclose([x.value, y.value], [2.5, 1.5], rtol=1e-9)
     assert float(row.dual_value) == pytest.approx(3.0)
     assert [float(one.dual_value[0]) for one in agents] == pytest.approx([3.0, 3.0])
-
-
-def test_a_constraint_that_is_not_shared_has_a_multiplier_of_each_agent():
-    """One of many generalized equilibria is returned: no agent could gain."""
-    x, y, _, agents = shared_row(is_shared=False)
-    solved(agents)
-    assert float(x.value + y.value) == pytest.approx(4.0)
-    multipliers = [float(one.dual_value[0]) for one in agents]
-    assert multipliers == pytest.approx([8 - 2 * float(x.value), 6 - 2 * float(y.value)])
 
 
 SHARED_BY_TWO = {
@@ -351,25 +332,6 @@ def test_a_program_without_an_objective_is_a_feasibility_problem():
     assert [float(one) for one in best.dual_value] == pytest.approx([0.0, 0.0])
 
 
-def test_a_bound_by_another_agents_variable_is_a_constraint_with_a_multiplier():
-    """With x ≤ y y = 1 of another agent: x = 1 and the multiplier 2."""
-    x, y = cp.Variable(), cp.Variable()
-    first = optimal(cp.Problem(cp.Minimize((x - 2) ** 2), [x <= y]), over=[x])
-    solved([first, optimal(cp.Problem(cp.Minimize((y - 1) ** 2)), over=[y])])
-    assert float(x.value) == pytest.approx(1.0)
-    assert float(first.dual_value[0]) == pytest.approx(2.0)
-
-
-def test_dependent_constraints_have_some_multipliers():
-    """The same row three times: the multipliers are not unique, and their sum is."""
-    x, y = cp.Variable(2), cp.Variable()
-    rows = [cp.sum(x) <= y, 2 * cp.sum(x) <= 2 * y, x[0] + x[1] <= y]
-    rows.append(rows[0])
-    best = optimal(cp.Problem(cp.Minimize(cp.sum_squares(x - 1)), rows), over=[x])
-    solved([best], [y == 1])
-    assert np.dot([float(one) for one in best.dual_value[:3]], [1, 2, 1]) == pytest.approx(1.0)
-
-
 U = cp.Variable(3)
 TERMS = {
     "exp": cp.exp(U),
@@ -455,35 +417,6 @@ def test_walras_prices_are_those_of_cobb_and_douglas():
     np.testing.assert_allclose([price.value, made.value], [2.0, expected], rtol=1e-6)
     np.testing.assert_allclose([one.value for one in eaten], bought, rtol=1e-6)
     assert all((one.gap() or 0.0) <= 1e-6 for one in (*consumers, producer))
-
-
-def test_a_polymatrix_game_of_three_players_has_an_equilibrium():
-    """Each player mixes 3 strategies; the payoff is a sum of bilinear terms: no player could gain."""
-    rng = np.random.default_rng(4)
-    x = [cp.Variable(3, nonneg=True) for _ in range(3)]
-    agents = []
-    for i in range(3):
-        payoff = sum(rng.uniform(0, 1, (3, 3)) @ x[k] for k in range(3) if k != i)
-        agents.append(
-            optimal(cp.Problem(cp.Maximize(x[i] @ payoff), [cp.sum(x[i]) == 1]), over=[x[i]])
-        )
-    solved(agents)
-    gaps = [one.gap() for one in agents]
-    assert max(gaps) <= 1e-7
-
-
-def test_price_takers_may_share_a_vector():
-    """Price takers in one program: marginal costs equal the price that clears the market."""
-    cost = np.array([1.0, 2.0, 4.0, 9.0])
-    x, p = cp.Variable(4, nonneg=True), cp.Variable(nonneg=True)
-    firms = optimal(
-        cp.Problem(cp.Maximize(p * cp.sum(x) - cost @ x - cp.sum_squares(x) / 2)), over=[x]
-    )
-    clearing = complements(p >= 0, cp.sum(x) - (12 - p) >= 0)
-    solved([firms], [clearing])
-    expected = (12 + cost[:3].sum()) / 4  # p = cost + x for the active firms
-    assert float(p.value) == pytest.approx(expected)
-    np.testing.assert_allclose(x.value, np.maximum(expected - cost, 0.0), atol=1e-9)
 
 
 # --- leaders, parameters and other constraints ---

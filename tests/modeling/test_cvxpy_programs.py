@@ -9,7 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from lcp_plugin import QPSolver, Status, complements, optimal
+from lcp_plugin import QPSolver, optimal
 from lcp_plugin.modeling._compat import CVXPY_STATUS
 
 SolverError = cp.error.SolverError
@@ -60,18 +60,6 @@ def test_attributes_of_one_s_own_variables_hold(kind, turned):
             assert problem.status == "optimal"
 
 
-@pytest.mark.parametrize("name", ["lp_bound_attr", "qp_bound_attr"])
-def test_cvxpy_s_own_bounded_programs_are_solved(name):
-    """Programs of cvxpy's with bounds as attributes have their values; that they arrive as bounds is not wanted."""
-    helpers = pytest.importorskip("cvxpy.tests.solver_test_helpers")
-    if not hasattr(helpers, name):
-        pytest.skip("this release of cvxpy has no such program")
-    helper = getattr(helpers, name)()
-    helper.solve(QPSolver)
-    helper.verify_objective(4)
-    helper.verify_primal_values(4)
-
-
 def losses() -> Any:
     x = cp.Variable(3)
     a = np.array([1.0, -2.0, 0.5])
@@ -110,17 +98,6 @@ def test_extra_stats_have_one_shape(status, how):
         assert told.proof.verify()
         assert status in str(told.proof)
         assert status in told.explain()
-
-
-@pytest.mark.parametrize("q", [-1.0, 1.0])
-def test_extra_stats_of_complementarity_have_the_same_shape(q):
-    """The same names for a complementarity problem: solved, and proved to have no solution."""
-    x = cp.Variable()
-    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, -x - q >= 0)])
-    problem.solve(method="LCP")
-    told = problem.solver_stats.extra_stats
-    assert told.status is (Status.SOLVED if q < 0 else Status.INFEASIBLE)
-    assert told.proof is None if q < 0 else told.proof.verify()
 
 
 def refused() -> dict[str, tuple[Any, str]]:

@@ -93,17 +93,6 @@ def test_obstacle_matrix_shaped_and_n_dimensional():
     )
 
 
-def test_slices_scalars_and_several_pairs_of_one_variable():
-    """Slices of one variable in different pairs, and a scalar variable, make one problem."""
-    x = cp.Variable(3)
-    F = M @ x + Q
-    model(complements(x[:2] >= 0, F[:2] >= 0), complements(F[2] >= 0, x[2] >= 0))
-    np.testing.assert_allclose(x.value, PLAIN.z, atol=1e-11)
-    s = cp.Variable()
-    model(complements(s >= 1, 2 * s - 5 >= 0))
-    assert s.value == pytest.approx(2.5)
-
-
 def test_free_variables_take_equations():
     """A free variable with G == 0, paired or as a plain equality row, whose dual value is that variable."""
     for paired in (True, False):
@@ -542,18 +531,6 @@ def test_upper_bound_opposite_an_expression_has_the_sign_of_the_readme():
         assert pair.violation() <= 1e-9
     with pytest.raises(UnsupportedModel, match="has no sign"):
         model(complements(cp.sum(x) + 2 * cp.square(x) >= 0, x - 3))
-
-
-def test_order_and_sign_of_equations_do_not_matter():
-    """Equations in any order and with either sign are matched so that the iteration converges."""
-    A = np.array([[2.0, 0.5, 0.1], [0.5, 2.0, 0.5], [0.1, 0.5, 2.0]])
-    for flip in (1.0, -1.0):
-        for order in ((1, 2), (2, 1)):
-            x, a, b = cp.Variable(nonneg=True), cp.Variable(), cp.Variable()
-            F = A @ cp.hstack([x, a, b]) - [1.0, 2.0, 3.0]
-            problem = model(complements(x, F[0]), *[flip * F[k] == 0 for k in order])
-            assert problem.status == "optimal"
-            np.testing.assert_allclose(F.value[1:], 0.0, atol=1e-9)
 
 
 def test_a_bound_is_a_number_or_a_parameter():

@@ -14,7 +14,7 @@ from pyomo.mpec import Complementarity
 from pyomo.mpec import complements as pyomo_complements
 
 import lcp_plugin.pyomo  # noqa: F401 - registers the solver
-from lcp_plugin import box, complements
+from lcp_plugin import complements
 from lcp_plugin.modeling.registration import build
 
 N = 6
@@ -72,20 +72,6 @@ def test_chains_in_any_order():
         np.testing.assert_allclose(v.value, M @ x_true + 1, atol=1e-8)
 
 
-def test_a_box_beside_a_defined_function():
-    """The value of a defined variable may stand opposite a box, where its sign is free."""
-    M, _, _, _ = planted(4)
-    z = np.array([-1.0, 1.0, 0.3, -1.0, 1.0, -0.2])
-    w_true = np.where(z == -1.0, 2.0, np.where(z == 1.0, -3.0, 0.0))
-    x, w = cp.Variable(N), cp.Variable(N)
-    pair = complements(box(x, -1.0, 1.0), w)
-    constraints = [pair, w == M @ x + (w_true - M @ z)]
-    assert build(constraints).problem.n == N
-    solved(constraints)
-    np.testing.assert_allclose(x.value, z, atol=1e-9)
-    np.testing.assert_allclose(w.value, w_true, atol=1e-8)
-
-
 def test_parameters_and_a_second_solve():
     """A parameter in the definition has its new value at the second solve, which starts from the first."""
     M, q, x_true, w_true = planted(5)
@@ -99,15 +85,6 @@ def test_parameters_and_a_second_solve():
     np.testing.assert_allclose(np.minimum(x.value, w.value), 0.0, atol=1e-9)
     np.testing.assert_allclose(w.value, M @ x.value + q - shift.value, atol=1e-9)
     assert np.abs(x.value - x_true).max() > 0.1
-
-
-def test_a_cycle_of_definitions_is_an_equation():
-    """Two equations u == v + 1 and v == 2 u define each other: u = −1, v = −2, found without a special case."""
-    u, v, x = cp.Variable(3), cp.Variable(3), cp.Variable(3)
-    solved([u == v + 1, v == 2 * u, complements(x >= 0, 2 * x + v >= 0)])
-    np.testing.assert_allclose(u.value, -1.0, atol=1e-12)
-    np.testing.assert_allclose(v.value, -2.0, atol=1e-12)
-    np.testing.assert_allclose(x.value, 1.0, atol=1e-9)
 
 
 def test_a_definition_that_would_fill_the_matrix_stays():

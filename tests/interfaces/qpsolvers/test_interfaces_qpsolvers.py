@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 import qpsolvers
 import scipy.sparse as sp
-from hypothesis import given
 from qpsolvers import ParamError, Problem, ProblemError, solve_problem, solve_qp
 from qpsolvers import problems as published
 from scipy.optimize import nnls
 
 from lcp_plugin import Status
 from lcp_plugin.interfaces.qpsolvers import register_with_qpsolvers
-from lcp_plugin.strategies import convex_qps
 
 register_with_qpsolvers()
 NAME = "lcp_plugin"
@@ -29,35 +27,6 @@ def test_published_programs(name):
     assert max(errors) <= 1e-9 * (1.0 + abs(solution.obj))
     if reference.x is not None:
         np.testing.assert_allclose(solution.x, reference.x, atol=1e-6)  # its published digits
-
-
-@given(convex_qps())
-def test_random_programs_sparse_and_dense(drawn):
-    """Programs with or without G, A and bounds have the known objective and optimal duals."""
-    program, answer = drawn
-    none = [None if matrix.shape[0] == 0 else matrix for matrix in (program.G, program.A)]
-    h, b = (
-        None if matrix is None else right
-        for matrix, right in zip(none, (program.h, program.b), strict=True)
-    )
-    for dense in (True, False):
-        P_, G_, A_ = (
-            None if M is None else sp.csc_matrix(M).toarray() if dense else sp.csc_matrix(M)
-            for M in (program.P, *none)
-        )
-        lower, upper = (
-            None if np.isinf(bound).all() else bound for bound in (program.lower, program.upper)
-        )
-        solution = solve_problem(Problem(P_, program.c, G_, h, A_, b, lower, upper), NAME)
-        assert solution.found
-        size = 1.0 + abs(solution.obj)
-        assert abs(solution.obj - float(answer.objective)) <= 1e-6 * size
-        assert solution.primal_residual() <= 1e-6 * (1.0 + np.abs(solution.x).max())
-        multipliers = max(
-            np.abs(part).max(initial=0.0) for part in (solution.y, solution.z, solution.z_box)
-        )
-        assert solution.dual_residual() <= 1e-6 * (1.0 + multipliers + np.abs(program.c).max())
-        assert solution.extras["status"] is Status.SOLVED
 
 
 def test_duals_have_the_signs_of_qpsolvers():

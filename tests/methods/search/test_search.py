@@ -15,10 +15,10 @@ from lcp_plugin import (
     InvalidProblem,
     Status,
     UnsuitableProblem,
+    all_solutions,
     solve,
 )
-from lcp_plugin.methods.search import all_solutions, search
-from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
+from lcp_plugin.methods.search import search
 from lcp_plugin.proofs.exact import is_exact_solution
 from lcp_plugin.proofs.no_solution import Case, NoSolution
 
@@ -41,7 +41,7 @@ GAMES = {
 def test_known_games_have_their_equilibria(name):
     """Textbook games have as many equilibria as the textbooks say, each without regret."""
     A, B, count = GAMES[name]
-    problem = lcp_from_bimatrix_game(A, B)
+    problem = LCP.from_game(A, B)
     solutions = all_solutions(problem)
     assert len(solutions) == count
     for solution in solutions:
@@ -51,7 +51,7 @@ def test_known_games_have_their_equilibria(name):
 
 def test_ties_of_integer_payoffs_are_kept():
     """Rows 0 and a half of 1 and 2 tie for the column player: the equilibria are a segment, as in the game itself."""
-    problem = lcp_from_bimatrix_game([[7, 7], [13, 4], [3, 9]], [[1, 1], [0, 3], [3, 0]])
+    problem = LCP.from_game([[7, 7], [13, 4], [3, 9]], [[1, 1], [0, 3], [3, 0]])
     (face,) = all_solutions(problem)
     ends = [problem.origin.recover(vertex) for vertex in face.vertices]
     np.testing.assert_allclose(
@@ -75,7 +75,7 @@ def test_equilibria_are_those_of_the_payoffs(odd):
 
 def test_a_degenerate_game_reports_a_face():
     """Every pair of strategies of a game with zero payoffs is an equilibrium: a face."""
-    problem = lcp_from_bimatrix_game(np.zeros((2, 2)), np.zeros((2, 2)))
+    problem = LCP.from_game(np.zeros((2, 2)), np.zeros((2, 2)))
     (face,) = all_solutions(problem)
     assert face.dimension == 2
     assert not face.is_isolated
@@ -85,7 +85,7 @@ def test_a_degenerate_game_reports_a_face():
 
 def test_every_pure_equilibrium_is_a_vertex_of_a_face():
     """If the row player's payoffs are equal, both pure equilibria are vertices of segments."""
-    problem = lcp_from_bimatrix_game([[1, 1], [1, 1]], [[1, 0], [0, 1]])
+    problem = LCP.from_game([[1, 1], [1, 1]], [[1, 0], [0, 1]])
     faces = all_solutions(problem)
     assert [face.dimension for face in faces] == [1, 1, 1]
     assert all(tuple(face.exact_z) in face.exact_vertices for face in faces)
@@ -153,15 +153,6 @@ def test_a_linear_contradiction_is_found_by_the_search_too():
     assert proof.infeasibility.verify()
 
 
-def test_the_answer_is_the_rounding_of_the_exact_one():
-    """The solution of 3 z = 1 is an exact third, and the nearest double."""
-    (solution,) = all_solutions(LCP([[3.0]], [-1.0]))
-    assert solution.exact_z == (Fraction(1, 3),)
-    assert solution.z.tolist() == [1 / 3]
-    assert solution.exact_w == (0,)
-    assert solution.pattern == ("zero",)
-
-
 def test_boxes_free_and_fixed_rows_take_part():
     """Three points on a box with M = −1; equations and fixed entries keep their place."""
     box = all_solutions(LCP([[-1.0]], [0.5], lower=[0.0], upper=[1.0]))
@@ -174,7 +165,7 @@ def test_boxes_free_and_fixed_rows_take_part():
 
 def test_limits_end_the_search_honestly():
     """Too few nodes decide nothing; a problem that is too large raises an error with its size."""
-    problem = lcp_from_bimatrix_game(np.eye(3), np.eye(3))
+    problem = LCP.from_game(np.eye(3), np.eye(3))
     assert search(problem, first_only=False, max_nodes=3) is None
     with pytest.raises(UnsuitableProblem, match="max_nodes=3"):
         all_solutions(problem, max_nodes=3)

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections import Counter
 from importlib import import_module
 
 import numpy as np
@@ -14,7 +13,7 @@ from oracles.truth import ExactData
 from lcp_plugin import LCP, Status, solve, solve_batch
 from lcp_plugin.core.checks import read_only
 from lcp_plugin.judges.lcp import bound_residual, row_data
-from lcp_plugin.methods.small import dense_data, suits_loop
+from lcp_plugin.methods.small import dense_data
 
 INF = np.inf
 
@@ -86,18 +85,6 @@ def test_free_rows_without_a_diagonal_are_eliminated_or_split(is_regular):
     result = solve(LCP(M, np.r_[-1.0, 0.0, 1.0, -np.full(m, 1.0)], lower=lower))
     assert result.is_solved
     assert abs(G[0] @ result.z[:3] - 1.0) <= 1e-10
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_the_loop_over_many_problems_has_the_statuses_of_single_solves(family):
-    """Exact arithmetic also confirms each of its SOLVED points."""
-    drawn = draw(family, 250, 8)
-    n = Counter(one.n for one in drawn).most_common(1)[0][0]
-    problems = [one for one in drawn if one.n == n][:40]
-    assert suits_loop(len(problems), n)
-    for problem, result in zip(problems, solve_batch(problems), strict=True):
-        assert result.status is solve(problem).status
-        assert not result.is_solved or not ExactData(problem).is_lie(result.z, 1e-8)
 
 
 @pytest.mark.full

@@ -12,12 +12,12 @@ from lcp_plugin import (
     LCP,
     BoundedLeastSquares,
     FrictionalContact,
+    InvalidProblem,
     NonlinearProblem,
     QuadraticProgram,
     Status,
     solve_batch,
 )
-from lcp_plugin.core.errors import InvalidProblem
 
 RNG = np.random.default_rng(7)
 A = RNG.normal(size=(40, 4, 4))

@@ -78,20 +78,6 @@ def test_planted_programs_are_solved_in_the_compiled_loop(kind):
         np.testing.assert_allclose(answers.objective, least, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_status_and_a_residual_are_those_of_the_program(kind):
-    """An optimal x is optimal for QPSolution, too, and its largest residual is the one of the batch up to rounding."""
-    answers = solve_batch(planted(kind, 30, 7)[0])
-    for k, answer in enumerate(answers):
-        solution = answer.solution
-        assert answer.status is answers.status[k] is Status.SOLVED
-        assert solution.is_optimal(1e-6)
-        assert solution.error <= answers.residual[k] + 1e-11
-        assert solution.objective == pytest.approx(answers.objective[k], rel=1e-12, abs=1e-12)
-        for name in ("x", "inequality", "equality", "lower", "upper"):
-            np.testing.assert_array_equal(getattr(solution, name), getattr(answers, name)[k])
-
-
 # --- One bad item, and the others --------------------------------------------------------------------------------
 
 

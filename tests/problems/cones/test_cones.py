@@ -154,14 +154,6 @@ def test_in_the_plane_friction_is_an_lcp():
         np.testing.assert_allclose(result.motion.tangential, motion.tangential, atol=1e-7)
 
 
-def test_bodies_move_as_their_impulses_say():
-    """Given a mass matrix, the motion has the velocities of the bodies after the step."""
-    block = 2.0 * np.eye(3), [[0.0, 0.0, 1.0]], [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]
-    motion = solve(FrictionalContact(block, [3.0, 4.0, -1.0], 0.5)).motion
-    assert motion.body_velocities is not None
-    np.testing.assert_allclose(motion.body_velocities, [3.0 - 0.3, 4.0 - 0.4, 0.0], atol=1e-8)
-
-
 def test_a_warm_start_ends_at_once():
     """A run from its solution takes no step; from a nearby solution it takes a few."""
     problem, _, _ = planted_contacts(10, 5, 10.0, np.random.default_rng(3))

@@ -20,9 +20,17 @@ from pyomo.mpec import complements as complementary
 from tools.nl_files import read_sol
 
 import lcp_plugin.pyomo
-from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements
+from lcp_plugin import (
+    EquilibriumProgram,
+    InvalidOption,
+    InvalidProblem,
+    LCPError,
+    QuadraticProgram,
+    Status,
+    UnsupportedModel,
+    complements,
+)
 from lcp_plugin.commands import ampl
-from lcp_plugin.core.errors import InvalidOption, InvalidProblem, LCPError, UnsupportedModel
 from lcp_plugin.problems.equilibria import scip
 from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 from lcp_plugin.problems.equilibria.equilibrium_program import SmoothPart

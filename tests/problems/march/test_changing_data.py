@@ -70,32 +70,6 @@ def local(x: Any, to_maturity: float) -> Any:
     return 0.2 + 0.1 * np.exp(-((x - np.log(30.0)) ** 2) / 0.1) * (0.5 + to_maturity)
 
 
-def test_a_put_of_local_volatility_is_that_of_a_tree():
-    """An American put by M_at, within 1e-3 of a trinomial tree over the same prices in time."""
-    x, k = np.linspace(np.log(STRIKE) - 1.5, np.log(STRIKE) + 1.5, 501), 800
-    payoff, identity = np.maximum(STRIKE - np.exp(x), 0.0), sp.eye_array(x.size)
-
-    def matrix(step):
-        return identity + black_scholes(x, local(x, (step + 1.0) / k)) / k
-
-    put = LCP(matrix(0), np.zeros(x.size), lower=payoff)
-    done = march(put, np.zeros((k, x.size)), M_at=matrix, z0=payoff)
-    assert done.all_solved
-    fine, steps = np.linspace(x[0], x[-1], 601), 6000
-    h, dt, exercise = fine[1] - fine[0], 1.0 / steps, np.maximum(STRIKE - np.exp(fine), 0.0)
-    value = exercise.copy()
-    for i in range(steps):
-        variance = local(fine, i * dt) ** 2
-        drift = (RATE - 0.5 * variance) * dt / h
-        second = variance * dt / h**2 + drift**2
-        up, down = 0.5 * (second + drift)[1:-1], 0.5 * (second - drift)[1:-1]
-        inner = up * value[2:] + down * value[:-2] + (1.0 - up - down) * value[1:-1]
-        value[1:-1] = np.maximum(inner / (1.0 + RATE * dt), exercise[1:-1])
-    ours = CubicSpline(x, done.z[-1])(np.log(SPOTS))
-    tree = CubicSpline(fine, value)(np.log(SPOTS))
-    np.testing.assert_allclose(ours, tree, rtol=0.0, atol=1e-3)
-
-
 def moving(n: int = 6, k: int = 5) -> dict[str, Any]:
     """Return the arguments of a march with matrices and bounds of each step, some of which are active."""
     rng = np.random.default_rng(12)

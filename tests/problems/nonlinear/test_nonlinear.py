@@ -14,10 +14,17 @@ from inputs import nonlinear_models as models
 from nonlinear_families import KINDS, planted
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, NonlinearProblem, Result, Status, derivative, solve
-from lcp_plugin.core.errors import NotConverged, UnknownAlgorithm
+from lcp_plugin import (
+    LCP,
+    NonlinearProblem,
+    NotConverged,
+    Result,
+    Status,
+    UnknownAlgorithm,
+    derivative,
+    solve,
+)
 from lcp_plugin.problems.nonlinear.data import Linearization
-from lcp_plugin.problems.nonlinear.solving import solve_nonlinear
 
 INF = np.inf
 ROOTS = {(round(np.sqrt(6) / 2, 6), 0.0, 0.0, 0.5), (1.0, 0.0, 3.0, 0.0)}
@@ -32,107 +39,25 @@ def solved(result: Result) -> np.ndarray:
 # --- published ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "x0",
-    [(0, 0, 0, 0), (1, 1, 1, 1), (100, 100, 100, 100), (1, 0, 1, 0), (1, 0, 0, 0), (0, 1, 1, 0)],
-)
-@pytest.mark.parametrize(
-    ("F", "roots"), [(models.kojima_shindo, ROOTS), (models.josephy, {max(ROOTS)})]
-)
-def test_kojima_shindo_and_josephy(F, roots, x0):
-    """The published solutions are found from the starts of the literature."""
-    x = solved(solve_nonlinear(NonlinearProblem(F), x0, tolerance=1e-10))
-    assert min(np.abs(x - root).max() for root in roots) < 1e-6
-
-
 def test_both_solutions_of_kojima_and_shindo_are_found():
     """Both solutions are found, depending on the start."""
     starts = np.random.default_rng(0).uniform(0, 3, (40, 4))
     found = {
-        tuple(solved(solve_nonlinear(NonlinearProblem(models.kojima_shindo), x0)).round(4) + 0.0)
+        tuple(solved(solve(NonlinearProblem(models.kojima_shindo), x0=x0)).round(4) + 0.0)
         for x0 in starts
     }
     assert found == {tuple(np.round(root, 4)) for root in ROOTS}
 
 
-@pytest.mark.parametrize("start", [1.0, 10.0])
-@pytest.mark.parametrize(
-    ("F", "published"),
-    [(models.NASH_5, models.NASH_5_SOLUTION), (models.NASH_10, models.NASH_10_SOLUTION)],
-)
-def test_nash_cournot(F, published, start):
-    """Oligopolies of 5 and 10 firms have their published equilibria, with F undefined at 0."""
-    result = solve_nonlinear(NonlinearProblem(F), np.full(len(published), start))
-    np.testing.assert_allclose(solved(result), published, rtol=1e-4)
-    assert result.iterations <= 12
-
-
-def test_mathiesen():
-    """Mathiesen's equilibrium is one of the published (λ, 0, 0, 0), 0 ≤ λ ≤ 3, also where 0 is excluded."""
-    for lower in (0.0, [0.5, 0, 0, 0]):
-        x = solved(solve_nonlinear(NonlinearProblem(models.mathiesen, lower=lower), np.ones(4)))
-        assert np.abs(x[1:]).max() < 1e-7
-        assert -1e-7 <= x[0] <= 3 + 1e-7
-
-
-@pytest.mark.parametrize("x0", [0.0, 0.5, 5.0])
-def test_billups(x0):
-    """A local minimum of every merit function is left by another start."""
-    x = solved(
-        solve_nonlinear(NonlinearProblem(models.billups, lambda x: np.diag(2 * x - 2)), [x0])
-    )
-    assert x[0] == pytest.approx(1 + np.sqrt(1.01), abs=1e-6)
-
-
 def test_scarf():
     """Scarf's economy has no shortage, goods in excess are free, and no activity makes a profit."""
     problem, start, excess_supply = models.scarf()
-    result = solve_nonlinear(problem, start)
+    result = solve(problem, x0=start)
     prices, excess = excess_supply(solved(result))
     assert excess.min() > -1e-6
     assert np.abs(prices * excess).max() < 1e-5
     assert result.w[6:14].min() > -1e-7
     assert result.iterations <= 10
-
-
-@pytest.mark.parametrize("strength", [1.0, 6.0, 50.0])
-def test_bratu_with_a_ceiling(strength):
-    """Bratu's problem has an answer under a ceiling, beyond its turning point λ = 6.81 as well; below it is smooth."""
-    x = solved(solve_nonlinear(models.bratu(20, strength, 1.0), np.zeros(400)))
-    assert (x.max() == 1.0) == (strength > 6.81)
-    if strength == 1.0:
-        assert x.max() == pytest.approx(0.0781, abs=2e-3)  # of the continuous problem
-
-
-def mixed_strategies(payoffs: list[np.ndarray]) -> NonlinearProblem:
-    """The equilibria of a game: each action's payoff is at most the player's value, shares sum to 1."""
-    players, actions = len(payoffs), payoffs[0].shape[0]
-
-    def F(z: np.ndarray) -> np.ndarray:
-        x, v = z[: players * actions].reshape(players, actions), z[players * actions :]
-        rows = []
-        for p, payoff in enumerate(payoffs):
-            gains = np.moveaxis(payoff, p, 0)
-            for share in np.delete(x, p, axis=0)[::-1]:
-                gains = gains @ share
-            rows.append(v[p] - gains)
-        return np.concatenate([*rows, x.sum(1) - 1.0])
-
-    n = players * actions
-    return NonlinearProblem(F, lower=np.r_[np.zeros(n), np.full(players, -INF)])
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_game_of_four_players_with_four_actions_is_solved(seed):
-    """A mixed equilibrium is found from equal shares: no action pays more than the value, by the payoffs themselves."""
-    rng = np.random.default_rng(seed)
-    payoffs = [np.round(rng.uniform(0, 10, (4,) * 4), 2) for _ in range(4)]
-    z = solved(solve(mixed_strategies(payoffs), x0=np.r_[np.full(16, 0.25), np.full(4, 5.0)]))
-    x = z[:16].reshape(4, 4)
-    for p, payoff in enumerate(payoffs):
-        others = [x[k] for k in range(4) if k != p]
-        gains = np.einsum("abcd,b,c,d->a", np.moveaxis(payoff, p, 0), *others)
-        assert gains.max() <= gains @ x[p] + 1e-6
 
 
 @pytest.mark.parametrize("size", [10, 30])
@@ -164,19 +89,11 @@ def test_planted_problems(seed, kind, n, is_far):
     """SOLVED is true in extended precision; all other ends of solvable problems are honest failures."""
     rng = np.random.default_rng(seed)
     one = planted(rng, kind, n)
-    result = solve_nonlinear(one.problem, rng.standard_normal(n) * is_far)
+    result = solve(one.problem, x0=rng.standard_normal(n) * is_far)
     assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT, Status.STALLED)
     certificate = result.certificate
     if result.is_solved and certificate.by_row.reference.max() > 0.0:
         assert one.sharp_relative_residual(result.z, certificate.problem.residual_scale) <= 1e-8
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("n", [2, 20, 100])
-def test_planted_problems_are_solved(kind, n):
-    """Monotone and P₀ problems of all families are solved from the point nearest to 0."""
-    for seed in range(3):
-        solved(solve_nonlinear(planted(np.random.default_rng(seed), kind, n).problem, np.zeros(n)))
 
 
 @settings.get_profile("few")
@@ -187,14 +104,16 @@ def test_affine_problems_have_the_certificate_of_their_lcp(seed, n):
     M = rng.standard_normal((n, n))
     M = M @ M.T + np.eye(n)
     q = rng.standard_normal(n)
-    result = solve_nonlinear(
-        NonlinearProblem(lambda x: M @ x + q, lambda x: M), rng.standard_normal(n), tolerance=1e-6
+    result = solve(
+        NonlinearProblem(lambda x: M @ x + q, lambda x: M),
+        x0=rng.standard_normal(n),
+        tolerance=1e-6,
     )
     assert solved(result) is result.z
     assert result.iterations <= 3
     x = rng.standard_normal(n)
-    one = solve_nonlinear(
-        NonlinearProblem(lambda x: M @ x + q, lambda x: M), x, max_iterations=0
+    one = solve(
+        NonlinearProblem(lambda x: M @ x + q, lambda x: M), x0=x, max_iterations=0
     ).certificate
     other = solve(LCP(M, q), z0=x, max_iterations=0, record=True).certificate
     if np.array_equal(one.z, other.z):
@@ -217,8 +136,8 @@ def test_the_residual_is_invariant_under_units(seed, n):
         one.lower * unit,
         one.upper * unit,
     )
-    first = solve_nonlinear(one.problem, x, max_iterations=0)
-    second = solve_nonlinear(other, x * unit, max_iterations=0)
+    first = solve(one.problem, x0=x, max_iterations=0)
+    second = solve(other, x0=x * unit, max_iterations=0)
     assert first.residual == second.residual
 
 
@@ -231,7 +150,7 @@ def test_an_infinite_slope_at_a_bound_is_no_obstacle(start, offset, answer):
     problem = NonlinearProblem(
         lambda x: np.sqrt(x) + offset, lambda x: np.diag(0.5 / np.sqrt(x)), lower=[0.0]
     )
-    result = solve_nonlinear(problem, [start])
+    result = solve(problem, x0=[start])
     assert result.status is Status.SOLVED
     assert result.iterations < 20
     np.testing.assert_allclose(result.z, answer, rtol=1e-7)
@@ -240,8 +159,8 @@ def test_an_infinite_slope_at_a_bound_is_no_obstacle(start, offset, answer):
 def test_a_solve_from_the_answer_is_solved_where_F_is_undefined_at_0():
     """An oligopoly, in which the price at no output is infinite, is solved from its own equilibrium in no steps."""
     problem = NonlinearProblem(models.NASH_5)
-    first = solve_nonlinear(problem, np.full(5, 10.0)).require_solved()
-    again = solve_nonlinear(problem, first.z)
+    first = solve(problem, x0=np.full(5, 10.0)).require_solved()
+    again = solve(problem, x0=first.z)
     assert again.status is Status.SOLVED
     assert again.iterations == 0
 
@@ -249,7 +168,7 @@ def test_a_solve_from_the_answer_is_solved_where_F_is_undefined_at_0():
 def test_steps_into_the_undefined_are_shortened():
     """The root of log x − 1, x ≥ 0, is found from both sides, although full steps lead to where log is undefined."""
     for start in (0.01, 100.0):
-        assert solved(solve_nonlinear(NonlinearProblem(lambda x: np.log(x) - 1.0), [start]))[
+        assert solved(solve(NonlinearProblem(lambda x: np.log(x) - 1.0), x0=[start]))[
             0
         ] == pytest.approx(np.e)
 
@@ -262,13 +181,13 @@ def test_steps_to_points_without_a_derivative_are_shortened(start):
         lambda x: np.diag(np.where((x > 1.3) & (x < 2.2), np.nan, 3.0 * x**2)),
         lower=-INF,
     )
-    assert solved(solve_nonlinear(problem, [start]))[0] == pytest.approx(1.0)
+    assert solved(solve(problem, x0=[start]))[0] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("size", [32, 100, 316])
 def test_steps_do_not_grow_under_refinement(size):
     """A membrane with a nonlinear source takes at most 8 steps at n = 10³, 10⁴ and 10⁵."""
-    result = solve_nonlinear(models.membrane(size)[0], np.zeros(size * size))
+    result = solve(models.membrane(size)[0], x0=np.zeros(size * size))
     assert 0.2 < (solved(result) == models.membrane(size)[0].lower).mean() < 0.4
     assert result.iterations <= 8
 
@@ -291,8 +210,8 @@ def test_differences_on_a_pattern():
     assert len(calls) <= 8
     np.testing.assert_allclose(found.toarray(), problem.derivative(x).toarray(), atol=1e-6)
     np.testing.assert_allclose(
-        solved(solve_nonlinear(by_differences, np.zeros(225))),
-        solve_nonlinear(problem, np.zeros(225)).z,
+        solved(solve(by_differences, x0=np.zeros(225))),
+        solve(problem, x0=np.zeros(225)).z,
         atol=1e-8,
     )
 
@@ -311,7 +230,7 @@ def test_columns_of_one_group_may_leave_the_domain_on_different_sides():
         return np.array([(x[0] - 0.5) - (1.0 - x[0]) ** 1.5, (x[1] - 2.0) + (x[1] - 1.0) ** 1.5])
 
     problem = NonlinearProblem(F, pattern=sp.eye_array(2, format="csc"))
-    assert solved(solve_nonlinear(problem, [1.0, 1.0])).shape == (2,)
+    assert solved(solve(problem, x0=[1.0, 1.0])).shape == (2,)
 
 
 # --- how a run ends ----------------------------------------------------------------------------------------------
@@ -319,7 +238,7 @@ def test_columns_of_one_group_may_leave_the_domain_on_different_sides():
 
 def test_an_equation_without_a_root_is_stalled():
     """An equation without a root ends STALLED with advice, never INFEASIBLE and never SOLVED."""
-    result = solve_nonlinear(NonlinearProblem(lambda x: x**2 + 1.0, lower=-INF), [3.0])
+    result = solve(NonlinearProblem(lambda x: x**2 + 1.0, lower=-INF), x0=[3.0])
     assert result.status is Status.STALLED
     assert "another start" in result.explain()
     with pytest.raises(NotConverged, match="local minimum of the residual"):
@@ -342,9 +261,7 @@ def test_an_equation_without_a_root_is_stalled():
 @pytest.mark.parametrize("start", [1.0, 3.0])
 def test_running_away_is_no_solution(F, lower, start):
     """An F that only tends to 0 has no solution, however far x runs and however flat F is there."""
-    result = solve_nonlinear(
-        NonlinearProblem(F, lower=lower), np.full(np.size(F(np.ones(2))), start)
-    )
+    result = solve(NonlinearProblem(F, lower=lower), x0=np.full(np.size(F(np.ones(2))), start))
     assert result.status is Status.STALLED
 
 
@@ -386,12 +303,12 @@ def test_a_multiplier_that_runs_away_is_no_solution(x0, has_jacobian):
         flat = 3 * (1 - z[0]) ** 2
         return np.array([[2 - 6 * z[2] * (1 - z[0]), 0, flat], [0, 2, 1], [-flat, -1, 0]])
 
-    result = solve_nonlinear(NonlinearProblem(F, jacobian if has_jacobian else None), x0)
+    result = solve(NonlinearProblem(F, jacobian if has_jacobian else None), x0=x0)
     assert result.status is Status.STALLED
     # A limit of the criterion: the point at e = 1e-7 passes, farther out the rounding errors of F are too large.
     for e, passes in ((1e-7, True), (1e-9, False), (1e-12, False)):
         x = np.array([1 - e, 0.0, 2 * (1 + e) / (3 * e**2)])
-        found = solve_nonlinear(NonlinearProblem(F, jacobian), x, max_iterations=0)
+        found = solve(NonlinearProblem(F, jacobian), x0=x, max_iterations=0)
         assert found.is_solved is passes
 
 
@@ -403,7 +320,7 @@ def test_a_bound_of_1e20_is_none(none):
     )
     assert problem.lower.tolist() == [-INF, 0.0]
     assert problem.upper.tolist() == [INF, INF]
-    result = solve_nonlinear(problem, [1.0, 1.0])
+    result = solve(problem, x0=[1.0, 1.0])
     assert result.is_solved
     np.testing.assert_allclose(result.z, [2.0, 0.0], rtol=1e-7, atol=1e-12)
 
@@ -422,15 +339,15 @@ def test_beside_a_pole_the_unit_of_the_part_excuses_nothing():
         ([8e-9, 100.0 + 1e-9], False),
         ([0.0128549 / 0.7 + 1e-12, 100.0 + 1e-9], True),
     ):
-        certificate = solve_nonlinear(problem, x, max_iterations=0).certificate
+        certificate = solve(problem, x0=x, max_iterations=0).certificate
         assert (certificate.term_residual <= 1e-8) == is_there
-    assert solved(solve_nonlinear(problem, [8e-9, 100.0]))[0] == pytest.approx(0.0128549 / 0.7)
+    assert solved(solve(problem, x0=[8e-9, 100.0]))[0] == pytest.approx(0.0128549 / 0.7)
 
 
 @pytest.mark.parametrize("jacobian", [None, lambda x: np.diag(-10.0 / x**2)])
 def test_ten_by_x_less_one_is_solved_at_its_root_or_not(jacobian):
     """10/x − 1 from 100: a SOLVED x is 10, never so large that F = −1, and the run ends where the merit overflows."""
-    result = solve_nonlinear(NonlinearProblem(lambda x: 10.0 / x - 1.0, jacobian), [100.0])
+    result = solve(NonlinearProblem(lambda x: 10.0 / x - 1.0, jacobian), x0=[100.0])
     assert result.iterations < 1000
     assert not result.is_solved or result.z[0] == pytest.approx(10.0, rel=1e-6)
 
@@ -439,7 +356,7 @@ def test_ten_by_x_less_one_is_solved_at_its_root_or_not(jacobian):
 def test_of_several_solutions_one_near_the_start_is_found(jacobian):
     """F = x (x − 1) (x + 2) from its root 1 stays there, although 0 solves as well."""
     problem = NonlinearProblem(lambda x: x * (x - 1.0) * (x + 2.0), jacobian)
-    assert solved(solve_nonlinear(problem, [1.0]))[0] == 1.0
+    assert solved(solve(problem, x0=[1.0]))[0] == 1.0
 
 
 def test_lotka_volterra_stays_inside():
@@ -447,7 +364,7 @@ def test_lotka_volterra_stays_inside():
     problem = NonlinearProblem(
         lambda x: x * np.array([1.0 - x[0] - 0.5 * x[1], 1.0 - 0.5 * x[0] - x[1]])
     )
-    np.testing.assert_allclose(solved(solve_nonlinear(problem, [0.7, 0.7])), 2.0 / 3.0, rtol=1e-8)
+    np.testing.assert_allclose(solved(solve(problem, x0=[0.7, 0.7])), 2.0 / 3.0, rtol=1e-8)
 
 
 @pytest.mark.parametrize("jacobian", [None, lambda x: np.diag([1.0, -1.0 / x[1] ** 2])])
@@ -455,7 +372,7 @@ def test_lotka_volterra_stays_inside():
 def test_two_problems_in_units_of_their_own(jacobian, start):
     """The equations x₀ = 1e10 and 1/x₁ = 2 are two components, each solved at its size."""
     problem = NonlinearProblem(lambda x: np.array([x[0] - 1e10, 1.0 / x[1] - 2.0]), jacobian)
-    np.testing.assert_allclose(solved(solve_nonlinear(problem, start)), [1e10, 0.5], rtol=1e-7)
+    np.testing.assert_allclose(solved(solve(problem, x0=start)), [1e10, 0.5], rtol=1e-7)
 
 
 @pytest.mark.parametrize("lower", [-INF, 0.0])
@@ -469,9 +386,7 @@ def test_powells_badly_scaled_function(lower, has_jacobian):
     def jacobian(x):
         return np.array([[1e4 * x[1], 1e4 * x[0]], -np.exp(-x)])
 
-    x = solved(
-        solve_nonlinear(NonlinearProblem(F, jacobian if has_jacobian else None, lower), [0.0, 1.0])
-    )
+    x = solved(solve(NonlinearProblem(F, jacobian if has_jacobian else None, lower), x0=[0.0, 1.0]))
     assert np.abs(F(x)).max() <= 1e-5  # the terms of both rows are about 1
     np.testing.assert_allclose(x, [1.098159e-5, 9.106147], rtol=1e-4)
 
@@ -482,7 +397,7 @@ def test_an_algorithm_that_does_not_take_a_linearisation_is_replaced():
     problem = NonlinearProblem(
         lambda x: np.array([x[0] ** 2 - 2.0 * x[0] + 0.5 * x[1] - 1.0, x[1] - 1.0])
     )
-    solved(solve_nonlinear(problem, [0.0, 0.0], "psor"))
+    solved(solve(problem, x0=[0.0, 0.0], algorithm="psor"))
 
 
 POLICIES = ("auto", "npsor", "psor", "newton", "interior_point", "lemke")  # one per method family
@@ -498,7 +413,7 @@ HOPELESS = {
 @pytest.mark.parametrize("name", HOPELESS)
 def test_a_hopeless_nonlinear_problem_ends(algorithm, name):
     """If nothing can be solved every policy ends after a bounded number of steps."""
-    result = solve_nonlinear(NonlinearProblem(HOPELESS[name]), [1.0, 0.5], algorithm)
+    result = solve(NonlinearProblem(HOPELESS[name]), x0=[1.0, 0.5], algorithm=algorithm)
     assert not result.is_solved
     assert result.iterations <= 15 * 30  # starts and searches, and steps without a gain
 
@@ -506,9 +421,7 @@ def test_a_hopeless_nonlinear_problem_ends(algorithm, name):
 def test_prices_near_zero_lend_no_tolerance():
     """F is 1e20 at z°, prices of 1e-5, but a SOLVED still means that the markets clear."""
     supply = np.array([3.0, 1.0, 0.5])
-    result = solve_nonlinear(
-        NonlinearProblem(lambda p: supply - p**-4.0, lower=1e-5), np.full(3, 0.02)
-    )
+    result = solve(NonlinearProblem(lambda p: supply - p**-4.0, lower=1e-5), x0=np.full(3, 0.02))
     np.testing.assert_allclose(solved(result), supply**-0.25, rtol=1e-6)
     np.testing.assert_allclose(result.w, 0.0, atol=1e-6)
 
@@ -521,10 +434,10 @@ def test_rounding_in_f_is_a_precision_limit():
         lambda x: np.diag(3 * x**2),
         lower=-INF,
     )
-    result = solve_nonlinear(noisy, [3.0], tolerance=1e-12, check_jacobian=False)
+    result = solve(noisy, x0=[3.0], tolerance=1e-12, check_jacobian=False)
     assert result.status is Status.PRECISION_LIMIT
     wrong = NonlinearProblem(lambda x: np.array([x[0] ** 3 - 7.3]), lambda x: [[-1.0]], lower=-INF)
-    assert solve_nonlinear(wrong, [3.0], check_jacobian=False).status is not Status.PRECISION_LIMIT
+    assert solve(wrong, x0=[3.0], check_jacobian=False).status is not Status.PRECISION_LIMIT
 
 
 FUNCTIONS_AT_ROUNDING_LEVEL: dict[str, tuple[Any, Any]] = {  # F(x) − d, and its root
@@ -566,7 +479,7 @@ def test_a_tolerance_below_the_rounding_errors_of_exponentials_is_a_precision_li
     problem = NonlinearProblem(
         lambda x: A @ (1 - np.exp(-x)) + load, lambda x: A * np.exp(-x), np.zeros(n)
     )
-    result = solve_nonlinear(problem, tolerance=1e-15)
+    result = solve(problem, tolerance=1e-15)
     assert result.status is Status.PRECISION_LIMIT
     np.testing.assert_allclose(result.z, -np.log1p(-solve(LCP(A, load)).z), atol=1e-8)
 
@@ -579,8 +492,11 @@ def test_nothing_of_the_callers_is_changed():
         assert not x.flags.writeable
         return kept
 
-    solve_nonlinear(
-        NonlinearProblem(F, lambda x: np.eye(2), lower), x0, check_jacobian=False, max_iterations=3
+    solve(
+        NonlinearProblem(F, lambda x: np.eye(2), lower),
+        x0=x0,
+        check_jacobian=False,
+        max_iterations=3,
     )
     assert x0.tolist() == [1, 1]
     assert lower.tolist() == [0, 0]
@@ -594,8 +510,8 @@ def test_every_kind_of_sparse_derivative_is_taken(kind):
     def jacobian(x):
         return sp.csr_array(np.diag(3 * x**2) + np.eye(3, k=1)).asformat(kind)
 
-    result = solve_nonlinear(
-        NonlinearProblem(lambda x: x**3 + np.append(x[1:], 0.0) - 9.0, jacobian), np.ones(3)
+    result = solve(
+        NonlinearProblem(lambda x: x**3 + np.append(x[1:], 0.0) - 9.0, jacobian), x0=np.ones(3)
     )
     np.testing.assert_allclose(result.w, 0.0, atol=1e-7)
 
@@ -614,7 +530,7 @@ def test_a_derivative_that_is_written_to_again_is_no_obstacle():
 
     start = np.array([3.0, 0.0, 5.0, 1.0])
     one, other = (
-        solve_nonlinear(NonlinearProblem(F, J), start, max_iterations=2) for J in (fresh, refilled)
+        solve(NonlinearProblem(F, J), x0=start, max_iterations=2) for J in (fresh, refilled)
     )
     np.testing.assert_array_equal(one.z, other.z)
     assert str(one.certificate) == str(other.certificate)
@@ -627,14 +543,14 @@ def test_a_derivative_that_is_written_to_again_is_no_obstacle():
 def test_the_lcp_solver_can_be_chosen():
     """A named algorithm, or an object, solves the linearizations; a wrong name is rejected."""
     for algorithm in ("lemke", "newton"):
-        solved(solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), algorithm))
+        solved(solve(NonlinearProblem(models.NASH_5), x0=np.ones(5), algorithm=algorithm))
     with pytest.raises(UnknownAlgorithm, match="lemke"):
-        solve_nonlinear(NonlinearProblem(models.NASH_5), np.ones(5), "lemk")
+        solve(NonlinearProblem(models.NASH_5), x0=np.ones(5), algorithm="lemk")
 
 
 # --- mistakes ----------------------------------------------------------------------------------------------------
 
-NP, run = NonlinearProblem, solve_nonlinear
+NP = NonlinearProblem
 
 
 @refusals(r"""
@@ -644,16 +560,15 @@ NP(np.sin, np.diag, pattern=np.eye(2)) → InvalidProblem: leave one out
 NP(np.sin, pattern=np.ones((2, 3))) → InvalidProblem: square
 NP(np.sin, lower=[0, 0], upper=[1, 1, 1]) → InvalidProblem: upper must be a number or a vec
 solve(NP(np.sin)) → InvalidOption: x0 is needed because the number of unknowns is not known
-run(LCP([[1]], [1]), [1]) → InvalidOption: needs a NonlinearProblem, got LCP
-run(NP(np.sin, lower=[0, 0]), [1.0]) → InvalidOption: x0 must be .* length 2
-run(NP(lambda x: x[:1]), np.ones(2)) → InvalidProblem: length 2 .* shape \(1,\)
-run(NP(lambda x: None), np.ones(2)) → InvalidProblem: got None
-run(NP(lambda x: np.log(x - 5), lower=-INF), [-1.0]) → InvalidProblem: F\(x0\)\[0\] = nan
-run(NP(np.sin, lambda x: np.eye(3)), [1.0]) → InvalidProblem: shape \(1, 1\)
-run(NP(np.sin, lambda x: [[np.nan]]), [1.0]) → InvalidProblem: jacobian.*finite
-run(NP(np.sin), np.ones(1001)) → InvalidProblem: pattern
-run(NP(np.sin), [1.0], search="both") → InvalidOption: search must be "monotone", "nonmonotone" or None, got 'both'
-run(NP(np.sin), [1.0], restarts=-1) → InvalidOption: restarts must be an integer ≥ 0
+solve(NP(np.sin, lower=[0, 0]), x0=[1.0]) → InvalidOption: x0 must be .* length 2
+solve(NP(lambda x: x[:1]), x0=np.ones(2)) → InvalidProblem: length 2 .* shape \(1,\)
+solve(NP(lambda x: None), x0=np.ones(2)) → InvalidProblem: got None
+solve(NP(lambda x: np.log(x - 5), lower=-INF), x0=[-1.0]) → InvalidProblem: F\(x0\)\[0\] = nan
+solve(NP(np.sin, lambda x: np.eye(3)), x0=[1.0]) → InvalidProblem: shape \(1, 1\)
+solve(NP(np.sin, lambda x: [[np.nan]]), x0=[1.0]) → InvalidProblem: jacobian.*finite
+solve(NP(np.sin), x0=np.ones(1001)) → InvalidProblem: pattern
+solve(NP(np.sin), x0=[1.0], search="both") → InvalidOption: search must be "monotone", "nonmonotone" or None, got 'both'
+solve(NP(np.sin), x0=[1.0], restarts=-1) → InvalidOption: restarts must be an integer ≥ 0
 """)
 def test_mistakes_are_refused_in_words(call, words):
     """Every mistake is named, with what is needed instead."""
@@ -671,8 +586,8 @@ def test_a_wrong_jacobian_is_named():
 
     mistaken = NonlinearProblem(problem.F, wrong, problem.lower)
     words = "jacobian disagrees with F at the start: along one direction row 37 of"
-    assert words in solve_nonlinear(mistaken, np.zeros(100)).explain()
-    unchecked = solve_nonlinear(mistaken, np.zeros(100), check_jacobian=False)
+    assert words in solve(mistaken, x0=np.zeros(100)).explain()
+    unchecked = solve(mistaken, x0=np.zeros(100), check_jacobian=False)
     assert words not in unchecked.explain()
 
 
@@ -689,7 +604,7 @@ def test_a_right_jacobian_is_not_warned_of(precision, seed, kind, n):
         one.lower,
         one.upper,
     )
-    result = solve_nonlinear(problem, rng.standard_normal(n), max_iterations=0)
+    result = solve(problem, x0=rng.standard_normal(n), max_iterations=0)
     assert "disagrees" not in result.explain()
 
 
@@ -712,7 +627,7 @@ def test_an_unknown_that_no_active_row_depends_on_is_excused():
         )
 
     problem = NonlinearProblem(F, jacobian, lower=[0, 0, -INF, 0])
-    result = solve_nonlinear(problem, [1.0, 1.0, 5.0, 0.0])
+    result = solve(problem, x0=[1.0, 1.0, 5.0, 0.0])
     v = solved(result)
     np.testing.assert_allclose(np.minimum(v[:2], F(v)[:2]), 0.0, atol=1e-8)
     assert result.z[3] == 0.0
@@ -735,7 +650,7 @@ def test_derivatives_are_those_of_solved_problems(seed):
         moved = NonlinearProblem(
             lambda x: one.F(x) + shift * dF, one.jacobian, one.lower, one.upper
         )
-        return solve_nonlinear(moved, one.x, tolerance=1e-13)
+        return solve(moved, x0=one.x, tolerance=1e-13)
 
     found = derivative(answer(0.0))
     if found.degenerate.size:

@@ -20,7 +20,6 @@ from tools.refusals import assert_refused, refusals
 from lcp_plugin import NonlinearProblem, QuadraticProgram, Status, certify, solve
 from lcp_plugin.problems.programs.certification import SMALL
 from lcp_plugin.problems.programs.solution import QPSolution
-from lcp_plugin.problems.programs.solving import solve_program
 from lcp_plugin.proofs.bounds import constrained_curvature
 from lcp_plugin.strategies import convex_qps
 
@@ -478,7 +477,7 @@ def test_multipliers_are_not_far_above_those_of_highs(kind):
     pytest.importorskip("scipy", minversion="1.15")  # the programs are drawn by random_array(rng=…)
     for seed in SEEDS.get(kind, range(3)):
         case = multipliers_campaign.program(kind, np.random.default_rng([0, seed, 7]))
-        answer = solve_program(case).solution
+        answer = solve(case).solution
         assert answer.is_optimal()
         theirs = multipliers_campaign.largest_of_highs(case)
         assert theirs is None or np.abs(

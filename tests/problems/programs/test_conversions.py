@@ -24,9 +24,8 @@ from lcp_plugin import (
     Status,
     solve,
 )
-from lcp_plugin.problems.programs.conversion import lcp_from_qp, qp_from_lcp
+from lcp_plugin.problems.programs.conversion import qp_from_lcp
 from lcp_plugin.problems.programs.solution import QPSolution
-from lcp_plugin.problems.reformulations import lcp_from_bimatrix_game
 
 TIGHT = {"tolerance": 1e-10, "max_iterations": 200_000}
 SEEDS = range(6)
@@ -88,7 +87,7 @@ def vars_of(solution: QPSolution) -> tuple[Any, Any, Any, Any]:
 def test_direct_form_solved_and_recovered(seed):
     """A program with bounds and singleton rows only is the direct problem of n rows, and PSOR solves it."""
     answer = planted(seed, m=0, p=0, singletons=3)
-    problem = lcp_from_qp(answer.program)
+    problem = LCP.from_qp(answer.program)
     assert problem.origin.form == "direct"
     assert problem.n == answer.program.n
     found = problem.origin.recover(solve(problem, "psor", **TIGHT).require_solved()).solution
@@ -100,7 +99,7 @@ def test_direct_form_solved_and_recovered(seed):
 def test_kkt_form_has_the_planted_solution(seed, rank):
     """The triple (x, λ, ν) of any convex program solves the monotone KKT form and is recovered."""
     answer = planted(seed, rank=rank)
-    problem = lcp_from_qp(answer.program)
+    problem = LCP.from_qp(answer.program)
     z = np.concatenate([answer.x, answer.inequality, answer.equality])
     assert Certificate.of(problem, z).relative_residual < 1e-12
     assert_agree(problem.origin.recover(z).solution, answer, 1e-12)
@@ -124,7 +123,7 @@ def test_multipliers_of_crowded_variables(seed):
     factor = rng.normal(size=(n, n))
     P = factor @ factor.T + np.eye(n)
     program = QuadraticProgram(P, 5 * rng.normal(size=n), G, h, A, b, lower=-1, upper=1)
-    problem = lcp_from_qp(program)
+    problem = LCP.from_qp(program)
     # The smallest cost may be 1e-3, and errors of multipliers are relative to it.
     solution = problem.origin.recover(solve(problem, tolerance=1e-12).require_solved()).solution
     assert solution.is_optimal(1e-8), solution
@@ -137,7 +136,7 @@ def test_multipliers_of_crowded_variables(seed):
 )
 def test_contradictions_stay_rows(G, h):
     """Inconsistent rows remain in the LCP, and no x has a small primal residual."""
-    problem = lcp_from_qp(QuadraticProgram(np.eye(2), [0, 0], G, h))
+    problem = LCP.from_qp(QuadraticProgram(np.eye(2), [0, 0], G, h))
     assert problem.n == 2 + len(h)
     assert problem.origin.recover(np.zeros(problem.n)).solution.primal_residual > 0.1
 
@@ -145,7 +144,7 @@ def test_contradictions_stay_rows(G, h):
 def test_origins_survive_pickling():
     """A pickled origin recovers the same solution, in either form."""
     for answer in (planted(1), planted(1, m=0, p=0)):
-        problem = lcp_from_qp(answer.program)
+        problem = LCP.from_qp(answer.program)
         z = np.linspace(0, 1, problem.n)
         copy = pickle.loads(pickle.dumps(problem.origin))
         np.testing.assert_array_equal(copy.recover(z).x, problem.origin.recover(z).x)
@@ -177,7 +176,7 @@ def test_agrees_with_cvxpy(seed, solver, accuracy):
         cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(program.P)) + program.c @ x), constraints
     )
     reference.solve(solver=solver, **TIGHTLY[solver])
-    problem = lcp_from_qp(program)
+    problem = LCP.from_qp(program)
     ours = problem.origin.recover(solve(problem, **TIGHT).require_solved()).solution
     assert ours.objective == pytest.approx(reference.value, rel=1e-6, abs=1e-6)
     np.testing.assert_allclose(ours.x, x.value, atol=accuracy)
@@ -199,7 +198,7 @@ def test_round_trip_of_symmetric_problems(n, sparse):
     lower = np.array([0.0, -np.inf, -1.0, -np.inf, 2.0])[:n]
     upper = np.array([np.inf, np.inf, 1.0, 3.0, 2.0])[:n]
     problem = LCP(sp.csr_array(M) if sparse else M, rng.normal(size=n), lower=lower, upper=upper)
-    again = lcp_from_qp(qp_from_lcp(problem))
+    again = LCP.from_qp(qp_from_lcp(problem))
     np.testing.assert_array_equal(again.csr.toarray(), problem.csr.toarray())
     for name in ("q", "lower", "upper"):
         np.testing.assert_array_equal(getattr(again, name), getattr(problem, name))
@@ -269,7 +268,7 @@ GAMES = {
 def test_bimatrix_games(name):
     """A known equilibrium, scaled by the costs it meets, solves the problem; recovered, it has no regret."""
     A, B, x, y, payoffs = GAMES[name]
-    problem = lcp_from_bimatrix_game(A, B)
+    problem = LCP.from_game(A, B)
     m = len(x)
     costs, other = problem.csr.toarray()[:m, m:], problem.csr.toarray()[m:, :m]
     assert costs.min() > 0 < other.min()
@@ -287,7 +286,7 @@ def test_a_game_of_players_is_taken_as_it_is():
     """A game of two by three actions equals (A, B), with the player's action on the first axis."""
     A = np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]])
     B = np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]])
-    expected = lcp_from_bimatrix_game(A, B)
+    expected = LCP.from_game(A, B)
     games = [game_of(A, B.T)]
     try:
         from quantecon.game_theory import NormalFormGame
@@ -296,7 +295,7 @@ def test_a_game_of_players_is_taken_as_it_is():
     else:
         games.append(NormalFormGame(np.stack([A, B], axis=2)))
     for game in games:
-        problem = lcp_from_bimatrix_game(game)
+        problem = LCP.from_game(game)
         np.testing.assert_array_equal(problem.csr.toarray(), expected.csr.toarray())
         equilibrium = problem.origin.recover(solve(problem))
         np.testing.assert_array_equal(equilibrium.A, A)
@@ -307,7 +306,7 @@ def test_a_game_of_players_is_taken_as_it_is():
 # --- Errors, and data that are not modified -------------------------------------------------------------------
 
 EYE, QP, INVALID = np.eye(2), QuadraticProgram, InvalidProblem
-game = lcp_from_bimatrix_game
+game = LCP.from_game
 
 
 @refusals(r"""
@@ -330,7 +329,7 @@ QP(EYE, [1, 2], EYE) → InvalidProblem: got G without h
 QP(EYE, [1, 2], EYE, [1]) → InvalidProblem: h must be a vector of length 2
 QP(EYE, [1, 2], EYE, [-np.inf, 1]) → InvalidProblem: h\[0\] = -inf
 QP(EYE, [1, 2], lower=1, upper=0) → InvalidProblem: lower ≤ upper
-lcp_from_qp(QP(EYE, [1, 2])).origin.recover([1]) → InvalidProblem: z must be a vector of length 2
+LCP.from_qp(QP(EYE, [1, 2])).origin.recover([1]) → InvalidProblem: z must be a vector of length 2
 qp_from_lcp(LCP([[1, 1], [0, 1]], [1, 1], upper=1)) → UnsuitableProblem: z\[0\] has two bounds
 qp_from_lcp(LCP([[1, 4], [0, 1]], [1, 1])) → UnsuitableMatrix: semidefinite
 planted(0).is_optimal(-1) → InvalidOption: tolerance must be
@@ -362,7 +361,7 @@ def test_data_are_read_only_and_the_callers_own_stay_as_they_are():
     assert sp.issparse(program.P)
     for array in (program.P.data, program.c, program.G, program.h, program.lower):
         assert not array.flags.writeable
-    lcp_from_qp(program)
+    LCP.from_qp(program)
     np.testing.assert_array_equal(G, before[1])
     P.data[0], G[0, 0] = 5.0, 6.0
     assert program.P[0, 0] == before[0][0, 0]
@@ -453,7 +452,7 @@ def test_conditions_without_rows_end_where_the_plain_problem_ends(algorithm):
 def test_conditions_of_a_program_of_low_rank_are_solved_at_its_value(family, number):
     """P is singular up to rounding, and PIQP ends up to 7e8 away: rows hold to 1e-8, the objective was -29 for -2.6."""
     program, value = convex_programs.planted(family, np.random.default_rng(number), 12)
-    problem = lcp_from_qp(program)
+    problem = LCP.from_qp(program)
     found = problem.origin.recover(solve(problem))
     assert not found.is_solved or abs(found.objective - value) <= 1e-6 * (1.0 + abs(value))
 
@@ -482,7 +481,7 @@ def test_values_of_a_program_with_huge_bounds():
     """Methods solve its conditions at its value, or not at all."""
     rng = np.random.default_rng(4000000000664)
     program, value = convex_programs.planted("huge bounds", rng, 12)
-    problem = lcp_from_qp(program)
+    problem = LCP.from_qp(program)
     for algorithm in ("auto", "lemke", "interior_point"):
         found = problem.origin.recover(solve(problem, algorithm))
         assert abs(found.objective / value - 1.0) <= 1e-6 or not found.is_solved
@@ -550,9 +549,9 @@ def test_a_program_with_other_vectors_is_the_program_of_these_data(kind, seed):
     """Method with_vectors gives the LCP and measures of a fresh program, bit by bit."""
     rng = np.random.default_rng([seed, SOLVABLE.index(kind)])
     first, _ = case(kind, seed, 0, 12)
-    lcp_from_qp(first)
+    LCP.from_qp(first)
     shared = first.with_vectors(**moved(first, rng))
-    ours, theirs = lcp_from_qp(shared), lcp_from_qp(afresh(shared))
+    ours, theirs = LCP.from_qp(shared), LCP.from_qp(afresh(shared))
     assert ours.origin.form == theirs.origin.form
     np.testing.assert_array_equal(ours.csr.toarray(), theirs.csr.toarray())
     for name in ("q", "lower", "upper"):

@@ -51,18 +51,6 @@ def test_a_constructed_solution_with_multipliers_is_found(seed):
     assert found.gap() <= 1e-7
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_of_a_gradient_it_is_the_minimum_that_clarabel_finds(seed):
-    """F = P x + c with P symmetric: the minimum of ½ xᵀP x + cᵀx over the same set."""
-    random = np.random.default_rng(seed)
-    root, G = random.standard_normal((10, 10)), random.standard_normal((6, 10))
-    P, c, h = root @ root.T, random.standard_normal(10), random.random(6)
-    x = cp.Variable(10)
-    goal = cp.Minimize(0.5 * cp.quad_form(x, cp.psd_wrap(P)) + c @ x)
-    cp.Problem(goal, [G @ x <= h, x >= -1]).solve(solver=cp.CLARABEL)
-    np.testing.assert_allclose(answer(variational((P, c), G, h, lower=-1)).x, x.value, atol=1e-5)
-
-
 @pytest.mark.parametrize("is_function", [False, True])
 def test_the_network_of_braess_has_its_published_flows(is_function):
     """Flows 4, 2, 2, 4, 2 on the arcs: each path takes 92. Conservation at one node follows from the others."""
@@ -81,15 +69,6 @@ def test_the_game_of_harker_with_a_shared_row_has_the_published_solution():
     found = answer(variational(F, [[1, 1]], [15], lower=0, upper=10))
     np.testing.assert_allclose(found.x, [5.0, 9.0], atol=1e-9)
     assert found.inequality == [0.0]
-
-
-def test_the_simple_inequality_of_gams_has_its_solution():
-    """F = 2 x over x₁ + x₂ ≥ 6, x₂ + x₃ ≥ 9, x ≥ 0 (GAMS EMP, simplevi): x = (1, 5, 4), multipliers 2 and 8."""
-    found = answer(
-        variational((2 * np.eye(3), np.zeros(3)), [[-1, -1, 0], [0, -1, -1]], [-6, -9], lower=0)
-    )
-    np.testing.assert_allclose(found.x, [1.0, 5.0, 4.0], atol=1e-12)
-    np.testing.assert_allclose(found.inequality, [2.0, 8.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("has_jacobian", [True, False])

@@ -21,14 +21,16 @@ from lcp_plugin import (
     BoundedLeastSquares,
     ConeProblem,
     FrictionalContact,
+    InvalidOption,
+    InvalidProblem,
     NonlinearProblem,
     QuadraticProgram,
     Status,
+    UnsuitableProblem,
     derivative,
     solve,
     solve_batch,
 )
-from lcp_plugin.core.errors import InvalidOption, InvalidProblem, UnsuitableProblem
 from lcp_plugin.problems.sensitivity import Derivative
 from lcp_plugin.strategies import h_plus_matrices, solved_lcps
 

@@ -55,7 +55,7 @@ CLASSES = {
     ),
     "NonlinearProblem": ProblemClass(
         "problems.nonlinear.solving:solve_nonlinear",
-        "prepare derivative certify",
+        "prepare march derivative certify",
         f"{WATCHED} absolute_tolerance",
         "problems.nonlinear.solving:criterion_at",
     ),

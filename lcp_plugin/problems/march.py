@@ -34,12 +34,12 @@ from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitablePro
 from ..core.kernels.floats import EPSILON, MAY_UNDERFLOW
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, connected_components, row_numbers
-from ..core.problem_classes import class_of, classes_of, refusal
+from ..core.problem_classes import class_of, classes_of, refusal, with_article
 from ..core.settings import OF_SOLVE, Settings, Status, whole_number
 from ..judges.lcp import RowData
 from ..methods.banded import Banded, active_sets, held_entries, solve_held, solve_one_sided
 from ..methods.finishing import measure_finished
-from ..solving.dispatch import parse_call, solve
+from ..solving.dispatch import options_of, parse_call, solve
 from ..solving.lcp_run import run_on
 from ..solving.lcp_solver import solve_lcp
 from ..solving.plan import plan, repeated
@@ -49,6 +49,7 @@ from ..systems.factors import BANDED_UP_TO, Bands, bands
 from ..systems.graph import bandwidth, outer_on_pattern, sum_of_outer
 from .cones.data import Blocks
 from .many import AnswerSequence, length_of_all, rows_of_a_batch
+from .nonlinear.data import NonlinearProblem
 
 
 def propagation(C: sp.csr_array) -> Callable[[Vector], Vector]:
@@ -163,6 +164,11 @@ class March(AnswerSequence[Result]):
         self._z: list[Vector] = []
         self._stacked: Vector | None = None
         self._results: list[Result | Callable[[], Result]] = []
+
+    @property
+    def is_linear(self) -> bool:
+        """True if the problem has a matrix M, and no function F."""
+        return not isinstance(self.problem, NonlinearProblem)
 
     def at(self, k: int) -> Result:
         """Return the result of step k."""
@@ -307,17 +313,18 @@ def checked_propagator(propagator: Any, n: int, name: str = "propagator") -> sp.
 
 
 BOUNDS = "lower", "upper"
-AT = "lower_at", "upper_at", "M_at"
+AT = "lower_at", "upper_at", "M_at", "F_at"
 
 
 class StepData:
-    """Bounds and matrices that change from step to step, checked.
+    """Bounds, matrices and functions that change from step to step, checked.
 
     Parameters
     ----------
     k, n : int
         Numbers of steps and of unknowns.
     M_at : sequence of k matrices, callable or None
+    F_at : callable or None
     **bounds
         Arrays of shape (k, n), or None for the bounds of the problem.
 
@@ -327,8 +334,10 @@ class StepData:
         If a number of rows is not k, or the data of a step are invalid; the message names the step.
     """
 
-    def __init__(self, k: int, n: int, M_at: Any, problem: Any, **bounds: ArrayLike | None) -> None:
-        self.matrices: Any = M_at
+    def __init__(
+        self, k: int, n: int, M_at: Any, problem: Any, F_at: Any, **bounds: ArrayLike | None
+    ) -> None:
+        self.matrices, self.functions = M_at, F_at
         is_list = M_at is not None and not callable(M_at)
         if is_list:
             _check_matrices(M_at, "M_at", k)
@@ -368,9 +377,20 @@ class StepData:
 
     def problem_at(self, problem: Any, step: int) -> Any:
         """Return the problem of a step, with any q."""
+        if self.functions is not None:
+            problem = self._with_function(problem, step)
         problem = problem if self.matrices is None else self._with_matrix(problem, step)
         rows = {name: bounds[step] for name, bounds in self.bounds.items()}
         return problem.with_q(problem.q, **rows) if rows else problem
+
+    def _with_function(self, problem: NonlinearProblem, step: int) -> NonlinearProblem:
+        """Return the problem with the F of a step."""
+        own = self.functions(step)
+        if not isinstance(own, NonlinearProblem):
+            need = f"F_at of step {step} must be a NonlinearProblem"
+            raise InvalidProblem(f"{need}, got {type(own).__name__}; return NonlinearProblem(F)")
+        own = own.with_size(problem.lower.size)
+        return own.with_q(0.0, lower=problem.lower, upper=problem.upper)
 
     def _with_matrix(self, problem: LCP, step: int) -> LCP:
         """Return the problem with the matrix of a step; equal objects in a list share the facts about it."""
@@ -402,7 +422,7 @@ def _wrong_count(name: str, count: int, k: int) -> str:
 
 @np.errstate(all="ignore")
 def march(
-    problem: LCP | Blocks | Sequence[LCP],
+    problem: LCP | NonlinearProblem | Blocks | Sequence[LCP],
     forcing: ArrayLike,
     propagator: object = -1.0,
     *,
@@ -411,6 +431,7 @@ def march(
     lower_at: ArrayLike | None = None,
     upper_at: ArrayLike | None = None,
     M_at: object = None,
+    F_at: Callable[[int], NonlinearProblem] | None = None,
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
     max_seconds: float | None = None,
@@ -424,15 +445,16 @@ def march(
 
     Parameters
     ----------
-    problem : LCP or ConeProblem or FrictionalContact, or a list of m LCPs
-        Gives M and the bounds or cones; its q is not used. In a list, one problem per march.
+    problem : LCP or NonlinearProblem or ConeProblem or FrictionalContact, or a list of m of one class
+        Gives M and the bounds or cones; its q is not used. A NonlinearProblem gives F, to which the q of a step is
+        added. In a list, one problem per march.
     forcing : array, shape (k, n), or (m, k, n) for m marches
         One row per step; use ``np.broadcast_to(row, (k, n))`` for constant forcing.
     propagator : number or array or sparse array, shape (n, n), or a list of m of these
         Map from the z of one step to its contribution to the next q; a number means a multiple of the identity. An
         implicit Euler step (I + Δt A) z = z_before has −1.
     lower, upper : number or array, shape (n,) or (m, n), optional
-        Replace the bounds of an LCP in all steps. If k marches of k steps are meant, give forcing the shape (k, k, n).
+        Replace the bounds in all steps. If k marches of k steps are meant, give forcing the shape (k, k, n).
     lower_at, upper_at : array, shape (k, n), optional
         Bounds of each step, for all marches, such as the dates of a Bermudan option (−∞ between them) or an obstacle
         that moves.
@@ -440,6 +462,9 @@ def march(
         Matrix of each step, for all marches, in place of the matrix of `problem`, such as of a local volatility. A
         callable gets the number of a step, from 0; `derivative` calls it again. Consecutive steps with the same object
         in a list share its factors.
+    F_at : callable, optional
+        ``F_at(step)`` returns the NonlinearProblem of a step, from 0, for an F that depends on time, in place of F and
+        F′ of `problem`; the bounds are those of `problem`.
     z0 : array, shape (n,) or (m, n), optional
         The state before the first step; by default the point of [lower, upper] nearest to 0.
     max_seconds : float, optional
@@ -474,6 +499,9 @@ def march(
     with damping: take four implicit half steps first, with the same M, the propagator −B and the forcing
     −½ Δt f (Rannacher 1984).
 
+    Nonlinear: an implicit Euler step of B ẋ + F(x) solves B x + Δt F(x) − B x_before, complementary to the bounds.
+    Let ``NonlinearProblem`` be B x + Δt F(x), and −B the propagator.
+
     Contacts with friction on elastic bodies: W has displacements by forces. A slow load determines, step by step, the
     gaps without contact and the tangential displacements from the step before. Use the propagator −W with zeros in the
     rows of the normals, because the slip is the tangential displacement of a step. If contacts change, W changes: use
@@ -499,6 +527,12 @@ def march(
     >>> stiffer = LCP([[4, -2], [-2, 4]], [0, 0], upper=1)
     >>> [done.z[-1].round(3) for done in march([rod, stiffer], [[-1, 0], [-1, 0]], z0=[1, 1])]
     [array([0.781, 0.469]), array([0.722, 0.528])]
+
+    ẋ = −x³ in steps of ½, for x ≥ 0.6:
+
+    >>> steps = march(NonlinearProblem(lambda x: x + 0.5 * x**3, lower=0.6), np.zeros((3, 1)), z0=[1.0])
+    >>> steps.z.ravel().round(4)
+    array([0.7709, 0.6399, 0.6   ])
     """
     of_states = lower, upper, z0
     is_list = isinstance(problem, (list, tuple))
@@ -513,7 +547,7 @@ def march(
     given = zip((*BOUNDS, "z0"), of_states, strict=True)
     states = {name: values for name, values in given if values is not None}
     call = algorithm, wishes
-    at = {"lower": lower_at, "upper": upper_at, "M_at": M_at}
+    at = {"lower": lower_at, "upper": upper_at, "M_at": M_at, "F_at": F_at}
     for name in BOUNDS:
         if name in states and at[name] is not None:
             raise InvalidOption(f"{name} and {name}_at exclude each other; leave out {name}")
@@ -566,22 +600,31 @@ def _begin(
     are_many: bool,
 ) -> list[March]:
     """Return the marches before their first steps; raise an error for invalid data."""
-    (algorithm, wishes), n = call, getattr(problems[0], "n", 0)
+    algorithm, wishes = call
+    if _axes(forcing):  # of an F for any number of unknowns
+        size = np.shape(forcing)[-1]
+        problems = [
+            one.with_size(size) if getattr(one, "n", 0) is None else one for one in problems
+        ]
+    n = getattr(problems[0], "n", 0)
+    changing = {*states} - {"z0"} | {name for name, values in at.items() if values is not None}
     for j, one in enumerate(problems):
         if class_of(one) not in classes_of("march"):
             raise InvalidOption(refusal("march", one))
-        if not isinstance(one, LCP) and (
-            states.keys() - {"z0"} or any(values is not None for values in at.values())
-        ):
-            raise InvalidOption(f"a {class_of(one)} has no lower, upper and M_at; leave them out")
+        of_problem = "F_at" if isinstance(one, NonlinearProblem) else "M_at"
+        takes = (*BOUNDS, of_problem) if isinstance(one, (LCP, NonlinearProblem)) else ()
+        if wrong := sorted(changing.difference(takes)):
+            owner = with_article(str(class_of(one)))
+            raise InvalidOption(f"{owner} has no {' and '.join(wrong)} in a march; leave it out")
         if one.n != n:
             raise InvalidProblem(
                 f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; call march once per size"
             )
     # no options of solve
     others = ("problem", "forcing", "propagator", *BOUNDS, *AT, "algorithm", "keep")
-    if algorithm == "auto" and (unknown := [name for name in wishes if name not in OF_SOLVE]):
-        hint = did_you_mean(unknown[0], (*others, *OF_SOLVE))
+    known = {*OF_SOLVE, *options_of(str(class_of(problems[0])))} - {"x0", "options"}
+    if algorithm == "auto" and (unknown := [name for name in wishes if name not in known]):
+        hint = did_you_mean(unknown[0], (*others, *sorted(known)))
         raise InvalidOption(f"march has no option {unknown[0]!r}{hint}")
     shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row per step"
     axes = (2, 3) if are_many else (2,)
@@ -744,6 +787,8 @@ class Steps:
     def at(self, k: int) -> StepDerivative:
         """Return the derivative of a step by the data of the step."""
         march, z = self.march, self.states[k + 1]
+        if not march.is_linear:
+            return self.whole[self.here.start + k]
         problem = march.data.problem_at(march.problem, self.here.start + k).with_q(self.q[k])
         # The last factorization is used again if it fits
         before = self.whole.before
@@ -831,7 +876,8 @@ class MarchGradient(NamedTuple):
         Gradients by the state before the first step, also for the default z0, and by the bounds of all steps.
     M, propagator : csr_array, shape (n, n)
         Gradients by the entries of M and the propagator, on their sparsity patterns. For a number as propagator, use
-        the sum of the diagonal. With `M_at`, M is a list of the gradients by the matrix of each step.
+        the sum of the diagonal. With `M_at`, M is a list of the gradients by the matrix of each step. For a
+        NonlinearProblem, M has no entries.
     forcing, lower_at, upper_at : array, shape (k, n)
         Gradients by the forcing and the bounds of each step.
     """
@@ -938,7 +984,7 @@ class MarchDerivative:
         Parameters
         ----------
         dM : array or sparse array, shape (n, n), optional
-            The change of M, on any pattern.
+            The change of M, on any pattern; F of a NonlinearProblem changes by dM x.
         dforcing : array, shape (k, n) or (n,), optional
             Change of the forcing of each step, or one row for all.
         dpropagator : number or array or sparse array, shape (n, n), optional
@@ -1031,7 +1077,8 @@ class MarchDerivative:
         """
         n, steps = self.march.problem.n, len(self)
         rows = np.array(_rows(g, "g", steps, n, "the last answer alone"))
-        M, propagator = self.march.problem.csr, self.march.propagator
+        M = self.march.problem.csr if self.march.is_linear else sp.csr_array((n, n))
+        propagator = self.march.propagator
         after, of_bounds, forcing = np.zeros(n), np.zeros((2, steps, n)), np.empty((steps, n))
         of_M, of_C, each = np.zeros(M.nnz), np.zeros(propagator.nnz), list[Any]()
         data = self.march.data
@@ -1073,7 +1120,7 @@ class MarchDerivative:
     @derived_property
     def band(self) -> Band | None:
         """The march's band, None if M has no narrow one, or changes from step to step."""
-        if self.march.data.matrices is not None:
+        if self.march.data.matrices is not None or not self.march.is_linear:
             return None
         return Band.of(self.march.problem.matrix, self.march.propagator)
 

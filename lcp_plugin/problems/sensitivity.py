@@ -46,6 +46,7 @@ from .batches.batch_run import BatchAnswers
 from .batches.instances import Group, Stacked, Worlds, stack_of
 from .batches.on_device import DeviceAnswers, launch
 from .batches.program_batch import ProgramBatch
+from .cones.data import Blocks
 from .cones.derivative import ConeDerivative, StackDerivative
 from .cones.methods import whole_systems
 from .cones.solving import ConeResult
@@ -846,7 +847,7 @@ def derivative(result: Any) -> Any:
     if isinstance(result, DeviceAnswers):
         return DeviceDerivative(result)
     if isinstance(result, March):
-        if not isinstance(result.problem, LCP):
+        if isinstance(result.problem, Blocks):
             raise InvalidOption(
                 "a march over cones is not differentiable; derivative(done[k]) differentiates step k by its q"
             )

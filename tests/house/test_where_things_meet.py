@@ -98,7 +98,7 @@ OVER_CONES = (
 KINDS = {
     "LCP": tuple(way for way in WAYS if way != "qpsolvers"),
     "NonlinearProblem": (
-        *("solve", "solve_batch", "prepare", "derivative", "certify", "pickle"),
+        *("solve", "solve_batch", "prepare", "march", "derivative", "certify", "pickle"),
         *("cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     ),
     "QuadraticProgram": (
@@ -192,7 +192,8 @@ def by_prepare(sample: Sample, folder: Path) -> None:
 
 
 def by_march(sample: Sample, folder: Path) -> None:
-    done = march(sample.problem, np.stack([sample.problem.q] * 3), 0.0)
+    forcing = np.zeros((3, sample.problem.n)) + sample.problem.q
+    done = march(sample.problem, forcing, 0.0, z0=sample.start.get("x0"))
     confirm(done[0], sample)
     assert len(done) == (3 if done.all_solved else 1)
     assert done.status[-1].name in repr(done)

@@ -257,6 +257,36 @@ class NonlinearProblem:
         sized._set_bounds(n)
         return sized
 
+    #: Vector that :meth:`with_q` adds to F.
+    q: Any = 0.0
+
+    def with_q(
+        self, q: Any, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None
+    ) -> NonlinearProblem:
+        """Return the problem of F(x) + q, with other bounds if they are given.
+
+        Parameters
+        ----------
+        q : array, shape (n,)
+        lower, upper : number or array, shape (n,), optional
+        """
+        n = self.lower.size
+        if self.jacobian is None and self._differences is None:  # colored once for all q
+            self._differences = Differences.on(self.pattern, n)
+        found = copy(self)
+        found.F = lambda x: self.value(x) + q
+        lower, upper = (
+            self.lower if lower is None else lower,
+            self.upper if upper is None else upper,
+        )
+        found.lower, found.upper = checks.checked_bounds(lower, upper, n)
+        return found
+
+    @property
+    def nearest_to_zero(self) -> Vector:
+        """z°, the point of the bounds nearest to 0, shape (n,)."""
+        return np.clip(0.0, self.lower, self.upper)
+
     def counted(self, n: int) -> NonlinearProblem:
         """Return a copy with n unknowns that counts evaluations."""
         found = copy(self.with_size(n))
@@ -624,7 +654,7 @@ class Linearization:
     @derived_property
     def origin(self) -> Linearization:
         """The linearization at z°, the point of the bounds nearest to 0; F need not be defined there."""
-        nearest = np.clip(0.0, self.problem.lower, self.problem.upper)
+        nearest = self.problem.nearest_to_zero
         return self if np.array_equal(self.x, nearest) else Linearization(self.problem, nearest)
 
     @cached_property

@@ -451,7 +451,8 @@ march(still, [[0.0, np.nan, 0.0]]) → forcing\[0, 1\] = nan; repair it
 march(still, [[0, 0, 0]], np.eye(2)) → propagator must be a real matrix of shape \(3, 3\), got shape \(2, 2\)
 march(still, [[0, 0, 0]], np.full((3, 3), np.inf)) → propagator\[0, 0\] = inf; repair it
 march(still, [[0, 0, 0]], z0=np.zeros(2)) → z0 must be
-march(np.eye(3), [[0, 0, 0]]) → InvalidOption: march needs an LCP, NonlinearProblem, ConeProblem or FrictionalContact, got ndarray
+march(np.eye(3), [[0, 0, 0]])
+    → InvalidOption: march needs an LCP, NonlinearProblem, ConeProblem or FrictionalContact, got ndarray
 march([still, LCP([[1]], [0])], [[0, 0, 0]])
     → must have one size, got n = 3, and 1 of problem 1; call march once per size
 march([still] * 2, np.zeros((2, 3)), [np.eye(3)] * 3) → must be equally long, got problem 2, propagator 3

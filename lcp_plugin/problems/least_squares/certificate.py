@@ -23,13 +23,11 @@ is a cost of 0.
 **A point that costs more than a known point is not SOLVED.** The known points are the point of the box nearest to 0,
 rounding of its residual included, and the projected solution of lstsq, if A is small and rounding exceeds tolerance.
 All comparisons are made in the unit of a row, of a column, or of the cost: units of rows (with weights ÷ their squares)
-and columns change rounding only. Columns that are dependent up to rounding count as dependent. For a LinearOperator,
-whose entries are unknown, SOLVED means a small gradient, and all numbers are estimates.
+and columns change rounding only. Columns that are dependent up to rounding count as dependent.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -39,7 +37,7 @@ import scipy.sparse as sp
 
 from ...core.checks import AnyMatrix, Array, BoolVector, Vector, derived_property
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
-from ...core.kernels.floats import EPSILON, OUTWARD, TINY
+from ...core.kernels.floats import OUTWARD, TINY
 from ...core.rounding import compensated_product
 from .data import Ball, BoundedLeastSquares, Enclosures, clip, shortest_solution
 from .engines import is_within_reach
@@ -57,8 +55,7 @@ class Optimality:
         A x − b, and bounds of its rounding errors.
     residual : float
         Measure that must be at most the tolerance for SOLVED: the least gap found, apart from rounding, relative to its
-        cost, at most 1. For a LinearOperator ‖x − mid(lower, upper, x − g)‖∞/‖AᵀWb‖∞, g the gradient, in units in which
-        columns have unit length. 1 if a point of lower cost is known.
+        cost, at most 1. 1 if a point of lower cost is known.
     passes : bool
         Whether the point is SOLVED, if a run has tested it.
     """
@@ -74,13 +71,7 @@ class Optimality:
         """Return the optimality of x on the unscaled data; dual points are tried until one meets the tolerance."""
         misfit = enclosures.residual(x)
         judged = cls(enclosures, x, misfit, 1.0)
-        if enclosures.problem.has_entries:
-            judged.residual = _least_gap(judged, tolerance)
-        else:
-            size, unit = judged._largest[0], enclosures.reference
-            judged.residual = (
-                OUTWARD * size / unit if unit > 0.0 else 0.0 if size == 0.0 else math.inf
-            )
+        judged.residual = _least_gap(judged, tolerance)
         if judged.is_worse_than_known(tolerance):
             judged.residual = 1.0
         return judged
@@ -98,40 +89,27 @@ class Optimality:
         return float(self.enclosures.problem.cost(self.x, self.misfit[0]))
 
     @property
-    def is_limited(self) -> bool:
-        """True if every component is at most its rounding error bound."""
-        return self._largest[1]
-
-    @property
     @np.errstate(all="ignore")
     def sharp_residual(self) -> Vector:
         """A x − b, computed by compensated sums if rounding is more than 1e-9 of the cost."""
         problem, (r, slip) = self.enclosures.problem, self.misfit
         # A smaller difference of costs may be rounding
-        if not problem.has_entries or not problem.apply_weights(slip) @ np.abs(
-            r
-        ) > 1e-9 * problem.cost(self.x, r):
+        if not problem.apply_weights(slip) @ np.abs(r) > 1e-9 * problem.cost(self.x, r):
             return r
         return compensated_product(sp.csr_array(problem.A), self.x, -problem.b)[0]
 
     @derived_property
-    def _largest(self) -> tuple[float, bool]:
-        """A bound of ‖x − mid(lower, upper, prox(x − g))‖∞ in units of columns, and whether it is at rounding level.
+    def is_limited(self) -> bool:
+        """True if x − mid(lower, upper, prox(x − g)) is at rounding level in every component.
 
-        prox moves by l1 towards 0, but not beyond. NaN if a component is not a number. For a LinearOperator, the
-        rounding error of the gradient is estimated, because the sizes of its terms are unknown.
+        prox moves by l1 towards 0, but not beyond.
         """
         problem, scales = self.enclosures.problem, self.enclosures.problem.column_scales
         slope, radius = self.enclosures.gradient(self.x, self.misfit)
-        if not problem.has_entries:
-            root = problem.root_weights
-            vectors = root * self.misfit[0], root * problem.b, scales * self.x
-            radius = 4.0 * EPSILON * scales * sum(map(np.linalg.norm, vectors))
         slope, radius, x, l1 = slope / scales, radius / scales, self.x * scales, problem.l1 / scales
         residual = clip(x, slope - l1, slope + l1)
-        residual = np.abs(clip(residual, x - problem.upper * scales, x - problem.lower * scales))
-        size = np.max(np.where(np.isfinite(slope), residual + radius, np.nan), initial=0.0)
-        return OUTWARD * float(size), bool((residual <= 2.0 * radius).all())
+        residual = clip(residual, x - problem.upper * scales, x - problem.lower * scales)
+        return bool((np.abs(residual) <= 2.0 * radius).all())
 
 
 def _may_be_rounding(problem: BoundedLeastSquares, cost: Array, slip: Vector, tol: float) -> Any:

@@ -33,7 +33,7 @@ class BoundedLeastSquares:
 
     Parameters
     ----------
-    A : array, sparse array or scipy LinearOperator, shape (m, n)
+    A : array or sparse array, shape (m, n)
         Real, finite. An array of float64 and a canonical CSR array are used without a copy.
     b : array, shape (m,)
     lower, upper : scalar or array, shape (n,)
@@ -59,8 +59,6 @@ class BoundedLeastSquares:
 
     Attributes
     ----------
-    has_entries : bool
-        Whether A is an array; for a LinearOperator all bounds are estimates, and nothing is proved.
     is_sparse, is_dense : bool
         Whether A is a sparse array, or an ndarray.
     """
@@ -76,11 +74,10 @@ class BoundedLeastSquares:
         ridge: float = 0.0,
         l1: ArrayLike = 0.0,
     ) -> None:
-        self.A, self.has_entries = _checked(A)
-        self.is_sparse = self.has_entries and not isinstance(self.A, np.ndarray)
-        self.is_dense = self.has_entries and not self.is_sparse
+        self.A = _checked(A)
+        self.is_dense = isinstance(self.A, np.ndarray)
+        self.is_sparse = not self.is_dense
         m, n = self.shape = self.A.shape
-        self._transpose = self.A.T if self.has_entries else self.A.H
         need = f"b must be a vector of length {m}, an entry per row of A"
         if getattr(b, "ndim", 1) == 2:
             need += (
@@ -97,13 +94,12 @@ class BoundedLeastSquares:
         if not checks.is_number(ridge) or not 0.0 <= ridge < np.inf:
             raise InvalidOption(f"ridge must be a finite number ≥ 0, got {ridge!r}")
         self.ridge = float(ridge)
-        if self.has_entries:
-            self._check_range("A", self.A.data if self.is_sparse else self.A, "A and b")
-            self._check_range("b", self.b, "A and b")
+        self._check_range("A", self.A.data if self.is_sparse else self.A, "A and b")
+        self._check_range("b", self.b, "A and b")
         self.l1 = _checked_penalty(l1, n)
 
     def __repr__(self) -> str:
-        kind = "dense" if self.is_dense else "sparse" if self.is_sparse else "an operator"
+        kind = "dense" if self.is_dense else "sparse"
         penalty = ", l1" if self.l1.any() else ""
         return (
             f"BoundedLeastSquares({self.shape[0]} rows, {self.shape[1]} columns, {kind}{penalty})"
@@ -154,8 +150,7 @@ class BoundedLeastSquares:
         """
         m, n = self.shape
         b = self.b if b is None else checks.checked_vector(b, "b", m)
-        if self.has_entries:
-            self._check_range("b", b, "b, lower and upper")
+        self._check_range("b", b, "b, lower and upper")
         bounds = checks.checked_bounds(
             self.lower if lower is None else lower, self.upper if upper is None else upper, n
         )
@@ -170,14 +165,12 @@ class BoundedLeastSquares:
 
     @property
     def is_small(self) -> bool:
-        """True if A has explicit entries, and m · n is so small that dense copies are cheap."""
-        return self.has_entries and self.shape[0] * self.shape[1] <= MAX_DENSE_ENTRIES
+        """True if m · n is so small that dense copies are cheap."""
+        return self.shape[0] * self.shape[1] <= MAX_DENSE_ENTRIES
 
     @cached_property
     def has_terms(self) -> BoolVector:
         """Mask of the rows of A that may have entries, shape (m,)."""
-        if not self.has_entries:
-            return np.ones(self.shape[0], np.bool_)
         return np.asarray(np.diff(self.A.indptr) > 0 if self.is_sparse else self.A.any(axis=1))
 
     @cached_property
@@ -201,7 +194,7 @@ class BoundedLeastSquares:
 
     def apply_transpose(self, y: Vector) -> Vector:
         """Return Aᵀy."""
-        return _vector(self._transpose @ y)
+        return _vector(self.A.T @ y)
 
     def apply_weights(self, y: Vector) -> Vector:
         """Return weights · y."""
@@ -216,7 +209,7 @@ class BoundedLeastSquares:
 
     @cached_property
     def weighted_matrix(self) -> Any:
-        """Return √weights A, which must have entries: an ndarray or a CSR array."""
+        """Return √weights A, an ndarray or a CSR array."""
         if self.weights is None:
             return self.A
         if self.is_sparse:
@@ -225,30 +218,15 @@ class BoundedLeastSquares:
 
     @cached_property
     def column_scales(self) -> Vector:
-        """Powers of two near the lengths of the columns of (√weights A; √ridge I), 1 for an empty column, shape (n,).
-
-        For a LinearOperator they are estimates: the mean square of aᵀs for random signs s is ‖a‖².
-        """
-        lengths = self._lengths() if self.has_entries else self._estimated_lengths()
+        """Powers of two near the lengths of the columns of (√weights A; √ridge I), 1 for an empty one, shape (n,)."""
+        lengths = np.zeros(self.shape[1])
+        if self.shape[0]:
+            sizes = abs(self.weighted_matrix)
+            largest = sizes.max(axis=0)
+            unit = power_of_two(largest.toarray() if self.is_sparse else largest, LARGEST_SCALE)
+            squares = (sizes * (1.0 / unit)) ** 2  # which do not vanish
+            lengths = unit * np.sqrt(squares.sum(axis=0))
         return read_only(power_of_two(np.hypot(lengths, np.sqrt(self.ridge)), LARGEST_SCALE))
-
-    def _lengths(self) -> Vector:
-        if not self.shape[0]:
-            return np.zeros(self.shape[1])
-        sizes = abs(self.weighted_matrix)
-        largest = sizes.max(axis=0)
-        unit = power_of_two(largest.toarray() if self.is_sparse else largest, LARGEST_SCALE)
-        squares = (sizes * (1.0 / unit)) ** 2  # which do not vanish
-        return np.asarray(unit * np.sqrt(squares.sum(axis=0)))
-
-    def _estimated_lengths(self) -> Vector:
-        # Eight products estimate the lengths of an operator's columns to about 25 %
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (8, self.shape[0]))
-        seen = np.array([self.apply_transpose(self.root_weights * row) for row in signs])
-        unit = power_of_two(np.abs(seen).max(axis=0, initial=0.0), LARGEST_SCALE)
-        lengths = unit * np.sqrt(np.square(seen / unit).mean(axis=0))
-        typical = np.median(lengths[lengths > 0.0]) if lengths.any() else 1.0
-        return np.where((lengths > 0.25 * typical) & (lengths < 4.0 * typical), typical, lengths)
 
     @cached_property
     def normal_equations(self) -> tuple[Vector, Vector]:
@@ -344,7 +322,7 @@ class ScaledLeastSquares:
         return self.problem.apply_transpose(self._root * y) / self.columns
 
     def matrix(self, *, is_dense: bool) -> Any:
-        """Return A, which must have entries: an ndarray or a CSR array."""
+        """Return A, an ndarray or a CSR array."""
         A = self.problem.weighted_matrix
         if self.problem.is_dense:
             return A / self.columns
@@ -374,31 +352,11 @@ def _checked_penalty(l1: ArrayLike, n: int) -> Vector:
     return penalty
 
 
-def _checked(A: AnyMatrix) -> tuple[Any, bool]:
-    if not sp.issparse(A) and hasattr(A, "matvec") and hasattr(A, "shape"):
-        return _checked_operator(A), False
+def _checked(A: AnyMatrix) -> Any:
     matrix = checks.rectangular_matrix(A, "A", None, None, is_copied=False)
     is_by_columns = isinstance(matrix, np.ndarray) and not matrix.flags.c_contiguous
     is_kept = not is_by_columns or (matrix.flags.f_contiguous and matrix.size > MAX_DENSE_ENTRIES)
-    return matrix if is_kept else read_only(np.array(matrix, order="C")), True
-
-
-def _checked_operator(A: AnyMatrix) -> Any:
-    from scipy.sparse.linalg import aslinearoperator
-
-    need = "A must be a real matrix of shape (m, n), an array, a sparse array or a LinearOperator"
-    operator = aslinearoperator(A)
-    if operator.dtype is not None:
-        checks.check_kind(np.dtype(operator.dtype), need)
-    try:
-        zeros = operator.rmatvec(np.zeros(operator.shape[0]))
-    except NotImplementedError as error:
-        raise InvalidProblem(
-            f"{need}; a LinearOperator needs rmatvec, which gives Aᵀy, too"
-        ) from error
-    if not np.isfinite(zeros).all():
-        raise InvalidProblem(f"{need}, but Aᵀ0 is not finite; repair rmatvec")
-    return operator
+    return matrix if is_kept else read_only(np.array(matrix, order="C"))
 
 
 def _vector(values: Array) -> Vector:
@@ -413,7 +371,7 @@ NOTHING = np.empty(0)
 
 
 class Enclosures:
-    """Residuals and gradients of a problem with bounds of their rounding errors; estimates for a LinearOperator.
+    """Residuals and gradients of a problem with bounds of their rounding errors.
 
     Vectors of a stack (`BoundedLeastSquares.stack`) have an axis in front, shape (B, m) or (B, n).
 
@@ -440,7 +398,7 @@ class Enclosures:
 
     @cached_property
     def unbounded_solution(self) -> Vector:
-        """Shortest solution without bounds and l1, projected onto the bounds; A must have entries."""
+        """Shortest solution without bounds and l1, projected onto the bounds."""
         scaled = self.problem.scaled
         x = shortest_solution(*scaled.rows(is_dense=True))
         return scaled.to_caller(clip(x, scaled.lower, scaled.upper))
@@ -448,8 +406,6 @@ class Enclosures:
     def residual(self, x: Vector) -> Ball:
         """Return A x − b."""
         problem = self.problem
-        if not problem.has_entries:
-            return problem.product(x) - problem.b, np.zeros(problem.shape[0])
         return self._product(problem.A, self._sizes, x, NOTHING, problem.b, self._terms[0])
 
     @cached_property
@@ -491,8 +447,6 @@ class Enclosures:
         problem = self.problem
         weighted = problem.apply_weights(y)
         slip = problem.apply_weights(slip) if slip.size else slip
-        if not problem.has_entries:
-            return problem.apply_transpose(weighted), np.zeros(problem.shape[1])
         return self._product(problem.A.T, self._sizes.T, weighted, slip, 0.0, self._terms[1])
 
     def _product(self, B: Any, sizes: Any, v: Vector, slip: Vector, less: Any, terms: int) -> Ball:

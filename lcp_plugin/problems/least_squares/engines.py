@@ -241,11 +241,11 @@ FACTORS = 20  # that PIQP makes, about
 
 
 def is_within_reach(problem: ScaledLeastSquares) -> bool:
-    """Return whether A has entries and PIQP, which cannot be stopped, is predicted to end in the remaining time."""
+    """Return whether PIQP, which cannot be stopped, is predicted to end in the remaining time."""
     # A minute, if there is no limit
     whole, (m, n), seconds = problem.problem, problem.problem.shape, min(seconds_left(), 60.0)
-    if not whole.has_entries or whole.is_small:
-        return whole.has_entries
+    if whole.is_small:
+        return True
     if whole.is_dense:
         return bool(FACTORS * min(m, n) ** 2 * max(m, n) < seconds * DENSE_OPERATIONS)
     A = problem.matrix(is_dense=False)

@@ -49,7 +49,7 @@ def solve_least_squares(
         it, but x0 is the result if it is optimal, and no point that costs more is SOLVED.
     tolerance : float
         SOLVED means that cost exceeds the minimum by at most tolerance · cost, apart from rounding of the data: see
-        `optimality` of :class:`LeastSquaresResult`, also for a LinearOperator.
+        `optimality` of :class:`LeastSquaresResult`.
     max_iterations : int, default 100 000
     max_seconds : float, optional
         Wall-clock limit in seconds, obeyed at the end of the current step; a run of PIQP is one step.
@@ -71,10 +71,10 @@ def solve_least_squares(
     -----
     At most 10⁶ entries: scipy's lstsq without bounds, or normal equations if there is a ridge; nnls with one bound per
     column, else PIQP on the dual (wide A) or on the normal equations. An orthogonal factorization of the free columns
-    follows. A penalty on many columns begins with some projected steps. More entries, and a LinearOperator: projected
-    gradient and conjugate gradient steps, with one product with A and one with Aᵀ each. When the steps have cost about
-    as much as PIQP, PIQP follows as above or, if A is sparse, on min ½‖r‖² with A x − r = b, polished. The steps
-    continue for a LinearOperator, and if a factorization is predicted to take too long.
+    follows. A penalty on many columns begins with some projected steps. More entries: projected gradient and conjugate
+    gradient steps, with one product with A and one with Aᵀ each. When the steps have cost about as much as PIQP, PIQP
+    follows as above or, if A is sparse, on min ½‖r‖² with A x − r = b, polished. The steps continue if a factorization
+    is predicted to take too long.
 
     Examples
     --------
@@ -201,9 +201,7 @@ class LeastSquaresRun(Run):
         few = 300 if problem.is_sparse else math.ceil(0.05 * min(problem.shape))
         is_lasso = problem.is_dense and problem.l1.any() and min(problem.shape) >= LASSO_COLUMNS
         if is_lasso or not problem.is_small:
-            yield self._projected(few if problem.has_entries else most)
-        if not problem.has_entries:
-            return
+            yield self._projected(few)
         if engines.is_within_reach(problem.scaled):
             points = engines.engine_points(problem.scaled)
             steps = (Step(x, label=name, iterations=1) for name, x in points)
@@ -266,10 +264,6 @@ ADVICE = {
     Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.x",
     Status.INTERRUPTED: "stopped by Ctrl-C; next: continue from x, the best point so far",
 }
-OF_OPERATORS = {
-    Status.SOLVED: "of an operator: the gradient is at most tolerance · ‖AᵀWb‖∞",
-    Status.STALLED: "or the operator's products are not to the 16 digits of doubles",
-}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -287,9 +281,7 @@ class LeastSquaresResult(BaseResult):
     optimality : float
         Upper bound of (cost − minimum)/cost for entries of A and b that differ from the data at rounding level. It is 1
         if nothing is proved, or if a point of lower cost is known. The formula:
-        help("lcp_plugin.problems.least_squares.certificate"). For a LinearOperator, an estimate of
-        ‖x − mid(lower, upper, x − g)‖∞/‖Aᵀ W b‖∞, g = AᵀW(A x − b) + ridge x, W = diag(weights). The estimate is
-        computed with columns of A scaled to about unit length.
+        help("lcp_plugin.problems.least_squares.certificate").
     active_mask : ndarray of int, shape (n,)
         −1 at the lower bound, 1 at the upper one, 0 between them.
     status : Status
@@ -303,8 +295,6 @@ class LeastSquaresResult(BaseResult):
         Wall-clock seconds of the run.
     tolerance : float
         Tolerance of the run.
-    is_proved : bool
-        Whether `optimality` is an upper bound. For a LinearOperator, whose entries are unknown, it is an estimate.
     problem : BoundedLeastSquares
         The data.
     history : tuple of Sample
@@ -320,7 +310,6 @@ class LeastSquaresResult(BaseResult):
     fun: Vector
     optimality: float
     active_mask: NDArray[np.int_]
-    is_proved: bool
     problem: BoundedLeastSquares
 
     @classmethod
@@ -336,7 +325,6 @@ class LeastSquaresResult(BaseResult):
             fun=residual,
             optimality=judged.residual,
             active_mask=read_only(mask),
-            is_proved=problem.has_entries,
             problem=problem,
             **run,
         )
@@ -350,15 +338,6 @@ class LeastSquaresResult(BaseResult):
     def nit(self) -> int:
         """`iterations`."""
         return self.iterations
-
-    def _advice_of_status(self) -> str:
-        if np.isfinite(self.fun).all():
-            return super()._advice_of_status()
-        return "A x is not finite; next: let the operator's products be finite doubles"
-
-    def _clauses(self) -> list[str]:
-        is_estimate = not self.is_proved and np.isfinite(self.fun).all()
-        return [OF_OPERATORS[self.status]] if is_estimate and self.status in OF_OPERATORS else []
 
     def describe_accuracy(self) -> str:
         """Return the optimality and the tolerance, as text."""

@@ -285,8 +285,6 @@ def _matrix_conditions(line: Line) -> MonotoneGraphs:
 def _penalty_conditions(line: Line) -> MonotoneGraphs:
     """Return the normal equations of least squares; a penalty within bounds of both signs is a kink at 0."""
     problem = line.problem
-    if not problem.has_entries:
-        raise UnsuitableProblem("trace needs the entries of A; give an array or a sparse array")
     l1, lower, upper = (line.ends(name) for name in ("l1", *BOUNDS))
     if (least := np.minimum(*l1)).min(initial=0.0) < 0.0:
         j = int(np.argmin(least))

@@ -385,17 +385,7 @@ def program_data(program: QuadraticProgram) -> ProgramData:
 
 
 def least_squares_data(problem: BoundedLeastSquares, x: Vector) -> LeastSquaresData:
-    """Return the data of one least squares problem, or of a stack that shares A.
-
-    Raises
-    ------
-    UnsuitableProblem
-        If A is a LinearOperator.
-    """
-    if not problem.has_entries:
-        raise UnsuitableProblem(
-            "the derivative of least squares needs the entries of A, got a LinearOperator; pass an array"
-        )
+    """Return the data of one least squares problem, or of a stack that shares A."""
     weights = problem.weights if problem.weights is not None else np.ones(problem.shape[0])
     names = ("A", "b", "lower", "upper", "l1", "ridge")
     data = {name: getattr(problem, name) for name in names}

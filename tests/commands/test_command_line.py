@@ -77,17 +77,6 @@ def test_settings_reach_the_run():
     assert told["tolerance"] == 1e-4
 
 
-def test_scene_starts_where_its_source_starts():
-    """A scene with a prescribed start is solved from there."""
-    done = lcp_plugin(
-        "solve", "paper_example_1:n=100", "-a", "npsor", "-o", "scaling=none", "--json"
-    )
-    scene = gallery.build("paper_example_1", n=100)
-    ours = solve(scene.problem, "npsor", scaling=None, z0=scene.start)
-    assert json.loads(done.stdout)["iterations"] == ours.iterations
-    assert ours.iterations != solve(scene.problem, "npsor", scaling=None).iterations
-
-
 def test_json_is_all_there_is_on_stdout():
     """--json prints one JSON object with the numbers of the run and nothing else; the rest goes to stderr."""
     done = lcp_plugin("solve", "obstacle_2d:size=10", "-a", "npsor", "--json", "--out", "z.npz")
@@ -122,19 +111,6 @@ def test_json_of_an_unsolved_run_is_json():
     done = lcp_plugin("solve", "p.npz", "-a", "npsor", "--json")
     assert done.exit_code == 1
     assert json.loads(done.stdout, parse_constant=pytest.fail)["status"] in {"DIVERGED", "STALLED"}
-
-
-def test_out_holds_the_solution():
-    """--out writes z and w of the run, bit for bit, and its status."""
-    done = lcp_plugin("solve", "obstacle_2d:size=10", "--out", "z.npz")
-    ours = solve(gallery.build("obstacle_2d", size=10).problem)
-    with np.load("z.npz", allow_pickle=False) as saved:
-        assert set(saved.files) == {"z", "w", "status"}
-        assert saved["z"].tobytes() == ours.z.tobytes()
-        assert saved["w"].tobytes() == ours.w.tobytes()
-        assert str(saved["status"]) == "SOLVED"
-    assert "saved z.npz" in done.stdout
-    assert list(Path().iterdir()) == [Path("z.npz")]
 
 
 @pytest.mark.parametrize(

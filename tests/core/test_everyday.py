@@ -71,27 +71,6 @@ def test_a_network_with_decimal_weights_is_at_rest_on_its_bound(nodes):
         np.testing.assert_allclose(solve(leaking).require_solved().z, low, rtol=1e-9)
 
 
-@pytest.mark.parametrize("low", [0.1, 0.3, 0.7])
-@pytest.mark.parametrize("n", [3, 10, 200])
-@pytest.mark.parametrize(
-    ("height", "loads"),
-    [(0.0, [0.0] * 12), (0.7, [0.05] * 20), (0.0, [0.0] * 4 + [-0.02] * 4 + [0.03] * 6)],
-)
-def test_a_rod_that_falls_comes_to_rest_on_its_obstacle(height, loads, n, low):
-    """Springs do not act on a rod that moves as a whole: its height is max(height − load, low) after a step."""
-    steps = march(
-        LCP(everyday.rod(n), np.zeros(n), lower=low),
-        np.outer(loads, np.ones(n)),
-        propagator=-1.0,
-        z0=np.full(n, low + height),
-    )
-    expected = low + height
-    for z, status, load in zip(steps.z, steps.status, loads, strict=True):
-        expected = max(expected - load, low)
-        assert status is Status.SOLVED
-        np.testing.assert_allclose(z, expected, rtol=1e-7)
-
-
 @pytest.mark.parametrize("payoff", PAYOFFS)
 def test_a_step_of_an_option_on_two_shares_is_solved_from_its_payoff(payoff):
     """Howard's policy iteration with SciPy's solver determines the price; few iterations suffice from the payoff."""

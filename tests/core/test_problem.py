@@ -165,21 +165,6 @@ def uncompressed(
     return M
 
 
-def test_stale_flags_do_not_fool_it():
-    """Matrices with stale canonical flags, or overwritten after a check, are sorted again."""
-    M = sp.csr_array(
-        (np.array([1.0, 2.0, 3.0, 0.0]), np.array([1, 0, 0, 1]), np.array([0, 3, 4])), shape=(2, 2)
-    )
-    M.has_sorted_indices = True
-    M.has_canonical_format = True
-    assert_canonical(LCP(M, [1.0, 2.0]), np.array([[5.0, 1.0], [0.0, 0.0]]))
-    assert M.nnz == 4
-    checked = TRIDIAGONAL.copy()
-    assert checked.has_canonical_format
-    checked.indices[0], checked.indices[1] = checked.indices[1], checked.indices[0]
-    np.testing.assert_array_equal(LCP(checked, np.ones(10)).csr.toarray()[0, :3], [-1.0, 4.0, 0.0])
-
-
 # --- no copy, nothing modified ---------------------------------------------------------------------------------
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from types import SimpleNamespace
 
 import numpy as np
@@ -82,16 +81,6 @@ def test_false_claims_are_noticed(truth, status, z, complaint):
     message = false_claim(LCP([[2.0, 1.0], [1.0, 2.0]], [-4.0, -2.0]), truth, claim, TOLERANCE)
     assert complaint in message
     assert bool(complaint) == bool(message)
-
-
-def test_farkas_vectors_are_checked():
-    """A contradiction is accepted, its neighbors are not: wrong sign, unbounded column, margin of zero."""
-    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
-    assert is_farkas(problem, [Fraction(1), Fraction(1)])
-    assert not is_farkas(problem, [Fraction(1), Fraction(2)])
-    assert not is_farkas(problem, [Fraction(-1), Fraction(-1)])
-    assert not is_farkas(problem.with_q([1.0, -1.0]), [Fraction(1), Fraction(1)])
-    assert not is_farkas(problem.with_q([-1.0, -1.0], upper=4.0), [Fraction(1), Fraction(1)])
 
 
 # --- What auto makes of them ----------------------------------------------------------------------------------------

@@ -14,13 +14,7 @@ from oracles.truth import ExactData
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, InvalidOption, gallery
-from lcp_plugin.gallery.problems import (
-    CONE_BEGINS,
-    CONTACT_RADIUS,
-    sphere_obstacle,
-    sphere_solution,
-    stencil_matrix,
-)
+from lcp_plugin.gallery.problems import CONTACT_RADIUS
 
 # Every scene, and one line per variant, small enough for dense linear algebra and rational arithmetic.
 SMALL = [
@@ -112,24 +106,6 @@ def test_exact_answers_are_exact(text):
 # --- Assembly ---------------------------------------------------------------------------------------------
 
 
-def test_stencil_agrees_with_kronecker_products():
-    """The stencil with different legs equals the sum of Kronecker products, on uneven grids too."""
-    for shape in [(1,), (4,), (3, 5), (1, 4), (4, 1), (2, 3, 4)]:
-        below, above = [-1.0, -3.0, -5.0][: len(shape)], [-2.0, -4.0, -6.0][: len(shape)]
-        expected = 7.0 * np.eye(np.prod(shape))
-        for axis, size in enumerate(shape):
-            factors = [np.eye(length) for length in shape]
-            factors[axis] = below[axis] * np.eye(size, k=-1) + above[axis] * np.eye(size, k=1)
-            product = np.ones((1, 1))
-            for factor in factors:
-                product = np.kron(product, factor)
-            expected += product
-        M = stencil_matrix(shape, 7.0, below, above)
-        assert np.array_equal(M.toarray(), expected)
-        assert M.has_canonical_format
-        assert M.indices.dtype == M.indptr.dtype == np.int32
-
-
 def test_paper_matrices_are_the_printed_ones_corrected():
     """Both examples equal blocktridiag(·, L₁, ·) + δI with the corrected blocks, start (1, 0, …)."""
     blocks = {"paper_example_1": (-1.0, -1.0), "paper_example_2": (-1.5, -0.5)}
@@ -158,23 +134,6 @@ def test_half_active_is_half_active_and_degenerate_on_request():
         w = scene.problem.slack(scene.exact)
         assert np.mean(scene.exact == 0.0) == 0.5
         assert np.count_nonzero((scene.exact == 0.0) & (w == 0.0)) == count
-
-
-def test_sphere_solution_meets_the_obstacle_smoothly():
-    """Value and slope agree at r*, the equation for r* holds, u > ψ beyond, and ψ is concave."""
-    contact = CONTACT_RADIUS
-    assert contact**2 * (1.0 - np.log(contact / 2.0)) == pytest.approx(1.0, abs=4e-16)
-
-    around = contact + np.array([-1e-4, -5e-5, 0.0, 5e-5, 1e-4])
-    u = sphere_solution(around)
-    assert u[2] == pytest.approx(np.sqrt(1.0 - contact**2), abs=1e-15)
-    assert u[2] - u[1] == pytest.approx(u[3] - u[2], rel=1e-3)
-
-    beyond = np.linspace(contact, 4.0, 2001)[1:]
-    assert np.all(sphere_solution(beyond) > sphere_obstacle(beyond))
-    everywhere = np.linspace(0.0, 4.0, 2001)
-    assert np.diff(sphere_obstacle(everywhere), 2).max() < 1e-13
-    assert contact < CONE_BEGINS
 
 
 @pytest.mark.full

@@ -45,15 +45,6 @@ def test_plain_pair_in_either_order():
         assert pair.value()
 
 
-def test_inner_inequalities_carry_the_duals_of_a_quadratic_program():
-    """X >= 0 gets w and F >= 0 gets x, as a quadratic program's multipliers would be."""
-    x = cp.Variable(3)
-    bound, function = x >= 0, M @ x + Q >= 0
-    model(complements(bound, function))
-    np.testing.assert_allclose(bound.dual_value, PLAIN.w, atol=1e-10)
-    np.testing.assert_allclose(function.dual_value, PLAIN.z, atol=1e-10)
-
-
 def test_box_and_upper_bounds_have_the_sign_of_a_mixed_problem():
     """F ≤ 0 at an upper bound: box(x, l, u), x <= u with F <= 0 and attributes agree."""
     lower, upper = np.array([-1.0, -np.inf, 0.0]), np.array([0.25, np.inf, 0.25])

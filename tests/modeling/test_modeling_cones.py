@@ -107,16 +107,6 @@ def test_friction_in_cvxpy_is_frictional_contact():
         assert found.motion.touches.shape == (2,)
 
 
-def test_a_plane_contact_has_two_rows():
-    """Their d is told by the number of coefficients, or by `dimension`."""
-    for given in ({"friction": [0.5]}, {"friction": 0.5, "dimension": 2}):
-        r = cp.Variable(2)
-        cp.Problem(
-            cp.Minimize(0), [complements(friction_cone(r, **given), r - np.array([1.0, -0.25]))]
-        ).solve(method="LCP")
-        np.testing.assert_allclose(r.value, [1.0, -0.25], atol=1e-7)
-
-
 def test_the_order_of_the_sides_is_free():
     """Of cones and of friction."""
     for side in (lambda r: cp.SOC(r[0], r[1:]), lambda r: friction_cone(r, 1.0)):

@@ -72,21 +72,6 @@ def test_chains_in_any_order():
         np.testing.assert_allclose(v.value, M @ x_true + 1, atol=1e-8)
 
 
-def test_parameters_and_a_second_solve():
-    """A parameter in the definition has its new value at the second solve, which starts from the first."""
-    M, q, x_true, w_true = planted(5)
-    shift = cp.Parameter(N, value=np.zeros(N))
-    x, w = cp.Variable(N), cp.Variable(N)
-    problem = cp.Problem(cp.Minimize(0), [complements(x >= 0, w >= 0), w == M @ x + q - shift])
-    problem.solve(method="LCP", tolerance=1e-12)
-    np.testing.assert_allclose(w.value, w_true, atol=1e-8)
-    shift.value = M @ np.ones(N)
-    problem.solve(method="LCP", tolerance=1e-12)
-    np.testing.assert_allclose(np.minimum(x.value, w.value), 0.0, atol=1e-9)
-    np.testing.assert_allclose(w.value, M @ x.value + q - shift.value, atol=1e-9)
-    assert np.abs(x.value - x_true).max() > 0.1
-
-
 def test_a_definition_that_would_fill_the_matrix_stays():
     """A mean that every row uses stays an unknown of its own: the matrix keeps its few entries."""
     n = 400

@@ -262,23 +262,3 @@ def test_an_exact_residual_counts():
 
 
 # --- The stages for H₊-matrices -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("sharp", [True, False])
-def test_the_unit_of_z_changes_nothing(sharp):
-    """The bound, and the rows that it proves, scale exactly with z and q by 2⁻²⁰ or 2²⁰."""
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        B = rng.standard_normal((12, 12)) * (rng.random((12, 12)) < 0.5)
-        np.fill_diagonal(B, 0.0)
-        M = B + np.diag(1.02 * np.abs(B).sum(axis=1) + 0.01)
-        q, z = rng.standard_normal(12), np.maximum(rng.standard_normal(12), 0.0)
-        plain = error_bound(LCP(M, q), z, sharp=sharp)
-        for exponent in (-20, 20):
-            problem = LCP(M, np.ldexp(q, exponent))
-            bound = error_bound(problem, np.ldexp(z, exponent), sharp=sharp)
-            np.testing.assert_array_equal(
-                bound.componentwise, np.ldexp(plain.componentwise, exponent)
-            )
-            np.testing.assert_array_equal(bound.proven_active, plain.proven_active)
-            assert bound.relative == plain.relative

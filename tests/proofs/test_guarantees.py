@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns.guarantees import run_case
-from hypothesis import given
-from hypothesis import strategies as st
 from inputs import textbook_scenes
-from inputs.drawn_scaling import scaled_matrices
 from tools.refusals import assert_refused, refusals
 from typer.testing import CliRunner
 
 from lcp_plugin import LCP, Status, analyze, convergence_guarantee, gallery, solve
-from lcp_plugin.algorithms import REGISTRY, create
+from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.commands.cli import app
 from lcp_plugin.methods.npsplitting import NPSplitting
 from lcp_plugin.proofs.verdicts import sign_remark
-from lcp_plugin.strategies import h_plus_matrices
 
 SPD_NOT_H = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
 UNSCALED: dict[str, Any] = {"scaling": None, "momentum": None}
@@ -66,49 +61,7 @@ def test_rates_of_a_matrix_by_hand(name, options, rate):
     assert np.array_equal(guarantee.v, [1.0, 1.0])
 
 
-@pytest.mark.parametrize("name", ["npgs", "npsor", "pgs", "paor"])
-@pytest.mark.parametrize("sweep", ["forward", "backward", "symmetric"])
-def test_the_contraction_bound_holds_and_is_not_far_off(name, sweep):
-    """c/(1 − c)‖z_k − z_{k−1}‖_v v bounds the error of every iterate, by less than a factor of 1000."""
-    scene = gallery.half_active(n=100)
-    plain = {"momentum": None} if name.startswith("np") else {}
-    algorithm = create(name, {"sweep": sweep, **plain})
-    guarantee = convergence_guarantee(scene.problem, algorithm)
-    assert guarantee.speaks_of == "z"
-    rate, v = guarantee.rate, guarantee.v
-    path = [
-        step.z.copy() for step in islice(algorithm.iterates(scene.problem, np.full(100, 3.0)), 12)
-    ]
-    for old, new in pairwise(path):
-        bound, error = rate / (1.0 - rate) * np.max(abs(new - old) / v) * v, abs(new - scene.exact)
-        assert np.all(error <= bound)
-        assert bound.max() <= 1000.0 * error.max()
-
-
 # --- What is covered ---------------------------------------------------------------------------------------
-
-
-@given(
-    M=scaled_matrices(h_plus_matrices(), 20, 20),
-    alpha=st.floats(0.05, 50.0),
-    share=st.floats(0.0, 1.0),
-    sweep=st.sampled_from(["forward", "backward", "symmetric"]),
-)
-def test_automatic_scaling_is_a_theorem_for_every_h_plus_matrix(M, alpha, share, sweep):
-    """NP methods with scaling="auto", α > 0 and 0 ≤ β ≤ α are guaranteed on every H₊-matrix."""
-    problem = with_matrix(M)
-    algorithm = create(
-        "npaor", {"relaxation": alpha, "acceleration": share * alpha, "sweep": sweep}
-    )
-    guarantee = convergence_guarantee(problem, algorithm)
-    assert guarantee.is_guaranteed
-    if guarantee.rate is not None and guarantee.v is not None:
-        iterates = [
-            step.z.copy() for step in islice(algorithm.iterates(problem, np.zeros(problem.n)), 20)
-        ]
-        lengths = [np.max(np.abs(new - old) / guarantee.v) for old, new in pairwise(iterates)]
-        rounding = 1e-12 * max(np.max(np.abs(z) / guarantee.v) for z in iterates)
-        assert all(new <= guarantee.rate * old + rounding for old, new in pairwise(lengths))
 
 
 def test_what_is_proved_of_direct_methods():

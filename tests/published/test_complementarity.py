@@ -10,18 +10,7 @@ import pytest
 import scipy.sparse as sp
 from inputs.published_problems import COMPLEMENTARITY, FOLDER, errors_of_lcp, read
 
-from lcp_plugin import (
-    LCP,
-    LCPError,
-    Status,
-    box,
-    complements,
-    load_problem,
-    march,
-    solve,
-    solve_batch,
-)
-from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin import LCP, box, complements, load_problem, march, solve, solve_batch
 
 TOLERANCE = 1e-6
 Published = dict[str, Any]
@@ -80,23 +69,6 @@ def test_answers_are_those_published(name, way):
     if np.linalg.matrix_rank(M) == len(M):
         assert abs(z - reference).max() <= TOLERANCE * abs(reference).max()
     assert abs(M @ (z - reference)).max() <= TOLERANCE * abs(of["q"]).max()
-
-
-@pytest.mark.parametrize("algorithm", REGISTRY)
-@pytest.mark.parametrize("name", COMPLEMENTARITY)
-def test_whatever_is_called_solved_is_right(name, algorithm):
-    """By every method that takes the problem: √tolerance beside the rows' own terms, as its criterion promises."""
-    of = read(name)
-    try:
-        result = solve(
-            LCP(of["M"], of["q"], lower=of["lower"], upper=of["upper"]),
-            algorithm,
-            max_iterations=2000,
-        )
-    except LCPError:
-        pytest.skip(f"{algorithm} does not take it")
-    if result.status is Status.SOLVED:
-        assert errors_of_lcp(of, result.z) <= 1e-4
 
 
 def paper_matrix(example: int, side: int) -> sp.csr_array:

@@ -95,21 +95,6 @@ def test_the_answer_of_a_tridiagonal_m_matrix_is_that_of_fractions(seed, n, boxe
     )
 
 
-@pytest.mark.parametrize("upside_down", [False, True])
-def test_bounds_on_one_side_take_one_round(upside_down):
-    """Of 10 000 rows with thousands of contact intervals, whichever side the bounds are on: O(n)."""
-    rng = np.random.default_rng(0)
-    problem, z = planted(tridiagonal_m(10_000, rng), rng, boxes=False)
-    if upside_down:
-        problem, z = LCP(problem.M, -problem.q, lower=-np.inf, upper=-problem.lower), -z
-    assert np.count_nonzero(np.diff(z == (problem.upper if upside_down else problem.lower))) > 1000
-    result = solve(problem, "banded")
-    assert result.is_solved
-    assert result.iterations == 1
-    assert result.work < 6.0
-    np.testing.assert_allclose(result.z, z, atol=1e-9)
-
-
 def test_two_obstacles_take_few_rounds_however_fine_the_grid_is():
     """A string between two walls, 20 000 nodes: the sides take turns, and no front moves row by row."""
     n = 20_000
@@ -171,16 +156,6 @@ def test_other_bands_take_rounds(make, below, above, boxes):
         assert result.is_solved or result.certificate.is_at_rounding_level
         assert np.abs(result.z - z).max() <= 1e-6 * max(1.0, np.abs(z).max())
         assert result.iterations <= 200
-
-
-def test_a_beam_over_an_obstacle():
-    """The biharmonic operator, condition 1e9, two bands on either side: few rounds."""
-    n = 400
-    second = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n))
-    problem, z = planted(sp.csr_array(second @ second), np.random.default_rng(0), boxes=True)
-    result = solve(problem, "banded")
-    assert result.require_solved().iterations <= 30
-    assert np.abs(result.z - z).max() <= 1e-3 * np.abs(z).max()
 
 
 # --- All rounds at once ---------------------------------------------------------------------------------------

@@ -127,17 +127,6 @@ def test_programs_without_a_minimum_come_with_a_proof():
     assert unproved.status.tolist() == [Status.STALLED, Status.STALLED, Status.SOLVED]
 
 
-@pytest.mark.parametrize("name", ["daqp", "piqp"])
-def test_a_batch_takes_an_engine_by_its_name(name):
-    """As solve does, each program; the answers are those of auto."""
-    P, c, G, h = dense(4)
-    programs = programs_of(P, c, G, h)
-    answers, auto = solve_batch(programs, algorithm=name), solve_batch(programs)
-    assert answers.all_solved
-    assert answers[0].algorithm == name
-    np.testing.assert_allclose(answers.x, auto.x, atol=1e-9)
-
-
 # --- Arrays, threads, clock --------------------------------------------------------------------------------------
 
 

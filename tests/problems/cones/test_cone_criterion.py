@@ -11,9 +11,7 @@ from inputs.cone_families import exact_residuals, planted_cones, planted_contact
 
 from lcp_plugin import ConeProblem, FrictionalContact, Status, certify, march, solve, solve_batch
 from lcp_plugin.judges.cones import ConeRows, bound_residual
-from lcp_plugin.problems.cones import methods, solving
 from lcp_plugin.problems.cones.factors import stack_of
-from lcp_plugin.problems.cones.sweeps import sweep_blocks
 
 LINK = np.eye(6)
 LINK[0, 3] = LINK[3, 0] = 2.0**-40
@@ -145,22 +143,6 @@ def test_solved_by_an_absolute_tolerance_means_residuals_within_it(draws):
         assert again.iterations == 0
 
 
-def test_the_projection_onto_boxes_and_a_cone_is_the_nearest_point():
-    """Boxes clip, and the projections of x and −x onto a cone are orthogonal with the difference x."""
-    cones = [("box", -1.0, 2.0), ("nonnegative", 1), ("free", 1), ("second_order", 3)]
-    stack = stack_of(ConeProblem(np.eye(6), np.zeros(6), cones))
-    for x in 3.0 * np.random.default_rng(0).standard_normal((20, 6)):
-        near, other = (
-            stack.pattern.flat(stack.project(stack.pattern.wide(one)))[0]
-            for one in (x[None], -x[None])
-        )
-        other = other[3:]
-        assert near[:3].tolist() == [np.clip(x[0], -1.0, 2.0), max(x[1], 0.0), x[2]]
-        np.testing.assert_allclose(near[3:] - other, x[3:], atol=1e-14)
-        assert abs(near[3:] @ other) <= 1e-13
-        assert min(one[0] - np.hypot(*one[1:]) for one in (near[3:], other)) >= -1e-14
-
-
 def test_the_sufficient_test_accepts_only_points_that_pass(draws):
     """Solutions with errors from 0 to 1e-4, and of other scales: the criterion passes, with no larger residual."""
     accepted, refused = 0, 0
@@ -219,22 +201,6 @@ def test_a_tiny_absolute_tolerance_changes_nothing(seed):
     plain, absolute = solve(problem), solve(problem, absolute_tolerance=1e-300)
     assert (plain.status, plain.work) == (absolute.status, absolute.work)
     np.testing.assert_array_equal(plain.z, absolute.z)
-
-
-@pytest.mark.parametrize("seed", [18, 38])
-def test_all_sweeps_count_as_work(seed, monkeypatch):
-    """Also those to a point that does not pass."""
-    counts = list[float]()
-
-    def counted(*args):
-        found = sweep_blocks(*args)
-        counts.append(float(found[1].sum()))
-        return found
-
-    for module in (solving, methods):
-        monkeypatch.setattr(module, "sweep_blocks", counted)
-    result = solve(small_contacts(seed))
-    assert 0.0 < sum(counts) <= result.work
 
 
 def test_a_limit_just_above_the_quick_sweeps_changes_nothing():

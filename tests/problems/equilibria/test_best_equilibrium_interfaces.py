@@ -125,20 +125,6 @@ def test_an_infeasible_best_has_a_proof():
     assert np.isinf(solver.result.lower_bound)
 
 
-@pytest.mark.parametrize("limit", [0.5, 2.0])
-def test_the_message_names_the_conflict_only_where_there_is_one(limit):
-    """X ≤ 0.5 contradicts the pair's x ≥ 1 without a branch; x ≤ 2 leaves the solution x = 1."""
-    m = pe.ConcreteModel()
-    m.x = pe.Var()
-    m.cost, m.most = pe.Objective(expr=m.x), pe.Constraint(expr=m.x <= limit)
-    m.pair = Complementarity(expr=complements(m.x >= 0, m.x - 1 >= 0))
-    solver = pe.SolverFactory("lcp_plugin")
-    message = solver.solve(m).solver.message
-    conflict = solver.result.conflict
-    assert ("result.conflict" in message) == (conflict is not None) == (limit < 1.0)
-    assert conflict is None or conflict.verify()
-
-
 @pytest.mark.parametrize(
     ("fixed", "falls", "wanted"), [(0, 1, 1.0), (1, -1, -1.0), (0, -1, -np.inf), (-1, 1, np.inf)]
 )

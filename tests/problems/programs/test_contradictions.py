@@ -31,34 +31,6 @@ def differences(parents: Any) -> sp.csr_array:
     )
 
 
-def graphs() -> dict[str, QuadraticProgram]:
-    """Potentials and flows on a path and on a tree, whose limits and supplies contradict."""
-    rng = np.random.default_rng(1)
-    path, tree = differences(np.arange(N - 1)), differences([rng.integers(k) for k in range(1, N)])
-    potentials, flows = sp.eye_array(N, format="csr"), sp.eye_array(N - 1, format="csr")
-    ends = np.zeros(N)
-    ends[[0, -1]] = -1.0, 1.5
-    supplies = rng.integers(-3, 4, N).astype(float)
-    supplies[-1] += 1.0 - supplies.sum()
-    return {
-        "potentials": QuadraticProgram(
-            potentials, np.zeros(N), -path, -np.ones(N - 1), lower=0.0, upper=N - 2.5
-        ),
-        "flow on a path": QuadraticProgram(flows, np.zeros(N - 1), A=path.T, b=ends),
-        "cheapest flow": QuadraticProgram(None, np.ones(N - 1), A=path.T, b=ends, lower=0.0),
-        "flow on a tree": QuadraticProgram(flows, np.zeros(N - 1), A=tree.T, b=supplies),
-    }
-
-
-@pytest.mark.parametrize(("name", "program"), graphs().items())
-def test_contradictions_on_graphs_are_proved(name, program):
-    """Potentials and flows that contradict have an exact proof."""
-    result = solve(program)
-    assert result.status is Status.INFEASIBLE, name
-    assert result.proof.verify()
-    assert result.proof.is_exact
-
-
 @pytest.mark.parametrize("algorithm", ["auto", "daqp", "lemke"])
 def test_rows_that_contradict_are_infeasible_for_every_objective(algorithm):
     """A Farkas vector speaks of the rows alone; where they have a point, a nonconvex program is refused as before."""

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from campaigns import convex_programs
-from campaigns.convex_programs import SOLVABLE, case
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import (
@@ -94,19 +93,6 @@ def test_direct_form_solved_and_recovered(seed):
     assert_agree(found, answer, 1e-6)
 
 
-@pytest.mark.parametrize("rank", [None, 3, 0])
-@pytest.mark.parametrize("seed", SEEDS)
-def test_kkt_form_has_the_planted_solution(seed, rank):
-    """The triple (x, λ, ν) of any convex program solves the monotone KKT form and is recovered."""
-    answer = planted(seed, rank=rank)
-    problem = LCP.from_qp(answer.program)
-    z = np.concatenate([answer.x, answer.inequality, answer.equality])
-    assert Certificate.of(problem, z).relative_residual < 1e-12
-    assert_agree(problem.origin.recover(z).solution, answer, 1e-12)
-    M = problem.csr.toarray()
-    assert np.linalg.eigvalsh(M + M.T).min() > -1e-12
-
-
 # --- Which form, and what is folded -------------------------------------------------------------------------
 
 
@@ -127,18 +113,6 @@ def test_multipliers_of_crowded_variables(seed):
     # The smallest cost may be 1e-3, and errors of multipliers are relative to it.
     solution = problem.origin.recover(solve(problem, tolerance=1e-12).require_solved()).solution
     assert solution.is_optimal(1e-8), solution
-
-
-@pytest.mark.parametrize(
-    ("G", "h"),
-    [([[0.0, 0.0]], [-1.0]), ([[1.0, 0.0], [-1.0, 0.0]], [0.0, -1.0])],
-    ids=["0 ≤ −1", "1 ≤ x ≤ 0"],
-)
-def test_contradictions_stay_rows(G, h):
-    """Inconsistent rows remain in the LCP, and no x has a small primal residual."""
-    problem = LCP.from_qp(QuadraticProgram(np.eye(2), [0, 0], G, h))
-    assert problem.n == 2 + len(h)
-    assert problem.origin.recover(np.zeros(problem.n)).solution.primal_residual > 0.1
 
 
 def test_origins_survive_pickling():
@@ -353,23 +327,6 @@ def test_rounding_in_the_symmetry_is_averaged_away():
     assert "asymmetry" in str(program)
 
 
-def test_data_are_read_only_and_the_callers_own_stay_as_they_are():
-    """The program keeps read-only copies, sparse for sparse input; the input stays writable."""
-    P, G = sp.csr_array([[2.0, 0.0], [0.0, 2.0]]), np.array([[1.0, 1.0]])
-    before = P.toarray(), G.copy()
-    program = QuadraticProgram(P, [1, 2], G, [3])
-    assert sp.issparse(program.P)
-    for array in (program.P.data, program.c, program.G, program.h, program.lower):
-        assert not array.flags.writeable
-    LCP.from_qp(program)
-    np.testing.assert_array_equal(G, before[1])
-    P.data[0], G[0, 0] = 5.0, 6.0
-    assert program.P[0, 0] == before[0][0, 0]
-    assert program.G[0, 0] == before[1][0, 0]
-    with pytest.raises(AttributeError):
-        program.c = np.zeros(2)  # type: ignore[misc]
-
-
 # --- Rows of one variable become bounds; multipliers and proofs come back t ---
 
 
@@ -527,41 +484,6 @@ VECTORS = ("c", "h", "b", "lower", "upper")
 def afresh(given: QuadraticProgram) -> QuadraticProgram:
     """Return the program of the same data that shares nothing."""
     return QuadraticProgram(**{name: getattr(given, name) for name in NAMES})
-
-
-def moved(given: QuadraticProgram, rng: np.random.Generator) -> dict[str, Any]:
-    """Return other vectors, some bounds and limits of which come or go."""
-    slack = np.where(
-        rng.random(given.h.size) < 0.2, np.inf, given.h + rng.uniform(0.0, 1.0, given.h.size)
-    )
-    return {
-        "c": given.c + rng.normal(size=given.n),
-        "h": slack,
-        "b": given.b + rng.integers(0, 2, given.b.size),
-        "lower": np.where(rng.random(given.n) < 0.2, -np.inf, given.lower - 0.5),
-        "upper": given.upper + 0.25,
-    }
-
-
-@pytest.mark.parametrize("kind", SOLVABLE)
-@pytest.mark.parametrize("seed", range(6))
-def test_a_program_with_other_vectors_is_the_program_of_these_data(kind, seed):
-    """Method with_vectors gives the LCP and measures of a fresh program, bit by bit."""
-    rng = np.random.default_rng([seed, SOLVABLE.index(kind)])
-    first, _ = case(kind, seed, 0, 12)
-    LCP.from_qp(first)
-    shared = first.with_vectors(**moved(first, rng))
-    ours, theirs = LCP.from_qp(shared), LCP.from_qp(afresh(shared))
-    assert ours.origin.form == theirs.origin.form
-    np.testing.assert_array_equal(ours.csr.toarray(), theirs.csr.toarray())
-    for name in ("q", "lower", "upper"):
-        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
-    z = rng.normal(size=ours.n)
-    left, right = (one.origin.recover(z).solution for one in (ours, theirs))
-    for name in ("x", "multipliers"):
-        np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
-    for name in ("primal_residual", "duality_gap", "objective"):
-        assert getattr(left, name) == getattr(right, name)
 
 
 @pytest.mark.parametrize("name", VECTORS)

@@ -187,19 +187,6 @@ def test_a_factor_that_magnifies_errors_is_not_used():
     assert result.iterations <= 20
 
 
-def test_a_reduced_cost_is_called_what_is_the_smaller_error():
-    """Far from the bound 1e-6 next to terms of 62 is a dual residual, near it a multiplier; a large one never hides."""
-    program = QuadraticProgram([[1.0]], [1e-6 - 62.0], lower=0.0)
-    solution = LCP.from_qp(program).origin.recover([62.0]).solution
-    assert solution.error <= 2e-8
-    solution = (
-        LCP.from_qp(QuadraticProgram([[1.0]], [3.0], lower=0.0)).origin.recover([1e-9]).solution
-    )
-    assert solution.lower[0] == pytest.approx(3.0)
-    assert LCP.from_qp(program).origin.recover([40.0]).solution.error > 0.1
-    assert LCP.from_qp(program).origin.recover([80.0]).solution.error > 0.05
-
-
 # --- Proofs of infeasibility and unboundedness
 # ----------------------------------------------------------------------
 

@@ -63,14 +63,6 @@ def test_the_network_of_braess_has_its_published_flows(is_function):
     np.testing.assert_allclose(answer(without).x, [3.0, 3.0, 3.0, 3.0, 0.0], atol=1e-9)
 
 
-def test_the_game_of_harker_with_a_shared_row_has_the_published_solution():
-    """Harker (1991), European J. Oper. Res. 54: (5, 9) is the only equilibrium with one multiplier."""
-    F = np.array([[2.0, 8 / 3], [5 / 4, 2.0]]), np.array([-34.0, -24.25])
-    found = answer(variational(F, [[1, 1]], [15], lower=0, upper=10))
-    np.testing.assert_allclose(found.x, [5.0, 9.0], atol=1e-9)
-    assert found.inequality == [0.0]
-
-
 @pytest.mark.parametrize("has_jacobian", [True, False])
 def test_a_smooth_function_has_its_constructed_solution(has_jacobian):
     """x* = (1, 2) with multiplier 3 of x₁ + x₂ ≤ 3: F is a cubic that is no gradient."""
@@ -131,17 +123,6 @@ def test_an_equation_stated_twice_changes_nothing_but_its_multipliers():
     )
     np.testing.assert_allclose(twice.x, once.x, atol=1e-9)
     assert twice.equality.sum() == pytest.approx(once.equality.sum())
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_projection_on_a_simplex_is_the_sorted_one(seed):
-    """F = x − y: the projection of y on the simplex, which sorting gives."""
-    y = np.random.default_rng(seed).standard_normal(40)
-    falling = np.sort(y)[::-1]
-    shifts = (np.cumsum(falling) - 1.0) / np.arange(1, 41)
-    expected = np.maximum(y - shifts[np.flatnonzero(falling > shifts)[-1]], 0.0)
-    found = answer(variational((np.eye(40), -y), A=np.ones((1, 40)), b=[1.0], lower=0))
-    np.testing.assert_allclose(found.x, expected, atol=1e-12)
 
 
 def test_the_problem_has_derivatives_and_can_be_pickled():

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from copy import copy
 from functools import cached_property, lru_cache, wraps
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -54,9 +54,15 @@ def copy_without(thing: T, *computed: str) -> T:
     return made
 
 
+def fill(new: T, **data: Any) -> T:
+    """Return an object that is under construction, with its data; nothing else writes to a frozen object."""
+    vars(new).update(data)
+    return new
+
+
 def restore_state(thing: object, state: dict[str, Any]) -> None:
     """Restore the state of a copied or unpickled object, and make its arrays read-only again."""
-    vars(thing).update(state)
+    fill(thing, **state)
     for value in state.values():
         for array in (
             value,
@@ -68,6 +74,11 @@ def restore_state(thing: object, state: dict[str, Any]) -> None:
 
 class MadeOnAccess:
     """Object whose missing attributes `_make` computes, all at once, at the first access to one of them."""
+
+    @classmethod
+    def of_known(cls, make: Callable[[], dict[str, Any]] | None, **known: Any) -> Self:
+        """Return an object with some attributes; `make` returns the others, by name."""
+        return fill(object.__new__(cls), **known, _make=make)
 
     def __getattr__(self, name: str) -> Any:
         """Return an attribute that is not computed yet."""

@@ -9,7 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from .checks import AnyMatrix, Vector, checked_bounds, checked_vector, read_only, restore_state
+from . import checks
+from .checks import AnyMatrix, Vector, checked_bounds, checked_vector, read_only
 from .errors import InvalidOption
 from .matrix import Matrix
 from .names import Names, checked_names, describe_lcp
@@ -91,8 +92,7 @@ class LCP:
     ) -> Self:
         """Write checked data into this new problem."""
         data = zip(DATA, (matrix, matrix.n, q, lower, upper, names, None), strict=True)
-        vars(self).update(dict(data) | known, _facts={})
-        return self
+        return checks.fill(self, **(dict(data) | known), _facts={})
 
     def __setattr__(self, name: str, value: object) -> None:
         """Raise AttributeError, because facts about the problem are cached."""
@@ -203,9 +203,9 @@ class LCP:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without cached properties."""
-        return {name: value for name, value in vars(self).items() if name in DATA} | {"_facts": {}}
+        return {name: getattr(self, name) for name in DATA} | {"_facts": {}}
 
-    __setstate__ = restore_state
+    __setstate__ = checks.restore_state
 
 
 def _checked_q(q: ArrayLike, n: int) -> Vector:

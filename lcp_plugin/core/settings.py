@@ -19,7 +19,7 @@ from typing import Any, Literal, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import is_number
+from .checks import fill, is_number
 from .errors import InvalidOption
 from .kernels.threads import usable_threads
 
@@ -106,9 +106,9 @@ class Settings:
         for name, check in CHECKS.items():
             value = getattr(self, name)
             if value is None and name in NONE_MEANS:
-                object.__setattr__(self, name, NONE_MEANS[name])
+                fill(self, **{name: NONE_MEANS[name]})
             elif value is not DEFAULTS[name]:
-                object.__setattr__(self, name, check(value, name))
+                fill(self, **{name: check(value, name)})
 
     @property
     def goal(self) -> float:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.checks import Vector, read_only
+from ..core.checks import Vector, fill, read_only
 from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
 from ..core.settings import parse_options
@@ -82,9 +82,9 @@ class Scene:
             if values is not None:
                 if values.shape != (self.problem.q.size,):
                     raise InvalidProblem(f"{fact} must have shape ({self.n},), got {values.shape}")
-                object.__setattr__(self, fact, read_only(values))
+                fill(self, **{fact: read_only(values)})
         if self.coordinates is not None and self.grid is None:
-            object.__setattr__(self, "grid", tuple(axis.size for axis in self.coordinates))
+            fill(self, grid=tuple(axis.size for axis in self.coordinates))
         if self.grid is not None and math.prod(self.grid) != self.n:
             raise InvalidProblem(f"grid {self.grid} must hold n = {self.n} nodes")
 

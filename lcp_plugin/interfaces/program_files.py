@@ -582,7 +582,7 @@ def _from_mps(source: Path) -> QuadraticProgram:
     if remarks:
         warnings.warn(f"{source}: {'; '.join(remarks[:3])}", ModelWarning, stacklevel=2)
     program = _stated(source, QuadraticProgram, lambda: QuadraticProgram.from_ranges(*parts))
-    return program.replaced(sense=sign).with_names(names)
+    return program.replaced(sense=sign, names=names)
 
 
 def read_lp(source: Path, remarks: list[str]) -> Read:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import Vector, checked_vector, derived_property, read_only, restore_state
+from ..core.checks import Vector, checked_vector, derived_property, fill, read_only, restore_state
 from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
 from ..core.problem_classes import refusal
@@ -73,9 +73,8 @@ class Certificate:
     @classmethod
     def at(cls, problem: LCP, z: Vector, **known: Any) -> Certificate:
         """Return the certificate of z, read-only; `known` are its properties `criterion` and `rows`, or None."""
-        certificate = cls(problem, z)
-        vars(certificate).update({name: one for name, one in known.items() if one is not None})
-        return certificate
+        given = {name: one for name, one in known.items() if one is not None}
+        return fill(cls(problem, z), **given)
 
     @derived_property
     def criterion(self) -> RowData:

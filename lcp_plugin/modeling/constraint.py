@@ -10,6 +10,7 @@ from cvxpy.constraints.constraint import Constraint
 from cvxpy.constraints.nonpos import Inequality, NonNeg
 from cvxpy.constraints.zero import Equality, Zero
 
+from ..core.checks import fill
 from ..core.errors import UnsupportedModel
 from ..problems.cones.frictional_contact import dimension_of
 from .model import Side, pair_residual, stacked
@@ -226,8 +227,7 @@ class Condition(Constraint):  # type: ignore[misc]
             mine is not theirs for mine, theirs in zip(self.args, args, strict=True)
         ):
             raise UnsupportedModel(f"cvxpy cannot transform {self!r}; {REMEDY}")
-        twin = type(self).__new__(type(self))
-        twin.__dict__.update(self.__dict__)
+        twin: Condition = fill(type(self).__new__(type(self)), **vars(self))
         twin._construct_dual_variables(self.args)
         return twin
 

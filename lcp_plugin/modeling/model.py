@@ -538,6 +538,8 @@ class Model:
         found : tuple or None
             All unknowns, their slacks and the value of the objective; None if a proof excludes solutions.
         """
+        if found is not None:
+            result = replace(result, agents=tuple(self.agents))
         status, attributes = compat.CVXPY_STATUS[result.status], compat.statistics(result)
         if found is None:
             value = compat.sense_of(problem) * (
@@ -558,8 +560,6 @@ class Model:
                 report.constraint.save_dual_value(dual.reshape(report.shape, order="F"))
         for agent in self.agents:
             agent.save_duals()
-        if found is not None:
-            vars(result)["agents"] = tuple(self.agents)
         problem._solver_stats = SolverStats.from_dict(attributes, "LCP")
 
     def consistency_error(self, z: Vector, w: Vector) -> str | None:

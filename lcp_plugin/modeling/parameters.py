@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import cvxpy as cp
@@ -432,7 +433,7 @@ class ModelPath(Path):
         if point.solution is not None:
             with moved_to(self._lines, float(theta)):
                 value = _program(self._problem)[0].objective(point.x)
-            vars(point)["objective"] = _compat.sense_of(self._problem) * value
+            point = replace(point, stated_objective=_compat.sense_of(self._problem) * value)
         return point
 
     def value(self, variable: cp.Variable, theta: ArrayLike) -> Any:

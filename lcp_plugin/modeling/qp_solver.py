@@ -10,7 +10,7 @@ of the constraint residuals.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -88,6 +88,11 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         """Return the reference of the methods."""
         return "Kumar, Deepmala, Das: More on projected type iteration method and linear complementarity problem."
 
+    def apply(self, problem: Any) -> tuple[Any, Any]:
+        """Return the program as arrays, with the constant of its objective, and the data for `invert`."""
+        data, inverse = super().apply(problem)
+        return data | {settings.OFFSET: inverse[settings.OFFSET]}, inverse
+
     def solve_via_data(
         self, data: Any, warm_start: bool, verbose: bool, solver_opts: Any, solver_cache: Any = None
     ) -> Any:
@@ -98,8 +103,9 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         with np.errstate(all="ignore"), solver_errors():
             if guess is not None:
                 options.setdefault("z0", guess)
-            algorithm, sense = options.pop("algorithm", "auto"), options.pop("sense", 1.0)
-            program = quadratic_program(data, cache).replaced(sense=sense)
+            algorithm = options.pop("algorithm", "auto")
+            known = {name: options.pop(name) for name in ("sense", "names") if name in options}
+            program = quadratic_program(data, cache).replaced(**known)
             found = solve_program(program, algorithm, verbose=bool(verbose), **options)
             if guess is not None and options["z0"] is guess and found.z is not None:
                 found = replace(found, begun=BEGUN)
@@ -110,7 +116,6 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     def invert(self, answer: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
         result, verbose = answer
-        result.program.__dict__["constant"] = float(inverse_data[settings.OFFSET])
         if verbose:
             settings.LOGGER.info(result.explain())
         status, attributes, qp = CVXPY_STATUS[result.status], statistics(result), result.solution
@@ -154,13 +159,14 @@ def quadratic_program(data: Any, cache: Any) -> QuadraticProgram:
         for size, key in zip(rows, MATRIX_KEYS, strict=True)
     ]
     q, g, b = data[settings.Q], data[settings.G], data[settings.B]
+    constant = float(data[settings.OFFSET])
     key = [[one.indptr.tobytes(), one.indices.tobytes(), one.data.tobytes()] for one in given]
     kept, before = cache.get(PROGRAM, ([], None))
     if key == kept:
-        return before.with_vectors(q, g, b)
+        return before.with_vectors(q, g, b, constant=constant)
     is_small = may_be_small(n, m + p, (one.nnz for one in given))
     P, F, A = map(as_array, given) if is_small else given
-    program = QuadraticProgram(P, q, G=F, h=g, A=A, b=b)
+    program = QuadraticProgram(P, q, G=F, h=g, A=A, b=b, constant=constant)
     cache[PROGRAM] = key, program
     return program
 
@@ -248,11 +254,11 @@ class CompiledProblem:
             data, chain, inverse = twin.get_problem_data(QPSolver, **options)
         except (SolverError, DCPError) as error:
             raise UnsupportedModel(str(error)) from error
-        program = quadratic_program(data, {})
-        entries = name_rows(problem, program, (data, chain, inverse))
+        columns = data[settings.PARAM_PROB].var_id_to_col
+        entries = {one.id: Entries.of(one, columns, chain, inverse) for one in problem.variables()}
+        program = quadratic_program(data, {}).replaced(names=_names_of(problem, data, entries))
         if is_folded:
-            program = program.folded.reduced
-        program = program.with_vectors(constant=float(inverse[-1][settings.OFFSET]))
+            program = program.folded.reduced.replaced(constant=program.constant)
         return cls(program, entries)
 
     def values(self, x: Vector) -> dict[int, Any]:
@@ -260,13 +266,24 @@ class CompiledProblem:
         return {key: one.taken(x) for key, one in self.entries.items()}
 
 
-def name_rows(problem: Any, program: QuadraticProgram, compiled: Any = None) -> dict[int, Entries]:
-    """Name the rows of a problem's program, unless they are folded; return the entries of each variable by its id."""
-    data, chain, inverse = compiled or problem.get_problem_data(QPSolver)
-    columns = data[settings.PARAM_PROB].var_id_to_col
-    entries = {one.id: Entries.of(one, columns, chain, inverse) for one in problem.variables()}
-    program.with_names(_names_of(problem, data, entries))
-    return entries
+@dataclass(frozen=True, eq=False)
+class NamesOnDemand:
+    """Names of the rows and unknowns of the program of a cvxpy problem, which is compiled again for the first name."""
+
+    problem: cp.Problem
+
+    @cached_property
+    def names(self) -> Names:
+        """All names."""
+        return CompiledProblem.of(self.problem).program.names
+
+    def row(self, i: int) -> str:
+        """Return the name of a row of G, then of A."""
+        return self.names.row(i, "")
+
+    def unknown(self, i: int) -> str:
+        """Return the name of an unknown."""
+        return self.names.unknown(i, "")
 
 
 def _names_of(problem: cp.Problem, data: Any, entries: dict[int, Entries]) -> Names:

@@ -13,6 +13,7 @@ from cvxpy.error import DCPError, SolverError
 
 from ..core.errors import InvalidProblem, ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
+from ..core.names import Names
 from ..problems.programs.certification import Certification, certify_point, with_side_conditions
 from ..problems.statement import MissingPair, solve_from
 from ._compat import CVXPY_STATUS, EQUATIONS, name_of, refusal, sense_of, solver_errors
@@ -20,7 +21,7 @@ from .agents import without_agents
 from .best_equilibrium import solve_for_the_best
 from .constraint import Complements, Condition, box, complements
 from .model import Model
-from .qp_solver import QPSolver, certify_problem, name_rows
+from .qp_solver import NamesOnDemand, QPSolver, certify_problem
 
 FLAGS = "gp qcp nlp requires_grad"  # of cvxpy's solve
 OF_COMPILATION = "enforce_dpp ignore_dpp canon_backend bibtex"  # by cvxpy, which only programs need
@@ -267,13 +268,15 @@ def _has_cones(problem: cp.Problem) -> bool:
 
 def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
     """Solve a quadratic program."""
+    names = NamesOnDemand(problem)
     try:
-        value = cp.Problem._solve(
+        return cp.Problem._solve(
             problem,
             solver=QPSolver,
             warm_start=warm_start,
             verbose=verbose,
             sense=sense_of(problem),
+            names=Names(names.row, names.unknown),
             **options,
         )
     except DCPError as error:
@@ -284,8 +287,3 @@ def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict
         if (refused := refusal(problem)) is None:
             raise
         raise refused from error
-    result = problem.solver_stats.extra_stats
-    # cvxpy answers a problem without variables itself.
-    if result is not None and not result.is_solved:
-        name_rows(problem, result.program)
-    return value

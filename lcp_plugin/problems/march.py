@@ -215,7 +215,7 @@ class March(AnswerSequence[Result]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Build the results that were not read yet, because their builders cannot be pickled."""
-        return {**self.__dict__, "_results": [self.at(k) for k in range(len(self))]}
+        return vars(self) | {"_results": [self.at(k) for k in range(len(self))]}
 
     def take(self, z: Vector, result: Result | Callable[[], Result]) -> None:
         """Add one step; the step before it is dropped if it is not one of every `keep`."""

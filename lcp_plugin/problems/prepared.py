@@ -140,11 +140,10 @@ class PreparedLCP(PreparedProblem[LCP]):
         follow_one(A, b, low, high, start, tilts(b.size), self._settings.tolerance, z, bound)
         if not bound[0] < math.inf:
             return None
-        z, found = read_only(z[0]), object.__new__(Result)
+        z = read_only(z[0])
         data = b[0], None if M is None else A[0], low[0], high[0]
         make = partial(self._record, data, z, perf_counter() - began)
-        vars(found).update(z=z, status=Status.SOLVED, _asked=self._method, _make=make)
-        return found
+        return Result.of_known(make, z=z, status=Status.SOLVED, _asked=self._method)
 
     def _record(self, data: Any, z: Vector, seconds: float) -> dict[str, Any]:
         """Return the fields of the result of the short way."""
@@ -217,11 +216,9 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         is_certain = primal <= CERTAIN_ROWS and x @ x <= FAR**2
         if not (is_certain and gap <= 0.5 * self._tolerance):
             return None
-        solution, found = object.__new__(QPSolution), object.__new__(QuadraticProgramResult)
-        vars(solution).update(x=read_only(x), _make=partial(self._solution, every, x, y))
+        solution = QPSolution.of_known(partial(self._solution, every, x, y), x=read_only(x))
         make = partial(self._record, perf_counter() - began)
-        vars(found).update(solution=solution, status=Status.SOLVED, _make=make)
-        return found
+        return QuadraticProgramResult.of_known(make, solution=solution, status=Status.SOLVED)
 
     def _solution(self, data: Any, x: Vector, y: Vector) -> dict[str, Any]:
         return vars(QPSolution.from_reduced(self.problem.with_vectors(*data), x, y))
@@ -252,10 +249,9 @@ class PreparedContact(PreparedProblem[FrictionalContact]):
         z, count = swept_to_rounding(stack, stack.origin)
         if not bound_residual(stack, z, self._tolerance) < math.inf:
             return None
-        z, found = read_only(stack.pattern.flat(z)[0]), object.__new__(ConeResult)
+        z = read_only(stack.pattern.flat(z)[0])
         make = partial(self._record, one, z, count, perf_counter() - began)
-        vars(found).update(z=z, status=Status.SOLVED, problem=one, _make=make)
-        return found
+        return ConeResult.of_known(make, z=z, status=Status.SOLVED, problem=one)
 
     def _record(
         self, one: FrictionalContact, z: Vector, count: int, seconds: float

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
-from ..core.checks import BoolVector, Vector, derived_property
+from ..core.checks import Array, BoolVector, Vector, derived_property
 from ..core.cone_stack import ConeStack
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
@@ -151,6 +152,7 @@ class BatchPart(LinearizedSystem):
         return x
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class BatchGradient:
     """Gradients of functions of the solutions of a batch, with respect to the data.
 
@@ -162,14 +164,11 @@ class BatchGradient:
         contacts or if the function does not depend on the problem.
     """
 
-    q: Any
-    lower: Any
-    upper: Any
-    friction: Any
-
-    def __init__(self, by_M: Callable[[], Any], **by: Any) -> None:
-        vars(self).update(by)
-        self._by_M = by_M
+    _matrix: Callable[[], Any]
+    q: Array
+    lower: Array = None
+    upper: Array = None
+    friction: Array = None
 
     @derived_property
     def M(self) -> Any:
@@ -179,7 +178,7 @@ class BatchGradient:
         gradients: shape (n, n), or a csr_array with the pattern of a sparse M. For a list of LCPs a list of
         csr_arrays with the patterns of the matrices.
         """
-        return self._by_M()
+        return self._matrix()
 
 
 class DerivativeSequence:

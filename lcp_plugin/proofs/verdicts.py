@@ -469,6 +469,9 @@ def can_factorise(matrix: Matrix) -> bool:
 WORDS = {True: "yes", False: "no", None: "undecided"}
 
 
+CLAIMS: dict[str, Claim] = {}  # of the class below, by name
+
+
 class Claim:
     """A property of a report: True, False or None (undecided); computed once, on first access."""
 
@@ -479,6 +482,7 @@ class Claim:
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
         self.__doc__ = self.decide.__doc__
+        CLAIMS[name] = self
 
     def __get__(self, report: MatrixReport | None, owner: type | None = None) -> Any:
         return self if report is None else report.verdict(self.name).value
@@ -564,9 +568,6 @@ class MatrixReport:
 
     def __repr__(self) -> str:
         return f"MatrixReport(n={self.n}, nonzeros={self.matrix.nonzeros})"
-
-
-CLAIMS = {name: claim for name, claim in vars(MatrixReport).items() if isinstance(claim, Claim)}
 
 
 @np.errstate(all="ignore")

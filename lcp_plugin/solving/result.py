@@ -125,7 +125,7 @@ class BaseResult(MadeOnAccess, Outcome):
     history: tuple[Sample, ...] = ()
     stages: tuple[StageRecord, ...] = field(default_factory=tuple)  # of no class: made on access
     begun: str = ""
-    agents: ClassVar[tuple[Any, ...]] = ()
+    agents: tuple[Any, ...] = ()
     _advice: ClassVar[Mapping[Status, str]] = {}  # in place of the status's own
 
     __setstate__ = restore_state
@@ -281,6 +281,8 @@ class Result(BaseResult):
         Empty unless ``record=True``.
     stages : tuple of StageRecord
         The methods that ran, in order; more than one for ``auto``.
+    agents : tuple of Optimal
+        Agents of a cvxpy model; otherwise empty.
     is_polished : bool
         True if z is the solution of the linear system on the active set of the last iterate; ``polish=False`` returns
         the iterate.

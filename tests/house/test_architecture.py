@@ -44,6 +44,9 @@ HEAVY = (
     "h5py",
 )
 LAZY = 25  # imports of package files inside functions, which are for weight
+MOST_WRITES = (
+    10  # lines with vars(…) or __dict__: what they write, a reader does not find by its name
+)
 MOST_CONSTANTS = 250  # numbers with a name: a reader has to carry each from file to file
 
 
@@ -168,6 +171,18 @@ def test_editors_and_python_have_the_same_public_names():
         words[-1]: words[1][1:] or words[-1] for words in map(str.split, lines) if "as" in words
     }
     assert stub == {name: home for name, home in lcp_plugin._HOME.items() if name != "LCP"}
+
+
+def lines_with(words):
+    """Return the lines of all files that match a regular expression."""
+    lines = "\n".join(file.read_text(encoding="utf-8") for file in FILES.values()).splitlines()
+    return [line for line in lines if re.search(words, line)]
+
+
+def test_frozen_objects_are_written_by_their_constructors():
+    """Data of an object are written by its class, and few lines read or write all of them at once."""
+    assert lines_with(r"object\.__setattr__\(|setattr\(result") == []
+    assert len(lines_with(r"\bvars\(|\b__dict__\b")) <= MOST_WRITES
 
 
 def test_few_imports_are_inside_functions():

@@ -70,9 +70,7 @@ class ConeCertificate:
     def __init__(
         self, problem: Blocks, z: Vector, tolerance: float, found: Measured | None = None
     ) -> None:
-        self.problem, self.z, self.tolerance = problem, z, tolerance
-        if found is not None:
-            vars(self)["found"] = found
+        self.problem, self.z, self.tolerance, self._found = problem, z, tolerance, found
 
     @derived_property
     def criterion(self) -> ConeRows:
@@ -82,6 +80,8 @@ class ConeCertificate:
     @derived_property
     def found(self) -> Measured:
         """The measure of z."""
+        if self._found is not None:
+            return self._found
         pattern = self.criterion.stack.pattern
         return self.criterion.measure_at(
             self.z if pattern.is_sparse else self.z[None], None, self.tolerance

@@ -11,7 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.checks import AnyMatrix, Vector, checked_bounds, checked_vector, rectangular_matrix
+from ...core import checks
+from ...core.checks import AnyMatrix, Vector, checked_bounds, checked_vector
 from ...core.errors import InvalidProblem, LCPError, UnsupportedModel
 from ...core.matrix import largest_in_rows
 from ...proofs import exact
@@ -115,13 +116,12 @@ class EquilibriumProgram:
                 raise InvalidProblem(
                     f"{name} must number variables from 0 to {n - 1}, got {given[(given < 0) | (given >= n)][0]}"
                 )
-            object.__setattr__(self, name, given.astype(np.int64))
+            checks.fill(self, **{name: given.astype(np.int64)})
         own, k = self.program, self.first.size
         low = own.lower[self.first] if self.lower is None else self.lower
         high = own.upper[self.first] if self.upper is None else self.upper
         lower, upper = checked_bounds(low, high, k)
-        object.__setattr__(self, "lower", lower)
-        object.__setattr__(self, "upper", upper)
+        checks.fill(self, lower=lower, upper=upper)
 
     @classmethod
     def of_rows(
@@ -142,7 +142,7 @@ class EquilibriumProgram:
         EquilibriumProgram(n=3, 1 pair)
         """
         n, k = program.n, np.size(columns)
-        rows = sp.csr_array(rectangular_matrix(M, "M", k, n))
+        rows = sp.csr_array(checks.rectangular_matrix(M, "M", k, n))
         right = -checked_vector(q, "q", k)
         P, G, A = (sp.csr_array(one) for one in (program.P, program.G, program.A))
         free = np.full(k, np.inf)

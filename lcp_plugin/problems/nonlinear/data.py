@@ -252,8 +252,8 @@ class NonlinearProblem:
             return self
         if self.n is not None:
             raise InvalidProblem(f"the problem has {self.n} unknowns, and x has length {n}")
-        sized = object.__new__(NonlinearProblem)
-        sized.__dict__.update(self.__dict__, n=n)
+        sized = copy(self)
+        sized.n = n
         sized._set_bounds(n)
         return sized
 

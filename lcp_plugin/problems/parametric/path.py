@@ -91,6 +91,7 @@ class PathPoint(Outcome):
     x: Vector
     _tolerance: float = field(repr=False)
     solution: QPSolution | None = field(default=None, repr=False)
+    stated_objective: float | None = field(default=None, repr=False)  # of the model of the program
 
     @property
     def z(self) -> Vector:
@@ -105,6 +106,8 @@ class PathPoint(Outcome):
     @cached_property
     def objective(self) -> float | None:
         """Objective at x."""
+        if self.stated_objective is not None:
+            return self.stated_objective
         if isinstance(self.problem, BoundedLeastSquares):
             return float(self.problem.cost(self.x, self.problem.product(self.x) - self.problem.b))
         return (

@@ -428,15 +428,12 @@ class ProgramProofs:
             allowed = 1e-9 * size_of_objective(self.program, x)[0]
         return self.bounds.best(x, y[: self.program.constraints.rows], value - allowed)
 
-    def upper(self, *near: Vector, exactly: bool = True, by_own: bool = True) -> float:
-        """Return a double above the objective of a feasible point: near given points, our solution, or inside; or ∞.
+    def upper(self, *near: Vector, exactly: bool = True) -> float:
+        """Return a double above the objective of a feasible point: near given points, or inside; or ∞.
 
-        If floating point proves no point and `exactly` is set, rational arithmetic searches for a point. A new solve
-        requires a small program and `by_own`.
+        If floating point proves no point and `exactly` is set, rational arithmetic searches for a point.
         """
-        has_own = "own_solution" in self.__dict__ or (self.is_small and by_own)
-        own = [self.own_solution.x] if has_own and self.own_solution is not None else []
-        found = [value_bounds.value_near(self.program, x) for x in (*near, *own)]
+        found = [value_bounds.value_near(self.program, x) for x in near]
         if exactly and all(value is None for value in found):
             found = [self._inside]
         return min((value for value in found if value is not None), default=math.inf)
@@ -468,7 +465,8 @@ class ProgramProofs:
             if isinstance(proof, QPInfeasibility) and (least := proof.least_violation) <= tolerance:
                 return Certification("unproved", claim, reason=f"{proof}, but by {least:.2g} only")
             return Certification("proved", claim, reason=str(proof))
-        upper, lower = self.upper(), self.own_lower
+        own = self.own_solution
+        upper, lower = self.upper(*([] if own is None else [own.x])), self.own_lower
         unproved = Certification(
             "unproved", claim, lower=_if_finite(lower), upper=_if_finite(upper), reason=NOTHING
         )
@@ -519,20 +517,21 @@ class ProgramProofs:
         if given is not None:
             lower = self.lower(x, given, value[0], tolerance * size[0])
             complaint = multiplier_error(program, x, given, tolerance, size[0])
-        upper = self.upper(x, exactly=False, by_own=False)
+        upper = self.upper(x, exactly=False)
         constant = program.constant
         found = ProvenBounds(value, violation, lower, upper, tolerance, size, constant)
         is_enough = found.is_proved() and not found.violation_may_lower_objective()
         if not is_enough or (self.is_small and (given is None or complaint)):
-            lower = max(lower, self.own_lower)
+            lower, near = max(lower, self.own_lower), [x]
             if (own := self.own_solution) is not None:
+                near.append(own.x)
                 y = own.multipliers[: program.constraints.rows]
                 if size[1] == 0.0:  # the comparison is exact
                     lower = max(lower, self.lower(x, y, value[0]))
                 elif np.isfinite(y).all():
                     least = least_size(program.judged, x, y)
                     size = max(size[0], least), max(size[1], least)
-            upper = self.upper(x, exactly=not violation.is_missed)
+            upper = self.upper(*near, exactly=not violation.is_missed)
             found = replace(found, lower=lower, upper=upper, size=size)
             if (
                 found.violation_may_lower_objective()

@@ -258,11 +258,6 @@ class QuadraticProgram:
         kept = {name: getattr(self, name) for name in KEPT}
         return object.__new__(type(self))._keep(matrices or self.matrices, **(kept | data))
 
-    def with_names(self, names: Names) -> QuadraticProgram:
-        """Return this new program with names of its rows and unknowns."""
-        self.__dict__["names"] = names
-        return self
-
     def name(self, k: int) -> str:
         """Return the name of a row of `constraints`; of a bound, and of a nameless row of one unknown, its text."""
         rows, (m, p, n, _) = self.constraints, self.matrices.sizes
@@ -287,8 +282,8 @@ class QuadraticProgram:
 
     def _keep(self, matrices: ProgramMatrices, **data: Any) -> Self:
         """Write checked data into this new program."""
-        self.__dict__.update(data, P=matrices.P, G=matrices.G, A=matrices.A, matrices=matrices)
-        return self
+        parts = {"P": matrices.P, "G": matrices.G, "A": matrices.A, "matrices": matrices}
+        return checks.fill(self, **parts, **data)
 
     @np.errstate(all="ignore")
     def objective(self, x: ArrayLike) -> float:
@@ -318,8 +313,7 @@ class QuadraticProgram:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without cached properties."""
-        data = {one.name for one in fields(self)}
-        return {name: value for name, value in self.__dict__.items() if name in data}
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     __setstate__ = checks.restore_state
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...core.checks import MadeOnAccess, Vector, checked_vector, derived_property, read_only
+from ...core.checks import MadeOnAccess, Vector, checked_vector, derived_property, fill, read_only
 from ...core.errors import InvalidProblem
 from ...core.matrix import largest_products
 from ...core.settings import checked_tolerance
@@ -66,15 +66,14 @@ class QPSolution(MadeOnAccess):
         sizes = self.program.n, *self.program.matrices.sizes
         for name, size in zip(("x", *MULTIPLIERS), sizes, strict=True):
             vector = checked_vector(getattr(self, name), name, size, allow_nan=name != "x")
-            object.__setattr__(self, name, vector)
+            fill(self, **{name: vector})
 
     @classmethod
     def of_rows(cls, program: QuadraticProgram, x: Vector, multipliers: Vector) -> QPSolution:
         """Return the solution with finite x and all multipliers of ``program.constraints`` in one array, not copied."""
-        made, every = object.__new__(cls), read_only(multipliers)
-        made.__dict__.update(zip(MULTIPLIERS, program.constraints.split(every), strict=True))
-        made.__dict__.update(program=program, x=read_only(x), multipliers=every)
-        return made
+        every = read_only(multipliers)
+        parts = dict(zip(MULTIPLIERS, program.constraints.split(every), strict=True))
+        return cls.of_known(None, program=program, x=read_only(x), multipliers=every, **parts)
 
     @classmethod
     def from_reduced(cls, program: QuadraticProgram, x: Vector, y: Vector) -> QPSolution:

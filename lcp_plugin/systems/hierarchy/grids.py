@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.checks import Arrays, Vector, read_only
+from ...core.checks import Arrays, Vector, fill, read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +26,8 @@ class Operator:
 
     def __post_init__(self) -> None:
         # One signature for every kernel: the caller's matrix is read-only as well.
-        for name in ("indptr", "indices", "data"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        parts = {name: read_only(getattr(self, name)) for name in ("indptr", "indices", "data")}
+        fill(self, **parts)
 
     @property
     def arrays(self) -> tuple[NDArray[Any], NDArray[Any], Vector]:

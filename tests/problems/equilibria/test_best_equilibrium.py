@@ -144,6 +144,7 @@ NO_CLAIM = {
     "history",
     "stages",
     "begun",
+    "agents",
 }
 
 

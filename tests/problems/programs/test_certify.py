@@ -132,6 +132,17 @@ def test_multipliers_are_a_pair_or_a_solution():
         assert certify(SIMPLE, [0.5, 1.5], multipliers).verdict == "proved"
 
 
+def test_a_second_certify_says_the_same_after_other_points():
+    """The verdict on a point and its bounds do not depend on points that were certified before."""
+    program = SIMPLE.with_vectors()
+    given = [0.5 - 1e-8, 1.5], ([1.0], [])
+    before = certify(program, *given)
+    assert before.verdict == "proved"
+    assert certify(program, [0.0, 0.0]).verdict != "proved"
+    again = certify(program, *given)
+    assert (again.upper, again.gap, again.reason) == (before.upper, before.gap, before.reason)
+
+
 def test_multipliers_of_any_sign_prove_no_bound_above_the_minimum():
     """Random multipliers of inequalities, at a right x: the lower bound is not above the exact minimum."""
     for seed in range(60):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json as json_module
 import os
 import sys
 from collections.abc import Callable
@@ -27,19 +26,6 @@ EXIT_UNSOLVED = 1  # exit code of a run without a solution
 EXIT_BAD_INPUT = 2  # exit code for a wrong file or option, as in typer
 
 
-def scene_names(incomplete: str) -> list[str]:
-    """Return the test problems that begin so; the shell completes files."""
-    return [name for name in lcp_plugin.gallery.names() if name.startswith(incomplete)]
-
-
-def algorithm_names(incomplete: str) -> list[str]:
-    """Return the algorithms that begin so."""
-    from ..algorithms import REGISTRY
-    from ..engines import ENGINES
-
-    return [name for name in ("auto", *REGISTRY, *ENGINES) if name.startswith(incomplete)]
-
-
 def _ending(exit_codes: str, *examples: str) -> str:
     """Return the text below a help page."""
     lines = [f"  lcp-plugin {words}" for words in examples]
@@ -49,7 +35,7 @@ def _ending(exit_codes: str, *examples: str) -> str:
 app = typer.Typer(
     help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
     epilog=_ending(
-        "0 done, 1 ran but not solved (or: solutions differ or cannot be compared), 2 bad input (reported on stderr). "
+        "0 done, 1 ran but not solved 2 bad input (reported on stderr). "
         "Ctrl-C ends solve and compare with the results so far (1), the others as the shell expects (130)",
         "solve obstacle_2d --plot obstacle.png",
         "solve --help",
@@ -66,18 +52,11 @@ Target = Annotated[
     typer.Argument(
         help="A file, or a test problem: name:key=value,…. A file is an .npz "
         "with M, q (an LCP), with P, q, A, l, u or the like (a program), with A, b (least squares), with W, q, mu "
-        "(contacts with friction), an .nl, .qps, .mps, .lp, .mtx (M, with q.mtx next to it), or an .h5 of fclib.",
-        autocompletion=scene_names,
+        "(contacts with friction), an .nl, .qps, .mps, .lp, .mtx (M, with q.mtx next to it), or an .h5 of fclib."
     ),
 ]
 AlgorithmName = Annotated[
-    str,
-    typer.Option(
-        "--algorithm",
-        "-a",
-        help="A name that `lcp-plugin list` shows, or auto.",
-        autocompletion=algorithm_names,
-    ),
+    str, typer.Option("--algorithm", "-a", help="A name that `lcp-plugin list` shows, or auto.")
 ]
 
 
@@ -147,7 +126,6 @@ def main(
         raise typer.Exit(EXIT_BAD_INPUT)
 
 
-Size = Annotated[int | None, typer.Option(help="Size of a test problem, as name:size=….")]
 Tolerance = Annotated[
     float | None,
     typer.Option(
@@ -161,7 +139,7 @@ MaxSeconds = Annotated[float | None, typer.Option(help="Limit of wall-clock seco
     "solve",
     "0 solved, 1 ran but not solved, 2 bad input",
     "solve obstacle_2d:size=200 --plot out.png",
-    "solve problem.npz -a psor --relaxation 1.5 --out answer.npz",
+    "solve problem.npz -a psor -o relaxation=1.5 --out answer.npz",
     "solve problem.nl --json",
     "solve program.qps --out answer.npz",
     "solve model.nl",
@@ -169,9 +147,6 @@ MaxSeconds = Annotated[float | None, typer.Option(help="Limit of wall-clock seco
 def solve(
     target: Target,
     algorithm: AlgorithmName = "auto",
-    relaxation: Annotated[
-        str | None, typer.Option(help="Relaxation of the algorithm: a number, or auto for psor.")
-    ] = None,
     option: Annotated[
         list[str] | None,
         typer.Option("--option", "-o", help="Any option of the algorithm: name=value."),
@@ -180,9 +155,6 @@ def solve(
     absolute_tolerance: Annotated[
         float | None, typer.Option(help="A residual in the unit of z that is small enough.")
     ] = None,
-    error_bound: Annotated[
-        bool, typer.Option("--error-bound", help="Bound the error of z.")
-    ] = False,
     max_iterations: Annotated[int | None, typer.Option(help="Limit of iterations.")] = None,
     max_seconds: MaxSeconds = None,
     prove_infeasibility: Annotated[
@@ -196,7 +168,6 @@ def solve(
         Path | None, typer.Option(help="Save z and w, or x and its multipliers: an .npz file.")
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
-    size: Size = None,
 ) -> bool:
     """Solve a problem of any class; print status, residuals and counts, and the first values."""
     from . import solving
@@ -209,52 +180,17 @@ def solve(
         prove_infeasibility=prove_infeasibility,
         threads=threads,
     )
-    options = solving.options_of(relaxation, option or [])
-    return solving.run(
-        target, size, algorithm, options, settings, plot, out, bound=error_bound, as_json=json
-    )
+    options = solving.options_of(option or [])
+    return solving.run(target, algorithm, options, settings, plot, out, as_json=json)
 
 
-@command(
-    "check",
-    "0 both agree, 1 they do not or cannot be compared (the reason is printed), 2 bad input",
-    "check obstacle_2d:size=30",
-    "check problem.npz --reference OSQP",
-)
-def check(
-    target: Target,
-    algorithm: AlgorithmName = "auto",
-    reference: Annotated[
-        str, typer.Option(help="A solver of quadratic programs that cvxpy has installed.")
-    ] = "CLARABEL",
-    max_seconds: MaxSeconds = None,
-    size: Size = None,
-) -> bool:
-    """Compare our solution with a convex solver's solution."""
-    from .solving import read_lcp
-
-    problem = read_lcp(target, "lcp-plugin check", size).problem
-    limit = _given(max_seconds=max_seconds)
-    found = lcp_plugin.cross_validate(problem, reference=reference, algorithm=algorithm, **limit)
-    typer.echo(found.explain())
-    return found.agrees
-
-
-@command("analyze", "0 done, 2 bad input", "analyze paper_example_1", "analyze problem.npz --json")
-def analyze(
-    target: Target,
-    json: Annotated[bool, typer.Option("--json", help="Print both tables as JSON.")] = False,
-    size: Size = None,
-) -> None:
+@command("analyze", "0 done, 2 bad input", "analyze paper_example_1")
+def analyze(target: Target) -> None:
     """Print the classes of the matrix, with proofs, and which algorithms are proved to converge on it."""
-    from .reports import analysis, analysis_content
+    from .reports import analysis
     from .solving import read_lcp
 
-    problem = read_lcp(target, "lcp-plugin analyze", size).problem
-    if json:
-        typer.echo(json_module.dumps(analysis_content(problem), indent=2))
-    else:
-        typer.echo(analysis(problem))
+    typer.echo(analysis(read_lcp(target, "lcp-plugin analyze").problem))
 
 
 @command(
@@ -268,16 +204,12 @@ def compare(
     algorithm: Annotated[
         list[str] | None,
         typer.Option(
-            "--algorithm",
-            "-a",
-            help="A name that `lcp-plugin list` shows; again for another.",
-            autocompletion=algorithm_names,
+            "--algorithm", "-a", help="A name that `lcp-plugin list` shows; again for another."
         ),
     ] = None,
     reference: Annotated[
         list[str] | None, typer.Option(help="A convex solver of cvxpy; again for another.")
     ] = None,
-    size: Size = None,
     repeats: Annotated[int, typer.Option(help="Runs per median of seconds.")] = 3,
     tolerance: Tolerance = None,
     max_seconds: MaxSeconds = None,
@@ -287,7 +219,7 @@ def compare(
     from .solving import check_outputs, read_lcp
 
     check_outputs(target, plot)
-    given = read_lcp(target, "lcp-plugin compare", size)
+    given = read_lcp(target, "lcp-plugin compare")
     limits = _given(tolerance=tolerance, max_seconds=max_seconds)
     problem = given.test_problem or given.problem
     found = lcp_plugin.error_against_time(

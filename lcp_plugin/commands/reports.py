@@ -54,25 +54,6 @@ def analysis(problem: LCP) -> str:
     return "\n".join(lines)
 
 
-def analysis_content(problem: LCP) -> dict[str, Any]:
-    """Return the report and the guarantees as a dictionary for JSON; numbers that are not finite become None."""
-    rows = [
-        {
-            "algorithm": title,
-            "verdict": found.verdict,
-            "theorem": found.theorem,
-            "rate": found.rate,
-            "rate_of": found.speaks_of if found.rate is not None else None,
-            "remedy": found.remedy,
-        }
-        for title, found in guarantees(problem)
-    ]
-    report = analyze(problem)
-    verdicts = {name: report.verdict(name)._asdict() for name in report.evidence}
-    matrix = {"n": report.n, "nonzeros": report.matrix.nonzeros, "verdicts": verdicts}
-    return finite({"matrix": matrix, "convergence": rows})
-
-
 def finite(value: object) -> Any:
     """Return JSON content with None for numbers that are not finite."""
     if isinstance(value, dict):

@@ -66,30 +66,24 @@ class Target(NamedTuple):
     names: Any = None
 
 
-def read_target(target: str, size: int | None = None) -> Target:
+def read_target(target: str) -> Target:
     """Return the problem of a file or a test problem.
 
     Raises
     ------
     LCPError
-        If there is none, or if the size is given twice, or for a file.
+        If there is none.
     """
     target = target.strip()
     name, _, settings = target.partition(":")
     name = name.strip().replace("-", "_")
     if name in gallery.names():
-        given = [setting for setting in settings.split(",") if setting.strip()]
-        given += [] if size is None else [f"size={size}"]
-        scene = gallery.parse(f"{name}:{','.join(given)}")
+        scene = gallery.parse(f"{name}:{settings}")
         return Target(scene.problem, scene)
     path = Path(target)
     if not (set(target) & set("/\\.") or path.exists()):
         hint = did_you_mean(name, gallery.names(), is_listed=True)
         raise InvalidOption(f"{target!r} is neither a file nor a test problem{hint}")
-    if size is not None:
-        raise InvalidOption(
-            f"--size {size} is for a test problem, but {target!r} is not one; leave it out"
-        )
     if path.suffix.lower() in MPS:
         program = load_program(target)
         return Target(program, names=program.names.unknowns)
@@ -98,9 +92,9 @@ def read_target(target: str, size: int | None = None) -> Target:
     return Target(load_problem(target))
 
 
-def read_lcp(target: str, way: str, size: int | None = None) -> Target:
+def read_lcp(target: str, way: str) -> Target:
     """Return the LCP of a file or a test problem, or raise InvalidOption for another class of problem."""
-    found = read_target(target, size)
+    found = read_target(target)
     problem = getattr(found.problem, "problem", found.problem)  # of an .nl file
     if not isinstance(problem, LCP):
         raise InvalidOption(f"{target}: {refusal(way, problem)}")
@@ -109,19 +103,17 @@ def read_lcp(target: str, way: str, size: int | None = None) -> Target:
 
 def run(
     target: str,
-    size: int | None,
     algorithm: str,
     options: dict[str, Any],
     settings: dict[str, Any],
     plot: Path | None,
     out: Path | None,
     *,
-    bound: bool,
     as_json: bool,
 ) -> bool:
     """Solve, print and save; return whether the problem is solved."""
     check_outputs(target, plot, out)
-    given = read_target(target, size)
+    given = read_target(target)
     if isinstance(given.problem, LCP):
         settings = settings | {"record": plot is not None}
     if hasattr(given.problem, "content"):  # an .nl file
@@ -136,10 +128,6 @@ def run(
         arrays = _arrays(answer)
         objective = answer.objective
     content: dict[str, Any] = {} if objective is None else {"objective": objective}
-    if bound:
-        proved = lcp_plugin.error_bound(given.problem, answer.z)
-        lines.append(str(proved))
-        content["error_bound"] = proved.infinity
     if as_json:
         content = json_content(answer) | content
         typer.echo(json.dumps(finite(content), indent=2))
@@ -253,10 +241,9 @@ def _values(given: Target, answer: Any, x: Vector) -> list[str]:
 # --- Options --------------------------------------------------------------------------------------------------
 
 
-def options_of(relaxation: str | None, pairs: list[str]) -> dict[str, Any]:
+def options_of(pairs: list[str]) -> dict[str, Any]:
     """Return the options of the algorithm."""
-    given = [] if relaxation is None else [f"relaxation={relaxation}"]
-    options = parse_options([*given, *pairs])
+    options = parse_options(pairs)
     for key in options.keys() & {"problem", "algorithm", *OF_SOLVE}:
         raise InvalidOption(f"{key} is not an option of an algorithm; see lcp-plugin solve --help")
     return options

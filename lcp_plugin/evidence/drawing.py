@@ -370,37 +370,27 @@ def _draw_residuals(axes: Any, result: BaseResult) -> None:
 # --- A path ---------------------------------------------------------------------------------------------------
 
 
-def plot_path(path: ParametricPath, *, axes: Any = None, rows: Sequence[int] | None = None) -> Any:
-    """Return matplotlib's axes with x over θ, its breakpoints as thin lines.
+def plot_path(path: ParametricPath, *, axes: Any = None) -> Any:
+    """Return matplotlib's axes with the 40 unknowns that change most over θ, its breakpoints as thin lines.
 
     Parameters
     ----------
     path : Path of :func:`lcp_plugin.trace`
     axes : Axes, optional
         Axes to draw into; by default the axes of a new figure of pyplot.
-    rows : sequence of int, optional
-        Numbers of the unknowns to draw; by default of those that change most.
 
     Raises
     ------
     UnsuitableProblem
         If the path has no pieces.
-    InvalidOption
-        If rows are not numbers of unknowns.
     """
     require_matplotlib()
     if not path.pieces:
         raise UnsuitableProblem(f"the path has no pieces to draw: {path.explain()}")
     ends = [(at, piece.x_at(at)) for piece in path.pieces for at in (piece.begin, piece.end)]
     theta, every = map(np.array, zip(*ends, strict=True))
-    n = every.shape[1]
-    if rows is None:
-        order = np.argsort(-np.ptp(every, axis=0), kind="stable")
-        rows = sorted(order[:40].tolist())  # unknowns drawn
-    chosen = np.asarray(rows)
-    is_whole = chosen.ndim == 1 and np.issubdtype(chosen.dtype, np.integer)
-    if not is_whole or not ((chosen >= 0) & (chosen < n)).all():
-        raise InvalidOption(f"rows must be integers from 0 to {n - 1}, got {rows!r}")
+    n, order = every.shape[1], np.argsort(-np.ptp(every, axis=0), kind="stable")
+    chosen = np.sort(order[:40])
     if axes is None:
         import matplotlib.pyplot as plt
 

@@ -35,7 +35,6 @@ from ..solving.dispatch import solve
 from ..systems.equilibration import equilibrating_exponents
 from .measurement import Method, methods_of
 
-Progress = Callable[[int, int, str], Any]
 ExactPoint = tuple[Fraction, ...]
 
 ALIKE = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries near 1
@@ -450,7 +449,6 @@ def stability_atlas(
     stresses: Iterable[str] | None = None,
     *,
     quick: bool = False,
-    progress: Progress | None = None,
 ) -> Atlas:
     """Return status, residual and true error of each algorithm on each kind of difficult data.
 
@@ -463,8 +461,6 @@ def stability_atlas(
         "cancellation". All by default.
     quick : bool
         Fewer iterations, without the problem of 10 000 unknowns.
-    progress : callable, optional
-        Called as ``progress(done, total, label)`` after every cell.
 
     Returns
     -------
@@ -486,8 +482,6 @@ def stability_atlas(
     >>> [cell.status for cell in atlas.cells]
     ['SOLVED', 'SOLVED', 'SOLVED']
     """
-    if progress is not None and not callable(progress):
-        raise InvalidOption(f"progress must be callable: (done, total, label), got {progress!r}")
     entrants = methods_of(["auto", *REGISTRY] if algorithms is None else algorithms)
     if not isinstance(stresses, list | tuple | None):
         raise InvalidOption(f"stresses must be a list of names, got {stresses!r}")
@@ -498,12 +492,9 @@ def stability_atlas(
     cases = [(family, case) for family in families for case in FAMILIES[family]()]
     if quick:
         cases = [(family, case) for family, case in cases if case.problem.n <= 2500]
-    cells: list[Cell] = []
-    for (family, case), one in product(cases, entrants):
-        cells.append(_cell(family, case, one, 5_000 if quick else 50_000))
-        if progress is not None:
-            progress(len(cells), len(cases) * len(entrants), f"{case.stress}: {one.label}")
-    return Atlas(tuple(cells))
+    limit = 5_000 if quick else 50_000
+    runs = product(cases, entrants)
+    return Atlas(tuple(_cell(family, case, one, limit) for (family, case), one in runs))
 
 
 def _cell(family: str, case: StressCase, one: Method, limit: int) -> Cell:

@@ -682,7 +682,7 @@ def _name(family: Family) -> str:
 
 
 def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> None:
-    """Raise UnsupportedModel, naming a block, if no one-to-one match of the pattern exists.
+    """Raise UnsupportedModel, naming a constraint or a variable, if no one-to-one match of the pattern exists.
 
     A row also has an entry for the variable of its pair, because the variable at its bound may replace the row.
     """
@@ -691,33 +691,18 @@ def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> 
     inside = [
         [*_variables([row]), *([partner[id(row)]] if id(row) in partner else [])] for row in rows
     ]
-    open_ones = {id(one): one for columns in inside for one in columns if not one.fixed}
-    place, variables = {key: j for j, key in enumerate(open_ones)}, [*open_ones.values()]
+    variables = {id(one): one for columns in inside for one in columns if not one.fixed}
+    place = {key: j for j, key in enumerate(variables)}
     pattern = sp.lil_array((len(rows), len(variables)))
     for i, columns in enumerate(inside):
         pattern[i, [place[id(one)] for one in columns if not one.fixed]] = 1.0
-    for own, others, matrix, words in (
-        (rows, variables, pattern.tocsr(), "contain only the variables"),
-        (variables, rows, pattern.T.tocsr(), "appear only in the constraints"),
+    for own, matrix, words in (
+        (rows, pattern, "constraint {} would need the variable of another one"),
+        ([*variables.values()], pattern.T, "variable {} would need the constraint of another one"),
     ):
-        partners = maximum_bipartite_matching(matrix, perm_type="column").tolist()
-        if -1 in partners:
-            block, reached = _dulmage_mendelsohn_block(matrix, partners)
-            names = listed((own[k].name for k in block), MOST_NAMES)
-            few = listed((others[k].name for k in reached), MOST_NAMES) or "that are fixed"
+        partners = maximum_bipartite_matching(sp.csr_array(matrix), perm_type="column")
+        for k in np.flatnonzero(partners < 0)[:1]:
             raise UnsupportedModel(
-                f"the model is structurally singular: {names} {words} {few}, which is one too "
-                "few; see whether a constraint is missing or redundant, or a pair is wrong"
+                f"the model is structurally singular: {words.format(own[k].name)}; see whether a constraint is "
+                "missing or redundant, or a pair is wrong"
             )
-
-
-def _dulmage_mendelsohn_block(matrix: Any, partners: list[int]) -> tuple[list[int], list[int]]:
-    """Return the rows and columns on alternating paths from the first row without a match; it comes first."""
-    row_of = {column: row for row, column in enumerate(partners) if column >= 0}
-    rows, columns = [partners.index(-1)], dict[int, None]()
-    for row in rows:
-        for column in matrix.indices[matrix.indptr[row] : matrix.indptr[row + 1]].tolist():
-            if column not in columns:
-                columns[column] = None
-                rows.append(row_of[column])
-    return rows, [*columns]

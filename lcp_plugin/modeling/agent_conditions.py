@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from cvxpy.atoms.affine.add_expr import AddExpression
 from cvxpy.atoms.elementwise.power import Power
+from cvxpy.constraints import Inequality
 
 from ..core.checks import Vector
 from ..core.errors import UnsupportedModel
@@ -122,16 +123,30 @@ class StandardRows(NamedTuple):
         Raises
         ------
         UnsupportedModel
-            If data are NaN or infinite, except for constants that make entries of an affine inequality always hold.
+            If data are NaN or infinite, except for entries of one side of an inequality that then always hold.
         """
         expression, is_equation = expression_of(constraint), isinstance(constraint, EQUATIONS)
-        kept: Any = entries_with_a_limit(constraint)
-        if kept is None:
-            expression, kept = rewritten(expression, change), slice(None)
-        elif not kept.size:
+        kept: Any = slice(None)
+        for k, side in enumerate(constraint.args if isinstance(constraint, Inequality) else ()):
+            if side.variables() or side.parameters() or not np.isinf(dense(side.value)).any():
+                continue
+            ends = np.broadcast_to(dense(side.value), constraint.shape)
+            always = np.inf if k else -np.inf
+            limit = cp.Constant(np.where(ends == always, 0.0, ends))
+            rest = constraint.args[0] - limit if k else limit - constraint.args[1]
+            kept = np.flatnonzero(by_columns(ends) != always)
+            expression = vector_of(rest)[kept]
+        if not expression.size:
             return []
-        else:
-            expression = vector_of(rewritten(expression, _finite))[kept]
+        for leaf in (*expression.constants(), *expression.parameters()):
+            if leaf.value is not None and not np.isfinite(_entries(leaf.value)).all():
+                is_parameter = isinstance(leaf, cp.Parameter)
+                named = f"the parameter {leaf.name()} of " if is_parameter else ""
+                raise UnsupportedModel(
+                    f"{named}{name_of(constraint)} in an agent's program is not finite; only a constant side of an "
+                    "inequality may be infinite, if the inequality then holds: repair the data, or leave it out"
+                )
+        expression = rewritten(expression, change)
         if isinstance(constraint, cp.constraints.NonNeg):
             expression = -expression
         return [cls(constraint, expression, is_equation, kept)]
@@ -145,76 +160,8 @@ class StandardRows(NamedTuple):
         return found.reshape(expression_of(self.origin).shape, order="F")
 
 
-def entries_with_a_limit(constraint: cp.Constraint) -> Indices | None:
-    """Return the entries of an inequality that exclude some values; None if all its data are finite.
-
-    Raises
-    ------
-    UnsupportedModel
-        As `StandardRows.of`.
-    """
-    wrong = [
-        leaf
-        for leaf in (*constraint.constants(), *constraint.parameters())
-        if leaf.value is not None and not np.isfinite(_entries(leaf.value)).all()
-    ]
-    if not wrong:
-        return None
-    expression, words = expression_of(constraint), f"{name_of(constraint)} in an agent's program"
-    parameters = [
-        f"the parameter {one.name()} of " for one in wrong if isinstance(one, cp.Parameter)
-    ]
-    if parameters or isinstance(constraint, EQUATIONS) or not expression.is_affine():
-        raise UnsupportedModel(
-            f"{''.join(parameters[:1])}{words} is not finite, as only affine inequalities may be, by their constants; "
-            "repair the data, or leave the constraint out"
-        )
-    value, left = (_constant_part(one) for one in (expression, rewritten(expression, _finite)))
-    if isinstance(constraint, cp.constraints.NonNeg):
-        value, left = -value, -left
-    if not (value < np.inf).all():  # NaN also
-        raise UnsupportedModel(f"no value of the variables satisfies {words}; repair its data")
-    kept = np.flatnonzero(np.isfinite(value))
-    if not np.array_equal(value[kept], left[kept]):
-        raise UnsupportedModel(
-            f"{words} has a function of an infinite constant and a parameter; leave the infinite entries out"
-        )
-    return kept
-
-
-def _constant_part(expression: cp.Expression) -> Vector:
-    """Return the value of an expression where all variables are 0, and 1 parameters that have no value."""
-
-    def change(node: cp.Expression) -> Any:
-        if isinstance(node, cp.Variable):
-            return cp.Constant(np.zeros(node.shape))
-        is_unknown = isinstance(node, cp.Parameter) and node.value is None
-        return cp.Constant(np.ones(node.shape)) if is_unknown else node
-
-    return np.asarray(by_columns(rewritten(expression, change).value))
-
-
 def _entries(value: Any) -> Any:
     return value.data if sp.issparse(value) else value
-
-
-def _finite(node: cp.Expression) -> Any:
-    """Return a node of numbers as a constant, and any other node with 0 in place of ±∞ in its constants.
-
-    Only entries without limit hold such a constant, and they are left out.
-    """
-    if not node.variables() and not node.parameters():
-        return cp.Constant(node.value)
-    infinite = [isinstance(k, cp.Constant) and np.isinf(_entries(k.value)).any() for k in node.args]
-    if not any(infinite):
-        return node
-    pairs = zip(node.args, infinite, strict=True)
-    return node.copy([_without_infinity(k) if is_infinite else k for k, is_infinite in pairs])
-
-
-def _without_infinity(constant: Any) -> Any:
-    value = dense(constant.value)
-    return cp.Constant(np.where(np.isinf(value), 0.0, value))
 
 
 class AgentProgram:

@@ -32,8 +32,8 @@ def optimal(program: Any, over: object, *, shared: Any = (), check: str = "conve
     Parameters
     ----------
     program : cvxpy.Problem
-        The program of one agent, with affine equations and convex inequalities. An affine inequality that an infinite
-        constant makes true for all variables is left out, by entries; parameters must be finite. Decisions stay in
+        The program of one agent, with affine equations and convex inequalities. Entries of an inequality with an
+        infinite constant side, as ``x <= [1, np.inf]``, are left out; parameters must be finite. Decisions stay in
         the domain of cvxpy's rules: ``log(y)`` and ``y**3`` require y ≥ 0.
     over : list of cvxpy.Variable, or of entries of variables
         The agent's decisions, for example ``[x]`` or ``[x[0]]``. Other variables of the program are data of it.

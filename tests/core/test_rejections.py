@@ -391,9 +391,6 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
     "cross_validate algorithm": lambda p, wrong: cross_validate(p, algorithm=wrong),
     "stability_atlas algorithms": lambda p, wrong: stability_atlas(wrong, ["sizes"]),
     "stability_atlas stresses": lambda p, wrong: stability_atlas(["psor"], wrong),
-    "stability_atlas progress": lambda p, wrong: stability_atlas(
-        ["psor"], ["sizes"], progress=wrong
-    ),
     "gallery parse": lambda p, wrong: gallery.parse(wrong),
     "gallery build": lambda p, wrong: gallery.build(wrong),
     "study against": lambda p, wrong: Study(()).plot(against=wrong),

@@ -185,7 +185,6 @@ def command_lines(draw: st.DrawFn) -> list[str]:
     line = [command] if command == "list" else [command, draw(targets())]
     options = {
         "--algorithm": st.sampled_from(["auto", *REGISTRY, "psr", ""]),
-        "--relaxation": NUMBERS | st.just("auto"),
         "--option": st.builds(
             "{}={}".format, OPTIONS, NUMBERS | st.sampled_from(["forward", "none", "diagonal"])
         ),
@@ -194,7 +193,6 @@ def command_lines(draw: st.DrawFn) -> list[str]:
         "--max-iterations": NUMBERS,
         "--max-seconds": NUMBERS,
         "--out": st.sampled_from(["z.npz", "z.txt", "no/z.npz", "p.npz", "", "empty"]),
-        "--error-bound": st.none(),
         "--json": st.none(),
     }
     if command == "solve":

@@ -179,7 +179,7 @@ INFINITE = {
         [0, 2],
     ),
     "some rows": ([3.0, 3.0], lambda x: np.ones((2, 2)) @ x <= np.array([np.inf, 2.0]), [0, 4]),
-    "NonNeg": ([3.0, 3.0], lambda x: cp.NonNeg(np.array([np.inf, 2.0]) - x), [0, 2]),
+    "a kink": ([3.0, 3.0], lambda x: cp.abs(x) <= np.array([np.inf, 2.0]), [0, 2]),
     "of constants": (
         [3.0, 3.0],
         lambda x: x + x <= cp.minimum([np.inf, np.inf], [np.inf, 2.0]),
@@ -221,14 +221,12 @@ def set_value(parameter: cp.Parameter, value: float) -> cp.Parameter:
 
 
 @refusals(r"""
-v >= np.inf → no value of the variables satisfies inf <= v
-v <= -np.inf → no value of the variables satisfies v <= -inf
-2 * v >= np.inf → no value of the variables satisfies inf <= 2.0 . v
-cp.NonNeg(v - np.inf) → no value of the variables satisfies
+v >= np.inf → inf <= v in an agent's program is not finite; only a constant side
+v <= -np.inf → v <= -inf in an agent's program is not finite
+cp.NonNeg(v - np.inf) → in an agent's program is not finite
 v <= set_value(cp.Parameter(name="cap"), np.inf) → parameter cap of v <= cap
-v <= np.nan → no value of the variables satisfies v <= nan
-v**2 <= np.inf → only affine inequalities
-cp.abs(v) <= -np.inf → only affine inequalities
+v <= np.nan → v <= nan in an agent's program is not finite
+cp.abs(v) <= -np.inf → in an agent's program is not finite
 v == np.inf → v == inf in an agent's program
 """)
 def test_an_infinite_bound_that_excludes_or_hides_values_is_refused(call, words):

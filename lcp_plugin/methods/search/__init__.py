@@ -5,7 +5,6 @@ Feasibility and exhaustive search as stages of a run, which ends with a solution
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -26,7 +25,7 @@ from ...core.settings import whole_number
 from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...proofs.exact import exact_slack
 from ...proofs.no_solution import NoSolution, find_infeasibility
-from .explorer import Explorer, Face, Point, extreme_points, faces_around
+from .explorer import Explorer, Face, Point, extreme_points
 from .simplex import QUANTUM, Effort
 
 LARGEST_CHOICES = 24  # rows with more than one choice
@@ -102,7 +101,7 @@ class Solution:
 
 
 def search(
-    problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NODES, most: float = math.inf
+    problem: LCP, *, first_only: bool = True, max_nodes: int = DEFAULT_NODES
 ) -> list[Solution] | NoSolution | None:
     """Return a solution (or all), the proof that there is none, or None if the limit was too low.
 
@@ -113,8 +112,6 @@ def search(
     max_nodes : int
         Limit of the number of complementarity pieces; one costs about a millisecond at n = 10, more with long
         mantissas.
-    most : float
-        Stop after this number of solutions.
 
     Raises
     ------
@@ -132,7 +129,7 @@ def search(
     True
     """
     limit, effort = whole_number(max_nodes, "max_nodes", 1), Effort()
-    for outcome in explore(problem, effort, first_only=first_only, most=most):
+    for outcome in explore(problem, effort, first_only=first_only):
         if outcome is not None:
             return outcome
         if effort.cases > limit:
@@ -141,22 +138,12 @@ def search(
 
 
 def explore(
-    problem: LCP, effort: Effort, *, first_only: bool = True, most: float = math.inf
+    problem: LCP, effort: Effort, *, first_only: bool = True
 ) -> Iterator[list[Solution] | NoSolution | None]:
-    """Yield None after each case, then the result of `search`; `effort` counts the work.
-
-    The search ends at `most` solutions.
-    """
+    """Yield None after each case, then the result of `search`; `effort` counts the work."""
     _require_small(problem)
     explorer = Explorer(problem, effort, first_only=first_only)
-    known = 0
     for _ in explorer.run():
-        if most < math.inf and len(explorer.faces) > known:  # perhaps a part of larger faces
-            around = yield from faces_around(problem, explorer.faces[-1], effort)
-            explorer.faces[-1:] = _maximal(around)
-            known = len(explorer.faces)
-        if len(explorer.faces) >= most and len(_maximal(explorer.faces)) >= most:
-            break
         yield None
     if explorer.faces:
         yield [_solution(problem, face) for face in _maximal(explorer.faces)]
@@ -168,17 +155,13 @@ def explore(
 
 
 @np.errstate(all="ignore")
-def all_solutions(
-    problem: LCP, *, limit: int | None = None, max_nodes: int = DEFAULT_NODES
-) -> list[Solution]:
+def all_solutions(problem: LCP, *, max_nodes: int = DEFAULT_NODES) -> list[Solution]:
     """Return all solutions of a small problem, exactly; a continuum of solutions by its faces.
 
     Parameters
     ----------
     problem : LCP
         At most 24 rows that leave a choice, n at most 60.
-    limit : int, optional
-        Stop after this number of solutions.
     max_nodes : int
         Limit of the number of complementarity pieces.
 
@@ -194,7 +177,7 @@ def all_solutions(
     UnsuitableProblem
         If the problem is too large, or needs more than `max_nodes` pieces.
     InvalidProblem, InvalidOption
-        If `problem` is not an LCP; if `limit` or `max_nodes` is not an integer ≥ 1.
+        If `problem` is not an LCP; if `max_nodes` is not an integer ≥ 1.
 
     Notes
     -----
@@ -214,14 +197,13 @@ def all_solutions(
     >>> print(face)
     z = (2, 0), a vertex of a face of dimension 1; others: (0, 2)
     """
-    most = math.inf if limit is None else whole_number(limit, "limit", 1)
-    outcome = search(problem, first_only=False, max_nodes=max_nodes, most=most)
+    outcome = search(problem, first_only=False, max_nodes=max_nodes)
     if outcome is None:
         raise UnsuitableProblem(
             f"the search did not end within max_nodes={max_nodes} pieces; raise max_nodes, or compute one "
             "solution with solve(problem)"
         )
-    return [] if isinstance(outcome, NoSolution) else outcome[:limit]
+    return [] if isinstance(outcome, NoSolution) else outcome
 
 
 def _maximal(faces: Sequence[Face]) -> list[Face]:

@@ -5,7 +5,7 @@ All arithmetic is exact.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -212,17 +212,6 @@ class Explorer:
                 self.simplex.set_bounds(x, at, at)
                 found.append(other)
         return frozenset(found)
-
-
-def faces_around(problem: LCP, face: Face, effort: Effort) -> Generator[None, None, list[Face]]:
-    """Return faces that contain a face, among them all maximal ones; yield as `run` does."""
-    explorer = Explorer(problem, effort, first_only=False)
-    explorer.simplex.solve_equations()
-    for i, choice in enumerate(face.pattern):
-        if len(explorer.choices[i]) > 1 == len(face.tight[i]):
-            explorer.choose(i, choice)
-    yield from explorer.run()
-    return [other for other in explorer.faces if face.lies_in(other)]
 
 
 def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:

@@ -159,7 +159,7 @@ def test_traffic_of_braess_has_equations_without_pairs():
     assert [one.value for one in [*m.flow.values(), m.time]] == pytest.approx([2, 2, 2, 92])
     m.demand.deactivate()
     m.again = pe.Constraint(m.road, rule=lambda m, r: m.use[r] == 4)
-    with pytest.raises(LCPError, match=r"structurally singular: again.* contain only"):
+    with pytest.raises(LCPError, match=r"structurally singular: constraint again.* would need"):
         solve(m, "match")
 
 

@@ -10,7 +10,6 @@ from campaigns.search import Enumeration, random_problem, violations
 
 from lcp_plugin import (
     LCP,
-    Certificate,
     InvalidOption,
     InvalidProblem,
     Status,
@@ -173,8 +172,8 @@ def test_limits_end_the_search_honestly():
         search(LCP(np.eye(30), np.ones(30)))
     with pytest.raises(UnsuitableProblem, match=r"got 0 and n = 80"):
         search(LCP(np.eye(80), np.ones(80), lower=-np.inf))
-    with pytest.raises(InvalidOption, match="limit"):
-        all_solutions(problem, limit=0)
+    with pytest.raises(InvalidOption, match="max_nodes"):
+        all_solutions(problem, max_nodes=0)
     with pytest.raises(InvalidProblem, match="LCP"):
         search(np.eye(2))  # type: ignore[arg-type]
 
@@ -213,36 +212,6 @@ def test_energy_that_falls_for_ever_does_not_keep_the_run_from_a_proof():
     result = solve(LCP(M, np.full(400, -1e-3)), "multigrid")
     assert result.status is Status.INFEASIBLE
     assert result.iterations < 10_000
-
-
-def test_a_limit_of_solutions_ends_the_search():
-    """`limit=1` of a problem with 2ⁿ solutions examines a few pieces only, and finds a solution."""
-    problem = LCP(-np.eye(12), np.ones(12))  # z_i is 0 or 1
-    found = all_solutions(problem, limit=1, max_nodes=100)
-    assert len(found) == 1
-    assert Certificate.of(problem, found[0].z).relative_residual == 0.0
-    assert len(all_solutions(problem, limit=3, max_nodes=100)) == 3
-    with pytest.raises(UnsuitableProblem):
-        all_solutions(problem, max_nodes=100)
-
-
-def test_a_limited_search_reports_maximal_faces(draws):
-    """With `limit`, a vertex of a ray is not isolated: every face is one of the search without a limit."""
-    (ray,) = all_solutions(LCP([[1, -1], [-1, 1]], [0, 0]), limit=1)
-    assert (ray.dimension, ray.is_isolated) == (1, False)
-    assert str(ray) == "z = (0, 0), a vertex of a face of dimension 1"
-    for seed in draws(240):
-        rng = np.random.default_rng([98, seed])
-        n = int(rng.integers(2, 5))
-        lower = np.where(rng.random(n) < 0.2, -np.inf, 0.0)
-        upper = np.where(rng.random(n) < 0.3, 1.0, np.inf)
-        M, q = rng.integers(-1, 2, (n, n)), rng.integers(-1, 2, n)
-        problem = LCP(M, q, lower=lower, upper=upper)
-        faces = {(one.dimension, one.exact_vertices) for one in all_solutions(problem)}
-        for limit in (1, 2, 3):
-            found = all_solutions(problem, limit=limit)
-            assert len(found) >= min(limit, len(faces))
-            assert {(one.dimension, one.exact_vertices) for one in found} <= faces
 
 
 def test_a_line_of_solutions_has_no_vertex():

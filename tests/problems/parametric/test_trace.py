@@ -253,11 +253,8 @@ def test_a_path_is_shown_in_words_tables_and_pictures():
     assert repr(path).startswith("Path(SOLVED, 2 pieces, 0 to 6")
     assert "breakpoints: 3.5" in path.explain()
     assert len(path.plot().figure.axes) == 1
-    assert path.plot(rows=[1]).get_ylabel() == "x, 1 of 2"
     program = trace(QuadraticProgram(np.eye(2), [0, 0], lower=0), {"c": [-1, 1]}, 1, -1)
     assert len(program.plot().figure.axes) == 1
-    with pytest.raises(InvalidOption, match="from 0 to 1"):
-        path.plot(rows=[2])
 
 
 # --- rounding, scaling and crossing bounds --------------------------------------------------------------------

@@ -183,6 +183,11 @@ def largest_in_rows(M: Any, sizes: Vector | None = None) -> Vector:
     return largest
 
 
+def count_entries(matrix: Any) -> int:
+    """Return the number of nonzeros of an ndarray or a CSR array."""
+    return int(matrix.nnz if sp.issparse(matrix) else np.count_nonzero(matrix))
+
+
 def largest_products(sizes: Any, x: Vector) -> Vector:
     """Return max_j |m_ij| x_j of each row, x ≥ 0; `sizes` is |M|, of one problem or, dense, of a stack."""
     if sp.issparse(sizes):

@@ -96,6 +96,16 @@ class DAQP(Engine):
             yield call_daqp(hessian, c[k], C[of_C[k]], above[k], below[k], sense, settings)
 
 
+def point_of_daqp(
+    P: Array, C: Array, sense: Any, c: Array, d: Array, m: int, lower: Array, upper: Array
+) -> tuple[Vector, Vector, int]:
+    """Return daqp's x within its bounds, the multipliers of the rows, of which m are inequalities, and the steps."""
+    n, above, below = c.size, np.concatenate((upper, d)), np.concatenate((lower, d))
+    below[n : n + m] = -math.inf
+    x, y, _, steps = call_daqp(P, c.copy(), C, above, below, sense, DAQP.defaults)
+    return np.minimum(np.maximum(x, lower), upper), y[n:], steps
+
+
 def call_daqp(
     P: Array, c: Array, C: Array, above: Any, below: Any, sense: Any, settings: dict[str, Any]
 ) -> tuple[Vector, Vector, int, int]:

@@ -53,6 +53,7 @@ CANCELLED = 1e-8  # share of the objective's terms to which they may cancel
 LEAST_SIZE = 1e-6  # of the rows' terms with their multipliers
 MOVES = 1000.0  # times its size, an unknown without a bound is moved
 SMALLEST_SIZE = 2.0**-900  # of the gap: if all terms are 0, gradients are relative to their own
+SHARP = 32.0 * MOVES * UNIT  # per unknown and row: below this gap, plain sums show no error
 SAFETY = 5.0  # times the bounds of rounding errors, in the compiled test
 INF = float("inf")
 LEAST_PRICE = 2.0**-1000  # quotients by it are finite
@@ -86,8 +87,8 @@ class KKTErrors(NamedTuple):
         """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
         found, terms = cls(np.inf, np.inf), program.terms
         if terms.is_one_dense_component and tolerance:
-            data = program.c, terms.C, program.d, terms.m, program.lower, program.upper
-            found = cls(*map(float, MEASURE_IN_PYTHON(terms.P, *data, x, y, 1.0)))
+            data = program.c, program.d, terms.m, program.lower, program.upper, x, y
+            found = cls(*map(float, MEASURE_IN_PYTHON(terms.P, terms.C, terms.sizes, *data, 1.0)))
             if found.meet(tolerance):
                 return found
         if np.isfinite(x).all() and np.isfinite(y).all():
@@ -159,6 +160,11 @@ class ProgramTerms:
         return entries_of_rows(self.C)
 
     @cached_property
+    def sizes(self) -> tuple[Any, Any, Vector]:
+        """The sizes that :func:`dense_errors` takes."""
+        return self.measured[2], self.measured[3], self.row_sizes
+
+    @cached_property
     def row_sizes(self) -> Vector:
         """Largest |entry| of each row of C; 1 for a row without entries."""
         sizes = largest_products(self.measured[3], np.ones(self.P.shape[0]))
@@ -182,7 +188,9 @@ class ProgramTerms:
     def is_one_dense_component(self) -> bool:
         """True if :func:`dense_errors` measures programs with these matrices."""
         is_small = isinstance(self.P, np.ndarray) and 0 < self.C.shape[1] <= 400 >= self.C.shape[0]
-        return is_small and self.components.number == 1
+        return is_small and bool(
+            (self.counts == self.C.shape[1]).any() or self.components.number == 1
+        )
 
     @cached_property
     def measured(self) -> tuple[Any, Any, Any, Any, Any]:
@@ -368,8 +376,10 @@ def entries_of_rows(matrix: Any) -> Indices:
 
 
 @kernel
-def dense_errors(P, c, C, d, m, lower, upper, given, multipliers, safety):  # type: ignore[no-untyped-def]
+def dense_errors(P, C, sizes, c, d, m, lower, upper, given, multipliers, safety):  # type: ignore[no-untyped-def]
     """Return upper bounds of the two measures of a point of a dense program of one component; ∞ if in doubt.
+
+    `sizes` are |P|, |C| and the largest |entry| of each row of C, 1 for a row without entries.
 
     With `safety` = 1 this is the rule by plain sums. With `SAFETY` = 5, if the first bound is at most half of
     `ROWS` and the second half of the tolerance, the rule accepts the point for sums in any order, for at most 400
@@ -383,38 +393,46 @@ def dense_errors(P, c, C, d, m, lower, upper, given, multipliers, safety):  # ty
       distance in the sum here, which is also the most that it adds to the maximum there (the factor of 2); an unknown
       within 1e-5 of its way counts in both places here.
     """
-    n, rows, unit = c.size, d.size, safety * UNIT
-    if not (np.isfinite(given).all() and np.isfinite(multipliers).all()):
+    n, rows, unit, (of_P, of_C, row_sizes) = c.size, d.size, safety * UNIT, sizes
+    if not (given @ given < INF and multipliers @ multipliers < INF):
         return INF, INF
     x, is_limit = np.minimum(np.maximum(given, lower), upper), d < INF
     y, d = np.where(is_limit, multipliers, 0.0), np.where(is_limit, d, 0.0)
     y[:m] = np.maximum(y[:m], 0.0)
-    of_x, of_y, of_C, cost, row_sizes = np.abs(x), np.abs(y), np.abs(C), np.abs(c), np.ones(rows)
-    for i in range(rows):
-        row_sizes[i] = of_C[i].max()
-    terms, bend, product = of_C @ of_x + np.abs(d), np.abs(P) @ of_x, P @ x
-    excess, rounding, lost = C @ x - d, unit * (n + 3.0) * terms, unit * (n + 3.0) * bend
-    missed, over = np.abs(excess) + rounding, np.abs(excess) + rounding
+    of_x, of_y, cost, product = np.abs(x), np.abs(y), np.abs(c), P @ x
+    terms, bend, excess, slopes = of_C @ of_x + np.abs(d), of_P @ of_x, C @ x - d, product + c
+    rounding, lost = unit * (n + 3.0) * terms, unit * (n + 3.0) * bend
+    missed = np.abs(excess) + rounding
+    over = missed.copy()
     over[:m] = np.maximum(excess[:m] + rounding[:m], 0.0)
     over = np.where(is_limit, over / np.maximum(terms, LEAST_PRICE), 0.0)
     outside = np.abs(given - x) / np.maximum(np.maximum(of_x, np.abs(given)), LEAST_PRICE)
     primal = max(outside.max(), over.max() if rows > 0 else 0.0)
-    left, doubt = product + c + y @ C, unit * (n + rows + 3.0) * (bend + cost + of_y @ of_C)
+    left, doubt = slopes + y @ C, unit * (n + rows + 3.0) * (bend + cost + of_y @ of_C)
+    of_left, price = np.abs(left), np.abs(product) - lost + cost
+    rest, curved = of_left + doubt, max(abs(x @ product) - of_x @ lost, 0.0)
+    size = abs(c @ x) + curved
+    # A reach is at most a way and K |x_j|, a way at most K size/price, and more terms only raise sizes and prices
+    gap = (of_y @ missed + MOVES * (rest @ of_x)) / size + 2.1 * MOVES * (rest @ (1.0 / price))
+    if price.min() > 0.0 and gap <= SHARP * (n + rows):
+        return primal, gap
     below, above = x - lower, upper - x
     is_off = np.minimum(below, above) > DATA_ROUNDING * of_x.max()
-    most = np.where(is_off, np.maximum(np.abs(product + c) - lost, 0.0), 0.0).max()
-    y = np.minimum(of_y, most / np.where(row_sizes > 0.0, row_sizes, 1.0))
-    curved = max(abs(x @ product) - of_x @ lost, 0.0)
-    size = max(abs(c @ x) + curved, CANCELLED * (cost @ of_x + curved), SMALLEST_SIZE)
-    size = max(size, LEAST_SIZE * (y @ terms + (0.0 if cost.any() else of_x @ bend)))
-    is_rounding = np.abs(left) + (safety - 1.0) * doubt <= (n + 3.0) * UNIT * bend
-    balanced = np.where(is_rounding & (cost == 0.0), bend, 0.0 * bend if cost.any() else bend)
-    price = np.maximum(np.abs(product) - lost, balanced)
-    way = MOVES * size / np.maximum(price + cost + y @ of_C, LEAST_PRICE)
-    rest, distance = np.abs(left) + doubt, np.where(left > 0.0, below, above)
-    distance = np.where(np.abs(left) <= doubt, np.maximum(below, above), distance)
+    most = max(np.where(is_off, np.abs(slopes) - lost, 0.0).max(), 0.0)
+    y = np.minimum(of_y, most / row_sizes)
+    size = max(size, CANCELLED * (cost @ of_x + curved), SMALLEST_SIZE)
+    has_cost = cost.any()
+    size = max(size, LEAST_SIZE * (y @ terms + (0.0 if has_cost else of_x @ bend)))
+    is_rounding = of_left + (safety - 1.0) * doubt <= (n + 3.0) * UNIT * bend
+    balanced = np.where(is_rounding & (cost == 0.0), bend, 0.0) if has_cost else bend
+    price = np.maximum(np.abs(product) - lost, balanced) + cost + y @ of_C
+    way, distance = (
+        MOVES * size / np.maximum(price, LEAST_PRICE),
+        np.where(left > 0.0, below, above),
+    )
+    distance = np.where(of_left <= doubt, np.maximum(below, above), distance)
     reach = np.where(distance > 1.00001 * way, np.minimum(distance, MOVES * of_x), distance)
-    gap = of_y @ missed + np.where(rest > 0.0, rest * reach, 0.0).sum()
+    gap = of_y @ missed + np.where(rest > 0.0, reach, 0.0) @ rest
     gap += np.where(distance > way, rest * way, 0.0).max()
     is_certain = primal < INF and gap < INF and size < INF
     return (primal, gap / size) if is_certain else (INF, INF)

@@ -19,8 +19,7 @@ from ..core.errors import InvalidOption, did_you_mean
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of
 from ..core.settings import Settings, Status
-from ..engines import is_installed
-from ..engines.solvers import DAQP, EQUATION, call_daqp
+from ..engines.solvers import point_of_daqp
 from ..judges.cones import bound_residual
 from ..judges.program import PROGRAM_TOLERANCE, SAFETY, dense_errors
 from ..methods.lemke import Lemke
@@ -59,6 +58,7 @@ class PreparedProblem(Generic[P]):
     def __init__(self, problem: P, algorithm: Any, options: dict[str, Any]) -> None:
         self.problem = problem
         self.last: Any = None
+        self._known = {self.start, *self.data.split()}
         self._solve_fully = solver_with(problem, algorithm, dict(options), "prepare")
 
     def solve(self, *, warm: bool = False, **data: Any) -> Any:
@@ -76,12 +76,11 @@ class PreparedProblem(Generic[P]):
         InvalidProblem, InvalidOption
             As the constructor of the problem and :func:`lcp_plugin.solve`.
         """
-        known = [self.start, *self.data.split()]
-        for name in data:
-            if name not in known:
-                raise InvalidOption(
-                    f"step.solve takes no {name}{did_you_mean(name, known)}; it takes {known}"
-                )
+        if unknown := data.keys() - self._known:
+            name, known = min(unknown), [self.start, *self.data.split()]
+            raise InvalidOption(
+                f"step.solve takes no {name}{did_you_mean(name, known)}; it takes {known}"
+            )
         start = data.pop(self.start, None)
         found = None if warm or start is not None else self._solve_quickly(**data)
         if found is None:
@@ -176,43 +175,27 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         refuse_nonconvex(problem)
         self._tolerance = Settings(tolerance=options.get("tolerance", PROGRAM_TOLERANCE)).tolerance
         self._arrays: Any = None
-        is_daqp = (
-            isinstance(algorithm, str) and algorithm in ("auto", "daqp") and is_installed("daqp")
-        )
-        one, is_suited = (
-            problem.matrices,
-            is_daqp and not options.keys() - {"tolerance"} and has_numba(),
-        )
-        is_suited = is_suited and one.is_small and one.has_curvature
-        if (
-            is_suited
-            and one.is_semidefinite
-            and (one.counts > 1).all()
-            and one.terms.is_one_dense_component
-        ):
-            m, p, n, _ = one.sizes
-            sense = np.repeat([0, EQUATION], [n + m, p]).astype(np.intc)
-            matrices = [np.array(each, order="C") for each in one.stacked]
+        one, terms = problem.matrices, problem.matrices.terms
+        is_daqp = isinstance(algorithm, str) and algorithm in ("auto", "daqp")
+        is_suited = is_daqp and not options.keys() - {"tolerance"} and has_numba()
+        if is_suited and one.of_daqp and (one.counts > 1).all() and terms.is_one_dense_component:
             vectors = {name: getattr(problem, name) for name in self.data.split()}
-            self._arrays = matrices, one.terms, vectors, sense
+            self._arrays = one.of_daqp, (terms.P, terms.C, terms.sizes), vectors
 
     def _solve_quickly(self, *_: Any, **data: Any) -> Any:
         """Return daqp's point if the compiled test accepts it, and nothing hints at a program without a minimum."""
         if self._arrays is None:
             return None
-        began, ((P, C), terms, own, sense) = perf_counter(), self._arrays
+        began, ((P, C, sense), terms, own) = perf_counter(), self._arrays
         every = [_copy_of(data.get(name), own[name]) for name in own]
         if any(one is None for one in every):
             return None
         c, h, b, lower, upper = every
-        d, n, m = np.concatenate((h, b)), c.size, h.size
-        if not (c @ c < NO_LIMIT**2 and d @ d < NO_LIMIT**2):
+        d, m = np.concatenate((h, b)), h.size
+        if not d @ d < NO_LIMIT**2:  # NaN in other data does not pass the test
             return None
-        above, below = np.concatenate((upper, d)), np.concatenate((lower, d))
-        below[n : n + m] = -math.inf
-        x, y = call_daqp(P, c.copy(), C, above, below, sense, DAQP.defaults)[:2]
-        x, y = np.minimum(np.maximum(x, lower), upper), y[n:]
-        primal, gap = dense_errors(terms.P, c, terms.C, read_only(d), m, lower, upper, x, y, SAFETY)
+        x, y = point_of_daqp(P, C, sense, c, d, m, lower, upper)[:2]
+        primal, gap = dense_errors(*terms, c, read_only(d), m, lower, upper, x, y, SAFETY)
         is_certain = primal <= CERTAIN_ROWS and x @ x <= FAR**2
         if not (is_certain and gap <= 0.5 * self._tolerance):
             return None

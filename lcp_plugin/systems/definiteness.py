@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Vector
 from ..core.kernels.floats import EPSILON
-from ..core.matrix import row_numbers, scale_by
+from ..core.matrix import count_entries, row_numbers, scale_by
 from ..core.tuning import FULL_CHOLESKY_UP_TO
 from .factors import PositiveFactor, factor_fits, positive_factor, positive_triangle
 
@@ -139,7 +139,7 @@ def semidefinite_margin(P: AnyMatrix) -> float:
 
 def is_diagonal(P: AnyMatrix) -> bool:
     """Return whether all off-diagonal entries are zero."""
-    nonzeros = P.nnz if sp.issparse(P) else np.count_nonzero(P)
+    nonzeros = count_entries(P)
     return int(nonzeros) == np.count_nonzero(P.diagonal())
 
 

@@ -248,13 +248,13 @@ def solve_programs(
     at_upper = np.maximum(signed[:, :n], 0.0) * np.isfinite(upper)
     x = np.clip(x, lower, upper)
     pairs = [(P[k % len(P)], C[k % len(C)]) for k in range(count if len(P) + len(C) > 2 else 1)]
-    are_whole = [ProgramTerms(*one, m).is_one_dense_component for one in pairs]
+    terms = [ProgramTerms(*one, m) for one in pairs]
     measure = dense_errors if wanted.size >= LOOP_FROM and has_numba() else MEASURE_IN_PYTHON
     found = np.full((count, 2), np.inf)
     for k in wanted[np.isfinite(x[wanted]).all(1)].tolist():
-        if are_whole[k % len(pairs)]:
-            (A, B), vectors = pairs[k % len(pairs)], (lower[k], upper[k], x[k], y[k])
-            found[k] = measure(A, c[k], B, d[k], m, *vectors, 1.0)
+        if (one := terms[k % len(pairs)]).is_one_dense_component:
+            vectors = c[k], d[k], m, lower[k], upper[k], x[k], y[k]
+            found[k] = measure(one.P, one.C, one.sizes, *vectors, 1.0)
     errors = KKTErrors(*found.T)
     rows = np.hstack([x, y, at_lower, at_upper])
     return rows, errors.largest, steps, errors.meet(tolerance)

@@ -348,6 +348,8 @@ def _checked_rows(
 
 def symmetric(P: AnyMatrix) -> tuple[Any, float]:
     """Return P with rounding errors in its symmetry averaged away, and the size of these errors."""
+    if isinstance(P, np.ndarray) and np.array_equal(P, P.T):
+        return P, 0.0
     asymmetry, where = asymmetry_of(P)
     if where is not None:
         i, j = where

@@ -21,9 +21,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze_csr, read_only
-from ...core.matrix import Matrix, largest_in_rows, largest_products
+from ...core.matrix import Matrix, count_entries, largest_in_rows, largest_products
 from ...core.rounding import compensated_product, upper_end
-from ...judges.program import BLUR, NOISE, Indices, ProgramTerms, entries_of_rows
+from ...engines import is_installed
+from ...engines.solvers import EQUATION
+from ...judges.program import BLUR, NOISE, Indices, ProgramTerms
 from ...proofs.exact import Row, rational_rows
 from ...proofs.farkas import LinearConstraints
 from ...systems.definiteness import factorised, is_diagonal, is_semidefinite_to_rounding, scaled_to
@@ -96,6 +98,18 @@ class ProgramMatrices:
         return P, (sp.vstack([G, A], "csr") if sp.issparse(P) else np.vstack([G, A]))
 
     @cached_property
+    def of_daqp(self) -> tuple[Vector, Vector, Any] | None:
+        """P and C in arrays that daqp may write to, and its kinds of bounds and rows; None if daqp is not the first."""
+        if not (
+            self.is_small and self.has_curvature and self.is_semidefinite and is_installed("daqp")
+        ):
+            return None
+        (m, p, n, _), (P, C) = self.sizes, self.stacked
+        sense = np.zeros(n + m + p, np.intc)
+        sense[n + m :] = EQUATION
+        return np.array(P, order="C"), np.array(C, order="C"), sense
+
+    @cached_property
     def engine_units(self) -> tuple[Vector, Vector]:
         """Units of unknowns and of rows, from the fit, in which the largest entries of P, G and A are about 1."""
         return self._equilibrate(*self.fit, 3)
@@ -120,10 +134,10 @@ class ProgramMatrices:
         """Units of unknowns and of rows, powers of two, that bring the entries of P, G and A to 1 (`fitted_units`)."""
         return fitted_units(*self.stacked)
 
-    @cached_property
+    @property
     def counts(self) -> Indices:
         """Number of entries of each row of [G; A]."""
-        return np.concatenate([entries_of_rows(self.G), entries_of_rows(self.A)])
+        return self.terms.counts
 
     @cached_property
     def is_small(self) -> bool:
@@ -134,7 +148,8 @@ class ProgramMatrices:
     @cached_property
     def entries(self) -> tuple[int, int]:
         """Numbers of nonzeros of P and of [G; A]."""
-        return int(entries_of_rows(self.P).sum()), int(self.counts.sum())
+        in_P, in_G, in_A = map(count_entries, (self.P, self.G, self.A))
+        return in_P, in_G + in_A
 
     @property
     def has_curvature(self) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -101,6 +102,13 @@ class QPSolution(MadeOnAccess):
                 "limits and the objective in units in which their largest coefficients are near 1"
             )
         return cls.of_rows(program, x, every)
+
+    @classmethod
+    def on_access(cls, program: QuadraticProgram, x: Vector, y: Vector) -> QPSolution:
+        """Return `from_reduced` of these, which is made at the first access to a multiplier."""
+        made, x = object.__new__(cls), read_only(x)
+        made.__dict__.update(program=program, x=x, _make=partial(_fields, program, x, y))
+        return made
 
     @classmethod
     def without_multipliers(cls, program: QuadraticProgram, x: Vector) -> QPSolution:
@@ -227,6 +235,10 @@ class QPSolution(MadeOnAccess):
         if np.isnan(self.multipliers).any():
             lines.append("no multipliers: a proof came instead")
         return "\n".join(lines)
+
+
+def _fields(program: QuadraticProgram, x: Vector, y: Vector) -> dict[str, Any]:
+    return vars(QPSolution.from_reduced(program, x, y))
 
 
 class ProgramResiduals(NamedTuple):

@@ -17,16 +17,16 @@ from ...core.algorithm import Step
 from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
-from ...core.kernels.floats import UNIT
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
 from ...engines import ENGINES, engine_class, has_piqp, installed_engine, is_installed, scaling
 from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from ...engines.polish import ROUNDS, polish_steps
-from ...judges.program import MOVES, PROGRAM_TOLERANCE, KKTErrors
+from ...engines.solvers import DAQP, point_of_daqp
+from ...judges.program import PROGRAM_TOLERANCE, SHARP, KKTErrors
 from ...methods.interior_point import InteriorPoint
 from ...solving.dispatch import parse_call
 from ...solving.lcp_solver import solve_lcp
-from ...solving.result import Sample
+from ...solving.result import Sample, StageRecord
 from ...solving.run import Named, Progress, Run, Stage, say
 from .conversion import optimality_conditions
 from .no_minimum import NoMinimum, QPUnboundedness, known_proof, numbers, proof_of_contradiction
@@ -82,7 +82,6 @@ ATTEMPTS: tuple[tuple[str, float | None, int | None, Scaling], ...] = (
 WITH_FILL = "highs", "clarabel", "daqp", "piqp"
 # steps of an external solver: a polish, of two factorizations, takes a tenth of its time
 POLISH_FROM = 20
-SHARP = 32.0 * MOVES * UNIT  # per unknown and row: below this gap, plain sums show no error
 TOLERANCES = MappingProxyType(
     {
         "piqp": ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
@@ -312,6 +311,10 @@ def solve_program(
         Same conditions as for `solve`.
     """
     clock = Clock()
+    is_auto = isinstance(algorithm, str) and algorithm == "auto" and not options
+    is_plain = is_auto and type(tolerance) is float and 0.0 < tolerance < 1.0
+    if is_plain and (found := _by_daqp(program, tolerance, clock)) is not None:
+        return found
     wishes = {name: options.pop(name) for name in OF_SOLVE if name in options}
     for name in ("absolute_tolerance", "polish"):
         if name in wishes and wishes.pop(name) not in (None, DEFAULTS[name]):
@@ -349,6 +352,42 @@ def solve_program(
             raise
         return run.result(Status.NO_SOLUTION)
     return run.solve(run.with_proof(plan))
+
+
+def _by_daqp(
+    program: QuadraticProgram, tolerance: float, clock: Clock
+) -> QuadraticProgramResult | None:
+    """Return daqp's point of a small program if a run of auto would end with this point; None for any other program."""
+    if not program.matrices.is_small:
+        return None
+    reduced = program.folded.reduced
+    if (layout := reduced.matrices.of_daqp) is None:
+        return None
+    c, judged, lower, upper = reduced.c, reduced.judged, reduced.lower, reduced.upper
+    is_modest = 1e-12 < c @ c + np.vdot(layout[0], layout[0]) < 1e18  # `with_modest_costs` keeps it
+    if not is_modest or (reduced.b.size and regression_of(reduced) is not None):
+        return None
+    x, y, steps = point_of_daqp(*layout, c, judged.d, reduced.h.size, lower, upper)
+    found = KKTErrors.of(judged, x, y, tolerance)
+    is_sharp = found.meet(tolerance) and found.gap <= SHARP * (x.size + y.size)
+    if not is_sharp or is_in_doubt(program, found, x):
+        return None
+    # Multipliers of a point that passes overflow only if coefficients divide them
+    make = QPSolution.on_access if reduced is program else QPSolution.from_reduced
+    made = object.__new__(QuadraticProgramResult)
+    own = {"algorithm": "auto: daqp", "iterations": steps, "tolerance": tolerance}
+    stages = (StageRecord(DAQP.name, DAQP.solves, steps, 2.0),)  # of two points
+    own |= {"seconds": clock.read(), "stages": stages, "status": Status.SOLVED}
+    vars(made).update(own, solution=make(program, x, y))
+    return made
+
+
+def is_in_doubt(program: QuadraticProgram, errors: KKTErrors, x: Vector) -> bool:
+    """Return whether a program may be infeasible or unbounded although x, which violates rows or is far, passes."""
+    if errors.primal > 1e-10 or (size := np.abs(x).max(initial=0.0)) <= FAR:
+        return bool(errors.primal > 1e-10)
+    limits = np.abs(program.constraints.limit)
+    return bool(size > FAR * limits[np.isfinite(limits)].max(initial=1.0))
 
 
 def _engine(algorithm: object, options: dict[str, Any]) -> Engine | None:
@@ -524,8 +563,8 @@ class ProgramRun(Run):
         if found is None or not self.settings.prove_infeasibility:
             return end
         # If rows are violated, a proof of infeasibility is searched first
-        is_in_doubt = found.errors.primal > 1e-10 or self._is_far(found.solution.x)
-        if (found.passes and is_in_doubt and self._is_short) or found.says in NO_MINIMUM:
+        may_fail = is_in_doubt(self.program, found.errors, found.solution.x)
+        if (found.passes and may_fail and self._is_short) or found.says in NO_MINIMUM:
             self._search_proof()
         return end if self.proof is None else Status.NO_SOLUTION
 
@@ -544,12 +583,6 @@ class ProgramRun(Run):
             self.proof = found
         elif found is not None and found.doubt:
             self.doubtful = found
-
-    def _is_far(self, x: Vector) -> bool:
-        """Return whether x is so large that a test in double precision may accept a descent as a minimum."""
-        size = np.abs(x).max(initial=0.0)
-        limits = np.abs(self.program.constraints.limit)
-        return bool(size > FAR * limits[np.isfinite(limits)].max(initial=1.0))
 
     def status(self, end: Status) -> Status:
         """Return the status: of the proof, SOLVED, of a limit, or for the accuracy of the best point."""

@@ -92,6 +92,24 @@ def test_a_prepared_contact_fit_and_nonlinear_problem_have_the_status_of_solve(d
         assert prepare(curved).solve(x0=np.abs(b)).status is solve(curved, x0=np.abs(b)).status
 
 
+def test_a_watched_small_program_has_the_bits_of_a_program_without_options(
+    draws: Callable[..., range],
+) -> None:
+    """Without options, daqp's point is returned without a run; with costs in large units, and rows of one unknown."""
+    rng = np.random.default_rng(2)
+    for k in draws(1000, 60):
+        P, c, G, h, A, b, low, high = random_program(rng)
+        unit = 10.0 ** rng.integers(-11, 12, 2) if k % 4 == 0 else np.ones(2)
+        one = np.where(np.arange(c.size) == k % c.size, 1.0, 0.0) if k % 2 else G[0]
+        rows, limits = np.vstack([G, one]), np.append(h, h[0])
+        program = QuadraticProgram(unit[0] * P, unit[1] * c, rows, limits, A, b, low, high)
+        bare, watched = solve(program), solve(program, record=True)
+        assert bare.status is watched.status
+        assert bare.x.tobytes() == watched.x.tobytes()
+        assert bare.stages == watched.stages
+        np.testing.assert_equal(bare.duals, watched.duals)
+
+
 @pytest.mark.parametrize("name", [name for name, size in PROGRAMS.items() if size < 400])
 def test_a_prepared_published_program_has_the_status_of_solve(name):
     """Dense and sparse, with rows of one unknown, equations and far limits."""
@@ -126,8 +144,8 @@ def test_a_point_that_the_compiled_test_of_programs_accepts_passes_the_criterion
         y = np.append(solved.duals["inequality"], solved.duals["equality"])
         for size in (0.0, 1e-14, 1e-11, 1e-9, 1e-7):
             near = [each * (1.0 + size * rng.normal(size=each.size)) for each in (solved.x, y)]
-            data = P, judged.c, C, judged.d, one.h.size, one.lower, one.upper
-            primal, gap = dense_errors(*data, *near, SAFETY)
+            data = judged.c, judged.d, one.h.size, one.lower, one.upper
+            primal, gap = dense_errors(P, C, judged.terms.sizes, *data, *near, SAFETY)
             for tolerance in (1e-6, 1e-9, 1e-12):
                 if primal <= 5e-10 and gap <= 0.5 * tolerance:
                     accepted += 1

@@ -12,8 +12,9 @@ import numpy as np
 
 from .checks import Vector, is_number
 from .errors import InvalidOption, UnsuitableMatrix, did_you_mean
+from .iteration_facts import IterationFacts
 from .lcp import LCP
-from .matrix import IterationFacts, has_positive_diagonal
+from .sweep_data import has_positive_diagonal
 
 #: The `backward` flag of each pass of one iteration.
 SWEEPS = {"forward": (False,), "backward": (True,), "symmetric": (False, True)}

@@ -52,18 +52,11 @@ from .algorithm import (
 )
 from .checks import Vector
 from .errors import InvalidOption, UnsuitableMatrix
+from .iteration_facts import PROJECTED_RELAXATION, PROJECTED_TYPE, IterationFacts
 from .kernels import splitting_sweeps as kernels
 from .kernels.splitting_sweeps import extrapolate, relaxation_sweep, splitting_sweep
 from .lcp import LCP
-from .matrix import (
-    PROJECTED_RELAXATION,
-    PROJECTED_TYPE,
-    IterationFacts,
-    automatic_factors,
-    has_positive_diagonal,
-    inverse_residual_scale,
-    row_splits,
-)
+from .sweep_data import automatic_factors, has_positive_diagonal, inverse_residual_scale, row_splits
 
 
 class Splitting(Algorithm):

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Vector
-from ..core.matrix import largest_in_rows
+from ..core.entries import largest_in_rows
 from ..core.rounding import compensated_product
 from .engine import EngineAnswer, ProgramData
 

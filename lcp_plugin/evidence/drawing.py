@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..core.checks import Array, Vector
+from ..core.entries import largest_in_rows
 from ..core.errors import InvalidOption, LCPError, UnsuitableProblem
 from ..core.files import write_whole
-from ..core.matrix import largest_in_rows
 from ..core.names import format_count
 from ..gallery.scene import Scene
 from ..judges.certificate import Certificate

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import Vector
-from ..core.matrix import row_numbers
+from ..core.entries import row_numbers
 from . import functions
 from .functions import Function
 

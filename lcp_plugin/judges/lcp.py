@@ -31,6 +31,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from ..core.checks import BoolVector, Vector
+from ..core.entries import largest_products
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import (
     DATA_ROUNDING,
@@ -43,9 +44,11 @@ from ..core.kernels.floats import (
     TINY,
 )
 from ..core.lcp import LCP
-from ..core.matrix import BLOCK, Matrix, connected_components, fact, largest_products
+from ..core.matrix import Matrix, fact
 from ..core.names import Names
 from ..core.rounding import compensated_product
+from ..core.structure import connected_components
+from ..core.sweep_data import BLOCK
 
 VectorEnds = tuple[Vector, Vector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row

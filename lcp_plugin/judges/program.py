@@ -37,9 +37,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import Vector
+from ..core.entries import largest_in_rows, largest_products
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import DATA_ROUNDING, UNIT
-from ..core.matrix import largest_in_rows, largest_products
 from ..core.rounding import compensated_product
 
 Indices = NDArray[np.intp]

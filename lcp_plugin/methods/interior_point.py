@@ -13,15 +13,10 @@ import scipy.sparse as sp
 from ..core.algorithm import Algorithm, Step
 from ..core.checks import Array, Vector
 from ..core.deadline import require_seconds, seconds_left
+from ..core.entries import largest_in_rows, row_numbers
 from ..core.lcp import LCP
-from ..core.matrix import (
-    Matrix,
-    equation_signs,
-    fact,
-    is_nearly_symmetric,
-    largest_in_rows,
-    row_numbers,
-)
+from ..core.matrix import Matrix, fact
+from ..core.structure import equation_signs, is_nearly_symmetric
 from ..core.tuning import DENSE_OPERATIONS, FULL_CHOLESKY_UP_TO, SPARSE_OPERATIONS
 from ..engines import installed_engine
 from ..engines.engine import Engine, ProgramData, SolverLimits

@@ -21,10 +21,11 @@ from numpy.typing import ArrayLike
 from ..core.algorithm import Step, check_positive, require_positive_diagonal
 from ..core.checks import Vector, is_number, vector_option
 from ..core.errors import InvalidOption, UnsuitableProblem
+from ..core.iteration_facts import MODULUS, IterationFacts
 from ..core.kernels.splitting_sweeps import modulus_sweep
 from ..core.lcp import LCP
-from ..core.matrix import MODULUS, IterationFacts, inverse_residual_scale
 from ..core.splittings import Splitting
+from ..core.sweep_data import inverse_residual_scale
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

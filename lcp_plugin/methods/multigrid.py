@@ -58,8 +58,9 @@ from ..core.checks import Vector, read_only
 from ..core.deadline import require_seconds
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
-from ..core.matrix import Matrix, fact, is_nearly_symmetric
+from ..core.matrix import Matrix, fact
 from ..core.settings import whole_number
+from ..core.structure import is_nearly_symmetric
 from ..systems.hierarchy import kernels
 from ..systems.hierarchy.grids import Grid, Operator
 from ..systems.hierarchy.kernels import dot, span

@@ -12,18 +12,16 @@ import scipy.sparse as sp
 from ..core.algorithm import Step, check_choice
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
+from ..core.iteration_facts import PROJECTED_SPLITTING, IterationFacts
 from ..core.lcp import LCP
-from ..core.matrix import (
-    PROJECTED_SPLITTING,
-    IterationFacts,
-    Matrix,
+from ..core.matrix import Matrix, fact
+from ..core.splittings import ScaledByRows, step_unit
+from ..core.sweep_data import (
     balanced_factors,
-    fact,
     inverse_residual_scale,
     triangle_sums,
     unit_triangle_sums,
 )
-from ..core.splittings import ScaledByRows, step_unit
 from ..judges.lcp import scaled_residual
 from ..systems.factors import sparse_lu
 

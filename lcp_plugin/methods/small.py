@@ -26,11 +26,12 @@ from numpy.linalg import LinAlgError
 
 from ..core.algorithm import Algorithm, Step
 from ..core.checks import BoolVector, Vector, read_only
+from ..core.entries import residual_scales
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import FREE, HIGH, LOW, SMALLEST
 from ..core.kernels.small_lcps import INF, LOST, follow_paths, solve_active_sets
 from ..core.lcp import LCP
-from ..core.matrix import equation_signs, residual_scales
+from ..core.structure import equation_signs
 from ..judges.lcp import Measured, RowData, bound_residual, bound_residuals, row_data, times
 from .banded import banded_passes
 from .finishing import measure_finished

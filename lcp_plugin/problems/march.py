@@ -30,12 +30,14 @@ from ..core import checks
 from ..core.algorithm import Algorithm
 from ..core.checks import AnyMatrix, Array, Vector, derived_property, read_only
 from ..core.deadline import Clock
+from ..core.entries import row_numbers
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem, did_you_mean
 from ..core.kernels.floats import EPSILON, MAY_UNDERFLOW
 from ..core.lcp import LCP
-from ..core.matrix import Matrix, connected_components, row_numbers
+from ..core.matrix import Matrix
 from ..core.problem_classes import class_of, classes_of, refusal, with_article
 from ..core.settings import OF_SOLVE, Settings, Status, whole_number
+from ..core.structure import connected_components
 from ..judges.lcp import RowData
 from ..methods.banded import Banded, active_sets, held_entries, solve_held, solve_one_sided
 from ..methods.finishing import measure_finished

@@ -29,10 +29,10 @@ from numpy.typing import ArrayLike, NDArray
 from ..core import checks
 from ..core.checks import Array, BoolVector, Vector, derived_property
 from ..core.cone_stack import ConeStack
+from ..core.entries import residual_scales
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
-from ..core.matrix import residual_scales
 from ..core.names import MOST_NAMES, format_count, listed
 from ..core.problem_classes import foreign_function, refusal
 from ..core.settings import Status

@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array, BoolVector, Vector
 from ..core.deadline import time_limit
+from ..core.entries import largest_in_rows, row_numbers
 from ..core.errors import NotSquare, UnsupportedModel
 from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE
 from ..core.lcp import LCP
-from ..core.matrix import equation_signs, largest_in_rows, row_numbers
 from ..core.names import MOST_NAMES, Names, format_count
 from ..core.settings import Status
+from ..core.structure import equation_signs
 from ..expressions import functions
 from ..expressions.rows import (
     Compiler,
@@ -229,7 +230,7 @@ def matched_for_monotony(
     Notes
     -----
     Each equation is matched by a large entry, which becomes a diagonal entry. The sign of a row makes its diagonal
-    entry positive; if this entry is zero, the sign is the one of :func:`~lcp_plugin.core.matrix.equation_signs`.
+    entry positive; if this entry is zero, the sign is the one of :func:`~lcp_plugin.core.structure.equation_signs`.
     """
     order = matching(sp.csr_array(equations[:, free]))
     rows = np.arange(order.size)

@@ -46,20 +46,17 @@ import numpy as np
 from ..core.algorithm import Algorithm
 from ..core.checks import Vector, read_only
 from ..core.errors import UnsuitableMatrix, UnsuitableProblem
-from ..core.kernels.floats import EPSILON, TINY, UNDERFLOW
-from ..core.lcp import LCP
-from ..core.matrix import (
+from ..core.iteration_facts import (
     MODULUS,
     PROJECTED_RELAXATION,
     PROJECTED_SPLITTING,
     PROJECTED_TYPE,
     IterationFacts,
-    Matrix,
-    fact,
-    inverse_residual_scale,
-    triangle_sums,
-    unit_triangle_sums,
 )
+from ..core.kernels.floats import EPSILON, TINY, UNDERFLOW
+from ..core.lcp import LCP
+from ..core.matrix import Matrix, fact
+from ..core.sweep_data import inverse_residual_scale, triangle_sums, unit_triangle_sums
 from .verdicts import analyze, comparison_certificate, h_plus
 
 Weights = Vector | float

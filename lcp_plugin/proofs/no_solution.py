@@ -28,9 +28,9 @@ import scipy.sparse as sp
 from ..core.checks import AnyMatrix, Array, Vector, derived_property
 from ..core.kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE
 from ..core.lcp import LCP
-from ..core.matrix import is_nearly_symmetric
 from ..core.names import Names, describe_radius
 from ..core.settings import Status
+from ..core.structure import is_nearly_symmetric
 from ..judges.lcp import reference_residual, row_data
 from .conflict import Conflict, find_conflict
 from .exact import ZERO, Rational, integer_matrix, rounded_down

@@ -42,11 +42,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Vector, read_only
+from ..core.entries import largest_in_rows, row_numbers
 from ..core.errors import InvalidProblem
 from ..core.kernels.floats import TINY, UNIT
-from ..core.matrix import Matrix, fact, largest_in_rows, row_numbers, triangular_form
+from ..core.matrix import Matrix, fact
 from ..core.problem_classes import class_of, refusal
 from ..core.rounding import lower_end, upper_end
+from ..core.structure import triangular_form
 from ..systems import graph
 from ..systems.definiteness import (
     LARGEST_SUMMAND,

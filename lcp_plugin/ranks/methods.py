@@ -21,8 +21,8 @@ import scipy.sparse as sp
 from ..core.checks import AnyMatrix, Array, Vector, read_only
 from ..core.errors import InvalidOption, UnknownAlgorithm, UnsuitableMatrix
 from ..core.kernels.splitting_sweeps import relaxation_sweep, splitting_sweep
-from ..core.matrix import split_rows
 from ..core.splittings import NPAOR, NPGS, NPJ, NPSOR, ProjectedType, step_unit
+from ..core.sweep_data import split_rows
 from ..methods.multigrid import ProjectedCycles
 from ..systems.hierarchy import kernels, levels
 from ..systems.hierarchy.grids import Grid, Hierarchy, Operator, Transfer, blocks_of, pivots

@@ -15,9 +15,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ..core import checks
+from ..core.entries import largest_in_rows, residual_scales
 from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
-from ..core.matrix import largest_in_rows, residual_scales
 from ..core.problem_classes import Door
 from .halo import Halo, Ranks, own_rows
 

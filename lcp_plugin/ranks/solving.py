@@ -14,9 +14,9 @@ from scipy.sparse import csgraph
 
 from ..core.algorithm import Step
 from ..core.checks import Array, Vector, read_only
+from ..core.entries import largest_products
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.threads import threads_for
-from ..core.matrix import largest_products
 from ..core.problem_classes import CLASSES
 from ..core.rounding import compensated_product
 from ..core.settings import Settings, Status, checked_callback

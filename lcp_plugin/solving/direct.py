@@ -33,7 +33,8 @@ import numpy as np
 
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
-from ..core.matrix import has_positive_diagonal, is_nearly_symmetric
+from ..core.structure import is_nearly_symmetric
+from ..core.sweep_data import has_positive_diagonal
 from ..core.tuning import LINEAR_PROGRAM_UP_TO, PIVOTED_UP_TO, PIVOTS_FIRST_UP_TO
 from ..engines import has_piqp
 from ..methods.interior_point import InteriorPoint, ZeroSumGame, skew_border, with_signed_equations

@@ -36,8 +36,10 @@ import numpy as np
 
 from ..core.algorithm import Algorithm, count_driven_sweeps
 from ..core.lcp import LCP
-from ..core.matrix import Matrix, fact, has_positive_diagonal, is_nearly_symmetric
+from ..core.matrix import Matrix, fact
 from ..core.splittings import NPSOR, PSOR
+from ..core.structure import is_nearly_symmetric
+from ..core.sweep_data import has_positive_diagonal
 from ..core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
 from ..methods.banded import Banded, banded_passes
 from ..methods.lemke.pivoting_path import is_game

@@ -19,7 +19,8 @@ import scipy.sparse as sp
 
 from ..core.checks import DENSE_ABOVE_DENSITY, AnyMatrix, Vector, read_only
 from ..core.deadline import enforced_seconds_left, require_seconds
-from ..core.matrix import Matrix, fact, largest_in_rows, row_numbers
+from ..core.entries import largest_in_rows, row_numbers
+from ..core.matrix import Matrix, fact
 from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
 from .equilibration import power_of_two
 from .minimum_degree import factor_sizes

@@ -26,7 +26,9 @@ import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector
 from ..core.kernels.floats import DATA_ROUNDING
-from ..core.matrix import Exponents, Matrix, fact, is_nearly_symmetric, scale_matrix, times_power
+from ..core.matrix import Matrix, fact
+from ..core.scaling import Exponents, scale_matrix, times_power
+from ..core.structure import is_nearly_symmetric
 from ..core.tuning import DIRECT_UP_TO
 from .equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, unit_diagonal
 from .factors import BANDED_UP_TO, Factor, factor_fits, factorise

@@ -28,7 +28,8 @@ from lcp_plugin import (
     solve_batch,
 )
 from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.core.matrix import Matrix, is_nearly_symmetric
+from lcp_plugin.core.matrix import Matrix
+from lcp_plugin.core.structure import is_nearly_symmetric
 from lcp_plugin.judges.lcp import row_data
 
 

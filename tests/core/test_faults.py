@@ -190,7 +190,7 @@ COMPILE = """
     from lcp_plugin.core.kernels import splitting_sweeps as kernels
     print(kernels.__file__)
     problem = LCP([[2, 1], [1, 2]], [-5, 1])
-    from lcp_plugin.core.matrix import row_splits
+    from lcp_plugin.core.sweep_data import row_splits
     print(*row_splits(problem.matrix, False))
 """
 SOLVE = COMPILE + "    print(solve(problem, 'npsor').z)"

@@ -19,7 +19,7 @@ from oracles.exact import Exact, bound_violations, exact_solution, has_positive_
 from oracles.truth import ExactData
 
 from lcp_plugin import LCP, UnsuitableMatrix, error_bound, gallery
-from lcp_plugin.core.matrix import scale_matrix
+from lcp_plugin.core.scaling import scale_matrix
 from lcp_plugin.proofs import bounds
 from lcp_plugin.proofs.bounds import ErrorBound, smallest_eigenvalue_bound
 from lcp_plugin.proofs.verdicts import comparison_certificate

@@ -2,7 +2,7 @@
 
 Every sweep is one pass over the rows in the chosen direction. The matrix arrives as
 ``(indptr, split, indices, data)``; ``split`` cuts each row in two, so that one side of the cut holds exactly
-the columns that a Gauss–Seidel sweep in that direction has already updated (`core.matrix.split_rows`).
+the columns that a Gauss–Seidel sweep in that direction has already updated (`core.sweep_data.split_rows`).
 
 Four techniques make the passes fast, each measured on the five-point matrix with n = 10⁶. Unsigned row positions avoid
 a wrap-around test at each access. Pivots are inverted beforehand. The updated neighbor nearest to the diagonal is taken

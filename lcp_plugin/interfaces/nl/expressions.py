@@ -17,8 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import Vector
+from ...core.entries import entries_of_row
 from ...core.errors import UnsupportedModel
-from ...core.matrix import entries_of_row
 from ...expressions import functions
 from ...expressions.functions import Function
 from ...expressions.rows import Compiler, Rows

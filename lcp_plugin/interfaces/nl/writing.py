@@ -10,10 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import Array
+from ...core.entries import entries_of_row
 from ...core.errors import InvalidProblem
 from ...core.files import checked_path, write_whole
 from ...core.lcp import LCP
-from ...core.matrix import entries_of_row
 from ...core.problem_classes import foreign_function
 from .reading import ARITY, NARY, PARTNER, PIECEWISE, WITH_TOLERANCE, NLContent, Token, Trees
 

@@ -15,8 +15,8 @@ from ...core.checks import Vector
 from ...core.deadline import is_over
 from ...core.errors import UnsuitableProblem
 from ...core.lcp import LCP
-from ...core.matrix import connected_components
 from ...core.settings import whole_number
+from ...core.structure import connected_components
 from ...core.tuning import PIVOTED_UP_TO
 from ...judges.certificate import Certificate
 from ...systems.graph import block_rows

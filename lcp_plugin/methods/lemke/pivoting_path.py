@@ -22,7 +22,8 @@ from ...core.checks import AnyMatrix, Array, Vector
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING
 from ...core.lcp import LCP
-from ...core.matrix import equation_signs, fact
+from ...core.matrix import fact
+from ...core.structure import equation_signs
 from ...core.tuning import DENSE_OPERATIONS, PIVOTS_FIRST_UP_TO, SPARSE_OPERATIONS
 from ...systems.equilibration import power_of_two
 from ...systems.factors import sparse_lu

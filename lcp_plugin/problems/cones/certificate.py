@@ -30,9 +30,9 @@ import scipy.sparse as sp
 
 from ...core.checks import Array, Vector, derived_property, read_only
 from ...core.cone_stack import length
-from ...core.matrix import is_nearly_symmetric
 from ...core.names import Names, describe_radius
 from ...core.settings import Status
+from ...core.structure import is_nearly_symmetric
 from ...judges.cones import ConeRows
 from ...judges.lcp import Measured, divide_nonnegative
 from ...judges.worst_rows import WorstRows, worst_pairs

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
 from ...core.checks import AnyMatrix, Vector, checked_bounds, checked_vector
+from ...core.entries import largest_in_rows
 from ...core.errors import InvalidProblem, LCPError, UnsupportedModel
-from ...core.matrix import largest_in_rows
 from ...proofs import exact
 from ..nonlinear.data import NonlinearProblem
 from ..nonlinear.solving import solve_nonlinear

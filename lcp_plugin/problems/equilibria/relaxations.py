@@ -20,9 +20,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import Vector
+from ...core.entries import largest_in_rows
 from ...core.errors import UnsupportedModel
 from ...core.kernels.floats import NORMAL
-from ...core.matrix import largest_in_rows
 from ...core.settings import Status
 from ...engines import engine_class, is_installed
 from ...proofs.bounds import Curvature, constrained_curvature

@@ -34,8 +34,8 @@ import scipy.sparse as sp
 
 from ...core.checks import AnyMatrix, Vector
 from ...core.deadline import seconds_left
+from ...core.entries import entries_of_row
 from ...core.errors import UnsupportedModel
-from ...core.matrix import entries_of_row
 from ...expressions.rows import Program
 from ..programs.program import QuadraticProgram
 from .equilibrium_program import LOWER, UPPER, EquilibriumProgram

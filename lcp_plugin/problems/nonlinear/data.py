@@ -50,19 +50,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
 from ...core.checks import BoolVector, Vector, derived_property, read_only
+from ...core.entries import largest_in_rows, residual_scales, row_numbers
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON, LARGEST
 from ...core.lcp import LCP
-from ...core.matrix import (
-    Matrix,
-    connected_components,
-    largest_in_rows,
-    residual_scales,
-    row_numbers,
-)
+from ...core.matrix import Matrix
 from ...core.names import checked_names
 from ...core.problem_classes import Door
 from ...core.settings import Settings
+from ...core.structure import connected_components
 from ...judges.certificate import PRECISE, Certificate
 from ...judges.lcp import Measured, RowData, RowsAtPoint
 from ...methods.small import SMALL_SPARSE

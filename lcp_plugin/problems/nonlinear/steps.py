@@ -24,10 +24,10 @@ import scipy.sparse as sp
 from ...core.algorithm import Algorithm
 from ...core.checks import Vector
 from ...core.deadline import Clock, is_over, seconds_left
+from ...core.entries import largest_in_rows
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.kernels.floats import LARGEST, NEGLIGIBLE
 from ...core.lcp import LCP
-from ...core.matrix import largest_in_rows
 from ...core.settings import Settings
 from ...judges.lcp import RowData, measured_residual
 from ...methods.lemke import Lemke

@@ -20,7 +20,8 @@ import scipy.sparse as sp
 from scipy.linalg import lapack
 
 from ...core.checks import Vector
-from ...core.matrix import IntVector, largest_in_rows, scale_matrix
+from ...core.entries import IntVector, largest_in_rows
+from ...core.scaling import scale_matrix
 from ...systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents
 from ..least_squares.data import BoundedLeastSquares
 

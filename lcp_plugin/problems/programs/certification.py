@@ -20,9 +20,9 @@ import scipy.sparse as sp
 
 from ...core.checks import Vector, checked_vector, derived_property, is_number, restore_state
 from ...core.deadline import is_over, seconds_left, time_limit
+from ...core.entries import largest_products
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import LARGEST, OUTWARD
-from ...core.matrix import largest_products
 from ...core.problem_classes import CLASSES, class_of, foreign_function, refusal
 from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance, whole_number

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from ...core.checks import AnyMatrix, Vector, derived_property
 from ...core.deadline import is_over
+from ...core.entries import largest_in_rows, largest_products
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
-from ...core.matrix import largest_in_rows, largest_products
 from ...core.names import describe_radius, grouped, listed
 from ...core.settings import Status
 from ...engines.polish import shifted_solver

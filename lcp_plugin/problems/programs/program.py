@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike
 
 from ...core import checks
 from ...core.checks import AnyMatrix
+from ...core.entries import largest_in_rows
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kernels.floats import EPSILON
-from ...core.matrix import largest_in_rows, mismatch
 from ...core.names import Names, checked_names, listed
 from ...core.rounding import compensated_pair, compensated_product
+from ...core.structure import mismatch
 from ...judges.program import NOISE, ROWS, Indices, JudgedProgram
 from ...proofs.exact import like
 from .program_matrices import Constraints, ProgramMatrices, as_array

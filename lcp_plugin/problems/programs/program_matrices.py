@@ -21,7 +21,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze_csr, read_only
-from ...core.matrix import Matrix, count_entries, largest_in_rows, largest_products
+from ...core.entries import count_entries, largest_in_rows, largest_products
+from ...core.matrix import Matrix
 from ...core.rounding import compensated_product, upper_end
 from ...engines import is_installed
 from ...engines.solvers import EQUATION

@@ -13,8 +13,8 @@ import scipy.sparse as sp
 
 from ...core.checks import Vector
 from ...core.deadline import seconds_left
+from ...core.entries import row_numbers
 from ...core.errors import LCPError
-from ...core.matrix import row_numbers
 from ...core.settings import Status
 from ..least_squares.data import BoundedLeastSquares
 from ..least_squares.engines import FacePoint, minimize_on_face

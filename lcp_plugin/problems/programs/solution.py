@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...core.checks import MadeOnAccess, Vector, checked_vector, derived_property, fill, read_only
+from ...core.entries import largest_products
 from ...core.errors import InvalidProblem
-from ...core.matrix import largest_products
 from ...core.settings import checked_tolerance
 from ...engines.linear_program import highs
 from ...judges.program import PROGRAM_TOLERANCE, ROWS, KKTErrors, PrimalDualPoint

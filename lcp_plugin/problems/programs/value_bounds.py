@@ -34,8 +34,8 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, Vector
 from ...core.deadline import is_over
+from ...core.entries import largest_in_rows, row_numbers
 from ...core.kernels.floats import DATA_ROUNDING, OUTWARD, UNDERFLOW
-from ...core.matrix import largest_in_rows, row_numbers
 from ...core.rounding import compensated_pair, compensated_product, gamma, lower_end, upper_end
 from ...proofs.bounds import Curvature
 from ...proofs.exact import (

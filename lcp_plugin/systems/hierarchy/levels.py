@@ -25,7 +25,9 @@ from numpy.typing import NDArray
 
 from ...core.checks import AnyMatrix, Arrays, Vector, read_only
 from ...core.deadline import require_seconds
-from ...core.matrix import Matrix, fact, is_nearly_symmetric, largest_in_rows
+from ...core.entries import largest_in_rows
+from ...core.matrix import Matrix, fact
+from ...core.structure import is_nearly_symmetric
 from . import kernels
 from .grids import Grid, Hierarchy, NoGhosts, Operator, Transfer, blocks_of, pivots
 

@@ -1,0 +1,58 @@
+"""Entries of an array or CSR array: row numbers, the largest entry of each row, the scale of each residual."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from .checks import Vector
+from .kernels.floats import NEGLIGIBLE_DIAGONAL
+
+
+def largest_in_rows(M: Any, sizes: Vector | None = None) -> Vector:
+    """Return the largest |entry| of each row, 0 for an empty row.
+
+    `sizes`, shape (…, entries), replaces the |entries| of a CSR array.
+    """
+    if not sp.issparse(M):
+        return np.asarray(np.abs(M).max(axis=1, initial=0.0), dtype=np.float64)
+    sizes = np.abs(M.data) if sizes is None else sizes
+    largest = np.zeros((*sizes.shape[:-1], M.shape[0]))
+    filled = np.flatnonzero(np.diff(M.indptr))
+    if filled.size:
+        largest[..., filled] = np.maximum.reduceat(sizes, M.indptr[filled], axis=-1)
+    return largest
+
+
+def count_entries(matrix: Any) -> int:
+    """Return the number of nonzeros of an ndarray or a CSR array."""
+    return int(matrix.nnz if sp.issparse(matrix) else np.count_nonzero(matrix))
+
+
+def largest_products(sizes: Any, x: Vector) -> Vector:
+    """Return max_j |m_ij| x_j of each row, x ≥ 0; `sizes` is |M|, of one problem or, dense, of a stack."""
+    if sp.issparse(sizes):
+        return largest_in_rows(sizes, sizes.data * x[..., sizes.indices])
+    return np.asarray((sizes * x[..., None, :]).max(-1, initial=0.0))
+
+
+def residual_scales(diagonal: Vector, largest: Vector) -> Vector:
+    """Return D of the scaled residual from the diagonal and the largest |entry| of each row, arrays of one shape."""
+    # The product may underflow to 0, which no diagonal of 0 may pass.
+    is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * largest)
+    return np.where(largest == 0.0, 1.0, np.where(is_usable, diagonal, largest))
+
+IntVector = np.ndarray[Any, np.dtype[np.int64]]
+
+
+def row_numbers(M: Any) -> IntVector:
+    """Return the row number of each stored entry of a CSR array, shape (nnz,)."""
+    return np.repeat(np.arange(M.shape[0], dtype=M.indices.dtype), np.diff(M.indptr))
+
+
+def entries_of_row(matrix: Any, i: int) -> tuple[list[int], list[float]]:
+    """Return the columns and the values of the entries of row i of a CSR array."""
+    part = slice(matrix.indptr[i], matrix.indptr[i + 1])
+    return matrix.indices[part].tolist(), matrix.data[part].tolist()

@@ -1,0 +1,142 @@
+"""Structure of a matrix: triangular form, connected components, and symmetry up to rounding.
+
+The components are those of the graph of M: no entry couples two of them. Symmetry is relative to the size of the rows:
+sweeps, factors and energies do not see a small entry in a row of large ones, and an assembly leaves rounding of these
+where an entry ought to be 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from .checks import BoolVector, Vector, read_only
+from .entries import IntVector, row_numbers
+from .matrix import Matrix, fact
+
+ROUNDED = 1e-13  # asymmetry relative to the size of the rows that rounding explains
+
+
+@fact
+def triangular_form(matrix: Matrix) -> str | None:
+    """Return "diagonal", "lower", "upper", or None."""
+    M = matrix.csr
+    rows = row_numbers(M)
+    if (rows == M.indices).all():
+        return "diagonal"
+    if (rows >= M.indices).all():
+        return "lower"
+    return "upper" if (rows <= M.indices).all() else None
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """The connected components of a matrix that has several.
+
+    Attributes
+    ----------
+    labels : array of int, shape (n,)
+        Numbers of components, from 0 on.
+    count : int
+        Number of components.
+    """
+
+    labels: IntVector
+    count: int
+
+
+@fact
+def connected_components(matrix: Matrix) -> Components | None:
+    """Return the connected components of the graph of M; None if there is only one.
+
+    Examples
+    --------
+    >>> connected_components(Matrix([[2.0, 0.0, 1.0], [0.0, 3.0, 0.0], [0.0, 0.0, 2.0]])).labels
+    array([0, 1, 0])
+    >>> connected_components(Matrix([[2.0, 1.0], [0.0, 2.0]])) is None
+    True
+    """
+    n, M = matrix.n, matrix.array
+    # Rows are connected if each but the first has an entry left of its diagonal, in a dense M also one above it.
+    if n < 2 or (matrix.is_dense and M[0].all()):
+        return None
+    if matrix.is_dense:
+        is_filled = np.tril((M != 0.0) | (M.T != 0.0), -1).any(axis=1)[1:].all()
+    else:
+        starts, first = M.indptr, np.arange(1, n, dtype=M.indices.dtype)
+        is_filled = (starts[2:] > starts[1:-1]).all() and (M.indices[starts[1:-1]] < first).all()
+    if is_filled:
+        return None
+    from scipy.sparse.csgraph import connected_components as labeled
+
+    count, labels = labeled(matrix.csr, directed=False)
+    return Components(read_only(labels.astype(np.int64)), int(count)) if count > 1 else None
+
+
+def mismatch(M: Any, size: Vector, tolerance: float) -> tuple[float, tuple[int, int] | None]:
+    """Return max |m_ij − m_ji|, and the i, j where it exceeds tolerance √(size_i size_j) by most, if it does.
+
+    With this measure, a block in a small unit is not compared with a block in a large unit.
+
+    Parameters
+    ----------
+    M : ndarray or CSR array, shape (n, n)
+    size : array, shape (n,)
+        Not negative.
+    tolerance : float
+
+    Examples
+    --------
+    >>> M = np.array([[2.0, 1e-20], [0.0, 2.0]])
+    >>> mismatch(M, M.diagonal(), ROUNDED)
+    (1e-20, None)
+    """
+    root = np.sqrt(size)
+    if isinstance(M, np.ndarray):
+        if np.array_equal(M, M.T):
+            return 0.0, None
+        distance = np.abs(M - M.T)
+        excess = distance - tolerance * np.outer(root, root)
+        i, j = map(int, np.divmod(excess.argmax(), len(M)))
+        return float(distance.max()), (i, j) if excess[i, j] > 0.0 else None
+    rows, columns = M.tocsr(), M.tocsc()  # a faster test than the difference
+    parts = ("indptr", "indices", "data")
+    if all(np.array_equal(getattr(rows, part), getattr(columns, part)) for part in parts):
+        return 0.0, None
+    difference = sp.coo_array(M - M.T)
+    if not difference.nnz:
+        return 0.0, None
+    rows, columns, distance = difference.row, difference.col, np.abs(difference.data)
+    excess = distance - tolerance * root[rows] * root[columns]
+    k = excess.argmax()
+    return float(distance.max()), (int(rows[k]), int(columns[k])) if excess[k] > 0.0 else None
+
+
+@fact
+def is_nearly_symmetric(matrix: Matrix) -> bool:
+    """Return whether M = Mᵀ up to rounding, relative to the size of its rows and columns.
+
+    An incorrect result would cost speed, not correctness: every z is tested by its residual.
+    """
+    return mismatch(matrix.array, matrix.residual_scale, ROUNDED)[1] is None
+
+
+def equation_signs(M: Any, is_equation: BoolVector) -> Vector:
+    """Return −1 for each equation whose negative makes M + Mᵀ smaller, else 1; only equations with m_ii = 0 change.
+
+    An unknown without bounds leaves w_i = 0, an equation, of which the sign has no meaning. In the conditions of a
+    program, M + Mᵀ is semidefinite for one of both signs. The residual of the row is the same.
+
+    Examples
+    --------
+    >>> equation_signs(np.array([[1.0, -2.0], [-2.0, 0.0]]), np.array([False, True]))
+    array([ 1., -1.])
+    """
+    signs = np.ones(M.shape[0])
+    if is_equation.any():
+        products = (M.multiply(M.T) if sp.issparse(M) else M * M.T).sum(axis=1)
+        signs[is_equation & (products > 0.0) & (M.diagonal() == 0.0)] = -1.0
+    return signs

@@ -3,12 +3,17 @@
     python -m pytest -n 2           every test that is not marked ``full``
     python -m pytest --full -n 2    everything
 
-    python -m pytest --measure -n 2   measures the rows of all tables and writes tests/durations.json
+    python -m pytest --measure -n 2   also proposes marks for tables that take long
 
 The mark ``full`` is for tests that take seconds: benchmarks, campaigns, examples. The rows of a parametrized test are
-a table: without ``--full``, rows run until they have used the table's share of time, by ``durations.json``. A test that
-draws its problems from a campaign has the fixture ``draws``: an eighth of them without ``--full``. A test that is named
-on the command line, as in ``tests/methods/newton/test_newton.py::test_x``, always runs.
+a table. Without ``--full``
+
+- all rows of a table run, unless
+- its test has ``@pytest.mark.quick(n)``: n of its rows, of which the first is one, spread over the table, and
+- each row with ``pytest.param(…, marks=pytest.mark.quick)``: the row of a repaired fault in such a table.
+
+A test that draws its problems from a campaign has the fixture ``draws``: an eighth of them without ``--full``. A test
+that is named on the command line, as in ``tests/methods/newton/test_newton.py::test_x``, always runs.
 
 Hypothesis: examples are the same in each run, so that a suite that passed passes again; random draws are for
 ``tests/campaigns``. A test without settings takes the default; a costly one says ``@settings.get_profile("few")``, a
@@ -20,7 +25,6 @@ BLAS gets one thread if the environment names no number: several processes of se
 from __future__ import annotations
 
 import gc
-import json
 import os
 import signal
 import subprocess
@@ -28,7 +32,6 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import nullcontext
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,9 +45,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 EXAMPLES = {"few": (3, 30), "default": (6, 80), "many": (12, 150)}
 # Folders with tests of functions that are not public; core/test_floating_point_state.py calls those that are.
 INNER = {"core", "engines", "methods", "problems", "proofs", "systems"}
-DURATIONS = Path(__file__).with_name("durations.json")  # milliseconds of each row of each table
-SHARE = 100  # milliseconds that a table may use without --full, so that the quick suite takes about a minute
-UNMEASURED = 50  # milliseconds of a row that is not in the file
+LONG, SHARE = (
+    0.25,
+    0.07,
+)  # seconds of a table without a mark, and of one with the mark that --measure proposes
 # Doctests of seconds; tests/interfaces and tests/strategies have short ones of the same.
 SLOW = ("lcp_plugin.interfaces", "lcp_plugin.strategies.assert_solves")
 WARM_UP = pytest.StashKey["subprocess.Popen[bytes]"]()
@@ -53,7 +57,9 @@ WARM_UP = pytest.StashKey["subprocess.Popen[bytes]"]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Offer --full."""
     parser.addoption("--full", action="store_true", help="run every test, with more examples each")
-    parser.addoption("--measure", action="store_true", help="write tests/durations.json")
+    parser.addoption(
+        "--measure", action="store_true", help="propose marks for tables that take long"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -133,55 +139,36 @@ def pytest_collection() -> Iterator[None]:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the rows of a table ``full`` that exceed its share of time."""
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the rows of a table ``full`` that its mark leaves out."""
     tables = defaultdict(list)
     for item in items:
         if item.name in SLOW:
             item.add_marker("full")
         if not item.get_closest_marker("full"):
             tables[item.nodeid.partition("[")[0]].append(item)
-    durations = json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {}
-    for table, rows in tables.items():
-        for k, row in enumerate(rows):
-            row.user_properties.append(("row", k))
-        if not config.getoption("--measure"):
-            kept = quick_rows(durations.get(table, []), len(rows))
-            for k in set(range(len(rows))) - kept:
+    for rows in tables.values():
+        numbers = [mark.args[0] for mark in rows[0].iter_markers("quick") if mark.args]
+        spread = sorted(
+            range(len(rows)), key=lambda k: k * 0.618 % 1.0
+        )  # steps of the golden section
+        for k in spread[numbers[0] :] if numbers else ():
+            if all(mark.args for mark in rows[k].iter_markers("quick")):
                 rows[k].add_marker("full")
 
 
-def quick_rows(durations: list[int], count: int) -> set[int]:
-    """Return the rows, in an order that spreads over the table, that fit into its share of time; at least one."""
-    known = durations if len(durations) == count else [max(durations, default=UNMEASURED)] * count
-    used, kept = 0, set()
-    for k in sorted(range(count), key=lambda k: k * 0.618 % 1.0):  # steps of the golden section
-        if used + known[k] <= SHARE:
-            used += known[k]
-            kept.add(k)
-    return kept or {min(range(count), key=known.__getitem__)}
-
-
-MEASURED: dict[str, dict[int, float]] = defaultdict(lambda: defaultdict(float))
+SECONDS: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))  # of tables and rows
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """Add the seconds of a row, its fixtures included."""
-    row = dict(report.user_properties).get("row")
-    if isinstance(row, int):
-        MEASURED[report.nodeid.partition("[")[0]][row] += report.duration
+    SECONDS[report.nodeid.partition("[")[0]][report.nodeid] += report.duration
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Write the durations after a run that measured them, a table per line."""
-    if session.config.getoption("--measure") and not hasattr(session.config, "workerinput"):
-        old = json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {}
-        new = {
-            table: [round(1e3 * rows[k]) + 1 for k in sorted(rows)]
-            for table, rows in MEASURED.items()
-            if len(rows) > 1
-        }
-        root = session.config.rootpath
-        tables = sorted(t for t in {**old, **new} if (root / t.partition("::")[0]).exists())
-        lines = [f"{json.dumps(table)}: {new.get(table, old.get(table))}" for table in tables]
-        DURATIONS.write_text("{\n" + ",\n".join(lines) + "\n}\n")
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Propose marks after a run that measured the rows."""
+    for table, rows in SECONDS.items() if config.getoption("--measure") else ():
+        if len(rows) > 1 and (seconds := sum(rows.values())) > LONG:
+            number = max(1, int(SHARE * len(rows) / seconds))
+            words = f"{len(rows)} rows, {seconds:.2f} s: @pytest.mark.quick({number})"
+            terminalreporter.write_line(f"{table}  {words}")

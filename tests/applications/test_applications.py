@@ -29,6 +29,7 @@ def rewriting(full: bool, name: str) -> str:
     return f"to write the table anew, and to say why: python tests/applications {name}{' --full' * full}"
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", entries())
 def test_small_applications_cost_no_more_than_the_table_says(name, pytestconfig):
     """Status, counted work and error of auto in all units and of the best named methods.

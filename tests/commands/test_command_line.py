@@ -152,6 +152,7 @@ def test_unsolved_is_exit_code_one_with_advice(limit, status):
 # --- figures ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("scene", SMALL_SCENES)
 def test_every_scene_is_solved_and_has_a_picture(scene):
     """Exit code 0, problem, size and status; a PNG for one, two and three dimensions, no grid, and a single unknown."""
@@ -232,6 +233,7 @@ BAD_INPUT = [
 ]
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("arguments", "pattern"), BAD_INPUT, ids=[arguments for arguments, _ in BAD_INPUT]
 )

@@ -71,6 +71,7 @@ FOLLOWED: list[tuple[LCP, dict[str, Any]]] = [
 ]
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("problem", "failed"), FOLLOWED, ids=[f"{k} {failed}" for k, (_, failed) in enumerate(FOLLOWED)]
 )
@@ -80,6 +81,7 @@ def test_the_call_that_is_advised_solves_the_problem(problem, failed):
     assert solve(problem).is_solved
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("name", list(REGISTRY))
 def test_no_algorithm_is_advised_to_itself(name):
     """The error or advice of an algorithm that fails does not name the algorithm."""

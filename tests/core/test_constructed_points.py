@@ -141,6 +141,7 @@ CLASSES: dict[str, Callable[[Case], Points]] = {
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("case", CONSTRUCTED)
 @pytest.mark.parametrize("problem_class", CLASSES)
 def test_no_class_calls_a_wrong_point_solved(problem_class, case):

@@ -75,6 +75,7 @@ def error(z: np.ndarray, exact: np.ndarray) -> float:
     return float(abs(z - exact).max() / abs(exact).max())
 
 
+@pytest.mark.quick(19)
 @pytest.mark.parametrize(("name", "kind"), PAIRS)
 def test_it_arrives(name, kind):
     """The final status is SOLVED, and z is the exact one to seven digits."""

@@ -191,6 +191,7 @@ def test_every_component_without_solution_is_refuted_whatever_their_number(as_st
     assert not any(one.is_solved for one in solve_batch(LCP(M, q), [q, q], z0=[start, start]))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("further", [0, 30])
 def test_rows_at_rounding_level_with_finite_bounds_are_not_solved(further):
     """A contradiction above 2⁻⁴² of the terms is not SOLVED at z where its terms are large."""
@@ -226,6 +227,7 @@ def test_infeasible_is_infeasible_whatever_stands_beside():
 # --- The componentwise test of the criterion ---
 
 
+@pytest.mark.quick(5)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
 def test_the_guard_refuses_nothing_right(kind, tolerance):
@@ -261,6 +263,7 @@ def flow(kind: str, n: int) -> np.ndarray:
     )
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("algorithm", ["auto", "npsor", "newton", "interior_point", "lemke"])
 @pytest.mark.parametrize("kind", FLOWS)
 @pytest.mark.parametrize("units", ["own", "one", "each", "rows"])
@@ -447,6 +450,7 @@ def drawn_in_units(rng: np.random.Generator) -> tuple[LCP, LCP]:
     return one, other
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", range(20))
 def test_tolerated_rows_in_random_units_result_is_right(seed, draws):
     """SOLVED means an error that 1e-6 of each row's terms explains, or 3e-8 of the component's largest unknown.

@@ -54,6 +54,7 @@ def campaign_process():
     trust.load_others()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", trust.ROUND)
 def test_the_campaign_finds_nothing_in_a_few_cases(name):
     """Every kind of the long campaign runs, and finds nothing."""

@@ -245,6 +245,7 @@ def test_callback_stops_the_run_and_cannot_write():
         solve(OBSTACLE.problem, "npgs", callback=writes)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", DIRECT)
 def test_iterates_of_direct_methods_are_within_the_bounds(name):
     """Every step, also on the way, is a point of the box, although Newton and interior point methods leave it."""

@@ -125,6 +125,7 @@ def test_the_residual_of_a_step_is_the_residual_of_its_certificate(name):
 # --- Scaling -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick(15)
 @pytest.mark.parametrize(
     "algorithm", [NPJ(), NPGS(), NPSOR(), NPAOR(), NPSplitting(splitting="lower"), NPSplitting()]
 )

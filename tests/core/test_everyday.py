@@ -48,6 +48,7 @@ def test_a_wall_in_a_rotated_frame_stays_at_rest(courses, angle):
     assert result.z.min() >= 0.0
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("noise", NOISE)
 @pytest.mark.parametrize("boxes", [2, 6, 15])
 def test_a_stack_of_doubled_contacts_stays_at_rest(boxes, noise):
@@ -71,6 +72,7 @@ def test_a_network_with_decimal_weights_is_at_rest_on_its_bound(nodes):
         np.testing.assert_allclose(solve(leaking).require_solved().z, low, rtol=1e-9)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("payoff", PAYOFFS)
 def test_a_step_of_an_option_on_two_shares_is_solved_from_its_payoff(payoff):
     """Howard's policy iteration with SciPy's solver determines the price; few iterations suffice from the payoff."""
@@ -133,6 +135,7 @@ def test_sliding_contacts_are_solved_with_noise_on_loaded_rows(seed, noise):
     assert worst_violation(problem, solve(problem).require_solved().z) <= 1e-6
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_new_keynesian_model_with_a_zero_bound_is_optimal(seed):
     """The rate of interest follows its rule or is at its bound in each quarter."""
@@ -156,6 +159,7 @@ def test_a_new_keynesian_model_with_a_zero_bound_is_optimal(seed):
         assert max(constraint.violation().max() for constraint in rows[:4]) <= 1e-9
 
 
+@pytest.mark.quick(2)
 @pytest.mark.filterwarnings("ignore:the solution may be inaccurate")
 @pytest.mark.parametrize("small", [1e-7, 1e-8, 1e-10])
 @pytest.mark.parametrize(
@@ -248,6 +252,7 @@ CLASSES: dict[str, Callable[[Rows], Any]] = {
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("change", CHANGES)
 @pytest.mark.parametrize("problem_class", CLASSES)
 def test_rounding_noise_changes_no_status(problem_class, change):

@@ -108,6 +108,7 @@ RESULTS: dict[str, tuple[Callable[[], Any], Status, str, str]] = {
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", RESULTS)
 def test_the_first_three_lines_answer_three_questions(name):
     """The summary names the status, the residual or the proof, and the next step of an unsolved problem."""

@@ -24,6 +24,7 @@ print(result.status.name)
 """
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", SOLVES)
 @pytest.mark.parametrize("share", [0.03, 0.1, 0.3, 0.8])
 def test_an_interruption_of_a_first_solve_is_a_result(kind, share):

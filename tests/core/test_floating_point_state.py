@@ -123,6 +123,7 @@ def test_a_callback_has_the_state_of_the_caller(problem):
         assert all(state == np.geterr() for state in states)
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", calls(1.0))
 def test_no_exception_of_numpy_gets_out(name, size):

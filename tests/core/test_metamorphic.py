@@ -58,6 +58,7 @@ LOSES = {  # what a relation takes from a class, beyond which the proofs do not 
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("relation", RELATIONS)
 @pytest.mark.parametrize("kind", CLASSES)
 def test_answers_survive_a_change_of_the_problem(relation, kind):

@@ -132,7 +132,7 @@ solve(plain, "npsor", scaling="None")
     → InvalidOption: scaling='None' is not offered; did you mean None\? \(known: None, auto
 solve(plain, algorithms.NPSOR(), relaxation=1.5) → InvalidOption: 'relaxation'.*with an algorithm object.*NPSOR\(
 march(plain, np.zeros((1, 3)), tol=1e-5)
-    → InvalidOption: march has no option 'tol'; did you mean 'tolerance'\? \(known: M_at, absolute_tolerance,
+    → InvalidOption: march has no option 'tol'; did you mean 'tolerance'\? .(known
 solve(plain, relaxation=1.5) → InvalidOption: auto.*\['relaxation'\].*name an algorithm
 solve(plain, x0=[0.0, 0.0, 0.0]) → InvalidOption: solve takes no x0 for an LCP; the start is called z0
 solve(plain, tolerance=-1e-8) → InvalidOption: tolerance must be finite and not negative, got -1e-08
@@ -197,6 +197,7 @@ def test_every_option_has_bad_values():
     assert set(BAD_VALUES) == {option for options in shown for option in options}
 
 
+@pytest.mark.quick(19)
 @pytest.mark.parametrize(("name", "option", "value"), OPTION_ROWS)
 def test_option_out_of_range(name, option, value):
     """An invalid option value raises an error with algorithm, option and value."""
@@ -357,6 +358,7 @@ except LCPError as error:
 """
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
 def test_damaged_sparse_array_of_any_format_is_refused(damage):
     """A sparse array with inconsistent index arrays raises InvalidProblem, without a crash.
@@ -398,6 +400,7 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
 }
 
 
+@pytest.mark.quick(29)
 @pytest.mark.parametrize("what", TAKE)
 @pytest.mark.parametrize("kind", WRONG)
 def test_an_argument_of_a_wrong_kind_is_refused_in_words(what, kind):

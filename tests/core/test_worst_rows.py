@@ -74,6 +74,7 @@ def drawn(kind: str, seed: int) -> tuple[Any, Any, dict[str, Fraction]]:
 KINDS = ["lcp", "box", "nonlinear", "cvxpy", "cone", "contact", "program"]
 
 
+@pytest.mark.quick(11)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", range(72))
 def test_rows_are_those_that_fail_in_fractions(seed, kind):
@@ -128,6 +129,7 @@ def test_a_run_that_fails_ends_with_its_worst_rows():
     assert said.splitlines()[-1].startswith("  F = 1, and must be 0")
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("F", "line"),
     [
@@ -422,6 +424,7 @@ def test_a_defined_slack_at_rounding_level_is_no_violation():
         assert "and its equation gives" in str(found.worst())
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("door", certified_points.DOORS)
 def test_verdicts_on_points_of_integer_problems_are_right_in_fractions(door, draws):
     """No wrong point is proved and no exact solution is disproved: 10 000 points in the full suite."""

@@ -86,6 +86,7 @@ def test_false_claims_are_noticed(truth, status, z, complaint):
 # --- What auto makes of them ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick(8)
 @pytest.mark.parametrize("entry", ENTRIES, ids=named)
 def test_auto_says_the_truth(entry):
     """Solvable: solved to 1e-9 or as far as rounding permits; else proven infeasible, or searched without a find."""

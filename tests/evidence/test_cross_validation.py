@@ -53,6 +53,7 @@ def altered(result: Result, i: int, by: float) -> Result:
 # --- Agreement ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_random_spd_problems_agree(batch):
     """Solutions z of random SPD problems agree to 1e-7, and clear active sets are equal."""
@@ -69,6 +70,7 @@ def test_random_spd_problems_agree(batch):
         assert np.array_equal(mine[decided], other[decided]), f"seed {seed}\n{check}"
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", range(12))
 def test_rank_deficient_problems_agree_in_w(seed):
     """For singular M, w agrees to 1e-7 although z may differ."""
@@ -110,6 +112,7 @@ def test_scenes_agree(target, kind):
     assert check.difference_z < 1e-8
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("reference", ["DAQP", "OSQP", "SCS", "PIQP", "CLARABEL", "HIGHS"])
 def test_every_installed_reference_agrees(reference):
     """Each installed solver agrees on a symmetric and on a nonsymmetric problem, boxes and free rows included."""

@@ -58,6 +58,7 @@ ANSWERS: dict[str, Callable[[], Any]] = {
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", ANSWERS)
 def test_every_answer_has_a_picture(name, tmp_path):
     """One call draws a figure of its own with something in it, which can be saved; the same into axes of the caller."""

@@ -85,6 +85,7 @@ REFUSED = (
 REFUSED += ("negative diagonal", "zero matrix", "huge box")
 
 
+@pytest.mark.quick(9)
 @pytest.mark.parametrize(("name", "options"), VARIANTS)
 @pytest.mark.parametrize("case", EDGES)
 def test_the_edge_of_the_number_range_is_never_silent(name, options, case):
@@ -117,6 +118,7 @@ def inexact() -> LCP:
     return LCP(scene.problem.csr / 3.0, scene.problem.q / 7.0)
 
 
+@pytest.mark.quick(4)
 @EVERY_ALGORITHM
 def test_tolerance_zero_ends_at_the_rounding_level(name):
     """A run with tolerance 0 soon ends at PRECISION_LIMIT, or SOLVED at slacks of the rounding level."""

@@ -44,6 +44,7 @@ def test_exact_answers_agree_with_elimination_in_fractions(drawn):
     assert exact_answer(problem, [float(value) for value in z]) == exact_solution(problem).z
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("family", "case"), CASES, ids=[f"{family}: {case.stress}" for family, case in CASES]
 )
@@ -169,6 +170,7 @@ def variants(problem: LCP, power: int) -> Iterator[tuple[str, LCP, int]]:
     yield "rows", in_powers_of_two(problem, rows, 0), 0
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", SCALE_INVARIANT)
 def test_powers_of_two_change_no_bit(name):
     """M, q and rows times 2^k, k from −900 to 900, give the same iterations and exactly scaled z.

@@ -37,6 +37,7 @@ def spawned():
     multiprocessing.set_start_method(before, force=True)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.usefixtures("spawned")
 @pytest.mark.parametrize("name", GUIDES)
 def test_the_code_of_a_guide_prints_what_stands_below_it(name):

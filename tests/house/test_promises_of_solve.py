@@ -119,6 +119,7 @@ CASES = [
 ]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("sample", "promise"), CASES, ids=str)
 def test_solve_keeps_the_promise(sample, promise):
     """Each promise of solve holds for each problem class."""

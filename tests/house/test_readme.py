@@ -44,6 +44,7 @@ def test_python_blocks_run(k, capsys):
     assert "SOLVED" in blocks("text")[k]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("command", commands())
 def test_commands_run(command, tmp_path, monkeypatch):
     """A command of the README does what it says and exits with 0."""

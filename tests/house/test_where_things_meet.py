@@ -484,6 +484,7 @@ def test_readme_shows_the_table_in_small():
         assert marks == ["✓" * all(way in taken for way in ways) for ways in columns], kind
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize(("sample", "way"), CELLS)
 def test_each_cell_works_or_is_refused_in_words(sample, way, tmp_path):
     """The answer of a way that takes the kind is right; any other way names the classes that it takes."""
@@ -551,6 +552,7 @@ def test_every_option_of_solve_is_walked():
     assert named == WISHES.keys()
 
 
+@pytest.mark.quick(16)
 @pytest.mark.parametrize("name", WISHES)
 @pytest.mark.parametrize("sample", SOLVABLE, ids=repr)
 def test_each_option_is_taken_or_refused_in_words(sample, name, capsys):

@@ -30,6 +30,7 @@ def random_matrix(kind: str, n: int, rng: np.random.Generator) -> Any:
     }[kind]
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("bounds", [False, True])
 @pytest.mark.parametrize("storage", ["dense", "sparse"])
 @pytest.mark.parametrize("kind", ["definite", "rank-deficient", "nonsymmetric", "skew", "zero"])
@@ -68,6 +69,7 @@ def wall(side: int, seed: int) -> LCP:
     return LCP((rows * inverse) @ rows.T, rows @ velocity.ravel())
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("algorithm", ["auto", "interior_point"])
 @pytest.mark.parametrize(("side", "seed"), [(4, 1), (5, 0), (5, 3), (5, 5)])
 def test_contacts_of_a_wall_that_hardly_moves(side, seed, algorithm):

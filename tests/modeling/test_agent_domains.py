@@ -39,6 +39,7 @@ def gap_of(agent: Any) -> float | None:
     return gap
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("start", [None, -1.0, 0.3])
 @pytest.mark.parametrize("form", ["entries", "sums"])
 @pytest.mark.parametrize("name", FUNCTIONS)

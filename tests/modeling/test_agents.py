@@ -75,6 +75,7 @@ def oligopoly(form: str) -> tuple[list[Any], Any]:
     return agents, sold
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("form", ["product", "disciplined"])
 def test_the_oligopoly_of_murphy_sherali_and_soyster_is_the_published_one(form):
     """As a product with check="local", and in a form that cvxpy's rules accept; no warning is issued."""
@@ -286,6 +287,7 @@ def programs_with(y: Any) -> tuple[dict[str, Any], Any]:
     }, x
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", programs_with(1.0)[0])
 def test_an_agent_has_the_optimum_and_the_dual_values_of_clarabel(kind):
     """Kinks at the optimum, equalities, bounds, entropy and other smooth terms; an equation outside determines y."""
@@ -505,6 +507,7 @@ def test_a_smooth_terms_convexity_uses_the_signs_of_others():
 # --- random markets and bilevel programs ---
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", [0, 3, 10])
 def test_no_agent_of_a_random_market_could_gain(seed):
     """Quadratic and smooth ones; Clarabel solves the agents' programs of the first and of the last."""
@@ -532,6 +535,7 @@ def test_a_gap_is_measured_at_values_that_the_user_sets():
     assert other.gap() == pytest.approx(0.5, abs=1e-6)
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("margin", [0.0, 4e-16, 1.8e-15, -1.8e-15, 1e-10, 0.1, -0.1])
 @pytest.mark.parametrize("form", ["one", "chain", "kink"])
 def test_a_trader_with_constant_returns_gains_nothing_by_rounding(form, margin):

@@ -33,6 +33,7 @@ def test_a_hinge_loss_has_its_minimum(first):
     assert problem.status == "optimal"
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     "kind",
     [

@@ -311,6 +311,7 @@ def ladder_without_source(sections, steps):
     )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("size", [3, 5, 8, 12])
 @pytest.mark.parametrize("made", [new_keynesian_model, ladder_without_source])
 def test_values_at_rounding_level_agree(made, size):

@@ -649,6 +649,7 @@ ATTRIBUTES: dict[str, tuple[dict[str, Any], float]] = {  # and the point nearest
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", ATTRIBUTES)
 def test_the_attributes_of_variables_are_bounds_in_every_kind_of_model(name):
     """The point nearest to t is t or the bound between: as a pair, an agent, a program and an equilibrium."""

@@ -176,6 +176,7 @@ def with_boxes(rng: Any) -> tuple[Any, list[Any]]:
     ), [q, scale, low, high]
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("make", [with_friction, with_boxes])
 @pytest.mark.parametrize("seed", range(5))
 def test_gradients_over_cones_agree_with_differences_of_solves(make, seed):

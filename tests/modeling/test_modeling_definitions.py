@@ -84,6 +84,7 @@ def test_a_definition_that_would_fill_the_matrix_stays():
     assert float(mean.value) == pytest.approx(float(np.mean(x.value)), abs=1e-8)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("door", ["cvxpy", "pyomo"])
 def test_a_proof_is_about_the_numbers_of_the_model(door):
     """With t = a x, b t − fl(a b) x ≥ 1 has the solution x = 1/(a b − fl(a b)): no proof may cover such a large x."""

@@ -54,6 +54,7 @@ def dot(left: list[Any], right: list[Any]) -> float:
 # --- expressions --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick(13)
 @pytest.mark.filterwarnings("ignore:conv is deprecated")
 @pytest.mark.parametrize("name", FORMS)
 def test_every_affine_form_is_differentiated_by_its_parameters(name):
@@ -291,6 +292,7 @@ def solved(problem: Any, **options: Any) -> None:
         problem.solve(method="LCP", tolerance=1e-12, **options)
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("make", MODELS, ids=lambda make: make.__name__)
 def test_derivatives_agree_with_differences_of_solves(make, seed):

@@ -262,6 +262,7 @@ SIDES: dict[str, tuple[Callable[[Any], Any], float, bool]] = {
 PAIRS = [(a, b) for a in SIDES for b in SIDES if a != b and (SIDES[a][2] or SIDES[b][2])]
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_two_sides_may_be_nonlinear(first, second):
     """One side is zero at the solution, in either order, and each side is the dual of the other."""

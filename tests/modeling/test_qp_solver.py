@@ -66,6 +66,7 @@ MODELS: dict[str, Callable[[], tuple[Any, list[Any]]]] = {
 }  # fmt: skip
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("how", ["solver", "called", "method"])
 @pytest.mark.parametrize("name", MODELS)
 def test_quadratic_programs_agree_with_cvxpy(name, how):

@@ -53,6 +53,7 @@ def assert_irreducible(program: QuadraticProgram, conflict: Any) -> None:
     assert all(is_feasible(program, [i for i in members if i != k]) for k in members)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", range(30))
 def test_a_planted_conflict_is_found(seed):
     """Conflicts of 2 to 6 rows among 50 to 2000, with equalities and bounds or without."""
@@ -79,6 +80,7 @@ def planted_in_floats(seed: int, rows: int) -> tuple[QuadraticProgram, list[int]
     return program, np.flatnonzero(order >= rows).tolist()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("rows", [50, 200, 800, 1600])
 def test_dense_conflicts_made_in_floats_are_found_to_rounding(rows):
     """The planted rows are named, not 31 rows that conflict exactly; HiGHS finds a point without each of them."""

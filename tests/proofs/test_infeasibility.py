@@ -39,6 +39,7 @@ def contradicting(rng: np.random.Generator, n: int, free: int = 0, boxes: int = 
     return LCP(M.astype(float), q.astype(float), lower=lower, upper=upper)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("free", "boxes"), [(0, 0), (2, 0), (0, 2), (2, 2)])
 @pytest.mark.parametrize("n", [5, 12])
 def test_contradicting_constraints_are_proven(n, free, boxes):
@@ -126,6 +127,7 @@ def test_signs_of_one_row_prove_a_large_problem_infeasible():
 # --- By how much -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", range(12))
 def test_no_z_has_a_residual_below_the_margin(seed):
     """Every z within the bounds, the answers of all methods among them, has a residual of at least the margin."""
@@ -168,6 +170,7 @@ def test_the_largest_margin_is_looked_for():
     assert solve(problem).status is Status.INFEASIBLE
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("t", [1e-3, 1e-6, 1e-10])
 def test_cases_have_a_margin_too(t):
     """w₁ = 1 forces z₁ = 0, w₂ = z₁ − t asks for t: every z misses by t/2, which counts beyond the tolerance only."""

@@ -77,6 +77,7 @@ def test_textbook_matrices(name, sparse):
     assert all(report.evidence.values())
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("n", [40, 600])
 @pytest.mark.parametrize("distance", [1e-9, 1e-12])
 def test_both_sides_of_singular(n, distance):

@@ -238,6 +238,7 @@ CLASSES: dict[str, Any] = {
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", CLASSES)
 @pytest.mark.parametrize("seed", [1, 2, 5])
 def test_a_low_rank_problem_is_infeasible_within_a_radius(name, seed):

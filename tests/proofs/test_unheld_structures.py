@@ -77,6 +77,7 @@ def test_a_weak_spring_is_no_rounding():
     assert "nothing holds" not in solve(structure.problem).explain()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("n", "stiff", "weak"), [(300, 30, 10), (300, 30, 22), (300, 20, 22), (1500, 20, 18)]
 )
@@ -108,6 +109,7 @@ def test_a_direction_keeps_contacts_closed_or_opens_them():
         assert np.abs(direction).sum() == pytest.approx(moves.sum(), rel=1e-9)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_the_units_of_unknowns_do_not_matter(seed):
     """A free chain whose rows add up to rounding only, each unknown in a unit of its own: UNBOUNDED."""
@@ -156,6 +158,7 @@ def test_cvxpy_says_unbounded_and_why():
     assert "nothing holds unknowns" in str(problem.solver_stats.extra_stats.proof)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("algorithm", ["npsor", "interior_point", "lemke"])
 def test_a_named_algorithm_ends_with_the_same_words(algorithm):
     """A program is UNBOUNDED whoever ran; so is what a limit leaves open where no limit came first."""
@@ -171,6 +174,7 @@ def test_a_prepared_problem_and_one_that_asks_for_no_proof():
     assert not solve(structure.program, prove_infeasibility=False).has_no_solution
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("stored", [np.asarray, sp.csr_array], ids=["dense", "sparse"])
 @pytest.mark.parametrize("weak", [20, 30, 35, 40])
 def test_a_weak_spring_at_the_end_of_a_chain_is_never_unbounded(weak, stored):

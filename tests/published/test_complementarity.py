@@ -58,6 +58,7 @@ def in_cvxpy(of: Published, name: str) -> np.ndarray:
     return z.value
 
 
+@pytest.mark.quick(6)
 @pytest.mark.parametrize("way", [sparse, dense, as_a_file, in_a_batch, in_a_list, in_cvxpy])
 @pytest.mark.parametrize("name", COMPLEMENTARITY)
 def test_answers_are_those_published(name, way):
@@ -83,6 +84,7 @@ def paper_matrix(example: int, side: int) -> sp.csr_array:
     return sp.csr_array(sp.kron(eye, block) + sp.kron(shifts[0] + shifts[1], eye))
 
 
+@pytest.mark.quick(11)
 @pytest.mark.parametrize(
     "way", ["auto", "msor", "npsor", "mgs", "npgs", "newton", "multigrid", "batch", "march"]
 )

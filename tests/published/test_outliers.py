@@ -30,6 +30,7 @@ HALF_SPACES = [
 ]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_answer_is_false(kind, draws):
     """No SOLVED beside the conditions and every judge, no proof beside a solution, no exception."""

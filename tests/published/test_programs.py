@@ -115,6 +115,7 @@ def agrees(of: PublishedProgram, x: np.ndarray, value: float) -> None:
     )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_value_and_violations_are_those_published(name, way):
@@ -132,6 +133,7 @@ def test_numbers_of_an_engine_at_rounding_level_are_zero(name):
     agrees(of, result.x, result.objective)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", SMALL)
 def test_units_of_unknowns_and_rows_change_no_value(name):
     """Each unknown and each row in a unit of its own, from 2⁻²⁰ to 2²⁰."""
@@ -149,6 +151,7 @@ def test_units_of_unknowns_and_rows_change_no_value(name):
     agrees(of, units * result.x, result.objective + of.r)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("way", [in_a_batch, in_a_stack])
 @pytest.mark.parametrize("name", SMALL)
 def test_batches_give_what_is_published(name, way):
@@ -157,6 +160,7 @@ def test_batches_give_what_is_published(name, way):
     agrees(of, *way(of, name))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", SMALL)
 def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name):
     """The published optimum is proved of no x that misses it."""
@@ -170,6 +174,7 @@ def test_certify_proves_no_answer_that_is_wrong_by_what_was_published(name):
             assert certify(program, moved, max_seconds=10.0).verdict != "proved"
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", BY_SIZE)
 def test_certify_proves_every_answer_of_ours(name):
     """Rows that a solve accepts relative to their terms are also accepted by certify."""

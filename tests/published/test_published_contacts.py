@@ -41,6 +41,7 @@ def in_cvxpy(of: Published) -> np.ndarray:
     return r.value
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("way", [sparse, dense, in_a_batch, in_cvxpy])
 @pytest.mark.parametrize("name", CONTACTS)
 def test_the_laws_of_contact_and_friction_hold(name, way):
@@ -49,6 +50,7 @@ def test_the_laws_of_contact_and_friction_hold(name, way):
     assert errors_of_contact(of, way(of)) <= TOLERANCE
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("ratio", [1.0, 1e-7])
 @pytest.mark.parametrize("other", CONTACTS)
 @pytest.mark.parametrize("name", CONTACTS)

@@ -42,6 +42,7 @@ def test_no_sparse_factorization_starts_that_would_end_after_the_limit(name, mon
     assert np.isfinite(result.z).all()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("factorise", [
     factors.cholesky, factors.dense_lu, lambda M: factors.factorise(sp.csr_array(M), bandwidth=(60, 4)),
 ])  # fmt: skip
@@ -136,6 +137,7 @@ def _best() -> EquilibriumProgram:
     return EquilibriumProgram(program, [0], [1], 0.0, np.inf)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("state", [_unbounded, _infeasible, _singular, _best])
 def test_a_limited_call_changes_no_later_one(state, monkeypatch):
     """Whichever question to the clock is the first after the limit, the next call has the status of a new problem."""

@@ -318,6 +318,7 @@ ENORMOUS = {
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.skipif(
     sys.platform != "linux", reason="the peak of the memory is read from Linux's resource usage"
 )

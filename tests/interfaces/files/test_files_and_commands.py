@@ -95,6 +95,7 @@ def test_every_subcommand_and_every_format_has_its_row():
     assert all(cells.keys() == {kind for kind, _ in FILES.values()} for cells in CELLS.values())
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("name", "command"), [(name, command) for name in FILES for command in CELLS]
 )

@@ -128,6 +128,7 @@ def hard() -> NLContent:
     )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("content", "words", "code", "message"),
     [

@@ -185,6 +185,7 @@ def test_the_ending_may_be_left_out(tmp_path):
         read_content(tmp_path / "other")
 
 
+@pytest.mark.quick(7)
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("seed", range(170))
 def test_a_mutilated_file_is_refused_with_its_place_or_valid(tmp_path, form, seed):

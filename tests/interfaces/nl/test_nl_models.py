@@ -356,6 +356,7 @@ def program(kind: str, sign: float = 1.0, right: Any = (0.5, 0.25, 1.0)) -> NLCo
     )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("kind", ["products", "squares", "shared"])
 def test_quadratic_objectives_are_recognised(kind, sign):

@@ -27,6 +27,7 @@ from lcp_plugin.pyomo import write_nl
 SOLVER = pe.SolverFactory("lcp_plugin")
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("name", MODELS)
 def test_published_models_are_solved_as_published(name):
     """The solution of each model is optimal, satisfies Pyomo's expressions, and is published."""

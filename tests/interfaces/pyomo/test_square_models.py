@@ -43,6 +43,7 @@ def without_pairs(m: Any) -> ComponentMap:
     return pairs
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("name", MODELS)
 def test_stated_pairs_have_the_published_solution(name):
     """Constraints with ``pairs=ComponentMap`` satisfy the published complementarities."""

@@ -141,6 +141,7 @@ def test_a_string_without_hold_is_proved_infeasible_or_solved(name, right, statu
 # --- Other bands ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("make", [dominant, definite])
 @pytest.mark.parametrize(("below", "above"), [(1, 1), (2, 2), (4, 4), (0, 3), (3, 0), (1, 5)])
 @pytest.mark.parametrize("boxes", [False, True])

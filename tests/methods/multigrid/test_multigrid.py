@@ -38,6 +38,7 @@ def assert_same(problem: LCP, result: Result, relative: float = 1e-6) -> None:
     assert np.abs(result.z - expected).max() <= relative * np.abs(expected).max()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("algorithm", ["multigrid", "auto"])
 def test_neumann_problem_with_a_mean_load_below_zero_is_infeasible(algorithm):
     """M 1 = 0: no z has M z + q ≥ 0 if the sum of q is negative."""
@@ -60,6 +61,7 @@ def test_regular_coarsest_matrix_is_solved_to_rounding():
 # --- Answers ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("text", SCENES)
 def test_the_answer_is_that_of_the_direct_active_set(text):
     """The z of the default tolerance is within 1e-6 of the direct solution, in 40 iterations."""
@@ -86,6 +88,7 @@ def jumps_by_edge(kind: str, decades: int, *, size: int = 60, seed: int = 0) -> 
     return LCP(M, membranes.build("coefficient_jumps", size=size).problem.q)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", ["all", "half", "tenth"])
 @pytest.mark.parametrize("decades", [3, 6, 10])
 def test_couplings_that_jump_from_edge_to_edge(kind, decades):
@@ -169,6 +172,7 @@ def test_elements_of_second_order_need_few_cycles():
     assert_same(problem, result)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("block", range(10))
 def test_small_problems_with_tiny_coarsest_grids(block):
     """All 200 small H₊ and SPD problems with boxes, free and fixed rows are solved."""

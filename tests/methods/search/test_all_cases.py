@@ -36,6 +36,7 @@ def test_the_status_is_true(n, is_boxed, draws):
         assert solve(problem, prove_infeasibility=False).is_solved is result.is_solved
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("n", [3, 6, 8, 12])
 def test_planted_problems_are_never_infeasible(n, draws):
     """Integer data, a solution with active, inactive and degenerate rows: solved, with a look for proofs or without."""
@@ -51,6 +52,7 @@ def test_planted_problems_are_never_infeasible(n, draws):
             assert result.infeasibility is None
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", ["auto", "newton", "lemke", "interior_point"])
 def test_without_prove_infeasibility_nothing_is_proved(name):
     """STALLED with words that say why, and no proof, where prove_infeasibility=True ends INFEASIBLE."""

@@ -22,6 +22,7 @@ from lcp_plugin.proofs.exact import is_exact_solution
 from lcp_plugin.proofs.no_solution import Case, NoSolution
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("block", range(8))
 def test_random_problems_agree_with_an_enumeration(block, draws):
     """Verdicts, solutions, faces, flags and proofs agree with linear inequalities over all patterns."""
@@ -61,6 +62,7 @@ def test_ties_of_integer_payoffs_are_kept():
     )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("odd", [None, 1e19, -1e19, 1e10, 1e-9, 1e-17])
 def test_equilibria_are_those_of_the_payoffs(odd):
     """Extreme equilibria, ties included, agree with an exact enumeration of vertices."""

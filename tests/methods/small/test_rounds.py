@@ -125,6 +125,7 @@ def test_a_point_that_the_quick_test_of_one_problem_accepts_passes_the_criterion
     assert accepted > 100
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     "problem",
     [

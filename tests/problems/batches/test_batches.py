@@ -30,6 +30,7 @@ SOLVED = (Status.SOLVED, Status.PRECISION_LIMIT)
 INF = np.inf
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("algorithm", [*ON_THE_ROAD, "psor"])
 @pytest.mark.parametrize("shared", [False, True])
 def test_a_batch_is_what_solve_gives_one_by_one(algorithm, shared):

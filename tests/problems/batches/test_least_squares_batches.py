@@ -30,6 +30,7 @@ def mixtures(count: int, m: int = 30, n: int = 8, seed: int = 0) -> tuple[np.nda
     return A, shares @ A.T + 0.01 * rng.standard_normal((count, m))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_batch_of_small_integers_has_the_exact_least_cost(seed):
     """No SOLVED point costs more than the exact minimum by more than the tolerance."""

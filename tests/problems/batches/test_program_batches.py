@@ -68,6 +68,7 @@ def bits(answers: BatchAnswers) -> list[bytes]:
 # --- Answers -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", KINDS)
 def test_planted_programs_are_solved_in_the_compiled_loop(kind):
     """Every kind of row and bound, P definite, semidefinite or 0: the least value that was known before."""

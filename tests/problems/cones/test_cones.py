@@ -66,6 +66,7 @@ def test_bad_input_is_refused_in_words(call, words):
     assert_refused(call, words, globals(), InvalidProblem)
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("seed", range(30))
 def test_planted_contacts_are_solved(seed):
     """Open, sticking, sliding and degenerate contacts are SOLVED, with the known impulses."""
@@ -82,6 +83,7 @@ def test_planted_contacts_are_solved(seed):
     )
 
 
+@pytest.mark.quick(7)
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("name", ["nsgs", "newton", "fixed_point"])
 def test_each_method_solves_convex_problems(name, seed):
@@ -102,6 +104,7 @@ def test_each_method_solves_a_contact_that_slides(name):
     np.testing.assert_allclose(result.z, [1.0, -0.3, -0.4], atol=1e-7)
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("seed", range(40))
 def test_the_certificate_bounds_the_exact_residual(seed):
     """The certificate bounds the residual in 60 digits from above, up to rounding error; contacts have two laws."""
@@ -240,6 +243,7 @@ HOPELESS: dict[str, Any] = {
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", HOPELESS)
 def test_what_has_no_answer_is_proved_infeasible(name):
     """INFEASIBLE with a proof that verifies, and whose margin no point is below."""
@@ -372,6 +376,7 @@ def together(*problems: FrictionalContact) -> FrictionalContact:
     return FrictionalContact(W, b, mu)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seeds", [(0, 2), (4, 6), (7, 8), (11, 13), (14, 15)])
 def test_groups_of_contacts_are_right_each(seeds):
     """Two groups of 70 contacts with velocities 1 : 1e-7 are SOLVED together."""
@@ -503,6 +508,7 @@ def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding():
         assert exact_relative_residual(result.problem, result.z) <= 1e-8
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     "masses", [2.0 ** np.arange(19), 2.0 ** np.arange(20), [1.0, 1e2, 1e4, 1e6]]
 )

@@ -22,6 +22,7 @@ def arrays(count: int, k: int = 4, seed: int = 0) -> tuple[Any, Any, Any]:
     return tuple(np.array([getattr(one, name) for one in made]) for name in ("W", "b", "friction"))  # type: ignore[return-value]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("is_warm", [False, True])
 def test_instances_have_the_results_of_each_by_itself(is_warm):
     """As solve to rounding, the same bits on any number of threads; residuals hold with 60 digits."""

@@ -31,6 +31,7 @@ def solved(problem: cp.Problem, **options: Any) -> Any:
     return problem.solver_stats.extra_stats
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", list(COLLECTION))
 def test_published_optima_are_found_and_proved(name):
     """Status optimal, the published value or the better one that is known, and every bound of the tree verifies."""
@@ -238,6 +239,7 @@ def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms():
     assert result.x is None
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("unit", [1e-12, 1e-9, 1e-6, 1.0, 1e9])
 @pytest.mark.parametrize("prove", [False, True])
 def test_the_unit_of_the_objective_changes_no_answer(unit, prove):

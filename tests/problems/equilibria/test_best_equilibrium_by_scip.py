@@ -226,6 +226,7 @@ def quartic() -> tuple[cp.Problem, float]:
     return cp.Problem(goal, [y <= x, x >= 0, x <= 10, best]), -2.26
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     "model",
     [partial(game, has_start=True), partial(game, has_start=False), routes, quartic],

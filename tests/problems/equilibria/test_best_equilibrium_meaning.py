@@ -51,6 +51,7 @@ def boxes() -> Any:
     return x, [complements(box(x, [-1, -np.inf, -np.inf], [1, 0.5, np.inf]), 2 * x - [9, 8, 7])]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     "model", [parts_of_a_matrix, with_minus, expression_first, from_above, boxes]
 )

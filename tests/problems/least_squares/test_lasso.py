@@ -83,6 +83,7 @@ def test_planted_lassos_are_solved_exactly(m, n, seed, ridge):
     assert abs(result.cost - best) <= 1e-8 * best
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("form", [np.asarray, sp.csr_array])
 @pytest.mark.parametrize("bounds", [{}, {"upper": 0.2}, {"lower": 0.0}])
 def test_large_lassos_are_solved_without_doubling(form, bounds):
@@ -133,6 +134,7 @@ def test_what_is_no_penalty_is_refused(l1):
         BoundedLeastSquares(np.eye(2), [1.0, 2.0], l1=l1)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 @pytest.mark.parametrize("l1", [1e-1, 1e-6])
 def test_a_tiny_penalty_is_no_trouble(l1, noise):

@@ -150,6 +150,7 @@ def of_rank(n: int, rank: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return A, rng.standard_normal(n)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("bound", [INF, 1e3])
 @pytest.mark.parametrize("n", [300, 500, 700])
 def test_rounding_of_a_rank_hides_no_cost(n, bound):
@@ -201,6 +202,7 @@ def test_an_inversion_for_decay_times_is_solved(m, n, noise):
     assert result.cost <= 0.5 * nnls(A, b, maxiter=30 * n)[1] ** 2 * (1.0 + 1e-9) + 1e-24 * (b @ b)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("lower", [0.0, -INF])
 def test_a_clock_is_kept_by_the_judge_as_well(lower):
     """Tridiagonal, 2·10⁵ unknowns, max_seconds=.2: the run ends soon after, and nothing is proved."""

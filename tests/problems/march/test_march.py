@@ -63,6 +63,7 @@ def test_bounds_with_as_many_rows_as_steps_are_refused(name):
     assert len(march(rod, forcing[:1], **{name: ends[:1]})) == 1
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("algorithm", ["auto", "npsor"])
 @pytest.mark.parametrize(("keep", "steps"), [(1, range(10)), (4, [3, 7, 9]), ("last", [9])])
 def test_keep_leaves_every_kth_step_and_the_last(keep, steps, algorithm):

@@ -139,6 +139,7 @@ def test_steps_to_points_without_a_derivative_are_shortened(start):
     assert solved(solve(problem, x0=[start]))[0] == pytest.approx(1.0)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("size", [32, 100, 316])
 def test_steps_do_not_grow_under_refinement(size):
     """A membrane with a nonlinear source takes at most 8 steps at n = 10³, 10⁴ and 10⁵."""
@@ -367,6 +368,7 @@ FUNCTIONS_AT_ROUNDING_LEVEL: dict[str, tuple[Any, Any]] = {  # F(x) − d, and i
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", FUNCTIONS_AT_ROUNDING_LEVEL)
 @pytest.mark.parametrize("is_coupled", [False, True])
 def test_a_root_below_the_rounding_errors_of_constants_is_found(name, is_coupled):

@@ -30,6 +30,7 @@ def test_an_idle_row_is_no_reference_for_a_curved_one():
         np.testing.assert_allclose(result.z, [0, 1, 1], atol=2e-4)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_random_small_problems_have_no_false_solution(shape, draws):
     """No problem with known solutions is SOLVED at a point that is not near a solution."""
@@ -68,6 +69,7 @@ RIGHT: dict[str, tuple[Callable[..., Any], int, float, Any]] = {  # F, start, lo
 }
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("name", RIGHT)
 def test_a_right_point_is_solved_and_solved_again(name):
     """The result is right, and it passes from itself without a step, also with the last bits changed."""
@@ -87,6 +89,7 @@ def test_a_right_point_is_solved_and_solved_again(name):
         assert again.iterations == 0
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("F", "jacobian"),
     [
@@ -125,6 +128,7 @@ ENDLESS: dict[str, Any] = {
 UNITS = {"small unit": 0.01, "large unit": 100.0}  # of x₁; with exp(−1900) = 0 F would be 0
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("has_start", [False, True])
 @pytest.mark.parametrize("name", ENDLESS)
 def test_a_point_on_the_way_to_infinity_is_not_solved(name, has_start):

@@ -62,6 +62,7 @@ def test_small_paths_are_exact(seed):
     assert all(one != other for one, other in itertools.pairwise(zip(cases, slopes, strict=True)))
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("seed", range(12))
 def test_monotone_paths_meet_solves(seed):
     """Between two solvable ends the path of a monotone LCP is solved everywhere, singular M included."""
@@ -281,6 +282,7 @@ def test_terms_that_cancel_at_a_breakpoint_stall_no_path():
             trace(stated[0], {"q": stated[1]}, 1.5, -1.0).require_solved()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("share", [1e-3, 1e-5, 1e-7])
 def test_a_piece_that_is_wrong_is_not_solved(share):
     """A segment that is shifted, turned or extended a little is not SOLVED, even near zeros."""
@@ -387,6 +389,7 @@ def assert_on_the_path(path: Path, solved: Any) -> None:
             )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", range(8))
 def test_between_pieces_there_is_no_gap(seed):
     """Segments join without gaps, and around every joint the path agrees with solves."""

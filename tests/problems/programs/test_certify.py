@@ -32,6 +32,7 @@ SIMPLE = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
 # --- Right and wrong answers to programs --------------------------------------------------------------------------
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", certify_campaign.KINDS)
 def test_right_answers_are_proved_and_wrong_ones_never(kind):
     """Programs of each class: right points are proved, wrong points never are."""
@@ -368,6 +369,7 @@ def models() -> dict[str, cp.Problem]:
     }
 
 
+@pytest.mark.quick(2)
 @pytest.mark.filterwarnings(
     "ignore:.*is deprecated:DeprecationWarning"
 )  # osqp's, of options that old cvxpy sends

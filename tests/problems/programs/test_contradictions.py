@@ -53,6 +53,7 @@ def test_rows_that_contradict_are_infeasible_for_every_objective(algorithm):
 TINY = 1e-13
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("lower", [0.0, -INF])
 @pytest.mark.parametrize("signs", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
 @pytest.mark.parametrize("others", [0, 3])
@@ -69,6 +70,7 @@ def test_a_limit_of_rounding_size_is_met_or_refuted_at_once(lower, signs, others
         assert row @ result.x <= 1e-6 * TINY + 1e-12 * np.abs(row * result.x).max()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("slope", [0.0, 1.0])
 @pytest.mark.parametrize("P", [np.eye(2), np.zeros((2, 2))])
 def test_rounding_in_the_place_of_0_is_named_at_once(P, slope):
@@ -97,6 +99,7 @@ def test_nearly_parallel_rows_within_the_tolerance_are_met(tilt):
     assert result.proof is not None or result.x == pytest.approx([0.5, 0.5], abs=1e-6)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("k", [43, 44, 45, 47, 50])
 @pytest.mark.parametrize("is_inequality", [False, True])
 def test_a_direction_that_leaves_the_rows_is_no_recession_direction(k, is_inequality):
@@ -132,6 +135,7 @@ def test_the_status_does_not_depend_on_an_earlier_call():
     assert second == [Status.PRECISION_LIMIT, Status.STALLED, Status.PRECISION_LIMIT]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("unit", [2.0**-60, 1e-10, 1.0, 1e9])
 @pytest.mark.parametrize("door", ["equality", "inequality", "cvxpy", "pairs"])
 def test_a_row_without_coefficients_is_judged_by_its_own_side(door, unit):

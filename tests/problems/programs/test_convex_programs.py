@@ -54,6 +54,7 @@ AGREE = (
 )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", convex_programs.SOLVABLE)
 def test_every_kind_of_convex_program_is_solved(kind):
     """As a program and as an LCP, two of each family reach the known value and the conditions."""
@@ -127,6 +128,7 @@ HARD = (
 )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("largest", [60, 400])
 @pytest.mark.parametrize("kind", HARD)
 def test_what_interior_points_find_hard_is_solved(kind, largest):
@@ -149,6 +151,7 @@ def test_auto_solves_a_long_chain_of_differences_in_units_of_limits_and_costs():
     assert result.objective == pytest.approx(value, rel=1e-6)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("family", "seed", "case"),
     [
@@ -168,6 +171,7 @@ def test_solve_of_a_badly_scaled_program_has_the_planted_value_or_is_not_solved(
     assert not result.is_solved or result.objective == pytest.approx(value, rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("seed", "largest", "case"), [(5, 300, 15), (1, 1000, 12), (1, 1000, 42)])
 def test_solve_of_equations_that_contradict_by_rounding_returns_the_best_point(seed, largest, case):
     """If equalities are inconsistent by about the tolerance, the value is right, SOLVED or PRECISION_LIMIT."""
@@ -191,6 +195,7 @@ def test_a_factor_that_magnifies_errors_is_not_used():
 # ----------------------------------------------------------------------
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", convex_programs.SOLVABLE)
 def test_nothing_is_proven_of_a_solvable_program(kind, seed):
@@ -362,6 +367,7 @@ def test_infeasible_by_a_millionth_is_proved(size):
     assert proof.margin == pytest.approx(1e-6, rel=5e-2)
 
 
+@pytest.mark.quick(5)
 @pytest.mark.parametrize("seed", range(40))
 def test_no_saddle_is_called_a_minimum_in_whatever_units(seed):
     """A block [[1, 2], [2, 1]] next to entries up to 1e12 larger, scaled, is never a minimum."""

@@ -53,6 +53,7 @@ def agree(found: Any, dx: Any, d: dict[str, Any], accuracy: float) -> None:
     assert inner(found.vjp(g), d) == pytest.approx(g @ dx, abs=accuracy * size * np.abs(g).sum())
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("first", range(0, 300, 100))
 def test_the_derivative_of_a_program_is_that_of_differences(first):
     """300 random programs, in all data at once, to 1e-6; every tenth is sparse."""

@@ -11,6 +11,7 @@ from scipy.optimize import linprog
 from lcp_plugin import InvalidProblem, QuadraticProgram, Status, solve, solve_batch
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("tolerance", [1e-8, 1e-12])
 @pytest.mark.parametrize(
     ("c", "rows"),
@@ -38,6 +39,7 @@ def test_a_small_slope_is_followed_to_its_bound():
     assert answers.x.tolist() == [[1.0], [1.0]]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("family", scaled_programs.FAMILIES)
 def test_planted_programs_say_the_same_in_every_unit(family, seed):

@@ -181,6 +181,7 @@ def test_the_judge_refuses_what_is_far_from_optimal(name):
     assert errors.largest > 1e-5, errors
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("limit", [1e9, 1e11, 1e12, 1e14, 1e17])
 def test_no_rounding_of_a_curvature_hides_a_cost(limit):
     """With P d = 0 and only a loose row along d, the value is right to 1e-6, or not SOLVED."""
@@ -248,6 +249,7 @@ ROWS_OFF_BY_ONE = {
 }
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("least", [1e6, 1e9, 1e11, 1e13])
 @pytest.mark.parametrize("rows", ROWS_OFF_BY_ONE.values(), ids=ROWS_OFF_BY_ONE)
 def test_rows_that_are_off_by_one_are_infeasible_at_large_unknowns(rows, least):
@@ -363,6 +365,7 @@ def beside_a_large_part(rng: Generator) -> tuple[Any, ...]:
     )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6])
 @pytest.mark.parametrize("draw", [nearly_singular, beside_a_large_part])
 def test_what_is_solved_of_a_nearly_singular_curvature_is_right(draw, tolerance, draws):
@@ -523,6 +526,7 @@ def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws):
 # --- Costs that forbid ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("exponent", [12, 20, 28, 32, 36])
 def test_a_cost_that_forbids_hides_no_better_transport(exponent):
     """Sums of 1/3 and two forbidden pairs: 5, and certify disproves 6 and 6 with noise on the forbidden pairs."""
@@ -552,6 +556,7 @@ def test_multipliers_as_large_as_a_cost_that_forbids_excuse_no_gap():
     assert certify(result).verdict == "proved"
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("seed", range(200))
 def test_drawn_transports_are_solved_and_proved_as_without_the_forbidden_pairs(seed):
     """Transports and assignments with costs of 1e20 … 1e36 have the value that HiGHS finds without these pairs."""

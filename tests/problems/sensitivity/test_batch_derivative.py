@@ -61,6 +61,7 @@ def assert_each(found: BatchDerivative, seed: int = 0) -> None:
         assert found.free[k].tolist() == one.free.tolist()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
 @pytest.mark.parametrize("n", [1, 2, 9, 30])

@@ -92,6 +92,7 @@ def test_units_of_rows_and_unknowns_do_not_matter(drawn, seed):
     )
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("kind", campaign.KINDS)
 @pytest.mark.parametrize("family", campaign.FAMILIES)
 def test_the_campaign_finds_nothing(family, kind):
@@ -204,6 +205,7 @@ def test_a_row_is_degenerate_to_the_rounding_of_others():
         assert found.jvp(dq=[1.0, 0.0, 0.0]) == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
 @pytest.mark.parametrize("scale", [1.0, 1e6])
 def test_rows_are_settled_from_a_coarse_solution(tolerance, scale):

@@ -132,7 +132,7 @@ solve(plain, "npsor", scaling="None")
     → InvalidOption: scaling='None' is not offered; did you mean None\? \(known: None, auto
 solve(plain, algorithms.NPSOR(), relaxation=1.5) → InvalidOption: 'relaxation'.*with an algorithm object.*NPSOR\(
 march(plain, np.zeros((1, 3)), tol=1e-5)
-    → InvalidOption: march has no option 'tol'; did you mean 'tolerance'\? .(known
+    → InvalidOption: march has no option 'tol'; did you mean 'tolerance'\? \(known
 solve(plain, relaxation=1.5) → InvalidOption: auto.*\['relaxation'\].*name an algorithm
 solve(plain, x0=[0.0, 0.0, 0.0]) → InvalidOption: solve takes no x0 for an LCP; the start is called z0
 solve(plain, tolerance=-1e-8) → InvalidOption: tolerance must be finite and not negative, got -1e-08

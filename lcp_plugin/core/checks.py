@@ -76,15 +76,15 @@ class MadeOnAccess:
     """Object whose missing attributes `_make` computes, all at once, at the first access to one of them."""
 
     @classmethod
-    def of_known(cls, make: Callable[[], dict[str, Any]] | None, **known: Any) -> Self:
-        """Return an object with some attributes; `make` returns the others, by name."""
+    def of_known(cls, make: Callable[[], Self] | None, **known: Any) -> Self:
+        """Return an object with some attributes; `make` returns an object that has the others."""
         return fill(object.__new__(cls), **known, _make=make)
 
     def __getattr__(self, name: str) -> Any:
         """Return an attribute that is not computed yet."""
         own = vars(self)
         if not name.startswith("_") and own.get("_make") is not None:
-            own.update(own["_make"](), _make=None)
+            own.update(vars(own["_make"]()), _make=None)
         if name not in own:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return own[name]

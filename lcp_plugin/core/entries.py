@@ -44,6 +44,7 @@ def residual_scales(diagonal: Vector, largest: Vector) -> Vector:
     is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * largest)
     return np.where(largest == 0.0, 1.0, np.where(is_usable, diagonal, largest))
 
+
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
 
 

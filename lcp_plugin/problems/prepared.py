@@ -144,12 +144,12 @@ class PreparedLCP(PreparedProblem[LCP]):
         make = partial(self._record, data, z, perf_counter() - began)
         return Result.of_known(make, z=z, status=Status.SOLVED, _asked=self._method)
 
-    def _record(self, data: Any, z: Vector, seconds: float) -> dict[str, Any]:
-        """Return the fields of the result of the short way."""
+    def _record(self, data: Any, z: Vector, seconds: float) -> Result:
+        """Return the result of the short way with all fields."""
         problem = self._changed(*data)
         work = 0.0 if (z == problem.nearest_to_zero).all() else float(problem.n)
         stage = StageRecord("lemke", "prepared", int(work > 0.0), work)
-        return vars(Result.at(problem, z, stage, self._settings, seconds, chosen=self._method))
+        return Result.at(problem, z, stage, self._settings, seconds, chosen=self._method)
 
 
 def _copy_of(values: Any, prepared: Vector) -> Any:
@@ -203,13 +203,13 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         make = partial(self._record, perf_counter() - began)
         return QuadraticProgramResult.of_known(make, solution=solution, status=Status.SOLVED)
 
-    def _solution(self, data: Any, x: Vector, y: Vector) -> dict[str, Any]:
-        return vars(QPSolution.from_reduced(self.problem.with_vectors(*data), x, y))
+    def _solution(self, data: Any, x: Vector, y: Vector) -> QPSolution:
+        return QPSolution.from_reduced(self.problem.with_vectors(*data), x, y)
 
-    def _record(self, seconds: float) -> dict[str, Any]:
-        stage = (StageRecord("daqp", "prepared", 1, 0.0),)
+    def _record(self, seconds: float) -> QuadraticProgramResult:
         named = {"algorithm": "auto: daqp", "iterations": 1, "tolerance": self._tolerance}
-        return {**named, "seconds": seconds, "stages": stage}
+        named |= {"seconds": seconds, "stages": (StageRecord("daqp", "prepared", 1, 0.0),)}
+        return QuadraticProgramResult.of_known(None, **named)
 
 
 class PreparedContact(PreparedProblem[FrictionalContact]):
@@ -236,21 +236,12 @@ class PreparedContact(PreparedProblem[FrictionalContact]):
         make = partial(self._record, one, z, count, perf_counter() - began)
         return ConeResult.of_known(make, z=z, status=Status.SOLVED, problem=one)
 
-    def _record(
-        self, one: FrictionalContact, z: Vector, count: int, seconds: float
-    ) -> dict[str, Any]:
-        work = float(count * SWEEPS_PER_STEP)
-        made = {"certificate": ConeCertificate(one, z, self._tolerance), "algorithm": "auto: nsgs"}
-        made |= {
-            "iterations": count,
-            "work": work,
-            "tolerance": self._tolerance,
-            "setup_seconds": 0.0,
-        }
-        return made | {
-            "seconds": seconds,
-            "stages": (StageRecord("nsgs", "prepared", count, work),),
-        }
+    def _record(self, one: FrictionalContact, z: Vector, count: int, seconds: float) -> ConeResult:
+        work, at = float(count * SWEEPS_PER_STEP), ConeCertificate(one, z, self._tolerance)
+        named = {"certificate": at, "algorithm": "auto: nsgs", "iterations": count, "work": work}
+        named |= {"tolerance": self._tolerance, "setup_seconds": 0.0, "seconds": seconds}
+        named["stages"] = (StageRecord("nsgs", "prepared", count, work),)
+        return ConeResult.of_known(None, **named)
 
     def _changed(self, b: Any = None, W: Any = None) -> FrictionalContact:
         one = self.problem

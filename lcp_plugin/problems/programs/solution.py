@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -106,9 +106,8 @@ class QPSolution(MadeOnAccess):
     @classmethod
     def on_access(cls, program: QuadraticProgram, x: Vector, y: Vector) -> QPSolution:
         """Return `from_reduced` of these, which is made at the first access to a multiplier."""
-        made, x = object.__new__(cls), read_only(x)
-        made.__dict__.update(program=program, x=x, _make=partial(_fields, program, x, y))
-        return made
+        make, x = partial(cls.from_reduced, program, x, y), read_only(x)
+        return cls.of_known(make, program=program, x=x)
 
     @classmethod
     def without_multipliers(cls, program: QuadraticProgram, x: Vector) -> QPSolution:
@@ -235,10 +234,6 @@ class QPSolution(MadeOnAccess):
         if np.isnan(self.multipliers).any():
             lines.append("no multipliers: a proof came instead")
         return "\n".join(lines)
-
-
-def _fields(program: QuadraticProgram, x: Vector, y: Vector) -> dict[str, Any]:
-    return vars(QPSolution.from_reduced(program, x, y))
 
 
 class ProgramResiduals(NamedTuple):

@@ -374,12 +374,10 @@ def _by_daqp(
         return None
     # Multipliers of a point that passes overflow only if coefficients divide them
     make = QPSolution.on_access if reduced is program else QPSolution.from_reduced
-    made = object.__new__(QuadraticProgramResult)
     own = {"algorithm": "auto: daqp", "iterations": steps, "tolerance": tolerance}
     stages = (StageRecord(DAQP.name, DAQP.solves, steps, 2.0),)  # of two points
     own |= {"seconds": clock.read(), "stages": stages, "status": Status.SOLVED}
-    vars(made).update(own, solution=make(program, x, y))
-    return made
+    return QuadraticProgramResult.of_known(None, **own, solution=make(program, x, y))
 
 
 def is_in_doubt(program: QuadraticProgram, errors: KKTErrors, x: Vector) -> bool:

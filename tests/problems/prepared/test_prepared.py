@@ -92,9 +92,7 @@ def test_a_prepared_contact_fit_and_nonlinear_problem_have_the_status_of_solve(d
         assert prepare(curved).solve(x0=np.abs(b)).status is solve(curved, x0=np.abs(b)).status
 
 
-def test_a_watched_small_program_has_the_bits_of_a_program_without_options(
-    draws: Callable[..., range],
-) -> None:
+def test_a_watched_small_program_has_the_bits_of_a_program_without_options(draws):
     """Without options, daqp's point is returned without a run; with costs in large units, and rows of one unknown."""
     rng = np.random.default_rng(2)
     for k in draws(1000, 60):

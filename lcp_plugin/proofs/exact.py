@@ -23,7 +23,6 @@ becomes the least float64, which is above the true value. NaN stays NaN.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -145,8 +144,14 @@ def exact_vector(z: ArrayLike | Sequence[Rational], n: int) -> list[Fraction]:
 
 
 def rounded_down(value: Fraction | None) -> float:
-    """Return a double not above a value ≥ 0; ∞ for None."""
-    return math.inf if value is None else _ends(value)[0]
+    """Return the largest double that is not above the value; ∞ for None."""
+    if value is None:
+        return math.inf
+    try:
+        near = float(value)
+    except OverflowError:
+        return LARGEST if value > 0 else -math.inf
+    return near if Fraction(near) <= value else math.nextafter(near, -math.inf)
 
 
 def enclosures(values: Sequence[Fraction]) -> tuple[Vector, Vector]:
@@ -158,21 +163,8 @@ def enclosures(values: Sequence[Fraction]) -> tuple[Vector, Vector]:
     >>> (high - low).tolist()
     [0.0, 5.551115123125783e-17]
     """
-    ends = [_ends(value) for value in values]
-    low, high = (np.array([end[k] for end in ends], dtype=np.float64) for k in (0, 1))
-    return low, high
-
-
-def _ends(value: Fraction) -> tuple[float, float]:
-    try:
-        near = float(value)
-    except OverflowError:
-        return (sys.float_info.max, math.inf) if value > 0 else (-math.inf, -sys.float_info.max)
-    exact = Fraction(near)
-    return (
-        near if exact <= value else math.nextafter(near, -math.inf),
-        near if exact >= value else math.nextafter(near, math.inf),
-    )
+    low = np.array([rounded_down(value) for value in values], dtype=np.float64)
+    return low, np.array([-rounded_down(-value) for value in values], dtype=np.float64)
 
 
 def rational(values: Iterable[float]) -> Fractions:
@@ -380,20 +372,25 @@ def rank_profile(A: IntegerRows) -> tuple[list[int], list[int]]:
     >>> rank_profile([[0, 0, 2], [0, 0, 4], [1, 0, 0]])
     ([0, 2], [2, 0])
     """
-    prime = PRIMES[0]
-    work = modulo(A, prime)
+    work = modulo(A, PRIMES[0])
+    return _reduce(work, work.shape[1], PRIMES[0])
+
+
+def _reduce(work: Integers, k: int, prime: int) -> tuple[list[int], list[int]]:
+    """Reduce the rows in place by pivots in the first k columns; return the rows and the columns of the pivots."""
     rows, columns = [], []
     for i in range(work.shape[0]):
-        nonzero = np.flatnonzero(work[i])
-        if not nonzero.size:
+        nonzero = np.flatnonzero(work[i, :k])
+        if not nonzero.size or is_over():
             continue
         j = int(nonzero[0])
         rows.append(i)
         columns.append(j)
-        factors = work[i + 1 :, j] * pow(int(work[i, j]), -1, prime) % prime
+        work[i] = work[i] * pow(int(work[i, j]), -1, prime) % prime
+        factors = work[:, j].copy()
+        factors[i] = 0
         touched = np.flatnonzero(factors)
-        below = work[i + 1 :]
-        below[touched] = (below[touched] - factors[touched, None] * work[i]) % prime
+        work[touched] = (work[touched] - factors[touched, None] * work[i]) % prime
     return rows, columns
 
 
@@ -434,17 +431,8 @@ def solve_exactly(A: IntegerRows, b: Sequence[int]) -> list[Fraction] | None:
 def _inverse(matrix: Integers, prime: int) -> Integers | None:
     k = len(matrix)
     work = np.hstack([matrix, np.eye(k, dtype=np.int64)])
-    for i in range(k):
-        nonzero = np.flatnonzero(work[i:, i])
-        if not nonzero.size or is_over():
-            return None
-        work[[i, i + nonzero[0]]] = work[[i + nonzero[0], i]]
-        work[i] = work[i] * pow(int(work[i, i]), -1, prime) % prime
-        factors = work[:, i].copy()
-        factors[i] = 0
-        touched = np.flatnonzero(factors)
-        work[touched] = (work[touched] - factors[touched, None] * work[i]) % prime
-    return work[:, k:]
+    _, columns = _reduce(work, k, prime)
+    return work[np.argsort(columns), k:] if len(columns) == k else None
 
 
 def _lifted(

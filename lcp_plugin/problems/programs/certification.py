@@ -428,19 +428,10 @@ class ProgramProofs:
             allowed = 1e-9 * size_of_objective(self.program, x)[0]
         return self.bounds.best(x, y[: self.program.constraints.rows], value - allowed)
 
-    def upper(self, *near: Vector, exactly: bool = True) -> float:
-        """Return a double above the objective of a feasible point: near given points, or inside; or ∞.
-
-        If floating point proves no point and `exactly` is set, rational arithmetic searches for a point.
-        """
-        found = [value_bounds.value_near(self.program, x) for x in near]
-        if exactly and all(value is None for value in found):
-            found = [self._inside]
+    def upper(self, *near: Vector) -> float:
+        """Return a double above the objective of a feasible point near given points; or ∞."""
+        found = (value_bounds.value_near(self.program, x) for x in near)
         return min((value for value in found if value is not None), default=math.inf)
-
-    @derived_property
-    def _inside(self) -> float | None:
-        return value_bounds.value_inside(self.program)
 
     @derived_property
     def no_minimum(self) -> NoMinimum | None:
@@ -517,7 +508,7 @@ class ProgramProofs:
         if given is not None:
             lower = self.lower(x, given, value[0], tolerance * size[0])
             complaint = multiplier_error(program, x, given, tolerance, size[0])
-        upper = self.upper(x, exactly=False)
+        upper = self.upper(x)
         constant = program.constant
         found = ProvenBounds(value, violation, lower, upper, tolerance, size, constant)
         is_enough = found.is_proved() and not found.violation_may_lower_objective()
@@ -531,7 +522,7 @@ class ProgramProofs:
                 elif np.isfinite(y).all():
                     least = least_size(program.judged, x, y)
                     size = max(size[0], least), max(size[1], least)
-            upper = self.upper(*near, exactly=not violation.is_missed)
+            upper = self.upper(*near)
             found = replace(found, lower=lower, upper=upper, size=size)
             if (
                 found.violation_may_lower_objective()

@@ -36,7 +36,6 @@ from ..core.lcp import LCP
 from ..core.names import MOST_NAMES, format_count, listed
 from ..core.problem_classes import foreign_function, refusal
 from ..core.settings import Status
-from ..methods.small import is_small
 from ..proofs.bounds import ActiveRows, settled_rows
 from ..proofs.uniqueness import directions_of_solutions, moving
 from ..solving.lcp_solver import solve_lcp
@@ -1135,11 +1134,10 @@ class ConditionsDerivative(Derivative):
 
     def jvp(self, **changes: Any) -> Vector:
         """Return the change dz; see :meth:`Derivative.jvp`. Only x must have a derivative, in this direction."""
-        if self._part is None:
-            with suppress(UnsuitableProblem):
-                if (dz := self._smooth_change(changes)) is not None:
-                    return dz
-            self._require_unique()
+        with suppress(UnsuitableProblem):
+            if (dz := self._smooth_change(changes)) is not None:
+                return dz
+        self._require_unique()
         return super().jvp(**changes)
 
     def _smooth_change(self, changes: dict[str, Any]) -> Vector | None:
@@ -1158,42 +1156,8 @@ class ConditionsDerivative(Derivative):
         self._require_unique()
         return super().vjp(g, gw)
 
-    @derived_property
-    def _part(self) -> BatchPart | None:
-        """The problem as a batch of one, if it is small and its derivative exists: four times as fast."""
-        if not is_small(self.problem):
-            return None
-        problem = self.problem
-        data = problem.matrix.toarray(), problem.q, problem.lower, problem.upper
-        M, q, lower, upper = (array[np.newaxis] for array in data)
-        group = Group(np.zeros(1, np.intp), M, q, lower, upper, np.empty((1, 0)))
-        part = BatchPart(group, self._found[0][np.newaxis].copy(), np.ones(1, np.bool_))
-        is_regular = part.is_plain & part.blocks.is_regular & ~part.degenerate.any()
-        return part if is_regular[0] else None
-
-    @derived_property
-    def _rows(self) -> ActiveRows:
-        if (part := self._part) is None:
-            return settled_rows(self.problem, *self._found)
-        free, is_upper = part.free[0], part.is_upper[0]
-        sides = ~free & ~is_upper, ~free & is_upper
-        return ActiveRows(free, *sides, part.degenerate[0], is_upper, part.points[0], None)
-
-    def _solve_free(self, right: Vector, *, transposed: bool = False) -> Vector:
-        if self._part is None:
-            return super()._solve_free(right, transposed=transposed)
-        found: Vector = self._part.blocks.solve(right[np.newaxis], transposed=transposed)[0]
-        return found
-
-    @property
-    def is_unique(self) -> bool:
-        """See :attr:`Derivative.is_unique`."""
-        return self._part is not None or super().is_unique
-
     def _require_unique(self) -> None:
         """Raise UnsuitableProblem, with the names of the parts of the program for which no derivative exists."""
-        if self._part is not None:
-            return
         if self.is_strict and self.degenerate.size:
             raise UnsuitableProblem(
                 f"x has a kink here: {listed(self.degenerate_parts)} active with multiplier 0; "

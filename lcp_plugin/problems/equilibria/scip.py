@@ -24,9 +24,7 @@ S. Bolusani et al., *The SCIP Optimization Suite 9.0* (2024), arXiv:2402.17702.
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,7 +42,6 @@ from .relaxations import ENDS, FEASIBLE
 SCIP_INFINITY = 1e20  # what is farther is infinite for SCIP, seconds as well
 SHARE = 0.25  # of the requested gap
 BOX, BOX_MARGIN = 1e6, 1e-3  # a box for unbounded relaxations, and what is near it, relatively
-STDERR = 2  # number of the standard error of a process
 FAILED = "SCIP:"  # start of SCIP's error messages
 
 Watcher = Callable[[float, float, int], bool]
@@ -138,33 +135,6 @@ def minimize(
     return within
 
 
-class _SilentTerminal:
-    """Context in which nothing printed to stderr reaches the terminal, where SCIP and SoPlex print errors."""
-
-    def __enter__(self) -> None:
-        self.own = self.nowhere = -1
-        with suppress(OSError):  # a window without a console has no stderr
-            self.own, self.nowhere = os.dup(STDERR), os.open(os.devnull, os.O_WRONLY)
-            os.dup2(self.nowhere, STDERR)
-
-    def __exit__(self, *_: object) -> None:
-        with suppress(OSError):
-            os.dup2(self.own, STDERR)
-            os.close(self.own)
-            os.close(self.nowhere)
-
-    @contextmanager
-    def given_back(self) -> Iterator[None]:
-        """Return a context in which a callback can print."""
-        with suppress(OSError):
-            os.dup2(self.own, STDERR)
-        try:
-            yield
-        finally:
-            with suppress(OSError):
-                os.dup2(self.nowhere, STDERR)
-
-
 class _Model:
     """An equilibrium program as a model of SCIP.
 
@@ -183,7 +153,6 @@ class _Model:
 
         self.scip, self.problem, self.model, self.ends = pyscipopt, problem, pyscipopt.Model(), ends
         self.error: BaseException | None = None
-        self.terminal = _SilentTerminal()
         self.unit = 1.0 if problem.smooth is not None else _power_below(problem.program)
         self.model.hideOutput()
         lower, upper = problem.bounds(problem.all_cases)
@@ -226,8 +195,7 @@ class _Model:
         self._watch_nodes()
         try:
             self._state()
-            with self.terminal:
-                model.optimize()
+            model.optimize()
         except (MemoryError, UnsupportedModel):
             raise
         except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
@@ -262,9 +230,8 @@ class _Model:
 
             def eventexec(self, _: object) -> None:
                 try:
-                    with own.terminal.given_back():
-                        ends = own.ends
-                        is_over = own.error is None and ends is not None and ends(*own._reached())
+                    ends = own.ends
+                    is_over = own.error is None and ends is not None and ends(*own._reached())
                 except BaseException as error:
                     own.error, is_over = error, True
                 if is_over:

@@ -391,19 +391,6 @@ def test_followers_that_take_long_do_not_keep_scip_waiting():
     assert result.value == pytest.approx(6.260972762935, rel=1e-6)
 
 
-def test_stderr_of_the_process_stays_while_scip_runs():
-    """File descriptors 1 and 2 are the same inside a callback, so that no other thread loses output."""
-    before, seen = [os.fstat(k).st_ino for k in (1, 2)], []
-
-    def look(search):
-        seen.append([os.fstat(k).st_ino for k in (1, 2)])
-        return search.nodes > 20
-
-    minimize_over_solutions(knapsack(), callback=look)
-    assert len(seen) > 1
-    assert all(one == before for one in seen)
-
-
 def test_a_coefficient_that_is_infinite_for_scip_is_a_failure_of_scip():
     """SCIP takes 1e20 as infinite; its error ends its search, and no exception reaches the caller."""
     program = QuadraticProgram(None, [1.0, 0.0], A=[[1e21, -1.0]], b=[1.0], lower=[0.0, -np.inf])

@@ -153,19 +153,6 @@ class RowInequality:
         image = np.maximum(self.beyond, np.minimum(self.within, solved)).max(axis=0)
         return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
 
-    def classified(self, y: Vector) -> tuple[BoolVector, BoolVector]:
-        """Return the rows proved by |e| ≤ y to be active (z*_i at a bound), and to be inactive.
-
-        Were z*_i > lower_i, then w*_i ≤ 0 and e_i < z_i − lower_i, so w_i ≤ d_i min(y_i, z_i − lower_i) + (|B|y)_i.
-        """
-        problem = self.problem
-        coupling = sum_above(product_above(problem.diagonal, y), _minus_comparison(problem, y))
-        direct = product_above(problem.diagonal, np.maximum(np.minimum(y, self.within), 0.0))
-        active = (sum_above(self.slack[::-1], sum_above(direct, coupling)) < 0.0).any(axis=0)
-        ends = (self.high == problem.lower) | (self.high == problem.upper)
-        active |= (problem.lower == problem.upper) | (ends & (y == 0.0) & (self.low == 0.0))
-        return active, np.all(sum_above(self.beyond, y) < 0.0, axis=0)
-
 
 def distance_above(high: Vector, low: Vector, z: Vector) -> Vector:
     """Return an upper bound of |z − (high + low)|, shape (n,)."""
@@ -533,8 +520,6 @@ class ErrorBound:
         proved.
     method : str
         "v-certificate", "reference point" or "2-norm, λ_min", whichever gave `infinity`.
-    proven_active, proven_inactive : ndarray of bool, shape (n,)
-        z*_i equals a bound; z*_i lies strictly between its bounds, so that w*_i = 0.
     residual : float
         ‖r(z)‖∞, the numerator of the relative residual: in the unit of z, as `infinity` is.
     near : NearPoint or None
@@ -547,16 +532,9 @@ class ErrorBound:
     infinity: float
     relative: float
     method: str
-    proven_active: BoolVector = field(repr=False)
-    proven_inactive: BoolVector = field(repr=False)
     residual: float = np.nan
     near: NearPoint | None = field(default=None, repr=False)
     seconds: float = field(default=0.0, repr=False)
-
-    @property
-    def counts(self) -> tuple[int, int]:
-        """Numbers of rows that are proven active, and inactive."""
-        return int(self.proven_active.sum()), int(self.proven_inactive.sum())
 
     def carried_to(self, z: Vector) -> Vector:
         """Return a bound of |z − z*|, componentwise, for any z of shape (n,): by its distance to `near`, in O(n).
@@ -574,11 +552,7 @@ class ErrorBound:
         return np.where(np.isnan(bound), np.inf, bound)
 
     def __str__(self) -> str:
-        n, (active, inactive) = self.componentwise.size, self.counts
-        return (
-            f"‖z − z*‖∞ ≤ {self.infinity:.3e}, relative {self.relative:.3e} ({self.method})\n"
-            f"proven: {active} active, {inactive} inactive, {n - active - inactive} of {n} undecided"
-        )
+        return f"‖z − z*‖∞ ≤ {self.infinity:.3e}, relative {self.relative:.3e} ({self.method})"
 
 
 @np.errstate(all="ignore")
@@ -617,8 +591,8 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
     --------
     >>> problem = LCP([[2, 1], [1, 2]], [-5, 1])
     >>> bound = error_bound(problem, [2.5 + 1e-6, 0])
-    >>> 1e-6 <= bound.infinity < 1.001e-6, bound.proven_active.tolist()
-    (True, [False, True])
+    >>> 1e-6 <= bound.infinity < 1.001e-6
+    True
     """
     if not isinstance(problem, LCP):
         raise InvalidProblem(refusal("error_bound", problem))
@@ -637,9 +611,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
             _sharpen(best, family)
         found = best.result()
     else:
-        is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
-        y, is_fixed = np.full(problem.n, np.inf), problem.lower == problem.upper
-        found = ErrorBound(y, np.inf, np.inf, method, is_fixed, is_free)
+        found = ErrorBound(np.full(problem.n, np.inf), np.inf, np.inf, method)
     return replace(found, seconds=time.perf_counter() - began)
 
 
@@ -670,16 +642,12 @@ class BestBound:
     def result(self) -> ErrorBound:
         """Return the bound."""
         problem, y = self.at.problem, np.where(np.isnan(self.y), np.inf, self.y)
-        active, inactive = self.near.classified(self.near_y)
-        if self.near is not self.at and not (active | inactive).all():
-            more_active, more_inactive = self.at.classified(y)
-            active, inactive = active | more_active, inactive | more_inactive
         residuals = scaled_residual(problem, self.at.high, self.at.w)
         infinity, residual = (float(np.abs(one).max(initial=0.0)) for one in (y, residuals))
         largest = row_data(problem).largest
         relative = float(quotient_above(largest(y), largest(np.abs(self.z))).max())
         near = NearPoint(self.near.high, self.near.low, self.near_y)
-        return ErrorBound(y, infinity, relative, self.method, active, inactive, residual, near)
+        return ErrorBound(y, infinity, relative, self.method, residual, near)
 
 
 def _sharpen(found: BestBound, family: Family) -> None:

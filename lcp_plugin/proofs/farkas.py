@@ -72,37 +72,25 @@ class LinearConstraints:
     bound_weights: tuple[Vector, Vector]
     reference: float = 1.0
 
-    @property
-    def missing(self) -> Vector:
-        """Least violations of w_i ≥ 0, w_i ≤ 0 by x within the bounds, to rounding, shape (2, m).
-
-        Positive if no such x gives the row its required sign.
-        """
-        lowest, highest = activity(self.matrix, self.lower, self.upper)
-        below = np.where(self.needs_rise, -(highest + self.q), -np.inf)
-        return np.stack([below, np.where(self.needs_fall, lowest + self.q, -np.inf)])
-
     def contradictory_rows(self) -> Iterator[tuple[int, int]]:
-        """Yield the most violated rows, with +1 if w_i is too small, and −1 if it is too large."""
-        missing = self.missing
-        most = missing.max(axis=0)
-        suspects = np.flatnonzero(most > 0.0)
+        """Yield the rows whose sign no x within the bounds gives, to rounding, the most violated first.
+
+        Each with +1 if w_i is too small, and −1 if it is too large.
+        """
+        rows, matrix = row_numbers(self.matrix), self.matrix
         with np.errstate(all="ignore"):
+            ends = [matrix.data * bound[matrix.indices] for bound in (self.lower, self.upper)]
+            lowest, highest = (
+                np.bincount(rows, weights=side(*ends), minlength=self.q.size) + self.q
+                for side in (np.minimum, np.maximum)
+            )
+            below = np.where(self.needs_rise, -highest, -np.inf)
+            most = np.maximum(below, np.where(self.needs_fall, lowest, -np.inf))
+            suspects = np.flatnonzero(most > 0.0)
             order = np.argsort(-most[suspects] / self.weights[suspects], kind="stable")
         # Rows that look contradictory in floating point and are checked exactly
         for i in suspects[order][:8].tolist():
-            yield i, 1 if missing[0, i] > 0.0 else -1
-
-
-def activity(matrix: sp.csr_array, lower: Vector, upper: Vector) -> tuple[Vector, Vector]:
-    """Return the least and the largest value of each row of matrix · x within the bounds, to rounding."""
-    rows, m = row_numbers(matrix), matrix.shape[0]
-    with np.errstate(all="ignore"):
-        ends = [matrix.data * bound[matrix.indices] for bound in (lower, upper)]
-        lowest, highest = (
-            np.bincount(rows, weights=side(*ends), minlength=m) for side in (np.minimum, np.maximum)
-        )
-    return lowest.astype(np.float64), highest.astype(np.float64)
+            yield i, 1 if below[i] > 0.0 else -1
 
 
 def without_rounding(matrix: sp.csr_array) -> sp.csr_array:

@@ -91,7 +91,7 @@ def is_within(problem: LCP, z: np.ndarray, tolerance: float) -> bool:
 def violated(problem: LCP, z: np.ndarray, exact: tuple[Fraction, ...], bound: Any) -> bool:
     """Return whether a bound of the error of z fails, or a row is classified wrongly."""
     solution = Exact(exact, tuple(ExactData(problem).slack(exact)))
-    return bound_violations(problem, z, solution, bound) != (0, 0)
+    return bound_violations(z, solution, bound) != 0
 
 
 def claims(problem: LCP, truth: str, algorithms: tuple[str, ...]) -> Found:

@@ -24,6 +24,7 @@ from ...systems.equilibration import power_of_two
 MAX_DENSE_ENTRIES = 10**6  # of A: dense copies cost little
 LARGEST_SCALE = 500  # exponent of a scale, so that squares of scales are in range
 SQUARED_RANGE = 1e-130, 1e145  # of a largest entry: squares, also of rounding errors, are doubles
+OF_BOUNDS = "nearest_to_zero", "bounds_per_column"  # properties that depend on them
 
 
 class BoundedLeastSquares:
@@ -151,15 +152,17 @@ class BoundedLeastSquares:
         m, n = self.shape
         b = self.b if b is None else checks.checked_vector(b, "b", m)
         self._check_range("b", b, "b, lower and upper")
-        bounds = checks.checked_bounds(
-            self.lower if lower is None else lower, self.upper if upper is None else upper, n
-        )
+        bounds = self.lower, self.upper
+        if lower is not None or upper is not None:
+            given = bounds[0] if lower is None else lower, bounds[1] if upper is None else upper
+            bounds = checks.checked_bounds(*given, n)
         return self.stack(b, *bounds, self.l1 if l1 is None else _checked_penalty(l1, n))
 
     def stack(self, b: Vector, lower: Vector, upper: Vector, l1: Vector) -> BoundedLeastSquares:
         """Return the problem with other, checked vectors; an axis in front, shapes (B, m) and (B, n), makes a stack."""
-        _ = self.column_scales, self.root_weights  # shared from now on
-        made = checks.copy_without(self, "nearest_to_zero", "scaled")
+        _ = self.row_units, self.root_weights, self.has_terms, self.terms  # shared from now on
+        of_bounds = () if lower is self.lower and upper is self.upper else OF_BOUNDS
+        made = checks.copy_without(self, "scaled", *of_bounds)
         made.b, made.lower, made.upper, made.l1 = b, lower, upper, l1
         return made
 
@@ -174,11 +177,31 @@ class BoundedLeastSquares:
         return np.asarray(np.diff(self.A.indptr) > 0 if self.is_sparse else self.A.any(axis=1))
 
     @cached_property
+    def sizes(self) -> Any:
+        """|A|."""
+        return abs(self.A)
+
+    @cached_property
+    def row_units(self) -> Vector:
+        """Sizes of the rows of A with columns of unit length, 1 for an empty one, shape (m,)."""
+        unit = self.sizes @ (1.0 / self.column_scales)
+        return np.where(unit > 0.0, unit, 1.0)
+
+    @cached_property
+    def terms(self) -> tuple[int, int]:
+        """Largest number of terms in a row sum, and in a column sum."""
+        A, (m, n) = self.A, self.shape
+        if not self.is_sparse:
+            return n, m
+        of_columns = np.bincount(A.indices, minlength=1)
+        return int(np.diff(A.indptr).max(initial=0)), int(of_columns.max())
+
+    @cached_property
     def nearest_to_zero(self) -> Vector:
         """The point of [lower, upper] nearest to 0, shape (n,)."""
         return read_only(np.clip(0.0, self.lower, self.upper))
 
-    @property
+    @cached_property
     def bounds_per_column(self) -> Any:
         """Number of finite bounds of each column, shape (n,)."""
         return np.isfinite(self.lower).astype(int) + np.isfinite(self.upper)
@@ -406,7 +429,7 @@ class Enclosures:
     def residual(self, x: Vector) -> Ball:
         """Return A x − b."""
         problem = self.problem
-        return self._product(problem.A, self._sizes, x, NOTHING, problem.b, self._terms[0])
+        return self._product(problem.A, problem.sizes, x, NOTHING, problem.b, problem.terms[0])
 
     @cached_property
     def most_rounding(self) -> Vector:
@@ -415,11 +438,9 @@ class Enclosures:
         The terms of rows are compared in units of the rows of A, with columns of unit length.
         """
         problem = self.problem
-        size = times(self._sizes, np.abs(problem.nearest_to_zero)) + np.abs(problem.b)
-        unit = self._sizes @ (1.0 / problem.column_scales)
-        unit = np.where(unit > 0.0, unit, 1.0)
-        largest = (size / unit).max(-1, keepdims=True, initial=0.0)
-        return gamma(2 * self._terms[0] + 8) * RAN_AWAY * unit * largest
+        size, unit = times(problem.sizes, np.abs(problem.nearest_to_zero)), problem.row_units
+        largest = ((size + np.abs(problem.b)) / unit).max(-1, keepdims=True, initial=0.0)
+        return gamma(2 * problem.terms[0] + 8) * RAN_AWAY * unit * largest
 
     def explained(self, x: Vector, residual: Ball) -> Ball:
         """Return A x − b with its rounding errors as far as the data explain them; of one x that ran away sharply."""
@@ -447,15 +468,16 @@ class Enclosures:
         problem = self.problem
         weighted = problem.apply_weights(y)
         slip = problem.apply_weights(slip) if slip.size else slip
-        return self._product(problem.A.T, self._sizes.T, weighted, slip, 0.0, self._terms[1])
+        sizes, terms = problem.sizes.T, problem.terms[1]
+        return self._product(problem.A.T, sizes, weighted, slip, 0.0, terms)
 
     def _product(self, B: Any, sizes: Any, v: Vector, slip: Vector, less: Any, terms: int) -> Ball:
         """Return B v − less for a v known up to slip, with |B| = sizes and so many terms in a row of B."""
         size = times(sizes, np.abs(v)) + np.abs(less)
-        unsure = times(sizes, slip) if slip.size else 0.0
-        rounding = gamma(2 * terms + 8) * OUTWARD * (size + unsure)
-        underflow = (2 * terms + 8) * TINY * (size + unsure > 0.0)
-        return times(B, v) - less, rounding + OUTWARD * unsure + underflow
+        unsure = OUTWARD * times(sizes, slip) if slip.size else 0.0
+        size = size + unsure if slip.size else size
+        rounding = gamma(2 * terms + 8) * OUTWARD * size + (2 * terms + 8) * TINY * (size > 0.0)
+        return times(B, v) - less, rounding + unsure if slip.size else rounding
 
     @cached_property
     def reference(self) -> float:
@@ -465,19 +487,6 @@ class Enclosures:
         if not value.any():
             value = self.gradient(start, self.residual(start))[0]
         return float((np.abs(value) / problem.column_scales).max(initial=0.0))
-
-    @cached_property
-    def _sizes(self) -> Any:
-        return abs(self.problem.A)
-
-    @cached_property
-    def _terms(self) -> tuple[int, int]:
-        """Largest number of terms in a row sum, and in a column sum."""
-        A, (m, n) = self.problem.A, self.problem.shape
-        if not self.problem.is_sparse:
-            return n, m
-        of_columns = np.bincount(A.indices, minlength=1)
-        return int(np.diff(A.indptr).max(initial=0)), int(of_columns.max())
 
 
 def shortest_solution(A: Vector, b: Vector) -> Vector:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,17 +16,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.algorithm import Step
 from ...core.checks import BoolVector, Vector, derived_property, read_only
-from ...core.deadline import OutOfTimeError, is_over
+from ...core.deadline import Clock, OutOfTimeError, is_over
 from ...core.kernels.floats import FREE, HIGH, LOW
-from ...core.settings import Settings, Status
+from ...core.settings import DEFAULT, Settings, Status
 from ...engines import has_piqp
 from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
-from ...solving.result import BaseResult, Callback
+from ...solving.result import BaseResult, Callback, StageRecord
 from ...solving.run import CUT_SHORT, FAILED, Named, Progress, Run, Stage, say
 from . import engines
 from .certificate import Optimality, measure_stack
 from .data import BoundedLeastSquares, Enclosures, clip, times
 
+NNLS = "nnls", "one bound per column"  # a stage and its reason
 START = "start"  # instead of a method, if the start is optimal
 # Columns or rows, whichever are fewer: a penalty leaves few columns free, which steps may find
 LASSO_COLUMNS = 400
@@ -82,14 +84,35 @@ def solve_least_squares(
     >>> result.x, result.cost, result.active_mask, result.status.name
     (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
     """
-    settings = Settings(**options)
-    progress = Progress(problem, settings, callback)
+    settings, clock, found = Settings(**options) if options else DEFAULT, Clock(), None
+    is_bare = x0 is None and callback is None and not options.keys() - {"tolerance"}
+    if is_bare and engines.is_for_nnls(problem):
+        found = _by_nnls(problem, settings.tolerance)
+        if found.passes:
+            make = partial(_first_result, found, settings.tolerance, clock.read())
+            return LeastSquaresResult.of_known(make, x=read_only(found.x), status=Status.SOLVED)
+    progress = Progress(problem, settings, callback, clock)
     start = None if x0 is None else problem.checked_start(x0)
-    run = LeastSquaresRun(problem, progress, start)
+    run = LeastSquaresRun(problem, progress, start, found)
     result: LeastSquaresResult = run.solve(run.plan())
     if settings.verbose:
         say(f"{result.status.name}: {result.advice}")
     return result
+
+
+def _by_nnls(problem: BoundedLeastSquares, tolerance: float) -> Optimality:
+    """Return the certified point of nnls."""
+    point = engines.nnls_point(problem)
+    found = Optimality.of(Enclosures(problem), point, tolerance=tolerance)
+    found.passes = found.residual <= tolerance
+    return found
+
+
+def _first_result(found: Optimality, tolerance: float, seconds: float) -> LeastSquaresResult:
+    """Return the result of a run that ends with the first point of nnls."""
+    run = {"status": Status.SOLVED, "iterations": 1, "seconds": seconds, "tolerance": tolerance}
+    stages = (StageRecord(*NNLS, 1, 1.0),)
+    return LeastSquaresResult.at(found, algorithm=NNLS[0], stages=stages, **run)
 
 
 class LeastSquaresRun(Run):
@@ -100,10 +123,14 @@ class LeastSquaresRun(Run):
     """
 
     def __init__(
-        self, problem: BoundedLeastSquares, progress: Progress, start: Vector | None
+        self,
+        problem: BoundedLeastSquares,
+        progress: Progress,
+        start: Vector | None,
+        first: Optimality | None = None,
     ) -> None:
         super().__init__(progress)
-        self.problem, self.start = problem, start
+        self.problem, self.start, self.first = problem, start, first
         self.enclosures = Enclosures(problem)
         if start is not None:
             self.enclosures.known.append(start)
@@ -192,7 +219,7 @@ class LeastSquaresRun(Run):
         """Yield nnls for plain data; for a large A projected steps that cost about as much as PIQP; then engines."""
         problem, most = self.problem, self.settings.max_iterations
         if self.start is None and engines.is_for_nnls(problem):
-            yield Stage(Named("nnls"), "one bound per column", steps=self._nnls_step())
+            yield Stage(Named(NNLS[0]), NNLS[1], steps=self._nnls_step())
         is_at_rest = not engines.FacePoint(problem.scaled, self.nearest).natural_residual.any()
         if self.start is not None or is_at_rest:
             yield Stage(Named(START), steps=[Step(self.nearest, work=0.0, iterations=0)])
@@ -211,7 +238,7 @@ class LeastSquaresRun(Run):
         yield self._projected(most)
 
     def _nnls_step(self) -> Iterator[Step]:
-        found = self.certify(engines.nnls_point(self.problem))
+        found = self.first or _by_nnls(self.problem, self.settings.tolerance)
         yield Step(found.x, iterations=1, measured=found)
 
     def _size_at(self, point: engines.FacePoint) -> float:

@@ -219,3 +219,16 @@ def test_a_batch_takes_a_solver():
     """Its problem is the problem of the batch."""
     loads = np.array([[-1.0, 0.0], [0.0, -2.0]])
     assert (solve_batch(prepare(LOOP), loads).z == solve_batch(LOOP, loads).z).all()
+
+
+def test_watched_least_squares_have_the_bits_of_a_call_without_options(draws):
+    """Without options, the point of nnls is returned without a run; also if it is not optimal, as of equal columns."""
+    rng = np.random.default_rng(3)
+    for k in draws(1000, 40):
+        A = rng.random(rng.integers(1, 20, 2)) * 10.0 ** rng.integers(-9, 9 if k % 4 == 0 else -8)
+        A[:, -1], how = A[:, 0], {"ridge": 1e-6} if k % 3 == 0 else {}
+        problem = BoundedLeastSquares(A, A @ rng.normal(size=A.shape[1]), **how)
+        bare, watched = solve(problem), solve(problem, record=True)
+        assert (bare.status, bare.stages) == (watched.status, watched.stages)
+        assert bare.x.tobytes() == watched.x.tobytes()
+        assert prepare(problem).solve(b=problem.b).x.tobytes() == bare.x.tobytes()

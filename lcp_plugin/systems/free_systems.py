@@ -16,7 +16,6 @@ Inverses of many small blocks, pseudo-inverses if they are singular.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -79,8 +78,7 @@ class LinearizedSystem:
         return by_w - change, by_z - self._product(change, transposed=True), multiplier
 
 
-# blocks with a smaller difference in size are inverted together, at most so many entries at a time
-ALIKE, ENTRIES = (8, 2**16)
+ENTRIES = 2**16  # of blocks that are inverted together
 
 
 def pseudo_inverses(blocks: AnyMatrix) -> tuple[Any, BoolVector]:
@@ -124,7 +122,7 @@ def products(M: AnyMatrix, x: Vector) -> Any:
 
 
 class FreeBlocks:
-    """Blocks J_FF of many matrices, grouped by similar size, each with its inverse.
+    """Blocks J_FF of many matrices, grouped by size, each with its inverse.
 
     Parameters
     ----------
@@ -144,51 +142,29 @@ class FreeBlocks:
         self._groups = []
         self.is_regular = np.ones(len(free), np.bool_)
         self.is_singular = np.zeros(len(free), np.bool_)
-        counts = np.minimum(-(-free.sum(axis=1) // ALIKE) * ALIKE, free.shape[1])
-        for count, items in self._alike(counts):
-            # fixed rows of the block are rows of I
-            rows = np.argsort(~free[items], axis=1, kind="stable")[:, :count]
-            own = free[items[:, np.newaxis], rows]
-            which = (items if len(J) > 1 else np.zeros_like(items))[:, np.newaxis, np.newaxis]
-            blocks = J[which, rows[:, :, np.newaxis], rows[:, np.newaxis]]
-            blocks = np.where(own[:, :, np.newaxis] & own[:, np.newaxis], blocks, np.eye(count))
-            inverses = solved(blocks, np.broadcast_to(np.eye(count), blocks.shape))
-            terms = np.abs(blocks * inverses.swapaxes(1, 2)).sum(axis=2)
-            # At 2²⁶ half of the digits of a double cancel in the sum.
-            self.is_regular[items] = is_regular = (terms <= 2.0**26).all(axis=1)
-            rest = np.flatnonzero(~is_regular)
-            if rest.size:
-                inverses[rest], is_singular = _least(blocks[rest], own[rest])
-                self.is_singular[items[rest]] = is_singular
-            self._groups.append((items[:, np.newaxis], rows, own, inverses))
-
-    @staticmethod
-    def _alike(counts: Array) -> Iterator[tuple[int, Any]]:
-        """Yield a size, and items of that size whose blocks a cache holds."""
+        counts = free.sum(axis=1)
         for count in np.unique(counts[counts > 0]).tolist():
-            items = np.flatnonzero(counts == count)
-            most = max(ENTRIES // count**2, 1)
-            yield from ((count, items[k : k + most]) for k in range(0, items.size, most))
+            alike, most = np.flatnonzero(counts == count), max(ENTRIES // count**2, 1)
+            for items in np.split(alike, range(most, alike.size, most)):
+                rows = np.nonzero(free[items])[1].reshape(-1, count)
+                which = (items if len(J) > 1 else np.zeros_like(items))[:, np.newaxis, np.newaxis]
+                blocks = J[which, rows[:, :, np.newaxis], rows[:, np.newaxis]]
+                inverses = solved(blocks, np.broadcast_to(np.eye(count), blocks.shape))
+                terms = np.abs(blocks * inverses.swapaxes(1, 2)).sum(axis=2)
+                # At 2²⁶ half of the digits of a double cancel in the sum.
+                self.is_regular[items] = is_regular = (terms <= 2.0**26).all(axis=1)
+                if (rest := np.flatnonzero(~is_regular)).size:
+                    inverses[rest], is_singular = pseudo_inverses(blocks[rest])
+                    self.is_singular[items[rest]] = is_singular & have_one_unit(blocks[rest])
+                self._groups.append((items[:, np.newaxis], rows, inverses))
 
     def solve(self, right: Vector, *, transposed: bool = False) -> Any:
         """Return the solutions of J_FF x = right_F, or of the transposed, shape (k, n), 0 in other rows."""
         x = np.zeros(right.shape)
-        for items, rows, own, inverses in self._groups:
+        for items, rows, inverses in self._groups:
             turned = inverses.swapaxes(1, 2) if transposed else inverses
-            known = np.where(own, right[items, rows], 0.0)
-            x[items, rows] = products(turned, known)
+            x[items, rows] = products(turned, right[items, rows])
         return x
-
-
-def _least(blocks: AnyMatrix, own: Array) -> tuple[Any, BoolVector]:
-    """Return pseudo-inverses of blocks, 0 in padding rows, and the mask of well-scaled singular blocks."""
-    inverses, is_singular = np.zeros(blocks.shape), np.zeros(len(blocks), np.bool_)
-    for count in np.unique(own.sum(axis=1)).tolist():  # free rows come first
-        items = np.flatnonzero(own.sum(axis=1) == count)
-        chosen = blocks[items, :count, :count]
-        inverses[items, :count, :count], is_singular[items] = pseudo_inverses(chosen)
-        is_singular[items] &= have_one_unit(chosen)
-    return inverses, is_singular
 
 
 def have_one_unit(blocks: AnyMatrix) -> Any:

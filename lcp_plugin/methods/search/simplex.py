@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import compress
 
 import numpy as np
 
@@ -48,25 +47,6 @@ class Effort:
             require_seconds(0.0)
 
 
-@dataclass
-class Solved:
-    """Equations of free rows, solved for free z: over one denominator, in the nonbasic variables of that time.
-
-    Attributes
-    ----------
-    z : dict of int to list of int
-        The row of each z: coefficients of the `nonbasic` ones, and a constant.
-    w : dict of int to list of int
-        The coefficients of the w of the equations in each basic variable that was left.
-    """
-
-    denominator: int
-    equations: list[int]
-    nonbasic: list[int]
-    z: dict[int, list[int]]
-    w: dict[int, list[int]]
-
-
 class ExactSimplex:
     """Bounds on the variables x = (z, w) of w = M z + q, and a basic point that is within them.
 
@@ -74,7 +54,7 @@ class ExactSimplex:
     integers over one common `denominator` (basic), in one `unit`. Bounds can be narrowed and put back at any
     time; :meth:`infeasibility_proof` then repairs the point or proves that there is none.
 
-    Equations of free rows are solved at the beginning: later pivots skip their w and the z that they determine.
+    Equations of free rows are solved at the beginning: their z stay in the basis, and their w outside of it.
 
     Notes
     -----
@@ -102,11 +82,10 @@ class ExactSimplex:
         self.nonbasic = list(range(n))
         self.value = [_clipped(0, *self.bounds(x)) for x in range(2 * n)]  # of nonbasic ones
         self.numerator: list[int] = []  # of basic ones, over the denominator
-        self._solved = Solved(1, [], [], {}, {})
         self._evaluate()
 
     def solve_equations(self) -> None:
-        """Solve the equations of free rows for as many free z as they determine, and set both aside."""
+        """Solve the equations of free rows for as many free z as they determine."""
         for w in [w for w in self.basic if self._is_fixed(w)]:
             row = self.basic.index(w)
             entries = enumerate(zip(self.nonbasic, self.rows[row], strict=False))
@@ -118,22 +97,6 @@ class ExactSimplex:
             column = next(free, None)
             if column is not None:
                 self._pivot(row, column, 0)
-        gone = [x >= self.n for x in self.nonbasic]
-        if not any(gone):
-            return
-        kept = [not is_gone for is_gone in gone]
-        rows = dict(zip(self.basic, self.rows, strict=True))
-        self.nonbasic, equations = (
-            list(compress(self.nonbasic, kept)),
-            list(compress(self.nonbasic, gone)),
-        )
-        of_rest = {x: [*compress(row, kept), row[-1]] for x, row in rows.items()}
-        self.basic = [x for x in self.basic if x >= self.n]
-        of_z = {x: row for x, row in of_rest.items() if x < self.n}
-        of_w = {x: list(compress(rows[x], gone)) for x in self.basic}
-        self._solved = Solved(self.denominator, equations, self.nonbasic[:], of_z, of_w)
-        self.rows = [of_rest[x] for x in self.basic]
-        self._evaluate()
 
     def bounds(self, x: int) -> tuple[Bound, Bound]:
         """Return both bounds of a variable."""
@@ -186,15 +149,6 @@ class ExactSimplex:
         for entry, x in zip(self.rows[row], self.nonbasic, strict=False):
             if x >= self.n and entry:
                 multipliers[x - self.n] = -direction * entry
-        if self._solved.equations:
-            of_w = [
-                (multipliers[w - self.n], row)
-                for w, row in self._solved.w.items()
-                if multipliers[w - self.n]
-            ]
-            multipliers = [y * self._solved.denominator for y in multipliers]
-            for k, w in enumerate(self._solved.equations):
-                multipliers[w - self.n] = -sum(y * row[k] for y, row in of_w)
         return [Fraction(y * scale) for y, scale in zip(multipliers, self.row_scale, strict=True)]
 
     def can_leave(self, x: int, direction: int) -> bool:
@@ -240,12 +194,8 @@ class ExactSimplex:
 
     def point(self) -> list[Fraction]:
         """Return z of the present point, shape (n,)."""
-        numerators, solved = self.numerators(), self._solved
-        values = [Fraction(value, self.denominator) for value in numerators[: self.n]]
-        for z, row in solved.z.items():
-            moved = sum(a * numerators[x] for a, x in zip(row, solved.nonbasic, strict=False))
-            values[z] = (Fraction(moved, self.denominator) + row[-1]) / solved.denominator
-        return [value * self.unit for value in values]
+        values = self.numerators()[: self.n]
+        return [Fraction(value, self.denominator) * self.unit for value in values]
 
     def _is_fixed(self, x: int) -> bool:
         return self.lower[x] is not None and self.lower[x] == self.upper[x]

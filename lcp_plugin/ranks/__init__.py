@@ -17,10 +17,9 @@ Install mpi4py and an MPI library: ``pip install '.[mpi]'``. Each rank passes it
 All ranks call every method, in the same order. Vectors are the local parts, all other results are the same on every
 rank. Algorithms: auto, multigrid, npsor, npaor, npgs, npj, psor, pgs. ``auto`` is multigrid; then rank 0 solves a
 problem with at most 100 000 unknowns in one process, and a larger one continues with sweeps. Use
-``RowsOnRanks.from_problem(lcp, comm)`` for an LCP that every rank has, and ``LCP.from_petsc(A, q, lower=…, upper=…)``
-for a matrix and vectors of petsc4py; z and w of its result are PETSc vectors. ``certify(problem, x)`` measures a point
-from any solver. Run the script by ``mpiexec -n 2 python -m mpi4py script.py``: then an exception on one rank ends all
-ranks.
+``LCP.from_petsc(A, q, lower=…, upper=…)`` for a matrix and vectors of petsc4py; z and w of its result are PETSc
+vectors. ``certify(problem, x)`` measures a point from any solver. Run the script by ``mpiexec -n 2 python -m mpi4py
+script.py``: then an exception on one rank ends all ranks.
 
 The problem is in ``problem``, the loop and the criterion of SOLVED in ``solving``, sweeps and multigrid in ``methods``,
 MPI in ``halo``, and PETSc in ``petsc``.

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any, ClassVar, Self
-from zlib import crc32
 
 import numpy as np
 import scipy.sparse as sp
@@ -97,25 +96,6 @@ class RowsOnRanks:
             ranks.require_same(name, number, advice)
         return problem
 
-    @classmethod
-    def from_problem(cls, problem: LCP, comm: Any = None) -> RowsOnRanks:
-        """Return an LCP that every rank has, cut into equal parts.
-
-        Raises
-        ------
-        InvalidProblem
-            If the ranks give different problems.
-        """
-        ranks = Ranks(comm)
-        M = ranks.together(lambda: _checked_whole(problem))
-        parts = (M.indptr, M.indices, M.data, problem.q, problem.lower, problem.upper)
-        facts = (problem.n, M.nnz, *(crc32(np.ascontiguousarray(part).data) for part in parts))
-        ranks.require_same(
-            "the problem (n, nonzeros, checksums)", facts, "build the same one on every rank"
-        )
-        own = slice(*(problem.n * rank // ranks.size for rank in (ranks.rank, ranks.rank + 1)))
-        return cls.from_rows(comm, M[own], problem.q[own], problem.lower[own], problem.upper[own])
-
     def with_q(self, q: ArrayLike) -> RowsOnRanks:
         """Return the problem with another local part of q."""
         return self.halo.together(
@@ -182,11 +162,3 @@ def _checked_rows(rows: Any) -> sp.csr_array:
     if rows.shape[1] > WIDEST:
         raise InvalidProblem(f"M has {rows.shape[1]} columns; at most {WIDEST} are taken")
     return checks.canonical_csr(rows, "rows")
-
-
-def _checked_whole(problem: Any) -> sp.csr_array:
-    if not isinstance(problem, LCP):
-        raise InvalidProblem(
-            f"from_problem needs an LCP, got {type(problem).__name__}; write LCP(M, q)"
-        )
-    return problem.csr

@@ -54,6 +54,13 @@ def mixed(n: int = 90) -> LCP:
     return LCP(M, 3.0 * rng.normal(size=n), lower=lower, upper=upper)
 
 
+def distributed(problem: LCP) -> RowsOnRanks:
+    """An LCP that every rank has, cut into equal parts."""
+    own = slice(*(problem.n * rank // COMM.size for rank in (COMM.rank, COMM.rank + 1)))
+    vectors = (one[own] for one in (problem.q, problem.lower, problem.upper))
+    return RowsOnRanks.from_rows(COMM, problem.csr[own], *vectors)
+
+
 def scenes() -> list[LCP]:
     sizes = {"obstacle_2d": 20, "journal_bearing": 12, "convection_diffusion": 20}
     return [mixed(), *(membranes.build(name, size=size).problem for name, size in sizes.items())]
@@ -81,15 +88,15 @@ def every_algorithm_finds_the_solution_of_one_process() -> None:
     for problem in scenes():
         expected = solve(problem, tolerance=1e-11).z
         for name in ("auto", "multigrid", "npsor", "npaor", "npgs", "npj", "pgs", "psor"):
-            result = RowsOnRanks.from_problem(problem).solve(name, tolerance=1e-9)
+            result = distributed(problem).solve(name, tolerance=1e-9)
             assert result.is_solved, (name, str(problem), str(result))
-            agrees(RowsOnRanks.from_problem(problem).gathered(result.z), expected, 1e-5)
+            agrees(distributed(problem).gathered(result.z), expected, 1e-5)
 
 
 @claim
 def a_nonsymmetric_matrix_is_solved_by_auto() -> None:
     problem = membranes.build("convection_diffusion", size=30).problem
-    result = RowsOnRanks.from_problem(problem).solve()
+    result = distributed(problem).solve()
     assert result.is_solved
     assert result.algorithm == "multigrid"
 
@@ -97,7 +104,7 @@ def a_nonsymmetric_matrix_is_solved_by_auto() -> None:
 @claim
 def multigrid_takes_few_cycles() -> None:
     problem = gallery.build("obstacle_2d", size=80).problem
-    result = RowsOnRanks.from_problem(problem).solve("multigrid")
+    result = distributed(problem).solve("multigrid")
     assert result.is_solved
     assert result.iterations <= 22
 
@@ -107,7 +114,7 @@ def multigrid_needs_no_pyamg() -> None:
     hidden = dict.fromkeys(("pyamg", "pyamg.strength", "pyamg.classical.interpolate"))
     with patch.dict(sys.modules, hidden):
         problem = gallery.build("obstacle_2d", size=80).problem
-        assert RowsOnRanks.from_problem(problem).solve("multigrid").is_solved
+        assert distributed(problem).solve("multigrid").is_solved
 
 
 @claim
@@ -115,7 +122,7 @@ def components_are_those_of_one_process() -> None:
     pattern = sp.random_array((60, 60), density=0.02, rng=np.random.default_rng(3), format="csr")
     M = sp.csr_array(pattern + sp.eye_array(60))
     count, labels = sp.csgraph.connected_components(M, directed=False)
-    rows = RowsOnRanks.from_problem(LCP(M, -np.ones(60)))
+    rows = distributed(LCP(M, -np.ones(60)))
     found = ComponentsOnRanks(rows)
     assert found.count == count > 1
     values = np.arange(60.0)
@@ -129,7 +136,7 @@ def a_small_component_counts_by_itself() -> None:
     M = sp.block_diag(
         [1e3 * sp.eye_array(40), sp.csr_array([[2.0, 1.0], [1.0, 2.0]])], format="csr"
     )
-    rows = RowsOnRanks.from_problem(LCP(M, np.r_[-1e9 * np.ones(40), -1e-3, -1e-3]))
+    rows = distributed(LCP(M, np.r_[-1e9 * np.ones(40), -1e-3, -1e-3]))
     z = np.r_[1e6 * np.ones(40), 0.0, 0.0][rows.halo.first : rows.halo.last]
     assert not RowDataOnRanks(rows).measure(z, 1e-8).passes
     assert rows.solve(z0=z).is_solved
@@ -138,9 +145,7 @@ def a_small_component_counts_by_itself() -> None:
 @claim
 def an_absolute_tolerance_counts_by_components() -> None:
     """One component is within the tolerance, another within the absolute tolerance: SOLVED, as in one process."""
-    rows = RowsOnRanks.from_problem(
-        LCP(sp.eye_array(40, format="csr"), np.r_[-1e6, -1e-12 * np.ones(39)])
-    )
+    rows = distributed(LCP(sp.eye_array(40, format="csr"), np.r_[-1e6, -1e-12 * np.ones(39)]))
     z = np.r_[1e6 - 1e-3, np.zeros(39)][rows.halo.first : rows.halo.last]
     data = RowDataOnRanks(rows)
     assert data.measure(z, 1e-8, absolute=1e-9).passes
@@ -153,7 +158,7 @@ def a_small_row_next_to_a_large_one_counts() -> None:
     large = 2.0**46
     M = np.array([[1.0, 1, 0], [0, 1, -2], [0, 0, 1]])
     for q3, lower3 in ((-1.0, 0.0), (0.0, 1.0)):
-        rows = RowsOnRanks.from_problem(LCP(M, [-large, 0, q3], lower=[0, 0, lower3]))
+        rows = distributed(LCP(M, [-large, 0, q3], lower=[0, 0, lower3]))
         data = RowDataOnRanks(rows)
         own = slice(rows.halo.first, rows.halo.last)
         for z2, is_right in ((2.0, True), (10.0, False)):
@@ -163,7 +168,7 @@ def a_small_row_next_to_a_large_one_counts() -> None:
 
 @claim
 def a_point_that_is_no_number_is_not_solved() -> None:
-    rows = RowsOnRanks.from_problem(mixed())
+    rows = distributed(mixed())
     z = np.where(np.arange(rows.own) == 0, np.nan, rows.nearest_to_zero)
     assert not RowDataOnRanks(rows).measure(z, 0.5).passes
 
@@ -187,11 +192,11 @@ def one_bad_part_is_refused_everywhere() -> None:
     refused(InvalidProblem, given(rows.toarray() if rank == last else rows))
     if COMM.size > 1:
         assert "lower differs" in refused(InvalidProblem, given(lower=-float(rank)))
-        asked = RowsOnRanks.from_problem(problem)
+        asked = distributed(problem)
         refused(InvalidOption, lambda: asked.solve(tolerance=1e-3 * (1 + rank)))
-    refused(InvalidOption, lambda: RowsOnRanks.from_problem(problem).solve(tolerance=-1.0))
-    refused(LCPError, lambda: RowsOnRanks.from_problem(problem).solve("lemke"))
-    refused(InvalidOption, lambda: RowsOnRanks.from_problem(problem).solve("psor", omega=1.0))
+    refused(InvalidOption, lambda: distributed(problem).solve(tolerance=-1.0))
+    refused(LCPError, lambda: distributed(problem).solve("lemke"))
+    refused(InvalidOption, lambda: distributed(problem).solve("psor", omega=1.0))
 
 
 def drawn(seed: int) -> tuple[LCP, int, np.ndarray[Any, Any] | None]:
@@ -231,7 +236,7 @@ def parts_of_different_kinds_end_on_all_ranks() -> None:
 @claim
 def a_bound_that_is_not_0_on_one_rank_only_is_solved() -> None:
     M = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20), format="csr")
-    rows = RowsOnRanks.from_problem(LCP(M, np.full(20, 5.0), lower=np.repeat([1.0, 0.0], 10)))
+    rows = distributed(LCP(M, np.full(20, 5.0), lower=np.repeat([1.0, 0.0], 10)))
     result = rows.solve()
     assert result.is_solved
     assert np.array_equal(result.z, rows.lower)
@@ -239,7 +244,7 @@ def a_bound_that_is_not_0_on_one_rank_only_is_solved() -> None:
 
 @claim
 def a_start_of_one_rank_counts() -> None:
-    rows = RowsOnRanks.from_problem(mixed())
+    rows = distributed(mixed())
     z = rows.solve().z
     assert rows.solve(z0=None if COMM.rank else z).is_solved
     refused(InvalidProblem, lambda: rows.slack(z[COMM.rank :]) if COMM.size > 1 else rows.slack([]))
@@ -248,7 +253,7 @@ def a_start_of_one_rank_counts() -> None:
 def spread(problem: LCP, *vectors: Any) -> tuple[RowsOnRanks, list[Any]]:
     """Return a problem on the ranks, and the local parts of vectors."""
     own = slice(problem.n * COMM.rank // COMM.size, problem.n * (COMM.rank + 1) // COMM.size)
-    return RowsOnRanks.from_problem(problem), [np.asarray(one)[own] for one in vectors]
+    return distributed(problem), [np.asarray(one)[own] for one in vectors]
 
 
 @claim
@@ -313,7 +318,7 @@ def a_small_problem_that_multigrid_does_not_finish_is_solved_in_one_process() ->
 
 @claim
 def limits_and_callbacks_end_all_ranks() -> None:
-    rows = RowsOnRanks.from_problem(gallery.build("obstacle_2d", size=30).problem)
+    rows = distributed(gallery.build("obstacle_2d", size=30).problem)
     assert rows.solve("npj", max_iterations=3).status is Status.MAX_ITERATIONS
     assert rows.solve("npj", max_seconds=0.0).status is Status.MAX_SECONDS
     stops = None if COMM.rank else lambda sample, z: sample.iteration >= 2
@@ -323,7 +328,7 @@ def limits_and_callbacks_end_all_ranks() -> None:
 @claim
 def a_callback_ends_the_run_at_a_step_that_ends_its_method() -> None:
     D = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(40, 40))
-    rows = RowsOnRanks.from_problem(LCP((D @ D).tocsr(), np.where(np.arange(40) < 20, -1.0, 0.5)))
+    rows = distributed(LCP((D @ D).tocsr(), np.where(np.arange(40) < 20, -1.0, 0.5)))
     first = rows.solve()  # multigrid has no coarse grid, and ends at once
     stopped = rows.solve(callback=lambda sample, z: True)
     assert "→" in first.algorithm
@@ -332,7 +337,7 @@ def a_callback_ends_the_run_at_a_step_that_ends_its_method() -> None:
 
 @claim
 def steps_of_conjugate_gradients_need_no_further_memory() -> None:
-    problem = RowsOnRanks.from_problem(gallery.build("obstacle_2d", size=80).problem)
+    problem = distributed(gallery.build("obstacle_2d", size=80).problem)
     with np.errstate(all="ignore"):
         hierarchy = build_hierarchy(problem.rows, problem.halo, scales_rows=False)
     correction = KrylovCorrection(Truncation(hierarchy), problem.q.copy(), True)
@@ -348,7 +353,7 @@ def steps_of_conjugate_gradients_need_no_further_memory() -> None:
 @claim
 def a_result_has_what_every_result_promises() -> None:
     problem = mixed()
-    rows = RowsOnRanks.from_problem(problem)
+    rows = distributed(problem)
     result = rows.solve(tolerance=1e-9, absolute_tolerance=1e-12)
     assert result.x is result.z
     assert (result.tolerance, result.absolute_tolerance) == (1e-9, 1e-12)
@@ -366,7 +371,7 @@ def a_result_has_what_every_result_promises() -> None:
 
 @claim
 def the_same_call_gives_the_same_bits() -> None:
-    rows = RowsOnRanks.from_problem(gallery.build("obstacle_2d", size=20).problem)
+    rows = distributed(gallery.build("obstacle_2d", size=20).problem)
     first, second = (rows.solve() for _ in range(2))
     watched = rows.solve(callback=lambda sample, z: None)
     assert first.z.tobytes() == second.z.tobytes() == watched.z.tobytes()

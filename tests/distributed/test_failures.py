@@ -18,13 +18,15 @@ ENDLESS = """
 import os
 from pathlib import Path
 from mpi4py import MPI
-from lcp_plugin import gallery
-from lcp_plugin.ranks.problem import RowsOnRanks
+from lcp_plugin import LCP, gallery
 rank = MPI.COMM_WORLD.rank
 def note(sample, z):
     if sample.iteration == 3:
         Path({folder!r}, str(rank)).write_text(f"{{os.getpid()}}\\n")
-problem = RowsOnRanks.from_problem(gallery.build("obstacle_2d", size=50).problem)
+whole = gallery.build("obstacle_2d", size=50).problem
+own = slice(1250 * rank, 1250 * (rank + 1))
+vectors = (one[own] for one in (whole.q, whole.lower, whole.upper))
+problem = LCP.from_rows(MPI.COMM_WORLD, whole.csr[own], *vectors)
 result = problem.solve("npj", tolerance=0.0, max_iterations=10**8, callback=note)
 if rank == 0:
     print(result, flush=True)

@@ -434,7 +434,7 @@ def solved_lcps(
 
 
 def infeasible_lcps(
-    size: Sizes = None, *, monotone: bool = False, bounds: bool = False
+    size: Sizes = None, *, bounds: bool = False
 ) -> st.SearchStrategy[tuple[LCP, Infeasibility]]:
     """Return a strategy for pairs (problem, proof): no z within its bounds gives w the signs that it needs.
 
@@ -442,8 +442,6 @@ def infeasible_lcps(
     ----------
     size : int or strategy of int, optional
         Rows, at least 1; 1 to 8 by default.
-    monotone : bool
-        Draw M that is symmetric positive semidefinite, singular by necessity; otherwise anything.
     bounds : bool
         Draw other bounds than 0 and ∞: −∞ and u, l and ∞, l and u, or none.
 
@@ -484,11 +482,10 @@ def infeasible_lcps(
         y = draw(vectors(n, st.integers(0, 3)))
         y[pivot] = 1.0
         y *= np.where(below & above, draw(vectors(n, SIGNS)), above * 1.0 - below)
-        product = np.zeros(n)
-        if not monotone:  # Mᵀy ≤ 0 if z can rise indefinitely, ≥ 0 if it can fall, = 0 if z is free
-            drawn = draw(vectors(n, SIGNED))
-            product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
-            product[below & above] = 0.0
+        # Mᵀy ≤ 0 if z can rise indefinitely, ≥ 0 if it can fall, = 0 if z is free
+        drawn = draw(vectors(n, SIGNED))
+        product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
+        product[below & above] = 0.0
         q, surplus = draw(vectors(n, SIGNED)), draw(POSITIVE)
         M = draw(blocks(n, n, SIGNED))
         M[pivot] = 0.0
@@ -496,7 +493,7 @@ def infeasible_lcps(
         highest = float(np.where(product > 0, upper, lower)[product != 0] @ product[product != 0])
         q[pivot] = 0.0
         q[pivot] = y[pivot] * (-highest - y @ q - surplus)
-        problem = LCP(M @ M.T if monotone else M, q, lower=lower, upper=upper)
+        problem = LCP(M, q, lower=lower, upper=upper)
         return problem, Infeasibility.of(problem, dict(enumerate(fractions_of(y))))
 
     return infeasible()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -204,18 +204,17 @@ def draw(answer: BaseResult, path: Path, test_problem: Scene | None = None) -> N
     save(_plotted(answer, frame, None, require_matplotlib()).figure, path)
 
 
-def _frame(answer: Any, shape: object) -> Frame:
+def _frame(answer: Any, shape: Any) -> Frame:
     """Return the letter of the unknowns, and the grid of that shape; raise InvalidOption if it does not fit."""
     unknown, n = "z" if isinstance(answer, Result) else "x", len(answer.x)
     if shape is None:
         return Frame(unknown=unknown)
-    sizes = tuple(shape) if isinstance(shape, Iterable) else ()
-    if not sizes or not all(isinstance(one, int | np.integer) and one > 0 for one in sizes):
-        raise InvalidOption(f"shape must hold integers > 0, as (rows, columns), got {shape!r}")
-    if (count := math.prod(map(int, sizes))) != n:
+    try:
+        sizes = np.zeros(n).reshape(shape).shape
+    except (TypeError, ValueError) as error:
         raise InvalidOption(
-            f"shape {sizes} has {count} unknowns, and the problem has {n}; pass the shape of its grid"
-        )
+            f"shape must be the grid of the {n} unknowns, as (rows, columns), got {shape!r}"
+        ) from error
     more = (f"axis {k}" for k in range(len(sizes) - len(LABELS)))
     return Frame(sizes, (*more, *LABELS[-len(sizes) :]), unknown)
 

@@ -356,16 +356,13 @@ def signs_of(matrix: Matrix) -> Vector | None:
 
     if is_nearly_symmetric(matrix):
         return np.ones(matrix.n)
-    if matrix.is_dense and not _may_have_signs(matrix.array):
-        return None
     if (mirrored := _entries_across(matrix)) is None:
         return None
     M, n = matrix.csr, matrix.n
     size, rows, columns = SAME * np.abs(M.data), row_numbers(M).astype(np.int64), M.indices
     is_same = np.abs(M.data - mirrored) <= size
-    is_opposite = np.abs(M.data + mirrored) <= size
-    if is_same.all() or not (is_same | is_opposite).all():
-        return np.ones(n) if is_same.all() else None
+    if not (is_same | (np.abs(M.data + mirrored) <= size)).all():
+        return None
     # In a graph of every row and its opposite, a row that is connected with its opposite has no consistent sign.
     beside = columns + np.where(is_same, 0, n)
     edges = np.append(rows, rows + n), np.append(beside, (beside + n) % (2 * n))
@@ -386,11 +383,3 @@ def _entries_across(matrix: Matrix) -> Vector | None:
     mirrored.sort_indices()
     places = (M.indptr, mirrored.indptr), (M.indices, mirrored.indices)
     return mirrored.data if all(np.array_equal(*both) for both in places) else None
-
-
-def _may_have_signs(M: Vector) -> bool:
-    """Return False if two entries of a dense M have no common signs, or two rows with positive signs are opposite."""
-    size = SAME * np.abs(M)
-    is_same, is_opposite = np.abs(M - M.T) <= size, np.abs(M + M.T) <= size
-    is_positive = (is_same & (M != 0.0)).any(axis=1)  # entries between negative signs are 0
-    return bool((is_same | (is_opposite & ~np.logical_and.outer(is_positive, is_positive))).all())

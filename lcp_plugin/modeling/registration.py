@@ -169,11 +169,6 @@ def solve_model(
         foreign = [name for name in FLAGS.split() if name in options]
         if solver is not None or foreign:
             what = ", ".join(foreign) or f"solver={solver!r}"
-            if options.get("gp") or options.get("qcp"):
-                raise UnsupportedModel(
-                    f'method="LCP" solves no geometric or quasiconvex program, got {what}; leave method="LCP" out if '
-                    "the model is one, and state complementarities without the option"
-                )
             raise UnsupportedModel(
                 f'method="LCP" has no option {what}; leave it out. Use algorithm=… to choose a method, and '
                 "lcp_plugin.derivative(problem) after the solve for derivatives"

@@ -544,7 +544,7 @@ def test_parameters_of_a_box_belong_to_the_problem():
 
 
 @refusals(r"""
-p.solve(method='LCP', gp=True) → no geometric or quasiconvex program, got gp
+p.solve(method='LCP', gp=True) → has no option gp
 p.solve(method='LCP', nlp=True) → has no option nlp
 cp.Problem(cp.Minimize(cp.sum(x)), p.constraints).solve(method='LCP', algorithm='newton') → newton.*leave it out
 p.solve(method='LCP', solver='OSQP') → solver

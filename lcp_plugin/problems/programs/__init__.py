@@ -2,10 +2,10 @@
 
 ``solve(QuadraticProgram(…))`` always runs `solving.solve_program`. In order, until one step decides:
 
-1. External solvers, in the order of `solving.ATTEMPTS`: rows of one variable become bounds (`program_matrices`), the
+1. External solvers, in the order of `solving.ATTEMPTS`: rows of one variable become bounds (`program.FoldedRows`), the
    program is scaled (`engines.scaling`), first with unknowns fixed that a huge cost forbids; the point, without
    noise and polished (`engines.polish`), is tested
-   (`criterion`). If the solver reports infeasible or unbounded, `no_minimum` searches for a proof.
+   (`judges.program`). If the solver reports infeasible or unbounded, `no_minimum` searches for a proof.
 2. A run on the complementarity problem (`conversion`), if the program is small; as the first step, if the program is
    large and has bounds only.
 3. A proof of infeasibility or unboundedness; otherwise PRECISION_LIMIT or STALLED with the two measures of the best
@@ -13,8 +13,9 @@
 
 | file | what is in it |
 |---|---|
-| `program`, `program_matrices` | the data, facts that depend on them only, rows of one variable as bounds |
-| `criterion` | the one test of a point, and its two measures |
+| `program` | the data, convexity, rows of one variable as bounds |
+| `program_matrices`, `fitted_units`, `constraints` | facts that depend on the matrices only, a scaling, one list of rows |
+| :mod:`lcp_plugin.judges.program` | the one test of a point, and its two measures |
 | `solving`, `regression` | points of external solvers and of least squares, and the status |
 | `conversion` | the complementarity problem of a program, and the solution that its z encodes |
 | `no_minimum` | proofs that a program is infeasible or unbounded |

@@ -41,7 +41,6 @@ from .no_minimum import (
     proof_of_no_minimum,
 )
 from .program import QuadraticProgram, refuse_nonconvex
-from .program_matrices import WITHIN_ROUNDING
 from .result import QuadraticProgramResult
 from .solution import QPSolution, worst_constraints
 from .solving import solve_program
@@ -49,6 +48,9 @@ from .solving import solve_program
 CLAIMS = ("optimal", "infeasible", "unbounded")
 SMALL = 400  # variables and rows of a program that is solved again for a tighter bound
 NOTHING = "nothing can be proved"
+WITHIN_ROUNDING = (
+    "within rounding: P has a negative eigenvalue, which rounding of its entries explains"
+)
 NOT_BY_A_ROW = (
     "each row passes, but by its derivative F may tend to 0 as x diverges, or is at rounding level"
 )

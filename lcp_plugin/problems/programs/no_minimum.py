@@ -42,8 +42,9 @@ from ...proofs.farkas import LinearConstraints
 from ...proofs.no_solution import is_at_rest, is_minimizer_beyond_radius, moved_unknowns
 from ...systems.definiteness import is_positive_definite
 from ...systems.equilibration import equilibrating_exponents
+from .constraints import Constraints, sums_and_terms
+from .fitted_units import or_one
 from .program import FoldedRows, QuadraticProgram
-from .program_matrices import Constraints, or_one, sums_and_terms
 
 MET = 1e-8  # residual of a row, in units of the data, that is attributed to rounding
 T = TypeVar("T", "QPInfeasibility", "QPUnboundedness")

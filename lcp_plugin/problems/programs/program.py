@@ -22,7 +22,8 @@ from ...core.rounding import compensated_pair, compensated_product
 from ...core.structure import mismatch
 from ...judges.program import NOISE, ROWS, Indices, JudgedProgram
 from ...proofs.exact import like
-from .program_matrices import Constraints, ProgramMatrices, as_array
+from .constraints import Constraints
+from .program_matrices import ProgramMatrices, as_array
 
 VECTORS = "c", "h", "b", "lower", "upper"
 KEPT = *VECTORS, "constant", "sense", "asymmetry", "ranges", "names"

@@ -1,19 +1,11 @@
-"""Matrices of a quadratic program, and facts that depend on them only: shared by programs with other vectors.
-
-The constraints of a quadratic program as one list of rows.
-
-Convexity test of quadratic programs, and the error messages for nonconvex programs.
-
-Program without rows of one variable, and the inverse transformation of solutions and proofs.
-"""
+"""Matrices of a quadratic program, and facts that depend on them only: shared by programs with other vectors."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,20 +15,14 @@ from numpy.typing import NDArray
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze_csr, read_only
 from ...core.entries import count_entries, largest_in_rows, largest_products
 from ...core.matrix import Matrix
-from ...core.rounding import compensated_product, upper_end
 from ...engines import is_installed
 from ...engines.solvers import EQUATION
-from ...judges.program import BLUR, NOISE, Indices, ProgramTerms
-from ...proofs.exact import Row, rational_rows
-from ...proofs.farkas import LinearConstraints
+from ...judges.program import BLUR, Indices, ProgramTerms
 from ...systems.definiteness import factorised, is_diagonal, is_semidefinite_to_rounding, scaled_to
 from ...systems.minimum_degree import factor_sizes
+from .fitted_units import fitted_units, or_one, roots
 
-FIT_TO = 1e-3  # of the right-hand side: enough for powers of two
 ROUNDING_OF_ENTRIES = 2.0 ** np.arange(-48.0, -23.0, 4.0)  # from double to single precision
-WITHIN_ROUNDING = (
-    "within rounding: P has a negative eigenvalue, which rounding of its entries explains"
-)
 # Unknowns and rows of a program that dense arithmetic takes in place of sparse matrices
 FULL_UP_TO = 3000
 # Multiplications per entry. With up to 1 800 (2-D grids), PIQP takes .2 to .5 of Clarabel's time, with 4 700 (a 3-D
@@ -127,7 +113,7 @@ class ProgramMatrices:
             most = units * np.maximum(
                 largest_products(of_P, units), largest_products(of_columns, rows)
             )
-            units, rows = units / _root(most), rows / _root(rows * largest_products(of_C, units))
+            units, rows = units / roots(most), rows / roots(rows * largest_products(of_C, units))
         return units, rows
 
     @cached_property
@@ -262,71 +248,6 @@ class ProgramMatrices:
         return {"P": self.P, "G": self.G, "A": self.A, "_of_rows": {}}
 
 
-def fitted_units(P: Any, C: Any) -> tuple[Vector, Vector]:
-    """Return u and v, powers of two: least squares of the logarithms of |p_jk| u_j u_k and |c_ij| v_i u_j.
-
-    References
-    ----------
-    Curtis, Reid, *On the automatic scaling of matrices for Gaussian elimination*, IMA Journal of Applied Mathematics 10
-    (1972), doi:10.1093/imamat/10.1.118.
-
-    Examples
-    --------
-    >>> fitted_units(sp.csr_array([[4.0, 0.0], [0.0, 1.0]]), sp.csr_array([[1.0, 16.0]]))
-    (array([0.5, 0.5]), array([0.5]))
-    """
-    (in_P, log_P), (in_C, log_C) = map(_pattern_and_logarithms, (P, C))
-    pattern, n, ones = _bordered(in_P, in_C), P.shape[0], np.ones(sum(C.shape))
-    counts = pattern(ones) + 1e-6  # the fit has null spaces: 2ᵗ of unknowns, 2⁻ᵗ of rows
-    diagonal = counts + np.append(2.0 * in_P.diagonal(), np.zeros(C.shape[0]))
-    sums = _bordered(log_P, log_C)(ones)
-    units = _powers(_conjugate_gradients(lambda x: pattern(x) + counts * x, diagonal, -sums))
-    return units[:n], units[n:]
-
-
-def _bordered(P: Any, C: Any) -> Callable[[Vector], Vector]:
-    """Return the function x ↦ [P + diag(P), Cᵀ; C, 0] x."""
-    n, on, turned = P.shape[0], P.diagonal(), C.T
-    return lambda x: np.concatenate([P @ x[:n] + on * x[:n] + turned @ x[n:], C @ x[:n]])
-
-
-def _pattern_and_logarithms(M: Any) -> Any:
-    """Return matrices with 1, and with log₂ |entry|, in the place of each entry."""
-    if sp.issparse(M):
-        values = np.ones(M.nnz), np.log2(np.abs(M.data))
-        return [sp.csr_array((one, M.indices, M.indptr), M.shape) for one in values]
-    is_entry = M != 0.0
-    return is_entry.astype(np.float64), np.log2(np.abs(M), where=is_entry, out=np.zeros(M.shape))
-
-
-def _conjugate_gradients(product: Callable[[Vector], Vector], diagonal: Any, b: Any) -> Vector:
-    """Return about A⁻¹b from products with A; scipy's loop takes ten times as long for 100 to 1000 unknowns."""
-    x, rest, inverse = np.zeros(b.size), b, 1.0 / diagonal
-    direction = inverse * rest
-    size = rest @ direction
-    for _ in range(60):
-        if not rest @ rest > (FIT_TO * FIT_TO) * (b @ b):
-            break
-        image = product(direction)
-        step = size / (direction @ image)
-        x, rest = x + step * direction, rest - step * image
-        steepest = inverse * rest
-        size, before = rest @ steepest, size
-        direction = steepest + (size / before) * direction
-    return x
-
-
-def _root(sizes: Vector) -> Vector:
-    """Return powers of two near the square roots, 1 of 0."""
-    return _powers(0.5 * np.log2(or_one(sizes)))
-
-
-def _powers(exponents: Vector) -> Vector:
-    """Return 2 to the rounded exponents, within the range of doubles; 1 for NaN."""
-    known = np.where(np.isnan(exponents), 0.0, exponents)
-    return np.ldexp(1.0, np.rint(np.minimum(np.maximum(known, -1000.0), 1000.0)).astype(np.intc))
-
-
 def may_be_small(n: int, m: int, entries: Iterable[int]) -> bool:
     """Return whether a program with these counts of unknowns, rows and entries is small or dense: for daqp."""
     if not (0 < n <= 400 and m <= 1500):
@@ -348,125 +269,3 @@ def as_csr(matrix: Any) -> sp.csr_array:
 def as_array(matrix: Any) -> Vector:
     """Return a matrix as an ndarray."""
     return np.asarray(matrix.toarray() if sp.issparse(matrix) else matrix)
-
-
-def or_one(sizes: Vector) -> Vector:
-    """Return the sizes with 1 instead of 0."""
-    return np.where(sizes > 0.0, sizes, 1.0)
-
-
-def sums_and_terms(rows: sp.csr_array, y: Vector) -> tuple[Any, Any]:
-    """Return yᵀM and |y|ᵀ|M| of a CSR array, which is not transposed.
-
-    Examples
-    --------
-    >>> sums_and_terms(sp.csr_array([[1.0, -2.0], [0.0, 3.0]]), np.array([1.0, 1.0]))
-    (array([1., 1.]), array([1., 5.]))
-    """
-    terms: Vector = np.repeat(y, np.diff(rows.indptr)) * rows.data
-    both = terms, np.abs(terms)
-    sums, sizes = (np.bincount(rows.indices, one, rows.shape[1]) + 0.0 for one in both)
-    return sums, sizes
-
-
-@dataclass(frozen=True, eq=False)
-class Constraints:
-    """Rows C x ≤ d, including equalities: G x ≤ h, A x = b, −x ≤ −lower, x ≤ upper; d_i = ∞ means no constraint.
-
-    Attributes
-    ----------
-    matrices : ProgramMatrices
-    limit : ndarray
-        d.
-    """
-
-    matrices: ProgramMatrices
-    limit: Vector
-
-    @property
-    def matrix(self) -> sp.csr_array:
-        """C, shape (m + p + 2n, n)."""
-        return self.matrices.constraints
-
-    @property
-    def is_equality(self) -> NDArray[np.bool_]:
-        """Mask of the equality rows."""
-        return self.matrices.is_equality
-
-    @property
-    def rows(self) -> int:
-        """Number of rows of G and A."""
-        return sum(self.matrices.sizes[:2])
-
-    @property
-    def right(self) -> Vector:
-        """[h; b]: the limits of the rows of G and A."""
-        return self.limit[: self.rows]
-
-    @property
-    def finite(self) -> Indices:
-        """The rows that say something."""
-        return np.flatnonzero(np.isfinite(self.limit))
-
-    def split(self, values: Any) -> list[Any]:
-        """Return the parts of values per row: of G, of A, of the lower and of the upper bounds."""
-        ends = np.cumsum([0, *self.matrices.sizes]).tolist()
-        return [values[begin:end] for begin, end in pairwise(ends)]
-
-    @cached_property
-    def own_sizes(self) -> Vector:
-        """Size of each row: |right-hand side|, or 1e-5 of its smallest coefficient if larger.
-
-        The largest right-hand side takes the place of coefficients in a row that has none. An inconsistency at rounding
-        level, relative to all unscaled coefficients, is attributed to rounded data.
-        """
-        limits = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
-        inverse = largest_in_rows(self.matrix, 1.0 / np.abs(self.matrix.data))
-        has_entry, largest = inverse > 0.0, float(limits[: self.rows].max(initial=0.0))
-        smallest = np.divide(1.0, inverse, where=has_entry, out=np.full(inverse.size, largest))
-        return np.maximum(limits, NOISE * smallest)
-
-    @property
-    def coefficient_sizes(self) -> Vector:
-        """Largest |coefficient| of each row and bound; 1 for a row without entries."""
-        sizes = self.matrices.terms.row_sizes
-        return np.append(sizes, np.ones(self.limit.size - sizes.size))
-
-    @cached_property
-    def unit(self) -> Vector:
-        """Largest |coefficient| of each row plus its |right-hand side|: weight in searches for a certificate."""
-        right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
-        return self.coefficient_sizes + right
-
-    @cached_property
-    def as_rows(self) -> LinearConstraints:
-        """All constraints, including bounds, as rows of an unbounded x, with w = d − C x."""
-        free, kept = np.full(self.matrix.shape[1], np.inf), np.zeros(self.matrix.shape[1])
-        return self._conditions(self.matrix, -free, free, (kept, kept))
-
-    @cached_property
-    def within_bounds(self) -> LinearConstraints:
-        """The rows of G and A within the bounds, with w = d − C x."""
-        (below, above), units = self.split(self.limit)[2:], self.split(self.unit)[2:]
-        return self._conditions(self.matrices.terms.rows, -below, above, tuple(units))
-
-    def _conditions(self, C: sp.csr_array, *bounds: Any) -> LinearConstraints:
-        """Return the first rows, which C are, as w = d − C x with these bounds of x and their units."""
-        given: tuple[Any, ...] = (self.limit, self.is_equality, self.unit)
-        limit, is_equality, unit = (one[: C.shape[0]] for one in given)
-        lower, upper, units = bounds
-        return LinearConstraints(
-            -C, limit, np.isfinite(limit), is_equality, lower, upper, unit, units
-        )
-
-    @cached_property
-    def exactly(self) -> list[Row]:
-        """The rows of C in fractions."""
-        return rational_rows(self.matrix)
-
-    def excess(self, x: Vector) -> Vector:
-        """Return proved upper bounds of the violation of each row: −∞ to 0 if satisfied, ∞ if a sum overflows."""
-        is_finite = np.isfinite(self.limit)
-        value, radius = compensated_product(self.matrix, x, np.where(is_finite, -self.limit, 0.0))
-        above = upper_end(np.where(self.is_equality, np.abs(value), value), radius)
-        return np.where(is_finite, above, -np.inf)

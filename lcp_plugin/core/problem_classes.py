@@ -55,7 +55,7 @@ CLASSES = {
     ),
     "NonlinearProblem": ProblemClass(
         "problems.nonlinear.solving:solve_nonlinear",
-        "prepare march derivative certify",
+        "prepare march trace derivative certify",
         f"{WATCHED} absolute_tolerance",
         "problems.nonlinear.solving:criterion_at",
     ),

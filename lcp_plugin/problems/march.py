@@ -167,11 +167,6 @@ class March(AnswerSequence[Result]):
         self._stacked: Vector | None = None
         self._results: list[Result | Callable[[], Result]] = []
 
-    @property
-    def is_linear(self) -> bool:
-        """True if the problem has a matrix M, and no function F."""
-        return not isinstance(self.problem, NonlinearProblem)
-
     def at(self, k: int) -> Result:
         """Return the result of step k."""
         found = self._results[k]
@@ -336,9 +331,7 @@ class StepData:
         If a number of rows is not k, or the data of a step are invalid; the message names the step.
     """
 
-    def __init__(
-        self, k: int, n: int, M_at: Any, problem: Any, F_at: Any, **bounds: ArrayLike | None
-    ) -> None:
+    def __init__(self, k: int, n: int, M_at: Any, problem: Any, F_at: Any, **bounds: Array) -> None:
         self.matrices, self.functions = M_at, F_at
         is_list = M_at is not None and not callable(M_at)
         if is_list:
@@ -380,19 +373,10 @@ class StepData:
     def problem_at(self, problem: Any, step: int) -> Any:
         """Return the problem of a step, with any q."""
         if self.functions is not None:
-            problem = self._with_function(problem, step)
+            problem = problem.with_function_of(self.functions(step), f"F_at of step {step}")
         problem = problem if self.matrices is None else self._with_matrix(problem, step)
         rows = {name: bounds[step] for name, bounds in self.bounds.items()}
         return problem.with_q(problem.q, **rows) if rows else problem
-
-    def _with_function(self, problem: NonlinearProblem, step: int) -> NonlinearProblem:
-        """Return the problem with the F of a step."""
-        own = self.functions(step)
-        if not isinstance(own, NonlinearProblem):
-            need = f"F_at of step {step} must be a NonlinearProblem"
-            raise InvalidProblem(f"{need}, got {type(own).__name__}; return NonlinearProblem(F)")
-        own = own.with_size(problem.lower.size)
-        return own.with_q(0.0, lower=problem.lower, upper=problem.upper)
 
     def _with_matrix(self, problem: LCP, step: int) -> LCP:
         """Return the problem with the matrix of a step; equal objects in a list share the facts about it."""
@@ -789,7 +773,7 @@ class Steps:
     def at(self, k: int) -> StepDerivative:
         """Return the derivative of a step by the data of the step."""
         march, z = self.march, self.states[k + 1]
-        if not march.is_linear:
+        if isinstance(march.problem, NonlinearProblem):
             return self.whole[self.here.start + k]
         problem = march.data.problem_at(march.problem, self.here.start + k).with_q(self.q[k])
         # The last factorization is used again if it fits
@@ -1079,7 +1063,7 @@ class MarchDerivative:
         """
         n, steps = self.march.problem.n, len(self)
         rows = np.array(_rows(g, "g", steps, n, "the last answer alone"))
-        M = self.march.problem.csr if self.march.is_linear else sp.csr_array((n, n))
+        M = getattr(self.march.problem, "csr", sp.csr_array((n, n)))
         propagator = self.march.propagator
         after, of_bounds, forcing = np.zeros(n), np.zeros((2, steps, n)), np.empty((steps, n))
         of_M, of_C, each = np.zeros(M.nnz), np.zeros(propagator.nnz), list[Any]()
@@ -1122,9 +1106,10 @@ class MarchDerivative:
     @derived_property
     def band(self) -> Band | None:
         """The march's band, None if M has no narrow one, or changes from step to step."""
-        if self.march.data.matrices is not None or not self.march.is_linear:
+        problem = self.march.problem
+        if self.march.data.matrices is not None or isinstance(problem, NonlinearProblem):
             return None
-        return Band.of(self.march.problem.matrix, self.march.propagator)
+        return Band.of(problem.matrix, self.march.propagator)
 
     @derived_property
     def transposed(self) -> Band | None:

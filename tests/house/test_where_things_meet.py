@@ -98,7 +98,7 @@ OVER_CONES = (
 KINDS = {
     "LCP": tuple(way for way in WAYS if way != "qpsolvers"),
     "NonlinearProblem": (
-        *("solve", "solve_batch", "prepare", "march", "derivative", "certify", "pickle"),
+        *("solve", "solve_batch", "prepare", "march", "trace", "derivative", "certify", "pickle"),
         *("cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     ),
     "QuadraticProgram": (
@@ -202,7 +202,7 @@ def by_march(sample: Sample, folder: Path) -> None:
 
 
 def by_trace(sample: Sample, folder: Path) -> None:
-    name = {"LCP": "q", "QuadraticProgram": "c", "BoundedLeastSquares": "b"}[sample.kind]
+    name = {"QuadraticProgram": "c", "BoundedLeastSquares": "b"}.get(sample.kind, "q")
     path = trace(sample.problem, {name: 0.0}, 0, 1)
     assert path.status in sample.ends
     assert path.status.name in repr(path)

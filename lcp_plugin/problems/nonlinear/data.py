@@ -197,6 +197,7 @@ class NonlinearProblem:
     array([12.,  0.])
     """
 
+    q: Any = 0.0  # that `with_q` adds to F
     origin: Any = None  # of a variational inequality
     #: Function that returns the program of its affine rows, which may be infeasible.
     affine_part: Any = None
@@ -234,6 +235,7 @@ class NonlinearProblem:
         self.lower, self.upper = checks.checked_bounds(*self._bounds, n)
         self.names = checked_names(self._given_names, n, n, are_pairs=True)
         self._differences: Differences | None = None
+        self.q = np.zeros(n)
         self._components: tuple[bytes, Any] = b"", None
 
     def with_size(self, n: int) -> NonlinearProblem:
@@ -253,9 +255,6 @@ class NonlinearProblem:
         sized._set_bounds(n)
         return sized
 
-    #: Vector that :meth:`with_q` adds to F.
-    q: Any = 0.0
-
     def with_q(
         self, q: Any, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None
     ) -> NonlinearProblem:
@@ -271,12 +270,24 @@ class NonlinearProblem:
             self._differences = Differences.on(self.pattern, n)
         found = copy(self)
         found.F = lambda x: self.value(x) + q
-        lower, upper = (
-            self.lower if lower is None else lower,
-            self.upper if upper is None else upper,
-        )
+        lower = self.lower if lower is None else lower
+        upper = self.upper if upper is None else upper
         found.lower, found.upper = checks.checked_bounds(lower, upper, n)
         return found
+
+    def with_function_of(self, other: Any, name: str) -> NonlinearProblem:
+        """Return the problem with the F of another one, which errors call by a name.
+
+        Parameters
+        ----------
+        other : NonlinearProblem
+        name : str
+        """
+        if not isinstance(other, NonlinearProblem):
+            need = f"{name} must be a NonlinearProblem, got {type(other).__name__}"
+            raise InvalidProblem(f"{need}; return NonlinearProblem(F)")
+        other = other.with_size(self.lower.size)
+        return other.with_q(0.0, lower=self.lower, upper=self.upper)
 
     @property
     def nearest_to_zero(self) -> Vector:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from pkgutil import resolve_name
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,12 +14,12 @@ from ...core.checks import Vector, derived_property, is_number, read_only
 from ...core.errors import InvalidOption, NotConverged
 from ...core.lcp import LCP
 from ...core.names import format_count
-from ...core.problem_classes import Door
+from ...core.problem_classes import CLASSES, Door, class_of
 from ...core.settings import Status
-from ...judges.lcp import row_data
 from ...solving.result import Outcome
 from ..least_squares.certificate import Optimality
 from ..least_squares.data import BoundedLeastSquares, Enclosures
+from ..nonlinear.data import NonlinearProblem
 from ..programs.solution import QPSolution
 
 BREAKPOINTS_SHOWN = 8  # breakpoints in a paragraph
@@ -52,9 +53,12 @@ class Piece:
     z0: Vector = field(repr=False)
     z1: Vector = field(repr=False)
     last: Vector | None = field(default=None, repr=False)
+    points: ClassVar[int] = 2  # of a picture
 
-    def z_at(self, theta: float) -> Vector:
-        """Return x with the multipliers of rows at θ."""
+    def z_at(self, theta: float, order: int = 0) -> Vector:
+        """Return x with the multipliers of rows at θ, or their rates for order 1."""
+        if order:
+            return self.z1
         if self.last is not None and abs(theta - self.end) < abs(theta - self.begin):
             return self.last + (theta - self.end) * self.z1
         return self.z0 + (theta - self.begin) * self.z1
@@ -71,19 +75,19 @@ class PathPoint(Outcome):
     Attributes
     ----------
     parameter : float
-    problem : LCP, QuadraticProgram or BoundedLeastSquares
+    problem : LCP, NonlinearProblem, QuadraticProgram or BoundedLeastSquares
         With its data at that value.
     x : ndarray, shape (n,)
         z of an LCP.
     w : ndarray, shape (n,), or None
-        M z + q of an LCP.
+        M z + q of an LCP, F(x) of a nonlinear problem.
     solution : QPSolution or None
         Program only: x with the multipliers of all rows and bounds, and their residuals.
     status : Status
         Status by the criterion of the problem class for the data at that value. At a breakpoint it may be
         PRECISION_LIMIT.
     objective : float or None
-        Objective of the problem class; None for an LCP.
+        Objective of the problem class; None for a complementarity problem.
     """
 
     parameter: float
@@ -100,7 +104,9 @@ class PathPoint(Outcome):
 
     @cached_property
     def w(self) -> Vector | None:
-        """M z + q of an LCP."""
+        """M z + q of an LCP, F(x) of a nonlinear problem."""
+        if isinstance(self.problem, NonlinearProblem):
+            return self.problem.value(self.x)
         return read_only(self.problem.slack(self.x)) if isinstance(self.problem, LCP) else None
 
     @cached_property
@@ -119,9 +125,10 @@ class PathPoint(Outcome):
         """Status by the criterion of the problem class."""
         # Up to 100 times the tolerance the status is PRECISION_LIMIT
         tolerance, near = self._tolerance, 100.0 * self._tolerance
-        if isinstance(self.problem, LCP):
-            data = row_data(self.problem)
-            found = data.measure_at(self.x, None, tolerance)
+        if isinstance(self.problem, (LCP, NonlinearProblem)):
+            criterion = resolve_name(f"lcp_plugin.{CLASSES[str(class_of(self.problem))].criterion}")
+            data, x, w, _ = criterion(self.problem, self.x)
+            found = data.measure_at(x, w, tolerance)
             is_solved = bool(found.passes)
             is_near = bool(data.are_limited(found, tolerance))
         elif self.solution is not None:
@@ -156,7 +163,7 @@ class Path(Outcome):
     Attributes
     ----------
     pieces : list of Piece
-        Segments in the order of the trace; the solution is affine on each.
+        Segments in the order of the trace; the solution is affine on each, or smooth for a nonlinear problem.
     start, stop : float
         Requested first and last value of θ.
     reached : float
@@ -265,8 +272,8 @@ class Path(Outcome):
         if side not in ("ahead", "behind"):
             raise InvalidOption(f'side must be "ahead" or "behind", got {side!r}')
         piece = self.piece_at(float(theta), is_behind=side == "behind")
-        rates = piece.z1[piece.x1.size :]
-        return Slope(piece.x1, rates if rates.size else None)
+        rate, n = piece.z_at(float(theta), 1), piece.x1.size
+        return Slope(rate[:n], rate[n:] if rate.size > n else None)
 
     def piece_at(self, theta: float, *, is_behind: bool = False) -> Piece:
         """Return the segment that contains θ; at a breakpoint the later (or earlier) segment."""
@@ -292,12 +299,13 @@ class Path(Outcome):
             f", and {inner.size - BREAKPOINTS_SHOWN} more" if inner.size > BREAKPOINTS_SHOWN else ""
         )
         count, reached = format_count(len(self.pieces), "piece"), f"{self.reached:.9g}"
+        shape = "smooth" if isinstance(self.problem, NonlinearProblem) else "affine"
         lines = [
-            f"{self.status.name}: {count}, affine in θ, from {self.start:.6g} to {reached}{self._why}",
+            f"{self.status.name}: {count}, {shape} in θ, from {self.start:.6g} to {reached}{self._why}",
             f"breakpoints: {shown or 'none'}{rest}",
             *(f"the solution jumps at {value:.9g}" for value in self.jumps),
             *(f"at {value:.6g} it jumps along a line of solutions" for value in self.segments),
-            f"{format_count(self.starts, 'solve')}, then a factorization per breakpoint; {self.seconds:.3g} s",
+            f"{format_count(self.starts, 'solve')}, then steps with a factorization each; {self.seconds:.3g} s",
         ]
         return "\n".join(lines)
 

@@ -1,4 +1,4 @@
-"""trace(): the solution path along one parameter, for LCPs, convex programs and least squares."""
+"""trace(): the solution path along one parameter, for complementarity problems, convex programs and least squares."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ from ...judges.program import PROGRAM_TOLERANCE
 from ...solving.dispatch import solve
 from ...systems.definiteness import is_semidefinite_to_rounding
 from ..least_squares.data import BoundedLeastSquares
+from ..nonlinear.data import NonlinearProblem
 from ..programs.conversion import conditions
 from ..programs.program import QuadraticProgram, refuse_nonconvex
 from ..programs.solution import QPSolution
 from .following import ROUNDING, Follower, MonotoneGraphs
 from .path import Path, PathPoint, Piece
+from .smooth import SmoothFollower, SmoothPiece
 
 MAX_ROWS = 6000  # of an LCP, of which a dense factorization is made
 BOUNDS = ("lower", "upper")
@@ -33,18 +35,20 @@ BEYOND = 1e-9, 1e-7, 1e-5, 1e-3  # of the way: distances at which a lost path is
 def trace(
     problem: Any, along: Any, start: float, stop: float, *, tolerance: float | None = None
 ) -> Path:
-    """Return the exact piecewise affine solution for all values of θ between start and stop.
+    """Return the solution for all values of θ between start and stop, exact and piecewise affine unless F is nonlinear.
 
     Data(θ) = data + θ · direction. The solution is piecewise affine in θ; one linear system leads from each
-    breakpoint to the next.
+    breakpoint to the next. For a NonlinearProblem the solution is piecewise smooth, and Newton's method follows it.
 
     Parameters
     ----------
-    problem : LCP, QuadraticProgram or BoundedLeastSquares, or a problem of cvxpy
+    problem : LCP, NonlinearProblem, QuadraticProgram or BoundedLeastSquares, or a problem of cvxpy
         Problem with the data at θ = 0.
-    along : mapping, or a cvxpy Parameter
+    along : mapping, or callable, or a cvxpy Parameter
         The moving data, with their change per unit of θ: ``{"q": dq}`` and bounds of an LCP, c, h, b and bounds of a
-        program, or b, l1 and bounds of least squares. A number moves all entries alike. For a cvxpy problem, use a
+        program, or b, l1 and bounds of least squares. A number moves all entries alike. For a NonlinearProblem, q is
+        added to F; a callable returns the NonlinearProblem for θ, whose F replaces the F of `problem`, which has the
+        bounds. For a cvxpy problem, use a
         scalar Parameter, whose value is θ, or ``{parameter: direction}``, added to its present value.
         ``path.value(x, θ)`` is then the value of a variable.
     start, stop : float
@@ -73,6 +77,10 @@ def trace(
     path may reach a singular breakpoint, or turn back if the matrix is not monotone. The problem is then solved again
     just beyond, and the new segment is extended back to the old one.
 
+    Along a nonlinear F, ``path.at(θ)`` solves again from the path. ``path.x`` and ``path.derivative`` interpolate the
+    computed solutions, of which each is predicted from the one before within 10⁻³. A row that leaves its bound and
+    returns within a step may be missed. A path that turns back ends, or jumps to a solution beyond.
+
     References
     ----------
     Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, §4.5, doi:10.1137/1.9780898719000; Efron,
@@ -97,6 +105,13 @@ def trace(
     >>> lasso = trace(BoundedLeastSquares([[1, 0], [0, 1]], [3, -0.5], lower=-np.inf), {"l1": 1}, 3, 0)
     >>> lasso.breakpoints, lasso.at(1).x
     (array([3. , 0.5, 0. ]), array([2., 0.]))
+
+    x + x³ = θ, with x from 0 to 1:
+
+    >>> from lcp_plugin import NonlinearProblem
+    >>> roots = trace(NonlinearProblem(lambda x: x + x**3, lower=[0.0], upper=1.0), {"q": -1}, -1, 3)
+    >>> roots.breakpoints.round(6) + 0.0, roots.at(1).x.round(6)
+    (array([-1.,  0.,  2.,  3.]), array([0.682328]))
     """
     for name, value in (("start", start), ("stop", stop)):
         if not is_number(value) or not np.isfinite(value):
@@ -108,7 +123,7 @@ def trace(
 
 @np.errstate(all="ignore")
 def trace_stated(problem: Any, along: Any, start: float, stop: float, tolerance: Any) -> Path:
-    """Return the path of a problem of one of the three classes."""
+    """Return the path of a problem of one of the classes."""
     clock = Clock()
     path = _Trace(Line(problem, along, start, stop, tolerance)).run()
     _ = path.status
@@ -121,9 +136,9 @@ class Line:
 
     Parameters
     ----------
-    problem : LCP, QuadraticProgram or BoundedLeastSquares
-    along : mapping from str to number or array
-        Changes of the moving vectors per unit of θ.
+    problem : LCP, NonlinearProblem, QuadraticProgram or BoundedLeastSquares
+    along : mapping from str to number or array, or callable
+        Changes of the moving vectors per unit of θ, or the nonlinear problem for θ.
     start, stop : float
     tolerance : float or None
         None means the tolerance of the problem class.
@@ -136,8 +151,13 @@ class Line:
         is_program = isinstance(problem, QuadraticProgram)
         usual = PROGRAM_TOLERANCE if is_program else DEFAULTS["tolerance"]
         self.tolerance = Settings(tolerance=usual if tolerance is None else tolerance).tolerance
+        if getattr(problem, "n", 0) is None:
+            raise InvalidOption("trace needs the number of unknowns; pass a bound as an array")
         self.problem, self.start, self.stop = problem, start, stop
         self.toward = 1.0 if stop >= start else -1.0
+        self.function: Any = None  # from θ to a nonlinear problem
+        if isinstance(problem, NonlinearProblem) and callable(along):
+            self.function, along = along, {"q": 0.0}
         if not isinstance(along, Mapping) or not along:
             raise InvalidOption(f'along must name data, as in {{"q": direction}}, got {along!r}')
         self.directions = {str(name): self._check_change(name, one) for name, one in along.items()}
@@ -192,6 +212,8 @@ class Line:
 
     def at(self, theta: float) -> Any:
         """Return the problem at θ."""
+        if self.function is not None:
+            return self.problem.with_function_of(self.function(theta), f"along({theta:.6g})")
         present = ((name, getattr(self.problem, name)) for name in self.directions)
         moved = {name: now + theta * self.directions[name] for name, now in present}
         if "upper" in moved:  # bounds that meet may cross by rounding
@@ -200,13 +222,20 @@ class Line:
             moved["lower"] = np.minimum(moved["lower"], self.problem.upper)
         if "l1" in moved:
             moved["l1"] = np.maximum(moved["l1"], 0.0)
-        if isinstance(self.problem, LCP):
+        if isinstance(self.problem, (LCP, NonlinearProblem)):
             return self.problem.with_q(moved.pop("q", self.problem.q), **moved)
         return self.problem.with_vectors(**moved)
+
+    def theta(self, t: float) -> float:
+        """Return θ at the distance t from start."""
+        return self.stop if t == abs(self.stop - self.start) else self.start + self.toward * t
 
     def point(self, theta: float, z: Vector, case: Any) -> PathPoint:
         """Return the solution at θ from the unknowns of the complementarity problem and their active set."""
         problem = self.at(theta)
+        if isinstance(problem, NonlinearProblem):
+            x = solve(problem, x0=z, tolerance=self.tolerance, restarts=0).x
+            return PathPoint(theta, problem, x, self.tolerance)
         lower, upper, case = problem.lower, problem.upper, case[: problem.lower.size]
         sides, ends = [case == -1, case == 1, case == 2], [lower, upper, np.zeros(lower.size)]
         held = np.select(sides, ends, z[: lower.size])
@@ -239,7 +268,7 @@ class Line:
     def is_monotone(self) -> bool:
         """True if the solutions at each θ are known to be convex; for an LCP this costs a factorization."""
         if not isinstance(self.problem, LCP):
-            return True
+            return not isinstance(self.problem, NonlinearProblem)
         M = self.problem.M
         return is_semidefinite_to_rounding(M + M.T) is True
 
@@ -257,12 +286,12 @@ class Family(NamedTuple):
     matrices : tuple of str
         Data that may not move.
     conditions : callable
-        ``conditions(line)``: the complementarity problem from start to stop.
+        ``conditions(line)``: the complementarity problem from start to stop; None if it is nonlinear.
     """
 
     vectors: tuple[str, ...]
     matrices: tuple[str, ...]
-    conditions: Callable[[Line], MonotoneGraphs]
+    conditions: Callable[[Line], Any]
 
 
 def _matrix_conditions(line: Line) -> MonotoneGraphs:
@@ -307,6 +336,7 @@ def _penalty_conditions(line: Line) -> MonotoneGraphs:
 
 FAMILIES = {
     "LCP": Family(("q", *BOUNDS), ("M",), _matrix_conditions),
+    "NonlinearProblem": Family(("q", *BOUNDS), (), lambda line: None),
     "QuadraticProgram": Family(("c", "h", "b", *BOUNDS), ("P", "G", "A"), _matrix_conditions),
     "BoundedLeastSquares": Family(
         ("b", "l1", *BOUNDS), ("A", "weights", "ridge"), _penalty_conditions
@@ -326,10 +356,6 @@ class _Trace:
         share, self.path.crossed = line.find_crossing()
         self.end, self.reached = self.span * share, 0.0
 
-    def theta(self, t: float) -> float:
-        """Return θ."""
-        return self.line.stop if t == self.span else self.line.start + self.line.toward * t
-
     def run(self) -> Path:
         """Return the path."""
         path = self.path
@@ -346,35 +372,39 @@ class _Trace:
             if self.reached == self.end and path.pieces:
                 path.beyond = None
                 break
-        path.reached = self.theta(self.reached)
+        path.reached = self.line.theta(self.reached)
         return path
 
-    def _begin(self, shares: tuple[float, ...]) -> Follower | None:
+    def _begin(self, shares: tuple[float, ...]) -> Any:
         """Return the first path follower just beyond `reached`, or None.
 
         The result is None if no solution exists there, or if the solution does not determine a path.
         """
         for share in shares:
             t = min(self.reached + share * self.span, self.end)
-            stated = self.line.at(self.theta(t))
-            result = self.path.beyond = solve(stated, tolerance=self.line.tolerance)
+            stated = self.line.at(self.line.theta(t))
+            is_smooth, pieces = isinstance(stated, NonlinearProblem), self.path.pieces
+            near = {"x0": pieces[-1].z_at(self.line.theta(t))} if is_smooth and pieces else {}
+            result = self.path.beyond = solve(stated, tolerance=self.line.tolerance, **near)
             self.path.starts += 1
-            if result.has_no_solution or result.x is None:
+            if result.has_no_solution or result.x is None or (is_smooth and not result.is_solved):
                 return None
-            z = result.x
-            if isinstance(stated, QuadraticProgram):
-                z = np.concatenate([z, result.solution.inequality, result.solution.equality])
-            z = z / self.problem.units
-            moving, q = np.flatnonzero(z), self.problem.q[0] + t * self.problem.q[1]
-            w = q + z[moving] @ self.problem.columns(moving)
-            follower = Follower(self.problem, t, z, w)
+            follower: Any = SmoothFollower(self.line, t, result.x) if is_smooth else None
+            if not is_smooth:
+                z = result.x
+                if isinstance(stated, QuadraticProgram):
+                    z = np.concatenate([z, result.solution.inequality, result.solution.equality])
+                z = z / self.problem.units
+                moving, q = np.flatnonzero(z), self.problem.q[0] + t * self.problem.q[1]
+                w = q + z[moving] @ self.problem.columns(moving)
+                follower = Follower(self.problem, t, z, w)
             if follower.motion is not None:
                 return follower
             if t == self.end:
                 return None
         return None
 
-    def _reach_back(self, follower: Follower) -> None:
+    def _reach_back(self, follower: Any) -> None:
         """Extend the new segment back to the end of the last segment.
 
         A stretch beyond the limits of its steps becomes a separate segment, so that its statuses are computed
@@ -383,7 +413,7 @@ class _Trace:
         t, begin = follower.t, self.reached
         assert follower.motion is not None
         missing = t - begin - follower.motion.first_end(-1.0)[0]
-        if missing <= max(1e-6 * (t - begin), ROUNDING * self.span):
+        if self.problem is None or missing <= max(1e-6 * (t - begin), ROUNDING * self.span):
             follower.begin = begin
         else:
             z, rate = follower.motion.z
@@ -391,13 +421,16 @@ class _Trace:
 
     def _add(self, t: float, end: float, line: Any, steps: Any) -> None:
         """Add a segment; record a jump or a line of solutions if the path is discontinuous."""
-        path, begin, toward = self.path, self.theta(t), self.line.toward
-        z, rate = self.problem.units * line
-        z += (toward * (begin - self.line.start) - t) * rate  # from the rounded θ of its begin
-        slope, n = toward * rate, self.line.problem.lower.size
-        has_kink = np.isfinite(self.problem.levels[0, 2])
-        case = np.where(has_kink, np.array([-1, 0, 2, 0, 1])[steps], steps - 1)
-        piece = Piece(begin, self.theta(end), z[:n], slope[:n], case, z, slope)
+        path, begin, toward = self.path, self.line.theta(t), self.line.toward
+        if self.problem is None:
+            piece: Piece = SmoothPiece.through(line, self.line, t, end)
+        else:
+            z, rate = self.problem.units * line
+            z += (toward * (begin - self.line.start) - t) * rate  # from the rounded θ of its begin
+            slope, n = toward * rate, self.line.problem.lower.size
+            has_kink = np.isfinite(self.problem.levels[0, 2])
+            case = np.where(has_kink, np.array([-1, 0, 2, 0, 1])[steps], steps - 1)
+            piece = Piece(begin, self.line.theta(end), z[:n], slope[:n], case, z, slope)
         self.reached = end
         before = path.pieces[-1].z_at(piece.begin) if path.pieces else piece.z0
         change, size = (np.abs(one).max(initial=0.0) for one in (before - piece.z0, before))

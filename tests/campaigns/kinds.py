@@ -44,9 +44,7 @@ SOLVED, BOUND, VERDICT, CLAIM, CRASH, MODIFIED = VIOLATIONS = (
 )
 NEAR, OPEN = TOLD = "near", "open"
 TOLERANCE = 1e-9
-OUTLIERS = (
-    "lcp", "program", "linear", "batch", "march", "tiny diagonal",
-)  # fmt: skip
+OUTLIERS = ("lcp", "program", "linear")
 DERIVATIVES = (
     "h_plus", "definite", "p_matrix", "nonsymmetric", "ill_conditioned", "scaled", "chain", "nearly_degenerate",
 )  # fmt: skip

@@ -447,19 +447,6 @@ def odd_program(rng: Generator, *, linear: bool, is_small: bool = False) -> tupl
     return [P, c, G, h, A, b, lower, upper], " ".join(words)
 
 
-def tiny_diagonal(rng: Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]:
-    """Integers with some diagonal entries of 1e-6 to 1e-12, now and then negative."""
-    n = int(rng.integers(1, 6))
-    M, q = integers(rng, n, n), integers(rng, n)
-    if rng.random() < 0.5:  # more of them have solutions
-        M = np.where(np.eye(n) > 0.0, abs(M) + rng.integers(0, 3), np.triu(M) - np.triu(M).T)
-    here = rng.random(n) < rng.choice([0.3, 0.6])
-    here[rng.integers(n)] = True
-    tiny = 10.0 ** -rng.integers(6, 13, n) * np.where(rng.random(n) < 0.9, 1.0, -1.0)
-    np.fill_diagonal(M, np.where(here, tiny, M.diagonal()))
-    return M, q, np.zeros(n), np.full(n, np.inf), "tiny diagonal"
-
-
 # --- Programs -----------------------------------------------------------------------------------------------------
 
 
@@ -663,8 +650,8 @@ def lcp_text(M: Any, q: Any, lower: Any, upper: Any, words: str) -> str:
     )
 
 
-def lcp_case(rng: Generator, draw: Callable[[Generator], Any] = odd_lcp) -> Outcome:
-    M, q, lower, upper, words = draw(rng)
+def lcp_case(rng: Generator) -> Outcome:
+    M, q, lower, upper, words = odd_lcp(rng)
     name = str(rng.choice(ALGORITHMS))
     text = f"{name}, {lcp_text(M, q, lower, upper, words)}"
     problem = lp.LCP(M, q, lower=lower, upper=upper)
@@ -673,68 +660,11 @@ def lcp_case(rng: Generator, draw: Callable[[Generator], Any] = odd_lcp) -> Outc
     return judged_lcp(ExactLCP(problem), result.status, result.z, radius, text)
 
 
-def batch_case(rng: Generator) -> Outcome:
-    """Draw a batch: several q for one M, stacked matrices, or a list with programs."""
-    M, q, lower, upper, words = odd_lcp(rng, 4)
-    qs = np.array([q, integers(rng, len(q)), np.where(rng.random(len(q)) < 0.5, q, 0.0)])
-    way = str(rng.choice(["one matrix", "stacked", "list", "programs"]))
-    if way == "programs":
-        data, words = odd_program(rng, linear=False)
-        P, c, G, h, A, b, low, high = data
-        found = lp.solve_batch(
-            lp.QuadraticProgram(P, c, G, h, A, b, low, high), np.array([c, 2 * c])
-        )
-        duals = {
-            name: getattr(found, name)[0] for name in ("inequality", "equality", "lower", "upper")
-        }
-        radius = float(getattr(found[0].proof, "radius", np.inf) or np.inf)
-        return judged_program(
-            data, found.status[0].name, found.x[0], duals, radius, f"batch, {shown(data, words)}"
-        )
-    if way == "list":
-        found = lp.solve_batch([lp.LCP(M, one, lower=lower, upper=upper) for one in qs])
-    else:
-        found = lp.solve_batch(
-            M if way == "one matrix" else np.array([M] * 3), qs, lower=lower, upper=upper
-        )
-    k = int(rng.integers(0, 3))
-    text = f"{way}, item {k} of {qs.tolist()}, {lcp_text(M, qs[k], lower, upper, words)}"
-    item = found[k]  # raises for bounds without a number, as LCP does
-    proof = item.proof if item.status.name in ("INFEASIBLE", "NO_SOLUTION") else None
-    radius = float(getattr(proof, "radius", np.inf) or np.inf)
-    return judged_lcp(
-        ExactLCP(lp.LCP(M, qs[k], lower=lower, upper=upper)), item.status, found.z[k], radius, text
-    )
-
-
-def march_case(rng: Generator) -> Outcome:
-    """Some step of three, each from the answer of the one before."""
-    M, q, lower, upper, words = odd_lcp(rng, 4)
-    B = rng.choice([-1.0, 0.0, 0.5, 1.0])
-    forcing = np.array([q, integers(rng, len(q)), q])
-    z0 = np.minimum(np.maximum(integers(rng, len(q)), limits(lower)), limits(upper))
-    problem = lp.LCP(M, q, lower=lower, upper=upper)
-    done = lp.march(problem, forcing, B, z0=z0, max_seconds=SECONDS)
-    last = z0
-    for step, result in enumerate(done):
-        now = forcing[step] + B * last
-        text = f"step {step} after {last.tolist()}, {lcp_text(M, now, lower, upper, words)}"
-        radius = float(getattr(result.proof, "radius", np.inf) or np.inf)
-        outcome = judged_lcp(ExactLCP(problem.with_q(now)), result.status, result.z, radius, text)
-        if outcome.what != RIGHT or result.status.name != "SOLVED":
-            return outcome
-        last = result.z
-    return Outcome(RIGHT)
-
-
-def tiny_case(rng: Generator) -> Outcome:
-    return lcp_case(rng, tiny_diagonal)
-
-
 KINDS: dict[str, Callable[[Generator], Outcome]] = {
-    "lcp": lcp_case, "program": program_case, "linear": linear_case,
-    "batch": batch_case, "march": march_case, "tiny diagonal": tiny_case,
-}  # fmt: skip
+    "lcp": lcp_case,
+    "program": program_case,
+    "linear": linear_case,
+}
 
 
 def run(kind: str, seed: int, k: int) -> Outcome:

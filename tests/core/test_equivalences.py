@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -14,13 +13,11 @@ from numpy.testing import assert_allclose
 
 from lcp_plugin import LCP, Certificate
 from lcp_plugin.algorithms import REGISTRY, Algorithm, create
-from lcp_plugin.core.splittings import NPAOR, NPGS, NPJ, NPSOR
 from lcp_plugin.methods.npsplitting import NPSplitting
 
 STEPS = 30
 KINDS = ["dense", "sparse", "scaled"]
 EVERY_KIND = pytest.mark.parametrize("kind", KINDS)
-EVERY_BOUND = pytest.mark.parametrize("bounds", [False, True], ids=["plain", "bounded"])
 
 
 def random_problem(kind: str, *, bounds: bool, seed: int = 0) -> LCP:
@@ -125,24 +122,6 @@ def test_the_residual_of_a_step_is_the_residual_of_its_certificate(name):
 # --- Scaling -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.quick(15)
-@pytest.mark.parametrize(
-    "algorithm", [NPJ(), NPGS(), NPSOR(), NPAOR(), NPSplitting(splitting="lower"), NPSplitting()]
-)
-@EVERY_KIND
-@EVERY_BOUND
-@pytest.mark.parametrize("factor", [1.0, 2.0])
-def test_diagonal_scaling_is_the_row_scaled_problem(algorithm, kind, bounds, factor):
-    """NP with scaling="diagonal" takes the steps of the unscaled NP on (SM, Sq), S = θD⁻¹."""
-    problem = random_problem(kind, bounds=bounds)
-    S = factor / problem.diagonal
-    rows_scaled = LCP(
-        sp.diags_array(S) @ problem.csr, S * problem.q, lower=problem.lower, upper=problem.upper
-    )
-    scaled = replace(algorithm, scaling="diagonal", scaling_factor=factor)
-    assert_same(iterates(scaled, problem), iterates(replace(algorithm, scaling=None), rows_scaled))
-
-
 # --- Order of the rows -------------------------------------------------------------------------------------
 
 
@@ -161,26 +140,3 @@ def test_backward_is_forward_on_the_reversed_problem(name, kind):
     )
     forward = iterates(create(name, {}), turned, start_for(problem)[reverse])
     assert_same(backward, forward[:, reverse])
-
-
-@pytest.mark.parametrize("name", [name for name in SWEEPERS if name in BOUNDED])
-@EVERY_KIND
-def test_symmetric_is_forward_then_backward(name, kind):
-    """One symmetric iteration is a forward one followed by a backward one."""
-    # The automatic scaling of a symmetric sweep is not that of a forward one.
-    options = (
-        {"relaxation": 1.1}
-        if name == "psor"
-        else {"scaling": "diagonal"}
-        if name.startswith("np")
-        else {}
-    )
-    problem = random_problem(kind, bounds=True)
-    z, composed = start_for(problem), [start_for(problem)]
-    for _ in range(STEPS):
-        for sweep in ("forward", "backward"):
-            z = iterates(create(name, {"sweep": sweep, **options}), problem, z, steps=1)[1]
-        composed.append(z)
-    assert_same(
-        iterates(create(name, {"sweep": "symmetric", **options}), problem), np.array(composed)
-    )

@@ -11,7 +11,7 @@ import pytest
 import scipy.sparse as sp
 from campaigns import refusals
 from inputs import everyday
-from inputs.everyday import GRAVITY, NOISE, PAYOFFS
+from inputs.everyday import GRAVITY, NOISE
 from scipy.optimize import linprog
 
 from lcp_plugin import (
@@ -70,33 +70,6 @@ def test_a_network_with_decimal_weights_is_at_rest_on_its_bound(nodes):
         assert free.min() >= low
         leaking = LCP(K + 0.1 * np.eye(nodes), np.full(nodes, -0.1 * low), lower=low)
         np.testing.assert_allclose(solve(leaking).require_solved().z, low, rtol=1e-9)
-
-
-@pytest.mark.quick(1)
-@pytest.mark.parametrize("payoff", PAYOFFS)
-def test_a_step_of_an_option_on_two_shares_is_solved_from_its_payoff(payoff):
-    """Howard's policy iteration with SciPy's solver determines the price; few iterations suffice from the payoff."""
-    problem = everyday.option_on_two_shares(payoff, 49)
-    M, bound = problem.csr, problem.lower
-    price = bound
-    for _ in range(60):
-        is_held = M @ price + problem.q < price - bound  # the smaller term of the minimum
-        policy = sp.diags_array(is_held.astype(float))
-        rows = policy @ M + (sp.eye_array(problem.n) - policy)
-        improved = sp.linalg.spsolve(rows.tocsc(), np.where(is_held, -problem.q, bound))
-        if (improved == price).all():
-            break
-        price = improved
-    result = solve(problem, z0=bound).require_solved()
-    np.testing.assert_allclose(result.z, price, atol=1e-6 * bound.max())
-
-
-def test_a_step_of_a_call_on_two_shares_takes_few_iterations():
-    """The step of the larger grid ends after a few iterations rather than hundreds."""
-    problem = everyday.option_on_two_shares("call on the larger share", 99)
-    result = solve(problem, z0=problem.lower).require_solved()
-    assert result.iterations <= 30
-    assert worst_violation(problem, result.z) <= 1e-6
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -124,17 +124,3 @@ def test_impulses_are_drawn_in_their_cones():
     ]
     sliding = axes.collections[1].get_offsets()
     np.testing.assert_allclose(sliding, [[-0.6, -0.8]], atol=1e-7)
-
-
-def test_contacts_in_the_plane_are_drawn_by_their_number():
-    """There is one tangent: the second axis counts contacts, and limits are at ±1."""
-    axes = solve(FrictionalContact(np.eye(4), [[-1.0, 0.25], [-1.0, 2.0]], 0.5)).plot()
-    assert axes.get_ylabel() == "contact"
-    stick, slide, _ = axes.collections
-    np.testing.assert_allclose(stick.get_offsets(), [[-0.5, 0.0]], atol=1e-7)
-    np.testing.assert_allclose(slide.get_offsets(), [[-1.0, 1.0]], atol=1e-7)
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == [
-        "1 stick",
-        "1 slide",
-        "0 open",
-    ]

@@ -20,7 +20,6 @@ from tools.refusals import assert_refused, refusals
 from lcp_plugin import LCP, InvalidOption, error_against_time, error_bound, gallery, solve, study
 from lcp_plugin.algorithms import Algorithm, Step, paper_options
 from lcp_plugin.core.matrix import Matrix, fact
-from lcp_plugin.evidence.drawing import draw
 from lcp_plugin.evidence.measurement import Measurement
 from lcp_plugin.evidence.study import Study
 
@@ -104,25 +103,6 @@ def test_sleep_in_set_up_shows():
     """An algorithm that sleeps before its first iterate shows it at its first point, and in every later one."""
     seconds = measured(scene(), Richardson(nap=NAP), repeats=2).column("seconds")
     assert min(seconds) >= seconds[0] >= NAP
-
-
-def test_slow_error_measurement_does_not_show(monkeypatch):
-    """The clock stands still while an error is measured, however long that takes."""
-    from lcp_plugin.evidence import measurement
-
-    calls, of = [], measurement.Certificate.of
-
-    class Slow:
-        @staticmethod
-        def of(problem, z):
-            calls.append(0)
-            time.sleep(NAP)
-            return of(problem, z)
-
-    monkeypatch.setattr(measurement, "Certificate", Slow)
-    row = measured(scene(), "pgs")
-    assert len(calls) >= 10
-    assert row.seconds < 0.25 * NAP * len(calls)
 
 
 def test_ctrl_c_ends_a_study_with_what_there_is():
@@ -288,22 +268,6 @@ def test_tables_tell_how_a_run_ended_without_a_result():
     assert str(table).startswith("p: iterations\n\n| method | n = 4 |")
 
 
-def test_the_labels_of_a_figure_with_several_panels_are_drawn_whole():
-    """A label of the vertical axis is no longer than its panel, for 1 to 4 panels, and within the figure."""
-    every = [gallery.build("half_active", n=n).problem for n in (49, 64, 81, 100)]
-    for count in (1, 2, 4):
-        figure = study(every[:count], ["pgs"], repeats=1).plot()
-        figure.canvas.draw()
-        _, height = figure.canvas.get_width_height()
-        labels = [axes.yaxis.label for axes in figure.axes if axes.get_ylabel()]
-        assert len(labels) == count
-        for axes, label in zip(figure.axes, labels, strict=False):
-            drawn, panel = label.get_window_extent(), axes.get_window_extent()
-            assert "proved bound" in label.get_text()
-            assert drawn.height <= panel.height
-            assert 0.0 <= drawn.y0 <= drawn.y1 <= height
-
-
 def test_plot_names_every_curve_and_its_axis(tmp_path):
     """The axes are logarithmic and say which error they show; the legend names each curve and covers no axes."""
     found = error_against_time(scene(), repeats=1)
@@ -318,31 +282,6 @@ def test_plot_names_every_curve_and_its_axis(tmp_path):
     assert axes.get_position().height > 0.4
     found.save(tmp_path / "curves.svg", against="work")
     assert (tmp_path / "curves.svg").stat().st_size > 1000
-
-
-def test_several_problems_make_a_page_of_panels():
-    """One problem has the width of a column, several that of a page."""
-    found = study([chain, "half_active"], ["npsor", Richardson()], [16], repeats=1)
-    assert found.plot("work").get_size_inches()[0] == 7.1
-    assert Study(found.rows[:1]).plot("work").get_size_inches()[0] == 3.5
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("ending", [".pdf", ".svg", ".png"])
-def test_a_figure_for_a_journal_has_no_type_3_font(ending, tmp_path):
-    """PDF holds TrueType fonts, as journals ask for; a user's settings of matplotlib neither change nor matter."""
-    import matplotlib as mpl
-
-    found = error_against_time(scene(), ["pgs"], repeats=1)
-    with mpl.rc_context({"pdf.fonttype": 3}):
-        before = dict(mpl.rcParams)
-        found.save(tmp_path / f"curves{ending}")
-        draw(solve(scene().problem, record=True), tmp_path / f"answer{ending}", scene())
-        assert dict(mpl.rcParams) == before
-    for name in ("curves", "answer"):
-        content = (tmp_path / f"{name}{ending}").read_bytes()
-        assert b"/Type3" not in content
-        assert (b"/TrueType" in content or b"/CIDFontType2" in content) == (ending == ".pdf")
 
 
 def test_a_figure_without_data_is_refused_in_words(tmp_path):

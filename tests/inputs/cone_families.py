@@ -209,19 +209,3 @@ def tower(masses: Any, corners: Any) -> tuple[FrictionalContact, Any]:
         (inertia, rows[:, 0], rows[:, 1:]), np.tile([0.0, -pull, 0.0], len(masses)), 0.5
     )
     return problem, pull * np.cumsum(masses[::-1])[::-1]
-
-
-def corners_of_a_tower(boxes: int, rng: np.random.Generator) -> tuple[Any, Any]:
-    """Return J, shape (4 boxes, 3, 6 boxes), and the masses, of boxes on each other that touch at four corners."""
-    J = np.zeros((4 * boxes, 3, 6 * boxes))
-    mass = np.repeat(rng.uniform(0.5, 2.0, boxes), 6)
-    mass[3::6], mass[4::6], mass[5::6] = 0.02 * mass[3::6], 0.02 * mass[4::6], 0.03 * mass[5::6]
-    for row in range(4 * boxes):
-        box, corner = divmod(row, 4)
-        signs = (1 - 2 * (corner // 2), 1 - 2 * (corner % 2), -1)
-        arm = np.array([0.2, 0.2, 0.1]) * signs * rng.uniform(0.9, 1.0, 3)
-        for k, d in enumerate(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])):
-            J[row, k, 6 * box : 6 * box + 6] = [*d, *np.cross(arm, d)]
-            if box:
-                J[row, k, 6 * box - 6 : 6 * box] = [*-d, *-np.cross(arm * [1, 1, -1], d)]
-    return J, mass

@@ -98,30 +98,6 @@ def rod(n: int) -> sp.csr_array:
     return (sp.eye_array(n) + 0.1 * (K - ends)).tocsr()
 
 
-PAYOFFS = {
-    "call on the larger share": lambda a, b: np.maximum(a, b) - 100.0,
-    "put on the smaller share": lambda a, b: 100.0 - np.minimum(a, b),
-    "put on the mean": lambda a, b: 100.0 - 0.5 * (a + b),
-    "spread": lambda a, b: a - b - 10.0,
-}
-
-
-def option_on_two_shares(payoff: str, n: int) -> LCP:
-    """Return an implicit step of an American option; the payoff, the lower bound, is 0 out of the money."""
-    x, step = np.linspace(-1.7, 1.7, n + 2, retstep=True)
-    second = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)) / step**2
-    first = sp.diags_array([-1.0, 0.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)) / (2.0 * step)
-    one, time_step, rate, variance = sp.eye_array(n), 1.0 / 60.0, 0.05, 0.04
-    L = 0.5 * variance * second + (rate - 0.1 - 0.5 * variance) * first
-    M = (1.0 + rate * time_step) * sp.eye_array(n * n) - time_step * (
-        sp.kron(L, one) + sp.kron(one, L)
-    )
-    shares = 100.0 * np.exp(x[1:-1])
-    value = PAYOFFS[payoff](*np.meshgrid(shares, shares, indexing="ij"))
-    bound = np.maximum(value, 0.0).ravel()
-    return LCP(M.tocsr(), -bound, lower=bound)
-
-
 def market(rng: Generator) -> tuple[LCP, Any, Any, Any]:
     """Return the equilibrium of four factories and six towns, and costs (4, 6), supplies (4,), demands (6,)."""
     costs, supplies = rng.integers(1, 20, (4, 6)) / 10, np.full(4, 3.0)
@@ -159,16 +135,3 @@ def zero_bound_models(rng: Generator) -> Iterator[tuple[int, float]]:
     """Yield numbers of quarters and shocks of a New Keynesian model."""
     while True:
         yield int(rng.integers(3, 13)), -0.01 * float(rng.integers(1, 6))
-
-
-def single_precision(kind: str, n: int, rng: Generator) -> Any:
-    """Return a semidefinite matrix that was stored in single precision, shape (n, n)."""
-    if kind == "covariance":
-        P = np.cov(rng.normal(size=(n // 2 + 2, n)).T)
-    elif kind == "gram":
-        G = rng.normal(size=(n, n // 2 + 1)).astype(np.float32)
-        P = G @ G.T
-    else:
-        P = network(n, rng) * 0.7
-    P = P.astype(np.float32).astype(float)
-    return 0.5 * (P + P.T)

@@ -7,7 +7,3 @@ SWEEPERS = [name for name, kind in KINDS.items() if "sweep" in kind.__dataclass_
 DIRECT = [name for name, kind in KINDS.items() if not kind.is_monotone]  # end by themselves
 MODULUS = [name for name in SWEEPERS if "omega" in KINDS[name].__dataclass_fields__]
 BOUNDED = [name for name in REGISTRY if name not in MODULUS]  # take upper bounds and free rows
-# Reliable by experience only.
-UNPROVEN = [name for name, kind in KINDS.items() if kind.solves.startswith("–")]
-# Monotone is what M is with its rows as they are: no method that needs it can be blind to their scaling.
-NEEDS_MONOTONE = [name for name, kind in KINDS.items() if kind.needs.startswith("monotone")]

@@ -74,25 +74,6 @@ def of_munson(m: Any, sign: float) -> Published:
     return Published(m, [m.x1, m.x2, m.x3], answers=[[sign, 0.0, 0.0]], digits=1e-9)
 
 
-@published
-def kojshin() -> Published:
-    """M. Kojima, S. Shindo, J. Oper. Res. Soc. Japan 29 (1986) 352–374; Pyomo's model library, mcplib."""
-    m = pe.ConcreteModel()
-    m.x = pe.Var(pe.RangeSet(4), within=pe.NonNegativeReals, initialize=1.0)
-    x = m.x
-    m.square = pe.Expression([1, 2], rule=lambda m, j: m.x[j] ** 2)  # written as defined variables
-    s = m.square
-    rows = {
-        1: 3 * s[1] + 2 * x[1] * x[2] + 2 * s[2] + x[3] + 3 * x[4] - 6,
-        2: 2 * s[1] + x[1] + s[2] + 10 * x[3] + 2 * x[4] - 2,
-        3: 3 * s[1] + x[1] * x[2] + 2 * s[2] + 2 * x[3] + 9 * x[4] - 9,
-        4: s[1] + 3 * s[2] + 2 * x[3] + 3 * x[4] - 3,
-    }
-    m.f = Complementarity(pe.RangeSet(4), rule=lambda m, j: complements(m.x[j] >= 0, rows[j] >= 0))
-    answers = [[np.sqrt(1.5), 0, 0, 0.5], [1, 0, 3, 0]]
-    return Published(m, each(m.x), answers, 1e-7)
-
-
 def oligopoly(
     cost: list[float], scale: float, beta: list[float], gamma: float, *answers: list[float]
 ) -> Published:
@@ -217,24 +198,6 @@ def chemical_equilibrium() -> Published:
 
 
 @published
-def harker_game() -> Published:
-    """P. T. Harker, Eur. J. Oper. Res. 54 (1991) 81–94: two players share a constraint; with one multiplier (5, 9)."""
-    return by_rows(
-        lambda x, _: [
-            2 * x[0] + 8 / 3 * x[1] - 34 + x[2],
-            2 * x[1] + 1.25 * x[0] - 24.25 + x[2],
-            15 - x[0] - x[1],
-        ],
-        3,
-        0.0,
-        [10, 10, np.inf],
-        1.0,
-        answers=[[5, 9]],
-        digits=1e-8,
-    )
-
-
-@published
 def river_basin() -> Published:
     """J. B. Krawczyk, S. Uryasev, Environ. Model. Assess. 5 (2000) 63–73: three polluters of a river."""
     cost, slope, emission = (0.10, 0.12, 0.15), (0.01, 0.05, 0.01), (0.50, 0.25, 0.75)
@@ -255,20 +218,6 @@ def river_basin() -> Published:
         ]
 
     return by_rows(rows, 5, start=1.0, answers=[[21.145, 16.028, 2.726]], digits=1e-3)
-
-
-@published
-def scarf_1960() -> Published:
-    """H. Scarf, Int. Econ. Rev. 1 (1960) 157–172: three goods whose prices tâtonnement never finds; all equal."""
-
-    def rows(p: Any, _: Any) -> list[Any]:
-        bought = [
-            p[i] / (p[i] + p[(i + 1) % 3]) + p[(i + 2) % 3] / (p[(i + 2) % 3] + p[i])
-            for i in range(3)
-        ]
-        return [1 - bought[0], 1 - bought[1], p[0] + p[1] + p[2] - 1]
-
-    return by_rows(rows, 3, -np.inf, start=[0.5, 0.3, 0.2], answers=[[1 / 3] * 3], digits=1e-8)
 
 
 @published
@@ -293,19 +242,6 @@ def braess() -> Published:
     return Published(m, [*each(m.flow), m.time], answers=[[2, 2, 2, 92]], digits=1e-8)
 
 
-@published
-def pigou() -> Published:
-    """A. C. Pigou, The Economics of Welfare (1920); T. Roughgarden, É. Tardos, J. ACM 49 (2002) 236–259."""
-    return by_rows(
-        lambda x, _: [1 - x[2], x[1] ** 4 - x[2], x[0] + x[1] - 1],
-        3,
-        [0, 0, -np.inf],
-        start=0.5,
-        answers=[[0, 1, 1]],
-        digits=1e-3,  # the derivative of the first road's use vanishes there
-    )
-
-
 def on_grid(size: int) -> tuple[Any, np.ndarray, np.ndarray]:
     """The five-point −h² Δ on size² interior points of the unit square, and these."""
     second = sp.diags_array(
@@ -317,22 +253,6 @@ def on_grid(size: int) -> tuple[Any, np.ndarray, np.ndarray]:
         x,
         y,
     )
-
-
-@published
-def bratu_under_a_ceiling() -> Published:
-    """G. Bratu, Bull. Soc. Math. France 42 (1914) 113–142: −Δu = 6 eᵘ below a ceiling."""
-    size, h2 = 8, 1 / 81
-    A = on_grid(size)[0]
-    m = pe.ConcreteModel()
-    m.u = pe.Var(range(size * size), initialize=0.0)
-    m.top = pe.Param(initialize=0.4, mutable=True)
-    rows = affine(A, np.zeros(size * size), m.u)
-    m.pairs = Complementarity(
-        range(size * size),
-        rule=lambda m, i: complements(m.u[i] <= m.top, rows[i] <= 6 * h2 * pe.exp(m.u[i])),
-    )
-    return Published(m, each(m.u))
 
 
 @published

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import cvxpy as cp
 import numpy as np
 import pyomo.environ as pe
 import pytest
@@ -100,30 +99,6 @@ def test_transport_of_dantzig():
     assert sum(cost[key] * x.value for key, x in m.x.items()) == pytest.approx(153.675)
     assert [p.value for p in m.p.values()] == pytest.approx([0.225, 0.153, 0.126])
     assert m.dual[m.supply[0]] == pytest.approx(350 - sum(x.value for x in m.x[0, :]))
-
-
-def test_spatial_prices_of_samuelson():
-    """Prices and flows between regions have the largest surplus, by Clarabel; stated pairs decide the others."""
-    rng, n = np.random.default_rng(7), 4
-    a, b, c, d = (
-        rng.uniform(low, high, n) for low, high in ((20, 90), (0.2, 1), (80, 180), (0.2, 1))
-    )
-    t = rng.uniform(1, 30, (n, n))
-    m = pe.ConcreteModel()
-    m.r = pe.RangeSet(0, n - 1)
-    m.x = pe.Var(m.r, m.r, within=pe.NonNegativeReals)
-    m.pi, m.rho = (pe.Var(m.r, within=pe.NonNegativeReals, initialize=50.0) for _ in range(2))
-    m.profit = pe.Constraint(m.r, m.r, rule=lambda m, i, j: m.pi[i] + t[i, j] >= m.rho[j])
-    m.supply = pe.Constraint(m.r, rule=lambda m, i: (m.pi[i] - a[i]) / b[i] >= sum(m.x[i, :]))
-    m.demand = pe.Constraint(m.r, rule=lambda m, j: sum(m.x[:, j]) >= (c[j] - m.rho[j]) / d[j])
-    with pytest.raises(LCPError, match="supply may belong to rho, pi; state which: pairs="):
-        solve(m, "match")
-    solve(m, ComponentMap([(m.supply, m.pi)]))
-    x = cp.Variable((n, n), nonneg=True)
-    s, y = cp.sum(x, axis=1), cp.sum(x, axis=0)
-    surplus = c @ y - d / 2 @ y**2 - a @ s - b / 2 @ s**2 - cp.sum(cp.multiply(t, x))
-    cp.Problem(cp.Maximize(surplus)).solve(solver="CLARABEL")
-    assert [p.value for p in m.rho.values()] == pytest.approx(c - d * y.value, rel=1e-5)
 
 
 def test_economy_of_scarf_and_hansen():

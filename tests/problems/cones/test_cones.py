@@ -10,7 +10,6 @@ import pytest
 import scipy.sparse as sp
 from inputs.cone_families import (
     cancelled_diagonals,
-    corners_of_a_tower,
     exact_relative_residual,
     planted_cones,
     planted_contacts,
@@ -506,23 +505,6 @@ def test_a_fast_slide_in_a_small_step_is_judged_by_its_own_rounding():
         ).require_solved()
         assert result.iterations <= 30
         assert exact_relative_residual(result.problem, result.z) <= 1e-8
-
-
-@pytest.mark.quick(1)
-@pytest.mark.parametrize(
-    "masses", [2.0 ** np.arange(19), 2.0 ** np.arange(20), [1.0, 1e2, 1e4, 1e6]]
-)
-def test_towers_that_get_heavier_upwards_stand(masses):
-    """Four contacts a box in space carry what is above; no start at random takes part."""
-    count = len(masses)
-    J = corners_of_a_tower(count, np.random.default_rng(0))[0].reshape(12 * count, -1)
-    mass = np.outer(masses, [1.0, 1.0, 1.0, 0.02, 0.02, 0.03]).ravel()
-    pull = np.tile([0.0, 0.0, -0.0981, 0.0, 0.0, 0.0], count)
-    result = solve(FrictionalContact((J / mass) @ J.T, J @ pull, 0.5, dimension=3)).require_solved()
-    carried = result.motion.normal.reshape(count, 4).sum(axis=1)
-    weights = 0.0981 * np.cumsum(masses[::-1])[::-1]
-    np.testing.assert_allclose(carried, weights, rtol=1e-5)
-    assert "from a point nearby" not in result.explain()
 
 
 def test_what_rounding_limits_ends_after_one_look():

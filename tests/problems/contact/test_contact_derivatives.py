@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import warnings
 from typing import Any
 
@@ -65,26 +64,6 @@ def test_a_gap_is_what_a_contact_may_lose_in_a_step():
         assert motion.separation[motion.touches] == pytest.approx(
             -data["gaps"][motion.touches] / STEP, abs=1e-9
         )
-
-
-def test_bodies_have_velocities_after_the_impulses():
-    """They gain m⁻¹ Jᵀ impulses, and J of them is separation and slip; None where nobody gave u, or q is another."""
-    data = given(1)
-    problem = stated(data)
-    result = solve(problem, tolerance=1e-12)
-    motion, J = problem.origin.recover(result), data["rows"].reshape(9, -1)
-    assert motion.body_velocities.shape == data["velocities"].shape
-    gained = data["mass"] @ (motion.body_velocities - data["velocities"])
-    assert gained == pytest.approx(J.T @ impulses(problem, result), abs=1e-12)
-    assert J @ motion.body_velocities == pytest.approx(
-        np.column_stack([motion.separation, motion.slip]).ravel(), abs=1e-12
-    )
-    by_W = LCP.from_contacts(problem.origin.W, 0.5, np.zeros((3, 3)))
-    assert by_W.origin.recover(np.zeros(18)).body_velocities is None
-    other = solve(problem.with_q(problem.q + 1.0))
-    assert problem.origin.recover(other).body_velocities is None
-    back = pickle.loads(pickle.dumps(problem)).origin.recover(result.z)
-    np.testing.assert_array_equal(back.body_velocities, motion.body_velocities)
 
 
 @refusals(r"""

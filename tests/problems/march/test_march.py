@@ -467,18 +467,6 @@ def test_what_a_march_refuses(call, words):
     assert march([], [[0, 0, 0]]) == []
 
 
-def test_a_march_keeps_what_it_has():
-    """An overflowing q ends a march with an error in `error`; in the first step it is raised."""
-    steps = march(LCP([[1.0]], [0.0]), [[-1.0]] * 3, propagator=-1e200)
-    assert not steps.all_solved
-    assert 1 <= len(steps) < 3
-    assert "q[0]" in str(steps.error)
-    assert "ended by" in repr(steps)
-    with pytest.raises(InvalidProblem):
-        march(LCP([[1.0]], [0.0]), [[-1.0]], propagator=[[1j]])
-    assert march(LCP([[2.0]], [0.0]), sp.csr_array([[-1.0], [-1.0]])).all_solved
-
-
 # --- Limits on a band -----------------------------------------------------------------------------------------
 
 BAND = LCP(

@@ -245,19 +245,6 @@ def test_least_squares_name_their_parts():
         )
 
 
-def test_the_derivative_of_a_program_is_that_of_its_lcp():
-    """The way users went before, LCP.from_qp, has the same numbers."""
-    data = differentiable_program(2)
-    n = data["c"].size
-    lcp = LCP.from_qp(*(data[name] for name in NAMES[:6]), lower=data["lower"], upper=data["upper"])
-    dq = np.random.default_rng(6).normal(size=lcp.n)
-    by_lcp = derivative(solve(lcp)).jvp(dq=dq)
-    m = data["h"].size
-    found = derivative(solve(QuadraticProgram(**data)))
-    ours = found.jvp(dc=dq[:n], dh=dq[n : n + m], db=dq[n + m :])
-    np.testing.assert_allclose(ours, by_lcp[:n], rtol=1e-10, atol=1e-10)
-
-
 def test_a_derivative_can_be_sent_to_another_process():
     """After pickle the numbers are equal, of one program and of a batch; a single one has no errors."""
     program = QuadraticProgram(**differentiable_program(3))

@@ -23,8 +23,9 @@ from ..engines.engine import Engine, ProgramData, SolverLimits
 from ..engines.scaling import scale_program, with_sides_about_one
 from ..systems.equilibration import power_of_two
 from ..systems.factors import sizes_of_factor
-from .lemke.pivoting_path import bimatrix_players, is_game
+from .lemke.pivoting_path import is_game
 from .newton import classify, is_near, signature, solve_active_set
+from .small import bimatrix_players
 
 SAME = 1e-12  # entries that differ by less, relatively, are equal up to rounding
 PIQP_STEPS = 60  # of PIQP: 10 to 30 if M is monotone by more than rounding

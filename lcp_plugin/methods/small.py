@@ -244,7 +244,7 @@ def follow_one(M, q, lower, upper, start, tilts, tolerance, z, bound):  # type: 
         np.empty((2, 2 * n + 1), np.int64),
         np.empty((1, n), np.int64),
     )
-    follow_paths(M, q, lower, upper, tilts, T, numbers, sides)
+    follow_paths(M, q, lower, upper, tilts, -1, T, numbers, sides)
     solve_active_sets(M, q, lower, upper, sides, T, numbers[0], z)
     bound[0] = INF
     if z[0, 0] == z[0, 0]:
@@ -290,7 +290,13 @@ def _select(arrays: Any, items: Any) -> list[Any]:
 
 
 def _ends_of_paths(
-    M: Vector, q: Vector, lower: Vector, upper: Vector, *, follow: Any = follow_paths
+    M: Vector,
+    q: Vector,
+    lower: Vector,
+    upper: Vector,
+    *,
+    follow: Any = follow_paths,
+    label: int = -1,
 ) -> Any:
     """Return the active sets at the ends of Lemke's paths; free unknowns are eliminated before, or split.
 
@@ -300,7 +306,7 @@ def _ends_of_paths(
     free = (lower == -np.inf) & (upper == np.inf)
     if not free.any():
         table, numbers = np.empty((n + 9, n + 1)), np.empty((2, 2 * n + 1), np.int64)
-        follow(M, q, lower, upper, tilts(n), table, numbers, sides)
+        follow(M, q, lower, upper, tilts(n), label, table, numbers, sides)
         return sides
     for pattern in np.unique(free, axis=0):
         items = np.flatnonzero((free == pattern).all(1))
@@ -325,6 +331,38 @@ def _ends_of_paths(
             data = _select((*reduced, low[:, R], high[:, R]), items)
             sides[items[:, None], R] = _ends_of_paths(*data, follow=follow)
     return sides
+
+
+def _end_of_game(M: Vector, q: Vector, lower: Vector, upper: Vector, *, follow: Any) -> Any:
+    """Return the active set at the end of Lemke and Howson's path that drops the first label.
+
+    z_0 > 0 makes all rows of the other player feasible, the last of them row s. In the problem in which w_0, w_s and
+    z_0, z_s have changed places, the path begins along the column of w_0, with w_0 > 0 and z_0 > 0.
+    """
+    need = -q[0] / np.where(M[0, :, 0] > 0.0, M[0, :, 0], INF)
+    own = np.array([0, need.argmax()])
+    inverse = np.linalg.inv(M[0][own[:, None], own])
+    left = M[0][:, own] @ inverse
+    A, b = M[0] - left @ M[0][own], q[0] - left @ q[0, own]
+    A[:, own], A[own], b[own] = left, -(inverse @ M[0][own]), -(inverse @ q[0, own])
+    A[own[:, None], own] = inverse
+    data = _select([A[None], b[None], lower, upper], np.arange(1))
+    sides = _ends_of_paths(*data, follow=follow, label=0)
+    if (sides != LOST).all():
+        sides[0, own] = LOW + FREE - sides[0, own]
+    return sides
+
+
+def bimatrix_players(M: Vector, q: Vector) -> Any:
+    """Return the mask of the first player's rows if the problem is a game of costs, else None.
+
+    A game: M = [[0, A], [Bᵀ, 0]] up to order, A, B > 0 and q < 0. Every covering vector r > 0 ends such a path on
+    its first ray.
+    """
+    first = M[:1].ravel() == 0.0
+    is_same = first[:, np.newaxis] == first
+    is_game = (q < 0.0).all() and not first.all() and ((M > 0.0) == ~is_same).all()
+    return first if is_game and not M[is_same].any() else None
 
 
 @cache
@@ -391,7 +429,10 @@ def candidates(data: RowData, z0: Vector) -> Iterator[tuple[str, Vector, float]]
     if (is_short := z0.size <= PYTHON_UP_TO) or has_numba():
         arrays = data.M, data.q, data.lower, data.upper
         stack = [read_only(np.ascontiguousarray(one)[np.newaxis]) for one in arrays]
-        (side,) = _ends_of_paths(*stack, follow=FOLLOW_IN_PYTHON if is_short else follow_paths)
+        is_game = first is None and bimatrix_players(data.M, data.q) is not None
+        is_game = is_game and not data.lower.any() and bool((data.upper == INF).all())
+        ends = _end_of_game if is_game else _ends_of_paths
+        (side,) = ends(*stack, follow=FOLLOW_IN_PYTHON if is_short else follow_paths)
         z = solve_active_set(*arrays, side) if (side != LOST).all() else np.full(side.size, np.nan)
         yield "path", np.clip(z, data.lower, data.upper), 3.0 * entries
         if np.isfinite(z).all():

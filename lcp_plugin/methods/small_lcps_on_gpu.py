@@ -30,7 +30,7 @@ def solve_each(  # type: ignore[no-untyped-def]
     if k < q.shape[0]:
         m, e, table, own = k % M.shape[0], k + 1, T[:, :, k], numbers[:, :, k]
         A, b, low, high = M[m : m + 1], q[k:e], lower[k:e], upper[k:e]
-        follow_paths(A, b, low, high, tilts, table, own, sides[k:e])
+        follow_paths(A, b, low, high, tilts, -1, table, own, sides[k:e])
         solve_active_sets(A, b, low, high, sides[k:e], table, own[0], z[k:e])
         residual[k] = math.inf
         if not math.isnan(z[k, 0]):

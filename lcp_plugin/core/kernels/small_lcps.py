@@ -17,8 +17,10 @@ INF = math.inf
 
 
 @kernel
-def follow_paths(M, q, lower, upper, tilts, T, numbers, sides):  # type: ignore[no-untyped-def]
-    """Write the active set at the end of Lemke's path from r = 1 into `sides`; each unknown has a finite bound.
+def follow_paths(M, q, lower, upper, tilts, label, T, numbers, sides):  # type: ignore[no-untyped-def]
+    """Write the active set at the end of Lemke's path into `sides`; each unknown has a finite bound.
+
+    The path begins along r = 1, or along the column of M that `label` names, ≥ 0 where w may be negative, if not −1.
 
     In x = sign (z − base), 0 ≤ x ≤ width, the basic variables of the table T satisfy x_B = v + T x_N + t T[:, n], with
     the numbers x_i = i, w_i = n + i and t = 2n. `tilts` has n perturbations of q.
@@ -46,15 +48,17 @@ def follow_paths(M, q, lower, upper, tilts, T, numbers, sides):  # type: ignore[
             for j in range(n):
                 T[i, j] *= scale
             v[i] = total * scale
+            if label >= 0:
+                T[i, n] = T[i, label]
             size = max(size, abs(v[i]))
         for i in range(n):
             v[i] += PERTURBED * size * tilts[i]
-            if width[i] > 0.0:
-                value = max(value, -v[i])
-            else:
+            if width[i] == 0.0:
                 low[i] = -INF
+            elif T[i, n] > 0.0:
+                value = max(value, -v[i] / T[i, n])
         for i in range(n):
-            v[i] += value
+            v[i] += value * T[i, n]
         place[t] = n
         driven, direction, t_row, leaving, row = t, -1.0, t, n, n
         for _ in range(10 * (n + 10)):

@@ -28,6 +28,7 @@ from ...core.tuning import DENSE_OPERATIONS, PIVOTS_FIRST_UP_TO, SPARSE_OPERATIO
 from ...systems.equilibration import power_of_two
 from ...systems.factors import sparse_lu
 from ...systems.minimum_degree import factor_sizes
+from ..small import bimatrix_players
 from . import tableau
 
 IndexVector = NDArray[np.intp]
@@ -250,18 +251,6 @@ def is_game(problem: LCP) -> bool:
         return False
     is_cone = not problem.lower.any() and bool((problem.upper == np.inf).all())
     return is_cone and bimatrix_players(problem.matrix.toarray(), problem.q) is not None
-
-
-def bimatrix_players(M: NDArray[np.float64], q: Vector) -> NDArray[np.bool_] | None:
-    """Return the mask of the first player's rows if the problem is a game of costs, else None.
-
-    A game: M = [[0, A], [Bᵀ, 0]] up to order, A, B > 0 and q < 0. Every covering vector r > 0 ends such a path on
-    its first ray.
-    """
-    first = M[:1].ravel() == 0.0
-    is_same = first[:, np.newaxis] == first
-    is_game = (q < 0.0).all() and not first.all() and ((M > 0.0) == ~is_same).all()
-    return first if is_game and not M[is_same].any() else None
 
 
 FloatMatrix = NDArray[np.float64]

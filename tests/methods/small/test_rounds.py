@@ -69,10 +69,11 @@ def test_a_planted_solution_is_found_by_the_first_rounds(n):
 def test_a_game_is_solved_by_its_path():
     """Lemke and Howson's path on random bimatrix games, where paths from r > 0 end on a ray."""
     rng = np.random.default_rng(0)
-    for n in (3, 8, 20):
-        problem = LCP.from_game(rng.random((n, n)), rng.random((n, n)))
-        equilibrium = problem.origin.recover(solve(problem).require_solved())
-        assert equilibrium.regret <= 1e-9
+    for shape in ((1, 1), (1, 4), (3, 3), (2, 9), (8, 8), (20, 20), (25, 9)):
+        problem = LCP.from_game(rng.random(shape), rng.random(shape))
+        found = solve(problem).require_solved()
+        assert problem.origin.recover(found).regret <= 1e-9
+        assert {stage.name for stage in found.stages} == {"path"}
 
 
 @pytest.mark.parametrize("is_regular", [True, False])

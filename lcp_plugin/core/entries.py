@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from .checks import Vector
+from .checks import AnyMatrix, Vector
 from .kernels.floats import NEGLIGIBLE_DIAGONAL
 
 
-def largest_in_rows(M: Any, sizes: Vector | None = None) -> Vector:
+def largest_in_rows(M: AnyMatrix, sizes: Vector | None = None) -> Vector:
     """Return the largest |entry| of each row, 0 for an empty row.
 
     `sizes`, shape (…, entries), replaces the |entries| of a CSR array.
@@ -26,7 +26,7 @@ def largest_in_rows(M: Any, sizes: Vector | None = None) -> Vector:
     return largest
 
 
-def count_entries(matrix: Any) -> int:
+def count_entries(matrix: AnyMatrix) -> int:
     """Return the number of nonzeros of an ndarray or a CSR array."""
     return int(matrix.nnz if sp.issparse(matrix) else np.count_nonzero(matrix))
 
@@ -48,12 +48,12 @@ def residual_scales(diagonal: Vector, largest: Vector) -> Vector:
 IntVector = np.ndarray[Any, np.dtype[np.int64]]
 
 
-def row_numbers(M: Any) -> IntVector:
+def row_numbers(M: AnyMatrix) -> IntVector:
     """Return the row number of each stored entry of a CSR array, shape (nnz,)."""
     return np.repeat(np.arange(M.shape[0], dtype=M.indices.dtype), np.diff(M.indptr))
 
 
-def entries_of_row(matrix: Any, i: int) -> tuple[list[int], list[float]]:
+def entries_of_row(matrix: AnyMatrix, i: int) -> tuple[list[int], list[float]]:
     """Return the columns and the values of the entries of row i of a CSR array."""
     part = slice(matrix.indptr[i], matrix.indptr[i + 1])
     return matrix.indices[part].tolist(), matrix.data[part].tolist()

@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar, TypeVarTuple
 import numpy as np
 import scipy.sparse as sp
 
-from .checks import Vector, checked_matrix, freeze_csr, read_only
+from .checks import AnyMatrix, Vector, checked_matrix, freeze_csr, read_only
 from .entries import largest_in_rows, residual_scales
 from .kernels.floats import NEGLIGIBLE_DIAGONAL
 
@@ -93,7 +93,7 @@ class Matrix:
     array([4., 1.])
     """
 
-    def __init__(self, M: Any) -> None:
+    def __init__(self, M: AnyMatrix) -> None:
         self.array, self.nonzeros = checked_matrix(M)
         self.n: int = self.array.shape[0]
         self.is_dense = isinstance(self.array, np.ndarray)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from .checks import Vector, assemble_csr
+from .checks import AnyMatrix, Vector, assemble_csr
 from .entries import IntVector, row_numbers
 
 
@@ -18,7 +18,7 @@ class Exponents(NamedTuple):
     column: IntVector
 
 
-def scale_matrix(M: Any, exponents: Exponents | None) -> Any:
+def scale_matrix(M: AnyMatrix, exponents: Exponents | None) -> Any:
     """Return the array or CSR array with entries m_ij 2^(row_i + column_j)."""
     if exponents is None:
         return M
@@ -29,7 +29,7 @@ def scale_matrix(M: Any, exponents: Exponents | None) -> Any:
     return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
 
 
-def scale_by(A: Any, rows: Vector, columns: Vector) -> Any:
+def scale_by(A: AnyMatrix, rows: Vector, columns: Vector) -> Any:
     """Return the array or CSR array with entries a_ij rows_i columns_j, multiplied in this order; A is canonical."""
     if not sp.issparse(A):
         return rows[:, np.newaxis] * A * columns

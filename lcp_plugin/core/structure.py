@@ -8,12 +8,11 @@ where an entry ought to be 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from .checks import BoolVector, Vector, read_only
+from .checks import AnyMatrix, BoolVector, Vector, read_only
 from .entries import IntVector, row_numbers
 from .matrix import Matrix, fact
 
@@ -76,7 +75,7 @@ def connected_components(matrix: Matrix) -> Components | None:
     return Components(read_only(labels.astype(np.int64)), int(count)) if count > 1 else None
 
 
-def mismatch(M: Any, size: Vector, tolerance: float) -> tuple[float, tuple[int, int] | None]:
+def mismatch(M: AnyMatrix, size: Vector, tolerance: float) -> tuple[float, tuple[int, int] | None]:
     """Return max |m_ij − m_ji|, and the i, j where it exceeds tolerance √(size_i size_j) by most, if it does.
 
     With this measure, a block in a small unit is not compared with a block in a large unit.
@@ -124,7 +123,7 @@ def is_nearly_symmetric(matrix: Matrix) -> bool:
     return mismatch(matrix.array, matrix.residual_scale, ROUNDED)[1] is None
 
 
-def equation_signs(M: Any, is_equation: BoolVector) -> Vector:
+def equation_signs(M: AnyMatrix, is_equation: BoolVector) -> Vector:
     """Return −1 for each equation whose negative makes M + Mᵀ smaller, else 1; only equations with m_ii = 0 change.
 
     An unknown without bounds leaves w_i = 0, an equation, of which the sign has no meaning. In the conditions of a

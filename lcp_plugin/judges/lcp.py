@@ -30,7 +30,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from ..core.checks import BoolVector, Vector
+from ..core.checks import AnyMatrix, BoolVector, Vector
 from ..core.entries import largest_products
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import (
@@ -161,7 +161,7 @@ class RowData:
         z°, if it is computed already.
     """
 
-    M: Any
+    M: AnyMatrix
     absolute: Any
     q: Vector
     lower: Vector
@@ -464,7 +464,7 @@ class RowData:
         return rounding / (self.scale if scale is None else scale)
 
 
-def times(M: Any, x: Vector) -> Vector:
+def times(M: AnyMatrix, x: Vector) -> Vector:
     """Return M x for one problem, or for each problem of a stack, which may share one M."""
     if x.ndim == 1:
         product: Vector = M @ x

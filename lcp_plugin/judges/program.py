@@ -36,7 +36,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..core.checks import Vector
+from ..core.checks import AnyMatrix, Vector
 from ..core.entries import largest_in_rows, largest_products
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import DATA_ROUNDING, UNIT
@@ -130,8 +130,8 @@ class ProgramTerms:
         Number of rows that are inequalities.
     """
 
-    P: Any
-    C: Any
+    P: AnyMatrix
+    C: AnyMatrix
     m: int
 
     @cached_property
@@ -370,7 +370,7 @@ def ratio(errors: Vector, sizes: Vector) -> Vector:
     return np.where(errors > 0.0, errors / np.maximum(sizes, LEAST_PRICE), errors)
 
 
-def entries_of_rows(matrix: Any) -> Indices:
+def entries_of_rows(matrix: AnyMatrix) -> Indices:
     """Return the number of nonzeros of each row."""
     return np.diff(matrix.indptr) if sp.issparse(matrix) else np.count_nonzero(matrix, axis=1)
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from ..core.algorithm import Algorithm, Step
-from ..core.checks import BoolVector, Vector, read_only
+from ..core.checks import AnyMatrix, BoolVector, Vector, read_only
 from ..core.entries import residual_scales
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import FREE, HIGH, LOW, SMALLEST
@@ -126,7 +126,7 @@ def dense_data(problem: LCP) -> RowData:
 # --- stacks --------------------------------------------------------------------------------------------------
 
 
-def stack_of(M: Any, q: Vector, lower: Vector, upper: Vector) -> RowData:
+def stack_of(M: AnyMatrix, q: Vector, lower: Vector, upper: Vector) -> RowData:
     """Return problems of one size as data of the criterion; an axis of length 1 means shared data.
 
     One matrix for all stays one matrix, M of shape (1, n, n).

@@ -21,7 +21,7 @@ from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
 from numpy.typing import NDArray
 
-from ..core.checks import Vector, normalize_bounds
+from ..core.checks import AnyMatrix, Vector, normalize_bounds
 from ..core.errors import ModelWarning, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..expressions.rows import Indices, Rows, as_matrix, is_definition
@@ -115,7 +115,7 @@ class ConePair:
     rows: int
     friction: Vector | None
 
-    def blocks(self, M: Any, q: Vector) -> Blocks:
+    def blocks(self, M: AnyMatrix, q: Vector) -> Blocks:
         """Return the problem of M and q, shape (d k,), over these cones alone."""
         if self.friction is None:
             return ConeProblem(

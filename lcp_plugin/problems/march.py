@@ -302,7 +302,7 @@ def checked_rows(name: str, given: Any, shape: str, fits: Callable[[Any], bool])
     return rows
 
 
-def checked_propagator(propagator: Any, n: int, name: str = "propagator") -> sp.csr_array:
+def checked_propagator(propagator: AnyMatrix, n: int, name: str = "propagator") -> sp.csr_array:
     """Return the propagator as a finite matrix by rows; a number stands for a multiple of the identity."""
     if checks.is_number(propagator):
         propagator = float(propagator) * sp.eye_array(n)
@@ -578,7 +578,7 @@ def _axes(values: Array) -> int:
 def _begin(
     problems: list[Any],
     forcing: Array,
-    propagator: Any,
+    propagator: AnyMatrix,
     states: Any,
     at: dict[str, Any],
     call: Any,

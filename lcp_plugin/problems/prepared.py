@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from ..core.checks import Vector, checked_bounds, read_only
+from ..core.checks import AnyMatrix, Vector, checked_bounds, read_only
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of
@@ -122,7 +122,7 @@ class PreparedLCP(PreparedProblem[LCP]):
         return LCP(M, q, lower=lower, upper=upper, names=one.names)
 
     def _solve_quickly(
-        self, q: Any = None, M: Any = None, lower: Any = None, upper: Any = None
+        self, q: Any = None, M: AnyMatrix = None, lower: Any = None, upper: Any = None
     ) -> Any:
         """Return the end of Lemke's path if the sufficient test accepts it; NaN and infinities do not pass."""
         if self._arrays is None:
@@ -243,7 +243,7 @@ class PreparedContact(PreparedProblem[FrictionalContact]):
         named["stages"] = (StageRecord("nsgs", "prepared", count, work),)
         return ConeResult.of_known(None, **named)
 
-    def _changed(self, b: Any = None, W: Any = None) -> FrictionalContact:
+    def _changed(self, b: Any = None, W: AnyMatrix = None) -> FrictionalContact:
         one = self.problem
         if W is not None:
             how = {"dimension": one.dimension, "equations": one.equations}

@@ -27,7 +27,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
-from ..core.checks import Array, BoolVector, Vector, derived_property
+from ..core.checks import AnyMatrix, Array, BoolVector, Vector, derived_property
 from ..core.cone_stack import ConeStack
 from ..core.entries import residual_scales
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
@@ -287,7 +287,7 @@ class ManyDerivatives(DerivativeSequence):
         values = np.zeros(is_there.shape[1]) if values is None else values
         return self._given(values, name, is_there)
 
-    def _changed(self, dM: Any, dq: Any) -> Any:
+    def _changed(self, dM: AnyMatrix, dq: Any) -> Any:
         """Return dM z + dq of each problem."""
         change = self._rows(dq, "dq")
         if dM is None:
@@ -300,7 +300,7 @@ class ManyDerivatives(DerivativeSequence):
         is_there = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
         return products(self._given(dM, "dM", is_there), z) + change
 
-    def _jvp(self, dM: Any, dq: Any, **others: Any) -> Any:
+    def _jvp(self, dM: AnyMatrix, dq: Any, **others: Any) -> Any:
         """Return the changes dz for changes of the data, shape (B, n)."""
         given = {"dq": self._changed(dM, dq)}
         given |= {name: self._rows(values, name) for name, values in others.items()}
@@ -692,7 +692,7 @@ class ContactBatchDerivative(ManyDerivatives):
         return parts
 
     @checks.changes_by_name
-    def jvp(self, *, dq: Any = None, dM: Any = None, dfriction: Any = None) -> Any:
+    def jvp(self, *, dq: Any = None, dM: AnyMatrix = None, dfriction: Any = None) -> Any:
         """Return the changes dz for changes of the data, shape (B, n); one-sided at a kink.
 
         Parameters
@@ -710,7 +710,7 @@ class ContactBatchDerivative(ManyDerivatives):
         """
         return self._jvp(dM, dq, dfriction=dfriction)
 
-    def dw(self, dz: ArrayLike, *, dq: Any = None, dM: Any = None) -> Any:
+    def dw(self, dz: ArrayLike, *, dq: Any = None, dM: AnyMatrix = None) -> Any:
         """Return the changes of the velocities w = W z + b for changes dz of z, shape (B, n)."""
         dw = products(self.worlds.W, self._rows(dz, "dz")) + self._changed(dM, dq)
         dw[[*self.errors]] = np.nan
@@ -1012,7 +1012,7 @@ class Derivative(LinearizedSystem):
     @np.errstate(all="ignore")
     @checks.changes_by_name
     def jvp(
-        self, *, dM: Any = None, dq: Any = None, dlower: Any = None, dupper: Any = None
+        self, *, dM: AnyMatrix = None, dq: Any = None, dlower: Any = None, dupper: Any = None
     ) -> Vector:
         """Return the change dz of z for changes of the data; one-sided if rows are degenerate.
 
@@ -1049,7 +1049,7 @@ class Derivative(LinearizedSystem):
             return one_sided(self.problem, self._rows, h, moved)
         return self.tangent(h, np.where(self._rows.free, 0.0, moved))
 
-    def dw(self, dz: ArrayLike, *, dM: Any = None, dq: Any = None) -> Vector:
+    def dw(self, dz: ArrayLike, *, dM: AnyMatrix = None, dq: Any = None) -> Vector:
         """Return the change of w = M z + q for a change dz of z, shape (n,)."""
         dz = checks.checked_vector(dz, "dz", self.problem.n)
         return self._product(dz) + self._change(dM, dq)
@@ -1084,7 +1084,7 @@ class Derivative(LinearizedSystem):
         lower, upper = (np.where(is_other, 0.0, by_bound) for is_other in is_side)
         return Gradient(by_q, lower, upper, outer_on_pattern(problem.matrix, by_q, self.z))
 
-    def _change(self, dM: Any, dq: ArrayLike | None) -> Vector:
+    def _change(self, dM: AnyMatrix, dq: ArrayLike | None) -> Vector:
         """Return dM z + dq."""
         n = self.problem.n
         h = checks.change_of_vector(dq, "dq", n)

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ..core.checks import Vector
+from ..core.checks import AnyMatrix, Vector
 from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
 from ..core.names import Names
@@ -21,9 +21,9 @@ from .programs.program_matrices import ProgramMatrices
 
 def variational(
     F: Any,
-    G: Any = None,
+    G: AnyMatrix = None,
     h: ArrayLike | None = None,
-    A: Any = None,
+    A: AnyMatrix = None,
     b: ArrayLike | None = None,
     lower: ArrayLike = -np.inf,
     upper: ArrayLike = np.inf,

@@ -49,7 +49,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
-from ...core.checks import BoolVector, Vector, derived_property, read_only
+from ...core.checks import AnyMatrix, BoolVector, Vector, derived_property, read_only
 from ...core.entries import largest_in_rows, residual_scales, row_numbers
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON, LARGEST
@@ -385,7 +385,7 @@ class NonlinearProblem:
         returned, name = self.call_jacobian(x, value)
         return _finite(_replace_infinite_rows(self, x, value, returned), name, x.size)
 
-    def offset(self, x: Vector, value: Vector, M: Any) -> Vector:
+    def offset(self, x: Vector, value: Vector, M: AnyMatrix) -> Vector:
         """Return F(x) − F′(x) x."""
         with np.errstate(all="ignore"):
             q: Vector = value - M @ x
@@ -454,7 +454,7 @@ def _pattern(pattern: Any) -> sp.csc_array:
     return stored
 
 
-def components_of_pattern(problem: NonlinearProblem, M: Any) -> Any:
+def components_of_pattern(problem: NonlinearProblem, M: AnyMatrix) -> Any:
     """Return the connected component of each row of F′; None if there is one; kept for the next F′ of this pattern."""
     if not sp.issparse(M) and np.logical_and.reduce(M[:1], axis=None):
         return None

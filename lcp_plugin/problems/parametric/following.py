@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import lapack
 
-from ...core.checks import Vector
+from ...core.checks import AnyMatrix, Vector
 from ...core.entries import IntVector, largest_in_rows
 from ...core.scaling import scale_matrix
 from ...systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents
@@ -65,7 +65,7 @@ class MonotoneGraphs:
     levels: Vector
 
     @classmethod
-    def of_matrix(cls, M: Any, q: Vector, lower: Vector, upper: Vector) -> Self:
+    def of_matrix(cls, M: AnyMatrix, q: Vector, lower: Vector, upper: Vector) -> Self:
         """Return the graphs of an LCP, M a CSR array, the vectors of shape (2, n)."""
         exponents = equilibrating_exponents(M, EQUILIBRATING_PASSES, 500)
         rows, units = (np.ldexp(1.0, part) for part in exponents)

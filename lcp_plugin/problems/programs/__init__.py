@@ -14,7 +14,7 @@
 | file | what is in it |
 |---|---|
 | `program` | the data, convexity, rows of one variable as bounds |
-| `program_matrices`, `fitted_units`, `constraints` | facts that depend on the matrices only, a scaling, one list of rows |
+| `program_matrices`, `fitted_units`, `constraints` | facts about the matrices only, a scaling, one list of rows |
 | :mod:`lcp_plugin.judges.program` | the one test of a point, and its two measures |
 | `solving`, `regression` | points of external solvers and of least squares, and the status |
 | `conversion` | the complementarity problem of a program, and the solution that its z encodes |

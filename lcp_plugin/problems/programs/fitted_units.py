@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ...core.checks import Vector
+from ...core.checks import AnyMatrix, Vector
 
 FIT_TO = 1e-3  # of the right-hand side: enough for powers of two
 
 
-def fitted_units(P: Any, C: Any) -> tuple[Vector, Vector]:
+def fitted_units(P: AnyMatrix, C: AnyMatrix) -> tuple[Vector, Vector]:
     """Return u and v, powers of two: least squares of the logarithms of |p_jk| u_j u_k and |c_ij| v_i u_j.
 
     References
@@ -35,13 +35,13 @@ def fitted_units(P: Any, C: Any) -> tuple[Vector, Vector]:
     return units[:n], units[n:]
 
 
-def _bordered(P: Any, C: Any) -> Callable[[Vector], Vector]:
+def _bordered(P: AnyMatrix, C: AnyMatrix) -> Callable[[Vector], Vector]:
     """Return the function x ↦ [P + diag(P), Cᵀ; C, 0] x."""
     n, on, turned = P.shape[0], P.diagonal(), C.T
     return lambda x: np.concatenate([P @ x[:n] + on * x[:n] + turned @ x[n:], C @ x[:n]])
 
 
-def _pattern_and_logarithms(M: Any) -> Any:
+def _pattern_and_logarithms(M: AnyMatrix) -> Any:
     """Return matrices with 1, and with log₂ |entry|, in the place of each entry."""
     if sp.issparse(M):
         values = np.ones(M.nnz), np.log2(np.abs(M.data))

@@ -16,8 +16,8 @@ def largest_in_rows(M: AnyMatrix, sizes: Vector | None = None) -> Vector:
 
     `sizes`, shape (…, entries), replaces the |entries| of a CSR array.
     """
-    if not sp.issparse(M):
-        return np.asarray(np.abs(M).max(axis=1, initial=0.0), dtype=np.float64)
+    if isinstance(M, np.ndarray):
+        return np.asarray(np.maximum.reduce(np.abs(M), axis=1, initial=0.0), dtype=np.float64)
     sizes = np.abs(M.data) if sizes is None else sizes
     largest = np.zeros((*sizes.shape[:-1], M.shape[0]))
     filled = np.flatnonzero(np.diff(M.indptr))
@@ -42,6 +42,8 @@ def residual_scales(diagonal: Vector, largest: Vector) -> Vector:
     """Return D of the scaled residual from the diagonal and the largest |entry| of each row, arrays of one shape."""
     # The product may underflow to 0, which no diagonal of 0 may pass.
     is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * largest)
+    if np.logical_and.reduce(is_usable, None):
+        return np.array(diagonal)
     return np.where(largest == 0.0, 1.0, np.where(is_usable, diagonal, largest))
 
 

@@ -409,13 +409,15 @@ def solve_active_set(M: Vector, q: Vector, lower: Any, upper: Vector, side: Any)
     """Return z, z_i at the bound that `side` names, w_i = 0 if FREE; NaN if the linear system is singular."""
     free = (side == FREE).nonzero()[0]
     z: Vector = np.where(side == HIGH, upper, lower)
-    if free.size:
-        z[free] = 0.0
-        right = -(M @ z + q)[free]
-        try:
+    try:
+        if free.size == z.size:
+            z[:] = np.linalg.solve(M, -q)
+        elif free.size:
+            z[free] = 0.0
+            right = -(M @ z + q)[free]
             z[free] = np.linalg.solve(M[free[:, None], free], right)
-        except LinAlgError:
-            z[free] = np.nan
+    except LinAlgError:
+        z[free] = np.nan
     return z
 
 

@@ -121,19 +121,20 @@ class Differences:
         NaN.
         """
         pattern, columns = self.pattern, self._columns
-        step, derivative = _steps(x, lower, upper), np.full(pattern.nnz, np.nan)
+        step, derivative = _steps(x, lower, upper), np.full(columns.size, np.nan)
         for k, places in enumerate(self._places):
             for way in (step, -step):
-                moved = np.where(self.groups == k, x + way, x)
+                moved = read_only(np.where(self.groups == k, x + way, x))
                 change = F(moved) - value
                 found = change[pattern.indices[places]] / (moved - x)[columns[places]]
                 known = derivative[places]
                 derivative[places] = np.where(np.isfinite(known), known, found)
                 if np.isfinite(derivative[places]).all():
                     break
+        if derivative.size == math.prod(pattern.shape):
+            return derivative.reshape(pattern.shape).T
         found = sp.csc_array((derivative, pattern.indices, pattern.indptr), shape=pattern.shape)
-        is_full = pattern.nnz == math.prod(pattern.shape)
-        return found.toarray() if is_full else sp.csr_array(found)
+        return sp.csr_array(found)
 
 
 def _steps(x: Vector, lower: Vector, upper: Vector) -> Vector:
@@ -300,6 +301,7 @@ class NonlinearProblem:
         found.counts = [0, 0, 0]
         return found
 
+    @np.errstate(all="ignore")  # F may be undefined at x: its value shows it
     def value(self, x: ArrayLike) -> Vector:
         """Return F(x), shape (n,), a read-only copy; NaN and infinities mean that F is undefined at x.
 
@@ -312,9 +314,11 @@ class NonlinearProblem:
         InvalidProblem
             If F does not return a real vector of that length.
         """
-        x = self._point(x)
-        with np.errstate(all="ignore"):  # F may be undefined at x: its value shows it
-            returned = self.F(x)
+        return self.evaluate(self._point(x))
+
+    def evaluate(self, x: Vector) -> Vector:
+        """Return :meth:`value` at a read-only vector, which is not copied; NumPy's warnings are off."""
+        returned = self.F(x)
         need = f"F(x) must be a real vector of length {x.size} for x of shape ({x.size},)"
         value = checks.real_array(returned, need)
         if value.shape != x.shape:
@@ -324,6 +328,7 @@ class NonlinearProblem:
             self.counts[2] += not np.logical_and.reduce(np.isfinite(value))
         return read_only(value.copy())
 
+    @np.errstate(all="ignore")
     def derivative(self, x: ArrayLike, value: Vector | None = None) -> Any:
         """Return F′(x), a CSR array or an ndarray, shape (n, n).
 
@@ -346,16 +351,17 @@ class NonlinearProblem:
         if self.counts is not None:
             self.counts[1] += 1
         if self.jacobian is not None:
-            with np.errstate(all="ignore"):
-                returned = self.jacobian(x)
-            return (sp.csr_array(returned) if sp.issparse(returned) else returned), "jacobian(x)"
+            returned = self.jacobian(x)
+            is_array = type(returned) is np.ndarray or not sp.issparse(returned)
+            return returned if is_array else sp.csr_array(returned), "jacobian(x)"
         problem = self.with_size(x.size)
         if problem._differences is None:
             problem._differences = Differences.on(self.pattern, x.size)
         value = self.value(x) if value is None else value
-        derivative = problem._differences.at(self.value, x, value, problem.lower, problem.upper)
+        derivative = problem._differences.at(self.evaluate, x, value, problem.lower, problem.upper)
         return derivative, "the derivative of F by differences"
 
+    @np.errstate(all="ignore")
     def linearize(self, x: ArrayLike, value: Vector | None = None) -> LCP:
         """Return the LCP with M = F′(x), q = F(x) − F′(x) x and the same bounds, which is the problem near x.
 
@@ -383,12 +389,14 @@ class NonlinearProblem:
     def slopes(self, x: Vector, value: Vector) -> Any:
         """Return F′(x) as :meth:`linearize` uses it."""
         returned, name = self.call_jacobian(x, value)
-        return _finite(_replace_infinite_rows(self, x, value, returned), name, x.size)
+        try:
+            return _finite(returned, name, x.size)
+        except UndefinedDerivativeError:
+            return _finite(_replace_infinite_rows(self, x, value, returned), name, x.size)
 
     def offset(self, x: Vector, value: Vector, M: AnyMatrix) -> Vector:
         """Return F(x) − F′(x) x."""
-        with np.errstate(all="ignore"):
-            q: Vector = value - M @ x
+        q: Vector = value - M @ x
         if not np.logical_and.reduce(np.isfinite(q)):
             raise UndefinedDerivativeError("F(x) − F′(x) x overflows; start nearer to 0")
         return q
@@ -456,13 +464,26 @@ def _pattern(pattern: Any) -> sp.csc_array:
 
 def components_of_pattern(problem: NonlinearProblem, M: AnyMatrix) -> Any:
     """Return the connected component of each row of F′; None if there is one; kept for the next F′ of this pattern."""
-    if not sp.issparse(M) and np.logical_and.reduce(M[:1], axis=None):
-        return None
-    key = M.indptr.tobytes() + M.indices.tobytes() if sp.issparse(M) else (M != 0.0).tobytes()
-    if key != problem._components[0]:
+    if isinstance(M, np.ndarray):
+        if np.logical_and.reduce(M[:1], axis=None):
+            return None
+        key = (is_entry := M != 0.0).tobytes()
+        if key != problem._components[0]:
+            problem._components = key, _components_of_dense(is_entry)
+    elif (key := M.indptr.tobytes() + M.indices.tobytes()) != problem._components[0]:
         found = connected_components(Matrix(M))
         problem._components = key, None if found is None else found.labels
     return problem._components[1]
+
+
+def _components_of_dense(is_entry: BoolVector) -> Any:
+    """Return the connected component of each row of a small dense pattern; None if there is one."""
+    is_entry = is_entry | is_entry.T | np.eye(len(is_entry), dtype=bool)
+    before, first = -1, np.argmax(is_entry, axis=1)  # the first row that is known to be connected
+    while np.not_equal(first, before).any():
+        before, first = first, np.where(is_entry, first, len(first)).min(axis=1)
+    _, labels = np.unique(first, return_inverse=True)
+    return labels if labels.any() else None
 
 
 HALF_OF_DIGITS = 2.0**-26  # of an unknown: a smaller Newton step is none
@@ -493,12 +514,21 @@ class LinearizedRows(RowData):
     matrix = "F′"
 
     def __init__(self, point: Linearization) -> None:
-        problem, M, self.x, self.value = point.problem, point.M, point.x, point.value
-        self.problem, self.origin_point = problem, point.origin
-        scale = residual_scales(M.diagonal(), largest_in_rows(M))
-        labels = components_of_pattern(problem, M)
-        start = point.origin.x
-        super().__init__(M, abs(M), point.q, problem.lower, problem.upper, scale, labels, start)
+        self.problem = problem = point.problem
+        self.M, self.x, self.value, self.q = point.M, point.x, point.value, point.q
+        self.lower, self.upper, self.scale = problem.lower, problem.upper, point.scale
+        self.origin_point, self.start = point.origin, point.origin.x
+        self.__post_init__()
+
+    @cached_property
+    def absolute(self) -> Any:
+        """|F′(x)|."""
+        return abs(self.M)
+
+    @cached_property
+    def labels(self) -> Any:
+        """Connected component of each row; None if there is one."""
+        return components_of_pattern(self.problem, self.M)
 
     @cached_property
     def _own_references(self) -> tuple[Vector, Vector]:
@@ -560,8 +590,10 @@ class LinearizedRows(RowData):
         M = self.M[at][:, at] if sp.issparse(self.M) else self.M[np.ix_(at, at)]
         if (factor := factorise(M)) is None:
             return moves
-        signs, rounding = np.random.default_rng(0).choice([-1.0, 1.0], n), EPSILON * self.terms
         step = -factor.solve(w[at])
+        if (np.abs(step) <= least[at]).all():
+            return moves
+        signs, rounding = np.random.default_rng(0).choice([-1.0, 1.0], n), EPSILON * self.terms
 
         def is_open(rounding: Vector) -> BoolVector:
             lost = np.abs(factor.solve((signs * rounding)[at]))
@@ -647,13 +679,13 @@ class Linearization:
 
     def __init__(self, problem: NonlinearProblem, x: Vector) -> None:
         self.problem, self.x = problem, read_only(x.copy())
-        self.value = problem.value(self.x)
+        self.value = problem.evaluate(self.x)
         self._measured: Measured | None = None
         self.size: float | None = None  # in the units of a run
 
     def at(self, x: Vector) -> Linearization:
         """Return the linearization at another point, with the same `origin`."""
-        is_origin = np.array_equal(x, self.origin.x)
+        is_origin = (x == self.origin.x).all()
         found = self.origin if is_origin else Linearization(self.problem, x)
         found.origin = self.origin
         return found
@@ -662,18 +694,24 @@ class Linearization:
     def origin(self) -> Linearization:
         """The linearization at z°, the point of the bounds nearest to 0; F need not be defined there."""
         nearest = self.problem.nearest_to_zero
-        return self if np.array_equal(self.x, nearest) else Linearization(self.problem, nearest)
+        return self if (self.x == nearest).all() else Linearization(self.problem, nearest)
 
     @cached_property
     def M(self) -> Any:
         """F′(x), dense if it has few rows; errors as of :meth:`NonlinearProblem.linearize`."""
         M = self.problem.slopes(self.x, self.value)
-        return M.toarray() if sp.issparse(M) and self.x.size <= SMALL_SPARSE else M
+        is_small = self.x.size <= SMALL_SPARSE and not isinstance(M, np.ndarray)
+        return M.toarray() if is_small else M
 
     @cached_property
     def q(self) -> Vector:
         """F(x) − F′(x) x, shape (n,)."""
         return self.problem.offset(self.x, self.value, self.M)
+
+    @cached_property
+    def scale(self) -> Vector:
+        """The scales d_i of the residual, shape (n,)."""
+        return residual_scales(self.M.diagonal(), largest_in_rows(self.M))
 
     @cached_property
     def data(self) -> LinearizedRows:
@@ -686,7 +724,7 @@ class Linearization:
         problem, M = self.problem, self.M
         return LCP(M, self.q, lower=problem.lower, upper=problem.upper, names=problem.names)
 
-    @derived_property
+    @cached_property
     def is_defined(self) -> bool:
         """True if F and its derivative are finite here."""
         if not np.logical_and.reduce(np.isfinite(self.value)):

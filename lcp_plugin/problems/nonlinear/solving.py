@@ -12,6 +12,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -34,6 +35,7 @@ from ...solving.result import Callback, Result
 from ...solving.run import Progress, Run, Stage
 from ..programs.no_minimum import proof_of_contradiction
 from .data import DENSE_PATTERN_UP_TO, Evaluations, Linearization, NonlinearProblem
+from .full_steps import take_full_steps
 from .steps import Target, row_scale, targets
 
 SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a step is compared
@@ -70,13 +72,13 @@ class JosephyNewton(Algorithm):
         searches: tuple[str, ...] = tuple(SEARCHES),
         restarts: int = RESTARTS,
     ) -> None:
-        self.first = self.here = self._tried = start
+        self.first = self.here = self.tried = start
         self.linear, self.settings, self.tolerance = linear, settings, settings.goal
         self.searches, self.restarts = searches, restarts
         self.limit: Any = np.inf  # of |x|: farther unknowns have grown without limit
         self.work, self.kind, self.length = 1.0, "start", 0.0
         self.recent: deque[Linearization] = deque([start], 1)
-        self.random = np.random.default_rng(0)
+        self.passed: dict[bytes, Linearization] = {}  # points of full steps, to be taken again
         self._weights: Any = None
 
     @property
@@ -97,8 +99,9 @@ class JosephyNewton(Algorithm):
             yield from self.steps_from(self.first, search)
             if self.is_at_floor() or is_over():
                 return
+        random = np.random.default_rng(0)
         for k in range(self.restarts if self.first.x.size <= RESTARTS_UP_TO else 0):
-            start = self.other_start(k)
+            start = self.other_start(k, random)
             if start is None:
                 continue
             for search in self.searches:
@@ -121,14 +124,14 @@ class JosephyNewton(Algorithm):
         """Yield steps from a point until none helps, or none has for long."""
         self.here, self.recent = start, deque([start], SEARCHES[search])
         # A jump of the residual may start a long decrease
-        latest, since, grown = deque([self._progress(start)], maxlen=12), 0, 0
+        latest, since, grown = deque([self.progress(start)], maxlen=12), 0, 0
         least, idle = latest[0], 0
         # 25 steps without a residual clearly below the residuals before it, or 50 without a new least residual
         while since < 25 and idle < 50 and (following := self._next_point()) is not None:
-            self.here = following = self._snap(following)
+            self.here = following = self.snap(following)
             self.recent.append(following)
             yield self.step()
-            size = self._progress(following)
+            size = self.progress(following)
             since = 0 if size < 0.95 * min(latest) else since + 1
             least, idle = (size, 0) if size < 0.95 * least else (least, idle + 1)
             latest.append(size)
@@ -140,7 +143,7 @@ class JosephyNewton(Algorithm):
                 self.limit = np.minimum(self.limit, end)
                 return
 
-    def _snap(self, point: Linearization) -> Linearization:
+    def snap(self, point: Linearization) -> Linearization:
         """Return the point with x° in the components that F(x°) solves, and that x has come near."""
         origin, data = point.origin, point.data
         left, way = (data.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
@@ -152,7 +155,7 @@ class JosephyNewton(Algorithm):
         there = point if np.array_equal(x, point.x) else self._at(x)
         return there if there.is_defined and there.residual <= point.residual else point
 
-    def other_start(self, k: int) -> Linearization | None:
+    def other_start(self, k: int, random: np.random.Generator) -> Linearization | None:
         """Return start number k other than x₀; None if F is not defined there.
 
         The first ones are the points of the bounds nearest to some numbers; every second one of the random others is
@@ -162,9 +165,9 @@ class JosephyNewton(Algorithm):
         size, n = np.maximum(1.0, np.abs(x)), x.size
         drawn = np.full(n, ((1.0, 0.0, 10.0, 0.1))[min(k, 3)])
         if k > 3:
-            drawn = x + size * self.random.standard_normal(n) * 0.5 * k
+            drawn = x + size * random.standard_normal(n) * 0.5 * k
         if k > 3 and k % 2:
-            common, own = self.random.uniform(-3.0, 0.0), self.random.uniform(-1.0, 1.0, n)
+            common, own = random.uniform(-3.0, 0.0), random.uniform(-1.0, 1.0, n)
             above = lower + size * 10.0 ** (common + own)
             drawn = np.where(np.isfinite(lower), above, drawn)
         point = self.first.at(np.clip(drawn, lower, upper))
@@ -185,7 +188,7 @@ class JosephyNewton(Algorithm):
             ):
                 self.kind = "finish"
                 return point
-        if self.size_of(here) <= NEGLIGIBLE * self.size_of(self.first):  # a root without slope
+        if self.is_flat():  # a root without slope
             sizes = np.abs(here.x)
             flushed = np.where(sizes <= NEGLIGIBLE_DIAGONAL * sizes.max(), here.origin.x, here.x)
             if (point := self._at(flushed)).is_defined and point.passes(self.settings):
@@ -193,19 +196,23 @@ class JosephyNewton(Algorithm):
                 return point
         for target in targets(self.here, self.linear, self.tolerance):
             self.kind, self.length = target.kind, 1.0
-            found = self._full_step(target) or self._search(target)
+            found = self.full_step(target) or self.search(target)
             if found is not None or is_over() or (target.kind == "Newton" and self.is_at_floor()):
                 return found
         return None
 
-    def _full_step(self, target: Target) -> Linearization | None:
+    def is_flat(self) -> bool:
+        """Return whether the residual is negligible next to the first one."""
+        return self.size_of(self.here) <= NEGLIGIBLE * self.size_of(self.first)
+
+    def full_step(self, target: Target) -> Linearization | None:
         """Return the target if it has less than half of the residual here, in the scale here."""
         here, point = self.here, self._at(target.x)
         there = here.data.residual(point.x, point.value)
         sizes = [np.maximum.reduce(np.abs(self.weights * one)) for one in (there, here.steps)]
         return point if sizes[0] < 0.5 * sizes[1] and point.is_defined else None
 
-    def _search(self, target: Target) -> Linearization | None:
+    def search(self, target: Target) -> Linearization | None:
         """Return the first point on the way to the target that is better."""
         here, is_newton, tried = self.here, target.kind == "Newton", 0
         worst = target.share * max(map(self._merit, self.recent if is_newton else (here,)))
@@ -229,10 +236,10 @@ class JosephyNewton(Algorithm):
 
     def _at(self, x: Vector) -> Linearization:
         """Return the linearization at x; its F is computed once if the next search begins there."""
-        if not np.array_equal(x, self._tried.x):
+        if not np.array_equal(x, self.tried.x):
             self.work += 1.0
-            self._tried = self.first.at(x)
-        return self._tried
+            self.tried = self.passed.pop(x.tobytes(), None) or self.first.at(x)  # type: ignore[arg-type]
+        return self.tried
 
     # --- what is measured ----------------------------------------------------------------------------------
 
@@ -240,8 +247,11 @@ class JosephyNewton(Algorithm):
         """Return ‖Φ‖₂ with the row scales of the linearization here; ∞ if F is undefined."""
         if not np.isfinite(point.value).all():
             return math.inf
-        phi = fischer_burmeister(point.problem, point.x, point.value, row_scale(self.here))
-        return float(np.linalg.norm(self.weights * phi.value))
+        return float(np.linalg.norm(self.weights * self.phi(point)))
+
+    def phi(self, point: Linearization) -> Vector:
+        """Return Φ with the row scales of the linearization here."""
+        return fischer_burmeister(point.problem, point.x, point.value, row_scale(self.here)).value
 
     def is_at_floor(self) -> bool:
         """Return whether only rounding in F keeps the point here from passing."""
@@ -260,7 +270,7 @@ class JosephyNewton(Algorithm):
             point.size = float(np.maximum.reduce(self.weights * sizes, initial=0.0))
         return point.size
 
-    def _progress(self, point: Linearization) -> float:
+    def progress(self, point: Linearization) -> float:
         """Return the measure that must fall: the size, and then the componentwise test."""
         size = self.size_of(point)
         if point.is_small(self.settings):
@@ -370,17 +380,22 @@ def solve_nonlinear(
     with threads_for(settings.threads):
         first, begun = begin_at(Linearization(problem, start))
         searches = tuple(SEARCHES) if search is None else (search,)
-        newton = JosephyNewton(first, algorithm, settings, searches, restarts)
-        has_doubts = check_jacobian and problem.jacobian is not None
-        run = NonlinearRun(newton, progress, has_doubts=has_doubts)
+        has_doubts, found = check_jacobian and problem.jacobian is not None, None
+        make = partial(JosephyNewton, first, algorithm, settings, searches, restarts)
+        run = NonlinearRun(make(), progress, has_doubts=has_doubts)
         try:
             if has_doubts:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
-            stage = Stage(newton, TANGENTS, steps=newton.iterates(problem, first.x))
-            end = run.follow_all([stage])
+            if searches[0] == "monotone" and not progress.is_watched:
+                found = run.leap(begun)
+            if found is None:
+                passed, run.newton = run.newton.passed, make()
+                newton, run.newton.passed = run.newton, passed
+                stage = Stage(newton, TANGENTS, steps=newton.iterates(problem, first.x))
+                end = run.follow_all([stage])
         except KeyboardInterrupt:
             end = Status.INTERRUPTED
-        return replace(run.result(end), begun=begun)
+        return replace(run.result(end), begun=begun) if found is None else found
 
 
 def begin_at(first: Linearization) -> tuple[Linearization, str]:
@@ -444,6 +459,25 @@ class NonlinearRun(Run):
     def __init__(self, newton: JosephyNewton, progress: Progress, *, has_doubts: bool) -> None:
         super().__init__(progress)
         self.newton, self.has_doubts = newton, has_doubts
+
+    def leap(self, begun: str) -> Result | None:
+        """Return the result if a few Newton steps lead to a point that passes; its record is made on access."""
+        newton, progress = self.newton, self.progress
+        setup, limit = progress.clock.read(), self.settings.max_seconds
+        point, count = take_full_steps(newton, lambda: progress.clock.read() >= limit)
+        if point is None or not self._passes(point := self._snap(point)):
+            return None
+        stage = Stage(newton, TANGENTS, iterations=count, work=count + 1.0)
+        progress.stages, progress.iteration, progress.work = [stage], count, stage.work
+        self.best = Measured(point, 0.0, True)
+        now: dict[str, Any] = {"begun": begun, "evaluations": Evaluations(*point.problem.counts)}
+        now |= {"_asked": newton, "_advice": WORDS, "z": point.x, "status": Status.SOLVED}
+        seconds = {"seconds": progress.clock.read(), "setup_seconds": setup}
+        return Result.of_known(partial(self._record, now | seconds), **now)
+
+    def _record(self, known: dict[str, Any]) -> Result:
+        """Return the result of :meth:`leap` with all fields."""
+        return replace(self.result(Status.SOLVED), **known)
 
     def measure(self, stage: Stage, step: Step) -> Measured:
         """Return the linearization at the point of a step; if its residual is small, at bounds that are near."""
@@ -543,6 +577,13 @@ TANGENTS = (
 )
 
 
+@lru_cache(maxsize=16)
+def _drawn(n: int) -> tuple[Vector, Vector]:
+    """Return the shares and signs of a random direction, shape (n,) each."""
+    random = np.random.default_rng(0)
+    return random.uniform(0.5, 1.0, n), np.where(random.random(n) < 0.5, -1.0, 1.0)
+
+
 def jacobian_warning(point: Linearization) -> str:
     """Return a warning with the row in which differences and jacobian differ most, or "".
 
@@ -553,13 +594,17 @@ def jacobian_warning(point: Linearization) -> str:
     """
     x, problem = point.x, point.problem
     M = point.M
-    random = np.random.default_rng(0)
-    size = np.maximum(np.abs(x), 1.0) * random.uniform(0.5, 1.0, x.size)
-    direction = np.where(random.random(x.size) < 0.5, -size, size)
+    shares, signs = _drawn(x.size)
+    size = np.maximum(np.abs(x), 1.0) * shares
+    direction = size * signs
     direction = np.where(x - problem.lower < CHECKED[1] * size, size, direction)
     direction = np.where(problem.upper - x < CHECKED[1] * size, -size, direction)
     slope, terms = M @ direction, abs(M) @ size
-    quotients = [(problem.value(x + step * direction) - point.value) / step for step in CHECKED]
+    there = [read_only(x + step * direction) for step in CHECKED]
+    quotients = [
+        (problem.evaluate(one) - point.value) / step
+        for one, step in zip(there, CHECKED, strict=True)
+    ]
     wrong = np.minimum(*(np.abs(one - slope) / (terms + np.abs(one)) for one in quotients))
     wrong = np.where(np.isfinite(wrong), wrong, 0.0)
     if not wrong.max(initial=0.0) > 0.1:

@@ -26,13 +26,14 @@ from ...core.checks import Vector
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.entries import largest_in_rows
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
-from ...core.kernels.floats import LARGEST, NEGLIGIBLE
+from ...core.kernels.floats import FREE, LARGEST, LOW, NEGLIGIBLE
 from ...core.lcp import LCP
 from ...core.settings import Settings
 from ...judges.lcp import RowData, measured_residual
 from ...methods.lemke import Lemke
 from ...methods.newton import Newton, classify, fischer_burmeister, solve_active_set
 from ...methods.small import SMALL_DENSE, candidates, rounds, takes_rounds
+from ...methods.small import solve_active_set as solve_small_active_set
 from ...solving.dispatch import method_of
 from ...solving.lcp_run import LCPRun
 from ...solving.plan import plan
@@ -99,7 +100,7 @@ def targets(here: Linearization, linear: str | Algorithm, tolerance: float) -> I
 
 def is_small(here: Linearization) -> bool:
     """Return whether linearizations are solved on arrays."""
-    return here.x.size <= SMALL_DENSE and not sp.issparse(here.M)
+    return here.x.size <= SMALL_DENSE and isinstance(here.M, np.ndarray)
 
 
 def moved(here: Linearization, step: Vector) -> Vector:
@@ -138,12 +139,22 @@ def lcp_step(
 def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vector | None:
     """Return d with lower ≤ d ≤ upper complementary to M d + w, to half of the residual of 0; None if none is found.
 
-    The active set of 0 is tried first.
+    The active set of 0 is tried first; d is returned at once if that is its own active set.
     """
-    zero = np.zeros(w.size)
+    step = w / scale
+    most = 0.5 * np.maximum.reduce(
+        np.abs(np.minimum(np.maximum(step, -upper), -lower)), initial=0.0
+    )
+    side = np.where(step >= -lower, LOW, FREE + (step <= -upper))
+    d = solve_small_active_set(M, w, lower, upper, side)
+    above, below, step = d - lower, d - upper, (M @ d + w) / scale
+    if np.logical_and.reduce(np.where(step >= above, LOW, FREE + (step <= below)) == side):
+        left = np.abs(np.minimum(np.maximum(step, below), above))
+        is_right = (left <= NEGLIGIBLE * most) & (above >= 0.0) & (below <= 0.0)
+        if np.logical_and.reduce(is_right):
+            return d
+    best, least, zero = None, most, np.zeros(w.size)
     data = RowData(M, M, w, lower, upper, scale, None, zero)
-    most = 0.5 * np.maximum.reduce(np.abs(data.residual(zero, w)), initial=0.0)
-    best, least = None, most
 
     def tried() -> Iterator[Vector]:
         yield rounds(data, zero)

@@ -650,3 +650,21 @@ def test_a_root_at_0_without_a_slope_is_reached_from_afar(F):
     result = solve(NonlinearProblem(F, lower=np.full(1, -np.inf)), x0=np.ones(1))
     assert (result.status, result.z[0]) == (Status.SOLVED, 0.0)
     assert result.iterations < 50
+
+
+def test_a_watched_run_takes_the_same_steps() -> None:
+    """A run that reports its steps ends at the same bits after the same evaluations, also if Newton steps fail."""
+    for F, n, start in (
+        (np.expm1, 3, 1.0),
+        (models.kojima_shindo, 4, 1.0),  # with a damped step
+        (models.josephy, 4, 10.0),
+        (lambda x: x**3 - 1e-3 + 0.1 * x[::-1], 2, -2.0),
+        (lambda x: np.arctan(x) + 2.0, 1, 3.0),  # without a solution
+    ):
+        problem = NonlinearProblem(F, lower=np.full(n, -2.0 if F is np.expm1 else 0.0))
+        quiet, watched = (
+            solve(problem, x0=np.full(n, start), callback=call) for call in (None, lambda *_: None)
+        )
+        assert (quiet.status, quiet.z.tobytes()) == (watched.status, watched.z.tobytes())
+        for name in ("iterations", "work", "evaluations", "stages", "begun", "advice", "residual"):
+            assert getattr(quiet, name) == getattr(watched, name), name

@@ -44,9 +44,9 @@ from ..core.tuning import BANDED_PASSES, DIRECT_UP_TO, LINEAR_PROGRAM_UP_TO
 from ..methods.banded import Banded, banded_passes
 from ..methods.lemke.pivoting_path import is_game
 from ..methods.multigrid import Multigrid
-from ..methods.search import FeasibilityCheck, NearbyPoints, has_few_active_sets, points_nearby
+from ..methods.search import FeasibilityCheck
 from ..methods.small import GUESSED, Rounds, takes_rounds
-from .direct import SEARCHED, direct_methods, factor_passes
+from .direct import direct_methods, factor_passes
 from .result import StageRecord
 from .run import Stage
 
@@ -79,12 +79,7 @@ def plan(
             yield Stage(FeasibilityCheck(), f"{method.name} found no solution: is there one?")
         return
     if not problem.is_kkt and takes_rounds(problem):
-        is_few = has_few_active_sets(problem)
         yield Stage(Rounds(), GUESSED)
-        if is_few and not prove_infeasibility and (near := points_nearby(problem)) is not None:
-            if not near.size:
-                return
-            yield Stage(NearbyPoints(), SEARCHED)
     elif not (problem.is_kkt or is_game(problem)):
         passes = count_driven_sweeps(problem, banded_passes(problem.matrix))
         if passes <= BANDED_PASSES:

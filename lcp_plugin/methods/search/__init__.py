@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import compress, islice, product
+from itertools import islice
 from typing import ClassVar
 
 import numpy as np
@@ -17,9 +17,7 @@ import numpy as np
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector
 from ...core.errors import InvalidProblem, UnsuitableProblem
-from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.lcp import LCP
-from ...core.matrix import fact
 from ...core.problem_classes import refusal
 from ...core.settings import whole_number
 from ...core.tuning import LINEAR_PROGRAM_UP_TO
@@ -257,34 +255,6 @@ def has_few_active_sets(problem: LCP) -> bool:
     return problem.n <= 24 and bool(count <= 4096)
 
 
-@fact
-def points_nearby(problem: LCP) -> Vector | None:
-    """Return the points of all active sets within 1e-6 of their size of a solution; None if a system is near singular.
-
-    All systems are solved at once in double precision. No point at all is strong evidence, and proves nothing.
-    """
-    d, lower, upper = problem.residual_scale, problem.lower, problem.upper
-    is_open = lower < upper
-    exists = zip(lower > -np.inf, is_open & (upper < np.inf), is_open, strict=True)
-    side = np.array(list(product(*(compress((LOW, HIGH, FREE), one) for one in exists))))
-    is_free, is_low, is_high = side == FREE, (side == LOW) & is_open, side == HIGH
-    at_bound = np.where(is_free, 0.0, np.where(is_high, upper, lower))
-    M = problem.matrix.toarray() / d[:, None]
-    try:
-        inverses = np.linalg.inv(np.where(is_free[:, None, :], M, -np.eye(problem.n)))
-    except np.linalg.LinAlgError:
-        return None
-    if not np.abs(inverses).max() < 1e8:
-        return None
-    # z of the free unknowns, w/d of the others
-    x = -(inverses @ (at_bound @ M.T + problem.q / d)[..., None])[..., 0]
-    slip = 1e-6 * np.abs(x).max(1, keepdims=True)
-    low = np.where(is_free, lower, np.where(is_low, 0.0, -np.inf))
-    high = np.where(is_free, upper, np.where(is_high, 0.0, np.inf))
-    is_near = ((low - slip <= x) & (x <= high + slip)).all(1)
-    return np.clip(np.where(is_free, x, at_bound)[is_near], lower, upper)
-
-
 def _choices(problem: LCP) -> int:
     """Return the number of rows with more than one branch."""
     is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
@@ -299,22 +269,6 @@ def _require_small(problem: LCP) -> None:
             f"the exhaustive search takes at most {LARGEST_CHOICES} rows that leave a choice and n ≤ {MOST_SEARCHED}, "
             f"got {_choices(problem)} and n = {problem.n}; solve(problem) looks for one solution"
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class NearbyPoints(Algorithm):
-    """The points of all active sets of a small problem that are near a solution, in double precision."""
-
-    name: ClassVar[str] = "search"
-    is_monotone: ClassVar[bool] = False
-    ends_on_active_set: ClassVar[bool] = True
-
-    def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
-        """Yield the start, then the points."""
-        yield Step(z0, work=0.0)
-        points = points_nearby(problem)
-        for z in () if points is None else points:
-            yield Step(z, work=float(problem.n))
 
 
 MOST_PRODUCTS = 300 * QUANTUM  # some seconds

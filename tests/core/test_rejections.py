@@ -210,16 +210,9 @@ def test_option_out_of_range(name, option, value):
 def test_numpy_numbers_are_numbers():
     """NumPy integers and floats, zero limits and a zero tolerance are accepted."""
     names = given()
-    result = solve(
-        names["problem"],
-        "psor",
-        relaxation=np.float32(1.5),
-        tolerance=np.float64(1e-6),
-        max_iterations=np.int64(500),
-        max_seconds=np.float32(60.0),
-        z0=np.array([1, 2, 3], dtype=np.int8),
-    )
-    assert result.is_solved
+    limits = {"max_iterations": np.int64(500), "max_seconds": np.float32(60.0)}
+    start = {"z0": np.array([1, 2, 3], dtype=np.int8), "tolerance": np.float64(1e-6)}
+    assert solve(names["problem"], "psor", relaxation=np.float32(1.5), **limits, **start).is_solved
     assert solve(names["problem"], "npsor", relaxation=np.int32(1)).is_solved
     assert solve(names["plain"], "mgs", omega=np.float64(0.5)).is_solved
     assert (

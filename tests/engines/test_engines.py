@@ -120,16 +120,6 @@ def test_options_are_the_engine_s_own_and_others_are_refused():
         solve(program, piqp(), max_iter=3)
 
 
-@pytest.mark.parametrize("name", ["auto", *ENGINES])
-def test_more_steps_than_an_engine_can_count_are_no_error(name):
-    """The solution with max_iterations = 10¹⁰ is the same as without a limit."""
-    P = None if name == "highs" else np.eye(2)
-    program = QuadraticProgram(P, [1.0, 1.0], lower=-3.0)
-    found = solve(program, name, max_iterations=10**10)
-    assert found.is_solved
-    assert found.x == pytest.approx(solve(program, name).x)
-
-
 def test_the_same_call_gives_the_same_points_where_an_engine_has_none():
     """For inconsistent rows daqp returns uninitialized memory, which is never used as a point."""
     program = QuadraticProgram(

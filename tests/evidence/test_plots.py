@@ -105,14 +105,6 @@ def test_what_cannot_be_drawn_is_refused_in_words():
         plot_answer(LCP(M, q))
 
 
-def test_a_residual_of_zero_is_drawn():
-    """A residual of 0 ends the curve below the tolerance."""
-    result = solve(LCP(np.eye(2), [-1.0, -1.0]), "psor", record=True)
-    assert [sample.residual for sample in result.history].count(0.0) == 1
-    axes = result.plot().figure.axes[-1]
-    assert min(axes.lines[0].get_ydata()) < result.tolerance
-
-
 def test_impulses_are_drawn_in_their_cones():
     """Open, sticking and sliding contacts are told apart; one that slides lies on the circle."""
     b = [[-1.0, 3.0, 4.0], [-1.0, 0.1, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]

@@ -1,10 +1,8 @@
 """What macOS or Windows lack is not needed; this imitates the lack, it does not run on them."""
 
 import os
-import re
 import subprocess
 import sys
-from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -27,11 +25,6 @@ STRICT = """
 import warnings
 warnings.filterwarnings("error", category=EncodingWarning, module="lcp_plugin")
 """
-FORBIDDEN = re.compile(r'[<>:"|?*\\\x00-\x1f]|[. ]$')  # in a name on Windows
-RESERVED = {"con", "prn", "aux", "nul"} | {
-    f"{kind}{k}" for kind in ("com", "lpt") for k in range(10)
-}
-LONGEST = 150  # characters of a path below the project: Windows has 260 for a whole path
 
 
 @pytest.mark.full
@@ -96,19 +89,3 @@ def test_a_command_prints_in_a_code_page_of_windows(words):
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, b"")
     assert done.stdout.decode("cp1252")
-
-
-def test_names_of_files_are_different_without_case_and_allowed_on_windows():
-    """No two files of a folder differ only in case, and no name is reserved, too long or has a forbidden character."""
-    files = [
-        file.relative_to(ROOT)
-        for folder in ("lcp_plugin", "tests", "examples")
-        for file in ROOT.joinpath(folder).rglob("*")
-        if "__pycache__" not in file.parts
-    ]
-    counts = Counter(file.as_posix().casefold() for file in files)
-    assert [name for name, count in counts.items() if count > 1] == []
-    for file in files:
-        assert len(file.as_posix()) <= LONGEST, file
-        assert not FORBIDDEN.search(file.name), file
-        assert file.name.partition(".")[0].casefold() not in RESERVED, file

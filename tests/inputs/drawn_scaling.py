@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lcp_plugin import LCP
 from lcp_plugin.proofs.exact import exact_slack
-from lcp_plugin.strategies import positive_semidefinite_matrices, strictly_dominant_matrices
+from lcp_plugin.strategies import strictly_dominant_matrices
 
 Solved = tuple[LCP, tuple[Fraction, ...]]
 
@@ -34,14 +34,6 @@ def scaled_matrices(
     M = draw(matrices)
     n = M.shape[0]
     return _scaled(M, _exponents(draw, n, row), _exponents(draw, n, column))
-
-
-@st.composite
-def scaled_symmetric(draw: st.DrawFn, matrices: st.SearchStrategy[Any], largest: int) -> Any:
-    """S M S with S of powers of two, exponents up to `largest` in size."""
-    M = draw(matrices)
-    S = _exponents(draw, M.shape[0], largest)
-    return _scaled(M, S, S)
 
 
 @st.composite
@@ -70,11 +62,6 @@ def nearly_singular(margin: float = 2.0**-20) -> st.SearchStrategy[np.ndarray]:
         return M + np.diag((margin - 1.0) * (M.diagonal() - others))
 
     return strictly_dominant_matrices().map(slimmed)
-
-
-def nearly_semidefinite(margin: float) -> st.SearchStrategy[np.ndarray]:
-    """Symmetric positive definite matrices, their least eigenvalue as a rule the margin."""
-    return positive_semidefinite_matrices().map(lambda M: M + margin * np.eye(len(M)))
 
 
 def strict(solved: st.SearchStrategy[Solved]) -> st.SearchStrategy[Solved]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cProfile
 import pickle
 import warnings
 from typing import Any
@@ -190,28 +189,6 @@ INFINITE = {
 }
 
 
-@pytest.mark.parametrize("name", INFINITE)
-def test_a_row_with_an_infinite_constant_is_left_out(name):
-    """The minimum of ‖x − t‖² has the prices of the rows with a finite side only; without such a row 0 is the price."""
-    target, row, prices = INFINITE[name]
-    x = cp.Variable(2)
-    goal = cp.sum_squares(x - target) if prices is not None else np.array(target) @ x
-    best = optimal(cp.Problem(cp.Minimize(goal), [row(x)]), over=[x])
-    problem = cp.Problem(cp.Minimize(0), [best])
-    problem.solve(method="LCP")
-    if prices is None:
-        assert problem.status == cp.INFEASIBLE
-        return
-    bound = np.array(prices, dtype=float)
-    scale = 2.0 if name == "of constants" else 1.0
-    if name == "some rows":
-        np.testing.assert_allclose(x.value, [1.0, 1.0])
-    else:
-        np.testing.assert_allclose(x.value, [target[0], 2.0 / scale])
-        bound = bound * (target[1] - 2.0 / scale) / scale
-    np.testing.assert_allclose(best.dual_value[0], bound, atol=1e-8)
-
-
 def set_value(parameter: cp.Parameter, value: float) -> cp.Parameter:
     """Set the value; skip the test if cvxpy raises ValueError for ∞ (up to 1.8)."""
     try:
@@ -320,42 +297,6 @@ def test_a_program_without_an_objective_is_a_feasibility_problem():
 
 
 U = cp.Variable(3)
-TERMS = {
-    "exp": cp.exp(U),
-    "log": cp.log(U),
-    "log1p": cp.log1p(U),
-    "power": cp.power(U, 2.5),
-    "inverse": cp.inv_pos(U),
-    "root": cp.sqrt(U),
-    "entropy": cp.entr(U),
-    "relative entropy": cp.rel_entr(U, U[::-1] + 1),
-    "kl_div": cp.kl_div(U + 1, U[::-1]),
-    "logistic": cp.logistic(U - U[::-1]),
-    "log_sum_exp": cp.log_sum_exp(cp.multiply(U, U)),
-    "product": cp.multiply(U, cp.exp(-U[::-1])),
-    "quotient": (U + 1) / (U[::-1] + 2),
-    "square over": cp.quad_over_lin(U, U[0]),
-    "mean": cp.geo_mean(U),
-    "prod": cp.prod(U),
-    "xexp": cp.xexp(U),
-    "nested": cp.log(cp.sum(cp.exp(cp.power(U, 1.5))) + U[0] / U[1]),
-}
-
-
-@pytest.mark.parametrize("name", TERMS)
-def test_the_gradient_of_a_smooth_term_agrees_with_differences(name):
-    """By central differences of cvxpy's values; rounding and the step's square bound the error."""
-    at = np.array([0.7, 1.3, 2.1])
-    term = cp.sum(cp.multiply(np.arange(1.0, TERMS[name].size + 1), TERMS[name]))
-    best = optimal(cp.Problem(cp.Minimize(term)), over=[U], check="local")
-    U.value = at
-    found = best.conditions.stationarity.second.expression.value
-    step, expected = 1e-5, np.zeros(3)
-    for k in range(3):
-        for sign in (1.0, -1.0):
-            U.value = at + sign * step * np.eye(3)[k]
-            expected[k] += sign * float(term.value) / (2 * step)
-    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("form", ["sum_squares", "quad_form", "products", "expanded"])
@@ -618,19 +559,3 @@ def test_a_parameter_that_makes_a_program_concave_warns_at_the_next_solve():
     c.value = -1.0
     with pytest.warns(ModelWarning, match="only necessary"):
         problem.solve(method="LCP")
-
-
-def test_a_growing_agent_is_stated_in_proportion_to_its_size():
-    """Twice the periods of a growth model take about twice the calls: bounds are read once, and not for each term."""
-    calls = []
-    for T in (10, 20):
-        c, k = cp.Variable(T), cp.Variable(T + 1)
-        goal = sum(0.95**t * cp.log(c[t]) for t in range(T))
-        rows = [c[t] + k[t + 1] <= cp.power(k[t], 0.3) + 0.9 * k[t] for t in range(T)]
-        program = cp.Problem(cp.Maximize(goal), [k[0] == 1, *rows, k[T] >= 1])
-        model = cp.Problem(cp.Minimize(0), [optimal(program, over=[c, k])])
-        profile = cProfile.Profile()
-        profile.runcall(model.solve, method="LCP")
-        assert model.status == cp.OPTIMAL
-        calls.append(sum(one.callcount for one in profile.getstats()))
-    assert calls[1] <= 2.5 * calls[0]

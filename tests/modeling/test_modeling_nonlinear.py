@@ -294,23 +294,6 @@ def test_bounds_beside_two_expressions_hold_and_a_box_may_hold_an_expression():
     assert float(pair.dual_value) == pytest.approx(math.log(2.0) - 3.0)
 
 
-def test_an_exponent_may_become_one_and_another_again():
-    """If a parameter makes a power affine, the next value of the parameter is read correctly."""
-    x, exponent = cp.Variable(2), cp.Parameter(nonneg=True)
-    problem = cp.Problem(
-        cp.Minimize(0), [complements(x >= 0, cp.power(x, exponent) - np.array([4.0, 9.0]) >= 0)]
-    )
-    for power, answer in (
-        (1.0, [4.0, 9.0]),
-        (2.0, [2.0, 3.0]),
-        (1.0, [4.0, 9.0]),
-        (0.5, [16.0, 81.0]),
-    ):
-        exponent.value = power
-        problem.solve(method="LCP")
-        assert np.allclose(x.value, answer)
-
-
 def test_parameters_are_read_at_every_solve():
     """A coefficient, an exponent and a bound may be parameters, read at each solve."""
     x, factor, exponent, bound = cp.Variable(), cp.Parameter(), cp.Parameter(), cp.Parameter()

@@ -230,17 +230,3 @@ def test_what_is_refused_is_a_solver_error_and_names_a_way_out(made, words):
             made().solve(method="LCP")
     with pytest.raises(cp.SolverError):
         made().solve(solver=QPSolver)
-
-
-def test_a_solve_after_a_change_of_the_matrix_has_the_new_optimum():
-    """Programs of the same matrices are shared between solves; a parameter in a row makes another program."""
-    x, row, q = cp.Variable(2), cp.Parameter(2), cp.Parameter(2)
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(x) + q @ x), [row @ x >= 1])
-    row.value, q.value = np.array([1.0, 1.0]), np.zeros(2)
-    assert problem.solve(solver=QPSolver) == pytest.approx(0.5, rel=1e-9)
-    first = problem.solver_stats.extra_stats.program.matrices
-    q.value = np.array([-2.0, 0.0])
-    assert problem.solve(solver=QPSolver) == pytest.approx(-1.0, rel=1e-9)
-    assert problem.solver_stats.extra_stats.program.matrices is first
-    row.value = np.array([0.0, 1.0])
-    assert problem.solve(solver=QPSolver) == pytest.approx(0.0, abs=1e-9)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
 from fractions import Fraction
 from typing import Any
 
@@ -119,18 +118,6 @@ def test_no_z_has_a_residual_below_the_margin(seed):
         assert certificate.relative_residual >= proof.margin * (1.0 - 1e-12)
 
 
-@pytest.mark.parametrize("shift", [1e-2, 1e-6, 1e-10, 1e-14])
-def test_the_margin_is_the_smallest_residual_that_the_signs_allow(shift):
-    """z₁ − z₂ ≥ 1 and z₂ − z₁ ≥ shift − 1 miss each other by shift/2: that is the margin, rounded down."""
-    problem = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 1.0 - shift])
-    exact = (Fraction(1.0) - Fraction(float(problem.q[1]))) / 2
-    proof = Infeasibility(problem, (Fraction(1), Fraction(1)))
-    assert 0.0 <= exact - Fraction(proof.margin) <= exact * Fraction(1e-14)
-    assert proof.excludes(proof.margin / 2) is (shift > 1e-13)  # below it is rounding of 1
-    assert not proof.excludes(proof.margin)
-    assert proof.exact
-
-
 def test_the_largest_margin_is_looked_for():
     """A row that contradicts by 1e-14 hides no contradiction of 0.1 in two others."""
     problem = LCP([[1.0, -1.0, -1.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [-1.0, 0.8, -1e-14])
@@ -243,35 +230,10 @@ PROOFS: dict[
 NO_CLAIM = {"nodes", "name", "is_irreducible"}
 
 
-@pytest.mark.parametrize("name", list(PROOFS))
-def test_verify_rejects_each_replaced_field(name):
-    """A proof of other data, or with other multipliers, is not verified."""
-    find, wrong = PROOFS[name]
-    proof = find()
-    assert proof.verify()
-    assert {one.name for one in fields(proof)} - NO_CLAIM == set(wrong)
-    for field, value in wrong.items():
-        assert not replace(proof, **{field: value}).verify()
-
-
 def decimal_network(rng: np.random.Generator, n: int) -> np.ndarray:
     """Return the Laplacian of a network with weights in tenths, summed in double precision."""
     W = np.triu(rng.integers(0, 10, (n, n)) / 10, 1)
     return np.diag((W + W.T).sum(axis=1)) - W - W.T
-
-
-def test_decimal_weights_that_do_not_sum_to_zero_are_no_contradiction():
-    """In tenths K · 1 = 0 exactly, so z = lower is a solution: a sum of 1e-16 of the doubles proves nothing."""
-    rng = np.random.default_rng(8)
-    for _ in range(3):
-        n, low = int(rng.integers(3, 7)), float(rng.integers(1, 10)) / 10
-        K = decimal_network(rng, n)
-        tenths = [[Fraction(round(10 * value), 10) for value in row] for row in K.tolist()]
-        assert not any(sum(row) for row in tenths)
-        for sign in (1.0, -1.0):  # at a lower and at an upper bound
-            bounds = {"lower": low} if sign > 0 else {"lower": -np.inf, "upper": -low}
-            status = solve(LCP(K, np.zeros(n), **bounds), max_iterations=200).status
-            assert status not in (Status.INFEASIBLE, Status.NO_SOLUTION)
 
 
 def test_a_load_above_rounding_is_a_contradiction():

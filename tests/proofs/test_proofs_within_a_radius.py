@@ -254,18 +254,6 @@ def test_a_low_rank_problem_is_infeasible_within_a_radius(name, seed):
     assert proof.radius >= WIDE
 
 
-@pytest.mark.full
-def test_low_rank_problems_are_infeasible_where_their_structure_is():
-    """Among 100 random J Jᵀ, all feasible ones are SOLVED, and at most 5 infeasible ones lack a proof."""
-    found = {}
-    for seed in range(100):
-        J, q, least = low_rank(seed)
-        found[seed] = least, solve(LCP(J @ J.T, q))
-    assert [k for k, (least, one) in found.items() if least == 0.0 and not one.is_solved] == []
-    assert sum(least < -1e-3 and not one.has_no_solution for least, one in found.values()) <= 5
-    assert not any(least < -1e-3 and one.is_solved for least, one in found.values())
-
-
 def test_multipliers_of_a_solver_prove_a_large_program_infeasible(monkeypatch):
     """Second differences below -1 and convex: without a linear program, from the multipliers that PIQP ends with."""
     n = 3000
@@ -280,13 +268,3 @@ def test_multipliers_of_a_solver_prove_a_large_program_infeasible(monkeypatch):
     assert result.status is Status.INFEASIBLE
     assert result.proof.verify()
     assert not QPInfeasibility(band, tuple(-y for y in result.proof.multipliers)).verify()
-
-
-def test_the_pivots_of_a_search_fall_with_the_size_of_its_programs():
-    """On 12 000 rows and columns at most 10 000 pivots, which take some seconds; small programs have five per row."""
-    assert [farkas.pivot_limit(size) for size in (100, 4000, 12_000, 24_000)] == [
-        500,
-        20_000,
-        10_000,
-        5_000,
-    ]

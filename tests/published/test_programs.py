@@ -91,15 +91,6 @@ def in_a_batch(of: PublishedProgram, name: str) -> Answer:
     return found[0].x, found[0].objective + of.r
 
 
-def in_a_stack(of: PublishedProgram, name: str) -> Answer:
-    """Solve the program in a stack with a copy."""
-    G, h, A, b, lower, upper = one_sided(of)
-    found = solve_batch(
-        QuadraticProgram(of.P, of.q, G, h, A, b, lower, upper), np.array([of.q, of.q])
-    )
-    return found.x[1], float(found.objective[1]) + of.r
-
-
 WAYS: list[Callable[[PublishedProgram, str], Answer]] = [
     as_a_file, as_rows, as_arrays, in_qpsolvers, in_cvxpy, in_cvxpy_by_rows,
 ]  # fmt: skip
@@ -131,33 +122,6 @@ def test_numbers_of_an_engine_at_rounding_level_are_zero(name):
     result = solve(QuadraticProgram.from_ranges(of.P, of.q, of.A, of.l, of.u, constant=of.r))
     assert result.is_solved
     agrees(of, result.x, result.objective)
-
-
-@pytest.mark.quick(1)
-@pytest.mark.parametrize("name", SMALL)
-def test_units_of_unknowns_and_rows_change_no_value(name):
-    """Each unknown and each row in a unit of its own, from 2⁻²⁰ to 2²⁰."""
-    of, rng = PublishedProgram.read(name), np.random.default_rng(0)
-    rows, low, high, lower, upper = of.split()
-    units = 2.0 ** rng.integers(-20, 21, of.q.size)
-    scales = 2.0 ** rng.integers(-20, 21, low.size)
-    D, R = sp.diags_array(units), sp.diags_array(scales)
-    program = QuadraticProgram.from_ranges(
-        sp.csc_array(D @ of.P @ D), units * of.q, sp.csr_array(R @ rows @ D),
-        scales * low, scales * high, lower / units, upper / units,
-    )  # fmt: skip
-    result = solve(program)
-    assert result.is_solved
-    agrees(of, units * result.x, result.objective + of.r)
-
-
-@pytest.mark.quick(1)
-@pytest.mark.parametrize("way", [in_a_batch, in_a_stack])
-@pytest.mark.parametrize("name", SMALL)
-def test_batches_give_what_is_published(name, way):
-    """A list of programs, and stacked data."""
-    of = PublishedProgram.read(name)
-    agrees(of, *way(of, name))
 
 
 @pytest.mark.quick(1)

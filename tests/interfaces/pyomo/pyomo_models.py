@@ -162,42 +162,6 @@ def hock_schittkowski_71() -> Published:
 
 
 @published
-def chemical_equilibrium() -> Published:
-    """W. B. White, S. M. Johnson, G. B. Dantzig, J. Chem. Phys. 28 (1958) 751–755: hydrazine and oxygen at 3500 K."""
-    c = [-6.089, -17.164, -34.054, -5.914, -24.721, -14.986, -24.100, -10.708, -26.662, -22.179]
-    atoms = [
-        [1, 2, 2, 0, 0, 1, 0, 0, 0, 1],
-        [0, 0, 0, 1, 2, 1, 1, 0, 0, 0],
-        [0, 0, 1, 0, 0, 0, 1, 1, 2, 1],
-    ]
-
-    def rows(x: Any, functions: Any) -> list[Any]:
-        total = sum(x[j] for j in range(10))
-        potentials = [
-            c[j] + functions.log(x[j] / total) - sum(atoms[k][j] * x[10 + k] for k in range(3))
-            for j in range(10)
-        ]
-        return potentials + [
-            sum(atoms[k][j] * x[j] for j in range(10)) - (2, 1, 1)[k] for k in range(3)
-        ]
-
-    lower = np.append(np.full(10, 1e-6), np.full(3, -np.inf))
-    answer = [
-        0.0406681,
-        0.1477304,
-        0.7831534,
-        0.0014142,
-        0.4852466,
-        0.0006932,
-        0.0273993,
-        0.0179473,
-        0.0373144,
-    ]
-    start = np.append(np.full(10, 0.1), np.full(3, -10.0))
-    return by_rows(rows, 13, lower, np.inf, start, answers=[answer], digits=2e-4)
-
-
-@published
 def river_basin() -> Published:
     """J. B. Krawczyk, S. Uryasev, Environ. Model. Assess. 5 (2000) 63–73: three polluters of a river."""
     cost, slope, emission = (0.10, 0.12, 0.15), (0.01, 0.05, 0.01), (0.50, 0.25, 0.75)

@@ -10,10 +10,9 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inputs import membranes
 from oracles.exact import exact_solution
 
-from lcp_plugin import LCP, Status, prepare, solve
+from lcp_plugin import LCP, Status, solve
 
 Generator = np.random.Generator
 
@@ -163,16 +162,3 @@ def test_other_bands_take_rounds(make, below, above, boxes):
 
 
 # --- Marches in time ------------------------------------------------------------------------------------------
-
-
-def test_one_round_a_step_prices_an_american_put():
-    """Auto takes one round a step, from the last price or from nowhere, to the bits of an answer of its own."""
-    scene = membranes.american_put(size=301, steps=30)
-    problem, z = prepare(scene.problem).problem, np.array(scene.problem.lower)
-    for _ in range(scene.steps):
-        result = solve(problem, z0=z).require_solved()
-        assert [(stage.name, stage.iterations) for stage in result.stages] == [("banded", 1)]
-        assert np.array_equal(result.z, solve(problem).z)
-        z = result.z
-        problem = problem.with_q(scene.advance(z))
-    assert 0.1 < np.mean(z == problem.lower) < 0.9

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from inputs import membranes
 from inputs.planted import planted_lcp
 
-from lcp_plugin import LCP, Result, Status, convergence_guarantee, gallery, prepare, solve
+from lcp_plugin import LCP, Result, Status, convergence_guarantee, gallery, solve
 from lcp_plugin.gallery.problems import balanced_matrix
 from lcp_plugin.methods.multigrid import Multigrid
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of
@@ -128,50 +128,6 @@ def planted(seed: int) -> tuple[LCP, np.ndarray]:
     return planted_lcp(M, generator)
 
 
-def second_order(cells: int) -> LCP:
-    """Return a pulled membrane above the ground by finite elements of second order on right triangles."""
-    stiffness = (
-        np.array(
-            [
-                [6, 1, 1, -4, 0, -4],
-                [1, 3, 0, -4, 0, 0],
-                [1, 0, 3, 0, 0, -4],
-                [-4, -4, 0, 16, -8, 0],
-                [0, 0, 0, -8, 16, -8],
-                [-4, 0, -4, 0, -8, 16],
-            ]
-        )
-        / 6.0
-    )
-    # and middles of edges, in half cells
-    corners = np.array([[0, 0], [2, 0], [0, 2], [1, 0], [1, 1], [0, 1]])
-    size, (x, y) = 2 * cells + 1, 2 * np.indices((cells, cells)).reshape(2, -1)
-    places = (
-        [(x + i) * size + y + j for i, j in corners],
-        [(x + 2 - i) * size + y + 2 - j for i, j in corners],
-    )
-    elements = np.concatenate([np.stack(one, axis=1) for one in places])
-    rows, columns = np.repeat(elements, 6, axis=1).ravel(), np.tile(elements, 6).ravel()
-    M = sp.csr_array(
-        (np.tile(stiffness.ravel(), len(elements)), (rows, columns)), shape=(size**2, size**2)
-    )
-    inside = np.arange(size**2).reshape(size, size)[1:-1, 1:-1].ravel()
-    axis = np.linspace(0.0, 1.0, size)[1:-1]
-    force = np.multiply.outer(np.sin(3.0 * np.pi * axis), np.sin(2.0 * np.pi * axis)).ravel()
-    return LCP(sp.csr_array(M[inside][:, inside]), -force / cells**2)
-
-
-def test_elements_of_second_order_need_few_cycles():
-    """Positive couplings end with the finest grid: coarser ones shrink as usual, and 10 cycles do."""
-    problem = second_order(60)
-    sizes = [grid.n for grid in hierarchy_of(problem.matrix, Multigrid.coarsest).grids]
-    assert sizes[2] <= 0.3 * sizes[1]
-    assert sizes[3] <= 0.3 * sizes[2]
-    result = solve(problem, "multigrid", max_iterations=10)
-    assert result.status is Status.SOLVED
-    assert_same(problem, result)
-
-
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("block", range(10))
 def test_small_problems_with_tiny_coarsest_grids(block):
@@ -186,24 +142,6 @@ def test_small_problems_with_tiny_coarsest_grids(block):
         )
         condition = np.linalg.cond(problem.csr.toarray() / problem.diagonal[:, None])
         assert np.abs(result.z - z).max() <= 1e-8 * condition, seed
-
-
-@pytest.mark.parametrize(
-    ("problem", "z"),
-    [
-        (LCP([[2.0]], [-4.0]), [2.0]),
-        (LCP(np.eye(200) * 3.0, np.full(200, -6.0)), [2.0] * 200),
-        (LCP(np.eye(2), [5.0, -5.0], lower=-1.0, upper=1.0), [-1.0, 1.0]),
-        (LCP(np.eye(2), [5.0, -5.0], lower=-np.inf), [-5.0, 5.0]),
-        (LCP(np.zeros((0, 0)), np.zeros(0)), []),
-    ],
-    ids=["positive", "many", "box", "free", "empty"],
-)
-def test_problems_without_coarser_grids(problem, z):
-    """A single unknown, a diagonal, boxes and free rows need no hierarchy."""
-    result = solve(problem, "multigrid")
-    assert result.status is Status.SOLVED
-    np.testing.assert_allclose(result.z, z, atol=1e-7)
 
 
 # --- Cycles, work, starts -----------------------------------------------------------------------------------
@@ -221,22 +159,6 @@ def test_cycles_hardly_grow_with_the_grid():
             for size in (45, 180)
         ]
         assert cycles[1] <= cycles[0] + 6, (name, cycles)
-
-
-@pytest.mark.full
-def test_a_march_in_time_needs_few_corrections():
-    """If the free boundary moves by many rows per step, warm starts need 6 corrections."""
-    scene = membranes.american_put(size=20_001, steps=20)
-    problem, z, corrections = prepare(scene.problem).problem, np.array(scene.problem.lower), 0
-    for step in range(20):
-        before = np.count_nonzero(z > problem.lower)
-        result = solve(problem, "multigrid", z0=z, max_iterations=12)
-        assert result.is_solved
-        moved = np.count_nonzero(result.z > problem.lower) - before
-        assert step > 3 or moved > 20
-        z, corrections = result.z, corrections + result.iterations - 1
-        problem = problem.with_q(scene.advance(z))
-    assert corrections <= 6 * 20
 
 
 # --- Problems for which multigrid does not help -------------------------------------------------------------

@@ -446,37 +446,6 @@ def test_derivatives_on_an_edge_are_one_sided_differences(name):
         assert found.degenerate.tolist() == ([] if name == "no friction, at rest" else [0])
 
 
-TWO_MODES = "a contact about to slide", "a contact that grazes", "the boundary, at rest"
-
-
-@pytest.mark.parametrize("distance", [5e-7, 1e-9])
-@pytest.mark.parametrize("name", TWO_MODES)
-def test_next_to_an_edge_jvp_and_vjp_are_transposes(name, distance):
-    """⟨g, J d⟩ = ⟨Jᵀg, d⟩ by q and friction: an edge is as wide as rounding; the gradient on it is that of a piece."""
-    mu, z, w = EDGES[name]
-    of_edge = []
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        A, (dq, g, aside) = rng.standard_normal((3, 3)), rng.standard_normal((3, 3))
-        M = 0.3 * A @ A.T + np.eye(3)
-        q = np.array(w) - M @ z
-
-        def found_at(q, M=M):
-            of_cone = ConeProblem(M, q, [("second_order", 3)])
-            cone = of_cone if mu is None else FrictionalContact(M, q, mu)
-            return derivative(solve(cone).require_solved())
-
-        found, change = found_at(q + distance * aside), {"dq": dq}
-        total = found.vjp(g).q @ dq
-        if mu is not None:
-            change["dfriction"] = 1.0
-            total += found.vjp(g).friction.sum()
-        assert found.jvp(**change) @ g == pytest.approx(total, abs=1e-12)
-        of_edge.append(found_at(q).vjp(g).q - found_at(q + 1e-7 * aside).vjp(g).q)
-        of_edge.append(found_at(q).vjp(g).q - found_at(q - 1e-7 * aside).vjp(g).q)
-    assert min(np.abs(one).max() for one in of_edge) < 1e-5
-
-
 def test_a_contact_close_to_its_limit_of_friction_sticks():
     """5e-7 below μ r_N the impulse follows the push; beyond the limit it would not."""
     problem = FrictionalContact(np.eye(3), [-1.0, 0.5 * (1.0 - 5e-7), 0.0], 0.5)

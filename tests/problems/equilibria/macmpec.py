@@ -9,7 +9,7 @@ not convex quadratic over affine pairs as stated, and some more:
 * a pair or a constraint with products of variables: bard3, bilevel3 (x², concave objective), dempe, desilva, df1,
   outrata31…34, scholtes1, scholtes2 (exp); bar-truss, bem-milanc30, design-cent, incid-set, pack-comp, pack-rig
   (shapes of elements times displacements), siouxfls;
-* data of many pages: flp4, portfl-i, qpec-100, qpec-200, monteiroB, liswet1-100, liswet1-200;
+* data of many pages: flp4, portfl-i, qpec-100, qpec-200, monteiro, monteiroB, liswet1-100, liswet1-200;
 * TrafficSignalCycle, whose printed values no solution of the printed statement has: the least of TSC-1 is 54.9635, not
   45.15, and TSC-7 has no solution;
 * more of the same kinds: bard1m, bilevel1m, bilevel2m, ex9.1.2…9, ex9.2.2…9, jr2, kth1, kth2, qpec1, scale2…4, and
@@ -363,66 +363,6 @@ def sl1() -> cp.Problem:
 
 # --- B. F. Hobbs, C. Metzler, J.-S. Pang, *Strategic gaming analysis for electric power systems* (2000) ---
 
-#: from: {to: capacity} of the lines between thirty nodes.
-LINES = {
-    1: {2: 78, 3: 78},
-    2: {4: 39, 5: 78, 6: 39},
-    3: {4: 78},
-    4: {12: 39},
-    5: {7: 42},
-    6: {4: 54, 28: 19.2},
-    7: {6: 78},
-    8: {6: 19.2},
-    9: {6: 39, 10: 39},
-    10: {6: 19.2, 17: 19.2},
-    11: {9: 39},
-    12: {13: 39, 14: 19.2, 15: 19.2, 16: 19.2},
-    15: {14: 9.6, 18: 9.6, 23: 9.6},
-    17: {16: 9.6},
-    18: {19: 9.6},
-    19: {20: 19.2},
-    20: {10: 19.2},
-    21: {10: 19.2},
-    22: {10: 19.2, 21: 19.2},
-    24: {22: 9.6, 23: 9.6, 25: 9.6},
-    25: {26: 9.6},
-    27: {25: 9.6, 28: 39, 30: 39},
-    28: {8: 19.2},
-    29: {27: 39, 30: 39},
-}
-#: node: (intercept and slope of its cost, least and largest bid, capacity) of six plants, the last three of one firm.
-PLANTS = {
-    1: (20, 0.0375, 20, 20, 200),
-    2: (17.5, 0.175, 17.5, 17.5, 80),
-    5: (10, 0.625, 10, 10, 50),
-    8: (32.5, 0.0834, 0, 40, 35),
-    11: (30, 0.25, 0, 40, 30),
-    13: (30, 0.25, 0, 40, 40),
-}
-#: node: slope of its demand, which begins at a price of 40.
-DEMANDS = {
-    2: 0.461,
-    3: 4.167,
-    4: 1.316,
-    5: 0.106,
-    7: 0.439,
-    8: 0.333,
-    10: 1.724,
-    12: 0.893,
-    14: 1.613,
-    15: 1.220,
-    16: 2.857,
-    17: 1.111,
-    18: 3.125,
-    19: 1.053,
-    20: 4.545,
-    21: 0.571,
-    23: 3.125,
-    24: 1.149,
-    26: 2.857,
-    29: 4.167,
-    30: 0.943,
-}
 #: {line: signed reactance} of the twelve loops.
 LOOPS: list[dict[tuple[int, int], float]] = [
     {(2, 6): 0.1763, (6, 4): 0.0414, (2, 4): -0.1737},
@@ -441,38 +381,3 @@ LOOPS: list[dict[tuple[int, int], float]] = [
     {(22, 10): -0.1499, (24, 22): -0.179, (24, 23): 0.27, (15, 23): -0.202, (15, 18): 0.2185, (18, 19): 0.1292,
      (19, 20): 0.068, (20, 10): 0.209},
 ]  # fmt: skip
-
-
-@published(-37.53, accuracy=5e-3)
-def monteiro() -> cp.Problem:
-    lines = [(i, j) for i, ends in LINES.items() for j in ends]
-    capacity = np.array([LINES[i][j] for i, j in lines])
-    node = np.eye(31)[1:].T  # its row is the unit vector of a node
-    leaving = np.array([node[i] - node[j] for i, j in lines])
-    around = np.array([[loop.get(line, 0.0) for line in lines] for loop in LOOPS])
-    a, b, least_bid, largest_bid, most = np.array(list(PLANTS.values())).T
-    plants, buyers, d = node[list(PLANTS)], node[list(DEMANDS)], np.array(list(DEMANDS.values()))
-    mine, others = slice(3, 6), slice(0, 3)
-    bid = cp.Variable(6)
-    supply = cp.Variable(6)
-    demand = cp.Variable(d.size)
-    price = cp.Variable(30)
-    flow = cp.Variable(len(lines))
-    scarcity = cp.Variable(6)
-    full = cp.Variable(len(lines))
-    voltage = cp.Variable(12)
-    profit = 40 * cp.sum(demand) - d @ cp.square(demand) - capacity @ full - a @ supply
-    profit -= b[mine] / 2 @ cp.square(supply[mine]) + b[others] @ cp.square(supply[others])
-    profit -= most[others] @ scarcity[others]
-    return least(
-        -profit,
-        bid >= least_bid,
-        bid <= largest_bid,
-        around @ flow == 0,
-        buyers.T @ demand - plants.T @ supply + leaving.T @ flow == 0,
-        complements(scarcity >= 0, most - supply >= 0),
-        complements(full >= 0, capacity - flow >= 0),
-        complements(supply >= 0, bid - plants @ price + scarcity + cp.multiply(b, supply) >= 0),
-        complements(demand >= 0, buyers @ price - 40 + cp.multiply(d, demand) >= 0),
-        complements(flow >= 0, leaving @ price + full + around.T @ voltage >= 0),
-    )

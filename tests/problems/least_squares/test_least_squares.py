@@ -260,38 +260,6 @@ def test_least_squares_in_mixed_units(draws):
     assert len(found) <= 1 + 0.02 * len(draws(360))
 
 
-@given(st.integers(0, 10**6), st.sampled_from([1e-8, 1e-3]))
-def test_the_meaning_of_solved_has_no_units(seed, tolerance):
-    """Scaled rows (× 2^k, weights ÷ 4^k) and columns (× 2^k) give the same x bit for bit.
-
-    Without weights nnls may solve the unscaled problem, with the same status and, up to rounding error, the same
-    cost.
-    """
-    rng = np.random.default_rng(seed)
-    case = campaign.draw(campaign.KINDS[seed % 3], rng)
-    rows = 2.0 ** rng.integers(-30, 31, case.b.size)
-    columns = 2.0 ** rng.integers(-30, 31, case.lower.size)
-    alone = bounded_least_squares(case.A, case.b, case.lower, case.upper, tolerance=tolerance)
-    plain = bounded_least_squares(
-        case.A, case.b, case.lower, case.upper, weights=np.ones(case.b.size), tolerance=tolerance
-    )
-    scaled = bounded_least_squares(
-        rows[:, None] * case.A * columns,
-        rows * case.b,
-        case.lower / columns,
-        case.upper / columns,
-        weights=1.0 / (rows * rows),
-        tolerance=tolerance,
-    )
-    assert plain.status is scaled.status is alone.status
-    if alone.is_solved:
-        terms = np.abs(case.A) @ np.abs(alone.x) + np.abs(case.b)
-        rounding = float(np.sum((2.0**-46 * terms) ** 2))  # of an exact fit
-        assert alone.objective <= plain.objective * (1.0 + 2.0 * tolerance) + rounding
-    np.testing.assert_array_equal(scaled.x * columns, plain.x)
-    assert scaled.optimality == plain.optimality
-
-
 # --- statuses -----------------------------------------------------------------------------------------------
 
 
@@ -410,10 +378,3 @@ def test_a_cost_is_that_of_its_x():
         for row, right in zip(A, b, strict=True)
     ]
     assert result.cost == pytest.approx(float(sum(one * one for one in off) / 2), rel=1e-7)
-
-
-def test_a_vandermonde_matrix_is_solved():
-    """An exact fit with powers up to 11 on [0, 1] is SOLVED, to the accuracy of the condition."""
-    A = np.vander(np.linspace(0.0, 1.0, 120), 12)
-    result = bounded_least_squares(A, A @ np.arange(12.0)).require_solved()
-    np.testing.assert_allclose(result.x, np.arange(12.0), atol=1e-6)

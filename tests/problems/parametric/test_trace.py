@@ -378,54 +378,6 @@ def test_units_of_cost_and_of_columns_end_no_path(size):
     ).require_solved()
 
 
-def assert_on_the_path(path: Path, solved: Any) -> None:
-    """Require the value of a solve at breakpoints, next to them, and in the middle of segments."""
-    for piece in path.pieces:
-        length = piece.end - piece.begin
-        for theta in piece.begin + length * np.array([0.0, 1e-3, 0.5, 1.0 - 1e-3, 1.0]):
-            wanted = solved(float(theta))
-            assert np.abs(path.at(float(theta), piece).x - wanted).max() <= 1e-6 * (
-                1.0 + np.abs(wanted).max()
-            )
-
-
-@pytest.mark.quick(1)
-@pytest.mark.parametrize("seed", range(8))
-def test_between_pieces_there_is_no_gap(seed):
-    """Segments join without gaps, and around every joint the path agrees with solves."""
-    rng = np.random.default_rng(seed)
-    B, n = rng.standard_normal((6, 6)), 6
-    program = QuadraticProgram(
-        B @ B.T + 0.1 * np.eye(n),
-        rng.standard_normal(n),
-        rng.standard_normal((4, n)),
-        rng.random(4),
-        lower=-1.0,
-        upper=1.0,
-    )
-    c = rng.standard_normal(n)
-    path = trace(program, {"c": c}, -5.0, 5.0).require_solved()
-    assert [one.end for one in path.pieces[:-1]] == [one.begin for one in path.pieces[1:]]
-    assert (path.pieces[0].begin, path.pieces[-1].end) == (-5.0, 5.0)
-    assert_on_the_path(
-        path, lambda theta: solve(program.with_vectors(c=program.c + theta * c)).require_solved().x
-    )
-
-
-def test_a_parameter_far_from_zero_has_its_pieces():
-    """The path of an M-matrix from 1e9 to 1e9 + 1 has the segments of single solves."""
-    rng, n, base = np.random.default_rng(0), 8, 1e9
-    M = 3.0 * np.eye(n) - np.diag(np.ones(n - 1), 1) - np.diag(np.ones(n - 1), -1)
-    dq = rng.choice([-4.0, -2.0, -1.0, 1.0, 2.0, 4.0], n)  # so that q + θ dq is exact
-    problem = LCP(M, rng.integers(-8, 9, n) / 4.0 - base * dq)
-    path = trace(problem, {"q": dq}, base, base + 1.0).require_solved()
-    assert len(path) > 2
-    assert [one.end for one in path.pieces[:-1]] == [one.begin for one in path.pieces[1:]]
-    assert_on_the_path(
-        path, lambda theta: solve(problem.with_q(problem.q + theta * dq)).require_solved().z
-    )
-
-
 def test_beyond_a_singular_breakpoint_infeasibility_is_told():
     """Four unknowns, four rows and an equation along h: INFEASIBLE beyond −4/3, a path before."""
     program = QuadraticProgram(

@@ -255,28 +255,6 @@ def test_bimatrix_games(name):
     assert found.regret < 1e-14
 
 
-@pytest.mark.full
-def test_a_game_of_players_is_taken_as_it_is():
-    """A game of two by three actions equals (A, B), with the player's action on the first axis."""
-    A = np.array([[1.0, 3.0, 0.0], [5.0, 7.0, 1.0]])
-    B = np.array([[2.0, 4.0, 1.0], [6.0, 8.0, 1.0]])
-    expected = LCP.from_game(A, B)
-    games = [game_of(A, B.T)]
-    try:
-        from quantecon.game_theory import NormalFormGame
-    except ImportError:
-        pass
-    else:
-        games.append(NormalFormGame(np.stack([A, B], axis=2)))
-    for game in games:
-        problem = LCP.from_game(game)
-        np.testing.assert_array_equal(problem.csr.toarray(), expected.csr.toarray())
-        equilibrium = problem.origin.recover(solve(problem))
-        np.testing.assert_array_equal(equilibrium.A, A)
-        np.testing.assert_array_equal(equilibrium.B, B)
-        assert equilibrium.regret < 1e-12
-
-
 # --- Errors, and data that are not modified -------------------------------------------------------------------
 
 EYE, QP, INVALID = np.eye(2), QuadraticProgram, InvalidProblem

@@ -255,19 +255,6 @@ def test_a_derivative_can_be_sent_to_another_process():
         assert found.errors == {}
 
 
-def test_derivatives_of_a_batch_of_programs_are_a_sequence():
-    """len, [k] and a one-sided [k], as of a batch of LCPs."""
-    programs = [QuadraticProgram(np.eye(2), [-1, -2], G=[[1, 1]], h=[h]) for h in (2.0, 3.0)]
-    found = derivative(solve_batch(programs))
-    assert len(found) == 2
-    np.testing.assert_allclose(found[0].jvp(dh=[1.0]), found.jvp(dh=[1.0])[0], atol=1e-9)
-    with pytest.raises(UnsuitableProblem, match="kink"):
-        found[1].jvp(dh=[1.0])
-    np.testing.assert_allclose(found.one_sided()[1].jvp(dh=[-1.0]), [-0.5, -0.5], atol=1e-9)
-    with pytest.raises(IndexError):
-        found[2]
-
-
 def test_a_jvp_names_what_it_takes():
     """Changes without a name, in every kind of derivative, and rows of from_ranges."""
     lcp, contact = LCP(np.eye(2), [-1.0, -1.0]), FrictionalContact(np.eye(3), [-1.0, 0.3, 0.0], 0.5)

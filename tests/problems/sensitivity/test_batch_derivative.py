@@ -104,25 +104,6 @@ def test_problems_of_any_sizes_and_kinds():
         derivative(solve_batch(problems))
 
 
-def test_entries_of_the_matrix():
-    """Gradient ∂L/∂M has one matrix per problem, or the sum for a shared M; dM is adjoint."""
-    rng = np.random.default_rng(1)
-    g = rng.normal(size=(12, 8))
-    M, q, lower, upper = planted(12, 8, 3, symmetric=False)
-    found = of((M, q, lower, upper))
-    gradient = found.vjp(g)
-    for k, one in enumerate(found):
-        assert np.allclose(gradient.M[k], one.vjp(g[k]).M.toarray(), rtol=1e-12, atol=1e-13)
-    dM = rng.normal(size=M.shape)
-    assert np.isclose((gradient.M * dM).sum(), (g * found.jvp(dM=dM)).sum(), rtol=1e-12)
-    for form in (np.asarray, sp.csr_array):
-        shared = of((form(M[0] * (abs(M[0]) > 0.3)), q, -INF, INF))
-        total = shared.vjp(g).M
-        assert sp.issparse(total) == (form is sp.csr_array)
-        change = form(dM[0] * (M[0] * (abs(M[0]) > 0.3) != 0.0))
-        assert np.isclose((total * change).sum(), (g * shared.jvp(dM=change)).sum(), rtol=1e-12)
-
-
 def test_kinks():
     """Degenerate rows are named, with one-sided changes and fixed gradients."""
     M, q, lower, upper = planted(40, 6, 8)

@@ -426,13 +426,13 @@ def two_norm_bound(at: RowInequality, eigenvalue: EigenvalueBound) -> Vector:
     # Both bounds of each r_i; at a bound, with w_i of the right sign, they are equal for any rounding of w_i.
     steps = np.minimum(quotient_above(at.slack, inverse_step), at.within)
     residual, negative = np.maximum(steps, at.beyond)
-    blur = np.maximum(sum_above(residual, negative), 0.0)
-    if not (residual.any() or blur.any()):
+    width = np.maximum(sum_above(residual, negative), 0.0)
+    if not (residual.any() or width.any()):
         return np.zeros(problem.n)
     transpose = sp.csr_array(problem.csr.T)
     value, radius = compensated_product(transpose, residual, residual * inverse_step)
-    blurred, blurred_radius = compensated_product(abs(transpose), blur, blur * inverse_step)
-    size = sum_above(sum_above(np.abs(value), radius), sum_above(blurred, blurred_radius))
+    spread, spread_radius = compensated_product(abs(transpose), width, width * inverse_step)
+    size = sum_above(sum_above(np.abs(value), radius), sum_above(spread, spread_radius))
     size = sum_above(size, 4.0 * TINY)  # products may have underflowed
     several, even = connected_components(problem.matrix), product_above(eigenvalue.scale, size)
     labels = np.zeros(problem.n, np.int64) if several is None else several.labels
@@ -456,8 +456,8 @@ def _proven_bound(even: Any) -> float | None:
     """Return a share of the smallest eigenvalue of (A + Aᵀ)/2 that is proven to be below it, or None."""
     part = 0.5 * (even + even.T)
     # of its eigenvalues' rounding, ∞ after overflow
-    blur = 2.0 * UNIT * float(abs(part).sum(axis=1).max()) + part.shape[0] * UNDERFLOW
-    if not np.isfinite(blur) or (sp.issparse(part) and not factor_fits(part)):
+    entry_rounding = 2.0 * UNIT * float(abs(part).sum(axis=1).max()) + part.shape[0] * UNDERFLOW
+    if not np.isfinite(entry_rounding) or (sp.issparse(part) and not factor_fits(part)):
         return None
     factor = positive_factor(part)
     if factor is None:
@@ -476,7 +476,7 @@ def _proven_bound(even: Any) -> float | None:
             rounding = _rounding(shifted, factor) + 2.0 * UNIT * (
                 float(part.diagonal().max()) + shift
             )
-            value = (shift - rounding - blur) / OUTWARD
+            value = (shift - rounding - entry_rounding) / OUTWARD
             if value > 0.0:
                 return float(value)
     return None

@@ -78,8 +78,8 @@ class Optimality:
 
     def is_worse_than_known(self, tolerance: float) -> bool:
         """Return whether x costs more than a known point, including the rounding of that point's cost."""
-        enclosures, slip, known = self.enclosures, self.misfit[1], self.enclosures.known
-        if _may_be_rounding(enclosures.problem, self.cost, slip, tolerance):
+        enclosures, radius, known = self.enclosures, self.misfit[1], self.enclosures.known
+        if _may_be_rounding(enclosures.problem, self.cost, radius, tolerance):
             known = [*known, enclosures.unbounded_solution]
         return any(_exceeds(self.cost, enclosures.cost_above(x), tolerance) for x in known)
 
@@ -92,9 +92,9 @@ class Optimality:
     @np.errstate(all="ignore")
     def sharp_residual(self) -> Vector:
         """A x − b, computed by compensated sums if rounding is more than 1e-9 of the cost."""
-        problem, (r, slip) = self.enclosures.problem, self.misfit
+        problem, (r, radius) = self.enclosures.problem, self.misfit
         # A smaller difference of costs may be rounding
-        if not problem.apply_weights(slip) @ np.abs(r) > 1e-9 * problem.cost(self.x, r):
+        if not problem.apply_weights(radius) @ np.abs(r) > 1e-9 * problem.cost(self.x, r):
             return r
         return compensated_product(sp.csr_array(problem.A), self.x, -problem.b)[0]
 
@@ -112,9 +112,9 @@ class Optimality:
         return bool((np.abs(residual) <= 2.0 * radius).all())
 
 
-def _may_be_rounding(problem: BoundedLeastSquares, cost: Array, slip: Vector, tol: float) -> Any:
-    """Return whether rounding of A x − b, known up to slip, exceeds the tolerance, of a small A."""
-    return problem.is_small & (0.5 * np.vecdot(problem.apply_weights(slip), slip) > tol * cost)
+def _may_be_rounding(problem: BoundedLeastSquares, cost: Array, radius: Vector, tol: float) -> Any:
+    """Return whether rounding of A x − b, known up to radius, exceeds the tolerance, of a small A."""
+    return problem.is_small & (0.5 * np.vecdot(problem.apply_weights(radius), radius) > tol * cost)
 
 
 def _exceeds(cost: Array, known: Any, tolerance: float) -> Any:
@@ -174,10 +174,10 @@ def _least_gap(judged: Optimality, tolerance: float) -> float:
 
 def _dual_points(judged: Optimality) -> Iterator[tuple[Vector, Ball]]:
     """Yield dual points y with their s, the cheapest first: each also shrunk, and with 0 for rounding errors."""
-    enclosures, x, slip = judged.enclosures, judged.x, judged.misfit[1]
+    enclosures, x, radius = judged.enclosures, judged.x, judged.misfit[1]
     for y in _orthogonal_residuals(judged):
-        without_rounding = np.where(np.abs(y) > slip, y, 0.0)  # their multipliers are exactly 0
-        for dual in (y, without_rounding)[: 1 + (np.abs(y) <= slip).any()]:
+        without_rounding = np.where(np.abs(y) > radius, y, 0.0)  # their multipliers are exactly 0
+        for dual in (y, without_rounding)[: 1 + (np.abs(y) <= radius).any()]:
             slope = enclosures.gradient_at(x, dual)
             yield dual, slope
             share = _admissible_share(enclosures.problem, x, slope)

@@ -444,10 +444,10 @@ class Enclosures:
 
     def explained(self, x: Vector, residual: Ball) -> Ball:
         """Return A x − b with its rounding errors as far as the data explain them; of one x that ran away sharply."""
-        value, slip = residual
-        if x.ndim == 1 and (slip > self.most_rounding).any():
+        value, radius = residual
+        if x.ndim == 1 and (radius > self.most_rounding).any():
             value = compensated_product(sp.csr_array(self.problem.A), x, -self.problem.b)[0]
-        return value, np.minimum(slip, self.most_rounding)
+        return value, np.minimum(radius, self.most_rounding)
 
     def gradient(self, x: Vector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""
@@ -463,21 +463,23 @@ class Enclosures:
         """Return AᵀWy + ridge x."""
         return self.gradient(x, (y, NOTHING))
 
-    def apply_transpose(self, y: Vector, slip: Vector) -> Ball:
-        """Return AᵀWy for a y known up to slip; an empty slip means that y is exact."""
+    def apply_transpose(self, y: Vector, radius: Vector) -> Ball:
+        """Return AᵀWy for a y known up to radius; an empty radius means that y is exact."""
         problem = self.problem
         weighted = problem.apply_weights(y)
-        slip = problem.apply_weights(slip) if slip.size else slip
+        radius = problem.apply_weights(radius) if radius.size else radius
         sizes, terms = problem.sizes.T, problem.terms[1]
-        return self._product(problem.A.T, sizes, weighted, slip, 0.0, terms)
+        return self._product(problem.A.T, sizes, weighted, radius, 0.0, terms)
 
-    def _product(self, B: Any, sizes: Any, v: Vector, slip: Vector, less: Any, terms: int) -> Ball:
-        """Return B v − less for a v known up to slip, with |B| = sizes and so many terms in a row of B."""
+    def _product(
+        self, B: Any, sizes: Any, v: Vector, radius: Vector, less: Any, terms: int
+    ) -> Ball:
+        """Return B v − less for a v known up to radius, with |B| = sizes and so many terms in a row of B."""
         size = times(sizes, np.abs(v)) + np.abs(less)
-        unsure = OUTWARD * times(sizes, slip) if slip.size else 0.0
-        size = size + unsure if slip.size else size
+        unsure = OUTWARD * times(sizes, radius) if radius.size else 0.0
+        size = size + unsure if radius.size else size
         rounding = gamma(2 * terms + 8) * OUTWARD * size + (2 * terms + 8) * TINY * (size > 0.0)
-        return times(B, v) - less, rounding + unsure if slip.size else rounding
+        return times(B, v) - less, rounding + unsure if radius.size else rounding
 
     @cached_property
     def reference(self) -> float:

@@ -151,20 +151,20 @@ class Motion(NamedTuple):
     z : ndarray
     low, high : ndarray
         Distances from the lower and the upper limits of the steps: of z on free rows, of −w on other rows.
-    blur, slow : ndarray, shape (n,)
+    rounding, slow : ndarray, shape (n,)
         Rounding errors of distances and of rates.
     """
 
     z: Vector
     low: Vector
     high: Vector
-    blur: Vector
+    rounding: Vector
     slow: Vector
 
     @property
     def outside(self) -> Vector:
         """Violation of its step by each row, relative to the rounding error, shape (n,)."""
-        return np.maximum(-self.low[0], -self.high[0]) / self.blur
+        return np.maximum(-self.low[0], -self.high[0]) / self.rounding
 
     def first_end(self, sign: float = 1.0) -> tuple[float, Change | None]:
         """Return the distance to the first end of a step, and the row that changes."""
@@ -174,7 +174,9 @@ class Motion(NamedTuple):
             moving = np.flatnonzero(rate < -self.slow)
             speed = -rate[moving]
             ahead = np.maximum(gap[0, moving], 0.0) / speed
-            reached = min(reached, float((ahead + self.blur[moving] / speed).min(initial=np.inf)))
+            reached = min(
+                reached, float((ahead + self.rounding[moving] / speed).min(initial=np.inf))
+            )
             found.append((moving, ahead, speed, way))
         if reached == np.inf:
             return np.inf, None

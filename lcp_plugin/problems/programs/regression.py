@@ -111,11 +111,13 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     return problem, outward
 
 
-def solutions(problem: BoundedLeastSquares, wishes: dict[str, Any]) -> Iterator[tuple[Vector, Any]]:
+def solutions(
+    problem: BoundedLeastSquares, options: dict[str, Any]
+) -> Iterator[tuple[Vector, Any]]:
     """Yield x of a solution, then the minimum on its face, with the result of a run with these options."""
     if np.isfinite(left := seconds_left()):
-        wishes = {**wishes, "max_seconds": left}
-    found = solve_least_squares(problem, **wishes)
+        options = {**options, "max_seconds": left}
+    found = solve_least_squares(problem, **options)
     if found.status is Status.INTERRUPTED:  # it also ends the run around this one
         raise KeyboardInterrupt
     yield found.x, found

@@ -121,11 +121,11 @@ class DualBounds:
         factors = np.concatenate([x, x, 2.0 * program.c, 2.0 * y, 2.0 * y])
         values = np.concatenate([*bent[:2], x, *excess[:2]])
         twice, error = compensated_product(sp.csr_array(factors[None, :]), values)
-        blur = [product_above(np.abs(x), bent[2]), product_above(np.abs(2.0 * y), excess[2])]
+        errors = [product_above(np.abs(x), bent[2]), product_above(np.abs(2.0 * y), excess[2])]
         missed = np.max(np.abs(_ends(*excess)), axis=0)[program.h.size :]
-        blur.append(product_above(0.5 * self.curvature.penalty, product_above(missed, missed)))
+        errors.append(product_above(0.5 * self.curvature.penalty, product_above(missed, missed)))
         loss = self._loss(*ends, *self._distances(x, x))
-        loss = float(sum_above(_sum_above(np.concatenate(blur)), loss))
+        loss = float(sum_above(_sum_above(np.concatenate(errors)), loss))
         found = -float(sum_above(loss, half_above(-lower_end(twice, error)[0])))
         return found if not math.isnan(found) else -np.inf
 
@@ -416,15 +416,15 @@ def objective_bounds(
     program: QuadraticProgram, x: Vector, radius: Vector | None = None, *, linear: float = 1.0
 ) -> tuple[float, float]:
     """Return doubles below and above ½ xᵀP x + linear · cᵀx, and above it for all points within the radius of x."""
-    high, low, blur = compensated_pair(program.matrices.terms.sparse_P, x)
+    high, low, rounding = compensated_pair(program.matrices.terms.sparse_P, x)
     row = sp.csr_array(np.concatenate([x, x, 2.0 * linear * program.c])[None, :])
     twice, error = compensated_product(row, np.concatenate([high, low, x]))
-    error = sum_above(error, product_above(np.abs(x), blur).sum() * (1.0 + 2.0**-30))
+    error = sum_above(error, product_above(np.abs(x), rounding).sum() * (1.0 + 2.0**-30))
     lowest = -half_above(upper_end(-twice, error)[0])
     highest = half_above(upper_end(twice, error)[0])
     if radius is not None and radius.any():
         # |∇f| r + ½ rᵀ|P| r, where r is some units in the last place.
-        slope = sum_above(sum_above(np.abs(high + program.c), np.abs(low)), blur)
+        slope = sum_above(sum_above(np.abs(high + program.c), np.abs(low)), rounding)
         bent = 0.5 * (abs(program.matrices.terms.sparse_P) @ radius)
         spread = product_above(sum_above(slope, bent), radius).sum() * (1.0 + 2.0**-30)
         highest = float(sum_above(highest, spread))

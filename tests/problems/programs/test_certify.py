@@ -547,3 +547,11 @@ def test_inactive_bounds_change_no_verdict():
         data, far = (P, -P @ x - G.T @ y, G, h), np.abs(x) + 1e6 * units
         alone = certify(QuadraticProgram(*data), x).verdict
         assert certify(QuadraticProgram(*data, lower=-far, upper=far), x).verdict == alone
+
+
+@pytest.mark.parametrize("off", [1e-9, -1e-9])
+def test_a_point_that_an_interior_point_method_leaves_next_to_its_bounds_is_proved(off):
+    """Min x₀ + 2 x₁ over x₀ + x₁ = 1, x ≥ 0 at (1 − off, off): right, as Clarabel and OSQP return it."""
+    program = QuadraticProgram(None, [1.0, 2.0], A=[[1.0, 1.0]], b=[1.0], lower=0.0)
+    assert certify(program, [1.0 - off, off]).verdict == "proved"
+    assert certify(program, [1.0 - 1e4 * off, 1e4 * off]).verdict == "disproved"

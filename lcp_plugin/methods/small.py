@@ -32,7 +32,15 @@ from ..core.kernels.floats import FREE, HIGH, LOW, SMALLEST
 from ..core.kernels.small_lcps import INF, LOST, follow_paths, solve_active_sets
 from ..core.lcp import LCP
 from ..core.structure import equation_signs
-from ..judges.lcp import Measured, RowData, bound_residual, bound_residuals, row_data, times
+from ..judges.lcp import (
+    SET_TO_BOUND,
+    Measured,
+    RowData,
+    bound_residual,
+    bound_residuals,
+    row_data,
+    times,
+)
 from .banded import banded_passes
 from .finishing import measure_finished
 
@@ -436,7 +444,9 @@ def candidates(data: RowData, z0: Vector) -> Iterator[tuple[str, Vector, float]]
         ends = _end_of_game if is_game else _ends_of_paths
         (side,) = ends(*stack, follow=FOLLOW_IN_PYTHON if is_short else follow_paths)
         z = solve_active_set(*arrays, side) if (side != LOST).all() else np.full(side.size, np.nan)
-        yield "path", np.clip(z, data.lower, data.upper), 3.0 * entries
+        least = SET_TO_BOUND * np.abs(z).max()  # a degenerate path ends with noise near bounds
+        near = np.where(data.upper - z <= least, data.upper, z)
+        yield "path", np.where(z - data.lower <= least, data.lower, near), 3.0 * entries
         if np.isfinite(z).all():
             yield "rounds", rounds(data, z), entries
     if first is None:

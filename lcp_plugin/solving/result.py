@@ -335,7 +335,8 @@ class Result(BaseResult):
         """
         if rows is None and not problem.matrix.is_dense:  # the caller may overwrite a sparse M
             rows = row_data(problem).rows(z)
-        return cls(
+        return cls.of_known(
+            None,
             z=z,
             status=Status.SOLVED,
             certificate=Certificate.at(problem, z, rows=rows),

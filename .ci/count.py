@@ -28,8 +28,9 @@ def count(text: str) -> tuple[int, int]:
     return len(lines), len(nodes)
 
 
-for folder in sys.argv[1:]:
-    files = sorted(Path(folder).rglob("*.py"))
-    found = [count(file.read_text(encoding="utf-8")) for file in files]
-    lines, nodes = (sum(column) for column in zip(*found, strict=True))
-    print(f"{folder}: {lines} lines, {nodes} nodes, {len(files)} files")
+if __name__ == "__main__":
+    for folder in sys.argv[1:]:
+        files = sorted(Path(folder).rglob("*.py"))
+        found = [count(file.read_text(encoding="utf-8")) for file in files]
+        lines, nodes = (sum(column) for column in zip(*found, strict=True))
+        print(f"{folder}: {lines} lines, {nodes} nodes, {len(files)} files")

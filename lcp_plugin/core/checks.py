@@ -321,7 +321,9 @@ def _hint_at_vector(array: Vector, name: str, length: int | None) -> str:
     return f": {abs(surplus)} too {'many' if surplus > 0 else 'few'}"
 
 
-def change_of_vector(values: Any, name: str, n: int, *, may_be_number: bool = False) -> Vector:
+def change_of_vector(
+    values: ArrayLike | None, name: str, n: int, *, may_be_number: bool = False
+) -> Vector:
     """Return the finite change of a vector: zeros for None, n equal entries for a number where one may be given."""
     if values is None or (may_be_number and np.ndim(values) == 0):
         values = np.full(n, 0.0 if values is None else values)

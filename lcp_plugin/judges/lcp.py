@@ -147,6 +147,8 @@ class RowData:
     A class of problems with another product or other rows replaces `anywhere`, `worst`, `largest`, `largest_products`,
     `rows` or `sharp_product`.
 
+    It is one class because the measures call each other, and a subclass replaces single ones.
+
     Parameters
     ----------
     M : ndarray or CSR array, shape (n, n), or ndarray, shape (B, n, n)

@@ -167,6 +167,8 @@ def _entries(value: Any) -> Any:
 class AgentProgram:
     """An agent's program without kinks, read as rows over its decisions and over all that it does not influence.
 
+    It is one class because the conditions refer to the decisions, multipliers and domains that the reading has found.
+
     Parameters
     ----------
     agent : Optimal

@@ -218,6 +218,8 @@ class ReadSide(NamedTuple):
 class Model:
     """Unknowns, rows and pairs of cvxpy constraints, and the map back to variables and dual values.
 
+    It is one class because `write_back` inverts, entry by entry, the lists that reading the constraints has filled.
+
     Parameters
     ----------
     stated : list

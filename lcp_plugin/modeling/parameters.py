@@ -103,6 +103,8 @@ class ParametricRows:
 class ModelDerivative:
     """The derivative of variables and dual values by parameters; made by ``lcp_plugin.derivative(problem)``.
 
+    It is one class because both products use the same derivatives of rows, bounds and values.
+
     Parameters
     ----------
     model : Model

@@ -152,7 +152,7 @@ class PreparedLCP(PreparedProblem[LCP]):
         return Result.at(problem, z, stage, self._settings, seconds, chosen=self._method)
 
 
-def _copy_of(values: Any, prepared: Vector) -> Any:
+def _copy_of(values: object, prepared: Vector) -> Any:
     """Return a read-only copy of doubles of the prepared shape, the prepared ones for None; None for other values."""
     if values is None:
         return prepared

@@ -80,7 +80,7 @@ class BatchPart(LinearizedSystem):
         The refined solutions.
     """
 
-    def __init__(self, group: Group, z: Any, is_solved: Any) -> None:
+    def __init__(self, group: Group, z: Array, is_solved: Array) -> None:
         self.group, self.items, self.points = group, group.items, z
         M, (q, lower, upper) = group.M, group.vectors("q", "lower", "upper")
         sizes = np.abs(M)
@@ -127,24 +127,24 @@ class BatchPart(LinearizedSystem):
         self.is_plain = is_exact & is_clear.all(axis=1)
         self.is_plain &= self.blocks.is_regular | self.blocks.is_singular
 
-    def changes(self, h: Any, lower: Any, upper: Any) -> list[Any]:
+    def changes(self, h: Array, lower: Array, upper: Array) -> list[Any]:
         """Return [dz], NaN if it is one-sided or a block is singular."""
         held = np.where(self.free, 0.0, np.where(self.is_upper, upper, lower))
         dz = self.tangent(np.broadcast_to(h, held.shape), held)
         dz[self.degenerate.any(axis=1)] = np.nan
         return [dz]
 
-    def gradients(self, g: Any, by_w: Any) -> list[Any]:
+    def gradients(self, g: Array, by_w: Array) -> list[Any]:
         """Return the gradients by q, lower and upper, of least norm if blocks are singular."""
         g, by_w = np.broadcast_to(g, self.free.shape), np.where(self.free, 0.0, by_w)
         by_q, by_bound, _ = self.adjoint(g, by_w)
         of_sides = (self.is_upper != side for side in (False, True))
         return [by_q, *(np.where(self.free | other, 0.0, by_bound) for other in of_sides)]
 
-    def _product(self, x: Any, *, transposed: bool = False) -> Any:
+    def _product(self, x: Array, *, transposed: bool = False) -> Any:
         return products(self.group.M.swapaxes(1, 2) if transposed else self.group.M, x)
 
-    def _solve_free(self, right: Any, *, transposed: bool = False) -> Any:
+    def _solve_free(self, right: Array, *, transposed: bool = False) -> Any:
         x = self.blocks.solve(right, transposed=transposed)
         if not transposed:
             x[self.blocks.is_singular] = np.nan
@@ -281,7 +281,7 @@ class ManyDerivatives(DerivativeSequence):
         """Return the mask of the rows, or contacts, of solved problems."""
         return np.broadcast_to(self._is_solved[:, np.newaxis], self.batch.z.shape)
 
-    def _rows(self, values: Any, name: str) -> Any:
+    def _rows(self, values: object, name: str) -> Any:
         """Return a vector for each problem, 0 by default; rows of unsolved problems are ignored."""
         is_there = self._is_there(name)
         values = np.zeros(is_there.shape[1]) if values is None else values
@@ -367,7 +367,7 @@ class ManyDerivatives(DerivativeSequence):
         z = np.where(by_q.any(axis=1)[:, np.newaxis], self.z, 0.0)
         return self.batch.problems.outer(by_q, z)
 
-    def _given(self, values: Any, name: str, is_there: Any) -> Any:
+    def _given(self, values: object, name: str, is_there: Any) -> Any:
         """Return an array like `is_there`, 0 for absent entries; one row applies to all."""
         shape, own = is_there.shape, is_there.shape[1:]
         letters = {"dM": "n, n", "dfriction": "k"}.get(name, "n")
@@ -596,7 +596,7 @@ INSTANCES_TOGETHER = 512  # instances whose arrays fit into the cache
 class _Together(StackDerivative):
     """Derivatives of some instances, with an inverse of each system."""
 
-    def __init__(self, stack: ConeStack, z: Any, items: Any, is_solved: Any) -> None:
+    def __init__(self, stack: ConeStack, z: Array, items: Array, is_solved: Array) -> None:
         super().__init__(stack, stack.pattern.wide(z))
         self.items = items
         self.is_plain = is_solved & (self.system.is_regular | self.system.is_singular)
@@ -612,7 +612,7 @@ class _Together(StackDerivative):
         """The refined impulses, shape (B, n)."""
         return self.stack.pattern.flat(self.z)
 
-    def changes(self, change: Any, slopes: Any) -> list[Any]:
+    def changes(self, change: Array, slopes: Array) -> list[Any]:
         """Return [dz], a row per instance, for changes of W z + b and friction; NaN at a kink."""
         sizes = self.stack.pattern.sizes
         slopes = np.pad(slopes, ((0, 0), (0, sizes.size - slopes.shape[1])))  # equations have none
@@ -621,12 +621,12 @@ class _Together(StackDerivative):
         dz[self.degenerate.any(axis=1)] = np.nan
         return [dz]
 
-    def gradients(self, g: Any, by_w: Any) -> Any:
+    def gradients(self, g: Array, by_w: Array) -> Any:
         """Return the gradients by q and friction."""
         by_q, _, by_friction = super().gradients(g, by_w)
         return by_q, by_friction[:, : np.count_nonzero(self.stack.pattern.sizes > 1)]
 
-    def _solve_free(self, right: Any, *, transposed: bool = False) -> Any:
+    def _solve_free(self, right: Array, *, transposed: bool = False) -> Any:
         return self.system.solve(right, transposed=transposed)
 
 

@@ -400,6 +400,9 @@ class SquareModel:
 class Statement:
     """Unknowns with bounds, rows, pairs and an objective of one model.
 
+    It is one class because both forms of a model, `square` and `best`, read all rows, pairs and bounds that were
+    stated.
+
     Parameters
     ----------
     compiler : Compiler

@@ -41,6 +41,8 @@ WITHOUT_END = (Status.STALLED, Status.DIVERGED)
 class LCPRun(Run):
     """Run of an LCP.
 
+    It is one class because it specializes the methods of `Run` for one problem class.
+
     Parameters
     ----------
     problem : LCP

@@ -189,6 +189,8 @@ SINGULAR = 1e13
 class FreeSystem:
     """M_FF x = b and M_FFᵀ x = b for one F, by factorization or by Krylov steps on the hierarchy truncated to F.
 
+    It is one class because all solutions share the factorizations and scales that are computed on first use.
+
     Parameters
     ----------
     matrix : Matrix

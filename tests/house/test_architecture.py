@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
@@ -47,6 +48,7 @@ LAZY = 17  # imports of package files inside functions, which are for weight
 MOST_WRITES = (
     10  # lines with vars(…) or __dict__: what they write, a reader does not find by its name
 )
+LARGE = 150  # lines of code, without docstrings, that a reader holds together
 MOST_OF_ANY = 800  # signatures that say ": Any": a class or a protocol says more
 MOST_CONSTANTS = 245  # numbers with a name: a reader has to carry each from file to file
 
@@ -186,6 +188,24 @@ def test_frozen_objects_are_written_by_their_constructors():
     assert len(lines_with(r"\bvars\(|\b__dict__\b")) <= MOST_WRITES
 
 
+def sizes_of(kind):
+    """Return (lines of code, syntax node) of the large classes or functions, the largest first."""
+    count, sizes = runpy.run_path(str(ROOT / ".ci" / "count.py"))["count"], []
+    for file in FILES.values():
+        lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+        for node in ast.parse("".join(lines)).body:
+            if isinstance(node, kind) and node.end_lineno - node.lineno > 40:
+                sizes.append((count("".join(lines[node.lineno - 1 : node.end_lineno]))[0], node))
+    return sorted(sizes, key=lambda one: one[0], reverse=True)
+
+
+def test_a_large_class_has_a_reason():
+    """The docstring of each class of more than 150 lines of code says why it is one class."""
+    for size, node in sizes_of(ast.ClassDef):
+        reason = "It is one class because" in (ast.get_docstring(node) or "")
+        assert reason or size <= LARGE, (node.name, size)
+
+
 def test_few_signatures_say_any():
     """Few annotations are Any: most name a class, an alias of arrays or matrices, or a protocol."""
     assert sum(len(re.findall(r": Any\b", line)) for line in lines_with(": Any")) <= MOST_OF_ANY
@@ -286,9 +306,8 @@ def print_numbers() -> None:
     for words in (r"\bvars\(", r"\b__dict__\b", r": Any\b"):
         print(f"{words}: {sum(len(re.findall(words, text)) for text in texts)}")
     for kind in (ast.ClassDef, ast.FunctionDef):
-        found = [node for text in texts for node in ast.parse(text).body if isinstance(node, kind)]
-        sizes = sorted(((node.end_lineno or 0) - node.lineno + 1, node.name) for node in found)
-        print("lines with docstrings:", *(f"{name} {size}" for size, name in sizes[:-11:-1]))
+        largest = (f"{node.name} {size}" for size, node in sizes_of(kind)[:10])
+        print(f"largest of type {kind.__name__}, in lines of code:", *largest)
 
 
 if __name__ == "__main__":

@@ -457,6 +457,8 @@ def lcp_in_nl(path: str | PathLike[str]) -> LCP:
 class FileStatement:
     """Rows of a file, sorted by type.
 
+    It is one class because the rows of each type are sorted once, for both kinds of models.
+
     Parameters
     ----------
     content : NLContent

@@ -460,7 +460,10 @@ def _read_head_line(
 
 
 class _Reader:
-    """Items read from a file so far."""
+    """Items read from a file so far.
+
+    It is one class because all methods move one position through one file.
+    """
 
     def __init__(self, data: bytes) -> None:
         self.header, begin = _header(data)

@@ -264,6 +264,8 @@ FEASIBLE = 1e-7  # of the largest basic variable: how far one may be out of its 
 class LemkePath:
     """The path of w = M z + q + t r, 0 ≤ z ≤ u complementary, from one start towards t = 0.
 
+    It is one class because all methods read or pivot one table.
+
     Parameters
     ----------
     M : ndarray, shape (n, n)

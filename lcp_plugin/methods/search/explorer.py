@@ -35,7 +35,10 @@ class Face:
 
 
 class Explorer:
-    """Depth-first search that ends with the faces found or, if no face exists, with the tree that proves this."""
+    """Depth-first search that ends with the faces found or, if no face exists, with the tree that proves this.
+
+    It is one class because each choice is made, examined and undone on one simplex table.
+    """
 
     def __init__(self, problem: LCP, effort: Effort, *, first_only: bool) -> None:
         self.problem, self.effort = problem, effort

@@ -56,6 +56,8 @@ class ExactSimplex:
 
     Equations of free rows are solved at the beginning: their z stay in the basis, and their w outside of it.
 
+    It is one class because all methods read or pivot one table.
+
     Notes
     -----
     Integer-preserving pivots (Edmonds, Bareiss): each entry is a minor of the scaled matrix, so that numbers stay as

@@ -34,6 +34,8 @@ REPORTING = Lock()  # threads call the callback one after another
 class BatchRun:
     """The results in tables with a row per problem.
 
+    It is one class because stacks, single solves and limits fill the same tables.
+
     Parameters
     ----------
     problems : Listed, Stacked, RightSides, contacts in arrays or ProgramBatch

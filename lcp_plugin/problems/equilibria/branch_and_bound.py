@@ -140,6 +140,8 @@ def _refuse_proof(problem: EquilibriumProgram) -> None:
 class BranchAndBound:
     """Branch and bound; the open nodes are sorted by their bounds.
 
+    It is one class because each step changes the open nodes, the best piece and the bound together.
+
     Attributes
     ----------
     nodes : int

@@ -62,6 +62,8 @@ class EquilibriumProgram:
     Each complementarity piece (one branch per pair) is a program; the solution is the best of all pieces. Proofs
     require convex pieces: P ⪰ 0, no integers, no smooth objective.
 
+    It is one class because violations, pieces and objective are measured on the same pairs and terms.
+
     Parameters
     ----------
     program : QuadraticProgram

@@ -138,6 +138,8 @@ def minimize(
 class _Model:
     """An equilibrium program as a model of SCIP.
 
+    It is one class because SCIP's model, its variables and its event handler live and end together.
+
     Attributes
     ----------
     x : list

@@ -48,6 +48,8 @@ RESTARTS_UP_TO = 1000  # unknowns; beyond, a new start is too expensive
 class JosephyNewton(Algorithm):
     """Josephy–Newton with line searches on the merit ‖Φ‖₂, and restarts.
 
+    It is one class because steps, searches and restarts share one point and its merit.
+
     Parameters
     ----------
     start : Linearization

@@ -122,7 +122,7 @@ def trace(
 
 
 @np.errstate(all="ignore")
-def trace_stated(problem: Any, along: Any, start: float, stop: float, tolerance: Any) -> Path:
+def trace_stated(problem: Any, along: Any, start: float, stop: float, tolerance: object) -> Path:
     """Return the path of a problem of one of the classes."""
     clock = Clock()
     path = _Trace(Line(problem, along, start, stop, tolerance)).run()

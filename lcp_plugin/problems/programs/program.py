@@ -34,6 +34,8 @@ CANCELS = 1e-9  # of the objective: more rounding is worth an exact sum
 class QuadraticProgram:
     """Minimize ½ xᵀP x + cᵀx + constant subject to G x ≤ h, A x = b, lower ≤ x ≤ upper; checked, read-only data.
 
+    It is one class because its constructors, its changes and its reductions all write the same data.
+
     Parameters
     ----------
     P : array or sparse array, shape (n, n)

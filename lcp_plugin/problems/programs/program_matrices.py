@@ -35,6 +35,8 @@ MOST_WORK, COUPLED_UP_TO = 4000.0, 1000
 class ProgramMatrices:
     """P, G and A of a program, checked and read-only; each fact about them is computed once.
 
+    It is one class because programs with other vectors share all of these facts at once.
+
     Attributes
     ----------
     P, G, A : ndarray or canonical CSR array, shapes (n, n), (m, n), (p, n)

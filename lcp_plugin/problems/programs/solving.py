@@ -415,6 +415,8 @@ class ProgramProgress(Progress):
 class ProgramRun(Run):
     """Run of a program: points of external solvers and of a run on its complementarity problem, and a proof.
 
+    It is one class because it specializes the methods of `Run` for one problem class.
+
     Attributes
     ----------
     best : ProgramPoint or None

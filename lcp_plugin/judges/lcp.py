@@ -420,7 +420,7 @@ class RowData:
         rounding = 1.0 - (self._counts + 8) * EPSILON
         of_active = np.where(may_be_active, at.terms / self.scale * rounding, 0.0)
         of_start = self.references[0]
-        if (of_start == 0.0).any():  # z° solves the component
+        if self.anywhere(of_start == 0.0):  # z° solves the component
             of_start = np.where(of_start == 0.0, self.largest_slack_at_start, of_start)
         reference = np.minimum(of_start, self.largest(of_active))
         w, rounding = at.w, at.rounding

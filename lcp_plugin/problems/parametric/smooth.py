@@ -25,6 +25,7 @@ from .path import Piece
 
 PREDICTION = 1e-3  # largest error of a prediction, relative to 1 + ‖x‖∞
 SHORTEST_SHARE = 2.0**-20  # of the way: length of a step
+CLOSE = 2.0**-10  # of the way: shortest step to a predicted change, because w = 0 up to rounding predicts one at once
 NEAR = 2.0**-30  # of the way: distance of the two solutions at a breakpoint
 
 
@@ -107,8 +108,8 @@ class SmoothFollower:
                     return
                 nodes, step, goal, beyond = [beyond], self.span / 8.0, stop, None
                 continue
-            # Not far beyond a predicted change, after which a row might return to its side
-            step = min(step, max(1.01 * last.motion.first_end()[0], 0.25 * step))
+            # Just beyond a predicted change: further on, other rows may change, or this one return to its side
+            step = min(step, max(1.01 * last.motion.first_end()[0], CLOSE * self.span))
             t = min(last.t + step, goal)
             guess = last.predict(t)
             node = self._node(t, guess)
@@ -125,15 +126,17 @@ class SmoothFollower:
 
     def _first_change(self, low: Node, high: Node) -> tuple[Node, Node] | None:
         """Return solutions just before and just beyond the first change of sides; None if one is not found."""
-        near = NEAR * self.span
+        near, newest = NEAR * self.span, high
         for k in count():
             if high.t - low.t <= 2.0 * near:
                 break
-            end = low.t + low.motion.first_end()[0]
-            t = (end + 0.5 * near, end - 0.5 * near, np.inf)[k % 3]
-            t = t if low.t < t < high.t else 0.5 * (low.t + high.t)
-            if (node := self._node(t, low.predict(t))) is None:
+            way = 1.0 if newest is low else -1.0
+            t = newest.t + way * (newest.motion.first_end(way)[0] + 0.75 * near)
+            # Every fourth step halves: one row may change several times
+            t = t if low.t < t < high.t and k % 4 < 3 else 0.5 * (low.t + high.t)
+            if (node := self._node(t, newest.predict(t))) is None:
                 return None
+            newest = node
             low, high = (node, high) if node.sides == low.sides else (low, node)
         return low, high
 

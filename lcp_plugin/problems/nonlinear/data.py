@@ -410,7 +410,7 @@ class NonlinearProblem:
         return f"NonlinearProblem(n={size}, {how})"
 
 
-def _finite(derivative: Any, name: str, n: int) -> Any:
+def _finite(derivative: AnyMatrix, name: str, n: int) -> Any:
     """Return the checked derivative; UndefinedDerivativeError if only numbers are invalid."""
     try:
         return checks.rectangular_matrix(derivative, name, n, n)
@@ -420,14 +420,16 @@ def _finite(derivative: Any, name: str, n: int) -> Any:
         raise UndefinedDerivativeError(str(error)) from error
 
 
-def _floats(derivative: Any, n: int) -> Any:
+def _floats(derivative: AnyMatrix, n: int) -> Any:
     """Return the entries of a derivative of shape (n, n), none if it has another shape or type."""
     entries = derivative.data if sp.issparse(derivative) else np.asarray(derivative)
     fits = np.shape(derivative) == (n, n) and entries.dtype.kind == "f"
     return entries if fits else np.zeros(0)
 
 
-def _replace_infinite_rows(problem: NonlinearProblem, x: Vector, value: Vector, M: Any) -> Any:
+def _replace_infinite_rows(
+    problem: NonlinearProblem, x: Vector, value: Vector, M: AnyMatrix
+) -> Any:
     """Return the derivative with diagonal rows for rows with an infinite entry."""
     n = x.size
     if not np.isinf(_floats(M, n)).any():
@@ -449,7 +451,7 @@ def _replace_infinite_rows(problem: NonlinearProblem, x: Vector, value: Vector, 
     return sp.csr_array(levelled) if is_sparse else levelled.toarray()
 
 
-def _pattern(pattern: Any) -> sp.csc_array:
+def _pattern(pattern: AnyMatrix) -> sp.csc_array:
     """Return the stored entries by columns, each with the value 1."""
     if not sp.issparse(pattern):
         need = "pattern must be a sparse array of shape (n, n)"
@@ -490,7 +492,7 @@ HALF_OF_DIGITS = 2.0**-26  # of an unknown: a smaller Newton step is none
 STEPS_UP_TO = 1000  # rows whose Newton step is always computed
 
 
-def largest_in_columns(sizes: Any, weights: Vector) -> Vector:
+def largest_in_columns(sizes: AnyMatrix, weights: Vector) -> Vector:
     """Return max_i weights_i sizes_ij of each column."""
     if not sp.issparse(sizes):
         return np.asarray((sizes * weights[:, None]).max(0, initial=0.0))

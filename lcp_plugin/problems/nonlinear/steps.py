@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.algorithm import Algorithm
-from ...core.checks import Vector
+from ...core.checks import AnyMatrix, Vector
 from ...core.deadline import Clock, is_over, seconds_left
 from ...core.entries import largest_in_rows
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
@@ -236,7 +236,7 @@ def without_flat_rows(sizes: Vector) -> Vector:
     return np.maximum(sizes, FLAT * sizes.max(initial=0.0) or 1.0)
 
 
-def solve_shifted(matrix: Any, shift: float, right: Vector) -> Vector | None:
+def solve_shifted(matrix: AnyMatrix, shift: float, right: Vector) -> Vector | None:
     """Return the solution of (matrix + shift I) d = right, symmetric if shifted; None if it fails."""
     n = right.size
     is_sparse = sp.issparse(matrix)

@@ -1,0 +1,342 @@
+"""Josephy–Newton with two searches and restarts.
+
+The steps (:mod:`lcp_plugin.problems.nonlinear.steps`) are taken by two searches. The monotone search accepts steps
+that reduce the merit ‖Φ‖₂. The nonmonotone search compares with the worst of four points, and takes a full Newton step
+if its residual is at most ten times the least of these: on traffic networks the residual rises before it falls. Then
+both begin again at other points of the bounds: the nearest ones to 1, 0, 10 and 0.1, and random ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...core.algorithm import Algorithm, Step
+from ...core.checks import Vector
+from ...core.deadline import is_over
+from ...core.kernels.floats import NEGLIGIBLE, NEGLIGIBLE_DIAGONAL
+from ...core.settings import Settings
+from ...judges.lcp import row_data
+from ...methods.finishing import measure_finished
+from ...methods.newton import fischer_burmeister
+from .data import SMALLEST_TOLERANCE, Linearization
+from .steps import Target, is_small, moved, row_scale, small_step, targets
+
+SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a step is compared
+TRIALS = 12  # points on a line where F is defined
+RESTARTS = 10  # from other points, after the searches that stalled
+NEAREST_TO = 1.0, 0.0, 10.0, 0.1  # the first other starts
+RESTARTS_UP_TO = 1000  # unknowns; beyond, a new start is too expensive
+
+
+class JosephyNewton(Algorithm):
+    """Josephy–Newton with line searches on the merit ‖Φ‖₂, and restarts.
+
+    It is one class because steps, searches and restarts share one point and its merit.
+
+    Parameters
+    ----------
+    start : Linearization
+    linear : str or Algorithm
+        Algorithm for the linearizations.
+    settings : Settings
+        Of the run.
+    searches : tuple of str
+        The names of searches, in order.
+    restarts : int
+        Number of further starts.
+    """
+
+    name: ClassVar[str] = "josephy_newton"
+    is_monotone: ClassVar[bool] = False
+    most_full_steps: ClassVar[int] = 20
+
+    def __init__(
+        self,
+        start: Linearization,
+        linear: str | Algorithm,
+        settings: Settings,
+        searches: tuple[str, ...] = tuple(SEARCHES),
+        restarts: int = RESTARTS,
+    ) -> None:
+        self.first = self.here = self.tried = start
+        self.linear, self.settings, self.tolerance = linear, settings, settings.goal
+        self.searches, self.restarts = searches, restarts
+        self.limit: Vector | float = np.inf  # of |x|: farther unknowns have grown without limit
+        self.work, self.kind, self.length = 1.0, "start", 0.0
+        self.recent: deque[Linearization] = deque([start], 1)
+        self.passed: dict[bytes, Linearization] = {}  # points of full steps, to be taken again
+        self._weights: Vector | None = None
+
+    @property
+    def weights(self) -> Vector:
+        """1/reference of the component of each row at the start; shape (1,) for one component."""
+        if self._weights is None:
+            self._weights = np.ones(1)
+            if self.first.data.labels is not None:
+                unit = self.first.data.references[1]
+                is_usable = (unit > 0.0) & np.isfinite(unit)
+                self._weights = 1.0 / np.where(is_usable, unit, 1.0)
+        return self._weights
+
+    def iterates(self, problem: Any, z0: Any) -> Iterator[Step]:
+        """Yield the start, then the point of each step, until no step or restart helps."""
+        yield self.step()
+        for search in self.searches:
+            yield from self.steps_from(self.first, search)
+            if self.is_at_floor() or is_over():
+                return
+        random = np.random.default_rng(0)
+        for k in range(self.restarts if self.first.x.size <= RESTARTS_UP_TO else 0):
+            start = self.other_start(k, random)
+            if start is None:
+                continue
+            for search in self.searches:
+                self.here, self.kind, self.length = start, "restart", 0.0
+                yield self.step()
+                yield from self.steps_from(start, search)
+                if self.is_at_floor() or is_over():
+                    return
+
+    def step(self) -> Step:
+        """Return the point here as a step, with the work since the last one."""
+        work, self.work, note = self.work, 0.0, ""
+        if self.settings.verbose:
+            problem, worst = self.here.problem, int(np.argmax(np.abs(self.here.steps)))
+            F, slopes, _ = problem.counts
+            note = f"  {self.kind}, length {self.length:.2g}; worst {problem.names.row(worst)}; F {F}, F′ {slopes}"
+        return Step(self.here.x, work=work, measured=self.here, note=note)
+
+    def steps_from(self, start: Linearization, search: str) -> Iterator[Step]:
+        """Yield steps from a point until none helps, or none has for long."""
+        self.here, self.recent = start, deque([start], SEARCHES[search])
+        # A jump of the residual may start a long decrease
+        latest, since, grown = deque([self.progress(start)], maxlen=12), 0, 0
+        least, idle = latest[0], 0
+        # 25 steps without a residual clearly below the residuals before it, or 50 without a new least residual
+        while since < 25 and idle < 50 and (following := self._next_point()) is not None:
+            self.here = following = self.snap(following)
+            self.recent.append(following)
+            yield self.step()
+            size = self.progress(following)
+            since = 0 if size < 0.95 * min(latest) else since + 1
+            least, idle = (size, 0) if size < 0.95 * least else (least, idle + 1)
+            latest.append(size)
+            if since and self.is_at_floor():
+                return
+            grown = grown + 1 if following.is_endless(self.settings) else 0
+            if grown == 3:  # points that would pass if no unknown moved on
+                end = np.where(following.data.growing, np.abs(following.x), np.inf)
+                self.limit = np.minimum(self.limit, end)
+                return
+
+    def snap(self, point: Linearization) -> Linearization:
+        """Return the point with x° in the components that F(x°) solves, and that x has come near."""
+        origin, data = point.origin, point.data
+        left, way = (data.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
+        is_near = left <= 1e-4 * way
+        if not np.logical_or.reduce(is_near):
+            return point
+        errors = np.abs(data.residual(origin.x, origin.value))
+        x = np.where(is_near & (data.largest(errors) == 0.0), origin.x, point.x)
+        there = point if np.array_equal(x, point.x) else self._at(x)
+        return there if there.is_defined and there.residual <= point.residual else point
+
+    def other_start(self, k: int, random: np.random.Generator) -> Linearization | None:
+        """Return start number k other than x₀; None if F is not defined there.
+
+        The first ones are the points of the bounds nearest to some numbers; every second one of the random others is
+        log-uniform above the lower bounds.
+        """
+        x, lower, upper = self.first.x, self.first.problem.lower, self.first.problem.upper
+        size, n = np.maximum(1.0, np.abs(x)), x.size
+        drawn = np.full(n, NEAREST_TO[min(k, 3)])
+        if k > 3:
+            drawn = x + size * random.standard_normal(n) * 0.5 * k
+        if k > 3 and k % 2:
+            common, own = random.uniform(-3.0, 0.0), random.uniform(-1.0, 1.0, n)
+            above = lower + size * 10.0 ** (common + own)
+            drawn = np.where(np.isfinite(lower), above, drawn)
+        point = self.first.at(np.clip(drawn, lower, upper))
+        return point if point.is_defined else None
+
+    def full_steps(self, is_over: Callable[[], bool]) -> tuple[Linearization | None, int]:
+        """Return the first point with a small residual, and its number of steps; None if another step is due.
+
+        A small dense problem with a good start needs only full Newton steps. These are the first steps of the monotone
+        search, bit for bit, without the bookkeeping of a run. If another step is due, a run begins again, and takes
+        the points from `passed`.
+
+        Parameters
+        ----------
+        is_over : callable
+            Returns whether the time is over.
+        """
+        here, settings = self.first, self.settings
+        is_suited = self.linear == "auto" and is_small(here) and here.x.size
+        if not is_suited or settings.absolute_tolerance:
+            return None, 0
+        problem, goal = here.problem, max(self.tolerance, SMALLEST_TOLERANCE)
+        lower, upper, unit, passed = problem.lower, problem.upper, here.scale, list[Linearization]()
+        for count in range(min(self.most_full_steps, settings.max_iterations) + 1):
+            self.here = here
+            x, w, M, scale = here.x, here.value, here.M, here.scale
+            above, below, step = x - lower, x - upper, w / scale
+            residual = np.abs(np.minimum(np.maximum(step, below), above))
+            violation = np.maximum(np.where(above > 0.0, w, 0.0), np.where(below < 0.0, -w, 0.0))
+            sizes = np.maximum(residual, violation / unit)
+            if count == 0:
+                least, negligible = sizes, NEGLIGIBLE * sizes
+            elif not is_below(sizes, least, 0.95):
+                latest = min(map(self.progress, passed[-12:]))
+                if not self.progress(here) < 0.95 * latest and self.is_at_floor():
+                    break
+            passed.append(here)
+            least = np.minimum(sizes, least)
+            terms = np.abs(M) @ np.abs(x) + np.abs(here.q)
+            if np.maximum.reduce(residual) <= goal * np.maximum.reduce(terms / scale):
+                return here, count
+            is_flat = not np.logical_and.reduce(sizes > negligible) and self.is_flat()
+            if is_flat or is_over() or count in (self.most_full_steps, settings.max_iterations):
+                break
+            if (change := small_step(M, w, -above, -below, scale)) is None:
+                break
+            point = here.at(moved(here, change))
+            self.passed[point.x.tobytes()] = self.tried = point
+            if not self._is_better(point, residual) or not point.is_defined:
+                break
+            here = point
+        return None, 0
+
+    def _is_better(self, point: Linearization, residual: Vector) -> bool:
+        """Return whether a search accepts the end of a full step, and does not move it to z°.
+
+        The tests of single rows imply the tests by weighted norms, for any weights, and take less time.
+        """
+        here, lower, upper = self.here, point.problem.lower, point.problem.upper
+        there = np.maximum(point.value / here.scale, point.x - upper)
+        there = np.abs(np.minimum(there, point.x - lower))
+        if not is_below(there, residual, 0.5):
+            phi = [np.abs(self.phi(one)) for one in (point, here)]
+            if not is_below(phi[0], phi[1], 0.9999):
+                target, self.recent = Target("Newton", point.x, (1.0,)), deque([here])
+                if self.full_step(target) is None and self.search(target) is None:
+                    return False
+        if self.first is here.origin:
+            return True
+        near = 1e-4 * np.maximum.reduce(np.abs(self.first.x - here.origin.x))
+        is_far = (np.abs(point.x - here.origin.x) > near).all()
+        return bool(is_far) or self.snap(point) is point
+
+    # --- one step ----------------------------------------------------------------------------------------
+
+    def _next_point(self) -> Linearization | None:
+        """Return the next point; None if no step helps, the time is over, or rounding explains the residual."""
+        here = self.here
+        if not here.steps.any():
+            return None
+        if here.is_small(self.settings):  # rows in the far field fail
+            point = self._at(measure_finished(row_data(here.lcp), here.x, self.tolerance).z)
+            if (
+                point.is_defined
+                and point.certificate.term_residual < here.certificate.term_residual
+            ):
+                self.kind = "finish"
+                return point
+        if self.is_flat():  # a root without slope
+            sizes = np.abs(here.x)
+            flushed = np.where(sizes <= NEGLIGIBLE_DIAGONAL * sizes.max(), here.origin.x, here.x)
+            if (point := self._at(flushed)).is_defined and point.passes(self.settings):
+                self.kind = "limit"
+                return point
+        for target in targets(self.here, self.linear, self.tolerance):
+            self.kind, self.length = target.kind, 1.0
+            found = self.full_step(target) or self.search(target)
+            if found is not None or is_over() or (target.kind == "Newton" and self.is_at_floor()):
+                return found
+        return None
+
+    def is_flat(self) -> bool:
+        """Return whether the residual is negligible next to the first one."""
+        return self.size_of(self.here) <= NEGLIGIBLE * self.size_of(self.first)
+
+    def full_step(self, target: Target) -> Linearization | None:
+        """Return the target if it has less than half of the residual here, in the scale here."""
+        here, point = self.here, self._at(target.x)
+        there = here.data.residual(point.x, point.value)
+        sizes = [np.maximum.reduce(np.abs(self.weights * one)) for one in (there, here.steps)]
+        return point if sizes[0] < 0.5 * sizes[1] and point.is_defined else None
+
+    def search(self, target: Target) -> Linearization | None:
+        """Return the first point on the way to the target that is better."""
+        here, is_newton, tried = self.here, target.kind == "Newton", 0
+        worst = target.share * max(map(self._merit, self.recent if is_newton else (here,)))
+        for length in target.lengths:
+            x = target.x if length == 1.0 else here.x + length * (target.x - here.x)
+            if tried == TRIALS or (x == here.x).all():
+                break
+            point = self._at(x)
+            if not np.logical_and.reduce(np.isfinite(point.value)):
+                continue
+            tried += 1
+            # ∞ gains nothing on ∞
+            is_better = self._merit(point) < (1.0 - 1e-4 * length) * worst
+            is_lenient = is_newton and length == 1.0 and len(self.recent) > 1
+            if not (is_better or is_lenient) or not point.is_defined:
+                continue
+            if is_better or point.residual <= 10.0 * min(one.residual for one in self.recent):
+                self.length = length
+                return point
+        return None
+
+    def _at(self, x: Vector) -> Linearization:
+        """Return the linearization at x; its F is computed once if the next search begins there."""
+        if not np.array_equal(x, self.tried.x):
+            self.work += 1.0
+            self.tried = self.passed.pop(x.tobytes(), None) or self.first.at(x)  # type: ignore[arg-type]
+        return self.tried
+
+    # --- what is measured ----------------------------------------------------------------------------------
+
+    def _merit(self, point: Linearization) -> float:
+        """Return ‖Φ‖₂ with the row scales of the linearization here; ∞ if F is undefined."""
+        if not np.isfinite(point.value).all():
+            return math.inf
+        return float(np.linalg.norm(self.weights * self.phi(point)))
+
+    def phi(self, point: Linearization) -> Vector:
+        """Return Φ with the row scales of the linearization here."""
+        return fischer_burmeister(point.problem, point.x, point.value, row_scale(self.here)).value
+
+    def is_at_floor(self) -> bool:
+        """Return whether only rounding in F keeps the point here from passing."""
+        return self.here.is_limited(self.settings)
+
+    def size_of(self, point: Linearization) -> float:
+        """Return the largest residual or violation, in the units of the start.
+
+        Next to a pole only the residual falls, because x_i approaches its bound; if F tends to 0 as x diverges, only
+        the violation falls.
+        """
+        if point.size is None:
+            problem, x, w = point.problem, point.x, point.value
+            violation = np.maximum(w * (x > problem.lower), -w * (x < problem.upper))
+            sizes = np.maximum(np.abs(point.steps), violation / self.first.data.scale)
+            point.size = float(np.maximum.reduce(self.weights * sizes, initial=0.0))
+        return point.size
+
+    def progress(self, point: Linearization) -> float:
+        """Return the measure that must fall: the size, and then the componentwise test."""
+        size = self.size_of(point)
+        if point.is_small(self.settings):
+            size *= min(1.0, float(point.measure(self.settings).by_row.terms.max(initial=0.0)))
+        return size
+
+
+def is_below(values: Vector, others: Vector, share: float) -> bool:
+    """Return whether each value is 0 or below its share of the other one, so that weighted norms are."""
+    return bool(np.logical_and.reduce((values < share * others) | (values == 0.0)))

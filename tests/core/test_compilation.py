@@ -9,9 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
-
-from lcp_plugin.commands.cli import app
+from tools.processes import lcp_plugin
 
 COUNT_COMPILED = """
 import sys
@@ -81,7 +79,7 @@ def in_a_new_process(code: str, folder: Path | None = None, **environment: str) 
 @pytest.mark.full
 def test_nothing_is_compiled_after_a_warm_up():
     """After `lcp-plugin warm-up` a fresh process finds every kernel it needs in the cache."""
-    run = CliRunner().invoke(app, ["warm-up"])
+    run = lcp_plugin("warm-up")
     assert run.exit_code == 0
     assert in_a_new_process(COUNT_COMPILED) == "True 0"
 

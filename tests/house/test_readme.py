@@ -10,9 +10,7 @@ from pathlib import Path
 
 import pytest
 from pages import masked
-from typer.testing import CliRunner
-
-from lcp_plugin.commands.cli import app
+from tools.processes import lcp_plugin
 
 ROOT = Path(__file__).parents[2]
 README = ROOT.joinpath("README.md").read_text(encoding="utf-8")
@@ -49,7 +47,7 @@ def test_python_blocks_run(k, capsys):
 def test_commands_run(command, tmp_path, monkeypatch):
     """A command of the README does what it says and exits with 0."""
     monkeypatch.chdir(tmp_path)
-    outcome = CliRunner().invoke(app, shlex.split(command, comments=True)[1:])
+    outcome = lcp_plugin(*shlex.split(command, comments=True)[1:])
     assert outcome.exit_code == 0, outcome.output
     if "--plot" in command:
         name = command.rsplit(maxsplit=1)[-1]

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from kinds_of_problems import SAMPLES, Sample
 from tools.nl_files import content_of, read_sol
-from typer.testing import CliRunner
+from tools.processes import lcp_plugin
 
 from lcp_plugin import (
     LCP,
@@ -387,10 +387,7 @@ def files_of(sample: Sample, folder: Path) -> list[Path]:
 
 
 def command(*words: Any) -> Any:
-    """The command in this process, which ends without a traceback."""
-    found = CliRunner().invoke(app, list(map(str, words)))
-    assert found.exception is None or isinstance(found.exception, SystemExit), repr(found.exception)
-    return found
+    return lcp_plugin(*map(str, words))
 
 
 def by_command_solve(sample: Sample, folder: Path) -> None:

@@ -13,6 +13,7 @@ from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, gallery
 from lcp_plugin.core.settings import parse_options
+from lcp_plugin.gallery import Scene
 from lcp_plugin.gallery.problems import (
     CONE_BEGINS,
     Field,
@@ -25,7 +26,6 @@ from lcp_plugin.gallery.problems import (
     stiff_cells,
     upwind,
 )
-from lcp_plugin.gallery.scene import Scene
 
 CONTACT_RADIUS = 0.7892441190408083  # the root r* in (0, 1) of 2 r² − r³/2 = 1
 MEMBRANE: dict[str, Any] = {"unknown": "height", "active_means": "on the obstacle"}

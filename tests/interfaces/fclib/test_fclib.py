@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from scipy.linalg import block_diag
-from typer.testing import CliRunner
+from tools.processes import lcp_plugin
 
 from lcp_plugin import (
     LCP,
@@ -22,7 +22,6 @@ from lcp_plugin import (
     load_problem,
     solve,
 )
-from lcp_plugin.commands.cli import app
 
 h5py = pytest.importorskip("h5py")
 
@@ -109,7 +108,7 @@ def test_a_global_problem(kind, tmp_path):
 
 def test_the_command_solves_such_a_file(tmp_path):
     """``lcp-plugin solve block.h5``."""
-    found = CliRunner().invoke(app, ["solve", str(local(tmp_path / "block.h5"))])
+    found = lcp_plugin("solve", str(local(tmp_path / "block.h5")))
     assert found.exit_code == 0, found.output
     assert "SOLVED" in found.output
     assert "1 contact: 0 open, 0 stick, 1 slide" in found.output
@@ -159,7 +158,7 @@ def test_the_error_names_the_fault_of_a_file(change, words, tmp_path):
     change(path)
     with pytest.raises(UnreadableFile, match=re.escape(words)):
         load_problem(path)
-    found = CliRunner().invoke(app, ["solve", str(path)])
+    found = lcp_plugin("solve", str(path))
     assert found.exit_code == 2, found.output
 
 

@@ -28,7 +28,6 @@ from lcp_plugin import (
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.core.algorithm import SWEEPS
-from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
 from . import convex_programs, guarantees, least_squares, search, small_lcps
 
@@ -364,7 +363,7 @@ def equilibrium(rng: Generator, kind: str) -> Found:
         truth = judge.truth(problem)
     except ArithmeticError:  # the pieces are too near to each other
         return
-    result = minimize_over_solutions(problem, max_seconds=60.0, prove=True)
+    result = solve(problem, max_seconds=60.0, prove=True)
     for text in (*judge.complaints(result, truth), *judge.undetected(result)):
         yield Finding(CLAIM, text)
 

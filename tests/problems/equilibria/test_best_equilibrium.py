@@ -22,7 +22,7 @@ from lcp_plugin import (
     optimal,
     solve,
 )
-from lcp_plugin.problems.equilibria.branch_and_bound import BranchAndBound, minimize_over_solutions
+from lcp_plugin.problems.equilibria.branch_and_bound import BranchAndBound
 
 
 def solved(problem: cp.Problem, **options: Any) -> Any:
@@ -87,7 +87,7 @@ def test_random_programs_agree_with_all_their_pieces(draws):
         problem = random_problem(np.random.default_rng([36, 0, case]), most=5)
         known = truth(problem)
         for prove in (True, False):
-            result = minimize_over_solutions(problem, prove=prove)
+            result = solve(problem, prove=prove)
             assert result.status in (
                 Status.SOLVED,
                 Status.INFEASIBLE,
@@ -104,7 +104,7 @@ def test_verify_sees_a_variable_beyond_the_bounds_of_its_pair():
     program = QuadraticProgram(
         np.zeros((3, 3)), [1, 0, 0], A=[[1, 0, -1]], b=[1], lower=[0, -np.inf, -np.inf]
     )
-    result = minimize_over_solutions(EquilibriumProgram(program, [1], [2], 0, np.inf))
+    result = solve(EquilibriumProgram(program, [1], [2], 0, np.inf))
     assert (result.status, result.value, result.verify()) == (Status.SOLVED, 1.0, True)
     assert not replace(result, x=np.array([1.0, -7.0, 0.0])).verify()
 
@@ -182,7 +182,7 @@ def test_wherever_the_search_is_interrupted_its_bound_and_status_hold():
                 raise KeyboardInterrupt
 
         calls.clear()
-        return minimize_over_solutions(problem, prove=True, callback=callback)
+        return solve(problem, prove=True, callback=callback)
 
     whole = interrupted(0)
     assert (whole.status, whole.verify(), whole.nodes > 1) == (Status.SOLVED, True, True)
@@ -223,7 +223,7 @@ def test_the_unit_of_the_objective_changes_no_answer(unit, prove):
     problem = EquilibriumProgram.of_rows(
         QuadraticProgram(None, cost, lower=lower, upper=upper), range(n, 2 * n), W, q
     )
-    result = minimize_over_solutions(problem, prove=prove)
+    result = solve(problem, prove=prove)
     assert result.is_solved
     np.testing.assert_allclose(result.value, best, rtol=1e-6)
 

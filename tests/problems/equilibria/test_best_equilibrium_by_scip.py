@@ -11,7 +11,6 @@ import pytest
 from macmpec import COLLECTION
 
 from lcp_plugin import EquilibriumProgram, QuadraticProgram, Status, complements, optimal, solve
-from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 
 
 @pytest.fixture
@@ -104,7 +103,7 @@ def test_programs_beyond_complementarity_problems_are_solved_without_scip(withou
     over = QuadraticProgram(None, [1, 0], A=[[1, 0], [0, 1]], b=[1, 0], lower=0)
     twice = QuadraticProgram(None, [1, 0, 0], A=[[1, -1, 0]], b=[1], lower=0)
     for program, second in ((over, [1]), (twice, [1, 2])):
-        result = minimize_over_solutions(EquilibriumProgram(program, [0] * len(second), second))
+        result = solve(EquilibriumProgram(program, [0] * len(second), second))
         assert (result.status, result.value, result.bound_by) == (
             Status.SOLVED,
             pytest.approx(1.0),
@@ -116,7 +115,7 @@ def test_rows_that_limit_sides_of_pairs_give_a_bound(without_scip):
     """Without an upper bound of sides of pairs there is no bound; rows that limit them give one, and keep the pairs."""
     M, q = [[0.0, 1.0], [1.0, 0.0]], [1.0, 1.0]  # 0 ≤ y₀ ⟂ 1 + y₁, 0 ≤ y₁ ⟂ 1 + y₀: y = 0
     results = [
-        minimize_over_solutions(EquilibriumProgram.of_rows(program, [0, 1], M, q), max_nodes=0)
+        solve(EquilibriumProgram.of_rows(program, [0, 1], M, q), max_nodes=0)
         for program in (
             QuadraticProgram(None, [-1, -1], lower=0),
             QuadraticProgram(None, [-1, -1], np.eye(2), [9, 9], lower=0),

@@ -29,10 +29,10 @@ from lcp_plugin import (
     Status,
     UnsupportedModel,
     complements,
+    solve,
 )
 from lcp_plugin.commands import ampl
 from lcp_plugin.problems.equilibria import scip
-from lcp_plugin.problems.equilibria.branch_and_bound import minimize_over_solutions
 from lcp_plugin.problems.equilibria.equilibrium_program import SmoothPart
 
 FOUND_NONE = "SCIP, in floating point, reports infeasible, which could not be confirmed"
@@ -108,7 +108,7 @@ def bilinear(**more: Any) -> EquilibriumProgram:
 
 def test_more_nodes_than_scip_can_count_are_no_limit():
     """The bound is that of a run without a limit."""
-    assert minimize_over_solutions(bilinear(), max_nodes=10**30).value == pytest.approx(2.0)
+    assert solve(bilinear(), max_nodes=10**30).value == pytest.approx(2.0)
 
 
 FUNCTIONS: dict[str, tuple[Any, ...]] = {
@@ -150,7 +150,7 @@ def test_without_scip_every_way_in_tells_the_extra(without_scip, tmp_path):
     """Without SCIP a nonconvex leader gets no point, no bound, and advice in every interface."""
     solver = pe.SolverFactory("lcp_plugin")
     solver.solve(toll_in_pyomo())
-    for result in (minimize_over_solutions(bilinear()), Toll(most=20.0).solved()[1], solver.result):
+    for result in (solve(bilinear()), Toll(most=20.0).solved()[1], solver.result):
         assert (result.status, result.bound_by, result.proof) == (Status.STALLED, None, None)
         assert result.x is None
         assert "pip install pyscipopt (or lcp_plugin[global])" in result.advice
@@ -166,7 +166,7 @@ def test_without_scip_every_way_in_tells_the_extra(without_scip, tmp_path):
 @pytest.mark.full
 def test_half_a_second_keeps_the_best_point():
     """The status is MAX_SECONDS, x an equilibrium, and no bound is above its value."""
-    result = minimize_over_solutions(knapsack(), max_seconds=0.5)
+    result = solve(knapsack(), max_seconds=0.5)
     assert result.status is Status.MAX_SECONDS
     assert result.x is not None
     assert result.problem.excess(result.x) <= 1e-7
@@ -189,7 +189,7 @@ def test_ctrl_c_inside_scip_keeps_the_best_point_and_frees_it(monkeypatch):
             os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(scip, "_Model", Watched)
-    result = minimize_over_solutions(knapsack(), callback=interrupt)
+    result = solve(knapsack(), callback=interrupt)
     assert (result.status, result.x is None) == (Status.INTERRUPTED, False)
     assert result.problem.excess(result.x) <= 1e-7
     assert result.lower_bound <= result.value
@@ -198,7 +198,7 @@ def test_ctrl_c_inside_scip_keeps_the_best_point_and_frees_it(monkeypatch):
     gc.collect()
     assert models
     assert [model() for model in models] == [None] * len(models)
-    assert minimize_over_solutions(bilinear()).value == pytest.approx(2.0)
+    assert solve(bilinear()).value == pytest.approx(2.0)
 
 
 def test_what_a_callback_raises_inside_scip_reaches_the_caller():
@@ -208,7 +208,7 @@ def test_what_a_callback_raises_inside_scip_reaches_the_caller():
         raise ZeroDivisionError("mine")
 
     with pytest.raises(ZeroDivisionError, match="mine"):
-        minimize_over_solutions(knapsack(), callback=fails)
+        solve(knapsack(), callback=fails)
 
 
 # --- Infeasible, unbounded and invalid problems ---
@@ -272,7 +272,7 @@ def test_nan_is_refused_in_words_by_every_way_in(tmp_path):
     with pytest.raises(InvalidProblem, match=r"finite|NaN|nan"):
         EquilibriumProgram.of_rows(QuadraticProgram(None, [1.0]), [0], [[nan]], [0.0])
     with pytest.raises(InvalidOption, match="x0"):
-        minimize_over_solutions(bilinear(), x0=[nan, 0, 0])
+        solve(bilinear(), x0=[nan, 0, 0])
     toll = Toll()
     with pytest.raises(LCPError, match="must be finite"):
         toll.solved(nan * toll.toll * toll.flow[0])
@@ -305,7 +305,7 @@ def test_functions_that_scip_does_not_know_have_names(tmp_path):
         problem.program, [0], [2], smooth=SmoothPart(Map(), np.zeros(0), np.zeros(0))
     )
     with pytest.raises(UnsupportedModel, match="a function of Python's has no terms"):
-        minimize_over_solutions(smooth)
+        solve(smooth)
 
 
 def test_an_absolute_value_is_taken_from_cvxpy_and_refused_with_a_pair_elsewhere():
@@ -354,10 +354,7 @@ def test_a_point_does_not_hide_that_the_objective_falls_for_ever():
     )
     assert not (A @ ray).any()
     assert program.c @ ray < 0.0
-    assert (
-        minimize_over_solutions(EquilibriumProgram(program, [0, 1, 2], [3, 4, 5])).status
-        is Status.UNBOUNDED
-    )
+    assert solve(EquilibriumProgram(program, [0, 1, 2], [3, 4, 5])).status is Status.UNBOUNDED
 
 
 # --- Followers that are hard to solve do not delay the search ---
@@ -386,7 +383,7 @@ def hard_followers(seed: int, pairs: int = 42) -> EquilibriumProgram:
 @pytest.mark.full
 def test_followers_that_take_long_do_not_keep_scip_waiting():
     """A leader over 42 pairs, whose followers no method solves quickly: a point, and its proof, within the limit."""
-    result = minimize_over_solutions(hard_followers(0), max_seconds=20.0)
+    result = solve(hard_followers(0), max_seconds=20.0)
     assert result.status is Status.SOLVED
     assert result.value == pytest.approx(6.260972762935, rel=1e-6)
 

@@ -24,8 +24,6 @@ from .following import Motion
 from .path import Piece
 
 PREDICTION = 1e-3  # largest error of a prediction, relative to 1 + ‖x‖∞
-SHORTEST_SHARE = 2.0**-20  # of the way: length of a step
-CLOSE = 2.0**-10  # of the way: shortest step to a predicted change, because w = 0 up to rounding predicts one at once
 NEAR = 2.0**-30  # of the way: distance of the two solutions at a breakpoint
 
 
@@ -98,7 +96,7 @@ class SmoothFollower:
         """Yield begin, end and solutions of each segment up to stop, or to where the path is lost."""
         nodes: list[Any] = [self.first]
         begin, step, goal, beyond = self.begin, self.span / 8.0, stop, None
-        while step > SHORTEST_SHARE * self.span or nodes[-1].t == goal:
+        while step > 2.0**-20 * self.span or nodes[-1].t == goal:
             last, error = nodes[-1], np.inf
             if last.t == goal:
                 if len(nodes) > 1:
@@ -108,8 +106,9 @@ class SmoothFollower:
                     return
                 nodes, step, goal, beyond = [beyond], self.span / 8.0, stop, None
                 continue
-            # Just beyond a predicted change: further on, other rows may change, or this one return to its side
-            step = min(step, max(1.01 * last.motion.first_end()[0], CLOSE * self.span))
+            # Just beyond a predicted change: further on, other rows may change, or this one return to its side. If
+            # rounding alone makes w ≠ 0, a change is predicted at once.
+            step = min(step, max(1.01 * last.motion.first_end()[0], self.span / 1024.0))
             t = min(last.t + step, goal)
             guess = last.predict(t)
             node = self._node(t, guess)

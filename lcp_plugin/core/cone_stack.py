@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from .checks import Array, copy_without
+from .checks import Array, copy_without, read_only
+from .kernels.compilation import helper, kernel
 from .kernels.floats import NEGLIGIBLE_DIAGONAL, NORMAL
 
 OUT, WITHIN, ON = 0, 1, 2  # location of a projection: apex or bound, interior, boundary of a cone
@@ -27,6 +28,50 @@ def length(x: Array) -> Array:
     if x.shape[-1] == 3:
         return np.hypot(np.hypot(x[..., 0], x[..., 1]), x[..., 2])
     return np.hypot.reduce(np.abs(x), axis=-1)
+
+
+@helper
+def read_blocks_of_one(starts, indptr, indices, data, own, d, labels):  # type: ignore[no-untyped-def]
+    """Write the diagonal blocks of one matrix, their scales d, and the first block of the component of each."""
+    k = starts.size - 1
+    of_row, sums = np.empty(starts[k], np.int64), np.zeros(k)
+    for c in range(k):
+        of_row[starts[c] : starts[c + 1]] = labels[c] = c
+    for c in range(k):
+        first, size = starts[c], starts[c + 1] - starts[c]
+        norm, largest = 0.0, 0.0
+        for i in range(size):
+            for p in range(indptr[first + i], indptr[first + i + 1]):
+                sums[of_row[indices[p]]] += abs(data[p])
+                if of_row[indices[p]] == c:
+                    own[c, i, indices[p] - first] = data[p]
+                    norm = np.hypot(norm, data[p])
+        for p in range(indptr[first], indptr[first + size]):
+            a, other = c, of_row[indices[p]]
+            if sums[other] == 0.0:
+                continue
+            # Σ |m_ij| / √(rows · columns), at most the Frobenius norm, of the largest block of the row
+            width = starts[other + 1] - starts[other]
+            largest, sums[other] = max(largest, sums[other] / np.sqrt(size * width)), 0.0
+            while labels[a] != a:
+                a = labels[a]
+            while labels[other] != other:
+                other = labels[other]
+            labels[max(a, other)] = min(a, other)
+        norm = norm / np.sqrt(size) if size > 1 else own[c, 0, 0]
+        d[c] = norm
+        if not (norm > 0.0 and norm >= NEGLIGIBLE_DIAGONAL * largest):
+            d[c] = largest if largest > 0.0 else 1.0
+    for c in range(k):
+        labels[c] = labels[labels[c]]
+
+
+@kernel
+def read_blocks(starts, indptr, indices, data, own, d, labels):  # type: ignore[no-untyped-def]
+    """Write the diagonal blocks of matrices with one pattern, their scales and their components."""
+    for world in range(d.shape[0]):
+        arrays = own[world], d[world], labels[world]
+        read_blocks_of_one(starts, indptr, indices, data[world], *arrays)
 
 
 class Pattern:
@@ -67,40 +112,11 @@ class Pattern:
         row = np.repeat(np.arange(self.n), counts)
         shift = np.cumsum(counts) - counts - starts[self.of_row]
         self.inner = row, np.arange(row.size) - np.repeat(shift, counts)
-        self._read()
-
-    def _read(self) -> None:
-        M, B, k, of_row, first = self.M, self.B, self.k, self.of_row, self.starts[:-1]
-        if self.is_sparse:
-            row, column = np.repeat(np.arange(self.n), np.diff(M.indptr)), M.indices
-            where = of_row[row], of_row[column]
-            graph = sp.coo_array((np.abs(M.data), where), shape=(k, k)).tocsr()
-            blocks = np.repeat(np.arange(k), np.diff(graph.indptr)) * k + graph.indices
-            sums = graph.data
-            is_inner = of_row[row] == of_row[column]
-            row, column, values = row[is_inner], column[is_inner], M.data[is_inner]
-        else:
-            sums = np.add.reduceat(np.add.reduceat(np.abs(M), first, 1), first, 2).ravel()
-            blocks = np.arange(sums.size)
-            (row, column), values = self.inner, M[:, self.inner[0], self.inner[1]]
-        blocks, sums = blocks[sums != 0.0], sums[sums != 0.0]
-        of_block = blocks // k, blocks // k**2 * k + blocks % k
-        self.own = np.zeros((B, k, self.m, self.m))
-        self.own[self.entry(row, column)] = values
-        own = length(self.own.reshape(B, k, self.m**2)) / np.sqrt(self.sizes)
-        own = np.where(self.is_row, self.own[:, :, 0, 0], own)
-        # Σ |m_ij| / √(rows · columns), at most the Frobenius norm, of the largest block of each row
-        root, most = np.tile(np.sqrt(self.sizes), B), np.zeros(B * k)
-        np.maximum.at(most, of_block[0], sums * (1.0 / root)[of_block[1]])
-        most = (most / root).reshape(B, k)
-        usable = (own > 0.0) & (own >= NEGLIGIBLE_DIAGONAL * most)
-        self.d = np.where(usable, own, np.where(most > 0.0, most, 1.0))
-        self.labels = None
-        if sums.size < B * k**2:
-            indptr = np.searchsorted(of_block[0], np.arange(B * k + 1))
-            graph = sp.csr_array((sums, of_block[1], indptr), shape=(B * k, B * k))
-            count, labels = sp.csgraph.connected_components(graph, directed=False)
-            self.labels = labels.reshape(B, k) if count > B else None
+        self.own = np.zeros((self.B, self.k, self.m, self.m))
+        self.d, labels = np.empty((self.B, self.k)), np.empty((self.B, self.k), np.int64)
+        read_blocks(read_only(self.starts), *self.entries, self.own, self.d, labels)
+        firsts = self.k * np.arange(self.B)[:, np.newaxis]
+        self.labels = labels + firsts if labels.any() else None
 
     def entry(self, row: Array, column: Array) -> tuple[Array, ...]:
         """Return the index of entries of diagonal blocks in arrays of shape (B, k, m, m)."""
@@ -111,8 +127,12 @@ class Pattern:
         """Pointers, columns, and values, (B, …), of M by rows, for the compiled loop."""
         M, n = self.M, self.n
         if self.is_sparse:
-            return M.indptr.astype(np.int64), M.indices.astype(np.int64), M.data[None]
-        return n * np.arange(n + 1), np.tile(np.arange(n), n), M.reshape(self.B, -1)
+            arrays = M.indptr.astype(np.int64), M.indices.astype(np.int64), M.data[None]
+        else:
+            values = np.ascontiguousarray(M).reshape(self.B, n * n)
+            arrays = n * np.arange(n + 1), np.tile(np.arange(n), n), values
+        indptr, indices, values = map(read_only, arrays)
+        return indptr, indices, values
 
     def wide(self, x: Array) -> Array:
         """Return arrays of shape (B, n, …) as (B, k, m, …)."""

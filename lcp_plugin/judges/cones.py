@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from ..core.checks import Array, Vector, derived_property, read_only
+from ..core.checks import Array, Vector, derived_property
 from ..core.cone_stack import ON, OUT, WITHIN, ConeStack, length
-from ..core.kernels.compilation import kernel
+from ..core.kernels.compilation import helper
 from ..core.kernels.floats import EPSILON, NEGLIGIBLE, NORMAL
 from .lcp import Measured, RowData, RowsAtPoint, VectorEnds
 
@@ -189,28 +189,9 @@ def _of_cones(stack: ConeStack, z: Array, w: Array, error: Array) -> tuple[Array
     return size, np.where(is_open, 0.0, total)
 
 
-def bound_residual(stack: ConeStack, z: Array, tolerance: float) -> float:
-    """Return an upper bound of the relative residual of contacts that the criterion accepts; ∞ if in doubt.
-
-    Parameters
-    ----------
-    stack : ConeStack
-        One problem.
-    z : array, shape (1, k, m)
-    """
-    pattern = stack.pattern
-    if not stack.has_friction or pattern.is_sparse:
-        return np.inf
-    labels = np.zeros(pattern.k, np.int64) if pattern.labels is None else pattern.labels[0]
-    flat = (pattern.flat(one)[0] for one in (stack.q, z))
-    data = pattern.M[0], *flat, stack.mu[0], stack.d[0], labels, stack.reference[0]
-    arrays = [read_only(np.ascontiguousarray(one)) for one in (pattern.starts, *data)]
-    return float(bound_contacts(*arrays, float(tolerance)))
-
-
-@kernel
-def bound_contacts(starts, W, b, z, mu, d, labels, reference, tolerance):  # type: ignore[no-untyped-def]
-    """Return the bound of :func:`bound_residual`.
+@helper
+def bound_contacts(starts, W, b, z, mu, d, labels, tolerance, w):  # type: ignore[no-untyped-def]
+    """Return an upper bound of the relative residual of contacts that the criterion accepts, ∞ if in doubt; write w.
 
     The test implies the criterion at z, because
 
@@ -222,12 +203,15 @@ def bound_contacts(starts, W, b, z, mu, d, labels, reference, tolerance):  # typ
     - each violation is at most 2⁻⁴³ of its terms, half of what the componentwise test allows at any tolerance.
     """
     margin, most, limits = 4.0 * (b.size + 8) * EPSILON, np.zeros(mu.size), np.zeros(mu.size)
-    products, w = np.abs(W) @ np.abs(z), W @ z + b
+    reference = np.zeros(mu.size)  # of each component, at the number of its first block
+    products, w[:] = np.abs(W) @ np.abs(z), W @ z + b
     terms = products + np.abs(b)
     doubt = np.where(products > 0.0, terms + NORMAL, 0.0)
     for c in range(mu.size):
         first, end = starts[c], starts[c + 1]
         at, push, size, is_row = z[first], w[first], terms[first], end - first == 1
+        at_origin = (abs(b[first]) if is_row else -b[first]) / d[c]
+        reference[labels[c]] = max(reference[labels[c]], at_origin)
         x, drift, radius = z[first + 1 : end], w[first + 1 : end], mu[c] * z[first]
         tangent, of_disk = np.linalg.norm(x), np.linalg.norm(terms[first + 1 : end])
         beyond = x - drift / d[c]
@@ -251,8 +235,7 @@ def bound_contacts(starts, W, b, z, mu, d, labels, reference, tolerance):  # typ
             limits[labels[c]] = max(limits[labels[c]], size / d[c])
     bound = 0.0
     for c in range(mu.size):
-        limit = np.minimum(reference[min(c, reference.size - 1)], limits[labels[c]])
-        limit *= 1.0 - margin
+        limit = min(reference[labels[c]], limits[labels[c]]) * (1.0 - margin)
         if not most[labels[c]] <= 0.5 * tolerance * limit:
             return np.inf
         if limit > 0.0:

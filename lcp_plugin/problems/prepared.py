@@ -20,18 +20,14 @@ from ..core.lcp import LCP
 from ..core.problem_classes import class_of
 from ..core.settings import Settings, Status
 from ..engines.solvers import point_of_daqp
-from ..judges.cones import bound_residual
 from ..judges.program import PROGRAM_TOLERANCE, SAFETY, dense_errors
 from ..methods.lemke import Lemke
 from ..methods.small import LOOP_UP_TO, arrays_of_one, follow_one, has_numba, is_small, tilts
 from ..solving.dispatch import parse_call, solver_with
 from ..solving.lcp_solver import is_bare
 from ..solving.result import BaseResult, Result, StageRecord
-from .cones.certificate import ConeCertificate
-from .cones.factors import FEW, stack_of
 from .cones.frictional_contact import FrictionalContact
-from .cones.methods import SWEEPS_PER_STEP
-from .cones.solving import ConeResult, swept_to_rounding
+from .cones.solving import solve_quickly
 from .programs.program import QuadraticProgram, refuse_nonconvex
 from .programs.result import QuadraticProgramResult
 from .programs.solution import QPSolution
@@ -220,28 +216,15 @@ class PreparedContact(PreparedProblem[FrictionalContact]):
     def __init__(self, problem: FrictionalContact, algorithm: Any, options: dict[str, Any]) -> None:
         super().__init__(problem, algorithm, options)
         is_auto = isinstance(algorithm, str) and algorithm == "auto"
-        self._is_short = is_auto and not options.keys() - {"tolerance"} and 0 < problem.n <= FEW
-        self._tolerance = Settings(**options).tolerance if self._is_short else 0.0
+        self._settings: Settings | None = None
+        if is_auto and not options.keys() - {"tolerance"}:
+            self._settings = Settings(**options)
 
     def _solve_quickly(self, *_: Any, **data: Any) -> Any:
-        """Return the point of sweeps to rounding if the sufficient test accepts it."""
-        if not self._is_short:
+        """Return the point of quick sweeps if the sufficient test accepts it."""
+        if self._settings is None:
             return None
-        began, one = perf_counter(), self._changed(**data) if data else self.problem
-        stack = stack_of(one)
-        z, count = swept_to_rounding(stack, stack.origin)
-        if not bound_residual(stack, z, self._tolerance) < math.inf:
-            return None
-        z = read_only(stack.pattern.flat(z)[0])
-        make = partial(self._record, one, z, count, perf_counter() - began)
-        return ConeResult.of_known(make, z=z, status=Status.SOLVED, problem=one)
-
-    def _record(self, one: FrictionalContact, z: Vector, count: int, seconds: float) -> ConeResult:
-        work, at = float(count * SWEEPS_PER_STEP), ConeCertificate(one, z, self._tolerance)
-        named = {"certificate": at, "algorithm": "auto: nsgs", "iterations": count, "work": work}
-        named |= {"tolerance": self._tolerance, "setup_seconds": 0.0, "seconds": seconds}
-        named["stages"] = (StageRecord("nsgs", "prepared", count, work),)
-        return ConeResult.of_known(None, **named)
+        return solve_quickly(self._changed(**data) if data else self.problem, self._settings)
 
     def _changed(self, b: Any = None, W: AnyMatrix = None) -> FrictionalContact:
         one = self.problem

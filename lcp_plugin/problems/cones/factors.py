@@ -112,7 +112,7 @@ def stack_of(problem: Any) -> ConeStack:
     with np.errstate(all="ignore"):
         if "stack" not in facts:
             # A small sparse problem is stored as dense
-            if sp.issparse(M) and problem.bodies is None and problem.n <= 300:
+            if sp.issparse(M) and problem.n <= (FEW if problem.bodies else 300):
                 M = M.toarray()
             pattern = Pattern(M[None] if isinstance(M, np.ndarray) else M, problem.starts)
             bodies = problem.bodies

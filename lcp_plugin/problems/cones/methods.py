@@ -37,7 +37,7 @@ from ...core.settings import whole_number
 from ...systems.free_systems import solved
 from .data import Blocks, minimizers
 from .factors import Factors, factorize_matrix
-from .sweeps import sweep_blocks
+from .sweeps import SWEEPS_PER_STEP, sweep_blocks
 
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d
 LEAST_OF_BODIES = 1e-8  # the system of the velocities contains 1/ε
@@ -329,7 +329,6 @@ def longest(x: Cones, step: Cones) -> float:
 
 Points = Iterator[Step]  # z of shape (1, k, m), its relative residual without rounding, work
 
-SWEEPS_PER_STEP = 10  # between two residuals
 STOP = 1e-2  # of the goal: smaller changes end the sweeps
 STANDSTILL, SLOW = 100, 0.2  # steps of sweeps without a gain, and their share of all
 NEWTON_STEPS = 300  # of one call

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
+from functools import partial
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -13,15 +15,16 @@ from ...core.algorithm import Step
 from ...core.checks import Array, Vector, checked_start, derived_property, read_only
 from ...core.cone_stack import ConeStack
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
-from ...core.kernels.floats import DATA_ROUNDING, EPSILON
+from ...core.kernels.floats import DATA_ROUNDING
 from ...core.kernels.threads import threads_for
 from ...core.names import format_count
-from ...core.settings import Settings, Status
-from ...judges.cones import ConeRows, bound_residual
+from ...core.settings import DEFAULT, Settings, Status
+from ...judges.cones import ConeRows
 from ...judges.lcp import Measured
 from ...judges.worst_rows import WorstRows
 from ...methods.search import ExhaustiveSearch, is_searchable
-from ...solving.result import Callback, Result
+from ...solving.lcp_solver import is_bare
+from ...solving.result import NOTHING_TO_DO, Callback, Result, StageRecord
 from ...solving.run import FAILED, Progress, Run, Stage
 from ..contact import ContactMotion, motion_of
 from . import methods
@@ -30,9 +33,8 @@ from .data import Blocks
 from .factors import FEW, stack_of
 from .frictional_contact import FrictionalContact
 from .methods import METHODS, ConeAlgorithm
-from .sweeps import sweep_blocks
+from .sweeps import SWEEPS_PER_STEP, sweep_blocks, sweep_contacts
 
-QUICK_STEPS = 20  # of sweeps over a small problem, which cost less than one of Newton's steps
 LEAST_GOAL = 1e-8  # of a run with an absolute tolerance: far above the rounding level EXACT
 CLOSER = 0.9  # of the tolerance: the goal of the methods, whose residuals exclude rounding errors
 SCHEDULE = ((10, 20), (50, 40), (200, 40))  # sweeps, then steps of Newton's method
@@ -85,7 +87,11 @@ def solve_cones(
     InvalidOption, UnknownAlgorithm
         For a wrong option.
     """
-    settings, chosen = Settings(**options), _checked_algorithm(algorithm)
+    settings, chosen = Settings(**options) if options else DEFAULT, _checked_algorithm(algorithm)
+    is_short = chosen == "auto" and z0 is None and is_bare(settings, callback)
+    found = solve_quickly(problem, settings) if is_short else None
+    if found is not None:
+        return found
     progress = Progress(problem, settings, callback)
     with threads_for(settings.threads):
         run = ConeRun(problem, progress, None if z0 is None else checked_start(problem, z0), chosen)
@@ -93,10 +99,35 @@ def solve_cones(
     return result
 
 
-def swept_to_rounding(stack: ConeStack, z: Array) -> tuple[Array, int]:
-    """Return the point of sweeps over a small contact problem until nothing changes, and the number of their steps."""
-    z, counts = sweep_blocks(stack, z, QUICK_STEPS * methods.SWEEPS_PER_STEP, EPSILON)
-    return z, -(-int(counts[0]) // methods.SWEEPS_PER_STEP)
+def solve_quickly(problem: Blocks, settings: Settings) -> ConeResult | None:
+    """Return the result of a small contact problem whose sweeps reach a point that a sufficient test accepts."""
+    if not is_swept_first(problem):
+        return None
+    began = perf_counter()
+    z, count, bound = sweep_contacts(problem, np.zeros(problem.n), settings.tolerance)
+    if not bound < np.inf or count > SWEEPS_PER_STEP * settings.max_iterations:
+        return None
+    z, seconds = read_only(z), perf_counter() - began
+    make = partial(_record, problem, z, count, settings, seconds)
+    return ConeResult.of_known(make, z=z, status=Status.SOLVED, problem=problem)
+
+
+def _record(
+    problem: Blocks, z: Vector, count: int, settings: Settings, seconds: float
+) -> ConeResult:
+    """Return the other fields of the result of :func:`solve_quickly`."""
+    tolerance, iterations = settings.tolerance, -(-count // SWEEPS_PER_STEP)
+    because = SWEPT if count else NOTHING_TO_DO
+    named = {"certificate": ConeCertificate(problem, z, tolerance), "algorithm": "auto: nsgs"}
+    named |= {"iterations": iterations, "work": count + 1.0, "tolerance": tolerance}
+    named |= {"seconds": seconds, "setup_seconds": 0.0}
+    named["stages"] = (StageRecord("nsgs", because, iterations, count + 1.0),)
+    return ConeResult.of_known(None, **named)
+
+
+def is_swept_first(problem: Blocks) -> bool:
+    """Return whether auto begins with sweeps and a sufficient test."""
+    return problem.has_friction and 0 < problem.n <= FEW
 
 
 def _checked_algorithm(algorithm: object) -> str | ConeAlgorithm:
@@ -130,7 +161,7 @@ def solve_cone_stack(
             break
         here = stack.take(~is_solved)
         swept[left], _ = sweep_blocks(here, swept[left], count, methods.STOP * tolerance)
-        iterations[left] += count // methods.SWEEPS_PER_STEP
+        iterations[left] += count // SWEEPS_PER_STEP
         best, least = swept[left], np.full(left.size, np.inf)
         goal = CLOSER * tolerance
         for number, step in enumerate(methods.newton_steps(here, best, steps, goal)):
@@ -306,30 +337,23 @@ class ConeRun(Run):
         yield from self._late_stages()
 
     def _first_points(self) -> Iterator[Stage]:
-        """Yield the start if it passes, or the point of a small contact problem after sweeps to rounding."""
-        stack, is_small = self.stack, 0 < self.problem.n <= FEW
-        is_tested = self.is_warm or stack.is_answered.all()
-        z, count = self.start, 0
-        if is_small and is_tested:
-            yield from self._passed(z, 0)
-        if is_small and stack.has_friction:
-            z, count = swept_to_rounding(stack, z)
-            if count <= self.settings.max_iterations - max(self.progress.iteration, 0):
-                yield from self._passed(z, count)
-        if is_tested:
+        """Yield the point of a small contact problem after quick sweeps if it passes, or the start if that passes."""
+        stack, most = self.stack, self.settings.max_iterations
+        if is_swept_first(self.problem):
+            start = stack.pattern.flat(self.start)[0]
+            z, count, bound = sweep_contacts(self.problem, start, self.tolerance)
+            iterations = -(-count // SWEEPS_PER_STEP)
+            if bound < np.inf and iterations <= most - max(self.progress.iteration, 0):
+                at = stack.pattern.wide(z[np.newaxis])
+                point = Measured(at, bound, passes=True)
+                step = Step(at, measured=point, work=count + 1.0, iterations=iterations)
+                yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))
+            self.unseen = float(count)
+        if self.is_warm or stack.is_answered.all():
             residual = stack.relative_residual(self.start)
             if residual <= self.reached:
                 yield Stage(methods.ConeNSGS(), SWEPT)
             self.residual = residual
-        self.unseen = float(count * methods.SWEEPS_PER_STEP)
-
-    def _passed(self, z: Array, count: int) -> Iterator[Stage]:
-        """Yield a point that is a solution by a sufficient test."""
-        bound = bound_residual(self.stack, z, self.tolerance)
-        if bound < np.inf:
-            point, work = Measured(z, bound, passes=True), count * methods.SWEEPS_PER_STEP
-            step = Step(z, measured=point, work=work + 1.0, iterations=count)
-            yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))
 
     def _late_stages(self) -> Iterator[Stage]:
         """Yield sweeps until nothing changes, then Newton's method from points nearby."""

@@ -1,4 +1,4 @@
-"""The compiled loop over cones: sweeps of block Gauss–Seidel.
+"""Compiled loops over cones: sweeps of block Gauss–Seidel.
 
 A contact in space is solved exactly, a number is clipped into its bounds, other cones get projected steps.
 """
@@ -7,21 +7,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.checks import Array, read_only
-from ...core.cone_stack import ConeStack
+from ...core.checks import Array, Vector, read_only
+from ...core.cone_stack import ConeStack, read_blocks_of_one
 from ...core.kernels.compilation import helper, kernel
+from ...core.kernels.floats import EPSILON
+from ...judges.cones import bound_contacts
+from .data import Blocks
 
 LOCAL_STEPS = 30  # of Newton's method on the angle of sliding, or of projections
-ANGLE_ACCURACY = 1e-14  # relative change or force across: rounding level
-TURN = 0.5  # radians: largest change of the angle per step
+ACCURACY = 1e-14  # relative change of projected steps: rounding level
+LAST_TURN = 1e-4  # Newton's method squares the error of the angle; later sweeps reduce the rest
+TURN = 0.5  # largest tangent of the change of the angle per step
+SWEEPS_PER_STEP = 10  # between two residuals
+# of a change: its part that does not continue the change before, when it is summed up; more hides the limit
+OTHER_CHANGE = 0.2
+QUICK_SWEEPS = 200  # over a small problem, which cost less than one of Newton's steps
 
 
 @helper
 def _solve_contact(A, b, f, x, y):  # type: ignore[no-untyped-def]
     """Solve a contact with velocities A x + b in space for x, in place; return whether it succeeds.
 
-    The contact opens, sticks with x = −A⁻¹b, or slides. Along the angle θ of the impulse, x_N is −b_N / (A_NN + f
-    A_NT d(θ)). Newton's method finds the θ at which the velocity across d vanishes.
+    The contact opens, sticks with x = −A⁻¹b, or slides. Along the direction d of the impulse, x_N is −b_N / (A_NN + f
+    A_NT d). Newton's method on the angle finds the d such that the velocity across d vanishes.
     """
     if b[0] >= 0.0:
         x[:] = 0.0
@@ -35,16 +43,19 @@ def _solve_contact(A, b, f, x, y):  # type: ignore[no-untyped-def]
     if 0.0 <= y[0] < np.inf and np.hypot(y[1], y[2]) <= f * y[0]:
         x[0], x[1], x[2] = y[0], y[1], y[2]
         return True
-    angle = np.arctan2(x[2], x[1])
-    if x[1] == 0.0 and x[2] == 0.0:
-        angle = np.arctan2(-b[2], -b[1])
-    size = abs(b[0]) + abs(b[1]) + abs(b[2])
+    co, si = x[1], x[2]
+    if co == 0.0 and si == 0.0:
+        co, si = -b[1], -b[2]
+    norm, is_near = np.hypot(co, si), f == 0.0
+    co, si = (co / norm, si / norm) if norm > 0.0 else (1.0, 0.0)
     for _ in range(LOCAL_STEPS):
-        co, si = np.cos(angle), np.sin(angle)
         push = A[0, 0] + f * (A[0, 1] * co + A[0, 2] * si)
         if not push > 0.0:
             return False
         n = -b[0] / push
+        if is_near:
+            x[0], x[1], x[2] = n, f * n * co, f * n * si
+            return True
         by_x = A[1, 0] + f * (A[1, 1] * co + A[1, 2] * si)
         by_y = A[2, 0] + f * (A[2, 1] * co + A[2, 2] * si)
         change = -n / push * f * (A[0, 2] * co - A[0, 1] * si)
@@ -53,13 +64,12 @@ def _solve_contact(A, b, f, x, y):  # type: ignore[no-untyped-def]
         dv = by_y * change + f * n * (A[2, 2] * co - A[2, 1] * si)
         across, along = co * v - si * u, co * u + si * v
         slope = co * dv - si * du - along
-        if f == 0.0 or (abs(across) <= ANGLE_ACCURACY * size and along <= 0.0):
-            x[0], x[1], x[2] = n, f * n * co, f * n * si
-            return True
+        turn = 1.0 if across < 0.0 else -1.0
         if slope > 0.0:
-            angle -= max(-TURN, min(TURN, across / slope))
-        else:
-            angle += 1.0 if across < 0.0 else -1.0
+            turn = -max(-TURN, min(TURN, across / slope))
+        norm = np.sqrt(1.0 + turn * turn)
+        co, si = (co - turn * si) / norm, (si + turn * co) / norm
+        is_near = along <= 0.0 and abs(turn) <= LAST_TURN
     return False
 
 
@@ -90,8 +100,18 @@ def _project_steps(A, b, f, friction, step, size, x, w):  # type: ignore[no-unty
                 new = f * axis * (w[i] / slip) if i else axis
             change, longest = max(change, abs(new - x[i])), max(longest, abs(new))
             x[i] = new
-        if change <= ANGLE_ACCURACY * longest:
+        if change <= ACCURACY * longest:
             return
+
+
+@helper
+def _solve_block(A, b, f, friction, size, low, high, d, x, w):  # type: ignore[no-untyped-def]
+    """Solve a block with slack A x + b for x, in place."""
+    if size == 1:
+        if A[0, 0] > 0.0:
+            x[0] = min(max(-b[0] / A[0, 0], low), high)
+    elif not (friction and size == 3 and _solve_contact(A, b, f, x, w)):
+        _project_steps(A, b, f, friction, 1.0 / (np.sqrt(size) * d), size, x, w)
 
 
 @kernel
@@ -116,18 +136,63 @@ def sweep(  # type: ignore[no-untyped-def]
                     for j in range(size):
                         total -= A[i, j] * z[world, first + j]
                     b[i], x[i] = total, z[world, first + i]
-                if size == 1:
-                    if A[0, 0] > 0.0:
-                        x[0] = min(max(-b[0] / A[0, 0], lower[bounds, c]), upper[bounds, c])
-                elif not (friction and size == 3 and _solve_contact(A, b, f, x, w)):
-                    step = 1.0 / (np.sqrt(size) * d[world, c])
-                    _project_steps(A, b, f, friction, step, size, x, w)
+                low, high = lower[bounds, c], upper[bounds, c]
+                _solve_block(A, b, f, friction, size, low, high, d[world, c], x, w)
                 for i in range(size):
                     moved = max(moved, abs(x[i] - z[world, first + i]))
                     largest = max(largest, abs(x[i]))
                     z[world, first + i] = x[i]
             if moved <= stop * largest:
                 break
+
+
+@kernel
+def sweep_small(starts, W, b, mu, tolerance, most, z):  # type: ignore[no-untyped-def]
+    """Sweep over one contact problem until a sufficient test accepts z, or nothing changes.
+
+    The test follows every few sweeps; the sweeps between keep w = W z + b up to date. A point that does not pass is
+    moved to the limit of the sweeps if their changes fall by one ratio (Aitken's extrapolation). Returns the number of
+    sweeps and the bound of :func:`bound_contacts`.
+    """
+    n, k, m = b.size, mu.size, max(np.diff(starts).max(), 3)
+    own, d, labels = np.zeros((k, m, m)), np.zeros(k), np.zeros(k, np.int64)
+    entries = np.arange(n + 1) * n, np.arange(n * n) % n, W.ravel()
+    read_blocks_of_one(starts, *entries, own, d, labels)
+    columns, w, count, moved, largest = np.ascontiguousarray(W.T), b.copy(), 0, np.inf, 0.0
+    rest, x, free = np.zeros(m), np.zeros(m), np.zeros(m)
+    z_2 = z_1 = z.copy()  # two sweeps and one ago
+    w_1 = w.copy()
+    while True:
+        is_last = moved <= EPSILON * largest or count >= most
+        if is_last or count % SWEEPS_PER_STEP == 0:
+            bound = bound_contacts(starts, W, b, z, mu, d, labels, tolerance, w)
+            if is_last or bound < np.inf:
+                return count, bound
+            change, earlier = z - z_1, z_1 - z_2
+            ratio = (change * earlier).sum() / (earlier * earlier).sum()
+            other, size = np.linalg.norm(change - ratio * earlier), np.linalg.norm(change)
+            if 0.0 < ratio < 1.0 and other <= OTHER_CHANGE * (1.0 - ratio) * size:
+                z += ratio / (1.0 - ratio) * change
+                w += ratio / (1.0 - ratio) * (w - w_1)
+        if count % SWEEPS_PER_STEP >= SWEEPS_PER_STEP - 2:
+            z_2, z_1, w_1 = z_1, z.copy(), w.copy()
+        count += 1
+        moved, largest = 0.0, 0.0
+        for c in range(k):
+            first, A = starts[c], own[c]
+            size = starts[c + 1] - first
+            for i in range(size):
+                rest[i], x[i] = w[first + i], z[first + i]
+                for j in range(size):
+                    rest[i] -= A[i, j] * z[first + j]
+            _solve_block(A, rest, mu[c], True, size, -np.inf, np.inf, d[c], x, free)
+            for j in range(size):
+                step = x[j] - z[first + j]
+                largest, moved = max(largest, abs(x[j])), max(moved, abs(step))
+                z[first + j] = x[j]
+                if step != 0.0:
+                    for i in range(n):
+                        w[i] += columns[first + j, i] * step
 
 
 def sweep_blocks(stack: ConeStack, z: Array, most: int, stop: float) -> tuple[Array, Array]:
@@ -138,3 +203,16 @@ def sweep_blocks(stack: ConeStack, z: Array, most: int, stop: float) -> tuple[Ar
     z, counts = np.array(pattern.flat(z), order="C"), np.zeros(stack.B, np.int64)
     sweep(starts, stack.has_friction, *given, most, stop, z, counts)
     return pattern.wide(z), counts
+
+
+def sweep_contacts(
+    problem: Blocks, z: Vector, tolerance: float, most: int = QUICK_SWEEPS
+) -> tuple[Vector, int, float]:
+    """Return a point of a small contact problem after sweeps from z, their number, and its bound.
+
+    The bound is an upper bound of its relative residual, which the criterion accepts; ∞ if in doubt.
+    """
+    M, z = problem.rows.M, z.copy()
+    W = M if isinstance(M, np.ndarray) else read_only(M.toarray())
+    data = problem.starts, W, problem.q, problem.slope
+    return z, *sweep_small(*data, float(tolerance), most, z)

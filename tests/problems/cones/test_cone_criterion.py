@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from campaigns import cones as campaign
 from inputs.cone_families import exact_residuals, planted_cones, planted_contacts
 
 from lcp_plugin import ConeProblem, FrictionalContact, Status, certify, march, solve, solve_batch
-from lcp_plugin.judges.cones import ConeRows, bound_residual
+from lcp_plugin.core.cone_stack import Pattern
+from lcp_plugin.judges.cones import ConeRows
 from lcp_plugin.problems.cones.factors import stack_of
+from lcp_plugin.problems.cones.sweeps import sweep_contacts
 
 LINK = np.eye(6)
 LINK[0, 3] = LINK[3, 0] = 2.0**-40
@@ -154,7 +158,7 @@ def test_the_sufficient_test_accepts_only_points_that_pass(draws):
         stack, z = stack_of(problem), scale * r * (1.0 + error * rng.standard_normal(r.size))
         with np.errstate(all="ignore"):
             at = stack.snap(stack.pattern.wide(z[None]))
-            bound = bound_residual(stack, at, 1e-8)
+            bound = sweep_contacts(problem, stack.pattern.flat(at)[0], 1e-8, 0)[2]
             rows = ConeRows(stack)
             found = rows.measure_at(rows.flat(at), None, 1e-8)
         accepted, refused = accepted + (bound < np.inf), refused + (bound == np.inf)
@@ -205,9 +209,43 @@ def test_a_tiny_absolute_tolerance_changes_nothing(seed):
 
 def test_a_limit_just_above_the_quick_sweeps_changes_nothing():
     """Sweeps that lead nowhere take no iterations of a limit."""
-    problem = small_contacts(18)
+    problem = small_contacts(61)
     plain = solve(problem)
     for limit in (0, 13, 14, 15, 20):
         assert (
             solve(problem, max_iterations=plain.iterations + limit).z.tobytes() == plain.z.tobytes()
         )
+
+
+def test_block_data_of_dense_and_sparse_matrices_agree_with_their_definition() -> None:
+    """The scale of a block is its Frobenius norm / √m, unless another block of its row is far larger; components."""
+    rng = np.random.default_rng(3)
+    starts = np.array([0, 3, 4, 6, 9, 10])
+    M = rng.standard_normal((10, 10))
+    M[:4, 4:] = M[4:, :4] = 0.0
+    M[3, 3], M[4:6, 4:6], M[9, 9] = -1.0, 1e-9, 0.0
+    sizes, rows = np.diff(starts), [slice(*ends) for ends in pairwise(starts.tolist())]
+    sums = np.array([[np.abs(M[a, b]).sum() for b in rows] for a in rows])
+    largest = (sums / np.sqrt(sizes * sizes[:, np.newaxis])).max(1)
+    norms = [np.linalg.norm(M[a, a]) / np.sqrt(a.stop - a.start) for a in rows]
+    expected = np.where([True, False, False, True, False], norms, largest)
+    for matrix in (M[np.newaxis], sp.csr_array(M)):
+        found = Pattern(matrix, starts)
+        np.testing.assert_allclose(found.d[0], expected, rtol=1e-14)
+        np.testing.assert_array_equal(found.own[0, 0], M[:3, :3])
+        assert found.labels is not None
+        assert found.labels.tolist() == [[0, 0, 2, 2, 2]]
+    assert Pattern(rng.standard_normal((2, 10, 10)), starts).labels is None
+
+
+def test_slow_sweeps_are_extrapolated() -> None:
+    """Most small problems with a small shift of a singular W are solved by sweeps, without Newton's method."""
+    swept = 0
+    for seed in range(40):
+        rng = np.random.default_rng([11, seed])
+        J = rng.standard_normal((30, 12))
+        W, friction = J @ J.T + 0.5 * np.eye(30), rng.uniform(0.0, 1.2, 10)
+        result = solve(FrictionalContact(W, rng.standard_normal(30), friction))
+        assert result.is_solved
+        swept += result.algorithm == "auto: nsgs"
+    assert swept >= 35

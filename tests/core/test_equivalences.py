@@ -12,8 +12,7 @@ from inputs.families import BOUNDED, SWEEPERS
 from numpy.testing import assert_allclose
 
 from lcp_plugin import LCP, Certificate
-from lcp_plugin.algorithms import REGISTRY, Algorithm, create
-from lcp_plugin.methods.npsplitting import NPSplitting
+from lcp_plugin.algorithms import REGISTRY, Algorithm, NPSplitting, create
 
 STEPS = 30
 KINDS = ["dense", "sparse", "scaled"]

@@ -14,8 +14,7 @@ import pytest
 from inputs import membranes
 
 from lcp_plugin import Status, gallery, solve
-from lcp_plugin.algorithms import Step
-from lcp_plugin.core.splittings import NPSOR
+from lcp_plugin.algorithms import NPSOR, Step
 
 SWEPT = gallery.build("obstacle_2d", size=30).problem  # auto begins with npsor
 PACKAGE = Path(__file__).parents[2] / "lcp_plugin"

@@ -13,8 +13,9 @@ from oracles.exact_criterion import failures
 from scipy.optimize import linprog
 
 from lcp_plugin import LCP, QuadraticProgram, Status, solve
+from lcp_plugin.algorithms import InteriorPoint
 from lcp_plugin.core.matrix import Matrix
-from lcp_plugin.methods.interior_point import InteriorPoint, signs_of, with_signed_equations
+from lcp_plugin.methods.interior_point import signs_of, with_signed_equations
 
 
 def random_matrix(kind: str, n: int, rng: np.random.Generator) -> Any:

@@ -14,8 +14,7 @@ from tools.processes import lcp_plugin
 from tools.refusals import assert_refused, refusals
 
 from lcp_plugin import LCP, Status, convergence_guarantee, gallery, solve
-from lcp_plugin.algorithms import REGISTRY
-from lcp_plugin.methods.npsplitting import NPSplitting
+from lcp_plugin.algorithms import REGISTRY, NPSplitting
 
 SPD_NOT_H = [[1.0, 0.9, 0.9], [0.9, 1.0, 0.9], [0.9, 0.9, 1.0]]
 UNSCALED: dict[str, Any] = {"scaling": None, "momentum": None}

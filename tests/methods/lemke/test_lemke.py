@@ -19,8 +19,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse.linalg import spsolve
 
 from lcp_plugin import LCP, Certificate, Status, solve
-from lcp_plugin.algorithms import Step
-from lcp_plugin.methods.lemke import Lemke, rows_of_components
+from lcp_plugin.algorithms import Lemke, Step
+from lcp_plugin.methods.lemke import rows_of_components
 from lcp_plugin.methods.lemke.pivoting_path import LemkePath, canonical_box, starts
 from lcp_plugin.methods.lemke.tableau import GOING_ON, LOST, SOLVED
 

@@ -12,8 +12,8 @@ from inputs import membranes
 from inputs.planted import planted_lcp
 
 from lcp_plugin import LCP, Result, Status, convergence_guarantee, gallery, solve
+from lcp_plugin.algorithms import Multigrid
 from lcp_plugin.gallery.problems import balanced_matrix
-from lcp_plugin.methods.multigrid import Multigrid
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of
 from lcp_plugin.systems.hierarchy.truncation import Truncation
 

@@ -13,7 +13,7 @@ from inputs.small_families import draw
 from oracles.exact_criterion import failures
 
 from lcp_plugin import LCP, Status, solve
-from lcp_plugin.methods.newton import Newton
+from lcp_plugin.algorithms import Newton
 
 TOLERANCE = 1e-9
 

@@ -7,7 +7,7 @@ from pyomo.mpec import Complementarity, complements
 
 import lcp_plugin.pyomo  # noqa: F401 - registers the solver
 from lcp_plugin import InvalidOption, UnsupportedModel
-from lcp_plugin.interfaces.nl.model import read_nl
+from lcp_plugin.interfaces.nl import read_nl
 
 
 def bard() -> pe.ConcreteModel:

@@ -26,7 +26,7 @@ from lcp_plugin import (
     solve,
     solve_batch,
 )
-from lcp_plugin.methods.interior_point import InteriorPoint
+from lcp_plugin.algorithms import InteriorPoint
 from lcp_plugin.problems.programs.no_minimum import (
     QPInfeasibility,
     QPUnboundedness,

@@ -12,7 +12,7 @@ from scipy.optimize import linprog
 from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProblem, solve
 from lcp_plugin.engines import ENGINES, engine_class
 from lcp_plugin.engines.engine import Engine, EngineAnswer, EngineStatus
-from lcp_plugin.problems.programs.solving import attempts, run_engine, unscaled
+from lcp_plugin.problems.programs.engine_points import attempts, run_engine, unscaled
 
 INF = np.inf
 QUADRATIC = [name for name in ENGINES if not engine_class(name).is_for_linear_alone]

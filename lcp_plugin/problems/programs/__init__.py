@@ -2,10 +2,10 @@
 
 ``solve(QuadraticProgram(…))`` always runs `solving.solve_program`. In order, until one step decides:
 
-1. External solvers, in the order of `solving.ATTEMPTS`: rows of one variable become bounds (`program.FoldedRows`), the
-   program is scaled (`engines.scaling`), first with unknowns fixed that a huge cost forbids; the point, without
-   noise and polished (`engines.polish`), is tested
-   (`judges.program`). If the solver reports infeasible or unbounded, `no_minimum` searches for a proof.
+1. External solvers, in the order of `engine_points.ATTEMPTS`: rows of one variable become bounds
+   (`program.FoldedRows`), the program is scaled (`engines.scaling`), first with unknowns fixed that a huge cost
+   forbids; the point, without noise and polished (`engines.polish`), is tested (`judges.program`). If the solver
+   reports infeasible or unbounded, `no_minimum` searches for a proof.
 2. A run on the complementarity problem (`conversion`), if the program is small; as the first step, if the program is
    large and has bounds only.
 3. A proof of infeasibility or unboundedness; otherwise PRECISION_LIMIT or STALLED with the two measures of the best
@@ -16,7 +16,7 @@
 | `program` | the data, convexity, rows of one variable as bounds |
 | `program_matrices`, `fitted_units`, `constraints` | facts about the matrices only, a scaling, one list of rows |
 | :mod:`lcp_plugin.judges.program` | the one test of a point, and its two measures |
-| `solving`, `regression` | points of external solvers and of least squares, and the status |
+| `solving`, `engine_points`, `regression` | points of external solvers and of least squares, and the status |
 | `conversion` | the complementarity problem of a program, and the solution that its z encodes |
 | `no_minimum` | proofs that a program is infeasible or unbounded |
 | `certification`, `value_bounds` | proofs about a point from any solver |

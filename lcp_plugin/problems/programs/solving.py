@@ -1,15 +1,10 @@
-"""Solves convex quadratic programs by `solve`: external solvers, and a run on the LCP; tested on the program itself.
-
-Points of external solvers: scaled, cleaned and polished, and tested on the unscaled program.
-"""
+"""The solver for convex quadratic programs: external solvers, a run on the LCP, and a proof; one test of all points."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
-from itertools import chain
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +13,8 @@ from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
-from ...engines import ENGINES, engine_class, has_piqp, installed_engine, is_installed, scaling
-from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
-from ...engines.polish import ROUNDS, polish_steps
+from ...engines import ENGINES, has_piqp, installed_engine
+from ...engines.engine import Engine, EngineStatus
 from ...engines.solvers import DAQP, point_of_daqp
 from ...judges.program import PROGRAM_TOLERANCE, SHARP, KKTErrors
 from ...methods.interior_point import InteriorPoint
@@ -29,248 +23,12 @@ from ...solving.lcp_solver import solve_lcp
 from ...solving.result import Sample, StageRecord
 from ...solving.run import Named, Progress, Run, Stage, say
 from .conversion import optimality_conditions
+from .engine_points import NO_MINIMUM, ProgramPoint, Scaling, attempts, nearest, run_engine
 from .no_minimum import NoMinimum, QPUnboundedness, known_proof, numbers, proof_of_contradiction
 from .program import QuadraticProgram, refuse_nonconvex
-from .program_matrices import ProgramMatrices
 from .regression import Outward, regression_of, solutions
 from .result import ADVICE, QuadraticProgramResult
 from .solution import QPSolution
-
-NO_MINIMUM = (EngineStatus.INFEASIBLE, EngineStatus.UNBOUNDED)
-Scaled = Iterable[scaling.ScaledProgram]
-
-
-def unscaled(data: ProgramData, matrices: ProgramMatrices) -> Scaled:
-    """Return the program in the user's scaling."""
-    return [scaling.ScaledProgram(data, np.ones(1), np.ones(1), 1.0).with_modest_costs()]
-
-
-def fitted(data: ProgramData, matrices: ProgramMatrices) -> Scaled:
-    """Return the program in the scaling fitted to its matrices."""
-    return _without_far_limits(data, matrices.engine_units)
-
-
-def sides_about_one(data: ProgramData, matrices: ProgramMatrices) -> Scaled:
-    """Return the program in a scaling in which limits and costs are about 1."""
-    return map(scaling.with_sides_about_one, _without_far_limits(data, matrices.largest_units))
-
-
-def _without_far_limits(data: ProgramData, scales: Any) -> Scaled:
-    """Return the scaled program; first without very large limits, if it has some."""
-    one = scaling.ScaledProgram.from_units(data, *scales).with_modest_costs()
-    near = scaling.without_far_limits(one.statement)
-    return [one] if near is one.statement else [one._replace(statement=near), one]
-
-
-Scaling = Callable[[ProgramData, ProgramMatrices], Scaled]
-# PIQP's points for 29 published programs fail the test more often at 1e-11 than at 1e-12, and 1e-13 takes 1.5 times the
-# steps for some of them. Dense kernel matrices of 1 000 rows reach neither, after all 150 steps.
-# A run of PIQP that converges takes 10 to 45 steps. On an assignment of 60 × 60, whose point is optimal after 15 steps,
-# it does not reach 1e-12 in 250 steps. A chain of second differences of 2 400 points passes only in `sides_about_one`.
-ATTEMPTS: tuple[tuple[str, float | None, int | None, Scaling], ...] = (
-    # engine, tolerance of its own, limit of steps in auto if not the engine's default, scaling
-    ("daqp", None, None, unscaled),
-    ("piqp", 1e-12, 60, fitted),
-    ("piqp", 1e-13, None, fitted),
-    ("piqp", 1e-12, None, sides_about_one),
-    ("highs", None, None, fitted),
-    ("clarabel", 1e-12, None, unscaled),
-    ("clarabel", 1e-9, None, sides_about_one),
-)
-# With much fill, a step of PIQP takes up to 10 s, and nothing interrupts it. HiGHS pivots; Clarabel's factorization is
-# up to 20 times as fast then.
-WITH_FILL = "highs", "clarabel", "daqp", "piqp"
-# steps of an external solver: a polish, of two factorizations, takes a tenth of its time
-POLISH_FROM = 20
-TOLERANCES = MappingProxyType(
-    {
-        "piqp": ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
-        "clarabel": ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
-    }
-)
-
-
-class ProgramPoint(NamedTuple):
-    """Measured point of a run, as :class:`~lcp_plugin.judges.lcp.Measured`.
-
-    Attributes
-    ----------
-    solution : QPSolution
-        Of an engine the best of its points: original, cleaned or polished.
-    errors : KKTErrors
-        Two measures of the solution.
-    passes : bool
-        Whether the measures meet the tolerance.
-    says : EngineStatus
-        Status that the engine reports for its last point.
-    name : str
-    iterations : int
-    is_limited : bool
-        False: a later engine may have a better point.
-    """
-
-    solution: QPSolution
-    errors: KKTErrors
-    passes: bool
-    says: EngineStatus = EngineStatus.GAVE_UP
-    name: str = ""
-    iterations: int = 0
-    is_limited: bool = False
-
-    @classmethod
-    def of(
-        cls, solution: QPSolution, tolerance: float, name: str, iterations: int = 0
-    ) -> ProgramPoint:
-        """Return the measured point of a solution."""
-        errors = solution.errors_for(tolerance)
-        return cls(solution, errors, bool(errors.meet(tolerance)), name=name, iterations=iterations)
-
-    @property
-    def residual(self) -> float:
-        """The larger of both measures."""
-        return float(self.errors.largest)
-
-
-def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[Engine, Scaling]]:
-    """Yield the engines that may solve a program, with the scaling for each.
-
-    Parameters
-    ----------
-    engine : Engine, optional
-        If given, only this engine runs; its options override the options of an attempt.
-
-    Examples
-    --------
-    >>> program = QuadraticProgram([[2, 0], [0, 2]], [-2, -4], G=[[1, 1]], h=[2])
-    >>> [engine.name for engine, scale in attempts(program)]
-    ['daqp', 'piqp', 'piqp', 'piqp', 'clarabel', 'clarabel']
-    """
-    matrices, ladder = program.matrices, ATTEMPTS
-    if engine is None and program.folded.reduced.matrices.fills_in:
-        ladder = tuple(sorted(ATTEMPTS, key=lambda one: WITH_FILL.index(one[0])))
-    for name, tolerance, steps, scale in ladder:
-        length = matrices.entries[0] / max(program.n, 1) if name == "piqp" else 0.0
-        # Longer sums have larger rounding errors, below which PIQP takes all its steps
-        factor = max(1.0, length / 64.0)  # 16 for a dense kernel matrix of 1 000 rows
-        options = dict.fromkeys(TOLERANCES[name], tolerance * factor) if tolerance else {}
-        if engine is not None:
-            if name == engine.name:
-                yield type(engine)(**{**options, **engine.options}), scale
-        elif not is_installed(name):
-            continue
-        elif name == "daqp":
-            # Its proximal steps drift away if nothing bends: linear programs in units of 1e9 ended at x = 1e21
-            if matrices.is_small and matrices.has_curvature:
-                yield engine_class(name)(), scale
-        elif name != "highs" or not matrices.has_curvature:
-            limit = {} if steps is None else {"max_iter": steps}
-            yield engine_class(name)(**options, **limit), scale
-
-
-def run_engine(
-    program: QuadraticProgram,
-    engine: Engine,
-    tolerance: float,
-    scale: Scaling,
-    *,
-    is_verbose: bool = False,
-) -> ProgramPoint:
-    """Return the best of the measured points of an engine: its own, without noise, and polished where that is cheap.
-
-    Raises
-    ------
-    UnsuitableProblem
-        If the engine accepts only linear programs and P has nonzeros.
-    """
-    if engine.is_for_linear_alone and program.matrices.has_curvature:
-        raise UnsuitableProblem(
-            f'{engine.name} solves {engine.solves}, but P has nonzeros; take "piqp", or give P = None'
-        )
-    reduced = program.folded.reduced
-    best, iterations, says = None, 0, EngineStatus.GAVE_UP
-    errors, passes = KKTErrors(np.inf, np.inf), False
-    for scaled in _statements(reduced, scale):
-        try:
-            point = engine.answer(scaled.statement, SolverLimits(seconds_left(), is_verbose))
-        except Exception:  # an external solver may raise any error for an option
-            _check_options(engine)
-            raise
-        iterations, says = iterations + point.iterations, point.says
-        rounds = 0 if says in NO_MINIMUM else ROUNDS
-        is_small, sharp = reduced.matrices.is_small, SHARP * sum(reduced.matrices.stacked[1].shape)
-        is_cheap = is_small or point.iterations >= POLISH_FROM
-        for near, is_polished in candidates(scaled.statement, point, rounds):
-            back = scaled.outward(near)
-            x, y = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper), back.y
-            found = KKTErrors.of(reduced.judged, x, y, tolerance)
-            is_good = bool(found.meet(tolerance))
-            if (is_good, -found.largest) > (passes, -errors.largest):
-                best, errors, passes = (x, y), found, is_good
-            enough = sharp / 64.0 if is_polished and is_small else sharp
-            is_best = not is_cheap or (is_polished and not is_small) or errors.gap <= enough
-            if is_over() or (passes and is_best):
-                break
-        if passes or is_over():
-            break
-    solution = QPSolution.from_reduced(program, *(best or nearest(program)))
-    return ProgramPoint(solution, errors, passes, says, engine.name, iterations)
-
-
-def nearest(program: QuadraticProgram) -> tuple[Vector, Vector]:
-    """Return x nearest to 0 within the bounds, without multipliers; in a linear program, x moved by its costs."""
-    reduced = program.folded.reduced
-    x = np.clip(0.0, reduced.lower, reduced.upper)
-    rows = reduced.h.size + reduced.b.size
-    if not rows and not reduced.matrices.has_curvature:
-        end = np.where(reduced.c > 0.0, reduced.lower, reduced.upper)
-        x = np.where((reduced.c != 0.0) & np.isfinite(end), end, x)
-    return x, np.zeros(rows)
-
-
-def candidates(
-    statement: ProgramData, point: EngineAnswer, rounds: int
-) -> Iterator[tuple[EngineAnswer, bool]]:
-    """Yield points that may be the solution near a point, and whether they are polished.
-
-    The point itself and its polished ones are each followed by the same with noise set to 0.
-    """
-    for one in chain([point], polish_steps(statement, point, rounds)):
-        yield one, one is not point
-        clean = one._replace(x=_without_noise(one.x), y=_without_noise(one.y))
-        if not (np.array_equal(clean.x, one.x) and np.array_equal(clean.y, one.y)):
-            yield clean, one is not point
-
-
-def _without_noise(values: Vector) -> Vector:
-    """Return the values with 0 at rounding level of the largest."""
-    sizes = np.abs(values)
-    # An interior point reaches 0 only to this
-    return np.where(sizes <= 2.0**-40 * sizes.max(initial=0.0), 0.0, values)
-
-
-def _statements(reduced: QuadraticProgram, scale: Scaling) -> Iterator[scaling.ScaledProgram]:
-    """Yield the program as scaled for an attempt; first without very large right-hand sides, if it has some."""
-    (P, G, A), one = reduced.matrices.arrays, reduced
-    given = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
-    allowed = scaling.without_forbidden(given)
-    for data in (given,) if allowed is given else (allowed, given):
-        yield from scale(data, one.matrices)
-
-
-def _check_options(engine: Engine) -> None:
-    """Raise InvalidOption if the engine does not solve a program of one unknown with its options."""
-    none = np.zeros((0, 1)), np.zeros(0)
-    one = ProgramData(np.zeros((1, 1)), np.ones(1), *none, *none, np.zeros(1), np.ones(1))
-    try:
-        engine.answer(one, SolverLimits())
-    except Exception as error:
-        own = TOLERANCES.get(engine.name, ())
-        asked = {name: value for name, value in engine.options.items() if name not in own}
-        given = ", ".join(f"{name}={value!r}" for name, value in (asked or engine.options).items())
-        # The first sentence, or the head of a binding's list of signatures
-        why = str(error).splitlines()[0].removeprefix("(): ").partition(". The following")[0]
-        raise InvalidOption(f"{engine.name} does not take {given}: {why}") from error
-
 
 SHORT_SEARCH = 5000  # variables and rows: larger programs need a report of a solver
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity

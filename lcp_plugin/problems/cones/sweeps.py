@@ -15,7 +15,6 @@ from ...judges.cones import bound_contacts
 from .data import Blocks
 
 LOCAL_STEPS = 30  # of Newton's method on the angle of sliding, or of projections
-ACCURACY = 1e-14  # relative change of projected steps: rounding level
 LAST_TURN = 1e-4  # Newton's method squares the error of the angle; later sweeps reduce the rest
 TURN = 0.5  # largest tangent of the change of the angle per step
 SWEEPS_PER_STEP = 10  # between two residuals
@@ -100,7 +99,7 @@ def _project_steps(A, b, f, friction, step, size, x, w):  # type: ignore[no-unty
                 new = f * axis * (w[i] / slip) if i else axis
             change, longest = max(change, abs(new - x[i])), max(longest, abs(new))
             x[i] = new
-        if change <= ACCURACY * longest:
+        if change <= 64.0 * EPSILON * longest:
             return
 
 

@@ -50,7 +50,7 @@ MOST_WRITES = (
 )
 LARGE = 150  # lines of code, without docstrings, that a reader holds together
 MOST_OF_ANY = 800  # signatures that say ": Any": a class or a protocol says more
-MOST_CONSTANTS = 245  # numbers with a name: a reader has to carry each from file to file
+MOST_CONSTANTS = 250  # numbers with a name: a reader has to carry each from file to file
 
 
 def module_of(file: Path) -> str:

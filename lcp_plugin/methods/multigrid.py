@@ -419,7 +419,8 @@ class ProjectedCycles:
         The result, clipped to the bounds, determines the next free rows, until no row changes (primal–dual active
         sets). A single V-cycle cannot replace this method if few contacts carry much load.
         """
-        fine, origin = self.problems[0], self.truncation.vector()
+        fine = self.problems[0]
+        own = z[: fine.grid.n]
         # Conjugate gradients (M symmetric) keep no directions.
         most, gain = ((LONG_CONJUGATE if self.is_symmetric else 8) if is_settled else 2, 1e-2)
         if self.rounds > 1:
@@ -428,8 +429,7 @@ class ProjectedCycles:
         for rounds_left in range(self.rounds - 1, -1, -1):
             correction = KrylovCorrection(self.truncation, fine.residual, self.is_symmetric)
             left = begun = correction.largest()
-            own = z[: origin.size]
-            np.copyto(origin, own)
+            origin = own.copy()
             for step in range(most):
                 if not correction.step():
                     break
@@ -438,7 +438,6 @@ class ProjectedCycles:
                 if left <= gain * begun or step == most - 1:
                     break
                 yield Step(z, increment=left, work=self.take_work())
-            correction.give_back()
             if rounds_left == 0:
                 break
             if left > ROUND_GAIN * begun:  # V-cycles do not do here
@@ -452,7 +451,6 @@ class ProjectedCycles:
             if self.rounds == 1 or not changed:
                 break
             yield Step(z, residual=largest if self.tells_residual else None, work=self.take_work())
-        self.truncation.spare.append(origin)
 
     def take_work(self) -> float:
         """Return the passes over M since the last step."""

@@ -141,12 +141,6 @@ class Truncation:
         ]
         self.halo, self.top = self.grids[0].grid.halo, 0
         self.work = 0.0
-        # the first access to new memory costs more than the arithmetic
-        self.spare: list[Vector] = []
-
-    def vector(self) -> Vector:
-        """Return an uninitialized vector for the local values of the finest grid, shape (n,)."""
-        return self.spare.pop() if self.spare else np.empty(self.grids[0].grid.n)
 
     def take_work(self) -> float:
         """Return the matrix entries touched since the last call."""
@@ -193,16 +187,12 @@ class Truncation:
             halo.fetch_entries(level.new_values)
 
     def direction(self, b: Vector) -> tuple[Vector, Vector]:
-        """Return p of a V-cycle for M p = b on the finest grid, and M p on its free rows; local values on ranks.
-
-        Both vectors come from :meth:`vector`. The caller owns them, and appends them to `spare` after their last use.
-        """
+        """Return p of a V-cycle for M p = b on the finest grid, and M p on its free rows; local values on ranks."""
         top = self.grids[0]
         top.b = b
         self.correct(0)
         top.grid.halo.fetch(top.x)
-        p, product = self.vector(), self.vector()
-        np.copyto(p, top.x[: p.size])
+        p, product = top.x[: b.size].copy(), np.empty(b.size)
         kernels.free_product(top.rows, top.inverse, top.x, product)
         self.work += top.values.size
         return p, product
@@ -285,14 +275,8 @@ class KrylovCorrection:
         inverse = truncation.grids[0].inverse
         unit = truncation.halo.largest(span(inverse))
         self._weight = None if is_symmetric else (inverse / unit) ** 2
-        self._sum = truncation.vector()
-        self._sum[:] = 0.0
+        self._sum = np.zeros(residual.size)
         self.directions: list[tuple[Vector, Vector, float]] = []
-
-    def give_back(self) -> None:
-        """Return the workspace for the next correction, at the end of this correction."""
-        self.truncation.spare.append(self._sum)
-        self._forget_directions()
 
     def apply_within(self, origin: Vector, lower: Vector, upper: Vector, z: Vector) -> None:
         """Overwrite z by mid(lower, upper, origin + c)."""
@@ -319,22 +303,16 @@ class KrylovCorrection:
         scale = self._dot(against, product)
         length = self._dot(against, self.residual) / scale if scale > 0.0 else np.nan
         if not np.isfinite(length):
-            self.truncation.spare += [p, product]
             return False
         self._sum += length * p
         self.residual -= length * product
         if self.is_symmetric:
-            self._forget_directions()
+            self.directions.clear()
         self.directions.append((p, product, scale))
         return True
 
     def _dot(self, one: Vector, other: Vector) -> float:
         return self.truncation.halo.total(dot(one, other))
-
-    def _forget_directions(self) -> None:
-        for p, product, _ in self.directions:
-            self.truncation.spare += [p, product]
-        self.directions.clear()
 
     def _against(self, p: Vector, product: Vector) -> Vector:
         return p if self._weight is None else product * self._weight

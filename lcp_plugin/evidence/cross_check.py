@@ -356,12 +356,11 @@ class ConvexForm:
 
 def polish(certificate: Certificate) -> Certificate:
     """Return the solution of the equations on the certificate's own active set, if it is better."""
-    best, problem = certificate, certificate.problem
     for _ in range(POLISH_ROUNDS):
-        at_bounds = classify(problem, best.z, best.w)
-        solved = solve_active_set(problem, *at_bounds, near=best.z)
-        found = best if solved is None else Certificate.of(problem, solved.z)
-        if not found.scaled_residual < best.scaled_residual:
+        problem, z = certificate.problem, certificate.z
+        solved = solve_active_set(problem, *classify(problem, z, certificate.w), near=z)
+        polished = certificate if solved is None else Certificate.of(problem, solved.z)
+        if not polished.scaled_residual < certificate.scaled_residual:
             break
-        best = found
-    return best
+        certificate = polished
+    return certificate

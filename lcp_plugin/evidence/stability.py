@@ -436,8 +436,8 @@ class Atlas:
     def explain(self) -> str:
         """Return the counts, then a line for each cell that is not SOLVED, and for each misleading one."""
         counts = Counter(cell.status for cell in self.cells).most_common()
-        told = ", ".join(f"{count} {status}" for status, count in counts)
-        lines = [f"{len(self.cells)} cells: {told}", *map(str, self.unsolved)]
+        summary = ", ".join(f"{count} {status}" for status, count in counts)
+        lines = [f"{len(self.cells)} cells: {summary}", *map(str, self.unsolved)]
         lines += [f"a small residual hides the error: {cell}" for cell in self.misleading]
         return "\n".join(lines)
 
@@ -494,15 +494,15 @@ def stability_atlas(
         cases = [(family, case) for family, case in cases if case.problem.n <= 2500]
     limit = 5_000 if quick else 50_000
     runs = product(cases, entrants)
-    return Atlas(tuple(_cell(family, case, one, limit) for (family, case), one in runs))
+    return Atlas(tuple(_cell(family, case, method, limit) for (family, case), method in runs))
 
 
-def _cell(family: str, case: StressCase, one: Method, limit: int) -> Cell:
-    head = (one.label, case.stress, family)
+def _cell(family: str, case: StressCase, method: Method, limit: int) -> Cell:
+    head = (method.label, case.stress, family)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            result = solve(case.problem, one.algorithm, z0=case.start, max_iterations=limit)
+            result = solve(case.problem, method.algorithm, z0=case.start, max_iterations=limit)
     except (UnsuitableMatrix, UnsuitableProblem) as refusal:
         return Cell(*head, "REFUSED", note=str(refusal))
     except Exception as failure:  # the atlas shows every exception of a run

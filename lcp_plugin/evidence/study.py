@@ -184,8 +184,8 @@ class Study:
         """
         _check_choice("against", against, ("seconds", "work", "iterations"))
         points = ["polish", *(["reference"] if against == "seconds" else [])]
-        shown = [one for one in self.rows if len(one.points)]
-        shown = [one for one in shown if one.is_curve or one.family in points]
+        shown = [row for row in self.rows if len(row.points)]
+        shown = [row for row in shown if row.is_curve or row.family in points]
         if not shown:
             raise InvalidOption("no run has a result to draw; print() lists how each ended")
         labels = dict.fromkeys(row.method for row in shown)
@@ -197,9 +197,9 @@ class Study:
         ]
         with panels(titles, width) as every:
             for axes, rows in zip(every, groups.values(), strict=True):
-                own = [row for row in rows if row in shown]
-                if own:
-                    _draw_errors(axes, own, against, looks)
+                drawn = [row for row in rows if row in shown]
+                if drawn:
+                    _draw_errors(axes, drawn, against, looks)
                 else:
                     words = "no result: print() lists the reasons"
                     axes.text(0.5, 0.5, words, ha="center", transform=axes.transAxes)
@@ -499,30 +499,34 @@ def _line(error: BaseException) -> str:
 def _label_problems(given: object) -> dict[str, Any]:
     """Return the problems, or functions that build them, by their labels."""
     if isinstance(given, Mapping):
-        return {str(label): _check_problem(one) for label, one in given.items()}
+        return {str(label): _check_problem(problem) for label, problem in given.items()}
     if isinstance(given, str | LCP | Scene | tuple) or callable(given) or class_of(given):
         given = [given]
-    listed = [*given] if isinstance(given, Iterable) else []
-    if not listed:
+    problems = [*given] if isinstance(given, Iterable) else []
+    if not problems:
         raise InvalidOption(f"problems must be problems, functions or names, got {given!r}")
-    found: dict[str, Any] = {}
-    for k, one in enumerate(listed, start=1):
-        name = one if isinstance(one, str) else getattr(one, "__name__", f"problem {k}")
-        label = one.title if isinstance(one, Scene) else str(name)
-        found[label if label not in found else f"{label} {k}"] = _check_problem(one)
-    return found
+    labeled: dict[str, Any] = {}
+    for k, problem in enumerate(problems, start=1):
+        name = problem if isinstance(problem, str) else getattr(problem, "__name__", f"problem {k}")
+        label = problem.title if isinstance(problem, Scene) else str(name)
+        labeled[label if label not in labeled else f"{label} {k}"] = _check_problem(problem)
+    return labeled
 
 
-def _check_problem(one: object) -> Any:
-    if isinstance(one, str):
-        name = one.partition(":")[0].strip()
+def _check_problem(problem: object) -> Any:
+    if isinstance(problem, str):
+        name = problem.partition(":")[0].strip()
         if name not in scene_names():
             hint = did_you_mean(name, scene_names(), is_listed=True)
-            raise InvalidOption(f"unknown test problem {one!r}{hint}; a file: load_problem(path)")
-        return partial(_build_by_name, one)
-    if isinstance(one, LCP | Scene | tuple) or (callable(one) and class_of(one) is None):
-        return one
-    raise InvalidOption(f"{refusal('study', one)}; or a test problem, (M, q) or a function")
+            raise InvalidOption(
+                f"unknown test problem {problem!r}{hint}; a file: load_problem(path)"
+            )
+        return partial(_build_by_name, problem)
+    if isinstance(problem, LCP | Scene | tuple) or (
+        callable(problem) and class_of(problem) is None
+    ):
+        return problem
+    raise InvalidOption(f"{refusal('study', problem)}; or a test problem, (M, q) or a function")
 
 
 def _build_by_name(text: str, size: int | None = None) -> Scene:
@@ -530,7 +534,7 @@ def _build_by_name(text: str, size: int | None = None) -> Scene:
     keys = inspect.signature(builder_of(name.strip())).parameters.keys()
     if size is None:
         return parse(text)
-    if not (key := [one for one in ("size", "n") if one in keys]):
+    if not (key := [parameter for parameter in ("size", "n") if parameter in keys]):
         raise InvalidOption(f"{name!r} has neither size nor n; leave sizes out")
     return parse(f"{text}{',' if settings else ':'}{key[0]}={size}")
 

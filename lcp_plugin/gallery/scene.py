@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from ..core.checks import Vector, fill, read_only
 from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
@@ -59,7 +58,7 @@ class Scene:
     >>> scene = gallery.build("paper_example_1", n=16)
     >>> scene
     Scene(paper_example_1: n=16, delta=4.0)
-    >>> scene.picture(scene.exact)[0]
+    >>> scene.exact.reshape(scene.grid)[0]
     array([1., 2., 1., 2.])
     """
 
@@ -98,25 +97,6 @@ class Scene:
         """The test problem as a command-line argument, name:parameter=value,…."""
         values = ",".join(f"{name}={value}" for name, value in self.parameters.items())
         return f"{self.name}:{values}" if values else self.name
-
-    def picture(self, z: ArrayLike) -> NDArray[np.float64]:
-        """Return z in the shape of the grid.
-
-        Parameters
-        ----------
-        z : shape (n,)
-
-        Raises
-        ------
-        InvalidProblem
-            If the test problem has no grid or z does not fit it.
-        """
-        values = np.asarray(z, dtype=np.float64)
-        if self.grid is None:
-            raise InvalidProblem(f"test problem {self.name!r} has no grid; plot z by its index")
-        if values.shape != (self.n,):
-            raise InvalidProblem(f"z must have shape ({self.n},), got {values.shape}")
-        return values.reshape(self.grid)
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value!r}" for name, value in self.parameters.items())

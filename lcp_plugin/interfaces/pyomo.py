@@ -566,10 +566,10 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
         raise InvalidOption(
             f"pairs must be 'match' or a ComponentMap from constraints to variables, got {pairs!r}"
         )
-    found = [] if pairs == "match" else [*_stated(pairs)]
+    matched = [] if pairs == "match" else [*_stated(pairs)]
     owners: dict[int, Any] = {}
     partners: dict[int, Any] = {}
-    for row, variable in found:
+    for row, variable in matched:
         if (other := partners.setdefault(id(row), variable)) is not variable:
             raise UnsupportedModel(
                 f"{row.name} is paired with {other.name} and with {variable.name}; a row has one variable"
@@ -578,7 +578,7 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
             raise UnsupportedModel(
                 f"{variable.name} is paired with {other.name} and with {row.name}; a variable has one row"
             )
-    paired = owners.keys() | {id(row) for row, _ in found}
+    paired = owners.keys() | {id(row) for row, _ in matched}
     rows = _families(row for row in constraints if id(row) not in paired)
     variables = _families(one for one in _variables(constraints) if id(one) not in paired)
     variables = [family for family in variables if not all(one.fixed for one in family.values())]
@@ -587,12 +587,12 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
         if len(matches) != 1:
             _require_row_of_each(variables, rows)
             raise UnsupportedModel(_why_open(family, matches))
-        own_rows, own = matches[0]
-        found += [(row, own[key]) for key, row in own_rows.items()]
+        own_rows, members = matches[0]
+        matched += [(row, members[key]) for key, row in own_rows.items()]
         rows = [one for one in rows if one is not own_rows]
-        variables = [one for one in variables if one is not own]
-    _require_full_rank(constraints, found)
-    return found
+        variables = [one for one in variables if one is not members]
+    _require_full_rank(constraints, matched)
+    return matched
 
 
 def _stated(pairs: Mapping[Any, Any]) -> Iterator[tuple[Any, Any]]:
@@ -696,13 +696,13 @@ def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> 
     pattern = sp.lil_array((len(rows), len(variables)))
     for i, columns in enumerate(inside):
         pattern[i, [place[id(one)] for one in columns if not one.fixed]] = 1.0
-    for own, matrix, words in (
+    for named, matrix, words in (
         (rows, pattern, "constraint {} would need the variable of another one"),
         ([*variables.values()], pattern.T, "variable {} would need the constraint of another one"),
     ):
         partners = maximum_bipartite_matching(sp.csr_array(matrix), perm_type="column")
         for k in np.flatnonzero(partners < 0)[:1]:
             raise UnsupportedModel(
-                f"the model is structurally singular: {words.format(own[k].name)}; see whether a constraint is "
+                f"the model is structurally singular: {words.format(named[k].name)}; see whether a constraint is "
                 "missing or redundant, or a pair is wrong"
             )

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import islice
 from typing import ClassVar
 
 import numpy as np
@@ -29,7 +28,6 @@ from .simplex import QUANTUM, Effort
 LARGEST_CHOICES = 24  # rows with more than one choice
 MOST_SEARCHED = 60  # rows of an exhaustive search
 DEFAULT_NODES = 200_000  # of a search that the caller does not limit
-VERTICES_SHOWN = 6  # vertices of a face in a printed solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,16 +84,12 @@ class Solution:
         return self.dimension == 0
 
     def __str__(self) -> str:
+        point = f"z = ({', '.join(map(str, self.exact_z))})"
         if self.is_isolated:
-            return f"z = {_in_fractions(self.exact_z)}, isolated"
-        some = list(islice(extreme_points(self.problem, self.pattern), VERTICES_SHOWN + 2))
-        if not some:
-            place = f"on a face of dimension {self.dimension} that contains a line"
-            return f"z = {_in_fractions(self.exact_z)}, {place}"
-        others = [_in_fractions(vertex) for vertex in sorted(some) if vertex != self.exact_z]
-        shown = [*others[:VERTICES_SHOWN], *["…"] * (len(others) > VERTICES_SHOWN)]
-        rest = f"; others: {', '.join(shown)}" if others else ""
-        return f"z = {_in_fractions(self.exact_z)}, a vertex of a face of dimension {self.dimension}{rest}"
+            return f"{point}, isolated"
+        if next(extreme_points(self.problem, self.pattern), None) is None:
+            return f"{point}, on a face of dimension {self.dimension} that contains a line"
+        return f"{point}, a vertex of a face of dimension {self.dimension}"
 
 
 def search(
@@ -193,7 +187,7 @@ def all_solutions(problem: LCP, *, max_nodes: int = DEFAULT_NODES) -> list[Solut
     z = (1, 1/2), isolated
     >>> (face,) = all_solutions(LCP([[1, 1], [1, 1]], [-2, -2]))
     >>> print(face)
-    z = (2, 0), a vertex of a face of dimension 1; others: (0, 2)
+    z = (2, 0), a vertex of a face of dimension 1
     """
     outcome = search(problem, first_only=False, max_nodes=max_nodes)
     if outcome is None:
@@ -221,10 +215,6 @@ def _solution(problem: LCP, face: Face) -> Solution:
         face.dimension,
         problem,
     )
-
-
-def _in_fractions(point: Sequence[Fraction]) -> str:
-    return f"({', '.join(map(str, point))})"
 
 
 def _in_doubles(values: Sequence[Fraction], name: str) -> Vector:

@@ -48,7 +48,7 @@ from .batches.on_device import DeviceAnswers, launch
 from .batches.program_batch import ProgramBatch
 from .cones.data import Blocks
 from .cones.derivative import ConeDerivative, StackDerivative
-from .cones.methods import whole_systems
+from .cones.newton import whole_systems
 from .cones.solving import ConeResult
 from .least_squares.solving import LeastSquaresResult
 from .many import item_number, run_in_chunks

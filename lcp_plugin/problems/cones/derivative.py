@@ -23,7 +23,7 @@ from ...systems.free_systems import FreeSystem, LinearizedSystem
 from ...systems.graph import outer_on_pattern
 from .data import Blocks
 from .factors import stack_of
-from .methods import polish_points, system_of_free_rows
+from .newton import polish_points, system_of_free_rows
 
 ROUNDING = 1e-12  # of a block's terms |M||z| + |q|: distance to another mode of a degenerate block
 PIECES, ALIKE = 20, 1e-12  # at most, for one direction, and the change of dz at which it ends

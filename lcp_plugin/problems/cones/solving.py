@@ -27,7 +27,7 @@ from ...solving.lcp_solver import is_bare
 from ...solving.result import NOTHING_TO_DO, Callback, Result, StageRecord
 from ...solving.run import FAILED, Progress, Run, Stage
 from ..contact import ContactMotion, motion_of
-from . import methods
+from . import methods, newton
 from .certificate import ConeCertificate, ContactInfeasibility, infeasibility_proof
 from .data import Blocks
 from .factors import FEW, stack_of
@@ -164,7 +164,7 @@ def solve_cone_stack(
         iterations[left] += count // SWEEPS_PER_STEP
         best, least = swept[left], np.full(left.size, np.inf)
         goal = CLOSER * tolerance
-        for number, step in enumerate(methods.newton_steps(here, best, steps, goal)):
+        for number, step in enumerate(newton.newton_steps(here, best, steps, goal)):
             open_ones, at, sizes, _ = step
             is_better = sizes < least[open_ones]
             best[open_ones[is_better]] = at[is_better]
@@ -173,7 +173,7 @@ def solve_cone_stack(
             if not has_time():
                 break
         done = least <= goal
-        best[done] = methods.polish_points(here.take(done), best[done])[0]
+        best[done] = newton.polish_points(here.take(done), best[done])[0]
         found = ConeRows(here).measure_blocks(here.snap(best), tolerance)
         is_better = found.passes | (found.residual < residual[left])
         z[left[is_better]] = found.z[is_better]
@@ -239,7 +239,7 @@ class ConeRun(Run):
         """Return a point with the residual of its method; None if the best one is at rounding level."""
         if step.measured is not None:
             return step.measured
-        if step.residual is None or self.residual <= methods.EXACT:
+        if step.residual is None or self.residual <= newton.EXACT:
             return None
         return Measured(step.z, step.residual, passes=False)
 
@@ -261,8 +261,8 @@ class ConeRun(Run):
         """Measure the best point, after the linear system of its active set if it may pass."""
         z = self.best.z
         if self.best.rows is None and not self.best.passes:
-            if methods.EXACT < self.residual <= self.goal:
-                z, residual = methods.polish_points(self.stack, z)
+            if newton.EXACT < self.residual <= self.goal:
+                z, residual = newton.polish_points(self.stack, z)
                 self.residual = float(residual[0])
             z = self.stack.snap(z)
             self.best = self.rows.measure_blocks(z, self.tolerance, self.absolute)

@@ -608,3 +608,43 @@ def test_an_unstable_plant_by_single_shooting_is_not_worse_than_its_engines():
         return total
 
     assert cost(solve(program).require_solved().x) <= 1.3
+
+
+def drawn_program(seed, is_linear):
+    """Return a program with a recession direction, its unknowns in units from 1e-4 to 1e4."""
+    rng = np.random.default_rng(seed)
+    n, m, p = (int(rng.integers(*ends)) for ends in ((2, 14), (1, 12), (0, 4)))
+    rank = int(rng.integers(0, n))
+    F = np.round(rng.normal(size=(n, max(1, rank))), 2) if rank else np.zeros((n, 1))
+    G = np.round(rng.normal(size=(m, n)), 2)
+    A = np.round(rng.normal(size=(p, n)), 2)
+    x = np.round(rng.normal(size=n), 1)
+    b, h = A @ x, G @ x + np.round(rng.random(m), 1)
+    c = np.round(rng.normal(size=n), 2)
+    units = 10.0 ** rng.integers(-4, 5, n)
+    lower = np.where(rng.random(n) < 0.4, (x - 1.0) / units, -np.inf)
+    P = None if is_linear else F @ F.T * units * units[:, None]
+    return QuadraticProgram(P, c * units, G * units, h, A * units, b, lower)
+
+
+@pytest.mark.parametrize(("seed", "is_linear"), [(88, True), (137, False)])
+def test_an_unbounded_program_in_mixed_units_is_proved(seed, is_linear):
+    """The feasible point is found in fitted units (88); the direction changes no row beyond rounding (137)."""
+    result = solve(drawn_program(seed, is_linear))
+    assert result.status is Status.UNBOUNDED
+    assert result.proof.verify()
+
+
+def test_a_sum_of_rows_that_is_rounded_proves_a_large_program_infeasible():
+    """Row 119 is minus a sum of rows, and asks for more: the sum of the multipliers is 0 only to rounding."""
+    rng = np.random.default_rng(8)
+    n, m = int(rng.integers(60, 140)), int(rng.integers(100, 160))
+    G, w, count = np.round(rng.normal(size=(m, n)), 3), np.zeros(m), int(rng.integers(3, m))
+    w[rng.choice(m, count, False)] = rng.random(count)
+    h = G @ rng.normal(size=n) + rng.random(m) * (rng.random(m) < 0.5)
+    least = -(w @ h) - 10.0 ** rng.integers(-4, 1)
+    result = solve(
+        QuadraticProgram(None, np.ones(n), np.vstack([G, -(w @ G)]), np.append(h, least))
+    )
+    assert result.status is Status.INFEASIBLE
+    assert result.proof.verify()

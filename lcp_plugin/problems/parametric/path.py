@@ -170,7 +170,8 @@ class Path(Outcome):
         Last value of θ on the path.
     status : Status
         SOLVED if the path reached `stop` and each segment is SOLVED in its interior and just inside its begin and end,
-        by the criterion of the problem class. Points between these are convex combinations. INFEASIBLE if bounds cross
+        by the criterion of the problem class. Points between these are convex combinations; of a
+        nonlinear problem they are not verified, and ``at(θ)`` has the status of a point. INFEASIBLE if bounds cross
         on the way. Otherwise the worst status of a segment, or the status of the problem just beyond `reached`.
     jumps : list of float
         Values of θ at which the solution jumps. A jump requires a matrix that is not monotone.
@@ -253,7 +254,7 @@ class Path(Outcome):
         return self.line.point(float(theta), piece.z_at(float(theta)), piece.case)
 
     def x(self, thetas: ArrayLike) -> Vector:
-        """Return x at many values, shape (k, n)."""
+        """Return x at many values, shape (k, n); of a nonlinear problem interpolated."""
         values = np.atleast_1d(np.asarray(thetas, dtype=np.float64))
         made: Vector = np.empty((values.size, self.pieces[0].x0.size if self.pieces else 0))
         for k, theta in enumerate(values):

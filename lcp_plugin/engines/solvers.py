@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar
 
 import numpy as np
@@ -50,71 +49,42 @@ class DAQP(Engine):
         P, G, A = program.P, program.G, program.A
         if not isinstance(P, np.ndarray):
             P, G, A = P.toarray(), G.toarray(), A.toarray()
-        C, d = np.concatenate((G, A)), np.concatenate((program.h, program.b))
-        data = (P, program.c, C, d, program.lower, program.upper)
-        P, c, C, d, lower, upper = (one[np.newaxis] for one in data)
-        m, n = program.h.size, program.c.size
-        seconds = limits.seconds if limits.seconds < math.inf else 0.0
-        x, y, flag, steps = next(self.points(P, c, C, d, m, lower, upper, [0], seconds))
+        m, n, p = program.h.size, program.c.size, program.b.size
+        arrays = P.copy() if P.any() else None, np.concatenate((G, A)), kinds_of_rows(n, m, p)
+        right = np.append(program.h, program.b)
+        ends = ends_of_rows(right, m, program.lower, program.upper)
+        limit = {} if limits.seconds == math.inf else {"time_limit": limits.seconds}
+        x, y, flag, steps = call_daqp(*arrays, program.c.copy(), *ends, self.settings | limit)
         y = np.append(np.maximum(y[n : n + m], 0.0), y[n + m :])
         return EngineAnswer(x, y, steps, DAQP_SAYS.get(flag, EngineStatus.GAVE_UP))
 
-    def points(
-        self,
-        P: Array,
-        c: Array,
-        C: Array,
-        d: Array,
-        m: int,
-        lower: Array,
-        upper: Array,
-        items: Iterable[int],
-        seconds: float = 0.0,
-    ) -> Iterator[tuple[Vector, Vector, int, int]]:
-        """Yield x, signed multipliers of bounds and rows, daqp's exit flag and number of steps, per item of a stack.
 
-        NaN if daqp has no solution, because daqp then returns uninitialized arrays.
-
-        Parameters
-        ----------
-        P, c, C, d, lower, upper : arrays
-            Shapes (B or 1, n, n), (B, n), (B or 1, rows, n), (B, rows), (B, n), (B, n).
-        m : int
-            Number of inequalities; the remaining rows are equalities.
-        """
-        count, n = c.shape
-        sense = np.zeros(n + d.shape[1], np.intc)
-        sense[n + m :] = EQUATION
-        above, below = np.concatenate([upper, d], axis=1), np.full((count, sense.size), -np.inf)
-        below[:, :n], below[:, n + m :] = lower, d[:, m:]
-        settings = self.settings | ({"time_limit": seconds} if seconds else {})
-        # daqp takes no arrays that are read-only
-        has_P, (P, c, C) = P.any(), (np.array(one, order="C") for one in (P, c, C))
-        of_P, of_C = (range(count) if len(one) > 1 else [0] * count for one in (P, C))
-        for k in items:
-            hessian = P[of_P[k]] if has_P else None
-            yield call_daqp(hessian, c[k], C[of_C[k]], above[k], below[k], sense, settings)
+def kinds_of_rows(n: int, m: int, p: int) -> Any:
+    """Return daqp's numbers for n bounds, m inequalities and p equations."""
+    return np.repeat([0, EQUATION], [n + m, p]).astype(np.intc)
 
 
-def point_of_daqp(
-    P: Array, C: Array, sense: Any, c: Array, d: Array, m: int, lower: Array, upper: Array
-) -> tuple[Vector, Vector, int]:
-    """Return daqp's x within its bounds, the multipliers of the rows, of which m are inequalities, and the steps."""
-    n, above, below = c.size, np.concatenate((upper, d)), np.concatenate((lower, d))
-    below[n : n + m] = -math.inf
-    x, y, _, steps = call_daqp(P, c.copy(), C, above, below, sense, DAQP.defaults)
-    return np.minimum(np.maximum(x, lower), upper), y[n:], steps
+def ends_of_rows(d: Array, m: int, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Return upper and lower ends of bounds and of rows, the first m of which are inequalities; or of a stack."""
+    n, above = lower.shape[-1], np.concatenate((upper, d), axis=-1)
+    below = np.concatenate((lower, d), axis=-1)
+    below[..., n : n + m] = -math.inf
+    return above, below
 
 
 def call_daqp(
-    P: Array, c: Array, C: Array, above: Any, below: Any, sense: Any, settings: dict[str, Any]
+    P: Any, C: Array, kinds: Any, c: Array, above: Array, below: Array, settings: dict[str, Any]
 ) -> tuple[Vector, Vector, int, int]:
-    """Return x, all multipliers, daqp's exit flag and its steps."""
+    """Return x, signed multipliers of bounds and rows, daqp's exit flag and its steps.
+
+    NaN if daqp has no solution, because daqp then returns uninitialized arrays. P, None for zeros, and all other arrays
+    are C-contiguous and can be written to, as daqp requires.
+    """
     import daqp
 
-    x, _, flag, info = daqp.solve(P, c, C, above, below, sense, **settings)
+    x, _, flag, info = daqp.solve(P, c, C, above, below, kinds, **settings)
     if flag <= 0:
-        return np.full(c.size, np.nan), np.full(sense.size, np.nan), flag, info["iterations"]
+        return np.full(c.size, np.nan), np.full(kinds.size, np.nan), flag, info["iterations"]
     return np.asarray(x), np.asarray(info["lam"]), flag, info["iterations"]
 
 

@@ -14,12 +14,12 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from ..core.checks import AnyMatrix, Vector, checked_bounds, read_only
+from ..core.checks import INFINITE_LIMIT, AnyMatrix, Vector, checked_bounds, read_only
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of
 from ..core.settings import Settings, Status
-from ..engines.solvers import point_of_daqp
+from ..engines.solvers import DAQP, call_daqp, ends_of_rows
 from ..judges.program import PROGRAM_TOLERANCE, SAFETY, dense_errors
 from ..methods.lemke import Lemke
 from ..methods.small import LOOP_UP_TO, arrays_of_one, follow_one, has_numba, is_small, tilts
@@ -31,12 +31,10 @@ from .cones.solving import solve_quickly
 from .programs.program import QuadraticProgram, refuse_nonconvex
 from .programs.result import QuadraticProgramResult
 from .programs.solution import QPSolution
+from .programs.solving import CERTAIN_ROWS, FAR
 
 P = TypeVar("P")
 R = TypeVar("R", bound=BaseResult)
-NO_LIMIT = 1e20  # a limit of a row that is none
-FAR = 1e6  # a larger x may be on its way to infinity
-CERTAIN_ROWS = 1e-10  # a larger violation starts a search for a proof of infeasibility
 
 
 class PreparedProblem(Generic[P]):
@@ -182,15 +180,17 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         """Return daqp's point if the compiled test accepts it, and nothing hints at a program without a minimum."""
         if self._arrays is None:
             return None
-        began, ((P, C, sense), terms, own) = perf_counter(), self._arrays
+        began, ((P, C, kinds), terms, own) = perf_counter(), self._arrays
         every = [_copy_of(data.get(name), own[name]) for name in own]
         if any(one is None for one in every):
             return None
         c, h, b, lower, upper = every
         d, m = np.concatenate((h, b)), h.size
-        if not d @ d < NO_LIMIT**2:  # NaN in other data does not pass the test
+        if not d @ d < INFINITE_LIMIT**2:  # NaN in other data does not pass the test
             return None
-        x, y = point_of_daqp(P, C, sense, c, d, m, lower, upper)[:2]
+        ends = ends_of_rows(d, m, lower, upper)
+        x, y = call_daqp(P, C, kinds, c.copy(), *ends, DAQP.defaults)[:2]
+        x, y = np.minimum(np.maximum(x, lower), upper), y[x.size :]
         primal, gap = dense_errors(*terms, c, read_only(d), m, lower, upper, x, y, SAFETY)
         is_certain = primal <= CERTAIN_ROWS and x @ x <= FAR**2
         if not (is_certain and gap <= 0.5 * self._tolerance):

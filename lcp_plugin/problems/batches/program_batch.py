@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from ...core.checks import AnyMatrix, Array, BoolVector, read_only
 from ...core.errors import InvalidProblem, LCPError
 from ...core.kernels.floats import EPSILON
-from ...engines import engine_class, is_installed
+from ...engines import is_installed
+from ...engines.solvers import DAQP, call_daqp, ends_of_rows, kinds_of_rows
 from ...judges.program import MEASURE_IN_PYTHON, KKTErrors, ProgramTerms, dense_errors
 from ...methods.small import LOOP_FROM, has_numba
 from ..many import rows_of_a_batch
@@ -238,10 +239,13 @@ def solve_programs(
     (count, n), wanted = c.shape, np.flatnonzero(may)
     signed, steps = np.full((count, n + d.shape[1]), np.nan), np.zeros(count, np.int64)
     x: Array = np.full((count, n), np.nan)
-    engine: Any = engine_class(ENGINE)(**PROXIMAL)
-    points = engine.points(P, c, C, d, m, lower, upper, wanted.tolist())
-    for k, (at, multipliers, _, number) in zip(wanted.tolist(), points, strict=True):
-        x[k], signed[k], steps[k] = at, multipliers, number
+    has_P, (hessians, matrices, costs) = P.any(), (np.array(one, order="C") for one in (P, C, c))
+    kinds, settings = kinds_of_rows(n, m, d.shape[1] - m), DAQP.defaults | PROXIMAL
+    above, below = ends_of_rows(d, m, lower, upper)
+    for k in wanted.tolist():
+        hessian = hessians[k % len(P)] if has_P else None
+        data = matrices[k % len(C)], kinds, costs[k], above[k], below[k], settings
+        x[k], signed[k], _, steps[k] = call_daqp(hessian, *data)
     y = signed[:, n:]
     y[:, :m] = np.maximum(y[:, :m], 0.0)
     at_lower = np.maximum(-signed[:, :n], 0.0) * np.isfinite(lower)
@@ -253,8 +257,8 @@ def solve_programs(
     found = np.full((count, 2), np.inf)
     for k in wanted[np.isfinite(x[wanted]).all(1)].tolist():
         if (one := terms[k % len(pairs)]).is_one_dense_component:
-            vectors = c[k], d[k], m, lower[k], upper[k], x[k], y[k]
-            found[k] = measure(one.P, one.C, one.sizes, *vectors, 1.0)
+            vectors = c[k], d[k], m, lower[k], upper[k]
+            found[k] = measure(one.P, one.C, one.sizes, *vectors, x[k], y[k], 1.0)
     errors = KKTErrors(*found.T)
     rows = np.hstack([x, y, at_lower, at_upper])
     return rows, errors.largest, steps, errors.meet(tolerance)

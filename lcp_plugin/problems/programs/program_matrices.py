@@ -16,7 +16,7 @@ from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze
 from ...core.entries import count_entries, largest_in_rows, largest_products
 from ...core.matrix import Matrix
 from ...engines import is_installed
-from ...engines.solvers import EQUATION
+from ...engines.solvers import kinds_of_rows
 from ...judges.program import BLUR, Indices, ProgramTerms
 from ...systems.definiteness import factorised, is_diagonal, is_semidefinite_to_rounding, scaled_to
 from ...systems.minimum_degree import factor_sizes
@@ -83,20 +83,20 @@ class ProgramMatrices:
     @cached_property
     def stacked(self) -> tuple[Any, Any]:
         """P and C = [G; A]: both dense or both CSR arrays."""
-        P, G, A = self.arrays
-        return P, (sp.vstack([G, A], "csr") if sp.issparse(P) else np.vstack([G, A]))
+        P, *both = self.arrays
+        parts = [one for one in both if one.shape[0]] or both[:1]
+        if len(parts) == 1:
+            return P, parts[0]
+        return P, (sp.vstack(parts, "csr") if sp.issparse(P) else np.vstack(parts))
 
     @cached_property
     def of_daqp(self) -> tuple[Vector, Vector, Any] | None:
         """P and C in arrays that daqp may write to, and its kinds of bounds and rows; None if daqp is not the first."""
-        if not (
-            self.is_small and self.has_curvature and self.is_semidefinite and is_installed("daqp")
-        ):
+        is_suited = self.is_small and self.has_curvature and is_installed("daqp")
+        if not (is_suited and self.is_semidefinite):
             return None
         (m, p, n, _), (P, C) = self.sizes, self.stacked
-        sense = np.zeros(n + m + p, np.intc)
-        sense[n + m :] = EQUATION
-        return np.array(P, order="C"), np.array(C, order="C"), sense
+        return np.array(P, order="C"), np.array(C, order="C"), kinds_of_rows(n, m, p)
 
     @cached_property
     def engine_units(self) -> tuple[Vector, Vector]:

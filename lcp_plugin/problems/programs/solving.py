@@ -15,7 +15,7 @@ from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, U
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
 from ...engines import ENGINES, has_piqp, installed_engine
 from ...engines.engine import Engine, EngineStatus
-from ...engines.solvers import DAQP, point_of_daqp
+from ...engines.solvers import DAQP, call_daqp, ends_of_rows
 from ...judges.program import PROGRAM_TOLERANCE, SHARP, KKTErrors
 from ...methods.interior_point import InteriorPoint
 from ...solving.dispatch import parse_call
@@ -31,6 +31,7 @@ from .result import ADVICE, QuadraticProgramResult
 from .solution import QPSolution
 
 SHORT_SEARCH = 5000  # variables and rows: larger programs need a report of a solver
+CERTAIN_ROWS = 1e-10  # a larger violation starts a search for a proof of infeasibility
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity
 
 
@@ -125,7 +126,9 @@ def _by_daqp(
     is_modest = 1e-12 < c @ c + np.vdot(layout[0], layout[0]) < 1e18  # `with_modest_costs` keeps it
     if not is_modest or (reduced.b.size and regression_of(reduced) is not None):
         return None
-    x, y, steps = point_of_daqp(*layout, c, judged.d, reduced.h.size, lower, upper)
+    ends = ends_of_rows(judged.d, reduced.h.size, lower, upper)
+    x, y, _, steps = call_daqp(*layout, c.copy(), *ends, DAQP.defaults)
+    x, y = np.minimum(np.maximum(x, lower), upper), y[x.size :]
     found = KKTErrors.of(judged, x, y, tolerance)
     is_sharp = found.meet(tolerance) and found.gap <= SHARP * (x.size + y.size)
     if not is_sharp or is_in_doubt(program, found, x):
@@ -140,8 +143,9 @@ def _by_daqp(
 
 def is_in_doubt(program: QuadraticProgram, errors: KKTErrors, x: Vector) -> bool:
     """Return whether a program may be infeasible or unbounded although x, which violates rows or is far, passes."""
-    if errors.primal > 1e-10 or (size := np.abs(x).max(initial=0.0)) <= FAR:
-        return bool(errors.primal > 1e-10)
+    size, is_violated = np.abs(x).max(initial=0.0), bool(errors.primal > CERTAIN_ROWS)
+    if is_violated or size <= FAR:
+        return is_violated
     limits = np.abs(program.constraints.limit)
     return bool(size > FAR * limits[np.isfinite(limits)].max(initial=1.0))
 

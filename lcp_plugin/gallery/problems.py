@@ -324,9 +324,7 @@ def _paper_scene(n: int, delta: float, below: float, above: float) -> Scene:
 
 
 @scene_builder
-def half_active(
-    *, n: int = 10_000, delta: float = 4.0, block: int = 5, degenerate: bool = True
-) -> Scene:
+def half_active(*, n: int = 10_000, delta: float = 4.0, degenerate: bool = True) -> Scene:
     """Five-point Laplacian plus delta I, constraints active on every other block of a checkerboard.
 
     Parameters
@@ -335,8 +333,6 @@ def half_active(
         Number of unknowns, a perfect square m².
     delta
         Shift of the diagonal, at least 0; q is exact in floating point if it is an integer.
-    block
-        Side of the checkerboard's blocks in nodes. The share is exactly one half if 2·block divides m.
     degenerate
         Whether the first corner of each active block has z* = w* = 0; otherwise z* + w* > 0 throughout.
 
@@ -349,6 +345,7 @@ def half_active(
     side = _side(n)
     M = stencil_matrix((side, side), 4.0 + delta, (-1.0, -1.0), (-1.0, -1.0))
     row, column = np.divmod(np.arange(n), side)
+    block = 5  # side of the squares of the checkerboard
     is_active = (row // block + column // block) % 2 == 1
     values = np.resize([1.0, 2.0], n)
     exact = np.where(is_active, 0.0, values)

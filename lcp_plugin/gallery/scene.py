@@ -17,7 +17,7 @@ from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
 from ..core.settings import parse_options
 
-SIZES = {"n", "size", "block"}  # parameters that are at least 1
+SIZES = {"n", "size"}  # parameters that are at least 1
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.algorithm import Step, check_positive, require_positive_diagonal
-from ..core.checks import Vector, is_number, vector_option
+from ..core.checks import Vector, vector_option
 from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.iteration_facts import MODULUS, IterationFacts
 from ..core.kernels.splitting_sweeps import modulus_sweep
@@ -58,7 +58,7 @@ class ModulusBased(Splitting):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self._has_one_omega:
+        if np.ndim(self.omega) == 0:
             check_positive(self, "omega")
 
     def facts(self, problem: LCP) -> IterationFacts:
@@ -87,7 +87,7 @@ class ModulusBased(Splitting):
         yield from self.swept(problem, modulus_sweep, rows, weights, z0 - problem.lower, z=z0)
 
     def _omega(self, problem: LCP, diagonal: Vector) -> Vector:
-        if self._has_one_omega:
+        if np.ndim(self.omega) == 0:
             return float(self.omega) * diagonal  # type: ignore[arg-type]
         need = f"{self.name}: omega must be a positive multiple of the diagonal, or a vector of length {problem.n}"
         omega = vector_option(self.omega, "omega", problem.n, is_finite=False, need=need)
@@ -98,11 +98,6 @@ class ModulusBased(Splitting):
                 f"{self.name}: omega must be positive and finite, but omega[{i}] = {omega[i]}"
             )
         return omega
-
-    @property
-    def _has_one_omega(self) -> bool:
-        """True if omega is a multiple of the diagonal (or not a vector)."""
-        return is_number(self.omega) or isinstance(self.omega, (str, bool)) or self.omega is None
 
 
 def _require_lower_bounds_only(problem: LCP, name: str) -> None:

@@ -27,7 +27,6 @@ from ..core.lcp import LCP
 from ..expressions.rows import Indices, Rows, as_matrix, is_definition
 from ..problems.cones.data import Blocks, ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
-from ..problems.nonlinear.data import NonlinearProblem
 from ..problems.statement import SquareModel, Statement
 from . import _compat as compat
 from .reading import Reader
@@ -479,12 +478,10 @@ class Model:
         """
         problem = self.problem
         if not isinstance(problem, LCP):
-            lacks = (
-                "needs affine sides, and this model has nonlinear ones"
-                if isinstance(problem, NonlinearProblem)
-                else "takes no cones, and this model has some"
+            raise UnsupportedModel(
+                f'{purpose} takes affine sides without cones, and this model has others; problem.solve(method="LCP") '
+                "solves it"
             )
-            raise UnsupportedModel(f'{purpose} {lacks}; problem.solve(method="LCP") solves it')
         for column in self.square.dropped[:1].tolist():
             entry = self.statement.name_of(column)
             raise UnsupportedModel(

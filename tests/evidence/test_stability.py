@@ -114,7 +114,7 @@ def test_the_edge_of_the_number_range_is_never_silent(name, options, case):
 
 def inexact() -> LCP:
     """Return a problem whose solution is not representable in double precision."""
-    scene = gallery.half_active(n=100, block=5)
+    scene = gallery.half_active(n=100)
     return LCP(scene.problem.csr / 3.0, scene.problem.q / 7.0)
 
 

@@ -19,7 +19,7 @@ from lcp_plugin.gallery.problems import CONTACT_RADIUS
 # Every scene, and one line per variant, small enough for dense linear algebra and rational arithmetic.
 SMALL = [
     *scenes.SMALL,
-    "half_active:n=81,delta=0,block=2,degenerate=false",
+    "half_active:n=81,delta=0,degenerate=false",
     "convection_diffusion:size=6,diffusion=0,wind_angle=3.6",
     "obstacle_2d:size=12,shifted=true",
     "paper_example_1:n=49,delta=0",

@@ -136,7 +136,7 @@ solved(complements(friction_cone(y, -1.0), y - 1)) → not be negative
 cp.Problem(cp.Minimize(t), [complements(cp.SOC(t, x), cp.hstack([t, x]))]).solve(method='LCP')
     → the best of its solutions cannot be computed
 solved(complements(cp.SOC(t, (z := cp.Variable(2, nonneg=True))), cp.hstack([t, z]))) → holds variables with bounds
-LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [complements(friction_cone(y, 1.0), y - 1)])) → takes no cones
+LCP.from_cvxpy(cp.Problem(cp.Minimize(0), [complements(friction_cone(y, 1.0), y - 1)])) → affine sides without cones
 solved(complements(friction_cone(y, 1.0), y - 1), relaxation=1) → takes no relaxation
 """)
 def test_what_is_no_model_over_cones_is_refused_in_words(call, words):

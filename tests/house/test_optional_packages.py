@@ -90,6 +90,7 @@ USES = [  # the hidden package, a use of it, a part of the message, the extra th
 ]  # fmt: skip
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("name", "use", "words", "extra"), USES)
 def test_a_use_without_its_package_says_what_to_install(name, use, words, extra):
     """The message has the package and its extra; ``from lcp_plugin import *`` needs no hypothesis."""

@@ -275,6 +275,7 @@ print('LCP' in cp.Problem.REGISTERED_SOLVE_METHODS, sys.meta_path == before)
     assert printed_by(code) == "True True"
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     "then",
     [

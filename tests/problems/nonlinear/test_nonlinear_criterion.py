@@ -165,6 +165,7 @@ TAILS: dict[str, Any] = {
 }
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("offset", [0.0, 64.0, 1000.0])
 @pytest.mark.parametrize("size", [1e3, 1e5, 1e7])
 @pytest.mark.parametrize("name", TAILS)

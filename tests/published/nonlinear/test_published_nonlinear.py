@@ -9,6 +9,7 @@ from lcp_plugin import solve
 CASES = [(name, k) for name, one in PUBLISHED.items() for k in range(len(one.starts))]
 
 
+@pytest.mark.quick(12)
 @pytest.mark.parametrize(("name", "k"), CASES)
 def test_a_published_problem_is_solved_or_refused(name, k):
     """SOLVED has an outsider's residual below 1e-6; without a solution no point is SOLVED."""

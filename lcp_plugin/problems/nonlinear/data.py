@@ -22,9 +22,10 @@ Two clauses are added, because the linearization is not F, and because F(x) is n
 - No unknown x_j off its bounds moves on. Let s and t be the Newton steps from x and from x + s, both with F′(x) on the
   rows off their bounds: |t_j| is at most |s_j|/3. At a simple root it is far less, at a double root 0.25 |s_j|, at a
   triple one 0.3 |s_j|; if F tends to 0 as x diverges it is 1/e and more, with any offset of x_j. Steps below half of
-  the digits of x_j, and steps that rounding errors of F make, do not count. Nor may x_j alone reduce Σ (F_i/d_i)² most
-  by an outward step above x_j/64, nor may rounding hide that F depends on x_j. Three such points end a run from
-  a start.
+  the digits of x_j, and steps that rounding errors of F make, do not count. Rounding errors made s_j if the Newton step
+  from x + 16 s, x + 256 s or x + 4096 s leads back by half of the way: there F is linear, and x is next to its root.
+  Nor may x_j alone reduce Σ (F_i/d_i)² most by an outward step above x_j/64, nor may rounding hide that F depends
+  on x_j. Three such points end a run from a start.
 - 2⁻⁵² T_i/d_i, a rounding error of F_i/d_i, is at most max(tolerance, 10⁻⁸) times the reference. Otherwise two
   contradictory rows become zero by rounding as x diverges.
 
@@ -597,19 +598,20 @@ class LinearizedRows(RowData):
             return moves
         signs, rounding = np.random.default_rng(0).choice([-1.0, 1.0], n), EPSILON * self.terms
 
-        def is_open(rounding: Vector) -> BoolVector:
-            lost = np.abs(factor.solve((signs * rounding)[at]))
-            return ~(np.abs(step) <= np.maximum(least[at], lost))
-
-        if not is_open(rounding).any():
-            return moves
-        there = x.copy()
-        there[at] += np.where(is_open(rounding), step, 0.0)
-        there = np.minimum(np.maximum(there, self.lower), self.upper)
-        again = np.abs(factor.solve(self.problem.value(there)[at]))
-        moves_on = is_open(rounding) & ~(again <= np.abs(step) / 3.0)
-        if moves_on.any():
-            moves[at] |= moves_on & is_open(np.maximum(rounding, self.noise * self.scale))
+        lost = np.abs(factor.solve((signs * rounding)[at]))
+        moves_on = ~(np.abs(step) <= np.maximum(least[at], lost))
+        for reach in (1.0, 16.0, 256.0, 4096.0):  # further if noise is many steps
+            if not moves_on.any():
+                break
+            there = x.copy()
+            there[at] += np.where(moves_on, reach * step, 0.0)
+            there = np.minimum(np.maximum(there, self.lower), self.upper)
+            way, back = (there - x)[at], factor.solve(self.problem.value(there)[at])
+            if reach == 1.0:
+                moves_on &= ~(np.abs(back) <= np.abs(step) / 3.0)
+            else:
+                moves_on &= ~((way * back >= 0.5 * way**2) & (way != 0.0))
+        moves[at] |= moves_on
         return moves
 
     def _is_flat(self, free: BoolVector) -> BoolVector:

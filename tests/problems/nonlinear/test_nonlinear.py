@@ -368,14 +368,10 @@ FUNCTIONS_AT_ROUNDING_LEVEL: dict[str, tuple[Any, Any]] = {  # F(x) − d, and i
 }
 
 
-@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", FUNCTIONS_AT_ROUNDING_LEVEL)
 @pytest.mark.parametrize("is_coupled", [False, True])
 def test_a_root_below_the_rounding_errors_of_constants_is_found(name, is_coupled):
-    """Constants of F hide the root from 10⁻⁷ to 10⁻¹³: x is as near to it as F tells.
-
-    Some coupled rows end STALLED: there a Newton step of the size of rounding errors does not become smaller.
-    """
+    """Constants of F hide the root from 10⁻⁷ to 10⁻¹³: x is as near to it as F tells."""
     F, root = FUNCTIONS_AT_ROUNDING_LEVEL[name]
     A = np.eye(2) + 0.25 * is_coupled * np.array([[0.0, 1.0], [-1.0, 0.0]])
     for exponent in range(7, 14):
@@ -383,12 +379,9 @@ def test_a_root_below_the_rounding_errors_of_constants_is_found(name, is_coupled
         d = unit * np.array([10.0**-exponent, 10.0 ** -(exponent - 3)])
         f = lambda x, d=d: A @ (np.array([F(x[0]), F(x[1])]).ravel() - d)  # noqa: E731
         result = solve(NonlinearProblem(f, lower=[0.0, 0.0]), x0=[0.0, 0.0])
-        expected = {Status.SOLVED, Status.PRECISION_LIMIT} | (
-            {Status.STALLED} if is_coupled else set()
-        )
-        assert result.status in expected, d
+        assert result.status in (Status.SOLVED, Status.PRECISION_LIMIT), d
         np.testing.assert_allclose(result.z, root(d), rtol=1e-7, atol=2e-15 * unit)
-        assert result.iterations < (200 if is_coupled else 30)
+        assert result.iterations < 30
 
 
 def test_a_tolerance_below_the_rounding_errors_of_exponentials_is_a_precision_limit():

@@ -161,12 +161,14 @@ def put_in(matrix: sp.csr_array, offset: Vector, columns: Indices) -> tuple[sp.c
     columns : ndarray of int, shape (k,)
     """
     k, n = matrix.shape
-    pivots = np.asarray(matrix[np.arange(k), columns]).ravel()
-    keep, shift = np.ones(n), np.zeros(n)
-    keep[columns], shift[columns] = 0.0, -offset / pivots
-    definition = sp.diags_array(-1.0 / pivots) @ matrix @ sp.diags_array(keep)
-    place = sp.csr_array((np.ones(k), (columns, np.arange(k))), shape=(n, k))
-    substitution = sp.csr_array(sp.diags_array(keep) + place @ definition)
+    row, pivots, shift = row_numbers(matrix), np.ones(k), np.zeros(n)
+    is_pivot = matrix.indices == columns[row]
+    pivots[row[is_pivot]] = matrix.data[is_pivot]
+    shift[columns] = -offset / pivots
+    others, row = np.delete(np.arange(n), columns), row[~is_pivot]
+    rows, places = np.append(others, columns[row]), np.append(others, matrix.indices[~is_pivot])
+    values = np.append(np.ones(others.size), -matrix.data[~is_pivot] / pivots[row])
+    substitution = sp.csr_array((values, (rows, places)), shape=(n, n))
     substitution.eliminate_zeros()
     return substitution, shift
 

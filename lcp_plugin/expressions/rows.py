@@ -159,6 +159,9 @@ def stacked(parts: Sequence[Rows]) -> Rows:
 
 def _placed(parts: list[tuple[sp.csr_array, int, int]], shape: tuple[int, int]) -> sp.csr_array:
     """Return the sum of matrices, each with its first row and column in the sum."""
+    if len(parts) == 1 and parts[0][0].shape[0] == shape[0]:
+        one, _, column = parts[0]
+        return sp.csr_array((one.data, one.indices + column, one.indptr), shape=shape)
     entries = [
         (one.data, row + row_numbers(one), column + one.indices) for one, row, column in parts
     ]
@@ -178,14 +181,9 @@ def assembled(
     first : mapping
         From the key of a source to the number of its first entry.
     count : int
-        Number of entries. A single block that has all entries is returned without a copy.
+        Number of entries. The values of a single block are not copied.
     """
     offset = np.concatenate([*(part.offset for part in parts), np.zeros(0)])
-    if len(parts) == len(parts[0].blocks if parts else ()) == 1:
-        ((key, block),) = parts[0].blocks.items()
-        matrix = as_matrix(block, parts[0].size)
-        if matrix.shape[1] == count and first[key] == 0:
-            return matrix, offset
     start, placed = 0, []
     for part in parts:
         for key, block in part.blocks.items():

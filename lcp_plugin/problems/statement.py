@@ -129,25 +129,28 @@ def eliminate_definitions(
             continue
         substitution, shift = put_in(equations[0][rows], equations[1][rows], columns)
         changed = [
-            (sp.csr_array(matrix @ substitution), constant + matrix @ shift)
+            (matrix @ substitution, constant + matrix @ shift)
             for matrix, constant in (equations, functions)
         ]
         if sum(matrix.nnz for matrix, _ in changed) > limit:
             continue
         equations, functions = changed
         offset = offset + (shift if back is None else back @ shift)
-        back = substitution if back is None else sp.csr_array(back @ substitution)
+        back = substitution if back is None else back @ substitution
         left[rows] = is_open[columns] = False
         used.append((rows, columns))
     defining, defined = (np.concatenate(part) for part in zip(*used, strict=True))
     kept = np.delete(np.arange(n), defined)
     if back is None:
         return Elimination(kept, None, offset, defining, defined), equations, functions
-    return (
-        Elimination(kept, sp.csr_array(back[:, kept]), offset, defining, defined),
-        (sp.csr_array(equations[0][left][:, kept]), equations[1][left]),
-        (sp.csr_array(functions[0][:, kept]), functions[1]),
+    place = np.zeros(n, dtype=np.int64)
+    place[kept] = np.arange(kept.size)
+    expansion, rows, others = (  # no entries are in columns of defined unknowns
+        sp.csr_array((one.data, place[one.indices], one.indptr), shape=(one.shape[0], kept.size))
+        for one in (back, equations[0][left], functions[0])
     )
+    elimination = Elimination(kept, expansion, offset, defining, defined)
+    return elimination, (rows, equations[1][left]), (others, functions[1])
 
 
 def put_in(matrix: sp.csr_array, offset: Vector, columns: Indices) -> tuple[sp.csr_array, Vector]:
@@ -177,7 +180,7 @@ def _pivots(
     equations: sp.csr_array, rows: Indices, is_open: BoolVector, variable_of: Indices
 ) -> tuple[Indices, Indices]:
     """Return rows of one constraint and the unknown that each defines, of the variable with most unknowns."""
-    part = sp.csr_array(equations[rows])
+    part = equations[rows]
     part.eliminate_zeros()
     place = row_numbers(part).astype(np.int64)
     largest = largest_in_rows(part)
@@ -385,15 +388,16 @@ class SquareModel:
         """
         expected, left = np.zeros(values.size), self.numbers(values.size)
         expected[left] = self.signs * w
-        unknowns, matrix = self.elimination.expand(z), sp.vstack(self.stored)
+        unknowns, matrices = self.elimination.expand(z), list[Any](self.stored)
         order, largest = np.arange(values.size), np.abs(unknowns).max(initial=0.0)
         if isinstance(self.problem, NonlinearProblem):  # e.g. exp(x) − 1 has constants of size 1
-            matrix, order, largest = self.problem.linearize(z).csr, left, max(largest, 1.0)
+            matrices, order, largest = [self.problem.linearize(z).csr], left, max(largest, 1.0)
         terms = np.abs(values) + np.abs(expected)
-        terms[order] += abs(matrix) @ np.abs(unknowns)
+        sizes, at = [abs(one) for one in matrices], np.abs(unknowns)
+        terms[order] += np.concatenate([one @ at for one in sizes])
         allowed = 1e-9 * terms  # relative to the terms of a row
         # Terms may be rounding errors of larger unknowns
-        allowed[order] += DATA_ROUNDING * largest * (abs(matrix) @ np.ones(unknowns.size))
+        allowed[order] += DATA_ROUNDING * largest * np.concatenate([one.sum(1) for one in sizes])
         is_wrong = np.isfinite(expected) & ~(np.abs(values - expected) <= allowed)
         wrong = np.flatnonzero(is_wrong)
         return (int(wrong[0]), float(expected[wrong[0]])) if wrong.size else None

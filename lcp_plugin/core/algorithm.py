@@ -5,16 +5,55 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 
 from .checks import Vector, is_number
 from .errors import InvalidOption, UnsuitableMatrix, did_you_mean
-from .iteration_facts import IterationFacts
 from .lcp import LCP
 from .sweep_data import has_positive_diagonal
+
+PROJECTED_TYPE = "projected type"
+PROJECTED_SPLITTING = "projected splitting"
+PROJECTED_RELAXATION = "projected relaxation"
+MODULUS = "modulus"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class IterationFacts:
+    """The family and the parameters of an iteration, for convergence theorems.
+
+    Attributes
+    ----------
+    family : str
+        "projected type", "projected splitting", "projected relaxation" or "modulus".
+    relaxation : float or None
+        α (ω of a projected relaxation); None if it is found during the run.
+    acceleration : float or None
+        β.
+    sweep : {"forward", "backward", "symmetric"}
+    scaling : array, shape (n,), or None
+        The diagonal of S of the projected-type families.
+    omega : array, shape (n,), or None
+        The diagonal of Ω of the modulus family.
+    splitting : sparse array, shape (n, n), or None
+        𝓜 of a projected splitting; `is_part_of_matrix` if each entry is 0 or the entry of M, with the full diagonal.
+    has_momentum : bool
+        Whether the iterates are extrapolated.
+    """
+
+    family: str
+    relaxation: float | None = 1.0
+    acceleration: float | None = 1.0
+    sweep: str = "forward"
+    scaling: Vector | None = field(default=None, repr=False)
+    omega: Vector | None = field(default=None, repr=False)
+    splitting: Any = field(default=None, repr=False)
+    is_part_of_matrix: bool = False
+    has_momentum: bool = False
+
 
 #: The `backward` flag of each pass of one iteration.
 SWEEPS = {"forward": (False,), "backward": (True,), "symmetric": (False, True)}

@@ -42,8 +42,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from .algorithm import (
+    PROJECTED_RELAXATION,
+    PROJECTED_TYPE,
     SWEEPS,
     Algorithm,
+    IterationFacts,
     Step,
     check_choice,
     check_number,
@@ -52,7 +55,6 @@ from .algorithm import (
 )
 from .checks import Vector
 from .errors import InvalidOption, UnsuitableMatrix
-from .iteration_facts import PROJECTED_RELAXATION, PROJECTED_TYPE, IterationFacts
 from .kernels import splitting_sweeps as kernels
 from .kernels.splitting_sweeps import extrapolate, relaxation_sweep, splitting_sweep
 from .lcp import LCP

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.checks import Array, Vector
-from ..core.entries import largest_in_rows
-from ..core.scaling import scale_by
+from ..core.entries import largest_in_rows, scale_by
 from .engine import EngineAnswer, ProgramData
 
 FORBIDDING = 1e14  # times the lower quartile of all costs: larger ones forbid x_j off its bound

@@ -29,11 +29,11 @@ from typing import Any, Literal
 import numpy as np
 
 from ..core.checks import Vector
+from ..core.entries import scale_by
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..core.problem_classes import refusal
-from ..core.scaling import scale_by
 from ..core.settings import Status
 from ..judges.certificate import Certificate
 from ..judges.lcp import row_data, scaled_residual

@@ -20,9 +20,9 @@ import scipy.sparse as sp
 from ..algorithms import REGISTRY
 from ..core.algorithm import Algorithm
 from ..core.checks import Array, Vector
+from ..core.entries import scale_by
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..core.lcp import LCP
-from ..core.scaling import scale_by
 from ..gallery.problems import balanced_matrix, stencil_matrix, stiff_cells, upwind
 from ..proofs.exact import (
     exact_power_of_two,

@@ -18,10 +18,15 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.algorithm import Step, check_positive, require_positive_diagonal
+from ..core.algorithm import (
+    MODULUS,
+    IterationFacts,
+    Step,
+    check_positive,
+    require_positive_diagonal,
+)
 from ..core.checks import Vector, vector_option
 from ..core.errors import InvalidOption, UnsuitableProblem
-from ..core.iteration_facts import MODULUS, IterationFacts
 from ..core.kernels.splitting_sweeps import modulus_sweep
 from ..core.lcp import LCP
 from ..core.splittings import Splitting

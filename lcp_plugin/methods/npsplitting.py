@@ -9,10 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.algorithm import Step, check_choice
+from ..core.algorithm import PROJECTED_SPLITTING, IterationFacts, Step, check_choice
 from ..core.checks import Vector
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
-from ..core.iteration_facts import PROJECTED_SPLITTING, IterationFacts
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
 from ..core.splittings import ScaledByRows, step_unit

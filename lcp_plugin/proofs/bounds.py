@@ -63,14 +63,13 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector, checked_vector
 from ..core.deadline import is_over
-from ..core.entries import largest_products
+from ..core.entries import largest_products, scale_matrix
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.kernels.floats import OUTWARD, TINY, UNDERFLOW, UNIT
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
 from ..core.problem_classes import refusal
 from ..core.rounding import compensated_pair, compensated_product, gamma, lower_end
-from ..core.scaling import scale_matrix
 from ..core.structure import connected_components
 from ..judges.lcp import row_data, scaled_residual
 from ..systems.definiteness import is_semidefinite_to_rounding, semidefinite_margin

@@ -19,9 +19,8 @@ import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector
 from ..core.deadline import is_over, seconds_left
-from ..core.entries import row_numbers
+from ..core.entries import row_numbers, scale_matrix
 from ..core.kernels.floats import DATA_ROUNDING
-from ..core.scaling import scale_matrix
 from ..engines.linear_program import highs
 from ..systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, power_of_two
 from .exact import (

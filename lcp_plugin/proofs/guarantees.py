@@ -43,16 +43,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..core.algorithm import Algorithm
-from ..core.checks import Vector, read_only
-from ..core.errors import UnsuitableMatrix, UnsuitableProblem
-from ..core.iteration_facts import (
+from ..core.algorithm import (
     MODULUS,
     PROJECTED_RELAXATION,
     PROJECTED_SPLITTING,
     PROJECTED_TYPE,
+    Algorithm,
     IterationFacts,
 )
+from ..core.checks import Vector, read_only
+from ..core.errors import UnsuitableMatrix, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, TINY, UNDERFLOW
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact

@@ -8,9 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Vector
-from ..core.entries import count_entries, row_numbers
+from ..core.entries import count_entries, row_numbers, scale_by
 from ..core.kernels.floats import EPSILON
-from ..core.scaling import scale_by
 from ..core.tuning import FULL_CHOLESKY_UP_TO
 from .factors import PositiveFactor, factor_fits, positive_factor, positive_triangle
 

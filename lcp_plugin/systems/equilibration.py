@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import AnyMatrix, Vector
-from ..core.entries import row_numbers
-from ..core.scaling import Exponents
+from ..core.entries import Exponents, row_numbers
 
 EQUILIBRATING_PASSES = (0.5, 0.5, 0.5, 0.5, 1.0)  # as `equilibrating_exponents` takes them
 

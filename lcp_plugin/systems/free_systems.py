@@ -24,9 +24,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector
+from ..core.entries import Exponents, scale_matrix, times_power
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.matrix import Matrix, fact
-from ..core.scaling import Exponents, scale_matrix, times_power
 from ..core.structure import is_nearly_symmetric
 from ..core.tuning import DIRECT_UP_TO
 from .equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, unit_diagonal

@@ -15,10 +15,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Vector, read_only
-from ..core.entries import IntVector, row_numbers
+from ..core.entries import Exponents, IntVector, row_numbers, scale_matrix, times_power
 from ..core.matrix import Matrix, fact
 from ..core.rounding import compensated_product, lower_end, upper_end
-from ..core.scaling import Exponents, scale_matrix, times_power
 from ..core.structure import ROUNDED, mismatch
 from .equilibration import scaling_exponents
 from .factors import dense_lu, diagonal_pivot_factor, factor_fits

@@ -20,8 +20,7 @@ import scipy.sparse as sp
 from scipy.linalg import lapack
 
 from ...core.checks import AnyMatrix, Vector
-from ...core.entries import IntVector, largest_in_rows
-from ...core.scaling import scale_matrix
+from ...core.entries import IntVector, largest_in_rows, scale_matrix
 from ...systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents
 from ..least_squares.data import BoundedLeastSquares
 

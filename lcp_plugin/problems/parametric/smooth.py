@@ -24,15 +24,20 @@ from .following import Motion
 from .path import Piece
 
 PREDICTION = 1e-3  # largest error of a prediction, relative to 1 + ‖x‖∞
+DATA = "dq", "dlower", "dupper"
 NEAR = 2.0**-30  # of the way: distance of the two solutions at a breakpoint
 
 
 class Node(NamedTuple):
-    """Solution at t, its motion, and the sides of the rows: −1 at the lower bound, 1 at the upper, 0 between them."""
+    """Solution at t, its motion, and the sides of the rows: −1 at the lower bound, 1 at the upper, 0 between them.
+
+    `behind` is the rate of x before t, which differs from the motion's if a row changes its side at t.
+    """
 
     t: float
     motion: Motion
     sides: bytes
+    behind: Vector
 
     def predict(self, t: float) -> Vector:
         """Return the prediction of x at another t."""
@@ -59,6 +64,7 @@ class SmoothPiece(Piece):
     def through(cls, nodes: list[Node], line: Any, begin: float, end: float) -> SmoothPiece:
         """Return the segment through solutions, from t = begin to end."""
         x, rate = (np.array([node.motion.z[k] for node in nodes]) for k in (0, 1))
+        rate[-1] = nodes[-1].behind
         curve = CubicHermiteSpline([node.t for node in nodes], x, rate)
         ends, known = (line.theta(begin), line.theta(end)), (x[0], line.toward * rate[0])
         return cls(*ends, *known, None, *known, curve=curve, line=line)
@@ -95,7 +101,8 @@ class SmoothFollower:
     def lines(self, stop: float) -> Iterator[tuple[float, float, Any, None]]:
         """Yield begin, end and solutions of each segment up to stop, or to where the path is lost."""
         nodes: list[Any] = [self.first]
-        begin, step, goal, beyond = self.begin, self.span / 8.0, stop, None
+        longest = self.span / 32.0  # a shorter change of sides that is not predicted is missed
+        begin, step, goal, beyond = self.begin, longest, stop, None
         while step > 2.0**-20 * self.span or nodes[-1].t == goal:
             last, error = nodes[-1], np.inf
             if last.t == goal:
@@ -104,11 +111,11 @@ class SmoothFollower:
                     begin = goal
                 if beyond is None:
                     return
-                nodes, step, goal, beyond = [beyond], self.span / 8.0, stop, None
+                nodes, step, goal, beyond = [beyond], longest, stop, None
                 continue
             # Just beyond a predicted change: further on, other rows may change, or this one return to its side. If
             # rounding alone makes w ≠ 0, a change is predicted at once.
-            step = min(step, max(1.01 * last.motion.first_end()[0], self.span / 1024.0))
+            step = min(step, longest, max(1.01 * last.motion.first_end()[0], self.span / 1024.0))
             t = min(last.t + step, goal)
             guess = last.predict(t)
             node = self._node(t, guess)
@@ -151,7 +158,8 @@ class SmoothFollower:
             x, dq = at.z, (other.value(at.z) - problem.value(at.z)) / step
             bounds, moved = (np.array([one.lower, one.upper]) for one in (problem, other))
             rates = np.where(np.isfinite(bounds), (moved - bounds) / step, 0.0)
-            dx = at.jvp(dq=dq, dlower=rates[0], dupper=rates[1])
+            change = np.array([dq, *rates])
+            dx, back = (at.jvp(**dict(zip(DATA, one, strict=True))) for one in (change, -change))
         except LCPError:
             return None
         z = np.array([x, dx])
@@ -160,4 +168,4 @@ class SmoothFollower:
         slack = -sides * np.array([tangent.slack(x), tangent.csr @ dx + dq])
         low = np.where(sides == 0, below, slack)
         high = np.where(sides == 0, above, [[np.inf], [0.0]])
-        return Node(t, Motion(z, low, high, *np.zeros(z.shape)), sides.tobytes())
+        return Node(t, Motion(z, low, high, *np.zeros(z.shape)), sides.tobytes(), -back)

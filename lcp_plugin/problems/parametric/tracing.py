@@ -79,7 +79,8 @@ def trace(
 
     Along a nonlinear F, ``path.at(θ)`` solves again from the path. ``path.x`` and ``path.derivative`` interpolate the
     computed solutions, of which each is predicted from the one before within 10⁻³. A row that leaves its bound and
-    returns within a step may be missed. A path that turns back ends, or jumps to a solution beyond.
+    returns within a step, at most 1/32 of the way, may be missed. A path that turns back ends, or jumps to a solution
+    beyond.
 
     References
     ----------

@@ -17,7 +17,7 @@ def cubic(**bounds):
 
 @pytest.mark.parametrize(("start", "stop"), [(0.0, 4.0), (4.0, 0.0)])
 def test_a_root_within_bounds_has_its_breakpoints_and_slopes(start, stop):
-    """The root of x + x³ + 1 = θ for 0 ≤ x ≤ 1, against scipy's roots; it leaves its bounds at θ = 1 and θ = 3."""
+    """The root of x + x³ + 1 = θ for 0 ≤ x ≤ 1, against scipy's roots; θ = 1 is a computed solution."""
     path = trace(cubic(lower=[0.0], upper=1.0), {"q": -1.0}, start, stop)
     assert path.status is Status.SOLVED
     np.testing.assert_allclose(

@@ -54,15 +54,6 @@ def analysis(problem: LCP) -> str:
     return "\n".join(lines)
 
 
-def finite(value: object) -> Any:
-    """Return JSON content with None for numbers that are not finite."""
-    if isinstance(value, dict):
-        return {key: finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _rate(rate: float) -> str:
     """Return the rate rounded up, or its distance from 1 if it is near 1."""
     return f"{math.ceil(1000.0 * rate) / 1000.0:.3f}" if rate <= 0.99 else f"1-{1.0 - rate:.0e}"

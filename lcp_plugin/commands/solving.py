@@ -33,7 +33,6 @@ from ..interfaces.program_files import MPS, load_problem, load_program
 from ..problems.cones.data import ConeProblem
 from ..problems.cones.frictional_contact import FrictionalContact
 from ..problems.cones.methods import METHODS
-from .reports import finite
 
 if TYPE_CHECKING:
     from ..core.checks import Vector
@@ -130,7 +129,11 @@ def run(
     content: dict[str, Any] = {} if objective is None else {"objective": objective}
     if as_json:
         content = json_content(answer) | content
-        typer.echo(json.dumps(finite(content), indent=2))
+        finite = {
+            name: None if isinstance(value, float) and not np.isfinite(value) else value
+            for name, value in content.items()
+        }
+        typer.echo(json.dumps(finite, indent=2))
     else:
         source = given.test_problem or f"{target}:"
         model = given.problem

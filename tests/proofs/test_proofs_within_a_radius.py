@@ -11,7 +11,6 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from lcp_plugin import LCP, QPSolver, QuadraticProgram, Status, certify, march, solve, solve_batch
@@ -22,7 +21,6 @@ from lcp_plugin.problems.programs.no_minimum import (
     known_proof,
 )
 from lcp_plugin.problems.programs.solution import QPSolution
-from lcp_plugin.proofs import farkas
 from lcp_plugin.proofs.farkas import WIDE
 
 DECIMAL = np.array([[0.1, 0.2, 0.3], [0.7, 0.1, 0.2], [0.8, 0.3, 0.5]])  # .1 + .7 ≠ .8
@@ -252,19 +250,3 @@ def test_a_low_rank_problem_is_infeasible_within_a_radius(name, seed):
     assert proof.exact == (proof.radius == np.inf)
     assert ("up to" in str(proof)) == (proof.radius < np.inf)
     assert proof.radius >= WIDE
-
-
-def test_multipliers_of_a_solver_prove_a_large_program_infeasible(monkeypatch):
-    """Second differences below -1 and convex: without a linear program, from the multipliers that PIQP ends with."""
-    n = 3000
-    D = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)).tocsr()
-    s = np.linspace(0.0, 1.0, n)
-    concave = -((s - 0.5) ** 2)
-    monkeypatch.setattr(farkas, "linear_program", lambda *_: None)
-    band = QuadraticProgram(
-        None, np.zeros(n), -D, np.zeros(n - 2), lower=concave, upper=concave + 0.01
-    )
-    result = solve(band)
-    assert result.status is Status.INFEASIBLE
-    assert result.proof.verify()
-    assert not QPInfeasibility(band, tuple(-y for y in result.proof.multipliers)).verify()

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from inputs import membranes
 from inputs.planted import planted_lcp
 
-from lcp_plugin import LCP, Result, Status, convergence_guarantee, gallery, solve
+from lcp_plugin import LCP, Result, Status, gallery, solve
 from lcp_plugin.algorithms import Multigrid
 from lcp_plugin.gallery.problems import balanced_matrix
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of
@@ -219,19 +219,6 @@ WAYS: dict[str, Callable[[np.ndarray, np.random.Generator], Any]] = {
     "a million times too large": lambda x, generator: 1e6 * x,
     "no number": lambda x, generator: np.nan,
 }
-
-
-def test_what_is_proven_about_multigrid():
-    """Multigrid is guaranteed on positive definite matrices unless it may hand over."""
-    problem = gallery.build("obstacle_2d", size=10).problem
-    assert convergence_guarantee(problem, "multigrid").is_guaranteed
-    assert not convergence_guarantee(problem, Multigrid(hands_over=True)).is_guaranteed
-    assert not convergence_guarantee(
-        LCP([[1.0, -2.0], [-2.0, 1.0]], [0.0, 0.0]), "multigrid"
-    ).is_guaranteed
-    assert not convergence_guarantee(
-        LCP([[2.0, -1.0], [-0.5, 2.0]], [0.0, 0.0]), "multigrid"
-    ).is_guaranteed
 
 
 def test_a_row_at_a_bound_stays_there_in_units_that_differ():

@@ -189,20 +189,6 @@ def test_lemke_by_name_has_the_bits_of_a_batch_and_of_a_watched_run(family, draw
         assert not alone.is_solved or alone.z.tobytes() == batch[k].z.tobytes()
 
 
-def test_lemke_by_name_and_its_batches_take_no_pivots_in_python(monkeypatch):
-    """The compiled path alone solves a problem and a batch of one; options of the method lead to its own steps."""
-    pytest.importorskip("numba")
-    monkeypatch.delattr("lcp_plugin.methods.lemke.Lemke._paths")
-    M, q = definite_stack(1, 10, 0)
-    one = solve(LCP(M[0], q[0]), "lemke")
-    batch = solve_batch(M, q, algorithm="lemke")
-    assert (one.status, one.iterations, one.algorithm) == (Status.SOLVED, 1, "lemke")
-    assert batch[0].algorithm == "lemke"
-    assert batch.z[0].tobytes() == one.z.tobytes()
-    with pytest.raises(AttributeError):
-        solve(LCP(M[0], q[0]), "lemke", restarts=0)
-
-
 def test_zeros_of_degenerate_problems_are_zeros_in_watched_runs_of_lemke():
     """Whole numbers with z_i = w_i = 0: the noise that one way sets to a bound, the others set to it."""
     rng = np.random.default_rng(25)

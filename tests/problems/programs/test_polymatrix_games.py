@@ -87,17 +87,6 @@ def test_players_may_have_different_numbers_of_actions_and_payoffs_of_any_unit()
         np.testing.assert_allclose(first, second, atol=1e-7)
 
 
-def test_a_dict_of_two_players_is_the_bimatrix_game():
-    """The same problem, with its own payoffs."""
-    A, B = (
-        np.array([[2.0, 0.0, 1.0], [0.0, 1.0, 3.0]]),
-        np.array([[1.0, 0.0, 2.0], [0.0, 2.0, 1.0]]),
-    )
-    one, other = LCP.from_game(A, B), LCP.from_game({(0, 1): A, (1, 0): B.T})
-    np.testing.assert_array_equal(one.M, other.M)
-    np.testing.assert_array_equal(other.origin.recover(solve(other, "lemke")).B, B)
-
-
 @pytest.mark.parametrize(
     ("game", "words"),
     [

@@ -38,6 +38,7 @@ print(len(kernels) > 10, sum(sum(kernel.stats.cache_misses.values()) for kernel 
 
 
 USED = """
+from numpy import int64
 from lcp_plugin.core.kernels.compilation import helper
 SIZE = {0}
 @helper
@@ -55,13 +56,14 @@ def test_a_kernel_is_compiled_again_after_a_change_in_another_file(tmp_path, mon
     """A constant and a helper of another file are part of the key of the cache."""
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "using_kernels.py").write_text(USING)
-    for size, factor in (("1.0", "2.0"), ("10.0", "2.0"), ("10.0", "200.0")):
+    sizes = {"1.0": 1.0, "10.0": 10.0, "int64(20)": 20.0, "int64(30)": 30.0}
+    for size, factor in (*((one, "2.0") for one in sizes), ("10.0", "200.0")):
         (tmp_path / "used_constants.py").write_text(USED.format(size, factor))
         importlib.invalidate_caches()
         for name in ("used_constants", "using_kernels"):
             sys.modules.pop(name, None)
         value = importlib.import_module("using_kernels").total(3.0)
-        assert value == float(size) + 3.0 * float(factor)
+        assert value == sizes[size] + 3.0 * float(factor)
 
 
 def in_a_new_process(code: str, folder: Path | None = None, **environment: str) -> str:

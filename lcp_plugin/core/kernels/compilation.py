@@ -134,7 +134,7 @@ def uses(function: Any) -> str:
     code, text = function.__code__, ""
     for name in code.co_names:
         value = function.__globals__.get(name)
-        if isinstance(value, (int, float, tuple)):
+        if isinstance(value, (int, float, tuple, np.generic)):
             text += f"{name} = {value!r}\n"
         elif isinstance(value, Compiled) or hasattr(value, "py_func"):
             text += uses(value.function if isinstance(value, Compiled) else value.py_func)

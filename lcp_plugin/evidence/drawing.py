@@ -386,7 +386,8 @@ def plot_path(path: ParametricPath, *, axes: Any = None) -> Any:
     require_matplotlib()
     if not path.pieces:
         raise UnsuitableProblem(f"the path has no pieces to draw: {path.explain()}")
-    places = ((one, np.linspace(one.begin, one.end, one.points)) for one in path.pieces)
+    points = max(200 // len(path), 2)  # smooth segments are curves
+    places = ((one, np.linspace(one.begin, one.end, points)) for one in path.pieces)
     ends = [(at, piece.x_at(at)) for piece, every in places for at in every]
     theta, every = map(np.array, zip(*ends, strict=True))
     n, order = every.shape[1], np.argsort(-np.ptp(every, axis=0), kind="stable")

@@ -588,10 +588,8 @@ def _begin(
     """Return the marches before their first steps; raise an error for invalid data."""
     algorithm, wishes = call
     if _axes(forcing):  # of an F for any number of unknowns
-        size = np.shape(forcing)[-1]
-        problems = [
-            one.with_size(size) if getattr(one, "n", 0) is None else one for one in problems
-        ]
+        m = np.shape(forcing)[-1]
+        problems = [one.with_size(m) if getattr(one, "n", 0) is None else one for one in problems]
     n = getattr(problems[0], "n", 0)
     changing = {*states} - {"z0"} | {name for name, values in at.items() if values is not None}
     for j, one in enumerate(problems):

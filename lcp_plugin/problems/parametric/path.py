@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pkgutil import resolve_name
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,7 +53,6 @@ class Piece:
     z0: Vector = field(repr=False)
     z1: Vector = field(repr=False)
     last: Vector | None = field(default=None, repr=False)
-    points: ClassVar[int] = 2  # of a picture
 
     def z_at(self, theta: float, order: int = 0) -> Vector:
         """Return x with the multipliers of rows at θ, or their rates for order 1."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -24,7 +24,6 @@ from .following import Motion
 from .path import Piece
 
 PREDICTION = 1e-3  # largest error of a prediction, relative to 1 + ‖x‖∞
-DATA = "dq", "dlower", "dupper"
 NEAR = 2.0**-30  # of the way: distance of the two solutions at a breakpoint
 
 
@@ -58,7 +57,6 @@ class SmoothPiece(Piece):
 
     curve: Any = field(default=None, repr=False)
     line: Any = field(default=None, repr=False)
-    points: ClassVar[int] = 50
 
     @classmethod
     def through(cls, nodes: list[Node], line: Any, begin: float, end: float) -> SmoothPiece:
@@ -101,7 +99,7 @@ class SmoothFollower:
     def lines(self, stop: float) -> Iterator[tuple[float, float, Any, None]]:
         """Yield begin, end and solutions of each segment up to stop, or to where the path is lost."""
         nodes: list[Any] = [self.first]
-        longest = self.span / 32.0  # a shorter change of sides that is not predicted is missed
+        longest = self.span / 32.0  # shorter changes of sides that nothing predicts may be missed
         begin, step, goal, beyond = self.begin, longest, stop, None
         while step > 2.0**-20 * self.span or nodes[-1].t == goal:
             last, error = nodes[-1], np.inf
@@ -117,8 +115,7 @@ class SmoothFollower:
             # rounding alone makes w ≠ 0, a change is predicted at once.
             step = min(step, longest, max(1.01 * last.motion.first_end()[0], self.span / 1024.0))
             t = min(last.t + step, goal)
-            guess = last.predict(t)
-            node = self._node(t, guess)
+            node = self._node(t, guess := last.predict(t))
             if node is not None and node.sides == last.sides:
                 x = node.motion.z[0]
                 error = np.abs(x - guess).max() / (PREDICTION * (1.0 + np.abs(x).max()))
@@ -159,7 +156,7 @@ class SmoothFollower:
             bounds, moved = (np.array([one.lower, one.upper]) for one in (problem, other))
             rates = np.where(np.isfinite(bounds), (moved - bounds) / step, 0.0)
             change = np.array([dq, *rates])
-            dx, back = (at.jvp(**dict(zip(DATA, one, strict=True))) for one in (change, -change))
+            dx, back = (at.jvp(dq=a, dlower=b, dupper=c) for a, b, c in (change, -change))
         except LCPError:
             return None
         z = np.array([x, dx])

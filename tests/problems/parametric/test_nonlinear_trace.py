@@ -113,7 +113,7 @@ def test_a_picture_of_a_smooth_path_is_a_curve():
     pytest.importorskip("matplotlib")
     path = trace(cubic(lower=[0.0], upper=1.0), {"q": -1.0}, 1.0, 3.0)
     theta, x = path.plot().lines[-1].get_data()
-    assert theta.size == 50
+    assert theta.size > 20
     np.testing.assert_allclose(x + x**3 + 1.0, theta, atol=1e-5)
 
 

@@ -182,9 +182,9 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             return None
         began, ((P, C, kinds), terms, own) = perf_counter(), self._arrays
         every = [_copy_of(data.get(name), own[name]) for name in own]
-        if any(one is None for one in every):
-            return None
         c, h, b, lower, upper = every
+        if c is None or h is None or b is None or lower is None or upper is None:
+            return None
         d, m = np.concatenate((h, b)), h.size
         if not d @ d < INFINITE_LIMIT**2:  # NaN in other data does not pass the test
             return None

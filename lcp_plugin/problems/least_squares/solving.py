@@ -84,7 +84,7 @@ def solve_least_squares(
     >>> result.x, result.cost, result.active_mask, result.status.name
     (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
     """
-    settings, clock, found = Settings(**options) if options else DEFAULT, Clock(), None
+    settings, clock = Settings(**options) if options else DEFAULT, Clock()
     is_bare = x0 is None and callback is None and not options.keys() - {"tolerance"}
     if is_bare and engines.is_for_nnls(problem):
         found = _by_nnls(problem, settings.tolerance)
@@ -93,7 +93,7 @@ def solve_least_squares(
             return LeastSquaresResult.of_known(make, x=read_only(found.x), status=Status.SOLVED)
     progress = Progress(problem, settings, callback, clock)
     start = None if x0 is None else problem.checked_start(x0)
-    run = LeastSquaresRun(problem, progress, start, found)
+    run = LeastSquaresRun(problem, progress, start)
     result: LeastSquaresResult = run.solve(run.plan())
     if settings.verbose:
         say(f"{result.status.name}: {result.advice}")
@@ -123,14 +123,10 @@ class LeastSquaresRun(Run):
     """
 
     def __init__(
-        self,
-        problem: BoundedLeastSquares,
-        progress: Progress,
-        start: Vector | None,
-        first: Optimality | None = None,
+        self, problem: BoundedLeastSquares, progress: Progress, start: Vector | None
     ) -> None:
         super().__init__(progress)
-        self.problem, self.start, self.first = problem, start, first
+        self.problem, self.start = problem, start
         self.enclosures = Enclosures(problem)
         if start is not None:
             self.enclosures.known.append(start)
@@ -238,7 +234,7 @@ class LeastSquaresRun(Run):
         yield self._projected(most)
 
     def _nnls_step(self) -> Iterator[Step]:
-        found = self.first or _by_nnls(self.problem, self.settings.tolerance)
+        found = _by_nnls(self.problem, self.settings.tolerance)
         yield Step(found.x, iterations=1, measured=found)
 
     def _size_at(self, point: engines.FacePoint) -> float:

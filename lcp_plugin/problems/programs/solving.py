@@ -18,6 +18,7 @@ from ...engines.engine import Engine, EngineStatus
 from ...engines.solvers import DAQP, call_daqp, ends_of_rows
 from ...judges.program import PROGRAM_TOLERANCE, SHARP, KKTErrors
 from ...methods.interior_point import InteriorPoint
+from ...methods.small import LOOP_UP_TO
 from ...solving.dispatch import parse_call
 from ...solving.lcp_solver import solve_lcp
 from ...solving.result import Sample, StageRecord
@@ -117,7 +118,8 @@ def _by_daqp(
     program: QuadraticProgram, tolerance: float, clock: Clock
 ) -> QuadraticProgramResult | None:
     """Return daqp's point of a small program if a run of auto would end with this point; None for any other program."""
-    if not program.matrices.is_small:
+    matrices = program.matrices
+    if not matrices.is_small or sum(matrices.sizes[:3]) > LOOP_UP_TO:  # a run costs less than daqp
         return None
     reduced = program.folded.reduced
     if (layout := reduced.matrices.of_daqp) is None:

@@ -78,7 +78,9 @@ class MadeOnAccess:
     @classmethod
     def of_known(cls, make: Callable[[], Self] | None, **known: Any) -> Self:
         """Return an object with some attributes; `make` returns an object that has the others."""
-        return fill(object.__new__(cls), **known, _make=make)
+        made = object.__new__(cls)
+        vars(made).update(known, _make=make)  # a third of the time of `fill`
+        return made
 
     def __getattr__(self, name: str) -> Any:
         """Return an attribute that is not computed yet."""

@@ -24,6 +24,7 @@ Two clauses are added, because the linearization is not F, and because F(x) is n
   triple one 0.3 |s_j|; if F tends to 0 as x diverges it is 1/e and more, with any offset of x_j. Steps below half of
   the digits of x_j, and steps that rounding errors of F make, do not count. Rounding errors made s_j if the Newton step
   from x + 16 s, x + 256 s or x + 4096 s leads back by half of the way: there F is linear, and x is next to its root.
+  Without a jacobian, F′(x) is then computed by central differences with longer steps, which see weak slopes.
   Nor may x_j alone reduce Σ (F_i/d_i)² most by an outward step above x_j/64, nor may rounding hide that F depends
   on x_j. Three such points end a run from a start.
 - 2⁻⁵² T_i/d_i, a rounding error of F_i/d_i, is at most max(tolerance, 10⁻⁸) times the reference. Otherwise two
@@ -51,7 +52,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
 from ...core.checks import AnyMatrix, BoolVector, Vector, derived_property, read_only
-from ...core.entries import largest_in_rows, residual_scales, row_numbers
+from ...core.entries import IntVector, largest_in_rows, residual_scales, row_numbers
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON, LARGEST
 from ...core.lcp import LCP
@@ -63,11 +64,12 @@ from ...core.structure import connected_components
 from ...judges.certificate import PRECISE, Certificate
 from ...judges.lcp import Measured, RowData, RowsAtPoint
 from ...methods.small import SMALL_SPARSE
-from ...systems.factors import factorise
+from ...systems.factors import Factor, factorise
 
 SMALLEST_TOLERANCE = 1e-14  # relative residuals below it are rounding
 DENSE_PATTERN_UP_TO = 1000  # unknowns; each costs one evaluation of F per derivative
 STEEPER = 60  # slopes 4^k that are tried in a row with an infinite slope
+LONG_STEP = 2.0**-17  # about the cube root of EPSILON: central differences
 STEP = float(np.sqrt(EPSILON))  # of max(|x_i|, 1): rounding and curvature take about as many digits
 
 
@@ -114,7 +116,13 @@ class Differences:
         return cls(pattern, groups)
 
     def at(
-        self, F: Callable[[Vector], Vector], x: Vector, value: Vector, lower: Vector, upper: Vector
+        self,
+        F: Callable[[Vector], Vector],
+        x: Vector,
+        value: Vector,
+        lower: Vector,
+        upper: Vector,
+        step: Vector | None = None,
     ) -> Any:
         """Return the derivative at x, dense if the pattern is full, given F(x), by steps within the bounds.
 
@@ -122,7 +130,8 @@ class Differences:
         NaN.
         """
         pattern, columns = self.pattern, self._columns
-        step, derivative = _steps(x, lower, upper), np.full(columns.size, np.nan)
+        step = _steps(x, lower, upper) if step is None else step
+        derivative = np.full(columns.size, np.nan)
         for k, places in enumerate(self._places):
             for way in (step, -step):
                 moved = read_only(np.where(self.groups == k, x + way, x))
@@ -387,6 +396,18 @@ class NonlinearProblem:
         q = problem.offset(x, value, M)
         return LCP(M, q, lower=problem.lower, upper=problem.upper, names=problem.names)
 
+    def central_differences(self, x: Vector, value: Vector) -> Any:
+        """Return F′(x) by longer steps on both sides, which see weak slopes that steps of half of the digits miss."""
+        room = np.minimum(x - self.lower, self.upper - x)
+        step = LONG_STEP * np.maximum(np.abs(x), 1.0)
+        step = np.where(room > 0.0, np.minimum(step, room), step)
+        differences = self._differences or Differences.on(self.pattern, x.size)
+        above, below = (
+            differences.at(self.evaluate, x, value, self.lower, self.upper, way)
+            for way in (step, -step)
+        )
+        return 0.5 * (above + below)
+
     def slopes(self, x: Vector, value: Vector) -> Any:
         """Return F′(x) as :meth:`linearize` uses it."""
         returned, name = self.call_jacobian(x, value)
@@ -493,6 +514,13 @@ HALF_OF_DIGITS = 2.0**-26  # of an unknown: a smaller Newton step is none
 STEPS_UP_TO = 1000  # rows whose Newton step is always computed
 
 
+def _newton_step(M: AnyMatrix, w: Vector, at: IntVector) -> tuple[Factor | None, Vector]:
+    """Return the factor of the block of M in some rows, and the Newton step there; None and 0 if it is singular."""
+    block = M[at][:, at] if sp.issparse(M) else M[np.ix_(at, at)]
+    factor = factorise(block)
+    return factor, np.zeros(at.size) if factor is None else -factor.solve(w[at])
+
+
 def largest_in_columns(sizes: AnyMatrix, weights: Vector) -> Vector:
     """Return max_i weights_i sizes_ij of each column."""
     if not sp.issparse(sizes):
@@ -590,11 +618,11 @@ class LinearizedRows(RowData):
         moves |= self._is_flat(free)
         if not w.any() or not (is_small or (np.abs(own) > least).any()):
             return moves
-        M = self.M[at][:, at] if sp.issparse(self.M) else self.M[np.ix_(at, at)]
-        if (factor := factorise(M)) is None:
-            return moves
-        step = -factor.solve(w[at])
-        if (np.abs(step) <= least[at]).all():
+        factor, step = _newton_step(self.M, w, at)
+        if self.problem.jacobian is None and (factor is None or (np.abs(step) > least[at]).any()):
+            slopes = self.problem.central_differences(x, self.value)
+            factor, step = _newton_step(slopes, w, at)
+        if factor is None or (np.abs(step) <= least[at]).all():
             return moves
         signs, rounding = np.random.default_rng(0).choice([-1.0, 1.0], n), EPSILON * self.terms
 

@@ -103,7 +103,7 @@ def solve_nonlinear(
     -----
     Each step solves the linear complementarity problem of F′(x), with a tolerance tied to the residual at x. A line
     search keeps ‖Φ‖ falling, Φ the Fischer–Burmeister function. The fallbacks of a failed line search are described in
-    ``help("lcp_plugin.problems.nonlinear.solving")``.
+    ``help("lcp_plugin.problems.nonlinear.searches")``.
 
     Examples
     --------

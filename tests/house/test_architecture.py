@@ -45,9 +45,8 @@ HEAVY = (
     "h5py",
 )
 LAZY = 16  # imports of package files inside functions, which are for weight
-MOST_WRITES = (
-    10  # lines with vars(…) or __dict__: what they write, a reader does not find by its name
-)
+# lines with vars(…) or __dict__: what they write, a reader does not find by its name
+MOST_WRITES = 10
 LARGE = 150  # lines of code, without docstrings, that a reader holds together
 MOST_OF_ANY = 780  # signatures that say ": Any": a class or a protocol says more
 MOST_CONSTANTS = 245  # numbers with a name: a reader has to carry each from file to file

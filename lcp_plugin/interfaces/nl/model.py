@@ -214,16 +214,13 @@ class ComplementarityModel(NLModel):
     pairs : ndarray of int
         The complementarity rows.
     beside : SideConditions
-        Conditions that are checked at the solution.
-    search : callable
-        Returns the model of all conditions, which is solved if a solution violates some.
+        Conditions that are checked at the solution; if it violates some, the model of all conditions is solved.
     """
 
     problem: LCP | NonlinearProblem
     arrangement: SquareModel
     pairs: Indices
     beside: SideConditions
-    search: Callable[[], NLModel]
 
     @property
     def start(self) -> Vector:
@@ -263,7 +260,7 @@ class ComplementarityModel(NLModel):
         if (limit := options.get("max_seconds")) is not None:
             limit = max(limit - found.seconds, 0.0)
         try:
-            other = self.search().solve(max_iterations=1000, max_seconds=limit)
+            other = FileStatement(self.content).best().solve(max_iterations=1000, max_seconds=limit)
         except UnsupportedModel:
             return None
         return other if other.is_solved or other.result.has_no_solution else None
@@ -299,16 +296,14 @@ class ProgramModel(NLModel):
         found = solve_program(self.problem, algorithm, **options)
         status = found.status
         x = self.variables(found.solution.x)
-        objective = self.objective(x)
+        objective = self.objective(x) if found.proof is None else None
         words = "optimal" if found.is_solved else status.name.lower()
-        has_objective = found.proof is None
-        words += f", objective {objective:.9g}" if has_objective else ""
+        words += "" if objective is None else f", objective {objective:.9g}"
         # The residuals of the program, on which the status relies, not the residuals of its optimality conditions.
         message = self._message(words, found.solution.error, found.iterations)
         duals = np.zeros(self.content.row_lower.size)
         duals[self.rows] = -self.sign * found.solution.row_multipliers[: self.rows.size] + 0.0
-        told = objective if has_objective else None
-        return NLAnswer(x, duals, status, message, found, told)
+        return NLAnswer(x, duals, status, message, found, objective)
 
 
 @dataclass(eq=False, repr=False)
@@ -494,9 +489,7 @@ class FileStatement:
 
     def _check_crossed(self, call: Callable[[int], str], low: Vector, high: Vector) -> None:
         """Raise if a lower bound is above an upper bound."""
-        crossed = np.flatnonzero(low > normalize_bounds(low, high)[1])
-        if crossed.size:
-            k = int(crossed[0])
+        for k in np.flatnonzero(low > normalize_bounds(low, high)[1])[:1].tolist():
             raise UnsupportedModel(
                 f"{call(k)} has the lower bound {low[k]:g} above the upper bound {high[k]:g}: no point satisfies the "
                 "model; correct one of them"
@@ -608,14 +601,7 @@ class FileStatement:
         bounded = found.unknowns[arrangement.dropped]
         beside = SideConditions(content, self.inequalities, bounded)
         return ComplementarityModel(
-            content,
-            arrangement.problem,
-            found.unknowns,
-            self.known,
-            arrangement,
-            pairs,
-            beside,
-            lambda: FileStatement(content).best(),
+            content, arrangement.problem, found.unknowns, self.known, arrangement, pairs, beside
         )
 
     def _statement(self) -> Statement:

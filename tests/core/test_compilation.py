@@ -56,7 +56,8 @@ def test_a_kernel_is_compiled_again_after_a_change_in_another_file(tmp_path, mon
     """A constant and a helper of another file are part of the key of the cache."""
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "using_kernels.py").write_text(USING)
-    sizes = {"1.0": 1.0, "10.0": 10.0, "int64(20)": 20.0, "int64(30)": 30.0}
+    # texts of different lengths: Python itself keeps a file of equal length written in the same second
+    sizes = {"1.0": 1.0, "10.0": 10.0, "int64(20)": 20.0, "int64(300)": 300.0}
     for size, factor in (*((one, "2.0") for one in sizes), ("10.0", "200.0")):
         (tmp_path / "used_constants.py").write_text(USED.format(size, factor))
         importlib.invalidate_caches()

@@ -16,8 +16,8 @@ FULL_CHOLESKY_UP_TO = 1500
 LINEAR_PROGRAM_UP_TO = 5000
 # a second, of LAPACK on one thread and of SuperLU, qdldl, our loops
 DENSE_OPERATIONS, SPARSE_OPERATIONS = (2e10, 1e9)
-# Σ count² over the columns of a Cholesky factor L, as minimum_degree counts it: 5 to 10 seconds, a 3-D grid of 39³
-FACTOR_OPERATIONS_UP_TO = 3e10
+# Σ count² over the columns of a Cholesky factor L: 5 to 10 seconds, a 3-D grid of 37³
+FACTOR_OPERATIONS_UP_TO = 2e10
 PIVOTED_UP_TO = 6000  # rows whose inverse lemke keeps: 0.3 GB
 
 # Inside methods.

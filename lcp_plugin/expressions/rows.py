@@ -161,7 +161,7 @@ def _placed(parts: list[tuple[sp.csr_array, int, int]], shape: tuple[int, int]) 
     """Return the sum of matrices, each with its first row and column in the sum."""
     if len(parts) == 1 and parts[0][0].shape[0] == shape[0]:
         one, _, column = parts[0]
-        return sp.csr_array((one.data, one.indices + column, one.indptr), shape=shape)
+        return sp.csr_array((one.data, one.indices + column, one.indptr), shape=shape, copy=True)
     entries = [
         (one.data, row + row_numbers(one), column + one.indices) for one, row, column in parts
     ]

@@ -423,7 +423,7 @@ class RowData:
         if self.anywhere(of_start == 0.0):  # z° solves the component
             of_start = np.where(of_start == 0.0, self.largest_slack_at_start, of_start)
         reference = np.minimum(of_start, self.largest(of_active))
-        w, rounding = at.w, at.rounding
+        w, rounding, terms = at.w, at.rounding, self.term_residuals(at)
         for is_sharp in (False, True):
             low, high = self.residual_ends(z, w, rounding)
             relative = divide_nonnegative(high, reference)
@@ -432,7 +432,7 @@ class RowData:
             if not is_open.any():
                 break
             is_zero = self.is_rounding(w, rounding, at.terms, self.sizes)
-            is_zero &= np.isfinite(z) & is_open[..., None]
+            is_zero &= np.isfinite(z) & is_open[..., None] & np.less_equal(terms, tolerance)
             low, high, relative = (np.where(is_zero, 0.0, one) for one in (low, high, relative))
             worst = self.worst(relative)
             if is_sharp or np.size(worst) > 1 or worst <= tolerance:
@@ -441,7 +441,6 @@ class RowData:
             if is_certain or (sharp := self.sharp_product(z)) is None:
                 break
             w, rounding = sharp
-        terms = self.term_residuals(at)
         if absolute:
             relative = np.where(high <= absolute, 0.0, relative)
             terms = np.where(high <= absolute, 0.0, terms)

@@ -10,13 +10,14 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inputs.drawn_scaling import nearly_singular, scaled_matrices
+from inputs.drawn_scaling import nearly_singular, scaled_matrices, scaled_solved
 from oracles.exact_criterion import references
 from oracles.truth import ExactData
 
 from lcp_plugin import LCP, Certificate, Status, UnsuitableMatrix, UnsuitableProblem, solve
 from lcp_plugin.algorithms import REGISTRY
 from lcp_plugin.judges.lcp import reference_residual, row_data, scaled_residual
+from lcp_plugin.strategies import solved_lcps
 
 EPSILON = Fraction(1, 2**52)
 FAR = st.sampled_from([math.inf, -math.inf, math.nan])
@@ -192,6 +193,25 @@ def test_rounding_floor_bounds_the_rounding(drawn):
 
 
 # --- No lies -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.quick(3)
+@pytest.mark.parametrize("name", ["auto", *REGISTRY])
+def test_solved_is_never_a_lie(name):
+    """SOLVED means: the exact rational residual is at most the tolerance, no allowance."""
+    solved = solved_lcps(bounds=True)
+
+    @settings.get_profile("few")
+    @given(scaled_solved(solved, 60, 10) | solved, st.sampled_from([1e-3, 1e-8, 1e-12]))
+    def check(drawn, tolerance):
+        try:
+            result = solve(drawn[0], name, tolerance=tolerance, max_iterations=300)
+        except UnsuitableProblem:
+            return
+        if result.is_solved:
+            assert Exact(drawn[0], result.z).relative <= Fraction(tolerance)
+
+    check()
 
 
 @given(rough_problems() | floating_problems())

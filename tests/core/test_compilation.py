@@ -96,18 +96,3 @@ def test_the_clock_of_a_first_run_shows_no_compilation():
         "print(result.is_solved, result.seconds < 0.5 * (time.perf_counter() - began))"
     )
     assert in_a_new_process(code) == "True True"
-
-
-@pytest.mark.full
-def test_shell_completes_scenes_and_algorithms():
-    """The shell offers what the command knows."""
-    code = "import sys; sys.argv = ['lcp-plugin']; from lcp_plugin.commands.cli import app; app(prog_name='lcp-plugin')"
-    for words, offered in (
-        ("lcp-plugin solve obstacle", "obstacle_2d"),
-        ("lcp-plugin solve x -a nps", "npsor npsplitting"),
-    ):
-        position = str(len(words.split()) - 1)
-        found = in_a_new_process(
-            code, _LCP_PLUGIN_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=position
-        )
-        assert found.split() == offered.split()

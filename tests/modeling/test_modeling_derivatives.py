@@ -281,8 +281,8 @@ def smooth(r: Any) -> Parts:
 
 
 MODELS = (
-    not_disciplined, boxed, definitions_and_equations, two_functions, several_pairs,
-    bounds_of_the_variable, chain_of_definitions, fixed_by_a_parameter, free_with_its_equation, smooth,
+    not_disciplined, pytest.param(boxed, marks=pytest.mark.quick), definitions_and_equations, two_functions,
+    several_pairs, bounds_of_the_variable, chain_of_definitions, fixed_by_a_parameter, free_with_its_equation, smooth,
 )  # fmt: skip
 
 

@@ -24,8 +24,10 @@ from ...core.entries import largest_in_rows
 from ...core.errors import UnsupportedModel
 from ...core.kernels.floats import NORMAL
 from ...core.settings import Status
+from ...engines import engine_class, is_installed
 from ...proofs.bounds import Curvature, constrained_curvature
 from ...solving.result import BaseResult
+from ..programs.engine_points import run_engine, unscaled
 from ..programs.no_minimum import QPInfeasibility, QPUnboundedness, prove_infeasible
 from ..programs.program import QuadraticProgram
 from ..programs.solution import QPSolution
@@ -108,6 +110,12 @@ class Relaxations:
             # A bound this close to the value is not repaired
             enough = node.value - 0.1 * self.tolerance * size
             node.bound = self.bound(program, node.dual, enough)
+            # A vertex has more zeros than multipliers to repair them by
+            if node.bound == -math.inf and is_installed("clarabel"):
+                clarabel = engine_class("clarabel")()
+                inside = run_engine(program, clarabel, self.tolerance, unscaled).solution
+                dual = inside.x, np.concatenate([inside.inequality, inside.equality])
+                node.bound, node.dual = self.bound(program, dual, enough), dual
         if parent is not None and parent.bound > node.bound:
             node.bound, node.dual = parent.bound, parent.dual
         return node
@@ -128,7 +136,7 @@ class Relaxations:
                 return node
             found.append(self._solve_in_box(program))
         for solution in found:
-            x = np.clip(solution.x, program.lower, program.upper)
+            x = self._round_small(np.clip(solution.x, program.lower, program.upper), program)
             value = self.problem.objective(x)
             if node.point is None:
                 node.point = x
@@ -136,6 +144,16 @@ class Relaxations:
                 node.point, node.value = x, value
                 node.dual = x, np.concatenate([solution.inequality, solution.equality])
         return node
+
+    def _round_small(self, x: Vector, program: QuadraticProgram) -> Vector:
+        """Return x with components below 1e-9 ‖x‖∞ set to 0 if this reduces violations."""
+        is_tiny = np.abs(x) <= 1e-9 * np.abs(x).max(initial=0.0)  # of ‖x‖∞
+        other = np.clip(np.where(is_tiny, 0.0, x), program.lower, program.upper)
+        if np.array_equal(other, x):
+            return x
+        excess = self.problem.excess_of_rows
+        misses, misses_less = (excess(one).max(initial=0.0) for one in (x, other))
+        return other if misses_less < misses else x
 
     def bound(self, program: QuadraticProgram, dual: tuple[Vector, Vector], enough: float) -> float:
         """Return a lower bound of the program's objective that the point and the multipliers prove."""
@@ -170,7 +188,7 @@ class Relaxations:
             self.solved += 1
             if not solution.is_optimal():
                 return node
-            step = np.clip(solution.x, lower, upper) - x
+            step = self._round_small(np.clip(solution.x, lower, upper), program) - x
             is_partial = node.point is not None and not self.problem.has_convex_relaxation
             tried = [x + share * step for share in ((1.0, 0.5, 0.25) if is_partial else (1.0,))]
             x = min(tried, key=self.problem.objective)
@@ -193,7 +211,7 @@ class Relaxations:
                 QuadraticProgram(P, c, own.G, own.h, own.A, own.b, lower, upper), tolerance=1e-10
             )
             self.solved += 1
-            x = np.clip(solution.x, lower, upper)
+            x = self._round_small(np.clip(solution.x, lower, upper), solution.program)
             if solution.is_optimal() and self.problem.excess(x) <= FEASIBLE:
                 return x
         return None

@@ -356,7 +356,15 @@ def jacobian_warning(point: Linearization) -> str:
         (problem.evaluate(one) - point.value) / step
         for one, step in zip(there, CHECKED, strict=True)
     ]
-    wrong = np.minimum(*(np.abs(one - slope) / (terms + np.abs(one)) for one in quotients))
+    value = np.asarray(point.value)
+    is_single = np.array_equal(value, value.astype(np.float32))  # F's own digits
+    rounding = np.abs(value) * (2.0**-23 if is_single else 2.0**-52)
+    wrong = np.minimum(
+        *(
+            np.abs(quotient - slope) / (terms + np.abs(quotient) + rounding / step)
+            for quotient, step in zip(quotients, CHECKED, strict=True)
+        )
+    )
     wrong = np.where(np.isfinite(wrong), wrong, 0.0)
     if not wrong.max(initial=0.0) > 0.1:
         return ""

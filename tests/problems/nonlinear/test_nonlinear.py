@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from inputs import nonlinear_models as models
 from nonlinear_families import KINDS, planted
@@ -507,6 +507,7 @@ def test_a_wrong_jacobian_is_named():
 @pytest.mark.parametrize("precision", [np.float64, np.float32])
 @settings.get_profile("few")
 @given(SEEDS, st.sampled_from(KINDS), st.integers(1, 20))
+@example(3, "far exponential", 3)
 def test_a_right_jacobian_is_not_warned_of(precision, seed, kind, n):
     """The check finds no fault in derivatives that are right, in single precision also, wherever the start is."""
     rng = np.random.default_rng(seed)

@@ -35,7 +35,7 @@ def _ending(exit_codes: str, *examples: str) -> str:
 app = typer.Typer(
     help="Linear complementarity problems: find z with lower ≤ z ≤ upper and w = M z + q complementary.",
     epilog=_ending(
-        "0 done, 1 ran but not solved 2 bad input (reported on stderr). "
+        "0 done, 1 ran but not solved, 2 bad input (reported on stderr). "
         "Ctrl-C ends solve and compare with the results so far (1), the others as the shell expects (130)",
         "solve obstacle_2d --plot obstacle.png",
         "solve --help",

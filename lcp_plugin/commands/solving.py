@@ -133,7 +133,7 @@ def run(
             name: None if isinstance(value, float) and not np.isfinite(value) else value
             for name, value in content.items()
         }
-        typer.echo(json.dumps(finite, indent=2))
+        typer.echo(json.dumps(finite, indent=2, allow_nan=False))
     else:
         source = given.test_problem or f"{target}:"
         model = given.problem

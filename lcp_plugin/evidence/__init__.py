@@ -1,11 +1,11 @@
 """Evidence: error against time, studies, cross-validation, stability, plots.
 
 `error_against_time(problem)` measures several methods, and convex solvers as references, on one problem. The result can
-be printed, plotted, or saved as CSV or as a plot. `study` does this on families of problems of several sizes: a row
+be printed, or saved as a plot. `study` does this on families of problems of several sizes: a row
 is a measurement; tables and curves are functions of rows. `cross_validate` compares a solution
 with a result of a convex solver. `stability_atlas` has status, residual and true error of each algorithm on stiff and
 extreme problems.
-`lcp-plugin compare` and `lcp-plugin check` are the first and the third of these.
+`lcp-plugin compare` is the first of these.
 
 Other packages. No package is best at everything.
 

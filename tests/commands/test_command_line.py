@@ -16,11 +16,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from inputs.scenes import SMALL
+from tools.nl_files import content_of
 from tools.processes import lcp_plugin
 
 from lcp_plugin import LCP, Status, gallery, solve
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.engines import ENGINES, engine_class
+from lcp_plugin.interfaces.nl import write_nl
 from lcp_plugin.problems.cones.methods import METHODS
 
 BOX = LCP(
@@ -98,11 +100,14 @@ def test_json_is_all_there_is_on_stdout():
 
 
 def test_json_of_an_unsolved_run_is_json():
-    """Also where nothing is solved, and numbers may not be finite, the output is JSON by the book; exit code 1."""
-    LCP([[-1.0, 0.0], [0.0, 1.0]], [-1.0, 1.0]).save("p.npz")
-    done = lcp_plugin("solve", "p.npz", "-a", "npsor", "--json")
+    """The JSON of a run without a solution is valid: a bound of the objective that is infinite is null; exit code 1."""
+    rows = {"partners": np.array([0, -1]), "row_lower": np.array([-np.inf, 0.0])}
+    model = content_of([[1.0, 1.0], [0.0, 1.0]], [-1.0, 0.0], objective=[0.0, -1.0], **rows)
+    write_nl(model, Path("m.nl"))
+    done = lcp_plugin("solve", "m.nl", "--json")
     assert done.exit_code == 1
-    assert json.loads(done.stdout, parse_constant=pytest.fail)["status"] in {"DIVERGED", "STALLED"}
+    told = json.loads(done.stdout, parse_constant=pytest.fail)
+    assert (told["status"], told["lower_bound"]) == ("UNBOUNDED", None)
 
 
 @pytest.mark.parametrize(

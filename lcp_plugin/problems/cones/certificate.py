@@ -38,6 +38,7 @@ from ...judges.lcp import Measured, divide_nonnegative
 from ...judges.worst_rows import WorstRows, worst_pairs
 from ...proofs.farkas import FarkasCertificate, LinearConstraints
 from ...proofs.no_solution import is_minimizer_beyond_radius
+from ...systems.equilibration import power_of_two
 from .data import Blocks, conic_rows, solve_conic
 from .factors import stack_of
 
@@ -262,8 +263,11 @@ def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
     where = np.concatenate(places)
     if not where.size:
         return None
-    all_rows = sp.vstack([rows, -problem.rows.csr[where]])
-    all_limits = np.concatenate([limits, problem.q[where]])
+    # Clarabel's tolerances are absolute; a certificate does not depend on the unit of W and q, nor on that of z
+    M, q = problem.rows.csr[where], problem.q[where]
+    scale, size = power_of_two(np.abs(M.data).max(initial=0.0)), power_of_two(np.abs(q).max())
+    all_rows = sp.vstack([rows, -M / scale])
+    all_limits = np.concatenate([limits * (scale / size), q / size])
     found = solve_conic(sp.csc_array((n, n)), np.zeros(n), all_rows, all_limits, cones)
     if "PrimalInfeasible" not in str(found.status):
         return None

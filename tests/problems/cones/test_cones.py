@@ -261,6 +261,19 @@ def test_what_has_no_answer_is_proved_infeasible(name):
     assert solve(problem, prove_infeasibility=False).status is not Status.INFEASIBLE
 
 
+def test_contacts_whose_normals_oppose_are_infeasible_in_any_units():
+    """Two gaps whose rates sum to a negative number for any impulses have a proof, in any units of W and b."""
+    rng = np.random.default_rng(1)
+    for _ in range(8):
+        H, b = rng.standard_normal((12, 8)), rng.standard_normal(12)
+        H[3] = -H[0]
+        b[3] = -b[0] - abs(rng.standard_normal())
+        W = 2.0**22 * (H @ H.T)
+        result = solve(FrictionalContact((W + W.T) / 2, 2.0**-23 * b, np.full(4, 0.5)))
+        assert result.status is Status.INFEASIBLE, result
+        assert result.proof.verify()
+
+
 @pytest.mark.parametrize("name", ["J Jᵀ, contacts", "J Jᵀ, cones"])
 def test_a_multiplier_that_rounding_spoils_is_not_a_proof(name):
     """Rounded multipliers of Clarabel do not verify for a singular M; the proof that is returned does."""

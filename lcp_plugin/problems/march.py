@@ -31,7 +31,14 @@ from ..core.algorithm import Algorithm
 from ..core.checks import AnyMatrix, Array, Vector, derived_property, read_only
 from ..core.deadline import Clock
 from ..core.entries import row_numbers
-from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem, did_you_mean
+from ..core.errors import (
+    InvalidOption,
+    InvalidProblem,
+    LCPError,
+    NotConverged,
+    UnsuitableProblem,
+    did_you_mean,
+)
 from ..core.kernels.floats import EPSILON, MAY_UNDERFLOW
 from ..core.lcp import LCP
 from ..core.matrix import Matrix
@@ -264,7 +271,7 @@ def take_steps(done: March, algorithm: Any, wishes: dict[str, Any], limit: float
     state = done._z[-1] if done._z else done.z0
     first: Stage | None = None  # the method that solved the step before
     while done.taken < total and done.all_solved:
-        step = done.taken
+        step, is_late = done.taken, clock.read() >= limit
         try:
             stated = done.data.problem_at(problem, step)
             stated = stated.with_q(done.forcing[step] + propagator @ state)
@@ -286,6 +293,8 @@ def take_steps(done: March, algorithm: Any, wishes: dict[str, Any], limit: float
                 first = repeated(found.stages[-1]) if step else None
             done.take(found.z, found)
             state = found.z
+            if is_late and found.is_solved and done.taken < total:  # it began at its solution
+                done.error, done.all_solved = NotConverged("the limit max_seconds"), False
         except InvalidProblem as error:
             if not done:
                 raise

@@ -15,6 +15,7 @@ from lcp_plugin import (
     LCP,
     InvalidOption,
     InvalidProblem,
+    NonlinearProblem,
     Status,
     UnsuitableProblem,
     derivative,
@@ -525,3 +526,13 @@ def test_jvp_of_a_march_names_the_option_for_q():
         derivative(done).jvp(dq=np.ones(200))
     with pytest.raises(InvalidOption, match=r"write \[derivative\(result\) for result"):
         derivative([done, done])
+
+
+def test_time_ends_a_march_whose_steps_begin_at_their_solutions():
+    """Each step is SOLVED where it begins; the march ends nevertheless, and says how far it came."""
+    rest = NonlinearProblem(lambda x: x + x**3, lower=np.ones(2))
+    for problem in (rest, LCP(2.0 * np.eye(2), np.zeros(2), lower=1.0)):
+        done = march(problem, np.zeros((50, 2)), 0.0, z0=np.ones(2), max_seconds=0.0)
+        assert len(done) == 1
+        assert not done.all_solved
+        assert "1 of 50 steps" in done.explain()

@@ -177,9 +177,12 @@ class RowData:
     def __post_init__(self) -> None:
         if self.start is None:
             self.start = np.minimum(np.maximum(0.0, self.lower), self.upper)
-        # Number of entries of each row, at most.
-        is_stack = isinstance(self.M, np.ndarray)
-        self._counts: Any = self.q.shape[-1] if is_stack else np.diff(self.M.indptr)
+
+    @cached_property
+    def _counts(self) -> Any:
+        """Number of nonzeros of each row; a status does not depend on whether M is stored with its zeros."""
+        M = self.M
+        return np.count_nonzero(M, axis=-1) if isinstance(M, np.ndarray) else np.diff(M.indptr)
 
     # --- the point z° ---------------------------------------------------------------------------------------
 

@@ -192,6 +192,17 @@ def test_rounding_floor_bounds_the_rounding(drawn):
         assert abs(value - abs(truth)) <= allowed
 
 
+@given(st.integers(0, 2**32 - 1))
+def test_zeros_that_are_stored_change_no_measure(seed):
+    """A matrix with zeros has the same residuals and rounding bounds as an array and as a sparse array."""
+    rng = np.random.default_rng(seed)
+    M, (q, z) = rng.integers(-1, 2, (5, 5)) + 3 * np.eye(5), rng.integers(0, 4, (2, 5))
+    full, thin = (Certificate.of(LCP(one, q), z / 2.0) for one in (M, sp.csr_array(M)))
+    for one, other in zip(full.by_row, thin.by_row, strict=True):
+        assert np.array_equal(one, other)
+    assert (full.rounding_floor == thin.rounding_floor).all()
+
+
 # --- No lies -----------------------------------------------------------------------------------------------
 
 

@@ -24,6 +24,7 @@ from ..programs.solution import QPSolution
 
 BREAKPOINTS_SHOWN = 8  # breakpoints in a paragraph
 SINGULAR = "the solution determines no way on, a singular case; solve_batch solves at given values"
+MISSED = "a row that leaves its bound and returns within a step, at most 1/32 of the way, may be missed"
 WORST_FIRST = Status.STALLED, Status.PRECISION_LIMIT, Status.SOLVED
 
 
@@ -299,10 +300,12 @@ class Path(Outcome):
             f", and {inner.size - BREAKPOINTS_SHOWN} more" if inner.size > BREAKPOINTS_SHOWN else ""
         )
         count, reached = format_count(len(self.pieces), "piece"), f"{self.reached:.9g}"
-        shape = "smooth" if isinstance(self.problem, NonlinearProblem) else "affine"
+        is_smooth = isinstance(self.problem, NonlinearProblem)
+        shape = "smooth" if is_smooth else "affine"
         lines = [
             f"{self.status.name}: {count}, {shape} in θ, from {self.start:.6g} to {reached}{self._why}",
             f"breakpoints: {shown or 'none'}{rest}",
+            *([MISSED] if is_smooth else []),
             *(f"the solution jumps at {value:.9g}" for value in self.jumps),
             *(f"at {value:.6g} it jumps along a line of solutions" for value in self.segments),
             f"{format_count(self.starts, 'solve')}, then steps with a factorization each; {self.seconds:.3g} s",

@@ -101,6 +101,7 @@ def test_a_path_ends_at_a_fold_or_jumps_beyond():
     thetas = np.linspace(0.0, 0.36, 19)
     np.testing.assert_allclose(path.x(thetas)[:, 0], -lambertw(-thetas).real, atol=1e-5)
     assert "smooth in θ" in path.explain()
+    assert "within a step, at most 1/32 of the way, may be missed" in path.explain()
     assert "it ends at 0.3678" in path.explain()
     jumping = trace(NonlinearProblem(abs, lower=[-np.inf], upper=5.0), at, 0.0, 1.0)
     assert jumping.jumps == [pytest.approx(np.exp(-1.0), abs=1e-4)]

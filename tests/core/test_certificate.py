@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inputs.drawn_scaling import nearly_singular, scaled_matrices, scaled_solved
+from inputs.drawn_scaling import moved, nearly_singular, scaled_matrices, scaled_solved
 from oracles.exact_criterion import references
 from oracles.truth import ExactData
 
@@ -147,6 +147,19 @@ def test_scaled_fields_are_the_rational_ones(drawn):
 
 
 # --- Invariance --------------------------------------------------------------------------------------------
+
+
+@given(
+    rough_problems(empty_rows=False) | floating_problems(),
+    st.lists(st.integers(-200, 200), min_size=8, max_size=8),
+    st.integers(-200, 30),  # beyond, a bound is none
+)
+def test_relative_residual_has_no_unit(drawn, rows, unit):
+    """Rows in units of powers of two and another unit of z have the same relative residual."""
+    problem, z = drawn
+    other = moved(problem, np.array(rows[: problem.n]), np.full(problem.n, -unit))
+    before, after = Certificate.of(problem, z), Certificate.of(other, np.ldexp(z, unit))
+    assert after.relative_residual == pytest.approx(before.relative_residual, rel=1e-9, abs=1e-12)
 
 
 # --- Numbers that are none ---------------------------------------------------------------------------------

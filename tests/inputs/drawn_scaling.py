@@ -43,13 +43,12 @@ def scaled_solved(
     """Rows of (M, q) multiplied, components of z measured, in powers of two; the answer stays exact."""
     problem, z = draw(solved)
     units = _exponents(draw, problem.n, column)
-    moved = _moved(problem, _exponents(draw, problem.n, row), units)
-    return moved, tuple(
-        value / Fraction(2) ** int(unit) for value, unit in zip(z, units, strict=True)
-    )
+    exact = tuple(value / Fraction(2) ** int(unit) for value, unit in zip(z, units, strict=True))
+    return moved(problem, _exponents(draw, problem.n, row), units), exact
 
 
-def _moved(problem: LCP, row: np.ndarray, column: np.ndarray) -> LCP:
+def moved(problem: LCP, row: np.ndarray, column: np.ndarray) -> LCP:
+    """Return the problem with rows and columns times powers of two."""
     lower, upper = np.ldexp(problem.lower, -column), np.ldexp(problem.upper, -column)
     return LCP(_scaled(problem.M, row, column), np.ldexp(problem.q, row), lower=lower, upper=upper)
 

@@ -24,7 +24,9 @@ from ..programs.solution import QPSolution
 
 BREAKPOINTS_SHOWN = 8  # breakpoints in a paragraph
 SINGULAR = "the solution determines no way on, a singular case; solve_batch solves at given values"
-MISSED = "a row that leaves its bound and returns within a step, at most 1/32 of the way, may be missed"
+MISSED = (
+    "a row that leaves its bound and returns within a step, at most 1/32 of the way, may be missed"
+)
 WORST_FIRST = Status.STALLED, Status.PRECISION_LIMIT, Status.SOLVED
 
 

@@ -2,7 +2,7 @@
 
 An engine is a class in `solvers` and a line of `ENGINES`. Its point is polished on its active set
 (:mod:`lcp_plugin.engines.polish`) and then tested by the criterion of programs
-(:mod:`lcp_plugin.judges.program`), because engines use tolerances of their own. An engine that reports
+(:mod:`lcp_plugin.judges.program`), because the tolerances of engines differ. An engine that reports
 infeasible or unbounded only starts the search for a proof.
 """
 

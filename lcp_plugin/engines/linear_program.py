@@ -41,23 +41,23 @@ def highs(
     relaxed, first = np.unique(by_column.indices, return_index=True)
     slack, sizes = slack[first], by_column.data[first]
     signs = np.sign(sizes)
-    kept, rest = np.ones(cost.size, dtype=bool), np.ones(right.size, dtype=bool)
-    kept[slack] = rest[relaxed] = False
-    by_row = sp.csr_array(equations)[:, kept]
+    is_column, is_equation = np.ones(cost.size, dtype=bool), np.ones(right.size, dtype=bool)
+    is_column[slack] = is_equation[relaxed] = False
+    by_row = sp.csr_array(equations)[:, is_column]
     result = linprog(
-        cost[kept],
-        sp.vstack([sp.csr_array(rows)[:, kept], by_row[relaxed] * signs[:, np.newaxis]]),
+        cost[is_column],
+        sp.vstack([sp.csr_array(rows)[:, is_column], by_row[relaxed] * signs[:, np.newaxis]]),
         np.append(limits, signs * right[relaxed]),
-        by_row[rest],
-        right[rest],
-        both[kept],
+        by_row[is_equation],
+        right[is_equation],
+        both[is_column],
         **settings,
     )
     if result.x is not None:
         v, multipliers = np.zeros(cost.size), np.zeros(right.size)
-        v[kept] = result.x
+        v[is_column] = result.x
         v[slack] = np.maximum(0.0, (right[relaxed] - by_row[relaxed] @ result.x) / sizes)
-        multipliers[rest] = result.eqlin.marginals
+        multipliers[is_equation] = result.eqlin.marginals
         multipliers[relaxed] = signs * result.ineqlin.marginals[len(limits) :]
         result.x, result.eqlin.marginals = v, multipliers
         result.ineqlin.marginals = result.ineqlin.marginals[: len(limits)]

@@ -47,8 +47,8 @@ def polish_steps(
     --------
     >>> none = np.zeros((0, 1)), np.zeros(0)
     >>> program = ProgramData(np.eye(1), np.array([-3.0]), *none, *none, np.array([0.0]), np.array([2.0]))
-    >>> found, *_ = polish_steps(program, EngineAnswer(np.array([1.99]), np.zeros(0), 0, None))
-    >>> found.x
+    >>> polished, *_ = polish_steps(program, EngineAnswer(np.array([1.99]), np.zeros(0), 0, None))
+    >>> polished.x
     array([2.])
     """
     lower, upper, m = program.lower, program.upper, program.h.size

@@ -1,7 +1,7 @@
 """Scaling of a program for an engine: unknowns, rows and objective; very large right-hand sides become ∞.
 
-Scaling is needed because engines stop by tolerances of their own, relative to sizes that they take from the data. All
-scaling is by powers of two. It affects only the search: the point is tested on the unscaled program.
+Scaling is needed because the tolerances of engines are relative to sizes that they take from the data. All scaling is
+by powers of two. It affects only the search: the point is tested on the unscaled program.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ..core.checks import Array, Vector
 from ..core.entries import largest_in_rows, scale_by
 from .engine import EngineAnswer, ProgramData
 
-FORBIDDING = 1e14  # times the lower quartile of all costs: larger ones forbid x_j off its bound
+FORBIDDING = 1e14  # times the lower quartile of all costs: larger costs forbid x_j off its bound
 MODEST = 2.0**-30  # costs between this and its inverse are left unchanged
 
 
@@ -39,19 +39,19 @@ class ScaledProgram(NamedTuple):
 
     @classmethod
     def from_units(
-        cls, given: ProgramData, units: Vector, rows: Vector, objective: float = 1.0
+        cls, program: ProgramData, units: Vector, rows: Vector, objective: float = 1.0
     ) -> ScaledProgram:
         """Return the program scaled by these powers of two."""
-        of_G, of_A = np.split(rows, [given.h.size])
+        of_G, of_A = np.split(rows, [program.h.size])
         statement = ProgramData(
-            scale_by(given.P, units * objective, units),
-            given.c * units * objective,
-            scale_by(given.G, of_G, units),
-            given.h * of_G,
-            scale_by(given.A, of_A, units),
-            given.b * of_A,
-            given.lower / units,
-            given.upper / units,
+            scale_by(program.P, units * objective, units),
+            program.c * units * objective,
+            scale_by(program.G, of_G, units),
+            program.h * of_G,
+            scale_by(program.A, of_A, units),
+            program.b * of_A,
+            program.lower / units,
+            program.upper / units,
         )
         return cls(statement, units, rows, objective)
 
@@ -70,16 +70,16 @@ class ScaledProgram(NamedTuple):
         return point._replace(x=point.x * self.units, y=point.y * (self.rows / self.objective))
 
 
-def scale_program(given: ProgramData, units: Vector) -> ScaledProgram:
+def scale_program(program: ProgramData, units: Vector) -> ScaledProgram:
     """Return the scaled program: x in these units, largest coefficient of each row from 1 to 2, costs about 1."""
     sizes = (
-        largest_in_rows(one)
-        for one in (scale_by(A, np.ones(A.shape[0]), units) for A in (given.G, given.A))
+        largest_in_rows(product)
+        for product in (scale_by(A, np.ones(A.shape[0]), units) for A in (program.G, program.A))
     )
     rows = 1.0 / _power_below(np.concatenate(list(sizes)))
-    costs = np.append(np.abs(given.c * units), largest_in_rows(scale_by(given.P, units, units)))
+    costs = np.append(np.abs(program.c * units), largest_in_rows(scale_by(program.P, units, units)))
     return ScaledProgram.from_units(
-        given, units, rows, float(1.0 / _power_below(costs.max(initial=0.0)))
+        program, units, rows, float(1.0 / _power_below(costs.max(initial=0.0)))
     )
 
 
@@ -90,16 +90,16 @@ def _power_below(sizes: Array) -> Any:
 
 def with_sides_about_one(fitted: ScaledProgram) -> ScaledProgram:
     """Return the program scaled so that most right-hand sides and most costs are at most about 1."""
-    one = fitted.statement
-    t = _typical_size(one.h, one.b, one.lower, one.upper)
-    units, rows, objective = fitted.units * t, fitted.rows / t, 1.0 / _typical_size(one.c * t)
-    statement = ScaledProgram.from_units(
-        one, units / fitted.units, rows / fitted.rows, objective
+    statement = fitted.statement
+    t = _typical_size(statement.h, statement.b, statement.lower, statement.upper)
+    units, rows, objective = fitted.units * t, fitted.rows / t, 1.0 / _typical_size(statement.c * t)
+    scaled = ScaledProgram.from_units(
+        statement, units / fitted.units, rows / fitted.rows, objective
     ).statement
-    return ScaledProgram(statement, units, rows, fitted.objective * objective)
+    return ScaledProgram(scaled, units, rows, fitted.objective * objective)
 
 
-def without_forbidden(given: ProgramData) -> ProgramData:
+def without_forbidden(program: ProgramData) -> ProgramData:
     """Return the program with x_j fixed at the bound to which an extreme cost pushes it; the same object if none is.
 
     People forbid x_j > 0 by a cost of 10²⁰ or more, next to which the other costs are rounding errors.
@@ -111,20 +111,20 @@ def without_forbidden(given: ProgramData) -> ProgramData:
     >>> without_forbidden(program).upper
     array([inf,  0.])
     """
-    costs = np.abs(given.c)
+    costs = np.abs(program.c)
     known = costs[costs > 0.0]
     if not known.size or known.max() <= FORBIDDING * known.min():
-        return given
+        return program
     typical = float(np.quantile(known, 0.25, method="lower"))
-    end = np.where(given.c > 0.0, given.lower, given.upper)
+    end = np.where(program.c > 0.0, program.lower, program.upper)
     far = (costs > FORBIDDING * typical) & np.isfinite(end)
     if not far.any():
-        return given
-    lower, upper = (np.where(far, end, bound) for bound in (given.lower, given.upper))
-    return given._replace(c=np.where(far, 0.0, given.c), lower=lower, upper=upper)
+        return program
+    lower, upper = (np.where(far, end, bound) for bound in (program.lower, program.upper))
+    return program._replace(c=np.where(far, 0.0, program.c), lower=lower, upper=upper)
 
 
-def without_far_limits(given: ProgramData) -> ProgramData:
+def without_far_limits(program: ProgramData) -> ProgramData:
     """Return the program with ∞ for right-hand sides and bounds of extreme size; the same object if there are none.
 
     Examples
@@ -136,17 +136,17 @@ def without_far_limits(given: ProgramData) -> ProgramData:
     ... ).lower
     array([-inf])
     """
-    known = np.abs(np.concatenate([given.h, given.b, given.lower, given.upper]))
+    known = np.abs(np.concatenate([program.h, program.b, program.lower, program.upper]))
     known = known[np.isfinite(known) & (known > 0.0)]
     # Right-hand sides larger than 10⁷ times the lower quartile are unlikely to be active
     far = 1e7 * max(1.0, float(np.quantile(known, 0.25))) if known.size else np.inf
-    is_fixed = given.lower == given.upper
-    h = np.where(given.h >= far, np.inf, given.h)
-    lower = np.where((given.lower <= -far) & ~is_fixed, -np.inf, given.lower)
-    upper = np.where((given.upper >= far) & ~is_fixed, np.inf, given.upper)
-    if all(map(np.array_equal, (h, lower, upper), (given.h, given.lower, given.upper))):
-        return given
-    return given._replace(h=h, lower=lower, upper=upper)
+    is_fixed = program.lower == program.upper
+    h = np.where(program.h >= far, np.inf, program.h)
+    lower = np.where((program.lower <= -far) & ~is_fixed, -np.inf, program.lower)
+    upper = np.where((program.upper >= far) & ~is_fixed, np.inf, program.upper)
+    if all(map(np.array_equal, (h, lower, upper), (program.h, program.lower, program.upper))):
+        return program
+    return program._replace(h=h, lower=lower, upper=upper)
 
 
 def _typical_size(*values: Vector) -> float:

@@ -143,16 +143,16 @@ class PIQP(Engine):
             fit = limits.seconds / (time.perf_counter() - begun) - 1.0
             solver.settings.max_iter = int(min(fit, steps))
         code = int(solver.solve()) if fit >= 1.0 else -1
-        found = solver.result
+        result = solver.result
         if code == -10:  # invalid settings
             # Of no step, for instance: the vectors of the result are uninitialized
             x = np.clip(0.0, program.lower, program.upper)
             return EngineAnswer(x, np.zeros(m + p), 0, EngineStatus.GAVE_UP)
         says = PIQP_SAYS.get(code, EngineStatus.GAVE_UP)
         y = np.zeros(m + p)
-        y[:m][is_limit], y[m:] = found.z_u, found.y
-        steps = 0 if says is EngineStatus.GAVE_UP else int(found.info.iter)
-        return EngineAnswer(np.array(found.x), y, steps, says)
+        y[:m][is_limit], y[m:] = result.z_u, result.y
+        steps = 0 if says is EngineStatus.GAVE_UP else int(result.info.iter)
+        return EngineAnswer(np.array(result.x), y, steps, says)
 
 
 def _to_csc(A: Array) -> Any:
@@ -194,19 +194,19 @@ class Clarabel(Engine):
         import clarabel
 
         settings = clarabel.DefaultSettings()
-        own = {"verbose": limits.is_verbose, "time_limit": limits.seconds}
-        for name, value in (self.settings | own).items():
+        overrides = {"verbose": limits.is_verbose, "time_limit": limits.seconds}
+        for name, value in (self.settings | overrides).items():
             setattr(settings, name, value)
         m, p, n = program.h.size, program.b.size, program.c.size
         ends = program.lower, program.upper, program.h
-        below, above, rows = (np.flatnonzero(np.isfinite(one)) for one in ends)
+        below, above, rows = (np.flatnonzero(np.isfinite(end)) for end in ends)
         identity = sp.eye_array(n, format="csr")
         parts = [program.A, sp.csr_array(program.G)[rows], -identity[below], identity[above]]
         right = np.concatenate(
             [program.b, program.h[rows], -program.lower[below], program.upper[above]]
         )
         kinds = [(clarabel.ZeroConeT, p), (clarabel.NonnegativeConeT, right.size - p)]
-        found = clarabel.DefaultSolver(
+        solution = clarabel.DefaultSolver(
             sp.csc_matrix(sp.triu(sp.csr_array(program.P))),
             program.c,
             sp.csc_matrix(sp.vstack([*map(sp.csr_array, parts)])),
@@ -214,10 +214,10 @@ class Clarabel(Engine):
             [cone(size) for cone, size in kinds if size],
             settings,
         ).solve()
-        y, z = np.zeros(m + p), np.array(found.z)
+        y, z = np.zeros(m + p), np.array(solution.z)
         y[rows], y[m:] = z[p : p + rows.size], z[:p]
-        says = CLARABEL_SAYS.get(str(found.status), EngineStatus.GAVE_UP)
-        return EngineAnswer(np.array(found.x), y, int(found.iterations), says)
+        says = CLARABEL_SAYS.get(str(solution.status), EngineStatus.GAVE_UP)
+        return EngineAnswer(np.array(solution.x), y, int(solution.iterations), says)
 
 
 HIGHS_SAYS = {
@@ -253,24 +253,24 @@ class HiGHS(Engine):
         """Return the vertex that HiGHS ends at."""
         from scipy.optimize import OptimizeWarning
 
-        wishes = {**self.settings, "disp": limits.is_verbose}
+        options = {**self.settings, "disp": limits.is_verbose}
         if np.isfinite(limits.seconds):
-            wishes["time_limit"] = limits.seconds
+            options["time_limit"] = limits.seconds
         rows = np.isfinite(program.h)
         with warnings.catch_warnings():
             warnings.simplefilter("error", OptimizeWarning)  # of an unknown option
-            found = highs(
+            result = highs(
                 program.c,
                 program.G[rows],
                 program.h[rows],
                 program.A,
                 program.b,
                 (program.lower, program.upper),
-                **wishes,
+                **options,
             )
         y = np.zeros(program.h.size + program.b.size)
-        says = HIGHS_SAYS.get(found.status, EngineStatus.GAVE_UP)
-        if found.x is None:
-            return EngineAnswer(np.zeros(program.c.size), y, int(found.nit), says)
-        y[: rows.size][rows], y[rows.size :] = -found.ineqlin.marginals, -found.eqlin.marginals
-        return EngineAnswer(found.x, y, int(found.nit), says)
+        says = HIGHS_SAYS.get(result.status, EngineStatus.GAVE_UP)
+        if result.x is None:
+            return EngineAnswer(np.zeros(program.c.size), y, int(result.nit), says)
+        y[: rows.size][rows], y[rows.size :] = -result.ineqlin.marginals, -result.eqlin.marginals
+        return EngineAnswer(result.x, y, int(result.nit), says)

@@ -72,7 +72,7 @@ def direct_methods(
     if is_searched:
         yield Stage(ExhaustiveSearch(), SEARCHED)
     check = Stage(FeasibilityCheck(), "is there a solution at all?")
-    # For a convex program, a path from r > 0 ends in a solution if there is one: other starts do not help.
+    # For a convex program, a path from r > 0 ends in a solution if a solution exists: other starts do not help.
     restarts = 0 if getattr(problem.origin, "is_of_convex_program", False) else None
     lemke = Stage(Lemke(restarts=restarts), "pivoting needs no property of M")
     newton = Stage(Newton(), "guesses which unknowns are at a bound, solves for the others")
@@ -187,17 +187,17 @@ def _too_large(problem: LCP) -> set[str]:
     For a program, methods that factorize are the fastest, even with a large fill. If the diagonal is negative, newton's
     active sets change at random.
     """
-    found = set()
+    names = set()
     is_large = problem.n > LINEAR_PROGRAM_UP_TO
     if is_large:
-        found.add("feasibility")
+        names.add("feasibility")
     if problem.n > PIVOTED_UP_TO < max(map(len, rows_of_components(problem))):
-        found.add("lemke")
+        names.add("lemke")
     if is_large and not (problem.is_kkt or problem.is_dense or factor_fits(problem.csr)):
-        found |= {"newton", "interior_point"}
+        names |= {"newton", "interior_point"}
     if is_large and is_negative(problem.matrix) and not _is_system(problem):
-        found.add("newton")
-    return found
+        names.add("newton")
+    return names
 
 
 def _is_system(problem: LCP) -> bool:

@@ -69,15 +69,19 @@ def options_of(name: str) -> Mapping[str, Any]:
 
 
 def parse_call(
-    algorithm: str | Algorithm, wishes: dict[str, Any]
+    algorithm: str | Algorithm, arguments: dict[str, Any]
 ) -> tuple[Algorithm | None, Settings]:
-    """Return the method (None for auto) and the settings of a call; `wishes` may contain z0 and callback."""
-    if not wishes:
-        return method_of(algorithm, wishes), DEFAULT
+    """Return the method (None for auto) and the settings of a call; `arguments` may contain z0 and callback."""
+    if not arguments:
+        return method_of(algorithm, arguments), DEFAULT
     settings = Settings(
-        **{name: wish for name, wish in wishes.items() if name in OF_SOLVE and name not in BESIDE}
+        **{
+            name: value
+            for name, value in arguments.items()
+            if name in OF_SOLVE and name not in BESIDE
+        }
     )
-    options = {name: wish for name, wish in wishes.items() if name not in OF_SOLVE}
+    options = {name: value for name, value in arguments.items() if name not in OF_SOLVE}
     return method_of(algorithm, options), settings
 
 

@@ -149,10 +149,10 @@ def reversed_row(problem: LCP, *, is_linearized: bool = False) -> str:
 
 def _blocks(names: Names, equal: Numbers) -> list[Numbers]:
     """Return the rows of each constraint with several rows, at most 30, by their names without the index."""
-    found: dict[str, list[int]] = {}
+    rows_by_name: dict[str, list[int]] = {}
     for i in range(equal.size if equal.any() else 0):
-        found.setdefault(INDEX.sub("", names.row(i)), []).append(i)
-    blocks = [np.array(rows) for rows in found.values() if len(rows) > 1]
+        rows_by_name.setdefault(INDEX.sub("", names.row(i)), []).append(i)
+    blocks = [np.array(rows) for rows in rows_by_name.values() if len(rows) > 1]
     return [rows for rows in blocks if equal[rows].all()][:30]  # constraints whose sign is tried
 
 

@@ -85,7 +85,7 @@ class LCPRun(Run):
         )
         smallest = float(references.min(initial=math.inf, where=references > 0.0))
         self.goal = float(max(settings.goal, settings.absolute_tolerance / smallest))
-        # At a start far beyond the data every residual is at rounding level; one nearer than z° is used
+        # At a start far beyond the data every residual is at rounding level; a start nearer than z° is used
         if start is not data.start and (data.rows(start).terms > data.sizes).any():
             start = start if self.measured(start).residual < 1.0 else data.start
         # No point but z° can be measured in components that z° solves.
@@ -110,11 +110,11 @@ class LCPRun(Run):
     def steps_of(self, stage: Stage) -> Iterator[Step]:
         """Yield the steps; none if a method of auto does not take this problem."""
         try:
-            given, chosen = (self.problem, self.z.copy()), self.chosen
+            inputs, chosen = (self.problem, self.z.copy()), self.chosen
             if chosen is not None and stage.algorithm is chosen:
-                yield from chosen.named_iterates(*given, self.settings.tolerance)
+                yield from chosen.named_iterates(*inputs, self.settings.tolerance)
             else:
-                yield from stage.algorithm.iterates(*given)
+                yield from stage.algorithm.iterates(*inputs)
         except (UnsuitableMatrix, UnsuitableProblem):
             if stage.algorithm is self.chosen or stage.iterations > 0:
                 raise
@@ -140,28 +140,28 @@ class LCPRun(Run):
             if stage.residuals and not stage.is_due(increment, self.goal):
                 return None
             residual = self.data.estimate(step.z)
-        found, iteration = Measured(step.z, residual, passes=False), progress.iteration
+        point, iteration = Measured(step.z, residual, passes=False), progress.iteration
         is_early = residual > 0.5 * self._failed_at and iteration < self._next_test
         if residual <= self.goal and not is_early:
-            found = self.measured(step.z)
-            if not found.passes:  # the run continues from the iterate itself
-                self._failed_at, self._next_test = found.residual, iteration + 1 + iteration // 5
-                found = found._replace(z=step.z)
-        stage.record(found.residual, increment)
+            point = self.measured(step.z)
+            if not point.passes:  # the run continues from the iterate itself
+                self._failed_at, self._next_test = point.residual, iteration + 1 + iteration // 5
+                point = point._replace(z=step.z)
+        stage.record(point.residual, increment)
         if progress.iteration == 0:
-            self.start_residual = found.residual
-        return found
+            self.start_residual = point.residual
+        return point
 
     def measured(self, z: Vector) -> Measured:
         """Return the measure of z, moved to near bounds, with its small rows finished."""
         settings = self.settings
-        found = measure_finished(self.data, z, settings.goal, settings.absolute_tolerance)
-        return found._replace(residual=float(found.residual))
+        point = measure_finished(self.data, z, settings.goal, settings.absolute_tolerance)
+        return point._replace(residual=float(point.residual))
 
-    def keep(self, found: Measured) -> None:
+    def keep(self, point: Measured) -> None:
         """Keep a copy of a point that passes, or whose residual is the smallest."""
         self.unmeasured = None
-        super().keep(found._replace(z=found.z.copy()))
+        super().keep(point._replace(z=point.z.copy()))
 
     def residual_of(self, step: Step) -> float:
         """Return the residual of a step that was not measured."""
@@ -171,24 +171,24 @@ class LCPRun(Run):
         if (z := self.unmeasured) is not None:
             self.keep(Measured(z, self.data.estimate(z), passes=False))
 
-    def end_of(self, stage: Stage, step: Step, found: Measured | None) -> Status | None:
+    def end_of(self, stage: Stage, step: Step, point: Measured | None) -> Status | None:
         """Return the reason that the stage ends with this step, or None."""
         algorithm, progress = stage.algorithm, self.progress
-        if found is None:
+        if point is None:
             is_lost = step.increment is not None and not math.isfinite(step.increment)
             return Status.DIVERGED if is_lost else None
         # A method that is not monotone may rise, but not to ∞.
         is_lost = algorithm.is_monotone and stage.rises >= 10
-        is_lost = is_lost or not math.isfinite(found.residual)
-        is_lost = is_lost and not found.residual <= 1e8 * max(1.0, self.start_residual)
+        is_lost = is_lost or not math.isfinite(point.residual)
+        is_lost = is_lost and not point.residual <= 1e8 * max(1.0, self.start_residual)
         # A contraction in a weighted norm may multiply the residual before it falls.
-        if is_lost and not (math.isfinite(found.residual) and self.is_guaranteed):
+        if is_lost and not (math.isfinite(point.residual) and self.is_guaranteed):
             return Status.DIVERGED
         left = self.settings.max_iterations - progress.iteration
         if left <= 0 or progress.clock.elapsed >= self.settings.max_seconds:
             return None  # because a limit is reached
         # z° solves what is left, up to rounding
-        if found.is_limited and found.residual <= self.goal:
+        if point.is_limited and point.residual <= self.goal:
             return Status.PRECISION_LIMIT
         if stage.is_flat() and self._is_at_floor():
             return Status.PRECISION_LIMIT
@@ -206,8 +206,8 @@ class LCPRun(Run):
 
     def _is_at_floor(self) -> bool:
         """Return whether the best residual is small and no larger than rounding explains: no step is worth its work."""
-        found = self.measured(self.z)
-        return bool(found.passes or found.is_limited) and found.residual <= GAINED
+        point = self.measured(self.z)
+        return bool(point.passes or point.is_limited) and point.residual <= GAINED
 
     def end_of_proof(self, proof: Any) -> Status | None:
         """Keep a proof; the run ends if it excludes the tolerance, or if only the rounding of the data is left."""
@@ -221,16 +221,16 @@ class LCPRun(Run):
     def result(self, end: Status) -> Result:
         """Return the result: the best iterate, cleaned and polished, with the status of its certificate."""
         self._measure_last()
-        found = self._final(self.z, end)
-        is_limited = found.is_limited or self._is_within_rounding_of_data(found.z)
-        self.best = found._replace(is_limited=is_limited)
+        point = self._final(self.z, end)
+        is_limited = point.is_limited or self._is_within_rounding_of_data(point.z)
+        self.best = point._replace(is_limited=is_limited)
         # If one of several algorithms diverged, the best z need not have.
         is_chain = end is Status.DIVERGED and len(self.progress.stages) > 1
         status = self.status(Status.STALLED if is_chain else end)
         name = "auto" if self.chosen is None else self.chosen.name
         chain = [stage.name for stage in self.progress.records()]
         return self.result_at(
-            Certificate.at(self.problem, read_only(found.z), rows=found.rows),
+            Certificate.at(self.problem, read_only(point.z), rows=point.rows),
             status,
             algorithm=name if chain in ([], [name]) else f"{name}: {', '.join(chain)}",
             infeasibility=self.proof,
@@ -241,7 +241,7 @@ class LCPRun(Run):
 
     def _advice(self, reason: Status, status: Status) -> str:
         """Return the advice of the status."""
-        happened, begins, rest = advice_of_run(
+        happened, begins, next_step = advice_of_run(
             self.problem, self.chosen, self.settings, status
         ).partition("; ")
         has_ended = reason is Status.STALLED and self.chosen is not None
@@ -250,55 +250,55 @@ class LCPRun(Run):
             happened = f"iterates ended after {steps}"
         if status is Status.MAX_ITERATIONS and self.progress.end is None:  # it is not reached
             happened = "a theorem proves convergence, but the rate of the run is too small for max_iterations"
-        return happened + begins + rest
+        return happened + begins + next_step
 
     def _final(self, z: Vector, end: Status) -> Measured:
         """Return the measure of z, or of z after a last step of the method or on its active set if no worse."""
         settings, stages = self.settings, self.progress.stages
-        found = self.best if self.best is not None and self.best.passes else self.measured(z)
-        if not found.passes:  # the best iterate itself; SOLVED refers to the projected point
+        point = self.best if self.best is not None and self.best.passes else self.measured(z)
+        if not point.passes:  # the best iterate itself; SOLVED refers to the projected point
             plain = self.data.measure_at(z, None, settings.goal, settings.absolute_tolerance)
             is_limited = self.data.are_limited(plain, settings.goal)
-            found = found if plain.passes else plain._replace(is_limited=is_limited)
+            point = point if plain.passes else plain._replace(is_limited=is_limited)
         if not (stages and settings.polish):
-            return found
+            return point
         last = stages[-1]
         is_cut_short = end in (Status.INTERRUPTED, Status.MAX_SECONDS)
         if not is_cut_short and np.isfinite(z).all():
             finished = last.algorithm.finish(self.problem, z)
             if finished is not z:
-                found = better_of(found, self.measured(finished))
-        return found if last.algorithm.ends_on_active_set else self._polish(found, last, end)
+                point = better_of(point, self.measured(finished))
+        return point if last.algorithm.ends_on_active_set else self._polish(point, last, end)
 
-    def _polish(self, found: Measured, last: Stage, end: Status) -> Measured:
+    def _polish(self, point: Measured, last: Stage, end: Status) -> Measured:
         """Return the measure of the solution of the linear system on the active set of z, if it is no worse.
 
-        A residual is not an error: if M is ill-conditioned, as of heavy bodies on light ones, a small one allows any z,
-        and the solution of that system is off by rounding errors. It may take a tenth of the work of the run, or all of
-        that if auto has not solved the problem. Twenty passes pay for the calls around it.
+        A residual is not an error: if M is ill-conditioned, as of heavy bodies on light bodies, a small residual
+        allows any z, and the solution of that system is off by rounding errors. The polish may take a tenth of the work
+        of the run, or all of that if auto has not solved the problem. Twenty passes pay for the calls around it.
         """
         most = math.inf if self.chosen is None else 0.0
-        if found.passes:
+        if point.passes:
             most = 0.1 * self.progress.work - 20.0
         elif end not in (Status.SOLVED, Status.PRECISION_LIMIT, *FAILED):
-            return found
+            return point
         if most <= 0.0:
-            return found
-        polish = polish_active_set(self.problem, found.z, min(most, self.progress.work + 20.0))
+            return point
+        polish = polish_active_set(self.problem, point.z, min(most, self.progress.work + 20.0))
         if polish is None:
-            return found
+            return point
         self.progress.count(last, Step(polish.z, work=polish.work, iterations=0))
         polished = np.clip(polish.z, self.problem.lower, self.problem.upper)
-        better = better_of(found, self.measured(polished))
-        self.is_polished = better is not found
+        better = better_of(point, self.measured(polished))
+        self.is_polished = better is not point
         return better
 
     def _is_within_rounding_of_data(self, z: Vector) -> bool:
         """Return whether no z is a solution, but the violation at this z is at most the rounding of the data."""
         if self.proof is None or not self.proof.is_rounding:
             return False
-        found, problem = self.measured(z), self.problem
-        certificate = Certificate.at(problem, found.z, rows=found.rows)
+        point, problem = self.measured(z), self.problem
+        certificate = Certificate.at(problem, point.z, rows=point.rows)
         rounding = DATA_ROUNDING * float(np.abs(problem.q).max(initial=0.0))
         is_large = certificate.natural_residual > rounding
         if is_large and certificate.term_residual > self.settings.goal:
@@ -306,12 +306,12 @@ class LCPRun(Run):
         return measured_residual(problem, certificate.z) <= rounding_of_data(problem)
 
 
-def better_of(found: Measured, cleaned: Measured) -> Measured:
+def better_of(point: Measured, cleaned: Measured) -> Measured:
     """Return the cleaned point if only it passes, or if both or none pass and its residual is no larger."""
-    is_no_worse = cleaned.residual <= found.residual < math.inf
-    if bool(found.passes) != bool(cleaned.passes):
+    is_no_worse = cleaned.residual <= point.residual < math.inf
+    if bool(point.passes) != bool(cleaned.passes):
         is_no_worse = bool(cleaned.passes)
-    return cleaned if is_no_worse else found
+    return cleaned if is_no_worse else point
 
 
 def advice_of_run(

@@ -43,14 +43,14 @@ def solve_lcp(
     method, settings = parse_call(algorithm, options)
     start = problem.nearest_to_zero if z0 is None else checked_start(problem, z0)
     if is_bare(settings, callback):
-        found = None
+        candidate = None
         if method is not None:
             if z0 is None and method.is_compiled_for(problem):
-                found = first_path_point(problem, settings.tolerance)
+                candidate = first_path_point(problem, settings.tolerance)
         elif not problem.is_kkt and takes_rounds(problem):
-            found = first_candidate(problem, start, settings.tolerance)
-        if found is not None:
-            z, rows, label, work = found
+            candidate = first_candidate(problem, start, settings.tolerance)
+        if candidate is not None:
+            z, rows, label, work = candidate
             reason = GUESSED if method is None else "" if work else NOTHING_TO_DO
             stage = StageRecord(label, reason, int(work > 0.0), work)
             return Result.at(problem, read_only(z), stage, settings, clock.read(), rows, method)

@@ -52,15 +52,16 @@ from .run import Stage
 
 ASKED_EVERY = 20  # iterations between two forecasts
 SWEEPING: dict[str, Algorithm] = {
-    one.name: one for one in (NPSOR(scaling="diagonal"), PSOR(), Multigrid(hands_over=True))
+    algorithm.name: algorithm
+    for algorithm in (NPSOR(scaling="diagonal"), PSOR(), Multigrid(hands_over=True))
 }
-PATIENCE = 1.5  # a stage is left if its work exceeds this multiple of the next one's
+PATIENCE = 1.5  # a stage is left if its work exceeds this multiple of the work of the next stage
 
 
 def plan(
     problem: LCP, method: Algorithm | None, goal: float, *, prove_infeasibility: bool = True
 ) -> Iterator[Stage]:
-    """Yield the stages of ``algorithm="auto"``, each after the one before has ended, or the stage of a method.
+    """Yield the stages of ``algorithm="auto"``, each after the stage before has ended, or the stage of a method.
 
     Parameters
     ----------
@@ -161,8 +162,8 @@ def has_flow(matrix: Matrix) -> bool:
     M = matrix.csr
     i = np.linspace(0, matrix.n - 1, 1000).astype(np.int64)
     j = M.indices[M.indptr[i]]  # of the first entry of each row
-    one, other = (abs(M[a, b]) / matrix.diagonal[a] for a, b in ((i, j), (j, i)))
-    least, most = np.minimum(one, other), np.maximum(one, other)
+    forward, backward = (abs(M[a, b]) / matrix.diagonal[a] for a, b in ((i, j), (j, i)))
+    least, most = np.minimum(forward, backward), np.maximum(forward, backward)
     is_pair = (i != j) & (least > 0.0)
     ratios = most[is_pair] / least[is_pair]
     return bool(ratios.size) and 2.0 < float(np.median(ratios)) < 100.0

@@ -126,7 +126,7 @@ class BaseResult(MadeOnAccess, Outcome):
     stages: tuple[StageRecord, ...] = field(default_factory=tuple)  # of no class: made on access
     begun: str = ""
     agents: tuple[Any, ...] = ()
-    _advice: ClassVar[Mapping[Status, str]] = {}  # in place of the status's own
+    _advice: ClassVar[Mapping[Status, str]] = {}  # in place of the text of the status
 
     __setstate__ = restore_state
 
@@ -162,7 +162,7 @@ class BaseResult(MadeOnAccess, Outcome):
 
     @property
     def _farkas_proof(self) -> Any:
-        """The proof whose conflict is the one of this result."""
+        """The proof whose conflict is the conflict of this result."""
         return self.proof
 
     @property
@@ -179,7 +179,7 @@ class BaseResult(MadeOnAccess, Outcome):
         return []
 
     def describe_accuracy(self) -> str:
-        """Return the achieved accuracy next to the required one."""
+        """Return the achieved accuracy next to the required accuracy."""
         raise NotImplementedError
 
     @np.errstate(all="ignore")
@@ -431,8 +431,8 @@ class Result(BaseResult):
 
     def _worst(self, count: int) -> WorstRows:
         data = self.certificate.criterion
-        found = data.measure_at(self.z, self.w, self.tolerance)
-        return worst_pairs(data, found, self.certificate.problem.names, self.tolerance, count)
+        point = data.measure_at(self.z, self.w, self.tolerance)
+        return worst_pairs(data, point, self.certificate.problem.names, self.tolerance, count)
 
     def _mistake(self) -> str:
         from .explanation import likely_mistake_of

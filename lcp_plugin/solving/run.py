@@ -1,8 +1,8 @@
 """The loop of a run: methods propose points, each point is measured, and the run ends at the first reason to do so.
 
 One loop serves every problem class. A class derives its run from :class:`Run`, defines `measure` and `result`, and
-yields the stages of its plan. The reason to end is a status: SOLVED of a point that passes, PRECISION_LIMIT of one at
-rounding level, STALLED also where a method has no further step, or another method takes over.
+yields the stages of its plan. The reason to end is a status: SOLVED of a point that passes, PRECISION_LIMIT of a point
+at rounding level, STALLED also where a method has no further step, or another method takes over.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from .result import NOTHING_TO_DO, Callback, Result, Sample, StageRecord
 
 FIRST_CHECK = 10  # iteration of the first residual that the method does not report
 FIRST_FLOOR_CHECK = 25  # iterations without a fall
-PROGRESS = 0.99  # a residual that has not fallen below this share of an earlier one has not fallen
+PROGRESS = (
+    0.99  # a residual that has not fallen below this share of an earlier residual has not fallen
+)
 FAILED = (Status.STALLED, Status.DIVERGED)  # another algorithm may do better
 # the status of a point that does not pass
 CUT_SHORT = (*LIMITS, Status.INTERRUPTED, Status.DIVERGED)
@@ -55,9 +57,9 @@ class Stage:
     z : ndarray, shape (n,), or None
         The latest iterate, as long as the stage lasts.
     residuals : list of (int, float)
-        Iteration and relative residual: the first measured ones and the latest, at most 512.
+        Iteration and relative residual: the first measurements and the latest, at most 512.
     rises : int
-        Number of latest residuals that exceed the one before each.
+        Number of latest residuals that exceed the residual before each.
     parts : list of (str, int, float)
         Label, iterations and work, if the algorithm labels its steps.
     remark : str
@@ -107,7 +109,8 @@ class Stage:
     def record(self, residual: float, increment: float | None = None) -> None:
         """Record the relative residual of the present iteration.
 
-        With the increment of a step whose residual had to be measured, the next one is due at 1.5 times the iterations.
+        With the increment of a step whose residual had to be measured, the next measurement is due at 1.5 times the
+        iterations.
         """
         if increment is not None:
             latest = max(self.iterations, FIRST_CHECK)
@@ -216,7 +219,7 @@ class Progress:
                 say(f"{'iteration':>12} {'work':>10} {'relative residual':>19} {'seconds':>9}")
 
     def count(self, stage: Stage, step: Step) -> None:
-        """Count a step, which may be no iteration, and its work, for the part of its label if there is one."""
+        """Count a step, which may be no iteration, and its work, for the part of its label if it has a label."""
         self.seconds = self.clock.read()
         is_start, iterations = stage.z is None, step.iterations
         if iterations is None:
@@ -241,7 +244,7 @@ class Progress:
             self.end = Status.MAX_SECONDS
         return self.end
 
-    def report(self, run: Run, stage: Stage, step: Step, found: Any, *, is_last: bool) -> bool:
+    def report(self, run: Run, stage: Stage, step: Step, point: Any, *, is_last: bool) -> bool:
         """Record, print and call back, with the clock paused; return whether the callback returned True.
 
         Parameters
@@ -249,13 +252,13 @@ class Progress:
         run : Run
             Has the methods `shown` and `residual_of`.
         stage, step : Stage, Step
-        found : Measured or None
+        point : Measured or None
             None if the step was not measured.
         is_last : bool
             The run ends with this step.
         """
         callback, iterations = self.callback, stage.iterations
-        residual = None if found is None else found.residual
+        residual = None if point is None else point.residual
         with self.clock.pause():
             seconds, name = self.seconds, stage.algorithm.name
             sample = Sample(self.iteration, self.work, seconds, residual, name)
@@ -280,16 +283,16 @@ class Progress:
 
     def records(self) -> tuple[StageRecord, ...]:
         """Return the stages as a result shows them."""
-        found: list[StageRecord] = []
+        records: list[StageRecord] = []
         for stage in self.stages:
             parts = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
             becauses = [stage.because, *[""] * (len(parts) - 1)]
-            found += [
+            records += [
                 StageRecord(name, because, iterations, work)
                 for because, (name, iterations, work) in zip(becauses, parts, strict=True)
             ]
-            found[-1] = found[-1]._replace(remark=stage.remark)
-        return tuple(found)
+            records[-1] = records[-1]._replace(remark=stage.remark)
+        return tuple(records)
 
 
 def say(line: str) -> None:
@@ -314,7 +317,7 @@ class Run:
         The point that the run would return now: the first point that satisfies the stopping criterion, or else the
         measured point with the smallest residual. None before the first measurement.
     proof : object or None
-        A verified proof that the problem has no solution. If several were found, the one with the largest margin.
+        A verified proof that the problem has no solution: of several proofs, the proof with the largest margin.
     """
 
     def __init__(self, progress: Progress) -> None:
@@ -330,7 +333,7 @@ class Run:
         """Return the point of a step as :class:`Measured`; None if no measurement is due."""
         return step.measured
 
-    def end_of(self, stage: Stage, step: Step, found: Any) -> Status | None:
+    def end_of(self, stage: Stage, step: Step, point: Any) -> Status | None:
         """Return a reason of this problem class to end the stage with this step, or None."""
         return None
 
@@ -370,14 +373,14 @@ class Run:
         }
 
     def result_at(
-        self, certificate: Any, status: Status, kind: type[Result] = Result, **others: Any
+        self, certificate: Any, status: Status, result_class: type[Result] = Result, **others: Any
     ) -> Result:
         """Return the result of a run that ends with this certificate; `others` are further fields of its class."""
         progress, common = self.progress, self.common_fields(status)
         if status is Status.SOLVED and progress.iteration <= 0 and self.best is not None:
             stages = (stage._replace(because=NOTHING_TO_DO) for stage in common["stages"])
             common["stages"] = tuple(stages)
-        result = kind(
+        result = result_class(
             z=certificate.z,
             certificate=certificate,
             absolute_tolerance=self.settings.absolute_tolerance,
@@ -458,16 +461,16 @@ class Run:
                 f"{stage.algorithm.name}.iterates must yield Step(z), got {type(step).__name__}; write `yield Step(z)`"
             )
         progress.count(stage, step)
-        found = self.latest = self.measure(stage, step)
-        if found is not None:
-            self.keep(found)
+        point = self.latest = self.measure(stage, step)
+        if point is not None:
+            self.keep(point)
         end: Status | None
-        if found is not None and found.passes:
+        if point is not None and point.passes:
             end = Status.SOLVED
         else:
-            end = self.end_of(stage, step, found) or progress.limit()
+            end = self.end_of(stage, step, point) or progress.limit()
         is_watched = progress.is_watched and not stage.is_reported
-        if is_watched and progress.report(self, stage, step, found, is_last=end is not None):
+        if is_watched and progress.report(self, stage, step, point, is_last=end is not None):
             progress.end = progress.end or Status.INTERRUPTED
             end = end or Status.INTERRUPTED
         if end is None and step.proof is not None:
@@ -478,11 +481,11 @@ class Run:
         """Return the residual that a method reports with its step, for the history; the step was not measured."""
         return step.residual
 
-    def keep(self, found: Any) -> None:
-        """Keep a measured point that passes, or whose residual is smaller than the best one; NaN counts as ∞."""
-        if self.best is None or found.passes or found.residual < self.residual:
-            self.best = found
-            self.residual = math.inf if math.isnan(found.residual) else float(found.residual)
+    def keep(self, point: Any) -> None:
+        """Keep a measured point that passes, or whose residual is smaller than the best residual; NaN counts as ∞."""
+        if self.best is None or point.passes or point.residual < self.residual:
+            self.best = point
+            self.residual = math.inf if math.isnan(point.residual) else float(point.residual)
 
     def end_of_proof(self, proof: Any) -> Status | None:
         """Store a verified proof; return NO_SOLUTION if it shows that no point can satisfy the tolerance, else None."""

@@ -26,7 +26,7 @@ class Function:
     arguments : int
         1 or 2.
     value, derivatives : callable
-        Of the arguments; `derivatives` returns one an argument.
+        Functions of the arguments; `derivatives` returns one array per argument.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Function:
     derivatives: Callable[..., tuple[Any, ...]]
 
     def __reduce__(self) -> tuple[Callable[[str], Function], tuple[str]]:
-        """Return the name: functions without one, as here, cannot be pickled."""
+        """Return the name, because lambdas cannot be pickled."""
         return _named, (self.name,)
 
 
@@ -85,7 +85,9 @@ ATAN = Function("atan", 1, np.arctan, lambda u: (1.0 / (1.0 + u**2),))
 ASINH = Function("asinh", 1, np.arcsinh, lambda u: (1.0 / np.hypot(1.0, u),))
 ACOSH = Function("acosh", 1, np.arccosh, lambda u: (1.0 / np.sqrt((u - 1.0) * (u + 1.0)),))
 ATANH = Function("atanh", 1, np.arctanh, lambda u: (1.0 / ((1.0 - u) * (1.0 + u)),))
-FUNCTIONS = {one.name: one for one in [*globals().values()] if isinstance(one, Function)}
+FUNCTIONS = {
+    function.name: function for function in [*globals().values()] if isinstance(function, Function)
+}
 
 
 def _named(name: str) -> Function:
@@ -102,7 +104,7 @@ def power(exponent: float) -> Function:
     >>> power(3.0).value(np.array([-2.0])), power(3.0).derivatives(np.array([-2.0]))
     (array([-8.]), (array([12.]),))
     """
-    # numpy takes u, u² and √u for the power where it is one.
+    # numpy computes the powers 1, 2 and 1/2 as u, u² and √u.
     return Function(
         f"power {exponent!r}",
         1,

@@ -74,11 +74,11 @@ class Rows:
     @property
     def is_source(self) -> bool:
         """True if the rows are exactly the entries of one source."""
-        are_ones = [isinstance(one, float) and one == 1.0 for one in self.blocks.values()]
+        are_ones = [isinstance(block, float) and block == 1.0 for block in self.blocks.values()]
         return are_ones == [True] and not self.offset.any()
 
     def taken(self, numbers: Indices, shape: tuple[int, ...] | None = None) -> Rows:
-        """Return the rows with these numbers, −1 for one that is zero, as an array of that shape."""
+        """Return the rows with these numbers, −1 for a row of zeros, as an array of that shape."""
         shape = numbers.shape if shape is None else shape
         if numbers.size == self.size and np.array_equal(numbers, np.arange(self.size)):
             return replace(self, shape=shape)
@@ -132,26 +132,26 @@ def added(parts: Iterable[Any], shape: tuple[int, ...]) -> Rows:
     """Return the sum of rows and constants, each broadcast to the shape."""
     rows = [Rows.of(part).spread(shape) for part in parts]
     terms: dict[int, list[Block]] = defaultdict(list)
-    for one in rows:
-        for key, block in one.blocks.items():
+    for summand in rows:
+        for key, block in summand.blocks.items():
             terms[key].append(block)
-    offset = sum((one.offset for one in rows[1:]), start=rows[0].offset)
+    offset = sum((summand.offset for summand in rows[1:]), start=rows[0].offset)
     blocks = {key: _total(blocks, offset.size) for key, blocks in terms.items()}
-    return Rows(blocks, offset, shape, max(one.level for one in rows))
+    return Rows(blocks, offset, shape, max(summand.level for summand in rows))
 
 
 def stacked(parts: Sequence[Rows]) -> Rows:
-    """Return the rows of all, one below the other."""
+    """Return the rows of all parts, one below the other."""
     if len(parts) == 1:
         return parts[0]
-    found: dict[int, list[tuple[sp.csr_array, int, int]]] = defaultdict(list)
+    terms: dict[int, list[tuple[sp.csr_array, int, int]]] = defaultdict(list)
     size = 0
     for part in parts:
         for key, block in part.blocks.items():
-            found[key].append((as_matrix(block, part.size), size, 0))
+            terms[key].append((as_matrix(block, part.size), size, 0))
         size += part.size
     blocks: dict[int, Block] = {
-        key: _placed(matrices, (size, matrices[0][0].shape[1])) for key, matrices in found.items()
+        key: _placed(matrices, (size, matrices[0][0].shape[1])) for key, matrices in terms.items()
     }
     offset = np.concatenate([part.offset for part in parts])
     return Rows(blocks, offset, (size,), max(part.level for part in parts))
@@ -160,10 +160,13 @@ def stacked(parts: Sequence[Rows]) -> Rows:
 def _placed(parts: list[tuple[sp.csr_array, int, int]], shape: tuple[int, int]) -> sp.csr_array:
     """Return the sum of matrices, each with its first row and column in the sum."""
     if len(parts) == 1 and parts[0][0].shape[0] == shape[0]:
-        one, _, column = parts[0]
-        return sp.csr_array((one.data, one.indices + column, one.indptr), shape=shape, copy=True)
+        matrix, _, column = parts[0]
+        return sp.csr_array(
+            (matrix.data, matrix.indices + column, matrix.indptr), shape=shape, copy=True
+        )
     entries = [
-        (one.data, row + row_numbers(one), column + one.indices) for one, row, column in parts
+        (matrix.data, row + row_numbers(matrix), column + matrix.indices)
+        for matrix, row, column in parts
     ]
     nothing = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     data, rows, columns = map(np.concatenate, zip(nothing, *entries, strict=True))
@@ -276,13 +279,13 @@ class Compiler:
             return self.emit(functions.SQUARE, left)
         if is_product and not isinstance(left, Rows):
             left, right = right, left
-        own = Rows.of(left).spread(shape)
+        rows = Rows.of(left).spread(shape)
         if isinstance(right, Rows):
-            return self.emit(function, own, right.spread(shape))
+            return self.emit(function, rows, right.spread(shape))
         factor = uniform(right)
         if factor is None:
             factor = Rows.of(right).spread(shape).offset
-        return own.scaled(factor, np.multiply if is_product else np.divide)
+        return rows.scaled(factor, np.multiply if is_product else np.divide)
 
     def product(self, left: Any, right: Any, shape: tuple[int, ...]) -> Rows:
         """Return the matrix product of two operands, one of them `Rows`, or of stacks of matrices."""
@@ -306,8 +309,8 @@ class Compiler:
         if isinstance(constant, Rows):
             # Rows of many terms, of which each product would hold a copy, become quantities of their own.
             first, second = (
-                one if one.terms <= one.size else self.emit(functions.SAME, one)
-                for one in (left, right)
+                operand if operand.terms <= operand.size else self.emit(functions.SAME, operand)
+                for operand in (left, right)
             )
             terms = self.emit(functions.PRODUCT, first.taken(at_left), second.taken(at_right))
             return terms.summed(targets, shape)
@@ -325,12 +328,12 @@ def _meeting(left: tuple[int, ...], right: tuple[int, ...]) -> tuple[Indices, In
     batch = np.broadcast_shapes(first[:-2], second[:-2])
     entry = (*batch, first[-2], second[-1])
     at_left, at_right, target = (
-        np.arange(math.prod(own)).reshape(own, order="F") for own in (first, second, entry)
+        np.arange(math.prod(shape)).reshape(shape, order="F") for shape in (first, second, entry)
     )
     both = np.broadcast_arrays(
         at_left[..., np.newaxis], at_right[..., np.newaxis, :, :], target[..., np.newaxis, :]
     )
-    of_left, of_right, targets = (one.ravel() for one in both)
+    of_left, of_right, targets = (numbers.ravel() for numbers in both)
     return of_left, of_right, targets
 
 
@@ -362,7 +365,7 @@ class Level:
     Attributes
     ----------
     arguments : tuple of Combination
-        The first argument of every function, and the second of those that have one.
+        The first argument of every function, and the second argument of the functions of two.
     spans : list of (Function, slice)
     """
 
@@ -383,12 +386,12 @@ class Level:
 
     def derivatives(self, arguments: list[Vector]) -> list[Vector]:
         """Return the derivatives by the first and by the second arguments."""
-        found = [np.empty_like(u) for u in arguments]
+        derivatives = [np.empty_like(u) for u in arguments]
         for function, span in self.spans:
             slopes = function.derivatives(*(u[span] for u in arguments[: function.arguments]))
-            for whole, slope in zip(found, slopes, strict=False):
+            for whole, slope in zip(derivatives, slopes, strict=False):
                 whole[span] = slope
-        return found
+        return derivatives
 
 
 class Program:
@@ -436,12 +439,13 @@ class Program:
             numbers[key], count = count, count + arguments[0].size
         levels = []
         for level in sorted({group[0] for group in groups}):
-            own = [group for group in groups if group[0] == level]
+            level_groups = [group for group in groups if group[0] == level]
             both = [
-                [arguments[k] for _, _, arguments, _ in own if len(arguments) > k] for k in (0, 1)
+                [arguments[k] for _, _, arguments, _ in level_groups if len(arguments) > k]
+                for k in (0, 1)
             ]
             first_of_two, second = (_combination(rows, numbers, count) for rows in both)
-            levels.append(Level((first_of_two, second), _spans(own)))
+            levels.append(Level((first_of_two, second), _spans(level_groups)))
         return cls(n, levels, _combination(results, numbers, count))
 
     @property
@@ -464,10 +468,10 @@ class Program:
         with np.errstate(all="ignore"):
             known = sp.eye_array(self.n, format="csr")  # of all quantities so far
             for level, values in zip(self.levels, self._swept(x)[1], strict=True):
-                own = _weighted(
+                level_jacobian = _weighted(
                     level.arguments, level.derivatives(values), level.size, known.shape[0]
                 )
-                known = sp.vstack([known, own @ known], format="csr")
+                known = sp.vstack([known, level_jacobian @ known], format="csr")
             return sp.csr_array(self.result.matrix @ known)
 
     def gradient(self, x: Vector, by_result: Vector) -> Vector:
@@ -523,5 +527,5 @@ def _weighted(
 ) -> sp.csr_array:
     """Return Σ slope · matrix over the arguments, their first columns; 0 times an infinite slope is NaN."""
     both = zip(arguments, slopes, strict=True)
-    parts = [(_changed(one.matrix, np.multiply, slope), 0, 0) for one, slope in both]
+    parts = [(_changed(argument.matrix, np.multiply, slope), 0, 0) for argument, slope in both]
     return _placed(parts, (size, width))

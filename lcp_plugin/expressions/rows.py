@@ -16,7 +16,8 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
+from operator import itemgetter
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -115,11 +116,9 @@ class Rows:
 
     def summed(self, targets: Indices, shape: tuple[int, ...] = ()) -> Rows:
         """Return sums of rows: row k is added to the sum with the number targets[k]."""
-        size = math.prod(shape)
-        by_columns = sp.csc_array(
-            (np.ones(self.size), targets, np.arange(self.size + 1)), shape=(size, self.size)
-        )
-        return self.applied(by_columns.tocsr(), shape)
+        entries = np.ones(self.size), (targets, np.arange(self.size))
+        operator = sp.csr_array(entries, shape=(math.prod(shape), self.size))
+        return self.applied(operator, shape)
 
 
 def entries_behind(shape: tuple[int, ...], source: tuple[int, ...]) -> Indices:
@@ -170,7 +169,7 @@ def _placed(parts: list[tuple[sp.csr_array, int, int]], shape: tuple[int, int]) 
     ]
     nothing = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     data, rows, columns = map(np.concatenate, zip(nothing, *entries, strict=True))
-    return sp.csr_array(sp.coo_array((data, (rows, columns)), shape=shape))
+    return sp.csr_array((data, (rows, columns)), shape=shape)
 
 
 def assembled(
@@ -197,8 +196,8 @@ def assembled(
 
 def is_definition(block: sp.csr_array) -> bool:
     """Return whether each row of a source's block has one entry, in a column of its own."""
-    is_single = bool((np.diff(block.indptr) == 1).all())
-    return is_single and int(np.bincount(block.indices, minlength=1).max()) <= 1
+    has_single_entries = bool((np.diff(block.indptr) == 1).all())
+    return has_single_entries and np.unique(block.indices).size == block.nnz
 
 
 def as_matrix(block: Block, size: int) -> sp.csr_array:
@@ -242,19 +241,13 @@ def _changed(block: Block, operation: np.ufunc, factor: Any) -> Block:
 
 
 def _rows_of(block: Block, numbers: Indices, is_taken: NDArray[np.bool_], size: int) -> Block:
-    taken, counts = numbers[is_taken], np.zeros(numbers.size + 1, dtype=np.int64)
-    if isinstance(block, float):
-        counts[1:] = is_taken
-        return sp.csr_array(
-            (np.full(taken.size, block), taken, np.cumsum(counts)), shape=(numbers.size, size)
-        )
-    matrix = block[taken]
-    if taken.size == numbers.size:
+    matrix = as_matrix(block, size)[numbers[is_taken]]
+    if is_taken.all():
         return matrix
+    counts = np.zeros(numbers.size + 1, dtype=np.int64)
     counts[1:][is_taken] = np.diff(matrix.indptr)
-    return sp.csr_array(
-        (matrix.data, matrix.indices, np.cumsum(counts)), shape=(numbers.size, block.shape[1])
-    )
+    entries = matrix.data, matrix.indices, np.cumsum(counts)
+    return sp.csr_array(entries, shape=(numbers.size, matrix.shape[1]))
 
 
 class Compiler:
@@ -316,7 +309,7 @@ class Compiler:
             return terms.summed(targets, shape)
         of_constant, of_rows = (at_left, at_right) if is_left else (at_right, at_left)
         entries = Rows.of(constant).offset[of_constant], (targets, of_rows)
-        operator = sp.csr_array(sp.coo_array(entries, shape=(math.prod(shape), rows.size)))
+        operator = sp.csr_array(entries, shape=(math.prod(shape), rows.size))
         operator.eliminate_zeros()
         return rows.applied(operator, shape)
 
@@ -353,8 +346,7 @@ class Combination:
 
     def __call__(self, quantities: Vector) -> Vector:
         """Return the combinations of these quantities."""
-        values: Vector = self.matrix @ quantities
-        values += self.offset
+        values: Vector = self.matrix @ quantities + self.offset
         return values
 
 
@@ -369,7 +361,7 @@ class Level:
     spans : list of (Function, slice)
     """
 
-    arguments: tuple[Combination, Combination]
+    arguments: tuple[Combination, ...]
     spans: list[tuple[Function, slice]]
 
     @property
@@ -438,14 +430,14 @@ class Program:
         for _, _, arguments, key in groups:
             numbers[key], count = count, count + arguments[0].size
         levels = []
-        for level in sorted({group[0] for group in groups}):
-            level_groups = [group for group in groups if group[0] == level]
+        for _, members in groupby(groups, key=itemgetter(0)):
+            level_groups = list(members)
             both = [
                 [arguments[k] for _, _, arguments, _ in level_groups if len(arguments) > k]
                 for k in (0, 1)
             ]
-            first_of_two, second = (_combination(rows, numbers, count) for rows in both)
-            levels.append(Level((first_of_two, second), _spans(level_groups)))
+            combinations = tuple(_combination(rows, numbers, count) for rows in both)
+            levels.append(Level(combinations, _spans(level_groups)))
         return cls(n, levels, _combination(results, numbers, count))
 
     @property
@@ -468,17 +460,17 @@ class Program:
         with np.errstate(all="ignore"):
             known = sp.eye_array(self.n, format="csr")  # of all quantities so far
             for level, values in zip(self.levels, self._swept(x)[1], strict=True):
-                level_jacobian = _weighted(
-                    level.arguments, level.derivatives(values), level.size, known.shape[0]
-                )
+                slopes = zip(level.arguments, level.derivatives(values), strict=True)
+                # 0 times an infinite slope is NaN
+                parts = [(_changed(one.matrix, np.multiply, slope), 0, 0) for one, slope in slopes]
+                level_jacobian = _placed(parts, (level.size, known.shape[0]))
                 known = sp.vstack([known, level_jacobian @ known], format="csr")
             return sp.csr_array(self.result.matrix @ known)
 
     def gradient(self, x: Vector, by_result: Vector) -> Vector:
         """Return F′(x)ᵀ by_result without the Jacobian."""
         with np.errstate(all="ignore"):
-            arguments, total = self._swept(x)[1], np.zeros(self._count)
-            total += self.result.matrix.T @ by_result
+            arguments, total = self._swept(x)[1], self.result.matrix.T @ by_result
             for level, span, values in zip(
                 self.levels[::-1], self._spans[::-1], arguments[::-1], strict=True
             ):
@@ -486,13 +478,10 @@ class Program:
                     total += argument.matrix.T @ (slope * total[span][: slope.size])
             return total[: self.n]
 
-    @property
-    def _count(self) -> int:
-        return int(self.result.matrix.shape[1])
-
     def _swept(self, x: Vector) -> tuple[Vector, list[list[Vector]]]:
         """Return all quantities, and the arguments of each level."""
-        quantities, arguments = np.zeros(self._count), []  # a level takes none that come after it
+        # A level takes no quantity of a later level
+        quantities, arguments = np.zeros(self.result.matrix.shape[1]), []
         quantities[: self.n] = x
         for level, span in zip(self.levels, self._spans, strict=True):
             arguments.append([argument(quantities) for argument in level.arguments])
@@ -503,12 +492,9 @@ class Program:
 def _spans(groups: list[Any]) -> list[tuple[Function, slice]]:
     spans: list[tuple[Function, slice]] = []
     start = 0
-    for _, function, arguments, _ in groups:
-        stop = start + arguments[0].size
-        if spans and spans[-1][0] is function:
-            spans[-1] = (function, slice(spans[-1][1].start, stop))
-        else:
-            spans.append((function, slice(start, stop)))
+    for function, members in groupby(groups, key=itemgetter(1)):
+        stop = start + sum(arguments[0].size for _, _, arguments, _ in members)
+        spans.append((function, slice(start, stop)))
         start = stop
     return spans
 
@@ -520,12 +506,3 @@ def _combination(rows: Sequence[Rows], first: Mapping[int, int], count: int) -> 
         matrix.sum_duplicates()
         matrix.eliminate_zeros()
     return Combination(matrix, offset)
-
-
-def _weighted(
-    arguments: Sequence[Combination], slopes: Sequence[Vector], size: int, width: int
-) -> sp.csr_array:
-    """Return Σ slope · matrix over the arguments, their first columns; 0 times an infinite slope is NaN."""
-    both = zip(arguments, slopes, strict=True)
-    parts = [(_changed(argument.matrix, np.multiply, slope), 0, 0) for argument, slope in both]
-    return _placed(parts, (size, width))

@@ -90,13 +90,13 @@ class Sum:
 RULES: dict[str, Callable[..., Sum] | Function] = {
     "+": lambda *parts: reduce(Sum.add, parts),
     "-": lambda first, second: first.add(second.scaled(-1.0)),
-    "unary -": lambda one: one.scaled(-1.0),
+    "unary -": lambda expression: expression.scaled(-1.0),
     "*": functions.PRODUCT,
     "/": functions.QUOTIENT,
     "^": functions.POWER,
     "square": functions.SQUARE,
     "sqrt": functions.power(0.5),
-    **{name: one for name, one in functions.FUNCTIONS.items() if one.arguments == 1},
+    **{name: function for name, function in functions.FUNCTIONS.items() if function.arguments == 1},
 }
 NAMES = {number: name for names in OPERATOR_NAMES.values() for number, name in names.items()}
 OPERATORS = {number: RULES[name] for number, name in NAMES.items() if name in RULES}
@@ -160,30 +160,32 @@ class _ExpressionReader:
         if not self._uses[number]:
             self._defined.append(Sum({}, 0.0))
             return
-        found = self._sum(self.content.defined_trees, number, f"defined variable {number}")
+        definition = self._sum(self.content.defined_trees, number, f"defined variable {number}")
         linear, n = self.content.defined_linear, self.n
         for column, value in zip(*entries_of_row(linear, number), strict=True):
             if value:
-                found = found.add(self._leaf(VARIABLE, column).scaled(value))
-        added = (self._uses[number] - 1) * len(found.terms)
-        if added <= self._capacity and (found.level == 0 or len(found.terms) <= 1):
+                definition = definition.add(self._leaf(VARIABLE, column).scaled(value))
+        added = (self._uses[number] - 1) * len(definition.terms)
+        if added <= self._capacity and (definition.level == 0 or len(definition.terms) <= 1):
             self._capacity -= added
-        elif added and (found.level or not self._adds_unknowns):
-            found = self._new(functions.SAME, found)
+        elif added and (definition.level or not self._adds_unknowns):
+            definition = self._new(functions.SAME, definition)
         elif added:
-            found.terms[n + number] = -1.0
-            self.definitions[number] = found
-            found = Sum({n + number: 1.0}, 0.0)
-        self._defined.append(found)
+            definition.terms[n + number] = -1.0
+            self.definitions[number] = definition
+            definition = Sum({n + number: 1.0}, 0.0)
+        self._defined.append(definition)
 
     def _leaf(self, kind: int, value: float) -> Sum:
         if kind == NUMBER:
             return Sum({}, value)
         column = int(value)
         if column >= self.n:
-            found = self._defined[column - self.n]  # moved, not copied, if only one sum uses it
+            definition = self._defined[
+                column - self.n
+            ]  # moved, not copied, if only one sum uses it
             is_shared = self._uses[column - self.n] != 1
-            return replace(found, terms=dict(found.terms)) if is_shared else found
+            return replace(definition, terms=dict(definition.terms)) if is_shared else definition
         known = self._known[column]
         return Sum({column: 1.0}, 0.0) if known is None else Sum({}, known)
 
@@ -194,12 +196,12 @@ class _ExpressionReader:
             raise UnsupportedModel(
                 f"{self._name} holds the operator {name}, which is not smooth or not known here; {remedy}"
             )
-        constants = [one.constant for one in operands]
+        constants = [operand.constant for operand in operands]
         if not isinstance(rule, Function):
-            found = rule(*operands)
-        elif all(one.is_constant for one in operands):
+            combination = rule(*operands)
+        elif all(operand.is_constant for operand in operands):
             with np.errstate(all="ignore"):
-                found = Sum({}, float(rule.value(*map(np.float64, constants))))
+                combination = Sum({}, float(rule.value(*map(np.float64, constants))))
         elif rule is functions.PRODUCT:
             return self._product(*operands)
         elif rule is functions.QUOTIENT:
@@ -208,12 +210,12 @@ class _ExpressionReader:
             return self._power(*operands)
         else:
             return self._new(rule, *operands)
-        if not np.isfinite(found.constant):
+        if not np.isfinite(combination.constant):
             raise UnsupportedModel(
-                f"{self._name} holds {NAMES[number]} of {', '.join(f'{one:g}' for one in constants)}, which is no "
+                f"{self._name} holds {NAMES[number]} of {', '.join(f'{value:g}' for value in constants)}, which is no "
                 "finite number; correct it"
             )
-        return found
+        return combination
 
     def _product(self, first: Sum, second: Sum) -> Sum:
         if first.is_constant:
@@ -243,7 +245,7 @@ class _ExpressionReader:
 
     def _new(self, function: Function, *arguments: Sum) -> Sum:
         """Return a function of sums."""
-        below = max(one.level for one in arguments)
+        below = max(argument.level for argument in arguments)
         if below >= MOST_NESTED:
             raise UnsupportedModel(
                 f"{self._name} nests more than {MOST_NESTED} functions in one another; give an inner one a "
@@ -290,29 +292,32 @@ class Expressions:
     def __init__(self, content: NLContent, known: Vector, *, adds_unknowns: bool = True) -> None:
         is_known = ~np.isnan(known)
         values = [
-            value if one else None for value, one in zip(known.tolist(), is_known, strict=True)
+            value if is_one_known else None
+            for value, is_one_known in zip(known.tolist(), is_known, strict=True)
         ]
-        found = _ExpressionReader(content, values, adds_unknowns)
-        n, d, count = (content.lower.size, content.defined_trees.size, len(found.functions))
-        keys = list(zip(found.levels, (one.name for one in found.functions), strict=True))
+        reader = _ExpressionReader(content, values, adds_unknowns)
+        n, d, count = (content.lower.size, content.defined_trees.size, len(reader.functions))
+        keys = list(
+            zip(reader.levels, (function.name for function in reader.functions), strict=True)
+        )
         order = np.array(sorted(range(count), key=keys.__getitem__), dtype=np.int64)
-        self._functions = [found.functions[k] for k in order]
-        defined = np.array(list(found.definitions), dtype=np.int64)
+        self._functions = [reader.functions[k] for k in order]
+        defined = np.array(list(reader.definitions), dtype=np.int64)
         self.unknowns = np.concatenate([np.flatnonzero(~is_known), n + defined])
-        self.definitions = len(found.results) + np.arange(defined.size)
-        first = len(found.results) + defined.size + np.arange(count)
+        self.definitions = len(reader.results) + np.arange(defined.size)
+        first = len(reader.results) + defined.size + np.arange(count)
         self._arguments = first, first + count
-        pairs = [(*found.arguments[k], Sum({}, 0.0))[:2] for k in order]
+        pairs = [(*reader.arguments[k], Sum({}, 0.0))[:2] for k in order]
         sums = [
-            *found.results,
-            *found.definitions.values(),
-            *(one for one, _ in pairs),
-            *(one for _, one in pairs),
+            *reader.results,
+            *reader.definitions.values(),
+            *(left for left, _ in pairs),
+            *(right for _, right in pairs),
         ]
         place = np.full(n + d + count, -1)
         place[self.unknowns] = np.arange(self.unknowns.size)
         place[n + d + order] = self.unknowns.size + np.arange(count)
-        self.offset = np.array([one.constant for one in sums])
+        self.offset = np.array([combination.constant for combination in sums])
         linear = sp.csr_array(sp.vstack([content.linear, content.objective_linear], format="csr"))
         self.offset[: linear.shape[0]] += linear @ np.where(is_known, known, 0.0)
         linear = linear[:, ~is_known]
@@ -333,10 +338,10 @@ class Expressions:
         compiler = Compiler()
         for begin, end in pairwise([*self._begins, len(self._functions)]):
             function = self._functions[begin]
-            own = [
+            arguments = [
                 self.rows(numbers[begin:end]) for numbers in self._arguments[: function.arguments]
             ]
-            compiler.emit(function, *own)
+            compiler.emit(function, *arguments)
         return compiler
 
     def all_values(self, x: Vector) -> Vector:
@@ -347,8 +352,8 @@ class Expressions:
         values = x[np.where(is_defined, 0, self.unknowns)]
         if is_defined.any():
             A = sp.csc_array(self.matrix[self.definitions][:, : self.unknowns.size])
-            own = A[:, ~is_defined] @ values[~is_defined] + self.offset[self.definitions]
-            values[is_defined] = -spsolve(A[:, is_defined], own)
+            right = A[:, ~is_defined] @ values[~is_defined] + self.offset[self.definitions]
+            values[is_defined] = -spsolve(A[:, is_defined], right)
         return values
 
     def is_affine(self) -> Any:
@@ -363,27 +368,31 @@ class Expressions:
         order = np.argsort(source, kind="stable")
         present, begins = np.unique(source[order], return_index=True)
         blocks: dict[int, Any] = {}
-        for one, own in zip(present, np.split(order, begins[1:]), strict=False):
+        for k, entries_of_source in zip(present, np.split(order, begins[1:]), strict=False):
             entries = (
-                part.data[own],
-                part.indices[own] - self._starts[one],
-                np.searchsorted(own, part.indptr),
+                part.data[entries_of_source],
+                part.indices[entries_of_source] - self._starts[k],
+                np.searchsorted(entries_of_source, part.indptr),
             )
-            shape = (numbers.size, int(self._starts[one + 1] - self._starts[one]))
-            blocks[UNKNOWNS if one == 0 else -int(one)] = sp.csr_array(entries, shape=shape)
-        level = max([self._levels[one] for one in present], default=0)
+            shape = (numbers.size, int(self._starts[k + 1] - self._starts[k]))
+            blocks[UNKNOWNS if k == 0 else -int(k)] = sp.csr_array(entries, shape=shape)
+        level = max([self._levels[k] for k in present], default=0)
         return Rows(blocks, self.offset[numbers], (numbers.size,), level)
 
 
 def _matrix(sums: list[Sum], place: Indices, shape: tuple[int, int]) -> sp.csr_array:
     """Return the terms of sums, one row each, with their columns mapped to the given ones."""
-    counts = [len(one.terms) for one in sums]
+    counts = [len(combination.terms) for combination in sums]
     columns = place[
         np.fromiter(
-            chain.from_iterable(one.terms for one in sums), dtype=np.int64, count=sum(counts)
+            chain.from_iterable(combination.terms for combination in sums),
+            dtype=np.int64,
+            count=sum(counts),
         )
     ]
     values = np.fromiter(
-        chain.from_iterable(one.terms.values() for one in sums), dtype=np.float64, count=sum(counts)
+        chain.from_iterable(combination.terms.values() for combination in sums),
+        dtype=np.float64,
+        count=sum(counts),
     )
     return sp.csr_array((values, columns, np.cumsum([0, *counts])), shape=shape)

@@ -44,8 +44,8 @@ SIDE_CONDITION = 1e-6  # by which a side condition may be violated, or ten times
 
 def values_and_slopes(content: NLContent, x: Vector, rows: Indices) -> tuple[Vector, sp.csr_array]:
     """Return the values of rows, then objectives, with these numbers, and their derivatives by all variables."""
-    found = Expressions(content, np.full(x.size, np.nan), adds_unknowns=False)
-    program = Program.of(found.compiler, [found.rows(rows)], {UNKNOWNS: 0}, x.size)
+    expressions = Expressions(content, np.full(x.size, np.nan), adds_unknowns=False)
+    program = Program.of(expressions.compiler, [expressions.rows(rows)], {UNKNOWNS: 0}, x.size)
     return program.value(x), program.jacobian(x)
 
 
@@ -91,8 +91,8 @@ class SideConditions:
             return []
         rows, slopes = values_and_slopes(content, x, inner)
         units = abs(slopes) @ (1.0 + np.abs(x))  # the change of a row if all its variables change
-        own = x[self.bounded]
-        values, units = np.append(rows, own), np.append(units, 1.0 + np.abs(own))
+        bounded = x[self.bounded]
+        values, units = np.append(rows, bounded), np.append(units, 1.0 + np.abs(bounded))
         lower = np.append(content.row_lower[inner], content.lower[self.bounded])
         upper = np.append(content.row_upper[inner], content.upper[self.bounded])
         excesses = excess(values, lower, upper, units)
@@ -233,19 +233,19 @@ class ComplementarityModel(NLModel):
         """Return the answer; see :meth:`NLModel.solve`."""
         is_started = self.content.has_start.any() or self.beside.bounded.size
         options = {"algorithm": algorithm, **options}
-        found = solve_from(self.arrangement, self.start if is_started else None, options)
-        x, duals = self.values(found.z, found.w)
-        status, words = found.status, found.status.name.lower()
+        result = solve_from(self.arrangement, self.start if is_started else None, options)
+        x, duals = self.values(result.z, result.w)
+        status, words = result.status, result.status.name.lower()
         if status is Status.SOLVED:
             tolerance = options.get("tolerance", Settings.tolerance)
             if wrong := self._violated(x, max(SIDE_CONDITION, 10.0 * tolerance)):
-                if (other := self._another(options, found)) is not None:
+                if (other := self._another(options, result)) is not None:
                     why = f"; {wrong}" if other.result.has_no_solution else ""
                     return replace(other, message=other.message + why)
                 wrong += ", and no other solution was found"
             status, words = (Status.STALLED, wrong) if wrong else (status, words)
-        message = self._message(words, found.residual, found.iterations)
-        return NLAnswer(x, duals, status, message, found, None)
+        message = self._message(words, result.residual, result.iterations)
+        return NLAnswer(x, duals, status, message, result, None)
 
     def _violated(self, x: Vector, tolerance: float) -> str:
         """Return the names of the side conditions that are violated at x; else ""."""
@@ -255,10 +255,10 @@ class ComplementarityModel(NLModel):
         what = f"{rows[0].name} does not hold{others}, off by {rows[0].residual:.2g}"
         return f"the complementarities and equations are solved, but {what}"
 
-    def _another(self, options: dict[str, Any], found: Result) -> NLAnswer | None:
+    def _another(self, options: dict[str, Any], result: Result) -> NLAnswer | None:
         """Return a solution of the pairs that meets all conditions, or a proof that there is none; else None."""
         if (limit := options.get("max_seconds")) is not None:
-            limit = max(limit - found.seconds, 0.0)
+            limit = max(limit - result.seconds, 0.0)
         try:
             other = FileStatement(self.content).best().solve(max_iterations=1000, max_seconds=limit)
         except UnsupportedModel:
@@ -293,17 +293,17 @@ class ProgramModel(NLModel):
 
     def solve(self, algorithm: object = "auto", **options: Any) -> NLAnswer:
         """Return the answer, infeasible or unbounded only with a proof, ``answer.result.proof``."""
-        found = solve_program(self.problem, algorithm, **options)
-        status = found.status
-        x = self.variables(found.solution.x)
-        objective = self.objective(x) if found.proof is None else None
-        words = "optimal" if found.is_solved else status.name.lower()
+        result = solve_program(self.problem, algorithm, **options)
+        status = result.status
+        x = self.variables(result.solution.x)
+        objective = self.objective(x) if result.proof is None else None
+        words = "optimal" if result.is_solved else status.name.lower()
         words += "" if objective is None else f", objective {objective:.9g}"
         # The residuals of the program, on which the status relies, not the residuals of its optimality conditions.
-        message = self._message(words, found.solution.error, found.iterations)
+        message = self._message(words, result.solution.error, result.iterations)
         duals = np.zeros(self.content.row_lower.size)
-        duals[self.rows] = -self.sign * found.solution.row_multipliers[: self.rows.size] + 0.0
-        return NLAnswer(x, duals, status, message, found, objective)
+        duals[self.rows] = -self.sign * result.solution.row_multipliers[: self.rows.size] + 0.0
+        return NLAnswer(x, duals, status, message, result, objective)
 
 
 @dataclass(eq=False, repr=False)
@@ -327,8 +327,8 @@ class EquilibriumModel(NLModel):
         x = np.zeros(self.problem.program.n)
         start = np.append(self.content.start, np.zeros(self.content.defined_trees.size))
         x[: self.unknowns.size] = start[self.unknowns]
-        own = self.variables(x[: self.unknowns.size])
-        x[self.columns] = values_and_slopes(self.content, own, self.pairs)[0]
+        variables = self.variables(x[: self.unknowns.size])
+        x[self.columns] = values_and_slopes(self.content, variables, self.pairs)[0]
         return x if self.content.has_start.any() and np.isfinite(x).all() else None
 
     def solve(self, algorithm: object = "auto", **options: Any) -> NLAnswer:
@@ -414,7 +414,7 @@ def certify_values(content: NLContent, tolerance: float) -> Certification:
         raise InvalidProblem(
             f"{content.variable(k)} has {value}; solve the model, or set a number for each variable first"
         )
-    statement, given = FileStatement(content), content.start
+    statement, start = FileStatement(content), content.start
     is_bounded = np.isfinite(content.lower) | np.isfinite(content.upper)
     beside = SideConditions(
         content, statement.inequalities, np.flatnonzero(is_bounded & ~statement.is_paired)
@@ -425,14 +425,14 @@ def certify_values(content: NLContent, tolerance: float) -> Certification:
             'certify(model, pairs="match") if it is square, or add an Objective'
         )
     model = _model_of(statement)
-    x = statement.expressions.all_values(given)
+    x = statement.expressions.all_values(start)
     if isinstance(model, ComplementarityModel):
         problem, z, violated = model.arrangement.at_values(x, tolerance, statement.name)
-        found = certify_point(problem, z, tolerance)
-        return with_side_conditions(found, [*violated, *beside.violated(given, tolerance)])
-    found = certify(model.problem, x, tolerance=tolerance)
+        certification = certify_point(problem, z, tolerance)
+        return with_side_conditions(certification, [*violated, *beside.violated(start, tolerance)])
+    certification = certify(model.problem, x, tolerance=tolerance)
     fixed = SideConditions(content, statement.pairs[:0], np.flatnonzero(~np.isnan(statement.known)))
-    return with_side_conditions(found, fixed.violated(given, tolerance))
+    return with_side_conditions(certification, fixed.violated(start, tolerance))
 
 
 def lcp_in_nl(path: str | PathLike[str]) -> LCP:
@@ -534,29 +534,31 @@ class FileStatement:
 
     def best(self) -> ProgramModel | EquilibriumModel:
         """Return the program, with complementarity constraints if there are pairs."""
-        content, found, m = self.content, self.expressions, self.m
-        own, place = found.unknowns, np.full(self.n + content.defined_trees.size, -1)
-        place[own] = np.arange(own.size)
+        content, expressions, m = self.content, self.expressions, self.m
+        unknowns, place = expressions.unknowns, np.full(self.n + content.defined_trees.size, -1)
+        place[unknowns] = np.arange(unknowns.size)
         others = np.flatnonzero((content.partners < 0) & ~self.says_nothing)
         stated = self._statement()
-        stated.integers = np.flatnonzero(content.is_integer[own[own < self.n]])
+        stated.integers = np.flatnonzero(content.is_integer[unknowns[unknowns < self.n]])
         for part in self._parts(others):
             ends, name = (content.row_lower[part], content.row_upper[part]), content.rows_of(part)
-            stated.constrain(found.rows(part), *ends, name=name)
-        if found.definitions.size:
-            stated.constrain(found.rows(found.definitions))
+            stated.constrain(expressions.rows(part), *ends, name=name)
+        if expressions.definitions.size:
+            stated.constrain(expressions.rows(expressions.definitions))
         as_stated = bool(self.has_objective() or content.is_integer.any())
         for part in (pairs := self._parts(self.pairs)):
             bounds = pair_bounds(content, part, as_stated=as_stated)
             z = place[content.partners[part]]
-            stated.complement(z, found.rows(part), *bounds, name=content.rows_of(part))
+            stated.complement(z, expressions.rows(part), *bounds, name=content.rows_of(part))
         has_objective = bool(content.is_maximized.size)
         sign = -1.0 if has_objective and content.is_maximized[0] else 1.0
-        goal = found.rows(np.array([m])) if has_objective else Rows({}, np.zeros(1), (1,))
+        goal = expressions.rows(np.array([m])) if has_objective else Rows({}, np.zeros(1), (1,))
         problem = stated.best(goal, sign)
         if pairs:
             rows = np.concatenate(pairs)
-            return EquilibriumModel(content, problem, own, self.known, sign, rows, problem.second)
+            return EquilibriumModel(
+                content, problem, unknowns, self.known, sign, rows, problem.second
+            )
         if not self.is_affine.all():
             row = content.row(np.flatnonzero(~self.is_affine)[0])
             raise UnsupportedModel(
@@ -567,7 +569,7 @@ class FileStatement:
             raise UnsupportedModel(
                 "the objective is neither linear nor quadratic; convex quadratic ones are taken"
             )
-        return ProgramModel(content, problem.program, own, self.known, sign, others)
+        return ProgramModel(content, problem.program, unknowns, self.known, sign, others)
 
     def _parts(self, rows: Indices) -> list[Indices]:
         """Return the affine rows, then the others; no empty part."""
@@ -580,37 +582,47 @@ class FileStatement:
             is_inequality = np.isin(np.arange(self.m), self.inequalities)
             self.known = self._known(self.says_nothing | is_inequality)
             self.expressions = Expressions(self.content, self.known)
-        content, found = self.content, self.expressions
-        pairs, equations = self.pairs, np.append(self.equations, found.definitions)
-        right = np.append(content.row_lower, np.zeros(found.offset.size - self.m))
+        content, expressions = self.content, self.expressions
+        pairs, equations = self.pairs, np.append(self.equations, expressions.definitions)
+        right = np.append(content.row_lower, np.zeros(expressions.offset.size - self.m))
         equations = self._without_empty(equations, right)
         statement = self._statement()
         place = np.full(self.n + content.defined_trees.size, -1)
-        place[found.unknowns] = np.arange(found.unknowns.size)
+        place[expressions.unknowns] = np.arange(expressions.unknowns.size)
         order = [self._parts(pairs), self._parts(equations)]
         for part in order[0]:
             z = place[content.partners[part]]
             ends = statement.lower[z], statement.upper[z]
-            statement.complement(z, found.rows(part), *ends, name=content.rows_of(part))
+            statement.complement(z, expressions.rows(part), *ends, name=content.rows_of(part))
         for part in order[1]:
             statement.constrain(
-                found.rows(part), right[part], right[part], name=content.rows_of(part)
+                expressions.rows(part), right[part], right[part], name=content.rows_of(part)
             )
         # Arrays of the model's language are not known: unknowns without a pair count as one variable.
         arrangement = statement.square((~statement.is_paired).astype(np.int64))
-        bounded = found.unknowns[arrangement.dropped]
+        bounded = expressions.unknowns[arrangement.dropped]
         beside = SideConditions(content, self.inequalities, bounded)
         return ComplementarityModel(
-            content, arrangement.problem, found.unknowns, self.known, arrangement, pairs, beside
+            content,
+            arrangement.problem,
+            expressions.unknowns,
+            self.known,
+            arrangement,
+            pairs,
+            beside,
         )
 
     def _statement(self) -> Statement:
         """Return the unknowns with their bounds."""
-        content, found = self.content, self.expressions
+        content, expressions = self.content, self.expressions
         free = np.full(content.defined_trees.size, np.inf)
         lower, upper = np.append(content.lower, -free), np.append(content.upper, free)
         return Statement(
-            found.compiler, {UNKNOWNS: 0}, lower[found.unknowns], upper[found.unknowns], self.name
+            expressions.compiler,
+            {UNKNOWNS: 0},
+            lower[expressions.unknowns],
+            upper[expressions.unknowns],
+            self.name,
         )
 
     def name(self, column: int) -> str:
@@ -619,14 +631,14 @@ class FileStatement:
 
     def _without_empty(self, equations: Indices, right: Vector) -> Indices:
         """Leave out the equations that have no unknown; raise if they are violated."""
-        content, found = self.content, self.expressions
-        is_empty = np.diff(found.matrix.indptr)[equations] == 0
+        content, expressions = self.content, self.expressions
+        is_empty = np.diff(expressions.matrix.indptr)[equations] == 0
         empty: Indices = equations[is_empty]
         if empty.size:
             known = np.nan_to_num(self.known)
             sizes = abs(values_and_slopes(content, known, empty)[1]) @ np.abs(known)
             sizes = np.where(np.isfinite(sizes), sizes, 0.0)
-            off = found.offset[empty] - right[empty]
+            off = expressions.offset[empty] - right[empty]
             wrong = np.abs(off) > 2.0**-40 * (sizes + np.abs(right[empty]))
             for k in np.flatnonzero(wrong)[:1]:
                 raise UnsupportedModel(

@@ -151,7 +151,7 @@ NARY, PIECEWISE = (-1, -2)  # instead of a number of operands: that follows; a n
 
 def _table(text: str) -> dict[int, str]:
     """Return names by numbers."""
-    pairs = (one.strip().partition(" ") for one in text.split(","))
+    pairs = (entry.strip().partition(" ") for entry in text.split(","))
     return {int(number): name for number, _, name in pairs}
 
 
@@ -426,8 +426,8 @@ def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
     words = text.split(b"#")[0].split()
     try:
         count = read_number(words[0], int) if words else 0
-        given = [read_number(word, int) for word in words[1 : max(count, 0) + 1]]
-        has_tolerance = count >= 2 and given[1:2] == [WITH_TOLERANCE] and len(words) > count + 1
+        options = [read_number(word, int) for word in words[1 : max(count, 0) + 1]]
+        has_tolerance = count >= 2 and options[1:2] == [WITH_TOLERANCE] and len(words) > count + 1
         tolerance = read_number(words[count + 1]) if has_tolerance else None
     except ValueError:
         count = -1
@@ -435,7 +435,7 @@ def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
         raise NLSyntaxError(
             0, f"its letter is followed by up to {MOST_OPTIONS} integers, and how many"
         )
-    return (count, *given, *[0] * (count - len(given))), tolerance
+    return (count, *options, *[0] * (count - len(options))), tolerance
 
 
 def _read_head_line(
@@ -561,11 +561,11 @@ class _Reader:
             source.fail("this operator number is unknown")
         count = ARITY[number]
         if count in (NARY, PIECEWISE):
-            (given,) = source.row("i")
+            (operands,) = source.row("i")
             factor = 1 if count == NARY else 2
-            if not factor <= given <= len(self.source.data):
-                self.source.fail(f"an operator cannot have {given} operands here")
-            count = factor * given
+            if not factor <= operands <= len(self.source.data):
+                self.source.fail(f"an operator cannot have {operands} operands here")
+            count = factor * operands
         return kind, number, count
 
     def _read_pairs(self, letter: str, owner: int, count: int, reach: int) -> None:
@@ -659,7 +659,7 @@ class _Reader:
         slopes, announced_slopes = len(self.entries["G"][2]), header.objective_nonzeros
         if 0 < slopes < announced_slopes:  # AMPL counts entries that simplifications removed later
             announced_slopes = slopes
-        for line, announced, given, what in (
+        for line, announced, count, what in (
             (2, header.variables, len(bounds["b"]), "bounds of variables"),
             (2, header.rows, len(bounds["r"]), "bounds of rows"),
             (2, header.objectives, len(trees["O"]), "objectives"),
@@ -668,15 +668,15 @@ class _Reader:
             (8, announced_slopes, slopes, "nonzeros of the segments G"),
             (10, header.defined, len(trees["V"]), "defined variables"),
         ):
-            if announced != given:
-                said = f"{announced} {what} are announced, {given} are there"
+            if announced != count:
+                said = f"{announced} {what} are announced, {count} are there"
                 raise NLSyntaxError(header.places[line], said)
 
     def _matrix(self, letter: str, height: int, width: int) -> sp.csr_array:
         """Return linear terms as a CSR array; raise if a row has an index twice."""
         *places, values = self.entries[letter]
         kind = np.int32 if max(len(values), width) < 2**31 else np.int64
-        rows, indices = (np.array(one, dtype=kind) for one in places)
+        rows, indices = (np.array(numbers, dtype=kind) for numbers in places)
         matrix = sp.coo_array((np.array(values), (rows, indices)), shape=(height, width)).tocsr()
         if matrix.nnz < len(values):
             what = f"an index occurs twice in a row in the segments {letter}"

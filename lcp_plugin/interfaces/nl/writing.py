@@ -229,16 +229,17 @@ def _groups(content: NLContent) -> tuple[int, int, tuple[int, int, int, int]]:
     is_last = content.is_integer & ~np.append(content.is_integer[1:], False)
     first = int(np.flatnonzero(is_last)[0]) + 1
     first = first if first >= max(in_rows, in_objectives) else n
-    own = int(content.is_integer[:first].sum())  # the last of the nonlinear group
-    others = integers.size - own
+    last_nonlinear = int(content.is_integer[:first].sum())  # the last of the nonlinear group
+    others = integers.size - last_nonlinear
     if not (
-        content.is_integer[first - own : first].all() and content.is_integer[n - others :].all()
+        content.is_integer[first - last_nonlinear : first].all()
+        and content.is_integer[n - others :].all()
     ):
         raise InvalidProblem(
             f"variable {integers[0]} is integer and one behind it is not; the integer variables of an "
             ".nl file must come last, or last of those that are nonlinear; order the variables so"
         )
-    return first, first, (others, own, 0, 0)
+    return first, first, (others, last_nonlinear, 0, 0)
 
 
 OPTIONS = "Options"
@@ -264,7 +265,7 @@ def write_sol(
     """
     target, options = checked_path(path), content.options
     duals, values = (
-        None if given is None or not np.isfinite(given).all() else given for given in (y, x)
+        None if vector is None or not np.isfinite(vector).all() else vector for vector in (y, x)
     )
     m, n = content.row_lower.size, content.lower.size
     # A blank line ends the message, and also a line that starts with Options.
@@ -280,7 +281,7 @@ def write_sol(
         ]
         lines += map(str, (m, 0 if duals is None else m, n, 0 if values is None else n))
         lines += [repr(float(content.tolerance or 0.0))] * has_tolerance
-    for given in (duals, values):
-        lines += [] if given is None else map(repr, given.tolist())
+    for vector in (duals, values):
+        lines += [] if vector is None else map(repr, vector.tolist())
     lines += [f"objno 0 {code}", ""]
     write_whole({target: lambda file: file.write("\n".join(lines).encode())})

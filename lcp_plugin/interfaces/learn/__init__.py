@@ -93,11 +93,11 @@ class Layer(ABC):
     @classmethod
     def own_shapes(cls, *shapes: tuple[int, ...]) -> list[tuple[int, ...]]:
         """Return the shapes of the arrays of one problem, from those of arrays with batch axes."""
-        own = (
+        shapes_of_one = (
             shape[-2:] if k in cls.matrices_at else shapes[1 if k in cls.bounds_at else k][-1:]
             for k, shape in enumerate(shapes)
         )
-        return [*own]
+        return [*shapes_of_one]
 
     @abstractmethod
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: object) -> BatchAnswers:
@@ -129,16 +129,18 @@ class Layer(ABC):
         self.data, self.axes = data, self.axes_of(*(array.shape for array in data))
         n = data[1].shape[-1]
         start = {} if z0 is None else {"z0": stacked(z0, self.axes, (n,))}
-        self.found: Any = self._differentiated(self._solved(self.axes, data, self.options | start))
-        errors = self.found.errors
+        self.derivative: Any = self._differentiated(
+            self._solved(self.axes, data, self.options | start)
+        )
+        errors = self.derivative.errors
         if errors and not self.mask:
             kinds = (InvalidProblem, UnsupportedModel)
-            given = (kind for kind in kinds for one in errors.values() if isinstance(one, kind))
-            kind = next(given, NotConverged)
+            types = (kind for kind in kinds for error in errors.values() if isinstance(error, kind))
+            kind = next(types, NotConverged)
             raise _first(errors, self.axes, kind, self.alone if kind is NotConverged else "")
         self.is_solved = np.ones(math.prod(self.axes), np.bool_)
         self.is_solved[[*errors]] = False
-        z = np.where(self.is_solved[:, np.newaxis], self.found.z, 0.0)
+        z = np.where(self.is_solved[:, np.newaxis], self.derivative.z, 0.0)
         return z.reshape(*self.axes, n), self.is_solved.reshape(self.axes)
 
     def gradients(self, g: Array) -> tuple[Any, ...]:
@@ -149,10 +151,10 @@ class Layer(ABC):
         UnsuitableProblem
             If a problem that the loss depends on has no gradient.
         """
-        found, rows = self.found, g.reshape(math.prod(self.axes), g.shape[-1])
+        derivative, rows = self.derivative, g.reshape(math.prod(self.axes), g.shape[-1])
         rows = np.where(self.is_solved[:, np.newaxis], rows, 0.0)
-        gradient = found.vjp(rows)
-        if wrong := {k: error for k, error in found.errors.items() if rows[k].any()}:
+        gradient = derivative.vjp(rows)
+        if wrong := {k: error for k, error in derivative.errors.items() if rows[k].any()}:
             raise _first(wrong, self.axes, type(next(iter(wrong.values()))))
         pairs = zip(self._by(gradient), self.data, strict=True)
         return tuple(self._summed(by, array.shape) for by, array in pairs)
@@ -190,15 +192,15 @@ class LCPLayer(Layer):
     def of(cls, convert: Convert, M: Array, q: Array, bounds: Array, **options: Any) -> LayerCall:
         """Return the layer and its arrays."""
         data = {"q": q, "lower": bounds[0], "upper": bounds[1]}
-        q, lower, upper = (convert(one, name) for name, one in data.items())
+        q, lower, upper = (convert(values, name) for name, values in data.items())
         check_bounds(q, lower=lower, upper=upper)
         is_constant = sp.issparse(M)
         M_of_call = convert(np.zeros((0, 0)) if is_constant else M, "M")
         return cls(M if is_constant else None, **options), (M_of_call, q, lower, upper)
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
-        own = data[1].shape[-1:]
-        q, lower, upper = (stacked(one, axes, own) for one in data[1:])
+        shape = data[1].shape[-1:]
+        q, lower, upper = (stacked(array, axes, shape) for array in data[1:])
         M = matrices(data[0], axes) if self.M is None else self.M
         return solve_batch(M, q, lower=lower, upper=upper, **options)
 
@@ -227,10 +229,10 @@ class QPLayer(Layer):
         if data["P"] is None:
             data["P"] = np.zeros((*n, *n))
         for rows, right in (("G", "h"), ("A", "b")):
-            are_none = [data[one] is None or 0 in np.shape(data[one]) for one in (rows, right)]
+            are_none = [data[key] is None or 0 in np.shape(data[key]) for key in (rows, right)]
             if are_none[0] != are_none[1]:
-                given, missing = (right, rows) if are_none[0] else (rows, right)
-                raise InvalidProblem(f"{given} is given without {missing}; pass both, or neither")
+                present, missing = (right, rows) if are_none[0] else (rows, right)
+                raise InvalidProblem(f"{present} is given without {missing}; pass both, or neither")
             if are_none[0]:
                 data[rows], data[right] = np.zeros((0, *n)), np.zeros(0)
         return cls(**options), tuple(convert(data[name], name) for name in PROGRAM_ARRAYS)
@@ -240,18 +242,22 @@ class QPLayer(Layer):
         """Return the batch axes; the error names the array that does not fit."""
         names, n = PROGRAM_ARRAYS, (*(shapes[0][-1:] or shapes[1][-1:]), "n")[0]
         m, p = (shapes[k][-2] if len(shapes[k]) > 1 else name for k, name in ((2, "m"), (4, "p")))
-        own: Array = (n, n), (n,), (m, n), (m,), (p, n), (p,), (n,), (n,)
-        for name, shape, wanted in zip(names, shapes, own, strict=True):
+        shapes_of_one: Array = (n, n), (n,), (m, n), (m,), (p, n), (p,), (n,), (n,)
+        for name, shape, wanted in zip(names, shapes, shapes_of_one, strict=True):
             is_number = name in ("lower", "upper") and shape[-1:] in ((), (1,))
             if shape[-len(wanted) :] != wanted and not is_number:
                 need = "(…, " + ", ".join(map(str, wanted)) + ")"
                 raise InvalidProblem(f"{name} must have shape {need}, got {shape}")
-        fronts = (shape[: -len(wanted)] for shape, wanted in zip(shapes, own, strict=True))
+        fronts = (
+            shape[: -len(wanted)] for shape, wanted in zip(shapes, shapes_of_one, strict=True)
+        )
         try:
             return np.broadcast_shapes(*fronts)
         except ValueError:
-            given = ", ".join(f"{name} {shape}" for name, shape in zip(names, shapes, strict=True))
-            raise InvalidProblem(f"the axes in front must broadcast, got {given}") from None
+            received = ", ".join(
+                f"{name} {shape}" for name, shape in zip(names, shapes, strict=True)
+            )
+            raise InvalidProblem(f"the axes in front must broadcast, got {received}") from None
 
     def solve(self, *data: Any, z0: Array = None) -> tuple[Any, Any]:
         """Return the solutions, and which are solved; a program takes no start."""
@@ -260,22 +266,24 @@ class QPLayer(Layer):
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         P, shapes = (
             0.5 * (data[0] + data[0].swapaxes(-1, -2)),
-            self.own_shapes(*(one.shape for one in data)),
+            self.own_shapes(*(array.shape for array in data)),
         )
         vectors = [stacked(data[k], axes, shapes[k]) for k in (1, 3, 5, 6, 7)]
-        own = [matrices(one, axes) for one in (P, data[2], data[4])]
+        all_matrices = [matrices(matrix, axes) for matrix in (P, data[2], data[4])]
         named = [dict(zip(VECTORS, rows, strict=True)) for rows in zip(*vectors, strict=True)]
-        if all(one.ndim == 2 for one in own):
+        if all(matrix.ndim == 2 for matrix in all_matrices):
             c, h, b = (np.zeros(rows.shape[1]) for rows in vectors[:3])
-            base = QuadraticProgram(own[0], c, own[1], h, own[2], b)
+            base = QuadraticProgram(all_matrices[0], c, all_matrices[1], h, all_matrices[2], b)
             programs = programs_for(base, named)
         else:
-            stacks = ([*stacked(one, axes, one.shape[-2:])] for one in (P, data[2], data[4]))
+            stacks = (
+                [*stacked(matrix, axes, matrix.shape[-2:])] for matrix in (P, data[2], data[4])
+            )
             programs = [*map(_program, *stacks, named)]
-            good = (one for one in programs if isinstance(one, QuadraticProgram))
-            if (found := next(good, None)) is None:
+            good = (program for program in programs if isinstance(program, QuadraticProgram))
+            if (first_program := next(good, None)) is None:
                 raise programs[0]  # type: ignore[misc]
-            base = found
+            base = first_program
         batch = ProgramBatch.of(programs, base)
         if batch is None:
             raise InvalidProblem(
@@ -310,8 +318,8 @@ class ContactLayer(Layer):
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         W, b, friction = data
-        own = options.keys() & {"contacts", "dimension", "equations"}
-        of_worlds = {name: options[name] for name in own}
+        of_contacts = options.keys() & {"contacts", "dimension", "equations"}
+        of_worlds = {name: options[name] for name in of_contacts}
         others = {name: wish for name, wish in options.items() if name not in of_worlds}
         b = stacked(b, axes, b.shape[-1:])
         friction = stacked(friction, axes, friction.shape[-1:]) if friction.ndim else friction
@@ -342,7 +350,7 @@ def common_axes(
     if M[-2:] not in ((0, 0), (*q[-1:], *q[-1:])):
         raise InvalidProblem(f"M must have shape (…, n, n), n = {q[-1]} as q has, got {M}")
     try:
-        return np.broadcast_shapes(M[:-2], q[:-1], *(one[:-1] for one in others))
+        return np.broadcast_shapes(M[:-2], q[:-1], *(shape[:-1] for shape in others))
     except ValueError:
         raise InvalidProblem(
             f"the axes in front of a problem's own must broadcast, got M {M}, q {q} and "
@@ -359,15 +367,15 @@ def check_bounds(q: Array, **bounds: Array) -> None:
             )
 
 
-def stacked(array: Array, axes: tuple[int, ...], own: tuple[int, ...]) -> Any:
+def stacked(array: Array, axes: tuple[int, ...], shape: tuple[int, ...]) -> Any:
     """Return an array with one axis in place of these axes in front of its own ones."""
-    return np.broadcast_to(array, (*axes, *own)).reshape(math.prod(axes), *own)
+    return np.broadcast_to(array, (*axes, *shape)).reshape(math.prod(axes), *shape)
 
 
 def matrices(M: Array, axes: tuple[int, ...]) -> Any:
     """Return one matrix for all problems, or a stack of matrices."""
-    own = M.shape[-2:]
-    return M.reshape(own) if math.prod(M.shape[:-2]) == 1 else stacked(M, axes, own)
+    shape = M.shape[-2:]
+    return M.reshape(shape) if math.prod(M.shape[:-2]) == 1 else stacked(M, axes, shape)
 
 
 def _first(

@@ -180,16 +180,16 @@ def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **option
 def _broadcast_solution(call: LayerCall) -> Any:
     """Return the solutions, with a mask if the layer has one; `vmap` needs arrays with all batch axes."""
     layer, data = call
-    shapes = [one.shape for one in data]
+    shapes = [array.shape for array in data]
     axes = layer.axes_of(*shapes)
     wide = (
-        one.reshape(*(1 for _ in axes), *own)  # one matrix for all
-        if len(own) == 2 and math.prod(one.shape[:-2]) == 1
-        else jnp.broadcast_to(one, (*axes, *own))
-        for one, own in zip(data, layer.own_shapes(*shapes), strict=True)
+        array.reshape(*(1 for _ in axes), *shape)  # one matrix for all
+        if len(shape) == 2 and math.prod(array.shape[:-2]) == 1
+        else jnp.broadcast_to(array, (*axes, *shape))
+        for array, shape in zip(data, layer.own_shapes(*shapes), strict=True)
     )
-    found = _solution(layer, tuple(wide))
-    return found if layer.mask else found[0]
+    solution = _solution(layer, tuple(wide))
+    return solution if layer.mask else solution[0]
 
 
 def _called(function: Callable[..., Any], like: Any, *data: Any) -> Any:

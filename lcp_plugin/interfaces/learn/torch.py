@@ -183,8 +183,8 @@ def contact_layer(
 def _solution(call: LayerCall) -> Any:
     """Return the solutions, with a mask if the layer has one."""
     layer, data = call
-    found = _Solution.apply(layer, *data)
-    return found if layer.mask else found[0]
+    solution = _Solution.apply(layer, *data)
+    return solution if layer.mask else solution[0]
 
 
 class _Solution(torch.autograd.Function):  # type: ignore[misc]
@@ -197,10 +197,10 @@ class _Solution(torch.autograd.Function):  # type: ignore[misc]
         return torch.from_numpy(z), torch.from_numpy(np.array(is_solved))
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], found: tuple[Any, Any]) -> None:
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], outputs: tuple[Any, Any]) -> None:
         """Keep the layer, which has the derivative."""
         ctx.layer, *data = inputs
-        z, is_solved = found
+        z, is_solved = outputs
         ctx.mark_non_differentiable(is_solved)
         ctx.save_for_backward(*data, z)
 

@@ -110,10 +110,10 @@ class LCPPlugin:
     name = NAME
     _metasolver = False
 
-    def __init__(self, **given: Any) -> None:
-        self.options = Bunch(**(given.pop("options", None) or {}))
+    def __init__(self, **keywords: Any) -> None:
+        self.options = Bunch(**(keywords.pop("options", None) or {}))
         self.result: Any = None
-        _refuse({key: value for key, value in given.items() if key != "solver_io"})
+        _refuse({key: value for key, value in keywords.items() if key != "solver_io"})
 
     def __enter__(self) -> LCPPlugin:
         return self
@@ -203,7 +203,7 @@ class LCPPlugin:
             has_names, content = symbolic_solver_labels, answer.statement.in_a_file
             write_nl(content if has_names else replace(content, names=None, row_names=None), path)
             print(f"the .nl file is {path}")
-        self.result = answer.found.result
+        self.result = answer.solution.result
         results = _results_of(answer)
         if load_solutions:
             answer.load(model)
@@ -214,8 +214,8 @@ class LCPPlugin:
         return results
 
 
-def _refuse(given: dict[str, Any]) -> None:
-    if unknown := [name for name, value in given.items() if value is not None]:
+def _refuse(keywords: dict[str, Any]) -> None:
+    if unknown := [name for name, value in keywords.items() if value is not None]:
         word, known = unknown[0], tuple(LCPPlugin.solve.__kwdefaults__ or ())
         raise InvalidOption(
             f"lcp_plugin takes no keyword {word!r} in Pyomo{did_you_mean(word, known)}; options of the "
@@ -225,19 +225,21 @@ def _refuse(given: dict[str, Any]) -> None:
 
 def _results_of(answer: PyomoAnswer) -> Any:
     """Return Pyomo's account of an answer."""
-    found, content = answer.found, answer.statement.content
+    solution, content = answer.solution, answer.statement.content
     results = SolverResults()
-    is_violated = found.result.is_solved and not found.is_solved  # a condition next to the pairs
-    word = "other" if is_violated else STATUS_ELSEWHERE[found.status][2]
+    is_violated = (
+        solution.result.is_solved and not solution.is_solved
+    )  # a condition next to the pairs
+    word = "other" if is_violated else STATUS_ELSEWHERE[solution.status][2]
     condition = TerminationCondition(word)
-    results.solver.name, results.solver.message = NAME, found.message
-    if found.result.has_conflict:
+    results.solver.name, results.solver.message = NAME, solution.message
+    if solution.result.has_conflict:
         results.solver.message += (
             "; print(solver.result.conflict) lists the constraints that conflict"
         )
     results.solver.status = STATES.get(condition, SolverStatus.warning)
     results.solver.termination_condition = condition
-    results.solver.time = found.result.seconds
+    results.solver.time = solution.result.seconds
     problem = results.problem
     problem.number_of_constraints = content.row_lower.size
     problem.number_of_variables = content.lower.size
@@ -245,8 +247,8 @@ def _results_of(answer: PyomoAnswer) -> Any:
     problem.number_of_nonzeros = content.linear.nnz
     if content.is_maximized.any():
         problem.sense = maximize
-    if found.objective is not None and condition is TerminationCondition.optimal:
-        problem.lower_bound = problem.upper_bound = found.objective
+    if solution.objective is not None and condition is TerminationCondition.optimal:
+        problem.lower_bound = problem.upper_bound = solution.objective
     return results
 
 

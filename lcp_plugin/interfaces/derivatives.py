@@ -128,8 +128,8 @@ def from_casadi(
         raise InvalidProblem(
             f"F must have one row per unknown, got shape {F.shape} for x of shape {x.shape}"
         )
-    own = {str(one) for one in casadi.symvar(x)}
-    if others := [one for one in map(str, casadi.symvar(F)) if one not in own]:
+    unknowns = {str(symbol) for symbol in casadi.symvar(x)}
+    if others := [symbol for symbol in map(str, casadi.symvar(F)) if symbol not in unknowns]:
         raise InvalidProblem(
             f"F contains {', '.join(others)}, but only x may be unknown; insert numbers by casadi.substitute"
         )
@@ -137,8 +137,8 @@ def from_casadi(
     pattern = slopes.sparsity()
     rows, ends = np.array(pattern.row(), np.int32), np.array(pattern.colind(), np.int32)
     value, entries = (
-        casadi.Function(name, [x], [casadi.densify(one)])
-        for name, one in (("F", F), ("slopes", slopes.nz[:]))
+        casadi.Function(name, [x], [casadi.densify(expression)])
+        for name, expression in (("F", F), ("slopes", slopes.nz[:]))
     )
 
     def jacobian(x: Vector) -> sp.csc_array:

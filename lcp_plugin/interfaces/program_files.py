@@ -88,7 +88,7 @@ def read_mps(source: Path, remarks: list[str]) -> Read:
     if has_blanks or any(len(words) % 2 == 0 for words in sections["COLUMNS"]):  # fixed format
         fields = [slice(*places) for places in FIELDS]
         sections = _sections(
-            lines, lambda line: [*filter(None, (line[one].strip() for one in fields))]
+            lines, lambda line: [*filter(None, (line[field].strip() for field in fields))]
         )
     sense = [words[-1].upper()[:3] for words in sections["OBJSENSE"]] or ["MIN"]
     kinds = np.array([words[0].upper() for words in sections["ROWS"]], dtype=np.str_)
@@ -104,7 +104,7 @@ def read_mps(source: Path, remarks: list[str]) -> Read:
     products = [_entries(sections, name, columns, columns) for name in ("QUADOBJ", "QMATRIX")]
     n, m, sign = len(columns), len(rows), -1.0 if sense[-1] == "MAX" else 1.0
     A = _matrix(entries, (n, m)).T.tocsr()
-    triangle, whole = (_matrix(one, (n, n)) for one in products)
+    triangle, whole = (_matrix(entries_of_section, (n, n)) for entries_of_section in products)
     P = sign * (triangle + triangle.T - sp.diags_array(triangle.diagonal()) + whole)
     b, width = _row(right, 0.0, m), _row(ranges, np.nan, m)
     reach = np.where(np.isnan(width), np.inf, np.abs(width))
@@ -119,7 +119,7 @@ def read_mps(source: Path, remarks: list[str]) -> Read:
 
 def _sections(lines: list[str], split: Callable[[str], list[str]]) -> dict[str, Lines]:
     """Return the lines of each section, without comments."""
-    found: dict[str, Lines] = {name: [] for name in (*SECTIONS, MARKED)}
+    sections: dict[str, Lines] = {name: [] for name in (*SECTIONS, MARKED)}
     section, known = "NAME", set[str]()  # other words that begin with $ are comments
     for line in lines:
         is_header = not line[:1].isspace()
@@ -134,16 +134,16 @@ def _sections(lines: list[str], split: Callable[[str], list[str]]) -> dict[str, 
         if words[1:2] == ["'MARKER'"]:
             section = MARKED if words[-1] == "'INTORG'" else "COLUMNS"
         elif not is_header or not (len(words) == 1 or name in WITH_WORDS):
-            found[section].append(words)
+            sections[section].append(words)
         elif name == "ENDATA":
-            return found
+            return sections
         elif name[:3] in ("MAX", "MIN"):
-            found["OBJSENSE"].append(words)
+            sections["OBJSENSE"].append(words)
         elif name not in SECTIONS:
             raise InvalidProblem(f"{words[0]} is not one of the sections {', '.join(SECTIONS)}")
         else:
             section = "QUADOBJ" if name == "QSECTION" else name
-            found["OBJSENSE"] += [words] if name == "OBJSENSE" and words[1:] else []
+            sections["OBJSENSE"] += [words] if name == "OBJSENSE" and words[1:] else []
     raise InvalidProblem("it has no line ENDATA: is it complete?")
 
 
@@ -164,7 +164,7 @@ def _entries(
     sections: dict[str, Lines], section: str, names: NumberOf, columns: NumberOf | None = None
 ) -> Entries:
     """Return the values by the number of a line's column, 0 if there is none, and of the name before the value."""
-    found: Entries = {}
+    entries: Entries = {}
     kept, repeated = "first" if columns is not names else "sum", ""
     for words in sections[section]:
         start = len(words) % 2 if columns is None else 1
@@ -177,13 +177,13 @@ def _entries(
             j = names[name] if name in names else names.find(name, section, words)
             key, value = (i, j), _number_in(text, words, section)
             key = (max(key), min(key)) if section == "QUADOBJ" else key
-            if key in found:
+            if key in entries:
                 repeated = repeated or " ".join(sorted([name, *words[: columns is not None]]))
-                value = found[key] + value if kept == "sum" else found[key]
-            found[key] = value
+                value = entries[key] + value if kept == "sum" else entries[key]
+            entries[key] = value
     if repeated:
         names.remarks.append(f"repeated entry of {repeated} in {section}; the {kept} holds")
-    return found
+    return entries
 
 
 def _bounds(lines: Lines, columns: NumberOf, integers: list[str]) -> tuple[Entries, Entries]:
@@ -275,10 +275,10 @@ def load_fclib(source: Path) -> FrictionalContact:
 
 def _vector(group: Any, name: str, kind: type = float) -> Any:
     """Return an array of numbers as a vector."""
-    found = np.ravel(group[name][()])
-    if found.dtype.kind not in ("iu" if kind is int else "iuf"):
-        raise TypeError(f"{group.name}/{name} holds {found.dtype} in place of {kind.__name__}")
-    return found.astype(np.int64 if kind is int else np.float64)
+    values = np.ravel(group[name][()])
+    if values.dtype.kind not in ("iu" if kind is int else "iuf"):
+        raise TypeError(f"{group.name}/{name} holds {values.dtype} in place of {kind.__name__}")
+    return values.astype(np.int64 if kind is int else np.float64)
 
 
 def _read_matrix(group: Any, rows: int, columns: int) -> sp.csr_array:
@@ -344,9 +344,9 @@ def _cones(M: AnyMatrix, q: Array, cone_kinds: Any, cone_rows: Any, **ends: Arra
         raise InvalidProblem(f"cone_kinds must be 0 to {len(CONES) - 1}, got {kinds}")
     cones: list[Any] = []
     for kind, size, end in zip(kinds, sizes, np.cumsum(sizes, dtype=np.int64), strict=True):
-        own = slice(end - size, end)
+        rows = slice(end - size, end)
         is_box = CONES[kind] == "box"
-        bounds = [np.atleast_1d(ends[name])[own] for name in ("lower", "upper") if is_box]
+        bounds = [np.atleast_1d(ends[name])[rows] for name in ("lower", "upper") if is_box]
         if any(bound.shape != (size,) for bound in bounds):
             raise InvalidProblem("lower and upper must have an entry per row if there are boxes")
         cones.append((CONES[kind], *bounds) if is_box else (CONES[kind], size))
@@ -464,18 +464,18 @@ def layout_of(source: Path) -> str:
     return "BoundedLeastSquares" if {"A", "b"} <= names else "LCP"
 
 
-def _built(source: Path, layout: str, found: Mapping[str, Any]) -> Any:
+def _built(source: Path, layout: str, arrays: Mapping[str, Any]) -> Any:
     """Return the problem of the arrays of a file."""
     kind, build, names, needed, text = LAYOUTS[layout]
     content: Arrays = {}
     for argument, choices in names.items():
-        given = [name for name in choices if name in found]
-        if len(given) > 1:
+        present = [name for name in choices if name in arrays]
+        if len(present) > 1:
             raise UnreadableFile(
-                f"{source} holds {' and '.join(given)}, which are two names for one thing; leave one of them out"
+                f"{source} holds {' and '.join(present)}, which are two names for one thing; leave one of them out"
             )
-        if given:
-            array = found[given[0]]
+        if present:
+            array = arrays[present[0]]
             content[argument] = array.item() if argument in NUMBERS and array.size == 1 else array
     if missing := [names[argument][0] for argument in needed if argument not in content]:
         raise UnreadableFile(f"{source} lacks the keys {missing}; {text}")
@@ -555,15 +555,15 @@ def load_problem(path: str | PathLike[str]) -> Any:
     -----
     A QuadraticProgram is minimized: a ModelWarning reports a file that maximizes.
     """
-    found = _read(checked_path(path))
-    if getattr(found, "sense", 1.0) < 0.0:
+    problem = _read(checked_path(path))
+    if getattr(problem, "sense", 1.0) < 0.0:
         warnings.warn(
             f"{path} maximizes; the problem returned minimizes the objective with the other sign, and results state "
             "the objective of the file",
             ModelWarning,
             stacklevel=2,
         )
-    return found
+    return problem
 
 
 # --- MPS and LP -------------------------------------------------------------------------------------------------

@@ -172,7 +172,9 @@ def paired(stated: Any, sides: Sequence[PairSide], is_taken: Callable[[Any], boo
         if free.bounds == 0:
             return Pair(stated, held, free.body)
     first, second = sides
-    open_sides = [one for one in sides if one.variable is not None and not is_taken(one.variable)]
+    open_sides = [
+        side for side in sides if side.variable is not None and not is_taken(side.variable)
+    ]
     held = open_sides[0] if open_sides else second if cannot_vary(second.body) else first
     slack = (second if held is first else first).slack
     return Pair(stated, held, slack if math.isfinite(held.lower) else -slack)
@@ -272,17 +274,17 @@ def stated(model: Any, pairs: list[Any] | None = None) -> PyomoStatement:
     objectives = [*active(core.Objective)]
     sides = [sides_of(condition) for condition in conditions]
     matched = [] if pairs is None else square_pairs(constraints, pairs)
-    own = {id(row) for row, _ in matched}
-    constraints = [row for row in constraints if id(row) not in own]
+    matched_rows = {id(row) for row, _ in matched}
+    constraints = [row for row in constraints if id(row) not in matched_rows]
     has_pairs = any(not any(side.is_equation for side in pair) for pair in sides)
     has_pairs |= bool(matched) or any(hasattr(row, "_complementarity") for row in constraints)
     if has_pairs:
-        objectives = [one for one in objectives if not cannot_vary(one.expr)]
+        objectives = [objective for objective in objectives if not cannot_vary(objective.expr)]
     if len(objectives) > 1:
         raise UnsupportedModel(
             f"the model has {len(objectives)} active objectives; deactivate all but one"
         )
-    is_whole = any(not one.is_continuous() for one in active(core.Var))
+    is_whole = any(not variable.is_continuous() for variable in active(core.Var))
     draft = _Draft(constraints, objectives, is_search=bool(objectives) or is_whole)
     draft.pair(conditions, sides)
     for row, variable in matched:
@@ -323,7 +325,7 @@ class _Draft:
         model.added, model.zero = core.VarList(), core.Var(initialize=0.0)
         model.zero.fix()
         if constraints:
-            model.given = core.Reference(constraints, ctype=core.Constraint)
+            model.constraints = core.Reference(constraints, ctype=core.Constraint)
         if objectives:
             model.objective = core.Reference(objectives, ctype=core.Objective)
         self.states: dict[int, Any] = {}  # by the row's id
@@ -337,7 +339,9 @@ class _Draft:
             if equation := next((side for side in sides[k] if side.is_equation), None):
                 self.state(equation.body, conditions[k], equation.lower, equation.lower)
             else:
-                self.hold(paired(conditions[k], sides[k], lambda one: id(one) in self.partners))
+                self.hold(
+                    paired(conditions[k], sides[k], lambda variable: id(variable) in self.partners)
+                )
 
     def hold(self, pair: Pair) -> None:
         """Take a pair: its variable, or an unknown that is added, goes with its row."""
@@ -424,8 +428,11 @@ class _Draft:
         # a pair of Pyomo's own transformation has no other bounds than it states
         if self.is_search:
             transformed = np.flatnonzero(partners >= 0)
-            own, stated_bits = partners[transformed], bits[transformed]
-            lower[own[stated_bits & 1 == 0]], upper[own[stated_bits & 2 == 0]] = -np.inf, np.inf
+            columns, stated_bits = partners[transformed], bits[transformed]
+            lower[columns[stated_bits & 1 == 0]], upper[columns[stated_bits & 2 == 0]] = (
+                -np.inf,
+                np.inf,
+            )
         place = {id(row): i for i, row in enumerate(rows)}
         for variable, pair in self.partners.values():
             i, j, held = place[id(pair)], number_of[id(variable)], pair.held
@@ -467,31 +474,31 @@ class PyomoAnswer:
     """The answer to a Pyomo model; values, duals and reduced costs by component."""
 
     statement: PyomoStatement
-    found: NLAnswer
+    solution: NLAnswer
     is_program: bool
 
     @property
     def has_point(self) -> bool:
         """True if there is something to load."""
         no_point = Status.INFEASIBLE, Status.NO_SOLUTION
-        return self.found.x is not None and self.found.status not in no_point
+        return self.solution.x is not None and self.solution.status not in no_point
 
     @cached_property
     def values(self) -> ComponentMap:
         """The values of the model's variables."""
-        return self._of_variables([] if self.found.x is None else self.found.x.tolist())
+        return self._of_variables([] if self.solution.x is None else self.solution.x.tolist())
 
     @cached_property
     def duals(self) -> ComponentMap:
         """The values of the rows of pairs, and the multipliers of constraints."""
-        duals = [] if self.found.duals is None else self.found.duals.tolist()
+        duals = [] if self.solution.duals is None else self.solution.duals.tolist()
         rows = zip(self.statement.rows, duals, strict=False)
         return ComponentMap((row.stated if isinstance(row, Pair) else row, w) for row, w in rows)
 
     @cached_property
     def reduced_costs(self) -> ComponentMap:
         """The multipliers of the variables' bounds: the rows of their pairs, or slopes of the Lagrangian."""
-        content, x, duals = self.statement.content, self.found.x, self.found.duals
+        content, x, duals = self.statement.content, self.solution.x, self.solution.duals
         if x is None or duals is None:
             return ComponentMap()
         is_pair, costs = content.partners >= 0, np.full(x.size, np.nan)
@@ -504,8 +511,10 @@ class PyomoAnswer:
     def _of_variables(self, numbers: list[float]) -> ComponentMap:
         """Return the finite numbers by the model's own variables."""
         added, named = self.statement.added, zip(self.statement.variables, numbers, strict=False)
-        own = (pair for j, pair in enumerate(named) if j not in added and math.isfinite(pair[1]))
-        return ComponentMap(own)
+        of_model = (
+            pair for j, pair in enumerate(named) if j not in added and math.isfinite(pair[1])
+        )
+        return ComponentMap(of_model)
 
     def load(self, model: Any) -> None:
         """Put values and suffixes into the model."""
@@ -539,8 +548,11 @@ def answered(model: Any, options: dict[str, Any], pairs: list[Any] | None = None
 
 def imported(model: Any, name: str) -> Any:
     """Return the suffix of that name nearest to the root that imports values, or None."""
-    found = model.component_objects(core.Suffix, active=True, descend_into=True, sort=IN_ORDER)
-    return next((one for one in found if one.local_name == name and one.import_enabled()), None)
+    suffixes = model.component_objects(core.Suffix, active=True, descend_into=True, sort=IN_ORDER)
+    return next(
+        (suffix for suffix in suffixes if suffix.local_name == name and suffix.import_enabled()),
+        None,
+    )
 
 
 # --- The pairs of square models ------------------------------------------------------------------------------------
@@ -580,8 +592,12 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
             )
     paired = owners.keys() | {id(row) for row, _ in matched}
     rows = _families(row for row in constraints if id(row) not in paired)
-    variables = _families(one for one in _variables(constraints) if id(one) not in paired)
-    variables = [family for family in variables if not all(one.fixed for one in family.values())]
+    variables = _families(
+        variable for variable in _variables(constraints) if id(variable) not in paired
+    )
+    variables = [
+        family for family in variables if not all(variable.fixed for variable in family.values())
+    ]
     while choices := [*_choices(rows, variables)]:
         family, matches = min(choices, key=lambda choice: len(choice[1]) != 1)
         if len(matches) != 1:
@@ -589,8 +605,8 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
             raise UnsupportedModel(_why_open(family, matches))
         own_rows, members = matches[0]
         matched += [(row, members[key]) for key, row in own_rows.items()]
-        rows = [one for one in rows if one is not own_rows]
-        variables = [one for one in variables if one is not members]
+        rows = [family for family in rows if family is not own_rows]
+        variables = [family for family in variables if family is not members]
     _require_full_rank(constraints, matched)
     return matched
 
@@ -598,10 +614,10 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
 def _stated(pairs: Mapping[Any, Any]) -> Iterator[tuple[Any, Any]]:
     """Yield the pairs of single constraints and variables."""
     for rows, variables in pairs.items():
-        for one, kind in ((rows, Constraint), (variables, Var)):
-            if getattr(one, "ctype", None) is not kind:
+        for component, kind in ((rows, Constraint), (variables, Var)):
+            if getattr(component, "ctype", None) is not kind:
                 raise InvalidOption(
-                    f"pairs has {getattr(one, 'name', repr(one))} in the place of a {kind.__name__}; state "
+                    f"pairs has {getattr(component, 'name', repr(component))} in the place of a {kind.__name__}; state "
                     "ComponentMap([(model.market, model.price)]), with the constraint first"
                 )
         for index in rows if rows.is_indexed() else (None,):
@@ -616,22 +632,22 @@ def _stated(pairs: Mapping[Any, Any]) -> Iterator[tuple[Any, Any]]:
 
 def _variables(constraints: list[Any]) -> list[Any]:
     each = {
-        id(one): one
+        id(variable): variable
         for row in constraints
-        for one in identify_variables(row.body, include_fixed=True)
+        for variable in identify_variables(row.body, include_fixed=True)
     }
     return [*each.values()]
 
 
 def _families(members: Iterable[Any]) -> list[Family]:
     families: dict[Any, Family] = {}
-    for one in members:
-        names, indices, part = [], [], one
+    for member in members:
+        names, indices, part = [], [], member
         while part is not None:
             names.append(part.parent_component().local_name)
             indices += [] if part.index() is None else [part.index()]
             part = part.parent_block()
-        families.setdefault(tuple(names), {})[tuple(indices)] = one
+        families.setdefault(tuple(names), {})[tuple(indices)] = member
     return [*families.values()]
 
 
@@ -642,16 +658,16 @@ def _has_bounds(variable: Any) -> bool:
 def _may_belong(rows: Family, variables: Family) -> bool:
     """Return whether rows have the indices of the variables that are not fixed, and inequalities one with bounds."""
     return rows.keys() <= variables.keys() and all(
-        one.fixed or (key in rows and (rows[key].equality or _has_bounds(one)))
-        for key, one in variables.items()
+        variable.fixed or (key in rows and (rows[key].equality or _has_bounds(variable)))
+        for key, variable in variables.items()
     )
 
 
 def _choices(rows: list[Family], variables: list[Family]) -> Iterator[tuple[Family, list[Any]]]:
     """Yield each family with inequalities, or of variables with bounds, and its possible matches."""
     for row in rows:
-        if not all(one.equality for one in row.values()):
-            yield row, [(row, one) for one in variables if _may_belong(row, one)]
+        if not all(member.equality for member in row.values()):
+            yield row, [(row, variable) for variable in variables if _may_belong(row, variable)]
     for variable in variables:
         if any(map(_has_bounds, variable.values())):
             yield variable, [(row, variable) for row in rows if _may_belong(row, variable)]
@@ -659,16 +675,19 @@ def _choices(rows: list[Family], variables: list[Family]) -> Iterator[tuple[Fami
 
 def _require_row_of_each(variables: list[Family], rows: list[Family]) -> None:
     """Raise UnsupportedModel if no constraints have the indices of a variable with bounds."""
-    for key, one in (pair for family in variables for pair in family.items()):
-        if _has_bounds(one) and not any(key in row for row in rows):
+    for key, variable in (pair for family in variables for pair in family.items()):
+        if _has_bounds(variable) and not any(key in row for row in rows):
             raise UnsupportedModel(
-                f"{one.name} has bounds, and no other constraint has its indices; write its row, or state its pair"
+                f"{variable.name} has bounds, and no other constraint has its indices; write its row, or state its pair"
             )
 
 
 def _why_open(family: Family, matches: list[tuple[Family, Family]]) -> str:
     """Return why a family has no match of its own, and what to do."""
-    name, others = _name(family), [_name(two if two is not family else one) for one, two in matches]
+    name, others = (
+        _name(family),
+        [_name(variable if variable is not family else row) for row, variable in matches],
+    )
     if others:
         return (
             f"{name} may belong to {listed(others)}; state which: pairs=ComponentMap({{model.market: "
@@ -691,11 +710,13 @@ def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> 
     inside = [
         [*_variables([row]), *([partner[id(row)]] if id(row) in partner else [])] for row in rows
     ]
-    variables = {id(one): one for columns in inside for one in columns if not one.fixed}
+    variables = {
+        id(variable): variable for columns in inside for variable in columns if not variable.fixed
+    }
     place = {key: j for j, key in enumerate(variables)}
     pattern = sp.lil_array((len(rows), len(variables)))
     for i, columns in enumerate(inside):
-        pattern[i, [place[id(one)] for one in columns if not one.fixed]] = 1.0
+        pattern[i, [place[id(variable)] for variable in columns if not variable.fixed]] = 1.0
     for named, matrix, words in (
         (rows, pattern, "constraint {} would need the variable of another one"),
         ([*variables.values()], pattern.T, "variable {} would need the constraint of another one"),

@@ -93,19 +93,19 @@ def solve_problem(
     try:
         program = _program(problem)
         built, guess = time.perf_counter(), _start(initvals, program)
-        found = solve_program(program, z0=guess, verbose=verbose, **options)
+        result = solve_program(program, z0=guess, verbose=verbose, **options)
     except (errors.InvalidOption, errors.UnknownAlgorithm) as error:
         raise ParamError(str(error)) from error
     except (errors.InvalidProblem, errors.UnsupportedModel) as error:
         raise ProblemError(str(error)) from error
     except errors.LCPError as error:
         raise SolverError(str(error)) from error
-    if found.status is Status.UNBOUNDED:
-        raise ProblemError(f"the program is {found.proof}; bound x where the objective falls")
-    answer, solution = found.solution, Solution(problem)
-    solution.extras = {"status": found.status, "result": found}
+    if result.status is Status.UNBOUNDED:
+        raise ProblemError(f"the program is {result.proof}; bound x where the objective falls")
+    answer, solution = result.solution, Solution(problem)
+    solution.extras = {"status": result.status, "result": result}
     solution.build_time, solution.solve_time = built - started, time.perf_counter() - built
-    solution.found = found.is_solved
+    solution.found = result.is_solved
     if solution.found:
         is_bounded = problem.lb is not None or problem.ub is not None
         solution.x, solution.obj = answer.x.copy(), answer.objective

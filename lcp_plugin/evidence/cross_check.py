@@ -181,51 +181,51 @@ def cross_validate(
     convex, status = ConvexForm.of(problem), result.status.name
     is_claimed = result.is_solved or result.status is Status.PRECISION_LIMIT
     is_false = is_claimed and not _keeps_claim(result, ours)
-    found = partial(CrossCheck, reference=name, ours=ours, seconds=seconds)
+    check = partial(CrossCheck, reference=name, ours=ours, seconds=seconds)
     if not convex.kind:
         told = "false" if is_false else "consistent with our residual"
         verdict: Verdict = "mismatch" if is_false else "not comparable"
         reason = f"no convex program to compare with; our status {status} is {told}"
-        return found(verdict, reason, formulation=convex.evidence)
-    found = partial(found, formulation=f"{convex.kind} ({convex.evidence})")
+        return check(verdict, reason, formulation=convex.evidence)
+    check = partial(check, formulation=f"{convex.kind} ({convex.evidence})")
     remarks = [stage.remark for stage in result.stages if stage.name == "interior_point"]
-    if remarks and (name == "PIQP" or any(name.lower() in one for one in remarks)):
+    if remarks and (name == "PIQP" or any(name.lower() in remark for remark in remarks)):
         reason = f"{name} computed our solution too (interior_point); choose another reference"
-        return found("not comparable", reason)
+        return check("not comparable", reason)
     tight = CLARABEL_OPTIONS if name == "CLARABEL" else {}
     z, took, told = convex.solve_by(name, max_seconds, **tight | options)
     if z is None:
-        return found("not comparable", f"{name} gave no point: {told}")
+        return check("not comparable", f"{name} gave no point: {told}")
     theirs = polish(Certificate.of(problem, z))
     facts = convex.compare(ours, theirs)
-    found = partial(found, theirs=theirs, reference_seconds=took, **facts)
+    check = partial(check, theirs=theirs, reference_seconds=took, **facts)
     residuals = (
         f"relative residuals {ours.relative_residual:.1e} and {theirs.relative_residual:.1e}"
     )
     # An interior point need not meet the test of every row: z next to a bound leaves a small w_i unchanged.
     if not theirs.relative_residual <= ACCURATE_TOLERANCE:
         reason = f"the solution of {name} does not reach {ACCURATE_TOLERANCE:.0e}: {residuals}"
-        return found("not comparable", reason)
+        return check("not comparable", reason)
     if is_false or not np.isfinite(ours.z).all():
-        return found("mismatch", f"our status {status} is false, {name} is accurate: {residuals}")
+        return check("mismatch", f"our status {status} is false, {name} is accurate: {residuals}")
     enough = 1e-3 if is_claimed else ACCURATE_TOLERANCE
     if not ours.criterion.measure_at(ours.z, ours.w, enough).passes:
-        return found("not comparable", f"our solution is not accurate, {status}: {residuals}")
+        return check("not comparable", f"our solution is not accurate, {status}: {residuals}")
     if not facts["disagreement"] <= facts["allowance"]:
-        return found(
+        return check(
             "mismatch",
             f"the residuals explain {facts['allowance']:.1e} of a disagreement of {facts['disagreement']:.1e}: one of "
             "them is wrong, or the two sides solved different problems",
         )
-    return found("agree", "the residuals and the conditioning of M explain every difference")
+    return check("agree", "the residuals and the conditioning of M explain every difference")
 
 
 def _keeps_claim(result: Result, ours: Certificate) -> bool:
     """Return whether the status is true for the certificate computed here."""
-    found = ours.criterion.measure_at(
+    measured = ours.criterion.measure_at(
         ours.z, ours.w, result.tolerance, absolute=result.absolute_tolerance
     )
-    return bool(found.passes if result.is_solved else ours.is_at_rounding_level)
+    return bool(measured.passes if result.is_solved else ours.is_at_rounding_level)
 
 
 def _largest(values: Vector) -> float:
@@ -245,7 +245,7 @@ def solver_name(reference: object) -> str:
     from cvxpy import installed_solvers
 
     name = reference.upper() if isinstance(reference, str) else repr(reference)
-    known = [one for one in installed_solvers() if one != "LCP"]
+    known = [solver for solver in installed_solvers() if solver != "LCP"]
     if name not in known:
         raise InvalidOption(f"cvxpy has no solver {reference!r}{did_you_mean(name, known)}")
     return name
@@ -273,24 +273,24 @@ class ConvexForm:
     weight: Vector = field(repr=False)
 
     @classmethod
-    def of(cls, given: LCP) -> ConvexForm:
+    def of(cls, lcp: LCP) -> ConvexForm:
         """Return the form that symmetry and a factorization of the symmetric part allow."""
-        root = np.sqrt(np.where(given.diagonal > 0.0, given.diagonal, given.residual_scale))
-        A, c = scale_by(given.M, 1.0 / root, 1.0 / root), given.q / root
+        root = np.sqrt(np.where(lcp.diagonal > 0.0, lcp.diagonal, lcp.residual_scale))
+        A, c = scale_by(lcp.M, 1.0 / root, 1.0 / root), lcp.q / root
         place = asymmetry_of(A)[1]
         matrix = "M is symmetric"
         if place is not None:
             i, j = place
             matrix = f"M[{i}, {j}] and M[{j}, {i}] differ; the symmetric part of M is"
         # Skew entries above 1 leave their rounding behind when the symmetric part cancels them.
-        shift = 4.0 * (given.n + 2) * EPSILON * max(1.0, float(abs(A).max()))
-        is_negative = (given.diagonal < 0.0).any()
+        shift = 4.0 * (lcp.n + 2) * EPSILON * max(1.0, float(abs(A).max()))
+        is_negative = (lcp.diagonal < 0.0).any()
         if is_negative or factorised(symmetric_part(A), shift) is None:
             what = "a diagonal entry is negative"
             what = what if is_negative else f"a pivot is negative at shift {shift:.1e}"
-            return cls("", f"{matrix} indefinite: {what}", given, root)
-        unit = _largest(np.append(c, root * given.nearest_to_zero)) or 1.0
-        lower, upper = (root * bound / unit for bound in (given.lower, given.upper))
+            return cls("", f"{matrix} indefinite: {what}", lcp, root)
+        unit = _largest(np.append(c, root * lcp.nearest_to_zero)) or 1.0
+        lower, upper = (root * bound / unit for bound in (lcp.lower, lcp.upper))
         problem = LCP(A, c / unit, lower=lower, upper=upper)
         kind = PLAIN if place is None else GAP
         evidence = f"{matrix} positive semidefinite: factorized at shift {shift:.1e}"
@@ -302,20 +302,21 @@ class ConvexForm:
         """Return z or None, seconds with cvxpy's part, and cvxpy's status or the message of an exception."""
         import cvxpy as cp
 
-        given, began = self.problem, time.perf_counter()
-        ends = np.array([given.lower, given.upper])
-        y = cp.Variable(given.n, bounds=[*ends])
-        share, cost, rows = 0.5, given.q @ y, []
+        scaled, began = self.problem, time.perf_counter()
+        ends = np.array([scaled.lower, scaled.upper])
+        y = cp.Variable(scaled.n, bounds=[*ends])
+        share, cost, rows = 0.5, scaled.q @ y, []
         if self.kind == GAP:
             is_bound = np.isfinite(ends)
             a, b = (
-                cp.Variable(given.n, bounds=[0.0, np.where(one, np.inf, 0.0)]) for one in is_bound
+                cp.Variable(scaled.n, bounds=[0.0, np.where(has_bound, np.inf, 0.0)])
+                for has_bound in is_bound
             )
             lower, upper = np.where(is_bound, ends, 0.0)
             share, cost = 1.0, cost - lower @ a + upper @ b
-            rows = [given.M @ y + given.q == a - b]
+            rows = [scaled.M @ y + scaled.q == a - b]
         # Without assume_PSD cvxpy makes the matrix dense to check it.
-        curved = cp.quad_form(y, symmetric_part(given.csr), assume_PSD=True)
+        curved = cp.quad_form(y, symmetric_part(scaled.csr), assume_PSD=True)
         limit = {TIME_LIMITS[name]: max_seconds} if name in TIME_LIMITS else {}
         program = cp.Problem(cp.Minimize(share * curved + cost), rows)
         try:

@@ -356,7 +356,11 @@ def _draw_cones(axes: Any, answer: Any, frame: Frame | Scene) -> None:
 
 def _draw_residuals(axes: Any, result: BaseResult) -> None:
     """Draw how the residual of a recorded run fell with time."""
-    samples = [(one.seconds, one.residual) for one in result.history if one.residual is not None]
+    samples = [
+        (sample.seconds, sample.residual)
+        for sample in result.history
+        if sample.residual is not None
+    ]
     seconds, residuals = np.reshape(samples, (-1, 2)).T
     # A residual of 0 is drawn at a tenth of the least number on its logarithmic axis
     edge = 0.1 * min([*residuals[residuals > 0.0], result.tolerance or 1.0])
@@ -387,7 +391,7 @@ def plot_path(path: ParametricPath, *, axes: Any = None) -> Any:
     if not path.pieces:
         raise UnsuitableProblem(f"the path has no pieces to draw: {path.explain()}")
     points = max(200 // len(path), 2)  # smooth segments are curves
-    places = ((one, np.linspace(one.begin, one.end, points)) for one in path.pieces)
+    places = ((piece, np.linspace(piece.begin, piece.end, points)) for piece in path.pieces)
     ends = [(at, piece.x_at(at)) for piece, every in places for at in every]
     theta, every = map(np.array, zip(*ends, strict=True))
     n, order = every.shape[1], np.argsort(-np.ptp(every, axis=0), kind="stable")

@@ -194,13 +194,13 @@ def measure_method(
         run(scene.problem, method.algorithm, _unmeasured, scene.start, **limits)[1]
         for _ in range(repeats - 1)
     ]
-    times = [{(one[0], one is run[-1]): one[2] for one in run} for run in every]
+    times = [{(sample[0], sample is run[-1]): sample[2] for sample in run} for run in every]
     points = []
-    for one in first:
-        place = (one[0], one is first[-1])
+    for sample in first:
+        place = (sample[0], sample is first[-1])
         if all(place in run for run in times):
             low, middle, high = np.percentile([run[place] for run in times], (25.0, 50.0, 75.0))
-            points.append((*one[:2], middle, low, high, *one[3:]))
+            points.append((*sample[:2], middle, low, high, *sample[3:]))
     status = "SOLVED" if result.status is Status.INTERRUPTED else result.status.name
     return status, np.array(points)  # by the paper's rule
 
@@ -253,9 +253,9 @@ def _error_bound(
         error_bound(problem, problem.nearest_to_zero, sharp=False)
     except UnsuitableMatrix as failure:
         return None, f"no bound of the error: {failure}"
-    found, _ = run(problem, "auto", _unmeasured, start, max_seconds=max_seconds)
-    known = error_bound(problem, found.z)
-    least, size = known.infinity, float(np.abs(found.z).max(initial=0.0))
+    result, _ = run(problem, "auto", _unmeasured, start, max_seconds=max_seconds)
+    known = error_bound(problem, result.z)
+    least, size = known.infinity, float(np.abs(result.z).max(initial=0.0))
     if known.near is not None:
         least, size = (
             float(np.abs(part).max(initial=0.0)) for part in (known.near.y, known.near.high)
@@ -278,12 +278,12 @@ class Method:
     note: str = ""
 
 
-def methods_of(given: Any) -> list[Method]:
+def methods_of(algorithms: Any) -> list[Method]:
     """Return the methods of a study.
 
     Parameters
     ----------
-    given : None, an algorithm, a sequence of them, or a mapping of labels to them
+    algorithms : None, an algorithm, a sequence of them, or a mapping of labels to them
         An algorithm is a name, an Algorithm object, or a pair of a name and a dictionary of options. If it is None,
         the paper's methods with its settings and with ours, next to their relatives.
 
@@ -292,59 +292,65 @@ def methods_of(given: Any) -> list[Method]:
     UnknownAlgorithm
         With the closest name.
     InvalidOption
-        If `given` is none of these, or if two different algorithms have one label.
+        If `algorithms` is none of these, or if two different algorithms have one label.
     """
-    if given is None:
+    if algorithms is None:
         paper = ("npgs", None), ("npsor", PAPER_RELAXATION), ("mgs", None), ("msor", PAPER_MSOR)
         methods = [
             Method(f"{name.upper()} paper", create(name, paper_options(name, omega)), note=PAPER)
             for name, omega in paper
         ]
-        own = "NPGS", "NPSOR", "NPAOR", "GFP", "PGS", "PSOR", "multigrid"
-        methods += [Method(label, create(label.lower(), {})) for label in own]
+        relatives = "NPGS", "NPSOR", "NPAOR", "GFP", "PGS", "PSOR", "multigrid"
+        methods += [Method(label, create(label.lower(), {})) for label in relatives]
         return [*methods, Method("auto", "auto")]
-    if isinstance(given, str | Algorithm) or _is_pair(given):
-        given = [given]
+    if isinstance(algorithms, str | Algorithm) or _is_pair(algorithms):
+        algorithms = [algorithms]
     try:
         named = (
-            [*given.items()] if isinstance(given, Mapping) else [(None, one) for one in [*given]]
+            [*algorithms.items()]
+            if isinstance(algorithms, Mapping)
+            else [(None, algorithm) for algorithm in [*algorithms]]
         )
     except TypeError:  # a sparse array only looks like a sequence
         raise InvalidOption(
-            f'methods must be names or Algorithm objects, got {given!r}; write ["psor"]'
+            f'methods must be names or Algorithm objects, got {algorithms!r}; write ["psor"]'
         ) from None
-    found: dict[str, Method] = {}
-    for label, one in named:
-        method = _method(label, one)
-        other = found.setdefault(method.label, method)
+    methods_by_label: dict[str, Method] = {}
+    for label, algorithm in named:
+        method = _method(label, algorithm)
+        other = methods_by_label.setdefault(method.label, method)
         if other.algorithm != method.algorithm:
             raise InvalidOption(
                 f"two methods are called {method.label!r}; give them labels, as in "
                 '{"mine": …, "theirs": …}'
             )
-    return [*found.values()]
+    return [*methods_by_label.values()]
 
 
-def _is_pair(one: object) -> bool:
-    return isinstance(one, tuple) and len(one) == 2 and isinstance(one[1], Mapping)
+def _is_pair(algorithm: object) -> bool:
+    return (
+        isinstance(algorithm, tuple) and len(algorithm) == 2 and isinstance(algorithm[1], Mapping)
+    )
 
 
-def _method(label: object, one: Any) -> Method:
-    if isinstance(one, str) or _is_pair(one):
-        name, options = (one, {}) if isinstance(one, str) else one
-        one = method_of(name, dict(options)) or "auto"
-    elif not isinstance(one, Algorithm):
+def _method(label: object, algorithm: Any) -> Method:
+    if isinstance(algorithm, str) or _is_pair(algorithm):
+        name, options = (algorithm, {}) if isinstance(algorithm, str) else algorithm
+        algorithm = method_of(name, dict(options)) or "auto"
+    elif not isinstance(algorithm, Algorithm):
         raise InvalidOption(
             'a method is a name, an Algorithm object or a pair as ("npsor", {"relaxation": 1.5}), '
-            f"got {one!r}"
+            f"got {algorithm!r}"
         )
-    return Method(str(label) if label else _label(one), one)
+    return Method(str(label) if label else _label(algorithm), algorithm)
 
 
 def _label(algorithm: str | Algorithm) -> str:
     """Return the name with the options that differ from the defaults."""
     if isinstance(algorithm, str):
         return algorithm
-    values = [(one, getattr(algorithm, one.name)) for one in fields(algorithm)]
-    changed = [f"{one.name}={value}" for one, value in values if repr(value) != repr(one.default)]
+    values = [(option, getattr(algorithm, option.name)) for option in fields(algorithm)]
+    changed = [
+        f"{option.name}={value}" for option, value in values if repr(value) != repr(option.default)
+    ]
     return " ".join([algorithm.name, *changed])

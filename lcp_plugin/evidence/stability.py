@@ -330,7 +330,7 @@ def exact_answer(problem: LCP, guess: Any) -> ExactPoint:
     z = [Fraction(end) for end in ends.tolist()]
     right = [-w for w, free in zip(exact_slack(problem, z), is_free, strict=True) if free]
     column = equilibrating_exponents(problem.csr, ALIKE).column
-    units = [exact_power_of_two(int(one)) for one in column]
+    units = [exact_power_of_two(int(exponent)) for exponent in column]
     rows = [
         {j: entry * units[j] for j, entry in row.items() if is_free[j]}
         for row, free in zip(rational_rows(problem.csr), is_free, strict=True)

@@ -95,7 +95,7 @@ class Table:
     def to_markdown(self) -> str:
         """Return the table as Markdown, numbers to the right."""
         columns = [[row[k] for row in self.rows] for k in range(len(self.columns))]
-        has_number = [any(isinstance(one, int | float) for one in column) for column in columns]
+        has_number = [any(isinstance(cell, int | float) for cell in column) for column in columns]
         marks = ["---:" if is_number else ":---" for is_number in has_number]
         texts = ([*map(_text_of, row)] for row in self.rows)
         lines = [f"| {' | '.join(cells)} |" for cells in (self.columns, *texts)]
@@ -228,10 +228,10 @@ class Study:
     __str__ = explain
 
 
-def _check_choice(name: str, given: object, known: Iterable[str]) -> None:
+def _check_choice(name: str, choice: object, known: Iterable[str]) -> None:
     known = [*known]
-    if not isinstance(given, str) or given not in known:
-        raise InvalidOption(f"{name} must be one of {', '.join(known)}, got {given!r}")
+    if not isinstance(choice, str) or choice not in known:
+        raise InvalidOption(f"{name} must be one of {', '.join(known)}, got {choice!r}")
 
 
 def _cell(row: Measurement, name: str) -> Any:
@@ -363,8 +363,11 @@ def study(
     if references:
         references = [solver_name(name) for name in references]
     jobs = [
-        (Measurement(label, size, 0, 0, "", "", "", "", math.nan if is_paper else tolerance), given)
-        for label, given in built.items()
+        (
+            Measurement(label, size, 0, 0, "", "", "", "", math.nan if is_paper else tolerance),
+            target,
+        )
+        for label, target in built.items()
         for size in wanted
     ]
     measure = partial(
@@ -434,7 +437,7 @@ def error_against_time(
 
 def _measurements(
     blank: Measurement,
-    given: object,
+    target: object,
     methods: Sequence[Method],
     references: Sequence[str],
     repeats: int,
@@ -444,7 +447,7 @@ def _measurements(
     """Yield a row per method and reference, and notes; an exception in code of the user is a row."""
     label = blank.problem
     try:
-        scene = _build_problem(given, label, blank.size)
+        scene = _build_problem(target, label, blank.size)
         fresh(scene.problem)
     except Exception as error:  # a function of the user may raise anything
         for method in methods:
@@ -496,15 +499,19 @@ def _line(error: BaseException) -> str:
 # --- The problems ---------------------------------------------------------------------------------------------
 
 
-def _label_problems(given: object) -> dict[str, Any]:
+def _label_problems(requested: object) -> dict[str, Any]:
     """Return the problems, or functions that build them, by their labels."""
-    if isinstance(given, Mapping):
-        return {str(label): _check_problem(problem) for label, problem in given.items()}
-    if isinstance(given, str | LCP | Scene | tuple) or callable(given) or class_of(given):
-        given = [given]
-    problems = [*given] if isinstance(given, Iterable) else []
+    if isinstance(requested, Mapping):
+        return {str(label): _check_problem(problem) for label, problem in requested.items()}
+    if (
+        isinstance(requested, str | LCP | Scene | tuple)
+        or callable(requested)
+        or class_of(requested)
+    ):
+        requested = [requested]
+    problems = [*requested] if isinstance(requested, Iterable) else []
     if not problems:
-        raise InvalidOption(f"problems must be problems, functions or names, got {given!r}")
+        raise InvalidOption(f"problems must be problems, functions or names, got {requested!r}")
     labeled: dict[str, Any] = {}
     for k, problem in enumerate(problems, start=1):
         name = problem if isinstance(problem, str) else getattr(problem, "__name__", f"problem {k}")
@@ -539,20 +546,22 @@ def _build_by_name(text: str, size: int | None = None) -> Scene:
     return parse(f"{text}{',' if settings else ':'}{key[0]}={size}")
 
 
-def _build_problem(given: object, label: str, size: int | None) -> Scene:
+def _build_problem(target: object, label: str, size: int | None) -> Scene:
     """Return the test problem of a problem, of (M, q), or of a function of the size."""
-    if callable(given):
-        given = given() if size is None else given(size)
+    if callable(target):
+        target = target() if size is None else target(size)
     elif size is not None:
         raise InvalidOption(f"{label} is one problem; leave out sizes, or give a function")
-    if isinstance(given, tuple) and 2 <= len(given) <= 4:
-        given = LCP(given[0], given[1], **dict(zip(("lower", "upper"), given[2:], strict=False)))
-    if isinstance(given, LCP):
-        return Scene(problem=given, name=label)
-    if isinstance(given, Scene):
-        return given
+    if isinstance(target, tuple) and 2 <= len(target) <= 4:
+        target = LCP(
+            target[0], target[1], **dict(zip(("lower", "upper"), target[2:], strict=False))
+        )
+    if isinstance(target, LCP):
+        return Scene(problem=target, name=label)
+    if isinstance(target, Scene):
+        return target
     raise InvalidOption(
-        f"{label} is not an LCP, a test problem or (M, q), got {type(given).__name__}"
+        f"{label} is not an LCP, a test problem or (M, q), got {type(target).__name__}"
     )
 
 

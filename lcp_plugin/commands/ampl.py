@@ -106,10 +106,10 @@ def assigned(text: str) -> dict[str, Any]:
             assignments[-1] += f"={word}"
         else:
             assignments.append("version=1" if word == "version" else word)
-    found = parse_options(assignments)
-    for name in found.keys() - KEYWORDS.keys():
+    values = parse_options(assignments)
+    for name in values.keys() - KEYWORDS.keys():
         raise InvalidOption(f"unknown keyword {name!r}{did_you_mean(name, KEYWORDS)}")
-    return found
+    return values
 
 
 def _solve(words: list[str], environment: str) -> int:
@@ -157,5 +157,7 @@ def _answer(content: NLContent, settings: dict[str, Any]) -> tuple[str, Any, Any
     proof = answer.result.proof
     has_words = proof is not None and proof is not answer.result  # which proves itself
     advice = [] if answer.is_solved else [str(proof) if has_words else answer.result.advice]
-    message = "\n".join([answer.message, *advice, *(f"warning: {one.message}" for one in warned)])
+    message = "\n".join(
+        [answer.message, *advice, *(f"warning: {warning.message}" for warning in warned)]
+    )
     return message, answer.x, answer.duals, answer.code

@@ -219,17 +219,17 @@ def compare(
     from .solving import check_outputs, read_lcp
 
     check_outputs(target, plot)
-    given = read_lcp(target, "lcp-plugin compare")
+    source = read_lcp(target, "lcp-plugin compare")
     limits = _given(tolerance=tolerance, max_seconds=max_seconds)
-    problem = given.test_problem or given.problem
-    found = lcp_plugin.error_against_time(
+    problem = source.test_problem or source.problem
+    study = lcp_plugin.error_against_time(
         problem, algorithm, reference or (), repeats=repeats, **limits
     )
-    typer.echo(found.explain())
+    typer.echo(study.explain())
     if plot is not None:
-        found.save(plot)
+        study.save(plot)
         typer.echo(f"saved {plot}")
-    return found.is_complete
+    return study.is_complete
 
 
 @command("list", "0 done", "list")

@@ -45,12 +45,12 @@ def analysis(problem: LCP) -> str:
     """
     lines = [str(analyze(problem)), "", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
     first: dict[str, str] = {}
-    for title, found in guarantees(problem):
-        rate = "" if found.rate is None else _rate(found.rate)
-        because = found.theorem + (f" → {found.remedy}" if found.remedy else "")
+    for title, guarantee in guarantees(problem):
+        rate = "" if guarantee.rate is None else _rate(guarantee.rate)
+        because = guarantee.theorem + (f" → {guarantee.remedy}" if guarantee.remedy else "")
         named = f"as {first[because]}" if because in first else because
         first.setdefault(because, title)
-        lines += wrapped(f"{title:<25} {found.verdict:<12} {rate:<8} ", named)
+        lines += wrapped(f"{title:<25} {guarantee.verdict:<12} {rate:<8} ", named)
     return "\n".join(lines)
 
 
@@ -76,16 +76,22 @@ def print_names() -> None:
         "Algorithms over cones, and for contact with friction": {**METHODS},
     }
     for title, algorithms in lists.items():
-        rows = [(name, one.needs, one.solves, one.cost) for name, one in algorithms.items()]
+        rows = [
+            (name, algorithm.needs, algorithm.solves, algorithm.cost)
+            for name, algorithm in algorithms.items()
+        ]
         terminal.print(_table(title, heads, rows))
     engines = {name: engine_class(name) for name in ENGINES}
-    rows = [(name, one.solves, one.cost, one.obeys) for name, one in engines.items()]
+    rows = [
+        (name, algorithm.solves, algorithm.cost, algorithm.obeys)
+        for name, algorithm in engines.items()
+    ]
     heads = ("name", "solves", "costs", "options that act during a run")
     terminal.print(_table("External solvers, for convex programs", heads, rows))
     sources: dict[str, list[str]] = {}
     for algorithms in (*lists.values(), engines):
-        for name, one in algorithms.items():
-            sources.setdefault(one.reference, []).append(name)
+        for name, algorithm in algorithms.items():
+            sources.setdefault(algorithm.reference, []).append(name)
     for reference, names in sources.items():
         terminal.print(f"{', '.join(dict.fromkeys(names))}: {reference}")
     scenes = [
@@ -100,9 +106,9 @@ def _table(title: str, headings: Iterable[str], rows: Iterable[Iterable[Any]]) -
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    found = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for k, heading in enumerate(headings):
-        found.add_column(heading, overflow="fold", no_wrap=k == 0)
+        table.add_column(heading, overflow="fold", no_wrap=k == 0)
     for row in rows:
-        found.add_row(*map(str, row))
-    return found
+        table.add_row(*map(str, row))
+    return table

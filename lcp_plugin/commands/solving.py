@@ -93,11 +93,11 @@ def read_target(target: str) -> Target:
 
 def read_lcp(target: str, way: str) -> Target:
     """Return the LCP of a file or a test problem, or raise InvalidOption for another class of problem."""
-    found = read_target(target)
-    problem = getattr(found.problem, "problem", found.problem)  # of an .nl file
+    source = read_target(target)
+    problem = getattr(source.problem, "problem", source.problem)  # of an .nl file
     if not isinstance(problem, LCP):
         raise InvalidOption(f"{target}: {refusal(way, problem)}")
-    return found._replace(problem=problem)
+    return source._replace(problem=problem)
 
 
 def run(
@@ -112,18 +112,18 @@ def run(
 ) -> bool:
     """Solve, print and save; return whether the problem is solved."""
     check_outputs(target, plot, out)
-    given = read_target(target)
-    if isinstance(given.problem, LCP):
+    source = read_target(target)
+    if isinstance(source.problem, LCP):
         settings = settings | {"record": plot is not None}
-    if hasattr(given.problem, "content"):  # an .nl file
-        found = given.problem.solve(algorithm, **options, **settings)
-        answer, x, lines = found.result, found.x, [found.message]
-        given = given._replace(names=given.problem.names())
-        arrays = {} if x is None else {"x": x, "duals": found.duals}
-        objective = found.objective
+    if hasattr(source.problem, "content"):  # an .nl file
+        solution = source.problem.solve(algorithm, **options, **settings)
+        answer, x, lines = solution.result, solution.x, [solution.message]
+        source = source._replace(names=source.problem.names())
+        arrays = {} if x is None else {"x": x, "duals": solution.duals}
+        objective = solution.objective
     else:
-        answer = _solved(given, algorithm, options, settings)
-        x, lines = answer.x, _certificate_lines(given, answer)
+        answer = _solved(source, algorithm, options, settings)
+        x, lines = answer.x, _certificate_lines(source, answer)
         arrays = _arrays(answer)
         objective = answer.objective
     content: dict[str, Any] = {} if objective is None else {"objective": objective}
@@ -135,16 +135,16 @@ def run(
         }
         typer.echo(json.dumps(finite, indent=2, allow_nan=False))
     else:
-        source = given.test_problem or f"{target}:"
-        model = given.problem
-        shown = [] if given.test_problem else _values(given, answer, x)
-        typer.echo("\n".join([f"{source}", f"{model}", answer.explain(), *lines, *shown]))
+        heading = source.test_problem or f"{target}:"
+        model = source.problem
+        shown = [] if source.test_problem else _values(source, answer, x)
+        typer.echo("\n".join([f"{heading}", f"{model}", answer.explain(), *lines, *shown]))
     if out is not None:
-        names = {} if given.names is None else {"names": np.array(given.names, dtype=np.str_)}
+        names = {} if source.names is None else {"names": np.array(source.names, dtype=np.str_)}
         arrays |= names | {"status": np.array(answer.status.name)}
         write_whole({out: lambda file: np.savez_compressed(file, **arrays)})
     if plot is not None:
-        draw(answer, plot, given.test_problem)
+        draw(answer, plot, source.test_problem)
     if saved := [*filter(None, (plot, out))]:
         typer.echo(f"saved {', '.join(map(str, saved))}", err=as_json)
     return bool(answer.is_solved)
@@ -154,8 +154,11 @@ def json_content(answer: Any) -> dict[str, Any]:
     """Return status, residuals and counts of a result, without vectors."""
     owners = [answer, getattr(answer, "certificate", None)]
     owners += [] if answer.has_no_solution else [getattr(answer, "solution", None)]
-    found = {
-        name: getattr(one, name) for one in owners for name in NUMBERS.split() if hasattr(one, name)
+    numbers = {
+        name: getattr(owner, name)
+        for owner in owners
+        for name in NUMBERS.split()
+        if hasattr(owner, name)
     }
     return {
         "status": answer.status.name,
@@ -163,15 +166,15 @@ def json_content(answer: Any) -> dict[str, Any]:
         "algorithm": answer.algorithm,
         "n": None if answer.x is None else len(answer.x),
         "iterations": answer.iterations,
-        **{k: value for k, value in found.items() if not (value is None or callable(value))},
+        **{k: value for k, value in numbers.items() if not (value is None or callable(value))},
     }
 
 
 def _solved(
-    given: Target, algorithm: str, options: dict[str, Any], settings: dict[str, Any]
+    source: Target, algorithm: str, options: dict[str, Any], settings: dict[str, Any]
 ) -> Any:
     """Return the result of the problem from the start of its test problem, with progress on a terminal."""
-    problem, scene = given.problem, given.test_problem
+    problem, scene = source.problem, source.test_problem
     start = {} if scene is None or scene.start is None else {"z0": scene.start}
     chosen: Any = algorithm
     if isinstance(problem, ConeProblem | FrictionalContact) and algorithm in METHODS:
@@ -205,10 +208,10 @@ def progress_on_terminal() -> Iterator[Callable[[Sample, Vector], bool] | None]:
         yield show
 
 
-def _certificate_lines(given: Target, answer: Any) -> list[str]:
+def _certificate_lines(source: Target, answer: Any) -> list[str]:
     """Return lines with the residuals of an LCP, and the errors against a known solution."""
-    scene = given.test_problem
-    lines = str(answer.certificate).splitlines() if isinstance(given.problem, LCP) else []
+    scene = source.test_problem
+    lines = str(answer.certificate).splitlines() if isinstance(source.problem, LCP) else []
     if scene is None:
         return lines
     for name, known in (
@@ -225,16 +228,16 @@ def _arrays(answer: object) -> dict[str, Any]:
     names = (
         ("z", "w") if hasattr(answer, "certificate") and not hasattr(answer, "duals") else ("x",)
     )
-    found = {name: getattr(answer, name) for name in names} | dict(getattr(answer, "duals", {}))
-    return {name: array for name, array in found.items() if array is not None}
+    arrays = {name: getattr(answer, name) for name in names} | dict(getattr(answer, "duals", {}))
+    return {name: array for name, array in arrays.items() if array is not None}
 
 
-def _values(given: Target, answer: Any, x: Vector) -> list[str]:
+def _values(source: Target, answer: Any, x: Vector) -> list[str]:
     """Return the first values by their names."""
     if x is None or answer.has_no_solution:
         return []
-    letter = "z" if isinstance(given.problem, LCP) else "x"
-    names = given.names or [f"{letter}[{k}]" for k in range(len(x))]
+    letter = "z" if isinstance(source.problem, LCP) else "x"
+    names = source.names or [f"{letter}[{k}]" for k in range(len(x))]
     width, rest = max(map(len, names[:MAX_VALUES]), default=0), len(x) - MAX_VALUES
     values = zip(names[:MAX_VALUES], x[:MAX_VALUES], strict=True)
     lines = [f"{name:<{width}}  {value:.9g}" for name, value in values]
@@ -294,16 +297,16 @@ def compile_everything() -> str:
     contact = FrictionalContact(2.0 * np.eye(6), [[-1.0, 3.0, 4.0], [-1.0, 0.1, 0.2]], 0.5)
     for name in METHODS:
         lcp_plugin.derivative(solve(contact, name)).vjp(np.ones(6))
-    found = lcp_plugin.derivative(lcp_plugin.solve_batch([dense]))
-    found.vjp(np.ones((1, 9)))
-    found.jvp(dq=np.ones(9))
+    batch_derivative = lcp_plugin.derivative(lcp_plugin.solve_batch([dense]))
+    batch_derivative.vjp(np.ones((1, 9)))
+    batch_derivative.jvp(dq=np.ones(9))
     # an exact search enumerates all pieces
     no_solution = LCP([[1.0, -1.0], [-1.0, 1.0]], [-1.0, -1.0])
     lcp_plugin.solve_batch([no_solution, no_solution], prove_infeasibility=False)
     for problem in (no_solution, LCP.from_game([[2, 0], [0, 1]], [[1, 0], [0, 2]])):
         solve(problem)
-    for one in (dense, lcp_plugin.QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])):
-        lcp_plugin.prepare(one).solve()
+    for data in (dense, lcp_plugin.QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])):
+        lcp_plugin.prepare(data).solve()
     lcp_plugin.solve_batch([dense] * 64)  # as many as the compiled loop needs
     lcp_plugin.solve_batch(lcp_plugin.BoundedLeastSquares(dense.M, dense.q), np.ones((64, dense.n)))
     lcp_plugin.solve_batch([contact, contact])

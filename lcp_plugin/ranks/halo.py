@@ -43,9 +43,9 @@ class Ranks:
 
     def table(self, *numbers: float) -> Vector:
         """Return the numbers of all ranks, shape (ranks, how many)."""
-        own = np.array(numbers, dtype=np.float64)
-        of_all = np.empty((self.size, own.size))
-        self.comm.Allgather(own, of_all)
+        local = np.array(numbers, dtype=np.float64)
+        of_all = np.empty((self.size, local.size))
+        self.comm.Allgather(local, of_all)
         return of_all
 
     def largest(self, values: Array) -> float:
@@ -98,7 +98,7 @@ class Ranks:
         if raised is not None and not isinstance(raised, LCPError | OSError):
             raise raised
         rank, (kind, message) = next(
-            (rank, one) for rank, one in enumerate(failures) if one is not None
+            (rank, failure) for rank, failure in enumerate(failures) if failure is not None
         )
         raise kind(f"rank {rank}: {message}" if self.size > 1 else message) from raised
 
@@ -167,19 +167,19 @@ class Exchange:
     Parameters
     ----------
     comm : communicator of mpi4py
-    own : int
+    count : int
         Number of values of this rank; the copies of other ranks' values follow them.
     places : array of int, shape (k, 2)
         Rank, and position on that rank, of each copied value.
     """
 
-    def __init__(self, comm: Any, own: int, places: Integers) -> None:
-        self._comm, self._own = comm, own
+    def __init__(self, comm: Any, count: int, places: Integers) -> None:
+        self._comm, self._own = comm, count
         self._order = np.argsort(places[:, 0], kind="stable")
         self._received = np.bincount(places[:, 0], minlength=comm.size)
         asked = np.split(places[self._order, 1], np.cumsum(self._received)[:-1])
         wanted = comm.alltoall(asked)
-        self._sent, self._which = np.array([one.size for one in wanted]), np.concatenate(wanted)
+        self._sent, self._which = np.array([part.size for part in wanted]), np.concatenate(wanted)
 
     def __call__(self, values: Vector) -> None:
         """Overwrite the copies, which follow the local values."""
@@ -194,7 +194,7 @@ class Halo(Ranks):
     Parameters
     ----------
     comm : communicator of mpi4py
-    own : int
+    count : int
         Number of rows of this rank; may be 0.
     ghosts : array of int
         Global indices of the ghosts, none twice.
@@ -209,15 +209,15 @@ class Halo(Ranks):
     def __init__(
         self,
         comm: Any,
-        own: int,
+        count: int,
         ghosts: Integers = NOBODY,
         own_entries: int = 0,
         entries: Integers | None = None,
         starts: Integers | None = None,
     ) -> None:
         super().__init__(comm)
-        self.starts = np.cumsum([0, *self.comm.allgather(int(own))]) if starts is None else starts
-        self.own, self.n = int(own), int(self.starts[-1])
+        self.starts = np.cumsum([0, *self.comm.allgather(int(count))]) if starts is None else starts
+        self.own, self.n = int(count), int(self.starts[-1])
         self.ghosts, self.foreign = ghosts, int(ghosts.size)
         self.first, self.last = int(self.starts[self.rank]), int(self.starts[self.rank + 1])
         self.is_empty = not any(self.comm.allgather(self.foreign))
@@ -225,9 +225,9 @@ class Halo(Ranks):
             return
         owners = self.owners(ghosts)
         places = np.stack([owners, ghosts - self.starts[owners]], axis=1)
-        self._values = Exchange(self.comm, own, places)
+        self._values = Exchange(self.comm, count, places)
         self._entries = None if entries is None else Exchange(self.comm, own_entries, entries)
-        self._flags = np.empty(own + self.foreign)
+        self._flags = np.empty(count + self.foreign)
 
     def owners(self, indices: Integers) -> Integers:
         """Return the rank that owns each index."""
@@ -244,10 +244,10 @@ class Halo(Ranks):
         if not self.is_empty:
             self._values(x)
 
-    def whole(self, own: Vector) -> Vector:
+    def whole(self, local: Vector) -> Vector:
         """Return a copy of the local values and the ghost values, shape (own + foreign,)."""
         x = np.zeros(self.own + self.foreign)
-        x[: self.own] = own
+        x[: self.own] = local
         self.fetch(x)
         return x
 
@@ -289,8 +289,8 @@ class Halo(Ranks):
         indptr, columns, data = rows
         if self.is_empty:
             return rows
-        found = self._foreign_rows(self.ghosts, indptr, data, lambda places: columns[places])
-        return _appended(rows, found.counts, found.columns, found.values)
+        foreign = self._foreign_rows(self.ghosts, indptr, data, lambda places: columns[places])
+        return _appended(rows, foreign.counts, foreign.columns, foreign.values)
 
     def overlapped(self, rows: Arrays, ghosts: Integers, further: Integers) -> tuple[Arrays, Halo]:
         """Return the local rows, then the rows of adjacent ghosts, and the halo of the columns.
@@ -309,37 +309,39 @@ class Halo(Ranks):
         A ghost is adjacent if a local row has an entry in its column, or its row in a local column. The ghosts of the
         new halo are first the ghosts with stored rows, then the others.
         """
-        own = self.own
+        count = self.own
         indptr, indices, data = rows
-        at = np.flatnonzero(indices >= own)
-        met = ghosts[indices[at] - own]
+        at = np.flatnonzero(indices >= count)
+        met = ghosts[indices[at] - count]
         near = np.union1d(
             met, self._dependents(np.searchsorted(indptr, at, side="right") - 1 + self.first, met)
         )
         if not any(self.comm.allgather(near.size + further.size)):
-            return rows, Halo(self.comm, own, near, data.size, starts=self.starts)
+            return rows, Halo(self.comm, count, near, data.size, starts=self.starts)
         if not np.array_equal(near, ghosts):  # both ascend: the rows stay sorted
             indices = indices.copy()
-            indices[at] = own + np.searchsorted(near, met)
+            indices[at] = count + np.searchsorted(near, met)
 
         def global_columns(places: Integers) -> Integers:
             columns = indices[places].astype(np.int64)
-            is_foreign = columns >= own
+            is_foreign = columns >= count
             columns[~is_foreign] += self.first
-            columns[is_foreign] = near[columns[is_foreign] - own]
+            columns[is_foreign] = near[columns[is_foreign] - count]
             return columns
 
-        found = self._foreign_rows(near, indptr, data, global_columns)
+        foreign = self._foreign_rows(near, indptr, data, global_columns)
         far = np.setdiff1d(
-            np.concatenate([found.columns[self.is_foreign(found.columns)], further]), near
+            np.concatenate([foreign.columns[self.is_foreign(foreign.columns)], further]), near
         )
         all_ghosts = np.concatenate([near, far])
-        local = self.local(found.columns, all_ghosts)
-        order = np.lexsort((local, np.repeat(np.arange(near.size), found.counts)))
-        owners = np.repeat(self.owners(near), found.counts)
-        entries = np.stack([owners, found.places], axis=1)[order]
-        rows = _appended((indptr, indices, data), found.counts, local[order], found.values[order])
-        return rows, Halo(self.comm, own, all_ghosts, data.size, entries, self.starts)
+        local = self.local(foreign.columns, all_ghosts)
+        order = np.lexsort((local, np.repeat(np.arange(near.size), foreign.counts)))
+        owners = np.repeat(self.owners(near), foreign.counts)
+        entries = np.stack([owners, foreign.places], axis=1)[order]
+        rows = _appended(
+            (indptr, indices, data), foreign.counts, local[order], foreign.values[order]
+        )
+        return rows, Halo(self.comm, count, all_ghosts, data.size, entries, self.starts)
 
     def _foreign_rows(
         self,

@@ -41,10 +41,10 @@ def build_hierarchy(matrix: AnyMatrix, halo: Halo, *, scales_rows: bool) -> Hier
     With `scales_rows` the restriction is Pᵀ D⁻¹ in place of Pᵀ, for matrices that are not symmetric.
     """
     rows = matrix.indptr, matrix.indices, matrix.data
-    own, ranks = matrix.shape[0], halo
+    count, ranks = matrix.shape[0], halo
     if not halo.is_empty:
         rows, ranks = halo.overlapped(rows, halo.ghosts, NOBODY)
-    grid = _grid(Operator(*rows), ranks, own, scales_rows)
+    grid = _grid(Operator(*rows), ranks, count, scales_rows)
     shares = levels.positive_shares(Operator(*grid.own), grid.split)
     strength = levels.strength_of(halo.total(float(shares.sum())) / max(halo.n, 1))
     grids, transfers, has_jumps = [grid], list[Transfer](), None
@@ -76,24 +76,26 @@ def pivot_weight(rows: Array, halo: Halo, relaxation: float) -> Vector:
     𝓜 + 𝓜ᵀ − M = (2/r − 1) D + (2/r) Ω − (the ghost columns of M), and that is positive definite, because
     2 |m_ij x_i x_j| ≤ |m_ij| (s x_i² + x_j²/s) with s = √(d_i/d_j). For an H₊-matrix and r ≤ 1 any ω ≥ 0 does.
     """
-    own = rows.shape[0]
+    count = rows.shape[0]
     diagonal = rows.diagonal()
-    whole = np.abs(halo.whole(diagonal))[own:]
-    coupling = np.sqrt(np.abs(diagonal)) * (abs(rows[:, own:]) @ (1.0 / np.sqrt(whole)))
+    whole = np.abs(halo.whole(diagonal))[count:]
+    coupling = np.sqrt(np.abs(diagonal)) * (abs(rows[:, count:]) @ (1.0 / np.sqrt(whole)))
     weight = np.maximum(0.0, 0.5 * relaxation * coupling - 0.25 * (2.0 - relaxation) * diagonal)
     return np.where(np.isfinite(weight), weight, 0.0)
 
 
-def _grid(matrix: Operator, halo: Halo, own: int, scales_rows: bool) -> Grid:
+def _grid(matrix: Operator, halo: Halo, count: int, scales_rows: bool) -> Grid:
     indptr, indices, data = matrix.arrays
-    first = Operator(indptr[: own + 1], indices[: indptr[own]], data[: indptr[own]])
+    first = Operator(indptr[: count + 1], indices[: indptr[count]], data[: indptr[count]])
     split, inverse = pivots(first, kernels.INVERTIBLE)
-    weight = np.zeros(own)
+    weight = np.zeros(count)
     if not (halo.is_empty or scales_rows):
-        rows = sp.csr_array((first.data, first.indices, first.indptr), (own, own + halo.foreign))
+        rows = sp.csr_array(
+            (first.data, first.indices, first.indptr), (count, count + halo.foreign)
+        )
         weight = pivot_weight(rows, halo, 1.0)
         inverse = np.where(inverse > 0.0, 1.0 / (1.0 / inverse + weight), 0.0)
-    blocks = blocks_of(first.arrays, own, may_cut=halo.is_empty and not scales_rows)
+    blocks = blocks_of(first.arrays, count, may_cut=halo.is_empty and not scales_rows)
     return Grid(matrix, split, blocks, read_only(inverse), halo, weight)
 
 
@@ -203,8 +205,8 @@ def multigrid(problem: RowsOnRanks, z: Vector) -> Iterates:
     run = ProjectedCycles(problem, Truncation(hierarchy), is_symmetric=symmetric)
     fine = run.problems[0]
     whole = fine.grid.halo.whole(z)  # the hierarchy has a different order of the ghosts
-    own = slice(problem.own)
-    yield whole[own], 0.0
+    local = slice(problem.own)
+    yield whole[local], 0.0
     if not hierarchy.is_helpful:
         return
     if problem.halo.everywhere(z == problem.nearest_to_zero):
@@ -216,7 +218,7 @@ def multigrid(problem: RowsOnRanks, z: Vector) -> Iterates:
         fine.sweep(whole, backward=False)
         largest, changed = run.look(0, whole)
         run.work += 2.0 * fine.entries
-        yield whole[own], work + run.take_work()
+        yield whole[local], work + run.take_work()
         idle = 0 if largest < 0.9 * least else idle + 1  # a cycle that gains less is idle
         least = min(least, largest)
         # A residual a hundred times the least, or a dozen idle cycles, end the run

@@ -99,8 +99,8 @@ def newton_step(problem: Any, phi: LinearizedPhi) -> Vector | None:
         if solver.getConvergedReason() > 0:
             break
     step[is_free] = solution.array_r
-    for one in (solver, block, vector, solution, rows):
-        one.destroy()
+    for item in (solver, block, vector, solution, rows):
+        item.destroy()
     return step if halo.everywhere(np.isfinite(step)) else None
 
 
@@ -139,7 +139,7 @@ class RowsOnPETSc(RowsOnRanks):
         stored = A if "aij" in A.getType() else A.convert("aij", type(A)())
         indptr, indices, data = stored.getValuesCSR()
         rows = sp.csr_array((data, indices, indptr), shape=(indptr.size - 1, A.getSize()[1]))
-        vectors = (_local_part(one) for one in (q, lower, upper))
+        vectors = (_local_part(vector) for vector in (q, lower, upper))
         problem = cls.from_rows(A.getComm().tompi4py(), rows, *vectors)
         problem.A = stored
         return problem
@@ -160,8 +160,8 @@ class RowsOnPETSc(RowsOnRanks):
 
     def solve(self, algorithm: str = "auto", **options: Any) -> ResultOnRanks:
         """Return the solution, z and w as PETSc vectors; see :func:`lcp_plugin.ranks.solving.solve_on_ranks`."""
-        found = super().solve(algorithm, **options)
-        return replace(found, z=self.vector(found.z), w=self.vector(found.w))
+        result = super().solve(algorithm, **options)
+        return replace(result, z=self.vector(result.z), w=self.vector(result.w))
 
 
 def _local_part(vector: Any) -> Any:

@@ -78,9 +78,9 @@ class RowsOnRanks:
         """
         ranks = Ranks(comm)
         matrix = ranks.together(lambda: _checked_rows(rows))
-        own, n = matrix.shape
+        count, n = matrix.shape
         ranks.require_same("the number of columns", n, "every rank gives its rows at full width")
-        halo = Halo(ranks.comm, own)
+        halo = Halo(ranks.comm, count)
         if halo.n != n:
             lack = "missing" if halo.n < n else "too many; is one given twice?"
             counts = ", ".join(map(str, np.diff(halo.starts)))
@@ -114,16 +114,16 @@ class RowsOnRanks:
 
     def gathered(self, z: ArrayLike) -> checks.Vector | None:
         """Return the parts of all ranks as one vector on rank 0, None on the others."""
-        own = np.ascontiguousarray(self.own_part(z, is_finite=False))
+        local = np.ascontiguousarray(self.own_part(z, is_finite=False))
         whole = np.empty(self.n) if self.halo.rank == 0 else None
-        self.halo.comm.Gatherv(own, (whole, np.diff(self.halo.starts)), root=0)
+        self.halo.comm.Gatherv(local, (whole, np.diff(self.halo.starts)), root=0)
         return whole
 
     def gathered_problem(self) -> LCP | None:
         """Return the whole LCP on rank 0, None on the others."""
-        own, halo = self.rows, self.halo
+        rows_here, halo = self.rows, self.halo
         numbers = np.concatenate([np.arange(halo.first, halo.last), halo.ghosts])
-        entries = own.data, numbers[own.indices], own.indptr
+        entries = rows_here.data, numbers[rows_here.indices], rows_here.indptr
         rows = sp.csr_array(entries, shape=(self.own, self.n))
         parts = halo.comm.gather((rows, self.q, self.lower, self.upper), root=0)
         if parts is None:
@@ -141,7 +141,7 @@ class RowsOnRanks:
         unit = 1.0 / np.sqrt(np.abs(self.residual_scale))
         random = np.random.default_rng([2, self.halo.rank])
         x, y = (unit * random.uniform(-1.0, 1.0, self.own) for _ in range(2))
-        x_product, y_product = (self.rows @ self.halo.whole(one) for one in (x, y))
+        x_product, y_product = (self.rows @ self.halo.whole(vector) for vector in (x, y))
         sums = float(y @ x_product), float(x @ y_product), float(np.sum((unit * x_product) ** 2))
         forward, backward, size = map(self.halo.total, sums)
         difference = abs(forward - backward)

@@ -34,26 +34,26 @@ class ComponentsOnRanks:
 
     def __init__(self, problem: RowsOnRanks) -> None:
         self.halo = halo = problem.halo
-        own = problem.own
+        size = problem.own
         count, local = csgraph.connected_components(_square(problem), directed=False)
         counts = halo.comm.allgather(count)
         names, total = local + sum(counts[: halo.rank]), sum(counts)
-        theirs = halo.whole(names[:own].astype(np.float64))[own:].astype(np.int64)
-        met = np.unique(np.stack([names[own:], theirs], axis=1), axis=0)
+        theirs = halo.whole(names[:size].astype(np.float64))[size:].astype(np.int64)
+        met = np.unique(np.stack([names[size:], theirs], axis=1), axis=0)
         pairs = np.concatenate(halo.comm.allgather(met))
         pattern = sp.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(total, total))
         self.count, joined = csgraph.connected_components(pattern, directed=False)
-        self.labels = joined[names[:own]]
+        self.labels = joined[names[:size]]
         # Several ranks share few components; only those are compared.
         self._shared = np.unique(joined[pairs[pairs[:, 0] != pairs[:, 1]].ravel()])
 
     def largest(self, values: Vector) -> Vector:
         """Return, per local row, the largest value ≥ 0 of its component's rows; a NaN stays."""
-        found = np.zeros(self.count)
-        np.maximum.at(found, self.labels, values)
+        largest = np.zeros(self.count)
+        np.maximum.at(largest, self.labels, values)
         if self._shared.size:
-            found[self._shared] = self.halo.all_largest(*found[self._shared].tolist())
-        return found[self.labels]
+            largest[self._shared] = self.halo.all_largest(*largest[self._shared].tolist())
+        return largest[self.labels]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class RowDataOnRanks(RowData):
     """M, q, bounds, d and components: the data of the criterion, of the local rows."""
 
     def __init__(self, problem: RowsOnRanks) -> None:
-        M, size = (ProductOnRanks(one, problem.halo) for one in (problem.rows, abs(problem.rows)))
+        M, size = (ProductOnRanks(rows, problem.halo) for rows in (problem.rows, abs(problem.rows)))
         d = problem.residual_scale
         super().__init__(M, size, problem.q, problem.lower, problem.upper, d)
         self.problem, self.components = problem, ComponentsOnRanks(problem)
@@ -239,8 +239,8 @@ def solve_on_ranks(
     with threads_for(settings.threads), Interruptions() as is_interrupted:
         run = RunOnRanks(problem, ProgressOnRanks(problem, settings, callback, is_interrupted))
         plan = run.plan(methods, z, is_gathered=is_gathered)
-        found: ResultOnRanks = run.result(run.follow_all(plan))
-    return found
+        result: ResultOnRanks = run.result(run.follow_all(plan))
+    return result
 
 
 class ProgressOnRanks(Progress):
@@ -277,10 +277,10 @@ class ProgressOnRanks(Progress):
         else:
             self.limit()
 
-    def report(self, *given: Any, **how: Any) -> bool:
+    def report(self, *values: Any, **how: Any) -> bool:
         """Print a line on rank 0, and call back; return whether a callback of any rank returned True."""
         report = super().report
-        return self.halo.anywhere(self.halo.together(lambda: report(*given, **how)))
+        return self.halo.anywhere(self.halo.together(lambda: report(*values, **how)))
 
 
 class RunOnRanks(Run):
@@ -316,10 +316,10 @@ class RunOnRanks(Run):
         def solve() -> tuple[Any, ...]:
             z = None if z0 is None or not np.isfinite(z0).all() else z0
             solver = resolve_name(f"lcp_plugin.{CLASSES['LCP'].solver}")
-            found = solver(
+            result = solver(
                 parts, z0=z, **limits, **{name: getattr(settings, name) for name in names}
             )
-            return found.z, found.work, found.iterations, found.proof
+            return result.z, result.work, result.iterations, result.proof
 
         z, work, iterations, proof = halo.from_first(solve)
         self.next_check = 0
@@ -338,9 +338,9 @@ class RunOnRanks(Run):
         absolute = settings.absolute_tolerance
         return self.data.measure(step.z, settings.tolerance, absolute=absolute)
 
-    def end_of(self, stage: Stage, step: Step, found: Measured) -> Status | None:
+    def end_of(self, stage: Stage, step: Step, measured: Measured) -> Status | None:
         """Return STALLED at rounding level, and if a residual is not finite."""
-        if found is None or not (found.is_limited or not math.isfinite(found.residual)):
+        if measured is None or not (measured.is_limited or not math.isfinite(measured.residual)):
             return None
         return Status.STALLED
 
@@ -350,16 +350,16 @@ class RunOnRanks(Run):
 
     def result(self, end: Status) -> ResultOnRanks:
         """Return the result, the same on all ranks except z and w."""
-        found, progress, data = self.best, self.progress, self.data
+        best, progress, data = self.best, self.progress, self.data
         common = self.common_fields(self.status(end))
-        rows, worst = found.by_row, data.worst
+        rows, worst = best.by_row, data.worst
         relative = worst(divide_nonnegative(rows.high, rows.reference))
         sizes = worst(rows.high), relative, worst(rows.terms)
         return ResultOnRanks(
-            z=read_only(found.z),
-            w=read_only(found.rows.w),
+            z=read_only(best.z),
+            w=read_only(best.rows.w),
             n=self.problem.n,
-            certificate=CertificateOnRanks(found.z, found.rows.w, *sizes),
+            certificate=CertificateOnRanks(best.z, best.rows.w, *sizes),
             algorithm=" → ".join(stage.algorithm.name for stage in progress.stages),
             work=progress.work,
             absolute_tolerance=self.settings.absolute_tolerance,
@@ -377,10 +377,12 @@ def measured_on_ranks(
     """
     halo, z = problem.halo, problem.own_part(x, "x")
     halo.require_same("tolerance", tolerance, "give the same on every rank", InvalidOption)
-    found, reason = RowDataOnRanks(problem).measure_at(z, None, tolerance), ""
-    for i in np.flatnonzero((z < problem.lower) | (z > problem.upper))[: not found.passes].tolist():
+    measure, reason = RowDataOnRanks(problem).measure_at(z, None, tolerance), ""
+    for i in np.flatnonzero((z < problem.lower) | (z > problem.upper))[
+        : not measure.passes
+    ].tolist():
         bound = problem.lower[i] if z[i] < problem.lower[i] else problem.upper[i]
         reason = outside_row(f"z[{halo.first + i}]", float(z[i]), float(bound)).text
     reason = next(filter(None, halo.comm.allgather(reason)), "")
-    sizes = halo.largest(found.rows.violation), halo.largest(found.by_row.relative)
-    return bool(found.passes), *sizes, tolerance, reason
+    sizes = halo.largest(measure.rows.violation), halo.largest(measure.by_row.relative)
+    return bool(measure.passes), *sizes, tolerance, reason

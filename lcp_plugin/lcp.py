@@ -79,7 +79,7 @@ def from_qp(
     """
     if not isinstance(P, QuadraticProgram):
         return lcp_from_qp(QuadraticProgram(P, c, G, h, A, b, lower, upper))  # type: ignore[arg-type]
-    others = [one for one in (c, G, h, A, b) if one is not None]
+    others = [data for data in (c, G, h, A, b) if data is not None]
     if others or not (np.array_equal(lower, -np.inf) and np.array_equal(upper, np.inf)):
         raise InvalidOption(
             "a QuadraticProgram has all data; call LCP.from_qp(program) without others"
@@ -123,8 +123,8 @@ def from_contacts(
         As `contact_data`.
     """
     how: Any = {"gaps": gaps, "time_step": time_step, "equations": equations}
-    given = contact_data(contacts, friction, velocities, directions, **how)
-    return LCP(*given.arrays, lower=given.lower).with_origin(given)
+    contact_problem = contact_data(contacts, friction, velocities, directions, **how)
+    return LCP(*contact_problem.arrays, lower=contact_problem.lower).with_origin(contact_problem)
 
 
 def load(path: str | PathLike[str]) -> LCP:

@@ -694,7 +694,7 @@ def _verdict(
 
 def check_solution(
     problem: LCP,
-    given: object,
+    point: object,
     truth: ExactPoint | None,
     tolerance: float = 1e-6,
     error_tolerance: float = 1e-3,
@@ -709,12 +709,12 @@ def check_solution(
     ''
     """
     try:
-        z = np.asarray(given)
+        z = np.asarray(point)
     except Exception:  # a pair (z, info), or an object that rejects in a way of its own
         z = np.array(None)
     if z.shape != (problem.n,) or z.dtype.kind not in "biuf":
         return (
-            f"z must be {problem.n} real numbers in an array of shape ({problem.n},), got {given!r}"
+            f"z must be {problem.n} real numbers in an array of shape ({problem.n},), got {point!r}"
         )
     z = z.astype(np.float64)
     if not np.isfinite(z).all():

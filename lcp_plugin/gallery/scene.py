@@ -145,9 +145,9 @@ def scene_builder(builder: Builder) -> Builder:
     name, summary = builder.__name__, inspect.cleandoc(builder.__doc__ or "").partition("\n")[0]
 
     @functools.wraps(builder)
-    def checked(**given: Any) -> Scene:
+    def checked(**values: Any) -> Scene:
         defaults = defaults_of(name)
-        for key, value in given.items():
+        for key, value in values.items():
             if key not in defaults:
                 hint = did_you_mean(key, defaults) if defaults else "; it takes none"
                 raise InvalidOption(f"test problem {name!r} has no parameter {key!r}{hint}")

@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # for editors and mypy: __getattr__ has each class of the reg
     from .methods.newton import Newton
     from .methods.npsplitting import NPSplitting
 
-# Each name's module, from this package on, and class: a solve imports the one that it takes.
+# Each name's module, from this package on, and class: a solve imports only the module of its algorithm.
 REGISTRY = {
     "psor": "core.splittings:PSOR",
     "pgs": "core.splittings:PGS",
@@ -85,7 +85,7 @@ def algorithm_class(name: str) -> type[Algorithm]:
     Parameters
     ----------
     name : str
-        One that ``lcp-plugin list`` shows.
+        A name that ``lcp-plugin list`` shows.
 
     Raises
     ------
@@ -114,9 +114,9 @@ def create(name: str, options: dict[str, Any]) -> Algorithm:
     Parameters
     ----------
     name : str
-        One that ``lcp-plugin list`` shows.
+        A name that ``lcp-plugin list`` shows.
     options : dict
-        Values of the options by name; those not given take their defaults.
+        Values of the options by name; the others take their defaults.
 
     Raises
     ------

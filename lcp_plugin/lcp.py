@@ -23,8 +23,8 @@ from .problems.programs.program import QuadraticProgram
 def save(problem: LCP, path: str | PathLike[str]) -> None:
     """Write the problem to ``path``, a ``.npz`` or ``.nl`` file; the file appears whole or not at all.
 
-    A path ending in ``.npz`` gets the keys data, indices, indptr, shape (M as CSR), q, lower, upper; one ending in
-    ``.nl`` becomes a file for AMPL's solvers.
+    A path ending in ``.npz`` gets the keys data, indices, indptr, shape (M as CSR), q, lower, upper; a path ending
+    in ``.nl`` gets a file for AMPL's solvers.
 
     Parameters
     ----------

@@ -53,19 +53,19 @@ convex or not: SCIP searches if it is installed (``pip install '.[global]'``). W
 
 **Options** are the options of :func:`lcp_plugin.solve`: ``solver.options["algorithm"] = "newton"``, or
 ``solve(model, options={"tolerance": 1e-10})``; ``timelimit`` is ``max_seconds``, ``tee=True`` prints the run. With
-``keepfiles=True`` the ``.nl`` file stays. ``lcp_plugin.pyomo.write_nl(model, "model.nl")`` writes one without a solve;
+``keepfiles=True`` the ``.nl`` file stays. ``lcp_plugin.pyomo.write_nl(model, "model.nl")`` writes it without a solve;
 ``model.write`` rejects complementarities. With an objective and complementarities, ``tolerance`` limits the gap, 1e-6
 by default, and ``max_iterations`` limits the nodes; ``algorithm`` is rejected. The message then names the source of
 the bound. The present values of the variables are tried first. The command
 ``pyomo solve --solver=lcp_plugin model.py`` also uses the solver.
 
-**Afterwards** ``results.solver.termination_condition`` is ``optimal`` only if the status is SOLVED, ``infeasible``
-and ``unbounded`` only with a proof. ``noSolution`` means that none was found and none excluded. ``other`` means that
-double precision allows no better result (if the bounds are the solution, set ``absolute_tolerance``), or that a side
-condition is violated. ``results.solver.message`` has the reason; ``solver.result`` is the result object of the last
-solve; its ``conflict`` lists the constraints that conflict, if the model is infeasible. A ``dual`` suffix gets the
-value of each pair's row, ≥ 0 at a lower bound and ≤ 0 at an upper bound, and the multipliers of a program; ``rc``
-gets the multipliers of its variables. With an objective and complementarities, rows without a pair get 0.
+**Afterwards** ``results.solver.termination_condition`` is ``optimal`` only if the status is SOLVED, ``infeasible`` and
+``unbounded`` only with a proof. ``noSolution`` means that a solution is neither known nor excluded. ``other`` means
+that double precision allows no better result (if the bounds are the solution, set ``absolute_tolerance``), or that a
+side condition is violated. ``results.solver.message`` has the reason; ``solver.result`` is the result object of the
+last solve; its ``conflict`` lists the constraints that conflict, if the model is infeasible. A ``dual`` suffix gets the
+value of each pair's row, ≥ 0 at a lower bound and ≤ 0 at an upper bound, and the multipliers of a program; ``rc`` gets
+the multipliers of its variables. With an objective and complementarities, rows without a pair get 0.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ from . import __version__
 from .core.errors import InvalidOption, did_you_mean
 from .core.settings import parse_options
 from .interfaces.nl.writing import write_nl
-from .interfaces.pyomo import PyomoAnswer, answered, imported
+from .interfaces.pyomo import PyomoAnswer, solve_model, suffix_of
 from .problems.statement import STATUS_ELSEWHERE
 
 NAME, HYPHENATED = "lcp_plugin", "lcp-plugin"  # by another name Pyomo looks for an executable
@@ -197,7 +197,7 @@ class LCPPlugin:
         chosen = {**self.options, **(options or {}), "verbose": bool(tee)}
         if timelimit is not None:
             chosen["max_seconds"] = timelimit
-        answer = answered(model, chosen, pairs)
+        answer = solve_model(model, chosen, pairs)
         if keepfiles:
             path = Path(mkdtemp(prefix=f"{NAME}_", dir=Path.cwd())) / "model.nl"
             has_names, content = symbolic_solver_labels, answer.statement.in_a_file
@@ -258,10 +258,10 @@ def _solution_of(answer: PyomoAnswer, model: Any, results: Any) -> Any:
     symbols.default_labeler = NumericLabeler("x")
     for variable, value in answer.values.items():
         solution.variable[symbols.getSymbol(variable)] = {"Value": value}
-    if imported(model, "dual") is not None:
+    if suffix_of(model, "dual") is not None:
         for row, value in answer.duals.items():
             solution.constraint[symbols.getSymbol(row)] = {"Dual": value}
-    if imported(model, "rc") is not None:
+    if suffix_of(model, "rc") is not None:
         for variable, value in answer.reduced_costs.items():
             solution.variable[symbols.getSymbol(variable)]["Rc"] = value
     results._smap, results._smap_id = symbols, id(symbols)

@@ -570,7 +570,7 @@ def assert_solves(
     max_examples: int = 200,
     seed: int | None = 0,
 ) -> int:
-    """Return the number of problems drawn, or raise an AssertionError that shows the simplest one solved wrongly.
+    """Return the number of problems drawn, or raise an AssertionError that shows the simplest problem solved wrongly.
 
     Parameters
     ----------
@@ -710,7 +710,7 @@ def check_solution(
     """
     try:
         z = np.asarray(point)
-    except Exception:  # a pair (z, info), or an object that rejects in a way of its own
+    except Exception:  # a pair (z, info), or an object that rejects the conversion
         z = np.array(None)
     if z.shape != (problem.n,) or z.dtype.kind not in "biuf":
         return (
@@ -740,15 +740,15 @@ def check_solution(
 
 def _named(problem: LCP, z: Vector, w: list[Fraction], i: int, allowed: object) -> str:
     """Return the name of the condition that row i violates; a z within `allowed` of a bound is at it."""
-    low, high, here = problem.lower[i], problem.upper[i], z[i]
-    for name, bound, excess in (("lower", low, low - here), ("upper", high, here - high)):
+    low, high, value = problem.lower[i], problem.upper[i], z[i]
+    for name, bound, excess in (("lower", low, low - value), ("upper", high, value - high)):
         if excess > allowed:
-            return f"z is outside its bounds: z[{i}] = {here:g}, but {name}[{i}] = {bound:g}"
-    for name, bound, gap in (("lower", low, here - low), ("upper", high, high - here)):
+            return f"z is outside its bounds: z[{i}] = {value:g}, but {name}[{i}] = {bound:g}"
+    for name, bound, gap in (("lower", low, value - low), ("upper", high, high - value)):
         if gap <= allowed:
-            place = f"z[{i}] = {here:g} is at its {name} bound {bound:g}"
+            place = f"z[{i}] = {value:g} is at its {name} bound {bound:g}"
             return f"w has the wrong sign: w[{i}] = {float(w[i]):g}, but {place}"
-    place = f"z[{i}] = {here:g} lies between its bounds"
+    place = f"z[{i}] = {value:g} lies between its bounds"
     return f"z is not complementary: w[{i}] = {float(w[i]):g}, but {place}"
 
 

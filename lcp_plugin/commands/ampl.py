@@ -114,11 +114,11 @@ def assigned(text: str) -> dict[str, Any]:
 
 def _solve(words: list[str], environment: str) -> int:
     """Solve the stub and write the .sol file."""
-    stub, *rest = words
+    stub, *arguments = words
     if stub.startswith("-") or "=" in stub:
         raise InvalidOption(f"no stub is given; call {NAME} stub -AMPL, where stub.nl is the model")
-    is_ampl = bool(rest) and rest[0] == "-AMPL"
-    settings = assigned(environment) | assigned(" ".join(rest[is_ampl:]))
+    is_ampl = bool(arguments) and arguments[0] == "-AMPL"
+    settings = assigned(environment) | assigned(" ".join(arguments[is_ampl:]))
     levels = {name: settings.pop(name, 0) for name in LEVELS}
     for name, level in levels.items():
         if not isinstance(level, int) or level < 0:

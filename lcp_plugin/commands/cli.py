@@ -249,7 +249,7 @@ def warm_up() -> None:
 
 
 def _given(**settings: Any) -> dict[str, Any]:
-    """Return the settings that are given; 0 is one."""
+    """Return the settings that are not None."""
     return {name: value for name, value in settings.items() if value is not None}
 
 

@@ -238,10 +238,10 @@ def _values(source: Target, answer: Any, x: Vector) -> list[str]:
         return []
     letter = "z" if isinstance(source.problem, LCP) else "x"
     names = source.names or [f"{letter}[{k}]" for k in range(len(x))]
-    width, rest = max(map(len, names[:MAX_VALUES]), default=0), len(x) - MAX_VALUES
+    width, more = max(map(len, names[:MAX_VALUES]), default=0), len(x) - MAX_VALUES
     values = zip(names[:MAX_VALUES], x[:MAX_VALUES], strict=True)
     lines = [f"{name:<{width}}  {value:.9g}" for name, value in values]
-    return lines + ([f"and {rest} more values; --out saves them"] if rest > 0 else [])
+    return lines + ([f"and {more} more values; --out saves them"] if more > 0 else [])
 
 
 # --- Options --------------------------------------------------------------------------------------------------

@@ -139,7 +139,7 @@ def cross_validate(
     problem : LCP
         Never modified.
     result : Result, optional
-        The solution to check; by default it is computed here. Its own certificate is not used.
+        The solution to check; by default it is computed here. Its certificate is not used.
     reference : str
         Name of any solver of quadratic programs that cvxpy has installed.
     algorithm : str
@@ -183,9 +183,9 @@ def cross_validate(
     is_false = is_claimed and not _keeps_claim(result, ours)
     check = partial(CrossCheck, reference=name, ours=ours, seconds=seconds)
     if not convex.kind:
-        told = "false" if is_false else "consistent with our residual"
+        outcome = "false" if is_false else "consistent with our residual"
         verdict: Verdict = "mismatch" if is_false else "not comparable"
-        reason = f"no convex program to compare with; our status {status} is {told}"
+        reason = f"no convex program to compare with; our status {status} is {outcome}"
         return check(verdict, reason, formulation=convex.evidence)
     check = partial(check, formulation=f"{convex.kind} ({convex.evidence})")
     remarks = [stage.remark for stage in result.stages if stage.name == "interior_point"]
@@ -193,9 +193,9 @@ def cross_validate(
         reason = f"{name} computed our solution too (interior_point); choose another reference"
         return check("not comparable", reason)
     tight = CLARABEL_OPTIONS if name == "CLARABEL" else {}
-    z, took, told = convex.solve_by(name, max_seconds, **tight | options)
+    z, took, outcome = convex.solve_by(name, max_seconds, **tight | options)
     if z is None:
-        return check("not comparable", f"{name} gave no point: {told}")
+        return check("not comparable", f"{name} gave no point: {outcome}")
     theirs = polish(Certificate.of(problem, z))
     facts = convex.compare(ours, theirs)
     check = partial(check, theirs=theirs, reference_seconds=took, **facts)
@@ -321,12 +321,12 @@ class ConvexForm:
         program = cp.Problem(cp.Minimize(share * curved + cost), rows)
         try:
             program.solve(solver=name, **limit | options)
-            told = str(program.status)
+            outcome = str(program.status)
         except Exception as error:  # solvers fail with exceptions of any class
-            told = (str(error).splitlines() or [type(error).__name__])[0]
+            outcome = (str(error).splitlines() or [type(error).__name__])[0]
         is_found = y.value is not None and np.isfinite(y.value).all()
         z = np.clip(y.value, *ends) / self.weight if is_found else None
-        return z, time.perf_counter() - began, told
+        return z, time.perf_counter() - began, outcome
 
     def compare(self, ours: Certificate, theirs: Certificate) -> dict[str, float]:
         """Return the differences as fields of a CrossCheck."""
@@ -356,7 +356,7 @@ class ConvexForm:
 
 
 def polish(certificate: Certificate) -> Certificate:
-    """Return the solution of the equations on the certificate's own active set, if it is better."""
+    """Return the solution of the equations on the certificate's active set, if it is better."""
     for _ in range(POLISH_ROUNDS):
         problem, z = certificate.problem, certificate.z
         solved = solve_active_set(problem, *classify(problem, z, certificate.w), near=z)

@@ -220,7 +220,7 @@ def _frame(answer: Any, shape: Any) -> Frame:
 
 
 def _plotted(answer: BaseResult, frame: Frame | Scene, axes: Any, new: Callable[..., Any]) -> Any:
-    """Draw into the given axes, or into a new figure with a panel for the residual of a recorded run."""
+    """Draw into `axes`, or into a new figure with a panel for the residual of a recorded run."""
     run = answer if getattr(answer, "history", ()) else None
     is_contact = isinstance(getattr(answer, "problem", None), FrictionalContact)
     draw_first = _draw_cones if is_contact and frame.grid is None else _draw_unknowns

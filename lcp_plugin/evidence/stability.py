@@ -330,15 +330,15 @@ def exact_answer(problem: LCP, guess: Any) -> ExactPoint:
     z = [Fraction(end) for end in ends.tolist()]
     right = [-w for w, free in zip(exact_slack(problem, z), is_free, strict=True) if free]
     column = equilibrating_exponents(problem.csr, ALIKE).column
-    units = [exact_power_of_two(int(exponent)) for exponent in column]
+    scales = [exact_power_of_two(int(exponent)) for exponent in column]
     rows = [
-        {j: entry * units[j] for j, entry in row.items() if is_free[j]}
+        {j: entry * scales[j] for j, entry in row.items() if is_free[j]}
         for row, free in zip(rational_rows(problem.csr), is_free, strict=True)
         if free
     ]
     change = solved_nearby(rows, right, [Fraction(0)] * problem.n, is_free.tolist())
     if change is not None:
-        z = [value + by * unit for value, by, unit in zip(z, change, units, strict=True)]
+        z = [value + by * scale for value, by, scale in zip(z, change, scales, strict=True)]
     if change is None or not is_exact_solution(problem, z):
         raise UnsuitableProblem(
             f"no exact answer of {problem!r} found near the guess; give one on the right bounds"
@@ -363,8 +363,11 @@ def relative_error(z: Vector, exact: ExactPoint, unit: float | Vector) -> float:
     """
     units = [Fraction(value) for value in np.broadcast_to(unit, z.shape).tolist()]
     rows = [*zip(z.tolist(), exact, units, strict=True)]
-    error = max((abs(Fraction(value) - right) / u for value, right, u in rows), default=Fraction(0))
-    largest = max((abs(right) / u for _, right, u in rows), default=Fraction(0))
+    error = max(
+        (abs(Fraction(value) - right) / unit_of_row for value, right, unit_of_row in rows),
+        default=Fraction(0),
+    )
+    largest = max((abs(right) / unit_of_row for _, right, unit_of_row in rows), default=Fraction(0))
     if error >= largest * Fraction(sys.float_info.max):
         return np.inf if error else 0.0
     return float(error / largest)
@@ -434,7 +437,7 @@ class Atlas:
         )
 
     def explain(self) -> str:
-        """Return the counts, then a line for each cell that is not SOLVED, and for each misleading one."""
+        """Return the counts, then a line for each cell that is not SOLVED, and for each misleading cell."""
         counts = Counter(cell.status for cell in self.cells).most_common()
         summary = ", ".join(f"{count} {status}" for status, count in counts)
         lines = [f"{len(self.cells)} cells: {summary}", *map(str, self.unsolved)]

@@ -317,7 +317,7 @@ def study(
         Stopping rule: the criterion of `solve`, or the paper's Res = ‖min(z, M z + q)‖₂ < tolerance, for bounds
         ‖z − mid(lower, upper, z − w)‖₂, tested at every iterate. A run by the paper's rule has no polish.
     polish : bool
-        Whether the polish that `solve` would make is a row of its own.
+        Whether the polish that `solve` would make is a separate row.
     max_seconds : float
         Limit of each run in seconds.
     references : sequence of str
@@ -328,7 +328,7 @@ def study(
     -------
     Study
         Measurements, after Ctrl-C the finished ones. The rows of a method hold its iterates. If
-        :func:`lcp_plugin.solve` would replace the last one by a polish, that point is a row of its own, unless
+        :func:`lcp_plugin.solve` would replace the last iterate by a polish, that point is a separate row, unless
         `polish` is False. A rejected
         problem or size, and a method that raises, are rows with the status REFUSED or ERROR and the reason.
 
@@ -339,17 +339,17 @@ def study(
 
     Notes
     -----
-    The error is the true one if the test problem has z*; else a rigorous bound if M is an H₊-matrix and the bound is
+    The error is the true error if the test problem has z*; else a rigorous bound if M is an H₊-matrix and the bound is
     less than the solution. Otherwise it is the relative residual. Iterations, work, errors and residuals are equal in
     every run of the same call; seconds are not.
 
     Examples
     --------
     >>> from lcp_plugin.evidence.study import study
-    >>> found = study("half_active", ["npsor", "psor"], sizes=[100, 400], repeats=1)
-    >>> [(row.n, row.method, row.status) for row in found.rows][:2]
+    >>> result = study("half_active", ["npsor", "psor"], sizes=[100, 400], repeats=1)
+    >>> [(row.n, row.method, row.status) for row in result.rows][:2]
     [(100, 'npsor', 'SOLVED'), (100, 'psor', 'SOLVED')]
-    >>> found.table("iterations")[0].columns
+    >>> result.table("iterations")[0].columns
     ('method', 'n = 100', 'n = 400')
     """
     whole_number(repeats, "repeats", 1)
@@ -411,7 +411,7 @@ def error_against_time(
     Returns
     -------
     Study
-        Study of one problem; ``print(found)``, ``found.plot()`` or ``found.save("curves.pdf")`` shows it.
+        Study of one problem; ``print(result)``, ``result.plot()`` or ``result.save("curves.pdf")`` shows it.
 
     Raises
     ------
@@ -421,8 +421,8 @@ def error_against_time(
     Examples
     --------
     >>> from lcp_plugin import gallery
-    >>> found = error_against_time(gallery.build("half_active", n=100), ["npgs", "pgs"], repeats=1)
-    >>> [(row.method, row.status, row.error_kind) for row in found.rows]
+    >>> result = error_against_time(gallery.build("half_active", n=100), ["npgs", "pgs"], repeats=1)
+    >>> [(row.method, row.status, row.error_kind) for row in result.rows]
     [('npgs', 'SOLVED', 'true error'), ('pgs', 'SOLVED', 'true error')]
     """
     if not isinstance(target, LCP | Scene | str):
@@ -476,12 +476,12 @@ def _measurements(
         yield f"{label}: no convex solver, {convex.evidence}"
         return
     for name in references:
-        z, seconds, told = convex.solve_by(name, limits["max_seconds"])
+        z, seconds, outcome = convex.solve_by(name, limits["max_seconds"])
         method, status, points = Method(name, name, "reference"), "ERROR", NO_POINTS
         if z is not None:
-            status = told.upper()
+            status = outcome.upper()
             points = np.array([(math.nan, math.nan, *[seconds] * 3, *measure(z))])
-        yield _row(blank, method, status, points, told)
+        yield _row(blank, method, status, points, outcome)
 
 
 def _row(

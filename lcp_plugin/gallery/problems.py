@@ -88,7 +88,7 @@ def balanced_matrix(shape: tuple[int, ...], legs: Legs) -> sp.csr_array:
 
 
 def stiff_cells(cells: Field) -> Legs:
-    """Return the legs of −∇·(k∇u), k given on each cell of the mesh; an edge takes the mean of its two cells."""
+    """Return the legs of −∇·(k∇u), k on each cell of the mesh; an edge takes the mean of its two cells."""
     # edges along the first axis have the shape (size + 1, size)
     across = (cells[:, :-1] + cells[:, 1:]) / 2.0
     along = (cells[:-1, :] + cells[1:, :]) / 2.0
@@ -112,7 +112,7 @@ def dirichlet_terms(
     field : shape (size + 2 along each axis)
         Values on the grid and its boundary layer; only the layer is used.
     below, above
-        The coefficients given to `stencil_matrix`.
+        The coefficients of `stencil_matrix`.
 
     Examples
     --------
@@ -301,7 +301,7 @@ def paper_example_2(*, n: int = 100, delta: float = 4.0) -> Scene:
     Notes
     -----
     M = blocktridiag(−1.5 I, tridiag(−1.5, 4, −0.5), −0.5 I) + δI, q = −M z*, start (1, 0, 1, 0, …). The
-    diagonal block is printed as tridiag(−1, 4, −1); the tables were computed with the block given here.
+    diagonal block is printed as tridiag(−1, 4, −1); the tables were computed with this block.
 
     References
     ----------
@@ -339,7 +339,7 @@ def half_active(*, n: int = 10_000, delta: float = 4.0, degenerate: bool = True)
     Notes
     -----
     The solution is chosen first: z* = 1, 2, 1, 2, … and w* = 0 on free blocks, on active ones the other way round;
-    then q = w* − M z*. The paper's own examples have no active constraint and so do not test
+    then q = w* − M z*. The paper's examples have no active constraint and so do not test
     complementarity: an iteration for the linear system alone would solve them.
     """
     side = _side(n)

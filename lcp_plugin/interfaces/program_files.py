@@ -187,9 +187,9 @@ def _entries(
 
 
 def _bounds(lines: Lines, columns: NumberOf, integers: list[str]) -> tuple[Entries, Entries]:
-    """Return the lower and upper bounds; of several for one variable the last one holds.
+    """Return the lower and upper bounds; the last of several bounds of a variable holds.
 
-    The lower bound is −∞ for a negative upper bound without a lower one.
+    The lower bound is −∞ for a negative upper bound without a lower bound.
     """
     lower, upper = Entries(), Entries()
     for words in lines:
@@ -549,7 +549,7 @@ def load_problem(path: str | PathLike[str]) -> Any:
     UnreadableFile
         If the file is missing, corrupt, or states no problem.
     UnsupportedModel
-        If it states one with integers.
+        If the program has integers.
 
     Notes
     -----

@@ -69,7 +69,7 @@ class PairSide(NamedTuple):
 
     @property
     def variable(self) -> Any:
-        """The variable that the body is, or None; a fixed one is a number."""
+        """The variable that the body is, or None; a fixed variable is a number."""
         is_variable = hasattr(self.body, "is_variable_type") and self.body.is_variable_type()
         return self.body if is_variable and not self.body.fixed else None
 
@@ -148,7 +148,7 @@ def _side(argument: object, stated: Any) -> PairSide:
 
 
 def difference(first: Any, second: Any) -> Any:
-    """Return first − second as a sum of its own: Pyomo's ``+`` may append to the list of a sum that the user holds."""
+    """Return first − second as a new sum: Pyomo's ``+`` may append to the list of a sum that the user holds."""
     return SumExpression([first, -second])
 
 
@@ -157,7 +157,7 @@ def cannot_vary(expression: Any) -> bool:
     return next(iter(identify_variables(expression, include_fixed=False)), None) is None
 
 
-def paired(stated: Any, sides: Sequence[PairSide], is_taken: Callable[[Any], bool]) -> Pair:
+def pair_of_sides(stated: Any, sides: Sequence[PairSide], is_taken: Callable[[Any], bool]) -> Pair:
     """Return a pair. Held is the ranged side, else a variable that is not taken, else a fixed side.
 
     Parameters
@@ -188,8 +188,8 @@ def pair_of(row: Any, variable: Any) -> Pair:
     UnsupportedModel
         If the constraint is a range, or an inequality whose variable has no bounds.
     """
-    lower, upper = _own_bounds(variable)
-    low, high = _own_bounds(row)
+    lower, upper = bounds_of(variable)
+    low, high = bounds_of(row)
     held, side = PairSide(lower, variable, upper), PairSide(low, row.body, high)
     if side.is_equation:
         return Pair(row, held, difference(row.body, row.lb) if row.lb else row.body)
@@ -214,7 +214,7 @@ class PyomoStatement:
     variables : list of VarData
         In the order of the content.
     rows : list
-        Component that each row states: a ConstraintData, an equality given as ComplementarityData, or a Pair. For
+        Component that each row states: a ConstraintData, an equality of a ComplementarityData, or a Pair. For
         an added unknown, its name: the row is its equation.
     added : frozenset of int
         Numbers of the added unknowns.
@@ -238,15 +238,15 @@ class PyomoStatement:
 
 def certify_model(model: Any, tolerance: float, pairs: list[Any] | None = None) -> Certification:
     """Return the verdict on the values of a Pyomo model; see :func:`lcp_plugin.certify`."""
-    return certify_values(stated(model, pairs).content, tolerance)
+    return certify_values(statement_of(model, pairs).content, tolerance)
 
 
 def file_content_of(model: Any) -> NLContent:
     """Return the content of a ``.nl`` file of a Pyomo model."""
-    return stated(model).in_a_file
+    return statement_of(model).in_a_file
 
 
-def stated(model: Any, pairs: list[Any] | None = None) -> PyomoStatement:
+def statement_of(model: Any, pairs: list[Any] | None = None) -> PyomoStatement:
     """Return the content of a Pyomo model or of one of its blocks, without changing the model.
 
     Parameters
@@ -340,13 +340,15 @@ class _Draft:
                 self.state(equation.body, conditions[k], equation.lower, equation.lower)
             else:
                 self.hold(
-                    paired(conditions[k], sides[k], lambda variable: id(variable) in self.partners)
+                    pair_of_sides(
+                        conditions[k], sides[k], lambda variable: id(variable) in self.partners
+                    )
                 )
 
     def hold(self, pair: Pair) -> None:
         """Take a pair: its variable, or an unknown that is added, goes with its row."""
         if not self.is_search and cannot_vary(pair.held.body):
-            self.look_at(pair)
+            self.state_fixed(pair)
             return
         variable = pair.held.variable
         if variable is None or id(variable) in self.partners:
@@ -354,12 +356,12 @@ class _Draft:
             self.named[id(variable)] = name = f"the unknown for {pair.stated.name}"
             variable.set_value(core.value(pair.held.body, exception=False), skip_validation=True)
             self.state(difference(variable, pair.held.body), name, 0.0, 0.0)
-        elif not self._own_bounds_count(variable, pair):
+        elif not self._needs_no_bound_row(variable, pair):
             self.state(variable, f"the bounds of {variable.name}", variable.lb, variable.ub)
         self.partners[id(variable)] = variable, pair
         self.state(pair.row, pair, 0.0, None)
 
-    def look_at(self, pair: Pair) -> None:
+    def state_fixed(self, pair: Pair) -> None:
         """Take the row of a fixed pair as inequalities: of one sign at a bound, of both between the bounds."""
         lower, body, upper = pair.held
         held, name = float(core.value(body)), pair.stated.name
@@ -439,28 +441,31 @@ class _Draft:
             constants[i] = -row_lower[i]
             row_lower[i], row_upper[i], partners[i] = -np.inf, np.inf, j
             lower[j], upper[j] = held.lower, held.upper
-            if not self.is_search and self._own_bounds_count(variable, pair):
-                own_lower, own_upper = _own_bounds(variable)
-                lower[j], upper[j] = max(held.lower, own_lower), min(held.upper, own_upper)
+            if not self.is_search and self._needs_no_bound_row(variable, pair):
+                variable_lower, variable_upper = bounds_of(variable)
+                lower[j], upper[j] = (
+                    max(held.lower, variable_lower),
+                    min(held.upper, variable_upper),
+                )
             is_lower, is_upper = lower[j] == held.lower, upper[j] == held.upper
             bits[i] = (is_lower and math.isfinite(held.lower)) + 2 * (
                 is_upper and math.isfinite(held.upper)
             )
         return replace(content, **new, trees=content.trees.plus(constants))
 
-    def _own_bounds_count(self, variable: Any, pair: Pair) -> bool:
+    def _needs_no_bound_row(self, variable: Any, pair: Pair) -> bool:
         """Return whether the bounds of a pair's variable need no row.
 
         In a search, only bounds that the pair implies need none. Otherwise bounds count as if the pair stated them,
         unless they exclude its bounds.
         """
-        (lower, upper), held = _own_bounds(variable), pair.held
+        (lower, upper), held = bounds_of(variable), pair.held
         if self.is_search:
             return lower <= held.lower and held.upper <= upper
         return max(lower, held.lower) <= min(upper, held.upper)
 
 
-def _own_bounds(component: Any) -> tuple[float, float]:
+def bounds_of(component: Any) -> tuple[float, float]:
     """Return the bounds of a variable or constraint."""
     lower, upper = component.lb, component.ub
     return -math.inf if lower is None else lower, math.inf if upper is None else upper
@@ -509,7 +514,7 @@ class PyomoAnswer:
         return self._of_variables(costs.tolist())
 
     def _of_variables(self, numbers: list[float]) -> ComponentMap:
-        """Return the finite numbers by the model's own variables."""
+        """Return the finite numbers by the variables of the model."""
         added, named = self.statement.added, zip(self.statement.variables, numbers, strict=False)
         of_model = (
             pair for j, pair in enumerate(named) if j not in added and math.isfinite(pair[1])
@@ -525,14 +530,14 @@ class PyomoAnswer:
             variable.set_value(value, skip_validation=True)
         StaleFlagManager.mark_all_as_stale(delayed=True)
         for name in ("dual", "rc"):
-            if (suffix := imported(model, name)) is not None:
+            if (suffix := suffix_of(model, name)) is not None:
                 suffix.clear()
                 suffix.update(self.duals if name == "dual" else self.reduced_costs)
 
 
-def answered(model: Any, options: dict[str, Any], pairs: list[Any] | None = None) -> PyomoAnswer:
+def solve_model(model: Any, options: dict[str, Any], pairs: list[Any] | None = None) -> PyomoAnswer:
     """Return the solution of a Pyomo model, which is not changed, by options of :func:`lcp_plugin.solve`."""
-    statement = stated(model, pairs)
+    statement = statement_of(model, pairs)
     content, added = statement.content, sorted(statement.added)[:MOST_NAMES]
     try:
         problem = model_of(content)
@@ -546,7 +551,7 @@ def answered(model: Any, options: dict[str, Any], pairs: list[Any] | None = None
     return PyomoAnswer(statement, problem.solve(**options), isinstance(problem, ProgramModel))
 
 
-def imported(model: Any, name: str) -> Any:
+def suffix_of(model: Any, name: str) -> Any:
     """Return the suffix of that name nearest to the root that imports values, or None."""
     suffixes = model.component_objects(core.Suffix, active=True, descend_into=True, sort=IN_ORDER)
     return next(
@@ -578,7 +583,7 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
         raise InvalidOption(
             f"pairs must be 'match' or a ComponentMap from constraints to variables, got {pairs!r}"
         )
-    matched = [] if pairs == "match" else [*_stated(pairs)]
+    matched = [] if pairs == "match" else [*single_pairs(pairs)]
     owners: dict[int, Any] = {}
     partners: dict[int, Any] = {}
     for row, variable in matched:
@@ -591,9 +596,9 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
                 f"{variable.name} is paired with {other.name} and with {row.name}; a variable has one row"
             )
     paired = owners.keys() | {id(row) for row, _ in matched}
-    rows = _families(row for row in constraints if id(row) not in paired)
-    variables = _families(
-        variable for variable in _variables(constraints) if id(variable) not in paired
+    rows = families_of(row for row in constraints if id(row) not in paired)
+    variables = families_of(
+        variable for variable in variables_of(constraints) if id(variable) not in paired
     )
     variables = [
         family for family in variables if not all(variable.fixed for variable in family.values())
@@ -603,15 +608,15 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
         if len(matches) != 1:
             _require_row_of_each(variables, rows)
             raise UnsupportedModel(_why_open(family, matches))
-        own_rows, members = matches[0]
-        matched += [(row, members[key]) for key, row in own_rows.items()]
-        rows = [family for family in rows if family is not own_rows]
+        family_rows, members = matches[0]
+        matched += [(row, members[key]) for key, row in family_rows.items()]
+        rows = [family for family in rows if family is not family_rows]
         variables = [family for family in variables if family is not members]
     _require_full_rank(constraints, matched)
     return matched
 
 
-def _stated(pairs: Mapping[Any, Any]) -> Iterator[tuple[Any, Any]]:
+def single_pairs(pairs: Mapping[Any, Any]) -> Iterator[tuple[Any, Any]]:
     """Yield the pairs of single constraints and variables."""
     for rows, variables in pairs.items():
         for component, kind in ((rows, Constraint), (variables, Var)):
@@ -630,7 +635,8 @@ def _stated(pairs: Mapping[Any, Any]) -> Iterator[tuple[Any, Any]]:
                 yield row, variables[index] if variables.is_indexed() else variables
 
 
-def _variables(constraints: list[Any]) -> list[Any]:
+def variables_of(constraints: list[Any]) -> list[Any]:
+    """Return the variables of constraints, each once."""
     each = {
         id(variable): variable
         for row in constraints
@@ -639,7 +645,8 @@ def _variables(constraints: list[Any]) -> list[Any]:
     return [*each.values()]
 
 
-def _families(members: Iterable[Any]) -> list[Family]:
+def families_of(members: Iterable[Any]) -> list[Family]:
+    """Return the members grouped by their component, by their indices."""
     families: dict[Any, Family] = {}
     for member in members:
         names, indices, part = [], [], member
@@ -656,7 +663,7 @@ def _has_bounds(variable: Any) -> bool:
 
 
 def _may_belong(rows: Family, variables: Family) -> bool:
-    """Return whether rows have the indices of the variables that are not fixed, and inequalities one with bounds."""
+    """Return whether rows have the indices of the free variables, and inequalities a variable with bounds."""
     return rows.keys() <= variables.keys() and all(
         variable.fixed or (key in rows and (rows[key].equality or _has_bounds(variable)))
         for key, variable in variables.items()
@@ -683,7 +690,7 @@ def _require_row_of_each(variables: list[Family], rows: list[Family]) -> None:
 
 
 def _why_open(family: Family, matches: list[tuple[Family, Family]]) -> str:
-    """Return why a family has no match of its own, and what to do."""
+    """Return why a family has no match, or several, and the remedy."""
     name, others = (
         _name(family),
         [_name(variable if variable is not family else row) for row, variable in matches],
@@ -708,7 +715,7 @@ def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> 
     partner = {id(row): variable for row, variable in pairs}
     rows = [row for row in constraints if not (id(row) in partner and partner[id(row)].fixed)]
     inside = [
-        [*_variables([row]), *([partner[id(row)]] if id(row) in partner else [])] for row in rows
+        [*variables_of([row]), *([partner[id(row)]] if id(row) in partner else [])] for row in rows
     ]
     variables = {
         id(variable): variable for columns in inside for variable in columns if not variable.fixed

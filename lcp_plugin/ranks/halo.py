@@ -50,8 +50,8 @@ class Ranks:
 
     def largest(self, values: Array) -> float:
         """Return the largest of all ranks' values ≥ 0, arrays or one number each; a NaN stays."""
-        here = values.max(initial=0.0) if isinstance(values, np.ndarray) else values
-        return self.all_largest(float(here))[0]
+        local = values.max(initial=0.0) if isinstance(values, np.ndarray) else values
+        return self.all_largest(float(local))[0]
 
     def all_largest(self, *values: float) -> tuple[float, ...]:
         """Return the largest of each of them."""
@@ -177,9 +177,12 @@ class Exchange:
         self._comm, self._own = comm, count
         self._order = np.argsort(places[:, 0], kind="stable")
         self._received = np.bincount(places[:, 0], minlength=comm.size)
-        asked = np.split(places[self._order, 1], np.cumsum(self._received)[:-1])
-        wanted = comm.alltoall(asked)
-        self._sent, self._which = np.array([part.size for part in wanted]), np.concatenate(wanted)
+        requested = np.split(places[self._order, 1], np.cumsum(self._received)[:-1])
+        requests = comm.alltoall(requested)
+        self._sent, self._which = (
+            np.array([part.size for part in requests]),
+            np.concatenate(requests),
+        )
 
     def __call__(self, values: Vector) -> None:
         """Overwrite the copies, which follow the local values."""

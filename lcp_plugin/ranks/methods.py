@@ -36,7 +36,7 @@ LARGEST_GROWTH, LARGEST_COMPLEXITY = 2.0, 8.0
 def build_hierarchy(matrix: AnyMatrix, halo: Halo, *, scales_rows: bool) -> Hierarchy:
     """Return the hierarchy of the local rows, shape (own, own + foreign), with a positive diagonal.
 
-    It has one grid if coarser ones cost too much.
+    It has one grid if coarser grids cost too much.
 
     With `scales_rows` the restriction is Pᵀ D⁻¹ in place of Pᵀ, for matrices that are not symmetric.
     """

@@ -32,7 +32,7 @@ class RowsOnRanks:
     Attributes
     ----------
     n, own : int
-        Number of rows, of all ranks and of this one.
+        Number of rows, of all ranks and of this rank.
     rows : csr_array, shape (own, own + foreign)
         The local rows in local columns: first the local unknowns, then their ghosts.
     halo : Halo
@@ -103,7 +103,7 @@ class RowsOnRanks:
         )
 
     def own_part(self, z: Any, name: str = "z", *, is_finite: bool = True) -> checks.Vector:
-        """Return a checked vector, shape (own,); all ranks reject a wrong part of one of them."""
+        """Return a checked vector, shape (own,); all ranks reject a part that is wrong on one rank."""
         return self.halo.together(
             lambda: checks.checked_vector(z, name, self.own, is_finite=is_finite)
         )
@@ -121,9 +121,9 @@ class RowsOnRanks:
 
     def gathered_problem(self) -> LCP | None:
         """Return the whole LCP on rank 0, None on the others."""
-        rows_here, halo = self.rows, self.halo
+        local, halo = self.rows, self.halo
         numbers = np.concatenate([np.arange(halo.first, halo.last), halo.ghosts])
-        entries = rows_here.data, numbers[rows_here.indices], rows_here.indptr
+        entries = local.data, numbers[local.indices], local.indptr
         rows = sp.csr_array(entries, shape=(self.own, self.n))
         parts = halo.comm.gather((rows, self.q, self.lower, self.upper), root=0)
         if parts is None:

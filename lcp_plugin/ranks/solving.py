@@ -371,7 +371,7 @@ class RunOnRanks(Run):
 def measured_on_ranks(
     problem: RowsOnRanks, x: Vector, tolerance: float
 ) -> tuple[bool, float, float, float, str]:
-    """Return whether the given x passes the criterion, its largest violation, residual, tolerance and a reason.
+    """Return whether x passes the criterion, its largest violation, residual, tolerance and a reason.
 
     The reason of a failure is the bound that an entry of x violates on the lowest rank, or "".
     """

@@ -27,7 +27,7 @@ bound may be a number. A batch is solved by :func:`~lcp_plugin.solve_batch`; a s
 
 **The result** is z, solved again on the free rows, so that z is exact to rounding for any tolerance; compute
 w = M z + q from it. If a problem is not SOLVED, :class:`~lcp_plugin.NotConverged` names its number in the batch.
-(JAX wraps this error in its own.) With ``mask=True`` a layer returns (z, is_solved) instead: an instance that is not
+(JAX wraps this error.) With ``mask=True`` a layer returns (z, is_solved) instead: an instance that is not
 solved, or whose numbers are invalid, has z = 0 and the gradient 0, and the batch continues.
 
 **Gradients** by all four are computed by :meth:`ManyDerivatives.vjp`: exact if no row is both at a bound and has w = 0.
@@ -91,8 +91,8 @@ class Layer(ABC):
     alone: ClassVar[str]  # the problem of an instance, as `solve` takes it
 
     @classmethod
-    def own_shapes(cls, *shapes: tuple[int, ...]) -> list[tuple[int, ...]]:
-        """Return the shapes of the arrays of one problem, from those of arrays with batch axes."""
+    def problem_shapes(cls, *shapes: tuple[int, ...]) -> list[tuple[int, ...]]:
+        """Return the shapes of the arrays of one problem, from the shapes of arrays with batch axes."""
         shapes_of_one = (
             shape[-2:] if k in cls.matrices_at else shapes[1 if k in cls.bounds_at else k][-1:]
             for k, shape in enumerate(shapes)
@@ -266,7 +266,7 @@ class QPLayer(Layer):
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         P, shapes = (
             0.5 * (data[0] + data[0].swapaxes(-1, -2)),
-            self.own_shapes(*(array.shape for array in data)),
+            self.problem_shapes(*(array.shape for array in data)),
         )
         vectors = [stacked(data[k], axes, shapes[k]) for k in (1, 3, 5, 6, 7)]
         all_matrices = [matrices(matrix, axes) for matrix in (P, data[2], data[4])]
@@ -320,7 +320,7 @@ class ContactLayer(Layer):
         W, b, friction = data
         of_contacts = options.keys() & {"contacts", "dimension", "equations"}
         of_worlds = {name: options[name] for name in of_contacts}
-        others = {name: wish for name, wish in options.items() if name not in of_worlds}
+        others = {name: value for name, value in options.items() if name not in of_worlds}
         b = stacked(b, axes, b.shape[-1:])
         friction = stacked(friction, axes, friction.shape[-1:]) if friction.ndim else friction
         worlds = FrictionalContact.worlds(matrices(W, axes), b, friction, **of_worlds)
@@ -333,7 +333,7 @@ class ContactLayer(Layer):
 def common_axes(
     M: tuple[int, ...], q: tuple[int, ...], *others: tuple[int, ...]
 ) -> tuple[int, ...]:
-    """Return the batch axes: all axes in front of the last one (of M: in front of the last two).
+    """Return the batch axes: all axes except the last (of M: the last two).
 
     Raises
     ------
@@ -368,7 +368,7 @@ def check_bounds(q: Array, **bounds: Array) -> None:
 
 
 def stacked(array: Array, axes: tuple[int, ...], shape: tuple[int, ...]) -> Any:
-    """Return an array with one axis in place of these axes in front of its own ones."""
+    """Return an array with one axis in place of these axes in front of the axes of a problem."""
     return np.broadcast_to(array, (*axes, *shape)).reshape(math.prod(axes), *shape)
 
 

@@ -62,8 +62,8 @@ def lcp_layer(
 
     Notes
     -----
-    Gradients go backward: ``jax.grad``, ``jax.vjp``, ``jax.jacrev``, also under ``jit`` and ``vmap``; a mapped axis is
-    one more of the batch.
+    Gradients go backward: ``jax.grad``, ``jax.vjp``, ``jax.jacrev``, also under ``jit`` and ``vmap``; a mapped axis
+    becomes a batch axis.
 
     Examples
     --------
@@ -186,7 +186,7 @@ def _broadcast_solution(call: LayerCall) -> Any:
         array.reshape(*(1 for _ in axes), *shape)  # one matrix for all
         if len(shape) == 2 and math.prod(array.shape[:-2]) == 1
         else jnp.broadcast_to(array, (*axes, *shape))
-        for array, shape in zip(data, layer.own_shapes(*shapes), strict=True)
+        for array, shape in zip(data, layer.problem_shapes(*shapes), strict=True)
     )
     solution = _solution(layer, tuple(wide))
     return solution if layer.mask else solution[0]
@@ -231,7 +231,7 @@ _solution.defvjp(_solution_forward, _solution_backward)
 
 
 def _array(values: Array, name: str) -> Any:
-    """Return the values as an array of doubles, constants as one of numpy; floats of another kind are rejected."""
+    """Return the values as a float64 array, of numpy if they are constants; other float types are rejected."""
     need = f"{name} must be an array of real numbers"
     if not isinstance(values, jax.Array):
         if not any(isinstance(part, jax.Array) for part in jax.tree.leaves(values)):

@@ -163,7 +163,7 @@ def contact_layer(
 
     Notes
     -----
-    Gradients go backward, once. If contacts are degenerate, the gradient is one of several: see
+    Gradients go backward, once. If contacts are degenerate, the gradient is not unique: see
     ``help(lcp_plugin.derivative)``.
 
     Examples
@@ -233,7 +233,7 @@ class _Gradient(torch.autograd.Function):  # type: ignore[misc]
 
 
 def _tensor(values: Array, name: str) -> Any:
-    """Return the values as a tensor of doubles on the CPU; what is a tensor of another kind is rejected."""
+    """Return the values as a float64 tensor on the CPU; other tensors are rejected."""
     if not isinstance(values, torch.Tensor):
         return torch.from_numpy(
             real_array(values, f"{name} must be an array of real numbers").copy()

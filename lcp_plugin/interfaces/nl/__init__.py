@@ -34,14 +34,14 @@ objective and there are as many equations as unknowns. With an objective also ``
 `read_content` raises UnsupportedModel for logical constraints and external functions; ``lcp-plugin-ampl`` then writes
 no ``.sol`` file.
 
-**A complementarity row** is ≥ 0 if its variable is at the lower bound, ≤ 0 at the upper bound, and 0 between. Its
-dual is its value. A dual of a program is the derivative of the objective by the row's right-hand side. Variables that
-only name the value of such a row, which Pyomo adds, are substituted if all rows are affine. Without an objective all
-bounds of a variable belong to its complementarity, as PATH and AMPL take them, and the message names one that the
+**A complementarity row** is ≥ 0 if its variable is at the lower bound, ≤ 0 at the upper bound, and 0 between. Its dual
+is its value. A dual of a program is the derivative of the objective by the row's right-hand side. Variables that only
+name the value of such a row, which Pyomo adds, are substituted if all rows are affine. Without an objective all bounds
+of a variable belong to its complementarity, as PATH and AMPL take them, and the message names a bound that the
 complementarity does not state if a variable stops at it. Inequalities without a partner, and bounds of a variable
-without a complementarity, are checked at the solution of the complementarities and equations. If one is violated, the
-model is solved as one with an objective: another solution is searched, or proved not to exist. With an objective they
-are constraints like others, as are bounds that a complementarity does not state.
+without a complementarity, are checked at the solution of the complementarities and equations. If a condition is
+violated, the model is solved as with an objective: another solution is searched, or proved not to exist. With an
+objective they are constraints like others, as are bounds that a complementarity does not state.
 
 **Files**, text (``g``) or binary (``b``, either byte order), are read whole: bounds, ranges, equations,
 complementarity rows, expressions, defined variables, starts, names from ``.col`` and ``.row``. What is

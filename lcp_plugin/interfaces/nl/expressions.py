@@ -111,7 +111,7 @@ class _ExpressionReader:
     ----------
     content : NLContent
     known : list of float or None
-        The values of the variables that have one.
+        Values of the known variables, None for the unknowns.
     adds_unknowns : bool
 
     Attributes
@@ -274,7 +274,7 @@ class Expressions:
     ----------
     content : NLContent
     known : ndarray, shape (n,)
-        The values of the variables that have one, NaN for the unknowns.
+        Values of the known variables, NaN for the unknowns.
     adds_unknowns : bool
         Whether a defined variable may be an unknown; otherwise it is a function.
 
@@ -381,7 +381,7 @@ class Expressions:
 
 
 def _matrix(sums: list[Sum], place: Indices, shape: tuple[int, int]) -> sp.csr_array:
-    """Return the terms of sums, one row each, with their columns mapped to the given ones."""
+    """Return the terms of sums, one row each, with their columns mapped by `place`."""
     counts = [len(combination.terms) for combination in sums]
     columns = place[
         np.fromiter(

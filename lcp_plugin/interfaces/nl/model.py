@@ -90,12 +90,14 @@ class SideConditions:
         if not (names := self.names()):
             return []
         rows, slopes = values_and_slopes(content, x, inner)
-        units = abs(slopes) @ (1.0 + np.abs(x))  # the change of a row if all its variables change
+        row_sizes = abs(slopes) @ (
+            1.0 + np.abs(x)
+        )  # the change of a row if all its variables change
         bounded = x[self.bounded]
-        values, units = np.append(rows, bounded), np.append(units, 1.0 + np.abs(bounded))
+        values, row_sizes = np.append(rows, bounded), np.append(row_sizes, 1.0 + np.abs(bounded))
         lower = np.append(content.row_lower[inner], content.lower[self.bounded])
         upper = np.append(content.row_upper[inner], content.upper[self.bounded])
-        excesses = excess(values, lower, upper, units)
+        excesses = excess(values, lower, upper, row_sizes)
         excesses = np.where(np.isnan(excesses), np.inf, excesses)
         order = np.argsort(-excesses, kind="stable")
         bounds = np.where(values < lower, lower, upper)
@@ -107,12 +109,14 @@ class SideConditions:
         ]
 
 
-def excess(body: Any, lower: Vector, upper: Vector, units: Any) -> Any:
+def excess(body: Any, lower: Vector, upper: Vector, row_sizes: Any) -> Any:
     """Return by how much a body is beyond its bounds: of their size, at least 1, or of the row's if that is less."""
     sizes = np.maximum(
         *(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper))
     )
-    scales = np.minimum(np.maximum(1.0, sizes), np.where(units > 0.0, units, np.abs(body)) + sizes)
+    scales = np.minimum(
+        np.maximum(1.0, sizes), np.where(row_sizes > 0.0, row_sizes, np.abs(body)) + sizes
+    )
     return np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(
         scales > 0.0, scales, 1.0
     )
@@ -213,14 +217,14 @@ class ComplementarityModel(NLModel):
         The problem in fewer unknowns, with definitions substituted.
     pairs : ndarray of int
         The complementarity rows.
-    beside : SideConditions
+    side_conditions : SideConditions
         Conditions that are checked at the solution; if it violates some, the model of all conditions is solved.
     """
 
     problem: LCP | NonlinearProblem
     arrangement: SquareModel
     pairs: Indices
-    beside: SideConditions
+    side_conditions: SideConditions
 
     @property
     def start(self) -> Vector:
@@ -231,7 +235,7 @@ class ComplementarityModel(NLModel):
 
     def solve(self, algorithm: object = "auto", **options: Any) -> NLAnswer:
         """Return the answer; see :meth:`NLModel.solve`."""
-        is_started = self.content.has_start.any() or self.beside.bounded.size
+        is_started = self.content.has_start.any() or self.side_conditions.bounded.size
         options = {"algorithm": algorithm, **options}
         result = solve_from(self.arrangement, self.start if is_started else None, options)
         x, duals = self.values(result.z, result.w)
@@ -249,7 +253,7 @@ class ComplementarityModel(NLModel):
 
     def _violated(self, x: Vector, tolerance: float) -> str:
         """Return the names of the side conditions that are violated at x; else ""."""
-        if not (rows := self.beside.violated(x, tolerance)):
+        if not (rows := self.side_conditions.violated(x, tolerance)):
             return ""
         others = f", nor {len(rows) - 1} more" if len(rows) > 1 else ""
         what = f"{rows[0].name} does not hold{others}, off by {rows[0].residual:.2g}"
@@ -416,10 +420,10 @@ def certify_values(content: NLContent, tolerance: float) -> Certification:
         )
     statement, start = FileStatement(content), content.start
     is_bounded = np.isfinite(content.lower) | np.isfinite(content.upper)
-    beside = SideConditions(
+    side_conditions = SideConditions(
         content, statement.inequalities, np.flatnonzero(is_bounded & ~statement.is_paired)
     )
-    if not (statement.pairs.size or content.is_maximized.size) and beside.names():
+    if not (statement.pairs.size or content.is_maximized.size) and side_conditions.names():
         raise InvalidProblem(
             "the model has bounds or inequalities, but neither an objective nor complementarities to certify; give "
             'certify(model, pairs="match") if it is square, or add an Objective'
@@ -429,7 +433,9 @@ def certify_values(content: NLContent, tolerance: float) -> Certification:
     if isinstance(model, ComplementarityModel):
         problem, z, violated = model.arrangement.at_values(x, tolerance, statement.name)
         certification = certify_point(problem, z, tolerance)
-        return with_side_conditions(certification, [*violated, *beside.violated(start, tolerance)])
+        return with_side_conditions(
+            certification, [*violated, *side_conditions.violated(start, tolerance)]
+        )
     certification = certify(model.problem, x, tolerance=tolerance)
     fixed = SideConditions(content, statement.pairs[:0], np.flatnonzero(~np.isnan(statement.known)))
     return with_side_conditions(certification, fixed.violated(start, tolerance))
@@ -438,12 +444,12 @@ def certify_values(content: NLContent, tolerance: float) -> Certification:
 def lcp_in_nl(path: str | PathLike[str]) -> LCP:
     """Return the LCP that an ``.nl`` file states; raise UnsupportedModel for any other problem."""
     model = read_nl(path)
-    beside = model.beside.names() if isinstance(model, ComplementarityModel) else []
-    if isinstance(model.problem, LCP) and not beside:
+    conditions = model.side_conditions.names() if isinstance(model, ComplementarityModel) else []
+    if isinstance(model.problem, LCP) and not conditions:
         return model.problem
     kind = f"{with_article(type(model.problem).__name__)}, not an LCP"
-    if beside:
-        kind = f"more than a complementarity problem: {beside[0]} is a condition next to it"
+    if conditions:
+        kind = f"more than a complementarity problem: {conditions[0]} is a condition next to it"
     raise UnsupportedModel(
         f"{path} states {kind}; lcp_plugin.interfaces.nl.read_nl(path).solve() and `lcp-plugin solve` take it"
     )
@@ -452,7 +458,7 @@ def lcp_in_nl(path: str | PathLike[str]) -> LCP:
 class FileStatement:
     """Rows of a file, sorted by type.
 
-    It is one class because the rows of each type are sorted once, for both kinds of models.
+    It is one class because the rows of each type are sorted once, for both types of models.
 
     Parameters
     ----------
@@ -470,12 +476,12 @@ class FileStatement:
         self.equations = np.flatnonzero(~is_pair & (low == high))
         is_bounded = np.isfinite(low) | np.isfinite(high)
         self.inequalities = np.flatnonzero(~is_pair & (low != high) & is_bounded)
-        self.says_nothing = ~is_pair & ~is_bounded
+        self.has_no_bounds = ~is_pair & ~is_bounded
         self.is_paired = np.zeros(self.n, dtype=bool)
         self.is_paired[content.partners[self.pairs]] = True
-        self.known = self._known(self.says_nothing)
+        self.known = self._known(self.has_no_bounds)
         self.expressions = Expressions(content, self.known)
-        self.is_affine = self.expressions.is_affine()[: self.m] | self.says_nothing
+        self.is_affine = self.expressions.is_affine()[: self.m] | self.has_no_bounds
 
     def _refuse_discrete(self) -> None:
         content = self.content
@@ -537,7 +543,7 @@ class FileStatement:
         content, expressions, m = self.content, self.expressions, self.m
         unknowns, place = expressions.unknowns, np.full(self.n + content.defined_trees.size, -1)
         place[unknowns] = np.arange(unknowns.size)
-        others = np.flatnonzero((content.partners < 0) & ~self.says_nothing)
+        others = np.flatnonzero((content.partners < 0) & ~self.has_no_bounds)
         stated = self._statement()
         stated.integers = np.flatnonzero(content.is_integer[unknowns[unknowns < self.n]])
         for part in self._parts(others):
@@ -580,7 +586,7 @@ class FileStatement:
         """Return the complementarity problem."""
         if self.inequalities.size:
             is_inequality = np.isin(np.arange(self.m), self.inequalities)
-            self.known = self._known(self.says_nothing | is_inequality)
+            self.known = self._known(self.has_no_bounds | is_inequality)
             self.expressions = Expressions(self.content, self.known)
         content, expressions = self.content, self.expressions
         pairs, equations = self.pairs, np.append(self.equations, expressions.definitions)
@@ -601,7 +607,7 @@ class FileStatement:
         # Arrays of the model's language are not known: unknowns without a pair count as one variable.
         arrangement = statement.square((~statement.is_paired).astype(np.int64))
         bounded = expressions.unknowns[arrangement.dropped]
-        beside = SideConditions(content, self.inequalities, bounded)
+        side_conditions = SideConditions(content, self.inequalities, bounded)
         return ComplementarityModel(
             content,
             arrangement.problem,
@@ -609,7 +615,7 @@ class FileStatement:
             self.known,
             arrangement,
             pairs,
-            beside,
+            side_conditions,
         )
 
     def _statement(self) -> Statement:

@@ -137,7 +137,7 @@ class BinaryFormReader(_Form):
         return list(struct.unpack_from(self.data, self._take(struct.size)))
 
     def _take(self, length: int) -> int:
-        """Return the start of a given number of bytes, and move on by it."""
+        """Return the start of the next bytes, and move past them."""
         begin, left = self._next, len(self.data) - self._next
         if not 0 <= length <= left:
             raise NLSyntaxError(begin, f"{length} bytes are needed here, and {left} follow")
@@ -179,7 +179,7 @@ ARITY = {number: arity for arity, names in OPERATOR_NAMES.items() for number in 
 PARTNER = 5  # the kind of a complementarity row
 MOST_OPTIONS = 9  # in the first line; as other readers of .nl take
 WITH_TOLERANCE = 3  # as the second option: the first line ends with a tolerance
-# the kinds of arithmetic that can be read; 0 is the writer's own
+# the kinds of arithmetic that can be read; 0 is the writer's
 LITTLE_ENDIAN, BIG_ENDIAN = (1, 2)
 
 
@@ -298,7 +298,7 @@ class NLContent:
     tolerance: float | None = None
 
     def variable(self, column: int) -> str:
-        """Return the name of a variable, or its number; behind the last one come the defined variables."""
+        """Return the name of a variable, or its number; defined variables follow the last variable."""
         if column >= self.lower.size:
             return f"defined variable {column - self.lower.size}"
         return Names(unknowns=self.names).unknown(column, "variable {}")

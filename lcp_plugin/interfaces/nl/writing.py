@@ -56,7 +56,7 @@ def write_nl(problem: object, path: str | PathLike[str]) -> None:
 
 
 def _content_of(problem: Any) -> NLContent:
-    """Return the content of a file of the problem; of an LCP rows M z + q, each complementary to its own z."""
+    """Return the content of a file of the problem; of an LCP rows M z + q, each complementary to its z."""
     if (content_of := foreign_function("content", problem)) is not None:
         problem = content_of(problem)
     if isinstance(problem, LCP):
@@ -259,7 +259,7 @@ def write_sol(
     message : str
         Lines for a person.
     x, y : array or None
-        Values of the variables, shape (n,), and of the rows, shape (m,); None, or not finite: none are given.
+        Values of the variables, shape (n,), and of the rows, shape (m,); if None or not finite, the file has none.
     code : int
         0 to 99 solved, 100 solved to a lower precision, 200 infeasible, 300 unbounded, 400 limit, 500 failure.
     """

@@ -228,7 +228,7 @@ def test_a_file_is_written_without_a_solve(tmp_path):
     )
     m.beside = pe.Constraint(expr=m.q[0] <= 1e6)
     write_nl(m, tmp_path / "m.nl")
-    assert read_nl(tmp_path / "m.nl").beside.names() == ["beside"]
+    assert read_nl(tmp_path / "m.nl").side_conditions.names() == ["beside"]
 
 
 @pytest.mark.parametrize("size", [1e-10, 1e-3, 1.0, 1e10])

@@ -16,7 +16,7 @@ from tools.refusals import assert_refused, refusals
 
 import lcp_plugin.pyomo
 from lcp_plugin import LCPError
-from lcp_plugin.interfaces.pyomo import paired, sides_of
+from lcp_plugin.interfaces.pyomo import pair_of_sides, sides_of
 
 SOLVER = pe.SolverFactory(lcp_plugin.pyomo.NAME)
 
@@ -29,7 +29,7 @@ def without_pairs(m: Any) -> ComponentMap:
     """Replace the complementarities of a model by constraints and bounds, some negated, and return the pairs."""
     pairs, m.rows = ComponentMap(), pe.ConstraintList()
     for k, stated in enumerate([*m.component_data_objects(Complementarity, active=True)]):
-        (lower, variable, upper), w = paired(stated, sides_of(stated), lambda _: False)[1:]
+        (lower, variable, upper), w = pair_of_sides(stated, sides_of(stated), lambda _: False)[1:]
         if np.isfinite(lower):
             variable.setlb(lower)
         if np.isfinite(upper):

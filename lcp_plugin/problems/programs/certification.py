@@ -151,8 +151,8 @@ def certify(
     'disproved'
     """
     if hasattr(problem, "measured"):  # its rows are spread over MPI ranks
-        given = x, multipliers, claim, tolerance, max_seconds
-        problem.halo.together(lambda: _check_point(problem, *given))
+        claimed = x, multipliers, claim, tolerance, max_seconds
+        problem.halo.together(lambda: _check_point(problem, *claimed))
         return _solved(*problem.measured(getattr(x, "x", x), float(tolerance)))
     _check_options(tolerance, max_seconds)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
@@ -175,38 +175,40 @@ def certify(
         convex = problem.folded.program
         proofs = ProgramProofs.of(convex) if max_seconds is None else ProgramProofs(convex)
         if claim in ("infeasible", "unbounded"):
-            found = proofs.prove_claim(str(claim), float(tolerance))
+            verdict = proofs.prove_claim(str(claim), float(tolerance))
         else:
             point, y = _answer(problem, x, multipliers)
-            found = proofs.prove_answer(point, y, float(tolerance))
-            near = point if found.verdict == "proved" else proofs.on_bounds(point, float(tolerance))
+            verdict = proofs.prove_answer(point, y, float(tolerance))
+            near = (
+                point if verdict.verdict == "proved" else proofs.on_bounds(point, float(tolerance))
+            )
             if not np.array_equal(near, point):
                 moved = proofs.prove_answer(near, y, float(tolerance))
                 if moved.verdict == "proved":
-                    found = replace(moved, violation=found.violation)
+                    verdict = replace(moved, violation=verdict.violation)
             y = np.zeros(problem.constraints.rows) if y is None else y[: problem.constraints.rows]
-            found = replace(found, rows=partial(worst_constraints, problem, point, y))
+            verdict = replace(verdict, rows=partial(worst_constraints, problem, point, y))
         rounding = "" if convex is problem else f", {WITHIN_ROUNDING}"
-        found = replace(found, reason=f"{found.reason}{rounding}")
+        verdict = replace(verdict, reason=f"{verdict.reason}{rounding}")
         if problem.constant == 0.0:
-            return found
+            return verdict
         lower, upper = (
             None if bound is None else math.nextafter(bound + problem.constant, end)
-            for bound, end in ((found.lower, -math.inf), (found.upper, math.inf))
+            for bound, end in ((verdict.lower, -math.inf), (verdict.upper, math.inf))
         )
-        return replace(found, lower=lower, upper=upper)
+        return replace(verdict, lower=lower, upper=upper)
 
 
 def _certify_other(
     problem: Any, x: Any, multipliers: Any, claim: Any, pairs: Any, tolerance: float
 ) -> Certification:
     """Return the verdict on a point of a problem of pairs, or on the values of a model."""
-    kind = class_of(problem)
-    if kind is not None and CLASSES[kind].criterion:
+    name = class_of(problem)
+    if name is not None and CLASSES[name].criterion:
         _check_point(problem, x, multipliers, claim, tolerance)
         x = x.x if isinstance(x, BaseResult) else x
         return certify_point(problem, checked_vector(x, "x", problem.n), tolerance)
-    if kind is not None or isinstance(problem, (BaseResult, QPSolution)):
+    if name is not None or isinstance(problem, (BaseResult, QPSolution)):
         raise InvalidProblem(refusal("certify", problem))
     if x is not None or multipliers is not None or claim is not None:
         raise InvalidOption(
@@ -214,8 +216,8 @@ def _certify_other(
         )
     if (certify_model := foreign_function("certify", problem)) is None:
         raise InvalidProblem(refusal("certify", problem))
-    found: Certification = certify_model(problem, tolerance, pairs)
-    return found
+    verdict: Certification = certify_model(problem, tolerance, pairs)
+    return verdict
 
 
 def _check_point(problem: Any, x: Any, multipliers: Any, claim: Any, *options: Any) -> None:
@@ -259,42 +261,42 @@ def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
         near = np.where(np.abs(x - bound) < NEAREST * np.abs(bound), bound, near)
     if not np.array_equal(near, x):
         data, z, w, names = criterion(problem, near)
-    found = data.with_zeros(data.measure_at(z, w, tolerance), tolerance)
+    measured = data.with_zeros(data.measure_at(z, w, tolerance), tolerance)
     if np.all(
-        found.passes
+        measured.passes
     ):  # the point to which a run would move it must pass too: z_i may matter in other rows
-        near = data.snap_to_bounds(found.z, found.rows.w)
-        if not np.array_equal(near, found.z):
+        near = data.snap_to_bounds(measured.z, measured.rows.w)
+        if not np.array_equal(near, measured.z):
             again = data.measure_at(near, None, tolerance)
-            found = found if np.all(again.passes) else again
-    fails = bool(np.any(found.by_row.fails(tolerance)))
-    passes = not fails and bool(np.all(found.passes))
-    residual, reason = float(np.max(found.by_row.relative, initial=0.0)), ""
+            measured = measured if np.all(again.passes) else again
+    fails = bool(np.any(measured.by_row.fails(tolerance)))
+    passes = not fails and bool(np.all(measured.passes))
+    residual, reason = float(np.max(measured.by_row.relative, initial=0.0)), ""
     if not (passes or fails):
         reason = NOT_BY_A_ROW
     elif fails and (residual <= tolerance or ((z < data.lower) | (z > data.upper)).any()):
-        reason = worst_pairs(data, found, names, tolerance, 1)[0].text
-    violation = float(np.max(found.rows.violation, initial=0.0))
-    rows = partial(worst_pairs, data, found, names, tolerance)
+        reason = worst_pairs(data, measured, names, tolerance, 1)[0].text
+    violation = float(np.max(measured.rows.violation, initial=0.0))
+    rows = partial(worst_pairs, data, measured, names, tolerance)
     return _solved(passes, violation, residual, tolerance, reason, rows)
 
 
-def with_side_conditions(found: Certification, violated: Sequence[WorstRow]) -> Certification:
+def with_side_conditions(verdict: Certification, violated: Sequence[WorstRow]) -> Certification:
     """Return the verdict on a point, disproved if it violates conditions that are not rows of its problem."""
     if not violated:
-        return found
+        return verdict
     return replace(
-        found,
+        verdict,
         verdict="disproved",
-        violation=max(found.violation or 0.0, *(row.violation for row in violated)),
+        violation=max(verdict.violation or 0.0, *(row.violation for row in violated)),
         reason=violated[0].text,
-        rows=partial(_with_rows, tuple(violated), found),
+        rows=partial(_with_rows, tuple(violated), verdict),
     )
 
 
-def _with_rows(violated: tuple[WorstRow, ...], found: Certification, count: int) -> WorstRows:
+def _with_rows(violated: tuple[WorstRow, ...], verdict: Certification, count: int) -> WorstRows:
     """Return the violated side conditions, then the worst rows."""
-    return WorstRows((*violated, *found.worst(count))[:count])
+    return WorstRows((*violated, *verdict.worst(count))[:count])
 
 
 def _solved(
@@ -417,9 +419,10 @@ class ProgramProofs:
 
     @derived_property
     def own_lower(self) -> float:
-        """The lower bound by the multipliers of our own solution."""
-        own = self.own_solution
-        return -np.inf if own is None else self.lower(own.x, own.multipliers, own.objective)
+        """The lower bound by the multipliers of the built-in solve."""
+        if (solution := self.own_solution) is None:
+            return -np.inf
+        return self.lower(solution.x, solution.multipliers, solution.objective)
 
     def lower(self, x: Vector, y: Vector, value: float, allowed: float | None = None) -> float:
         """Return the lower bound by some multipliers, repaired if it is below the value by more than the allowed gap.
@@ -431,9 +434,9 @@ class ProgramProofs:
         return self.bounds.best(x, y[: self.program.constraints.rows], value - allowed)
 
     def upper(self, *near: Vector) -> float:
-        """Return a double above the objective of a feasible point near given points; or ∞."""
-        found = (value_bounds.value_near(self.program, x) for x in near)
-        return min((value for value in found if value is not None), default=math.inf)
+        """Return a double above the objective of a feasible point near some points; or ∞."""
+        values = (value_bounds.value_near(self.program, x) for x in near)
+        return min((value for value in values if value is not None), default=math.inf)
 
     @derived_property
     def no_minimum(self) -> NoMinimum | None:
@@ -458,8 +461,8 @@ class ProgramProofs:
             if isinstance(proof, QPInfeasibility) and (least := proof.least_violation) <= tolerance:
                 return Certification("unproved", claim, reason=f"{proof}, but by {least:.2g} only")
             return Certification("proved", claim, reason=str(proof))
-        own = self.own_solution
-        upper, lower = self.upper(*([] if own is None else [own.x])), self.own_lower
+        solution = self.own_solution
+        upper, lower = self.upper(*([] if solution is None else [solution.x])), self.own_lower
         unproved = Certification(
             "unproved", claim, lower=_if_finite(lower), upper=_if_finite(upper), reason=NOTHING
         )
@@ -479,8 +482,8 @@ class ProgramProofs:
         Interior-point methods end at 1e-9 for a bound of 0, others at −1e-17. No gradient, no equality, and no row
         with a multiplier may change by more than the tolerance times its terms.
         """
-        program, own = self.program, self.own_solution
-        if own is None:
+        program, solution = self.program, self.own_solution
+        if solution is None:
             return x
         terms, (m, *_) = program.matrices.terms, program.matrices.sizes
         sizes = np.concatenate(
@@ -489,7 +492,7 @@ class ProgramProofs:
                 abs(terms.rows) @ np.abs(x) + np.abs(program.judged.d),
             ]
         )
-        y = own.multipliers[: program.constraints.rows].copy()
+        y = solution.multipliers[: program.constraints.rows].copy()
         y[m:] = 1.0
         entries, moves = terms.gradient.tocoo(), np.full(program.n, np.inf)
         counts = np.append(np.ones(program.n), y)[entries.col] > 0.0
@@ -502,41 +505,45 @@ class ProgramProofs:
         size = max(size_of_objective(program, x)[0], least_size(program.judged, x, y))
         return near if change <= tolerance * size else x
 
-    def prove_answer(self, x: Vector, given: Vector | None, tolerance: float) -> Certification:
+    def prove_answer(
+        self, x: Vector, multipliers: Vector | None, tolerance: float
+    ) -> Certification:
         """Return the verdict on a point and its multipliers of all constraints."""
         program, value = self.program, value_bounds.objective_bounds(self.program, x)
         violation, size = Violation.of(program, x, tolerance), size_of_objective(program, x)
         lower, complaint = -math.inf, ""
-        if given is not None:
-            lower = self.lower(x, given, value[0], tolerance * size[0])
-            complaint = multiplier_error(program, x, given, tolerance, size[0])
+        if multipliers is not None:
+            lower = self.lower(x, multipliers, value[0], tolerance * size[0])
+            complaint = multiplier_error(program, x, multipliers, tolerance, size[0])
         upper = self.upper(x)
         constant = program.constant
-        found = ProvenBounds(value, violation, lower, upper, tolerance, size, constant)
-        is_enough = found.is_proved() and not found.violation_may_lower_objective()
-        if not is_enough or (self.is_small and (given is None or complaint)):
+        bounds = ProvenBounds(value, violation, lower, upper, tolerance, size, constant)
+        is_enough = bounds.is_proved() and not bounds.violation_may_lower_objective()
+        if not is_enough or (self.is_small and (multipliers is None or complaint)):
             lower, near = max(lower, self.own_lower), [x]
-            if (own := self.own_solution) is not None:
-                near.append(own.x)
-                y = own.multipliers[: program.constraints.rows]
+            if (solution := self.own_solution) is not None:
+                near.append(solution.x)
+                y = solution.multipliers[: program.constraints.rows]
                 if size[1] == 0.0:  # the comparison is exact
                     lower = max(lower, self.lower(x, y, value[0]))
                 elif np.isfinite(y).all():
                     least = least_size(program.judged, x, y)
                     size = max(size[0], least), max(size[1], least)
             upper = self.upper(*near)
-            found = replace(found, lower=lower, upper=upper, size=size)
+            bounds = replace(bounds, lower=lower, upper=upper, size=size)
             if (
-                found.violation_may_lower_objective()
-                and not replace(found, lower=self.own_lower).is_proved()
+                bounds.violation_may_lower_objective()
+                and not replace(bounds, lower=self.own_lower).is_proved()
             ):
                 bought = f"its violation of {violation.largest:.2g} may buy more than the tolerance"
                 complaint = complaint or bought
-        verdict = found.certification(self, complaint)
+        verdict = bounds.certification(self, complaint)
         if verdict.verdict == "unproved" and not complaint and violation.is_met:
             rows = program.constraints.rows
             points = (
-                [given] if self.own_solution is None else [given, self.own_solution.multipliers]
+                [multipliers]
+                if self.own_solution is None
+                else [multipliers, self.own_solution.multipliers]
             )
             gaps = [KKTErrors.of(program.judged, x, y[:rows]).gap for y in points if y is not None]
             if (gap := min(gaps, default=math.inf)) <= tolerance:
@@ -594,8 +601,8 @@ class Violation:
 
 def largest_terms(rows: Any, limit: Vector, x: Vector) -> Vector:
     """Return the largest of |limit_i| and |rows_ij x_j| of each row; an infinite limit is none."""
-    own = np.where(np.isfinite(limit), np.abs(limit), 0.0)
-    return np.maximum(largest_products(abs(rows), np.abs(x)), own)
+    limits = np.where(np.isfinite(limit), np.abs(limit), 0.0)
+    return np.maximum(largest_products(abs(rows), np.abs(x)), limits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -726,8 +733,8 @@ def multiplier_error(
         return f"the multipliers leave {left[j]:.3g} of the gradient in component {j}"
     slack = np.where(rows.is_equality, 0.0, np.maximum(rows.limit - rows.matrix @ x, 0.0))
     price = np.where(y != 0.0, np.abs(y) * slack, 0.0)
-    own = np.abs(y) * largest_terms(rows.matrix, rows.limit, x)
-    if not (price <= most * np.maximum(size, own)).all():
+    row_terms = np.abs(y) * largest_terms(rows.matrix, rows.limit, x)
+    if not (price <= most * np.maximum(size, row_terms)).all():
         i = int(price.argmax())
         return f"a multiplier {y[i]:.3g} belongs to a row with {slack[i]:.3g} of slack"
     return ""

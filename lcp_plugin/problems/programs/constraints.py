@@ -30,7 +30,7 @@ def sums_and_terms(rows: sp.csr_array, y: Vector) -> tuple[Any, Any]:
     """
     terms: Vector = np.repeat(y, np.diff(rows.indptr)) * rows.data
     both = terms, np.abs(terms)
-    sums, sizes = (np.bincount(rows.indices, one, rows.shape[1]) + 0.0 for one in both)
+    sums, sizes = (np.bincount(rows.indices, weights, rows.shape[1]) + 0.0 for weights in both)
     return sums, sizes
 
 
@@ -117,8 +117,8 @@ class Constraints:
 
     def _conditions(self, C: sp.csr_array, *bounds: Any) -> LinearConstraints:
         """Return the first rows, which C are, as w = d − C x with these bounds of x and their units."""
-        given: tuple[Any, ...] = (self.limit, self.is_equality, self.unit)
-        limit, is_equality, unit = (one[: C.shape[0]] for one in given)
+        vectors: tuple[Any, ...] = (self.limit, self.is_equality, self.unit)
+        limit, is_equality, unit = (vector[: C.shape[0]] for vector in vectors)
         lower, upper, units = bounds
         return LinearConstraints(
             -C, limit, np.isfinite(limit), is_equality, lower, upper, unit, units

@@ -121,7 +121,7 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
         them minimizers if M is positive semidefinite (`QuadraticProgram.is_convex`; not checked here).
 
         M not symmetric, but monotone: the gap program min (z − a)ᵀ(M z + q) with w = M z + q held to its sign, a the
-        one finite bound of each row (0 and w = 0 for a free row). The problem has a solution if and only if the
+        finite bound of each row (0 and w = 0 for a free row). The problem has a solution if and only if the
         program has the minimum 0, which is aᵀq in `objective`, where the constant −aᵀq is left out.
 
     Raises
@@ -227,11 +227,11 @@ class QPOrigin:
         return "variational" if self.F else "kkt" if self.rows else "direct"
 
     def _has_slack(self, answer: Any, c: Vector, z: Vector) -> bool:
-        """Return whether a result is one of this problem: of its slack at z, where c = F(x), not of other data."""
+        """Return whether a result has the slack of this problem at z, where c = F(x), and not of other data."""
         (x, y), terms = np.split(z, [self.program.n]), self.reduced.matrices.terms
         d = np.where(np.isfinite(self.reduced.judged.d), self.reduced.judged.d, 0.0)
-        own = np.concatenate([c + terms.columns @ y, d - terms.rows @ x])
-        return bool((np.abs(own - answer.w) <= 1e-9 * answer.certificate.rows.terms).all())
+        slack = np.concatenate([c + terms.columns @ y, d - terms.rows @ x])
+        return bool((np.abs(slack - answer.w) <= 1e-9 * answer.certificate.rows.terms).all())
 
     @np.errstate(all="ignore")
     def recover(self, answer: Any, tolerance: float = PROGRAM_TOLERANCE) -> QuadraticProgramResult:
@@ -241,7 +241,7 @@ class QPOrigin:
         ----------
         answer : Result or array, shape (rows of the problem,)
             Result of the complementarity problem, of any status, or its z. Multipliers with a wrong sign become 0. If
-            the result has a proof of infeasibility, the program is tested for one of its own: constraints that are
+            the result has a proof of infeasibility, a proof for the program is searched: constraints that are
             inconsistent relative to the LCP's data may be consistent relative to the program's.
         tolerance : float
             Tolerance of the duality gap.

@@ -93,7 +93,7 @@ class ProgramData:
     Parameters
     ----------
     program : QuadraticProgram
-        The program, or one of the shape of all.
+        The program, or a program of the shape of all.
     data : dict
         P, G, A, c, h, b, lower and upper.
     """
@@ -256,10 +256,10 @@ class ProgramDerivative:
     The point of x₀ + x₁ ≤ 2 nearest to (1, 2), and its changes with h and with the point:
 
     >>> from lcp_plugin import QuadraticProgram, derivative, solve
-    >>> found = derivative(solve(QuadraticProgram(np.eye(2), [-1, -2], G=[[1, 1]], h=[2])))
-    >>> found.jvp(dh=[1.0]), found.jvp(dc=[-1.0, 0.0])
+    >>> dx = derivative(solve(QuadraticProgram(np.eye(2), [-1, -2], G=[[1, 1]], h=[2])))
+    >>> dx.jvp(dh=[1.0]), dx.jvp(dc=[-1.0, 0.0])
     (array([0.5, 0.5]), array([ 0.5, -0.5]))
-    >>> gradient = found.vjp([1.0, 0.0])
+    >>> gradient = dx.vjp([1.0, 0.0])
     >>> gradient.h, gradient.G
     (array([0.5]), array([[-0.5, -0.5]]))
     """
@@ -272,15 +272,15 @@ class ProgramDerivative:
 
         There `jvp` is one-sided, and `vjp` the gradient of one of the pieces that meet, as of a ReLU at 0.
         """
-        found = copy(self)
-        found.conditions = self.conditions.one_sided()
-        return found
+        derivative = copy(self)
+        derivative.conditions = self.conditions.one_sided()
+        return derivative
 
     @property
     def errors(self) -> dict[int, Any]:
         """Error of each problem of a batch without a derivative; calls of `jvp` and `vjp` add theirs."""
-        found: dict[int, Any] = getattr(self.conditions, "errors", {})
-        return found
+        errors: dict[int, Any] = getattr(self.conditions, "errors", {})
+        return errors
 
     @property
     def z(self) -> Vector:
@@ -325,15 +325,15 @@ class ProgramDerivative:
                 "bounds, then of the negative lower ones, and b of equal bounds: pass dh, db, dG, dA"
             )
         checks.require_known_changes(unnamed, changes, [f"d{name}" for name in self.data.shapes])
-        given = {
+        arrays = {
             name[1:]: self._checked(name, values)
             for name, values in changes.items()
             if values is not None
         }
-        named = {"dq": self.data.change_of_q(self.conditions.z, given)}
-        for side in given.keys() & {"lower", "upper"}:
-            own = np.where(self.data.has_own_bound(side), given[side], 0.0)
-            named[f"d{side}"] = self._with_multipliers(own)
+        named = {"dq": self.data.change_of_q(self.conditions.z, arrays)}
+        for side in arrays.keys() & {"lower", "upper"}:
+            bounds = np.where(self.data.has_own_bound(side), arrays[side], 0.0)
+            named[f"d{side}"] = self._with_multipliers(bounds)
         return np.asarray(self.conditions.jvp(**named)[..., : self.data.ends[0]])
 
     def vjp(self, g: ArrayLike) -> Any:
@@ -354,29 +354,29 @@ class ProgramDerivative:
             As `jvp`.
         """
         g = self._checked("g", g, self.data.ends[:1])
-        found = self.conditions.vjp(self._with_multipliers(g))
-        q, z = np.asarray(found.q), np.asarray(self.conditions.z)
+        gradients = self.conditions.vjp(self._with_multipliers(g))
+        q, z = np.asarray(gradients.q), np.asarray(self.conditions.z)
         z = np.where(q.any(axis=-1, keepdims=True), z, 0.0)
-        return self.data.gradient(z, q, found.lower, found.upper)
+        return self.data.gradient(z, q, gradients.lower, gradients.upper)
 
     def _with_multipliers(self, of_x: Any) -> Any:
         """Return vectors of the unknowns of the LCP: these for x, and zeros for the multipliers."""
-        found, n = np.zeros(self.conditions.z.shape), self.data.ends[0]
-        found[..., :n] = of_x
-        return found
+        vectors, n = np.zeros(self.conditions.z.shape), self.data.ends[0]
+        vectors[..., :n] = of_x
+        return vectors
 
-    def _checked(self, name: str, values: Array, own: tuple[int, ...] | None = None) -> Any:
+    def _checked(self, name: str, values: Array, shape: tuple[int, ...] | None = None) -> Any:
         """Return the finite change of an array, in its shape, or with the axis of a batch in front."""
-        own = self.data.shapes[name[1:]] if own is None else own
-        if sp.issparse(values) and len(own) == 2:
-            return checks.rectangular_matrix(values, name, *own)
-        shapes = [own, *[(*self.conditions.z.shape[:-1], *own)][: self.conditions.z.ndim - 1]]
+        shape = self.data.shapes[name[1:]] if shape is None else shape
+        if sp.issparse(values) and len(shape) == 2:
+            return checks.rectangular_matrix(values, name, *shape)
+        shapes = [shape, *[(*self.conditions.z.shape[:-1], *shape)][: self.conditions.z.ndim - 1]]
         need = f"{name} must have shape {' or '.join(map(str, shapes))}"
-        given = checks.real_array(values, need)
-        if given.shape not in (*shapes, () if name in ("dlower", "dupper", "dl1") else own):
-            raise InvalidProblem(f"{need}, got shape {given.shape}")
-        checks.require_finite(given, name)
-        return given
+        array = checks.real_array(values, need)
+        if array.shape not in (*shapes, () if name in ("dlower", "dupper", "dl1") else shape):
+            raise InvalidProblem(f"{need}, got shape {array.shape}")
+        checks.require_finite(array, name)
+        return array
 
 
 def program_data(program: QuadraticProgram) -> ProgramData:

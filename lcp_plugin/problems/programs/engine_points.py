@@ -41,9 +41,9 @@ def sides_about_one(data: ProgramData, matrices: ProgramMatrices) -> Scaled:
 
 def _without_far_limits(data: ProgramData, scales: Any) -> Scaled:
     """Return the scaled program; first without very large limits, if it has some."""
-    one = scaling.ScaledProgram.from_units(data, *scales).with_modest_costs()
-    near = scaling.without_far_limits(one.statement)
-    return [one] if near is one.statement else [one._replace(statement=near), one]
+    scaled = scaling.ScaledProgram.from_units(data, *scales).with_modest_costs()
+    near = scaling.without_far_limits(scaled.statement)
+    return [scaled] if near is scaled.statement else [scaled._replace(statement=near), scaled]
 
 
 Scaling = Callable[[ProgramData, ProgramMatrices], Scaled]
@@ -52,7 +52,7 @@ Scaling = Callable[[ProgramData, ProgramMatrices], Scaled]
 # A run of PIQP that converges takes 10 to 45 steps. On an assignment of 60 × 60, whose point is optimal after 15 steps,
 # it does not reach 1e-12 in 250 steps. A chain of second differences of 2 400 points passes only in `sides_about_one`.
 ATTEMPTS: tuple[tuple[str, float | None, int | None, Scaling], ...] = (
-    # engine, tolerance of its own, limit of steps in auto if not the engine's default, scaling
+    # engine, its tolerance, limit of steps in auto if not the engine's default, scaling
     ("daqp", None, None, unscaled),
     ("piqp", 1e-12, 60, fitted),
     ("piqp", 1e-13, None, fitted),
@@ -131,7 +131,7 @@ def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[En
     """
     matrices, ladder = program.matrices, ATTEMPTS
     if engine is None and program.folded.reduced.matrices.fills_in:
-        ladder = tuple(sorted(ATTEMPTS, key=lambda one: WITH_FILL.index(one[0])))
+        ladder = tuple(sorted(ATTEMPTS, key=lambda attempt: WITH_FILL.index(attempt[0])))
     for name, tolerance, steps, scale in ladder:
         length = matrices.entries[0] / max(program.n, 1) if name == "piqp" else 0.0
         # Longer sums have larger rounding errors, below which PIQP takes all its steps
@@ -159,7 +159,7 @@ def run_engine(
     *,
     is_verbose: bool = False,
 ) -> ProgramPoint:
-    """Return the best of the measured points of an engine: its own, without noise, and polished where that is cheap.
+    """Return the best of the measured points of an engine: plain, without noise, and polished where that is cheap.
 
     Raises
     ------
@@ -186,10 +186,10 @@ def run_engine(
         for near, is_polished in candidates(scaled.statement, point, rounds):
             back = scaled.outward(near)
             x, y = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper), back.y
-            found = KKTErrors.of(reduced.judged, x, y, tolerance)
-            is_good = bool(found.meet(tolerance))
-            if (is_good, -found.largest) > (passes, -errors.largest):
-                best, errors, passes = (x, y), found, is_good
+            measures = KKTErrors.of(reduced.judged, x, y, tolerance)
+            is_good = bool(measures.meet(tolerance))
+            if (is_good, -measures.largest) > (passes, -errors.largest):
+                best, errors, passes = (x, y), measures, is_good
             enough = sharp / 64.0 if is_polished and is_small else sharp
             is_best = not is_cheap or (is_polished and not is_small) or errors.gap <= enough
             if is_over() or (passes and is_best):
@@ -216,13 +216,13 @@ def candidates(
 ) -> Iterator[tuple[EngineAnswer, bool]]:
     """Yield points that may be the solution near a point, and whether they are polished.
 
-    The point itself and its polished ones are each followed by the same with noise set to 0.
+    The point and its polished points are each followed by the same point with noise set to 0.
     """
-    for one in chain([point], polish_steps(statement, point, rounds)):
-        yield one, one is not point
-        clean = one._replace(x=_without_noise(one.x), y=_without_noise(one.y))
-        if not (np.array_equal(clean.x, one.x) and np.array_equal(clean.y, one.y)):
-            yield clean, one is not point
+    for near in chain([point], polish_steps(statement, point, rounds)):
+        yield near, near is not point
+        clean = near._replace(x=_without_noise(near.x), y=_without_noise(near.y))
+        if not (np.array_equal(clean.x, near.x) and np.array_equal(clean.y, near.y)):
+            yield clean, near is not point
 
 
 def _without_noise(values: Vector) -> Vector:
@@ -235,22 +235,22 @@ def _without_noise(values: Vector) -> Vector:
 def _statements(reduced: QuadraticProgram, scale: Scaling) -> Iterator[scaling.ScaledProgram]:
     """Yield the program as scaled for an attempt; first without very large right-hand sides, if it has some."""
     (P, G, A), one = reduced.matrices.arrays, reduced
-    given = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
-    allowed = scaling.without_forbidden(given)
-    for data in (given,) if allowed is given else (allowed, given):
+    stated = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
+    allowed = scaling.without_forbidden(stated)
+    for data in (stated,) if allowed is stated else (allowed, stated):
         yield from scale(data, one.matrices)
 
 
 def _check_options(engine: Engine) -> None:
     """Raise InvalidOption if the engine does not solve a program of one unknown with its options."""
     none = np.zeros((0, 1)), np.zeros(0)
-    one = ProgramData(np.zeros((1, 1)), np.ones(1), *none, *none, np.zeros(1), np.ones(1))
+    problem = ProgramData(np.zeros((1, 1)), np.ones(1), *none, *none, np.zeros(1), np.ones(1))
     try:
-        engine.answer(one, SolverLimits())
+        engine.answer(problem, SolverLimits())
     except Exception as error:
-        own = TOLERANCES.get(engine.name, ())
-        asked = {name: value for name, value in engine.options.items() if name not in own}
-        given = ", ".join(f"{name}={value!r}" for name, value in (asked or engine.options).items())
+        tolerances = TOLERANCES.get(engine.name, ())
+        asked = {name: value for name, value in engine.options.items() if name not in tolerances}
+        text = ", ".join(f"{name}={value!r}" for name, value in (asked or engine.options).items())
         # The first sentence, or the head of a binding's list of signatures
         why = str(error).splitlines()[0].removeprefix("(): ").partition(". The following")[0]
-        raise InvalidOption(f"{engine.name} does not take {given}: {why}") from error
+        raise InvalidOption(f"{engine.name} does not take {text}: {why}") from error

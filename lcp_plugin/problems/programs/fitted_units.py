@@ -45,24 +45,24 @@ def _pattern_and_logarithms(M: AnyMatrix) -> Any:
     """Return matrices with 1, and with log₂ |entry|, in the place of each entry."""
     if sp.issparse(M):
         values = np.ones(M.nnz), np.log2(np.abs(M.data))
-        return [sp.csr_array((one, M.indices, M.indptr), M.shape) for one in values]
+        return [sp.csr_array((entries, M.indices, M.indptr), M.shape) for entries in values]
     is_entry = M != 0.0
     return is_entry.astype(np.float64), np.log2(np.abs(M), where=is_entry, out=np.zeros(M.shape))
 
 
 def _conjugate_gradients(product: Callable[[Vector], Vector], diagonal: Any, b: Any) -> Vector:
     """Return about A⁻¹b from products with A; scipy's loop takes ten times as long for 100 to 1000 unknowns."""
-    x, rest, inverse = np.zeros(b.size), b, 1.0 / diagonal
-    direction = inverse * rest
-    size = rest @ direction
+    x, residual, inverse = np.zeros(b.size), b, 1.0 / diagonal
+    direction = inverse * residual
+    size = residual @ direction
     for _ in range(60):
-        if not rest @ rest > (FIT_TO * FIT_TO) * (b @ b):
+        if not residual @ residual > (FIT_TO * FIT_TO) * (b @ b):
             break
         image = product(direction)
         step = size / (direction @ image)
-        x, rest = x + step * direction, rest - step * image
-        steepest = inverse * rest
-        size, before = rest @ steepest, size
+        x, residual = x + step * direction, residual - step * image
+        steepest = inverse * residual
+        size, before = residual @ steepest, size
         direction = steepest + (size / before) * direction
     return x
 

@@ -71,10 +71,10 @@ class QPInfeasibility:
 
     def verify(self) -> bool:
         """Return whether the multipliers are a proof; exact."""
-        return self._found.holds_near
+        return self._certificate.holds_near
 
     @derived_property
-    def _found(self) -> farkas.FarkasCertificate:
+    def _certificate(self) -> farkas.FarkasCertificate:
         return farkas.FarkasCertificate(
             self.program.constraints.as_rows, {i: y for i, y in enumerate(self.multipliers) if y}
         )
@@ -82,12 +82,12 @@ class QPInfeasibility:
     @property
     def contradiction(self) -> Fraction:
         """−dᵀ multipliers minus the largest effect of Cᵀ multipliers within the radius."""
-        return self._found.size
+        return self._certificate.size
 
     @property
     def radius(self) -> float:
         """Bound of ‖x‖∞ that the proof covers: ∞, or the radius that leaves half the contradiction."""
-        return self._found.radius
+        return self._certificate.radius
 
     @property
     def is_exact(self) -> bool:
@@ -105,20 +105,20 @@ class QPInfeasibility:
         """
         if not self.verify():
             return 0.0
-        numbers, program = list(self._found.y), self.program
-        largest, y, pulls = self._found.sizes
+        numbers, program = list(self._certificate.y), self.program
+        largest, y, pulls = self._certificate.sizes
         constraints = program.constraints
         rows, sizes = abs(constraints.matrix[numbers]), constraints.own_sizes[numbers]
         is_alone, at = np.diff(rows.indptr) == 1, np.zeros(program.n)
         entries = rows.indptr[:-1][is_alone]
         np.maximum.at(at, rows.indices[entries], sizes[is_alone] / rows.data[entries])
         size = float(y[~is_alone] @ sizes[~is_alone] + at @ pulls)
-        return float(self._found.size / largest) / size if 0.0 < size < np.inf else 0.0
+        return float(self._certificate.size / largest) / size if 0.0 < size < np.inf else 0.0
 
     @derived_property
     def least_violation(self) -> float:
         """Lower bound of the largest violation at every x, in the units of the constraints; 0 without a proof."""
-        return self._found.miss(np.ones(len(self.multipliers))) if self.verify() else 0.0
+        return self._certificate.miss(np.ones(len(self.multipliers))) if self.verify() else 0.0
 
     def excludes(self, tolerance: float) -> bool:
         """Return whether the contradiction is more than rows of a solution may be off by, at any tolerance."""
@@ -137,7 +137,7 @@ class QPInfeasibility:
 
     def __str__(self) -> str:
         how = f"multipliers {_describe_check(self.radius, 'x')}"
-        heaviest = sorted(self._found.y.items(), key=lambda pair: (-abs(pair[1]), pair[0]))
+        heaviest = sorted(self._certificate.y.items(), key=lambda pair: (-abs(pair[1]), pair[0]))
         names = [*dict.fromkeys(self.program.name(k) for k, _ in heaviest)]
         happened = "are inconsistent" if len(names) > 1 else "cannot hold"
         return f"infeasible: {len(names)} of its constraints {happened}, {listed(grouped(names))} ({how})"
@@ -171,14 +171,14 @@ class QPUnboundedness:
         """Return whether point and direction are a proof; exact."""
         if self.is_exact:
             return True
-        found, program = self._found, self.program
+        certificate, program = self._certificate, self.program
         return (
             self._is_rounding
-            and is_minimizer_beyond_radius(program.P, program.c, self.direction, found.left)
-            and found.has_signs
-            and found.size > 0
+            and is_minimizer_beyond_radius(program.P, program.c, self.direction, certificate.left)
+            and certificate.has_signs
+            and certificate.size > 0
             and self._is_wide
-            and found.is_rounding(program.n)
+            and certificate.is_rounding(program.n)
             and self.violation <= MET
         )
 
@@ -192,7 +192,7 @@ class QPUnboundedness:
             j: 0.0 if self.is_free_motion else abs(float(self.point[j])) or TINY
             for j in range(self.program.n)
         }
-        return self._found.is_wide_beside_terms(known)
+        return self._certificate.is_wide_beside_terms(known)
 
     @derived_property
     def is_free_motion(self) -> bool:
@@ -200,7 +200,7 @@ class QPUnboundedness:
         return is_at_rest(self.program.P, self.direction)
 
     @derived_property
-    def _found(self) -> farkas.FarkasCertificate:
+    def _certificate(self) -> farkas.FarkasCertificate:
         """Direction as a Farkas vector of P x + Gᵀy + Aᵀv + c, with the signs that bounds require, y ≥ 0."""
         conditions = stationarity(self.program, sp.csr_array(self.program.P))
         return farkas.FarkasCertificate(
@@ -210,15 +210,16 @@ class QPUnboundedness:
     @derived_property
     def is_exact(self) -> bool:
         """True if the objective of the stored doubles is unbounded below within all constraints."""
-        n, found = self.program.n, self._found
-        is_kept = found.has_signs and all(j < n for j in found.left)
+        n, certificate = self.program.n, self._certificate
+        is_kept = certificate.has_signs and all(j < n for j in certificate.left)
         if not is_kept or not self._is_feasible:
             return False
-        if not found.left:
-            return bool(found.plain > 0)
-        both = [i for i in found.y if i in found.left]
+        if not certificate.left:
+            return bool(certificate.plain > 0)
+        both = [i for i in certificate.y if i in certificate.left]
         left, moved = (
-            common_denominator([values[i] for i in both])[0] for values in (found.left, found.y)
+            common_denominator([values[i] for i in both])[0]
+            for values in (certificate.left, certificate.y)
         )
         return bool(sum(map(operator.mul, left, moved)) < 0)
 
@@ -243,7 +244,7 @@ class QPUnboundedness:
     @derived_property
     def radius(self) -> float:
         """Bound of x and multipliers that the proof covers: ∞, or the radius that leaves half the slope."""
-        return self._found.radius if self._is_rounding else np.inf
+        return self._certificate.radius if self._is_rounding else np.inf
 
     @derived_property
     def margin(self) -> float:
@@ -251,18 +252,18 @@ class QPUnboundedness:
 
         ∞ if the negative curvature of the objective exceeds the rounding of P; 0 if the proof does not hold.
         """
-        found = self._found
+        certificate = self._certificate
         if not self.verify():
             return 0.0
         if not self._is_rounding:
             return np.inf
-        if not (found.plain > 0 and self._is_wide):
+        if not (certificate.plain > 0 and self._is_wide):
             return 0.0
-        whole, denominator = common_denominator([abs(d) for d in found.y.values()])
+        whole, denominator = common_denominator([abs(d) for d in certificate.y.values()])
         return rounded_down(
-            found.size
+            certificate.size
             * denominator
-            / farkas.exact_dot(whole, np.abs(self.program.c[list(found.y)]).tolist())
+            / farkas.exact_dot(whole, np.abs(self.program.c[list(certificate.y)]).tolist())
         )
 
     def excludes(self, tolerance: float) -> bool:
@@ -274,7 +275,7 @@ class QPUnboundedness:
     @property
     def leaves_rows(self) -> bool:
         """True if the direction violates a constraint beyond the radius, because its change is not 0 there."""
-        return any(j >= self.program.n for j in self._found.left)
+        return any(j >= self.program.n for j in self._certificate.left)
 
     @property
     def doubt(self) -> str:
@@ -289,7 +290,8 @@ class QPUnboundedness:
         """True if P d is within the rounding of its terms, 2 ε (k + 2) Σ_j |p_ij d_j| in a row of k entries."""
         P = sp.csr_array(self.program.P)
         terms = abs(P) @ np.abs(numbers(self.direction))
-        curved, limit = self._found.left.items(), 2.0 * EPSILON * (np.diff(P.indptr) + 2) * terms
+        limit = 2.0 * EPSILON * (np.diff(P.indptr) + 2) * terms
+        curved = self._certificate.left.items()
         return all(abs(float(value)) <= limit[j] for j, value in curved if j < limit.size)
 
     def __str__(self) -> str:
@@ -380,14 +382,14 @@ def proof_of_no_minimum(program: QuadraticProgram, *, exactly: bool = False) -> 
     """
     folded = FoldedRows.of(program)
     row = contradictory_row(folded.reduced)
-    found: NoMinimum | None = row
+    proof: NoMinimum | None = row
     if row is None or row.margin < farkas.DECISIVE:
         other = _prove_by_programs(folded.reduced, exactly)
-        found = row if other is None or (row is not None and row.margin > other.margin) else other
-    if found is None or folded.reduced is program:
-        return found
+        proof = row if other is None or (row is not None and row.margin > other.margin) else other
+    if proof is None or folded.reduced is program:
+        return proof
     # A bound that a row gives is rounded, the row is not.
-    return _unfolded(folded, found) or _prove_by_programs(program, exactly)
+    return _unfolded(folded, proof) or _prove_by_programs(program, exactly)
 
 
 def known_proof(program: QuadraticProgram, y: Vector | None = None) -> NoMinimum | None:
@@ -397,14 +399,14 @@ def known_proof(program: QuadraticProgram, y: Vector | None = None) -> NoMinimum
     `accepted_proof` decides whether the proof counts. Multipliers y of G and A by a solver are tried first.
     """
     if "proof" not in program.known:
-        found: NoMinimum | None = None
+        proof: NoMinimum | None = None
         if y is not None and np.isfinite(y).all():
-            found = with_bounds(program, {i: Fraction(v) for i, v in enumerate(y.tolist()) if v})
-        if found is None or not found.excludes(PROGRAM_TOLERANCE):
-            found = proof_of_no_minimum(program)
+            proof = with_bounds(program, {i: Fraction(v) for i, v in enumerate(y.tolist()) if v})
+        if proof is None or not proof.excludes(PROGRAM_TOLERANCE):
+            proof = proof_of_no_minimum(program)
         if is_over():
-            return found
-        program.known["proof"] = found
+            return proof
+        program.known["proof"] = proof
     return program.known["proof"]
 
 
@@ -416,28 +418,28 @@ def accepted_proof(
     An exact proof of unboundedness counts if it excludes all solutions within a thousandth of the tolerance.
     Inconsistent constraints count as consistent if the contradiction is at most the tolerance of a row.
     """
-    found = known_proof(program)
-    return found if found is not None and found.excludes(tolerance) else None
+    proof = known_proof(program)
+    return proof if proof is not None and proof.excludes(tolerance) else None
 
 
 def proof_of_contradiction(program: QuadraticProgram) -> QPInfeasibility | None:
     """Return a proof that the constraints are inconsistent, for any objective; None if no proof was found."""
     folded = FoldedRows.of(program)
-    found: Any = _unfolded(folded, contradictory_row(folded.reduced))
-    if found is None and _is_sought(program):
-        found = prove_infeasible(program)
-    return found if found is not None and found.excludes(PROGRAM_TOLERANCE) else None
+    proof: Any = _unfolded(folded, contradictory_row(folded.reduced))
+    if proof is None and _is_sought(program):
+        proof = prove_infeasible(program)
+    return proof if proof is not None and proof.excludes(PROGRAM_TOLERANCE) else None
 
 
-def _unfolded(folded: FoldedRows, found: NoMinimum | None) -> NoMinimum | None:
+def _unfolded(folded: FoldedRows, reduced_proof: NoMinimum | None) -> NoMinimum | None:
     """Return the proof for the original program; None if the proof does not hold there.
 
     A limit over a coefficient is rounded, and no number of the program.
     """
-    if found is None or folded.reduced is folded.program:
-        return found
-    proof: Any = replace(found, program=folded.program)
-    if found.status is Status.INFEASIBLE:
+    if reduced_proof is None or folded.reduced is folded.program:
+        return reduced_proof
+    proof: Any = replace(reduced_proof, program=folded.program)
+    if reduced_proof.status is Status.INFEASIBLE:
         whole = folded.multipliers(np.array(proof.multipliers, dtype=object))
         proof = replace(proof, multipliers=tuple(map(Fraction, whole)))
     return proof if proof.verify() else None
@@ -470,11 +472,11 @@ def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasib
     """Return multipliers of all rows and bounds: multipliers of bounds cancel the residual; verify the result."""
     m, p, n, _ = program.matrices.sizes
     multipliers = [ZERO] * (m + p + 2 * n)
-    found = farkas.FarkasCertificate(program.constraints.within_bounds, y)
+    certificate = farkas.FarkasCertificate(program.constraints.within_bounds, y)
     for i, value in y.items():
         multipliers[i] = value
-    for j, value in found.product.items():  # an infinite bound cancels nothing
-        if j not in found.left:
+    for j, value in certificate.product.items():  # an infinite bound cancels nothing
+        if j not in certificate.left:
             multipliers[m + p + (n + j if value > 0 else j)] = abs(value)
     return QPInfeasibility(program, tuple(multipliers))
 
@@ -497,7 +499,7 @@ def balance_multipliers(program: QuadraticProgram, y: Vector) -> Vector:
 
 
 def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPInfeasibility | None:
-    """Return a Farkas certificate, exact if `exactly`; None if no certificate was found.
+    """Return a Farkas certificate, exact if `exactly`; None if the search fails.
 
     The linear program is the dual of the least uniform shift of all right-hand sides that makes them consistent.
     """
@@ -516,7 +518,7 @@ def prove_infeasible(program: QuadraticProgram, *, exactly: bool = True) -> QPIn
 
 
 def prove_unbounded(program: QuadraticProgram, *, exactly: bool = True) -> QPUnboundedness | None:
-    """Return a feasible point and a recession direction, exact if `exactly`; None if none was found.
+    """Return a feasible point and a recession direction, exact if `exactly`; None if the search fails.
 
     Such a direction contradicts the conditions P x + c + Gᵀy + Aᵀv = 0, y ≥ 0, with the signs that bounds permit.
     """
@@ -546,39 +548,39 @@ def _within_rows(proof: QPUnboundedness) -> QPUnboundedness | None:
     changes, terms = np.abs(rows @ near), abs(rows) @ np.abs(near)
     held = np.flatnonzero((changes <= DATA_ROUNDING * terms) & (terms > 0.0))
     free = (near != 0.0).tolist()
-    found = solved_nearby(
+    direction = solved_nearby(
         rational_rows(rows[held]), [ZERO] * held.size, list(proof.direction), free
     )
-    kept = None if found is None else replace(proof, direction=tuple(found))
+    kept = None if direction is None else replace(proof, direction=tuple(direction))
     return kept if kept is not None and not kept.leaves_rows and kept.verify() else None
 
 
 def _best_proof(
-    asked: farkas.LinearConstraints,
+    conditions: farkas.LinearConstraints,
     first: float | None,
     proven: Callable[[farkas.Multipliers], T | None],
     *,
     exactly: bool,
 ) -> T | None:
     """Return the first proof that counts at the tolerances of programs, else the proof of the largest margin."""
-    scale: farkas.FarkasProgram = farkas.FarkasProgram(asked)
-    vectors = asked.q, asked.lower, asked.upper
-    q, *bounds = (np.where(np.isfinite(one), np.abs(one), 0.0) for one in vectors)
+    scale: farkas.FarkasProgram = farkas.FarkasProgram(conditions)
+    vectors = conditions.q, conditions.lower, conditions.upper
+    q, *bounds = (np.where(np.isfinite(vector), np.abs(vector), 0.0) for vector in vectors)
 
     def weighed(unit: float) -> farkas.LinearConstraints:
         weights = 1.0 / scale.rows + q / unit
         below, above = (
-            (scale.columns + bound / unit) * (given > 0.0)
-            for bound, given in zip(bounds, asked.bound_weights, strict=True)
+            (scale.columns + bound / unit) * (weight > 0.0)
+            for bound, weight in zip(bounds, conditions.bound_weights, strict=True)
         )
-        return replace(asked, weights=weights, bound_weights=(below, above), reference=unit)
+        return replace(conditions, weights=weights, bound_weights=(below, above), reference=unit)
 
     units = scale.sizes if first is None else [first, *scale.sizes]
     return farkas.best_proof(weighed, units, proven, exactly=exactly)
 
 
 def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
-    """Return rows of P that span the others to rounding, by a pivoted QR decomposition; all if P is large.
+    """Return rows of P that span the other rows to rounding, by a pivoted QR decomposition; all if P is large.
 
     A P = F Fᵀ that rounding has made nonsingular would leave no direction otherwise.
     """
@@ -601,12 +603,12 @@ def points_inside(program: QuadraticProgram) -> tuple[Fractions, ...]:
 
     Unknowns are measured in the user's units, then in fitted units.
     """
-    found: tuple[Fractions, ...] = ()
+    points: tuple[Fractions, ...] = ()
     for unit in (np.ones(program.n), program.matrices.fit[0]):
-        found = _points_inside(program, unit) or found
-        if len(found) > 1:
+        points = _points_inside(program, unit) or points
+        if len(points) > 1:
             break
-    return found
+    return points
 
 
 def _points_inside(program: QuadraticProgram, unit: Vector) -> tuple[Fractions, ...]:
@@ -646,7 +648,7 @@ def _points_inside(program: QuadraticProgram, unit: Vector) -> tuple[Fractions, 
     tight = rows[np.abs(value) <= MET] if answer.x[-1] <= 1e-7 else rows[:0]
     at_bound = (x <= program.lower) | (x >= program.upper)
     near = zip(short(x / unit, 1 << 52), rational(unit), at_bound, rational(x), strict=True)
-    guess = [exact if stuck else few * one for few, one, stuck, exact in near]
+    guess = [exact if stuck else few * size for few, size, stuck, exact in near]
     system = [*equal.tolist(), *tight.tolist()]
     equations = [constraints.exactly[i] for i in system]
     exact = solved_nearby(equations, rational(limit[system]), guess, (~at_bound).tolist())

@@ -57,7 +57,7 @@ class QuadraticProgram:
     Attributes
     ----------
     asymmetry : float
-        max |p_ij − p_ji| of the P that was given.
+        max |p_ij − p_ji| of the P of the user.
     matrices : ProgramMatrices
         P, G and A with their cached properties.
     ranges : tuple or None
@@ -229,7 +229,7 @@ class QuadraticProgram:
         Parameters
         ----------
         c, h, b, lower, upper : arrays, shapes (n,), (m,), (p,), (n,), (n,), optional
-            The present ones by default. A number stands for a vector of one.
+            The present vectors by default. A number stands for a vector of one.
         constant : float, optional
 
         Raises
@@ -317,7 +317,7 @@ class QuadraticProgram:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without cached properties."""
-        return {one.name: getattr(self, one.name) for one in fields(self)}
+        return {attribute.name: getattr(self, attribute.name) for attribute in fields(self)}
 
     __setstate__ = checks.restore_state
 
@@ -339,10 +339,10 @@ def _checked_rows(
 ) -> tuple[Any, checks.Vector]:
     """Return the checked matrix and right-hand side; None for both means zero rows."""
     if (matrix is None) != (right is None):
-        given, missing = (name, right_name) if right is None else (right_name, name)
+        present, missing = (name, right_name) if right is None else (right_name, name)
         sign = "≤" if name == "G" else "="
         raise InvalidProblem(
-            f"{name} and {right_name} belong together, got {given} without {missing}: {name} x {sign} {right_name}"
+            f"{name} and {right_name} belong together, got {present} without {missing}: {name} x {sign} {right_name}"
         )
     if matrix is None:
         return checks.read_only(np.zeros((0, n))), checks.read_only(np.zeros(0))
@@ -409,8 +409,8 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
                 "if P is rounded, replace it by the nearest semidefinite matrix: w, V = numpy.linalg.eigh(P); "
                 "P = V * w.clip(0) @ V.T; otherwise "
             )
-    if (open_ones := np.flatnonzero(upper - lower == np.inf)).size:  # the search needs them
-        names = listed(map(program.names.unknown, open_ones.tolist(), repeat("x[{}]")))
+    if (unbounded := np.flatnonzero(upper - lower == np.inf)).size:  # the search needs them
+        names = listed(map(program.names.unknown, unbounded.tolist(), repeat("x[{}]")))
         repair += f"without bounds it may fall forever: give {names} finite bounds, then "
     raise UnsupportedModel(
         f"the program is not convex: {shown}, so that a stationary point need not be a minimum; {repair}solve "
@@ -418,7 +418,7 @@ def refuse_nonconvex(program: QuadraticProgram) -> None:
     )
 
 
-OWN = -1  # the variable's own bound, not a row's
+NO_ROW = -1  # no row gives the bound
 
 
 @dataclass(frozen=True, eq=False)
@@ -462,23 +462,23 @@ class FoldedRows:
         """Return the reduction of a program; `QuadraticProgram.folded` keeps it."""
         matrices, right = program.matrices, np.concatenate([program.h, program.b])
         if (matrices.counts > 1).all() and np.isfinite(right).all():
-            own = np.full(program.n, OWN)
-            return cls(program, program, np.arange(right.size), own, own, np.ones(right.size))
+            none = np.full(program.n, NO_ROW)
+            return cls(program, program, np.arange(right.size), none, none, np.ones(right.size))
         is_equality = matrices.is_equality[: right.size]
         (rows, columns, coefficient) = matrices.singletons
         limits = right[rows] / coefficient[rows]
         is_finite = np.isfinite(limits)
         rows, columns, limits = rows[is_finite], columns[is_finite], limits[is_finite]
         sides = []
-        for sign, own in ((1.0, program.upper), (-1.0, -program.lower)):
+        for sign, bounds in ((1.0, program.upper), (-1.0, -program.lower)):
             on = is_equality[rows] | (sign * coefficient[rows] > 0.0)
-            sides.append(_tightest(own, sign * limits[on], columns[on], rows[on]))
+            sides.append(_tightest(bounds, sign * limits[on], columns[on], rows[on]))
         (upper, upper_row), (negated, lower_row) = sides
         lower = -negated + 0.0  # no negative zeros
         contradicts = lower > upper
         lower = np.where(contradicts, program.lower, lower)
         upper = np.where(contradicts, program.upper, upper)
-        lower_row[contradicts] = upper_row[contradicts] = OWN
+        lower_row[contradicts] = upper_row[contradicts] = NO_ROW
 
         rounding = ROWS * NOISE * float(np.abs(right[right < np.inf]).max(initial=0.0))
         holds = np.where(is_equality, np.abs(right) <= rounding, right >= -rounding)
@@ -504,23 +504,23 @@ class FoldedRows:
         rows, *bounds = np.split(reduced, [self.left.size, self.left.size + self.program.n])
         every = np.zeros(self.coefficient.size, dtype=reduced.dtype)
         every[self.left] = rows
-        own = []
+        of_bounds = []
         for owner, share, sign in ((self.lower_row, bounds[0], -1), (self.upper_row, bounds[1], 1)):
-            moved = np.flatnonzero((owner != OWN) & (share != 0))
+            moved = np.flatnonzero((owner != NO_ROW) & (share != 0))
             every[owner[moved]] += (
                 sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
             )
-            own.append(np.where(owner == OWN, share, 0))
-        return np.concatenate([every, *own])
+            of_bounds.append(np.where(owner == NO_ROW, share, 0))
+        return np.concatenate([every, *of_bounds])
 
 
 def _tightest(
-    own: checks.Vector, limits: checks.Vector, columns: Indices, rows: Indices
+    bounds: checks.Vector, limits: checks.Vector, columns: Indices, rows: Indices
 ) -> tuple[checks.Vector, Indices]:
     """Return the smallest upper bound of each variable and its row; the variable's bound wins a tie."""
-    tightest, owner = own.copy(), np.full(own.size, OWN)
+    tightest, owner = bounds.copy(), np.full(bounds.size, NO_ROW)
     np.minimum.at(tightest, columns, limits)
-    # of equal ones the first
-    gives = np.flatnonzero((limits == tightest[columns]) & (limits < own[columns]))[::-1]
+    # The first of equal limits
+    gives = np.flatnonzero((limits == tightest[columns]) & (limits < bounds[columns]))[::-1]
     owner[columns[gives]] = rows[gives]
     return tightest, owner

@@ -68,11 +68,11 @@ class ProgramMatrices:
 
     @cached_property
     def arrays(self) -> tuple[Any, Any, Any]:
-        """P, G and A: all ndarrays if they are small, full or given so, else all CSR arrays."""
-        given, (m, p, n, _) = (self.P, self.G, self.A), self.sizes
-        are_given_so = all(isinstance(one, np.ndarray) for one in given)
+        """P, G and A: all ndarrays if they are small, full or the user's, else all CSR arrays."""
+        matrices, (m, p, n, _) = (self.P, self.G, self.A), self.sizes
+        are_given_so = all(isinstance(matrix, np.ndarray) for matrix in matrices)
         are_dense = are_given_so or self.is_small or is_full(n, m + p, self.entries)
-        P, G, A = map(as_array if are_dense else as_csr, given)
+        P, G, A = map(as_array if are_dense else as_csr, matrices)
         return P, G, A
 
     @cached_property
@@ -84,7 +84,7 @@ class ProgramMatrices:
     def stacked(self) -> tuple[Any, Any]:
         """P and C = [G; A]: both dense or both CSR arrays."""
         P, *both = self.arrays
-        parts = [one for one in both if one.shape[0]] or both[:1]
+        parts = [matrix for matrix in both if matrix.shape[0]] or both[:1]
         if len(parts) == 1:
             return P, parts[0]
         return P, (sp.vstack(parts, "csr") if sp.issparse(P) else np.vstack(parts))
@@ -132,7 +132,7 @@ class ProgramMatrices:
     def is_small(self) -> bool:
         """True if a program with these matrices is small or dense: for daqp."""
         m, p, n, _ = self.sizes
-        return may_be_small(n, m + p, (one.size for one in (self.P, self.G, self.A)))
+        return may_be_small(n, m + p, (matrix.size for matrix in (self.P, self.G, self.A)))
 
     @cached_property
     def entries(self) -> tuple[int, int]:
@@ -188,9 +188,11 @@ class ProgramMatrices:
             return None
         if self.is_semidefinite is None:
             return P
-        shift = shifts[bisect_left(shifts, True, key=lambda one: factorised(unit, one) is not None)]
-        found = P + diagonal(shift * d - least)
-        return freeze_csr(found) if sp.issparse(P) else read_only(found)
+        shift = shifts[
+            bisect_left(shifts, True, key=lambda delta: factorised(unit, delta) is not None)
+        ]
+        shifted = P + diagonal(shift * d - least)
+        return freeze_csr(shifted) if sp.issparse(P) else read_only(shifted)
 
     @cached_property
     def hessian(self) -> Matrix:
@@ -210,7 +212,7 @@ class ProgramMatrices:
         """True if a factorization of a sparse `kkt` takes more than `MOST_WORK` per entry, by a count.
 
         False without a count, which is compiled, if the matrix has a narrow band in another order, or if few rows or
-        few columns have two entries: the other ones are eliminated first.
+        few columns have two entries: the other rows and columns are eliminated first.
         """
         from scipy.sparse.csgraph import reverse_cuthill_mckee  # slow to import
 
@@ -237,13 +239,13 @@ class ProgramMatrices:
         m = self.sizes[0]
         if left.size == sum(self.sizes[:2]):
             return self
-        found = self._of_rows.get(key := left.tobytes())
-        if found is None:  # another thread may replace the entry at any time
+        matrices = self._of_rows.get(key := left.tobytes())
+        if matrices is None:  # another thread may replace the entry at any time
             P, G, A = self.arrays
-            found = ProgramMatrices(P, G[left[left < m]], A[left[left >= m] - m])
+            matrices = ProgramMatrices(P, G[left[left < m]], A[left[left >= m] - m])
             self._of_rows.clear()
-            self._of_rows[key] = found
-        return found
+            self._of_rows[key] = matrices
+        return matrices
 
     def __getstate__(self) -> dict[str, Any]:
         """Drop the cache, because its values can be computed again."""

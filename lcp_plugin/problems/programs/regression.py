@@ -47,16 +47,18 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
         return None
     d, is_free = program.P.diagonal(), np.isneginf(program.lower) & np.isposinf(program.upper)
     A, G = sp.csr_array(program.A), sp.csr_array(program.G)
-    in_A, in_G = (np.bincount(one.indices, minlength=n) for one in (A, G))
+    in_A, in_G = (np.bincount(matrix.indices, minlength=n) for matrix in (A, G))
     is_residual = (d > 0.0) & (in_A == 1) & (in_G == 0) & (c == 0.0) & is_free
     is_size = (d == 0.0) & (in_A == 0) & (in_G == 2) & (c > 0.0) & is_free
     columns = np.flatnonzero(~(is_residual | is_size))
-    own, at = (np.flatnonzero(mask[one.indices]) for mask, one in ((is_residual, A), (is_size, G)))
+    of_residuals, at = (
+        np.flatnonzero(mask[matrix.indices]) for mask, matrix in ((is_residual, A), (is_size, G))
+    )
     if (
         not columns.size
         or (not at.size and program.matrices.is_small)  # daqp is as quick
         or np.count_nonzero(d) < of_P
-        or not np.array_equal(row_numbers(A)[own], np.arange(p))
+        or not np.array_equal(row_numbers(A)[of_residuals], np.arange(p))
         or A.nnz - p < 0.3 * p * columns.size
         or min(p, columns.size) > FULL_UP_TO
         or c[columns].any()
@@ -72,7 +74,7 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     are_pairs = (x[first] == x[second]) & (g[first] == -g[second]) & (k[first] == k[second])
     if not are_pairs.all() or (k <= 0.0).any() or (in_G[x] != 2).any():
         return None
-    residuals, scales, l1 = A.indices[own], A.data[own], np.zeros(n)
+    residuals, scales, l1 = A.indices[of_residuals], A.data[of_residuals], np.zeros(n)
     l1[x] = c[t] / k * np.abs(g)
     weights = d[residuals] / scales**2
     is_even = bool(np.ptp(weights) == 0.0)
@@ -117,10 +119,10 @@ def solutions(
     """Yield x of a solution, then the minimum on its face, with the result of a run with these options."""
     if np.isfinite(left := seconds_left()):
         options = {**options, "max_seconds": left}
-    found = solve_least_squares(problem, **options)
-    if found.status is Status.INTERRUPTED:  # it also ends the run around this one
+    result = solve_least_squares(problem, **options)
+    if result.status is Status.INTERRUPTED:  # it also ends the run around this one
         raise KeyboardInterrupt
-    yield found.x, found
+    yield result.x, result
     scaled = problem.scaled
-    near = FacePoint(scaled, scaled.from_caller(found.x))
-    yield scaled.to_caller(minimize_on_face(near, *scaled.rows(is_dense=True)).x), found
+    near = FacePoint(scaled, scaled.from_caller(result.x))
+    yield scaled.to_caller(minimize_on_face(near, *scaled.rows(is_dense=True)).x), result

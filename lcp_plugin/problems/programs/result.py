@@ -110,9 +110,9 @@ class QuadraticProgramResult(BaseResult):
 
     def _is_vertex(self) -> bool:
         """Return whether active rows and bounds determine x; True also if this is not computed, for many rows."""
-        one, size = self.program, ROWS * np.abs(self.x).max(initial=0.0)
-        is_free = (self.x > one.lower + size) & (self.x < one.upper - size)
-        rows, limit = one.matrices.terms.rows, np.append(one.h, one.b)
+        program, size = self.program, ROWS * np.abs(self.x).max(initial=0.0)
+        is_free = (self.x > program.lower + size) & (self.x < program.upper - size)
+        rows, limit = program.matrices.terms.rows, np.append(program.h, program.b)
         terms = abs(rows) @ np.abs(self.x) + np.abs(limit)
         is_active = np.isfinite(limit) & (np.abs(rows @ self.x - limit) <= ROWS * terms)
         free, active = np.count_nonzero(is_free), np.count_nonzero(is_active)
@@ -129,11 +129,11 @@ class QuadraticProgramResult(BaseResult):
     def describe_accuracy(self) -> str:
         """Return the two measures and their tolerances, or the proof of infeasibility or unboundedness, as text."""
         if self.proof is None:
-            found = self.solution
+            solution = self.solution
             return (
-                f"objective {self.objective:.9g}; constraints are violated by {found.primal_residual:.1e} (tolerance "
-                f"{ROWS:.0e}), the duality gap is {found.duality_gap:.1e} (tolerance {self.tolerance:.0e}), each "
-                "relative to its terms"
+                f"objective {self.objective:.9g}; constraints are violated by {solution.primal_residual:.1e} "
+                f"(tolerance {ROWS:.0e}), the duality gap is {solution.duality_gap:.1e} "
+                f"(tolerance {self.tolerance:.0e}), each relative to its terms"
             )
         least = getattr(self.proof, "least_violation", 0.0)
         missed = f"\nevery point violates a constraint by {three_digits_below(least)} or more"

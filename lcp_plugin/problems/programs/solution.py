@@ -52,7 +52,7 @@ class QPSolution(MadeOnAccess):
     Raises
     ------
     InvalidProblem
-        If one of them is not a vector of the right length, or has an infinite entry, or if x has a NaN.
+        If a vector has the wrong length or an infinite entry, or if x has a NaN.
     """
 
     program: QuadraticProgram = field(repr=False)
@@ -138,7 +138,7 @@ class QPSolution(MadeOnAccess):
     def row_multipliers(self) -> Vector:
         """Multipliers y of the rows that `QuadraticProgram.from_ranges` was given, P x + c + Aᵀy − lower + upper = 0.
 
-        Positive at a row's upper limit, negative at its lower one.
+        Positive at a row's upper limit, negative at its lower limit.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class QPSolution(MadeOnAccess):
         x, rows, Px, Cy = self.x, C @ self.x, P @ self.x, C.T @ y
         d = np.concatenate([program.h, program.b])
         lower, upper, d = (
-            np.where(np.isfinite(one), one, 0.0) for one in (program.lower, program.upper, d)
+            np.where(np.isfinite(value), value, 0.0) for value in (program.lower, program.upper, d)
         )
         primal = float(np.maximum(program.constraints.excess(x), 0.0).max(initial=0.0))
         left, curved, linear = Px + program.c + Cy + z, float(x @ Px), float(program.c @ x)
@@ -173,7 +173,9 @@ class QPSolution(MadeOnAccess):
             max(abs(0.5 * curved + linear), abs(float(dual_value))),
         )
         absolute = primal, _largest(left), gap
-        relative = (one / max(size, 2.0**-1000) for one, size in zip(absolute, sizes, strict=True))
+        relative = (
+            value / max(size, 2.0**-1000) for value, size in zip(absolute, sizes, strict=True)
+        )
         return ProgramResiduals(*absolute, *relative)
 
     def is_optimal(self, tolerance: float = PROGRAM_TOLERANCE) -> bool:
@@ -196,19 +198,19 @@ class QPSolution(MadeOnAccess):
 
         ∞ without a maximum. NaN if HiGHS finds no feasible y, or x is not finite.
         """
-        one = self.program
-        slopes, sides = one.P @ self.x + one.c, (one.G, one.h, one.A, one.b)
-        terms = abs(one.P) @ np.abs(self.x) + np.abs(one.c)
+        program = self.program
+        slopes, sides = program.P @ self.x + program.c, (program.G, program.h, program.A, program.b)
+        terms = abs(program.P) @ np.abs(self.x) + np.abs(program.c)
         slopes = np.where(
             np.abs(slopes) <= 1e-12 * terms, 0.0, slopes
         )  # rounding, unbounded if x_j is free
         size = np.abs(slopes).max(initial=0.0)
         if not 0.0 < size < np.inf:
             return float(size)
-        found = highs(slopes / size, *sides, (one.lower, one.upper))
-        if found.status:
-            return np.inf if found.status == 3 else np.nan
-        return max(0.0, float(slopes @ self.x - size * found.fun))
+        optimum = highs(slopes / size, *sides, (program.lower, program.upper))
+        if optimum.status:
+            return np.inf if optimum.status == 3 else np.nan
+        return max(0.0, float(slopes @ self.x - size * optimum.fun))
 
     @derived_property
     def errors(self) -> KKTErrors:
@@ -262,7 +264,7 @@ class ProgramResiduals(NamedTuple):
 
 def _largest(*vectors: Vector) -> float:
     """Return the largest |entry| of the vectors."""
-    return max(float(np.abs(one).max(initial=0.0)) for one in vectors)
+    return max(float(np.abs(vector).max(initial=0.0)) for vector in vectors)
 
 
 def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: int) -> WorstRows:
@@ -273,14 +275,14 @@ def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: in
     point, rows = PrimalDualPoint(program.judged, x, y, is_exact=True), program.constraints
     errors, m = point.row_errors(), rows.rows
     with np.errstate(all="ignore"):
-        within, given = (rows.matrix @ at - rows.limit for at in (point.x, x))
-        excess = np.append(within[:m], given[m:])
+        within, outside = (rows.matrix @ at - rows.limit for at in (point.x, x))
+        excess = np.append(within[:m], outside[m:])
         terms = largest_products(abs(rows.matrix), np.abs(x))
     where = " with x on its bounds" if point.outside.any() else ""
     # row_errors has one entry per unknown for both of its bounds
     sides = np.append(excess[m : m + x.size] > 0.0, excess[m + x.size :] > 0.0)
     errors = np.concatenate([errors[:m], np.where(sides, np.tile(errors[m:], 2), 0.0)])
-    found = []
+    worst = []
     for k in np.argsort(-errors, kind="stable")[:count].tolist():
         if errors[k] > ROWS:
             value, limit = float(excess[k] + rows.limit[k]), float(rows.limit[k])
@@ -289,7 +291,7 @@ def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: in
             text = f"{program.name(k)} is violated{where if k < m else ''}: "
             text += f"{sign * value:.6g} {beyond} {sign * limit:.6g}"
             size = max(float(terms[k]), abs(limit))
-            found.append(
+            worst.append(
                 WorstRow(program.name(k), float(errors[k]), abs(float(excess[k])), size, text)
             )
-    return WorstRows(found)
+    return WorstRows(worst)

@@ -73,16 +73,16 @@ def solve_program(
     clock = Clock()
     is_auto = isinstance(algorithm, str) and algorithm == "auto" and not options
     is_plain = is_auto and type(tolerance) is float and 0.0 < tolerance < 1.0
-    if is_plain and (found := _by_daqp(program, tolerance, clock)) is not None:
-        return found
-    wishes = {name: options.pop(name) for name in OF_SOLVE if name in options}
+    if is_plain and (result := _by_daqp(program, tolerance, clock)) is not None:
+        return result
+    solve_options = {name: options.pop(name) for name in OF_SOLVE if name in options}
     for name in ("absolute_tolerance", "polish"):
-        if name in wishes and wishes.pop(name) not in (None, DEFAULTS[name]):
+        if name in solve_options and solve_options.pop(name) not in (None, DEFAULTS[name]):
             raise InvalidOption(
                 f"solve takes no {name} for a QuadraticProgram; leave it out, or pass it with LCP.from_qp(P, c, …)"
             )
-    wishes = {name: wish for name, wish in wishes.items() if wish is not None}
-    callback, start = wishes.pop("callback", None), wishes.pop("z0", None)
+    solve_options = {name: value for name, value in solve_options.items() if value is not None}
+    callback, start = solve_options.pop("callback", None), solve_options.pop("z0", None)
     if start is not None:
         start = vector_option(start, "z0", None)
     is_point = isinstance(algorithm, InteriorPoint)
@@ -91,10 +91,10 @@ def solve_program(
     engine = _engine(algorithm, options)
     settings = parse_call(
         "auto" if engine else algorithm,
-        {**({} if engine else options), "tolerance": tolerance, **wishes},
+        {**({} if engine else options), "tolerance": tolerance, **solve_options},
     )[1]
     name = algorithm if isinstance(algorithm, str) else algorithm.name
-    run = ProgramRun(program, name, settings, wishes, callback, clock, start)
+    run = ProgramRun(program, name, settings, solve_options, callback, clock, start)
     if engine is not None:
         plan = run.engine_stages(engine)
     elif name == "auto":
@@ -131,16 +131,16 @@ def _by_daqp(
     ends = ends_of_rows(judged.d, reduced.h.size, lower, upper)
     x, y, _, steps = call_daqp(*layout, c.copy(), *ends, DAQP.defaults)
     x, y = np.minimum(np.maximum(x, lower), upper), y[x.size :]
-    found = KKTErrors.of(judged, x, y, tolerance)
-    is_sharp = found.meet(tolerance) and found.gap <= SHARP * (x.size + y.size)
-    if not is_sharp or is_in_doubt(program, found, x):
+    errors = KKTErrors.of(judged, x, y, tolerance)
+    is_sharp = errors.meet(tolerance) and errors.gap <= SHARP * (x.size + y.size)
+    if not is_sharp or is_in_doubt(program, errors, x):
         return None
     # Multipliers of a point that passes overflow only if coefficients divide them
     make = QPSolution.on_access if reduced is program else QPSolution.from_reduced
-    own = {"algorithm": "auto: daqp", "iterations": steps, "tolerance": tolerance}
+    fields = {"algorithm": "auto: daqp", "iterations": steps, "tolerance": tolerance}
     stages = (StageRecord(DAQP.name, DAQP.solves, steps, 2.0),)  # of two points
-    own |= {"seconds": clock.read(), "stages": stages, "status": Status.SOLVED}
-    return QuadraticProgramResult.of_known(None, **own, solution=make(program, x, y))
+    fields |= {"seconds": clock.read(), "stages": stages, "status": Status.SOLVED}
+    return QuadraticProgramResult.of_known(None, **fields, solution=make(program, x, y))
 
 
 def is_in_doubt(program: QuadraticProgram, errors: KKTErrors, x: Vector) -> bool:
@@ -195,13 +195,13 @@ class ProgramRun(Run):
         program: QuadraticProgram,
         name: str,
         settings: Settings,
-        wishes: dict[str, Any],
+        options: dict[str, Any],
         callback: Any,
         clock: Clock,
         start: Vector | None,
     ) -> None:
         super().__init__(ProgramProgress(program, settings, callback, clock))
-        self.program, self.name, self.wishes, self.start = program, name, wishes, start
+        self.program, self.name, self.options, self.start = program, name, options, start
         self.doubtful: NoMinimum | None = None
 
     # --- The plan ----------------------------------------------------------------------------------------------------
@@ -212,10 +212,10 @@ class ProgramRun(Run):
         rows, matrices = reduced.h.size + reduced.b.size, reduced.matrices
         if not rows and not matrices.has_curvature:
             solution = QPSolution.from_reduced(self.program, *nearest(self.program))
-            found = ProgramPoint.of(solution, self.settings.tolerance, "costs")
-            if not found.passes:
-                found = found._replace(says=EngineStatus.UNBOUNDED)
-            vertex = Step(solution.x, iterations=0, measured=found)
+            point = ProgramPoint.of(solution, self.settings.tolerance, "costs")
+            if not point.passes:
+                point = point._replace(says=EngineStatus.UNBOUNDED)
+            vertex = Step(solution.x, iterations=0, measured=point)
             yield Stage(Named("costs"), "boxes", steps=[vertex])
         is_lcp_first = not rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
@@ -248,28 +248,28 @@ class ProgramRun(Run):
         """Yield a stage for each attempt of an external solver."""
         for asked, scale in attempts(self.program, engine):
             options = dict(asked.options)
-            if "max_iterations" in self.wishes:  # an engine counts in 32 bits
-                options[asked.steps] = min(self.wishes["max_iterations"], 2**31 - 1)
-            one = type(asked)(**options)
-            yield Stage(one, one.solves, steps=self._engine_steps(one, scale))
+            if "max_iterations" in self.options:  # an engine counts in 32 bits
+                options[asked.steps] = min(self.options["max_iterations"], 2**31 - 1)
+            limited = type(asked)(**options)
+            yield Stage(limited, limited.solves, steps=self._engine_steps(limited, scale))
 
     def _engine_steps(self, engine: Engine, scale: Scaling) -> Iterator[Step]:
         """Yield the start and the point of an external solver."""
         yield Step(nearest(self.program)[0], iterations=0)
-        found = run_engine(
+        point = run_engine(
             self.program, engine, self.settings.tolerance, scale, is_verbose=self.settings.verbose
         )
-        yield Step(found.solution.x, iterations=found.iterations, measured=found)
+        yield Step(point.solution.x, iterations=point.iterations, measured=point)
 
     def _regression_steps(self, problem: Any, outward: Outward) -> Iterator[Step]:
         """Yield the start and the points of the least squares problem."""
         yield Step(nearest(self.program)[0], iterations=0)
-        names = self.wishes.keys() & {"max_iterations"}
-        wishes = {"tolerance": self.settings.tolerance} | {key: self.wishes[key] for key in names}
-        for z, by in solutions(problem, wishes):
+        names = self.options.keys() & {"max_iterations"}
+        options = {"tolerance": self.settings.tolerance} | {key: self.options[key] for key in names}
+        for z, by in solutions(problem, options):
             solution = QPSolution.from_reduced(self.program, *outward(z))
-            found = ProgramPoint.of(solution, self.settings.tolerance, by.algorithm, by.iterations)
-            yield Step(solution.x, iterations=by.iterations, measured=found)
+            point = ProgramPoint.of(solution, self.settings.tolerance, by.algorithm, by.iterations)
+            yield Step(solution.x, iterations=by.iterations, measured=point)
 
     def lcp_stage(self, *run: Any) -> Stage:
         """Return a stage with a run on the complementarity problem of the program; see `_lcp_steps`."""
@@ -283,9 +283,9 @@ class ProgramRun(Run):
         progress, n, left = self.progress, self.program.n, seconds_left()
         tolerance = self.settings.tolerance
         problem = optimality_conditions(self.program)
-        wishes = {**options, **self.wishes, "max_seconds": None if left == math.inf else left}
+        lcp_options = {**options, **self.options, "max_seconds": None if left == math.inf else left}
         if self.start is not None and self.start.size == problem.n:
-            wishes["z0"] = self.start
+            lcp_options["z0"] = self.start
         passing: Vector | None = None
 
         def ends_run(sample: Sample, z: Vector) -> bool:
@@ -304,31 +304,33 @@ class ProgramRun(Run):
             return passing is not None
 
         try:
-            # So small a tolerance that x nearly always passes the program's own test
-            result = solve_lcp(problem, algorithm, tolerance=1e-12, callback=ends_run, **wishes)
+            # So small a tolerance that x nearly always passes the test of programs
+            result = solve_lcp(
+                problem, algorithm, tolerance=1e-12, callback=ends_run, **lcp_options
+            )
         except (UnsuitableMatrix, UnsuitableProblem) as refusal:
             stated = "a program's conditions of optimality, whose M has a zero on the diagonal for each of its rows"
             raise UnsupportedModel(f"{refusal} (M is that of {stated})") from refusal
         progress.samples += result.history
         z = result.z if passing is None else passing
         solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
-        found = ProgramPoint.of(solution, tolerance, result.algorithm, result.iterations)
-        if result.status is Status.MAX_ITERATIONS and "max_iterations" in self.wishes:
+        point = ProgramPoint.of(solution, tolerance, result.algorithm, result.iterations)
+        if result.status is Status.MAX_ITERATIONS and "max_iterations" in self.options:
             progress.end = progress.end or Status.MAX_ITERATIONS
         elif result.status is Status.MAX_SECONDS:
             progress.end = progress.end or Status.MAX_SECONDS
-        yield Step(solution.x, iterations=result.iterations, measured=found, label=result.algorithm)
+        yield Step(solution.x, iterations=result.iterations, measured=point, label=result.algorithm)
 
     # --- Selection of the result -------------------------------------------------------------------------------------
 
     def end_of_stage(self, stage: Stage, end: Status) -> Status:
-        """Return the reason, or NO_SOLUTION if a proof is found; some points start a search."""
-        found = self.latest
-        if found is None or not self.settings.prove_infeasibility:
+        """Return the reason, or NO_SOLUTION if a proof exists; some points start a search."""
+        point = self.latest
+        if point is None or not self.settings.prove_infeasibility:
             return end
         # If rows are violated, a proof of infeasibility is searched first
-        may_fail = is_in_doubt(self.program, found.errors, found.solution.x)
-        if (found.passes and may_fail and self._is_short) or found.says in NO_MINIMUM:
+        may_fail = is_in_doubt(self.program, point.errors, point.solution.x)
+        if (point.passes and may_fail and self._is_short) or point.says in NO_MINIMUM:
             self._search_proof()
         return end if self.proof is None else Status.NO_SOLUTION
 
@@ -338,15 +340,15 @@ class ProgramRun(Run):
         return self.program.n + self.program.constraints.rows <= SHORT_SEARCH
 
     def _search_proof(self) -> None:
-        """Keep the proof that the program has no solution, or the one that shows this except for rounding."""
+        """Keep the proof that the program has no solution, or the proof that shows this except for rounding."""
         latest, y = self.latest, None
         if latest is not None and latest.says is EngineStatus.INFEASIBLE and not self._is_short:
             y = np.concatenate([latest.solution.inequality, latest.solution.equality])
-        found = known_proof(self.program, y)
-        if found is not None and found.excludes(self.settings.tolerance):
-            self.proof = found
-        elif found is not None and found.doubt:
-            self.doubtful = found
+        proof = known_proof(self.program, y)
+        if proof is not None and proof.excludes(self.settings.tolerance):
+            self.proof = proof
+        elif proof is not None and proof.doubt:
+            self.doubtful = proof
 
     def status(self, end: Status) -> Status:
         """Return the status: of the proof, SOLVED, of a limit, or for the accuracy of the best point."""
@@ -356,7 +358,7 @@ class ProgramRun(Run):
         if status is not Status.STALLED:
             return status
         is_short = self.latest is not None and self.latest.says is EngineStatus.STOPPED
-        if is_short and "max_iterations" in self.wishes:
+        if is_short and "max_iterations" in self.options:
             return Status.MAX_ITERATIONS
         is_near = self._is_nearly_optimal or self.doubtful is not None
         return Status.PRECISION_LIMIT if is_near else Status.STALLED

@@ -87,19 +87,19 @@ class DualBounds:
         """
         if not np.isfinite(self.curvature.weights).all():
             return -np.inf
-        found = -np.inf
+        largest = -np.inf
         for bound in self._bounds(self.admit(x, y)):
-            found = max(found, bound)
-            if found >= enough or is_over():
+            largest = max(largest, bound)
+            if largest >= enough or is_over():
                 break
-        return found
+        return largest
 
-    def _bounds(self, given: DualPoint) -> Iterator[float]:
+    def _bounds(self, point: DualPoint) -> Iterator[float]:
         """Yield the bounds that a point and its repairs prove, the cheapest first."""
-        points = [given]
-        yield self.value(given)
+        points = [point]
+        yield self.value(point)
         for slack in SLACKS:
-            points.append(self._with_slack(given, slack))
+            points.append(self._with_slack(point, slack))
             yield self.value(points[-1])
         yield from map(self._exact_value, points)
 
@@ -126,8 +126,8 @@ class DualBounds:
         errors.append(product_above(0.5 * self.curvature.penalty, product_above(missed, missed)))
         loss = self._loss(*ends, *self._distances(x, x))
         loss = float(sum_above(_sum_above(np.concatenate(errors)), loss))
-        found = -float(sum_above(loss, half_above(-lower_end(twice, error)[0])))
-        return found if not math.isnan(found) else -np.inf
+        bound = -float(sum_above(loss, half_above(-lower_end(twice, error)[0])))
+        return bound if not math.isnan(bound) else -np.inf
 
     def _distances(self, low: Vector, high: Vector) -> Box:
         """Return x̂ − l and u − x̂, rounded up, of x̂ between two vectors."""
@@ -154,7 +154,7 @@ class DualBounds:
         sign = np.where(needs_rise, 1.0, -1.0)
         columns = sp.csr_array(self.program.matrices.terms.rows.T)
         largest = largest_in_rows(columns) * np.abs(at.y).max(initial=0.0)
-        for _ in range(4):  # a repair of some components may break others
+        for _ in range(4):  # a repair of some components may break other components
             v, s, size = self._slopes(at)
             size = np.maximum(size, largest)
             target = np.where(is_free, 0.0, sign * np.maximum(sign * s, slack * size))
@@ -206,16 +206,16 @@ class DualBounds:
         """Return `value` of rational numbers."""
         c = rational(self.program.c)
         curved = products(rational_rows(self.program.P), x)
-        here = sum(at * (bent / 2 + slope) for at, bent, slope in zip(x, curved, c, strict=True))
+        value = sum(at * (bent / 2 + slope) for at, bent, slope in zip(x, curved, c, strict=True))
         rows = rational_rows(self.program.matrices.terms.rows)
         missed = [*map(sub, products(rows, x), rational(self._limit))]
-        here += sum(weight * miss for weight, miss in zip(y, missed, strict=True) if weight)
+        value += sum(weight * miss for weight, miss in zip(y, missed, strict=True) if weight)
         penalty = Fraction(self.curvature.penalty) / 2
-        here -= penalty * sum(miss * miss for miss in missed[self.program.h.size :])
+        value -= penalty * sum(miss * miss for miss in missed[self.program.h.size :])
         s = [*map(add, products(self._exact_stacked, [*x, *y]), c)]
         loss = self._loss(*enclosures(s), *self._distances(*enclosures(x)))
-        found = -float(sum_above(loss, -enclosures([here])[0][0]))
-        return found if not math.isnan(found) else -np.inf
+        bound = -float(sum_above(loss, -enclosures([value])[0][0]))
+        return bound if not math.isnan(bound) else -np.inf
 
     @cached_property
     def _open_sides(self) -> tuple[BoolVector, BoolVector]:
@@ -267,14 +267,14 @@ def least_squares(matrix: sp.csr_array, right: Vector) -> Vector:
     """Return the shortest least squares solution, accurate to rounding for a small matrix; 0 if it overflows."""
     if matrix.shape[0] * matrix.shape[1] <= 1_000_000:  # entries of a least squares problem; .1 s
         try:
-            found = np.linalg.lstsq(matrix.toarray(), right, rcond=None)[0]
+            solution = np.linalg.lstsq(matrix.toarray(), right, rcond=None)[0]
         except np.linalg.LinAlgError:
             return np.zeros(matrix.shape[1])
     else:
         from scipy.sparse.linalg import lsmr
 
-        found = lsmr(matrix, right, atol=1e-15, btol=1e-15, maxiter=1000)[0]
-    return np.where(np.isfinite(found), found, 0.0)
+        solution = lsmr(matrix, right, atol=1e-15, btol=1e-15, maxiter=1000)[0]
+    return np.where(np.isfinite(solution), solution, 0.0)
 
 
 def implied_box(program: QuadraticProgram) -> Box:
@@ -324,9 +324,9 @@ def _tighten(rows: sp.csr_array, limit: Vector, lower: Vector, upper: Vector) ->
     )
     open_terms = np.bincount(owner, is_open, m)
     is_bounded = open_terms[owner] - is_open == 0
-    rest = sum_above(sum_above(limit, total)[owner], -held)
-    rest = np.where(np.diff(rows.indptr)[owner] == 1, limit[owner], rest)
-    most_of_x = quotient_above(rest, np.abs(entry))
+    room = sum_above(sum_above(limit, total)[owner], -held)
+    room = np.where(np.diff(rows.indptr)[owner] == 1, limit[owner], room)
+    most_of_x = quotient_above(room, np.abs(entry))
     usable = is_bounded & np.isfinite(most_of_x)
     above, below = usable & (entry > 0.0), usable & (entry < 0.0)
     np.minimum.at(upper, column[above], most_of_x[above])
@@ -384,7 +384,7 @@ def distance_of_equations(program: QuadraticProgram, x: Vector, excess: Vector) 
     Notes
     -----
     With B the free columns of A, rows scaled by powers of two, x + Bᵀu is a solution if B Bᵀu = r, r = b − A x. If
-    ‖I − R B Bᵀ‖∞ ≤ α < 1 for an approximate inverse R, rounding included, there is one with ‖u‖∞ ≤ ‖|R||r|‖∞/(1 − α).
+    ‖I − R B Bᵀ‖∞ ≤ α < 1 for an approximate inverse R, rounding included, a solution has ‖u‖∞ ≤ ‖|R||r|‖∞/(1 − α).
     """
     free = np.flatnonzero((program.lower < x) & (x < program.upper))
     B, radius = sp.csr_array(program.A)[:, free], np.zeros(x.size)

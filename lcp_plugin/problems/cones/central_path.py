@@ -60,11 +60,11 @@ def take_step(
     stack: ConeStack, scale: Cones, x: Cones, y: Cones
 ) -> tuple[Cones, Cones, float] | None:
     """Return the next x and y, and the entries that the factorization processed; None if no step is possible."""
-    cones, X, Y = ~stack.pattern.is_row, *(one[~stack.pattern.is_row] for one in (x, y))
-    own, root = nesterov_todd_scaling(X, Y)
+    cones, X, Y = ~stack.pattern.is_row, *(point[~stack.pattern.is_row] for point in (x, y))
+    scaling, root = nesterov_todd_scaling(X, Y)
     eye = np.eye(stack.m)
     H = np.zeros((stack.k, stack.m, stack.m))
-    H[cones] = own
+    H[cones] = scaling
     G = np.tile(eye, (stack.k, 1, 1))
     G[:, 0, 1:] -= scale[:, :1] * y[:, 1:] / np.maximum(length(y[:, 1:]), NORMAL)[:, None]
     left = apply(G, scale * y) - stack.slack((x / scale)[None])[0]
@@ -98,7 +98,7 @@ def take_step(
             centring = direction(apply(root, quotient(right, at)), 1.0 - sigma)
             ends = (
                 longest(*pair)
-                for pair in zip((X, Y), (one[cones] for one in centring), strict=True)
+                for pair in zip((X, Y), (change[cones] for change in centring), strict=True)
             )
             further = TO_THE_BOUNDARY * min(ends)
             if further > t:

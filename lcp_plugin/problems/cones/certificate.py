@@ -69,9 +69,9 @@ class ConeCertificate:
     """
 
     def __init__(
-        self, problem: Blocks, z: Vector, tolerance: float, found: Measured | None = None
+        self, problem: Blocks, z: Vector, tolerance: float, measured: Measured | None = None
     ) -> None:
-        self.problem, self.z, self.tolerance, self._found = problem, z, tolerance, found
+        self.problem, self.z, self.tolerance, self._measured = problem, z, tolerance, measured
 
     @derived_property
     def criterion(self) -> ConeRows:
@@ -79,10 +79,10 @@ class ConeCertificate:
         return ConeRows(stack_of(self.problem))
 
     @derived_property
-    def found(self) -> Measured:
+    def measured(self) -> Measured:
         """The measure of z."""
-        if self._found is not None:
-            return self._found
+        if self._measured is not None:
+            return self._measured
         pattern = self.criterion.stack.pattern
         return self.criterion.measure_at(
             self.z if pattern.is_sparse else self.z[None], None, self.tolerance
@@ -91,23 +91,23 @@ class ConeCertificate:
     @derived_property
     def w(self) -> Vector:
         """M z + q."""
-        return read_only(self.found.rows.w.ravel().copy())
+        return read_only(self.measured.rows.w.ravel().copy())
 
     @derived_property
     def relative_residual(self) -> float:
         """The largest residual of a law relative to the reference of its component."""
-        relative = divide_nonnegative(self.found.by_row.high, self.found.by_row.reference)
+        relative = divide_nonnegative(self.measured.by_row.high, self.measured.by_row.reference)
         return float(relative.max(initial=0.0))
 
     @property
     def term_residual(self) -> float:
         """The least tolerance at which every law passes the componentwise test."""
-        return float(self.found.by_row.terms.max(initial=0.0))
+        return float(self.measured.by_row.terms.max(initial=0.0))
 
     @property
     def worst_index(self) -> int:
         """The block of the largest relative residual; −1 without blocks."""
-        relative = self.criterion.of_blocks(self.found.by_row.relative)[0]
+        relative = self.criterion.of_blocks(self.measured.by_row.relative)[0]
         return int(np.argmax(relative)) if relative.size else -1
 
     @property
@@ -115,19 +115,19 @@ class ConeCertificate:
         """The residual of that block, in the unit of z."""
         if not self.z.size:
             return 0.0
-        return float(self.criterion.of_blocks(self.found.by_row.high)[0, self.worst_index])
+        return float(self.criterion.of_blocks(self.measured.by_row.high)[0, self.worst_index])
 
     def worst(self, tolerance: float, count: int) -> WorstRows:
         """Return the rows that fail by most."""
-        found = self.found._replace(z=self.z)
-        return worst_pairs(self.criterion, found, self.problem.rows.names, tolerance, count)
+        measured = self.measured._replace(z=self.z)
+        return worst_pairs(self.criterion, measured, self.problem.rows.names, tolerance, count)
 
     @derived_property
     def natural_residual(self) -> float:
         """The largest ‖z_k − P_K(z_k − ŵ_k)‖, unscaled."""
         plain = copy(self.criterion.stack)
         plain.d = np.ones_like(plain.d)
-        z, w = (plain.pattern.wide(one[None]) for one in (self.z, self.w))
+        z, w = (plain.pattern.wide(vector[None]) for vector in (self.z, self.w))
         return float(length(plain.residual(z, w)[0]).max(initial=0.0))
 
     @derived_property
@@ -162,7 +162,7 @@ class ContactInfeasibility:
     y: Vector
 
     @derived_property
-    def _found(self) -> FarkasCertificate:
+    def _farkas(self) -> FarkasCertificate:
         """The certificate of w ≥ 0 for any z, without cones."""
         problem, (no, all_) = self.problem, (np.zeros(self.problem.n), np.ones(self.problem.n))
         bounds = -np.inf * all_, np.inf * all_
@@ -180,7 +180,7 @@ class ContactInfeasibility:
                 fits = x[a] == 0 or (is_free and is_dual) or (is_half and x[a] > 0)
             else:
                 square, tangent = Fraction(float(problem.slope[k])) ** 2, x[a + 1 : b]
-                size = sum(one**2 for one in tangent)
+                size = sum(entry**2 for entry in tangent)
                 of_y = size <= (0 if problem.has_friction else square * x[a] ** 2)
                 fits = x[a] >= 0 and (of_y if is_dual else x[a] ** 2 >= square * size)
             if not fits:
@@ -190,37 +190,37 @@ class ContactInfeasibility:
     @derived_property
     def is_exact(self) -> bool:
         """True if −Mᵀy is in the dual cones, so that the proof covers all z."""
-        pull = self._found.product
+        pull = self._farkas.product
         return self._is_in_cones([-pull.get(j, 0) for j in range(self.problem.n)], is_dual=False)
 
     @property
     def radius(self) -> float:
         """Bound of the |z_j| that the proof covers."""
-        return np.inf if self.is_exact else self._found.radius
+        return np.inf if self.is_exact else self._farkas.radius
 
     def verify(self) -> bool:
         """Return whether y proves infeasibility for the z within the radius, in exact arithmetic."""
-        found, rows = self._found, self.problem.rows
+        farkas, rows = self._farkas, self.problem.rows
         y = [Fraction(value) for value in self.y.tolist()]
-        if not (found.plain > 0 and self._is_in_cones(y, is_dual=True)):
+        if not (farkas.plain > 0 and self._is_in_cones(y, is_dual=True)):
             return False
-        if self.is_exact or not (found.is_rounding() and found.is_wide_beside_terms()):
+        if self.is_exact or not (farkas.is_rounding() and farkas.is_wide_beside_terms()):
             return self.is_exact
         if not is_nearly_symmetric(rows.matrix):
             return True
-        return is_minimizer_beyond_radius(rows.matrix.array, rows.q, self.y, found.left)
+        return is_minimizer_beyond_radius(rows.matrix.array, rows.q, self.y, farkas.left)
 
     @derived_property
     def margin(self) -> float:
         """Lower bound of the relative residual of every point, as the criterion measures it."""
         problem, stack = self.problem, stack_of(self.problem)
         pulled, wide, rows = problem.rows.csr.T @ self.y, stack.pattern.wide, ConeRows(stack)
-        of_y, of_pull = (length(wide(one[None]))[0] for one in (self.y, pulled))
+        of_y, of_pull = (length(wide(vector[None]))[0] for vector in (self.y, pulled))
         weights = np.sqrt(1.0 + problem.slope**2) * stack.d[0] * of_y + of_pull
         of_rows = np.broadcast_to(rows.references[0], rows.q.shape).reshape(-1)
         references = np.maximum.reduceat(of_rows, problem.starts[:-1])
         shares = np.where(weights > 0.0, weights * references, 0.0)
-        value = self._found.plain if self.is_exact else self._found.size
+        value = self._farkas.plain if self.is_exact else self._farkas.size
         # Less, for the rounding error of the sums
         return float(float(value) / shares.sum() * (1.0 - 1e-3))
 
@@ -268,27 +268,27 @@ def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
     scale, size = power_of_two(np.abs(M.data).max(initial=0.0)), power_of_two(np.abs(q).max())
     all_rows = sp.vstack([rows, -M / scale])
     all_limits = np.concatenate([limits * (scale / size), q / size])
-    found = solve_conic(sp.csc_array((n, n)), np.zeros(n), all_rows, all_limits, cones)
-    if "PrimalInfeasible" not in str(found.status):
+    solution = solve_conic(sp.csc_array((n, n)), np.zeros(n), all_rows, all_limits, cones)
+    if "PrimalInfeasible" not in str(solution.status):
         return None
     y = np.zeros(n)
-    y[where] = np.asarray(found.z)[limits.size :]
+    y[where] = np.asarray(solution.z)[limits.size :]
     unit = np.abs(y).max(initial=0.0) or 1.0
     rounded: list[Any] = [np.round(y / (unit * grain)) for grain in (DIGITS, 2.0**-8, 0.25)]
-    for one in [*rounded, y, without_pull(problem, y / unit)]:
-        proof = ContactInfeasibility(problem, one)
-        if one.any() and proof.verify():
+    for multipliers in [*rounded, y, without_pull(problem, y / unit)]:
+        proof = ContactInfeasibility(problem, multipliers)
+        if multipliers.any() and proof.verify():
             return proof
     return None
 
 
 def without_pull(problem: Blocks, y: Vector) -> Vector:
-    """Return y near a given one with Mᵀy = 0 to rounding, without its entries at rounding level."""
+    """Return y near y with Mᵀy = 0 to rounding, without its entries at rounding level."""
     used = np.flatnonzero(np.abs(y) > 1e-6)  # Clarabel's points reach 0 to about 1e-8
     # A least squares problem of a second
     columns = problem.rows.csr[used].toarray().T if used.size <= 1000 else np.zeros((0, 0))
-    x, found = y[used], np.zeros(problem.n)
+    x, sparse_y = y[used], np.zeros(problem.n)
     for _ in range(3 if columns.size else 0):
         x = x - np.linalg.lstsq(columns, columns @ x, rcond=DIGITS)[0]
-    found[used] = x
-    return found
+    sparse_y[used] = x
+    return sparse_y

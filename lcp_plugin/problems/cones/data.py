@@ -124,9 +124,9 @@ class Blocks:
         """Return the problem of the selected blocks, bool, shape (k,), which must be entire components."""
         rows = blocks[self.block_of_row]
         M, lower, upper = self.rows.csr[rows][:, rows], self.lower[rows], self.upper[rows]
-        own = LCP(M, self.q[rows], lower=lower, upper=upper)
+        part_rows = LCP(M, self.q[rows], lower=lower, upper=upper)
         starts = np.concatenate([[0], np.cumsum(self.sizes[blocks])])
-        part = Blocks(own, starts, self.slope[blocks], has_friction=self.has_friction)
+        part = Blocks(part_rows, starts, self.slope[blocks], has_friction=self.has_friction)
         if self.bodies is not None:
             part.bodies = self.bodies._replace(rows=self.bodies.rows[rows])
         return part
@@ -134,9 +134,9 @@ class Blocks:
     def with_q(self, q: ArrayLike) -> Self:
         """Return the problem with another q, shape (n,), b of contacts; it shares the cached properties of M."""
         other = copy(self)
-        given = np.ravel(real_array(q, f"{self.offset} must be a vector"))
-        given = checked_vector(given, self.offset, self.n)
-        other.rows = self.rows.with_q(given, lower=self.lower, upper=self.upper)
+        vector = np.ravel(real_array(q, f"{self.offset} must be a vector"))
+        vector = checked_vector(vector, self.offset, self.n)
+        other.rows = self.rows.with_q(vector, lower=self.lower, upper=self.upper)
         if self.bodies is not None:  # b does not determine their velocities
             other.bodies = self.bodies._replace(velocities=None)
         return other
@@ -201,8 +201,8 @@ class ConeProblem(Blocks):
     def _shape(self) -> dict[str, Any]:
         kinds = [CONES.index(cone[0]) for cone in self.cones]
         rows = [
-            np.broadcast(*given).size if name == "box" else int(given[0])
-            for name, *given in self.cones
+            np.broadcast(*arguments).size if name == "box" else int(arguments[0])
+            for name, *arguments in self.cones
         ]
         of_cones = {"cone_kinds": np.array(kinds, np.int64), "cone_rows": np.array(rows, np.int64)}
         return {**of_cones, "lower": self.lower, "upper": self.upper}
@@ -234,16 +234,16 @@ def _blocks(cones: object, n: int) -> tuple[list[int], Vector, Vector, tuple[Any
     sizes: list[int] = []
     lower, upper = [np.empty(0)], [np.empty(0)]
     for number, cone in enumerate(cones):
-        kind, *given = cone if isinstance(cone, (tuple, list)) and cone else (cone,)
-        rows, wrong = given[0] if given else 0, ""
+        kind, *arguments = cone if isinstance(cone, (tuple, list)) and cone else (cone,)
+        rows, wrong = arguments[0] if arguments else 0, ""
         if isinstance(cone, str):
             wrong = f'is a text; write a list of tuples, such as cones=[("nonnegative", {n})]'
         elif not isinstance(kind, str) or kind not in CONES:
             wrong = f"is not a cone{did_you_mean(kind, CONES)}"
-        elif len(given) != (2 if kind == "box" else 1):
-            wrong = f"has {len(given)} numbers behind its name"
+        elif len(arguments) != (2 if kind == "box" else 1):
+            wrong = f"has {len(arguments)} numbers behind its name"
         elif kind == "box":
-            low, high = _box(given, f"cones[{number}]")
+            low, high = _box(arguments, f"cones[{number}]")
             rows = low.size
         elif not is_number(rows) or not 0 <= rows < np.inf or rows != int(rows):
             wrong = "must name an integer of rows ≥ 0"

@@ -67,8 +67,8 @@ class StackDerivative(LinearizedSystem):
         if stack.has_friction:
             sticks = stack.residual(z, w)[1] == WITHIN
             w = np.where(sticks[..., None], 0.0, w)
-        self.point, self.found = (z, w), stack.residual(z, w)
-        self.by_z, self.by_w = stack.derivative(w, *self.found[1:])
+        self.point, self.projection = (z, w), stack.residual(z, w)
+        self.by_z, self.by_w = stack.derivative(w, *self.projection[1:])
         self.is_free = self.by_w.any((-1, -2))
 
     @derived_property
@@ -111,7 +111,7 @@ class StackDerivative(LinearizedSystem):
     def by_friction(self) -> Array:
         """R_μ, shape (B, n), not 0 on the boundary of cones."""
         stack, (z, w), mu = self.stack, self.point, self.stack.mu
-        case, x, tangent, _ = self.found[1:]
+        case, x, tangent, _ = self.projection[1:]
         x, tangent = x / self.stack.d[..., None], tangent / self.stack.d
         if not stack.has_friction:
             return np.zeros(self.stack.pattern.flat(z).shape)
@@ -167,7 +167,7 @@ class ConeDerivative:
         stack = stack_of(problem)
         self.problem = problem
         self._of = StackDerivative(stack, stack.pattern.wide(np.array(z)[None]))
-        self.z, self.w = (stack.pattern.flat(one)[0] for one in (self._of.z, self._of.w))
+        self.z, self.w = (stack.pattern.flat(vector)[0] for vector in (self._of.z, self._of.w))
 
     @property
     def free(self) -> NDArray[np.intp]:
@@ -223,9 +223,9 @@ class ConeDerivative:
             slopes = np.zeros(n)
         elif problem.has_friction:
             k = problem.slope.size - problem.equations
-            given = np.full(k, dfriction) if checks.is_number(dfriction) else dfriction
-            given = checks.checked_vector(given, "dfriction", k)
-            slopes = np.append(given, np.zeros(problem.equations))[problem.block_of_row]
+            friction = np.full(k, dfriction) if checks.is_number(dfriction) else dfriction
+            friction = checks.checked_vector(friction, "dfriction", k)
+            slopes = np.append(friction, np.zeros(problem.equations))[problem.block_of_row]
         else:
             raise InvalidOption("dfriction is of a FrictionalContact; a ConeProblem has none")
 
@@ -273,6 +273,6 @@ class ConeDerivative:
         """Return the masks of the rows at their lower and at their upper bound."""
         problem, pattern = self.problem, of.stack.pattern
         at_bound = (~of.is_free[0] & pattern.is_row)[pattern.of_row]
-        z, w = (pattern.flat(one)[0] for one in of.point)
+        z, w = (pattern.flat(vector)[0] for vector in of.point)
         is_lower = (z <= problem.lower) & ((z < problem.upper) | (w > 0.0))
         return at_bound & is_lower, at_bound & ~is_lower

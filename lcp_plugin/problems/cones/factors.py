@@ -36,14 +36,14 @@ def factorize_matrix(J: Any) -> Factors:
         raise np.linalg.LinAlgError
 
     def solve(right: Any) -> Any:
-        found = factor.solve(right)
+        solution = factor.solve(right)
         if sp.issparse(J):
-            found = found + factor.solve(right - J @ found)
+            solution = solution + factor.solve(right - J @ solution)
             # A larger residual means that the matrix is singular
             most = 1e-4 * np.abs(right).max(initial=0.0)
-            if not np.abs(J @ found - right).max(initial=0.0) <= most:
+            if not np.abs(J @ solution - right).max(initial=0.0) <= most:
                 raise np.linalg.LinAlgError
-        return found
+        return solution
 
     return Factors(solve, factor.work)
 
@@ -119,5 +119,7 @@ def stack_of(problem: Any) -> ConeStack:
             has_many = bodies is not None and pattern.n > FEW
             facts["stack"] = pattern, Arms(bodies, pattern) if has_many else None
         pattern, arms = facts["stack"]
-        arrays = (one[None] for one in (problem.q, problem.slope, problem.lower, problem.upper))
+        arrays = (
+            vector[None] for vector in (problem.q, problem.slope, problem.lower, problem.upper)
+        )
         return ConeStack(pattern, *arrays, has_friction=problem.has_friction, arms=arms)

@@ -100,16 +100,19 @@ class FrictionalContactBatch:
         if gaps is not None or time_step is not None:
             offsets = offsets.copy()
             offsets[:, : n - p : d] += contact.closing_speeds(gaps, time_step, k, count)
-        given = (matrices, (count, n, n)), (offsets, (count, n)), (mu, (count, k))
-        wide = (np.broadcast_to(*one) for one in given)
-        own = [np.ascontiguousarray(one, np.float64) for one in wide]
+        shapes = (matrices, (count, n, n)), (offsets, (count, n)), (mu, (count, k))
+        wide = (np.broadcast_to(*pair) for pair in shapes)
+        arrays = [np.ascontiguousarray(array, np.float64) for array in wide]
         is_there = np.arange(k) < self.contacts[:, np.newaxis]
         if not is_there.all():
             is_row = np.pad(np.repeat(is_there, d, axis=1), ((0, 0), (0, p)), constant_values=True)
             is_entry = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
             absent: Any = ((is_entry, np.eye(n)), (is_row, 1.0), (is_there, 0.0))
-            own = [np.where(has, one, other) for one, (has, other) in zip(own, absent, strict=True)]
-        self.W, self.b, self.friction = map(checks.read_only, own)
+            arrays = [
+                np.where(has, array, other)
+                for array, (has, other) in zip(arrays, absent, strict=True)
+            ]
+        self.W, self.b, self.friction = map(checks.read_only, arrays)
         contact.warn_of_much_friction(np.where(np.isfinite(self.friction), self.friction, 0.0), 3)
         with np.errstate(all="ignore"):
             difference = np.abs(self.W - self.W.swapaxes(1, 2)).max((1, 2), initial=0.0)
@@ -131,13 +134,13 @@ class FrictionalContactBatch:
     @property
     def errors(self) -> dict[int, LCPError]:
         """The errors of invalid instances, by their number i."""
-        found: dict[int, LCPError] = {}
+        errors: dict[int, LCPError] = {}
         for i in np.flatnonzero(~self._is_stated).tolist():
             try:
                 self[i]
             except LCPError as error:
-                found[i] = error
-        return found
+                errors[i] = error
+        return errors
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the batch to a ``.npz`` file, which ``load_problem(path)`` reads.
@@ -163,8 +166,8 @@ class FrictionalContactBatch:
             )
         rows, p = int(self.sizes[i]), self.equations
         count = (rows - p) // self.dimension
-        own = self.W[i, :rows, :rows], self.b[i, :rows], self.friction[i, :count]
-        return FrictionalContact(*own, dimension=self.dimension, equations=p)
+        instance_data = self.W[i, :rows, :rows], self.b[i, :rows], self.friction[i, :count]
+        return FrictionalContact(*instance_data, dimension=self.dimension, equations=p)
 
     def __repr__(self) -> str:
         where = "space" if self.dimension == 3 else "the plane"
@@ -248,8 +251,8 @@ class FrictionalContact(Blocks):
         velocities = real_array(b, need)
         if contact.is_of_bodies(W):
             is_sparse = any(map(sp.issparse, W))
-            found = contact.contacts_of_bodies(W, velocities, equations)
-            W, velocities, self.bodies, equations = found
+            statement = contact.contacts_of_bodies(W, velocities, equations)
+            W, velocities, self.bodies, equations = statement
             W = W if is_sparse or not sp.issparse(W) else W.toarray()
             dimension = self.bodies.dimension if dimension is None else dimension
         self.equations = p = contact.checked_count(equations)
@@ -294,8 +297,8 @@ class FrictionalContact(Blocks):
         return self.slope[: self.slope.size - self.equations]
 
     def _shape(self) -> dict[str, Any]:
-        given = {"equations": np.array(self.equations)} if self.equations else {}
-        return {"mu": self.friction, **given}
+        equations = {"equations": np.array(self.equations)} if self.equations else {}
+        return {"mu": self.friction, **equations}
 
     def __repr__(self) -> str:
         count, where = self.friction.size, "space" if self.dimension == 3 else "the plane"
@@ -315,7 +318,7 @@ def _checked_counts(contacts: ArrayLike | None, count: int, k: int) -> NDArray[n
     return counts.astype(np.int64)
 
 
-def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int:
+def dimension_of(dimension: int | None, friction: tuple[int, ...], rows: int) -> int:
     """Return the rows per contact, 3 with a ModelWarning if both 3 and 2 are possible.
 
     Raises
@@ -324,21 +327,21 @@ def dimension_of(given: int | None, friction: tuple[int, ...], rows: int) -> int
         If the shapes are inconsistent.
     """
     count = math.prod(friction)
-    if given is None and not friction and rows and rows % 6 == 0:
+    if dimension is None and not friction and rows and rows % 6 == 0:
         warnings.warn(
             f"{rows} rows and one number μ are read as {rows // 3} contacts in space, not as {rows // 2} "
             "in the plane; pass dimension=2 or dimension=3",
             ModelWarning,
             stacklevel=3,
         )
-    if given is None and friction and count and rows % count == 0:
-        given = rows // count
-    d = 3 if given is None and rows % 3 == 0 else 2 if given is None else given
+    if dimension is None and friction and count and rows % count == 0:
+        dimension = rows // count
+    d = 3 if dimension is None and rows % 3 == 0 else 2 if dimension is None else dimension
     if isinstance(d, bool) or not isinstance(d, (int, np.integer)) or d not in (2, 3):
         raise InvalidProblem(
             f"a contact has 3 rows, or 2 in the plane, got {d!r}: {rows} rows and {count} coefficients of friction"
         )
     if rows % d:
-        need = "3, nor, in the plane, of 2" if given is None else d
+        need = "3, nor, in the plane, of 2" if dimension is None else d
         raise InvalidProblem(f"{rows} rows are not a multiple of {need}: normal, then tangents")
     return int(d)

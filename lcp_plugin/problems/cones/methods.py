@@ -176,8 +176,8 @@ class FixedPoint(ConeAlgorithm):
     def points(self, problem: Blocks, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point per program until five gain nothing, and Newton's points."""
         best, least, since = z, stack.relative_residual(z), 0
-        for found in minimizers(problem, stack.pattern.flat(z)[0]):
-            z = stack.pattern.wide(found[None])
+        for z_program in minimizers(problem, stack.pattern.flat(z)[0]):
+            z = stack.pattern.wide(z_program[None])
             residual = stack.relative_residual(z)
             is_gain = residual < NEWTON_GAIN * least
             best, least, since = (z, residual, 0) if is_gain else (best, least, since + 1)
@@ -188,4 +188,4 @@ class FixedPoint(ConeAlgorithm):
 
 
 CLASSES = ConeNSGS, ConeNewton, ConeInteriorPoint, FixedPoint
-METHODS: dict[str, type[ConeAlgorithm]] = {one.name: one for one in CLASSES}
+METHODS: dict[str, type[ConeAlgorithm]] = {method.name: method for method in CLASSES}

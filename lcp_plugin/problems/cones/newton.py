@@ -35,52 +35,52 @@ def newton_steps(
 
     Steps use a nonmonotone line search on ‖R‖₂. A problem whose residual is at most `goal` is left out.
     """
-    open_ones, here, at = np.arange(stack.B), stack, z
-    found = here.measure(at)
-    yield open_ones, at, found.largest, 1.0
-    norms, widest = np.repeat(found.norm[:, None], RECENT, 1), np.full(here.B, PROXIMAL)
-    best, since, least = found.norm.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
+    instances, here, at = np.arange(stack.B), stack, z
+    residual = here.measure(at)
+    yield instances, at, residual.largest, 1.0
+    norms, widest = np.repeat(residual.norm[:, None], RECENT, 1), np.full(here.B, PROXIMAL)
+    best, since, least = residual.norm.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
     for count in range(steps):
         # Points without a gain; each halving is a point
-        going = np.isfinite(found.norm) & (found.largest > goal) & (since < 60)
+        going = np.isfinite(residual.norm) & (residual.largest > goal) & (since < 60)
         if not going.any():
             return
         if not going.all():
-            kept = (open_ones, at, norms, widest, best, since)
-            open_ones, at, norms, widest, best, since = (one[going] for one in kept)
-            here, found = here.take(going), NaturalMap(*(one[going] for one in found))
-        by_z, by_w = here.derivative(*found[1:6])
-        epsilon = np.maximum(np.minimum(widest, 0.1 * found.largest), least)
+            kept = (instances, at, norms, widest, best, since)
+            instances, at, norms, widest, best, since = (array[going] for array in kept)
+            here, residual = here.take(going), NaturalMap(*(array[going] for array in residual))
+        by_z, by_w = here.derivative(*residual[1:6])
+        epsilon = np.maximum(np.minimum(widest, 0.1 * residual.largest), least)
         step = None
         while step is None and epsilon.min() <= 1.0:
             try:
                 shift = (epsilon[:, None] * here.d)[..., None, None]
                 factors = factorize_blocks(here, by_z + shift * by_w, by_w)
-                step = factors.solve(-found.R)
+                step = factors.solve(-residual.R)
             except np.linalg.LinAlgError:
                 epsilon = np.maximum(HARDER * epsilon, LEAST_PROXIMAL)
         if step is None:
             return
-        t, allowed, before, start = np.ones(here.B), norms.max(1), found.norm, at
+        t, allowed, before, start = np.ones(here.B), norms.max(1), residual.norm, at
         at = start + step
-        found = here.measure(at)
+        residual = here.measure(at)
         for _ in range(HALVINGS):
-            is_short = ~(found.norm <= (1.0 - DECREASE * t) * allowed)
+            is_short = ~(residual.norm <= (1.0 - DECREASE * t) * allowed)
             if not is_short.any():
                 break
             t[is_short] *= 0.5
             at[is_short] = (start + t[:, None, None] * step)[is_short]
             shorter = here.take(is_short).measure(at[is_short])
-            for whole, part in zip(found, shorter, strict=True):
+            for whole, part in zip(residual, shorter, strict=True):
                 whole[is_short] = part
-        is_poor = (t < 1.0) | (found.norm >= before)
-        narrower = np.where(found.norm > NEWTON_GAIN * before, EASIER * epsilon, widest)
+        is_poor = (t < 1.0) | (residual.norm >= before)
+        narrower = np.where(residual.norm > NEWTON_GAIN * before, EASIER * epsilon, widest)
         widest = np.where(is_poor, PROXIMAL, narrower)
-        norms[:, count % RECENT] = found.norm
+        norms[:, count % RECENT] = residual.norm
         tried = 1 - np.log2(t).astype(np.int64)  # each halving costs as much as a step
-        since = np.where(found.norm < NEWTON_GAIN * best, 0, since + tried)
-        best = np.minimum(best, found.norm)
-        yield open_ones, at, found.largest, 2.0 + factors.entries / max(here.pattern.nonzeros, 1)
+        since = np.where(residual.norm < NEWTON_GAIN * best, 0, since + tried)
+        best = np.minimum(best, residual.norm)
+        yield instances, at, residual.largest, 2.0 + factors.entries / max(here.pattern.nonzeros, 1)
 
 
 def accuracy_of(stack: ConeStack) -> tuple[float, float]:
@@ -96,20 +96,20 @@ def polish_points(stack: ConeStack, z: Vector) -> tuple[Any, Any]:
     The linear systems are solved because a small residual does not imply a small error if M is ill-conditioned.
     """
     least, exact = accuracy_of(stack)
-    found = stack.measure(z)
-    best, smallest, shift = z, found.largest, least * stack.d[..., None, None]
+    residual = stack.measure(z)
+    best, smallest, shift = z, residual.largest, least * stack.d[..., None, None]
     for _ in range(2):
-        if (found.largest <= exact).all():
+        if (residual.largest <= exact).all():
             break
-        by_z, by_w = stack.derivative(*found[1:6])
+        by_z, by_w = stack.derivative(*residual[1:6])
         try:
-            z = z + factorize_blocks(stack, by_z + shift * by_w, by_w).solve(-found.R)
+            z = z + factorize_blocks(stack, by_z + shift * by_w, by_w).solve(-residual.R)
         except np.linalg.LinAlgError:
             break
-        found = stack.measure(z)
-        is_better = found.largest < smallest
+        residual = stack.measure(z)
+        is_better = residual.largest < smallest
         best = np.where(is_better[:, None, None], z, best)
-        smallest = np.where(is_better, found.largest, smallest)
+        smallest = np.where(is_better, residual.largest, smallest)
     return best, smallest
 
 

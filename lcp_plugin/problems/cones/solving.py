@@ -89,9 +89,9 @@ def solve_cones(
     """
     settings, chosen = Settings(**options) if options else DEFAULT, _checked_algorithm(algorithm)
     is_short = chosen == "auto" and z0 is None and is_bare(settings, callback)
-    found = solve_quickly(problem, settings) if is_short else None
-    if found is not None:
-        return found
+    quick_result = solve_quickly(problem, settings) if is_short else None
+    if quick_result is not None:
+        return quick_result
     progress = Progress(problem, settings, callback)
     with threads_for(settings.threads):
         run = ConeRun(problem, progress, None if z0 is None else checked_start(problem, z0), chosen)
@@ -159,26 +159,26 @@ def solve_cone_stack(
         left = np.flatnonzero(~is_solved)
         if not left.size or not has_time():
             break
-        here = stack.take(~is_solved)
-        swept[left], _ = sweep_blocks(here, swept[left], count, methods.STOP * tolerance)
+        open_stack = stack.take(~is_solved)
+        swept[left], _ = sweep_blocks(open_stack, swept[left], count, methods.STOP * tolerance)
         iterations[left] += count // SWEEPS_PER_STEP
         best, least = swept[left], np.full(left.size, np.inf)
         goal = CLOSER * tolerance
-        for number, step in enumerate(newton.newton_steps(here, best, steps, goal)):
-            open_ones, at, sizes, _ = step
-            is_better = sizes < least[open_ones]
-            best[open_ones[is_better]] = at[is_better]
-            least[open_ones[is_better]] = sizes[is_better]
-            iterations[left[open_ones]] += number > 0
+        for number, step in enumerate(newton.newton_steps(open_stack, best, steps, goal)):
+            instances, at, sizes, _ = step
+            is_better = sizes < least[instances]
+            best[instances[is_better]] = at[is_better]
+            least[instances[is_better]] = sizes[is_better]
+            iterations[left[instances]] += number > 0
             if not has_time():
                 break
         done = least <= goal
-        best[done] = newton.polish_points(here.take(done), best[done])[0]
-        found = ConeRows(here).measure_blocks(here.snap(best), tolerance)
-        is_better = found.passes | (found.residual < residual[left])
-        z[left[is_better]] = found.z[is_better]
-        residual[left[is_better]] = found.residual[is_better]
-        is_solved[left[found.passes]] = True
+        best[done] = newton.polish_points(open_stack.take(done), best[done])[0]
+        measured = ConeRows(open_stack).measure_blocks(open_stack.snap(best), tolerance)
+        is_better = measured.passes | (measured.residual < residual[left])
+        z[left[is_better]] = measured.z[is_better]
+        residual[left[is_better]] = measured.residual[is_better]
+        is_solved[left[measured.passes]] = True
     return z, residual, iterations, is_solved
 
 
@@ -282,8 +282,8 @@ class ConeRun(Run):
         name = f"auto: {name}" if isinstance(self.chosen, str) else self.chosen.name
         named = {"algorithm": name, "infeasibility": self.proof, "_advice": WORDS}
         z = read_only(self.stack.pattern.flat(self.best.z)[0].copy())
-        found = None if self.best.rows is None else self.best
-        at = ConeCertificate(self.problem, z, self.tolerance, found)
+        measured = None if self.best.rows is None else self.best
+        at = ConeCertificate(self.problem, z, self.tolerance, measured)
         return self.result_at(at, self.status(end), ConeResult, problem=self.problem, **named)
 
     # --- the plan -----------------------------------------------------------------------------------------

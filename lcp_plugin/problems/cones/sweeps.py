@@ -115,32 +115,32 @@ def _solve_block(A, b, f, friction, size, low, high, d, x, w):  # type: ignore[n
 
 @kernel
 def sweep(  # type: ignore[no-untyped-def]
-    starts, friction, mu, lower, upper, indptr, indices, data, q, own, d, most, stop, z, counts
+    starts, friction, mu, lower, upper, indptr, indices, data, q, blocks, d, most, stop, z, counts
 ):
     """Sweep over z, (B, n), until the changes of each problem are `stop` times its largest z_i; count the sweeps."""
-    m = max(own.shape[2], 3)
+    m = max(blocks.shape[2], 3)
     b, x, w = np.zeros(m), np.zeros(m), np.zeros(m)
-    for world in range(z.shape[0]):
-        bounds = min(world, lower.shape[0] - 1)
+    for instance in range(z.shape[0]):
+        bounds = min(instance, lower.shape[0] - 1)
         for _ in range(most):
             moved, largest = 0.0, 0.0
-            counts[world] += 1
+            counts[instance] += 1
             for c in range(starts.size - 1):
-                first, f = starts[c], mu[world, c]
-                size, A = starts[c + 1] - first, own[world, c]
+                first, f = starts[c], mu[instance, c]
+                size, A = starts[c + 1] - first, blocks[instance, c]
                 for i in range(size):
-                    total = q[world, first + i]
+                    total = q[instance, first + i]
                     for p in range(indptr[first + i], indptr[first + i + 1]):
-                        total += data[world, p] * z[world, indices[p]]
+                        total += data[instance, p] * z[instance, indices[p]]
                     for j in range(size):
-                        total -= A[i, j] * z[world, first + j]
-                    b[i], x[i] = total, z[world, first + i]
+                        total -= A[i, j] * z[instance, first + j]
+                    b[i], x[i] = total, z[instance, first + i]
                 low, high = lower[bounds, c], upper[bounds, c]
-                _solve_block(A, b, f, friction, size, low, high, d[world, c], x, w)
+                _solve_block(A, b, f, friction, size, low, high, d[instance, c], x, w)
                 for i in range(size):
-                    moved = max(moved, abs(x[i] - z[world, first + i]))
+                    moved = max(moved, abs(x[i] - z[instance, first + i]))
                     largest = max(largest, abs(x[i]))
-                    z[world, first + i] = x[i]
+                    z[instance, first + i] = x[i]
             if moved <= stop * largest:
                 break
 
@@ -154,11 +154,11 @@ def sweep_small(starts, W, b, mu, tolerance, most, z):  # type: ignore[no-untype
     sweeps and the bound of :func:`bound_contacts`.
     """
     n, k, m = b.size, mu.size, max(np.diff(starts).max(), 3)
-    own, d, labels = np.zeros((k, m, m)), np.zeros(k), np.zeros(k, np.int64)
+    blocks, d, labels = np.zeros((k, m, m)), np.zeros(k), np.zeros(k, np.int64)
     entries = np.arange(n + 1) * n, np.arange(n * n) % n, W.ravel()
-    read_blocks_of_one(starts, *entries, own, d, labels)
+    read_blocks_of_one(starts, *entries, blocks, d, labels)
     columns, w, count, moved, largest = np.ascontiguousarray(W.T), b.copy(), 0, np.inf, 0.0
-    rest, x, free = np.zeros(m), np.zeros(m), np.zeros(m)
+    offset, x, free = np.zeros(m), np.zeros(m), np.zeros(m)
     z_2 = z_1 = z.copy()  # two sweeps and one ago
     w_1 = w.copy()
     while True:
@@ -178,13 +178,13 @@ def sweep_small(starts, W, b, mu, tolerance, most, z):  # type: ignore[no-untype
         count += 1
         moved, largest = 0.0, 0.0
         for c in range(k):
-            first, A = starts[c], own[c]
+            first, A = starts[c], blocks[c]
             size = starts[c + 1] - first
             for i in range(size):
-                rest[i], x[i] = w[first + i], z[first + i]
+                offset[i], x[i] = w[first + i], z[first + i]
                 for j in range(size):
-                    rest[i] -= A[i, j] * z[first + j]
-            _solve_block(A, rest, mu[c], True, size, -np.inf, np.inf, d[c], x, free)
+                    offset[i] -= A[i, j] * z[first + j]
+            _solve_block(A, offset, mu[c], True, size, -np.inf, np.inf, d[c], x, free)
             for j in range(size):
                 step = x[j] - z[first + j]
                 largest, moved = max(largest, abs(x[j])), max(moved, abs(step))
@@ -198,9 +198,9 @@ def sweep_blocks(stack: ConeStack, z: Array, most: int, stop: float) -> tuple[Ar
     """Return z, (B, k, m), after at most so many sweeps over each problem, and their numbers, (B,)."""
     pattern = stack.pattern
     arrays = stack.mu, stack.low, stack.high, *pattern.entries, pattern.flat(stack.q), pattern.own
-    starts, *given = map(read_only, map(np.ascontiguousarray, (pattern.starts, *arrays, stack.d)))
+    starts, *data = map(read_only, map(np.ascontiguousarray, (pattern.starts, *arrays, stack.d)))
     z, counts = np.array(pattern.flat(z), order="C"), np.zeros(stack.B, np.int64)
-    sweep(starts, stack.has_friction, *given, most, stop, z, counts)
+    sweep(starts, stack.has_friction, *data, most, stop, z, counts)
     return pattern.wide(z), counts
 
 

@@ -44,7 +44,7 @@ FloatArray = NDArray[np.float64]
 
 UNIT_LENGTH = 1e-6  # by which the length of a direction may differ from 1
 NOT_DEFINITE = "the mass matrix must be positive definite, and is not; leave out bodies that do not move, or give W"
-# of soft rubber it is some 2; a larger one is probably an angle or a percentage
+# of soft rubber it is some 2; a larger number is probably an angle or a percentage
 MOST_FRICTION = 5.0
 
 
@@ -65,7 +65,7 @@ class ContactMotion:
     touches : array of bool, shape (k,)
         True if the contact presses.
     sticks : array of bool, shape (k,)
-        True if it presses and does not slip: no faster than 1e-8 of the largest velocity given.
+        True if it presses and does not slip: no faster than 1e-8 of the largest velocity.
     body_velocities : ndarray, shape (v,), or None
         Body velocities after the impulses, u + m⁻¹ Jᵀ impulses. None if the contacts were built without a mass matrix
         and the bodies' velocities u, and for ``problem.with_q(q)``, whose q does not determine u.
@@ -83,14 +83,14 @@ class ContactMotion:
     equations: FloatArray | None = None
 
 
-def motion_of(r: Any, u: Any, given: Any, d: int, p: int = 0, after: Any = None) -> ContactMotion:
-    """Return impulses r and velocities u, shape (…, d k + p) each, as a motion; `given`: velocities without them."""
+def motion_of(r: Any, u: Any, b: Any, d: int, p: int = 0, after: Any = None) -> ContactMotion:
+    """Return impulses r and velocities u, shape (…, d k + p) each, as a motion; b: velocities without impulses."""
     r, of_equations = np.split(r, [r.shape[-1] - p], axis=-1)
-    r, u = (one.reshape(*one.shape[:-1], -1, d) for one in (r, u[..., : r.shape[-1]]))
-    still = 1e-8 * np.abs(given).max(axis=-1, initial=0.0)[..., np.newaxis]  # what is slower sticks
+    r, u = (rows.reshape(*rows.shape[:-1], -1, d) for rows in (r, u[..., : r.shape[-1]]))
+    threshold = 1e-8 * np.abs(b).max(axis=-1, initial=0.0)[..., np.newaxis]  # what is slower sticks
     with np.errstate(all="ignore"):
         touches, speeds = r[..., 0] > 0.0, np.hypot.reduce(np.abs(u[..., 1:]), axis=-1)
-    sticks = touches & (speeds <= still)
+    sticks = touches & (speeds <= threshold)
     motion = r[..., 0], r[..., 1:], u[..., 0], u[..., 1:], touches, sticks
     return ContactMotion(*motion, after, of_equations)
 
@@ -98,7 +98,7 @@ def motion_of(r: Any, u: Any, given: Any, d: int, p: int = 0, after: Any = None)
 class Bodies(NamedTuple):
     """The bodies behind contacts: mass and its inverse, (v, v), rows J, (d k + p, v), dense or CSR, and velocities.
 
-    The velocities have shape (v,); None if not given.
+    The velocities have shape (v,); None if they are unknown.
     """
 
     mass: Any
@@ -160,13 +160,13 @@ class Contacts:
         moving = self.velocities.copy()
         moving[:, 0] += self.closing
         n = k * (m + 2) + p
-        M, q, own = (
+        M, q, columns = (
             np.zeros((n, n)),
             np.zeros(n),
             np.append(np.arange(order.size), np.arange(n - p, n)),
         )
-        M[np.ix_(own, own)] = by_edges(by_edges(self.W).T).T
-        q[own] = by_edges(np.append(moving, self.equations)[:, np.newaxis])[:, 0]
+        M[np.ix_(columns, columns)] = by_edges(by_edges(self.W).T).T
+        q[columns] = by_edges(np.append(moving, self.equations)[:, np.newaxis])[:, 0]
         contact, edge = np.arange(k), np.arange(k, k * (1 + m))
         steepest = order.size + (edge - k) // m
         M[edge, steepest], M[steepest, edge] = 1.0, -1.0
@@ -200,11 +200,11 @@ class Contacts:
             raise InvalidProblem(f"{need}, got {z.shape}")
         contacts = np.column_stack([z[:k], z[k : k * (1 + m)].reshape(k, m) @ self.edges])
         impulses = np.append(contacts, z[n - p :])
-        given, bodies = self._velocities_of(answer), self.bodies
-        is_own = given is self.velocities
-        given = np.append(given, self.equations) if is_own else given
-        after = bodies.velocities_after(impulses) if bodies is not None and is_own else None
-        return motion_of(impulses, self.W @ impulses + given, given, 1 + t, p, after)
+        b, bodies = self._velocities_of(answer), self.bodies
+        is_same = b is self.velocities
+        b = np.append(b, self.equations) if is_same else b
+        after = bodies.velocities_after(impulses) if bodies is not None and is_same else None
+        return motion_of(impulses, self.W @ impulses + b, b, 1 + t, p, after)
 
     def _velocities_of(self, answer: Any) -> FloatArray:
         """Return the velocities without impulses, of the problem that a Result answers where that has another q."""
@@ -290,49 +290,47 @@ def contact_data(
     (array([1.2]), array([-0.4]), array([ 0. , -0.4]))
     """
     need = "velocities must be a finite array of shape (k, d), d = 3 in space and 2 in the plane"
-    given, bodies = _array(velocities, need), None
+    b, bodies = _array(velocities, need), None
     if is_of_bodies(contacts):
-        W, given, bodies, equations = contacts_of_bodies(contacts, given, equations)
+        W, b, bodies, equations = contacts_of_bodies(contacts, b, equations)
         W, d = W.toarray() if sp.issparse(W) else W, bodies.dimension
     else:
         W = _array(contacts, "W must be a finite, symmetric array of shape (d k, d k)")
         check_symmetric(W, "W")
         p = checked_count(equations)
-        d = given.shape[1] if given.ndim == 2 else 0
+        d = b.shape[1] if b.ndim == 2 else 0
         if p:  # the rows of a contact follow from the number of coefficients
-            d = (given.size - p) // max(np.size(friction), 1) if np.ndim(friction) else 0
-        if d not in (2, 3) or given.size != len(W) or (given.size - p) % d:
+            d = (b.size - p) // max(np.size(friction), 1) if np.ndim(friction) else 0
+        if d not in (2, 3) or b.size != len(W) or (b.size - p) % d:
             d = d if d in (2, 3) else 3 if (len(W) - p) % 3 == 0 else 2
             need = f"({len(W) // d}, {d}), one row (normal, tangents) per contact of W"
             need = f"({len(W)},), and friction one number per contact" if p else need
             raise InvalidProblem(
                 f"velocities must have shape {need}, got shape "
-                f"{given.shape}; the order is LCP.from_contacts(contacts, friction, velocities)"
+                f"{b.shape}; the order is LCP.from_contacts(contacts, friction, velocities)"
             )
-    given, of_equations = np.split(given.ravel(), [given.size - equations])
-    k = given.size // d
+    b, of_equations = np.split(b.ravel(), [b.size - equations])
+    k = b.size // d
     mu, edges = checked_friction(friction, k), _edges(d - 1, directions)
     warn_of_much_friction(mu, 4)
     closing = closing_speeds(gaps, time_step, k)
-    return Contacts(W, mu, given.reshape(k, d), edges, closing, bodies, of_equations)
+    return Contacts(W, mu, b.reshape(k, d), edges, closing, bodies, of_equations)
 
 
 def checked_count(equations: Any) -> int:
     """Return the number of equations, which are the last rows."""
     is_whole = isinstance(equations, (int, np.integer)) and not isinstance(equations, bool)
     if not is_whole or equations < 0:
-        given = (
-            f"an array of shape {np.shape(equations)}" if np.ndim(equations) else repr(equations)
-        )
+        got = f"an array of shape {np.shape(equations)}" if np.ndim(equations) else repr(equations)
         raise InvalidProblem(
-            f"equations must be the number p of equations, the last rows of W, got {given}; rows for the velocities of "
+            f"equations must be the number p of equations, the last rows of W, got {got}; rows for the velocities of "
             "bodies belong to (mass matrix, normals, tangents)"
         )
     return int(equations)
 
 
 def checked_friction(friction: ArrayLike, k: int, need: str = "one a contact") -> FloatArray:
-    """Return the coefficients of k contacts, shape (k,), given so or as a number."""
+    """Return the coefficients of k contacts, shape (k,), from such an array or a number."""
     need = f"friction must be a number, or an array of shape ({k},): {need}"
     mu = _of_contacts(friction, (k,), need)
     if mu.min(initial=0.0) < 0.0:
@@ -368,10 +366,10 @@ def closing_speeds(
 
 def _of_contacts(values: ArrayLike, shape: tuple[int, ...], need: str) -> FloatArray:
     """Return a number per contact from an array of this shape, or of its last axis, or from one number."""
-    given = _array(values, need)
-    if given.shape not in ((), shape[-1:], shape):
-        raise InvalidProblem(f"{need}, got shape {given.shape}")
-    return np.broadcast_to(given, shape).copy()
+    array = _array(values, need)
+    if array.shape not in ((), shape[-1:], shape):
+        raise InvalidProblem(f"{need}, got shape {array.shape}")
+    return np.broadcast_to(array, shape).copy()
 
 
 def warn_of_much_friction(friction: FloatArray, level: int) -> None:
@@ -392,7 +390,7 @@ def contacts_of_bodies(
 ) -> tuple[Any, FloatArray, Bodies, int]:
     """Return W, the velocities of its rows, the bodies, and the number of equations, from (mass, normals, tangents).
 
-    All matrices are dense if those given are, and small; otherwise CSR, and the mass matrix is inverted component by
+    All matrices are dense if the arguments are, and small; otherwise CSR, and the mass matrix is inverted component by
     component. `velocities` has shape (v,), or (k, d) of the contacts, or (d k + p,) of contacts and p equations.
     """
     if len(contacts) != 3:
@@ -436,11 +434,11 @@ def contacts_of_bodies(
     order = np.concatenate([np.arange(k)[:, None], tangent], axis=1).ravel()
     _check_directions(J[order], mass, 1 + t)
     J = J[np.append(order, np.arange(order.size, order.size + p))]
-    inverse, own = inverse_by_components(mass), None
+    inverse, of_bodies = inverse_by_components(mass), None
     W = J @ inverse @ J.T
     if velocities.shape == (v,):
-        own = checked_vector(velocities, "velocities", v)
-        velocities = J @ own
+        of_bodies = checked_vector(velocities, "velocities", v)
+        velocities = J @ of_bodies
     elif velocities.shape != ((order.size + p,) if p else (k, 1 + t)):
         rows = (
             f"({order.size + p},), of contacts and equations"
@@ -451,7 +449,7 @@ def contacts_of_bodies(
             f"velocities must have shape ({v},), of the bodies, or {rows}, got "
             f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}"
         )
-    return 0.5 * (W + W.T), velocities.ravel(), Bodies(mass, inverse, J, own, 1 + t), p
+    return 0.5 * (W + W.T), velocities.ravel(), Bodies(mass, inverse, J, of_bodies, 1 + t), p
 
 
 def inverse_by_components(mass: Any) -> Any:
@@ -473,11 +471,11 @@ def inverse_by_components(mass: Any) -> Any:
     place[order] = np.arange(order.size) - np.repeat(firsts, sizes)
     M, inverse = sp.coo_array(mass), [sp.csr_array(mass.shape)]
     for size in np.unique(sizes).tolist():
-        own = np.flatnonzero(sizes == size)
-        number, inside = np.searchsorted(own, component[M.row]), sizes[component[M.row]] == size
-        blocks = np.zeros((own.size, size, size))
-        blocks[number[inside], place[M.row[inside]], place[M.col[inside]]] = M.data[inside]
-        rows = order[firsts[own][:, None] + np.arange(size)]
+        alike = np.flatnonzero(sizes == size)
+        block, inside = np.searchsorted(alike, component[M.row]), sizes[component[M.row]] == size
+        blocks = np.zeros((alike.size, size, size))
+        blocks[block[inside], place[M.row[inside]], place[M.col[inside]]] = M.data[inside]
+        rows = order[firsts[alike][:, None] + np.arange(size)]
         where = np.repeat(rows, size, axis=1).ravel(), np.tile(rows, size).ravel()
         inverse.append(sp.csr_array((_inverse(blocks).ravel(), where), shape=mass.shape))
     return sp.csr_array(sum(inverse[1:], inverse[0]))
@@ -489,15 +487,15 @@ def _inverse(blocks: FloatArray) -> FloatArray:
         np.linalg.cholesky(blocks)
     except np.linalg.LinAlgError as error:
         raise InvalidProblem(NOT_DEFINITE) from error
-    found: Any = np.linalg.inv(blocks)
-    return found
+    inverses: Any = np.linalg.inv(blocks)
+    return inverses
 
 
 def _check_directions(J: Any, mass: Any, d: int) -> None:
     """Raise InvalidProblem if rows of J, d per contact, are clearly not unit vectors.
 
     Columns in which the mass matrix is m times the identity, with zeros elsewhere, are translations of a free body, or
-    rotations of one with three equal moments of inertia. Normal and tangents are linearly independent there for
+    rotations of a body with three equal moments of inertia. Normal and tangents are linearly independent there for
     translations only: r × n, r × t and r × s lie in a plane. A normal of length 1 there shows a translation.
     """
     (k, v), diagonal = J.shape, mass.diagonal()
@@ -510,11 +508,11 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
     windows = windows[is_ball.all(axis=1)]
     if is_sparse:
         parts = sp.bsr_array(J[:, windows.ravel()], blocksize=(d, d))
-        own, contact = parts.data, np.repeat(np.arange(k), np.diff(parts.indptr))
+        basis, contact = parts.data, np.repeat(np.arange(k), np.diff(parts.indptr))
     else:
-        own = J[:, windows].reshape(k, d, len(windows), d).swapaxes(1, 2).reshape(-1, d, d)
+        basis = J[:, windows].reshape(k, d, len(windows), d).swapaxes(1, 2).reshape(-1, d, d)
         contact = np.repeat(np.arange(k), len(windows))
-    products = own @ np.swapaxes(own, 1, 2)
+    products = basis @ np.swapaxes(basis, 1, 2)
     lengths = np.sqrt(np.einsum("kii->ki", products)) + np.finfo(float).tiny
     are = np.linalg.det(products / lengths[:, :, None] / lengths[:, None]) > UNIT_LENGTH
     are |= np.abs(lengths[:, 0] - 1.0) < UNIT_LENGTH

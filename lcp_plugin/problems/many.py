@@ -71,7 +71,9 @@ class AnswerSequence(Sequence[T]):
 
     def counts(self) -> str:
         """Return the number of items per status, as text."""
-        counted = Counter(f"no {self.item}" if one is None else one.name for one in self.status)
+        counted = Counter(
+            f"no {self.item}" if status is None else status.name for status in self.status
+        )
         return ", ".join(f"{count} {name}" for name, count in counted.most_common()) or "none"
 
     @property
@@ -80,7 +82,7 @@ class AnswerSequence(Sequence[T]):
         shown = self._format_item()
         if shown < 0 or self.all_solved:
             return Status.SOLVED.value
-        return f"{self.item} {shown}: {self._describe(shown, lambda one: str(getattr(one, 'advice', one)))}"
+        return f"{self.item} {shown}: {self._describe(shown, lambda item: str(getattr(item, 'advice', item)))}"
 
     def explain(self) -> str:
         """Return the number of items per status, and a summary of the first unsolved item."""
@@ -158,6 +160,8 @@ def length_of_all(counts: dict[str, int]) -> int:
         If the lengths differ.
     """
     if len(set(counts.values())) > 1:
-        found = ", ".join(f"{name} {count}" for name, count in counts.items())
-        raise InvalidProblem(f"arrays with an axis for problems must be equally long, got {found}")
+        lengths = ", ".join(f"{name} {count}" for name, count in counts.items())
+        raise InvalidProblem(
+            f"arrays with an axis for problems must be equally long, got {lengths}"
+        )
     return next(iter(counts.values()), 1)

@@ -1,4 +1,4 @@
-"""`prepare`: a solver of one problem after another, of which only some data change, as in the loop of a controller.
+"""`prepare`: a solver of many problems that differ in some data, as in the loop of a controller.
 
 A small dense LCP or program takes a short way: a kernel or an external solver, and one compiled sufficient test, which
 implies the criterion. If the test does not decide, or if options watch or limit the run, the solver of `solve` runs.
@@ -76,14 +76,14 @@ class PreparedProblem(Generic[P]):
                 f"step.solve takes no {name}{did_you_mean(name, known)}; it takes {known}"
             )
         start = data.pop(self.start, None)
-        found = None if warm or start is not None else self._solve_quickly(**data)
-        if found is None:
+        result = None if warm or start is not None else self._solve_quickly(**data)
+        if result is None:
             if start is None and warm and self.last is not None:
                 start = self.last.x
             how = {} if start is None else {self.start: start}
-            found = self._solve_fully(self._changed(**data) if data else self.problem, **how)
-        self.last = found
-        return found
+            result = self._solve_fully(self._changed(**data) if data else self.problem, **how)
+        self.last = result
+        return result
 
     def _changed(self, *data: Any, **named: Any) -> Any:
         """Return the problem with other data."""
@@ -94,7 +94,7 @@ class PreparedProblem(Generic[P]):
 
 
 class PreparedLCP(PreparedProblem[LCP]):
-    """Solver of LCPs that differ from a prepared one in q, M or bounds."""
+    """Solver of LCPs that differ from the prepared problem in q, M or bounds."""
 
     data, start = "q M lower upper", "z0"
 
@@ -108,12 +108,15 @@ class PreparedLCP(PreparedProblem[LCP]):
             self._arrays = arrays_of_one(problem)
 
     def _changed(self, q: Any = None, M: Any = None, lower: Any = None, upper: Any = None) -> LCP:
-        one = self.problem
-        q = one.q if q is None else q
+        base = self.problem
+        q = base.q if q is None else q
         if M is None:
-            return one.with_q(q, lower=lower, upper=upper)
-        lower, upper = one.lower if lower is None else lower, one.upper if upper is None else upper
-        return LCP(M, q, lower=lower, upper=upper, names=one.names)
+            return base.with_q(q, lower=lower, upper=upper)
+        lower, upper = (
+            base.lower if lower is None else lower,
+            base.upper if upper is None else upper,
+        )
+        return LCP(M, q, lower=lower, upper=upper, names=base.names)
 
     def _solve_quickly(
         self, q: Any = None, M: AnyMatrix = None, lower: Any = None, upper: Any = None
@@ -124,8 +127,8 @@ class PreparedLCP(PreparedProblem[LCP]):
         began, (A, b, low, high, start) = perf_counter(), self._arrays
         b, A = _copy_of(q, b), _copy_of(M, A)
         if lower is not None or upper is not None:
-            given = low[0] if lower is None else lower, high[0] if upper is None else upper
-            low, high = (one[np.newaxis] for one in checked_bounds(*given, self.problem.n))
+            bounds = low[0] if lower is None else lower, high[0] if upper is None else upper
+            low, high = (row[np.newaxis] for row in checked_bounds(*bounds, self.problem.n))
             start = read_only(np.minimum(np.maximum(0.0, low), high))
         if b is None or A is None:
             return None
@@ -160,7 +163,7 @@ def _copy_of(values: object, prepared: Vector) -> Any:
 
 
 class PreparedProgram(PreparedProblem[QuadraticProgram]):
-    """Solver of programs that differ from a prepared one in vectors."""
+    """Solver of programs that differ from the prepared problem in vectors."""
 
     data, start = "c h b lower upper", "z0"
 
@@ -169,19 +172,24 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         refuse_nonconvex(problem)
         self._tolerance = Settings(tolerance=options.get("tolerance", PROGRAM_TOLERANCE)).tolerance
         self._arrays: Any = None
-        one, terms = problem.matrices, problem.matrices.terms
+        facts, terms = problem.matrices, problem.matrices.terms
         is_daqp = isinstance(algorithm, str) and algorithm in ("auto", "daqp")
         is_suited = is_daqp and not options.keys() - {"tolerance"} and has_numba()
-        if is_suited and one.of_daqp and (one.counts > 1).all() and terms.is_one_dense_component:
+        if (
+            is_suited
+            and facts.of_daqp
+            and (facts.counts > 1).all()
+            and terms.is_one_dense_component
+        ):
             vectors = {name: getattr(problem, name) for name in self.data.split()}
-            self._arrays = one.of_daqp, (terms.P, terms.C, terms.sizes), vectors
+            self._arrays = facts.of_daqp, (terms.P, terms.C, terms.sizes), vectors
 
     def _solve_quickly(self, *_: Any, **data: Any) -> Any:
         """Return daqp's point if the compiled test accepts it, and nothing hints at a program without a minimum."""
         if self._arrays is None:
             return None
-        began, ((P, C, kinds), terms, own) = perf_counter(), self._arrays
-        every = [_copy_of(data.get(name), own[name]) for name in own]
+        began, ((P, C, kinds), terms, vectors) = perf_counter(), self._arrays
+        every = [_copy_of(data.get(name), vectors[name]) for name in vectors]
         c, h, b, lower, upper = every
         if c is None or h is None or b is None or lower is None or upper is None:
             return None
@@ -209,7 +217,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
 
 
 class PreparedContact(PreparedProblem[FrictionalContact]):
-    """Solver of contact problems that differ from a prepared one in b or W."""
+    """Solver of contact problems that differ from the prepared problem in b or W."""
 
     data, start = "b W", "z0"
 
@@ -227,17 +235,17 @@ class PreparedContact(PreparedProblem[FrictionalContact]):
         return solve_quickly(self._changed(**data) if data else self.problem, self._settings)
 
     def _changed(self, b: Any = None, W: AnyMatrix = None) -> FrictionalContact:
-        one = self.problem
+        problem = self.problem
         if W is not None:
-            how = {"dimension": one.dimension, "equations": one.equations}
-            return FrictionalContact(W, one.b if b is None else b, one.friction, **how)
-        one = copy(one)
-        one.rows = one.rows.with_q(np.ravel(b))
-        return one
+            shape = {"dimension": problem.dimension, "equations": problem.equations}
+            return FrictionalContact(W, problem.b if b is None else b, problem.friction, **shape)
+        problem = copy(problem)
+        problem.rows = problem.rows.with_q(np.ravel(b))
+        return problem
 
 
 class PreparedLeastSquares(PreparedProblem[Any]):
-    """Solver of least squares problems that differ from a prepared one in vectors."""
+    """Solver of least squares problems that differ from the prepared problem in vectors."""
 
     data = "b lower upper"
 

@@ -59,28 +59,30 @@ class Equilibrium:
     @cached_property
     def _by_action(self) -> list[Vector]:
         """The expected payoff of each action of each player."""
-        found = [np.zeros(one.size) for one in self.strategies]
+        sums = [np.zeros(x.size) for x in self.strategies]
         for (i, j), payoffs in self.game.items():
-            found[i] = found[i] + payoffs @ self.strategies[j]
-        return found
+            sums[i] = sums[i] + payoffs @ self.strategies[j]
+        return sums
 
     @cached_property
     def payoffs(self) -> tuple[float, ...]:
         """Expected payoff of each player, xᵀA y and xᵀB y of two."""
         return tuple(
-            float(x @ one) for x, one in zip(self.strategies, self._by_action, strict=True)
+            float(x @ values) for x, values in zip(self.strategies, self._by_action, strict=True)
         )
 
     @cached_property
     def regret(self) -> float:
         """The most that a player gains by a change of mind, in the unit of the payoffs; 0 in an equilibrium."""
         best = map(np.max, self._by_action)
-        return max(0.0, *(float(one - own) for one, own in zip(best, self.payoffs, strict=True)))
+        return max(
+            0.0, *(float(reply - payoff) for reply, payoff in zip(best, self.payoffs, strict=True))
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class GameOrigin:
-    """Origin of a converted game: payoffs of each player against each other one, as of :class:`Equilibrium`."""
+    """Origin of a converted game: payoffs of each player against each other player, as of :class:`Equilibrium`."""
 
     game: Game
     sizes: tuple[int, ...]
@@ -159,9 +161,9 @@ def lcp_from_bimatrix_game(A: AnyMatrix, B: AnyMatrix = None) -> LCP:
     if hasattr(A, "players"):
         A, B = _payoffs_of(A, B)
     elif B is None:
-        given = type(A).__name__
+        got = type(A).__name__
         raise InvalidProblem(
-            f"B is missing: a game is A and B, or has players, or is {{(0, 1): …, (1, 0): …}}, got {given} alone"
+            f"B is missing: a game is A and B, or has players, or is {{(0, 1): …, (1, 0): …}}, got {got} alone"
         )
     row_payoffs = _dense(rectangular_matrix(A, "A", None, None))
     m, k = row_payoffs.shape
@@ -171,21 +173,21 @@ def lcp_from_bimatrix_game(A: AnyMatrix, B: AnyMatrix = None) -> LCP:
         )
     column_payoffs = _dense(rectangular_matrix(B, "B", m, k))
     M = np.zeros((m + k, m + k))
-    M[:m, m:] = _costs(row_payoffs, own=0)
-    M[m:, :m] = _costs(column_payoffs, own=1).T
+    M[:m, m:] = _costs(row_payoffs, axis=0)
+    M[m:, :m] = _costs(column_payoffs, axis=1).T
     origin = GameOrigin({(0, 1): row_payoffs, (1, 0): column_payoffs.T}, (m, k))
     return LCP(M, np.full(m + k, -1.0)).with_origin(origin)
 
 
-def _lcp_from_pairs(given: Mapping[Any, Any]) -> LCP:
+def _lcp_from_pairs(pairs: Mapping[Any, Any]) -> LCP:
     """Return the problem of a polymatrix game: actions x_i ≥ 0 and values v_i ≥ 0 of the costs of each player i.
 
     M = [[C, −S], [Sᵀ, 0]] and q = (t, −s), S the sums over the actions of each player, times s. Costs are at least 1,
-    and t is taken from the own block of C, where it changes nothing because the x of a player sum to 1. So C is
+    and t is taken from the diagonal block of C, where it changes nothing because the x of a player sum to 1. So C is
     positive; t and s, different dyadic numbers, only break ties of pivots.
     """
     game, sizes = {}, dict[int, int]()
-    for pair, values in given.items():
+    for pair, values in pairs.items():
         if not (isinstance(pair, tuple) and len(set(pair)) == 2 == len(pair)):
             raise InvalidProblem(
                 f"the keys of a game are pairs of players (i, j), i ≠ j, got {pair!r}; write {{(0, 1): …, (1, 0): …}}"
@@ -209,17 +211,17 @@ def _lcp_from_pairs(given: Mapping[Any, Any]) -> LCP:
     ties = np.arange(1.0, n + 1.0) / 2.0 ** math.frexp(n + 1)[1]
     C, S = np.empty((n, n)), np.zeros((n, count))
     for i, end in enumerate(ends.tolist()):
-        own, others = slice(end - sizes[i], end), [j for j in range(count) if j != i]
+        mine, others = slice(end - sizes[i], end), [j for j in range(count) if j != i]
         rows = [game.get((i, j), np.zeros((sizes[i], sizes[j]))) for j in others]
-        C[own, np.r_[: own.start, end:n]] = _costs(np.hstack(rows), own=0)
-        C[own, own], S[own, i] = 2.0 - ties[own, np.newaxis], sums[i]
+        C[mine, np.r_[: mine.start, end:n]] = _costs(np.hstack(rows), axis=0)
+        C[mine, mine], S[mine, i] = 2.0 - ties[mine, np.newaxis], sums[i]
     M = np.block([[C, -S], [S.T, np.zeros((count, count))]])
     origin = GameOrigin(game, tuple(sizes[i] for i in range(count)))
     return LCP(M, np.append(ties, -sums)).with_origin(origin)
 
 
 def _payoffs_of(game: Any, B: AnyMatrix) -> tuple[Any, Any]:
-    """Return (A, B) of a game whose players have each a `payoff_array`, the own action first."""
+    """Return (A, B) of a game whose players have each a `payoff_array`, its action first."""
     if B is not None:
         raise InvalidProblem(f"{type(game).__name__} has the payoffs of both players; leave B out")
     if len(game.players) != 2:
@@ -228,8 +230,8 @@ def _payoffs_of(game: Any, B: AnyMatrix) -> tuple[Any, Any]:
     return row, column.T
 
 
-def _costs(payoffs: FloatMatrix, own: int) -> FloatMatrix:
-    """Return positive costs, at least 1: the loss of each action relative to the best reply, `own` the axis of actions.
+def _costs(payoffs: FloatMatrix, axis: int) -> FloatMatrix:
+    """Return positive costs, at least 1: the loss of each action, along its `axis`, relative to the best reply.
 
     Terms that the other player's action adds to all costs have no influence, so the best reply to each costs one unit.
     The unit is a power of two, small enough to keep the digits of every difference next to one huge payoff: integer
@@ -237,7 +239,7 @@ def _costs(payoffs: FloatMatrix, own: int) -> FloatMatrix:
     """
     # differences do not overflow
     payoffs = np.ldexp(payoffs, -int(np.frexp(np.abs(payoffs).max())[1]))
-    missed = payoffs.max(axis=own, keepdims=True) - payoffs
+    missed = payoffs.max(axis=axis, keepdims=True) - payoffs
     if not missed.any():
         return np.ones_like(payoffs)
     ends = missed[missed > 0.0].min(), missed.max()

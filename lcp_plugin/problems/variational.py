@@ -72,12 +72,12 @@ def variational(
     >>> solution.x.round(6), solution.inequality.round(6), round(solution.gap(), 9)
     (array([1.25, 1.75]), array([3.75]), 0.0)
     """
-    one = F[0] if isinstance(F, (list, tuple)) and F else F
-    if (stated := foreign_function("variational", one)) is not None:
+    function = F[0] if isinstance(F, (list, tuple)) and F else F
+    if (stated := foreign_function("variational", function)) is not None:
         has_bounds = (
             np.ndim(lower) or np.ndim(upper) or np.isfinite(np.array([lower, upper], float)).any()
         )
-        if any(one is not None for one in (G, h, A, b)) or has_bounds:
+        if any(data is not None for data in (G, h, A, b)) or has_bounds:
             raise InvalidProblem(
                 "F is an expression of cvxpy; write its set as constraints=[G @ x <= h, x >= lower, …]"
             )
@@ -104,7 +104,7 @@ def variational(
         vectors = (getattr(reduced, name) for name in VECTORS[1:])
         program = QuadraticProgram.with_matrices(matrices, pair.q, *vectors)
         return conditions(program, Names(origin.row_name)).with_origin(origin)
-    sizes = [np.shape(one)[-1] for one in (lower, upper, G, A) if np.ndim(one)]
+    sizes = [np.shape(array)[-1] for array in (lower, upper, G, A) if np.ndim(array)]
     if not sizes:
         raise InvalidProblem(
             "the number of unknowns is not known; pass a bound as an array, lower=np.full(n, -np.inf)"
@@ -118,19 +118,21 @@ def _nonlinear(F: Any, jacobian: Any, program: QuadraticProgram) -> NonlinearPro
     """Return the conditions of a function F, with multipliers of the rows that are not bounds."""
     n, inside = program.n, NonlinearProblem(F, jacobian, program.lower, program.upper)
     origin = QPOrigin(program, F=inside.value)
-    C, rest = origin.reduced.matrices.terms.rows, conditions(origin.reduced)
+    C, linear = origin.reduced.matrices.terms.rows, conditions(origin.reduced)
 
     def value(z: Vector) -> Vector:
-        w = rest.slack(z)
+        w = linear.slack(z)
         w[:n] += inside.value(z[:n])
         return w
 
     def slopes(z: Vector) -> Any:
-        own, _ = inside.call_jacobian(z[:n], None)
-        if np.shape(own) != (n, n):
+        slope, _ = inside.call_jacobian(z[:n], None)
+        if np.shape(slope) != (n, n):
             inside.derivative(z[:n])  # raises
-        return sp.block_array([[own, C.T], [-C, None]], format="csr") if C.shape[0] else own
+        return sp.block_array([[slope, C.T], [-C, None]], format="csr") if C.shape[0] else slope
 
-    problem = NonlinearProblem(value, slopes, rest.lower, rest.upper, names=Names(origin.row_name))
+    problem = NonlinearProblem(
+        value, slopes, linear.lower, linear.upper, names=Names(origin.row_name)
+    )
     problem.origin, problem.affine_part = origin, lambda: program
     return problem

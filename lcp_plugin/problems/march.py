@@ -87,27 +87,27 @@ class BandSteps:
         self.most = settings.max_iterations
         self.none = read_only(np.zeros(done.problem.n, np.bool_))
 
-    def solve(self, here: slice, state: Vector) -> tuple[Vector, Vector]:
+    def solve(self, block: slice, state: Vector) -> tuple[Vector, Vector]:
         """Return q and z of the first of these steps that meet the criterion from this state, shapes (k, n).
 
         Parameters
         ----------
-        here : slice
+        block : slice
             The numbers of the steps.
         state : array, shape (n,)
         """
-        forcing, problem = self.done.forcing[here], self.done.problem
+        forcing, problem = self.done.forcing[block], self.done.problem
         Q, Z = np.empty(forcing.shape), np.empty(forcing.shape)
         fixed = read_only(Q)
-        for k, given in enumerate(forcing):
-            Q[k] = given + self.propagate(state)
-            own = self.done.data.problem_at(problem, here.start + k)
-            found = self._step(own, fixed[k], state)
-            if found is None:
+        for k, f in enumerate(forcing):
+            Q[k] = f + self.propagate(state)
+            stated = self.done.data.problem_at(problem, block.start + k)
+            z = self._step(stated, fixed[k], state)
+            if z is None:
                 Q, Z = Q[:k], Z[:k]
                 break
-            state = Z[k] = found
-        bounds = self.done.data.bounds_of(problem, slice(here.start, here.start + len(Q)))
+            state = Z[k] = z
+        bounds = self.done.data.bounds_of(problem, slice(block.start, block.start + len(Q)))
         data = RowData(problem.csr, self.absolute, Q, *bounds, problem.residual_scale)
         measured = measure_finished(data, Z, self.tolerance)
         passes, moves = measured.passes, (measured.z != Z).any(axis=1)
@@ -117,13 +117,13 @@ class BandSteps:
         return Q[:count], read_only(measured.z)[:count]
 
     def _step(self, problem: LCP, q: Vector, state: Vector) -> Vector | None:
-        """Return the solution of one step with the bounds of a problem, or None if none was found."""
+        """Return the solution of one step with the bounds of a problem; None if a limit ends its iterations."""
         lower, upper = problem.lower, problem.upper
         side = int(np.isinf(upper).all()) or -int(np.isinf(lower).all())
         if side and self.band.is_tridiagonal_z:
             value = lower if side > 0 else upper
-            found = solve_one_sided(self.band.entries, q, side, value, self.none)[0]
-            return None if found is None else np.clip(found, lower, upper)
+            x = solve_one_sided(self.band.entries, q, side, value, self.none)[0]
+            return None if x is None else np.clip(x, lower, upper)
         reference = next(active_sets(problem, self.band, q, problem.nearest_to_zero))[1]
         goal = 0.5 * self.tolerance * reference
         rounds = active_sets(problem, self.band, q, np.clip(state, lower, upper))
@@ -176,10 +176,10 @@ class March(AnswerSequence[Result]):
 
     def at(self, k: int) -> Result:
         """Return the result of step k."""
-        found = self._results[k]
-        if not isinstance(found, Result):
-            found = self._results[k] = found()
-        return found
+        result = self._results[k]
+        if not isinstance(result, Result):
+            result = self._results[k] = result()
+        return result
 
     def __len__(self) -> int:
         return len(self._z)
@@ -196,7 +196,7 @@ class March(AnswerSequence[Result]):
     @property
     def status(self) -> list[Status]:
         """The status of each kept step; all but the last are SOLVED."""
-        return [Status.SOLVED] * (len(self) - 1) + [one.status for one in self[-1:]]
+        return [Status.SOLVED] * (len(self) - 1) + [result.status for result in self[-1:]]
 
     @property
     def algorithm(self) -> str:
@@ -210,8 +210,8 @@ class March(AnswerSequence[Result]):
 
     def _summary(self) -> list[str]:
         kept = f", {len(self)} kept" if len(self) < self.taken else ""
-        found = f"{self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
-        steps = f"{self.taken} of {len(self.forcing)} steps{kept}: {found}"
+        outcome = f"{self.counts()}; {self.algorithm}, {self.seconds:.3g} s"
+        steps = f"{self.taken} of {len(self.forcing)} steps{kept}: {outcome}"
         return [steps, *([f"ended by {self.error}"] if self.error else [])]
 
     def __repr__(self) -> str:
@@ -232,14 +232,14 @@ class March(AnswerSequence[Result]):
         self.taken += 1
 
 
-def take_steps_on_band(done: March, algorithm: Any, wishes: dict[str, Any], limit: float) -> None:
+def take_steps_on_band(done: March, algorithm: Any, options: dict[str, Any], limit: float) -> None:
     """Take the steps of a march on a narrow band, until a time limit or an unsolved step."""
     problem, clock = done.problem, Clock()
     if not isinstance(problem, LCP) or not problem.n or done.data.matrices is not None:
         return
-    method, settings = parse_call(algorithm, wishes)
+    method, settings = parse_call(algorithm, options)
     is_watched = settings.record or settings.verbose
-    if is_watched or settings.max_iterations == 0 or wishes.get("callback") is not None:
+    if is_watched or settings.max_iterations == 0 or options.get("callback") is not None:
         return
     begin = next(plan(problem, method, settings.goal))
     is_banded = isinstance(begin.algorithm, Banded) and connected_components(problem.matrix) is None
@@ -248,13 +248,13 @@ def take_steps_on_band(done: March, algorithm: Any, wishes: dict[str, Any], limi
         return
     steps, state = BandSteps(done, band, settings), done.z0
     while done.taken < len(done.forcing) and clock.read() < limit:
-        here = slice(done.taken, min(done.taken + STEPS_TOGETHER, len(done.forcing)))
-        solved = steps.solve(here, state)
+        block = slice(done.taken, min(done.taken + STEPS_TOGETHER, len(done.forcing)))
+        solved = steps.solve(block, state)
         for q, state in zip(*solved, strict=True):
             row, z = (q, state) if done.keep == 1 else (q.copy(), read_only(state.copy()))
-            own = partial(done.data.problem_at, problem, done.taken)
-            done.take(z, partial(_result_at, own, row, z, settings))  # without its block
-        if done.taken < here.stop:
+            stated = partial(done.data.problem_at, problem, done.taken)
+            done.take(z, partial(_result_at, stated, row, z, settings))  # without its block
+        if done.taken < block.stop:
             break
 
 
@@ -264,7 +264,7 @@ def _result_at(problem_of: Callable[[], LCP], q: Vector, z: Vector, settings: Se
     return Result.at(problem_of().with_q(q), z, stage, settings)
 
 
-def take_steps(done: March, algorithm: Any, wishes: dict[str, Any], limit: float) -> None:
+def take_steps(done: March, algorithm: Any, options: dict[str, Any], limit: float) -> None:
     """Take the remaining steps of a march within a time limit, until one is not solved."""
     problem, propagator, total = done.problem, done.propagator, len(done.forcing)
     is_lcp, clock = isinstance(problem, LCP), Clock()
@@ -275,25 +275,25 @@ def take_steps(done: March, algorithm: Any, wishes: dict[str, Any], limit: float
         try:
             stated = done.data.problem_at(problem, step)
             stated = stated.with_q(done.forcing[step] + propagator @ state)
-            left = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
+            limits = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
             if is_lcp and first is not None:
-                within = parse_call("auto", {**wishes, **left})[1]
+                within = parse_call("auto", {**options, **limits})[1]
                 near = checks.checked_start(stated, state)
-                watch = wishes.get("callback")
-                found = run_on(stated, None, within, near, Clock(), watch, first)
+                watch = options.get("callback")
+                result = run_on(stated, None, within, near, Clock(), watch, first)
             elif is_lcp:
-                found = solve_lcp(stated, algorithm, z0=state, **{**wishes, **left})
+                result = solve_lcp(stated, algorithm, z0=state, **{**options, **limits})
             else:  # z° is not passed as a start, because over cones Newton's steps begin at a start
                 start = {"z0": state} if (state != problem.nearest_to_zero).any() else {}
-                found = solve(stated, algorithm, **{**wishes, **left, **start})
-            done.all_solved = found.is_solved
-            done.is_interrupted = found.status is Status.INTERRUPTED
-            if is_lcp and algorithm == "auto" and found.is_solved and found.iterations:
+                result = solve(stated, algorithm, **{**options, **limits, **start})
+            done.all_solved = result.is_solved
+            done.is_interrupted = result.status is Status.INTERRUPTED
+            if is_lcp and algorithm == "auto" and result.is_solved and result.iterations:
                 # The first step does not count, because it may start far from its solution.
-                first = repeated(found.stages[-1]) if step else None
-            done.take(found.z, found)
-            state = found.z
-            if is_late and found.is_solved and done.taken < total:  # it began at its solution
+                first = repeated(result.stages[-1]) if step else None
+            done.take(result.z, result)
+            state = result.z
+            if is_late and result.is_solved and done.taken < total:  # it began at its solution
                 done.error, done.all_solved = NotConverged("the limit max_seconds"), False
         except InvalidProblem as error:
             if not done:
@@ -301,10 +301,10 @@ def take_steps(done: March, algorithm: Any, wishes: dict[str, Any], limit: float
             done.error, done.all_solved = error, False
 
 
-def checked_rows(name: str, given: Any, shape: str, fits: Callable[[Any], bool]) -> Vector:
+def checked_rows(name: str, values: Any, shape: str, fits: Callable[[Any], bool]) -> Vector:
     """Return a finite array with a fitting shape."""
     need = f"{name} must be a finite array of shape {shape}"
-    rows = checks.real_array(given.toarray() if sp.issparse(given) else given, need)
+    rows = checks.real_array(values.toarray() if sp.issparse(values) else values, need)
     if not fits(rows.shape):
         raise InvalidProblem(f"{need}, got shape {rows.shape}")
     checks.require_finite(rows, name)
@@ -345,9 +345,9 @@ class StepData:
         is_list = M_at is not None and not callable(M_at)
         if is_list:
             _check_matrices(M_at, "M_at", k)
-        given = {name: values for name, values in bounds.items() if values is not None}
+        passed = {name: values for name, values in bounds.items() if values is not None}
         rows = {}
-        for name, values in given.items():
+        for name, values in passed.items():
             need = f"{name}_at must be an array of shape ({k}, {n}), a row per step ({name}= is for all steps)"
             rows[name] = checks.real_array(values, need)
             if rows[name].ndim == 2 and len(rows[name]) != k:
@@ -355,10 +355,10 @@ class StepData:
             if rows[name].shape != (k, n):
                 raise InvalidProblem(f"{need}, got shape {rows[name].shape}")
         self.bounds: dict[str, Vector] = {name: np.empty((k, n)) for name in rows}
-        names: Any = tuple(f"{one}_at" if one in rows else one for one in BOUNDS)
+        names: Any = tuple(f"{bound}_at" if bound in rows else bound for bound in BOUNDS)
         for step in range(k if rows else 0):
             low, high = (
-                rows[one][step] if one in rows else getattr(problem, one) for one in BOUNDS
+                rows[bound][step] if bound in rows else getattr(problem, bound) for bound in BOUNDS
             )
             try:
                 pair = checks.checked_bounds(low, high, n, names=names)
@@ -371,10 +371,10 @@ class StepData:
         for step in range(k if is_list else 0):
             self._with_matrix(problem, step)
 
-    def bounds_of(self, problem: LCP, here: slice) -> tuple[Vector, Vector]:
+    def bounds_of(self, problem: LCP, steps: slice) -> tuple[Vector, Vector]:
         """Return the bounds of some steps, shape (n,) for constant ones, else a row per step."""
         lower, upper = (
-            self.bounds[name][here] if name in self.bounds else getattr(problem, name)
+            self.bounds[name][steps] if name in self.bounds else getattr(problem, name)
             for name in BOUNDS
         )
         return lower, upper
@@ -392,22 +392,22 @@ class StepData:
         is_called = callable(self.matrices)
         M = self.matrices(step) if is_called else self.matrices[step]
         if is_called or M is not self._last[0]:  # a function may use one array again
-            own = checks.rectangular_matrix(M, f"M_at of step {step}", problem.n, problem.n)
-            made = LCP(own, problem.q, lower=problem.lower, upper=problem.upper)
+            matrix = checks.rectangular_matrix(M, f"M_at of step {step}", problem.n, problem.n)
+            made = LCP(matrix, problem.q, lower=problem.lower, upper=problem.upper)
             self._last = M, made
-        found: LCP = self._last[1]
-        return found
+        stated: LCP = self._last[1]
+        return stated
 
 
-def _check_matrices(given: Any, name: str, k: int) -> None:
-    """Raise InvalidProblem unless `given` is a sequence of k matrices."""
-    if not hasattr(given, "__len__") or sp.issparse(given) or np.ndim(given[:1]) == 2:
+def _check_matrices(matrices: Any, name: str, k: int) -> None:
+    """Raise InvalidProblem unless this is a sequence of k matrices."""
+    if not hasattr(matrices, "__len__") or sp.issparse(matrices) or np.ndim(matrices[:1]) == 2:
         raise InvalidProblem(
-            f"{name} must be a sequence of {k} matrices, or a callable step -> M, got {type(given).__name__}; "
+            f"{name} must be a sequence of {k} matrices, or a callable step -> M, got {type(matrices).__name__}; "
             f"for one matrix in all steps write [M] * {k}"
         )
-    if len(given) != k:
-        raise InvalidProblem(_wrong_count(name, len(given), k))
+    if len(matrices) != k:
+        raise InvalidProblem(_wrong_count(name, len(matrices), k))
 
 
 def _wrong_count(name: str, count: int, k: int) -> str:
@@ -431,7 +431,7 @@ def march(
     algorithm: str | Algorithm = "auto",
     max_seconds: float | None = None,
     keep: int | str = 1,
-    **wishes: Any,
+    **options: Any,
 ) -> Any:
     """Return the results of steps in time: step j has q = forcing[j] + propagator @ z, z from the step before.
 
@@ -467,7 +467,7 @@ def march(
     keep : int or "last"
         Steps that the result contains: every k-th step and the last, or the last only. Other steps are dropped as soon
         as the next step is taken, which saves memory; the derivative of a march needs all steps.
-    algorithm, **wishes
+    algorithm, **options
         Other options of :func:`lcp_plugin.solve`, for each step.
 
     Returns
@@ -539,26 +539,26 @@ def march(
     if not problems:
         return []
     clock, limit = Clock(), Settings(max_seconds=max_seconds).max_seconds
-    given = zip((*BOUNDS, "z0"), of_states, strict=True)
-    states = {name: values for name, values in given if values is not None}
-    call = algorithm, wishes
+    named = zip((*BOUNDS, "z0"), of_states, strict=True)
+    states = {name: values for name, values in named if values is not None}
+    call = algorithm, options
     at = {"lower": lower_at, "upper": upper_at, "M_at": M_at, "F_at": F_at}
     for name in BOUNDS:
         if name in states and at[name] is not None:
             raise InvalidOption(f"{name} and {name}_at exclude each other; leave out {name}")
     marches = _begin(problems, forcing, propagator, states, at, call, are_many=are_many)
     every = 0 if keep == "last" else whole_number(keep, "keep", 1, ', or "last"')
-    for k, one in enumerate(marches):
-        one.keep, begun = every, clock.read()
+    for k, run in enumerate(marches):
+        run.keep, begun = every, clock.read()
         try:
-            take_steps_on_band(one, algorithm, wishes, limit - clock.read())
-            take_steps(one, algorithm, wishes, max(limit - clock.read(), 0.0))
+            take_steps_on_band(run, algorithm, options, limit - clock.read())
+            take_steps(run, algorithm, options, max(limit - clock.read(), 0.0))
         except KeyboardInterrupt:
-            if not one.taken:
+            if not run.taken:
                 raise
-            one.is_interrupted, one.all_solved = True, False
-        one.seconds = clock.read() - begun
-        if one.is_interrupted:
+            run.is_interrupted, run.all_solved = True, False
+        run.seconds = clock.read() - begun
+        if run.is_interrupted:
             for later in marches[k + 1 :]:
                 later.all_solved = not len(later.forcing)
             break
@@ -595,51 +595,56 @@ def _begin(
     are_many: bool,
 ) -> list[March]:
     """Return the marches before their first steps; raise an error for invalid data."""
-    algorithm, wishes = call
+    algorithm, options = call
     if _axes(forcing):  # of an F for any number of unknowns
         m = np.shape(forcing)[-1]
-        problems = [one.with_size(m) if getattr(one, "n", 0) is None else one for one in problems]
+        problems = [
+            problem.with_size(m) if getattr(problem, "n", 0) is None else problem
+            for problem in problems
+        ]
     n = getattr(problems[0], "n", 0)
     changing = {*states} - {"z0"} | {name for name, values in at.items() if values is not None}
-    for j, one in enumerate(problems):
-        if class_of(one) not in classes_of("march"):
-            raise InvalidOption(refusal("march", one))
-        of_problem = "F_at" if isinstance(one, NonlinearProblem) else "M_at"
-        takes = (*BOUNDS, of_problem) if isinstance(one, (LCP, NonlinearProblem)) else ()
+    for j, problem in enumerate(problems):
+        if class_of(problem) not in classes_of("march"):
+            raise InvalidOption(refusal("march", problem))
+        of_problem = "F_at" if isinstance(problem, NonlinearProblem) else "M_at"
+        takes = (*BOUNDS, of_problem) if isinstance(problem, (LCP, NonlinearProblem)) else ()
         if wrong := sorted(changing.difference(takes)):
-            owner = with_article(str(class_of(one)))
+            owner = with_article(str(class_of(problem)))
             raise InvalidOption(f"{owner} has no {' and '.join(wrong)} in a march; leave it out")
-        if one.n != n:
+        if problem.n != n:
             raise InvalidProblem(
-                f"all problems must have one size, got n = {n}, and {one.n} of problem {j}; call march once per size"
+                f"all problems must have one size, got n = {n}, and {problem.n} of problem {j}; call march once per size"
             )
     # no options of solve
     others = ("problem", "forcing", "propagator", *BOUNDS, *AT, "algorithm", "keep")
     known = {*OF_SOLVE, *options_of(str(class_of(problems[0])))} - {"x0", "options"}
-    if algorithm == "auto" and (unknown := [name for name in wishes if name not in known]):
+    if algorithm == "auto" and (unknown := [name for name in options if name not in known]):
         hint = did_you_mean(unknown[0], (*others, *sorted(known)))
         raise InvalidOption(f"march has no option {unknown[0]!r}{hint}")
     shape = "(m, k, n), or (k, n) for all marches" if are_many else "(k, n), a row per step"
     axes = (2, 3) if are_many else (2,)
     need = f"{shape}, n = {n}"
-    given = checked_rows("forcing", forcing, need, lambda of: len(of) in axes and of[-1] == n)
+    forcings = checked_rows("forcing", forcing, need, lambda of: len(of) in axes and of[-1] == n)
     each = propagator if _is_one_a_march(propagator) else [propagator]
-    rows = [given] if given.ndim == 2 else list(given)
+    rows = [forcings] if forcings.ndim == 2 else list(forcings)
     propagators = [checked_propagator(C, n) for C in each]
     several = {"problem": problems, "forcing": rows, "propagator": propagators}
     for name, values in states.items():
         several[name] = rows_of_a_batch(values, name, n) if are_many else [values]
     if isinstance(problems[0], LCP):
-        parse_call(algorithm, wishes)
-    lengths = {name: len(one) for name, one in several.items() if len(one) != 1}
+        parse_call(algorithm, options)
+    lengths = {name: len(data) for name, data in several.items() if len(data) != 1}
     marches: list[March] = []
     for j in range(length_of_all(lengths)):
-        own = {name: one[min(j, len(one) - 1)] for name, one in several.items()}
-        stated, bounds = own["problem"], {name: own[name] for name in BOUNDS if name in own}
+        parts = {name: part[min(j, len(part) - 1)] for name, part in several.items()}
+        stated, bounds = parts["problem"], {name: parts[name] for name in BOUNDS if name in parts}
         stated = stated.with_q(stated.q, **bounds) if bounds else stated
-        state = checks.checked_vector(own["z0"], "z0", n) if "z0" in own else stated.nearest_to_zero
-        data = StepData(len(own["forcing"]), n, problem=stated, **at)
-        marches.append(March(stated, own["forcing"], own["propagator"], state, data))
+        state = (
+            checks.checked_vector(parts["z0"], "z0", n) if "z0" in parts else stated.nearest_to_zero
+        )
+        data = StepData(len(parts["forcing"]), n, problem=stated, **at)
+        marches.append(March(stated, parts["forcing"], parts["propagator"], state, data))
     return marches
 
 
@@ -693,25 +698,25 @@ class Band(NamedTuple):
         rounding : array, shape (k,)
         """
         x, unit, is_free = np.empty(right.shape), self.entries.weights, state == 0
-        given, weights = np.where(is_free, -right * unit, value), np.where(is_free, unit, 0.0)
+        values, weights = np.where(is_free, -right * unit, value), np.where(is_free, unit, 0.0)
         last = before
         for k, entries in enumerate(held_entries(self.entries, state)):
-            rest = given[k] - weights[k] * self.propagate(last)
-            if (found := solve_held(entries, self.entries.below, rest)) is None:
+            right_side = values[k] - weights[k] * self.propagate(last)
+            if (solution := solve_held(entries, self.entries.below, right_side)) is None:
                 return None
-            last = x[k] = found
+            last = x[k] = solution
         right = right + self.propagate(np.array([before, *x[:-1]]))
         w, size = (self.M @ x.T).T + right, ((self.size @ np.abs(x).T).T + np.abs(right)) * unit
-        given = np.abs((self.M @ np.where(is_free, 0.0, x).T).T + right) * unit
-        sizes = size, given, np.abs(w) * unit
-        terms, given, left = (one.max(axis=1, initial=0.0, where=is_free) for one in sizes)
+        total = np.abs((self.M @ np.where(is_free, 0.0, x).T).T + right) * unit
+        sizes = size, total, np.abs(w) * unit
+        terms, total, residual = (rows.max(axis=1, initial=0.0, where=is_free) for rows in sizes)
         # Otherwise the block is nearly singular
-        is_regular = (left <= 2.0**-40 * terms) & (terms <= 2.0**40 * given)
+        is_regular = (residual <= 2.0**-40 * terms) & (terms <= 2.0**40 * total)
         return (x, w, EPSILON * terms) if is_regular.all() else None
 
 
 class Steps:
-    """Consecutive steps of a march; `here` is the slice of their indices.
+    """Consecutive steps of a march; `steps` is the slice of their numbers.
 
     On a narrow band each solution is first computed again on its free rows, and its rows are classified: −1 at the
     lower bound, 0 between, 1 at the upper bound, ∓2 if also w = 0. Each step is passed to its Derivative if rounding
@@ -730,8 +735,8 @@ class Steps:
     def __init__(self, whole: MarchDerivative, first: int, states: Vector) -> None:
         self.whole, self.march, self.states = whole, whole.march, states
         march, count = whole.march, len(states) - 1
-        self.here = slice(first, first + count)
-        self.q = march.forcing[self.here] + (march.propagator @ states[:-1].T).T
+        self.steps = slice(first, first + count)
+        self.q = march.forcing[self.steps] + (march.propagator @ states[:-1].T).T
         if (settled := whole.settled.get(first)) is None:
             settled = whole.settled[first] = self._settle(whole.band)
         self.z, (self.sides, self.is_plain) = settled[0].copy(), settled[1:]
@@ -748,47 +753,47 @@ class Steps:
         change = before = np.full(z.shape, KINK, np.int8)
         if band is None:
             return z, before, False
-        lower, upper = self.march.data.bounds_of(problem, self.here)
+        lower, upper = self.march.data.bounds_of(problem, self.steps)
         scale = problem.residual_scale
         for is_last in (False, True):
             w, size = (band.M @ z.T).T + self.q, (band.size @ np.abs(z).T).T + np.abs(self.q)
             above, below = z - lower, upper - z
             nearest = np.minimum(above, below) * scale
             is_negligible = (nearest < MAY_UNDERFLOW) & (np.abs(w) < MAY_UNDERFLOW)
-            found = np.where(above * scale <= w, -1, np.where(-below * scale >= w, 1, 0))
-            found = np.where(is_negligible, np.where(above <= below, -1, 1), found)
-            found = np.where(lower == upper, np.where(w < 0.0, 1, -1), found)
+            side = np.where(above * scale <= w, -1, np.where(-below * scale >= w, 1, 0))
+            side = np.where(is_negligible, np.where(above <= below, -1, 1), side)
+            side = np.where(lower == upper, np.where(w < 0.0, 1, -1), side)
             if is_last:
                 break
-            before = found
-            value = np.where(found < 0, lower, upper)
-            right = np.where(found, value - z, -w * band.entries.weights)
-            entries = np.concatenate([*held_entries(band.entries, found)], axis=1)
+            before = side
+            value = np.where(side < 0, lower, upper)
+            right = np.where(side, value - z, -w * band.entries.weights)
+            entries = np.concatenate([*held_entries(band.entries, side)], axis=1)
             step = solve_held(entries, band.entries.below, right.ravel())
             if step is None:
-                return z, found.astype(np.int8), False
+                return z, side.astype(np.int8), False
             step = step.reshape(z.shape)
-            change, z = np.abs(step), np.where(found, value, z + step)
+            change, z = np.abs(step), np.where(side, value, z + step)
         size *= EPSILON * (np.diff(band.M.indptr) + 1)
         near, slight = size + LEFT * change * scale, size + LEFT * (band.size @ change.T).T
         is_clear = (nearest > CLEAR * near) | (np.abs(w) > CLEAR * slight) | (lower == upper)
         is_kink = is_negligible | ((nearest <= size) & (np.abs(w) <= size) & ~is_clear)
         kinks = np.where(below < above, KINK, -KINK)
-        sides = np.where(is_kink & (lower != upper), kinks, found).astype(np.int8)
-        return z, sides, bool(((found == before) & (is_clear | is_kink)).all())
+        sides = np.where(is_kink & (lower != upper), kinks, side).astype(np.int8)
+        return z, sides, bool(((side == before) & (is_clear | is_kink)).all())
 
     def at(self, k: int) -> StepDerivative:
         """Return the derivative of a step by the data of the step."""
         march, z = self.march, self.states[k + 1]
         if isinstance(march.problem, NonlinearProblem):
-            return self.whole[self.here.start + k]
-        problem = march.data.problem_at(march.problem, self.here.start + k).with_q(self.q[k])
+            return self.whole[self.steps.start + k]
+        problem = march.data.problem_at(march.problem, self.steps.start + k).with_q(self.q[k])
         # The last factorization is used again if it fits
         before = self.whole.before
         before = before if before and before.problem.matrix is problem.matrix else None
-        found = self.whole.derivative_at(problem, z, problem.slack(z), before=before)
-        self.whole.before = found
-        return found
+        step = self.whole.derivative_at(problem, z, problem.slack(z), before=before)
+        self.whole.before = step
+        return step
 
     def degenerate(self, k: int) -> NDArray[np.intp]:
         """Return the degenerate rows of a step."""
@@ -802,17 +807,17 @@ class Steps:
         dM is one change for all steps, or a list of the changes of these steps. At the call, `before` is the change of
         the state before the first step; the last change is written to it.
         """
-        given = np.broadcast_to(df, self.z.shape) + (dC @ self.states[:-1].T).T
+        h = np.broadcast_to(df, self.z.shape) + (dC @ self.states[:-1].T).T
         value = np.where(self.sides < 0, low, np.where(self.sides > 0, high, 0.0))
 
         def solve_alone(k: int, before: Vector) -> Vector:
             alone = self.at(k)
-            own = dM[k] if is_list else dM
-            dq = given[k] + self.march.propagator @ before + own @ alone.z
+            change = dM[k] if is_list else dM
+            dq = h[k] + self.march.propagator @ before + change @ alone.z
             return alone.jvp(dq=dq, dlower=low[k], dupper=high[k])
 
         is_list, forwards = isinstance(dM, list), np.arange(len(self))
-        right = given if is_list else given + (dM @ self.z.T).T
+        right = h if is_list else h + (dM @ self.z.T).T
         dz, _ = self._follow(self.whole.band, forwards, value, right, before, solve_alone)
         before[:] = dz[-1]
         return dz
@@ -847,9 +852,9 @@ class Steps:
         """
         side = self.sides[order]
         if band is not None and self.is_plain:
-            found = band.follow(side, value, right, before)
-            if found is not None:
-                x, w, rounding = found
+            path = band.follow(side, value, right, before)
+            if path is not None:
+                x, w, rounding = path
                 signed = np.where(side > 0, w, -w) * band.entries.weights
                 is_kink = (np.abs(side) == KINK) & (order[-1] >= order[0])
                 if not (is_kink & (signed > rounding[:, np.newaxis])).any():
@@ -888,7 +893,7 @@ class MarchGradient(NamedTuple):
 class MarchDerivative:
     """The derivative of all steps in time with respect to M, forcing, propagator, z0 and bounds.
 
-    ``found[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of step k by the q of the step, with its
+    ``derivative(march)[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of step k by the q of the step, with its
     proofs.
 
     Parameters
@@ -905,7 +910,7 @@ class MarchDerivative:
     Notes
     -----
     A step on a narrow band is one banded system. The steps of a block of 64 are passed to their Derivatives if rows of
-    one are nearly degenerate or a free block is nearly singular, and for other matrices.
+    a step are nearly degenerate or a free block is nearly singular, and for other matrices.
     """
 
     def __init__(self, march: March, each: Callable[..., StepDerivative]) -> None:
@@ -940,12 +945,12 @@ class MarchDerivative:
 
         Rows without a bound that only prescribe z, such as boundary values as identity rows, do not count.
         """
-        found = [np.empty((0, 2), np.intp)]
+        pairs = [np.empty((0, 2), np.intp)]
         for part in self._parts():
             for k in range(len(part)):
                 rows = part.degenerate(k)
-                found.append(np.column_stack([np.full(rows.size, part.here.start + k), rows]))
-        return np.concatenate(found)
+                pairs.append(np.column_stack([np.full(rows.size, part.steps.start + k), rows]))
+        return np.concatenate(pairs)
 
     @derived_property
     def is_unique(self) -> bool | None:
@@ -994,7 +999,7 @@ class MarchDerivative:
 
         Returns
         -------
-        array, shape (k, n), or (n,) for the last answer alone
+        array, shape (k, n), or (n,) for the last solution only
             Changes of the solutions. Without steps, `only_last` returns dz0.
 
         Raises
@@ -1018,26 +1023,28 @@ class MarchDerivative:
         none = sp.csr_array((n, n))
         dM = none if dM is None else sp.csr_array(checks.rectangular_matrix(dM, "dM", n, n))
         dC = none if dpropagator is None else checked_propagator(dpropagator, n, "dpropagator")
-        given = {"dlower": (dlower, dlower_at), "dupper": (dupper, dupper_at)}
+        bounds = {"dlower": (dlower, dlower_at), "dupper": (dupper, dupper_at)}
         low, high = (
-            np.broadcast_to(checks.change_of_vector(one, name, n, may_be_number=True), (steps, n))
-            + (0.0 if each is None else _rows(each, f"{name}_at", steps, n, "all steps"))
-            for name, (one, each) in given.items()
+            np.broadcast_to(
+                checks.change_of_vector(shared, name, n, may_be_number=True), (steps, n)
+            )
+            + (0.0 if at_steps is None else _rows(at_steps, f"{name}_at", steps, n, "all steps"))
+            for name, (shared, at_steps) in bounds.items()
         )
         if dM_at is not None and not callable(dM_at):
             _check_matrices(dM_at, "dM_at", steps)
         before = checks.change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():
-            own = rows[part.here] if rows.ndim > 1 else rows
+            df = rows[part.steps] if rows.ndim > 1 else rows
             of_M = (
                 dM
                 if dM_at is None
-                else [dM + self._change(dM_at, k) for k in range(steps)[part.here]]
+                else [dM + self._change(dM_at, k) for k in range(steps)[part.steps]]
             )
-            changes = part.jvp(of_M, own, dC, low[part.here], high[part.here], before)
+            changes = part.jvp(of_M, df, dC, low[part.steps], high[part.steps], before)
             if not only_last:
-                dz[part.here] = changes
+                dz[part.steps] = changes
         return before if only_last else dz
 
     def vjp(self, g: ArrayLike) -> MarchGradient:
@@ -1047,7 +1054,7 @@ class MarchDerivative:
 
         Parameters
         ----------
-        g : array, shape (k, n), or (n,) for the last answer alone
+        g : array, shape (k, n), or (n,) for the last solution only
             ∂L/∂z.
 
         Raises
@@ -1069,24 +1076,24 @@ class MarchDerivative:
                [-0.375  , -0.125  ]])
         """
         n, steps = self.march.problem.n, len(self)
-        rows = np.array(_rows(g, "g", steps, n, "the last answer alone"))
+        rows = np.array(_rows(g, "g", steps, n, "the last solution only"))
         M = getattr(self.march.problem, "csr", sp.csr_array((n, n)))
         propagator = self.march.propagator
         after, of_bounds, forcing = np.zeros(n), np.zeros((2, steps, n)), np.empty((steps, n))
         of_M, of_C, each = np.zeros(M.nnz), np.zeros(propagator.nnz), list[Any]()
         data = self.march.data
         for part in self._parts(backwards=True):
-            own = np.zeros(part.z.shape)
+            g_part = np.zeros(part.z.shape)
             if rows.ndim > 1:
-                own[:] = rows[part.here]
-            elif part.here.stop == steps:
-                own[-1] = rows
-            by_q = forcing[part.here] = part.vjp(own, after, of_bounds[:, part.here])
+                g_part[:] = rows[part.steps]
+            elif part.steps.stop == steps:
+                g_part[-1] = rows
+            by_q = forcing[part.steps] = part.vjp(g_part, after, of_bounds[:, part.steps])
             if data.matrices is None:
                 of_M += sum_of_outer(M, by_q, part.z).data
             else:
                 at = (
-                    data.problem_at(self.march.problem, k).matrix for k in range(steps)[part.here]
+                    data.problem_at(self.march.problem, k).matrix for k in range(steps)[part.steps]
                 )
                 each[:0] = [*map(outer_on_pattern, at, by_q, part.z)]
             of_C += sum_of_outer(propagator, by_q, part.states[:-1]).data
@@ -1099,8 +1106,8 @@ class MarchDerivative:
 
     def _change(self, dM_at: Any, k: int) -> sp.csr_array:
         """Return the change of the matrix of step k."""
-        n, given = self.march.problem.n, dM_at(k) if callable(dM_at) else dM_at[k]
-        return sp.csr_array(checks.rectangular_matrix(given, f"dM_at of step {k}", n, n))
+        n, change = self.march.problem.n, dM_at(k) if callable(dM_at) else dM_at[k]
+        return sp.csr_array(checks.rectangular_matrix(change, f"dM_at of step {k}", n, n))
 
     def _parts(self, *, backwards: bool = False) -> Iterator[Steps]:
         """Yield the steps in blocks, with their classified rows."""
@@ -1112,7 +1119,7 @@ class MarchDerivative:
 
     @derived_property
     def band(self) -> Band | None:
-        """The march's band, None if M has no narrow one, or changes from step to step."""
+        """The band of M; None if M is not a narrow band, or changes from step to step."""
         problem = self.march.problem
         if self.march.data.matrices is not None or isinstance(problem, NonlinearProblem):
             return None
@@ -1123,11 +1130,13 @@ class MarchDerivative:
         """The band of the transposed matrices."""
         if self.band is None:
             return None
-        M, C = (sp.csr_array(one.T) for one in (self.march.problem.csr, self.march.propagator))
+        M, C = (
+            sp.csr_array(matrix.T) for matrix in (self.march.problem.csr, self.march.propagator)
+        )
         return Band.of(Matrix(M), C)
 
 
-def _rows(given: ArrayLike, name: str, steps: int, n: int, one: str) -> Vector:
+def _rows(values: ArrayLike, name: str, steps: int, n: int, use: str) -> Vector:
     """Return a row per step, or one row if one vector is passed."""
     shapes = (steps, n), (n,)
-    return checked_rows(name, given, f"({steps}, {n}), or ({n},) for {one}", shapes.__contains__)
+    return checked_rows(name, values, f"({steps}, {n}), or ({n},) for {use}", shapes.__contains__)

@@ -57,7 +57,7 @@ from .programs.derivative import ProgramData, ProgramDerivative, least_squares_d
 from .programs.result import QuadraticProgramResult
 
 HALF = 2.0**-26  # half of the digits of double precision
-STEPS = 6  # active-set iterations; from a solved problem one or two classify all rows
+STEPS = 6  # active-set iterations; from a solved problem 1 or 2 classify all rows
 NUMBERS = "dlower", "dupper", "dfriction"  # data whose change may be one number
 
 
@@ -181,7 +181,7 @@ class BatchGradient:
 
 
 class DerivativeSequence:
-    """Derivatives of the results of a `batch`; ``found[k]`` is the derivative of result k."""
+    """Derivatives of the results of a `batch`; ``derivatives[k]`` is the derivative of result k."""
 
     batch: Any
 
@@ -193,9 +193,9 @@ class DerivativeSequence:
 
 
 class ManyDerivatives(DerivativeSequence):
-    """Derivatives of a batch; ``found[k]`` is the derivative of result k.
+    """Derivatives of a batch; ``derivatives[k]`` is the derivative of result k.
 
-    Small problems share stacked systems, other problems are treated one by one.
+    Small problems share stacked systems, other problems are treated individually.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ class ManyDerivatives(DerivativeSequence):
         return np.flatnonzero(is_left).tolist()
 
     def _fill(self, rows: Any, of_part: Callable[[Any], Any], of_one: Callable[[int], Any]) -> None:
-        """Write the rows of items with a derivative; some are treated one by one.
+        """Write the rows of items with a derivative; some are treated individually.
 
         These are the items outside of all stacks, and items with NaN in the first row of their stack. Errors are
         stored in `errors`.
@@ -269,13 +269,13 @@ class ManyDerivatives(DerivativeSequence):
     @derived_property
     def degenerate(self) -> Any:
         """Rows with w = 0 at a bound, bool, shape (B, n), or degenerate contacts, shape (B, k)."""
-        found = np.zeros(self._is_there(self.names[-1]).shape, np.bool_)
+        kinks = np.zeros(self._is_there(self.names[-1]).shape, np.bool_)
 
         def of_one(k: int) -> Any:
-            return [np.isin(np.arange(found.shape[1]), self[k].degenerate)]
+            return [np.isin(np.arange(kinks.shape[1]), self[k].degenerate)]
 
-        self._fill([found], lambda part: [part.degenerate], of_one)
-        return found
+        self._fill([kinks], lambda part: [part.degenerate], of_one)
+        return kinks
 
     def _is_there(self, name: str) -> Any:
         """Return the mask of the rows, or contacts, of solved problems."""
@@ -285,7 +285,7 @@ class ManyDerivatives(DerivativeSequence):
         """Return a vector for each problem, 0 by default; rows of unsolved problems are ignored."""
         is_there = self._is_there(name)
         values = np.zeros(is_there.shape[1]) if values is None else values
-        return self._given(values, name, is_there)
+        return self._checked(values, name, is_there)
 
     def _changed(self, dM: AnyMatrix, dq: Any) -> Any:
         """Return dM z + dq of each problem."""
@@ -298,20 +298,22 @@ class ManyDerivatives(DerivativeSequence):
             moved = (checks.rectangular_matrix(dM, "dM", n, n) @ z.T).T
             return np.where(is_row, moved, 0.0) + change
         is_there = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
-        return products(self._given(dM, "dM", is_there), z) + change
+        return products(self._checked(dM, "dM", is_there), z) + change
 
     def _jvp(self, dM: AnyMatrix, dq: Any, **others: Any) -> Any:
         """Return the changes dz for changes of the data, shape (B, n)."""
-        given = {"dq": self._changed(dM, dq)}
-        given |= {name: self._rows(values, name) for name, values in others.items()}
-        there = {name: self._is_there(name) for name in given}
-        dz = np.full(given["dq"].shape, np.nan)
+        changes = {"dq": self._changed(dM, dq)}
+        changes |= {name: self._rows(values, name) for name, values in others.items()}
+        there = {name: self._is_there(name) for name in changes}
+        dz = np.full(changes["dq"].shape, np.nan)
 
         def changes_of(part: Any) -> Any:
-            return part.changes(*(rows[part.items] for rows in given.values()))
+            return part.changes(*(rows[part.items] for rows in changes.values()))
 
         def change_of(k: int) -> Any:
-            return [self[k].jvp(**{name: one[k, there[name][k]] for name, one in given.items()})]
+            return [
+                self[k].jvp(**{name: rows[k, there[name][k]] for name, rows in changes.items()})
+            ]
 
         self._fill([dz], changes_of, change_of)
         return dz
@@ -348,15 +350,15 @@ class ManyDerivatives(DerivativeSequence):
         tables = [np.full(self._is_there(name).shape, np.nan) for name in self.names]
 
         def alone(k: int) -> list[Any]:
-            found = self[k].vjp(by_z[k, there[k]], by_w[k, there[k]])  # its M comes later
-            return [getattr(found, name) for name in self.names]
+            gradient = self[k].vjp(by_z[k, there[k]], by_w[k, there[k]])  # its M comes later
+            return [getattr(gradient, name) for name in self.names]
 
         def of_part(part: Any) -> Any:
             return part.gradients(by_z[part.items], by_w[part.items])
 
         self._fill(tables, of_part, alone)
-        given = [one for one in (g, gw) if one is not None]
-        does_depend = sum(np.any(one, axis=-1) for one in given) + np.zeros(len(self))
+        weights = [rows for rows in (g, gw) if rows is not None]
+        does_depend = sum(np.any(rows, axis=-1) for rows in weights) + np.zeros(len(self))
         for table in tables:
             table[[k for k in self.errors if not does_depend[k]]] = 0.0
         by = dict(zip(self.names, tables, strict=True))
@@ -367,24 +369,24 @@ class ManyDerivatives(DerivativeSequence):
         z = np.where(by_q.any(axis=1)[:, np.newaxis], self.z, 0.0)
         return self.batch.problems.outer(by_q, z)
 
-    def _given(self, values: object, name: str, is_there: Any) -> Any:
+    def _checked(self, values: object, name: str, is_there: Any) -> Any:
         """Return an array like `is_there`, 0 for absent entries; one row applies to all."""
-        shape, own = is_there.shape, is_there.shape[1:]
+        shape, row_shape = is_there.shape, is_there.shape[1:]
         letters = {"dM": "n, n", "dfriction": "k"}.get(name, "n")
-        one = f"({letters})" if len(own) > 1 else f"({letters},)"
-        need = f"{name} must have shape (B, {letters}) or {one}, here {shape} or {own}"
-        given = checks.real_array(values, need)
-        if given.shape not in (shape, own, () if name in NUMBERS else own):
-            raise InvalidProblem(f"{need}, got shape {given.shape}")
-        given = np.broadcast_to(given, shape) if is_there.all() else np.where(is_there, given, 0.0)
-        checks.require_finite(given, name)
-        return given
+        row_need = f"({letters})" if len(row_shape) > 1 else f"({letters},)"
+        need = f"{name} must have shape (B, {letters}) or {row_need}, here {shape} or {row_shape}"
+        array = checks.real_array(values, need)
+        if array.shape not in (shape, row_shape, () if name in NUMBERS else row_shape):
+            raise InvalidProblem(f"{need}, got shape {array.shape}")
+        array = np.broadcast_to(array, shape) if is_there.all() else np.where(is_there, array, 0.0)
+        checks.require_finite(array, name)
+        return array
 
 
 class BatchDerivative(ManyDerivatives):
-    """The derivatives of the solutions of a batch with respect to the data, one for each problem.
+    """The derivatives of the solutions of a batch with respect to the data of each problem.
 
-    ``found[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of problem k, with its proofs. The arrays
+    ``derivatives[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of problem k, with its proofs. The arrays
     for all problems agree with it to rounding error.
 
     Parameters
@@ -439,8 +441,8 @@ class BatchDerivative(ManyDerivatives):
         Examples
         --------
         >>> from lcp_plugin import derivative, solve_batch
-        >>> found = derivative(solve_batch([[2, 1], [1, 2]], [[-5, 1], [1, -4]]))
-        >>> found.jvp(dq=[1, 0], dlower=0.5)
+        >>> derivatives = derivative(solve_batch([[2, 1], [1, 2]], [[-5, 1], [1, -4]]))
+        >>> derivatives.jvp(dq=[1, 0], dlower=0.5)
         array([[-0.75,  0.5 ],
                [ 0.5 , -0.25]])
         """
@@ -451,7 +453,7 @@ class BatchDerivative(ManyDerivatives):
         """The groups of small problems, with classified rows."""
         groups = self.batch.problems.groups()
         z, is_solved = self.batch.z, self._is_solved
-        return [BatchPart(one, z[one.items], is_solved[one.items]) for one in groups]
+        return [BatchPart(group, z[group.items], is_solved[group.items]) for group in groups]
 
 
 class Conditions:
@@ -486,8 +488,8 @@ class ConditionsBatchDerivative(BatchDerivative):
     def __getitem__(self, k: int) -> ConditionsDerivative:
         if k not in self._each:
             problem, z = self.batch.problems[k], self.batch.z[k]
-            found = ConditionsDerivative(problem, z, self.data, is_strict=self.is_strict)
-            self._each[k] = found
+            derivative = ConditionsDerivative(problem, z, self.data, is_strict=self.is_strict)
+            self._each[k] = derivative
         return self._each[k]
 
     @derived_property
@@ -507,17 +509,17 @@ class ConditionsBatchDerivative(BatchDerivative):
     @derived_property
     def is_unique(self) -> Any:
         """Problems with a derivative, bool, shape (B,)."""
-        found = np.zeros(len(self), np.bool_)
+        are_unique = np.zeros(len(self), np.bool_)
         for part in self._parts:
-            found[part.items] = part.is_plain & ~part.degenerate.any(axis=1)
-        found[self._left] = [self[k].is_unique for k in self._left]
-        return found
+            are_unique[part.items] = part.is_plain & ~part.degenerate.any(axis=1)
+        are_unique[self._left] = [self[k].is_unique for k in self._left]
+        return are_unique
 
 
 class ProgramBatchDerivative(DerivativeSequence, ProgramDerivative):
     """The derivatives of the solutions of a batch of programs, or of least squares problems.
 
-    ``found[k]`` is the :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative` of problem k; `jvp` and
+    ``derivatives[k]`` is the :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative` of problem k; `jvp` and
     `vjp` are as there, for all problems at once.
     """
 
@@ -526,12 +528,12 @@ class ProgramBatchDerivative(DerivativeSequence, ProgramDerivative):
         self.batch = batch
 
     def __getitem__(self, k: int) -> ProgramDerivative:
-        found: ProgramDerivative = super().__getitem__(k)
-        return found if self.conditions.is_strict else found.one_sided()
+        derivative: ProgramDerivative = super().__getitem__(k)
+        return derivative if self.conditions.is_strict else derivative.one_sided()
 
 
 class DeviceDerivative(ManyDerivatives):
-    """The gradients of a batch in arrays on a GPU, computed there; ``found[k]`` is the derivative of result k.
+    """The gradients of a batch in arrays on a GPU, computed there; ``derivatives[k]`` is the derivative of result k.
 
     Parameters
     ----------
@@ -572,10 +574,10 @@ class DeviceDerivative(ManyDerivatives):
         is_upper = xp.where(is_fixed, w < 0.0, z == upper)
         tables = by_q, xp.where(is_upper, 0.0, by_bound), xp.where(is_upper, by_bound, 0.0)
         for k in np.flatnonzero(~(xp.asnumpy(is_clear) & self._is_solved)).tolist():
-            own, of_host = xp.asnumpy(rows[k]), np.full((3, z.shape[1]), np.nan)
+            weights, of_host = xp.asnumpy(rows[k]), np.full((3, z.shape[1]), np.nan)
             try:
-                if own.any():
-                    of_host[:] = [*self[k].vjp(own)][:3]
+                if weights.any():
+                    of_host[:] = [*self[k].vjp(weights)][:3]
                 else:
                     of_host[:] = 0.0
             except LCPError as error:
@@ -633,7 +635,7 @@ class _Together(StackDerivative):
 class ContactBatchDerivative(ManyDerivatives):
     """Derivatives of the impulses of a batch of contact problems with respect to W, b and friction.
 
-    ``found[k]`` is the :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative` of instance k. The arrays for
+    ``derivatives[k]`` is the :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative` of instance k. The arrays for
     all instances agree with it to rounding error.
 
     Parameters
@@ -658,10 +660,10 @@ class ContactBatchDerivative(ManyDerivatives):
 
     >>> from lcp_plugin import FrictionalContact, derivative, solve_batch
     >>> batch = solve_batch(FrictionalContact.worlds(np.eye(3), [[-1.0, 3.0, 4.0], [-1.0, 0.3, 0.0]], 0.5))
-    >>> found = derivative(batch)
-    >>> (found.jvp(dfriction=1.0).round(6) + 0.0).tolist()
+    >>> derivatives = derivative(batch)
+    >>> (derivatives.jvp(dfriction=1.0).round(6) + 0.0).tolist()
     [[0.0, -0.6, -0.8], [0.0, 0.0, 0.0]]
-    >>> gradient = found.vjp([1.0, 0.0, 0.0])
+    >>> gradient = derivatives.vjp([1.0, 0.0, 0.0])
     >>> (gradient.q.round(6) + 0.0).tolist(), (gradient.friction.round(6) + 0.0).tolist(), gradient.M.shape
     ([[-1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], [[0.0], [0.0]], (2, 3, 3))
     """
@@ -681,12 +683,12 @@ class ContactBatchDerivative(ManyDerivatives):
 
         def derive(first: int, end: int) -> None:
             for k in range(first, end):
-                own = slice(k * INSTANCES_TOGETHER, (k + 1) * INSTANCES_TOGETHER)
-                W = np.where(is_solved[own, :, np.newaxis], worlds.W[own], np.eye(worlds.n))
-                given = worlds.b, z, worlds.friction
-                b, at, mu = (np.where(is_solved[own], one[own], 0.0) for one in given)
+                part = slice(k * INSTANCES_TOGETHER, (k + 1) * INSTANCES_TOGETHER)
+                W = np.where(is_solved[part, :, np.newaxis], worlds.W[part], np.eye(worlds.n))
+                data = worlds.b, z, worlds.friction
+                b, at, mu = (np.where(is_solved[part], rows[part], 0.0) for rows in data)
                 stack = stack_of(*self.batch.problems.data(W, b, mu))
-                parts[k] = _Together(stack, at, np.arange(len(self))[own], self._is_solved[own])
+                parts[k] = _Together(stack, at, np.arange(len(self))[part], self._is_solved[part])
 
         run_in_chunks(derive, len(parts), self.batch.threads)
         return parts
@@ -772,7 +774,7 @@ def one_sided(problem: LCP, rows: ActiveRows, h: Vector, moved: Vector) -> Vecto
     result = solve_lcp(small)
     if not result.is_solved:
         raise UnsuitableProblem(
-            f"{part.size} free and degenerate rows have no one-sided derivative that could be found: their LCP ended "
+            f"{part.size} free and degenerate rows have no one-sided derivative: their LCP ended "
             f"{result.status.name}; the block of M on them is no P-matrix, and z may jump or have branches"
         )
     dz[part] = settled_rows(small, result.z, result.w).z
@@ -830,10 +832,10 @@ def derivative(result: Any) -> Any:
     Examples
     --------
     >>> from lcp_plugin import LCP, solve
-    >>> found = derivative(solve(LCP([[2, 1], [1, 2]], [-5, 1])))
-    >>> found.jvp(dq=[1, 0]), found.is_unique
+    >>> slope = derivative(solve(LCP([[2, 1], [1, 2]], [-5, 1])))
+    >>> slope.jvp(dq=[1, 0]), found.is_unique
     (array([-0.5,  0. ]), True)
-    >>> gradient = found.vjp([1, 1])
+    >>> gradient = slope.vjp([1, 1])
     >>> gradient.q, gradient.lower
     (array([-0.5,  0. ]), array([0. , 0.5]))
     >>> gradient.M.toarray()
@@ -889,7 +891,7 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
     if (stack := problems.least_squares()) is not None:
         return _derivative_of_program(least_squares_data(stack, batch.x), batch.x, batch)
     raise InvalidOption(
-        "the derivative of a batch takes problems of one size, and of least squares those by problem.with_vectors; "
+        "the derivative of a batch takes problems of one size, and least squares by problem.with_vectors; "
         "otherwise write [derivative(answer) for answer in batch]"
     )
 
@@ -930,11 +932,11 @@ class Derivative(LinearizedSystem):
         self, problem: LCP, z: Vector, w: Vector, *, before: Derivative | None = None
     ) -> None:
         self.problem = problem
-        self._found = z, w, None if before is None else before._rows.system
+        self._solution = z, w, None if before is None else before._rows.system
 
     @derived_property
     def _rows(self) -> ActiveRows:
-        return settled_rows(self.problem, *self._found)
+        return settled_rows(self.problem, *self._solution)
 
     @property
     def z(self) -> Vector:
@@ -980,15 +982,15 @@ class Derivative(LinearizedSystem):
 
         False in free and degenerate rows if these are more than 500 and M is singular there.
         """
-        found = np.ones(self.problem.n, np.bool_)
+        mask = np.ones(self.problem.n, np.bool_)
         if self.is_unique:
-            return found
+            return mask
         directions = directions_of_solutions(self.problem, self._rows)
         if directions is not None:
-            found[moving(directions)] = False
+            mask[moving(directions)] = False
         elif self._system.is_singular:
-            found = ~(self._rows.free | self._rows.degenerate)
-        return found
+            mask = ~(self._rows.free | self._rows.degenerate)
+        return mask
 
     @derived_property
     def advice(self) -> str:
@@ -1124,7 +1126,7 @@ class ConditionsDerivative(Derivative):
 
     def one_sided(self) -> ConditionsDerivative:
         """Return the derivative that accepts degenerate rows."""
-        return ConditionsDerivative(self.problem, self._found[0], self.data, is_strict=False)
+        return ConditionsDerivative(self.problem, self._solution[0], self.data, is_strict=False)
 
     @property
     def degenerate_parts(self) -> list[str]:

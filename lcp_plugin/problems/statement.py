@@ -120,7 +120,7 @@ def eliminate_definitions(
     """
     n = is_free.size
     back: sp.csr_array | None = None
-    offset, is_open, left = np.zeros(n), is_free.copy(), np.ones(owner.size, dtype=bool)
+    offset, is_open, remaining = np.zeros(n), is_free.copy(), np.ones(owner.size, dtype=bool)
     limit = 4 * (equations[0].nnz + functions[0].nnz) + 10 * n  # times the entries there were
     used: list[tuple[Indices, Indices]] = [(np.zeros(0, dtype=np.int64),) * 2]
     for number in range(min(int(owner.max(initial=-1)) + 1, 500)):
@@ -137,7 +137,7 @@ def eliminate_definitions(
         equations, functions = changed
         offset = offset + (shift if back is None else back @ shift)
         back = substitution if back is None else back @ substitution
-        left[rows] = is_open[columns] = False
+        remaining[rows] = is_open[columns] = False
         used.append((rows, columns))
     defining, defined = (np.concatenate(part) for part in zip(*used, strict=True))
     kept = np.delete(np.arange(n), defined)
@@ -146,11 +146,13 @@ def eliminate_definitions(
     place = np.zeros(n, dtype=np.int64)
     place[kept] = np.arange(kept.size)
     expansion, rows, others = (  # no entries are in columns of defined unknowns
-        sp.csr_array((one.data, place[one.indices], one.indptr), shape=(one.shape[0], kept.size))
-        for one in (back, equations[0][left], functions[0])
+        sp.csr_array(
+            (part.data, place[part.indices], part.indptr), shape=(part.shape[0], kept.size)
+        )
+        for part in (back, equations[0][remaining], functions[0])
     )
     elimination = Elimination(kept, expansion, offset, defining, defined)
-    return elimination, (rows, equations[1][left]), (others, functions[1])
+    return elimination, (rows, equations[1][remaining]), (others, functions[1])
 
 
 def put_in(matrix: sp.csr_array, offset: Vector, columns: Indices) -> tuple[sp.csr_array, Vector]:
@@ -235,7 +237,7 @@ def matched_for_monotony(
     Notes
     -----
     Each equation is matched by a large entry, which becomes a diagonal entry. The sign of a row makes its diagonal
-    entry positive; if this entry is zero, the sign is the one of :func:`~lcp_plugin.core.structure.equation_signs`.
+    entry positive; if this entry is zero, the sign is that of :func:`~lcp_plugin.core.structure.equation_signs`.
     """
     order = matching(sp.csr_array(equations[:, free]))
     rows = np.arange(order.size)
@@ -357,7 +359,7 @@ class SquareModel:
         """Return the problem and its point at values of all unknowns, and the definitions that do not hold there.
 
         If the value of a defined unknown differs from its definition by more than rounding, the constants of the
-        problem are those that its rows have at the given values.
+        problem are those that its rows have at these values.
         """
         elimination = self.elimination
         z = unknowns[elimination.kept]
@@ -386,18 +388,20 @@ class SquareModel:
         values : ndarray
             Rows of the pairs, then of the equations, as the language evaluates them.
         """
-        expected, left = np.zeros(values.size), self.numbers(values.size)
-        expected[left] = self.signs * w
+        expected, numbers = np.zeros(values.size), self.numbers(values.size)
+        expected[numbers] = self.signs * w
         unknowns, matrices = self.elimination.expand(z), list[Any](self.stored)
         order, largest = np.arange(values.size), np.abs(unknowns).max(initial=0.0)
         if isinstance(self.problem, NonlinearProblem):  # e.g. exp(x) − 1 has constants of size 1
-            matrices, order, largest = [self.problem.linearize(z).csr], left, max(largest, 1.0)
+            matrices, order, largest = [self.problem.linearize(z).csr], numbers, max(largest, 1.0)
         terms = np.abs(values) + np.abs(expected)
-        sizes, at = [abs(one) for one in matrices], np.abs(unknowns)
-        terms[order] += np.concatenate([one @ at for one in sizes])
+        sizes, at = [abs(matrix) for matrix in matrices], np.abs(unknowns)
+        terms[order] += np.concatenate([matrix @ at for matrix in sizes])
         allowed = 1e-9 * terms  # relative to the terms of a row
         # Terms may be rounding errors of larger unknowns
-        allowed[order] += DATA_ROUNDING * largest * np.concatenate([one.sum(1) for one in sizes])
+        allowed[order] += (
+            DATA_ROUNDING * largest * np.concatenate([matrix.sum(1) for matrix in sizes])
+        )
         is_wrong = np.isfinite(expected) & ~(np.abs(values - expected) <= allowed)
         wrong = np.flatnonzero(is_wrong)
         return (int(wrong[0]), float(expected[wrong[0]])) if wrong.size else None
@@ -474,7 +478,7 @@ class Statement:
         return matrix.indices.astype(np.int64), matrix.data, offset
 
     def repeat(self, columns: Indices) -> None:
-        """Note that unknowns which have a pair are the variable of another one."""
+        """Note that unknowns which have a pair are the variable of another pair."""
         self._repeated += columns[self.is_paired[columns]].tolist()
 
     def named(self, rows: Rows, origin: object = None, sign: Any = 1.0) -> Indices:
@@ -490,7 +494,7 @@ class Statement:
         return columns
 
     def name_of(self, column: int) -> str:
-        """Return the name of an unknown; nothing for one that stands for an expression."""
+        """Return the name of an unknown; "" for an unknown that stands for an expression."""
         return self.name(column) if column < self._named else ""
 
     # --- a complementarity problem ---
@@ -518,7 +522,10 @@ class Statement:
         its sparse matrices.
         """
         free = np.flatnonzero(~self.is_paired)
-        sizes = sum(one.rows.size for one in self.pairs), sum(one.rows.size for one in self.rows)
+        sizes = (
+            sum(part.rows.size for part in self.pairs),
+            sum(part.rows.size for part in self.rows),
+        )
         if free.size != sizes[1]:
             raise self._not_square(free, sizes[1])
         lower, upper = self._bounds_of_pairs()
@@ -527,18 +534,18 @@ class Statement:
         lower[free], upper[free] = -np.inf, np.inf
         columns, signs = _stacked(self.pairs, "z", "sign")
         columns, n, program, whole = columns.astype(np.int64), self.lower.size, None, None
-        functions = [one.rows for one in self.pairs]
-        equations = [replace(one.rows, offset=one.rows.offset - one.low) for one in self.rows]
+        functions = [part.rows for part in self.pairs]
+        equations = [replace(part.rows, offset=part.rows.offset - part.low) for part in self.rows]
         nothing = np.zeros(0, dtype=np.int64)
         elimination = Elimination(np.arange(n), None, np.zeros(n), nothing, nothing)
         stored = sp.csr_array((sizes[0], n)), sp.csr_array((sizes[1], n))
-        if any(one.level for one in (*functions, *equations)):
+        if any(rows.level for rows in (*functions, *equations)):
             program = Program.of(self.compiler, [*functions, *equations], self.first, n)
         else:
             (M, q), (E, e) = (assembled(rows, self.first, n) for rows in (functions, equations))
             stored = M, E
             if equations and eliminates:
-                owner = np.repeat(np.arange(len(equations)), [one.size for one in equations])
+                owner = np.repeat(np.arange(len(equations)), [rows.size for rows in equations])
                 elimination, (E, e), (M, q) = eliminate_definitions(
                     (E, e), (M, q), owner, ~self.is_paired, variable_of
                 )
@@ -559,30 +566,30 @@ class Statement:
             columns, signs = np.concatenate([columns, free]), np.concatenate([signs, turned])
         places = np.argsort(columns, kind="stable")
         signs = signs[places]
-        left = np.delete(np.arange(sum(sizes)), sizes[0] + elimination.rows)[places]
-        own: dict[str, Any] = {
+        numbers = np.delete(np.arange(sum(sizes)), sizes[0] + elimination.rows)[places]
+        data: dict[str, Any] = {
             "lower": lower[kept],
             "upper": upper[kept],
-            "names": self._names([*self.pairs, *self.rows], left, kept),
+            "names": self._names([*self.pairs, *self.rows], numbers, kept),
         }
         problem: LCP | NonlinearProblem
         if program is None:
-            problem = LCP(*_arranged(M, q, E, e, places, signs), **own)
+            problem = LCP(*_arranged(M, q, E, e, places, signs), **data)
         else:
             program = program.rearranged(places, signs)
-            problem = NonlinearProblem(program.value, program.jacobian, **own)
+            problem = NonlinearProblem(program.value, program.jacobian, **data)
             problem.affine_part = partial(self._affine_part, lower, upper)
         return SquareModel(problem, elimination, stored, places, signs, kept[free], dropped, whole)
 
     def _affine_part(self, lower: Vector, upper: Vector) -> QuadraticProgram:
         """Return the program of affine rows within the bounds of pairs, without an objective."""
-        pairs = [one for one in self.pairs if not one.rows.level]
-        stated = pairs + [one for one in self.rows if not one.rows.level]
-        rows = [one.rows.scaled(one.sign) for one in pairs]
-        rows += [one.rows for one in stated[len(pairs) :]]
+        pairs = [part for part in self.pairs if not part.rows.level]
+        stated = pairs + [part for part in self.rows if not part.rows.level]
+        rows = [part.rows.scaled(part.sign) for part in pairs]
+        rows += [part.rows for part in stated[len(pairs) :]]
         A, shift = assembled(rows, self.first, self.lower.size)
         low, high = _stacked(stated, "low", "high")
-        is_pair = np.arange(low.size) < sum(one.rows.size for one in pairs)
+        is_pair = np.arange(low.size) < sum(part.rows.size for part in pairs)
         ends = np.where(np.isfinite(high), -np.inf, 0.0), np.where(np.isfinite(low), np.inf, 0.0)
         low, high = (
             np.where(is_pair, *both) - shift for both in zip(ends, (low, high), strict=True)
@@ -592,13 +599,13 @@ class Statement:
 
     def _names(self, stated: list[StatedRows], rows: Numbers, kept: Numbers) -> Names:
         """Return the names of a problem with some of the stated rows and of the unknowns."""
-        own = [(one.rows.size, one.name) for one in stated]
+        named = [(part.rows.size, part.name) for part in stated]
         unknown = partial(_name_of_unknown, self.name, self._named, kept)
-        return Names(partial(name_of_row, own, rows), unknown)
+        return Names(partial(name_of_row, named, rows), unknown)
 
     def _not_square(self, free: Indices, equations: int) -> UnsupportedModel:
         """Return the error that there are not as many equations as unknowns without a pair."""
-        of_pairs = sum(one.rows.size for one in self.rows if one.slacks is not None)
+        of_pairs = sum(part.rows.size for part in self.rows if part.slacks is not None)
         counted = f", {of_pairs} of them from pairs of two expressions" if of_pairs else ""
         names = [name for column in free[:MOST_NAMES].tolist() if (name := self.name_of(column))]
         names += ["…"] * (free.size > MOST_NAMES)
@@ -631,14 +638,14 @@ class Statement:
 
     def _fixing_equation(self) -> str:
         """Return advice on an equation that fixes an unknown with a pair, or ""."""
-        for one in self.rows:
-            if one.slacks is not None or one.rows.level:
+        for part in self.rows:
+            if part.slacks is not None or part.rows.level:
                 continue
-            matrix, offset = assembled([one.rows], self.first, self.lower.size)
+            matrix, offset = assembled([part.rows], self.first, self.lower.size)
             for row in np.flatnonzero(np.diff(matrix.indptr) == 1).tolist():
                 column, weight = matrix.indices[matrix.indptr[row]], matrix.data[matrix.indptr[row]]
                 if self.is_paired[column] and weight:
-                    value = f"{(one.low[row] - offset[row]) / weight + 0.0:.9g}"
+                    value = f"{(part.low[row] - offset[row]) / weight + 0.0:.9g}"
                     name = self.name_of(int(column))
                     way_out = self.way_to_fix.format(name=name, value=value)
                     return (
@@ -651,23 +658,23 @@ class Statement:
         """Return the bounds of all unknowns; raise UnsupportedModel if a pair has wider ones than its unknown."""
         lower, upper = self.lower.copy(), self.upper.copy()
         for pair in self.pairs:
-            for own, stated, sign in ((lower, pair.low, 1.0), (upper, pair.high, -1.0)):
-                others = np.flatnonzero(sign * own[pair.z] > sign * stated)
+            for bounds, stated, sign in ((lower, pair.low, 1.0), (upper, pair.high, -1.0)):
+                others = np.flatnonzero(sign * bounds[pair.z] > sign * stated)
                 if others.size:
                     raise UnsupportedModel(
                         f"{self.name_of(int(pair.z[others[0]]))} is declared with other bounds than its pair states; "
                         "state them once"
                     )
-                own[pair.z] = stated
+                bounds[pair.z] = stated
         return lower, upper
 
     def _dropped(self, free: Indices) -> Indices:
         """Return the unpaired unknowns with bounds that no pair implies."""
         low, high = self.lower.copy(), self.upper.copy()
         for pair in self.pairs:
-            if (found := self.entries(pair.rows)) is None:
+            if (definition := self.entries(pair.rows)) is None:
                 continue
-            columns, weights, shift = found
+            columns, weights, shift = definition
             has_low, has_high = np.isfinite(pair.low), np.isfinite(pair.high)
             sign = np.where(has_low, 1.0, -1.0) * pair.sign * weights * (has_low != has_high)
             low[columns[(sign > 0.0) & (low[columns] <= -shift / weights)]] = -np.inf
@@ -679,11 +686,13 @@ class Statement:
     ) -> list[WorstRow]:
         """Return the unknowns of the columns that violate their bounds by more than a part of 1 + |x|."""
         beyond = np.maximum(self.lower - unknowns, unknowns - self.upper)[columns]
-        found = []
+        violated = []
         for k in columns[~(beyond <= allowed * (1.0 + np.abs(unknowns[columns])))].tolist():
-            value, lower, upper = (float(one[k]) for one in (unknowns, self.lower, self.upper))
-            found.append(outside_row(self.name_of(k), value, lower if value < lower else upper))
-        return found
+            value, lower, upper = (
+                float(values[k]) for values in (unknowns, self.lower, self.upper)
+            )
+            violated.append(outside_row(self.name_of(k), value, lower if value < lower else upper))
+        return violated
 
     # --- the best of all solutions ---
 
@@ -692,16 +701,16 @@ class Statement:
         seconds = [self._value_of(pair) for pair in self.pairs]
         n, goal = self.lower.size, goal.scaled(sign)
         quadratic, smooth = self.quadratic(goal), None
-        linear = [one for one in self.rows if not one.rows.level]
-        bent = [one for one in self.rows if one.rows.level]
+        linear = [part for part in self.rows if not part.rows.level]
+        bent = [part for part in self.rows if part.rows.level]
         if bent or quadratic is None:
             nothing = Rows({}, np.zeros(1), (1,))
-            results = [goal if quadratic is None else nothing, *(one.rows for one in bent)]
+            results = [goal if quadratic is None else nothing, *(part.rows for part in bent)]
             smooth = SmoothPart(
                 Program.of(self.compiler, results, self.first, n), *_stacked(bent, "low", "high")
             )
         P, c, constant = quadratic or (sp.csr_array((n, n)), np.zeros(n), 0.0)
-        A, shift = assembled([one.rows for one in linear], self.first, n)
+        A, shift = assembled([part.rows for part in linear], self.first, n)
         low, high = (ends - shift for ends in _stacked(linear, "low", "high"))
         bounds = self.lower, self.upper
         names = self._names(linear, range(low.size), range(n))
@@ -720,10 +729,10 @@ class Statement:
 
     def _value_of(self, pair: StatedRows) -> Indices:
         """Return the unknowns that are w of a pair."""
-        found = self.entries(pair.rows)
-        if found is None or (pair.sign * found[1] != 1.0).any() or found[2].any():
+        definition = self.entries(pair.rows)
+        if definition is None or (pair.sign * definition[1] != 1.0).any() or definition[2].any():
             return self.named(pair.rows, pair.origin, pair.sign)
-        return found[0]
+        return definition[0]
 
     def quadratic(self, goal: Rows) -> tuple[sp.csr_array, Vector, float] | None:
         """Return P, c, r where the objective is ½ xᵀP x + cᵀx + r, None if it is something else."""
@@ -738,10 +747,10 @@ class Statement:
             _, function, arguments, _ = self.compiler.groups[-1 - key]
             if function not in (functions.PRODUCT, functions.SQUARE):
                 return None
-            sides = [self._without_copies(one) for one in (arguments[0], arguments[-1])]
-            if any(one.blocks.keys() - self.first.keys() for one in sides):
+            sides = [self._without_copies(side) for side in (arguments[0], arguments[-1])]
+            if any(side.blocks.keys() - self.first.keys() for side in sides):
                 return None
-            (A, a), (B, b) = (assembled([one], self.first, n) for one in sides)
+            (A, a), (B, b) = (assembled([side], self.first, n) for side in sides)
             half = sp.csr_array(half + A.T @ sp.diags_array(weights) @ B)
             c += A.T @ (weights * b) + B.T @ (weights * a)
             shift += float(weights @ (a * b))
@@ -755,12 +764,12 @@ class Statement:
             for key in rows.blocks.keys() - self.first.keys()
             if groups[-1 - key][1] is functions.SAME
         ]:
-            left = {key: block for key, block in rows.blocks.items() if key not in names}
+            blocks = {key: block for key, block in rows.blocks.items() if key not in names}
             named = [
                 groups[-1 - key][2][0].applied(as_matrix(rows.blocks[key], rows.size), rows.shape)
                 for key in names
             ]
-            rows = added([replace(rows, blocks=left), *named], rows.shape)
+            rows = added([replace(rows, blocks=blocks), *named], rows.shape)
         return rows
 
 
@@ -784,7 +793,7 @@ def name_of_row(
 def _stacked(stated: list[StatedRows], *names: str) -> list[Vector]:
     """Return these attributes of all rows, concatenated."""
     return [
-        np.concatenate([*(getattr(one, name) for one in stated), np.zeros(0)]) for name in names
+        np.concatenate([*(getattr(part, name) for part in stated), np.zeros(0)]) for name in names
     ]
 
 
@@ -828,7 +837,7 @@ def solve_from(square: SquareModel, start: Vector | None, options: dict[str, Any
     problem = square.problem
     is_given = bool(options.keys() & {"z0", "x0"}) or start is None or not np.isfinite(start).all()
     if isinstance(problem, NonlinearProblem):
-        # The derivative is ours; the result is compared with the language's own evaluation at the end.
+        # The derivative is ours; the result is compared with the language's evaluation at the end.
         options = {"check_jacobian": False, "x0": np.zeros_like(problem.lower), **options}
     options = options if is_given else {**options, "z0": start}
     result: Result = solve(problem, **options)

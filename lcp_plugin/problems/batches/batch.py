@@ -1,4 +1,4 @@
-"""Many problems in one call: small ones together, others one by one."""
+"""Many problems in one call: small problems together, others individually."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def solve_batch(
         ``[{"b": b}, …]``, with the arguments of ``program.with_vectors``.
         A sequence may contain problems of different sizes and of all classes; do not pass q, lower or upper with it.
         LCPs of one size with at most 128 unknowns are solved in a compiled loop if there are 32, or by "lemke" any
-        number; small problems over the same cones and programs of one shape as stacks; others one by one. Arrays
+        number; small problems over the same cones and programs of one shape as stacks; others individually. Arrays
         of shape (B, n, n) are not copied: do not change their entries while you use the result.
         Arrays of PyTorch, CuPy or JAX on a GPU of NVIDIA stay there: M and q, n at most 70, and bounds. Each thread of
         the GPU solves one problem; problems whose points a sufficient test does not accept are solved on the host.
@@ -127,33 +127,33 @@ def solve_batch(
         hint = did_you_mean(unknown[0], (*known, *BatchOptions.__annotations__))
         hint = "; pass starts as z0, one for each problem" if unknown[0] == "x0" else hint
         raise InvalidOption(f"solve_batch has no option {unknown[0]!r}{hint}")
-    given = {name: value for name, value in options.items() if value is not None}
-    if given:
-        Settings(**given)  # a wrong option is an error of its own, before the data
+    overrides = {name: value for name, value in options.items() if value is not None}
+    if overrides:
+        Settings(**overrides)  # options are checked before the data
     for name in ("absolute_tolerance", "prove_infeasibility"):  # which some classes lack
-        if name in given and given[name] == DEFAULTS[name]:
-            del given[name]
+        if name in overrides and overrides[name] == DEFAULTS[name]:
+            del overrides[name]
     if any(map(is_on_gpu, (M, q, lower, upper))):
         if not (z0 is callback is None and algorithm == "auto"):
             raise InvalidOption(
                 "arrays on a GPU take no z0, callback or algorithm; leave them out, or copy the arrays"
             )
         bounds = 0.0 if lower is None else lower, np.inf if upper is None else upper
-        return cast(BatchAnswers, DeviceAnswers(M, q, *bounds, given))
+        return cast(BatchAnswers, DeviceAnswers(M, q, *bounds, overrides))
     programs = _programs_of(M, q, lower, upper, z0)
     if programs is not None:
-        if z0 is not None or "absolute_tolerance" in given:
+        if z0 is not None or "absolute_tolerance" in overrides:
             raise InvalidOption("a program takes no z0 or absolute_tolerance; leave them out")
-        given.setdefault("tolerance", PROGRAM_TOLERANCE)
+        overrides.setdefault("tolerance", PROGRAM_TOLERANCE)
         if not (isinstance(algorithm, str) and algorithm in ENGINES):
             method_of(algorithm, {})
         if programs.shared is not None:
             refuse_nonconvex(programs.shared)
-        return BatchRun(programs, algorithm, given).run(callback)
+        return BatchRun(programs, algorithm, overrides).run(callback)
     stated = _problems_of(M, q, lower, upper, z0)
     if stated.are_lcps:
         method_of(algorithm, {})
-    return BatchRun(stated, algorithm, given).run(callback)
+    return BatchRun(stated, algorithm, overrides).run(callback)
 
 
 def _problems_of(M: AnyMatrix, q: Array, lower: Array, upper: Array, z0: Array) -> Any:
@@ -168,9 +168,9 @@ def _problems_of(M: AnyMatrix, q: Array, lower: Array, upper: Array, z0: Array) 
         usage = f"solve_batch({CLASSES[name].batch})"
         raise InvalidProblem(f"solve_batch needs many problems, got one {name}; write {usage}")
     if isinstance(M, Sequence) and (not len(M) or any(map(class_of, M))):
-        for k, one in enumerate(M):
-            if class_of(one) is None:
-                wrong = refusal("solve_batch", one)
+        for k, item in enumerate(M):
+            if class_of(item) is None:
+                wrong = refusal("solve_batch", item)
                 raise InvalidProblem(f"item {k} of the batch: {wrong}; write LCP(M, q)")
         _refuse_data("these problems", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
         return (RightSides.of(M, z0) if z0 is None and len(M) else None) or Listed(M, z0)
@@ -192,7 +192,7 @@ def _programs_of(M: AnyMatrix, q: Any, lower: Any, upper: Any, z0: Any) -> Progr
             return ProgramBatch.with_costs(M, q)
         return ProgramBatch.of(programs_for(M, q), M)
     is_list = z0 is None and isinstance(M, Sequence) and bool(M)
-    if is_list and all(isinstance(one, QuadraticProgram) for one in M):
+    if is_list and all(isinstance(item, QuadraticProgram) for item in M):
         _refuse_data("these problems", "QuadraticProgram(P, c, …)", q, lower, upper)
         return ProgramBatch.of(M, M[0])
     return None

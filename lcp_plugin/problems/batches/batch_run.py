@@ -28,7 +28,7 @@ from ..programs.result import QuadraticProgramResult
 from ..programs.solution import QPSolution
 from .program_batch import ENGINE, ProgramBatch
 
-REPORTING = Lock()  # threads call the callback one after another
+REPORTING = Lock()  # at most one thread is in the callback
 
 
 class BatchRun:
@@ -106,8 +106,8 @@ class BatchRun:
         is_path = self.algorithm == "lemke" and not isinstance(problems, ProgramBatch)
         if settings.max_iterations < (1 if is_path else problems.fewest_iterations):
             return
-        kind = problems.path_stacks if is_path else problems.stacks
-        stacks = [*kind(settings.tolerance, lambda: self.seconds_left > 0.0, self.threads)]
+        stacks_of = problems.path_stacks if is_path else problems.stacks
+        stacks = [*stacks_of(settings.tolerance, lambda: self.seconds_left > 0.0, self.threads)]
 
         def solve_some(first: int, end: int) -> None:
             for items, solve_stack in stacks[first:end]:
@@ -141,7 +141,7 @@ class BatchRun:
             self.report()
 
     def _solve(self, k: int) -> Any:
-        """Return the result of problem k, or its own error."""
+        """Return the result of problem k, or its error."""
         is_limited = self.settings.max_seconds < math.inf
         limit = {"max_seconds": max(self.seconds_left, 0.0)} if is_limited else {}
         try:
@@ -158,22 +158,22 @@ class BatchRun:
                 raise
             return error
 
-    def _keep(self, k: int, found: Any) -> None:
+    def _keep(self, k: int, result: Any) -> None:
         """Keep the result, or the error, of problem k."""
         self.is_open[k] = False
-        if isinstance(found, LCPError):
-            self.errors[k] = found
+        if isinstance(result, LCPError):
+            self.errors[k] = result
             if isinstance(self.z, np.ndarray):
                 self.z[k] = np.nan
             return
-        self.results[k] = found
-        self._set_point(k, self.problems.row(found))
-        if isinstance(found, QuadraticProgramResult):
-            self.residual[k] = found.solution.error
-        elif isinstance(found, Result):
-            self.residual[k] = found.certificate.relative_residual
-        self.status[k], self.iterations[k] = found.status, found.iterations
-        self.is_interrupted |= getattr(found, "status", None) is Status.INTERRUPTED
+        self.results[k] = result
+        self._set_point(k, self.problems.row(result))
+        if isinstance(result, QuadraticProgramResult):
+            self.residual[k] = result.solution.error
+        elif isinstance(result, Result):
+            self.residual[k] = result.certificate.relative_residual
+        self.status[k], self.iterations[k] = result.status, result.iterations
+        self.is_interrupted |= getattr(result, "status", None) is Status.INTERRUPTED
 
     def _set_point(self, k: int, x: Array) -> None:
         if isinstance(self.z, np.ndarray):
@@ -197,8 +197,8 @@ class BatchRun:
             return QuadraticProgramResult(solution, status=self.status[k], algorithm=by, **run)
         if self.status[k] is not Status.SOLVED:
             options = {**self.options, "max_seconds": 0.0}
-            found = solve_one(problem, self.problems.start(k), self.algorithm, options)
-            return replace(found, status=self.status[k])
+            result = solve_one(problem, self.problems.start(k), self.algorithm, options)
+            return replace(result, status=self.status[k])
         if isinstance(problem, BoundedLeastSquares):
             with np.errstate(all="ignore"):
                 point = Optimality.of(Enclosures(problem), z, tolerance=settings.tolerance)
@@ -210,10 +210,10 @@ class BatchRun:
             stage = StageRecord(name, "one of a stack of small problems", iterations, 0.0)
             z = read_only(z[: problem.n])
             return Result.at(problem, z, stage, settings, share, chosen=chosen)
-        found = solve_one(problem, z[: problem.n], self.algorithm, self.options)
+        result = solve_one(problem, z[: problem.n], self.algorithm, self.options)
         stage = StageRecord("nsgs", "one of a stack over the same cones", iterations, iterations)
         named = {"iterations": iterations, "work": iterations + 1.0, "stages": (stage,)}
-        return replace(found, seconds=share, **named)
+        return replace(result, seconds=share, **named)
 
     def tables(self) -> dict[str, Any]:
         """Return the arrays of the results by name."""
@@ -233,8 +233,8 @@ class BatchRun:
         values = np.full(len(self.status), np.nan)
         if hasattr(self.problems, "objectives"):
             values = self.problems.objectives(self.z)
-        for k, found in self.results.items():
-            values[k] = np.nan if found.objective is None else found.objective
+        for k, result in self.results.items():
+            values[k] = np.nan if result.objective is None else result.objective
         return values
 
 
@@ -249,9 +249,9 @@ def one_blas_thread() -> AbstractContextManager[Any]:
 
 def solve_one(problem: object, start: Array, algorithm: object, options: dict[str, Any]) -> Any:
     """Return the result of `solve`; None stands for the default start."""
-    given = {} if start is None else {"z0": start}
+    starts = {} if start is None else {"z0": start}
     named = {} if algorithm == "auto" else {"algorithm": algorithm}
-    return solve(problem, **given, **named, **options)
+    return solve(problem, **starts, **named, **options)
 
 
 class BatchAnswers(AnswerSequence[Any]):
@@ -329,6 +329,8 @@ class BatchAnswers(AnswerSequence[Any]):
         try:
             return function(self.problems)
         except AttributeError as error:
-            tables = ", ".join(one for one in BatchAnswers.__annotations__ if hasattr(self, one))
+            tables = ", ".join(
+                table for table in BatchAnswers.__annotations__ if hasattr(self, table)
+            )
             words = f"BatchAnswers of these problems has no {name}; its arrays include {tables}"
             raise AttributeError(words) from error

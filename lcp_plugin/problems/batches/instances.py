@@ -64,14 +64,16 @@ class Group(NamedTuple):
 
     def select(self, rows: Array) -> Group:
         """Return the problems in these rows."""
-        of_rows = (one if len(one) == 1 else one[rows] for one in self[1:])
+        of_rows = (array if len(array) == 1 else array[rows] for array in self[1:])
         return Group(self.items[rows], *of_rows)
 
     def vectors(self, *names: str) -> list[Any]:
         """Return these vectors of all problems, each of shape (k, n)."""
         shape = self.items.size, self.M.shape[1]
-        given = (getattr(self, name) for name in names)
-        return [one if one.shape == shape else np.broadcast_to(one, shape) for one in given]
+        arrays = (getattr(self, name) for name in names)
+        return [
+            array if array.shape == shape else np.broadcast_to(array, shape) for array in arrays
+        ]
 
     def stacks(self, tolerance: float, *, is_path: bool = False) -> Stacks:
         """Yield stacks of at most 5 to 10 ms, eight or more in a large batch: each thread has a part.
@@ -116,9 +118,9 @@ class Instances:
     def least_squares(self) -> BoundedLeastSquares | None:
         """Return the problems as a stack if they are least squares that share A, weights and ridge."""
 
-    def row(self, found: Any) -> Any:
+    def row(self, result: Any) -> Any:
         """Return the row of a result in the table of points."""
-        return np.empty(0) if found.x is None else found.x
+        return np.empty(0) if result.x is None else result.x
 
 
 class Listed(Instances):
@@ -136,7 +138,7 @@ class Listed(Instances):
         is_list = hasattr(z0, "__len__") and not isinstance(z0, str)
         if z0 is not None and not (is_list and len(z0) == len(problems)):
             raise InvalidOption(f"z0 must be a list of {len(problems)} starts, or None")
-        self.are_lcps = all(isinstance(one, LCP) for one in problems)
+        self.are_lcps = all(isinstance(item, LCP) for item in problems)
 
     def __len__(self) -> int:
         return len(self.problems)
@@ -157,32 +159,32 @@ class Listed(Instances):
     def points(self) -> list[Any]:
         """The points at which LCPs begin, nothing for other problems."""
         return [
-            checked_start(one, self.start(k)) if isinstance(one, LCP) else np.empty(0)
-            for k, one in enumerate(self.problems)
+            checked_start(item, self.start(k)) if isinstance(item, LCP) else np.empty(0)
+            for k, item in enumerate(self.problems)
         ]
 
     def slacks(self, z: Array) -> Any:
         """Return M z + q of each problem."""
-        rows = [one.slack(at) for one, at in zip(self.problems, z, strict=True)]
+        rows = [item.slack(at) for item, at in zip(self.problems, z, strict=True)]
         return np.array(rows).reshape(z.shape) if isinstance(z, np.ndarray) else rows
 
     def outer(self, left: Array, right: Array) -> Any:
         """Return left_i right_j at the entries of each M, a list of CSR arrays."""
         triples = zip(self.problems, left, right, strict=True)
-        return [outer_on_pattern(one.matrix, a, b) for one, a, b in triples]
+        return [outer_on_pattern(item.matrix, a, b) for item, a, b in triples]
 
     def groups(self, suits: Callable[[LCP], bool] = is_small) -> Iterator[Group]:
         """Yield the LCPs for which `suits` is true, grouped by size."""
         by_size: dict[int, list[int]] = {}
-        for k, one in enumerate(self.problems):
-            if isinstance(one, LCP) and one.n and suits(one):
-                by_size.setdefault(one.n, []).append(k)
+        for k, item in enumerate(self.problems):
+            if isinstance(item, LCP) and item.n and suits(item):
+                by_size.setdefault(item.n, []).append(k)
         for items in by_size.values():
             chosen = [self.problems[k] for k in items]
-            are_one = all(one.matrix is chosen[0].matrix for one in chosen)
-            M = np.array([one.matrix.toarray() for one in chosen[: 1 if are_one else None]])
+            is_shared = all(item.matrix is chosen[0].matrix for item in chosen)
+            M = np.array([item.matrix.toarray() for item in chosen[: 1 if is_shared else None]])
             names = ("q", "lower", "upper")
-            vectors = (np.array([getattr(one, name) for one in chosen]) for name in names)
+            vectors = (np.array([getattr(item, name) for item in chosen]) for name in names)
             yield Group(np.array(items), *map(read_only, (M, *vectors, np.empty((1, 0)))))
 
     def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
@@ -190,14 +192,14 @@ class Listed(Instances):
         if self.starts is not None:
             return
         alike: dict[Any, list[int]] = {}
-        for k, one in enumerate(self.problems):
-            if isinstance(one, Blocks) and 0 < one.n <= CONES_UP_TO:
-                alike.setdefault((one.has_friction, one.starts.tobytes()), []).append(k)
+        for k, item in enumerate(self.problems):
+            if isinstance(item, Blocks) and 0 < item.n <= CONES_UP_TO:
+                alike.setdefault((item.has_friction, item.starts.tobytes()), []).append(k)
         for items in alike.values():
             chosen = [self.problems[k] for k in items]
-            M = np.stack([one.rows.matrix.toarray() for one in chosen])
+            M = np.stack([item.rows.matrix.toarray() for item in chosen])
             names = ("q", "slope", "lower", "upper")
-            vectors = (np.stack([getattr(one, name) for one in chosen]) for name in names)
+            vectors = (np.stack([getattr(item, name) for item in chosen]) for name in names)
             data = chosen[0].has_friction, chosen[0].starts, M, *vectors
             yield np.array(items), partial(_solve_cones, data, None, tolerance, has_time)
         for group in self.groups(takes_rounds):
@@ -205,7 +207,7 @@ class Listed(Instances):
 
 
 def stack_of(has_friction: bool, starts: Array, M: AnyMatrix, *vectors: Array) -> ConeStack:
-    """Return problems over the same cones, given M, q, slope and bounds with an axis for them, as a stack."""
+    """Return problems over the same cones as a stack; M, q, slope and bounds have an axis for them."""
     return ConeStack(Pattern(M, starts), *vectors, has_friction=has_friction)
 
 
@@ -245,7 +247,7 @@ class Rows(Instances):
     def __init__(self, named: dict[str, tuple[Any, int]], counts: dict[str, int]) -> None:
         rows = {name: rows_of_a_batch(values, name, n) for name, (values, n) in named.items()}
         rows["lower"], rows["upper"] = normalize_bounds(rows["lower"], rows["upper"])
-        several = {name: len(one) for name, one in rows.items() if np.ndim(named[name][0]) == 2}
+        several = {name: len(array) for name, array in rows.items() if np.ndim(named[name][0]) == 2}
         self.rows, self.count = rows, length_of_all(several | counts)
         if "z0" in rows and not np.isfinite(rows["z0"]).all():
             raise InvalidOption("z0 must be finite, got NaN or infinite entries")
@@ -295,8 +297,8 @@ class Stacked(Rows):
 
     def __init__(self, M: AnyMatrix, q: Array, lower: Array, upper: Array, z0: Array) -> None:
         need = "M must be an array of shape (B, n, n) or (n, n), or a list of LCPs"
-        given = M if isinstance(M, LCP) else None
-        self.M = given.matrix.array if given else M if sp.issparse(M) else real_array(M, need)
+        shared = M if isinstance(M, LCP) else None
+        self.M = shared.matrix.array if shared else M if sp.issparse(M) else real_array(M, need)
         n = self.M.shape[-1] if self.M.ndim else 0
         if self.M.ndim not in (2, 3) or self.M.shape[-2] != n:
             raise InvalidProblem(f"M must have shape (B, n, n), or (n, n), got {self.M.shape}")
@@ -305,8 +307,8 @@ class Stacked(Rows):
         named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
         counts = {"M": len(self.M)} if self.M.ndim == 3 else {}
         super().__init__({name: (values, n) for name, values in named.items()}, counts)
-        self.base, self.is_cold = given, z0 is None
-        if given is None and self.M.ndim == 2:
+        self.base, self.is_cold = shared, z0 is None
+        if shared is None and self.M.ndim == 2:
             self.base = LCP(self.M, np.zeros(n))
         is_good = np.isfinite(self.rows["q"]).all(1)
         if self.M.ndim == 3:
@@ -355,34 +357,36 @@ class Stacked(Rows):
 class RightSides(Rows):
     """One least squares problem with many vectors b, shape (B, m), bounds and l1, shapes (B, n) or (n,).
 
-    `given` are the problems if they exist already.
+    `problems`, if they exist already, are the items.
     """
 
     def __init__(
-        self, problem: BoundedLeastSquares, z0: Array, given: Any = None, **vectors: Array
+        self, problem: BoundedLeastSquares, z0: Array, problems: Any = None, **vectors: Array
     ) -> None:
-        self.base, self.given = problem, given
+        self.base, self.problems = problem, problems
         named = {name: getattr(problem, name) for name in ("b", "lower", "upper", "l1")}
-        named |= {name: one for name, one in {**vectors, "z0": z0}.items() if one is not None}
+        named |= {
+            name: values for name, values in {**vectors, "z0": z0}.items() if values is not None
+        }
         sizes = {"b": problem.shape[0]}
-        rows = {name: (one, sizes.get(name, problem.shape[1])) for name, one in named.items()}
+        rows = {name: (values, sizes.get(name, problem.shape[1])) for name, values in named.items()}
         super().__init__(rows, {})
         self._find_errors(problem.is_in_range(self.rows["b"]))
 
     @classmethod
     def of(cls, problems: Sequence[Any], z0: Array) -> RightSides | None:
         """Return least squares problems that share A, weights and ridge; None for others."""
-        if not all(isinstance(one, BoundedLeastSquares) for one in problems):
+        if not all(isinstance(item, BoundedLeastSquares) for item in problems):
             return None
-        if len({(id(one.A), id(one.weights), one.ridge) for one in problems}) != 1:
+        if len({(id(item.A), id(item.weights), item.ridge) for item in problems}) != 1:
             return None
         names = "b", "lower", "upper", "l1"
-        vectors = {name: np.array([getattr(one, name) for one in problems]) for name in names}
+        vectors = {name: np.array([getattr(item, name) for item in problems]) for name in names}
         return cls(problems[0], z0, problems, **vectors)
 
     def __getitem__(self, k: int) -> BoundedLeastSquares:
-        if self.given is not None:
-            return self.given[k]
+        if self.problems is not None:
+            return self.problems[k]
         return self.base.with_vectors(*(self._row(name, k) for name in ("b", "lower", "upper")))
 
     def least_squares(self) -> BoundedLeastSquares:
@@ -392,7 +396,7 @@ class RightSides(Rows):
     def stack(self, items: Array) -> BoundedLeastSquares:
         """Return these problems as a stack."""
         rows = (self.rows[name] for name in ("b", "lower", "upper", "l1"))
-        return self.base.stack(*(one if len(one) == 1 else one[items] for one in rows))
+        return self.base.stack(*(array if len(array) == 1 else array[items] for array in rows))
 
     def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
         """Yield stacks of small problems."""
@@ -425,11 +429,11 @@ class Worlds(Instances):
         self.worlds, self.is_warm, self.errors = contacts, z0 is not None, contacts.errors
         shape, n = contacts.b.shape, contacts.n
         need = f"z0 must have shape ({len(contacts)}, {n}) or ({n},)"
-        given = real_array(np.zeros(n) if z0 is None else z0, need)
-        if given.shape not in (shape, (n,)) or not np.isfinite(given).all():
-            raise InvalidOption(f"{need}, and be finite, got shape {given.shape}")
+        starts = real_array(np.zeros(n) if z0 is None else z0, need)
+        if starts.shape not in (shape, (n,)) or not np.isfinite(starts).all():
+            raise InvalidOption(f"{need}, and be finite, got shape {starts.shape}")
         is_there = np.arange(n) < contacts.sizes[:, np.newaxis]
-        self.starts = np.where(is_there, given, 0.0)
+        self.starts = np.where(is_there, starts, 0.0)
 
     @property
     def points(self) -> Any:
@@ -464,8 +468,8 @@ class Worlds(Instances):
         """Yield stacks of small instances."""
         worlds = self.worlds
         for first in range(0, len(self) if 0 < worlds.n <= CONES_UP_TO else 0, TOGETHER):
-            own = slice(first, first + TOGETHER)
-            data = self.data(worlds.W[own], worlds.b[own], worlds.friction[own])
-            start = self.starts[own] if self.is_warm else None
+            part = slice(first, first + TOGETHER)
+            data = self.data(worlds.W[part], worlds.b[part], worlds.friction[part])
+            start = self.starts[part] if self.is_warm else None
             solve_some = partial(_solve_cones, data, start, tolerance, has_time)
-            yield np.arange(len(self))[own], solve_some
+            yield np.arange(len(self))[part], solve_some

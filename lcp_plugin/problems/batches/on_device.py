@@ -24,7 +24,7 @@ from ..many import AnswerSequence
 from .batch_run import BatchRun
 from .instances import Stacked, have_values
 
-MAX_UNKNOWNS = 70  # each thread has a tableau of its own
+MAX_UNKNOWNS = 70  # each thread has a tableau
 MAX_SCRATCH = 2**30  # bytes of the tables of one launch
 THREADS = 32  # per block: one warp, so that a small batch occupies many processors
 ON_GPU = 2, 13  # device types of DLPack: memory of CUDA, managed memory of CUDA
@@ -53,7 +53,7 @@ def _library(array: Array) -> Callable[[Any], Any]:
     has_namespace = hasattr(array, "__array_namespace__")
     name = type(array).__module__.partition(".")[0]
     space = array.__array_namespace__() if has_namespace else import_module(name)
-    return getattr(space, "from_dlpack", lambda own: own)
+    return getattr(space, "from_dlpack", lambda x: x)
 
 
 class DeviceData(NamedTuple):
@@ -65,24 +65,24 @@ class DeviceData(NamedTuple):
     upper: Array
 
     @classmethod
-    def of(cls, xp: Any, **given: Any) -> DeviceData:
+    def of(cls, xp: Any, **named: Any) -> DeviceData:
         """Return checked arrays; a number is a bound of all rows."""
-        for name, one in given.items():
-            if not (is_on_gpu(one) or (name in ("lower", "upper") and np.ndim(one) == 0)):
+        for name, array in named.items():
+            if not (is_on_gpu(array) or (name in ("lower", "upper") and np.ndim(array) == 0)):
                 raise InvalidProblem(
-                    f"{name} must be an array on the GPU, as others here are, got {type(one).__name__}; copy it there"
+                    f"{name} must be an array on the GPU, as others here are, got {type(array).__name__}; copy it there"
                 )
-        arrays = [xp.asarray(one) for one in given.values()]
-        shapes = [one.shape for one in arrays]
+        arrays = [xp.asarray(array) for array in named.values()]
+        shapes = [array.shape for array in arrays]
         n = shapes[0][-1] if len(shapes[0]) in (2, 3) else 0
         try:
             shape = np.broadcast_shapes((1, n), (*shapes[0][:-2], n), *shapes[1:])
         except ValueError:
             shape = ()
-        is_real = all(one.dtype.kind in "biuf" for one in arrays)
+        is_real = all(array.dtype.kind in "biuf" for array in arrays)
         if not is_real or len(shape) != 2 or shape[1] != n or shapes[0][-2:] != (n, n):
-            named = zip(given, arrays, strict=True)
-            got = ", ".join(f"{name} {one.shape} {one.dtype}" for name, one in named)
+            pairs = zip(named, arrays, strict=True)
+            got = ", ".join(f"{name} {array.shape} {array.dtype}" for name, array in pairs)
             raise InvalidProblem(
                 f"M must have shape (B, n, n) or (n, n), q and bounds (B, n) or (n,), all real; got {got}"
             )
@@ -90,8 +90,8 @@ class DeviceData(NamedTuple):
             raise UnsuitableProblem(
                 f"a GPU solves LCPs of 1 to {MAX_UNKNOWNS} unknowns, got n = {n}; copy the arrays to the host"
             )
-        M, *vectors = (one.astype(float) for one in arrays)
-        q, low, high = (xp.broadcast_to(one, shape) for one in vectors)
+        M, *vectors = (array.astype(float) for array in arrays)
+        q, low, high = (xp.broadcast_to(array, shape) for array in vectors)
         low = xp.where(low <= -INFINITE_LIMIT, -np.inf, low)
         return cls(M.reshape(-1, n, n), q, low, xp.where(high >= INFINITE_LIMIT, np.inf, high))
 
@@ -102,11 +102,11 @@ class DeviceData(NamedTuple):
     def on_host(self, xp: Any, k: Any) -> list[Any]:
         """Return M, q, lower and upper of problems in arrays of numpy; one matrix for all without its first axis."""
         M = self.M[0] if len(self.M) == 1 else self.M[k]
-        return [xp.asnumpy(one) for one in (M, *(one[k] for one in self[1:]))]
+        return [xp.asnumpy(array) for array in (M, *(array[k] for array in self[1:]))]
 
 
 def launch(
-    gpu: Any, name: str, arrays: Array, shared: Any, found: Any, has_time: Any = lambda: True
+    gpu: Any, name: str, arrays: Array, shared: Any, results: Any, has_time: Any = lambda: True
 ) -> None:
     """Call a kernel for all problems, a thread for each, in parts whose tables fit into MAX_SCRATCH.
 
@@ -116,12 +116,12 @@ def launch(
         CuPy and the kernels.
     name : str
         The kernel.
-    arrays, found : sequences of arrays, shape (B, …)
+    arrays, results : sequences of arrays, shape (B, …)
         Arguments that the kernel reads and writes; M may have shape (1, n, n).
     shared : tuple
         Arguments that apply to all problems.
     has_time : callable
-        Called before each part; if it returns False, the remaining rows of `found` are unchanged.
+        Called before each part; if it returns False, the remaining rows of `results` are unchanged.
     """
     (xp, kernels), (count, n) = gpu, arrays[1].shape
     size = min(count, MAX_SCRATCH // (8 * (n + 9) * (n + 1)))
@@ -130,15 +130,15 @@ def launch(
         if not has_time():
             break
         part = slice(first, min(first + size, count))
-        own = [xp.array(one if len(one) == 1 else one[part], order="F") for one in arrays]
-        values = [xp.array(one[part], order="F") for one in found]
+        read = [xp.array(array if len(array) == 1 else array[part], order="F") for array in arrays]
+        values = [xp.array(array[part], order="F") for array in results]
         blocks = -(-len(values[-1]) // THREADS)
         # The launch itself returns at once; numba warns of few blocks.
         with pause_for_compilation(), catch_warnings(action="ignore"):
-            getattr(kernels, name)[blocks, THREADS](*own, *shared, *tables, *values)
+            getattr(kernels, name)[blocks, THREADS](*read, *shared, *tables, *values)
         kernels.cuda.synchronize()
-        for one, value in zip(found, values, strict=True):
-            one[part] = value
+        for array, value in zip(results, values, strict=True):
+            array[part] = value
 
 
 class DeviceAnswers(AnswerSequence[Any]):
@@ -178,16 +178,16 @@ class DeviceAnswers(AnswerSequence[Any]):
         self.iterations = xp.asnumpy((z != start).any(axis=1)).astype(int)
         rest = np.flatnonzero(residual == np.inf)
         if rest.size:
-            left = options.copy()
+            remaining = options.copy()
             if limit < np.inf:
-                left["max_seconds"] = max(limit - clock.read(), 0.0)
+                remaining["max_seconds"] = max(limit - clock.read(), 0.0)
             A, b, below, above = data.on_host(xp, xp.asarray(rest))
-            found = BatchRun(Stacked(A, b, below, above, None), "auto", left).run()
-            z[xp.asarray(rest)] = xp.asarray(found.z)
-            self.status[rest], residual[rest] = found.status, found.relative_residual
-            self.iterations[rest] = found.iterations
-            self.errors = {int(rest[k]): error for k, error in found.errors.items()}
-            self._others = dict(zip(rest.tolist(), range(rest.size), strict=True)), found
+            answers = BatchRun(Stacked(A, b, below, above, None), "auto", remaining).run()
+            z[xp.asarray(rest)] = xp.asarray(answers.z)
+            self.status[rest], residual[rest] = answers.status, answers.relative_residual
+            self.iterations[rest] = answers.iterations
+            self.errors = {int(rest[k]): error for k, error in answers.errors.items()}
+            self._others = dict(zip(rest.tolist(), range(rest.size), strict=True)), answers
         self.relative_residual, self.points, self.seconds = residual, z, clock.read()
         self.x = self.z = self.library(z)
 
@@ -196,9 +196,9 @@ class DeviceAnswers(AnswerSequence[Any]):
 
     def at(self, k: int) -> Any:
         """Return result k, or raise the error of its problem."""
-        places, found = self._others
+        places, answers = self._others
         if k in places:
-            return found[places[k]]
+            return answers[places[k]]
         M, q, lower, upper = self.data.on_host(self.gpu[0], k)
         stage = StageRecord("rounds", "one of a batch on a GPU", int(self.iterations[k]), 0.0)
         z = read_only(self.gpu[0].asnumpy(self.points[k]))

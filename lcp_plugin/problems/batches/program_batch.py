@@ -44,7 +44,7 @@ class ProgramBatch(Instances):
     constant : array, shape (B,) or ()
     shared : QuadraticProgram or None
         A program with the matrices of all.
-    given : sequence or None
+    programs : sequence or None
         The programs, or their errors.
     """
 
@@ -56,7 +56,7 @@ class ProgramBatch(Instances):
     vectors: dict[str, Any]
     constant: Any
     shared: QuadraticProgram | None = None
-    given: Sequence[QuadraticProgram | LCPError] | None = None
+    programs: Sequence[QuadraticProgram | LCPError] | None = None
 
     item, stacked_by, fewest_iterations = "program", ("auto", ENGINE), 0
 
@@ -73,28 +73,31 @@ class ProgramBatch(Instances):
         example : QuadraticProgram
             Program of the same shape.
         """
-        good, own = [one for one in programs if isinstance(one, QuadraticProgram)], example.matrices
-        is_shared = all(one.matrices is own for one in good)
-        m, p, n, _ = own.sizes
-        if any(one.matrices.sizes != own.sizes for one in good):
+        good, facts = (
+            [item for item in programs if isinstance(item, QuadraticProgram)],
+            example.matrices,
+        )
+        is_shared = all(item.matrices is facts for item in good)
+        m, p, n, _ = facts.sizes
+        if any(item.matrices.sizes != facts.sizes for item in good):
             return None
         if not (is_shared or may_be_small(n, m + p, [n * (n + m + p)])):
             return None
         # The vectors of an invalid program are NaN.
         none = {name: np.full(getattr(example, name).size, np.nan) for name in VECTORS}
         vectors = {
-            name: np.stack([getattr(one, name, missing) for one in programs])
+            name: np.stack([getattr(item, name, missing) for item in programs])
             for name, missing in none.items()
         }
-        constant = np.array([getattr(one, "constant", np.nan) for one in programs])
+        constant = np.array([getattr(item, "constant", np.nan) for item in programs])
         matrices: Any = (getattr(example, name) for name in "PGA")
         if not is_shared:
-            stated = [example if isinstance(one, LCPError) else one for one in programs]
-            stacks = ([as_array(getattr(one, name)) for one in stated] for name in "PGA")
+            stated = [example if isinstance(item, LCPError) else item for item in programs]
+            stacks = ([as_array(getattr(item, name)) for item in stated] for name in "PGA")
             matrices = map(np.array, stacks)
         P, G, A = matrices
         shared = example if is_shared else None
-        return cls(len(programs), own.sizes, P, G, A, vectors, constant, shared, programs)
+        return cls(len(programs), facts.sizes, P, G, A, vectors, constant, shared, programs)
 
     @classmethod
     def with_costs(cls, program: QuadraticProgram, c: ArrayLike) -> ProgramBatch:
@@ -123,9 +126,9 @@ class ProgramBatch(Instances):
         points[:, :n] = np.clip(0.0, self.vectors["lower"], self.vectors["upper"])
         return points
 
-    def row(self, found: Any) -> Any:
+    def row(self, result: Any) -> Any:
         """Return the row of a result."""
-        return np.concatenate([found.x, found.solution.multipliers])
+        return np.concatenate([result.x, result.solution.multipliers])
 
     @property
     def arrays(self) -> tuple[Any, ...]:
@@ -134,7 +137,7 @@ class ProgramBatch(Instances):
         Matrices are of shape (B or 1, …), vectors (B, …), C-contiguous and read-only.
         """
         shapes = ((rows, (self.count, rows.shape[1])) for rows in self.vectors.values())
-        c, h, b, lower, upper = (np.broadcast_to(*one) for one in shapes)
+        c, h, b, lower, upper = (np.broadcast_to(*row) for row in shapes)
         P, G, A = map(_stack, (self.P, self.G, self.A))
         data = P, c, np.concatenate([G, A], 1), np.concatenate([h, b], 1), lower, upper
         return tuple(read_only(np.ascontiguousarray(array)) for array in data)
@@ -151,12 +154,12 @@ class ProgramBatch(Instances):
         return self.count
 
     def __getitem__(self, k: int) -> QuadraticProgram:
-        if self.given is None:
+        if self.programs is None:
             assert self.shared is not None
             return self.shared.with_vectors(self.vectors["c"][k])
-        if isinstance(one := self.given[k], LCPError):
-            raise one
-        return one
+        if isinstance(program := self.programs[k], LCPError):
+            raise program
+        return program
 
     def stacks(self, tolerance: float, has_time: object, threads: int) -> Stacks:
         """Yield small programs in blocks, some for each thread."""
@@ -170,10 +173,10 @@ class ProgramBatch(Instances):
         # Entries per evaluation of the criterion
         size = max(min(2**18 // entries, -(-count // share)), 1)
         for first in range(0, count, size):
-            own = slice(first, min(first + size, count))
-            parts = [one[own] if len(one) > 1 else one for one in data]
-            items = np.arange(count)[own]
-            yield items, partial(solve_programs, parts, m, may[own], tolerance)
+            part = slice(first, min(first + size, count))
+            parts = [array[part] if len(array) > 1 else array for array in data]
+            items = np.arange(count)[part]
+            yield items, partial(solve_programs, parts, m, may[part], tolerance)
 
     def tables(self, z: Array) -> dict[str, Any]:
         """Return x and the multipliers by name."""
@@ -194,7 +197,7 @@ class ProgramBatch(Instances):
         values = values + self.constant
         for i in np.flatnonzero(x.shape[1] * EPSILON * terms > CANCELS * np.abs(values)).tolist():
             values[i] = self[i].objective(x[i])  # where terms cancel
-        senses = [getattr(one, "sense", 1.0) for one in self.given or (self.shared,)]
+        senses = [getattr(item, "sense", 1.0) for item in self.programs or (self.shared,)]
         return np.array(senses) * values
 
 
@@ -207,19 +210,19 @@ def programs_for(program: QuadraticProgram, vectors: Array) -> list[QuadraticPro
         If it is not a sequence of mappings from the names of vectors.
     """
     if isinstance(vectors, Mapping) or not isinstance(vectors, Sequence):
-        given = type(vectors).__name__
+        got = type(vectors).__name__
         raise InvalidProblem(
-            f'a program takes c, shape (B, n), or a list of mappings, as [{{"b": b}}], got {given}'
+            f'a program takes c, shape (B, n), or a list of mappings, as [{{"b": b}}], got {got}'
         )
     programs: list[QuadraticProgram | LCPError] = []
-    for k, one in enumerate(vectors):
-        unknown = set(one) - {*VECTORS} if isinstance(one, Mapping) else {type(one).__name__}
+    for k, entry in enumerate(vectors):
+        unknown = set(entry) - {*VECTORS} if isinstance(entry, Mapping) else {type(entry).__name__}
         if unknown:
             raise InvalidProblem(
                 f"entry {k} must map some of {', '.join(sorted(VECTORS))} to vectors, got {min(unknown)!r}"
             )
         try:
-            programs.append(program.with_vectors(**one))
+            programs.append(program.with_vectors(**entry))
         except LCPError as error:
             programs.append(error)
     return programs
@@ -239,7 +242,10 @@ def solve_programs(
     (count, n), wanted = c.shape, np.flatnonzero(may)
     signed, steps = np.full((count, n + d.shape[1]), np.nan), np.zeros(count, np.int64)
     x: Array = np.full((count, n), np.nan)
-    has_P, (hessians, matrices, costs) = P.any(), (np.array(one, order="C") for one in (P, C, c))
+    has_P, (hessians, matrices, costs) = (
+        P.any(),
+        (np.array(array, order="C") for array in (P, C, c)),
+    )
     kinds, settings = kinds_of_rows(n, m, d.shape[1] - m), DAQP.defaults | PROXIMAL
     above, below = ends_of_rows(d, m, lower, upper)
     for k in wanted.tolist():
@@ -252,14 +258,14 @@ def solve_programs(
     at_upper = np.maximum(signed[:, :n], 0.0) * np.isfinite(upper)
     x = np.clip(x, lower, upper)
     pairs = [(P[k % len(P)], C[k % len(C)]) for k in range(count if len(P) + len(C) > 2 else 1)]
-    terms = [ProgramTerms(*one, m) for one in pairs]
+    terms = [ProgramTerms(*pair, m) for pair in pairs]
     measure = dense_errors if wanted.size >= LOOP_FROM and has_numba() else MEASURE_IN_PYTHON
-    found = np.full((count, 2), np.inf)
+    measured = np.full((count, 2), np.inf)
     for k in wanted[np.isfinite(x[wanted]).all(1)].tolist():
-        if (one := terms[k % len(pairs)]).is_one_dense_component:
+        if (term := terms[k % len(pairs)]).is_one_dense_component:
             vectors = c[k], d[k], m, lower[k], upper[k]
-            found[k] = measure(one.P, one.C, one.sizes, *vectors, x[k], y[k], 1.0)
-    errors = KKTErrors(*found.T)
+            measured[k] = measure(term.P, term.C, term.sizes, *vectors, x[k], y[k], 1.0)
+    errors = KKTErrors(*measured.T)
     rows = np.hstack([x, y, at_lower, at_upper])
     return rows, errors.largest, steps, errors.meet(tolerance)
 

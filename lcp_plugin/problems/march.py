@@ -614,7 +614,8 @@ def _begin(
             raise InvalidOption(f"{owner} has no {' and '.join(wrong)} in a march; leave it out")
         if problem.n != n:
             raise InvalidProblem(
-                f"all problems must have one size, got n = {n}, and {problem.n} of problem {j}; call march once per size"
+                f"all problems must have one size, got n = {n}, and {problem.n} of problem {j}; "
+                "call march once per size"
             )
     # no options of solve
     others = ("problem", "forcing", "propagator", *BOUNDS, *AT, "algorithm", "keep")
@@ -893,8 +894,7 @@ class MarchGradient(NamedTuple):
 class MarchDerivative:
     """The derivative of all steps in time with respect to M, forcing, propagator, z0 and bounds.
 
-    ``derivative(march)[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of step k by the q of the step, with its
-    proofs.
+    Item k is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of step k by the q of the step, with its proofs.
 
     Parameters
     ----------

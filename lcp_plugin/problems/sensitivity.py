@@ -386,7 +386,7 @@ class ManyDerivatives(DerivativeSequence):
 class BatchDerivative(ManyDerivatives):
     """The derivatives of the solutions of a batch with respect to the data of each problem.
 
-    ``derivatives[k]`` is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of problem k, with its proofs. The arrays
+    Item k is the :class:`~lcp_plugin.problems.sensitivity.Derivative` of problem k, with its proofs. The arrays
     for all problems agree with it to rounding error.
 
     Parameters
@@ -519,7 +519,7 @@ class ConditionsBatchDerivative(BatchDerivative):
 class ProgramBatchDerivative(DerivativeSequence, ProgramDerivative):
     """The derivatives of the solutions of a batch of programs, or of least squares problems.
 
-    ``derivatives[k]`` is the :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative` of problem k; `jvp` and
+    Item k is the :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative` of problem k; `jvp` and
     `vjp` are as there, for all problems at once.
     """
 
@@ -635,7 +635,7 @@ class _Together(StackDerivative):
 class ContactBatchDerivative(ManyDerivatives):
     """Derivatives of the impulses of a batch of contact problems with respect to W, b and friction.
 
-    ``derivatives[k]`` is the :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative` of instance k. The arrays for
+    Item k is the :class:`~lcp_plugin.problems.cones.derivative.ConeDerivative` of instance k. The arrays for
     all instances agree with it to rounding error.
 
     Parameters
@@ -774,7 +774,7 @@ def one_sided(problem: LCP, rows: ActiveRows, h: Vector, moved: Vector) -> Vecto
     result = solve_lcp(small)
     if not result.is_solved:
         raise UnsuitableProblem(
-            f"{part.size} free and degenerate rows have no one-sided derivative: their LCP ended "
+            f"{part.size} free and degenerate rows have no computed one-sided derivative: their LCP ended "
             f"{result.status.name}; the block of M on them is no P-matrix, and z may jump or have branches"
         )
     dz[part] = settled_rows(small, result.z, result.w).z

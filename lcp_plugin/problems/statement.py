@@ -237,7 +237,7 @@ def matched_for_monotony(
     Notes
     -----
     Each equation is matched by a large entry, which becomes a diagonal entry. The sign of a row makes its diagonal
-    entry positive; if this entry is zero, the sign is that of :func:`~lcp_plugin.core.structure.equation_signs`.
+    entry positive; if this entry is zero, the sign is computed by :func:`~lcp_plugin.core.structure.equation_signs`.
     """
     order = matching(sp.csr_array(equations[:, free]))
     rows = np.arange(order.size)

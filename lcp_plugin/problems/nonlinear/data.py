@@ -7,7 +7,7 @@ References
 A. R. Curtis, M. J. D. Powell, J. K. Reid, *On the estimation of sparse Jacobian matrices*, IMA J. Appl. Math. 13
 (1974), doi:10.1093/imamat/13.1.117.
 
-The criterion of a nonlinear problem: the one of the LCP that F′(x) defines at x.
+The criterion of a nonlinear problem: the criterion of the LCP that F′(x) defines at x.
 
 x is SOLVED if it passes the criterion of LCPs (:mod:`lcp_plugin.judges.lcp`) for M = F′(x), q = F(x) −
 F′(x) x and the bounds, with F(x) for w. As for an LCP, each x_i is first moved to a bound whose distance is at most the
@@ -21,7 +21,7 @@ Two clauses are added, because the linearization is not F, and because F(x) is n
   at z°: F = x (x − 1) (x + 2) has the solution 1, where z° = 0 solves the linearization.
 - No unknown x_j off its bounds moves on. Let s and t be the Newton steps from x and from x + s, both with F′(x) on the
   rows off their bounds: |t_j| is at most |s_j|/3. At a simple root it is far less, at a double root 0.25 |s_j|, at a
-  triple one 0.3 |s_j|; if F tends to 0 as x diverges it is 1/e and more, with any offset of x_j. Steps below half of
+  triple root 0.3 |s_j|; if F tends to 0 as x diverges it is 1/e and more, with any offset of x_j. Steps below half of
   the digits of x_j, and steps that rounding errors of F make, do not count. Rounding errors made s_j if the Newton step
   from x + 16 s, x + 256 s or x + 4096 s leads back by half of the way: there F is linear, and x is next to its root.
   Without a jacobian, F′(x) is then computed by central differences with longer steps, which see weak slopes.
@@ -136,15 +136,15 @@ class Differences:
             for way in (step, -step):
                 moved = read_only(np.where(self.groups == k, x + way, x))
                 change = F(moved) - value
-                found = change[pattern.indices[places]] / (moved - x)[columns[places]]
+                quotients = change[pattern.indices[places]] / (moved - x)[columns[places]]
                 known = derivative[places]
-                derivative[places] = np.where(np.isfinite(known), known, found)
+                derivative[places] = np.where(np.isfinite(known), known, quotients)
                 if np.isfinite(derivative[places]).all():
                     break
         if derivative.size == math.prod(pattern.shape):
             return derivative.reshape(pattern.shape).T
-        found = sp.csc_array((derivative, pattern.indices, pattern.indptr), shape=pattern.shape)
-        return sp.csr_array(found)
+        entries = derivative, pattern.indices, pattern.indptr
+        return sp.csr_array(sp.csc_array(entries, shape=pattern.shape))
 
 
 def _steps(x: Vector, lower: Vector, upper: Vector) -> Vector:
@@ -225,11 +225,12 @@ class NonlinearProblem:
         pattern: Any = None,
         names: Any = None,
     ) -> None:
-        for name, given in (("F", F), ("jacobian", jacobian)):
-            if not callable(given) and (given is not None or name == "F"):
+        for name, function in (("F", F), ("jacobian", jacobian)):
+            if not callable(function) and (function is not None or name == "F"):
                 hint = "; for a matrix and a vector there is LCP(M, q)" if name == "F" else ""
-                kind = type(given).__name__
-                raise InvalidProblem(f"{name} must be callable as {name}(x), got {kind}{hint}")
+                raise InvalidProblem(
+                    f"{name} must be callable as {name}(x), got {type(function).__name__}{hint}"
+                )
         if not (jacobian is None or pattern is None):
             raise InvalidProblem("pattern is for differences, without a jacobian; leave one out")
         self.F, self.jacobian = F, jacobian
@@ -238,13 +239,13 @@ class NonlinearProblem:
         sizes += [] if self.pattern is None else [self.pattern.shape[:1]]
         self.n: int | None = sizes[0][0] if sizes else None
         checked_names(names, self.n, self.n, are_pairs=True)
-        self._bounds, self._given_names = (lower, upper), names
+        self._bounds, self._user_names = (lower, upper), names
         if self.n is not None:
             self._set_bounds(self.n)
 
     def _set_bounds(self, n: int) -> None:
         self.lower, self.upper = checks.checked_bounds(*self._bounds, n)
-        self.names = checked_names(self._given_names, n, n, are_pairs=True)
+        self.names = checked_names(self._user_names, n, n, are_pairs=True)
         self._differences: Differences | None = None
         self.q = np.zeros(n)
         self._components: tuple[bytes, Any] = b"", None
@@ -269,7 +270,7 @@ class NonlinearProblem:
     def with_q(
         self, q: Any, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None
     ) -> NonlinearProblem:
-        """Return the problem of F(x) + q, with other bounds if they are given.
+        """Return the problem of F(x) + q, with other bounds if the caller names them.
 
         Parameters
         ----------
@@ -279,15 +280,15 @@ class NonlinearProblem:
         n = self.lower.size
         if self.jacobian is None and self._differences is None:  # colored once for all q
             self._differences = Differences.on(self.pattern, n)
-        found = copy(self)
-        found.F = lambda x: self.value(x) + q
+        shifted = copy(self)
+        shifted.F = lambda x: self.value(x) + q
         lower = self.lower if lower is None else lower
         upper = self.upper if upper is None else upper
-        found.lower, found.upper = checks.checked_bounds(lower, upper, n)
-        return found
+        shifted.lower, shifted.upper = checks.checked_bounds(lower, upper, n)
+        return shifted
 
     def with_function_of(self, other: Any, name: str) -> NonlinearProblem:
-        """Return the problem with the F of another one, which errors call by a name.
+        """Return the problem with the F of another problem, which errors call by a name.
 
         Parameters
         ----------
@@ -307,9 +308,9 @@ class NonlinearProblem:
 
     def counted(self, n: int) -> NonlinearProblem:
         """Return a copy with n unknowns that counts evaluations."""
-        found = copy(self.with_size(n))
-        found.counts = [0, 0, 0]
-        return found
+        counting = copy(self.with_size(n))
+        counting.counts = [0, 0, 0]
+        return counting
 
     @np.errstate(all="ignore")  # F may be undefined at x: its value shows it
     def value(self, x: ArrayLike) -> Vector:
@@ -487,7 +488,10 @@ def _pattern(pattern: AnyMatrix) -> sp.csc_array:
 
 
 def components_of_pattern(problem: NonlinearProblem, M: AnyMatrix) -> Any:
-    """Return the connected component of each row of F′; None if there is one; kept for the next F′ of this pattern."""
+    """Return the connected component of each row of F′; None if all rows are connected.
+
+    The components are kept for the next F′ of this pattern.
+    """
     if isinstance(M, np.ndarray):
         if np.logical_and.reduce(M[:1], axis=None):
             return None
@@ -495,13 +499,13 @@ def components_of_pattern(problem: NonlinearProblem, M: AnyMatrix) -> Any:
         if key != problem._components[0]:
             problem._components = key, _components_of_dense(is_entry)
     elif (key := M.indptr.tobytes() + M.indices.tobytes()) != problem._components[0]:
-        found = connected_components(Matrix(M))
-        problem._components = key, None if found is None else found.labels
+        components = connected_components(Matrix(M))
+        problem._components = key, None if components is None else components.labels
     return problem._components[1]
 
 
 def _components_of_dense(is_entry: BoolVector) -> Any:
-    """Return the connected component of each row of a small dense pattern; None if there is one."""
+    """Return the connected component of each row of a small dense pattern; None if all rows are connected."""
     is_entry = is_entry | is_entry.T | np.eye(len(is_entry), dtype=bool)
     before, first = -1, np.argmax(is_entry, axis=1)  # the first row that is known to be connected
     while np.not_equal(first, before).any():
@@ -525,9 +529,9 @@ def largest_in_columns(sizes: AnyMatrix, weights: Vector) -> Vector:
     """Return max_i weights_i sizes_ij of each column."""
     if not sp.issparse(sizes):
         return np.asarray((sizes * weights[:, None]).max(0, initial=0.0))
-    found = np.zeros(sizes.shape[1])
-    np.maximum.at(found, sizes.indices, sizes.data * weights[row_numbers(sizes)])
-    return found
+    largest = np.zeros(sizes.shape[1])
+    np.maximum.at(largest, sizes.indices, sizes.data * weights[row_numbers(sizes)])
+    return largest
 
 
 MOVES = 4.0 ** np.arange(-25, 1)  # shares of x, from some roundings to x itself
@@ -558,18 +562,18 @@ class LinearizedRows(RowData):
 
     @cached_property
     def labels(self) -> Any:
-        """Connected component of each row; None if there is one."""
+        """Connected component of each row; None if all rows are connected."""
         return components_of_pattern(self.problem, self.M)
 
     @cached_property
-    def _own_references(self) -> tuple[Vector, Vector]:
+    def _linear_references(self) -> tuple[Vector, Vector]:
         """The references of the linearization."""
         return RowData.references.func(self)  # type: ignore[attr-defined]
 
     @cached_property
     def is_at_start(self) -> Any:
         """Mask of the rows whose component of the linearization z° solves."""
-        return self._own_references[1] == 0.0
+        return self._linear_references[1] == 0.0
 
     @cached_property
     def references(self) -> tuple[Vector, Vector]:
@@ -581,7 +585,7 @@ class LinearizedRows(RowData):
         of_value = np.where(of_value > 0.0, of_value, np.inf)
         least, most = (
             np.minimum(np.where(self.is_at_start, distance, end), of_value)
-            for end in self._own_references
+            for end in self._linear_references
         )
         return least, most
 
@@ -595,28 +599,30 @@ class LinearizedRows(RowData):
 
     def measure_at(self, z: Vector, w: Any, tolerance: float, absolute: float = 0.0) -> Measured:
         """Measure x; it passes only if also no unknown grows, and rounding errors of F are small."""
-        found = super().measure_at(z, w, tolerance, absolute)
+        measured = super().measure_at(z, w, tolerance, absolute)
         # Smaller rounding errors of F do not count, for any tolerance; z° has none
-        limit, at = max(tolerance, 1e-8) * found.by_row.reference * self.scale, found.rows
+        limit, at = max(tolerance, 1e-8) * measured.by_row.reference * self.scale, measured.rows
         is_lost = (at.is_active & (limit > 0.0) & (EPSILON * at.terms > limit)).any()
-        passes = found.passes and not is_lost
-        if passes and (absolute == 0.0 or (found.by_row.high > absolute).any()):
+        passes = measured.passes and not is_lost
+        if passes and (absolute == 0.0 or (measured.by_row.high > absolute).any()):
             passes = not self.growing.any()
-        return found._replace(passes=passes)
+        return measured._replace(passes=passes)
 
     @derived_property
     def growing(self) -> BoolVector:
         """Mask of the unknowns that move on, as the docstring of this module defines them."""
         x, n = self.x, self.x.size
         step, sizes = self.value / self.scale, np.abs(x)
-        free = (step < x - self.lower) & (step > x - self.upper)  # others are at a bound, or nearly
+        free = (step < x - self.lower) & (
+            step > x - self.upper
+        )  # other unknowns are at a bound, or nearly
         largest, at = self.largest(sizes), np.flatnonzero(free)
         least = HALF_OF_DIGITS * np.maximum(sizes, HALF_OF_DIGITS * largest)
         w, is_small = np.where(free, self.value, 0.0), n <= STEPS_UP_TO
-        own = np.zeros(n) if is_small and not w.any() else self._own_steps(free)
-        moves = free & (own * np.sign(x) > 2.0**-6 * np.maximum(sizes, 2.0**-10 * largest))
+        single = np.zeros(n) if is_small and not w.any() else self._single_steps(free)
+        moves = free & (single * np.sign(x) > 2.0**-6 * np.maximum(sizes, 2.0**-10 * largest))
         moves |= self._is_flat(free)
-        if not w.any() or not (is_small or (np.abs(own) > least).any()):
+        if not w.any() or not (is_small or (np.abs(single) > least).any()):
             return moves
         factor, step = _newton_step(self.M, w, at)
         if self.problem.jacobian is None and (factor is None or (np.abs(step) > least[at]).any()):
@@ -666,7 +672,7 @@ class LinearizedRows(RowData):
         terms: Vector = self.absolute @ np.abs(self.x) + np.abs(self.q)
         return terms
 
-    def _own_steps(self, free: BoolVector) -> Vector:
+    def _single_steps(self, free: BoolVector) -> Vector:
         """Return the change of each x_j that minimizes Σ (F_i/d_i)² of the free rows if no other unknown changes."""
         weights = np.where(free, 1.0, 0.0) / self.scale
         products, squares = self.M.T @ (weights**2 * self.value), (self.absolute**2).T @ weights**2
@@ -680,7 +686,7 @@ class LinearizedRows(RowData):
         It is the largest |F(x + δ) − F(x) − F′(x) δ|_i / d_i of five steps, the first of which is the least in
         `MOVES` that changes F_i: 1 − e⁻ˣ is constant next to a small x.
         """
-        x, found, left = self.x, np.zeros(self.x.size), np.full(self.x.size, SAMPLES)
+        x, noise, left = self.x, np.zeros(self.x.size), np.full(self.x.size, SAMPLES)
         step = -self.residual(x, self.value)
         way = np.copysign(np.maximum(np.abs(x), np.abs(step)), step)
         left[step == 0.0] = 0
@@ -689,10 +695,10 @@ class LinearizedRows(RowData):
             change = self.problem.value(near) - self.value
             error = np.abs(change - self.M @ (near - x)) / self.scale
             is_open = (left > 0) & ((change != 0.0) | (left < SAMPLES))
-            found, left = np.where(is_open, np.maximum(found, error), found), left - is_open
+            noise, left = np.where(is_open, np.maximum(noise, error), noise), left - is_open
             if not left.any():
                 break
-        return found
+        return noise
 
     def rounding_floor(self, terms: Vector, scale: Vector | None = None) -> Any:
         """Return the rounding level of each residual, with the rounding error inside F."""
@@ -718,9 +724,9 @@ class Linearization:
     def at(self, x: Vector) -> Linearization:
         """Return the linearization at another point, with the same `origin`."""
         is_origin = (x == self.origin.x).all()
-        found = self.origin if is_origin else Linearization(self.problem, x)
-        found.origin = self.origin
-        return found
+        point = self.origin if is_origin else Linearization(self.problem, x)
+        point.origin = self.origin
+        return point
 
     @derived_property
     def origin(self) -> Linearization:
@@ -758,7 +764,7 @@ class Linearization:
 
     @cached_property
     def is_defined(self) -> bool:
-        """True if F and its derivative are finite here."""
+        """True if F and its derivative are finite at x."""
         if not np.logical_and.reduce(np.isfinite(self.value)):
             return False
         try:

@@ -3,7 +3,7 @@
 The steps (:mod:`lcp_plugin.problems.nonlinear.steps`) are taken by two searches. The monotone search accepts steps
 that reduce the merit ‖Φ‖₂. The nonmonotone search compares with the worst of four points, and takes a full Newton step
 if its residual is at most ten times the least of these: on traffic networks the residual rises before it falls. Then
-both begin again at other points of the bounds: the nearest ones to 1, 0, 10 and 0.1, and random ones.
+both begin again at other points of the bounds: the nearest points to 1, 0, 10 and 0.1, and random points.
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ class JosephyNewton(Algorithm):
         searches: tuple[str, ...] = tuple(SEARCHES),
         restarts: int = RESTARTS,
     ) -> None:
-        self.first = self.here = self.tried = start
+        self.first = self.current = self.tried = start
         self.linear, self.settings, self.tolerance = linear, settings, settings.goal
         self.searches, self.restarts = searches, restarts
         self.limit: Vector | float = np.inf  # of |x|: farther unknowns have grown without limit
-        self.work, self.kind, self.length = 1.0, "start", 0.0
+        self.work, self.step_name, self.length = 1.0, "start", 0.0
         self.recent: deque[Linearization] = deque([start], 1)
         self.passed: dict[bytes, Linearization] = {}  # points of full steps, to be taken again
         self._weights: Vector | None = None
@@ -96,30 +96,30 @@ class JosephyNewton(Algorithm):
             if start is None:
                 continue
             for search in self.searches:
-                self.here, self.kind, self.length = start, "restart", 0.0
+                self.current, self.step_name, self.length = start, "restart", 0.0
                 yield self.step()
                 yield from self.steps_from(start, search)
                 if self.is_at_floor() or is_over():
                     return
 
     def step(self) -> Step:
-        """Return the point here as a step, with the work since the last one."""
+        """Return the current point as a step, with the work since the last step."""
         work, self.work, note = self.work, 0.0, ""
         if self.settings.verbose:
-            problem, worst = self.here.problem, int(np.argmax(np.abs(self.here.steps)))
+            problem, worst = self.current.problem, int(np.argmax(np.abs(self.current.steps)))
             F, slopes, _ = problem.counts
-            note = f"  {self.kind}, length {self.length:.2g}; worst {problem.names.row(worst)}; F {F}, F′ {slopes}"
-        return Step(self.here.x, work=work, measured=self.here, note=note)
+            note = f"  {self.step_name}, length {self.length:.2g}; worst {problem.names.row(worst)}; F {F}, F′ {slopes}"
+        return Step(self.current.x, work=work, measured=self.current, note=note)
 
     def steps_from(self, start: Linearization, search: str) -> Iterator[Step]:
         """Yield steps from a point until none helps, or none has for long."""
-        self.here, self.recent = start, deque([start], SEARCHES[search])
+        self.current, self.recent = start, deque([start], SEARCHES[search])
         # A jump of the residual may start a long decrease
         latest, since, grown = deque([self.progress(start)], maxlen=12), 0, 0
         least, idle = latest[0], 0
         # 25 steps without a residual clearly below the residuals before it, or 50 without a new least residual
         while since < 25 and idle < 50 and (following := self._next_point()) is not None:
-            self.here = following = self.snap(following)
+            self.current = following = self.snap(following)
             self.recent.append(following)
             yield self.step()
             size = self.progress(following)
@@ -149,7 +149,7 @@ class JosephyNewton(Algorithm):
     def other_start(self, k: int, random: np.random.Generator) -> Linearization | None:
         """Return start number k other than x₀; None if F is not defined there.
 
-        The first ones are the points of the bounds nearest to some numbers; every second one of the random others is
+        The first starts are the points of the bounds nearest to some numbers; every second random start is
         log-uniform above the lower bounds.
         """
         x, lower, upper = self.first.x, self.first.problem.lower, self.first.problem.upper
@@ -158,8 +158,8 @@ class JosephyNewton(Algorithm):
         if k > 3:
             drawn = x + size * random.standard_normal(n) * 0.5 * k
         if k > 3 and k % 2:
-            common, own = random.uniform(-3.0, 0.0), random.uniform(-1.0, 1.0, n)
-            above = lower + size * 10.0 ** (common + own)
+            common, spread = random.uniform(-3.0, 0.0), random.uniform(-1.0, 1.0, n)
+            above = lower + size * 10.0 ** (common + spread)
             drawn = np.where(np.isfinite(lower), above, drawn)
         point = self.first.at(np.clip(drawn, lower, upper))
         return point if point.is_defined else None
@@ -176,15 +176,16 @@ class JosephyNewton(Algorithm):
         is_over : callable
             Returns whether the time is over.
         """
-        here, settings = self.first, self.settings
-        is_suited = self.linear == "auto" and is_small(here) and here.x.size
+        current, settings = self.first, self.settings
+        is_suited = self.linear == "auto" and is_small(current) and current.x.size
         if not is_suited or settings.absolute_tolerance:
             return None, 0
-        problem, goal = here.problem, max(self.tolerance, SMALLEST_TOLERANCE)
-        lower, upper, unit, passed = problem.lower, problem.upper, here.scale, list[Linearization]()
+        problem, goal = current.problem, max(self.tolerance, SMALLEST_TOLERANCE)
+        lower, upper, unit = problem.lower, problem.upper, current.scale
+        passed: list[Linearization] = []
         for count in range(min(self.most_full_steps, settings.max_iterations) + 1):
-            self.here = here
-            x, w, M, scale = here.x, here.value, here.M, here.scale
+            self.current = current
+            x, w, M, scale = current.x, current.value, current.M, current.scale
             above, below, step = x - lower, x - upper, w / scale
             residual = np.abs(np.minimum(np.maximum(step, below), above))
             violation = np.maximum(np.where(above > 0.0, w, 0.0), np.where(below < 0.0, -w, 0.0))
@@ -193,23 +194,23 @@ class JosephyNewton(Algorithm):
                 least, negligible = sizes, NEGLIGIBLE * sizes
             elif not is_below(sizes, least, 0.95):
                 latest = min(map(self.progress, passed[-12:]))
-                if not self.progress(here) < 0.95 * latest and self.is_at_floor():
+                if not self.progress(current) < 0.95 * latest and self.is_at_floor():
                     break
-            passed.append(here)
+            passed.append(current)
             least = np.minimum(sizes, least)
-            terms = np.abs(M) @ np.abs(x) + np.abs(here.q)
+            terms = np.abs(M) @ np.abs(x) + np.abs(current.q)
             if np.maximum.reduce(residual) <= goal * np.maximum.reduce(terms / scale):
-                return here, count
+                return current, count
             is_flat = not np.logical_and.reduce(sizes > negligible) and self.is_flat()
             if is_flat or is_over() or count in (self.most_full_steps, settings.max_iterations):
                 break
             if (change := small_step(M, w, -above, -below, scale)) is None:
                 break
-            point = here.at(moved(here, change))
+            point = current.at(moved(current, change))
             self.passed[point.x.tobytes()] = self.tried = point
             if not self._is_better(point, residual) or not point.is_defined:
                 break
-            here = point
+            current = point
         return None, 0
 
     def _is_better(self, point: Linearization, residual: Vector) -> bool:
@@ -217,67 +218,68 @@ class JosephyNewton(Algorithm):
 
         The tests of single rows imply the tests by weighted norms, for any weights, and take less time.
         """
-        here, lower, upper = self.here, point.problem.lower, point.problem.upper
-        there = np.maximum(point.value / here.scale, point.x - upper)
+        current, lower, upper = self.current, point.problem.lower, point.problem.upper
+        there = np.maximum(point.value / current.scale, point.x - upper)
         there = np.abs(np.minimum(there, point.x - lower))
         if not is_below(there, residual, 0.5):
-            phi = [np.abs(self.phi(one)) for one in (point, here)]
+            phi = [np.abs(self.phi(place)) for place in (point, current)]
             if not is_below(phi[0], phi[1], 0.9999):
-                target, self.recent = Target("Newton", point.x, (1.0,)), deque([here])
+                target, self.recent = Target("Newton", point.x, (1.0,)), deque([current])
                 if self.full_step(target) is None and self.search(target) is None:
                     return False
-        if self.first is here.origin:
+        if self.first is current.origin:
             return True
-        near = 1e-4 * np.maximum.reduce(np.abs(self.first.x - here.origin.x))
-        is_far = (np.abs(point.x - here.origin.x) > near).all()
+        near = 1e-4 * np.maximum.reduce(np.abs(self.first.x - current.origin.x))
+        is_far = (np.abs(point.x - current.origin.x) > near).all()
         return bool(is_far) or self.snap(point) is point
 
     # --- one step ----------------------------------------------------------------------------------------
 
     def _next_point(self) -> Linearization | None:
         """Return the next point; None if no step helps, the time is over, or rounding explains the residual."""
-        here = self.here
-        if not here.steps.any():
+        current = self.current
+        if not current.steps.any():
             return None
-        if here.is_small(self.settings):  # rows in the far field fail
-            point = self._at(measure_finished(row_data(here.lcp), here.x, self.tolerance).z)
+        if current.is_small(self.settings):  # rows in the far field fail
+            point = self._at(measure_finished(row_data(current.lcp), current.x, self.tolerance).z)
             if (
                 point.is_defined
-                and point.certificate.term_residual < here.certificate.term_residual
+                and point.certificate.term_residual < current.certificate.term_residual
             ):
-                self.kind = "finish"
+                self.step_name = "finish"
                 return point
         if self.is_flat():  # a root without slope
-            sizes = np.abs(here.x)
-            flushed = np.where(sizes <= NEGLIGIBLE_DIAGONAL * sizes.max(), here.origin.x, here.x)
-            if (point := self._at(flushed)).is_defined and point.passes(self.settings):
-                self.kind = "limit"
+            sizes = np.abs(current.x)
+            is_zero = sizes <= NEGLIGIBLE_DIAGONAL * sizes.max()
+            point = self._at(np.where(is_zero, current.origin.x, current.x))
+            if point.is_defined and point.passes(self.settings):
+                self.step_name = "limit"
                 return point
-        for target in targets(self.here, self.linear, self.tolerance):
-            self.kind, self.length = target.kind, 1.0
-            found = self.full_step(target) or self.search(target)
-            if found is not None or is_over() or (target.kind == "Newton" and self.is_at_floor()):
-                return found
+        for target in targets(self.current, self.linear, self.tolerance):
+            self.step_name, self.length = target.name, 1.0
+            better = self.full_step(target) or self.search(target)
+            if better is not None or is_over() or (target.name == "Newton" and self.is_at_floor()):
+                return better
         return None
 
     def is_flat(self) -> bool:
-        """Return whether the residual is negligible next to the first one."""
-        return self.size_of(self.here) <= NEGLIGIBLE * self.size_of(self.first)
+        """Return whether the residual is negligible next to the residual of the start."""
+        return self.size_of(self.current) <= NEGLIGIBLE * self.size_of(self.first)
 
     def full_step(self, target: Target) -> Linearization | None:
-        """Return the target if it has less than half of the residual here, in the scale here."""
-        here, point = self.here, self._at(target.x)
-        there = here.data.residual(point.x, point.value)
-        sizes = [np.maximum.reduce(np.abs(self.weights * one)) for one in (there, here.steps)]
-        return point if sizes[0] < 0.5 * sizes[1] and point.is_defined else None
+        """Return the target if it has less than half of the current residual, in the current scale."""
+        current, point = self.current, self._at(target.x)
+        there = current.data.residual(point.x, point.value)
+        size, before = (np.abs(self.weights * steps).max() for steps in (there, current.steps))
+        return point if size < 0.5 * before and point.is_defined else None
 
     def search(self, target: Target) -> Linearization | None:
         """Return the first point on the way to the target that is better."""
-        here, is_newton, tried = self.here, target.kind == "Newton", 0
-        worst = target.share * max(map(self._merit, self.recent if is_newton else (here,)))
+        current, is_newton, tried = self.current, target.name == "Newton", 0
+        worst = target.share * max(map(self._merit, self.recent if is_newton else (current,)))
         for length in target.lengths:
-            x = target.x if length == 1.0 else here.x + length * (target.x - here.x)
-            if tried == TRIALS or (x == here.x).all():
+            x = target.x if length == 1.0 else current.x + length * (target.x - current.x)
+            if tried == TRIALS or (x == current.x).all():
                 break
             point = self._at(x)
             if not np.logical_and.reduce(np.isfinite(point.value)):
@@ -288,7 +290,7 @@ class JosephyNewton(Algorithm):
             is_lenient = is_newton and length == 1.0 and len(self.recent) > 1
             if not (is_better or is_lenient) or not point.is_defined:
                 continue
-            if is_better or point.residual <= 10.0 * min(one.residual for one in self.recent):
+            if is_better or point.residual <= 10.0 * min(recent.residual for recent in self.recent):
                 self.length = length
                 return point
         return None
@@ -303,18 +305,20 @@ class JosephyNewton(Algorithm):
     # --- what is measured ----------------------------------------------------------------------------------
 
     def _merit(self, point: Linearization) -> float:
-        """Return ‖Φ‖₂ with the row scales of the linearization here; ∞ if F is undefined."""
+        """Return ‖Φ‖₂ with the row scales of the current linearization; ∞ if F is undefined."""
         if not np.isfinite(point.value).all():
             return math.inf
         return float(np.linalg.norm(self.weights * self.phi(point)))
 
     def phi(self, point: Linearization) -> Vector:
-        """Return Φ with the row scales of the linearization here."""
-        return fischer_burmeister(point.problem, point.x, point.value, row_scale(self.here)).value
+        """Return Φ with the row scales of the current linearization."""
+        return fischer_burmeister(
+            point.problem, point.x, point.value, row_scale(self.current)
+        ).value
 
     def is_at_floor(self) -> bool:
-        """Return whether only rounding in F keeps the point here from passing."""
-        return self.here.is_limited(self.settings)
+        """Return whether only rounding in F keeps the current point from passing."""
+        return self.current.is_limited(self.settings)
 
     def size_of(self, point: Linearization) -> float:
         """Return the largest residual or violation, in the units of the start.
@@ -338,5 +342,5 @@ class JosephyNewton(Algorithm):
 
 
 def is_below(values: Vector, others: Vector, share: float) -> bool:
-    """Return whether each value is 0 or below its share of the other one, so that weighted norms are."""
+    """Return whether each value is 0 or below its share of the other value, so that weighted norms are."""
     return bool(np.logical_and.reduce((values < share * others) | (values == 0.0)))

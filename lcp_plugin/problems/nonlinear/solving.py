@@ -131,22 +131,22 @@ def solve_nonlinear(
     with threads_for(settings.threads):
         first, begun = begin_at(Linearization(problem, start))
         searches = tuple(SEARCHES) if search is None else (search,)
-        has_doubts, found = check_jacobian and problem.jacobian is not None, None
+        has_doubts, result = check_jacobian and problem.jacobian is not None, None
         make = partial(JosephyNewton, first, algorithm, settings, searches, restarts)
         run = NonlinearRun(make(), progress, has_doubts=has_doubts)
         try:
             if has_doubts:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
             if searches[0] == "monotone" and not progress.is_watched:
-                found = run.leap(begun)
-            if found is None:
+                result = run.leap(begun)
+            if result is None:
                 passed, run.newton = run.newton.passed, make()
                 newton, run.newton.passed = run.newton, passed
                 stage = Stage(newton, TANGENTS, steps=newton.iterates(problem, first.x))
                 end = run.follow_all([stage])
         except KeyboardInterrupt:
             end = Status.INTERRUPTED
-        return replace(run.result(end), begun=begun) if found is None else found
+        return replace(run.result(end), begun=begun) if result is None else result
 
 
 def begin_at(first: Linearization) -> tuple[Linearization, str]:
@@ -239,15 +239,15 @@ class NonlinearRun(Run):
         size = point.residual if is_shown else self.newton.size_of(point)
         return Measured(point, size, self._passes(point))
 
-    def keep(self, found: Measured) -> None:
+    def keep(self, measured: Measured) -> None:
         """Keep a point that passes, or whose violation in the units of the start is the least."""
-        point, scale = found.z, self.newton.first.data.scale
+        point, scale = measured.z, self.newton.first.data.scale
         violation = np.maximum(
             point.value * (point.x > point.problem.lower),
             -point.value * (point.x < point.problem.upper),
         )
         size = float(np.maximum.reduce(self.newton.weights * violation / scale, initial=0.0))
-        super().keep(found._replace(residual=size))
+        super().keep(measured._replace(residual=size))
 
     def _is_far(self, point: Linearization) -> bool:
         """Return whether an unknown is as large as at a point from which it grew."""
@@ -265,13 +265,13 @@ class NonlinearRun(Run):
         x = point.data.snap_to_bounds(point.x, point.value)
         if np.array_equal(x, point.x) or not (moved := point.at(x)).is_defined:
             return point
-        meets = [one.passes(self.settings) for one in (point, moved)]
+        meets = [place.passes(self.settings) for place in (point, moved)]
         is_no_worse = moved.residual <= point.residual if meets[0] == meets[1] else meets[1]
         return moved if is_no_worse else point
 
-    def end_of(self, stage: Stage, step: Step, found: Measured) -> Status | None:
+    def end_of(self, stage: Stage, step: Step, measured: Measured) -> Status | None:
         """Return DIVERGED if a residual is not a number."""
-        return Status.DIVERGED if math.isnan(self.newton.size_of(found.z)) else None
+        return Status.DIVERGED if math.isnan(self.newton.size_of(measured.z)) else None
 
     def result(self, end: Status) -> Result:
         """Return the result: the best point, moved to near bounds unless Ctrl-C ended the run."""
@@ -279,8 +279,8 @@ class NonlinearRun(Run):
         point: Linearization = newton.first if self.best is None else self.best.z
         passes = self.best is not None and self.best.passes
         if not (passes or is_interrupted):
-            # Rounding in one row decides which point is best, and other rows may be better at the last one
-            point = self._snap(newton.here if newton.is_at_floor() else point)
+            # Rounding in one row decides which point is best, and other rows may be better at the last point
+            point = self._snap(newton.current if newton.is_at_floor() else point)
             passes = self._passes(point)
         is_open = not (passes or is_interrupted or self._is_far(point))
         is_limited = is_open and point.is_limited(self.settings)
@@ -353,11 +353,11 @@ def jacobian_warning(point: Linearization) -> str:
     slope, terms = M @ direction, abs(M) @ size
     there = [read_only(x + step * direction) for step in CHECKED]
     quotients = [
-        (problem.evaluate(one) - point.value) / step
-        for one, step in zip(there, CHECKED, strict=True)
+        (problem.evaluate(near) - point.value) / step
+        for near, step in zip(there, CHECKED, strict=True)
     ]
     value = np.asarray(point.value)
-    is_single = np.array_equal(value, value.astype(np.float32))  # F's own digits
+    is_single = np.array_equal(value, value.astype(np.float32))  # the digits of F
     rounding = np.abs(value) * (2.0**-23 if is_single else 2.0**-52)
     wrong = np.minimum(
         *(

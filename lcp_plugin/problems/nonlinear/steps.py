@@ -45,7 +45,7 @@ from .data import SMALLEST_TOLERANCE, Linearization
 HALVINGS = tuple(0.5**k for k in range(30))  # step lengths of Newton steps
 SHIFTS = 1e-3, 1e-1, 10.0  # of the residual scale: proximal steps
 DAMPINGS, DAMPED = (1e-6, 1e-3, 0.1, 10.0, 1e3), (1.0, 0.3, 0.1, 0.03)  # Levenberg–Marquardt
-FORCING = 0.01  # of the residual here: tolerance of a linearization far from a solution
+FORCING = 0.01  # of the residual at x: tolerance of a linearization far from a solution
 FLAT = (
     2.0**-20
 )  # of the largest row: F′ may vanish with x, as of a power at 0, and so the unit of its rows
@@ -58,7 +58,7 @@ class Target(NamedTuple):
 
     Attributes
     ----------
-    kind : str
+    name : str
         "Newton", "active set", "proximal" or "Levenberg–Marquardt".
     x : array, shape (n,)
     lengths : tuple of float
@@ -67,69 +67,69 @@ class Target(NamedTuple):
         The merit must fall below this share.
     """
 
-    kind: str
+    name: str
     x: Vector
     lengths: tuple[float, ...]
     share: float = 1.0
 
 
-def targets(here: Linearization, linear: str | Algorithm, tolerance: float) -> Iterator[Target]:
+def targets(point: Linearization, linear: str | Algorithm, tolerance: float) -> Iterator[Target]:
     """Yield the targets from a point; the LCP of a linearization is solved by the algorithm `linear`."""
     step = None
-    if linear == "auto" and not is_small(here) and here.x.size <= ACTIVE_SETS_UP_TO:
-        for shift in (0.0, min(1.0, max(here.residual, 1e-8)), 1.0):
-            yield from _active_set_targets(here, shift)
-        phi, H = phi_and_jacobian(here)
+    if linear == "auto" and not is_small(point) and point.x.size <= ACTIVE_SETS_UP_TO:
+        for shift in (0.0, min(1.0, max(point.residual, 1e-8)), 1.0):
+            yield from _active_set_targets(point, shift)
+        phi, H = phi_and_jacobian(point)
         if (step := solve_shifted(H, 0.0, -phi)) is not None:
-            yield Target("semismooth", moved(here, step), (1.0,), 0.5)
+            yield Target("semismooth", moved(point, step), (1.0,), 0.5)
     for shift in (0.0, *SHIFTS):
-        if (target := lcp_step(here, linear, tolerance, shift)) is not None:
-            yield Target("proximal" if shift else "Newton", moved(here, target), HALVINGS)
-        if step is None and not shift and is_small(here):
-            phi, H = phi_and_jacobian(here)
+        if (target := lcp_step(point, linear, tolerance, shift)) is not None:
+            yield Target("proximal" if shift else "Newton", moved(point, target), HALVINGS)
+        if step is None and not shift and is_small(point):
+            phi, H = phi_and_jacobian(point)
             step = solve_shifted(H, 0.0, -phi)
         if step is not None and not shift:
-            yield Target("semismooth", moved(here, step), HALVINGS)
-    phi, H = phi_and_jacobian(here)
+            yield Target("semismooth", moved(point, step), HALVINGS)
+    phi, H = phi_and_jacobian(point)
     gradient, size = H.T @ phi, math.sqrt(phi @ phi / max(phi.size, 1))
     normal = H.T @ H
     for damping in DAMPINGS:
         if (step := solve_shifted(normal, damping * size, -gradient)) is not None:
-            yield Target("Levenberg–Marquardt", moved(here, step), DAMPED)
+            yield Target("Levenberg–Marquardt", moved(point, step), DAMPED)
 
 
-def is_small(here: Linearization) -> bool:
+def is_small(point: Linearization) -> bool:
     """Return whether linearizations are solved on arrays."""
-    return here.x.size <= SMALL_DENSE and isinstance(here.M, np.ndarray)
+    return point.x.size <= SMALL_DENSE and isinstance(point.M, np.ndarray)
 
 
-def moved(here: Linearization, step: Vector) -> Vector:
+def moved(point: Linearization, step: Vector) -> Vector:
     """Return x plus a step, exactly on the bounds that it reaches."""
-    x, lower, upper = here.x, here.problem.lower, here.problem.upper
+    x, lower, upper = point.x, point.problem.lower, point.problem.upper
     target = np.where(step <= lower - x, lower, x + step)
     target = np.where(step >= upper - x, upper, target)
     return np.minimum(np.maximum(target, lower), upper)
 
 
 def lcp_step(
-    here: Linearization, linear: str | Algorithm, tolerance: float, shift: float = 0.0
+    point: Linearization, linear: str | Algorithm, tolerance: float, shift: float = 0.0
 ) -> Vector | None:
     """Return a solution d of the LCP of (M + shift D) d + F(x) on the bounds of d, or None.
 
     The tolerance is tied to the relative residual at x. The unknown is d, because the residual at x is then the
-    reference, and of several solutions one near x is found.
+    reference, and of several solutions a solution near x results.
     """
-    M, w, lower, upper = step_data(here, shift)
-    if linear == "auto" and is_small(here):
-        return small_step(M, w, lower, upper, (1.0 + shift) * here.data.scale)
-    problem = step_problem(here, shift)
+    M, w, lower, upper = step_data(point, shift)
+    if linear == "auto" and is_small(point):
+        return small_step(M, w, lower, upper, (1.0 + shift) * point.data.scale)
+    problem = step_problem(point, shift)
     # A linearization needs no smaller residual than a tenth of the tolerance
-    relative, enough = here.residual, FORCING
+    relative, enough = point.residual, FORCING
     if relative > 0.0:
         enough = max(0.1 * tolerance / relative, SMALLEST_TOLERANCE)
     try:
         result = solve_within(problem, linear, min(max(relative, enough), FORCING))
-    except (UnsuitableMatrix, UnsuitableProblem):  # the algorithm does not take this one
+    except (UnsuitableMatrix, UnsuitableProblem):  # the algorithm does not take this problem
         if linear == "auto":
             raise
         result = solve_within(problem, "auto", min(max(relative, enough), FORCING))
@@ -137,9 +137,9 @@ def lcp_step(
 
 
 def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector) -> Vector | None:
-    """Return d with lower ≤ d ≤ upper complementary to M d + w, to half of the residual of 0; None if none is found.
+    """Return d with lower ≤ d ≤ upper complementary to M d + w, to half of the residual of 0; None if the search fails.
 
-    The active set of 0 is tried first; d is returned at once if that is its own active set.
+    The active set of 0 is tried first; d is returned at once if that is the active set of d.
     """
     step = w / scale
     most = 0.5 * np.maximum.reduce(
@@ -177,62 +177,62 @@ def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector
     return best
 
 
-def _active_set_targets(here: Linearization, shift: float) -> Iterator[Target]:
-    """Yield the ends of linear solves on active sets of M + shift D, until one reproduces itself or is singular."""
-    problem, zero = step_problem(here, shift), np.zeros(here.x.size)
+def _active_set_targets(point: Linearization, shift: float) -> Iterator[Target]:
+    """Yield the ends of linear solves on active sets of M + shift D, until a set reproduces itself or is singular."""
+    problem, zero = step_problem(point, shift), np.zeros(point.x.size)
     before = classify(problem, zero, problem.q)
     for _ in range(ACTIVE_SETS):
-        found = solve_active_set(problem, *before, near=zero)
-        if found is None or found.system.is_singular or is_over():
+        solution = solve_active_set(problem, *before, near=zero)
+        if solution is None or solution.system.is_singular or is_over():
             return
-        now = classify(problem, found.z, problem.slack(found.z))
+        now = classify(problem, solution.z, problem.slack(solution.z))
         is_last = all(map(np.array_equal, before, now))
         lengths, share = (
             (HALVINGS, 1.0) if is_last and not shift else ((1.0,), 0.8 if shift == 1.0 else 0.5)
         )
         if is_last or not shift:
             yield Target(
-                "proximal" if shift else "active set", moved(here, found.z), lengths, share
+                "proximal" if shift else "active set", moved(point, solution.z), lengths, share
             )
         if is_last:
             return
         before = now
 
 
-def step_data(here: Linearization, shift: float) -> tuple[Any, ...]:
+def step_data(point: Linearization, shift: float) -> tuple[Any, ...]:
     """Return M + shift D, the slack F(x) of d = 0, and the bounds of d."""
-    M, w, x = here.M, here.value, here.x
+    M, w, x = point.M, point.value, point.x
     if shift:
-        D = shift * without_flat_rows(here.data.scale)
+        D = shift * without_flat_rows(point.data.scale)
         M = M + (sp.diags_array(D) if sp.issparse(M) else np.diag(D))
-    return M, w, here.data.lower - x, here.data.upper - x
+    return M, w, point.data.lower - x, point.data.upper - x
 
 
-def step_problem(here: Linearization, shift: float) -> LCP:
+def step_problem(point: Linearization, shift: float) -> LCP:
     """Return the LCP of these data; the facts about M are shared with the linearization if nothing is shifted."""
-    M, w, lower, upper = step_data(here, shift)
-    return LCP(M if shift else here.lcp.matrix, w, lower=lower, upper=upper)
+    M, w, lower, upper = step_data(point, shift)
+    return LCP(M if shift else point.lcp.matrix, w, lower=lower, upper=upper)
 
 
-def phi_and_jacobian(here: Linearization) -> tuple[Vector, Any]:
+def phi_and_jacobian(point: Linearization) -> tuple[Vector, Any]:
     """Return Φ(x), shape (n,), and an element H of its generalized Jacobian, shape (n, n)."""
-    scale = row_scale(here)
-    phi = fischer_burmeister(here.data, here.x, here.value, scale)
+    scale = row_scale(point)
+    phi = fischer_burmeister(point.data, point.x, point.value, scale)
     rows = phi.by_w / scale
-    if sp.issparse(here.M):
-        return phi.value, sp.csr_array(sp.diags_array(rows) @ here.M + sp.diags_array(phi.by_z))
-    H = here.M * rows[:, None]
+    if sp.issparse(point.M):
+        return phi.value, sp.csr_array(sp.diags_array(rows) @ point.M + sp.diags_array(phi.by_z))
+    H = point.M * rows[:, None]
     H[np.diag_indices_from(H)] += phi.by_z
     return phi.value, H
 
 
-def row_scale(here: Linearization) -> Vector:
+def row_scale(point: Linearization) -> Vector:
     """Return the largest |entry| of each row of F′, of flat rows more."""
-    return without_flat_rows(largest_in_rows(here.M))
+    return without_flat_rows(largest_in_rows(point.M))
 
 
 def without_flat_rows(sizes: Vector) -> Vector:
-    """Return sizes of rows, at least FLAT times the largest one; 1 if all are 0."""
+    """Return sizes of rows, at least FLAT times the largest size; 1 if all are 0."""
     return np.maximum(sizes, FLAT * sizes.max(initial=0.0) or 1.0)
 
 

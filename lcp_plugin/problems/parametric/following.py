@@ -143,7 +143,7 @@ class MonotoneGraphs:
 
 
 class Motion(NamedTuple):
-    """Values and rates of rows on given steps, shape (2, n), and their errors, shape (n,).
+    """Values and rates of rows on their steps, shape (2, n), and their errors, shape (n,).
 
     Attributes
     ----------
@@ -167,7 +167,7 @@ class Motion(NamedTuple):
 
     def first_end(self, sign: float = 1.0) -> tuple[float, Change | None]:
         """Return the distance to the first end of a step, and the row that changes."""
-        reached, found = np.inf, []
+        reached, candidates = np.inf, []
         for gap, way in ((self.low, -1), (self.high, 1)):
             rate = sign * gap[1]
             moving = np.flatnonzero(rate < -self.slow)
@@ -176,12 +176,12 @@ class Motion(NamedTuple):
             reached = min(
                 reached, float((ahead + self.rounding[moving] / speed).min(initial=np.inf))
             )
-            found.append((moving, ahead, speed, way))
+            candidates.append((moving, ahead, speed, way))
         if reached == np.inf:
             return np.inf, None
-        least = min(float(ahead.min(initial=np.inf)) for _, ahead, _, _ in found)
+        least = min(float(ahead.min(initial=np.inf)) for _, ahead, _, _ in candidates)
         best, fastest = None, 0.0
-        for moving, ahead, speed, way in found:
+        for moving, ahead, speed, way in candidates:
             tied = np.where(ahead <= reached, speed, 0.0)
             if tied.max(initial=0.0) > fastest:
                 k = int(np.argmax(tied))
@@ -233,7 +233,7 @@ class Follower:
             # A breakpoint so near the last value is none
             is_last = changed is None or length >= stop - self.t - 1e-10 * stop
             end = stop if is_last else self.t + length
-            # A piece of rounding alone, which the next one takes in
+            # A piece of rounding errors only, which the next piece takes in
             if end - begin > 1e-14 * stop or is_last:
                 rate = motion.z[1]
                 z = np.array([motion.z[0] + (begin - self.t) * rate, rate])
@@ -298,7 +298,9 @@ def _solve_block(block: Vector, right: Vector, sizes: Vector, near: Vector) -> V
         return np.asarray(solution.T)
     there = np.array([near, np.zeros_like(near)])
     missing = right - there @ block.T
-    found = there + np.linalg.lstsq(block, missing.T, rcond=1e-12)[0].T
-    terms = np.abs(right) + sizes * np.abs(found).sum(axis=1, keepdims=True)
-    left = np.abs(right - found @ block.T)
-    return found if (left <= 1e-9 * terms).all() else None  # largest residual of a singular system
+    nearest = there + np.linalg.lstsq(block, missing.T, rcond=1e-12)[0].T
+    terms = np.abs(right) + sizes * np.abs(nearest).sum(axis=1, keepdims=True)
+    left = np.abs(right - nearest @ block.T)
+    return (
+        nearest if (left <= 1e-9 * terms).all() else None
+    )  # largest residual of a singular system

@@ -130,9 +130,9 @@ class PathPoint(Outcome):
         if isinstance(self.problem, (LCP, NonlinearProblem)):
             criterion = resolve_name(f"lcp_plugin.{CLASSES[str(class_of(self.problem))].criterion}")
             data, x, w, _ = criterion(self.problem, self.x)
-            found = data.measure_at(x, w, tolerance)
-            is_solved = bool(found.passes)
-            is_near = bool(data.are_limited(found, tolerance))
+            measured = data.measure_at(x, w, tolerance)
+            is_solved = bool(measured.passes)
+            is_near = bool(data.are_limited(measured, tolerance))
         elif self.solution is not None:
             is_solved = self.solution.is_optimal(tolerance)
             is_near = not is_solved and self.solution.error <= near
@@ -211,14 +211,14 @@ class Path(Outcome):
     @derived_property
     def statuses(self) -> list[Status]:
         """The worst status of each segment, in its interior and just inside its begin and end."""
-        found = []
+        worst = []
         for piece in self.pieces:
             # Integers would cancel at a simple fraction
             middle = piece.begin + 0.3819660112501051 * (piece.end - piece.begin)
             inner = (end + 1e-5 * (middle - end) for end in (piece.begin, piece.end))
             known = [self.at(theta, piece).status for theta in (middle, *inner)]
-            found.append(next(one for one in WORST_FIRST if one in known))
-        return found
+            worst.append(next(status for status in WORST_FIRST if status in known))
+        return worst
 
     @derived_property
     def status(self) -> Status:
@@ -229,7 +229,7 @@ class Path(Outcome):
             return Status.INFEASIBLE
         if self.reached != self.stop:
             return Status.STALLED
-        return next(one for one in WORST_FIRST if one in self.statuses)
+        return next(status for status in WORST_FIRST if status in self.statuses)
 
     @property
     def proof(self) -> Any:
@@ -298,7 +298,7 @@ class Path(Outcome):
         """Return a summary of the path in a few lines."""
         inner = self.breakpoints[1:-1]
         shown = ", ".join(f"{value:.6g}" for value in inner[:BREAKPOINTS_SHOWN])
-        rest = (
+        more = (
             f", and {inner.size - BREAKPOINTS_SHOWN} more" if inner.size > BREAKPOINTS_SHOWN else ""
         )
         count, reached = format_count(len(self.pieces), "piece"), f"{self.reached:.9g}"
@@ -306,7 +306,7 @@ class Path(Outcome):
         shape = "smooth" if is_smooth else "affine"
         lines = [
             f"{self.status.name}: {count}, {shape} in θ, from {self.start:.6g} to {reached}{self._why}",
-            f"breakpoints: {shown or 'none'}{rest}",
+            f"breakpoints: {shown or 'none'}{more}",
             *([MISSED] if is_smooth else []),
             *(f"the solution jumps at {value:.9g}" for value in self.jumps),
             *(f"at {value:.6g} it jumps along a line of solutions" for value in self.segments),

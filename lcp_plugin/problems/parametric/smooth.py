@@ -1,7 +1,7 @@
 """Following the solution of a nonlinear problem along a parameter: smooth segments between changes of the active set.
 
-The derivative of a solution with respect to t = |θ − start| predicts the next one, and Newton's method corrects the
-prediction; their distance determines the length of the next step. If the active set changes in a step, its first change
+The derivative of a solution with respect to t = |θ − start| predicts the next solution, and Newton's method corrects
+the prediction; their distance determines the length of the next step. If the active set changes in a step, its first change
 is located by the derivative, and by bisection.
 """
 
@@ -111,7 +111,7 @@ class SmoothFollower:
                     return
                 nodes, step, goal, beyond = [beyond], longest, stop, None
                 continue
-            # Just beyond a predicted change: further on, other rows may change, or this one return to its side. If
+            # Just beyond a predicted change: further on, other rows may change, or this row return to its side. If
             # rounding alone makes w ≠ 0, a change is predicted at once.
             step = min(step, longest, max(1.01 * last.motion.first_end()[0], self.span / 1024.0))
             t = min(last.t + step, goal)
@@ -120,15 +120,15 @@ class SmoothFollower:
                 x = node.motion.z[0]
                 error = np.abs(x - guess).max() / (PREDICTION * (1.0 + np.abs(x).max()))
                 nodes += [node] if error <= 1.0 else []
-            elif node is not None and (found := self._first_change(last, node)) is not None:
-                goal, beyond = found[0].t, found[1]
+            elif node is not None and (change := self._first_change(last, node)) is not None:
+                goal, beyond = change[0].t, change[1]
                 continue
             step *= min(max(0.9 * max(error, 1e-9) ** -0.5, 0.25), 4.0)
         if len(nodes) > 1:
             yield begin, nodes[-1].t, nodes, None
 
     def _first_change(self, low: Node, high: Node) -> tuple[Node, Node] | None:
-        """Return solutions just before and just beyond the first change of sides; None if one is not found."""
+        """Return solutions just before and just beyond the first change of sides; None if a solution fails."""
         near, newest = NEAR * self.span, high
         for k in count():
             if high.t - low.t <= 2.0 * near:
@@ -144,16 +144,16 @@ class SmoothFollower:
         return low, high
 
     def _node(self, t: float, guess: Vector) -> Node | None:
-        """Return the solution at t near a guess; None if Newton's method does not lead to one with a derivative."""
+        """Return the solution at t near a guess; None if Newton's method leads to no solution with a derivative."""
         step = STEP * self.span if 2.0 * t < self.span else -STEP * self.span
-        problem, other = (self.line.at(self.line.theta(one)) for one in (t, t + step))
+        problem, other = (self.line.at(self.line.theta(place)) for place in (t, t + step))
         options = {"max_iterations": 10, "restarts": 0, "check_jacobian": False}
         try:
             result = solve(problem, x0=guess, tolerance=self.line.tolerance, **options)
             # Rows within the tolerance may be on another side of x than of the solution
             at, tangent = derivative(result), result.certificate.problem
             x, dq = at.z, (other.value(at.z) - problem.value(at.z)) / step
-            bounds, moved = (np.array([one.lower, one.upper]) for one in (problem, other))
+            bounds, moved = (np.array([place.lower, place.upper]) for place in (problem, other))
             rates = np.where(np.isfinite(bounds), (moved - bounds) / step, 0.0)
             change = np.array([dq, *rates])
             dx, back = (at.jvp(dq=a, dlower=b, dupper=c) for a, b, c in (change, -change))

@@ -52,9 +52,9 @@ def trace(
         scalar Parameter, whose value is θ, or ``{parameter: direction}``, added to its present value.
         ``path.value(x, θ)`` is then the value of a variable.
     start, stop : float
-        Either may be the larger one.
+        Either may be larger.
     tolerance : float, optional
-        As in `solve`: 1e-6 for a program, 1e-8 for others.
+        As in `solve`: 1e-6 for a program, 1e-8 for other problems.
 
     Returns
     -------
@@ -75,10 +75,10 @@ def trace(
     -----
     The cost is one solve at start, then one dense factorization of the unknowns off their bounds per breakpoint. The
     path may reach a singular breakpoint, or turn back if the matrix is not monotone. The problem is then solved again
-    just beyond, and the new segment is extended back to the old one.
+    just beyond, and the new segment is extended back to the old segment.
 
     Along a nonlinear F, ``path.at(θ)`` solves again from the path. ``path.x`` and ``path.derivative`` interpolate the
-    computed solutions, of which each is predicted from the one before within 10⁻³. A row that leaves its bound and
+    computed solutions, of which each is predicted from the solution before within 10⁻³. A row that leaves its bound and
     returns within a step, at most 1/32 of the way, may be missed. A path that turns back ends, or jumps to a solution
     beyond.
 
@@ -161,19 +161,21 @@ class Line:
             self.function, along = along, {"q": 0.0}
         if not isinstance(along, Mapping) or not along:
             raise InvalidOption(f'along must name data, as in {{"q": direction}}, got {along!r}')
-        self.directions = {str(name): self._check_change(name, one) for name, one in along.items()}
+        self.directions = {
+            str(name): self._check_change(name, change) for name, change in along.items()
+        }
 
     def _check_change(self, name: str, change: Any) -> Vector:
         """Return the change of a vector for θ + 1, shape (size,)."""
-        kind, names = type(self.problem).__name__, self.family.vectors
+        class_name, names = type(self.problem).__name__, self.family.vectors
         if name in self.family.matrices:
             raise InvalidOption(
-                f"vectors of {kind} may move, not {name}: the solution is not piecewise affine in {name}; solve_batch "
-                "takes a list of problems. If θ multiplies P, divide the objective by it and move c"
+                f"vectors of {class_name} may move, not {name}: the solution is not piecewise affine in {name}; "
+                "solve_batch takes a list of problems. If θ multiplies P, divide the objective by it and move c"
             )
         if name not in names:
             others = f"{did_you_mean(name, names)}; {', '.join(names)} may move"
-            raise InvalidOption(f"along={{{name!r}: …}} is not a vector of {kind}{others}")
+            raise InvalidOption(f"along={{{name!r}: …}} is not a vector of {class_name}{others}")
         now: Vector = getattr(self.problem, name)
         if is_number(change):  # it moves all bounds that there are
             return read_only(np.where(np.isfinite(now), float(change), 0.0))
@@ -261,9 +263,9 @@ class Line:
         slope = problem.apply_transpose(problem.apply_weights(residual)) + problem.ridge * x
         slope += problem.l1 * np.sign(x)
         gram = (A.T @ A).toarray() if problem.is_sparse else A.T @ A
-        found = np.array(x)
-        found[free] -= np.linalg.lstsq(gram + problem.ridge * np.eye(free.size), slope[free])[0]
-        return read_only(np.clip(found, problem.lower, problem.upper))
+        refined = np.array(x)
+        refined[free] -= np.linalg.lstsq(gram + problem.ridge * np.eye(free.size), slope[free])[0]
+        return read_only(np.clip(refined, problem.lower, problem.upper))
 
     @cached_property
     def is_monotone(self) -> bool:
@@ -306,8 +308,8 @@ def _matrix_conditions(line: Line) -> MonotoneGraphs:
             f"trace takes up to {MAX_ROWS} rows, got {stated.n}; solve_batch(problem, Q) solves at given values"
         )
     *rows, lower, upper = map(line.slope, line.family.vectors)
-    rest = np.zeros(stated.n - lower.size)  # bounds of multipliers
-    slopes = np.concatenate(rows), np.append(lower, rest), np.append(upper, rest)
+    zeros = np.zeros(stated.n - lower.size)  # bounds of multipliers
+    slopes = np.concatenate(rows), np.append(lower, zeros), np.append(upper, zeros)
     values = stated.q, stated.lower, stated.upper
     return MonotoneGraphs.of_matrix(stated.matrix.csr, *map(line.pair, values, slopes))
 
@@ -434,7 +436,7 @@ class _Trace:
             piece = Piece(begin, self.line.theta(end), z[:n], slope[:n], case, z, slope)
         self.reached = end
         before = path.pieces[-1].z_at(piece.begin) if path.pieces else piece.z0
-        change, size = (np.abs(one).max(initial=0.0) for one in (before - piece.z0, before))
+        change, size = (np.abs(vector).max(initial=0.0) for vector in (before - piece.z0, before))
         # The solution moves no farther over the shortest of these distances
         if change > 1e-4 * (1.0 + size):
             # All solutions of a monotone problem are one convex set.

@@ -1,8 +1,8 @@
 """Following the solution of a nonlinear problem along a parameter: smooth segments between changes of the active set.
 
 The derivative of a solution with respect to t = |θ − start| predicts the next solution, and Newton's method corrects
-the prediction; their distance determines the length of the next step. If the active set changes in a step, its first change
-is located by the derivative, and by bisection.
+the prediction; their distance determines the length of the next step. If the active set changes in a step, its first
+change is located by the derivative, and by bisection.
 """
 
 from __future__ import annotations

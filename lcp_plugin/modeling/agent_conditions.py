@@ -81,7 +81,7 @@ def function_of(name: str) -> tuple[Any, Any]:
 
 
 class SimpleBound(NamedTuple):
-    """Rows that bound one decision each: weights · decisions[places] ≤ weights · bound.
+    """Rows that bound one decision each: weights · decisions[places] ≤ weights · end.
 
     Attributes
     ----------
@@ -89,14 +89,14 @@ class SimpleBound(NamedTuple):
         None for bounds that attributes state.
     places : ndarray of int
     weights : ndarray
-    bound : ndarray or cvxpy expression
-        With parameters an expression.
+    end : ndarray or cvxpy expression
+        An expression if the bound has parameters.
     """
 
     rows: StandardRows | None
     places: Indices
     weights: Vector
-    bound: Any
+    end: Any
 
 
 class StandardRows(NamedTuple):
@@ -133,9 +133,9 @@ class StandardRows(NamedTuple):
             ends = np.broadcast_to(dense(side.value), constraint.shape)
             always = np.inf if k else -np.inf
             limit = cp.Constant(np.where(ends == always, 0.0, ends))
-            rest = constraint.args[0] - limit if k else limit - constraint.args[1]
+            difference = constraint.args[0] - limit if k else limit - constraint.args[1]
             kept = np.flatnonzero(by_columns(ends) != always)
-            expression = vector_of(rest)[kept]
+            expression = vector_of(difference)[kept]
         if not expression.size:
             return []
         for leaf in (*expression.constants(), *expression.parameters()):
@@ -155,9 +155,9 @@ class StandardRows(NamedTuple):
         """Return values of the rows in the shape of the constraint, 0 in other entries; None for None."""
         if values is None:
             return None
-        found = np.zeros(expression_of(self.origin).shape).ravel()
-        found[self.kept] = by_columns(values)
-        return found.reshape(expression_of(self.origin).shape, order="F")
+        entries = np.zeros(expression_of(self.origin).shape).ravel()
+        entries[self.kept] = by_columns(values)
+        return entries.reshape(expression_of(self.origin).shape, order="F")
 
 
 def _entries(value: Any) -> Any:
@@ -167,7 +167,7 @@ def _entries(value: Any) -> Any:
 class AgentProgram:
     """An agent's program without kinks, read as rows over its decisions and over all that it does not influence.
 
-    It is one class because the conditions refer to the decisions, multipliers and domains that the reading has found.
+    It is one class because the conditions refer to the decisions, multipliers and domains that were read.
 
     Parameters
     ----------
@@ -195,13 +195,15 @@ class AgentProgram:
 
     def __init__(self, agent: Any) -> None:
         program = agent.program
-        self.agent, self.own = agent, {variable.id for variable, _ in agent.entries}
-        known, epigraphs, new = {one.id for one in program.variables()}, [], {}
+        self.agent, self.decision_ids = agent, {variable.id for variable, _ in agent.entries}
+        known, epigraphs, new = {variable.id for variable in program.variables()}, [], {}
 
         def change(node: cp.Expression) -> Any:
             graph = GRAPHS.get(type(node))
             is_smooth = graph is None and not isinstance(node, NONSMOOTH)
-            if is_smooth or self.own.isdisjoint(one.id for one in node.variables()):
+            if is_smooth or self.decision_ids.isdisjoint(
+                variable.id for variable in node.variables()
+            ):
                 return node
             if graph is None:
                 raise UnsupportedModel(
@@ -210,76 +212,95 @@ class AgentProgram:
                     'check="local"'
                 )
             value, inequalities = graph(node, node.args)
-            for one in (value, *inequalities):
-                new.update({each.id: each for each in one.variables() if each.id not in known})
-            self.own.update(new)
+            for part in (value, *inequalities):
+                new.update(
+                    {
+                        variable.id: variable
+                        for variable in part.variables()
+                        if variable.id not in known
+                    }
+                )
+            self.decision_ids.update(new)
             epigraphs.extend(inequalities)
             return value
 
         of_F = agent.F is not None
         self.goal = cp.Constant(0.0) if of_F else rewritten(program.objective.args[0], change)
-        stated = {one.id: one for one in program.constraints}.values()  # each once
-        self.standard = [row for one in stated for row in StandardRows.of(one, change)]
-        self.standard += [row for one in epigraphs for row in StandardRows.of(one)]
+        stated = {
+            constraint.id: constraint for constraint in program.constraints
+        }.values()  # each once
+        self.standard = [
+            row for constraint in stated for row in StandardRows.of(constraint, change)
+        ]
+        self.standard += [row for inequality in epigraphs for row in StandardRows.of(inequality)]
         self.has_kinks = bool(new)
-        self.entries = [*agent.entries, *((one, np.arange(one.size)) for one in new.values())]
+        self.entries = [
+            *agent.entries,
+            *((variable, np.arange(variable.size)) for variable in new.values()),
+        ]
         self.decisions = joined([*agent.decisions, *new.values()])
-        none = [cp.Constant(np.zeros(one.size)) for one in new.values()]  # F of epigraphs
-        self.F = joined([agent.F, *none]) if of_F else None
-        spans, size = spans_of({one.id: one for one, _ in self.entries})
-        #: The first number of each variable's entries, and the decision with a number; −1 if it is none.
+        zeros = [
+            cp.Constant(np.zeros(variable.size)) for variable in new.values()
+        ]  # F of epigraphs
+        self.F = joined([agent.F, *zeros]) if of_F else None
+        spans, size = spans_of({variable.id: variable for variable, _ in self.entries})
+        #: The first number of each variable's entries, and the decision with a number; −1 if it is not a decision.
         self.first, self.place = {key: span.start for key, span in spans.items()}, np.full(size, -1)
-        numbers = np.concatenate([self.first[one.id] + columns for one, columns in self.entries])
+        numbers = np.concatenate(
+            [self.first[variable.id] + columns for variable, columns in self.entries]
+        )
         self.place[numbers] = np.arange(numbers.size)
         self.reader = Reader(takes_integers=True)
-        self.roots = [self.goal, *(one.expression for one in self.standard)]
+        self.roots = [self.goal, *(standard.expression for standard in self.standard)]
         # Keys larger than any id of a variable
-        nodes = enumerate(uninfluenced(self.roots, self.own), 2**61)
-        sources = {one.id if isinstance(one, cp.Variable) else k: one for k, one in nodes}
+        nodes = enumerate(uninfluenced(self.roots, self.decision_ids), 2**61)
+        sources = {
+            source.id if isinstance(source, cp.Variable) else k: source for k, source in nodes
+        }
         self.reader.hold(sources)
-        sources |= {one.id: one for one, _ in self.entries}
+        sources |= {variable.id: variable for variable, _ in self.entries}
         #: Expressions behind the sources as vectors, by their keys; a function is added at its first use.
-        self.sources = {key: vector_of(one) for key, one in sources.items()}
+        self.sources = {key: vector_of(source) for key, source in sources.items()}
         self.rows: dict[int, tuple[Complements, Any]] = {}
         self.values: dict[int, list[Any]] = {}  # the arguments of functions, by their keys
         self.bounds: list[SimpleBound] = []
-        none = [np.full(numbers.size, end) for end in (-np.inf, np.inf)]
-        self._read_ends = 0, none  # how many bounds were read, and the ends by them
+        no_bounds = [np.full(numbers.size, end) for end in (-np.inf, np.inf)]
+        self._read_ends = 0, no_bounds  # how many bounds were read, and the ends by them
         self._state()
 
     def _state(self) -> None:
         """Read the constraints; write the pairs of multipliers, and of decisions with the gradient."""
         sense = cp.Constant([sense_of(self.agent.program)])
         weighted: list[tuple[Rows, Any]] = [(self.reader.rows(self.goal), sense)]
-        read = [(one, self.reader.rows(one.expression)) for one in self.standard]
-        left = [(one, own) for one, own in read if not self._add_bound(one, own)]
-        self.domain = domain_of(self.roots, self.own)
-        for row in (row for one in self.domain for row in self._inside(one)):
+        read = [(standard, self.reader.rows(standard.expression)) for standard in self.standard]
+        left = [(standard, rows) for standard, rows in read if not self._add_bound(standard, rows)]
+        self.domain = domain_of(self.roots, self.decision_ids)
+        for row in (row for condition in self.domain for row in self._inside(condition)):
             self._add_bound(*row)  # may imply other conditions
-        inside = [row for one in self.domain for row in self._inside(one)]
-        for one, own in left + [row for row in inside if self._simple(*row) is None]:
-            multiplier = cp.Variable(one.expression.shape)
-            if one.origin.id in self.agent.shared:
-                if one.expression.size < expression_of(one.origin).size:
+        inside = [row for condition in self.domain for row in self._inside(condition)]
+        for standard, rows in left + [row for row in inside if self._simple(*row) is None]:
+            multiplier = cp.Variable(standard.expression.shape)
+            if standard.origin.id in self.agent.shared:
+                if standard.expression.size < expression_of(standard.origin).size:
                     raise UnsupportedModel(
-                        f"the shared constraint {name_of(one.origin)} is infinite in some entries; leave them out"
+                        f"the shared constraint {name_of(standard.origin)} is infinite in some entries; leave them out"
                     )
-                multiplier = one.origin.dual_variables[0]
+                multiplier = standard.origin.dual_variables[0]
             if multiplier.value is None and self.decisions.value is not None:
                 multiplier.value = np.zeros(multiplier.shape)  # a start for the run
-            weighted.append((own, vector_of(multiplier)))
-            first = box(multiplier, -np.inf if one.is_equation else 0.0, np.inf)
-            kind = "value" if one.is_equation else "nonnegative"
-            second = Side(-one.expression, kind, one.origin)
-            self.rows[one.origin.id] = Complements(first, second), multiplier
+            weighted.append((rows, vector_of(multiplier)))
+            first = box(multiplier, -np.inf if standard.is_equation else 0.0, np.inf)
+            kind = "value" if standard.is_equation else "nonnegative"
+            second = Side(-standard.expression, kind, standard.origin)
+            self.rows[standard.origin.id] = Complements(first, second), multiplier
         first = box(self.decisions, *self._ends())
         gradient = self._gradient(weighted)
         gradient = gradient if self.F is None else self.F + gradient
         self.stationarity = Complements(first, Side(gradient, "value"))
 
-    def _add_bound(self, one: StandardRows, own: Rows) -> bool:
+    def _add_bound(self, standard: StandardRows, rows: Rows) -> bool:
         """Store rows that only bound decisions; return whether they do."""
-        if (bound := self._simple(one, own)) is not None:
+        if (bound := self._simple(standard, rows)) is not None:
             self.bounds.append(bound)
         return bound is not None
 
@@ -295,45 +316,50 @@ class AgentProgram:
             i, j, a = matrix.row[used], matrix.col[used], matrix.data[used]
             np.add.at(largest, i, a * np.where(a > 0.0, high[j], low[j]))
         if (needed := np.flatnonzero(largest > 0.0)).size:
-            (one,) = StandardRows.of(vector_of(expression)[needed] <= 0)
+            (standard,) = StandardRows.of(vector_of(expression)[needed] <= 0)
             rows = rows.taken(needed)
-            if not domain.is_steep or self._simple(one, rows) is not None:
-                yield one, rows
+            if not domain.is_steep or self._simple(standard, rows) is not None:
+                yield standard, rows
 
     def _range(self, key: int) -> list[Vector]:
         """Return bounds of the entries of a source, from numbers and signs, for all values of parameters."""
         source = self._source(key)
         ends = 0.0 if source.is_nonneg() else -np.inf, 0.0 if source.is_nonpos() else np.inf
-        found = [np.full(source.size, end) for end in ends]
+        bounds = [np.full(source.size, end) for end in ends]
         if key in self.first:
             places = self.place[self.first[key] :][: source.size]
-            for own, end in zip(found, self._ends(is_numeric=True), strict=True):
-                own[places >= 0] = end[places[places >= 0]]
-        return found
+            for bound, end in zip(bounds, self._ends(is_numeric=True), strict=True):
+                bound[places >= 0] = end[places[places >= 0]]
+        return bounds
 
     def _gradient(self, weighted: list[tuple[Rows, Any]]) -> Any:
         """Return the gradient of Σ weights · rows by all decisions; its functions are elementary functions again."""
-        groups, active = self.reader.compiler.groups, set(self.own)
+        groups, active = self.reader.compiler.groups, set(self.decision_ids)
         for _, _, arguments, key in groups:
             if any(not active.isdisjoint(rows.blocks) for rows in arguments):
                 active.add(key)
-        found: dict[int, list[Any]] = {key: [] for key in active}
+        adjoints: dict[int, list[Any]] = {key: [] for key in active}
 
         def distribute(rows: Rows, weights: Vector) -> None:
             for key in active.intersection(rows.blocks):
                 block = rows.blocks[key]
-                found[key].append(times(block if isinstance(block, float) else block.T, weights))
+                adjoints[key].append(times(block if isinstance(block, float) else block.T, weights))
 
         for rows, weights in weighted:
             distribute(rows, weights)
         for _, function, arguments, key in reversed(groups):
-            if found.get(key):
+            if adjoints.get(key):
                 result, values = self._source(key), self.values[key]
                 slopes = function_of(function.name)[1](result, *values)
                 for rows, slope in zip(arguments, slopes, strict=True):
-                    distribute(rows, cp.multiply(sum(found[key]), slope))
-        zeros = {one.id: cp.Constant(np.zeros(one.size)) for one, _ in self.entries}
-        return joined([sum(found[v.id], zeros[v.id])[own] for v, own in self.entries])
+                    distribute(rows, cp.multiply(sum(adjoints[key]), slope))
+        zeros = {variable.id: cp.Constant(np.zeros(variable.size)) for variable, _ in self.entries}
+        return joined(
+            [
+                sum(adjoints[variable.id], zeros[variable.id])[columns]
+                for variable, columns in self.entries
+            ]
+        )
 
     @property
     def pairs(self) -> list[Complements]:
@@ -342,86 +368,89 @@ class AgentProgram:
 
     def duals(self) -> dict[int, Any]:
         """Return the dual values by the id of the constraint; the tightest bound takes w⁺ or w⁻ of its decision."""
-        found = {
-            one.origin.id: one.whole(self.rows[one.origin.id][1].value)
-            for one in self.standard
-            if one.origin.id in self.rows
+        duals = {
+            standard.origin.id: standard.whole(self.rows[standard.origin.id][1].value)
+            for standard in self.standard
+            if standard.origin.id in self.rows
         }
         if (w := self.stationarity.dual_value) is None:
-            return found
+            return duals
         left = np.maximum(w, 0.0), np.maximum(-w, 0.0)
-        for one in self.bounds:
-            value = np.broadcast_to(getattr(one.bound, "value", one.bound), one.weights.shape)
+        for bound in self.bounds:
+            value = np.broadcast_to(getattr(bound.end, "value", bound.end), bound.weights.shape)
             dual = np.zeros(value.size)
             for is_upper, end in enumerate(self.stationarity.first.bounds()):
-                is_tight = ((one.weights > 0.0) == is_upper) & (value == end[one.places])
-                places = one.places[is_tight]
-                dual[is_tight] = left[is_upper][places] / np.abs(one.weights[is_tight])
+                is_tight = ((bound.weights > 0.0) == is_upper) & (value == end[bound.places])
+                places = bound.places[is_tight]
+                dual[is_tight] = left[is_upper][places] / np.abs(bound.weights[is_tight])
                 left[is_upper][places] = 0.0
-            if one.rows is not None:
-                found[one.rows.origin.id] = one.rows.whole(dual)
+            if bound.rows is not None:
+                duals[bound.rows.origin.id] = bound.rows.whole(dual)
         zeros = {
-            one.id: np.zeros(expression_of(one).shape) for one in self.agent.program.constraints
+            constraint.id: np.zeros(expression_of(constraint).shape)
+            for constraint in self.agent.program.constraints
         }
-        return zeros | found
+        return zeros | duals
 
     # --- bounds ---
 
     @cached_property
     def _of_attributes(self) -> list[SimpleBound]:
         """Bounds by the attributes of the variables."""
-        found = []
+        bounds = []
         for variable, columns in self.entries:
-            given = variable.attributes.get("bounds") or ()
-            is_symbolic = any(isinstance(one, cp.Expression) for one in given)
+            stated = variable.attributes.get("bounds") or ()
+            is_symbolic = any(isinstance(part, cp.Expression) for part in stated)
             ends = (attribute_expressions if is_symbolic else attribute_bounds)(variable)
             places = self.place[self.first[variable.id] + columns]
             for sign, end in zip((-1.0, 1.0), ends, strict=True):
                 whole = end + np.zeros(variable.shape)
                 bound = (vector_of if is_symbolic else by_columns)(whole)[columns]
-                found.append(SimpleBound(None, places, np.full(columns.size, sign), bound))
-        return found
+                bounds.append(SimpleBound(None, places, np.full(columns.size, sign), bound))
+        return bounds
 
     def _ends(self, *, is_numeric: bool = False) -> list[Any]:
         """Return the lower and the upper bounds of all decisions, by attributes and constraints, or by numbers only."""
         stated, (count, ends) = [*self._of_attributes, *self.bounds], self._read_ends
-        for one in stated[count:]:
-            if not isinstance(one.bound, cp.Expression):
-                values = np.broadcast_to(one.bound, one.weights.shape)
+        for bound in stated[count:]:
+            if not isinstance(bound.end, cp.Expression):
+                values = np.broadcast_to(bound.end, bound.weights.shape)
                 for is_side, extreme, end in (
-                    (one.weights < 0.0, np.maximum, ends[0]),
-                    (one.weights > 0.0, np.minimum, ends[1]),
+                    (bound.weights < 0.0, np.maximum, ends[0]),
+                    (bound.weights > 0.0, np.minimum, ends[1]),
                 ):
-                    extreme.at(end, one.places[is_side], values[is_side])
+                    extreme.at(end, bound.places[is_side], values[is_side])
         self._read_ends = len(stated), ends
         if is_numeric:
             return ends
         # The constants of an expression must be finite; box reads 1e30 as ∞
-        found: list[Any] = [np.clip(end, -1e30, 1e30) for end in ends]
-        for one in (one for one in stated if isinstance(one.bound, cp.Expression)):
+        expressions: list[Any] = [np.clip(end, -1e30, 1e30) for end in ends]
+        for bound in (bound for bound in stated if isinstance(bound.end, cp.Expression)):
             for k, (sign, extreme) in enumerate(((-1.0, cp.maximum), (1.0, cp.minimum))):
-                rows = np.flatnonzero(sign * one.weights > 0.0)
-                places, shape = one.places[rows], (self.decisions.size, one.weights.size)
+                rows = np.flatnonzero(sign * bound.weights > 0.0)
+                places, shape = bound.places[rows], (self.decisions.size, bound.weights.size)
                 others = np.full(self.decisions.size, sign * 1e30)
                 others[places] = 0.0
-                own = sp.csc_array((np.ones(rows.size), (places, rows)), shape) @ one.bound + others
-                found[k] = extreme(found[k], own)
-        return found
+                by_decision = (
+                    sp.csc_array((np.ones(rows.size), (places, rows)), shape) @ bound.end + others
+                )
+                expressions[k] = extreme(expressions[k], by_decision)
+        return expressions
 
-    def _simple(self, one: StandardRows, rows: Rows) -> SimpleBound | None:
+    def _simple(self, standard: StandardRows, rows: Rows) -> SimpleBound | None:
         """Return the bounds that rows state if each holds one decision and numbers or parameters; otherwise None."""
-        own = {key: block for key, block in rows.blocks.items() if key in self.own}
-        others = {key: block for key, block in rows.blocks.items() if key not in self.own}
-        is_excluded = rows.level or one.is_equation or one.origin.id in self.agent.shared
-        if is_excluded or not own or any(self.sources[key].variables() for key in others):
+        decided = {key: block for key, block in rows.blocks.items() if key in self.decision_ids}
+        others = {key: block for key, block in rows.blocks.items() if key not in self.decision_ids}
+        is_excluded = rows.level or standard.is_equation or standard.origin.id in self.agent.shared
+        if is_excluded or not decided or any(self.sources[key].variables() for key in others):
             return None
-        matrix, _ = assembled([replace(rows, blocks=own)], self.first, self.place.size)
+        matrix, _ = assembled([replace(rows, blocks=decided)], self.first, self.place.size)
         places, weights = self.place[matrix.indices], matrix.data
         if not (is_definition(matrix) and weights.all() and (places >= 0).all()):
             return None
-        rest = self._expression(replace(rows, blocks=others)) if others else rows.offset
+        shift = self._expression(replace(rows, blocks=others)) if others else rows.offset
         times = cp.multiply if others else np.multiply
-        return SimpleBound(one, places, weights, times(-1.0 / weights, rest))
+        return SimpleBound(standard, places, weights, times(-1.0 / weights, shift))
 
     # --- expressions of cvxpy ---
 
@@ -456,7 +485,7 @@ def times(block: Any, vector: Any) -> Any:
 
 def joined(parts: Sequence[Any]) -> Any:
     """Return one vector of all entries."""
-    vectors = [vector_of(one) for one in parts]
+    vectors = [vector_of(part) for part in parts]
     return cp.hstack(vectors) if len(vectors) > 1 else vectors[0]
 
 
@@ -474,60 +503,77 @@ class Domain(NamedTuple):
     is_steep: bool
 
 
-def domain_of(roots: Iterable[Any], own: set[int]) -> list[Domain]:
+def domain_of(roots: Iterable[Any], decision_ids: set[int]) -> list[Domain]:
     """Return the conditions on the agent's variables under which expressions are defined, as y >= 0 of log(y), y**3."""
     nodes = {id(node): node for root in roots for node in postorder(root, ())}
-    return [one for node in nodes.values() for one in _own_domain(node, own)]
+    return [condition for node in nodes.values() for condition in _node_domain(node, decision_ids)]
 
 
-def _own_domain(node: cp.Expression, own: set[int]) -> list[Domain]:
+def _node_domain(node: cp.Expression, decision_ids: set[int]) -> list[Domain]:
     """Return the conditions of one node."""
     exponent = node.p.value if isinstance(node, Power) else 0.0
-    if not node.args or exponent is None or own.isdisjoint(one.id for one in node.variables()):
+    if (
+        not node.args
+        or exponent is None
+        or decision_ids.isdisjoint(variable.id for variable in node.variables())
+    ):
         return []
     is_steep = not (isinstance(node, cp.xexp) or np.all(exponent > 1.0))
-    found = [Domain(one, is_steep) for one in node._domain()]
-    return [one for one in found if not own.isdisjoint(v.id for v in one.condition.variables())]
+    domain = [Domain(constraint, is_steep) for constraint in node._domain()]
+    return [
+        condition
+        for condition in domain
+        if not decision_ids.isdisjoint(variable.id for variable in condition.condition.variables())
+    ]
 
 
-def violated_domain(roots: Iterable[Any], own: set[int]) -> Any:
+def violated_domain(roots: Iterable[Any], decision_ids: set[int]) -> Any:
     """Return a condition of the domain that present values violate; None if there is none."""
-    for one, _ in domain_of(roots, own):
-        size = max(np.abs(dense(each.value)).max(initial=1.0) for each in one.variables())
+    for condition, _ in domain_of(roots, decision_ids):
+        size = max(
+            np.abs(dense(variable.value)).max(initial=1.0) for variable in condition.variables()
+        )
         # Size is max(1, |x|): a condition of the domain is violated by more than rounding
-        if not np.all(dense(one.expr.value) <= 1e-8 * size):
-            return one
+        if not np.all(dense(condition.expr.value) <= 1e-8 * size):
+            return condition
     return None
 
 
-def value_in_domain(expression: cp.Expression, own: set[int]) -> Any:
+def value_in_domain(expression: cp.Expression, decision_ids: set[int]) -> Any:
     """Return the value of an expression, with arguments at least at the boundary of their domain."""
 
     def change(node: cp.Expression) -> Any:
-        least = {id(one.args[1]): one.args[0] for one, _ in _own_domain(node, own)}
+        least = {
+            id(condition.args[1]): condition.args[0]
+            for condition, _ in _node_domain(node, decision_ids)
+        }
         inside = [cp.maximum(least[id(k)], k) if id(k) in least else k for k in node.args]
         return node.copy(inside) if least else node
 
     return rewritten(expression, change).value
 
 
-def uninfluenced(roots: Iterable[Any], own: Collection[int]) -> list[Any]:
+def uninfluenced(roots: Iterable[Any], decision_ids: Collection[int]) -> list[Any]:
     """Return the largest subexpressions with variables or parameters, but without the agent's variables."""
     moving: set[int] = set()
     influenced: set[int] = set()
-    found: dict[int, Any] = {}
+    largest: dict[int, Any] = {}
     for root in roots:
         for node in postorder(root, ()):
-            below = [id(one) for one in node.args]
+            below = [id(argument) for argument in node.args]
             if isinstance(node, (cp.Variable, cp.Parameter)) or not moving.isdisjoint(below):
                 moving.add(id(node))
-            is_own = isinstance(node, cp.Variable) and node.id in own
-            if is_own or not influenced.isdisjoint(below):
+            is_decision = isinstance(node, cp.Variable) and node.id in decision_ids
+            if is_decision or not influenced.isdisjoint(below):
                 influenced.add(id(node))
-                found |= {id(one): one for one in node.args if id(one) not in influenced}
+                largest |= {
+                    id(argument): argument
+                    for argument in node.args
+                    if id(argument) not in influenced
+                }
         if id(root) not in influenced:
-            found[id(root)] = root
-    return [one for key, one in found.items() if key in moving]
+            largest[id(root)] = root
+    return [expression for key, expression in largest.items() if key in moving]
 
 
 def with_data(entries: Sequence[Any], data: Mapping[int, Any]) -> Callable[[Any], Any]:

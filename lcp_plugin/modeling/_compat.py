@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -68,12 +68,17 @@ NONSMOOTH = (
 KINKS = {kind: graph for kind, graph in CANON_METHODS.items() if kind is not cp.cumsum}
 
 
-def postorder(root: cp.Expression, stop: Container[int]) -> list[Any]:
-    """Return the nodes below the root once each, arguments first; nothing below a node whose id is in `stop`.
+def by_id(objects: Iterable[Any]) -> dict[int, Any]:
+    """Return variables, parameters or constraints by their ids, each once."""
+    return {item.id: item for item in objects}
+
+
+def postorder(roots: Sequence[Any], stop: Container[int] = ()) -> list[Any]:
+    """Return the nodes below the roots once each, arguments first; nothing below a node whose id is in `stop`.
 
     Without recursion: a sum written in a Python loop may be thousands of atoms deep.
     """
-    nodes, seen, stack = [], set(), [(root, False)]
+    nodes, seen, stack = [], set(), [(root, False) for root in reversed(roots)]
     while stack:
         node, is_expanded = stack.pop()
         if is_expanded:
@@ -245,21 +250,17 @@ def values_below(roots: list[Any]) -> dict[int, Any]:
     """Return the values of all nodes of expressions, by their ids, at the present values of variables and parameters.
 
     cvxpy's ``value`` queries all parameters below every node, and recurses from node to node, however deep they are.
-    Here each is computed once.
+    Here each value is computed once.
     """
     values: dict[int, Any] = {}
-    for root in roots:
-        for node in postorder(root, values):
-            if id(node) in values:
-                continue
-            if isinstance(node, cp.Variable):
-                value = leaf_value(node)
-                values[id(node)] = value.toarray() if sp.issparse(value) else value
-            elif not node.args:
-                values[id(node)] = node.value
-            else:
-                arguments = [values[id(argument)] for argument in node.args]
-                values[id(node)] = np.zeros(0) if 0 in node.shape else node.numeric(arguments)
+    for node in postorder(roots):
+        if isinstance(node, cp.Variable):
+            values[id(node)] = dense(leaf_value(node))
+        elif not node.args:
+            values[id(node)] = node.value
+        else:
+            arguments = [values[id(argument)] for argument in node.args]
+            values[id(node)] = np.zeros(0) if 0 in node.shape else node.numeric(arguments)
     return values
 
 
@@ -310,7 +311,4 @@ def expression_of(constraint: cp.Constraint) -> Any:
 
 def dense_value(value: Any) -> NDArray[np.float64]:
     """Return the real part of a value as a dense array."""
-    if type(value) is np.ndarray and value.dtype == np.float64:
-        return value
-    array = value.toarray() if sp.issparse(value) else np.asarray(value)
-    return np.asarray(array.real, dtype=np.float64)
+    return np.asarray(np.asarray(dense(value)).real, dtype=np.float64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -25,6 +25,7 @@ from ._compat import (
     attribute_bounds,
     attribute_expressions,
     by_columns,
+    by_id,
     dense,
     expression_of,
     name_of,
@@ -152,12 +153,10 @@ class StandardRows(NamedTuple):
         return [cls(constraint, expression, is_equation, kept)]
 
     def whole(self, values: object) -> Any:
-        """Return values of the rows in the shape of the constraint, 0 in other entries; None for None."""
-        if values is None:
-            return None
-        entries = np.zeros(expression_of(self.origin).shape).ravel()
+        """Return values of the rows in the shape of the constraint, 0 in other entries."""
+        entries = np.zeros(self.origin.size)
         entries[self.kept] = by_columns(values)
-        return entries.reshape(expression_of(self.origin).shape, order="F")
+        return entries.reshape(self.origin.shape, order="F")
 
 
 def _entries(value: Any) -> Any:
@@ -195,15 +194,14 @@ class AgentProgram:
 
     def __init__(self, agent: Any) -> None:
         program = agent.program
-        self.agent, self.decision_ids = agent, {variable.id for variable, _ in agent.entries}
-        known, epigraphs, new = {variable.id for variable in program.variables()}, [], {}
+        known, epigraphs, new = by_id(program.variables()), [], {}
+        self.agent, self.variables = agent, by_id(variable for variable, _ in agent.entries)
+        self.decision_ids = set(self.variables)
 
         def change(node: cp.Expression) -> Any:
             graph = GRAPHS.get(type(node))
             is_smooth = graph is None and not isinstance(node, NONSMOOTH)
-            if is_smooth or self.decision_ids.isdisjoint(
-                variable.id for variable in node.variables()
-            ):
+            if is_smooth or self.decision_ids.isdisjoint(by_id(node.variables())):
                 return node
             if graph is None:
                 raise UnsupportedModel(
@@ -213,54 +211,35 @@ class AgentProgram:
                 )
             value, inequalities = graph(node, node.args)
             for part in (value, *inequalities):
-                new.update(
-                    {
-                        variable.id: variable
-                        for variable in part.variables()
-                        if variable.id not in known
-                    }
-                )
+                new.update(by_id(v for v in part.variables() if v.id not in known))
             self.decision_ids.update(new)
             epigraphs.extend(inequalities)
             return value
 
         of_F = agent.F is not None
         self.goal = cp.Constant(0.0) if of_F else rewritten(program.objective.args[0], change)
-        stated = {
-            constraint.id: constraint for constraint in program.constraints
-        }.values()  # each once
-        self.standard = [
-            row for constraint in stated for row in StandardRows.of(constraint, change)
-        ]
+        stated = by_id(program.constraints).values()
+        self.standard = [row for item in stated for row in StandardRows.of(item, change)]
         self.standard += [row for inequality in epigraphs for row in StandardRows.of(inequality)]
         self.has_kinks = bool(new)
-        self.entries = [
-            *agent.entries,
-            *((variable, np.arange(variable.size)) for variable in new.values()),
-        ]
+        self.variables |= new
+        self.entries = [*agent.entries, *((v, np.arange(v.size)) for v in new.values())]
         self.decisions = joined([*agent.decisions, *new.values()])
-        zeros = [
-            cp.Constant(np.zeros(variable.size)) for variable in new.values()
-        ]  # F of epigraphs
+        zeros = [cp.Constant(np.zeros(v.size)) for v in new.values()]  # F of epigraphs
         self.F = joined([agent.F, *zeros]) if of_F else None
-        spans, size = spans_of({variable.id: variable for variable, _ in self.entries})
+        spans, size = spans_of(self.variables)
         #: The first number of each variable's entries, and the decision with a number; −1 if it is not a decision.
         self.first, self.place = {key: span.start for key, span in spans.items()}, np.full(size, -1)
-        numbers = np.concatenate(
-            [self.first[variable.id] + columns for variable, columns in self.entries]
-        )
+        numbers = np.concatenate([self.first[v.id] + columns for v, columns in self.entries])
         self.place[numbers] = np.arange(numbers.size)
         self.reader = Reader(takes_integers=True)
         self.roots = [self.goal, *(standard.expression for standard in self.standard)]
         # Keys larger than any id of a variable
         nodes = enumerate(uninfluenced(self.roots, self.decision_ids), 2**61)
-        sources = {
-            source.id if isinstance(source, cp.Variable) else k: source for k, source in nodes
-        }
-        self.reader.hold(sources)
-        sources |= {variable.id: variable for variable, _ in self.entries}
+        held = {node.id if isinstance(node, cp.Variable) else k: node for k, node in nodes}
+        self.reader.hold(held)
         #: Expressions behind the sources as vectors, by their keys; a function is added at its first use.
-        self.sources = {key: vector_of(source) for key, source in sources.items()}
+        self.sources = {key: vector_of(node) for key, node in (held | self.variables).items()}
         self.rows: dict[int, tuple[Complements, Any]] = {}
         self.values: dict[int, list[Any]] = {}  # the arguments of functions, by their keys
         self.bounds: list[SimpleBound] = []
@@ -273,15 +252,15 @@ class AgentProgram:
         sense = cp.Constant([sense_of(self.agent.program)])
         weighted: list[tuple[Rows, Any]] = [(self.reader.rows(self.goal), sense)]
         read = [(standard, self.reader.rows(standard.expression)) for standard in self.standard]
-        left = [(standard, rows) for standard, rows in read if not self._add_bound(standard, rows)]
+        others = [row for row in read if not self._add_bound(*row)]
         self.domain = domain_of(self.roots, self.decision_ids)
         for row in (row for condition in self.domain for row in self._inside(condition)):
             self._add_bound(*row)  # may imply other conditions
         inside = [row for condition in self.domain for row in self._inside(condition)]
-        for standard, rows in left + [row for row in inside if self._simple(*row) is None]:
+        for standard, rows in others + [row for row in inside if self._simple(*row) is None]:
             multiplier = cp.Variable(standard.expression.shape)
             if standard.origin.id in self.agent.shared:
-                if standard.expression.size < expression_of(standard.origin).size:
+                if standard.expression.size < standard.origin.size:
                     raise UnsupportedModel(
                         f"the shared constraint {name_of(standard.origin)} is infinite in some entries; leave them out"
                     )
@@ -306,17 +285,14 @@ class AgentProgram:
 
     def _inside(self, domain: Domain) -> Iterator[tuple[StandardRows, Rows]]:
         """Yield the rows of a condition of the domain that bounds, signs and slopes do not imply."""
-        expression = StandardRows.of(domain.condition)[0].expression
-        rows = self.reader.rows(expression)
+        rows = self.reader.rows(domain.condition.expr)
         largest = rows.offset.copy()
         for key, block in rows.blocks.items():
             low, high = self._range(key)
-            matrix = sp.coo_array(as_matrix(block, rows.size))
-            used = np.flatnonzero(matrix.data)  # 0 · ∞ is NaN
-            i, j, a = matrix.row[used], matrix.col[used], matrix.data[used]
+            i, j, a = sp.find(as_matrix(block, rows.size))  # without zeros: 0 · ∞ is NaN
             np.add.at(largest, i, a * np.where(a > 0.0, high[j], low[j]))
         if (needed := np.flatnonzero(largest > 0.0)).size:
-            (standard,) = StandardRows.of(vector_of(expression)[needed] <= 0)
+            (standard,) = StandardRows.of(vector_of(domain.condition.expr)[needed] <= 0)
             rows = rows.taken(needed)
             if not domain.is_steep or self._simple(standard, rows) is not None:
                 yield standard, rows
@@ -353,13 +329,11 @@ class AgentProgram:
                 slopes = function_of(function.name)[1](result, *values)
                 for rows, slope in zip(arguments, slopes, strict=True):
                     distribute(rows, cp.multiply(sum(adjoints[key]), slope))
-        zeros = {variable.id: cp.Constant(np.zeros(variable.size)) for variable, _ in self.entries}
-        return joined(
-            [
-                sum(adjoints[variable.id], zeros[variable.id])[columns]
-                for variable, columns in self.entries
-            ]
-        )
+        total = {
+            key: sum(adjoints[key], cp.Constant(np.zeros(variable.size)))
+            for key, variable in self.variables.items()
+        }
+        return joined([total[variable.id][columns] for variable, columns in self.entries])
 
     @property
     def pairs(self) -> list[Complements]:
@@ -368,13 +342,12 @@ class AgentProgram:
 
     def duals(self) -> dict[int, Any]:
         """Return the dual values by the id of the constraint; the tightest bound takes w⁺ or w⁻ of its decision."""
-        duals = {
-            standard.origin.id: standard.whole(self.rows[standard.origin.id][1].value)
-            for standard in self.standard
-            if standard.origin.id in self.rows
-        }
         if (w := self.stationarity.dual_value) is None:
-            return duals
+            return {}
+        duals = {row.id: np.zeros(row.shape) for row in self.agent.program.constraints}
+        for standard in self.standard:
+            if (key := standard.origin.id) in self.rows:
+                duals[key] = standard.whole(self.rows[key][1].value)
         left = np.maximum(w, 0.0), np.maximum(-w, 0.0)
         for bound in self.bounds:
             value = np.broadcast_to(getattr(bound.end, "value", bound.end), bound.weights.shape)
@@ -386,11 +359,7 @@ class AgentProgram:
                 left[is_upper][places] = 0.0
             if bound.rows is not None:
                 duals[bound.rows.origin.id] = bound.rows.whole(dual)
-        zeros = {
-            constraint.id: np.zeros(expression_of(constraint).shape)
-            for constraint in self.agent.program.constraints
-        }
-        return zeros | duals
+        return duals
 
     # --- bounds ---
 
@@ -431,10 +400,8 @@ class AgentProgram:
                 places, shape = bound.places[rows], (self.decisions.size, bound.weights.size)
                 others = np.full(self.decisions.size, sign * 1e30)
                 others[places] = 0.0
-                by_decision = (
-                    sp.csc_array((np.ones(rows.size), (places, rows)), shape) @ bound.end + others
-                )
-                expressions[k] = extreme(expressions[k], by_decision)
+                spread = sp.csc_array((np.ones(rows.size), (places, rows)), shape)
+                expressions[k] = extreme(expressions[k], spread @ bound.end + others)
         return expressions
 
     def _simple(self, standard: StandardRows, rows: Rows) -> SimpleBound | None:
@@ -503,36 +470,28 @@ class Domain(NamedTuple):
     is_steep: bool
 
 
-def domain_of(roots: Iterable[Any], decision_ids: set[int]) -> list[Domain]:
+def domain_of(roots: Sequence[Any], decision_ids: set[int]) -> list[Domain]:
     """Return the conditions on the agent's variables under which expressions are defined, as y >= 0 of log(y), y**3."""
-    nodes = {id(node): node for root in roots for node in postorder(root, ())}
-    return [condition for node in nodes.values() for condition in _node_domain(node, decision_ids)]
+    return [domain for node in postorder(roots) for domain in _node_domain(node, decision_ids)]
 
 
 def _node_domain(node: cp.Expression, decision_ids: set[int]) -> list[Domain]:
     """Return the conditions of one node."""
     exponent = node.p.value if isinstance(node, Power) else 0.0
-    if (
-        not node.args
-        or exponent is None
-        or decision_ids.isdisjoint(variable.id for variable in node.variables())
-    ):
+    if not node.args or exponent is None or decision_ids.isdisjoint(by_id(node.variables())):
         return []
     is_steep = not (isinstance(node, cp.xexp) or np.all(exponent > 1.0))
-    domain = [Domain(constraint, is_steep) for constraint in node._domain()]
     return [
-        condition
-        for condition in domain
-        if not decision_ids.isdisjoint(variable.id for variable in condition.condition.variables())
+        Domain(condition, is_steep)
+        for condition in node._domain()
+        if not decision_ids.isdisjoint(by_id(condition.variables()))
     ]
 
 
-def violated_domain(roots: Iterable[Any], decision_ids: set[int]) -> Any:
+def violated_domain(roots: Sequence[Any], decision_ids: set[int]) -> Any:
     """Return a condition of the domain that present values violate; None if there is none."""
     for condition, _ in domain_of(roots, decision_ids):
-        size = max(
-            np.abs(dense(variable.value)).max(initial=1.0) for variable in condition.variables()
-        )
+        size = max(np.abs(dense(v.value)).max(initial=1.0) for v in condition.variables())
         # Size is max(1, |x|): a condition of the domain is violated by more than rounding
         if not np.all(dense(condition.expr.value) <= 1e-8 * size):
             return condition
@@ -543,37 +502,29 @@ def value_in_domain(expression: cp.Expression, decision_ids: set[int]) -> Any:
     """Return the value of an expression, with arguments at least at the boundary of their domain."""
 
     def change(node: cp.Expression) -> Any:
-        least = {
-            id(condition.args[1]): condition.args[0]
-            for condition, _ in _node_domain(node, decision_ids)
-        }
+        conditions = [domain.condition for domain in _node_domain(node, decision_ids)]
+        least = {id(condition.args[1]): condition.args[0] for condition in conditions}
         inside = [cp.maximum(least[id(k)], k) if id(k) in least else k for k in node.args]
         return node.copy(inside) if least else node
 
     return rewritten(expression, change).value
 
 
-def uninfluenced(roots: Iterable[Any], decision_ids: Collection[int]) -> list[Any]:
+def uninfluenced(roots: Sequence[Any], decision_ids: Collection[int]) -> list[Any]:
     """Return the largest subexpressions with variables or parameters, but without the agent's variables."""
     moving: set[int] = set()
     influenced: set[int] = set()
     largest: dict[int, Any] = {}
-    for root in roots:
-        for node in postorder(root, ()):
-            below = [id(argument) for argument in node.args]
-            if isinstance(node, (cp.Variable, cp.Parameter)) or not moving.isdisjoint(below):
-                moving.add(id(node))
-            is_decision = isinstance(node, cp.Variable) and node.id in decision_ids
-            if is_decision or not influenced.isdisjoint(below):
-                influenced.add(id(node))
-                largest |= {
-                    id(argument): argument
-                    for argument in node.args
-                    if id(argument) not in influenced
-                }
-        if id(root) not in influenced:
-            largest[id(root)] = root
-    return [expression for key, expression in largest.items() if key in moving]
+    for node in postorder(roots):
+        below = [id(argument) for argument in node.args]
+        if isinstance(node, (cp.Variable, cp.Parameter)) or not moving.isdisjoint(below):
+            moving.add(id(node))
+        is_decision = isinstance(node, cp.Variable) and node.id in decision_ids
+        if is_decision or not influenced.isdisjoint(below):
+            influenced.add(id(node))
+            largest |= dict(zip(below, node.args, strict=True))
+    largest |= {id(root): root for root in roots}
+    return [largest[key] for key in largest if key in moving and key not in influenced]
 
 
 def with_data(entries: Sequence[Any], data: Mapping[int, Any]) -> Callable[[Any], Any]:

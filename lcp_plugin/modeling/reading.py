@@ -303,7 +303,7 @@ def folded(
     known : dict
         Results by the ids of nodes, below which no node is read.
     """
-    nodes = postorder(root, known)
+    nodes = postorder([root], known)
     uses = Counter(
         id(argument) for node in nodes if id(node) not in known for argument in node.args
     )

@@ -22,7 +22,7 @@ import lcp_plugin
 from .. import gallery
 from ..algorithms import REGISTRY, made
 from ..api import solve
-from ..core.errors import InvalidOption, LCPError, UnreadableFile, did_you_mean
+from ..core.errors import LONG_LIST, InvalidOption, LCPError, UnreadableFile, did_you_mean
 from ..core.files import write_whole
 from ..core.lcp import LCP
 from ..core.problem_classes import refusal
@@ -44,7 +44,6 @@ NUMBERS = (
     "primal_residual duality_gap optimality objective lower_bound gap programs work tolerance "
     "absolute_tolerance setup_seconds seconds"
 )
-MAX_VALUES = 20  # values of x that are printed
 UPDATE_SECONDS = 0.1  # between two updates of the line of progress
 
 
@@ -238,8 +237,8 @@ def _values(source: Target, answer: Any, x: Vector) -> list[str]:
         return []
     letter = "z" if isinstance(source.problem, LCP) else "x"
     names = source.names or [f"{letter}[{k}]" for k in range(len(x))]
-    width, more = max(map(len, names[:MAX_VALUES]), default=0), len(x) - MAX_VALUES
-    values = zip(names[:MAX_VALUES], x[:MAX_VALUES], strict=True)
+    width, more = max(map(len, names[:LONG_LIST]), default=0), len(x) - LONG_LIST
+    values = zip(names[:LONG_LIST], x[:LONG_LIST], strict=True)
     lines = [f"{name:<{width}}  {value:.9g}" for name, value in values]
     return lines + ([f"and {more} more values; --out saves them"] if more > 0 else [])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 
-LONG_LIST = 20  # longer lists of names are not printed next to a guess
+LONG_LIST = 20  # names or values: of a longer list only some are printed, or none next to a guess
 
 
 class LCPError(Exception):

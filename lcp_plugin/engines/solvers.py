@@ -14,7 +14,6 @@ from ..core.checks import Array, Vector
 from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
 from .linear_program import highs
 
-EQUATION = 5  # of daqp's `sense`
 DAQP_SAYS = {
     1: EngineStatus.OPTIMAL,
     2: EngineStatus.OPTIMAL,
@@ -60,8 +59,8 @@ class DAQP(Engine):
 
 
 def kinds_of_rows(n: int, m: int, p: int) -> Any:
-    """Return daqp's numbers for n bounds, m inequalities and p equations."""
-    return np.repeat([0, EQUATION], [n + m, p]).astype(np.intc)
+    """Return daqp's `sense` of n bounds and m inequalities, 0, and of p equations, 5."""
+    return np.repeat([0, 5], [n + m, p]).astype(np.intc)
 
 
 def ends_of_rows(d: Array, m: int, lower: Array, upper: Array) -> tuple[Array, Array]:

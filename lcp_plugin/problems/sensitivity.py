@@ -31,7 +31,7 @@ from ..core.checks import AnyMatrix, Array, BoolVector, Vector, derived_property
 from ..core.cone_stack import ConeStack
 from ..core.entries import residual_scales
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
-from ..core.kernels.floats import EPSILON, FREE, LOW, NEGLIGIBLE_DIAGONAL
+from ..core.kernels.floats import EPSILON, FREE, HALF_OF_DIGITS, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
 from ..core.names import MOST_NAMES, format_count, listed
 from ..core.problem_classes import foreign_function, refusal
@@ -56,7 +56,6 @@ from .march import March, MarchDerivative
 from .programs.derivative import ProgramData, ProgramDerivative, least_squares_data, program_data
 from .programs.result import QuadraticProgramResult
 
-HALF = 2.0**-26  # half of the digits of double precision
 STEPS = 6  # active-set iterations; from a solved problem 1 or 2 classify all rows
 NUMBERS = "dlower", "dupper", "dfriction"  # data whose change may be one number
 
@@ -111,11 +110,13 @@ class BatchPart(LinearizedSystem):
         is_sized = diagonal >= 2.0**-10 * largest
         kink = (slack <= terms * size) & (distance <= terms * size) & is_sized & (lower < upper)
         # a multiplier has no diagonal entry: the rows that it enters have its unit
-        is_far = distance > HALF * size
+        is_far = distance > HALF_OF_DIGITS * size
         if (diagonal == 0.0).any():
             seen = np.fmax.reduce(sizes / size[:, :, np.newaxis], axis=1)
-            is_far = np.where((diagonal == 0.0) & (seen > 0.0), within * seen > HALF, is_far)
-        is_clear = kink | (lower == upper) | np.where(free, is_far, slack > HALF * size)
+            is_far = np.where(
+                (diagonal == 0.0) & (seen > 0.0), within * seen > HALF_OF_DIGITS, is_far
+            )
+        is_clear = kink | (lower == upper) | np.where(free, is_far, slack > HALF_OF_DIGITS * size)
         self.degenerate, self.free = kink, free & ~kink
         self.blocks = FreeBlocks(M, self.free)
         freed = np.flatnonzero(kink.any(axis=1) & ~self.blocks.is_regular)
@@ -568,8 +569,10 @@ class DeviceDerivative(ManyDerivatives):
         by_q, zeros, sides = xp.zeros(z.shape), xp.zeros(z.shape), xp.where(free, FREE, LOW)
         arrays = M.swapaxes(1, 2), rows, zeros, sides
         launch(batch.gpu, "solve_free_rows", arrays, (), (by_q,))
-        is_clear = (is_fixed | (distance > HALF * terms)).all(axis=1)
-        is_clear &= HALF * abs(by_q).max(axis=1) * largest.max(axis=1) <= abs(rows).max(axis=1)
+        is_clear = (is_fixed | (distance > HALF_OF_DIGITS * terms)).all(axis=1)
+        is_clear &= HALF_OF_DIGITS * abs(by_q).max(axis=1) * largest.max(axis=1) <= abs(rows).max(
+            axis=1
+        )
         by_bound = xp.where(free, 0.0, rows + (by_q[:, None] @ M)[:, 0])
         is_upper = xp.where(is_fixed, w < 0.0, z == upper)
         tables = by_q, xp.where(is_upper, 0.0, by_bound), xp.where(is_upper, by_bound, 0.0)

@@ -71,6 +71,7 @@ from ..core.matrix import Matrix, fact
 from ..core.problem_classes import refusal
 from ..core.rounding import compensated_pair, compensated_product, gamma, lower_end
 from ..core.structure import connected_components
+from ..core.tuning import CHEAP_UP_TO
 from ..judges.lcp import row_data, scaled_residual
 from ..systems.definiteness import is_semidefinite_to_rounding, semidefinite_margin
 from ..systems.equilibration import unit_diagonal
@@ -495,8 +496,6 @@ def _rounding(matrix: AnyMatrix, factor: PositiveFactor) -> float:
     by_row = gamma(terms) * (L @ (U @ ones)) + L @ (asymmetry @ ones)
     return float(float(by_row.max()) * OUTWARD + n * UNDERFLOW)
 
-
-CHEAP_UP_TO = 1000  # up to here every stage is cheap
 
 NO_PROOF = (
     "an error bound needs an H₊-matrix (⟨M⟩v > 0 for some v > 0, positive diagonal) or a positive definite symmetric "

@@ -240,7 +240,6 @@ def exact_dot(factors: Sequence[int], values: Sequence[float]) -> Fraction:
 NO_MULTIPLIER = 1e-12  # of the unit: a smaller y of a linear program is 0
 TIGHT = 1e-7  # of its terms: a smaller sum of a linear program is 0
 PIVOTS = 5  # times rows and columns of a linear program; most take half as many pivots as rows
-MOST_PIVOTS = 20_000  # of the linear programs of a search
 PIVOT_WORK = 120_000_000  # pivots times rows and columns: on 12 000 of both they take 4 s
 LP_TOLERANCE = 1e-9  # a tenth of it is the least that HiGHS takes
 NORMS = (1e-6, 1e6)  # smallest and largest: entries of one row of the linear program
@@ -494,7 +493,7 @@ def distinct_units(units: Sequence[float]) -> Iterator[float]:
 
 def pivot_limit(size: int) -> int:
     """Return the pivots of linear programs of so many rows and columns: fewer if they are many, and slow."""
-    return min(PIVOTS * size, MOST_PIVOTS, PIVOT_WORK // max(size, 1))
+    return min(PIVOTS * size, PIVOT_WORK // max(size, 1))
 
 
 def linear_program(
@@ -514,8 +513,8 @@ def linear_program(
     at_most : pair
         Rows and limits.
     pivots : int, optional
-        Largest number of pivots, by default a multiple of the rows and columns up to `MOST_PIVOTS`: on ill-conditioned
-        rows the simplex method may repeat its vertices indefinitely. The time limit of a run also holds.
+        Largest number of pivots, by default `pivot_limit` of the rows and columns: on ill-conditioned rows the
+        simplex method may repeat its vertices indefinitely. The time limit of a run also holds.
     """
     if not cost.size or not np.isfinite(cost).all() or not np.isfinite(equations.data).all():
         return None

@@ -57,6 +57,7 @@ from ..core.kernels.floats import EPSILON, TINY, UNDERFLOW
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
 from ..core.sweep_data import inverse_residual_scale, triangle_sums, unit_triangle_sums
+from ..core.tuning import CHEAP_UP_TO
 from .verdicts import analyze, comparison_certificate, h_plus
 
 Weights = Vector | float
@@ -214,7 +215,6 @@ MOMENTUM = (
     "{}; cycles of momentum are undone where the step does not fall, so it converges wherever the plain iteration "
     "contracts (momentum=None has a rate)"
 )
-DENSE_UP_TO = 1000  # unknowns of a splitting whose matrix T of Theorem 4.1 is computed: two seconds
 ULPS = 4.0 * EPSILON  # s = 1/d is rounded, also if it is subnormal
 FloatMatrix = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -378,7 +378,7 @@ def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
         rate, v = (None, None) if is_automatic else proof
         speaks_of = "x" if facts.family == MODULUS else "z"
         return Guarantee(GUARANTEED, theorem_of(facts), rate, v, speaks_of=speaks_of)
-    if facts.family == PROJECTED_SPLITTING and problem.n <= DENSE_UP_TO:
+    if facts.family == PROJECTED_SPLITTING and problem.n <= CHEAP_UP_TO:
         scaling: Any = 1.0 if facts.scaling is None else facts.scaling[:, None]
         splitting: Any = facts.splitting
         found = theorem_4_1(scaling * problem.csr.toarray(), scaling * splitting.toarray())
@@ -435,8 +435,8 @@ def _is_positive_definite(problem: LCP) -> bool:
 
 
 def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
-    if facts.family == PROJECTED_SPLITTING and problem.n > DENSE_UP_TO:
-        return f"Theorem 4.1's ρ(T) is not computed for n > {DENSE_UP_TO}"
+    if facts.family == PROJECTED_SPLITTING and problem.n > CHEAP_UP_TO:
+        return f"Theorem 4.1's ρ(T) is not computed for n > {CHEAP_UP_TO}"
     if h_plus(problem.matrix).value:
         return "M is an H₊-matrix, but no theorem covers these options (or only by less than rounding error)"
     if facts.family == PROJECTED_RELAXATION:

@@ -20,8 +20,6 @@ from ..core.lcp import LCP
 from ..core.problem_classes import Door
 from .halo import Halo, Ranks, own_rows
 
-WIDEST = 2**31 - 1  # columns that 32 bits count
-
 
 class RowsOnRanks:
     """The LCP z ∈ [lower, upper], w = M z + q complementary, whose rows are spread over MPI ranks.
@@ -159,6 +157,7 @@ def _checked_rows(rows: Any) -> sp.csr_array:
     if not (sp.issparse(rows) and rows.ndim == 2):
         raise InvalidProblem(f"rows must be sparse, of shape (own, n), got {type(rows).__name__}")
     checks.check_kind(rows.dtype, "rows must hold real numbers")
-    if rows.shape[1] > WIDEST:
-        raise InvalidProblem(f"M has {rows.shape[1]} columns; at most {WIDEST} are taken")
+    widest = np.iinfo(np.int32).max
+    if rows.shape[1] > widest:
+        raise InvalidProblem(f"M has {rows.shape[1]} columns; at most {widest} are taken")
     return checks.canonical_csr(rows, "rows")

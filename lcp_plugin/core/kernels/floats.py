@@ -21,6 +21,7 @@ MAY_UNDERFLOW = 2.0**-960
 NEGLIGIBLE = 2.0**-42  # relative to the active terms at a solution: smaller terms are ignored
 # of the largest entry of its row: a smaller one is not the row's scale
 NEGLIGIBLE_DIAGONAL = 2.0**-20
+HALF_OF_DIGITS = 2.0**-26  # relative: a smaller change, slack or Newton step is not seen
 SMALLEST_PIVOT = 1e-11  # of Lemke's path on a small problem, of rows divided by their largest entry
 PERTURBED = 2.0**-36  # of the largest q: no two rows block at once
 # smaller values of z relative to 1 or the largest are 0: their products underflow

@@ -25,7 +25,6 @@ from .instances import Instances, Stacks, have_values
 
 ENGINE = "daqp"
 PROXIMAL = {"eta_prox": 1e-13, "eps_prox": -1e-3}  # for singular P, because no polish follows
-BLOCKS_A_THREAD = 4  # so that threads end at the same time
 EIGENVALUE_ROUNDING = 4.0 * EPSILON  # of eigenvalues, relative to the largest and per unknown
 
 
@@ -169,7 +168,7 @@ class ProgramBatch(Instances):
             return
         data = self.arrays
         may = self.may_be_stated & _are_semidefinite(data[0])
-        share = 1 if threads == 1 else BLOCKS_A_THREAD * threads
+        share = 1 if threads == 1 else 4 * threads  # blocks, so that threads end at the same time
         # Entries per evaluation of the criterion
         size = max(min(2**18 // entries, -(-count // share)), 1)
         for first in range(0, count, size):

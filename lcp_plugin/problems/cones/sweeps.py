@@ -20,7 +20,6 @@ TURN = 0.5  # largest tangent of the change of the angle per step
 SWEEPS_PER_STEP = 10  # between two residuals
 # of a change: its part that does not continue the change before, when it is summed up; more hides the limit
 OTHER_CHANGE = 0.2
-QUICK_SWEEPS = 200  # over a small problem, which cost less than one of Newton's steps
 
 
 @helper
@@ -205,11 +204,12 @@ def sweep_blocks(stack: ConeStack, z: Array, most: int, stop: float) -> tuple[Ar
 
 
 def sweep_contacts(
-    problem: Blocks, z: Vector, tolerance: float, most: int = QUICK_SWEEPS
+    problem: Blocks, z: Vector, tolerance: float, most: int = 200
 ) -> tuple[Vector, int, float]:
     """Return a point of a small contact problem after sweeps from z, their number, and its bound.
 
-    The bound is an upper bound of its relative residual, which the criterion accepts; ∞ if in doubt.
+    The default number of sweeps costs less than one of Newton's steps. The bound is an upper bound of the relative
+    residual, which the criterion accepts; ∞ if in doubt.
     """
     M, z = problem.rows.M, z.copy()
     W = M if isinstance(M, np.ndarray) else read_only(M.toarray())

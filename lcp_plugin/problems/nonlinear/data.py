@@ -54,20 +54,20 @@ from ...core import checks
 from ...core.checks import AnyMatrix, BoolVector, Vector, derived_property, read_only
 from ...core.entries import IntVector, largest_in_rows, residual_scales, row_numbers
 from ...core.errors import InvalidProblem
-from ...core.kernels.floats import EPSILON, LARGEST
+from ...core.kernels.floats import EPSILON, HALF_OF_DIGITS, LARGEST
 from ...core.lcp import LCP
 from ...core.matrix import Matrix
 from ...core.names import checked_names
 from ...core.problem_classes import Door
 from ...core.settings import Settings
 from ...core.structure import connected_components
+from ...core.tuning import CHEAP_UP_TO
 from ...judges.certificate import PRECISE, Certificate
 from ...judges.lcp import Measured, RowData, RowsAtPoint
 from ...methods.small import SMALL_SPARSE
 from ...systems.factors import Factor, factorise
 
 SMALLEST_TOLERANCE = 1e-14  # relative residuals below it are rounding
-DENSE_PATTERN_UP_TO = 1000  # unknowns; each costs one evaluation of F per derivative
 STEEPER = 60  # slopes 4^k that are tried in a row with an infinite slope
 LONG_STEP = 2.0**-17  # about the cube root of EPSILON: central differences
 STEP = float(np.sqrt(EPSILON))  # of max(|x_i|, 1): rounding and curvature take about as many digits
@@ -100,9 +100,9 @@ class Differences:
             If the pattern is None and n > 1000.
         """
         if pattern is None:
-            if n > DENSE_PATTERN_UP_TO:
+            if n > CHEAP_UP_TO:
                 raise InvalidProblem(
-                    f"differences on all places need n ≤ {DENSE_PATTERN_UP_TO}, got {n}; give a jacobian, or a pattern"
+                    f"differences on all places need n ≤ {CHEAP_UP_TO}, got {n}; give a jacobian, or a pattern"
                 )
             return cls(sp.csc_array(np.ones((n, n))), np.arange(n, dtype=np.int32))
         met: list[set[int]] = [set() for _ in range(n)]  # groups of the columns that meet a row
@@ -514,10 +514,6 @@ def _components_of_dense(is_entry: BoolVector) -> Any:
     return labels if labels.any() else None
 
 
-HALF_OF_DIGITS = 2.0**-26  # of an unknown: a smaller Newton step is none
-STEPS_UP_TO = 1000  # rows whose Newton step is always computed
-
-
 def _newton_step(M: AnyMatrix, w: Vector, at: IntVector) -> tuple[Factor | None, Vector]:
     """Return the factor of the block of M in some rows, and the Newton step there; None and 0 if it is singular."""
     block = M[at][:, at] if sp.issparse(M) else M[np.ix_(at, at)]
@@ -618,7 +614,7 @@ class LinearizedRows(RowData):
         )  # other unknowns are at a bound, or nearly
         largest, at = self.largest(sizes), np.flatnonzero(free)
         least = HALF_OF_DIGITS * np.maximum(sizes, HALF_OF_DIGITS * largest)
-        w, is_small = np.where(free, self.value, 0.0), n <= STEPS_UP_TO
+        w, is_small = np.where(free, self.value, 0.0), n <= CHEAP_UP_TO
         single = np.zeros(n) if is_small and not w.any() else self._single_steps(free)
         moves = free & (single * np.sign(x) > 2.0**-6 * np.maximum(sizes, 2.0**-10 * largest))
         moves |= self._is_flat(free)

@@ -20,6 +20,7 @@ from ...core.checks import Vector
 from ...core.deadline import is_over
 from ...core.kernels.floats import NEGLIGIBLE, NEGLIGIBLE_DIAGONAL
 from ...core.settings import Settings
+from ...core.tuning import CHEAP_UP_TO
 from ...judges.lcp import row_data
 from ...methods.finishing import measure_finished
 from ...methods.newton import fischer_burmeister
@@ -30,7 +31,6 @@ SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a 
 TRIALS = 12  # points on a line where F is defined
 RESTARTS = 10  # from other points, after the searches that stalled
 NEAREST_TO = 1.0, 0.0, 10.0, 0.1  # the first other starts
-RESTARTS_UP_TO = 1000  # unknowns; beyond, a new start is too expensive
 
 
 class JosephyNewton(Algorithm):
@@ -91,7 +91,7 @@ class JosephyNewton(Algorithm):
             if self.is_at_floor() or is_over():
                 return
         random = np.random.default_rng(0)
-        for k in range(self.restarts if self.first.x.size <= RESTARTS_UP_TO else 0):
+        for k in range(self.restarts if self.first.x.size <= CHEAP_UP_TO else 0):
             start = self.other_start(k, random)
             if start is None:
                 continue

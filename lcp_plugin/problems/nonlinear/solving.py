@@ -21,12 +21,13 @@ from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
 from ...core.names import Names
 from ...core.settings import DEFAULT, Settings, Status, whole_number
+from ...core.tuning import CHEAP_UP_TO
 from ...judges.lcp import Measured, RowData
 from ...solving.dispatch import method_of
 from ...solving.result import Callback, Result
 from ...solving.run import Progress, Run, Stage
 from ..programs.no_minimum import proof_of_contradiction
-from .data import DENSE_PATTERN_UP_TO, Evaluations, Linearization, NonlinearProblem
+from .data import Evaluations, Linearization, NonlinearProblem
 from .searches import RESTARTS, SEARCHES, JosephyNewton
 
 CHECKED = 2.0**-20, 2.0**-10  # steps
@@ -301,7 +302,7 @@ def with_trusted_derivative(point: Linearization) -> Linearization:
     problem = point.problem
     if problem.jacobian is None or not jacobian_warning(point):
         return point
-    pattern = None if point.x.size <= DENSE_PATTERN_UP_TO else sp.csr_array(point.M)
+    pattern = None if point.x.size <= CHEAP_UP_TO else sp.csr_array(point.M)
     twin = NonlinearProblem(problem.F, None, problem.lower, problem.upper, pattern)
     return Linearization(twin.with_size(point.x.size), point.x)
 

@@ -15,6 +15,7 @@ from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
 from ...core.problem_classes import class_of, classes_of, foreign_function, refusal
 from ...core.settings import DEFAULTS, Settings
+from ...core.tuning import PIVOTED_UP_TO
 from ...judges.program import PROGRAM_TOLERANCE
 from ...solving.dispatch import solve
 from ...systems.definiteness import is_semidefinite_to_rounding
@@ -27,7 +28,6 @@ from .following import ROUNDING, Follower, MonotoneGraphs
 from .path import Path, PathPoint, Piece
 from .smooth import SmoothFollower, SmoothPiece
 
-MAX_ROWS = 6000  # of an LCP, of which a dense factorization is made
 BOUNDS = ("lower", "upper")
 BEYOND = 1e-9, 1e-7, 1e-5, 1e-3  # of the way: distances at which a lost path is restarted
 
@@ -303,9 +303,9 @@ def _matrix_conditions(line: Line) -> MonotoneGraphs:
     if isinstance(stated, QuadraticProgram):
         refuse_nonconvex(stated)
         stated = conditions(stated)
-    if stated.n > MAX_ROWS:
+    if stated.n > PIVOTED_UP_TO:
         raise UnsuitableProblem(
-            f"trace takes up to {MAX_ROWS} rows, got {stated.n}; solve_batch(problem, Q) solves at given values"
+            f"trace takes up to {PIVOTED_UP_TO} rows, got {stated.n}; solve_batch(problem, Q) solves at given values"
         )
     *rows, lower, upper = map(line.slope, line.family.vectors)
     zeros = np.zeros(stated.n - lower.size)  # bounds of multipliers

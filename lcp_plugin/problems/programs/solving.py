@@ -13,6 +13,7 @@ from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
+from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...engines import ENGINES, has_piqp, installed_engine
 from ...engines.engine import Engine, EngineStatus
 from ...engines.solvers import DAQP, call_daqp, ends_of_rows
@@ -31,7 +32,6 @@ from .regression import Outward, regression_of, solutions
 from .result import ADVICE, QuadraticProgramResult
 from .solution import QPSolution
 
-SHORT_SEARCH = 5000  # variables and rows: larger programs need a report of a solver
 CERTAIN_ROWS = 1e-10  # a larger violation starts a search for a proof of infeasibility
 FAR = 1e6  # times the largest limit: an x out there may be on its way to infinity
 
@@ -337,7 +337,7 @@ class ProgramRun(Run):
     @property
     def _is_short(self) -> bool:
         """True if the program is small enough for a search without the report of a solver."""
-        return self.program.n + self.program.constraints.rows <= SHORT_SEARCH
+        return self.program.n + self.program.constraints.rows <= LINEAR_PROGRAM_UP_TO
 
     def _search_proof(self) -> None:
         """Keep the proof that the program has no solution, or the proof that shows this except for rounding."""

@@ -146,7 +146,6 @@ class Hierarchy:
 
 
 SMALLEST_BLOCK = 8192  # rows
-FEWEST = 4  # two of either kind
 
 
 class RowBlocks(NamedTuple):
@@ -164,7 +163,7 @@ def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:
     """Return the blocks of `rows` rows; one block if not `may_cut`, or if a split gains nothing."""
     indptr, indices, _ = matrix
     count, reach = 0, 0
-    if may_cut and rows >= FEWEST * SMALLEST_BLOCK:
+    if may_cut and rows >= 4 * SMALLEST_BLOCK:  # two blocks of either color
         row = np.arange(rows)
         reach = int(
             max(
@@ -174,7 +173,7 @@ def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:
         )
         # A block has four times as many rows as a row reaches far: little is done twice at the seams.
         count = min(16, rows // max(SMALLEST_BLOCK, 4 * reach)) // 2 * 2
-    if count < FEWEST:
+    if count < 4:
         count, reach = 1, 0
     edges = np.linspace(0, rows, count + 1).astype(np.int64)
     edges.flags.writeable = False

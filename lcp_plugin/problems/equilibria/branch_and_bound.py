@@ -13,7 +13,7 @@ References
 J. Hu, J. E. Mitchell, J.-S. Pang, K. P. Bennett, G. Kunapuli, *On the global solution of linear programs with linear
 complementarity constraints*, SIAM Journal on Optimization 19 (2008), doi:10.1137/07068463x.
 
-Early solutions: from given values, and by local descent over neighboring complementarity pieces.
+Early solutions: from the values of a start, and by local descent over neighboring complementarity pieces.
 
 A solution belongs to at least one piece. The minimizer of a piece is not worse than any solution in the piece, so a
 start only needs to determine branches. If pairs are degenerate at the minimizer, a neighboring piece may be better.
@@ -124,7 +124,7 @@ def minimize_over_solutions(
         if verbose:
             print(f"{'nodes':>8} {'value':>17} {'bound':>17} {'gap':>9} {'seconds':>9}", flush=True)
         watchers = [*[BranchAndBound.print_line] * verbose, *filter(None, [callback])]
-        return search.run(lambda: any([bool(one(search)) for one in watchers]), prove)
+        return search.run(lambda: any([bool(watcher(search)) for watcher in watchers]), prove)
 
 
 def _refuse_proof(problem: EquilibriumProgram) -> None:
@@ -183,7 +183,7 @@ class BranchAndBound:
 
     @property
     def value(self) -> float:
-        """The objective of the best solution found, ∞ without one."""
+        """Objective of the best solution; ∞ before the first solution."""
         return min(self.best_value, self._outside_value)
 
     @property
@@ -191,8 +191,10 @@ class BranchAndBound:
         """Lower bound of the objective over all solutions."""
         current = [] if self._current is None else [self._current.bound]
         waiting = [*(bound for bound, _, _ in self._open[:1]), *current]
-        own = min([self._closed_at, *waiting]) if self.tree else -math.inf
-        return min(self.value, max(own, -math.inf if self.outside is None else self.outside.bound))
+        of_tree = min([self._closed_at, *waiting]) if self.tree else -math.inf
+        return min(
+            self.value, max(of_tree, -math.inf if self.outside is None else self.outside.bound)
+        )
 
     @property
     def cutoff(self) -> float:
@@ -277,14 +279,14 @@ class BranchAndBound:
             return ends()
 
         limits = {"tolerance": self.tolerance, "max_nodes": self.max_nodes}
-        found = engine(self.problem, **limits, ends=report_progress)
-        self.nodes, self._outside_value = before + found.nodes, math.inf
-        self.outside = ExternalBound(found.status, found.bound)
-        if found.x is not None:
-            self.descend_from(found.x)
-        if self.best_value < found.bound - self.allowed:  # a better point refutes the bound
-            self.outside = ExternalBound(found.status, -math.inf)
-        return ENDS.get(found.status)
+        result = engine(self.problem, **limits, ends=report_progress)
+        self.nodes, self._outside_value = before + result.nodes, math.inf
+        self.outside = ExternalBound(result.status, result.bound)
+        if result.x is not None:
+            self.descend_from(result.x)
+        if self.best_value < result.bound - self.allowed:  # a better point refutes the bound
+            self.outside = ExternalBound(result.status, -math.inf)
+        return ENDS.get(result.status)
 
     def _search(self, ends: Callable[[], bool], most: float) -> Status | None:
         """Branch on at most `most` nodes; return the status of a limit reached, or None."""
@@ -405,9 +407,9 @@ class BranchAndBound:
         size = 1.0 + float(np.abs(piece.point).max(initial=0.0))
         rows, pairs = np.nonzero(self.problem.distances(piece.point) <= 1e-7 * size)
         others = self.problem.all_cases & ~piece.cases
-        found = ((int(i), CASES[k]) for k, i in zip(rows, pairs, strict=True))
-        promising = [(i, case) for i, case in found if case & others[i]]
-        for chosen in [promising] * (len(promising) > 1) + [[one] for one in promising[:50]]:
+        branches = ((int(i), CASES[k]) for k, i in zip(rows, pairs, strict=True))
+        promising = [(i, case) for i, case in branches if case & others[i]]
+        for chosen in [promising] * (len(promising) > 1) + [[branch] for branch in promising[:50]]:
             if is_over():
                 return None
             cases = piece.cases.copy()
@@ -442,7 +444,7 @@ class BranchAndBound:
         is_own = self.outside is None or self.tree
         by = ["SCIP"] * (self.outside is not None) + ["branch and bound"] * bool(is_own)
         point = None if best is None else best.point
-        found = point, value, lower, bound_by, self.relaxations.solved, tuple(self.tree)
+        outcome = point, value, lower, bound_by, self.relaxations.solved, tuple(self.tree)
         named: Any = {"status": status, "algorithm": ", ".join(by), "tolerance": self.tolerance}
         named |= {"iterations": self.nodes, "seconds": self.clock.read()}
-        return EquilibriumResult(self.problem, *found, self.descent, self.outside, **named)
+        return EquilibriumResult(self.problem, *outcome, self.descent, self.outside, **named)

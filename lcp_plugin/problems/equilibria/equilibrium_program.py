@@ -107,21 +107,21 @@ class EquilibriumProgram:
                 f"program must be a QuadraticProgram, got {type(self.program).__name__}"
             )
         for name in ("first", "second", "integers"):
-            given = np.asarray(getattr(self, name))
-            n, k = self.program.n, np.size(given if name == "integers" else self.first)
-            if given.ndim != 1 or (given.size and given.dtype.kind not in "iu") or given.size != k:
+            index = np.asarray(getattr(self, name))
+            n, k = self.program.n, np.size(index if name == "integers" else self.first)
+            if index.ndim != 1 or (index.size and index.dtype.kind not in "iu") or index.size != k:
                 raise InvalidProblem(
-                    f"{name} must be a list of {k} variables, got dtype {given.dtype} and shape {given.shape}; give "
+                    f"{name} must be a list of {k} variables, got dtype {index.dtype} and shape {index.shape}; give "
                     "for each pair the index of z in first, the index of w in second; integers lists integer variables"
                 )
-            if given.size and not (given.min() >= 0 and given.max() < n):
+            if index.size and not (index.min() >= 0 and index.max() < n):
                 raise InvalidProblem(
-                    f"{name} must number variables from 0 to {n - 1}, got {given[(given < 0) | (given >= n)][0]}"
+                    f"{name} must number variables from 0 to {n - 1}, got {index[(index < 0) | (index >= n)][0]}"
                 )
-            checks.fill(self, **{name: given.astype(np.int64)})
-        own, k = self.program, self.first.size
-        low = own.lower[self.first] if self.lower is None else self.lower
-        high = own.upper[self.first] if self.upper is None else self.upper
+            checks.fill(self, **{name: index.astype(np.int64)})
+        program, k = self.program, self.first.size
+        low = program.lower[self.first] if self.lower is None else self.lower
+        high = program.upper[self.first] if self.upper is None else self.upper
         lower, upper = checked_bounds(low, high, k)
         checks.fill(self, lower=lower, upper=upper)
 
@@ -146,7 +146,7 @@ class EquilibriumProgram:
         n, k = program.n, np.size(columns)
         rows = sp.csr_array(checks.rectangular_matrix(M, "M", k, n))
         right = -checked_vector(q, "q", k)
-        P, G, A = (sp.csr_array(one) for one in (program.P, program.G, program.A))
+        P, G, A = (sp.csr_array(matrix) for matrix in (program.P, program.G, program.A))
         free = np.full(k, np.inf)
         wider = QuadraticProgram(
             sp.block_diag([P, sp.csr_array((k, k))], format="csr"),
@@ -229,9 +229,9 @@ class EquilibriumProgram:
             result = smooth.map.result.matrix
             rows.append(result[1:, : program.n])
             others += [result[[0]]]
-            others += [one.matrix for level in smooth.map.levels for one in level.arguments]
+            others += [part.matrix for level in smooth.map.levels for part in level.arguments]
         is_free = np.isinf(program.lower) & np.isinf(program.upper) & (program.c == 0.0)
-        used = np.concatenate([one.indices for one in others])
+        used = np.concatenate([matrix.indices for matrix in others])
         is_free[used[used < program.n]] = False
         is_free[self.first[self.all_cases & (LOWER | UPPER) > 0]] = False
         is_free[np.concatenate([self.second, self.integers])] = False
@@ -245,8 +245,8 @@ class EquilibriumProgram:
         is_redundant = np.zeros(free.size, dtype=bool)
         for j in np.delete(np.arange(free.size), spanning):
             column = exact.rational(columns[[j]].toarray()[0])
-            found = exact.solved_nearby(rows_of_span, column, zeros, is_movable)
-            is_redundant[j] = found is not None
+            combination = exact.solved_nearby(rows_of_span, column, zeros, is_movable)
+            is_redundant[j] = combination is not None
         return free[is_redundant]
 
     def answer(self, x: Vector) -> Vector | None:
@@ -254,18 +254,18 @@ class EquilibriumProgram:
 
         None unless each w is the only one in some affine or smooth equality, which then defines it.
         """
-        held, z, w = np.array(x), self.first, self.second
-        if (definitions := self._definitions(held)) is None:
+        point, z, w = np.array(x), self.first, self.second
+        if (definitions := self._definitions(point)) is None:
             return None
         rows, unit = definitions
 
         def F(values: Vector) -> Vector:
-            held[z] = values
-            return self._equalities(held)[0][rows] / unit
+            point[z] = values
+            return self._equalities(point)[0][rows] / unit
 
         def jacobian(values: Vector) -> sp.csr_array:
-            held[z] = values
-            return sp.csr_array(sp.diags_array(1.0 / unit) @ self._equalities(held)[1][rows][:, z])
+            point[z] = values
+            return sp.csr_array(sp.diags_array(1.0 / unit) @ self._equalities(point)[1][rows][:, z])
 
         problem = NonlinearProblem(F, jacobian, self.lower, self.upper)
         # The point of an early end may pass as well.
@@ -274,16 +274,16 @@ class EquilibriumProgram:
             answer = solve_nonlinear(problem, x[z], check_jacobian=False, **options)
         except LCPError:  # the functions are not defined at the start
             return None
-        held[z], held[w] = answer.z, answer.w
-        return held
+        point[z], point[w] = answer.z, answer.w
+        return point
 
     def with_slacks(self, x: Vector) -> Vector:
         """Return x with the w that equalities define."""
-        found = np.array(x)
-        if (definitions := self._definitions(found)) is not None:
+        point = np.array(x)
+        if (definitions := self._definitions(point)) is not None:
             rows, unit = definitions
-            found[self.second] = self._equalities(found)[0][rows] / unit
-        return found
+            point[self.second] = self._equalities(point)[0][rows] / unit
+        return point
 
     def _definitions(self, x: Vector) -> tuple[Indices, Vector] | None:
         """Set w to 0 in x; return the equality that defines each w, and minus its coefficient; None if one has none."""
@@ -352,24 +352,31 @@ class EquilibriumProgram:
 
     def excess(self, x: Vector) -> float:
         """Return the largest violation at x: rows relative to their terms, pairs and integers absolute."""
-        found = [self.excess_of_rows(x), self.violations(x), np.abs(x - np.rint(x))[self.integers]]
+        violations = [
+            self.excess_of_rows(x),
+            self.violations(x),
+            np.abs(x - np.rint(x))[self.integers],
+        ]
         if self.smooth is not None:
             value, slopes = self.smooth.map.value(x), abs(self.smooth.map.jacobian(x))
             both = (self.smooth.lower, self.smooth.upper)
             ends = [np.where(np.isfinite(end), np.abs(end), 0.0) for end in both]
             terms = np.maximum(*ends) + np.abs(value[1:]) + (slopes @ np.abs(x))[1:]
             missed = np.maximum(self.smooth.lower - value[1:], value[1:] - self.smooth.upper)
-            found.append(missed / np.where(terms > 0.0, terms, 1.0))
-            found.append(np.where(np.isfinite(value), 0.0, np.inf))
-        worst = max(float(one.max(initial=0.0)) for one in found)
+            violations.append(missed / np.where(terms > 0.0, terms, 1.0))
+            violations.append(np.where(np.isfinite(value), 0.0, np.inf))
+        worst = max(float(measure.max(initial=0.0)) for measure in violations)
         return math.inf if math.isnan(worst) else worst
 
     def excess_of_rows(self, x: Vector) -> Vector:
         """Return the violation of each row at x relative to its terms d_i and c_ij x_j."""
         rows = self.program.constraints
-        own, missed = largest_in_rows(sp.csr_array(rows.matrix.multiply(np.abs(x)))), rows.excess(x)
-        own = np.where(np.diff(rows.matrix.indptr) > 0, own, rows.own_sizes)
-        terms = np.maximum(np.nan_to_num(np.abs(rows.limit), posinf=0.0), own)
+        sizes, missed = (
+            largest_in_rows(sp.csr_array(rows.matrix.multiply(np.abs(x)))),
+            rows.excess(x),
+        )
+        sizes = np.where(np.diff(rows.matrix.indptr) > 0, sizes, rows.own_sizes)
+        terms = np.maximum(np.nan_to_num(np.abs(rows.limit), posinf=0.0), sizes)
         return np.where(missed > 0.0, missed / np.where(terms > 0.0, terms, 1.0), 0.0)
 
     def __repr__(self) -> str:

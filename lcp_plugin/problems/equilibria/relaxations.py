@@ -91,8 +91,8 @@ class Relaxations:
     @cached_property
     def _facts(self) -> tuple[Curvature, tuple[Vector, Vector]]:
         """The curvature on the equalities, and the bounds that the constraints imply."""
-        own = self.problem.program
-        return constrained_curvature(own.P, own.A), implied_box(own)
+        program = self.problem.program
+        return constrained_curvature(program.P, program.A), implied_box(program)
 
     def program(self, cases: Cases) -> QuadraticProgram | None:
         """Return the program of the open branches; None if some lower > upper."""
@@ -128,14 +128,14 @@ class Relaxations:
             node.bound = math.inf
             return node
         solution = _solution_of(program)
-        found = [solution]
+        solutions = [solution]
         if not solution.is_optimal():
             proof = prove_infeasible(program)
             if proof is not None and proof.is_exact and proof.excludes(self.tolerance):
                 node.bound, node.proof = math.inf, proof
                 return node
-            found.append(self._solve_in_box(program))
-        for solution in found:
+            solutions.append(self._solve_in_box(program))
+        for solution in solutions:
             x = self._round_small(np.clip(solution.x, program.lower, program.upper), program)
             value = self.problem.objective(x)
             if node.point is None:
@@ -152,7 +152,7 @@ class Relaxations:
         if np.array_equal(other, x):
             return x
         excess = self.problem.excess_of_rows
-        misses, misses_less = (excess(one).max(initial=0.0) for one in (x, other))
+        misses, misses_less = (excess(candidate).max(initial=0.0) for candidate in (x, other))
         return other if misses_less < misses else x
 
     def bound(self, program: QuadraticProgram, dual: tuple[Vector, Vector], enough: float) -> float:
@@ -162,11 +162,11 @@ class Relaxations:
         if (box[0] > box[1]).any():
             box = program.lower, program.upper
         offset = self.problem.program.constant
-        found = DualBounds(program, curvature, box).best(*dual, enough - offset)
-        return math.nextafter(found + offset, -math.inf) if offset else found
+        bound = DualBounds(program, curvature, box).best(*dual, enough - offset)
+        return math.nextafter(bound + offset, -math.inf) if offset else bound
 
     def local_node(self, cases: Cases, near: Vector) -> Node:
-        """Return the node of one piece, integers rounded from a point; its value is ∞ if no solution was found.
+        """Return the node of one piece, integers rounded from a point; its value is ∞ without a solution.
 
         A convex piece is solved. Otherwise x is projected onto the linearized rows, and the objective is minimized over
         these as long as it falls: up to four programs. An objective that is not convex is linearized.
@@ -200,15 +200,16 @@ class Relaxations:
 
     def _minimizer(self, lower: Vector, upper: Vector) -> Vector | None:
         """Return the minimizer over affine rows if the objective plus PENALTY ‖A x − b‖² is convex there, else None."""
-        own, rows = self.problem.program, sp.csr_array(self.problem.program.A)
+        program, rows = self.problem.program, sp.csr_array(self.problem.program.A)
         unit = 1.0 / np.maximum(largest_in_rows(rows), NORMAL)
-        rows, P = sp.csr_array(sp.diags_array(unit) @ rows), sp.csr_array(own.P)
+        rows, P = sp.csr_array(sp.diags_array(unit) @ rows), sp.csr_array(program.P)
         penalty = PENALTY * float(abs(P).max())
-        c = own.c - penalty * (rows.T @ (unit * own.b))
+        c = program.c - penalty * (rows.T @ (unit * program.b))
         with suppress(UnsupportedModel):
             P = P + penalty * (rows.T @ rows)
             solution = _solution_of(
-                QuadraticProgram(P, c, own.G, own.h, own.A, own.b, lower, upper), tolerance=1e-10
+                QuadraticProgram(P, c, program.G, program.h, program.A, program.b, lower, upper),
+                tolerance=1e-10,
             )
             self.solved += 1
             x = self._round_small(np.clip(solution.x, lower, upper), solution.program)
@@ -223,14 +224,14 @@ class Relaxations:
 
         None if x is outside of the domain of a smooth row.
         """
-        own, smooth = self.problem.program, self.problem.smooth
-        rows = [sp.csr_array(own.G), sp.csr_array(own.A)]
-        low, high = [np.full(own.h.size, -np.inf), own.b], [own.h, own.b]
+        program, smooth = self.problem.program, self.problem.smooth
+        rows = [sp.csr_array(program.G), sp.csr_array(program.A)]
+        low, high = [np.full(program.h.size, -np.inf), program.b], [program.h, program.b]
         P, c = sp.eye_array(x.size, format="csr"), -x
         if is_feasible and self.problem.has_convex_relaxation:
-            P, c = own.P, own.c
+            P, c = program.P, program.c
         elif is_feasible:
-            P, c = sp.csr_array((x.size, x.size)), own.P @ x + own.c
+            P, c = sp.csr_array((x.size, x.size)), program.P @ x + program.c
             c = c if smooth is None else c + sp.csr_array(smooth.map.jacobian(x))[[0]].toarray()[0]
         if smooth is not None:
             slopes = sp.csr_array(smooth.map.jacobian(x))[1:]
@@ -245,10 +246,10 @@ class Relaxations:
 
     def projected(self, x: Vector) -> Vector:
         """Return the point nearest to x that satisfies the affine rows and bounds, complementary or not."""
-        own, n = self.problem.program, x.size
-        rows = own.G, own.h, own.A, own.b, own.lower, own.upper
+        program, n = self.problem.program, x.size
+        rows = program.G, program.h, program.A, program.b, program.lower, program.upper
         near = QuadraticProgram(sp.eye_array(n), -x, *rows)
-        return np.clip(_solution_of(near).x, own.lower, own.upper)
+        return np.clip(_solution_of(near).x, program.lower, program.upper)
 
     def _solve_in_box(self, program: QuadraticProgram) -> QPSolution:
         """Return the solution within a large box, at its edge if the program is unbounded."""
@@ -407,10 +408,12 @@ class EquilibriumResult(BaseResult):
         for node in self.tree:
             if node.pair >= 0:
                 wanted = [case for case in CASES if node.cases[node.pair] & case]
-                own = children.get(id(node), [])
-                rest = [np.delete(child.cases, node.pair) for child in own]
-                is_same = all(np.array_equal(one, np.delete(node.cases, node.pair)) for one in rest)
-                if not is_same or sorted(int(child.cases[node.pair]) for child in own) != wanted:
+                below = children.get(id(node), [])
+                undecided = [np.delete(child.cases, node.pair) for child in below]
+                is_same = all(
+                    np.array_equal(cases, np.delete(node.cases, node.pair)) for cases in undecided
+                )
+                if not is_same or sorted(int(child.cases[node.pair]) for child in below) != wanted:
                     return False
         return True
 
@@ -461,8 +464,8 @@ class EquilibriumResult(BaseResult):
     def _clauses(self) -> list[str]:
         if self.is_solved or self.has_no_solution:
             return []
-        found = "no solution was found" if self.x is None else "x is the best solution found"
-        return [f"{found} so far"]
+        outcome = "no solution was found" if self.x is None else "x is the best solution found"
+        return [f"{outcome} so far"]
 
     def describe_accuracy(self) -> str:
         """Return the value and the bound."""
@@ -483,8 +486,8 @@ class EquilibriumResult(BaseResult):
         return f"{self.algorithm}: {counts}, {self.seconds:.3g} s"
 
 
-def _is_same(one: QuadraticProgram, other: QuadraticProgram) -> bool:
+def _is_same(program: QuadraticProgram, other: QuadraticProgram) -> bool:
     """Return whether two programs have one matrix and the same vectors."""
     names = "c", "lower", "upper", "h", "b"
-    are_same = (np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
-    return one.matrices is other.matrices and all(are_same)
+    are_same = (np.array_equal(getattr(program, name), getattr(other, name)) for name in names)
+    return program.matrices is other.matrices and all(are_same)

@@ -3,8 +3,8 @@
 >>> import numpy as np
 >>> from lcp_plugin import EquilibriumProgram, QuadraticProgram
 >>> program = QuadraticProgram([[0, 1], [1, 0]], [0, 0], A=[[1, 1]], b=[3], lower=0, upper=2)  # x₀ x₁, x₀ + x₁ = 3
->>> found = minimize(EquilibriumProgram(program, [], []))
->>> found.status, round(found.value, 6), round(found.bound, 6)
+>>> result = minimize(EquilibriumProgram(program, [], []))
+>>> result.status, round(result.value, 6), round(result.bound, 6)
 ('optimal', 2.0, 2.0)
 
 A pair is a special ordered set: of z − lower and w, both ≥ 0, at most one is not zero. A box has two of them, with
@@ -47,7 +47,7 @@ FAILED = "SCIP:"  # start of SCIP's error messages
 Watcher = Callable[[float, float, int], bool]
 
 
-class ScipAnswer(NamedTuple):
+class ScipResult(NamedTuple):
     """The result of SCIP.
 
     Attributes
@@ -55,7 +55,7 @@ class ScipAnswer(NamedTuple):
     status : str
         Status as SCIP names it.
     x : ndarray, shape (n,), or None
-        None if none was found, or an entry is infinite.
+        None without a point, or if an entry is infinite.
     value, bound : float
         Objective value and its bound; ∞ and −∞ if there is none.
     nodes : int
@@ -68,7 +68,7 @@ class ScipAnswer(NamedTuple):
     nodes: int
 
 
-def minimize_or_none() -> Callable[..., ScipAnswer] | None:
+def minimize_or_none() -> Callable[..., ScipResult] | None:
     """Return `minimize`, None if pyscipopt is not installed, or does not load."""
     try:
         import pyscipopt  # noqa: F401
@@ -83,7 +83,7 @@ def minimize(
     tolerance: float = 1e-6,
     max_nodes: float = math.inf,
     ends: Watcher | None = None,
-) -> ScipAnswer:
+) -> ScipResult:
     """Return the least objective over all solutions of an equilibrium program, as SCIP finds it.
 
     Parameters
@@ -108,24 +108,24 @@ def minimize(
     """
     lower, upper = problem.bounds(problem.all_cases)
     if (lower > upper).any():
-        return ScipAnswer("infeasible", None, math.inf, math.inf, 0)
+        return ScipResult("infeasible", None, math.inf, math.inf, 0)
     # SCIP takes a thousandth in its linear programs; with less, a build without GMP prints a line for each
-    # SCIP's own: its linear programs may do better
+    # 1e-6 is the default of SCIP
     for feasible in sorted({min(FEASIBLE, tolerance), FEASIBLE, 1e-6}):
         model = _Model(problem, ends)
-        found = model.solved(tolerance, max_nodes, feasible)
-        if not found.status.startswith(FAILED):
+        result = model.solved(tolerance, max_nodes, feasible)
+        if not result.status.startswith(FAILED):
             break
-    is_unbounded = found.status == "unbounded"
-    if not is_unbounded and (found.x is None or not model.root_is_unbounded):
-        return found
-    if found.status in ENDS:  # of the children that were cut off it may know nothing
-        return found._replace(bound=-math.inf)
-    left = max(max_nodes - found.nodes, 0)
+    is_unbounded = result.status == "unbounded"
+    if not is_unbounded and (result.x is None or not model.root_is_unbounded):
+        return result
+    if result.status in ENDS:  # SCIP may not know bounds of children that were cut off
+        return result._replace(bound=-math.inf)
+    left = max(max_nodes - result.nodes, 0)
     within = _Model(problem, ends, BOX).solved(tolerance, left, FEASIBLE)
-    within = within._replace(nodes=within.nodes + found.nodes)
+    within = within._replace(nodes=within.nodes + result.nodes)
     if within.x is None:
-        within = within._replace(x=found.x, value=found.value)
+        within = within._replace(x=result.x, value=result.value)
     if within.status.startswith(FAILED) and not is_unbounded:
         return within
     is_far = within.x is not None and np.abs(within.x).max(initial=0.0) > BOX * (1.0 - BOX_MARGIN)
@@ -180,7 +180,7 @@ class _Model:
         is_infinite = abs(self.model.getDualboundRoot()) >= SCIP_INFINITY
         return not has_bounds and self.model.getNTotalNodes() > 1 and is_infinite
 
-    def solved(self, tolerance: float, max_nodes: float, feasible: float) -> ScipAnswer:
+    def solved(self, tolerance: float, max_nodes: float, feasible: float) -> ScipResult:
         """Return the result of SCIP."""
         model = self.model
         model.setParams(
@@ -201,27 +201,27 @@ class _Model:
         except (MemoryError, UnsupportedModel):
             raise
         except Exception as error:  # pyscipopt has no class of its own: "SCIP: error in LP solver!"
-            return ScipAnswer(str(error), None, math.inf, -math.inf, 0)
+            return ScipResult(str(error), None, math.inf, -math.inf, 0)
         if self.error is not None:
             raise self.error
         status, x = model.getStatus(), None
         value, bound, nodes = self._reached()
         if model.getNSols():
-            x = np.array([model.getSolVal(model.getBestSol(), one) for one in self.x])
+            x = np.array([model.getSolVal(model.getBestSol(), variable) for variable in self.x])
             x = x if (np.abs(x) < SCIP_INFINITY).all() else None
-        return ScipAnswer(status, x, value, bound, nodes)
+        return ScipResult(status, x, value, bound, nodes)
 
     def _reached(self) -> tuple[float, float, int]:
         """Return value, bound and nodes."""
         value, bound = (
-            math.copysign(math.inf, one) if abs(one) >= SCIP_INFINITY else one * self.unit
-            for one in (self.model.getPrimalbound(), self.model.getDualbound())
+            math.copysign(math.inf, number) if abs(number) >= SCIP_INFINITY else number * self.unit
+            for number in (self.model.getPrimalbound(), self.model.getDualbound())
         )
         return value if self.model.getNSols() else math.inf, bound, int(self.model.getNTotalNodes())
 
     def _watch_nodes(self) -> None:
         """Let SCIP ask after each node whether the search ends; its C code would swallow what is raised."""
-        own, solved = self, self.scip.SCIP_EVENTTYPE.NODESOLVED  # type: ignore[attr-defined]
+        search, solved = self, self.scip.SCIP_EVENTTYPE.NODESOLVED  # type: ignore[attr-defined]
 
         class Nodes(self.scip.Eventhdlr):  # type: ignore[misc, name-defined]
             def eventinit(self) -> None:
@@ -232,10 +232,10 @@ class _Model:
 
             def eventexec(self, _: object) -> None:
                 try:
-                    ends = own.ends
-                    is_over = own.error is None and ends is not None and ends(*own._reached())
+                    ends = search.ends
+                    is_over = search.error is None and ends is not None and ends(*search._reached())
                 except BaseException as error:
-                    own.error, is_over = error, True
+                    search.error, is_over = error, True
                 if is_over:
                     self.model.interruptSolve()
 
@@ -303,20 +303,20 @@ class _Model:
 
     def _sums(self, matrix: AnyMatrix, quantities: list[Any], offset: Vector) -> list[Any]:
         """Return each row times the quantities, plus the offset."""
-        rows, found = sp.csr_array(matrix), []
+        rows, sums = sp.csr_array(matrix), []
         for k, shift in enumerate(offset.tolist()):
             pairs = zip(*entries_of_row(rows, k), strict=True)
-            found.append(self.scip.quicksum(a * quantities[j] for j, a in pairs) + shift)
-        return found
+            sums.append(self.scip.quicksum(a * quantities[j] for j, a in pairs) + shift)
+        return sums
 
     def _results(self, program: Program) -> list[Any]:
         """Return the results of a program of expressions."""
         quantities = list(self.x)
-        parts = [*(one for level in program.levels for one in level.arguments), program.result]
-        columns = np.concatenate([one.matrix.indices for one in parts])
+        parts = [*(part for level in program.levels for part in level.arguments), program.result]
+        columns = np.concatenate([part.matrix.indices for part in parts])
         uses = np.bincount(columns, minlength=program.result.matrix.shape[1])
         for level in program.levels:
-            sides = [self._sums(one.matrix, quantities, one.offset) for one in level.arguments]
+            sides = [self._sums(part.matrix, quantities, part.offset) for part in level.arguments]
             values = [
                 self._applied(function.name, *(side[k] for side in sides[: function.arguments]))
                 for function, span in level.spans
@@ -324,7 +324,7 @@ class _Model:
             ]
             shared = uses[len(quantities) : len(quantities) + len(values)] > 1
             pairs = zip(values, shared, strict=True)
-            quantities += [self._named(one) if twice else one for one, twice in pairs]
+            quantities += [self._named(part) if twice else part for part, twice in pairs]
         return self._sums(program.result.matrix, quantities, program.result.offset)
 
     def _applied(self, name: str, *u: Any) -> Any:
@@ -365,5 +365,5 @@ class _Model:
 def _power_below(program: QuadraticProgram) -> float:
     """Return the power of two below the largest entry of c and P, or 1 if all are 0."""
     costs = program.c, sp.csr_array(program.P).data
-    largest = max(float(np.abs(one).max(initial=0.0)) for one in costs)
+    largest = max(float(np.abs(cost).max(initial=0.0)) for cost in costs)
     return math.ldexp(1.0, math.frexp(largest)[1] - 1) if largest > 0.0 else 1.0

@@ -54,7 +54,7 @@ class Optimality:
     misfit : (ndarray, ndarray), shape (m,) each
         A x − b, and bounds of its rounding errors.
     residual : float
-        Measure that must be at most the tolerance for SOLVED: the least gap found, apart from rounding, relative to its
+        Measure that must be at most the tolerance for SOLVED: the least gap, apart from rounding, relative to its
         cost, at most 1. 1 if a point of lower cost is known.
     passes : bool
         Whether the point is SOLVED, if a run has tested it.
@@ -232,7 +232,7 @@ def _relative_gap(
         steep = least - radius
         steepest = 0.5 * steep * (steep / problem.ridge) + TINY
         linear = np.where(linear > 0.0, np.minimum(linear, steepest), linear)
-    linear = linear + 0.0 * (s + radius)  # NaN if one is not finite
+    linear = linear + 0.0 * (s + radius)  # NaN if an entry is not finite
     gap = 0.5 * np.vecdot(problem.apply_weights(off), off) + linear.sum(-1)
     gap = np.where(gap < np.inf, OUTWARD**3 * gap + TINY * (gap > 0.0), np.inf)
     y = np.where(problem.has_terms, y, 0.0)  # no x changes the cost of the other rows

@@ -154,8 +154,11 @@ class BoundedLeastSquares:
         self._check_range("b", b, "b, lower and upper")
         bounds = self.lower, self.upper
         if lower is not None or upper is not None:
-            given = bounds[0] if lower is None else lower, bounds[1] if upper is None else upper
-            bounds = checks.checked_bounds(*given, n)
+            user_bounds = (
+                bounds[0] if lower is None else lower,
+                bounds[1] if upper is None else upper,
+            )
+            bounds = checks.checked_bounds(*user_bounds, n)
         return self.stack(b, *bounds, self.l1 if l1 is None else _checked_penalty(l1, n))
 
     def stack(self, b: Vector, lower: Vector, upper: Vector, l1: Vector) -> BoundedLeastSquares:
@@ -443,7 +446,7 @@ class Enclosures:
         return gamma(2 * problem.terms[0] + 8) * RAN_AWAY * unit * largest
 
     def explained(self, x: Vector, residual: Ball) -> Ball:
-        """Return A x − b with its rounding errors as far as the data explain them; of one x that ran away sharply."""
+        """Return A x − b with its rounding errors as far as the data explain them; sharply if x ran away."""
         value, radius = residual
         if x.ndim == 1 and (radius > self.most_rounding).any():
             value = compensated_product(sp.csr_array(self.problem.A), x, -self.problem.b)[0]

@@ -154,12 +154,12 @@ class FacePoint:
 def projected_steps(start: FacePoint) -> Iterator[FacePoint]:
     """Yield points of an orthant, then of the orthant to which columns at 0 are pulled, until no column is pulled.
 
-    In an orthant Σ l1 |x| is linear. Cost falls from one to the next: none comes back once it is solved.
+    In an orthant Σ l1 |x| is linear. Cost falls from orthant to orthant: a solved orthant does not come back.
     """
     point = start
     while True:
         orthant = start.problem.whole.orthant(point.x, point.slope)
-        for point in steps_in_orthant(FacePoint(orthant, point.x, point.residual)):  # noqa: B020 - each begins where one ended
+        for point in steps_in_orthant(FacePoint(orthant, point.x, point.residual)):  # noqa: B020 - each orthant begins at the last point
             yield point
             pull = point.pull_across
             # A smaller residual in the orthant is not worth a step
@@ -176,7 +176,7 @@ def steps_in_orthant(start: FacePoint) -> Iterator[FacePoint]:
     while length > 0.0 and point.natural_residual.any():
         point, length = yield from _spectral_steps(point, length)
         is_on = True
-        while is_on:  # conjugate gradients on a face, then on the next one, until columns at a bound pull harder
+        while is_on:  # conjugate gradients on a face, then on the next face, until columns at a bound pull harder
             point, is_on = yield from _steps_on_face(point)
 
 
@@ -411,8 +411,8 @@ class Split(NamedTuple):
             np.append(self.upper, np.full(m, np.inf)),
         )
         if np.isfinite(answer.x).all():
-            for found in (*polish_steps(program, answer), answer):
-                yield self.join_parts(found.x[:k])
+            for point in (*polish_steps(program, answer), answer):
+                yield self.join_parts(point.x[:k])
 
     def solve_dual(self, b: Vector) -> Vector:
         """Return x of the multipliers z of PIQP's y; no column may have two bounds."""

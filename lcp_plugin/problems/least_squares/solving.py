@@ -29,7 +29,7 @@ from .data import BoundedLeastSquares, Enclosures, clip, times
 
 NNLS = "nnls", "one bound per column"  # a stage and its reason
 START = "start"  # instead of a method, if the start is optimal
-# Columns or rows, whichever are fewer: a penalty leaves few columns free, which steps may find
+# Columns or rows, whichever are fewer: a penalty leaves few columns free, which projected steps may reach
 LASSO_COLUMNS = 400
 
 
@@ -87,10 +87,12 @@ def solve_least_squares(
     settings, clock = Settings(**options) if options else DEFAULT, Clock()
     is_bare = x0 is None and callback is None and not options.keys() - {"tolerance"}
     if is_bare and engines.is_for_nnls(problem):
-        found = _by_nnls(problem, settings.tolerance)
-        if found.passes:
-            make = partial(_first_result, found, settings.tolerance, clock.read())
-            return LeastSquaresResult.of_known(make, x=read_only(found.x), status=Status.SOLVED)
+        optimality = _by_nnls(problem, settings.tolerance)
+        if optimality.passes:
+            make = partial(_first_result, optimality, settings.tolerance, clock.read())
+            return LeastSquaresResult.of_known(
+                make, x=read_only(optimality.x), status=Status.SOLVED
+            )
     progress = Progress(problem, settings, callback, clock)
     start = None if x0 is None else problem.checked_start(x0)
     run = LeastSquaresRun(problem, progress, start)
@@ -103,16 +105,16 @@ def solve_least_squares(
 def _by_nnls(problem: BoundedLeastSquares, tolerance: float) -> Optimality:
     """Return the certified point of nnls."""
     point = engines.nnls_point(problem)
-    found = Optimality.of(Enclosures(problem), point, tolerance=tolerance)
-    found.passes = found.residual <= tolerance
-    return found
+    optimality = Optimality.of(Enclosures(problem), point, tolerance=tolerance)
+    optimality.passes = optimality.residual <= tolerance
+    return optimality
 
 
-def _first_result(found: Optimality, tolerance: float, seconds: float) -> LeastSquaresResult:
+def _first_result(optimality: Optimality, tolerance: float, seconds: float) -> LeastSquaresResult:
     """Return the result of a run that ends with the first point of nnls."""
     run = {"status": Status.SOLVED, "iterations": 1, "seconds": seconds, "tolerance": tolerance}
     stages = (StageRecord(*NNLS, 1, 1.0),)
-    return LeastSquaresResult.at(found, algorithm=NNLS[0], stages=stages, **run)
+    return LeastSquaresResult.at(optimality, algorithm=NNLS[0], stages=stages, **run)
 
 
 class LeastSquaresRun(Run):
@@ -168,18 +170,18 @@ class LeastSquaresRun(Run):
         """Return the certified point of an x within the bounds; dual points are tried until one meets the tolerance."""
         goal = self.settings.tolerance
         enough = goal if tolerance is None else tolerance
-        found = Optimality.of(self.enclosures, x, tolerance=enough)
-        found.passes = found.residual <= goal
-        return found
+        optimality = Optimality.of(self.enclosures, x, tolerance=enough)
+        optimality.passes = optimality.residual <= goal
+        return optimality
 
-    def keep(self, found: Optimality) -> None:
+    def keep(self, optimality: Optimality) -> None:
         """Keep a point that passes, or whose gap is smaller than the best one, then its cost."""
         if (
-            found.passes
+            optimality.passes
             or self.best is None
-            or (found.residual, found.cost) < (self.best.residual, self.best.cost)
+            or (optimality.residual, optimality.cost) < (self.best.residual, self.best.cost)
         ):
-            self.best = found
+            self.best = optimality
 
     def end_of_stage(self, stage: Stage, end: Status) -> Status:
         """Return the reason; external solvers may improve a point at rounding level."""
@@ -234,8 +236,8 @@ class LeastSquaresRun(Run):
         yield self._projected(most)
 
     def _nnls_step(self) -> Iterator[Step]:
-        found = _by_nnls(self.problem, self.settings.tolerance)
-        yield Step(found.x, iterations=1, measured=found)
+        optimality = _by_nnls(self.problem, self.settings.tolerance)
+        yield Step(optimality.x, iterations=1, measured=optimality)
 
     def _size_at(self, point: engines.FacePoint) -> float:
         """Return the measure of a projected step, relative to the gradient of the data."""
@@ -401,7 +403,7 @@ def solve_least_squares_stack(
     linear = np.where(problem.upper <= 0.0, -problem.l1, problem.l1) / columns
     b = problem.root_weights * problem.b
     q = linear - b @ A
-    lower, upper = (np.broadcast_to(one, q.shape) for one in (lower, upper))
+    lower, upper = (np.broadcast_to(bound, q.shape) for bound in (lower, upper))
     z, _, iterations, _ = solve_stack(gram[None], q, lower, upper, tolerance=tolerance)
     side = np.where(z <= lower, LOW, np.where(z >= upper, HIGH, FREE))
 

@@ -30,7 +30,7 @@ class IterationFacts:
     family : str
         "projected type", "projected splitting", "projected relaxation" or "modulus".
     relaxation : float or None
-        α (ω of a projected relaxation); None if it is found during the run.
+        α (ω of a projected relaxation); None if it is determined during the run.
     acceleration : float or None
         β.
     sweep : {"forward", "backward", "symmetric"}

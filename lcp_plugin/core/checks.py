@@ -84,12 +84,12 @@ class MadeOnAccess:
 
     def __getattr__(self, name: str) -> Any:
         """Return an attribute that is not computed yet."""
-        own = vars(self)
-        if not name.startswith("_") and own.get("_make") is not None:
-            own.update(vars(own["_make"]()), _make=None)
-        if name not in own:
+        attributes = vars(self)
+        if not name.startswith("_") and attributes.get("_make") is not None:
+            attributes.update(vars(attributes["_make"]()), _make=None)
+        if name not in attributes:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        return own[name]
+        return attributes[name]
 
 
 def freeze_csr(matrix: sp.csr_array) -> sp.csr_array:
@@ -109,7 +109,7 @@ _EMPTY = sp.csr_array((1, 1))
 def assemble_csr(data: Any, indices: Any, indptr: Any, shape: tuple[int, int]) -> sp.csr_array:
     """Return the canonical CSR array of these arrays, read-only, unchecked.
 
-    scipy's own constructor would search the arrays for what is known here, which takes longer than a product.
+    scipy's own constructor would search the arrays for these facts, which takes longer than a product.
     """
     matrix = object.__new__(sp.csr_array)
     matrix.__dict__.update(_EMPTY.__dict__)
@@ -206,7 +206,7 @@ def _canonical(M: AnyMatrix, is_copied: bool) -> sp.csr_array:
     if M.format in ("csr", "csc", "bsr"):  # scipy's flags are stale if M.data was written to
         M = type(M)((M.data, M.indices, M.indptr), shape=M.shape)
         M.check_format(full_check=True)
-        if (np.diff(M.indptr) < 0).any():  # scipy does not look at them if the last one is 0
+        if (np.diff(M.indptr) < 0).any():  # scipy does not look at them if the last pointer is 0
             raise ValueError("index pointer values must form a non-decreasing sequence")
     elif M.format == "coo":
         M = sp.coo_array((M.data, (M.row, M.col)), shape=M.shape)
@@ -326,7 +326,7 @@ def _hint_at_vector(array: Vector, name: str, length: int | None) -> str:
 def change_of_vector(
     values: ArrayLike | None, name: str, n: int, *, may_be_number: bool = False
 ) -> Vector:
-    """Return the finite change of a vector: zeros for None, n equal entries for a number where one may be given."""
+    """Return the finite change of a vector: zeros for None, n equal entries for a number if that is allowed."""
     if values is None or (may_be_number and np.ndim(values) == 0):
         values = np.full(n, 0.0 if values is None else values)
     return checked_vector(values, name, n)
@@ -408,7 +408,7 @@ def checked_right_side(
 
 
 def normalize_bounds(lower: Vector, upper: Vector) -> tuple[Vector, Vector]:
-    """Return bounds, of any shape, with −∞ for a lower one of −1e20 or less, and ∞ for an upper one of 1e20 or more.
+    """Return bounds, of any shape, with −∞ for lower bounds of −1e20 or less, and ∞ for upper bounds of 1e20 or more.
 
     Bounds that cross by at most four units in the last place, as 0.1 · 3 and 0.3, are one value, the lower bound.
     """

@@ -1,4 +1,4 @@
-"""Problems with the same blocks as a stack of arrays: vectors have shape (B, k, m), and one problem is B = 1.
+"""Problems with the same blocks as a stack of arrays: vectors have shape (B, k, m), and B = 1 for one problem.
 
 Block k has up to m rows; unused entries of its row in an array are 0. A block of one row is a number between bounds.
 Other blocks are points of the cone K = {‖x_T‖ ≤ μ x_N}, x_N the first row. The slack of a cone is û = w + μ‖w_T‖ e_N
@@ -31,7 +31,7 @@ def length(x: Array) -> Array:
 
 
 @helper
-def read_blocks_of_one(starts, indptr, indices, data, own, d, labels):  # type: ignore[no-untyped-def]
+def read_blocks_of_problem(starts, indptr, indices, data, blocks, d, labels):  # type: ignore[no-untyped-def]
     """Write the diagonal blocks of one matrix, their scales d, and the first block of the component of each."""
     k = starts.size - 1
     of_row, sums = np.empty(starts[k], np.int64), np.zeros(k)
@@ -44,7 +44,7 @@ def read_blocks_of_one(starts, indptr, indices, data, own, d, labels):  # type: 
             for p in range(indptr[first + i], indptr[first + i + 1]):
                 sums[of_row[indices[p]]] += abs(data[p])
                 if of_row[indices[p]] == c:
-                    own[c, i, indices[p] - first] = data[p]
+                    blocks[c, i, indices[p] - first] = data[p]
                     norm = np.hypot(norm, data[p])
         for p in range(indptr[first], indptr[first + size]):
             a, other = c, of_row[indices[p]]
@@ -58,7 +58,7 @@ def read_blocks_of_one(starts, indptr, indices, data, own, d, labels):  # type: 
             while labels[other] != other:
                 other = labels[other]
             labels[max(a, other)] = min(a, other)
-        norm = norm / np.sqrt(size) if size > 1 else own[c, 0, 0]
+        norm = norm / np.sqrt(size) if size > 1 else blocks[c, 0, 0]
         d[c] = norm
         if not (norm > 0.0 and norm >= NEGLIGIBLE_DIAGONAL * largest):
             d[c] = largest if largest > 0.0 else 1.0
@@ -67,11 +67,11 @@ def read_blocks_of_one(starts, indptr, indices, data, own, d, labels):  # type: 
 
 
 @kernel
-def read_blocks(starts, indptr, indices, data, own, d, labels):  # type: ignore[no-untyped-def]
+def read_blocks(starts, indptr, indices, data, blocks, d, labels):  # type: ignore[no-untyped-def]
     """Write the diagonal blocks of matrices with one pattern, their scales and their components."""
-    for world in range(d.shape[0]):
-        arrays = own[world], d[world], labels[world]
-        read_blocks_of_one(starts, indptr, indices, data[world], *arrays)
+    for problem in range(d.shape[0]):
+        arrays = blocks[problem], d[problem], labels[problem]
+        read_blocks_of_problem(starts, indptr, indices, data[problem], *arrays)
 
 
 class Pattern:
@@ -87,7 +87,7 @@ class Pattern:
     ----------
     inner : tuple of two arrays of int
         Row and column of each entry of the diagonal blocks.
-    own : array, shape (B, k, m, m)
+    blocks : array, shape (B, k, m, m)
         The diagonal blocks.
     d : array, shape (B, k)
         Divisor of w. It is ‖M_kk‖/√m for a block of m rows, and the diagonal entry for one row. If this is less than
@@ -112,9 +112,9 @@ class Pattern:
         row = np.repeat(np.arange(self.n), counts)
         shift = np.cumsum(counts) - counts - starts[self.of_row]
         self.inner = row, np.arange(row.size) - np.repeat(shift, counts)
-        self.own = np.zeros((self.B, self.k, self.m, self.m))
+        self.blocks = np.zeros((self.B, self.k, self.m, self.m))
         self.d, labels = np.empty((self.B, self.k)), np.empty((self.B, self.k), np.int64)
-        read_blocks(read_only(self.starts), *self.entries, self.own, self.d, labels)
+        read_blocks(read_only(self.starts), *self.entries, self.blocks, self.d, labels)
         firsts = self.k * np.arange(self.B)[:, np.newaxis]
         self.labels = labels + firsts if labels.any() else None
 
@@ -139,9 +139,9 @@ class Pattern:
         shape = len(x), self.k, self.m, *x.shape[2:]
         if self.place is None:
             return x.reshape(shape)
-        found = np.zeros((len(x), self.k * self.m, *x.shape[2:]))
-        found[:, self.place] = x
-        return found.reshape(shape)
+        padded = np.zeros((len(x), self.k * self.m, *x.shape[2:]))
+        padded[:, self.place] = x
+        return padded.reshape(shape)
 
     def flat(self, x: Array) -> Array:
         """Return arrays of shape (B, k, m, …) as (B, n, …)."""
@@ -166,7 +166,7 @@ class Pattern:
     def take(self, some: Array) -> Pattern:
         """Return the pattern of the selected problems."""
         other = copy_without(self, "entries")
-        for name in ("M", "own", "d", "labels"):
+        for name in ("M", "blocks", "d", "labels"):
             values = getattr(self, name)
             setattr(other, name, None if values is None else values[some])
         other.B = len(other.d)
@@ -254,10 +254,10 @@ class ConeStack:
         x = at - w
         tangent, above = length(x[..., 1:]), x[..., 0]
         if self.has_friction:
-            slip = length(w[..., 1:])
-            sums = np.maximum(tangent + slip, NORMAL)[..., None]
+            sliding = length(w[..., 1:])
+            sums = np.maximum(tangent + sliding, NORMAL)[..., None]
             above = above + mu * (at[..., 1:] * ((x[..., 1:] - w[..., 1:]) / sums)).sum(-1)
-            v[..., 0] += mu * (slip / self.d)
+            v[..., 0] += mu * (sliding / self.d)
         else:
             above = above + mu * tangent
         axis = above / (1.0 + mu * mu)
@@ -270,9 +270,9 @@ class ConeStack:
         if self.pattern.has_rows:
             step, at = v[..., 0], z[..., 0]
             below, over = at - self.high, at - self.low
-            own = np.minimum(np.maximum(step, below), over)
+            of_rows = np.minimum(np.maximum(step, below), over)
             is_row = self.pattern.is_row
-            R[..., 0] = np.where(is_row, own, R[..., 0])
+            R[..., 0] = np.where(is_row, of_rows, R[..., 0])
             is_free = (below < step) & (step < over)
             case = np.where(is_row, np.where(is_free, WITHIN, OUT), case)
         return R, case, x, tangent, axis
@@ -281,25 +281,25 @@ class ConeStack:
         """Return the point of the cones nearest to z."""
         tangent, normal = length(z[..., 1:]), z[..., 0]
         on_axis = (normal + self.mu * tangent) / (1.0 + self.mu**2)
-        found = (self.mu * on_axis)[..., None] * (z / np.maximum(tangent, NORMAL)[..., None])
-        found[..., 0] = on_axis
+        projection = (self.mu * on_axis)[..., None] * (z / np.maximum(tangent, NORMAL)[..., None])
+        projection[..., 0] = on_axis
         # So that the projection of a projection is the same
         is_inside = tangent <= self.mu * normal * (1.0 + 2.0**-50)
-        found = np.where(is_inside[..., None], z, found)
-        found = np.where((on_axis <= 0.0)[..., None], 0.0, found)
+        projection = np.where(is_inside[..., None], z, projection)
+        projection = np.where((on_axis <= 0.0)[..., None], 0.0, projection)
         if self.pattern.has_rows:
-            own = np.minimum(np.maximum(normal, self.low), self.high)
-            found[..., 0] = np.where(self.pattern.is_row, own, found[..., 0])
-        return found
+            clamped = np.minimum(np.maximum(normal, self.low), self.high)
+            projection[..., 0] = np.where(self.pattern.is_row, clamped, projection[..., 0])
+        return projection
 
     def snap(self, z: Array) -> Array:
         """Return the nearest point of the cones; the origin in components that it solves."""
         z, answered = self.project(z), self.is_answered
         return np.where(answered[..., None], self.origin, z) if answered.any() else z
 
-    def derivative(self, w: Array, *found: Array) -> tuple[Array, Array]:
+    def derivative(self, w: Array, *projection: Array) -> tuple[Array, Array]:
         """Return an element of the generalized derivative of R by z and by w of each block, (B, k, m, m)."""
-        case, x, tangent, axis = found
+        case, x, tangent, axis = projection
         mu, eye, tangents = self.mu, np.eye(self.m), np.diag(np.arange(self.m) > 0)
         away = x / np.maximum(tangent, NORMAL)[..., None]
         away[..., 0] = 0.0

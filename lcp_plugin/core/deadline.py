@@ -23,7 +23,7 @@ class Compilation:
         self.seconds, self._depth, self._began = 0.0, 0, 0.0
 
     def begin(self) -> None:
-        """Record that a compilation begins, perhaps within another one."""
+        """Record that a compilation begins, perhaps within another compilation."""
         if self._depth == 0:
             self._began = time.perf_counter()
         self._depth += 1
@@ -40,27 +40,27 @@ _compilation: ContextVar[Compilation] = ContextVar("compilation")
 
 def compilation() -> Compilation:
     """Return the record of compilation of the current thread."""
-    found = _compilation.get(None)
-    if found is None:
-        _compilation.set(found := Compilation())
-    return found
+    record = _compilation.get(None)
+    if record is None:
+        _compilation.set(record := Compilation())
+    return record
 
 
 @contextmanager
 def pause_for_compilation() -> Iterator[None]:
     """Stop the clocks and the time limits of all current runs inside a ``with`` statement."""
-    own = compilation()
-    own.begin()
+    record = compilation()
+    record.begin()
     try:
         yield
     finally:
-        own.end()
+        record.end()
 
 
 class Clock:
     """The clock of a run, without pauses and without compilation.
 
-    Pauses count towards the time limit (`elapsed`). Compilation does not, also not in runs inside this one.
+    Pauses count towards the time limit (`elapsed`). Compilation does not, also not in runs inside this run.
 
     Attributes
     ----------
@@ -81,12 +81,12 @@ class Clock:
     @contextmanager
     def pause(self) -> Iterator[None]:
         """Exclude the work inside a ``with`` statement from the seconds of the run."""
-        own = self._compilation
-        began = time.perf_counter() - own.seconds
+        record = self._compilation
+        began = time.perf_counter() - record.seconds
         try:
             yield
         finally:
-            self._paused += time.perf_counter() - own.seconds - began
+            self._paused += time.perf_counter() - record.seconds - began
 
 
 def _now() -> float:

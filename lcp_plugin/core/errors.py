@@ -1,4 +1,4 @@
-"""Exceptions; every message has the given value, the requirement, and a remedy."""
+"""Exceptions; every message has the invalid value, the requirement, and a remedy."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ class UnreadableFile(LCPError, OSError):
 
 
 class NotConverged(LCPError, RuntimeError):
-    """The run ended without a solution, and the caller required one."""
+    """The run ended without a solution, and the caller required a solution."""
 
 
 class ModelWarning(UserWarning):
-    """The model is valid, but its meaning is probably not the intended one."""
+    """The model is valid, but its meaning is probably not the intended meaning."""
 
 
 def did_you_mean(
@@ -59,9 +59,9 @@ def did_you_mean(
     *,
     is_listed: bool = False,
 ) -> str:
-    """Return ``"; did you mean 'psor'?"`` or nothing, then the known words, and those that `solve` itself takes.
+    """Return ``"; did you mean 'psor'?"`` or nothing, then the known words, and the words that `solve` itself takes.
 
-    Among equally close words the first one in the alphabet is chosen. Long lists of algorithms and test problems, which
+    Among equally close words the first in the alphabet is chosen. Long lists of algorithms and test problems, which
     ``lcp-plugin list`` shows (`is_listed`), are left out.
 
     Examples

@@ -26,7 +26,7 @@ NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|[-+]?inf|nan"
 NO_NUMBER = re.compile(rb"(?im)^(?!%)(?:(?:" + NUMBER + rb")(?:[ \t\r]+|$)|[ \t\r]+)*+(\S+)")
 
 
-def read_number(word: bytes | str, kind: type = float) -> Any:
+def read_number(word: bytes | str, number_type: type = float) -> Any:
     """Return the number, of that type, that a word of a file states in ASCII characters.
 
     Python reads 1_0 as 10, and digits of all languages.
@@ -39,7 +39,7 @@ def read_number(word: bytes | str, kind: type = float) -> Any:
     text = word.encode() if isinstance(word, str) else word
     if not text.isascii() or b"_" in text:
         raise ValueError(f"{word!r} is not a number")
-    return kind(text)
+    return number_type(text)
 
 
 def in_folder(source: Path) -> str:
@@ -48,7 +48,7 @@ def in_folder(source: Path) -> str:
 
 
 @contextmanager
-def opened(source: Path, kind: str) -> Iterator[Any]:
+def opened(source: Path, file_format: str) -> Iterator[Any]:
     """Open a file of that format; an exception of its decoders is reported as a corrupt file.
 
     An error of this package, a mistake in its own code and a warning that is raised as an error do not concern the
@@ -71,7 +71,7 @@ def opened(source: Path, kind: str) -> Iterator[Any]:
         if is_ours and isinstance(error, (TypeError, AttributeError, NameError)):
             raise
         raise UnreadableFile(
-            f"cannot read {source}: it is damaged or no {kind} ({error})"
+            f"cannot read {source}: it is damaged or no {file_format} ({error})"
         ) from error
 
 
@@ -106,14 +106,15 @@ def read_matrix_market(source: Path) -> Any:
 
 def market_arrays(source: Path) -> dict[str, Any]:
     """Return M of a Matrix Market file, and q, lower, upper of the files of these names next to it."""
-    found = {"M": read_matrix_market(source)}
+    arrays = {"M": read_matrix_market(source)}
     for name in VECTORS:
         if (file := source.with_name(f"{name}.mtx")).exists() or name == "q":
             values = read_matrix_market(file)
-            if max(values.shape) > max(found["M"].shape[0], 1):  # before a sparse one becomes dense
+            # before a sparse array becomes dense
+            if max(values.shape) > max(arrays["M"].shape[0], 1):
                 raise UnreadableFile(f"{file} has the shape {values.shape}, too large for M")
-            found[name] = flat(values)
-    return found
+            arrays[name] = flat(values)
+    return arrays
 
 
 MATRIX_KEYS = ("data", "indices", "indptr", "shape")
@@ -178,7 +179,7 @@ def write_whole(contents: Mapping[Path, Callable[[Any], object]]) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def csr_in(source: Path, content: Mapping[str, Any], kind: Any = sp.csr_array) -> sp.csr_array:
+def csr_in(source: Path, content: Mapping[str, Any], layout: Any = sp.csr_array) -> sp.csr_array:
     """Return the matrix of a file's CSR or CSC arrays; raise UnreadableFile if they are invalid."""
     for key in ("indices", "indptr", "shape"):
         if content[key].dtype.kind not in "iu":
@@ -187,12 +188,12 @@ def csr_in(source: Path, content: Mapping[str, Any], kind: Any = sp.csr_array) -
             )
     try:
         shape = tuple(int(k) for k in content["shape"])
-        matrix = kind((content["data"], content["indices"], content["indptr"]), shape=shape)
+        matrix = layout((content["data"], content["indices"], content["indptr"]), shape=shape)
         matrix.check_format(full_check=True)
         return sp.csr_array(matrix)
     except (ValueError, IndexError, TypeError, OverflowError, MemoryError) as error:
         raise UnreadableFile(
-            f"{source} holds no valid {kind.__name__[:3].upper()} matrix: {error}"
+            f"{source} holds no valid {layout.__name__[:3].upper()} matrix: {error}"
         ) from error
 
 
@@ -204,18 +205,18 @@ def names_in(source: Path) -> list[str]:
 
 def arrays_in(source: Path, wanted: Collection[str]) -> dict[str, Any]:
     """Return the wanted arrays of a ``.npz`` file that are there, sparse matrices put together."""
-    found = dict(read_npz(source, {*wanted, *(part for part, M in PARTS.items() if M in wanted)}))
+    content = dict(read_npz(source, {*wanted, *(part for part, M in PARTS.items() if M in wanted)}))
     for matrix in dict.fromkeys(PARTS.values()):
         parts = [part for part, of in PARTS.items() if of == matrix]
-        if any(part in found for part in parts):
-            kind = sp.csr_array if matrix == "M" else sp.csc_array
+        if any(part in content for part in parts):
+            layout = sp.csr_array if matrix == "M" else sp.csc_array
             form = "CSR" if matrix == "M" else "CSC"
-            if missing := [part for part in parts if part not in found]:
+            if missing := [part for part in parts if part not in content]:
                 is_form = f"a sparse {matrix} is {', '.join(parts)} ({form})"
                 raise UnreadableFile(f"{source} lacks the keys {missing}; {is_form}")
-            arrays = dict(zip(MATRIX_KEYS, map(found.pop, parts), strict=True))
-            found[matrix] = csr_in(source, arrays, kind)
-    return found
+            arrays = dict(zip(MATRIX_KEYS, map(content.pop, parts), strict=True))
+            content[matrix] = csr_in(source, arrays, layout)
+    return content
 
 
 def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:

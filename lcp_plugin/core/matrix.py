@@ -106,7 +106,7 @@ class Matrix:
         return csr_of_dense(self.array) if self.is_dense else self.array
 
     def toarray(self) -> Vector:
-        """Return M as an ndarray, shape (n, n), not copied if it is stored as one."""
+        """Return M as an ndarray, shape (n, n), not copied if it is stored as an array."""
         return self.array if self.is_dense else self.array.toarray()
 
     @property
@@ -132,7 +132,7 @@ class Matrix:
     @property
     @fact
     def row_largest(self) -> Vector:
-        """max_j |m_ij| of each row, 1 for an empty one, shape (n,)."""
+        """max_j |m_ij| of each row, 1 for an empty row, shape (n,)."""
         row_largest = largest_in_rows(self.array)
         return read_only(np.where(row_largest == 0.0, 1.0, row_largest))
 

@@ -1,4 +1,4 @@
-"""Texts of messages: names of rows and unknowns, the only place that turns an index into one; counts, radii."""
+"""Texts of messages: names of rows and unknowns, which only this file makes from an index; counts, radii."""
 
 from __future__ import annotations
 
@@ -73,10 +73,10 @@ def grouped(names: Iterable[str], most: int = 4) -> list[str]:
     different = [*dict.fromkeys(names)]
     if len(different) <= most:
         return different
-    arrays = {one: re.sub(r"\[[\d, ]+\]|, entry [\d, ()]+$", "", one) for one in different}
+    arrays = {name: re.sub(r"\[[\d, ]+\]|, entry [\d, ()]+$", "", name) for name in different}
     counts = Counter(arrays.values())
-    shown = ((one, array, counts[array]) for one, array in arrays.items())
-    texts = (f"{array} ({count} entries)" if count > 1 else one for one, array, count in shown)
+    shown = ((name, array, counts[array]) for name, array in arrays.items())
+    texts = (f"{array} ({count} entries)" if count > 1 else name for name, array, count in shown)
     return [*dict.fromkeys(texts)]
 
 
@@ -93,13 +93,13 @@ def _name(names: Naming, i: int) -> str:
 
 
 def checked_names(
-    given: Any, rows: int | None, unknowns: int | None, *, are_pairs: bool = False
+    labels: Any, rows: int | None, unknowns: int | None, *, are_pairs: bool = False
 ) -> Names:
-    """Return the names that a constructor was given: of the unknowns, or a pair, of the rows and of the unknowns.
+    """Return the names of a new problem from a list for the unknowns, or a pair of lists, for rows and unknowns.
 
     Parameters
     ----------
-    given : list or tuple of str, pair of them, Names or None
+    labels : list or tuple of str, pair of them, Names or None
     rows, unknowns : int or None
         Numbers of names that are needed; None if they are not known yet.
     are_pairs : bool
@@ -117,16 +117,16 @@ def checked_names(
     >>> checked_names([["r"], None], 1, 2).row(0)
     'r'
     """
-    if given is None or isinstance(given, Names):
-        return given or Names()
-    if _are_names(given):
-        both = Names(given if are_pairs else None, given)
-    elif _is_list(given) and len(given) == 2 and all(k is None or _are_names(k) for k in given):
-        both = Names(*given)
+    if labels is None or isinstance(labels, Names):
+        return labels or Names()
+    if _are_names(labels):
+        both = Names(labels if are_pairs else None, labels)
+    elif _is_list(labels) and len(labels) == 2 and all(k is None or _are_names(k) for k in labels):
+        both = Names(*labels)
     else:
         raise InvalidProblem(
-            f"names must be a list of strings, or a pair of lists, of the rows and of the unknowns, got {given!r:.60}; "
-            "write names=[str(name) for name in …]"
+            "names must be a list of strings, or a pair of lists, of the rows and of the unknowns, "
+            f"got {labels!r:.60}; write names=[str(name) for name in …]"
         )
     for what, names, count in (("rows", both.rows, rows), ("unknowns", both.unknowns, unknowns)):
         if isinstance(names, (list, tuple)) and count is not None and len(names) != count:
@@ -136,12 +136,12 @@ def checked_names(
     return both
 
 
-def _is_list(given: Any) -> bool:
-    return isinstance(given, (list, tuple))
+def _is_list(values: Any) -> bool:
+    return isinstance(values, (list, tuple))
 
 
-def _are_names(given: Any) -> bool:
-    return _is_list(given) and all(isinstance(one, str) for one in given)
+def _are_names(values: Any) -> bool:
+    return _is_list(values) and all(isinstance(name, str) for name in values)
 
 
 def format_count(count: int, what: str) -> str:
@@ -166,7 +166,7 @@ def _bounds_in_words(problem: Any) -> str:
     is_below, is_above = np.isfinite(problem.lower), np.isfinite(problem.upper)
     boxed, free = int((is_below & is_above).sum()), int((~is_below & ~is_above).sum())
     parts = [(problem.n - free - boxed, "one-sided"), (boxed, "boxed"), (free, "free")]
-    return ", ".join(f"{count} {kind}" for count, kind in parts if count)
+    return ", ".join(f"{count} {form}" for count, form in parts if count)
 
 
 def three_digits_below(value: float) -> str:

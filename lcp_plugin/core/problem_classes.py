@@ -94,30 +94,30 @@ def class_of(problem: object) -> str | None:
     >>> class_of(LCP([[1.0]], [1.0])), class_of([1.0])
     ('LCP', None)
     """
-    for kind in type(problem).__mro__:
-        if kind.__name__ in CLASSES and kind.__module__.startswith("lcp_plugin."):
-            return kind.__name__
+    for base in type(problem).__mro__:
+        if base.__name__ in CLASSES and base.__module__.startswith("lcp_plugin."):
+            return base.__name__
     return None
 
 
-def refusal(function: str, given: object) -> str:
+def refusal(function: str, argument: object) -> str:
     """Return the error message for an argument that a function does not accept."""
     *most, last = classes_of(function)
     needs = with_article(f"{', '.join(most)} or {last}" if most else last)
     step = ""
     if function == "derivative":
         needs = f"the result of {needs}"
-        results = [*given] if isinstance(given, Sequence) else [given]
-        if class_of(given) in classes_of(function):
+        results = [*argument] if isinstance(argument, Sequence) else [argument]
+        if class_of(argument) in classes_of(function):
             step = "; write derivative(solve(problem))"
-        elif given is not results[0] and all(
-            hasattr(one, "status") or isinstance(one, Sequence)
-            for one in results  # a march is a sequence
+        elif argument is not results[0] and all(
+            hasattr(result, "status") or isinstance(result, Sequence)
+            for result in results  # a march is a sequence
         ):
             step = "; write [derivative(result) for result in results]"
     elif function == "solve":
         step = "; for a matrix M and a vector q write solve(LCP(M, q))"
-    return f"{function} needs {needs}, got {type(given).__name__}{step}"
+    return f"{function} needs {needs}, got {type(argument).__name__}{step}"
 
 
 def with_article(word: str) -> str:
@@ -158,9 +158,9 @@ def foreign_function(name: str, model: Any) -> Callable[..., Any] | None:
     >>> foreign_function("certify", 1.0) is None
     True
     """
-    for kind in type(model).__mro__:
-        package = kind.__module__.partition(".")[0]
-        for owner in (package, ".".join(kind.__module__.split(".")[:2])):
+    for base in type(model).__mro__:
+        package = base.__module__.partition(".")[0]
+        for owner in (package, ".".join(base.__module__.split(".")[:2])):
             if f"{name} {owner}" in DOORS:
                 return _function(f"{name} {owner}")
     return None
@@ -168,5 +168,5 @@ def foreign_function(name: str, model: Any) -> Callable[..., Any] | None:
 
 def _function(name: str) -> Callable[..., Any]:
     module, _, path = DOORS[name].partition(":")
-    found: Callable[..., Any] = attrgetter(path)(import_module(f"lcp_plugin.{module}"))
-    return found
+    function: Callable[..., Any] = attrgetter(path)(import_module(f"lcp_plugin.{module}"))
+    return function

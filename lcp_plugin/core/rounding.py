@@ -119,19 +119,19 @@ def _row_sums(a: Vector, b: Vector, starts: Array, offset: Vector) -> Any:
     first, second, third, size, lost = np.zeros((5, filled.size))
     if starts.size:
         product, error, underflow = _products(a, b)
-        first[filled], (rest,) = _split(starts, counts, product)
-        second[filled], rests = _split(starts, counts, rest, error)
-        third[filled] = np.add.reduceat(rests[0] + rests[1], starts)
-        sizes = np.add.reduceat(np.abs(rests[0]) + np.abs(rests[1]), starts)
+        first[filled], (remainder,) = _split(starts, counts, product)
+        second[filled], remainders = _split(starts, counts, remainder, error)
+        third[filled] = np.add.reduceat(remainders[0] + remainders[1], starts)
+        sizes = np.add.reduceat(np.abs(remainders[0]) + np.abs(remainders[1]), starts)
         size[filled] = (4.0 * counts + 8.0) * UNIT * sizes
         if underflow is not None:
             lost[filled] = np.add.reduceat(underflow, starts)
     high, low = split_sum(first, offset)
     high, more = split_sum(high, second)
-    low, one = split_sum(low, more)
-    low, other = split_sum(low, third)
+    low, second_error = split_sum(low, more)
+    low, third_error = split_sum(low, third)
     high, low = split_sum(high, low)
-    radius = size + np.abs(one) + np.abs(other) + lost
+    radius = size + np.abs(second_error) + np.abs(third_error) + lost
     radius = np.where(radius > 0.0, (1.0 + 8.0 * UNIT) * radius + 4.0 * TINY, 0.0)
     is_number = np.isfinite(high + low + radius)
     return high, np.where(is_number, low, 0.0), np.where(is_number, radius, np.inf)
@@ -143,8 +143,8 @@ def _split(starts: Array, counts: Array, *terms: Vector) -> tuple[Vector, list[V
     unit = np.ldexp(1.0, np.frexp(top)[1] + np.frexp(len(terms) * counts + 2.0)[1])
     unit = np.repeat(unit, counts)
     parts = [(unit + term) - unit for term in terms]
-    rests = [term - part for term, part in zip(terms, parts, strict=True)]
-    return np.add.reduceat(sum(parts[1:], parts[0]), starts), rests
+    remainders = [term - part for term, part in zip(terms, parts, strict=True)]
+    return np.add.reduceat(sum(parts[1:], parts[0]), starts), remainders
 
 
 def _products(a: Vector, b: Vector) -> tuple[Vector, Vector, Any]:
@@ -154,11 +154,12 @@ def _products(a: Vector, b: Vector) -> tuple[Vector, Vector, Any]:
     if not small.size:
         return product, error, None
     less, more = np.where(np.abs(a) < np.abs(b), (a, b), (b, a))[:, small]
-    scaled, rest = product_and_error(less / MAY_UNDERFLOW, more)  # the same product in another unit
-    rest += scaled - product[small] / MAY_UNDERFLOW
-    error[small] = rest * MAY_UNDERFLOW
+    # the same product in another unit
+    scaled, remainder = product_and_error(less / MAY_UNDERFLOW, more)
+    remainder += scaled - product[small] / MAY_UNDERFLOW
+    error[small] = remainder * MAY_UNDERFLOW
     lost = np.zeros(a.shape)
-    lost[small] = np.where((rest == 0.0) & (np.abs(scaled) > MAY_UNDERFLOW), 0.0, 4.0 * TINY)
+    lost[small] = np.where((remainder == 0.0) & (np.abs(scaled) > MAY_UNDERFLOW), 0.0, 4.0 * TINY)
     return product, error, lost
 
 

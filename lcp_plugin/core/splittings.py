@@ -8,7 +8,7 @@ Convergence of sweeps:
 - Where constraints are active, the np* methods need their row scaling, which is on by default.
 - Momentum, also on by default, divides the iterations of the np* methods by 1.3 to 25 where their steps fall slowly.
   On grids psor needs half as many sweeps as they need with it, because its relaxation adapts to the problem.
-- psor finds a relaxation that needs at most twice the iterations of the best fixed one on a plain obstacle problem.
+- On a plain obstacle problem, psor needs at most twice the iterations of the best fixed relaxation.
 - On a fine grid all of them are slow: with the best relaxation, the iterations grow with the number of nodes across,
   without it with the square of this number. multigrid takes about ten V-cycles for any n, and requires only M.
 - On bimatrix games, circuits, saddle points and infeasible problems, sweeps end STALLED or DIVERGED, sometimes also on
@@ -96,7 +96,7 @@ class Splitting(Algorithm):
         z: Vector | None = None,
         points: Extrapolations | None = None,
     ) -> Iterator[Step]:
-        """Yield a step for x₀, x₁, …, with the residual that the pass to the next one measures anyway.
+        """Yield a step for x₀, x₁, …, with the residual that the pass to the next iterate measures anyway.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class Splitting(Algorithm):
         z : array, shape (n,), optional
             If x is not z itself: filled with the z of x.
         points : generator, optional
-            The extrapolations of x; without them an iteration begins where the last one ended.
+            The extrapolations of x; without them an iteration begins where the last iteration ended.
         """
         matrix, M = problem.matrix, problem.matrix.csr
         passes = SWEEPS[self.sweep]
@@ -161,7 +161,7 @@ def extrapolations(
 
     In a cycle y = z⁺ + (t − 1)/t⁺ (z⁺ − z) within the bounds, with z⁺ = T(y) and t⁺ = 1/2 + √(1/4 + t²). It begins with
     t = 1, when a plain step ‖T(z) − z‖ exceeds 0.8 of the step before, and ends when the step ‖T(y) − y‖ grows. The
-    next cycle begins at the z⁺ of this step, or of the step before if only this one was short, when it is shorter than
+    next cycle begins at the z⁺ of this step, or of the step before if only this step was short, when it is shorter than
     every plain step so far. Otherwise z returns to the start of the cycle, and plain iterations follow, twice as many
     as the cycle had, or as the last return had.
 
@@ -523,7 +523,7 @@ class PSOR(_InPlace):
     Parameters
     ----------
     relaxation : float or "auto"
-        ω in (0, 2), or found during the run by trials that are undone where they do not pay, so that it
+        ω in (0, 2), or determined during the run by trials that are undone where they do not pay, so that it
         converges wherever Gauss–Seidel does.
     sweep : {"forward", "backward", "symmetric"}
         Order of the rows; symmetric does both in one iteration.

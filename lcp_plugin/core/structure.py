@@ -49,7 +49,7 @@ class Components:
 
 @fact
 def connected_components(matrix: Matrix) -> Components | None:
-    """Return the connected components of the graph of M; None if there is only one.
+    """Return the connected components of the graph of M; None if there is only one component.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def connected_components(matrix: Matrix) -> Components | None:
     True
     """
     n, M = matrix.n, matrix.array
-    # Rows are connected if each but the first has an entry left of its diagonal, in a dense M also one above it.
+    # Rows are connected if each but the first has an entry left of its diagonal, in a dense M also an entry above it.
     if n < 2 or (matrix.is_dense and M[0].all()):
         return None
     if matrix.is_dense:

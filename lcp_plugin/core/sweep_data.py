@@ -45,7 +45,7 @@ def split_rows(M: sp.csr_array, *, backward: bool = False) -> Any:
 def triangle_sums(matrix: Matrix, v: Vector, part: Any = None) -> tuple[Vector, Vector]:
     """Return (|L|v, |U|v), each row divided by the scale of its residual, shapes (n,).
 
-    If a CSR array `part`, shape (n, n), is given, its triangles replace the triangles of M.
+    If `part`, a CSR array of shape (n, n), is not None, its triangles replace the triangles of M.
     """
     M = matrix.csr if part is None else part
     rows = row_numbers(M)
@@ -79,8 +79,8 @@ def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> Vector:
 
         θ_i ≤ 2   and   g θ_i ℓ_i < 1,      ℓ_i = (|L|v)_i/(d_i v_i) with L the part of M that the sweep has updated
 
-    (θ_i ≤ 1 needs g ≤ 1 and nothing else). If all rows are dominant, d_i ≥ Σ|m_ij|, v may be taken as near to 1 as
-    one likes: with ⟨M⟩y > 0 also ⟨M⟩(1 + εy) > 0. There one pass over M decides, and θ balances the two parts of the
+    (θ_i ≤ 1 needs g ≤ 1 and nothing else). If all rows are dominant, d_i ≥ Σ|m_ij|, v may be arbitrarily
+    near to 1: with ⟨M⟩y > 0 also ⟨M⟩(1 + εy) > 0. There one pass over M decides, and θ balances the two parts of the
     answer. On z* > 0 an iteration contracts by about 1 − 2θ(1 − ℓ − u)/p, on w* > 0 by 1 − 2/p, p = θ/α + θ + 2: equal
     for θ = 1/(1 − ℓ − u). On the gallery larger θ than 2 lost again where the rows are far from equal.
     """

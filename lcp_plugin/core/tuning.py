@@ -7,7 +7,7 @@ from __future__ import annotations
 
 DIRECT_UP_TO = 1000  # rows of a sparse M above which multigrid is cheaper than a factorization
 BANDED_PASSES = 150.0  # up to here a band comes before sweeps that nothing proves quick
-PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M from which on those are cheaper than lemke's pivots
+PIVOTS_FIRST_UP_TO = 500  # rows of a sparse M up to which lemke's pivots come first
 
 # Sizes that a plan never exceeds.
 # rows: the gain of a dense factorization grows with n, and its loss on a band also

@@ -84,29 +84,30 @@ class Compiled:
 
     @cached_property
     def dispatcher(self) -> Any:
-        """Dispatcher of numba for the function; it takes the place of this one in the function's file."""
+        """Dispatcher of numba for the function; it takes the place of this object in the function's file."""
         with LOCK:
             if self._dispatcher is not None:  # of another thread
                 return self._dispatcher
             if (numba := _numba()) is None:
                 return np.errstate(all="ignore")(self.function) if self.is_cached else self.function
-            self._dispatcher = found = self._compiled_by(numba.njit)
+            self._dispatcher = compiled = self._compiled_by(numba.njit)
             names = self.function.__globals__
             for name, value in list(names.items()):
                 if isinstance(value, Compiled):
                     names[name] = value.dispatcher
                 elif value is uintp:
                     names[name] = numba.uintp
-            return found
+            return compiled
 
     def _compiled_by(self, njit: Any) -> Any:
         if self.is_cached:
             with suppress(RuntimeError):  # no directory for a cache
-                found = njit(cache=True, **self.options)(self.function)
-                if (cache := getattr(found, "_cache", None)) is not None:  # NUMBA_DISABLE_JIT: none
+                dispatcher = njit(cache=True, **self.options)(self.function)
+                # None with NUMBA_DISABLE_JIT
+                if (cache := getattr(dispatcher, "_cache", None)) is not None:
                     cache.save_overload = partial(_save, cache.save_overload)
                     cache._index_key = partial(_key, cache._index_key, uses(self.function))
-                return found
+                return dispatcher
         return njit(**self.options)(self.function)
 
 
@@ -138,7 +139,7 @@ def uses(function: Any) -> str:
             text += f"{name} = {value!r}\n"
         elif isinstance(value, Compiled) or hasattr(value, "py_func"):
             text += uses(value.function if isinstance(value, Compiled) else value.py_func)
-    return f"{text}{code.co_code.hex()} {[one for one in code.co_consts if not hasattr(one, 'co_code')]}\n"
+    return f"{text}{code.co_code.hex()} {[entry for entry in code.co_consts if not hasattr(entry, 'co_code')]}\n"
 
 
 def kernel(function: Any) -> Any:

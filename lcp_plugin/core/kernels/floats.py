@@ -9,7 +9,7 @@ from __future__ import annotations
 EPSILON = 2.0**-52  # from 1 to the next double
 UNIT = 2.0**-53  # the largest relative error of one rounding
 TINY = 2.0**-1074  # the smallest positive double; a product that underflows is wrong by up to this
-NORMAL = 2.0**-1022  # the smallest normal double: below it the next one is TINY away
+NORMAL = 2.0**-1022  # the smallest normal double: below it the next double is TINY away
 LARGEST = 1.7976931348623157e308  # the largest double
 # 2⁸ EPSILON: as many roundings as a time step or an assembly adds up, with a margin
 DATA_ROUNDING = 2.0**-44
@@ -19,7 +19,7 @@ UNDERFLOW = 1e-290  # far more than all that underflows in a sum of products of 
 # the rounding error of a larger product has bits down to 2⁻¹⁰⁶⁶, so it is a double
 MAY_UNDERFLOW = 2.0**-960
 NEGLIGIBLE = 2.0**-42  # relative to the active terms at a solution: smaller terms are ignored
-# of the largest entry of its row: a smaller one is not the row's scale
+# of the largest entry of its row: a smaller entry is not the row's scale
 NEGLIGIBLE_DIAGONAL = 2.0**-20
 HALF_OF_DIGITS = 2.0**-26  # relative: a smaller change, slack or Newton step is not seen
 SMALLEST_PIVOT = 1e-11  # of Lemke's path on a small problem, of rows divided by their largest entry

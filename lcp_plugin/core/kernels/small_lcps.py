@@ -73,19 +73,19 @@ def follow_paths(M, q, lower, upper, tilts, label, T, numbers, sides):  # type: 
             step = max(step, 0.0)
             if t_row < n and distance[t_row] <= step * (1.0 + 1e-12):
                 row = t_row
-            own, leaving, rate = INF, driven, direction
+            reach, leaving, rate = INF, driven, direction
             if driven < n:
-                own = width[driven]
+                reach = width[driven]
             elif driven == t:
-                own = value
-            is_exchange = own > step or own == INF  # else it reaches its other bound
+                reach = value
+            is_exchange = reach > step or reach == INF  # else it reaches its other bound
             if is_exchange:
                 if step == INF:
                     leaving = n
                     break
-                own, leaving, rate = step, basis[row], direction * factor[row]
+                reach, leaving, rate = step, basis[row], direction * factor[row]
             for i in range(n):
-                v[i] += direction * own * factor[i]
+                v[i] += direction * reach * factor[i]
             if is_exchange:
                 v[row], low[row], high[row] = value + direction * step, 0.0, INF
                 if driven < n:

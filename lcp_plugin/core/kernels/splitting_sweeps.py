@@ -46,14 +46,14 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
     near = 0.0
     for k in range(n):
         i = n - one - k if backward else k
-        first, last, rest, rest_end = halves_of_row(indptr, split, i, backward)
+        first, last, other, other_end = halves_of_row(indptr, split, i, backward)
         w = rows[i, 0]
         c = 0.0
         nearest_weight = 0.0
         nearest_change = 0.0
         inverse = rows[i, 5]
         s = rows[i, 4]
-        for at in range(rest, rest_end):
+        for at in range(other, other_end):
             w += data[at] * z[uintp(indices[at])]
         if last > first:
             nearest, first, last = without_nearest(first, last, backward)
@@ -105,12 +105,12 @@ def relaxation_sweep(  # type: ignore[no-untyped-def]
     near = 0.0
     for k in range(n):
         i = n - one - k if backward else k
-        first, last, rest, rest_end = halves_of_row(indptr, split, i, backward)
+        first, last, other, other_end = halves_of_row(indptr, split, i, backward)
         w = rows[i, 0]
         nearest_weight = 0.0
         nearest_value = 0.0
         s = relaxation * rows[i, 3]
-        for at in range(rest, rest_end):
+        for at in range(other, other_end):
             w += data[at] * z[uintp(indices[at])]
         if last > first:
             nearest, first, last = without_nearest(first, last, backward)
@@ -148,7 +148,7 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
     largest = 0.0
     for k in range(n):
         i = n - one - k if backward else k
-        first, last, rest, rest_end = halves_of_row(indptr, split, i, backward)
+        first, last, other, other_end = halves_of_row(indptr, split, i, backward)
         w = rows[i, 0]
         c = 0.0
         for at in range(first, last):
@@ -156,7 +156,7 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
             old = x[j]
             w += data[at] * (0.0 if old < 0.0 else old)
             c += data[at] * (new[j] - old)
-        for at in range(rest, rest_end):
+        for at in range(other, other_end):
             old = x[uintp(indices[at])]
             w += data[at] * (0.0 if old < 0.0 else old)
         xi = x[i]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.checks import Array, Vector, read_only
-from ...core.cone_stack import ConeStack, read_blocks_of_one
+from ...core.cone_stack import ConeStack, read_blocks_of_problem
 from ...core.kernels.compilation import helper, kernel
 from ...core.kernels.floats import EPSILON
 from ...judges.cones import bound_contacts
@@ -155,7 +155,7 @@ def sweep_small(starts, W, b, mu, tolerance, most, z):  # type: ignore[no-untype
     n, k, m = b.size, mu.size, max(np.diff(starts).max(), 3)
     blocks, d, labels = np.zeros((k, m, m)), np.zeros(k), np.zeros(k, np.int64)
     entries = np.arange(n + 1) * n, np.arange(n * n) % n, W.ravel()
-    read_blocks_of_one(starts, *entries, blocks, d, labels)
+    read_blocks_of_problem(starts, *entries, blocks, d, labels)
     columns, w, count, moved, largest = np.ascontiguousarray(W.T), b.copy(), 0, np.inf, 0.0
     offset, x, free = np.zeros(m), np.zeros(m), np.zeros(m)
     z_2 = z_1 = z.copy()  # two sweeps and one ago
@@ -196,7 +196,8 @@ def sweep_small(starts, W, b, mu, tolerance, most, z):  # type: ignore[no-untype
 def sweep_blocks(stack: ConeStack, z: Array, most: int, stop: float) -> tuple[Array, Array]:
     """Return z, (B, k, m), after at most so many sweeps over each problem, and their numbers, (B,)."""
     pattern = stack.pattern
-    arrays = stack.mu, stack.low, stack.high, *pattern.entries, pattern.flat(stack.q), pattern.own
+    q, blocks = pattern.flat(stack.q), pattern.blocks
+    arrays = stack.mu, stack.low, stack.high, *pattern.entries, q, blocks
     starts, *data = map(read_only, map(np.ascontiguousarray, (pattern.starts, *arrays, stack.d)))
     z, counts = np.array(pattern.flat(z), order="C"), np.zeros(stack.B, np.int64)
     sweep(starts, stack.has_friction, *data, most, stop, z, counts)

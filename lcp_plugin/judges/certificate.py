@@ -73,8 +73,8 @@ class Certificate:
     @classmethod
     def at(cls, problem: LCP, z: Vector, **known: Any) -> Certificate:
         """Return the certificate of z, read-only; `known` are its properties `criterion` and `rows`, or None."""
-        given = {name: one for name, one in known.items() if one is not None}
-        return fill(cls(problem, z), **given)
+        measures = {name: value for name, value in known.items() if value is not None}
+        return fill(cls(problem, z), **measures)
 
     @derived_property
     def criterion(self) -> RowData:
@@ -88,7 +88,7 @@ class Certificate:
 
     @derived_property
     def by_row(self) -> RowResiduals:
-        """Residuals of all rows, by sums in twice the precision if rounding makes the largest one uncertain."""
+        """Residuals of all rows, by sums in twice the precision if rounding makes the largest residual uncertain."""
         return self.criterion.residuals_at(self.z, self.rows, PRECISE)
 
     @derived_property

@@ -1,7 +1,7 @@
 """Stopping criterion over cones: the criterion of an LCP (:mod:`lcp_plugin.judges.lcp`), by rows.
 
-A row between bounds is a row of an LCP. Contact with friction consists of two laws with residuals and terms of their
-own: Signorini's condition z_N ≥ 0 ⟂ w_N ≥ 0, a row of an LCP, and Coulomb's law of the tangential rows, with the disk
+A row between bounds is a row of an LCP. Contact with friction consists of two laws, each with residuals and
+terms: Signorini's condition z_N ≥ 0 ⟂ w_N ≥ 0, a row of an LCP, and Coulomb's law of the tangential rows, with the disk
 ‖z_T‖ ≤ μ z_N. So a large sliding velocity does not hide a small closing velocity. A second-order cone is one law.
 
 For a law with several rows, norms over these rows replace absolute values. Its residual is the natural map's,
@@ -81,11 +81,11 @@ class ConeRows(RowData):
 
     def measure_blocks(self, z: Array, tolerance: float, absolute: float = 0.0) -> Measured:
         """Return the measure of points of the cones, shape (B, k, m), snapped; numbers have the shape (B,)."""
-        found = self.measure(self.flat(z), tolerance, absolute=absolute)
+        measured = self.measure(self.flat(z), tolerance, absolute=absolute)
         shape = (self.stack.B,)
-        numbers = found.residual, found.passes, found.is_limited
-        residual, passes, is_limited = (np.broadcast_to(one, shape) for one in numbers)
-        return Measured(self.wide(found.z), residual, passes, is_limited, *found[4:])
+        numbers = measured.residual, measured.passes, measured.is_limited
+        residual, passes, is_limited = (np.broadcast_to(number, shape) for number in numbers)
+        return Measured(self.wide(measured.z), residual, passes, is_limited, *measured[4:])
 
     def of_blocks(self, values: Array) -> Array:
         """Return the largest of the values by rows in each block, shape (B, k)."""

@@ -17,7 +17,7 @@ graph of M and in each row i
 Rounding errors are included in test 1. A row whose demand is below 2⁻⁴² of its terms is noise, and violations below the
 smallest normal double pass: these are the limits. Test 2 is omitted in rows with |r_i| ≤ absolute tolerance. A run
 moves each z_i to a bound that is nearer than the step −w_i/d_i, and z to z° in components that z° solves; then the run
-measures and returns the moved point. ``certify`` measures the given point by the same function. A residual is not
+measures and returns the moved point. ``certify`` measures the user's point by the same function. A residual is not
 an error: ``help("lcp_plugin.proofs")``.
 """
 
@@ -147,7 +147,7 @@ class RowData:
     A class of problems with another product or other rows replaces `anywhere`, `worst`, `largest`, `largest_products`,
     `rows` or `sharp_product`.
 
-    It is one class because the measures call each other, and a subclass replaces single ones.
+    It is one class because the measures call each other, and a subclass replaces some of them.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class RowData:
 
     @cached_property
     def references(self) -> VectorEnds:
-        """Bounds of ‖r_P(z°)‖∞ in the component of each row; the lower one is NaN if it is infinite."""
+        """Bounds of ‖r_P(z°)‖∞ in the component of each row; the lower end is NaN if it is infinite."""
         z, at = self.start, self.rows_at_start
         ends = self.residual_ends(z, at.w, at.rounding)
         is_zero = self.is_rounding(at.w, at.rounding, at.terms, np.inf)
@@ -247,15 +247,15 @@ class RowData:
         return values.max(-1, initial=0.0)
 
     def largest(self, values: Vector) -> Any:
-        """Return the largest of the values ≥ 0 in the component of each row; shape (…, 1) if there is one.
+        """Return the largest of the values ≥ 0 in the component of each row; shape (…, 1) if it is the only one.
 
         A NaN stays.
         """
         if self.labels is None:
             return values.max(-1, keepdims=True, initial=0.0)
-        found = np.zeros(int(self.labels.max(initial=-1)) + 1)
-        np.maximum.at(found, self.labels, values)
-        return found[self.labels]
+        maxima = np.zeros(int(self.labels.max(initial=-1)) + 1)
+        np.maximum.at(maxima, self.labels, values)
+        return maxima[self.labels]
 
     def largest_products(self, x: Vector) -> Vector:
         """Return max_j |m_ij| x_j of each row, x ≥ 0."""
@@ -349,35 +349,35 @@ class RowData:
 
     def measure(self, z: Vector, tolerance: float, absolute: float = 0.0) -> Measured:
         """Measure the snapped z; if it fails, with zeros for rounding errors. Parameters and result of `measure_at`."""
-        found = self.with_zeros(
+        measured = self.with_zeros(
             self.measure_at(*self.snap(z), tolerance, absolute), tolerance, absolute
         )
-        return found._replace(is_limited=self.are_limited(found, tolerance))
+        return measured._replace(is_limited=self.are_limited(measured, tolerance))
 
-    def with_zeros(self, found: Measured, tolerance: float, absolute: float = 0.0) -> Measured:
+    def with_zeros(self, measured: Measured, tolerance: float, absolute: float = 0.0) -> Measured:
         """Return the measure, or the measure with 0 for unknowns at rounding level if a point passes only so.
 
         A linear solve leaves errors of 10⁻¹⁶ of the largest unknown everywhere, an interior-point method of 10⁻¹³.
         """
-        if np.all(found.passes | (found.residual > tolerance)):
-            return found
-        z = found.z
+        if np.all(measured.passes | (measured.residual > tolerance)):
+            return measured
+        z = measured.z
         is_noise = np.abs(z) <= NEGLIGIBLE * self.largest(np.abs(z))
         is_noise &= (self.lower <= 0.0) & (self.upper >= 0.0) & (z != 0.0)
         if not self.anywhere(is_noise):
-            return found
+            return measured
         again = self.measure_at(np.where(is_noise, 0.0, z), None, tolerance, absolute)
-        is_better = np.asarray(again.passes & ~np.asarray(found.passes))
+        is_better = np.asarray(again.passes & ~np.asarray(measured.passes))
         if is_better.all() or not is_better.any():
-            return again if is_better.all() else found
+            return again if is_better.all() else measured
         better = is_better[..., np.newaxis]
-        pairs = (zip(again[k], found[k], strict=True) for k in (4, 5))  # rows and by_row
+        pairs = (zip(again[k], measured[k], strict=True) for k in (4, 5))  # rows and by_row
         rows, by_row = ([np.where(better, *both) for both in pair] for pair in pairs)
-        by_row[-1] = np.where(is_better, again.by_row.worst, found.by_row.worst)
+        by_row[-1] = np.where(is_better, again.by_row.worst, measured.by_row.worst)
         return Measured(
             np.where(better, again.z, z),
-            np.where(is_better, again.residual, found.residual),
-            found.passes | again.passes,
+            np.where(is_better, again.residual, measured.residual),
+            measured.passes | again.passes,
             rows=RowsAtPoint._make(rows),
             by_row=RowResiduals._make(by_row),
         )
@@ -398,18 +398,18 @@ class RowData:
             The relative residual and whether the point is SOLVED, shape (…).
         """
         at = self.rows(z, w)
-        found = self.residuals_at(z, at, tolerance, absolute)
-        passes = np.less_equal(found.worst, tolerance)
-        passes = passes & np.less_equal(self.worst(found.terms), tolerance)
-        return Measured(z, found.worst, passes, False, at, found)
+        residuals = self.residuals_at(z, at, tolerance, absolute)
+        passes = np.less_equal(residuals.worst, tolerance)
+        passes = passes & np.less_equal(self.worst(residuals.terms), tolerance)
+        return Measured(z, residuals.worst, passes, False, at, residuals)
 
-    def are_limited(self, found: Measured, tolerance: float) -> Any:
+    def are_limited(self, measured: Measured, tolerance: float) -> Any:
         """Return whether points fail in rows whose residuals rounding explains, and in no others: PRECISION_LIMIT."""
-        if np.all(found.passes):
+        if np.all(measured.passes):
             return np.False_
-        rows = found.by_row
+        rows = measured.by_row
         fails = rows.fails(tolerance)
-        is_rounding = find_rounding_rows(rows[:2], self.rounding_floor(found.rows.terms))
+        is_rounding = find_rounding_rows(rows[:2], self.rounding_floor(measured.rows.terms))
         is_rounding &= (rows.relative <= GAINED) | self.is_at_start
         is_limited = np.not_equal(self.worst(fails), 0.0)
         return is_limited & np.equal(self.worst(fails & ~is_rounding), 0.0)
@@ -436,7 +436,7 @@ class RowData:
                 break
             is_zero = self.is_rounding(w, rounding, at.terms, self.sizes)
             is_zero &= np.isfinite(z) & is_open[..., None] & np.less_equal(terms, tolerance)
-            low, high, relative = (np.where(is_zero, 0.0, one) for one in (low, high, relative))
+            low, high, relative = (np.where(is_zero, 0.0, x) for x in (low, high, relative))
             worst = self.worst(relative)
             if is_sharp or np.size(worst) > 1 or worst <= tolerance:
                 break

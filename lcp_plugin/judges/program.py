@@ -23,7 +23,7 @@ with bounds of rounding errors. If these do not decide, sums are computed withou
 Limits: a coefficient of 1e11 in another row may make a violation of 9e-10 expensive. If coefficients of one column span
 1e12, a row may be violated by more, but x_j only by its rounding. A program may be unbounded although a program within
 1e-10 of it has a minimum. An objective below 1e-12 of the terms of the rows, weighted with their multipliers, or below
-1e-14 of its own terms, counts as 0. Costs beyond 2^1000 overflow.
+1e-14 of its terms, counts as 0. Costs beyond 2^1000 overflow.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 CANCELLED = 1e-8  # share of the objective's terms to which they may cancel
 LEAST_SIZE = 1e-6  # of the rows' terms with their multipliers
 MOVES = 1000.0  # times its size, an unknown without a bound is moved
-SMALLEST_SIZE = 2.0**-900  # of the gap: if all terms are 0, gradients are relative to their own
+SMALLEST_SIZE = 2.0**-900  # of the gap: if all terms are 0, gradients are relative to their terms
 SHARP = 32.0 * MOVES * UNIT  # per unknown and row: below this gap, plain sums show no error
 SAFETY = 5.0  # times the bounds of rounding errors, in the compiled test
 INF = float("inf")
@@ -85,20 +85,20 @@ class KKTErrors(NamedTuple):
         cls, program: JudgedProgram, x: Vector, y: Vector, tolerance: float = PROGRAM_TOLERANCE
     ) -> KKTErrors:
         """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
-        found, terms = cls(np.inf, np.inf), program.terms
+        errors, terms = cls(np.inf, np.inf), program.terms
         if terms.is_one_dense_component and tolerance:
             data = program.c, program.d, terms.m, program.lower, program.upper, x, y
-            found = cls(*map(float, MEASURE_IN_PYTHON(terms.P, terms.C, terms.sizes, *data, 1.0)))
-            if found.meet(tolerance):
-                return found
+            errors = cls(*map(float, MEASURE_IN_PYTHON(terms.P, terms.C, terms.sizes, *data, 1.0)))
+            if errors.meet(tolerance):
+                return errors
         if np.isfinite(x).all() and np.isfinite(y).all():
             for is_exact in (True,) if terms.is_one_dense_component else (False, True):
                 point = PrimalDualPoint(program, x, y, is_exact=is_exact)
                 both = point.row_errors().max(initial=0.0), point.gaps().max(initial=0.0)
-                found = cls(*(np.inf if np.isnan(one) else float(one) for one in both))
-                if found.meet(tolerance):
+                errors = cls(*(np.inf if np.isnan(error) else float(error) for error in both))
+                if errors.meet(tolerance):
                     break
-        return found
+        return errors
 
 
 class ProgramComponents(NamedTuple):
@@ -205,7 +205,7 @@ class ProgramTerms:
         rows, n = C.shape
         if not sp.issparse(P):
             return n, n, rows
-        in_rows, in_P = (np.diff(one.indptr).max(initial=0) for one in (C, P))
+        in_rows, in_P = (np.diff(part.indptr).max(initial=0) for part in (C, P))
         return in_rows, in_P, np.bincount(C.indices, minlength=n)
 
 
@@ -234,9 +234,9 @@ class PrimalDualPoint:
         self.program, self.terms, self.is_exact = program, program.terms, is_exact
         m, lower, upper, d = self.terms.m, program.lower, program.upper, program.d
         is_limit = np.isfinite(d)
-        d, y = (np.where(is_limit, one, 0.0) for one in (d, y))
+        d, y = (np.where(is_limit, side, 0.0) for side in (d, y))
         np.maximum(y[:m], 0.0, out=y[:m])
-        self.given, self.x = x, np.minimum(np.maximum(x, lower), upper)
+        self.point, self.x = x, np.minimum(np.maximum(x, lower), upper)
         self.outside = np.abs(x - self.x)
         x, self.of_x, self.of_y, self.cost = self.x, np.abs(self.x), np.abs(y), np.abs(program.c)
         P, C, of_P, of_C, of_columns = self.terms.measured
@@ -268,7 +268,7 @@ class PrimalDualPoint:
         if of_bounds.any():
             lower, upper = self.program.lower, self.program.upper
             bound = np.where(self.x == lower, np.abs(lower), np.abs(upper))
-            of_bounds = ratio(of_bounds, np.maximum(bound, np.abs(self.given)))
+            of_bounds = ratio(of_bounds, np.maximum(bound, np.abs(self.point)))
         return np.concatenate([ratio(over, sizes), of_bounds])
 
     @property
@@ -301,14 +301,14 @@ class PrimalDualPoint:
         price = np.maximum(np.abs(self.product) - self.lost, bend) + self.cost
         price += self.terms.measured[4] @ y
         left = np.abs(self.left)
-        rest, distance = left + self.doubt, np.where(self.left > 0.0, below, above)
-        if (left <= self.doubt).any():  # either direction may be the one of descent
+        r, distance = left + self.doubt, np.where(self.left > 0.0, below, above)
+        if (left <= self.doubt).any():  # either direction may reduce the objective
             distance = np.where(left <= self.doubt, np.maximum(below, above), distance)
         way = self._of_unknowns(MOVES * size) / np.maximum(price, LEAST_PRICE)
         is_far = distance > way
         reach = np.where(is_far, np.minimum(distance, MOVES * of_x), distance)
-        gap = sums(rest, np.where(rest == 0.0, 0.0, reach), self.of_y, self.missed)
-        gap += self._largest(np.where(is_far, rest * way, 0.0))
+        gap = sums(r, np.where(r == 0.0, 0.0, reach), self.of_y, self.missed)
+        gap += self._largest(np.where(is_far, r * way, 0.0))
         return np.where(size < np.inf, gap / size, np.nan)
 
     def needed_y(self, way: Vector) -> Vector:
@@ -334,10 +334,11 @@ class PrimalDualPoint:
         parts = self.terms.components
         if parts.number == 1:
             return np.array([a @ b + np.dot(of_rows, other)])
-        found = np.bincount(parts.of_unknown, a * b, parts.number) + 0.0  # of none too
+        # floats, also without unknowns
+        totals = np.bincount(parts.of_unknown, a * b, parts.number) + 0.0
         if isinstance(of_rows, np.ndarray):
-            found += np.bincount(parts.of_row, of_rows * other, parts.number)
-        return np.asarray(found)
+            totals += np.bincount(parts.of_row, of_rows * other, parts.number)
+        return np.asarray(totals)
 
     def _of_unknowns(self, values: Vector) -> Vector:
         """Return the value of each unknown's component."""
@@ -376,7 +377,7 @@ def entries_of_rows(matrix: AnyMatrix) -> Indices:
 
 
 @kernel
-def dense_errors(P, C, sizes, c, d, m, lower, upper, given, multipliers, safety):  # type: ignore[no-untyped-def]
+def dense_errors(P, C, sizes, c, d, m, lower, upper, point, multipliers, safety):  # type: ignore[no-untyped-def]
     """Return upper bounds of the two measures of a point of a dense program of one component; ∞ if in doubt.
 
     `sizes` are |P|, |C| and the largest |entry| of each row of C, 1 for a row without entries.
@@ -394,9 +395,9 @@ def dense_errors(P, C, sizes, c, d, m, lower, upper, given, multipliers, safety)
       within 1e-5 of its way counts in both places here.
     """
     n, rows, unit, (of_P, of_C, row_sizes) = c.size, d.size, safety * UNIT, sizes
-    if not (given @ given < INF and multipliers @ multipliers < INF):
+    if not (point @ point < INF and multipliers @ multipliers < INF):
         return INF, INF
-    x, is_limit = np.minimum(np.maximum(given, lower), upper), d < INF
+    x, is_limit = np.minimum(np.maximum(point, lower), upper), d < INF
     y, d = np.where(is_limit, multipliers, 0.0), np.where(is_limit, d, 0.0)
     y[:m] = np.maximum(y[:m], 0.0)
     of_x, of_y, cost, product = np.abs(x), np.abs(y), np.abs(c), P @ x
@@ -406,14 +407,14 @@ def dense_errors(P, C, sizes, c, d, m, lower, upper, given, multipliers, safety)
     over = missed.copy()
     over[:m] = np.maximum(excess[:m] + rounding[:m], 0.0)
     over = np.where(is_limit, over / np.maximum(terms, LEAST_PRICE), 0.0)
-    outside = np.abs(given - x) / np.maximum(np.maximum(of_x, np.abs(given)), LEAST_PRICE)
+    outside = np.abs(point - x) / np.maximum(np.maximum(of_x, np.abs(point)), LEAST_PRICE)
     primal = max(outside.max(), over.max() if rows > 0 else 0.0)
     left, doubt = slopes + y @ C, unit * (n + rows + 3.0) * (bend + cost + of_y @ of_C)
     of_left, price = np.abs(left), np.abs(product) - lost + cost
-    rest, curved = of_left + doubt, max(abs(x @ product) - of_x @ lost, 0.0)
+    r, curved = of_left + doubt, max(abs(x @ product) - of_x @ lost, 0.0)
     size = abs(c @ x) + curved
     # A reach is at most a way and K |x_j|, a way at most K size/price, and more terms only raise sizes and prices
-    gap = (of_y @ missed + MOVES * (rest @ of_x)) / size + 2.1 * MOVES * (rest @ (1.0 / price))
+    gap = (of_y @ missed + MOVES * (r @ of_x)) / size + 2.1 * MOVES * (r @ (1.0 / price))
     if price.min() > 0.0 and gap <= SHARP * (n + rows):
         return primal, gap
     below, above = x - lower, upper - x
@@ -432,8 +433,8 @@ def dense_errors(P, C, sizes, c, d, m, lower, upper, given, multipliers, safety)
     )
     distance = np.where(of_left <= doubt, np.maximum(below, above), distance)
     reach = np.where(distance > 1.00001 * way, np.minimum(distance, MOVES * of_x), distance)
-    gap = of_y @ missed + np.where(rest > 0.0, reach, 0.0) @ rest
-    gap += np.where(distance > way, rest * way, 0.0).max()
+    gap = of_y @ missed + np.where(r > 0.0, reach, 0.0) @ r
+    gap += np.where(distance > way, r * way, 0.0).max()
     is_certain = primal < INF and gap < INF and size < INF
     return (primal, gap / size) if is_certain else (INF, INF)
 

@@ -59,7 +59,7 @@ def outside_row(name: str, value: float, bound: float) -> WorstRow:
 
 
 def worst_pairs(
-    data: Any, found: Measured, names: Names, tolerance: float, count: int
+    data: Any, measured: Measured, names: Names, tolerance: float, count: int
 ) -> WorstRows:
     """Return the rows of a measured point that fail the criterion at a tolerance, the worst first.
 
@@ -67,25 +67,26 @@ def worst_pairs(
     ----------
     data : RowData
         Data of the criterion of one problem.
-    found : Measured
+    measured : Measured
         With its rows.
     names : Names
     tolerance : float
     count : int
     """
-    n, at, by_row = data.q.size, found.rows, found.by_row
-    found = found._replace(z=np.reshape(found.z, data.q.shape))
-    if (sharp := data.sharp_product(found.z)) is not None:  # a sum that cancels is printed exactly
-        at = data.rows(found.z, sharp[0])
-    is_cone = getattr(data, "is_cone", False)  # such rows have no bounds of their own
+    n, at, by_row = data.q.size, measured.rows, measured.by_row
+    measured = measured._replace(z=np.reshape(measured.z, data.q.shape))
+    # a sum that cancels is printed exactly
+    if (sharp := data.sharp_product(measured.z)) is not None:
+        at = data.rows(measured.z, sharp[0])
+    is_cone = getattr(data, "is_cone", False)  # such rows have no bounds
     lower, upper = (
         np.ravel(np.where(is_cone, math.nan, bound)) for bound in (data.lower, data.upper)
     )
-    z, w, terms, violation, relative, own = (
-        np.broadcast_to(np.ravel(one), (n,))
-        for one in (found.z, at.w, at.terms, at.violation, by_row.relative, by_row.terms)
+    z, w, terms, violation, relative, term_residual = (
+        np.broadcast_to(np.ravel(values), (n,))
+        for values in (measured.z, at.w, at.terms, at.violation, by_row.relative, by_row.terms)
     )
-    least = np.maximum(np.where(violation == 0.0, 0.0, relative), own)
+    least = np.maximum(np.where(violation == 0.0, 0.0, relative), term_residual)
     least = np.where(np.isnan(least), math.inf, least)
     order = np.lexsort((-violation, -least))[:count].tolist()
     return WorstRows(

@@ -118,10 +118,10 @@ class RowInequality:
             value, radius = compensated_product(problem.csr, high, problem.q)
             slack, low = SIGNS * value, np.zeros(problem.n)
         else:  # w is small relative to its terms
-            first, rest, radius = compensated_pair(problem.csr, high, problem.q)
+            first, remainder, radius = compensated_pair(problem.csr, high, problem.q)
             second, second_radius = compensated_product(problem.csr, low)
             radius = sum_above(radius, second_radius)
-            slack = sum_above(sum_above(SIGNS * first, SIGNS * second), SIGNS * rest)
+            slack = sum_above(sum_above(SIGNS * first, SIGNS * second), SIGNS * remainder)
 
         def distance(*bounds: Vector) -> Vector:
             return sum_above(sum_above(SIGNS * high, np.stack(bounds)), SIGNS * low)
@@ -166,7 +166,7 @@ def _minus_comparison(problem: LCP, y: Vector) -> Vector:
 
 
 class NearPoint(NamedTuple):
-    """A point ẑ = high + low near the solution, and a bound y of its own error; each of shape (n,)."""
+    """A point ẑ = high + low near the solution, and a bound y of its error; each of shape (n,)."""
 
     high: Vector
     low: Vector
@@ -252,7 +252,7 @@ def settled_rows(
 ) -> ActiveRows:
     """Return the classification of the rows, after steps of the active-set method in twice the working precision.
 
-    If the steps fail (the block of the free rows is singular) the rows are classified by the given z and w.
+    If the steps fail (the block of the free rows is singular) the rows are classified by the arguments z and w.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def _settled(
     """
     steps = ActiveSetSteps(problem, goal=GOAL, system=system)
     at, change, allowed = RowInequality.at(problem, z), np.zeros(0), 0.0
-    for _ in range(8):  # from a solved problem one settles all rows, or two
+    for _ in range(8):  # from a solved problem one or two steps settle all rows
         before, following = steps.system, steps.next_point(at)
         if following is None:  # a row on the edge made the block singular
             is_solved = bool(change.size) and GOAL * change.max(initial=0.0) <= allowed
@@ -483,7 +483,7 @@ def _proven_bound(even: Any) -> float | None:
 
 
 def _rounding(matrix: AnyMatrix, factor: PositiveFactor) -> float:
-    """Return a bound of the distance of a factorized matrix from a semidefinite one: Cholesky's bound, or measured."""
+    """Return a bound of the distance of a factorized matrix from semidefinite ones: Cholesky's bound, or measured."""
     n = matrix.shape[0]
     if factor.superlu is None:
         trace = float(np.sum(np.abs(matrix.diagonal()))) * OUTWARD
@@ -555,7 +555,7 @@ class ErrorBound:
 
 @np.errstate(all="ignore")
 def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound:
-    """Return a bound of |z − z*|, componentwise, for the one solution z*.
+    """Return a bound of |z − z*|, componentwise, for the unique solution z*.
 
     Parameters
     ----------
@@ -607,10 +607,10 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         best = BestBound(z, at, bound_of_error(at, family), method)
         if sharp:
             _sharpen(best, family)
-        found = best.result()
+        bound = best.result()
     else:
-        found = ErrorBound(np.full(problem.n, np.inf), np.inf, np.inf, method)
-    return replace(found, seconds=time.perf_counter() - began)
+        bound = ErrorBound(np.full(problem.n, np.inf), np.inf, np.inf, method)
+    return replace(bound, seconds=time.perf_counter() - began)
 
 
 class BestBound:
@@ -641,32 +641,32 @@ class BestBound:
         """Return the bound."""
         problem, y = self.at.problem, np.where(np.isnan(self.y), np.inf, self.y)
         residuals = scaled_residual(problem, self.at.high, self.at.w)
-        infinity, residual = (float(np.abs(one).max(initial=0.0)) for one in (y, residuals))
+        infinity, residual = (float(np.abs(values).max(initial=0.0)) for values in (y, residuals))
         largest = row_data(problem).largest
         relative = float(quotient_above(largest(y), largest(np.abs(self.z))).max())
         near = NearPoint(self.near.high, self.near.low, self.near_y)
         return ErrorBound(y, infinity, relative, self.method, residual, near)
 
 
-def _sharpen(found: BestBound, family: Family) -> None:
+def _sharpen(best: BestBound, family: Family) -> None:
     """Go to points nearer to the solution as long as that lowers the bound."""
-    problem = found.at.problem
+    problem = best.at.problem
     steps = ActiveSetSteps(problem)
-    point = found.at
+    point = best.at
     for _ in range(12):  # each takes two digits off the bound, and a third of a linear solve
         following = steps.next_point(point)
         if following is None:
             return
         point, y = following, bound_of_error(following, family)
         y = np.minimum(y, point.image(y))
-        before = float(found.near_y.max(initial=0.0))
+        before = float(best.near_y.max(initial=0.0))
         if not float(y.max(initial=0.0)) < 0.5 * before:
             # A step of the active-set method may lead astray before it leads home.
-            if problem.n > CHEAP_UP_TO or before == 0.0 or found.is_sharp:
+            if problem.n > CHEAP_UP_TO or before == 0.0 or best.is_sharp:
                 return
             continue
-        found.go_to(point, y)
-        if found.is_sharp and problem.n > CHEAP_UP_TO:
+        best.go_to(point, y)
+        if best.is_sharp and problem.n > CHEAP_UP_TO:
             return
 
 
@@ -733,12 +733,12 @@ def curvature(P: AnyMatrix) -> Curvature:
         return Curvature(np.full(weights.size, -np.inf), f"P[{i}, {i}] = {weights[i]:g}")
     count, labels = connected_components(rows, directed=False)
     for block in block_rows(labels, count):
-        found: Any = -np.inf
+        part: Any = -np.inf
         if block.size == 1:
             continue
-        if not is_over() and (found := _weights(sp.csr_array(rows[block][:, block]))) is None:
+        if not is_over() and (part := _weights(sp.csr_array(rows[block][:, block]))) is None:
             return Curvature(np.full(weights.size, -np.inf), "P has a negative eigenvalue")
-        weights[block] = found
+        weights[block] = part
     return Curvature(weights)
 
 
@@ -751,33 +751,38 @@ def constrained_curvature(P: AnyMatrix, A: AnyMatrix) -> Curvature:
 
     Examples
     --------
-    >>> found = constrained_curvature(np.diag([0.0, 2.0]), np.array([[1.0, -1.0]]))
-    >>> found.evidence, found.penalty
+    >>> curved = constrained_curvature(np.diag([0.0, 2.0]), np.array([[1.0, -1.0]]))
+    >>> curved.evidence, curved.penalty
     ('P is positive definite on the null space of A', 2.0)
     """
-    own, rows = curvature(P), sp.csr_array(A)
-    if own.indefinite or (own.weights > 0.0).all() or not rows.nnz or is_over():
-        return own
+    of_P, rows = curvature(P), sp.csr_array(A)
+    if of_P.indefinite or (of_P.weights > 0.0).all() or not rows.nnz or is_over():
+        return of_P
     rank = np.count_nonzero(np.diff(sp.csr_array(P).indptr))  # at most, without A
-    if rank + rows.shape[0] < own.weights.size:
-        return own
+    if rank + rows.shape[0] < of_P.weights.size:
+        return of_P
     square = sp.csr_array(rows.T @ rows)
-    bent, held = (
+    size_of_P, size_of_A = (
         float(np.max(matrix.diagonal(), initial=0.0)) for matrix in (sp.csr_array(P), square)
     )
-    if held == 0.0 or bent / held == np.inf:  # the squares underflow
-        return own
-    penalty = float(np.exp2(np.round(np.log2(bent / held)))) if bent / held > 0.0 else 1.0
+    # the squares underflow
+    if size_of_A == 0.0 or size_of_P / size_of_A == np.inf:
+        return of_P
+    penalty = (
+        float(np.exp2(np.round(np.log2(size_of_P / size_of_A))))
+        if size_of_P / size_of_A > 0.0
+        else 1.0
+    )
     form = sp.csr_array(P + penalty * square)
     form = sp.csr_array((form + form.T) * 0.5)
     if not np.isfinite(form.data).all():
-        return own
-    found = curvature(form)
+        return of_P
+    of_form = curvature(form)
     # An entry's rounding error is below γ (|P| + ρ|A|ᵀ|A|), and a matrix is below the diagonal matrix of its row sums.
-    ones, magnitude = np.ones(own.weights.size), abs(rows)
+    ones, magnitude = np.ones(of_P.weights.size), abs(rows)
     size = abs(sp.csr_array(P)) @ ones + penalty * (magnitude.T @ (magnitude @ ones))
-    weights = found.weights - 2.0 * gamma(rows.shape[0] + 8) * size - UNDERFLOW * (1.0 + penalty)
-    return Curvature(weights * (1.0 - 2.0**-50), penalty=penalty) if (weights > 0.0).all() else own
+    weights = of_form.weights - 2.0 * gamma(rows.shape[0] + 8) * size - UNDERFLOW * (1.0 + penalty)
+    return Curvature(weights * (1.0 - 2.0**-50), penalty=penalty) if (weights > 0.0).all() else of_P
 
 
 def _weights(P: sp.csr_array) -> Vector | None:

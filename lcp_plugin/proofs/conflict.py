@@ -134,7 +134,7 @@ class Conflict:
         for k in range(len(members)):
             if (x := self.point(k)) is None:
                 return False
-            w = [value + one for value, one in zip(products(rows, x), q, strict=True)]
+            w = [value + offset for value, offset in zip(products(rows, x), q, strict=True)]
             if any(w[:k]) or any(w[k + 1 :]):
                 return False
         return True
@@ -165,12 +165,12 @@ def find_conflict(
     rows, name, multipliers
         As in :class:`Conflict`.
     max_seconds : float
-        Limit of the search; at the limit the smallest set found so far is returned.
+        Limit of the search; at the limit the smallest set so far is returned.
     """
     y: Multipliers = {i: value for i, value in multipliers.items() if value}
     with time_limit(max_seconds):
-        every, own = np.arange(rows.q.size), np.array(sorted(y))
-        chosen = every if rows.matrix.nnz <= 200_000 else own  # entries: some seconds
+        every, used = np.arange(rows.q.size), np.array(sorted(y))
+        chosen = every if rows.matrix.nnz <= 200_000 else used  # entries: some seconds
         few = _part(rows, chosen)
         place = {int(i): k for k, i in enumerate(chosen)}
         sparse = _sparse_program(few, {place[i]: value for i, value in y.items()})
@@ -213,16 +213,16 @@ def _smaller(
     programs: Iterable[FarkasProgram],
 ) -> Multipliers:
     """Return the first multipliers of the chosen rows, by the programs, that are fewer than y, or as few and exact."""
-    best, given = y, FarkasCertificate(rows, y)
-    least = (len(y) if given.holds_near else rows.q.size + 1, not given.holds)
+    best, certificate = y, FarkasCertificate(rows, y)
+    least = (len(y) if certificate.holds_near else rows.q.size + 1, not certificate.holds)
     for program in programs:
         if (answer := None if is_over() else program.solve()) is None:
             break
         vector = program.vector(answer.x)
         is_nonzero = np.abs(vector) > LP_TOLERANCE * np.abs(vector).max(initial=0.0)
         shorter = np.where(is_nonzero, vector, 0.0)
-        for found in chain(program.candidates(vector), program.candidates(shorter)):
-            other = {int(chosen[i]): Fraction(value) for i, value in enumerate(found) if value}
+        for candidate in chain(program.candidates(vector), program.candidates(shorter)):
+            other = {int(chosen[i]): Fraction(value) for i, value in enumerate(candidate) if value}
             proof = FarkasCertificate(rows, other)
             if (size := (len(other), not proof.holds)) < least and proof.holds_near:
                 best, least = other, size
@@ -234,12 +234,12 @@ def _smaller(
 def _is_irreducible(rows: LinearConstraints, y: Multipliers) -> bool:
     """Return whether the rows of y have only y as a dependence, by their rank modulo a prime or to rounding."""
     proof = FarkasCertificate(rows, y)
-    own = rational_rows(rows.matrix[sorted(y)])
-    place = {j: k for k, j in enumerate(sorted({j for row in own for j in row}))}
-    if not proof.holds_near or is_over() or len(own) * len(place) > MOST_ENTRIES:
+    members = rational_rows(rows.matrix[sorted(y)])
+    place = {j: k for k, j in enumerate(sorted({j for row in members for j in row}))}
+    if not proof.holds_near or is_over() or len(members) * len(place) > MOST_ENTRIES:
         return False
     if proof.holds:
-        return len(rank_profile(integer_rows(own, place)[0])[0]) == len(own) - 1
+        return len(rank_profile(integer_rows(members, place)[0])[0]) == len(members) - 1
     matrix = rows.matrix[sorted(y)][:, list(place)].toarray()
     values = np.linalg.svd(matrix / np.abs(matrix).max(1, keepdims=True), compute_uv=False)
-    return int((values * WIDE > values[0]).sum()) == len(own) - 1
+    return int((values * WIDE > values[0]).sum()) == len(members) - 1

@@ -195,7 +195,7 @@ def products(rows: Sequence[Row], vector: Sequence[Fraction]) -> Iterator[Fracti
 
 
 def short(values: Vector, denominator: int = 1 << 30) -> Fractions:
-    """Return values near the given ones, exact and with few digits; zeros stay zeros."""
+    """Return rational numbers near the values, with few digits; zeros stay zeros."""
     largest = float(np.abs(values).max(initial=0.0))
     if largest == 0.0 or not np.isfinite(largest):
         return [ZERO] * values.size
@@ -365,7 +365,7 @@ def modulo(A: IntegerRows, prime: int) -> Integers:
 def rank_profile(A: IntegerRows) -> tuple[list[int], list[int]]:
     """Return row and column indices of a largest nonsingular square block, first rows first (modulo a prime).
 
-    The block is nonsingular for certain; that no larger one exists is only as good as the prime.
+    The block is nonsingular for certain; that no larger block exists is only as good as the prime.
 
     Examples
     --------
@@ -485,15 +485,15 @@ def _reconstructed(x: Array, modulus: int) -> tuple[list[int], int] | None:
     numerators: list[int] = []
     denominator = 1
     for value in x:
-        rest = value * denominator % modulus
-        rest = rest - modulus if 2 * rest > modulus else rest
-        if abs(rest) > bound:
-            rest, factor = _small_fraction(rest % modulus, modulus, bound)
+        residue = value * denominator % modulus
+        residue = residue - modulus if 2 * residue > modulus else residue
+        if abs(residue) > bound:
+            residue, factor = _small_fraction(residue % modulus, modulus, bound)
             denominator *= factor
             if denominator > bound:
                 return None
             numerators = [numerator * factor for numerator in numerators]
-        numerators.append(rest)
+        numerators.append(residue)
     return numerators, denominator
 
 
@@ -530,16 +530,18 @@ def solved_nearby(
     Equations that share no such entry are solved apart, each lot by p-adic lifting on a largest nonsingular block of
     the entries that may change, largest ones first.
     """
-    rest = [value - product for product, value in zip(products(rows, guess), right, strict=True)]
-    if not any(rest):
+    residual = [
+        value - product for product, value in zip(products(rows, guess), right, strict=True)
+    ]
+    if not any(residual):
         return list(guess)
     movable = [{j: entry for j, entry in row.items() if is_movable[j]} for row in rows]
-    if any(value and not row for row, value in zip(movable, rest, strict=True)):
+    if any(value and not row for row, value in zip(movable, residual, strict=True)):
         return None
     solution = list(guess)
     for lot in independent_rows(movable):
-        if any(rest[i] for i in lot):
-            change = _by_largest_block([movable[i] for i in lot], [rest[i] for i in lot], guess)
+        if any(residual[i] for i in lot):
+            change = _by_largest_block([movable[i] for i in lot], [residual[i] for i in lot], guess)
             if change is None:
                 return None
             for j, value in change.items():
@@ -557,13 +559,13 @@ def independent_rows(rows: list[Row]) -> list[list[int]]:
     """
     from scipy.sparse.csgraph import connected_components  # slow to import
 
-    own = [i for i, row in enumerate(rows) for _ in row]
+    entry_rows = [i for i, row in enumerate(rows) for _ in row]
     columns = [len(rows) + j for row in rows for j in row]
     size = max([len(rows), *(j + 1 for j in columns)])
-    graph = sp.coo_array((np.ones(len(own)), (own, columns)), shape=(size, size))
+    graph = sp.coo_array((np.ones(len(entry_rows)), (entry_rows, columns)), shape=(size, size))
     labels = connected_components(graph, directed=False)[1]
     lots: dict[int, list[int]] = {}
-    for i in dict.fromkeys(own):
+    for i in dict.fromkeys(entry_rows):
         lots.setdefault(labels[i], []).append(i)
     return list(lots.values())
 
@@ -599,8 +601,8 @@ def _by_largest_block(rows: list[Row], right: Fractions, guess: Fractions) -> Ro
         return None
     solution = {columns[k]: value / common for k, value in zip(chosen, values, strict=True)}
     placed = [{place[j]: entry for j, entry in row.items()} for row in rows]
-    found = products(placed, [solution.get(j, ZERO) for j in columns])
-    return solution if list(found) == right else None
+    sums = products(placed, [solution.get(j, ZERO) for j in columns])
+    return solution if list(sums) == right else None
 
 
 LOWEST = -LARGEST  # the lowest double
@@ -630,6 +632,6 @@ def _above(value: Any) -> Vector:
     return _choice(value < LOWEST, LOWEST, value + np.maximum(np.abs(value) * EPSILON, TINY))
 
 
-def _choice(which: Any, one: Any, other: Any) -> Vector:
-    """Return ``numpy.where(which, one, other)``, a number of numbers."""
-    return np.where(which, one, other)[()]
+def _choice(condition: Any, yes: Any, no: Any) -> Vector:
+    """Return ``numpy.where(condition, yes, no)``, a number of numbers."""
+    return np.where(condition, yes, no)[()]

@@ -263,7 +263,7 @@ class FarkasProgram:
     Attributes
     ----------
     unit : float or None
-        Divisor of q and the bounds, in the scale of the program; their largest entry by default. With a smaller one,
+        Divisor of q and the bounds, in the scale of the program; their largest entry by default. With a smaller unit,
         entries that are huge relative to it are cut off: the result must be checked, as every result here is.
     pivots : int or None
         A linear program that takes more has no answer.
@@ -300,25 +300,25 @@ class FarkasProgram:
 
     def solve(self) -> Any:
         """Return HiGHS's result with the optimum, or None if it took more pivots or time than there is."""
-        given, unit, n = self.constraints, self._scaled_unit, self.columns.size
-        q, weights = self.rows * given.q, self.rows * given.weights
-        of_lower, of_upper = (weight / self.columns for weight in given.bound_weights)
+        asked, unit, n = self.constraints, self._scaled_unit, self.columns.size
+        q, weights = self.rows * asked.q, self.rows * asked.weights
+        of_lower, of_upper = (weight / self.columns for weight in asked.bound_weights)
         parts: Sequence[tuple[Any, ...]] = (  # parts of y, and multipliers of finite bounds
-            (1.0, given.needs_rise, q, weights),
-            (-1.0, given.needs_fall, q, weights),
-            (1.0, np.isfinite(given.upper), given.upper / self.columns, of_upper),
-            (-1.0, np.isfinite(given.lower), given.lower / self.columns, of_lower),
+            (1.0, asked.needs_rise, q, weights),
+            (-1.0, asked.needs_fall, q, weights),
+            (1.0, np.isfinite(asked.upper), asked.upper / self.columns, of_upper),
+            (-1.0, np.isfinite(asked.lower), asked.lower / self.columns, of_lower),
         )
-        signs, kinds, costs, norms = zip(*parts, strict=True)
+        signs, masks, costs, norms = zip(*parts, strict=True)
         cost, norm = (
-            np.concatenate([v[k] for v, k in zip(side, kinds, strict=True)])
+            np.concatenate([v[k] for v, k in zip(side, masks, strict=True)])
             for side in (costs, norms)
         )
         places = np.arange(q.size), np.arange(q.size), *[np.arange(q.size, q.size + n)] * 2
-        self.place = np.concatenate([p[k] for p, k in zip(places, kinds, strict=True)])
+        self.place = np.concatenate([p[k] for p, k in zip(places, masks, strict=True)])
         # HiGHS drops coefficients below 1e-9
         scale = 2.0 / power_of_two(np.clip(norm, 1.0, 2.0**20))
-        self.signed = np.repeat(signs, [np.count_nonzero(kind) for kind in kinds]) * scale
+        self.signed = np.repeat(signs, [np.count_nonzero(mask) for mask in masks]) * scale
         both = sp.hstack([self.matrix.T, -sp.eye_array(n)], format="csc")
         self.equations = sp.csc_array(both[:, self.place])
         self.equations.data *= np.repeat(self.signed, np.diff(self.equations.indptr))
@@ -334,22 +334,22 @@ class FarkasProgram:
         return np.bincount(self.place, self.signed * v, m)[:m].astype(np.float64)
 
     def proof(self, answer: Any, proven: Callable[[Multipliers], Any]) -> Any:
-        """Return the first proof of all x with half the predicted margin, else one with the largest margin, or None.
+        """Return the first proof of all x with half the predicted margin, else the one of the largest margin, or None.
 
-        A proof within a radius is returned only if no other has been found.
+        A proof within a radius is returned only without a proof of all x.
 
         Parameters
         ----------
         proven : callable
             Gives the proof by a y in the scale of the constraints, or None if that is none.
         """
-        wanted, found = 0.5 * self.margin_of(answer.fun), list[Any]()
+        wanted, proofs = 0.5 * self.margin_of(answer.fun), list[Any]()
         for y in self._tried(answer):
-            found += filter(None, [proven(y)])
-            is_enough = found and found[-1].radius == math.inf and found[-1].margin >= wanted
+            proofs += filter(None, [proven(y)])
+            is_enough = proofs and proofs[-1].radius == math.inf and proofs[-1].margin >= wanted
             if is_enough or is_over():
                 break
-        return max(found, key=lambda one: (one.radius == math.inf, one.margin), default=None)
+        return max(proofs, key=lambda proof: (proof.radius == math.inf, proof.margin), default=None)
 
     def polished(self, answer: Any) -> Vector:
         """Return the answer's y, shape (m,), with the equalities that a proof needs met to rounding."""
@@ -460,7 +460,7 @@ def best_proof(
     units : sequence of float
         Units of offsets and bounds: the linear program cannot distinguish 1e-6 of a unit from 0, and truncates 1e5.
     """
-    found, left = list[Any](), pivots
+    proofs, left = list[Any](), pivots
     for unit in distinct_units(units):
         asked = stated(unit)
         left = pivot_limit(sum(asked.matrix.shape)) if left is None else left
@@ -474,19 +474,19 @@ def best_proof(
         if proof is None or not proof.excludes(ENOUGH):
             proof = farkas.proof(answer, proven)
         if proof is not None:
-            found.append(proof)
+            proofs.append(proof)
             if proof.excludes(ENOUGH):
                 break
         if is_over() or left <= 0:
             break
-    return max(found, key=lambda proof: proof.margin, default=None)
+    return max(proofs, key=lambda proof: proof.margin, default=None)
 
 
 def distinct_units(units: Sequence[float]) -> Iterator[float]:
-    """Yield the units that a linear program in one of those before cannot replace."""
+    """Yield the units that a linear program in an earlier unit cannot replace."""
     tried = list[float]()
     for unit in units:
-        if not any(LEAST * one <= unit <= MOST_UNITS * one for one in tried):
+        if not any(LEAST * known <= unit <= MOST_UNITS * known for known in tried):
             tried.append(unit)
             yield unit
 

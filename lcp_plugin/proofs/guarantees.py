@@ -11,7 +11,7 @@ The projection of a component onto its bounds, which contain z*, never increases
 convex in τ holds if it holds for τ = 0 and τ = 1. So boxes, free rows and the projection within a sweep cost nothing.
 
 θ = s_i m_ii, ℓ = |L|v/(d v), u = |U|v/(d v), g = β/α; L is the part that the sweep has already updated (a backward
-sweep exchanges L and U; a symmetric one is the product of both). The pivots p and the two cases:
+sweep exchanges L and U; a symmetric sweep is the product of both). The pivots p and the two cases:
 
 | family | p | τ = 0 | τ = 1 |
 |---|---|---|---|
@@ -86,15 +86,15 @@ def row_bound(facts: IterationFacts, problem: LCP) -> RowBound:
     """Return the bound of one sweep; L is the already updated part (for 𝓜: its entries)."""
     (alpha, beta), (theta, weight) = numbers(facts), scaled(facts, problem)
     if facts.family == PROJECTED_SPLITTING:
-        zero = RowCase(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
-        one = RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight)
-        return RowBound(2.0 * theta + 2.0, weight, (zero, one))
+        held = RowCase(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
+        between = RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight)
+        return RowBound(2.0 * theta + 2.0, weight, (held, between))
     if facts.family == PROJECTED_TYPE:
         g, over = beta / alpha, theta / alpha
-        zero = RowCase(np.minimum(2.0, 2.0 * over + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0)
+        held = RowCase(np.minimum(2.0, 2.0 * over + 2.0 * theta + 2.0), 2.0 * abs(g) * weight, 0.0)
         at_one = np.minimum(2.0 * theta, 2.0 * over + 4.0)
-        one = RowCase(at_one, (abs(2.0 - g) + abs(g)) * weight, 2.0 * weight)
-        return RowBound(over + theta + 2.0, abs(g) * weight, (zero, one))
+        between = RowCase(at_one, (abs(2.0 - g) + abs(g)) * weight, 2.0 * weight)
+        return RowBound(over + theta + 2.0, abs(g) * weight, (held, between))
     diagonal = problem.diagonal
     per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix))
     free, feedback = min(alpha, 2.0 - alpha), abs(beta) * per_diagonal
@@ -148,14 +148,14 @@ def contraction(facts: IterationFacts, problem: LCP, v: Vector) -> Contraction |
     bound = row_bound(facts, problem)
     # a bound of the underflow in a difference of two triangle sums of v
     lost = 4.0 * terms * (1.0 + float(v.max(initial=0.0))) * TINY
-    found = [
-        float(gaps(bound, v, (updated + lost, rest + lost), terms).min(initial=1.0))
-        for updated, rest in passes["forward" if has_splitting else facts.sweep]
+    least_gaps = [
+        float(gaps(bound, v, (updated + lost, remaining + lost), terms).min(initial=1.0))
+        for updated, remaining in passes["forward" if has_splitting else facts.sweep]
     ]
-    if not min(found) > 0.0:
+    if not min(least_gaps) > 0.0:
         return None
     # an upper bound of each contraction; a sweep that moves nothing has the rate 0
-    rates = [float(np.nextafter(1.0 - gap, 2.0)) if gap < 1.0 else 0.0 for gap in found]
+    rates = [float(np.nextafter(1.0 - gap, 2.0)) if gap < 1.0 else 0.0 for gap in least_gaps]
     if max(rates) >= 1.0:
         return None, None
     rate = math.prod(rates)
@@ -182,13 +182,13 @@ def gaps(bound: RowBound, v: Vector, sums: tuple[Vector, Vector], terms: int) ->
     free = p − A is a difference of numbers no larger than p, and the sweep divides by a pivot that is rounded itself:
     its rounding error is measured relative to p.
     """
-    updated, rest = sums
+    updated, remaining = sums
     slop = (terms + 32) * EPSILON
     smallest = np.full(v.size, np.inf)
     size = bound.pivot * v
     scale = (size - bound.feedback * updated) * (1.0 + slop) + 2.0 * slop * bound.feedback * updated
     for case in bound.cases:
-        load = case.lower * updated + case.upper * rest
+        load = case.lower * updated + case.upper * remaining
         surplus = (case.free * v - load) - slop * (size + load) - UNDERFLOW
         np.minimum(smallest, surplus / scale, out=smallest)
     usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
@@ -237,7 +237,7 @@ class Guarantee:
     remedy : str
         Remedy if convergence is not guaranteed.
     speaks_of : {"z", "x"}
-        The rate of a modulus method is one of its x, z = lower + max(x, 0):
+        The rate of a modulus method is a rate of its x, z = lower + max(x, 0):
         ‖z_k − z*‖_v ≤ cᵏ ‖x_0 − x*‖_v with x* = z* − lower − Ω⁻¹w*.
     facts : IterationFacts or None
         Parameters of the iteration; None if the method is not a splitting.
@@ -292,7 +292,7 @@ def theorem_of(facts: IterationFacts) -> str:
 
 
 def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, Vector] | None:
-    """Return (c, v) with T v ≤ c v, c < 1, v > 0 for the T of Method 3.1, or None if no such v was found.
+    """Return (c, v) with T v ≤ c v, c < 1, v > 0 for the T of Method 3.1, or None without such a v.
 
     Parameters
     ----------
@@ -365,10 +365,10 @@ def guarantee_of(problem: LCP, algorithm: Algorithm) -> Guarantee:
     if facts is None:
         about = f"no theorem here is about {algorithm.name} on such a problem"
         return Guarantee(NOT_COVERED, about)
-    found = replace(_full(problem, facts), facts=facts)
-    if not (facts.has_momentum and found.is_guaranteed):
-        return found
-    return replace(found, theorem=MOMENTUM.format(found.theorem), rate=None, v=None)
+    guarantee = replace(_full(problem, facts), facts=facts)
+    if not (facts.has_momentum and guarantee.is_guaranteed):
+        return guarantee
+    return replace(guarantee, theorem=MOMENTUM.format(guarantee.theorem), rate=None, v=None)
 
 
 def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
@@ -381,10 +381,10 @@ def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
     if facts.family == PROJECTED_SPLITTING and problem.n <= CHEAP_UP_TO:
         scaling: Any = 1.0 if facts.scaling is None else facts.scaling[:, None]
         splitting: Any = facts.splitting
-        found = theorem_4_1(scaling * problem.csr.toarray(), scaling * splitting.toarray())
-        if found is not None:
+        bound = theorem_4_1(scaling * problem.csr.toarray(), scaling * splitting.toarray())
+        if bound is not None:
             known = f"ρ(T) < 1, certified by a vector (Theorem 4.1 of {PAPER})"
-            return Guarantee(GUARANTEED, known, *found)
+            return Guarantee(GUARANTEED, known, *bound)
     theorem = _positive_definite(problem, facts)
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
@@ -407,7 +407,7 @@ def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
 
 
 def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
-    """Return the theorem on positive definite matrices that covers it; M is factorized only if one could apply."""
+    """Return the theorem on positive definite matrices that covers it; M is factorized only if that is possible."""
     if facts.family != PROJECTED_RELAXATION:
         return None
     omega, beta = numbers(facts)

@@ -1,6 +1,6 @@
 """Proofs that a problem has no solution, and by how much: a lower bound of the residual of every z.
 
-Each is a set of cases, with a Farkas vector for every one; the linear constraints alone are one case.
+A proof is a set of cases, each with a Farkas vector; the linear constraints alone are one case.
 
 Search for a proof that a problem has no solution, by linear constraints or trees of cases.
 
@@ -64,7 +64,7 @@ def is_minimizer_beyond_radius(P: AnyMatrix, c: Vector, direction: Any, left: Ar
 
     t = Σ_j |c_j d_j| / min_i (Σ_j |p_ij d_j|)² / p_ii, over the rows i that d moves, is how far the softest part gives
     under all of the load; P d stops x = s d at an s ≥ |cᵀd| / Σ_j |d_j left_j|. This is invariant to scaling: stiff
-    parts hide no weak spring of a soft one.
+    parts hide no weak spring of a soft part.
 
     Parameters
     ----------
@@ -162,9 +162,9 @@ class NoSolutionProof:
     @derived_property
     def _margins(self) -> Margins:
         """The smallest margins of all pieces; 0 if a piece is open."""
-        found = list(self.closings())
-        closed = [margins for margins in found if margins is not None]
-        if len(closed) < len(found):
+        pieces = list(self.closings())
+        closed = [margins for margins in pieces if margins is not None]
+        if len(closed) < len(pieces):
             return 0.0, 0.0
         relative, absolute = zip(*closed, strict=True)
         return min(relative), min(absolute)
@@ -225,11 +225,11 @@ def certificate_of(
     return FarkasCertificate(piece_of(problem, path), used, rows)
 
 
-def margins_of(problem: LCP, path: Mapping[int, str], found: FarkasCertificate) -> Margins:
+def margins_of(problem: LCP, path: Mapping[int, str], certificate: FarkasCertificate) -> Margins:
     """Return the margins of a piece by a certificate.
 
     Every z has Σ share_i |r_i(z)| ≥ c, r the scaled residual, and c the size of the contradiction. The absolute
-    margin is c / Σ share_i, the relative one c / Σ share_i ‖r_P(z°)‖∞, P the component of row i.
+    margin is c / Σ share_i, the relative margin c / Σ share_i ‖r_P(z°)‖∞, P the component of row i.
     """
     scale, most = problem.residual_scale, row_data(problem).references[1]
     is_safe = (most == 0.0) | ((most > SAFE_RANGE[0]) & (most < SAFE_RANGE[1]))
@@ -237,17 +237,19 @@ def margins_of(problem: LCP, path: Mapping[int, str], found: FarkasCertificate) 
         return 0.0, 0.0
     shares = [
         (i, abs(value) * Fraction(float(scale[i])))
-        for i, value in found.y.items()
+        for i, value in certificate.y.items()
         if path.get(i) not in (LOWER, UPPER)
     ] + [
         (i, abs(value))
-        for i, value in found.product.items()
+        for i, value in certificate.product.items()
         if path.get(i) == (LOWER if value > 0 else UPPER)
     ]  # of z_i from its bound
     reference = np.broadcast_to(most, (problem.n,))
     relative = sum((share * Fraction(float(reference[i])) for i, share in shares), ZERO)
     absolute = sum((share for _, share in shares), ZERO)
-    margins = (rounded_down(found.size / one if one else None) for one in (relative, absolute))
+    margins = (
+        rounded_down(certificate.size / unit if unit else None) for unit in (relative, absolute)
+    )
     return next(margins), next(margins)
 
 
@@ -309,32 +311,32 @@ class Infeasibility(NoSolutionProof):
         return y
 
     @cached_property
-    def _found(self) -> FarkasCertificate:
+    def _certificate(self) -> FarkasCertificate:
         return certificate_of(self.problem, {}, self._used)
 
     @property
     def radius(self) -> float:
         """Bound of the |z_j| without bounds that the proof covers: ∞, or the value that leaves half the margin."""
-        return self._found.radius
+        return self._certificate.radius
 
     def verify(self) -> bool:
         """Return whether y is a proof for the z within the radius, in exact arithmetic."""
-        found, matrix = self._found, self.problem.matrix
-        return found.holds_near and (
-            found.holds
+        certificate, matrix = self._certificate, self.problem.matrix
+        return certificate.holds_near and (
+            certificate.holds
             or not is_nearly_symmetric(matrix)
-            or is_minimizer_beyond_radius(matrix.array, self.problem.q, self.y, found.left)
+            or is_minimizer_beyond_radius(matrix.array, self.problem.q, self.y, certificate.left)
         )
 
     @derived_property
     def conflict(self) -> Conflict:
         """Irreducible set of signs of w and bounds of z that conflict, by name; computed on first access."""
         problem, n = self.problem, self.problem.n
-        own, nothing = sp.eye_array(n), np.zeros(n)
+        identity, nothing = sp.eye_array(n), np.zeros(n)
         rises, falls = problem.upper == np.inf, problem.lower == -np.inf
         signs = np.where(rises, 1.0, -1.0)
         rows = LinearConstraints(
-            sp.csr_array(sp.vstack([sp.diags_array(signs) @ problem.csr, own, -own])),
+            sp.csr_array(sp.vstack([sp.diags_array(signs) @ problem.csr, identity, -identity])),
             np.concatenate([signs * problem.q, -problem.lower, problem.upper]),
             np.concatenate([rises | falls, ~falls, ~rises]),
             np.concatenate([rises & falls, nothing > 0.0, nothing > 0.0]),
@@ -345,7 +347,9 @@ class Infeasibility(NoSolutionProof):
         )
         y = {i: value * int(signs[i]) for i, value in self._used.items()}
         bounded = {
-            j: value for j, value in self._found.product.items() if j not in self._found.left
+            j: value
+            for j, value in self._certificate.product.items()
+            if j not in self._certificate.left
         }
         y |= {n + j + (value > 0) * n: abs(value) for j, value in bounded.items()}
         return find_conflict(rows, self._name_of_condition, y)
@@ -361,7 +365,7 @@ class Infeasibility(NoSolutionProof):
 
     def closings(self) -> Iterator[Margins | None]:
         """Yield the margins of the only piece: c = −sup, and weights |y_i| for a wrong sign of w_i."""
-        yield margins_of(self.problem, {}, self._found) if self.verify() else None
+        yield margins_of(self.problem, {}, self._certificate) if self.verify() else None
 
     def __str__(self) -> str:
         problem, points = self.problem, describe_radius(self.radius, "z")
@@ -381,10 +385,10 @@ class Infeasibility(NoSolutionProof):
 
 
 def find_infeasibility(problem: LCP, *, effort_limit: int | None = None) -> Infeasibility | None:
-    """Return the proof that the linear constraints cannot be satisfied; None if they can be, or none was found.
+    """Return the proof that the linear constraints cannot be satisfied; None if they can be, or without a proof.
 
     A problem with infeasible linear constraints has no solution. A monotone problem (M positive semidefinite) that can
-    satisfy them has one. The search prefers a proof with nearly the largest margin.
+    satisfy them has a solution. The search prefers a proof with nearly the largest margin.
 
     Parameters
     ----------
@@ -473,7 +477,7 @@ class NoSolution(NoSolutionProof):
     References
     ----------
     Cottle, Pang, Stone, *The Linear Complementarity Problem*, SIAM 2009, doi:10.1137/1.9780898719000, §1.3
-    (complementary cones: one per choice of every row).
+    (complementary cones: a cone per choice of every row).
     """
 
     problem: LCP = field(repr=False)
@@ -502,8 +506,8 @@ class NoSolution(NoSolutionProof):
             elif case.y is None or case.branches:
                 yield None
             else:
-                found = certificate_of(self.problem, path, dict(enumerate(case.y)))
-                yield margins_of(self.problem, path, found) if found.holds else None
+                certificate = certificate_of(self.problem, path, dict(enumerate(case.y)))
+                yield margins_of(self.problem, path, certificate) if certificate.holds else None
 
     def __str__(self) -> str:
         leaves = self.leaves

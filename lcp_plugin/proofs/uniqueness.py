@@ -1,4 +1,4 @@
-"""Directions of other solutions of an LCP near one of them."""
+"""Directions of other solutions of an LCP near a solution."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def directions_of_solutions(problem: LCP, rows: ActiveRows) -> Array | None:
     """Return directions, shape (n, k), that span all solutions near a solution; None for more than 500 rows.
 
     For d in a free row (M d)_i = 0, in a degenerate row d_i ≥ 0 and (M d)_i ≥ 0 at a lower bound, the mirror image at
-    an upper one, and d = 0 elsewhere. Degenerate rows also need (M + Mᵀ) d = 0: if M is monotone, these are all
+    an upper bound, and d = 0 elsewhere. Degenerate rows also need (M + Mᵀ) d = 0: if M is monotone, these are all
     solutions, otherwise perhaps some of them.
 
     Parameters
@@ -42,7 +42,7 @@ def directions_of_solutions(problem: LCP, rows: ActiveRows) -> Array | None:
     part = np.flatnonzero(rows.free | rows.degenerate)
     if part.size > LEAST_SQUARES_UP_TO:
         return None
-    M, found = problem.matrix.csr, np.zeros((problem.n, 0))
+    M, directions = problem.matrix.csr, np.zeros((problem.n, 0))
     block = M[part][:, part].toarray()
     is_degenerate = rows.degenerate[part]
     stated = block[~is_degenerate]
@@ -50,13 +50,13 @@ def directions_of_solutions(problem: LCP, rows: ActiveRows) -> Array | None:
         stated = np.vstack([stated, block + block.T])
     basis = _null_space(stated)
     if not basis.shape[1]:
-        return found
+        return directions
     sign = np.where(rows.is_upper[part], -1.0, 1.0)[is_degenerate, np.newaxis]
     cone = np.vstack([sign * basis[is_degenerate], sign * (block @ basis)[is_degenerate]])
     basis = basis @ _span(cone)
-    found = np.zeros((problem.n, basis.shape[1]))
-    found[part] = basis
-    return found
+    directions = np.zeros((problem.n, basis.shape[1]))
+    directions[part] = basis
+    return directions
 
 
 def moving(directions: Array) -> NDArray[np.intp]:

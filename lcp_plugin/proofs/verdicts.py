@@ -70,7 +70,7 @@ from .exact import (
 )
 
 EXACT_ROWS = 2_000  # ambiguous rows that are worth an exact sum
-TOLERANCES = 0.1, 1e-3, 1e-7  # of the solves, if they iterate: a loose one is often enough
+TOLERANCES = 0.1, 1e-3, 1e-7  # of the solves, if they iterate: a loose tolerance is often enough
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class HVerdict(NamedTuple):
 
 
 def comparison_certificate(matrix: Matrix) -> HCertificate | None:
-    """Return v > 0 with ⟨M⟩v ≥ margin > 0, proven and cached for this M, or None if none was found.
+    """Return v > 0 with ⟨M⟩v ≥ margin > 0, proven and cached for this M, or None.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def comparison_certificate(matrix: Matrix) -> HCertificate | None:
 def h_verdict(matrix: Matrix) -> HVerdict:
     """Return whether ⟨M⟩ is a nonsingular M-matrix: v = 1, then solutions of ⟨M⟩v = |diag(M)| w for w = 1, then |v|.
 
-    Weights |v| make the margin of every row relative to its own v.
+    Weights |v| make the margin of every row relative to its v.
     """
     M = matrix.csr
     zeros = np.flatnonzero(M.diagonal() == 0.0)
@@ -137,12 +137,12 @@ def h_verdict(matrix: Matrix) -> HVerdict:
         x = system.solve(system.diagonal * weights, tolerance=tolerance)
         if x is None:
             return HVerdict(None, "⟨M⟩ is numerically singular, or too large to be factorized")
-        v = _centred(system.to_caller(x))
+        v = _centered(system.to_caller(x))
         if (margin := positive_margin(M, v)) is not None:
             smallest = float((margin / np.abs(M.diagonal()) / v).min())
             evidence = f"v from a solve with ⟨M⟩: ⟨M⟩v > 0 checked, ρ(D⁻¹|B|) ≤ 1 − {smallest:.3g}"
             return HVerdict(True, evidence, HCertificate(read_only(v), read_only(margin)))
-        y = _centred(system.to_caller(np.maximum(-x, 0.0)))
+        y = _centered(system.to_caller(np.maximum(-x, 0.0)))
         if is_nonpositive(M, y):
             return HVerdict(False, "y ≥ 0 from a solve with ⟨M⟩: ⟨M⟩y ≤ 0 checked")
         weights = np.maximum(np.abs(x) / np.abs(x).max(), 1e-30)
@@ -177,7 +177,7 @@ def is_nonpositive(M: AnyMatrix, y: Vector) -> bool:
     )
 
 
-def _centred(v: Vector) -> Vector:
+def _centered(v: Vector) -> Vector:
     """Return v ≥ 0 times a power of two that keeps products with it away from the ends of the range."""
     positive = v[v > 0.0]
     if positive.size == 0 or not np.isfinite(positive).all():
@@ -292,7 +292,7 @@ def irreducible(matrix: Matrix) -> Verdict:
 
 @fact
 def triangular(matrix: Matrix) -> Verdict:
-    """Lower or upper triangular, or diagonal, in the given order."""
+    """Lower or upper triangular, or diagonal, in the order of M."""
     form = triangular_form(matrix)
     return Verdict(form is not None, form or "entries on both sides of the diagonal")
 
@@ -390,7 +390,7 @@ def _nonpositive_diagonal(matrix: Matrix) -> Verdict | None:
 
 
 def nonpositive_pair(matrix: Matrix) -> Verdict | None:
-    """Return the verdict by i < j with m_ii m_jj − m_ij m_ji ≤ 0, for a positive diagonal; None if none was found."""
+    """Return the verdict by i < j with m_ii m_jj − m_ij m_ji ≤ 0, for a positive diagonal; None without such a pair."""
     M = matrix.csr
     even = sp.csr_array(
         (M.data / matrix.diagonal[row_numbers(M)], M.indices, M.indptr), shape=M.shape
@@ -499,7 +499,7 @@ class MatrixReport:
     Parameters
     ----------
     matrix : LCP, array or sparse array, shape (n, n)
-        The one examined; :func:`analyze` makes the report, once a matrix.
+        Matrix of the report; :func:`analyze` makes one report per matrix.
 
     Attributes
     ----------
@@ -618,7 +618,7 @@ def wrapped(title: str, text: str) -> list[str]:
 
 @fact
 def _report(matrix: Matrix) -> MatrixReport:
-    """Return the one report on the matrix."""
+    """Return the only report on the matrix."""
     return MatrixReport(matrix)
 
 
@@ -643,8 +643,8 @@ def sign_remark(matrix: Matrix) -> str:
     known = ""
     if h_verdict(matrix).value:
         is_m = int((matrix.csr.data < 0.0).sum()) == matrix.n
-        kind = "M-matrix" if is_m else "H₊-matrix"
-        known = f", and −M is {'a positive definite' if symmetric(matrix).value else 'an'} {kind}"
+        matrix_class = "M-matrix" if is_m else "H₊-matrix"
+        known = f", and −M is {'a positive definite' if symmetric(matrix).value else 'an'} {matrix_class}"
     return f"every diagonal entry of M is negative (M[0, 0] = {matrix.diagonal[0]}){known}: is its sign right?"
 
 

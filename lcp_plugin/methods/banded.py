@@ -31,7 +31,7 @@ from ..core.tuning import BANDED_PASSES
 from ..systems.factors import Bands, bands
 from ..systems.graph import bandwidth
 
-NEGLIGIBLE_PIVOT = 1e-14  # relative to the diagonal entry; a smaller one makes the block singular
+NEGLIGIBLE_PIVOT = 1e-14  # relative to the diagonal entry; a smaller pivot makes the block singular
 # The first row of no rows is the row to the right, the last row is the row to the left.
 EMPTY = 0.0, 0.0, 1.0, 0.0, 1.0, 0.0
 TURNS = 30  # direct rounds in which the sides take turns
@@ -297,10 +297,10 @@ def _join(before, after, a, d, c, q):  # type: ignore[no-untyped-def]
     A block is z of its first and of its last row, each as constant, factor of the left z, and factor of the right z.
     """
     pivot = d - a * before[5] - c * after[1]
-    own = (a * before[3] + c * after[0] - q) / pivot
+    constant = (a * before[3] + c * after[0] - q) / pivot
     left, right = a * before[4] / pivot, c * after[2] / pivot
-    first = before[0] + before[2] * own, before[1] + before[2] * left, before[2] * right
-    last = after[3] + after[4] * own, after[4] * left, after[5] + after[4] * right
+    first = before[0] + before[2] * constant, before[1] + before[2] * left, before[2] * right
+    last = after[3] + after[4] * constant, after[4] * left, after[5] + after[4] * right
     return (first[0], first[1], first[2], last[0], last[1], last[2]), pivot
 
 
@@ -333,13 +333,13 @@ def _find_contacts(bands, q, sign, value, is_held, is_free, stops, blocks):  # t
     block = EMPTY  # the free rows behind it
     for i in range(n):
         a, d, c = -bands[0, i], bands[1, i], -bands[2, i]
-        here, after = value[i], value[i + 1] if i + 1 < n else 0.0
+        bound, after = value[i], value[i + 1] if i + 1 < n else 0.0
         # w without the part of the next row
-        w = d * here - a * (block[3] + block[4] * left + block[5] * here) + sign * q[i]
-        is_free[i] = (not is_held[i]) and (here == -np.inf or w < c * after)
+        w = d * bound - a * (block[3] + block[4] * left + block[5] * bound) + sign * q[i]
+        is_free[i] = (not is_held[i]) and (bound == -np.inf or w < c * after)
         if not is_free[i]:
             top += 1
-            stops[top], blocks[top, 6], left = i, w, here
+            stops[top], blocks[top, 6], left = i, w, bound
             blocks[top, 0], blocks[top, 1], blocks[top, 2] = block[0], block[1], block[2]
             blocks[top, 3], blocks[top, 4], blocks[top, 5] = block[3], block[4], block[5]
             block = EMPTY
@@ -374,22 +374,22 @@ def _substitute(bands, q, value, is_free, z, slope):  # type: ignore[no-untyped-
     On M-matrices that is backward stable in every entry (Higham, *Accuracy and stability*, SIAM 2002, theorem 9.12).
     """
     n = z.size
-    here = factor = 0.0
+    constant = factor = 0.0
     for i in range(n):
         if is_free[i]:
             a = -bands[0, i]
             pivot = bands[1, i] - a * factor
-            here, factor = (a * here - q[i]) / pivot, -bands[2, i] / pivot
+            constant, factor = (a * constant - q[i]) / pivot, -bands[2, i] / pivot
         else:
-            here, factor = value[i], 0.0
-        z[i], slope[i] = here, factor
+            constant, factor = value[i], 0.0
+        z[i], slope[i] = constant, factor
     for i in range(n - 2, -1, -1):
         z[i] += slope[i] * z[i + 1]
 
 
 @kernel
 def find_one_sided(bands, q, sign, value, is_held, is_free, z):  # type: ignore[no-untyped-def]
-    """Fill z with the solution, and is_free with the free rows; return whether there is one.
+    """Fill z with the solution, and is_free with the free rows; return whether there is a solution.
 
     Parameters
     ----------

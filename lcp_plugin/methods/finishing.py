@@ -18,20 +18,20 @@ from ..systems.free_systems import FreeSystem
 
 
 def measure_finished(data: RowData, z: Any, tolerance: float, absolute: float = 0.0) -> Measured:
-    """Return the measure of z, snapped, with its small rows finished if it is one point.
+    """Return the measure of z, snapped, with its small rows finished if it is a single point.
 
     Parameters and result as of :meth:`.RowData.measure_at`.
     """
-    found = data.measure(z, tolerance, absolute)
-    if found.z.ndim > 1 or found.passes or found.residual > tolerance:
-        return found
-    return _finished(data, found, tolerance, absolute)
+    measured = data.measure(z, tolerance, absolute)
+    if measured.z.ndim > 1 or measured.passes or measured.residual > tolerance:
+        return measured
+    return _finished(data, measured, tolerance, absolute)
 
 
-def _finished(data: RowData, found: Measured, tolerance: float, absolute: float) -> Measured:
-    """Return the measure after solves of the rows that fail next to their terms, or `found` if that fails too."""
-    z, lower, upper = np.array(found.z), data.lower, data.upper
-    matrix, again, joined = Matrix(data.M), found, np.zeros(z.shape, np.bool_)
+def _finished(data: RowData, measured: Measured, tolerance: float, absolute: float) -> Measured:
+    """Return the measure after solves of the rows that fail next to their terms, or `measured` if that fails too."""
+    z, lower, upper = np.array(measured.z), data.lower, data.upper
+    matrix, again, joined = Matrix(data.M), measured, np.zeros(z.shape, np.bool_)
     most, system = 500.0 * matrix.nonzeros, None  # a factorization may take 500 passes over M
     for k in range(5):  # rounds of linear solves
         fails, sizes = again.by_row.terms > tolerance, again.rows.terms / data.scale
@@ -47,14 +47,14 @@ def _finished(data: RowData, found: Measured, tolerance: float, absolute: float)
             if system is None or not np.array_equal(free, system.free):
                 system = FreeSystem(matrix, free, by_factor=True)
                 if factor_operations(system.principal, most) > most:
-                    return found
+                    return measured
             step = system.solve_near(-w, 0.0 * z)
             if step is None:
-                return found
+                return measured
             z = np.clip(z + step, lower, upper)
         again = data.measure(z, tolerance, absolute)
         if again.passes:
             return again
         if not again.residual <= tolerance:
             break
-    return found
+    return measured

@@ -90,7 +90,7 @@ class InteriorPoint(Algorithm):
             z, steps = program.answer(engine(max_iter=PIQP_STEPS, **options))
             if not np.isfinite(z).all():
                 return
-            # Complementarity pieces near a point of an engine; of a start, one
+            # Complementarity pieces near a point of an engine; one of a start
             cases = _cases(problem, z, 5)
             sharp = next(cases, Step(z))
             sharp.work += steps * (1.0 + operations / max(problem.nonzeros, 1))
@@ -110,11 +110,11 @@ def _cases(problem: LCP, z: Vector, most: int) -> Iterator[Step]:
         if (case := signature(at_lower, at_upper)) in tried:
             return
         tried.add(case)
-        found = solve_active_set(problem, at_lower, at_upper, near=z, system=system)
-        if found is None or not np.isfinite(found.z).all():
+        solution = solve_active_set(problem, at_lower, at_upper, near=z, system=system)
+        if solution is None or not np.isfinite(solution.z).all():
             return
-        z, system = found.z, found.system
-        yield Step(np.clip(z, problem.lower, problem.upper), work=found.work)
+        z, system = solution.z, solution.system
+        yield Step(np.clip(z, problem.lower, problem.upper), work=solution.work)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,17 +174,17 @@ class MonotoneProgram:
         return cls(problem, statement._replace(**vectors), size, kept[x], multipliers, anchor)
 
     def answer(self, engine: Engine) -> tuple[Vector, int]:
-        """Return z within its bounds, NaN if the engine found none, and its steps.
+        """Return z within its bounds, NaN if the engine has none, and its steps.
 
         The engine sees x in a unit in which costs are as large as coefficients.
         """
-        given = self.statement
+        program = self.statement
         z = np.where(self.problem.lower == self.problem.upper, self.problem.lower, 0.0)
         if not self.unknowns.size:
             return z, 0
-        sizes = _largest(given.c, given.h, given.b), _largest(given.P, given.G, given.A)
+        sizes = _largest(program.c, program.h, program.b), _largest(program.P, program.G, program.A)
         unit = power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0
-        prepared = with_sides_about_one(scale_program(given, np.full(given.c.size, unit)))
+        prepared = with_sides_about_one(scale_program(program, np.full(program.c.size, unit)))
         point = prepared.outward(engine.answer(prepared.statement, SolverLimits(seconds_left())))
         z[self.unknowns] = point.x[: self.unknowns.size] * self.size
         if self.multipliers.size:
@@ -192,9 +192,9 @@ class MonotoneProgram:
                 getattr(self.problem, name)[self.multipliers] for name in ("lower", "upper")
             )
             is_equation, y = ~np.isfinite(lower) & ~np.isfinite(upper), np.empty(lower.size)
-            y[is_equation] = point.y[given.h.size :]
+            y[is_equation] = point.y[program.h.size :]
             sign = np.where(np.isfinite(lower), 1.0, -1.0)[~is_equation]
-            y[~is_equation] = sign * point.y[: given.h.size]
+            y[~is_equation] = sign * point.y[: program.h.size]
             z[self.multipliers] = self.anchor[self.multipliers] + y * self.size
         return np.clip(z, self.problem.lower, self.problem.upper), point.iterations
 
@@ -247,7 +247,7 @@ class ZeroSumGame(NamedTuple):
         return cls(is_row, K, L, losses / np.abs(losses).max())
 
     def answer(self, engine: Engine) -> tuple[Vector, int]:
-        """Return z, NaN if the engine found none, and its steps."""
+        """Return z, NaN if the engine has none, and its steps."""
         m, k = self.losses.shape
         statement = ProgramData(
             np.zeros((m + 1, m + 1)),
@@ -267,7 +267,8 @@ class ZeroSumGame(NamedTuple):
 
 def _largest(*parts: Any) -> float:
     return max(
-        float(np.max(np.abs(one.data if sp.issparse(one) else one), initial=0.0)) for one in parts
+        float(np.max(np.abs(part.data if sp.issparse(part) else part), initial=0.0))
+        for part in parts
     )
 
 
@@ -372,10 +373,10 @@ def signs_of(matrix: Matrix) -> Vector | None:
     )[1]
     bends = np.zeros(2 * n, dtype=bool)
     bends[part[rows[is_same]]] = True
-    one, other = bends[part[:n]], bends[part[n:]]
-    if (part[:n] == part[n:]).any() or (one & other).any():
+    bent, opposite = bends[part[:n]], bends[part[n:]]
+    if (part[:n] == part[n:]).any() or (bent & opposite).any():
         return None
-    return np.where(one | (~other & (part[:n] <= part[n:])), 1.0, -1.0)
+    return np.where(bent | (~opposite & (part[:n] <= part[n:])), 1.0, -1.0)
 
 
 def _entries_across(matrix: Matrix) -> Vector | None:

@@ -1,7 +1,7 @@
 """Projected full multigrid: projected sweeps find the free unknowns, truncated V-cycles correct them.
 
 A hierarchy of M, built from its entries alone, gives the linear corrections. The answer of each grid starts the next
-finer one (nested iteration), so that the free set is nearly right before the finest grid is touched.
+finer grid (nested iteration), so that the free set is nearly right before the finest grid is touched.
 
 Run of projected full multigrid: problems on the grids, truncation, safeguards.
 
@@ -236,7 +236,7 @@ class Safeguard:
             least_diagonal = float(self.problem.diagonal.min(initial=np.inf))
             if change < -max(noise, 1e-4 * least_diagonal * self.residual * self.residual):
                 self._accept(z, residual, slack)
-        return self.idle < 12  # cycles that may pass without an accepted one
+        return self.idle < 12  # cycles that may pass without an accepted cycle
 
     def restore(self, z: Vector) -> None:
         """Overwrite z by the accepted iterate, from which other corrections are tried."""
@@ -307,7 +307,7 @@ class GridProblem:
 
 COARSEST_SWEEPS = 50  # of the coarsest grid, which has few rows
 LONG_CONJUGATE = 24  # if M is symmetric: conjugate gradients keep no directions
-MOST_ROUNDS = 20  # of Krylov steps, each on the free set that the one before has left
+MOST_ROUNDS = 20  # of Krylov steps, each on the free set that the round before has left
 ROUND_GAIN = 0.1  # of the residual: reduction by Krylov steps on a free set before it changes
 
 
@@ -325,7 +325,7 @@ class ProjectedCycles:
     Attributes
     ----------
     problems : list of GridProblem
-        The problem of the finest grid; during a start also the ones of coarser grids.
+        The problem of the finest grid; during a start also the problems of coarser grids.
     work : float
         Entries touched since the last step.
     rounds : int
@@ -420,7 +420,7 @@ class ProjectedCycles:
         sets). A single V-cycle cannot replace this method if few contacts carry much load.
         """
         fine = self.problems[0]
-        own = z[: fine.grid.n]
+        local = z[: fine.grid.n]
         # Conjugate gradients (M symmetric) keep no directions.
         most, gain = ((LONG_CONJUGATE if self.is_symmetric else 8) if is_settled else 2, 1e-2)
         if self.rounds > 1:
@@ -429,11 +429,11 @@ class ProjectedCycles:
         for rounds_left in range(self.rounds - 1, -1, -1):
             correction = KrylovCorrection(self.truncation, fine.residual, self.is_symmetric)
             left = begun = correction.largest()
-            origin = own.copy()
+            origin = local.copy()
             for step in range(most):
                 if not correction.step():
                     break
-                correction.apply_within(origin, fine.lower, fine.upper, own)
+                correction.apply_within(origin, fine.lower, fine.upper, local)
                 left = correction.largest()
                 if left <= gain * begun or step == most - 1:
                     break

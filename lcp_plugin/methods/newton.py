@@ -51,7 +51,7 @@ def classify(problem: LCP, z: Vector, w: Vector) -> tuple[BoolVector, BoolVector
     Parameters
     ----------
     z, w : ndarray, shape (n,)
-        A row with equal bounds is at its lower one.
+        A row with equal bounds is at its lower bound.
 
     Examples
     --------
@@ -328,7 +328,7 @@ def fischer_burmeister(
 ) -> LinearizedPhi:
     """Return Φ, zero exactly at solutions: φ(z − lower, −φ(upper − z, −w/d)), φ(a, b) = a + b − √(a² + b²).
 
-    d is the scale of the residual unless another one is given, shape (n,), > 0. If a bound is infinite, its φ is
+    d is the scale of the residual unless `scale` replaces it, shape (n,), > 0. If a bound is infinite, its φ is
     replaced by its limit; a row with equal bounds gives z − lower.
 
     References
@@ -398,10 +398,10 @@ def _searched(state: NewtonState, phi: LinearizedPhi, reference: float) -> Linea
         length = 1.0
         for _ in range(25):
             z = state.z + length * direction
-            found = fischer_burmeister(state.problem, z, state.slack(z))
-            if 0.5 * found.norm**2 <= 0.5 * reference**2 + 1e-4 * length * slope:
+            candidate = fischer_burmeister(state.problem, z, state.slack(z))
+            if 0.5 * candidate.norm**2 <= 0.5 * reference**2 + 1e-4 * length * slope:
                 state.move(z)
-                return found
+                return candidate
             length *= 0.5
     return None
 

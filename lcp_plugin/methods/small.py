@@ -1,4 +1,4 @@
-"""Small dense problems: rounds by numpy for one, and Lemke's path in :mod:`lcp_plugin.core.kernels.small_lcps`.
+"""Small dense problems: rounds by numpy for one problem, and Lemke's path in :mod:`lcp_plugin.core.kernels.small_lcps`.
 
 Two sweeps of NPSOR guess the active set. A round, an active-set iteration, solves w = 0 on the free rows, with all
 other rows at their bounds, and changes every violated row. If the rounds end without a solution, Lemke's path follows
@@ -81,11 +81,11 @@ def first_candidate(problem: LCP, z0: Vector, tolerance: float) -> Any:
     is_warm = z0 is not data.start
     if is_warm and (data.is_at_start.any() or measure(data, z0, tolerance).passes):
         return None
-    label, found, entries = first_measured(data, z0, tolerance)
-    if not found.passes or (found.rows is not None and data.is_at_start.any()):
+    label, measured, entries = first_measured(data, z0, tolerance)
+    if not measured.passes or (measured.rows is not None and data.is_at_start.any()):
         return None
-    rows = found.rows if problem.matrix.is_dense else None  # of the stored M
-    return found.z, rows, label, entries / max(problem.matrix.nonzeros, 1)
+    rows = measured.rows if problem.matrix.is_dense else None  # of the stored M
+    return measured.z, rows, label, entries / max(problem.matrix.nonzeros, 1)
 
 
 def first_measured(data: RowData, z0: Vector, tolerance: float) -> tuple[str, Measured, float]:
@@ -102,10 +102,10 @@ def first_path_point(problem: LCP, tolerance: float) -> Any:
     """Return the end of Lemke's compiled path, None, its method and its work, 0 at z°; None unless it is a solution."""
     for z, bound in path_points(problem, tolerance):
         if bound == math.inf:
-            found = measure_finished(row_data(problem), z, tolerance)
-            if not found.passes:
+            measured = measure_finished(row_data(problem), z, tolerance)
+            if not measured.passes:
                 return None
-            z = found.z  # noqa: PLW2901
+            z = measured.z  # noqa: PLW2901
         is_start = (z == problem.nearest_to_zero).all()
         return z, None, "lemke", 0.0 if is_start else float(problem.n)
     return None
@@ -224,10 +224,10 @@ def solve_stack(
         z[items], residual[items] = x, bound
         items = items[bound == np.inf]
     is_solved = residual < np.inf
-    rest = items[np.isfinite(z[items, 0])]
-    if rest.size:
-        found = measure(stack_of(*_select((M, q, lower, upper), rest)), z[rest], tolerance)
-        z[rest], residual[rest], is_solved[rest] = found[:3]
+    doubt = items[np.isfinite(z[items, 0])]
+    if doubt.size:
+        measured = measure(stack_of(*_select((M, q, lower, upper), doubt)), z[doubt], tolerance)
+        z[doubt], residual[doubt], is_solved[doubt] = measured[:3]
     return z, residual, (z != begun).any(1).astype(int), is_solved
 
 
@@ -267,18 +267,18 @@ def path_points(
     A stack of one: the compiled loop has the same bits. A bound of ∞ means that the sufficient test does not
     decide. Points that do not exist are left out.
     """
-    own = arrays_of_one(problem)
+    arrays = arrays_of_one(problem)
     for start in (None,) if z0 is None else (z0, None):
         if start is not None:
             step = problem.slack(start) / problem.residual_scale
             is_low, is_high = step >= start - problem.lower, step <= start - problem.upper
             sides = np.where(is_low, LOW, FREE + is_high)[None]
-            z, bound = _bounded_points(*own, sides, tolerance)
+            z, bound = _bounded_points(*arrays, sides, tolerance)
         elif ((problem.lower == -np.inf) & (problem.upper == np.inf)).any():
-            z, bound = _bounded_points(*own, _ends_of_paths(*own[:4]), tolerance)
+            z, bound = _bounded_points(*arrays, _ends_of_paths(*arrays[:4]), tolerance)
         else:
             z, bound = np.empty((1, problem.n)), np.empty(1)
-            follow_one(*own, tilts(problem.n), tolerance, z, bound)
+            follow_one(*arrays, tilts(problem.n), tolerance, z, bound)
         if math.isfinite(z[0, 0]):
             yield read_only(z[0]), float(bound[0])
 
@@ -293,8 +293,8 @@ def arrays_of_one(problem: LCP) -> tuple[Vector, Vector, Vector, Vector, Vector]
 def _select(arrays: Any, items: Any) -> list[Any]:
     """Return these problems of arrays, C-contiguous and read-only; an array of length 1 applies to all."""
     are_all = items.size == len(arrays[1])
-    own = (one if are_all or len(one) == 1 else one[items] for one in arrays)
-    return [read_only(np.ascontiguousarray(one)) for one in own]
+    selected = (array if are_all or len(array) == 1 else array[items] for array in arrays)
+    return [read_only(np.ascontiguousarray(array)) for array in selected]
 
 
 def _ends_of_paths(
@@ -327,13 +327,13 @@ def _ends_of_paths(
             A = np.block([[A, -A[:, E]], [-A[E], A[E[:, None], E]]])
             low, high = np.where(pattern, 0.0, lower[k]), np.append(upper[k], upper[k, E])
             parts = A, np.append(b, -b[E]), np.append(low, low[E]), high
-            data = _select([one[None] for one in parts], np.arange(1))
+            data = _select([part[None] for part in parts], np.arange(1))
             sides[k, R] = _ends_of_paths(*data, follow=follow)[0, R]
         if not (items := items[is_regular]).size:
             continue
         A, b, low, high = _select((M, q, lower, upper), items)
         block, to = A[:, E[:, None], E], A[:, R[:, None], E]
-        of_x, of_1 = (np.linalg.solve(-block, one) for one in (A[:, E[:, None], R], b[:, E, None]))
+        of_x, of_1 = (np.linalg.solve(-block, x) for x in (A[:, E[:, None], R], b[:, E, None]))
         if R.size:
             reduced = A[:, R[:, None], R] + to @ of_x, b[:, R] + (to @ of_1)[..., 0]
             data = _select((*reduced, low[:, R], high[:, R]), items)
@@ -348,16 +348,16 @@ def _end_of_game(M: Vector, q: Vector, lower: Vector, upper: Vector, *, follow: 
     z_0, z_s have changed places, the path begins along the column of w_0, with w_0 > 0 and z_0 > 0.
     """
     need = -q[0] / np.where(M[0, :, 0] > 0.0, M[0, :, 0], INF)
-    own = np.array([0, need.argmax()])
-    inverse = np.linalg.inv(M[0][own[:, None], own])
-    left = M[0][:, own] @ inverse
-    A, b = M[0] - left @ M[0][own], q[0] - left @ q[0, own]
-    A[:, own], A[own], b[own] = left, -(inverse @ M[0][own]), -(inverse @ q[0, own])
-    A[own[:, None], own] = inverse
+    pair = np.array([0, need.argmax()])
+    inverse = np.linalg.inv(M[0][pair[:, None], pair])
+    left = M[0][:, pair] @ inverse
+    A, b = M[0] - left @ M[0][pair], q[0] - left @ q[0, pair]
+    A[:, pair], A[pair], b[pair] = left, -(inverse @ M[0][pair]), -(inverse @ q[0, pair])
+    A[pair[:, None], pair] = inverse
     data = _select([A[None], b[None], lower, upper], np.arange(1))
     sides = _ends_of_paths(*data, follow=follow, label=0)
     if (sides != LOST).all():
-        sides[0, own] = LOW + FREE - sides[0, own]
+        sides[0, pair] = LOW + FREE - sides[0, pair]
     return sides
 
 
@@ -438,7 +438,7 @@ def candidates(data: RowData, z0: Vector) -> Iterator[tuple[str, Vector, float]]
         yield "rounds", rounds(data, first), entries
     if (is_short := z0.size <= PYTHON_UP_TO) or has_numba():
         arrays = data.M, data.q, data.lower, data.upper
-        stack = [read_only(np.ascontiguousarray(one)[np.newaxis]) for one in arrays]
+        stack = [read_only(np.ascontiguousarray(array)[np.newaxis]) for array in arrays]
         is_game = first is None and bimatrix_players(data.M, data.q) is not None
         is_game = is_game and not data.lower.any() and bool((data.upper == INF).all())
         ends = _end_of_game if is_game else _ends_of_paths
@@ -454,7 +454,7 @@ def candidates(data: RowData, z0: Vector) -> Iterator[tuple[str, Vector, float]]
 
 
 def rounds(data: RowData, z: Vector) -> Vector:
-    """Return the final point of active-set iterations ."""
+    """Return the final point of active-set iterations."""
     M, q, lower, upper, scale = data.M, data.q, data.lower, data.upper, data.scale
     before, fewest, idle = None, z.size + 1, 0
     for _ in range(ROUNDS):

@@ -28,10 +28,10 @@ def solve_each(  # type: ignore[no-untyped-def]
     """Write the end of the path of each problem, and the bound of its relative residual, ∞ if in doubt."""
     k = cuda.grid(1)
     if k < q.shape[0]:
-        m, e, table, own = k % M.shape[0], k + 1, T[:, :, k], numbers[:, :, k]
+        m, e, table, whole = k % M.shape[0], k + 1, T[:, :, k], numbers[:, :, k]
         A, b, low, high = M[m : m + 1], q[k:e], lower[k:e], upper[k:e]
-        follow_paths(A, b, low, high, tilts, -1, table, own, sides[k:e])
-        solve_active_sets(A, b, low, high, sides[k:e], table, own[0], z[k:e])
+        follow_paths(A, b, low, high, tilts, -1, table, whole, sides[k:e])
+        solve_active_sets(A, b, low, high, sides[k:e], table, whole[0], z[k:e])
         residual[k] = math.inf
         if not math.isnan(z[k, 0]):
             first = start[k:e]
@@ -44,5 +44,5 @@ def solve_free_rows(M, q, zeros, sides, T, numbers, x):  # type: ignore[no-untyp
     k = cuda.grid(1)
     if k < q.shape[0]:
         m, e, zero = k % M.shape[0], k + 1, zeros[k : k + 1]
-        table, own = T[:, :, k], numbers[0, :, k]
-        solve_active_sets(M[m : m + 1], q[k:e], zero, zero, sides[k:e], table, own, x[k:e])
+        table, whole = T[:, :, k], numbers[0, :, k]
+        solve_active_sets(M[m : m + 1], q[k:e], zero, zero, sides[k:e], table, whole, x[k:e])

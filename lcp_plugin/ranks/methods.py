@@ -45,17 +45,17 @@ def build_hierarchy(matrix: AnyMatrix, halo: Halo, *, scales_rows: bool) -> Hier
     if not halo.is_empty:
         rows, ranks = halo.overlapped(rows, halo.ghosts, NOBODY)
     grid = _grid(Operator(*rows), ranks, count, scales_rows)
-    shares = levels.positive_shares(Operator(*grid.own), grid.split)
+    shares = levels.positive_shares(Operator(*grid.local_rows), grid.split)
     strength = levels.strength_of(halo.total(float(shares.sum())) / max(halo.n, 1))
     grids, transfers, has_jumps = [grid], list[Transfer](), None
-    entries = stored = halo.total(float(grid.own[0][-1]))
+    entries = stored = halo.total(float(grid.local_rows[0][-1]))
     size = halo.total(grid.n)
     while size > levels.COARSEST:
         coarser = _coarser(grid, strength, has_jumps, scales_rows)
         if coarser is None:
             break
         transfer, below, has_jumps = coarser
-        now = halo.total(float(below.own[0][-1]))
+        now = halo.total(float(below.local_rows[0][-1]))
         is_large = halo.total(below.n) > levels.LARGEST_GRID_SHARE * size
         stored += now
         if is_large or now > LARGEST_GROWTH * entries or stored > LARGEST_COMPLEXITY * entries:
@@ -107,7 +107,7 @@ def _coarser(
     There is none if no unknowns are coupled, or if its numbers are not finite. Unknowns of any rank interpolate. If
     couplings jump, each rank also makes the second pass of Ruge and Stüben among its unknowns.
     """
-    indptr, indices, data = grid.own
+    indptr, indices, data = grid.local_rows
     n, halo = grid.n, grid.halo
     square = np.pad(indptr, (0, grid.width - n), "edge")  # the rows of ghosts are empty
 

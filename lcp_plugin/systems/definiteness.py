@@ -116,7 +116,7 @@ def is_positive_definite(P: AnyMatrix) -> bool | None:
 def symmetric_part(M: AnyMatrix) -> Any:
     """Return (M + Mᵀ)/2, exactly symmetric; M itself if it is symmetric.
 
-    Each entry is rounded once, those below 2⁻¹⁰²² to a multiple of 2⁻¹⁰⁷⁴.
+    Each entry is rounded once, entries below 2⁻¹⁰²² to a multiple of 2⁻¹⁰⁷⁴.
 
     Examples
     --------

@@ -72,11 +72,11 @@ def equilibrating_exponents(M: AnyMatrix, aims: Sequence[float], most: float = n
     exponents, places = np.frexp(M.data)[1].astype(float), (row_numbers(M), M.indices)
     scales = [np.zeros(count) for count in M.shape]
     for share in aims:
-        for axis, here in enumerate(places):
+        for axis, indices in enumerate(places):
             now = exponents + scales[0][places[0]] + scales[1][places[1]]
             largest, smallest = np.full(M.shape[axis], -np.inf), np.full(M.shape[axis], np.inf)
-            np.maximum.at(largest, here, now)
-            np.minimum.at(smallest, here, now)
+            np.maximum.at(largest, indices, now)
+            np.minimum.at(smallest, indices, now)
             middle = share * largest + (1.0 - share) * smallest if share < 1.0 else largest
             scales[axis] -= np.where(np.isfinite(largest), np.rint(middle), 0.0)
     return Exponents(*(np.clip(scale, -most, most).astype(np.int64) for scale in scales))

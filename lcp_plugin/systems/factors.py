@@ -88,7 +88,7 @@ def factorise(
         return _dense(matrix, is_symmetric)
     n = matrix.shape[0]
     is_dense = matrix.nnz > DENSE_ABOVE_DENSITY * n * n and n <= 3000
-    # A sparse block this small is factorized as a dense one.
+    # A sparse block this small is factorized as a dense block.
     if n <= 64 or is_dense:
         return _dense(matrix.toarray(), is_symmetric)
     if bandwidth is not None and sum(bandwidth) <= BANDED_UP_TO:
@@ -106,15 +106,15 @@ def _dense(matrix: AnyMatrix, is_symmetric: bool) -> Factor | None:
 @cache
 def lapack() -> Any:
     """Return scipy's module, cached because an import at each call takes longer than a small factorization."""
-    from scipy.linalg import lapack as found
+    from scipy.linalg import lapack as module
 
-    return found
+    return module
 
 
 def positive_triangle(matrix: Vector) -> Vector | None:
     """Return the triangle of Cholesky's factor, as LAPACK has it; None if the matrix is not positive definite."""
     require_seconds(matrix.shape[0] ** 3 / 3.0 / DENSE_OPERATIONS)
-    # A row-major upper triangle is LAPACK's lower one: no copy is transposed.
+    # A row-major upper triangle is LAPACK's lower triangle: no copy is transposed.
     factor, info = lapack().dpotrf(matrix.T, lower=1, clean=0)
     return factor if info == 0 else None
 
@@ -202,7 +202,7 @@ def _suits_one_order(matrix: sp.csr_array) -> bool:
     if not bool((np.abs(matrix.diagonal()) >= SYMMETRIC_PIVOT * largest_in_rows(matrix)).all()):
         return False
     pattern = sp.csr_array((np.ones(matrix.nnz), matrix.indices, matrix.indptr), shape=matrix.shape)
-    # If most entries have one across the diagonal, A is ordered as A + Aᵀ.
+    # If most entries have a mirror entry, A is ordered as A + Aᵀ.
     return bool(pattern.multiply(pattern.T).nnz >= 0.8 * matrix.nnz)
 
 
@@ -241,7 +241,7 @@ def sparse_lu(matrix: AnyMatrix, **options: Any) -> Any:
 def diagonal_pivot_factor(matrix: AnyMatrix) -> Any | None:
     """Return SuperLU's factorization with diagonal pivots, in one order for rows and columns; None if singular.
 
-    That order is a preference: a pivot of 0 is exchanged; those who need it compare `perm_r` with `perm_c`.
+    That order is a preference: a pivot of 0 is exchanged; callers that need it compare `perm_r` with `perm_c`.
     """
     try:
         return sparse_lu(matrix, diag_pivot_thresh=0.0, **IN_ONE_ORDER)

@@ -153,9 +153,9 @@ class FreeBlocks:
                 terms = np.abs(blocks * inverses.swapaxes(1, 2)).sum(axis=2)
                 # At 2²⁶ half of the digits of a double cancel in the sum.
                 self.is_regular[items] = is_regular = (terms <= 2.0**26).all(axis=1)
-                if (rest := np.flatnonzero(~is_regular)).size:
-                    inverses[rest], is_singular = pseudo_inverses(blocks[rest])
-                    self.is_singular[items[rest]] = is_singular & have_one_unit(blocks[rest])
+                if (left := np.flatnonzero(~is_regular)).size:
+                    inverses[left], is_singular = pseudo_inverses(blocks[left])
+                    self.is_singular[items[left]] = is_singular & have_one_unit(blocks[left])
                 self._groups.append((items[:, np.newaxis], rows, inverses))
 
     def solve(self, right: Vector, *, transposed: bool = False) -> Any:
@@ -209,7 +209,7 @@ class FreeSystem:
     Solutions are refined as long as a step halves their backward error. Factorizations and truncations are computed on
     first use and serve all right-hand sides. A block is called singular if its factorization fails, or if terms 10¹³
     times as large as their sum cancel in a solution. For a singular block, :meth:`solve_near` computes a ridge or
-    least-squares solution near a given point, and `pseudo_inverse` gives the solution of least norm.
+    least-squares solution near a point, and `pseudo_inverse` gives the solution of least norm.
 
     Examples
     --------

@@ -165,7 +165,7 @@ class ComparisonMatrix:
         """Rhs ↦ matrix⁻¹ rhs by a factorization; None if the matrix is singular or too large."""
         if not factor_fits(self.matrix):
             return None
-        # A dense LU of so few rows is faster than a sparse one.
+        # A dense LU of so few rows is faster than a sparse LU.
         is_small = self.matrix.shape[0] <= 300
         factor = dense_lu(self.matrix.toarray()) if is_small else diagonal_pivot_factor(self.matrix)
         return None if factor is None else factor.solve

@@ -1,7 +1,7 @@
 """Predicted size of a sparse factorization: column counts in an order of minimum degree.
 
 Eliminating an unknown joins its neighbors to each other. They are not written down: the eliminated ones stay as
-*elements*, lists of their neighbors, and an element whose unknowns another one has is absorbed, so that the graph
+*elements*, lists of their neighbors, and an element whose unknowns another element has is absorbed, so that the graph
 never grows. Degrees are approximate, no smaller than the true ones; unknowns with the same neighbors are eliminated
 together. The order therefore gives the counts, in a time close to the time for reading the pattern. SuperLU and QDLDL
 use similar orders, so that their factorizations have about as many entries.
@@ -134,7 +134,7 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
                         before[after[i]] = before[i]
             if is_element:
                 is_gone[e] = True
-        # How much of each element near them lies outside of the new one.
+        # How much of each element near them lies outside of the new element.
         base = tag * (2 * n + 2)
         for m in range(start, free):
             i = workspace[m]

@@ -33,7 +33,7 @@ class Lemke(Algorithm):
     Parameters
     ----------
     max_pivots : int, optional
-        Pivots of one path; 10 (n + 10) by default and, once every start was tried, 100 (n + 10) for those cut off.
+        Pivots of one path; 10 (n + 10) by default and, once every start was tried, 100 (n + 10) for the paths cut off.
     restarts : int, optional
         Arbitrary starts after the principled ones: every label of a bimatrix game (Lemke–Howson), r = 1 and
         r = |q| of the equilibrated problem; 20 000/n by default, but 10 to 600. An
@@ -48,7 +48,7 @@ class Lemke(Algorithm):
     one factorization: after a small change of q it is often right; otherwise z0 has no effect. Connected components of
     the problem are solved one by one. The path belongs to a q with a perturbation at rounding level, which breaks
     ties; a path from an arbitrary start may be a loop. A path from r > 0 ends in a solution if M is a P-matrix or all
-    bounds are finite, and for a copositive-plus M (for example a positive semidefinite one) if the problem is feasible.
+    bounds are finite, and for a feasible problem with a copositive-plus M, for example a positive semidefinite M.
 
     Examples
     --------
@@ -79,7 +79,7 @@ class Lemke(Algorithm):
                 whole_number(value, f"lemke: {option}", 0)
 
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
-        """Yield the start, then the z of the path after each block of pivots, last the solution if one was found.
+        """Yield the start, then the z of the path after each block of pivots, last the solution, if any.
 
         Raises
         ------
@@ -97,8 +97,8 @@ class Lemke(Algorithm):
                 component = LCP(
                     M, problem.q[rows], lower=problem.lower[rows], upper=problem.upper[rows]
                 )
-            for found, touched in self._paths(component, z[rows]):
-                z[rows] = np.clip(found, component.lower, component.upper)
+            for end, touched in self._paths(component, z[rows]):
+                z[rows] = np.clip(end, component.lower, component.upper)
                 yield Step(z, work=touched / entries, is_settling=True)
 
     def named_iterates(self, problem: LCP, z0: Vector, tolerance: float) -> Iterator[Step]:
@@ -135,10 +135,10 @@ class Lemke(Algorithm):
             at_lower, at_upper = guess <= component.lower, guess >= component.upper
             if is_near(component, guess):  # z may miss its bounds by rounding
                 at_lower, at_upper = classify(component, guess, component.slack(guess))
-            found = solve_active_set(component, at_lower, at_upper & ~at_lower)
-            if found is not None:
-                yield found.z, found.work * max(component.nonzeros, 1)
-                if _is_good(component, np.clip(found.z, component.lower, component.upper)):
+            solution = solve_active_set(component, at_lower, at_upper & ~at_lower)
+            if solution is not None:
+                yield solution.z, solution.work * max(component.nonzeros, 1)
+                if _is_good(component, np.clip(solution.z, component.lower, component.upper)):
                     return
         box = canonical_box(component)
         # the tableau overflows, so that its path cannot reach a solution in double precision
@@ -197,24 +197,24 @@ class Lemke(Algorithm):
         at_upper[box.rows] |= np.where(is_flipped, is_near, path.side == AT_UPPER)
         at_lower, at_upper = at_lower & bounded, at_upper & bounded & ~at_lower
         # A free row of two nonnegative variables that are both 0 is dependent
-        held = ~bounded & (np.bincount(box.rows, is_near, component.n) == 2)
+        dependent = ~bounded & (np.bincount(box.rows, is_near, component.n) == 2)
         vertex = component
-        if held.any():
-            lower = np.where(held, 0.0, component.lower)
+        if dependent.any():
+            lower = np.where(dependent, 0.0, component.lower)
             vertex = LCP(component.matrix, component.q, lower=lower, upper=component.upper)
-        refined = solve_active_set(vertex, at_lower | held, at_upper)
+        refined = solve_active_set(vertex, at_lower | dependent, at_upper)
         if refined is not None:
-            found = np.clip(refined.z, component.lower, component.upper)
+            polished = np.clip(refined.z, component.lower, component.upper)
             # The run ends here if the point of the only component passes.
-            yield found, path.touched() + refined.work * max(component.nonzeros, 1)
-            if _is_good(component, found):
+            yield polished, path.touched() + refined.work * max(component.nonzeros, 1)
+            if _is_good(component, polished):
                 return True
         yield z, path.touched()
         return _is_good(component, z)
 
 
 def _components_that_fit(problem: LCP) -> list[NDArray[np.intp]]:
-    """Return the connected components; raise UnsuitableProblem if one is too large for a dense inverse."""
+    """Return the connected components; raise UnsuitableProblem if a component is too large for a dense inverse."""
     components = rows_of_components(problem)
     size = max((rows.size for rows in components), default=0)
     if size > PIVOTED_UP_TO:

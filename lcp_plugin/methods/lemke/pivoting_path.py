@@ -51,7 +51,7 @@ class CanonicalBox:
         Change of that variable per unit of the canonical variable; negative if the bounds are exchanged, and 0 if the
         canonical variable is w of that row.
     eliminated : ndarray, shape (g,)
-        Eliminated variables: free variables, and those whose place w has taken.
+        Eliminated variables: free variables, and variables whose place w has taken.
     elimination : ndarray, shape (g, k)
         Change of each eliminated variable per unit of a canonical variable.
     """
@@ -80,7 +80,7 @@ class CanonicalBox:
         )
 
     def recover(self, z: Vector) -> Vector:
-        """Return the z of the problem, shape (n,), for one of the canonical problem, shape (k,)."""
+        """Return the z of the problem, shape (n,), for a z of the canonical problem, shape (k,)."""
         result = np.array(self.offset)
         np.add.at(result, self.rows, self.step * z)
         result[self.eliminated] += self.elimination @ z
@@ -144,10 +144,10 @@ def _without_free_rows(
     free, one_sided = np.flatnonzero(is_free), np.flatnonzero(~is_free & (upper == np.inf))
     is_sparse = free.size > 64 and np.count_nonzero(M) < M.size // 10
     sparse = sp.csr_array(M) if is_sparse else None
-    own, empty = _independent(M, sparse, free), free[:0]
-    choices = [(own, empty), (empty, empty)] if free.size else [(empty, empty)]
-    if own.size < free.size:
-        choices.insert(0, _with_partners(M, sparse, own, np.setdiff1d(free, own), one_sided))
+    kept, empty = _independent(M, sparse, free), free[:0]
+    choices = [(kept, empty), (empty, empty)] if free.size else [(empty, empty)]
+    if kept.size < free.size:
+        choices.insert(0, _with_partners(M, sparse, kept, np.setdiff1d(free, kept), one_sided))
     for gone, partners in choices:
         basic, stays = np.append(gone, partners), np.delete(np.arange(keep.size), gone)
         place, columns = np.searchsorted(stays, partners), np.column_stack([M[:, stays], q])
@@ -190,20 +190,20 @@ def _independent(M: FloatMatrix, sparse: AnyMatrix, free: IndexVector) -> IndexV
 
 
 def _with_partners(
-    M: FloatMatrix, sparse: AnyMatrix, own: IndexVector, rest: IndexVector, one_sided: IndexVector
+    M: FloatMatrix, sparse: AnyMatrix, kept: IndexVector, lost: IndexVector, one_sided: IndexVector
 ) -> tuple[IndexVector, IndexVector]:
     """Return free rows, and as many other rows as may make their common block regular."""
-    solution = _solved(M, sparse, own, M[np.ix_(own, one_sided)])
-    if solution is None or not (rest.size and one_sided.size):
-        return own, rest[:0]
+    solution = _solved(M, sparse, kept, M[np.ix_(kept, one_sided)])
+    if solution is None or not (lost.size and one_sided.size):
+        return kept, lost[:0]
     from scipy.linalg import qr
 
-    block = M[np.ix_(rest, one_sided)] + M[np.ix_(rest, own)] @ solution
+    block = M[np.ix_(lost, one_sided)] + M[np.ix_(lost, kept)] @ solution
     R, order = qr(block, mode="r", pivoting=True)
     pivots = np.abs(R.diagonal())
     order = order[: np.count_nonzero(pivots > 1e-8 * pivots[0])]
     rows = qr(block[:, order].T, mode="r", pivoting=True)[1][: order.size]
-    return np.append(own, rest[rows]), one_sided[order]
+    return np.append(kept, lost[rows]), one_sided[order]
 
 
 def _solved(M: FloatMatrix, sparse: AnyMatrix, rows: IndexVector, right: FloatMatrix) -> Any:
@@ -226,7 +226,7 @@ def _solved(M: FloatMatrix, sparse: AnyMatrix, rows: IndexVector, right: FloatMa
 
 
 def _sparse_factor(sparse: AnyMatrix, rows: IndexVector, shift: float = 0.0) -> Any:
-    """Return SuperLU's factor of a block + shift I; None if a dense one is quicker, or if a pivot is zero."""
+    """Return SuperLU's factor of a block + shift I; None if a dense factor is quicker, or if a pivot is zero."""
     n = rows.size
     if sparse is None:
         return None
@@ -258,11 +258,13 @@ FloatMatrix = NDArray[np.float64]
 ACCURATE = 1e-12  # relative residual of the basis up to which no new factorization is needed
 # relative to each |q|, and to the smallest nonzero |q| where q is 0: no two rows block at once
 TIE_BREAK = 2.0**-48
-FEASIBLE = 1e-7  # of the largest basic variable: how far one may be out of its bounds
+FEASIBLE = (
+    1e-7  # of the largest basic variable: largest violation of the bounds of a basic variable
+)
 
 
 class LemkePath:
-    """The path of w = M z + q + t r, 0 ≤ z ≤ u complementary, from one start towards t = 0.
+    """The path of w = M z + q + t r, 0 ≤ z ≤ u complementary, from a start towards t = 0.
 
     It is one class because all methods read or pivot one table.
 
@@ -332,7 +334,7 @@ class LemkePath:
         *,
         level: float = 0.0,
     ) -> bool:
-        """Start at a given basis with variable `driven` moving in the direction; `level` is the value of a driven t."""
+        """Start at a basis with variable `driven` moving in the direction; `level` is the value of a driven t."""
         self.covering = self.columns[:, self.n] = covering
         self.basis[:], self.side[:] = basis, side
         self.driven, self.value, self.direction = driven, level, direction

@@ -1,7 +1,7 @@
 """Lemke's path on a dense tableau: complementary pivoting along w = M z + q + t r, 0 ≤ z ≤ u, from t = ∞ to t = 0.
 
 The tableau expresses the n basic variables by the n + 1 others, so a pivot touches n (n + 1) numbers. Exactly one of
-z_i, w_i is basic for every row i but the *driven* one; SIDE is the place of z_i: AT_LOWER (w_i ≥ 0 basic), BETWEEN (z_i
+z_i, w_i is basic for every row i but the *driven* row; SIDE is the place of z_i: AT_LOWER (w_i ≥ 0 basic), BETWEEN (z_i
 basic), AT_UPPER (w_i ≤ 0 basic). Bounds belong to variables. The caller perturbs q, so that no two rows block at once.
 Variables are numbered z_i = i, w_i = n + i, t = 2n. Vectors are rows of `real`, index vectors rows of `whole`
 (:func:`shapes`).
@@ -189,8 +189,8 @@ def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped
 @inline
 def _blocking(real, whole, matrix, n, column, direction, value, driven):  # type: ignore[no-untyped-def]
     """Return the row that blocks the driven variable (or OWN_BOUND, NOTHING) and the distance; t blocks first."""
-    own = real[WIDTH, driven] if driven < n else value if driven == 2 * n else np.inf
-    nearest, row = own, OWN_BOUND if own < np.inf else NOTHING
+    reach = real[WIDTH, driven] if driven < n else value if driven == 2 * n else np.inf
+    nearest, row = reach, OWN_BOUND if reach < np.inf else NOTHING
     for i in range(n):
         rate = direction * matrix[i, column]
         to_bound = (real[LOW, i] if rate < 0.0 else real[HIGH, i]) - real[KEPT, i]

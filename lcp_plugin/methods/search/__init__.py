@@ -102,7 +102,7 @@ def search(
     first_only : bool
         Stop at the first solution, which may be any point of the solution set; `dimension` then refers to its pattern.
     max_nodes : int
-        Limit of the number of complementarity pieces; one costs about a millisecond at n = 10, more with long
+        Limit of the number of complementarity pieces; a piece costs about a millisecond at n = 10, more with long
         mantissas.
 
     Raises

@@ -35,7 +35,7 @@ class Face:
 
 
 class Explorer:
-    """Depth-first search that ends with the faces found or, if no face exists, with the tree that proves this.
+    """Depth-first search that ends with the faces of solutions or, if no face exists, with the tree that proves this.
 
     It is one class because each choice is made, examined and undone on one simplex table.
     """
@@ -131,8 +131,8 @@ class Explorer:
                     closed.setdefault((i, choice), simplex.farkas(row, -1))
                 elif lowest is not None and lowest == highest:
                     # Do row and bounds determine the value of this basic variable?
-                    here, (least, most) = lowest * d, simplex.bounds(x)
-                    if (low == here or least == lowest) and (high == here or most == lowest):
+                    value, (least, most) = lowest * d, simplex.bounds(x)
+                    if (low == value or least == lowest) and (high == value or most == lowest):
                         implied.setdefault(i, choice)
         return closed, implied
 
@@ -207,14 +207,14 @@ class Explorer:
             others: list[tuple[str, int, Bound, int]] = [(LOWER, i, bottom, 1), (UPPER, i, top, -1)]
         else:
             others = [(SLACKLESS, self.n + i, 0, 1 if choice == LOWER else -1)]
-        found = [choice]
+        tight = [choice]
         for other, x, at, direction in others:
             if at is None or self.simplex.position(x) != at:
                 continue
             if is_point or not self.simplex.can_leave(x, direction):
                 self.simplex.set_bounds(x, at, at)
-                found.append(other)
-        return frozenset(found)
+                tight.append(other)
+        return frozenset(tight)
 
 
 def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
@@ -241,10 +241,10 @@ def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
         bounds = [
             (x, at) for x in range(2 * problem.n) for at in set(simplex.bounds(x)) if at is not None
         ]
-        found = set()
+        known = set()
         for point in _corners(simplex, sorted(bounds), 0):
-            if point not in found:
-                found.add(point)
+            if point not in known:
+                known.add(point)
                 yield point
 
 

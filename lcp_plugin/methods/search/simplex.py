@@ -38,7 +38,7 @@ class Effort:
     due: int = 0
 
     def add(self, entries: int, bits: int) -> None:
-        """Count new entries of the given number of bits; raise OutOfTimeError if the time of a run is over."""
+        """Count new entries of so many bits; raise OutOfTimeError if the time of a run is over."""
         self.entries += entries
         # A digit has 30 bits; the access to an entry takes as long as 100 products of digits.
         self.products += entries * (100 + (bits // 30) ** 2)
@@ -208,7 +208,7 @@ class ExactSimplex:
 
     def _violated(self, tries: int) -> tuple[int, int, int] | None:
         """Return row, bound and direction of a basic variable out of bounds: the farthest, later Bland's."""
-        found, worst = None, 0
+        farthest, worst = None, 0
         for row, x in enumerate(self.basic):
             numerator, (low, high) = self.numerator[row], self.bounds(x)
             if low is not None and (gap := low * self.denominator - numerator) > 0:
@@ -218,9 +218,9 @@ class ExactSimplex:
             else:
                 continue
             size = -x - 1 if tries > 2 * self.n else gap
-            if found is None or size > worst:
-                found, worst = candidate, size
-        return found
+            if farthest is None or size > worst:
+                farthest, worst = candidate, size
+        return farthest
 
     def _entering(self, row: int, direction: int) -> int | None:
         """Return the column of the first nonbasic variable that can push the row's variable in that direction."""
@@ -311,7 +311,7 @@ def _integer_rows(
 ) -> tuple[list[list[int]], list[int]]:
     """Return the rows of (M, q/unit) as integers without a common factor, and the integer multiplier of each row.
 
-    The latter are in a unit of their own.
+    These multipliers have a common unit.
     """
     rows, scales = [], []
     for i, q in enumerate(offset.tolist()):

@@ -96,7 +96,7 @@ class Grid:
         return self.matrix.data.size
 
     @property
-    def own(self) -> tuple[NDArray[Any], NDArray[Any], Vector]:
+    def local_rows(self) -> tuple[NDArray[Any], NDArray[Any], Vector]:
         """The local rows."""
         indptr, indices, data = self.matrix.arrays
         return Operator(indptr[: self.n + 1], indices, data).arrays
@@ -154,9 +154,9 @@ class RowBlocks(NamedTuple):
     edges: NDArray[np.int64]
     reach: int
 
-    def count(self, colour: int) -> int:
+    def count(self, color: int) -> int:
         """Return the number of even (0) or odd (1) blocks."""
-        return (self.edges.size - colour) // 2
+        return (self.edges.size - color) // 2
 
 
 def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:

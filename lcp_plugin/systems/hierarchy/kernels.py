@@ -92,11 +92,11 @@ def update_product(
 
     The operands are tuples of arrays, as `_update_rows` names them.
     """
-    width, kind = flags[0].size, matrix[1].dtype
+    width, index_type = flags[0].size, matrix[1].dtype
 
     def piece(first: int, end: int) -> tuple[float, int]:
         sums = np.empty(width), np.empty(coarse[5].size)
-        space = np.zeros(width, kind), np.empty(width, kind), *sums
+        space = np.zeros(width, index_type), np.empty(width, index_type), *sums
         return _update_rows(matrix, flags, prolongation, restriction, coarse, space, first, end)
 
     products, changed = zip(*share(piece, restriction[0].size - 1, 16384), strict=True)
@@ -203,8 +203,8 @@ def free_product(rows: Matrix, inverse: Vector, x: Vector, product: Vector) -> N
 
 def _product_of(rows: Matrix, begins: Any, further: int, inverse: Array, *operands: Any) -> Any:
     """Return a function that computes some rows of `_products`; the operands are sign, b, weight, x, product."""
-    indptr, _, *rest = rows
-    return partial(_products, indptr, begins, further, *rest, read_only(inverse), *operands)
+    indptr, _, *entries = rows
+    return partial(_products, indptr, begins, further, *entries, read_only(inverse), *operands)
 
 
 def sweep(
@@ -238,16 +238,16 @@ def free_rows(
     is_changed: BoolVector,
     residual: Vector,
 ) -> tuple[float, int]:
-    """Find the free rows of z: those strictly between their bounds, or pushed off the bound by w.
+    """Find the free rows of z: rows strictly between their bounds, or pushed off the bound by w.
 
     Writes −w on the free rows and 0 elsewhere into `residual`; returns the largest scaled
     residual of the problem, and how many rows changed.
     """
     matrix = rows[0], *rows[2:]
     piece = partial(_free_rows, matrix, vectors, z, is_free, is_changed, residual)
-    found = shared(piece, residual.size)
-    largest = np.max([one for one, _ in found])  # a NaN kept
-    return float(largest), int(sum(changed for _, changed in found))
+    results = shared(piece, residual.size)
+    largest = np.max([size for size, _ in results])  # a NaN kept
+    return float(largest), int(sum(changed for _, changed in results))
 
 
 def shared(work: Callable[[int, int], Any], rows: int) -> list[Any]:
@@ -267,23 +267,23 @@ def _swept(
     x: Vector,
 ) -> None:
     """Sweep the blocks of one color and then the blocks of the other color; the entries of row i end before ends[i]."""
-    indptr, *rest = rows
-    operands = tuple(rest), vectors, (sign, relaxation, is_first, backward), x
+    indptr, *entries = rows
+    operands = tuple(entries), vectors, (sign, relaxation, is_first, backward), x
     edges, block_ends = blocks.edges, blocks.edges[1:]
 
-    def piece(colour: int, first: int, last: int) -> None:
+    def piece(color: int, first: int, last: int) -> None:
         # In the first sweep, so many rows at the end of an odd block need all their entries.
-        reach = blocks.reach if is_first and colour == 1 else 0
+        reach = blocks.reach if is_first and color == 1 else 0
         seams = read_only(block_ends - reach)
-        _sweep(indptr, ends, *operands, (colour, edges, seams), first, last)
+        _sweep(indptr, ends, *operands, (color, edges, seams), first, last)
         if reach:
-            _sweep(indptr, indptr[1:], *operands, (colour, seams, block_ends), first, last)
+            _sweep(indptr, indptr[1:], *operands, (color, seams, block_ends), first, last)
 
-    for colour in (1, 0) if backward else (0, 1):
-        if count := blocks.count(colour):
+    for color in (1, 0) if backward else (0, 1):
+        if count := blocks.count(color):
             # Fewer blocks do not justify a thread; a sweep starts threads twice.
             fewest = max(SHARED_FROM // max(2 * int(edges[1]), 1), 1)
-            share(partial(piece, colour), count, fewest)
+            share(partial(piece, color), count, fewest)
 
 
 @inline
@@ -302,10 +302,10 @@ def _sweep(indptr, ends, entries, vectors, how, x, blocks, first_block, last_blo
     of row i end before ends[i]. The first sweep starts from x = 0.
     """
     (split, indices, data), (inverse, b, lower, upper) = entries, vectors
-    (sign, relaxation, is_first, backward), (colour, begins, block_ends) = how, blocks
+    (sign, relaxation, is_first, backward), (color, begins, block_ends) = how, blocks
     has_lower, has_upper = lower.size > 0, upper.size > 0
     for counted in range(last_block - first_block):
-        block = 2 * (last_block - 1 - counted if backward else first_block + counted) + colour
+        block = 2 * (last_block - 1 - counted if backward else first_block + counted) + color
         begin, end = begins[block], block_ends[block]
         for step in range(end - begin):
             i = uintp(end - 1 - step if backward else begin + step)
@@ -370,14 +370,14 @@ def _free_rows(matrix, vectors, z, is_free, is_changed, residual, first, end):  
 AT_ONCE = 8192  # terms that are summed in one piece, too few for BLAS to share; they stay in the fastest cache
 
 
-def dot(one: Vector, other: Vector) -> float:
+def dot(x: Vector, y: Vector) -> float:
     """Return Σ one_i other_i."""
-    sums = np.zeros(-(-one.size // AT_ONCE))
+    sums = np.zeros(-(-x.size // AT_ONCE))
 
     def sum_pieces(first: int, end: int) -> None:
         for piece in range(first, end):
             part = slice(piece * AT_ONCE, (piece + 1) * AT_ONCE)
-            sums[piece] = np.dot(one[part], other[part])
+            sums[piece] = np.dot(x[part], y[part])
 
     share(sum_pieces, sums.size, 1)
     return float(sums.sum())
@@ -435,7 +435,7 @@ def find_held(  # type: ignore[no-untyped-def]
     `is_changed` marks the fixed or freed rows on entry and the rows of P that change on return. `whole` contains the
     values of the matrix with all unknowns free.
     """
-    (indptr, indices, whole), one, found = matrix, uintp(1), 0
+    (indptr, indices, whole), one, count = matrix, uintp(1), 0
     for i in range(uintp(first), uintp(end)):
         became, is_changed[i] = is_changed[i], False
         if not touched[i]:
@@ -460,6 +460,6 @@ def find_held(  # type: ignore[no-untyped-def]
             )
         interpolates = is_free[i] and not is_held
         is_changed[i] = interpolates != is_interpolated[i] and not became
-        found += is_held or is_changed[i]
+        count += is_held or is_changed[i]
         is_interpolated[i] = interpolates
-    return found
+    return count

@@ -34,7 +34,7 @@ from .grids import Grid, Hierarchy, NoGhosts, Operator, Transfer, blocks_of, piv
 # Weaker couplings than this share of the row's largest do not interpolate. With positive couplings, as of a rotated
 # anisotropy, weak couplings are misleading.
 STRENGTH, STRENGTH_AMONG_POSITIVE = 0.25, 0.4
-NOTEWORTHY_LONELY = 5e-4  # share of the unknowns that depend on others, but on no coarse one
+NOTEWORTHY_LONELY = 5e-4  # share of the unknowns that depend on others, but on no coarse unknown
 COARSEST = 60  # rows that are not coarsened
 LARGEST_GRID_SHARE = 0.85  # a coarser grid with more unknowns than this is not worth its visit
 

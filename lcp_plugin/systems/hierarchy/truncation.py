@@ -102,8 +102,8 @@ class TruncatedGrid:
         flags = self.is_free, self.touched, self.is_interpolated, self.free_changed
         operands = self.grid.matrix.arrays, self.values, *flags, transfer.is_coarse
         if any(kernels.shared(partial(kernels.find_held, *operands), transfer.is_coarse.size)):
-            own = slice(self.grid.n)
-            self.held = np.flatnonzero(self.is_free[own] & ~self.is_interpolated[own])
+            local_rows = slice(self.grid.n)
+            self.held = np.flatnonzero(self.is_free[local_rows] & ~self.is_interpolated[local_rows])
 
     def update_coarser(self, below: TruncatedGrid, transfer: Transfer) -> tuple[float, int]:
         """Compute the coarse rows again that meet a touched row; return the number of products and of changed rows."""
@@ -127,8 +127,8 @@ class TruncatedGrid:
         it might diverge otherwise; see :func:`lcp_plugin.ranks.methods.pivot_weight`.
         """
         if self.grid.weight is not None:
-            own = self.x[: self.grid.n]
-            residual += np.where(self.inverse != 0.0, self.grid.weight * own, 0.0)
+            x = self.x[: self.grid.n]
+            residual += np.where(self.inverse != 0.0, self.grid.weight * x, 0.0)
 
 
 class Truncation:
@@ -311,8 +311,8 @@ class KrylovCorrection:
         self.directions.append((p, product, scale))
         return True
 
-    def _dot(self, one: Vector, other: Vector) -> float:
-        return self.truncation.halo.total(dot(one, other))
+    def _dot(self, x: Vector, y: Vector) -> float:
+        return self.truncation.halo.total(dot(x, y))
 
     def _against(self, p: Vector, product: Vector) -> Vector:
         return p if self._weight is None else product * self._weight

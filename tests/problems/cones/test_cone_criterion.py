@@ -232,7 +232,7 @@ def test_block_data_of_dense_and_sparse_matrices_agree_with_their_definition() -
     for matrix in (M[np.newaxis], sp.csr_array(M)):
         found = Pattern(matrix, starts)
         np.testing.assert_allclose(found.d[0], expected, rtol=1e-14)
-        np.testing.assert_array_equal(found.own[0, 0], M[:3, :3])
+        np.testing.assert_array_equal(found.blocks[0, 0], M[:3, :3])
         assert found.labels is not None
         assert found.labels.tolist() == [[0, 0, 2, 2, 2]]
     assert Pattern(rng.standard_normal((2, 10, 10)), starts).labels is None

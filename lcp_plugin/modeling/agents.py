@@ -87,7 +87,7 @@ def variational_inequality(F: object, over: object, constraints: list[Any]) -> O
     constraints : list of cvxpy constraints
     """
     functions, decisions = _listed(F, cp.Expression) or [], _listed(over, cp.Expression) or []
-    shapes = [[one.shape for one in listed] for listed in (functions, decisions)]
+    shapes = [[part.shape for part in parts] for parts in (functions, decisions)]
     if shapes[0] != shapes[1]:
         raise UnsupportedModel(
             f"variational needs one expression F of the shape of each variable in over=[…], got F of "
@@ -106,25 +106,25 @@ def variational_inequality(F: object, over: object, constraints: list[Any]) -> O
 
 def _agent(program: Any, over: object, shared: object, check: str, F: object = None) -> Optimal:
     """Return the condition of an agent, or of F in place of the gradient of its objective, after checks."""
-    for one in program.constraints:
-        if isinstance(one, Condition):
+    for constraint in program.constraints:
+        if isinstance(constraint, Condition):
             raise UnsupportedModel(
-                f"the agent's program has the equilibrium {name_of(one):.60}… among its constraints: several leaders "
-                "over followers (EPEC) are not supported; keep one leader, the objective of the solved problem, "
+                f"the agent's program has the equilibrium {name_of(constraint):.60}… among its constraints: several "
+                "leaders over followers (EPEC) are not supported; keep one leader, the objective of the solved problem, "
                 "and let the others follow"
             )
-        if not isinstance(one, (*EQUATIONS, *INEQUALITIES)):
+        if not isinstance(constraint, (*EQUATIONS, *INEQUALITIES)):
             raise UnsupportedModel(
-                f"the constraint {name_of(one)} of an agent's program is neither an equation nor an inequality; write "
-                "a second-order cone as cp.sum_squares(x) <= t**2 with a constant t, and conditions of other agents "
+                f"the constraint {name_of(constraint)} of an agent's program is neither an equation nor an inequality; "
+                "write a second-order cone as cp.sum_squares(x) <= t**2 with a constant t, and conditions of other agents "
                 "outside of the program"
             )
     decisions, listed = _listed(over, cp.Expression), _listed(shared, Constraint)
     if not decisions or listed is None:
         wrong = ("over", "variables", over) if not decisions else ("shared", "constraints", shared)
         raise UnsupportedModel("{} must be a list of {} of the program, got {!r}".format(*wrong))
-    known = {one.id for one in program.variables()}
-    for variable in (variable for one in decisions for variable in one.variables()):
+    known = {variable.id for variable in program.variables()}
+    for variable in (variable for decision in decisions for variable in decision.variables()):
         if variable.id not in known:
             raise UnsupportedModel(
                 f"over has {variable.name()}, which does not occur in the program; list decisions of this agent"
@@ -134,18 +134,19 @@ def _agent(program: Any, over: object, shared: object, check: str, F: object = N
                 f"over has {variable.name()} with the attribute {tie!r}: such decisions have no optimality conditions; "
                 "relax it, or let the outer problem decide it"
             )
-    for one in listed:
-        if all(one is not own for own in program.constraints):
+    for constraint in listed:
+        if all(constraint is not stated for stated in program.constraints):
             raise UnsupportedModel(
-                f"shared has {name_of(one)}, which is not a constraint of the program; list the same object in both"
+                f"shared has {name_of(constraint)}, which is not a constraint of the program; list the same "
+                "object in both"
             )
-    return Optimal(program, decisions, frozenset(one.id for one in listed), check, F)
+    return Optimal(program, decisions, frozenset(constraint.id for constraint in listed), check, F)
 
 
-def _listed(given: object, kind: type) -> list[Any] | None:
+def _listed(argument: object, cls: type) -> list[Any] | None:
     """Return one object of a type, or several, as a list; None if it is something else."""
-    found = [given] if isinstance(given, kind) or not np.iterable(given) else list(given)
-    return found if all(isinstance(one, kind) for one in found) else None
+    items = [argument] if isinstance(argument, cls) or not np.iterable(argument) else list(argument)
+    return items if all(isinstance(item, cls) for item in items) else None
 
 
 def entries_of(expression: cp.Expression) -> tuple[Any, Indices]:
@@ -163,7 +164,9 @@ def entries_of(expression: cp.Expression) -> tuple[Any, Indices]:
 
 def check_different(entries: Iterable[tuple[Any, Indices]]) -> None:
     """Raise UnsupportedModel if an entry of a variable is listed twice as a decision."""
-    listed = Counter((one.id, one.name(), k) for one, own in entries for k in own.tolist())
+    listed = Counter(
+        (variable.id, variable.name(), k) for variable, columns in entries for k in columns.tolist()
+    )
     for (_, name, _), count in listed.items():
         if count > 1:
             raise UnsupportedModel(
@@ -196,15 +199,15 @@ class Optimal(Condition):
     ) -> None:
         self.program, self.decisions, self.shared, self.check = program, decisions, shared, check
         self.F = F
-        self.entries = [entries_of(one) for one in decisions]
+        self.entries = [entries_of(decision) for decision in decisions]
         check_different(self.entries)
         self.checked_for: list[bytes] | None = None  # parameters with which convexity was checked
-        rows = [one for row in program.constraints for one in row.args]
+        rows = [side for constraint in program.constraints for side in constraint.args]
         super().__init__([program.objective.args[0], *rows, *decisions])
 
     def _construct_dual_variables(self, args: Any) -> None:
         self.dual_variables = [
-            cp.Variable(expression_of(one).shape) for one in self.program.constraints
+            cp.Variable(expression_of(constraint).shape) for constraint in self.program.constraints
         ]
 
     def __repr__(self) -> str:
@@ -215,12 +218,14 @@ class Optimal(Condition):
 
     def variables(self) -> list[Any]:
         """Return the variables of the program, the multipliers and the variables of epigraphs."""
-        conditions = [one for pair in self.conditions.pairs for one in pair.variables()]
-        return list({one.id: one for one in (*super().variables(), *conditions)}.values())
+        conditions = [variable for pair in self.conditions.pairs for variable in pair.variables()]
+        return list(
+            {variable.id: variable for variable in (*super().variables(), *conditions)}.values()
+        )
 
     def parameter_values(self) -> list[bytes]:
         """Return the values of the program's parameters, which decide whether it is convex."""
-        return [np.asarray(one.value).tobytes() for one in self.program.parameters()]
+        return [np.asarray(parameter.value).tobytes() for parameter in self.program.parameters()]
 
     @cached_property
     def conditions(self) -> AgentProgram:
@@ -230,15 +235,15 @@ class Optimal(Condition):
     @property
     def dual_value(self) -> list[Any]:
         """Dual values of the program's constraints, in their order, with cvxpy's signs."""
-        return [one.value for one in self.dual_variables]
+        return [dual.value for dual in self.dual_variables]
 
     @property
     def residual(self) -> Any:
         """The natural residual of each condition; None without values."""
         residuals = [pair.residual for pair in self.conditions.pairs]
-        if any(one is None for one in residuals):
+        if any(residual is None for residual in residuals):
             return None
-        return np.concatenate([np.ravel(one) for one in residuals])
+        return np.concatenate([np.ravel(residual) for residual in residuals])
 
     def gap(self) -> float | None:
         """Return the gain that the agent could make, with the present values of all other variables.
@@ -258,7 +263,7 @@ class Optimal(Condition):
         ValueError
             If a variable has no value yet.
         """
-        if any(one.value is None for one in self.program.variables()):
+        if any(variable.value is None for variable in self.program.variables()):
             raise ValueError(
                 "cannot compute the gap of an agent whose variables have no values; solve the problem first"
             )
@@ -276,10 +281,10 @@ class Optimal(Condition):
 
     def save_duals(self) -> None:
         """Give the program's constraints their dual values."""
-        found = self.conditions.duals()
-        for own, constraint in zip(self.dual_variables, self.program.constraints, strict=True):
-            own.save_value(found.get(constraint.id))
-            constraint.save_dual_value(own.value)
+        duals = self.conditions.duals()
+        for dual, constraint in zip(self.dual_variables, self.program.constraints, strict=True):
+            dual.save_value(duals.get(constraint.id))
+            constraint.save_dual_value(dual.value)
 
 
 def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]]:
@@ -291,47 +296,49 @@ def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]
         If two agents decide one variable, if not all agents of a shared constraint share it, or if it is not jointly
         convex.
     """
-    agents = [one for one in constraints if isinstance(one, Optimal)]
-    found = [one for one in constraints if not isinstance(one, Optimal)]
+    agents = [constraint for constraint in constraints if isinstance(constraint, Optimal)]
+    others = [constraint for constraint in constraints if not isinstance(constraint, Optimal)]
     if any(agent.checked_for != agent.parameter_values() for agent in agents):
-        _check(agents, found)
+        _check(agents, others)
     shared: set[int] = set()
     for agent in agents:
-        found.append(agent.conditions.stationarity)
+        others.append(agent.conditions.stationarity)
         for key, (pair, _) in agent.conditions.rows.items():
             if key not in shared:
-                found.append(pair)
+                others.append(pair)
             shared |= {key} & agent.shared
-    return found, agents
+    return others, agents
 
 
 def _check(agents: Sequence[Optimal], others: Sequence[Any]) -> None:
     """Raise UnsupportedModel, or issue a ModelWarning, for agents that do not fit together or are not convex."""
     check_different(entry for agent in agents for entry in agent.entries)
     programs = [agent.program for agent in agents]
-    rules = Convexity([*others, *programs, *(row for one in programs for row in one.constraints)])
+    rules = Convexity(
+        [*others, *programs, *(row for program in programs for row in program.constraints)]
+    )
     for agent in agents:
         if agent.checked_for != agent.parameter_values():
             _check_program(agent, rules)
             agent.checked_for = agent.parameter_values()
-    for one in {row.id: row for program in programs for row in program.constraints}.values():
-        if any(one.id in agent.shared for agent in agents):
-            _check_shared(one, agents, rules)
+    for constraint in {row.id: row for program in programs for row in program.constraints}.values():
+        if any(constraint.id in agent.shared for agent in agents):
+            _check_shared(constraint, agents, rules)
 
 
 def _check_program(agent: Optimal, rules: Convexity) -> None:
     """Issue a ModelWarning if the program may not be convex; raise UnsupportedModel if it has kinks also."""
     program, has_kinks = agent.program, agent.conditions.has_kinks
     # raises for parameters that are not finite
-    stated = [row for one in program.constraints for row in StandardRows.of(one)]
+    stated = [row for constraint in program.constraints for row in StandardRows.of(constraint)]
     if agent.check == "local" and not has_kinks:
         return
     goal = StandardRows(None, sense_of(program) * program.objective.args[0], False)
-    for one in stated if agent.F is not None else (goal, *stated):
-        if rules.hold(one, agent.entries):
+    for row in stated if agent.F is not None else (goal, *stated):
+        if rules.hold(row, agent.entries):
             continue
         fault = (
-            f"{name_of(one.expression)} in {agent!r} is not known to be {'affine' if one.is_equation else 'convex'} in "
+            f"{name_of(row.expression)} in {agent!r} is not known to be {'affine' if row.is_equation else 'convex'} in "
             "the agent's decisions"
         )
         if has_kinks:
@@ -350,13 +357,15 @@ def _check_shared(constraint: cp.Constraint, agents: Sequence[Optimal], rules: C
     if not (rows := StandardRows.of(constraint)):
         return
     inside = rules.unknowns_in(rows[0].expression)
-    involved = [one for one in agents if not inside.isdisjoint(rules.unknowns_of(one.entries))]
-    if others := [one for one in involved if constraint.id not in one.shared]:
+    involved = [
+        agent for agent in agents if not inside.isdisjoint(rules.unknowns_of(agent.entries))
+    ]
+    if others := [agent for agent in involved if constraint.id not in agent.shared]:
         raise UnsupportedModel(
             f"the shared constraint {name_of(constraint)} holds decisions of {others[0]!r}, which does not share it; "
             "list it in the program and in shared=[…] of each of its agents"
         )
-    if not rules.hold(rows[0], [e for one in involved for e in one.entries]):
+    if not rules.hold(rows[0], [entry for agent in involved for entry in agent.entries]):
         raise UnsupportedModel(
             f"the shared constraint {name_of(constraint)} is not known to be convex in the decisions of all its agents "
             "together; without shared=[…] each agent has a multiplier of its own"
@@ -379,21 +388,23 @@ class Convexity:
     def data(self) -> dict[int, Any]:
         """Parameters in place of variables, by their ids, with the signs that attributes and constraints state."""
         lower, upper = self.model.declared
-        for one in self.stated:
-            if not isinstance(one, INEQUALITIES) or not one.args[0].is_affine():
+        for constraint in self.stated:
+            if not isinstance(constraint, INEQUALITIES) or not constraint.args[0].is_affine():
                 continue
-            for row in StandardRows.of(one):
+            for row in StandardRows.of(constraint):
                 rows = self.model.reader.rows(row.expression)
-                found = self.model.statement.entries(rows)
-                columns, weights, shift = found or ([], np.ones(0), 1.0)
+                entries = self.model.statement.entries(rows)
+                columns, weights, shift = entries or ([], np.ones(0), 1.0)
                 for end, sign in ((lower, -1.0), (upper, 1.0)):
                     tighter = np.where(sign * weights > 0.0, -shift / weights, sign * np.inf)
                     end[columns] = sign * np.minimum(sign * end[columns], sign * tighter)
         data = {}
-        for one in self.model.variables:
-            span = self.model.spans[one.id]
+        for variable in self.model.variables:
+            span = self.model.spans[variable.id]
             nonneg, nonpos = bool((lower[span] >= 0.0).all()), bool((upper[span] <= 0.0).all())
-            data[one.id] = cp.Parameter(one.shape, nonneg=nonneg, nonpos=nonpos and not nonneg)
+            data[variable.id] = cp.Parameter(
+                variable.shape, nonneg=nonneg, nonpos=nonpos and not nonneg
+            )
         return data
 
     def hold(self, row: StandardRows, entries: Sequence[Any]) -> bool:
@@ -408,7 +419,7 @@ class Convexity:
         columns, quadratic = self.unknowns_of(entries), []
         for factor, term in _terms(row.expression, 1.0):
             if (hessians := self._hessians(term, row.expression.shape, columns)) is not None:
-                quadratic.append([factor * one for one in hessians])
+                quadratic.append([factor * hessian for hessian in hessians])
             elif not (factor * rewritten(term, change)).is_convex():
                 return False
         return all(
@@ -419,25 +430,29 @@ class Convexity:
     def unknowns_of(self, entries: Sequence[Any]) -> list[int]:
         """Return the numbers of entries of variables."""
         spans = self.model.spans
-        columns = [spans[v.id].start + own for v, own in entries if v.id in spans]
+        columns = [
+            spans[variable.id].start + numbers
+            for variable, numbers in entries
+            if variable.id in spans
+        ]
         return list(map(int, np.concatenate(columns)))
 
     def unknowns_in(self, expression: cp.Expression) -> set[int]:
         """Return the numbers of the unknowns on which an expression depends."""
         try:
-            found = [self.model.reader.rows(expression)]
+            pending = [self.model.reader.rows(expression)]
         except UnsupportedModel:  # its kinks are functions of its arguments
             return set().union(*map(self.unknowns_in, expression.args))
         unknowns: set[int] = set()
-        while found:
-            rows = found.pop()
+        while pending:
+            rows = pending.pop()
             for key, block in rows.blocks.items():
                 if key in self.model.spans:
                     matrix = as_matrix(block, rows.size)
                     used = matrix.indices[matrix.data != 0.0]
                     unknowns.update((self.model.spans[key].start + used).tolist())
                 else:
-                    found.extend(self.model.reader.compiler.groups[-1 - key][2])
+                    pending.extend(self.model.reader.compiler.groups[-1 - key][2])
         return unknowns
 
     def _hessians(self, term: Any, shape: Any, columns: Any) -> list[Any] | None:
@@ -446,22 +461,26 @@ class Convexity:
             rows = self.model.reader.rows(term).spread(shape)
         except UnsupportedModel:
             return None
-        found: list[Any] = [
-            self.model.statement.quadratic(rows.taken(one))
-            for one in np.arange(rows.size)[:, np.newaxis]
+        quadratics: list[Any] = [
+            self.model.statement.quadratic(rows.taken(number))
+            for number in np.arange(rows.size)[:, np.newaxis]
         ]
-        return None if None in found else [one[0][columns][:, columns] for one in found]
+        return (
+            None
+            if None in quadratics
+            else [quadratic[0][columns][:, columns] for quadratic in quadratics]
+        )
 
 
 def _terms(node: cp.Expression, factor: float) -> Iterator[tuple[float, Any]]:
     """Yield factors and terms, of which an expression is the sum."""
     if isinstance(node, atoms.SUM):
-        for one in node.args:
-            yield from _terms(one, factor)
+        for term in node.args:
+            yield from _terms(term, factor)
     elif isinstance(node, atoms.NEGATIVE):
         yield from _terms(node.args[0], -factor)
     elif isinstance(node, atoms.ENTRY_SUM) and node.shape == ():
-        yield from ((own, cp.sum(term)) for own, term in _terms(node.args[0], factor))
+        yield from ((multiple, cp.sum(term)) for multiple, term in _terms(node.args[0], factor))
     elif isinstance(node, atoms.PRODUCT) and node.args[0].is_constant() and node.args[0].size == 1:
         yield from _terms(node.args[1], factor * float(dense_value(node.args[0].value)))
     else:

@@ -44,31 +44,31 @@ def stated_program(problem: cp.Problem, constraints: list[Any]) -> tuple[Equilib
     UnsupportedModel
         Names a term that is not smooth.
     """
-    pairs = [one for one in constraints if isinstance(one, Complements)]
-    others = [one for one in constraints if not isinstance(one, Complements)]
+    pairs = [constraint for constraint in constraints if isinstance(constraint, Complements)]
+    others = [constraint for constraint in constraints if not isinstance(constraint, Complements)]
     kinks: list[Complements] = []
     smooth = partial(rewritten, change=partial(_kink, kinks=kinks))
     goal = smooth(problem.objective.args[0])
-    rows = [smooth(compat.expression_of(one)) for one in others]
+    rows = [smooth(compat.expression_of(constraint)) for constraint in others]
     model = Model([problem.objective, *constraints, *kinks], takes_integers=True)
     statement = model.statement
     whole = [np.zeros(0, dtype=np.int64)]
-    for one in model.variables:
-        first = model.spans[one.id].start
-        binary = first + _chosen(one, one.boolean_idx)
+    for variable in model.variables:
+        first = model.spans[variable.id].start
+        binary = first + _chosen(variable, variable.boolean_idx)
         statement.lower[binary] = np.maximum(statement.lower[binary], 0.0)
         statement.upper[binary] = np.minimum(statement.upper[binary], 1.0)
-        whole += [binary, first + _chosen(one, one.integer_idx)]
+        whole += [binary, first + _chosen(variable, variable.integer_idx)]
     statement.integers = np.concatenate(whole)
-    for one, row in zip(others, rows, strict=True):
-        if not isinstance(one, (*compat.EQUATIONS, *compat.INEQUALITIES)):
+    for constraint, row in zip(others, rows, strict=True):
+        if not isinstance(constraint, (*compat.EQUATIONS, *compat.INEQUALITIES)):
             raise UnsupportedModel(
-                f"the constraint {one} is neither an equation nor an inequality; write it as such"
+                f"the constraint {constraint} is neither an equation nor an inequality; write it as such"
             )
-        low = 0.0 if isinstance(one, (*compat.EQUATIONS, NonNeg)) else -np.inf
-        high = np.inf if isinstance(one, NonNeg) else 0.0
+        low = 0.0 if isinstance(constraint, (*compat.EQUATIONS, NonNeg)) else -np.inf
+        high = np.inf if isinstance(constraint, NonNeg) else 0.0
         statement.constrain(model.reader.rows(row), low, high, row)
-    model.numbers = {one.id: k for k, one in enumerate(problem.constraints)}
+    model.numbers = {constraint.id: k for k, constraint in enumerate(problem.constraints)}
     model.add_pairs([*pairs, *kinks])
     return statement.best(model.reader.rows(goal), compat.sense_of(problem)), model
 
@@ -79,8 +79,8 @@ def _chosen(variable: cp.Variable, chosen: Any) -> Indices:
         return np.zeros(0, dtype=np.int64)
     # Arrays of row numbers and column numbers; or a list of entries.
     index = chosen if isinstance(chosen, tuple) else tuple(np.transpose(chosen))
-    found = np.ravel_multi_index(index, max(variable.shape, (1,)), order="F")
-    return np.asarray(found, dtype=np.int64)
+    numbers = np.ravel_multi_index(index, max(variable.shape, (1,)), order="F")
+    return np.asarray(numbers, dtype=np.int64)
 
 
 def _kink(node: cp.Expression, kinks: list[Complements]) -> Any:
@@ -110,22 +110,26 @@ def solve_for_the_best(
         problem._status, problem._value = compat.CVXPY_STATUS[result.status], None
         problem._solver_stats = SolverStats.from_dict(compat.statistics(result), "LCP")
         return None
-    found = None
+    point = None
     if result.x is not None:
         slacks = np.zeros(result.x.size)
         slacks[program.first] = result.x[program.second]
-        found = result.x, slacks, float(compat.sense_of(problem) * result.value)
-    model.write_back(problem, result, found)
+        point = result.x, slacks, float(compat.sense_of(problem) * result.value)
+    model.write_back(problem, result, point)
     return problem.value
 
 
 def _with_multipliers(program: EquilibriumProgram, model: Model, start: Any) -> Any:
     """Return a start with multipliers of the agents' programs at its decisions, which have no values before a solve."""
-    own = [model.spans[v.id] for one in model.agents for _, v in one.conditions.rows.values()]
-    answer = program.answer(start) if own else None
+    spans = [
+        model.spans[multiplier.id]
+        for agent in model.agents
+        for _, multiplier in agent.conditions.rows.values()
+    ]
+    answer = program.answer(start) if spans else None
     if answer is None:
         return start
-    for span in own:
+    for span in spans:
         start[span] = answer[span]
     return program.with_slacks(start)
 
@@ -141,30 +145,32 @@ def possible_gain(agent: Any) -> float | None:
     A constraint that the present point violates may be violated by the same amount.
     """
     smooth, sense = agent.conditions, compat.sense_of(agent.program)
-    values = {one.id: cp.Constant(one.value) for one in agent.program.variables()}
+    values = {variable.id: cp.Constant(variable.value) for variable in agent.program.variables()}
     change = with_data(smooth.entries, values)
     stated = {
-        one.id: row.expression for one in agent.program.constraints for row in StandardRows.of(one)
+        constraint.id: row.expression
+        for constraint in agent.program.constraints
+        for row in StandardRows.of(constraint)
     }
-    held = [rewritten(one.condition.expr, change) <= 0 for one in smooth.domain]
-    deciding, violation = {one.id for one, _ in agent.entries}, 0.0
-    for one in smooth.standard:
-        row, own = rewritten(one.expression, change), stated.get(one.origin.id)
+    held = [rewritten(domain.condition.expr, change) <= 0 for domain in smooth.domain]
+    deciding, violation = {variable.id for variable, _ in agent.entries}, 0.0
+    for standard in smooth.standard:
+        row, original = rewritten(standard.expression, change), stated.get(standard.origin.id)
         excess = (
             np.zeros(row.shape)
-            if own is None
-            else compat.dense_value(value_in_domain(own, deciding))
+            if original is None
+            else compat.dense_value(value_in_domain(original, deciding))
         )
-        excess = excess if one.is_equation else np.maximum(excess, 0.0)
-        held.append(row == excess if one.is_equation else row <= excess)
+        excess = excess if standard.is_equation else np.maximum(excess, 0.0)
+        held.append(row == excess if standard.is_equation else row <= excess)
         violation = float(np.maximum(violation, np.abs(excess).max(initial=0.0)))  # NaN also
     for variable, _ in agent.entries:
         lower, upper = compat.attribute_bounds(variable)
         excess = np.maximum(lower - variable.value, variable.value - upper)
         violation = float(np.maximum(violation, excess.max(initial=0.0)))
-    own = sense * float(compat.dense_value(value_in_domain(agent.args[0], deciding)))
+    present = sense * float(compat.dense_value(value_in_domain(agent.args[0], deciding)))
     outside = violated_domain(agent.args, deciding)
-    if outside is not None or not np.isfinite(own + violation):
+    if outside is not None or not np.isfinite(present + violation):
         reason = "is not finite" if outside is None else f"is not defined, because {outside} fails"
         warn(f"the value of {agent!r} {reason} at its variables, so that its gap is infinite")
         return np.inf
@@ -178,7 +184,7 @@ def possible_gain(agent: Any) -> float | None:
     if np.isnan(best):
         warn(f"the best value of {agent!r} is unknown: {reason}")
         return None
-    return max(0.0, violation, own - best)
+    return max(0.0, violation, present - best)
 
 
 def _fee(agent: Any) -> tuple[Any, list[Any]]:
@@ -187,17 +193,17 @@ def _fee(agent: Any) -> tuple[Any, list[Any]]:
     At equilibrium prices the margin of a linear program is zero up to rounding, and its gain must not be infinite.
     """
     gradient = agent.conditions.stationarity.second.expression
-    leaves = {one.id: one for one in gradient.variables()}
+    leaves = {variable.id: variable for variable in gradient.variables()}
     spans, size = spans_of(leaves)
-    at = np.zeros(size)
-    for key, one in leaves.items():
-        at[spans[key]] = 0.0 if one.value is None else compat.by_columns(one.value)
+    point = np.zeros(size)
+    for key, variable in leaves.items():
+        point[spans[key]] = 0.0 if variable.value is None else compat.by_columns(variable.value)
     reader = Reader(takes_integers=True)
     rows = reader.rows(gradient)
     first = {key: span.start for key, span in spans.items()}
     program = Program.of(reader.compiler, [rows], first, size)
-    slopes = program.jacobian(at)
-    terms = abs(slopes) @ abs(at) + abs(program.value(at) - slopes @ at)
+    slopes = program.jacobian(point)
+    terms = abs(slopes) @ abs(point) + abs(program.value(point) - slopes @ point)
     x = joined(agent.decisions)
     more, less = cp.Variable(x.size, nonneg=True), cp.Variable(x.size, nonneg=True)
     return MARGIN * terms[: x.size] @ (more + less), [x - x.value == more - less]
@@ -212,7 +218,7 @@ def _best_value(problem: cp.Problem) -> tuple[float, str]:
     program, _ = stated_program(problem, problem.constraints)
     is_quadratic = program.smooth is None and program.program.matrices.is_nearly_semidefinite
     if problem.is_dcp() and not is_quadratic:
-        before = [(one, one.value) for one in problem.variables()]
+        before = [(variable, variable.value) for variable in problem.variables()]
         try:
             with warnings.catch_warnings(action="ignore"):  # on approximations that cvxpy chooses
                 problem.solve()

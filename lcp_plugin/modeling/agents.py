@@ -12,13 +12,14 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
+import scipy.sparse as sp
 from cvxpy.constraints.constraint import Constraint
 
 from ..core.errors import InvalidOption, UnsupportedModel
 from ..expressions.rows import Indices, as_matrix, is_definition
 from ..problems.programs.program import QuadraticProgram
 from . import _compat as atoms
-from ._compat import EQUATIONS, INEQUALITIES, dense_value, expression_of, name_of, sense_of
+from ._compat import EQUATIONS, INEQUALITIES, by_id, dense_value, name_of, sense_of
 from .agent_conditions import AgentProgram, StandardRows, joined, with_data
 from .best_equilibrium import possible_gain
 from .constraint import Condition
@@ -110,20 +111,20 @@ def _agent(program: Any, over: object, shared: object, check: str, F: object = N
         if isinstance(constraint, Condition):
             raise UnsupportedModel(
                 f"the agent's program has the equilibrium {name_of(constraint):.60}… among its constraints: several "
-                "leaders over followers (EPEC) are not supported; keep one leader, the objective of the solved problem, "
-                "and let the others follow"
+                "leaders over followers (EPEC) are not supported; keep one leader, the objective of the solved "
+                "problem, and let the others follow"
             )
         if not isinstance(constraint, (*EQUATIONS, *INEQUALITIES)):
             raise UnsupportedModel(
                 f"the constraint {name_of(constraint)} of an agent's program is neither an equation nor an inequality; "
-                "write a second-order cone as cp.sum_squares(x) <= t**2 with a constant t, and conditions of other agents "
-                "outside of the program"
+                "write a second-order cone as cp.sum_squares(x) <= t**2 with a constant t, and conditions of other "
+                "agents outside of the program"
             )
     decisions, listed = _listed(over, cp.Expression), _listed(shared, Constraint)
     if not decisions or listed is None:
         wrong = ("over", "variables", over) if not decisions else ("shared", "constraints", shared)
         raise UnsupportedModel("{} must be a list of {} of the program, got {!r}".format(*wrong))
-    known = {variable.id for variable in program.variables()}
+    known = by_id(program.variables())
     for variable in (variable for decision in decisions for variable in decision.variables()):
         if variable.id not in known:
             raise UnsupportedModel(
@@ -206,22 +207,18 @@ class Optimal(Condition):
         super().__init__([program.objective.args[0], *rows, *decisions])
 
     def _construct_dual_variables(self, args: Any) -> None:
-        self.dual_variables = [
-            cp.Variable(expression_of(constraint).shape) for constraint in self.program.constraints
-        ]
+        self.dual_variables = [cp.Variable(row.shape) for row in self.program.constraints]
 
     def __repr__(self) -> str:
-        stated, over = self.program.objective, ", ".join(map(str, self.decisions))
+        over = ", ".join(map(str, self.decisions))
         if self.F is not None:
             return f"variational({name_of(self.F)}, over=[{over}])"
-        return f"optimal({name_of(stated)}, over=[{over}])"
+        return f"optimal({name_of(self.program.objective)}, over=[{over}])"
 
     def variables(self) -> list[Any]:
         """Return the variables of the program, the multipliers and the variables of epigraphs."""
         conditions = [variable for pair in self.conditions.pairs for variable in pair.variables()]
-        return list(
-            {variable.id: variable for variable in (*super().variables(), *conditions)}.values()
-        )
+        return list(by_id((*super().variables(), *conditions)).values())
 
     def parameter_values(self) -> list[bytes]:
         """Return the values of the program's parameters, which decide whether it is convex."""
@@ -303,10 +300,9 @@ def without_agents(constraints: Sequence[Any]) -> tuple[list[Any], list[Optimal]
     shared: set[int] = set()
     for agent in agents:
         others.append(agent.conditions.stationarity)
-        for key, (pair, _) in agent.conditions.rows.items():
-            if key not in shared:
-                others.append(pair)
-            shared |= {key} & agent.shared
+        rows = agent.conditions.rows.items()
+        others += [pair for key, (pair, _) in rows if key not in shared]
+        shared |= agent.shared
     return others, agents
 
 
@@ -314,14 +310,13 @@ def _check(agents: Sequence[Optimal], others: Sequence[Any]) -> None:
     """Raise UnsupportedModel, or issue a ModelWarning, for agents that do not fit together or are not convex."""
     check_different(entry for agent in agents for entry in agent.entries)
     programs = [agent.program for agent in agents]
-    rules = Convexity(
-        [*others, *programs, *(row for program in programs for row in program.constraints)]
-    )
+    constraints = [constraint for program in programs for constraint in program.constraints]
+    rules = Convexity([*others, *programs, *constraints])
     for agent in agents:
         if agent.checked_for != agent.parameter_values():
             _check_program(agent, rules)
             agent.checked_for = agent.parameter_values()
-    for constraint in {row.id: row for program in programs for row in program.constraints}.values():
+    for constraint in by_id(constraints).values():
         if any(constraint.id in agent.shared for agent in agents):
             _check_shared(constraint, agents, rules)
 
@@ -393,18 +388,18 @@ class Convexity:
                 continue
             for row in StandardRows.of(constraint):
                 rows = self.model.reader.rows(row.expression)
-                entries = self.model.statement.entries(rows)
-                columns, weights, shift = entries or ([], np.ones(0), 1.0)
-                for end, sign in ((lower, -1.0), (upper, 1.0)):
-                    tighter = np.where(sign * weights > 0.0, -shift / weights, sign * np.inf)
-                    end[columns] = sign * np.minimum(sign * end[columns], sign * tighter)
+                if (entries := self.model.statement.entries(rows)) is not None:
+                    columns, weights, shift = entries
+                    low = np.where(weights < 0.0, -shift / weights, -np.inf)
+                    high = np.where(weights > 0.0, -shift / weights, np.inf)
+                    lower[columns] = np.maximum(lower[columns], low)
+                    upper[columns] = np.minimum(upper[columns], high)
         data = {}
         for variable in self.model.variables:
             span = self.model.spans[variable.id]
             nonneg, nonpos = bool((lower[span] >= 0.0).all()), bool((upper[span] <= 0.0).all())
-            data[variable.id] = cp.Parameter(
-                variable.shape, nonneg=nonneg, nonpos=nonpos and not nonneg
-            )
+            signs = {"nonneg": nonneg, "nonpos": nonpos and not nonneg}
+            data[variable.id] = cp.Parameter(variable.shape, **signs)
         return data
 
     def hold(self, row: StandardRows, entries: Sequence[Any]) -> bool:
@@ -414,7 +409,7 @@ class Convexity:
         """
         change = with_data(entries, self.data)
         held = rewritten(row.expression, change)
-        if held.is_affine() or row.is_equation or held.is_convex():
+        if row.is_equation or held.is_convex():
             return bool(held.is_affine() or not row.is_equation)
         columns, quadratic = self.unknowns_of(entries), []
         for factor, term in _terms(row.expression, 1.0):
@@ -430,12 +425,7 @@ class Convexity:
     def unknowns_of(self, entries: Sequence[Any]) -> list[int]:
         """Return the numbers of entries of variables."""
         spans = self.model.spans
-        columns = [
-            spans[variable.id].start + numbers
-            for variable, numbers in entries
-            if variable.id in spans
-        ]
-        return list(map(int, np.concatenate(columns)))
+        return np.concatenate([spans[v.id].start + numbers for v, numbers in entries]).tolist()
 
     def unknowns_in(self, expression: cp.Expression) -> set[int]:
         """Return the numbers of the unknowns on which an expression depends."""
@@ -448,9 +438,8 @@ class Convexity:
             rows = pending.pop()
             for key, block in rows.blocks.items():
                 if key in self.model.spans:
-                    matrix = as_matrix(block, rows.size)
-                    used = matrix.indices[matrix.data != 0.0]
-                    unknowns.update((self.model.spans[key].start + used).tolist())
+                    _, columns, _ = sp.find(as_matrix(block, rows.size))
+                    unknowns.update((self.model.spans[key].start + columns).tolist())
                 else:
                     pending.extend(self.model.reader.compiler.groups[-1 - key][2])
         return unknowns
@@ -461,15 +450,11 @@ class Convexity:
             rows = self.model.reader.rows(term).spread(shape)
         except UnsupportedModel:
             return None
+        numbers = np.arange(rows.size)[:, np.newaxis]
         quadratics: list[Any] = [
-            self.model.statement.quadratic(rows.taken(number))
-            for number in np.arange(rows.size)[:, np.newaxis]
+            self.model.statement.quadratic(rows.taken(number)) for number in numbers
         ]
-        return (
-            None
-            if None in quadratics
-            else [quadratic[0][columns][:, columns] for quadratic in quadratics]
-        )
+        return None if None in quadratics else [P[columns][:, columns] for P, *_ in quadratics]
 
 
 def _terms(node: cp.Expression, factor: float) -> Iterator[tuple[float, Any]]:

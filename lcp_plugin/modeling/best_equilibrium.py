@@ -26,8 +26,8 @@ from ..solving.dispatch import solve
 from . import _compat as compat
 from .agent_conditions import StandardRows, joined, value_in_domain, violated_domain, with_data
 from .constraint import Complements, complements
-from .model import Model, spans_of, warn
-from .reading import Reader, rewritten
+from .model import Model, warn
+from .reading import rewritten
 
 
 def stated_program(problem: cp.Problem, constraints: list[Any]) -> tuple[EquilibriumProgram, Model]:
@@ -79,8 +79,7 @@ def _chosen(variable: cp.Variable, chosen: Any) -> Indices:
         return np.zeros(0, dtype=np.int64)
     # Arrays of row numbers and column numbers; or a list of entries.
     index = chosen if isinstance(chosen, tuple) else tuple(np.transpose(chosen))
-    numbers = np.ravel_multi_index(index, max(variable.shape, (1,)), order="F")
-    return np.asarray(numbers, dtype=np.int64)
+    return np.asarray(np.ravel_multi_index(index, max(variable.shape, (1,)), order="F"))
 
 
 def _kink(node: cp.Expression, kinks: list[Complements]) -> Any:
@@ -121,16 +120,12 @@ def solve_for_the_best(
 
 def _with_multipliers(program: EquilibriumProgram, model: Model, start: Any) -> Any:
     """Return a start with multipliers of the agents' programs at its decisions, which have no values before a solve."""
-    spans = [
-        model.spans[multiplier.id]
-        for agent in model.agents
-        for _, multiplier in agent.conditions.rows.values()
-    ]
-    answer = program.answer(start) if spans else None
+    rows = [pair for agent in model.agents for pair in agent.conditions.rows.values()]
+    answer = program.answer(start) if rows else None
     if answer is None:
         return start
-    for span in spans:
-        start[span] = answer[span]
+    for _, multiplier in rows:
+        start[model.spans[multiplier.id]] = answer[model.spans[multiplier.id]]
     return program.with_slacks(start)
 
 
@@ -147,27 +142,23 @@ def possible_gain(agent: Any) -> float | None:
     smooth, sense = agent.conditions, compat.sense_of(agent.program)
     values = {variable.id: cp.Constant(variable.value) for variable in agent.program.variables()}
     change = with_data(smooth.entries, values)
-    stated = {
-        constraint.id: row.expression
-        for constraint in agent.program.constraints
-        for row in StandardRows.of(constraint)
-    }
+    rows = [row for item in agent.program.constraints for row in StandardRows.of(item)]
+    stated = {row.origin.id: row.expression for row in rows}
     held = [rewritten(domain.condition.expr, change) <= 0 for domain in smooth.domain]
-    deciding, violation = {variable.id for variable, _ in agent.entries}, 0.0
+    deciding, violations = {variable.id for variable, _ in agent.entries}, [0.0]
     for standard in smooth.standard:
-        row, original = rewritten(standard.expression, change), stated.get(standard.origin.id)
-        excess = (
-            np.zeros(row.shape)
-            if original is None
-            else compat.dense_value(value_in_domain(original, deciding))
-        )
+        row = rewritten(standard.expression, change)
+        excess = np.zeros(row.shape)
+        if (original := stated.get(standard.origin.id)) is not None:
+            excess = compat.dense_value(value_in_domain(original, deciding))
         excess = excess if standard.is_equation else np.maximum(excess, 0.0)
         held.append(row == excess if standard.is_equation else row <= excess)
-        violation = float(np.maximum(violation, np.abs(excess).max(initial=0.0)))  # NaN also
+        violations.append(np.abs(excess).max(initial=0.0))
     for variable, _ in agent.entries:
         lower, upper = compat.attribute_bounds(variable)
         excess = np.maximum(lower - variable.value, variable.value - upper)
-        violation = float(np.maximum(violation, excess.max(initial=0.0)))
+        violations.append(excess.max(initial=0.0))
+    violation = float(np.max(violations))  # NaN also
     present = sense * float(compat.dense_value(value_in_domain(agent.args[0], deciding)))
     outside = violated_domain(agent.args, deciding)
     if outside is not None or not np.isfinite(present + violation):
@@ -179,8 +170,8 @@ def possible_gain(agent: Any) -> float | None:
         goal = cp.Constant(compat.by_columns(smooth.F.value)) @ smooth.decisions
     best, reason = _best_value(cp.Problem(cp.Minimize(goal), held))
     if not best > -np.inf:  # NaN also: a margin near zero is hard to solve
-        fee, rows = _fee(agent)
-        best, reason = _best_value(cp.Problem(cp.Minimize(goal + fee), held + rows))
+        fee, changes = _fee(agent)
+        best, reason = _best_value(cp.Problem(cp.Minimize(goal + fee), held + changes))
     if np.isnan(best):
         warn(f"the best value of {agent!r} is unknown: {reason}")
         return None
@@ -193,15 +184,13 @@ def _fee(agent: Any) -> tuple[Any, list[Any]]:
     At equilibrium prices the margin of a linear program is zero up to rounding, and its gain must not be infinite.
     """
     gradient = agent.conditions.stationarity.second.expression
-    leaves = {variable.id: variable for variable in gradient.variables()}
-    spans, size = spans_of(leaves)
-    point = np.zeros(size)
-    for key, variable in leaves.items():
-        point[spans[key]] = 0.0 if variable.value is None else compat.by_columns(variable.value)
-    reader = Reader(takes_integers=True)
-    rows = reader.rows(gradient)
-    first = {key: span.start for key, span in spans.items()}
-    program = Program.of(reader.compiler, [rows], first, size)
+    model = Model([gradient], takes_integers=True)
+    rows, first = model.reader.rows(gradient), model.statement.first
+    point = np.zeros(model.statement.lower.size)
+    for variable in model.variables:
+        if variable.value is not None:
+            point[model.spans[variable.id]] = compat.by_columns(variable.value)
+    program = Program.of(model.reader.compiler, [rows], first, point.size)
     slopes = program.jacobian(point)
     terms = abs(slopes) @ abs(point) + abs(program.value(point) - slopes @ point)
     x = joined(agent.decisions)

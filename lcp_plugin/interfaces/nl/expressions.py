@@ -6,6 +6,7 @@ Trees are read backwards: operands come before their operator then, so that any 
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -110,8 +111,8 @@ class _ExpressionReader:
     Parameters
     ----------
     content : NLContent
-    known : list of float or None
-        Values of the known variables, None for the unknowns.
+    known : list of float
+        Values of the known variables, NaN for the unknowns.
     adds_unknowns : bool
 
     Attributes
@@ -124,7 +125,7 @@ class _ExpressionReader:
         For each function: its operator, its arguments, and its nesting level.
     """
 
-    def __init__(self, content: NLContent, known: list[float | None], adds_unknowns: bool) -> None:
+    def __init__(self, content: NLContent, known: list[float], adds_unknowns: bool) -> None:
         self.content, self.n, self._known = content, content.lower.size, known
         self._adds_unknowns = adds_unknowns
         self.functions: list[Function] = []
@@ -139,13 +140,12 @@ class _ExpressionReader:
         self._capacity = 4 * (size + content.defined_linear.nnz + content.linear.nnz) + 1000
         for k in range(content.defined_trees.size):
             self._define(k)
-        self.results = [
-            self._sum(content.trees, i, content.row(i)) for i in range(content.trees.size)
-        ]
-        self.results += [
-            self._sum(content.objective_trees, k, f"objective {k}")
-            for k in range(content.objective_trees.size)
-        ]
+        self.results: list[Sum] = []
+        for trees, name in (
+            (content.trees, content.row),
+            (content.objective_trees, "objective {}".format),
+        ):
+            self.results += [self._sum(trees, k, name(k)) for k in range(trees.size)]
 
     def _sum(self, trees: Trees, k: int, name: str) -> Sum:
         self._name = name
@@ -181,13 +181,12 @@ class _ExpressionReader:
             return Sum({}, value)
         column = int(value)
         if column >= self.n:
-            definition = self._defined[
-                column - self.n
-            ]  # moved, not copied, if only one sum uses it
-            is_shared = self._uses[column - self.n] != 1
-            return replace(definition, terms=dict(definition.terms)) if is_shared else definition
+            definition = self._defined[column - self.n]
+            if self._uses[column - self.n] == 1:
+                return definition  # moved, not copied
+            return replace(definition, terms=dict(definition.terms))
         known = self._known[column]
-        return Sum({column: 1.0}, 0.0) if known is None else Sum({}, known)
+        return Sum({column: 1.0}, 0.0) if math.isnan(known) else Sum({}, known)
 
     def _operation(self, number: int, operands: list[Sum]) -> Sum:
         if (rule := OPERATORS.get(number)) is None:
@@ -287,19 +286,16 @@ class Expressions:
     matrix : CSR array
         Rows, then objectives, then arguments of functions: over the unknowns, then the functions.
     offset : ndarray
+    place : ndarray of int
+        Column of each variable, defined variable and function in `matrix`; −1 if it has none.
     """
 
     def __init__(self, content: NLContent, known: Vector, *, adds_unknowns: bool = True) -> None:
         is_known = ~np.isnan(known)
-        values = [
-            value if is_one_known else None
-            for value, is_one_known in zip(known.tolist(), is_known, strict=True)
-        ]
-        reader = _ExpressionReader(content, values, adds_unknowns)
+        reader = _ExpressionReader(content, known.tolist(), adds_unknowns)
         n, d, count = (content.lower.size, content.defined_trees.size, len(reader.functions))
-        keys = list(
-            zip(reader.levels, (function.name for function in reader.functions), strict=True)
-        )
+        names = (function.name for function in reader.functions)
+        keys = list(zip(reader.levels, names, strict=True))
         order = np.array(sorted(range(count), key=keys.__getitem__), dtype=np.int64)
         self._functions = [reader.functions[k] for k in order]
         defined = np.array(list(reader.definitions), dtype=np.int64)
@@ -308,27 +304,21 @@ class Expressions:
         first = len(reader.results) + defined.size + np.arange(count)
         self._arguments = first, first + count
         pairs = [(*reader.arguments[k], Sum({}, 0.0))[:2] for k in order]
-        sums = [
-            *reader.results,
-            *reader.definitions.values(),
-            *(left for left, _ in pairs),
-            *(right for _, right in pairs),
-        ]
-        place = np.full(n + d + count, -1)
-        place[self.unknowns] = np.arange(self.unknowns.size)
-        place[n + d + order] = self.unknowns.size + np.arange(count)
+        sums = [*reader.results, *reader.definitions.values()]
+        sums += [pair[side] for side in (0, 1) for pair in pairs]
+        self.place = np.full(n + d + count, -1)
+        self.place[self.unknowns] = np.arange(self.unknowns.size)
+        self.place[n + d + order] = self.unknowns.size + np.arange(count)
         self.offset = np.array([combination.constant for combination in sums])
         linear = sp.csr_array(sp.vstack([content.linear, content.objective_linear], format="csr"))
         self.offset[: linear.shape[0]] += linear @ np.where(is_known, known, 0.0)
         linear = linear[:, ~is_known]
         linear.resize((len(sums), self.unknowns.size + count))
-        self.matrix = sp.csr_array(linear + _matrix(sums, place, linear.shape))
+        self.matrix = sp.csr_array(linear + _matrix(sums, self.place, linear.shape))
         self.matrix.eliminate_zeros()
         # First column of each source: the unknowns, then each group of one function on one level.
         begins = [k for k in range(count) if k == 0 or keys[order[k]] != keys[order[k - 1]]]
-        self._starts = np.array(
-            [0, *(self.unknowns.size + k for k in (*begins, count))], dtype=np.int64
-        )
+        self._starts = np.append(0, self.unknowns.size + np.array([*begins, count]))
         self._levels = [0, *(keys[order[k]][0] for k in begins)]
         self._begins = begins
 
@@ -338,10 +328,8 @@ class Expressions:
         compiler = Compiler()
         for begin, end in pairwise([*self._begins, len(self._functions)]):
             function = self._functions[begin]
-            arguments = [
-                self.rows(numbers[begin:end]) for numbers in self._arguments[: function.arguments]
-            ]
-            compiler.emit(function, *arguments)
+            numbers = self._arguments[: function.arguments]
+            compiler.emit(function, *(self.rows(part[begin:end]) for part in numbers))
         return compiler
 
     def all_values(self, x: Vector) -> Vector:
@@ -364,35 +352,16 @@ class Expressions:
     def rows(self, numbers: Indices) -> Rows:
         """Return the combinations with these numbers."""
         part = self.matrix[numbers]
-        source = np.searchsorted(self._starts, part.indices, side="right") - 1
-        order = np.argsort(source, kind="stable")
-        present, begins = np.unique(source[order], return_index=True)
-        blocks: dict[int, Any] = {}
-        for k, entries_of_source in zip(present, np.split(order, begins[1:]), strict=False):
-            entries = (
-                part.data[entries_of_source],
-                part.indices[entries_of_source] - self._starts[k],
-                np.searchsorted(entries_of_source, part.indptr),
-            )
-            shape = (numbers.size, int(self._starts[k + 1] - self._starts[k]))
-            blocks[UNKNOWNS if k == 0 else -int(k)] = sp.csr_array(entries, shape=shape)
-        level = max([self._levels[k] for k in present], default=0)
+        sources = np.unique(np.searchsorted(self._starts, part.indices, side="right") - 1).tolist()
+        # Source 0 is UNKNOWNS, source k the k-th group of functions, whose key is −k
+        blocks = {-k: part[:, self._starts[k] : self._starts[k + 1]] for k in sources}
+        level = max([self._levels[k] for k in sources], default=0)
         return Rows(blocks, self.offset[numbers], (numbers.size,), level)
 
 
 def _matrix(sums: list[Sum], place: Indices, shape: tuple[int, int]) -> sp.csr_array:
     """Return the terms of sums, one row each, with their columns mapped by `place`."""
-    counts = [len(combination.terms) for combination in sums]
-    columns = place[
-        np.fromiter(
-            chain.from_iterable(combination.terms for combination in sums),
-            dtype=np.int64,
-            count=sum(counts),
-        )
-    ]
-    values = np.fromiter(
-        chain.from_iterable(combination.terms.values() for combination in sums),
-        dtype=np.float64,
-        count=sum(counts),
-    )
-    return sp.csr_array((values, columns, np.cumsum([0, *counts])), shape=shape)
+    terms = [combination.terms for combination in sums]
+    columns = np.array([*chain.from_iterable(terms)], dtype=np.int64)
+    values = np.array([*chain.from_iterable(part.values() for part in terms)], dtype=np.float64)
+    return sp.csr_array((values, place[columns], np.cumsum([0, *map(len, terms)])), shape=shape)

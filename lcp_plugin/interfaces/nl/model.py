@@ -52,15 +52,6 @@ def values_and_slopes(content: NLContent, x: Vector, rows: Indices) -> tuple[Vec
 # --- Side conditions -----------------------------------------------------------------------------------------------
 
 
-def pair_bounds(content: NLContent, rows: Indices, *, as_stated: bool) -> tuple[Vector, Vector]:
-    """Return the bounds that complementarity rows state, or all of their variables; else ∓∞."""
-    columns, bits = content.partners[rows], content.partner_bounds[rows]
-    lower, upper = content.lower[columns], content.upper[columns]
-    if not as_stated:
-        return lower, upper
-    return np.where(bits & 1, lower, -np.inf), np.where(bits & 2, upper, np.inf)
-
-
 @dataclass(frozen=True, eq=False)
 class SideConditions:
     """Side conditions of a complementarity problem.
@@ -90,15 +81,12 @@ class SideConditions:
         if not (names := self.names()):
             return []
         rows, slopes = values_and_slopes(content, x, inner)
-        row_sizes = abs(slopes) @ (
-            1.0 + np.abs(x)
-        )  # the change of a row if all its variables change
-        bounded = x[self.bounded]
-        values, row_sizes = np.append(rows, bounded), np.append(row_sizes, 1.0 + np.abs(bounded))
+        bounded, steps = x[self.bounded], 1.0 + np.abs(x)
+        values = np.append(rows, bounded)
+        changes = np.append(abs(slopes) @ steps, steps[self.bounded])  # if all variables change
         lower = np.append(content.row_lower[inner], content.lower[self.bounded])
         upper = np.append(content.row_upper[inner], content.upper[self.bounded])
-        excesses = excess(values, lower, upper, row_sizes)
-        excesses = np.where(np.isnan(excesses), np.inf, excesses)
+        excesses = np.nan_to_num(excess(values, lower, upper, changes), nan=np.inf, posinf=np.inf)
         order = np.argsort(-excesses, kind="stable")
         bounds = np.where(values < lower, lower, upper)
         return [
@@ -109,17 +97,13 @@ class SideConditions:
         ]
 
 
-def excess(body: Any, lower: Vector, upper: Vector, row_sizes: Any) -> Any:
-    """Return by how much a body is beyond its bounds: of their size, at least 1, or of the row's if that is less."""
-    sizes = np.maximum(
-        *(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (lower, upper))
-    )
-    scales = np.minimum(
-        np.maximum(1.0, sizes), np.where(row_sizes > 0.0, row_sizes, np.abs(body)) + sizes
-    )
-    return np.maximum(np.maximum(lower - body, body - upper), 0.0) / np.where(
-        scales > 0.0, scales, 1.0
-    )
+def excess(body: Any, lower: Vector, upper: Vector, changes: Any) -> Any:
+    """Return the violation of bounds relative to their size, at least 1, or to the row's change if that is less."""
+    sizes = np.maximum(*(np.where(np.isfinite(end), np.abs(end), 0.0) for end in (lower, upper)))
+    scales = np.where(changes > 0.0, changes, np.abs(body)) + sizes
+    scales = np.minimum(np.maximum(1.0, sizes), scales)
+    violations = np.maximum(np.maximum(lower - body, body - upper), 0.0)
+    return violations / np.where(scales > 0.0, scales, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +173,11 @@ class NLModel(ABC):
         x[self.unknowns] = values
         return x[: self.known.size]
 
+    def starts(self) -> Vector:
+        """Return the start of each unknown, 0 for defined variables."""
+        start = np.append(self.content.start, np.zeros(self.content.defined_trees.size))
+        return start[self.unknowns]
+
     def objective(self, x: Vector) -> float:
         """Return the objective as the file states it: expanded, (x - 10⁶)² loses ten digits."""
         if not self.content.is_maximized.size:
@@ -229,9 +218,7 @@ class ComplementarityModel(NLModel):
     @property
     def start(self) -> Vector:
         """The start in the unknowns of the problem; the value nearest to 0 for unknowns without a start in the file."""
-        content = self.content
-        start = np.append(content.start, np.zeros(content.defined_trees.size))
-        return start[self.unknowns][self.arrangement.elimination.kept]
+        return self.starts()[self.arrangement.elimination.kept]
 
     def solve(self, algorithm: object = "auto", **options: Any) -> NLAnswer:
         """Return the answer; see :meth:`NLModel.solve`."""
@@ -316,21 +303,17 @@ class EquilibriumModel(NLModel):
 
     Attributes
     ----------
-    sign : float
-        −1 if the file maximizes the objective.
     pairs, columns : ndarray of int
         The complementarity rows, and the unknowns that are their values.
     """
 
-    sign: float
     pairs: Indices
     columns: Indices
 
     def start_or_none(self) -> Vector | None:
         """Return the start in the unknowns of the problem; None if the file names none, or a row has no value."""
         x = np.zeros(self.problem.program.n)
-        start = np.append(self.content.start, np.zeros(self.content.defined_trees.size))
-        x[: self.unknowns.size] = start[self.unknowns]
+        x[: self.unknowns.size] = self.starts()
         variables = self.variables(x[: self.unknowns.size])
         x[self.columns] = values_and_slopes(self.content, variables, self.pairs)[0]
         return x if self.content.has_start.any() and np.isfinite(x).all() else None
@@ -363,9 +346,8 @@ class EquilibriumModel(NLModel):
             objective = self.objective(x)
         words = "optimal" if result.is_solved else status.name.lower()
         reached = "" if result.has_no_solution else f"{result.describe_accuracy()}, "
-        nodes = f"{result.nodes} node{'s' * (result.nodes != 1)}"
         advice = "" if result.is_solved or result.has_no_solution else f"; {result.advice}"
-        message = f"lcp_plugin {__version__}: {words}; {reached}{nodes}{advice}"
+        message = f"lcp_plugin {__version__}: {words}; {reached}{format_count(result.nodes, 'node')}{advice}"
         return NLAnswer(x, duals, status, message, result, objective)
 
 
@@ -420,10 +402,9 @@ def certify_values(content: NLContent, tolerance: float) -> Certification:
         )
     statement, start = FileStatement(content), content.start
     is_bounded = np.isfinite(content.lower) | np.isfinite(content.upper)
-    side_conditions = SideConditions(
-        content, statement.inequalities, np.flatnonzero(is_bounded & ~statement.is_paired)
-    )
-    if not (statement.pairs.size or content.is_maximized.size) and side_conditions.names():
+    bounded = np.flatnonzero(is_bounded & ~statement.is_paired)
+    conditions = SideConditions(content, statement.inequalities, bounded)
+    if not (statement.pairs.size or content.is_maximized.size) and conditions.names():
         raise InvalidProblem(
             "the model has bounds or inequalities, but neither an objective nor complementarities to certify; give "
             'certify(model, pairs="match") if it is square, or add an Objective'
@@ -433,12 +414,12 @@ def certify_values(content: NLContent, tolerance: float) -> Certification:
     if isinstance(model, ComplementarityModel):
         problem, z, violated = model.arrangement.at_values(x, tolerance, statement.name)
         certification = certify_point(problem, z, tolerance)
-        return with_side_conditions(
-            certification, [*violated, *side_conditions.violated(start, tolerance)]
-        )
-    certification = certify(model.problem, x, tolerance=tolerance)
-    fixed = SideConditions(content, statement.pairs[:0], np.flatnonzero(~np.isnan(statement.known)))
-    return with_side_conditions(certification, fixed.violated(start, tolerance))
+        violated += conditions.violated(start, tolerance)
+    else:
+        certification = certify(model.problem, x, tolerance=tolerance)
+        known = np.flatnonzero(~np.isnan(statement.known))
+        violated = SideConditions(content, known[:0], known).violated(start, tolerance)
+    return with_side_conditions(certification, violated)
 
 
 def lcp_in_nl(path: str | PathLike[str]) -> LCP:
@@ -535,40 +516,39 @@ class FileStatement:
 
     def has_objective(self) -> bool:
         """Return whether there is an objective that is not constant."""
-        row = self.expressions.matrix[[self.m]] if self.content.is_maximized.size else None
-        return row is not None and row.nnz > 0
+        return bool(self.content.is_maximized.size and self.expressions.matrix[[self.m]].nnz)
 
     def best(self) -> ProgramModel | EquilibriumModel:
         """Return the program, with complementarity constraints if there are pairs."""
         content, expressions, m = self.content, self.expressions, self.m
-        unknowns, place = expressions.unknowns, np.full(self.n + content.defined_trees.size, -1)
-        place[unknowns] = np.arange(unknowns.size)
+        unknowns = expressions.unknowns
         others = np.flatnonzero((content.partners < 0) & ~self.has_no_bounds)
         stated = self._statement()
         stated.integers = np.flatnonzero(content.is_integer[unknowns[unknowns < self.n]])
         for part in self._parts(others):
-            ends, name = (content.row_lower[part], content.row_upper[part]), content.rows_of(part)
-            stated.constrain(expressions.rows(part), *ends, name=name)
+            ends = content.row_lower[part], content.row_upper[part]
+            stated.constrain(expressions.rows(part), *ends, name=content.rows_of(part))
         if expressions.definitions.size:
             stated.constrain(expressions.rows(expressions.definitions))
-        as_stated = bool(self.has_objective() or content.is_integer.any())
+        # With an objective a pair has the bounds that it states, otherwise all of its variable
+        has_goal = self.has_objective() or content.is_integer.any()
         for part in (pairs := self._parts(self.pairs)):
-            bounds = pair_bounds(content, part, as_stated=as_stated)
-            z = place[content.partners[part]]
-            stated.complement(z, expressions.rows(part), *bounds, name=content.rows_of(part))
+            columns, bits = content.partners[part], content.partner_bounds[part] if has_goal else 3
+            lower = np.where(bits & 1, content.lower[columns], -np.inf)
+            upper = np.where(bits & 2, content.upper[columns], np.inf)
+            row, name = expressions.rows(part), content.rows_of(part)
+            stated.complement(expressions.place[columns], row, lower, upper, name=name)
         has_objective = bool(content.is_maximized.size)
         sign = -1.0 if has_objective and content.is_maximized[0] else 1.0
         goal = expressions.rows(np.array([m])) if has_objective else Rows({}, np.zeros(1), (1,))
         problem = stated.best(goal, sign)
         if pairs:
             rows = np.concatenate(pairs)
-            return EquilibriumModel(
-                content, problem, unknowns, self.known, sign, rows, problem.second
-            )
+            return EquilibriumModel(content, problem, unknowns, self.known, rows, problem.second)
         if not self.is_affine.all():
-            row = content.row(np.flatnonzero(~self.is_affine)[0])
+            first = content.row(np.flatnonzero(~self.is_affine)[0])
             raise UnsupportedModel(
-                f"{row} is nonlinear: inequalities, and rows of a program without complementarities, must be affine; "
+                f"{first} is nonlinear: inequalities, and rows of a program without complementarities, must be affine; "
                 "write it as a complementarity, add an objective, or state one equation per variable without a pair"
             )
         if problem.smooth is not None:
@@ -593,43 +573,27 @@ class FileStatement:
         right = np.append(content.row_lower, np.zeros(expressions.offset.size - self.m))
         equations = self._without_empty(equations, right)
         statement = self._statement()
-        place = np.full(self.n + content.defined_trees.size, -1)
-        place[expressions.unknowns] = np.arange(expressions.unknowns.size)
-        order = [self._parts(pairs), self._parts(equations)]
-        for part in order[0]:
-            z = place[content.partners[part]]
+        for part in self._parts(pairs):
+            z = expressions.place[content.partners[part]]
             ends = statement.lower[z], statement.upper[z]
             statement.complement(z, expressions.rows(part), *ends, name=content.rows_of(part))
-        for part in order[1]:
-            statement.constrain(
-                expressions.rows(part), right[part], right[part], name=content.rows_of(part)
-            )
+        for part in self._parts(equations):
+            ends = right[part], right[part]
+            statement.constrain(expressions.rows(part), *ends, name=content.rows_of(part))
         # Arrays of the model's language are not known: unknowns without a pair count as one variable.
         arrangement = statement.square((~statement.is_paired).astype(np.int64))
-        bounded = expressions.unknowns[arrangement.dropped]
-        side_conditions = SideConditions(content, self.inequalities, bounded)
+        unknowns = expressions.unknowns
+        conditions = SideConditions(content, self.inequalities, unknowns[arrangement.dropped])
         return ComplementarityModel(
-            content,
-            arrangement.problem,
-            expressions.unknowns,
-            self.known,
-            arrangement,
-            pairs,
-            side_conditions,
+            content, arrangement.problem, unknowns, self.known, arrangement, pairs, conditions
         )
 
     def _statement(self) -> Statement:
         """Return the unknowns with their bounds."""
-        content, expressions = self.content, self.expressions
+        content, unknowns = self.content, self.expressions.unknowns
         free = np.full(content.defined_trees.size, np.inf)
-        lower, upper = np.append(content.lower, -free), np.append(content.upper, free)
-        return Statement(
-            expressions.compiler,
-            {UNKNOWNS: 0},
-            lower[expressions.unknowns],
-            upper[expressions.unknowns],
-            self.name,
-        )
+        ends = np.append(content.lower, -free)[unknowns], np.append(content.upper, free)[unknowns]
+        return Statement(self.expressions.compiler, {UNKNOWNS: 0}, *ends, self.name)
 
     def name(self, column: int) -> str:
         """Return the name of an unknown."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import struct
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,6 @@ from enum import IntEnum
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from struct import Struct
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
@@ -110,7 +110,6 @@ class BinaryFormReader(_Form):
     def __init__(self, data: bytes, begin: int, order: str) -> None:
         self.data, self.order = data, order
         self.at = self._next = begin
-        self._structs: dict[str, Struct] = {}
 
     def letter(self) -> str:
         """Return the next byte as a letter, nothing at the end of the file."""
@@ -131,10 +130,8 @@ class BinaryFormReader(_Form):
         return self._numbers(form)
 
     def _numbers(self, form: str) -> list[Any]:
-        if form not in self._structs:
-            self._structs[form] = Struct(self.order + form)
-        struct = self._structs[form]
-        return list(struct.unpack_from(self.data, self._take(struct.size)))
+        layout = self.order + form
+        return list(struct.unpack_from(layout, self.data, self._take(struct.calcsize(layout))))
 
     def _take(self, length: int) -> int:
         """Return the start of the next bytes, and move past them."""
@@ -321,7 +318,7 @@ ENDING = ".nl"
 HEADS = {
     letter: count for count, all in enumerate(("br", "CLkKxd", "OGJS", "VF")) for letter in all
 }
-SKIPPED = {"k": "i", "K": "i", "d": "id"}  # entries of each column, a start of multipliers
+SKIPPED = {"k": "i", "K": "i", "d": "id", "S": "ii"}  # entries of columns, multipliers, suffixes
 #: The numbers behind a letter in bytes: of a number, and of the kind of a bound.
 NUMBERS = {"n": "d", "l": "i", "s": "h"}
 BOUNDS = {"0": "dd", "1": "d", "2": "d", "3": "", "4": "d", "5": "ii"}
@@ -494,7 +491,10 @@ class _Reader:
                     "the model calls external functions; write it with elementary functions"
                 )
             numbers = source.behind("i" * HEADS[letter], has_name=letter == "S")
-            owner = self._owner(letter, numbers)
+            owner = 0
+            if letter in self.owners:
+                owner = numbers[0] - (n if letter == "V" else 0)
+                self._require_below(owner, self.owners[letter], f"the owner of a segment {letter}")
             reach = n + owner if letter == "V" else n
             if letter in "JGVx":
                 self._read_pairs(letter, owner, numbers[letter != "x"], reach)
@@ -507,28 +507,14 @@ class _Reader:
             if letter in self.bounds:
                 self._read_bounds(letter)
             if letter in SKIPPED:
-                self._skip(SKIPPED[letter], numbers[0])
-            if letter == "S":  # text has real numbers for whole ones also
-                # A bit of the first number of an S segment
-                is_real = numbers[0] & 4 or not header.is_binary
-                self._skip("id" if is_real else "ii", numbers[1])
-
-    def _owner(self, letter: str, numbers: list[int]) -> int:
-        """Return the number of the segment's owner, from 0; raise if it has no owner."""
-        if letter not in self.owners:
-            return 0
-        first = self.header.variables if letter == "V" else 0
-        owner = numbers[0] - first
-        self._require_below(owner, self.owners[letter], f"the owner of a segment {letter}")
-        return owner
+                # Values of an S segment are real by a bit of its first number, and always in text
+                is_real = letter == "S" and (numbers[0] & 4 or not header.is_binary)
+                for _ in range(numbers[-1]):
+                    source.row("id" if is_real else SKIPPED[letter])
 
     def _require_below(self, index: int, count: int, what: str) -> None:
         if not 0 <= index < count:
             self.source.fail(f"{what} must be one of {count}, and this is number {index} from 0")
-
-    def _skip(self, form: str, count: int) -> None:
-        for _ in range(count):
-            self.source.row(form)
 
     def _read_tree(self, letter: str, owner: int, variables: int) -> None:
         """Read an expression over that many variables."""

@@ -123,18 +123,11 @@ class TextWriter:
         is_nonlinear = _has_variables(content.trees)
         in_rows, in_objectives, integers = _groups(content)
         tolerance = "" if content.tolerance is None else f" {content.tolerance!r}"
-        nonlinear_objectives = _has_variables(content.objective_trees).sum()
-        nonlinear_pairs = (is_pair & is_nonlinear).sum()
+        nonlinear = is_nonlinear.sum(), _has_variables(content.objective_trees).sum()
+        pairs = (is_pair & ~is_nonlinear).sum(), (is_pair & is_nonlinear).sum()
         lines = [
             (n, m, o, is_range.sum(), is_equation.sum(), 0),
-            (
-                is_nonlinear.sum(),
-                nonlinear_objectives,
-                is_pair.sum() - nonlinear_pairs,
-                nonlinear_pairs,
-                0,
-                0,
-            ),
+            (*nonlinear, *pairs, 0, 0),
             (0, 0),
             (in_rows, in_objectives, min(in_rows, in_objectives)),
             (0, 0, self.arithmetic, 1),
@@ -156,9 +149,7 @@ class TextWriter:
         self.out.append("".join(f"{index} {value!r}\n" for index, value in lines).encode())
 
     def _columns(self, counts: Array) -> None:
-        self.out.append(
-            "\n".join(["k" + str(counts.size), *map(str, counts.tolist()), ""]).encode()
-        )
+        self.out.append("\n".join([f"k{counts.size}", *map(str, counts.tolist()), ""]).encode())
 
     def _bounds(self, letter: str, lower: Array, upper: Array) -> None:
         self._line(letter, ())
@@ -223,23 +214,21 @@ def _groups(content: NLContent) -> tuple[int, int, tuple[int, int, int, int]]:
     in_rows = most(content.trees, content.defined_trees)
     in_objectives = most(content.objective_trees, content.defined_trees)
     in_objectives = max(in_objectives, in_rows) if in_objectives else 0
-    integers = np.flatnonzero(content.is_integer)
+    is_integer = content.is_integer
+    integers = np.flatnonzero(is_integer)
     if not integers.size:
         return in_rows, in_objectives, (0, 0, 0, 0)
-    is_last = content.is_integer & ~np.append(content.is_integer[1:], False)
+    is_last = is_integer & ~np.append(is_integer[1:], False)
     first = int(np.flatnonzero(is_last)[0]) + 1
     first = first if first >= max(in_rows, in_objectives) else n
-    last_nonlinear = int(content.is_integer[:first].sum())  # the last of the nonlinear group
-    others = integers.size - last_nonlinear
-    if not (
-        content.is_integer[first - last_nonlinear : first].all()
-        and content.is_integer[n - others :].all()
-    ):
+    inner = int(is_integer[:first].sum())  # the last of the nonlinear group
+    others = integers.size - inner
+    if not (is_integer[first - inner : first].all() and is_integer[n - others :].all()):
         raise InvalidProblem(
             f"variable {integers[0]} is integer and one behind it is not; the integer variables of an "
             ".nl file must come last, or last of those that are nonlinear; order the variables so"
         )
-    return first, first, (others, last_nonlinear, 0, 0)
+    return first, first, (others, inner, 0, 0)
 
 
 OPTIONS = "Options"
@@ -274,12 +263,9 @@ def write_sol(
     lines.append("")
     if options[0]:
         has_tolerance = len(options) > 2 and options[2] == WITH_TOLERANCE
-        lines += [
-            OPTIONS,
-            str(options[0] + 2 * has_tolerance),
-            *map(str, options[1 : options[0] + 1]),
-        ]
-        lines += map(str, (m, 0 if duals is None else m, n, 0 if values is None else n))
+        counts = m, 0 if duals is None else m, n, 0 if values is None else n
+        numbers = options[0] + 2 * has_tolerance, *options[1 : options[0] + 1], *counts
+        lines += [OPTIONS, *map(str, numbers)]
         lines += [repr(float(content.tolerance or 0.0))] * has_tolerance
     for vector in (duals, values):
         lines += [] if vector is None else map(repr, vector.tolist())

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from pyomo import core
-from pyomo.common.collections import ComponentMap
+from pyomo.common.collections import ComponentMap, ComponentSet
 from pyomo.common.errors import InvalidValueError
 from pyomo.core import Constraint, Var
 from pyomo.core.expr import SumExpression, identify_variables
@@ -172,9 +173,7 @@ def pair_of_sides(stated: Any, sides: Sequence[PairSide], is_taken: Callable[[An
         if free.bounds == 0:
             return Pair(stated, held, free.body)
     first, second = sides
-    open_sides = [
-        side for side in sides if side.variable is not None and not is_taken(side.variable)
-    ]
+    open_sides = [side for side in sides if not (side.variable is None or is_taken(side.variable))]
     held = open_sides[0] if open_sides else second if cannot_vary(second.body) else first
     slack = (second if held is first else first).slack
     return Pair(stated, held, slack if math.isfinite(held.lower) else -slack)
@@ -274,8 +273,8 @@ def statement_of(model: Any, pairs: list[Any] | None = None) -> PyomoStatement:
     objectives = [*active(core.Objective)]
     sides = [sides_of(condition) for condition in conditions]
     matched = [] if pairs is None else square_pairs(constraints, pairs)
-    matched_rows = {id(row) for row, _ in matched}
-    constraints = [row for row in constraints if id(row) not in matched_rows]
+    matched_rows = ComponentSet(row for row, _ in matched)
+    constraints = [row for row in constraints if row not in matched_rows]
     has_pairs = any(not any(side.is_equation for side in pair) for pair in sides)
     has_pairs |= bool(matched) or any(hasattr(row, "_complementarity") for row in constraints)
     if has_pairs:
@@ -328,9 +327,9 @@ class _Draft:
             model.constraints = core.Reference(constraints, ctype=core.Constraint)
         if objectives:
             model.objective = core.Reference(objectives, ctype=core.Objective)
-        self.states: dict[int, Any] = {}  # by the row's id
-        self.partners: dict[int, tuple[Any, Pair]] = {}  # variable and pair, by the variable's id
-        self.named: dict[int, str] = {}  # unknowns that were added
+        self.states = ComponentMap()  # of each row, the component or the name that states it
+        self.partners = ComponentMap()  # of each variable of a pair, the pair
+        self.named = ComponentMap()  # names of the added unknowns
 
     def pair(self, conditions: Sequence[Any], sides: Sequence[Sequence[PairSide]]) -> None:
         """Take the complementarities, first those that leave no choice of a partner."""
@@ -339,11 +338,7 @@ class _Draft:
             if equation := next((side for side in sides[k] if side.is_equation), None):
                 self.state(equation.body, conditions[k], equation.lower, equation.lower)
             else:
-                self.hold(
-                    pair_of_sides(
-                        conditions[k], sides[k], lambda variable: id(variable) in self.partners
-                    )
-                )
+                self.hold(pair_of_sides(conditions[k], sides[k], self.partners.__contains__))
 
     def hold(self, pair: Pair) -> None:
         """Take a pair: its variable, or an unknown that is added, goes with its row."""
@@ -351,14 +346,14 @@ class _Draft:
             self.state_fixed(pair)
             return
         variable = pair.held.variable
-        if variable is None or id(variable) in self.partners:
+        if variable is None or variable in self.partners:
             variable = self.model.added.add()
-            self.named[id(variable)] = name = f"the unknown for {pair.stated.name}"
+            self.named[variable] = name = f"the unknown for {pair.stated.name}"
             variable.set_value(core.value(pair.held.body, exception=False), skip_validation=True)
             self.state(difference(variable, pair.held.body), name, 0.0, 0.0)
         elif not self._needs_no_bound_row(variable, pair):
             self.state(variable, f"the bounds of {variable.name}", variable.lb, variable.ub)
-        self.partners[id(variable)] = variable, pair
+        self.partners[variable] = pair
         self.state(pair.row, pair, 0.0, None)
 
     def state_fixed(self, pair: Pair) -> None:
@@ -375,29 +370,28 @@ class _Draft:
     def state(self, body: Any, what: Any, lower: float | None, upper: float | None) -> None:
         """Add a row lower ≤ body ≤ upper."""
         body = body if is_potentially_variable(body) else difference(body, self.model.zero)
-        self.states[id(self.model.rows.add((lower, body, upper)))] = what
+        self.states[self.model.rows.add((lower, body, upper))] = what
 
     def written(self, has_pairs: bool) -> PyomoStatement:
         """Return the statement, through a file written by Pyomo."""
         content, information = self._through([])
-        written = {id(variable) for variable in information.variables}
-        absent = [variable for variable, _ in self.partners.values() if id(variable) not in written]
-        if absent:
+        written = ComponentSet(information.variables)
+        if absent := [variable for variable in self.partners if variable not in written]:
             content, information = self._through(absent)
         variables = list(information.variables)
-        rows = [self.states.get(id(row), row) for row in information.constraints]
+        rows = [self.states.get(row, row) for row in information.constraints]
         if not variables:
             raise UnsupportedModel(
                 "no active constraint, objective or complementarity has a free variable"
             )
-        names = [self.named.get(id(variable)) or variable.name for variable in variables]
+        names = [self.named.get(variable) or variable.name for variable in variables]
         row_names = [
             row if isinstance(row, str) else getattr(row, "stated", row).name for row in rows
         ]
         content = replace(content, names=names, row_names=row_names)
         if has_pairs:
             content = self._paired(content, variables, rows)
-        added = (j for j, variable in enumerate(variables) if id(variable) in self.named)
+        added = (j for j, variable in enumerate(variables) if variable in self.named)
         return PyomoStatement(content, variables, rows, frozenset(added))
 
     def _through(self, exported: list[Any]) -> tuple[NLContent, Any]:
@@ -422,35 +416,27 @@ class _Draft:
 
     def _paired(self, content: NLContent, variables: list[Any], rows: list[Any]) -> NLContent:
         """Return the content with the pairs, and their bounds of variables."""
-        number_of = {id(variable): j for j, variable in enumerate(variables)}
+        number_of = ComponentMap((variable, j) for j, variable in enumerate(variables))
         names = "partners", "partner_bounds", "row_lower", "row_upper", "lower", "upper"
         new = {name: getattr(content, name).copy() for name in names}
         partners, bits, row_lower, row_upper, lower, upper = new.values()
         constants = np.zeros(len(rows))
         # a pair of Pyomo's own transformation has no other bounds than it states
         if self.is_search:
-            transformed = np.flatnonzero(partners >= 0)
-            columns, stated_bits = partners[transformed], bits[transformed]
-            lower[columns[stated_bits & 1 == 0]], upper[columns[stated_bits & 2 == 0]] = (
-                -np.inf,
-                np.inf,
-            )
+            lower[partners[(partners >= 0) & (bits & 1 == 0)]] = -np.inf
+            upper[partners[(partners >= 0) & (bits & 2 == 0)]] = np.inf
         place = {id(row): i for i, row in enumerate(rows)}
-        for variable, pair in self.partners.values():
-            i, j, held = place[id(pair)], number_of[id(variable)], pair.held
+        for variable, pair in self.partners.items():
+            i, j, held = place[id(pair)], number_of[variable], pair.held
             constants[i] = -row_lower[i]
             row_lower[i], row_upper[i], partners[i] = -np.inf, np.inf, j
             lower[j], upper[j] = held.lower, held.upper
             if not self.is_search and self._needs_no_bound_row(variable, pair):
-                variable_lower, variable_upper = bounds_of(variable)
-                lower[j], upper[j] = (
-                    max(held.lower, variable_lower),
-                    min(held.upper, variable_upper),
-                )
-            is_lower, is_upper = lower[j] == held.lower, upper[j] == held.upper
-            bits[i] = (is_lower and math.isfinite(held.lower)) + 2 * (
-                is_upper and math.isfinite(held.upper)
-            )
+                low, high = bounds_of(variable)
+                lower[j], upper[j] = max(held.lower, low), min(held.upper, high)
+            has_lower = lower[j] == held.lower > -math.inf
+            has_upper = upper[j] == held.upper < math.inf
+            bits[i] = has_lower + 2 * has_upper
         return replace(content, **new, trees=content.trees.plus(constants))
 
     def _needs_no_bound_row(self, variable: Any, pair: Pair) -> bool:
@@ -515,11 +501,9 @@ class PyomoAnswer:
 
     def _of_variables(self, numbers: list[float]) -> ComponentMap:
         """Return the finite numbers by the variables of the model."""
-        added, named = self.statement.added, zip(self.statement.variables, numbers, strict=False)
-        of_model = (
-            pair for j, pair in enumerate(named) if j not in added and math.isfinite(pair[1])
-        )
-        return ComponentMap(of_model)
+        added, pairs = self.statement.added, zip(self.statement.variables, numbers, strict=False)
+        kept = (pair for j, pair in enumerate(pairs) if j not in added and math.isfinite(pair[1]))
+        return ComponentMap(kept)
 
     def load(self, model: Any) -> None:
         """Put values and suffixes into the model."""
@@ -554,10 +538,8 @@ def solve_model(model: Any, options: dict[str, Any], pairs: list[Any] | None = N
 def suffix_of(model: Any, name: str) -> Any:
     """Return the suffix of that name nearest to the root that imports values, or None."""
     suffixes = model.component_objects(core.Suffix, active=True, descend_into=True, sort=IN_ORDER)
-    return next(
-        (suffix for suffix in suffixes if suffix.local_name == name and suffix.import_enabled()),
-        None,
-    )
+    imported = (suffix for suffix in suffixes if suffix.import_enabled())
+    return next((suffix for suffix in imported if suffix.local_name == name), None)
 
 
 # --- The pairs of square models ------------------------------------------------------------------------------------
@@ -584,25 +566,21 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
             f"pairs must be 'match' or a ComponentMap from constraints to variables, got {pairs!r}"
         )
     matched = [] if pairs == "match" else [*single_pairs(pairs)]
-    owners: dict[int, Any] = {}
-    partners: dict[int, Any] = {}
+    owners, partners = ComponentMap(), ComponentMap()
     for row, variable in matched:
-        if (other := partners.setdefault(id(row), variable)) is not variable:
+        if (other := partners.setdefault(row, variable)) is not variable:
             raise UnsupportedModel(
                 f"{row.name} is paired with {other.name} and with {variable.name}; a row has one variable"
             )
-        if (other := owners.setdefault(id(variable), row)) is not row:
+        if (other := owners.setdefault(variable, row)) is not row:
             raise UnsupportedModel(
                 f"{variable.name} is paired with {other.name} and with {row.name}; a variable has one row"
             )
-    paired = owners.keys() | {id(row) for row, _ in matched}
-    rows = families_of(row for row in constraints if id(row) not in paired)
-    variables = families_of(
-        variable for variable in variables_of(constraints) if id(variable) not in paired
+    rows = families_of(row for row in constraints if row not in partners)
+    families = families_of(
+        unknown for unknown in variables_of(constraints) if unknown not in owners
     )
-    variables = [
-        family for family in variables if not all(variable.fixed for variable in family.values())
-    ]
+    variables = [family for family in families if not all(part.fixed for part in family.values())]
     while choices := [*_choices(rows, variables)]:
         family, matches = min(choices, key=lambda choice: len(choice[1]) != 1)
         if len(matches) != 1:
@@ -637,12 +615,8 @@ def single_pairs(pairs: Mapping[Any, Any]) -> Iterator[tuple[Any, Any]]:
 
 def variables_of(constraints: list[Any]) -> list[Any]:
     """Return the variables of constraints, each once."""
-    each = {
-        id(variable): variable
-        for row in constraints
-        for variable in identify_variables(row.body, include_fixed=True)
-    }
-    return [*each.values()]
+    bodies = (identify_variables(row.body, include_fixed=True) for row in constraints)
+    return [*ComponentSet(chain.from_iterable(bodies))]
 
 
 def families_of(members: Iterable[Any]) -> list[Family]:
@@ -691,11 +665,8 @@ def _require_row_of_each(variables: list[Family], rows: list[Family]) -> None:
 
 def _why_open(family: Family, matches: list[tuple[Family, Family]]) -> str:
     """Return why a family has no match, or several, and the remedy."""
-    name, others = (
-        _name(family),
-        [_name(variable if variable is not family else row) for row, variable in matches],
-    )
-    if others:
+    name = _name(family)
+    if others := [_name(rows if variables is family else variables) for rows, variables in matches]:
         return (
             f"{name} may belong to {listed(others)}; state which: pairs=ComponentMap({{model.market: "
             "model.price}), with the constraint first"
@@ -712,21 +683,17 @@ def _require_full_rank(constraints: list[Any], pairs: list[tuple[Any, Any]]) -> 
 
     A row also has an entry for the variable of its pair, because the variable at its bound may replace the row.
     """
-    partner = {id(row): variable for row, variable in pairs}
-    rows = [row for row in constraints if not (id(row) in partner and partner[id(row)].fixed)]
-    inside = [
-        [*variables_of([row]), *([partner[id(row)]] if id(row) in partner else [])] for row in rows
-    ]
-    variables = {
-        id(variable): variable for columns in inside for variable in columns if not variable.fixed
-    }
-    place = {key: j for j, key in enumerate(variables)}
+    partner = ComponentMap((row, [variable]) for row, variable in pairs)
+    inside = ComponentMap((row, variables_of([row]) + partner.get(row, [])) for row in constraints)
+    rows = [row for row in constraints if not any(part.fixed for part in partner.get(row, []))]
+    variables = [*ComponentSet(part for row in rows for part in inside[row] if not part.fixed)]
+    place = ComponentMap((variable, j) for j, variable in enumerate(variables))
     pattern = sp.lil_array((len(rows), len(variables)))
-    for i, columns in enumerate(inside):
-        pattern[i, [place[id(variable)] for variable in columns if not variable.fixed]] = 1.0
+    for i, row in enumerate(rows):
+        pattern[i, [place[part] for part in inside[row] if part in place]] = 1.0
     for named, matrix, words in (
         (rows, pattern, "constraint {} would need the variable of another one"),
-        ([*variables.values()], pattern.T, "variable {} would need the constraint of another one"),
+        (variables, pattern.T, "variable {} would need the constraint of another one"),
     ):
         partners = maximum_bipartite_matching(sp.csr_array(matrix), perm_type="column")
         for k in np.flatnonzero(partners < 0)[:1]:

@@ -89,6 +89,7 @@ class Layer(ABC):
     matrices_at: ClassVar[tuple[int, ...]] = (0,)  # places of the matrices among the arrays
     bounds_at: ClassVar[tuple[int, ...]] = ()  # places of vectors of the length of the second array
     alone: ClassVar[str]  # the problem of an instance, as `solve` takes it
+    names: ClassVar[tuple[str, ...]]  # of the gradients by all arrays
 
     @classmethod
     def problem_shapes(cls, *shapes: tuple[int, ...]) -> list[tuple[int, ...]]:
@@ -103,18 +104,40 @@ class Layer(ABC):
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: object) -> BatchAnswers:
         """Return the results of the problems in arrays with these axes in front of the axes of a problem."""
 
-    @staticmethod
-    def axes_of(*shapes: tuple[int, ...]) -> tuple[int, ...]:
-        """Return the batch axes of arrays with these shapes; raise InvalidProblem if they do not fit."""
-        return common_axes(*shapes)
+    @classmethod
+    def axes_of(cls, *shapes: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the batch axes: all axes except the last (of M: the last two).
+
+        Raises
+        ------
+        InvalidProblem
+            If the axes do not broadcast, or M has another shape than (…, n, n).
+
+        Examples
+        --------
+        >>> LCPLayer.axes_of((5, 1, 3, 3), (7, 3), (3,))
+        (5, 7)
+        """
+        M, q, *others = shapes
+        if not q:
+            raise InvalidProblem("q must have shape (…, n), got a number")
+        if M[-2:] not in ((0, 0), (*q[-1:], *q[-1:])):
+            raise InvalidProblem(f"M must have shape (…, n, n), n = {q[-1]} as q has, got {M}")
+        try:
+            return np.broadcast_shapes(M[:-2], q[:-1], *(shape[:-1] for shape in others))
+        except ValueError:
+            raise InvalidProblem(
+                f"the axes in front of a problem's own must broadcast, got M {M}, q {q} and "
+                f"{', '.join(map(str, others))}"
+            ) from None
 
     def _differentiated(self, answers: BatchAnswers) -> Any:
         """Return the derivative of the results."""
         return derivative(answers)
 
-    @abstractmethod
-    def _by(self, gradient: Array) -> Sequence[Any]:
+    def _by(self, gradient: Array) -> list[Any]:
         """Return the gradients by all arrays."""
+        return [getattr(gradient, name) for name in self.names]
 
     def solve(self, *data: Any, z0: Array = None) -> tuple[Any, Any]:
         """Return the solutions, shape (…, n), of problems with axes that broadcast, and which are solved, shape (…).
@@ -129,9 +152,8 @@ class Layer(ABC):
         self.data, self.axes = data, self.axes_of(*(array.shape for array in data))
         n = data[1].shape[-1]
         start = {} if z0 is None else {"z0": stacked(z0, self.axes, (n,))}
-        self.derivative: Any = self._differentiated(
-            self._solved(self.axes, data, self.options | start)
-        )
+        answers = self._solved(self.axes, data, self.options | start)
+        self.derivative: Any = self._differentiated(answers)
         errors = self.derivative.errors
         if errors and not self.mask:
             kinds = (InvalidProblem, UnsupportedModel)
@@ -151,10 +173,10 @@ class Layer(ABC):
         UnsuitableProblem
             If a problem that the loss depends on has no gradient.
         """
-        derivative, rows = self.derivative, g.reshape(math.prod(self.axes), g.shape[-1])
+        rows = g.reshape(math.prod(self.axes), g.shape[-1])
         rows = np.where(self.is_solved[:, np.newaxis], rows, 0.0)
-        gradient = derivative.vjp(rows)
-        if wrong := {k: error for k, error in derivative.errors.items() if rows[k].any()}:
+        gradient = self.derivative.vjp(rows)
+        if wrong := {k: error for k, error in self.derivative.errors.items() if rows[k].any()}:
             raise _first(wrong, self.axes, type(next(iter(wrong.values()))))
         pairs = zip(self._by(gradient), self.data, strict=True)
         return tuple(self._summed(by, array.shape) for by, array in pairs)
@@ -193,7 +215,10 @@ class LCPLayer(Layer):
         """Return the layer and its arrays."""
         data = {"q": q, "lower": bounds[0], "upper": bounds[1]}
         q, lower, upper = (convert(values, name) for name, values in data.items())
-        check_bounds(q, lower=lower, upper=upper)
+        for name, bound in (("lower", lower), ("upper", upper)):
+            if tuple(bound.shape[-1:]) not in ((), (1,), tuple(q.shape[-1:])):
+                need = f"a number or have the length of q, {q.shape[-1]}"
+                raise InvalidProblem(f"{name} must be {need}, got shape {tuple(bound.shape)}")
         is_constant = sp.issparse(M)
         M_of_call = convert(np.zeros((0, 0)) if is_constant else M, "M")
         return cls(M if is_constant else None, **options), (M_of_call, q, lower, upper)
@@ -204,9 +229,9 @@ class LCPLayer(Layer):
         M = matrices(data[0], axes) if self.M is None else self.M
         return solve_batch(M, q, lower=lower, upper=upper, **options)
 
-    def _by(self, gradient: Array) -> Sequence[Any]:
+    def _by(self, gradient: Array) -> list[Any]:
         M = gradient.M if self.M is None else np.zeros((0, 0))
-        return M, gradient.q, gradient.lower, gradient.upper
+        return [M, gradient.q, gradient.lower, gradient.upper]
 
 
 class QPLayer(Layer):
@@ -214,7 +239,7 @@ class QPLayer(Layer):
 
     matrices_at = 0, 2, 4
     bounds_at = 6, 7
-    alone = "QuadraticProgram(P, c, G, h, A, b, lower, upper)"
+    alone, names = "QuadraticProgram(P, c, G, h, A, b, lower, upper)", PROGRAM_ARRAYS
 
     @classmethod
     def of(cls, convert: Convert, data: dict[str, Any], **options: Any) -> LayerCall:
@@ -243,20 +268,17 @@ class QPLayer(Layer):
         names, n = PROGRAM_ARRAYS, (*(shapes[0][-1:] or shapes[1][-1:]), "n")[0]
         m, p = (shapes[k][-2] if len(shapes[k]) > 1 else name for k, name in ((2, "m"), (4, "p")))
         shapes_of_one: Array = (n, n), (n,), (m, n), (m,), (p, n), (p,), (n,), (n,)
+        fronts = []
         for name, shape, wanted in zip(names, shapes, shapes_of_one, strict=True):
             is_number = name in ("lower", "upper") and shape[-1:] in ((), (1,))
             if shape[-len(wanted) :] != wanted and not is_number:
                 need = "(…, " + ", ".join(map(str, wanted)) + ")"
                 raise InvalidProblem(f"{name} must have shape {need}, got {shape}")
-        fronts = (
-            shape[: -len(wanted)] for shape, wanted in zip(shapes, shapes_of_one, strict=True)
-        )
+            fronts.append(shape[: -len(wanted)])
         try:
             return np.broadcast_shapes(*fronts)
         except ValueError:
-            received = ", ".join(
-                f"{name} {shape}" for name, shape in zip(names, shapes, strict=True)
-            )
+            received = ", ".join(map("{} {}".format, names, shapes))
             raise InvalidProblem(f"the axes in front must broadcast, got {received}") from None
 
     def solve(self, *data: Any, z0: Array = None) -> tuple[Any, Any]:
@@ -264,26 +286,22 @@ class QPLayer(Layer):
         return super().solve(*data)
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
-        P, shapes = (
-            0.5 * (data[0] + data[0].swapaxes(-1, -2)),
-            self.problem_shapes(*(array.shape for array in data)),
-        )
+        arrays = 0.5 * (data[0] + data[0].swapaxes(-1, -2)), data[2], data[4]
+        P, G, A = (matrices(array, axes) for array in arrays)
+        shapes = self.problem_shapes(*(array.shape for array in data))
         vectors = [stacked(data[k], axes, shapes[k]) for k in (1, 3, 5, 6, 7)]
-        all_matrices = [matrices(matrix, axes) for matrix in (P, data[2], data[4])]
         named = [dict(zip(VECTORS, rows, strict=True)) for rows in zip(*vectors, strict=True)]
-        if all(matrix.ndim == 2 for matrix in all_matrices):
+        if P.ndim == G.ndim == A.ndim == 2:
             c, h, b = (np.zeros(rows.shape[1]) for rows in vectors[:3])
-            base = QuadraticProgram(all_matrices[0], c, all_matrices[1], h, all_matrices[2], b)
+            base = QuadraticProgram(P, c, G, h, A, b)
             programs = programs_for(base, named)
         else:
-            stacks = (
-                [*stacked(matrix, axes, matrix.shape[-2:])] for matrix in (P, data[2], data[4])
-            )
+            stacks = ([*stacked(array, axes, array.shape[-2:])] for array in arrays)
             programs = [*map(_program, *stacks, named)]
-            good = (program for program in programs if isinstance(program, QuadraticProgram))
-            if (first_program := next(good, None)) is None:
+            good = [program for program in programs if isinstance(program, QuadraticProgram)]
+            if not good:
                 raise programs[0]  # type: ignore[misc]
-            base = first_program
+            base = good[0]
         batch = ProgramBatch.of(programs, base)
         if batch is None:
             raise InvalidProblem(
@@ -293,9 +311,6 @@ class QPLayer(Layer):
 
     def _differentiated(self, answers: BatchAnswers) -> Any:
         return derivative(answers).one_sided()
-
-    def _by(self, gradient: Array) -> Sequence[Any]:
-        return tuple(getattr(gradient, name) for name in PROGRAM_ARRAYS)
 
 
 def _program(P: Array, G: Array, A: Array, vectors: dict[str, Any]) -> QuadraticProgram | LCPError:
@@ -309,7 +324,7 @@ def _program(P: Array, G: Array, A: Array, vectors: dict[str, Any]) -> Quadratic
 class ContactLayer(Layer):
     """Contact problems with friction as a function of W, b and friction."""
 
-    alone = "FrictionalContact(W, b, friction)"
+    alone, names = "FrictionalContact(W, b, friction)", ("M", "q", "friction")
 
     @classmethod
     def of(cls, convert: Convert, W: Array, b: Array, friction: Array, **options: Any) -> LayerCall:
@@ -318,53 +333,12 @@ class ContactLayer(Layer):
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         W, b, friction = data
-        of_contacts = options.keys() & {"contacts", "dimension", "equations"}
-        of_worlds = {name: options[name] for name in of_contacts}
-        others = {name: value for name, value in options.items() if name not in of_worlds}
+        names = options.keys() & {"contacts", "dimension", "equations"}
+        of_problem = {name: options.pop(name) for name in names}
         b = stacked(b, axes, b.shape[-1:])
         friction = stacked(friction, axes, friction.shape[-1:]) if friction.ndim else friction
-        worlds = FrictionalContact.worlds(matrices(W, axes), b, friction, **of_worlds)
-        return solve_batch(worlds, **others)
-
-    def _by(self, gradient: Array) -> Sequence[Any]:
-        return gradient.M, gradient.q, gradient.friction
-
-
-def common_axes(
-    M: tuple[int, ...], q: tuple[int, ...], *others: tuple[int, ...]
-) -> tuple[int, ...]:
-    """Return the batch axes: all axes except the last (of M: the last two).
-
-    Raises
-    ------
-    InvalidProblem
-        If the axes do not broadcast, or M has another shape than (…, n, n).
-
-    Examples
-    --------
-    >>> common_axes((5, 1, 3, 3), (7, 3), (3,))
-    (5, 7)
-    """
-    if not q:
-        raise InvalidProblem("q must have shape (…, n), got a number")
-    if M[-2:] not in ((0, 0), (*q[-1:], *q[-1:])):
-        raise InvalidProblem(f"M must have shape (…, n, n), n = {q[-1]} as q has, got {M}")
-    try:
-        return np.broadcast_shapes(M[:-2], q[:-1], *(shape[:-1] for shape in others))
-    except ValueError:
-        raise InvalidProblem(
-            f"the axes in front of a problem's own must broadcast, got M {M}, q {q} and "
-            f"{', '.join(map(str, others))}"
-        ) from None
-
-
-def check_bounds(q: Array, **bounds: Array) -> None:
-    """Raise InvalidProblem unless each bound is a number or has the length of q."""
-    for name, bound in bounds.items():
-        if tuple(bound.shape[-1:]) not in ((), (1,), tuple(q.shape[-1:])):
-            raise InvalidProblem(
-                f"{name} must be a number or have the length of q, {q.shape[-1]}, got shape {tuple(bound.shape)}"
-            )
+        worlds = FrictionalContact.worlds(matrices(W, axes), b, friction, **of_problem)
+        return solve_batch(worlds, **options)
 
 
 def stacked(array: Array, axes: tuple[int, ...], shape: tuple[int, ...]) -> Any:
@@ -384,11 +358,8 @@ def _first(
     """Return an error that reports the first failed problem and the numbers of the others."""
     places = {k: tuple(map(int, np.unravel_index(k, axes))) for k in sorted(errors)}
     first, *others = places
-    also = (
-        f", nor for {', '.join(str(places[k]) for k in others[:5])}{' …' if others[5:] else ''}"
-        if others
-        else ""
-    )
+    named = ", ".join(str(places[k]) for k in others[:5]) + " …" * bool(others[5:])
+    also = f", nor for {named}" if others else ""
     where = f"problem {places[first]} of the batch" if axes else "the problem"
     result = f" (with result = solve({alone}) of its numbers; mask=True skips it)" if alone else ""
     return kind(f"the layer found no solution for {where}{also}: {errors[first]}{result}")

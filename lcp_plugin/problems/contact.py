@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,7 +37,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from ..core import checks
-from ..core.checks import canonical_csr, checked_vector, is_number, real_array, rectangular_matrix
+from ..core.checks import checked_vector, is_number, real_array, rectangular_matrix
 from ..core.errors import InvalidProblem, ModelWarning
 from ..solving.result import Result
 
@@ -160,11 +161,7 @@ class Contacts:
         moving = self.velocities.copy()
         moving[:, 0] += self.closing
         n = k * (m + 2) + p
-        M, q, columns = (
-            np.zeros((n, n)),
-            np.zeros(n),
-            np.append(np.arange(order.size), np.arange(n - p, n)),
-        )
+        M, q, columns = np.zeros((n, n)), np.zeros(n), np.r_[: order.size, n - p : n]
         M[np.ix_(columns, columns)] = by_edges(by_edges(self.W).T).T
         q[columns] = by_edges(np.append(moving, self.equations)[:, np.newaxis])[:, 0]
         contact, edge = np.arange(k), np.arange(k, k * (1 + m))
@@ -397,22 +394,23 @@ def contacts_of_bodies(
         raise InvalidProblem(
             f"contacts must be W, or (mass matrix, normals, tangents), got {len(contacts)} arrays"
         )
-    names, flat = ["the mass matrix", "normals", "tangents", "equations"], list(contacts)
-    if np.ndim(equations) < 2 and not (np.ndim(equations) == 0 and equations == 0):
-        raise InvalidProblem(
-            f"equations of bodies must be an array of shape (p, {np.shape(flat[0])[-1]}), got {equations!r:.60}; write "
-            "a single row as [[…]]"
-        )
-    flat.append(equations if np.ndim(equations) else np.zeros((0, np.shape(flat[0])[-1])))
-    if np.ndim(flat[2]) == 3:
-        flat[2] = np.reshape(flat[2], (-1, np.shape(flat[2])[-1]))
-    parts = [rectangular_matrix(*part, None, None) for part in zip(flat, names, strict=True)]
+    mass, normals, tangents = contacts
+    shape = np.shape(tangents)
+    if len(shape) == 3:
+        tangents = np.reshape(tangents, (-1, shape[2]))
+    if np.ndim(equations) < 2:
+        if np.ndim(equations) or equations != 0:
+            raise InvalidProblem(
+                f"equations of bodies must be an array of shape (p, {np.shape(mass)[-1]}), got {equations!r:.60}; "
+                "write a single row as [[…]]"
+            )
+        equations = np.zeros((0, np.shape(mass)[-1]))
+    values = {"the mass matrix": mass, "normals": normals, "tangents": tangents}
+    values["equations"] = equations
+    parts = [rectangular_matrix(part, name, None, None) for name, part in values.items()]
     # Velocities of bodies whose dense matrices stay dense
     is_sparse = any(map(sp.issparse, parts)) or parts[0].shape[0] > 300
-    if is_sparse:
-        pairs = zip(parts, names, strict=True)
-        parts = [canonical_csr(sp.csr_array(part), name) for part, name in pairs]
-    mass, normals, tangents, joints = parts
+    mass, normals, tangents, joints = map(sp.csr_array, parts) if is_sparse else parts
     v, k, p = mass.shape[1], normals.shape[0], joints.shape[0]
     check_symmetric(mass, "the mass matrix")
     if normals.shape[1] != v:
@@ -422,32 +420,26 @@ def contacts_of_bodies(
     if joints.shape[1] != v:
         raise InvalidProblem(f"equations must have shape (p, {v}), got {joints.shape}")
     t = tangents.shape[0] // max(k, 1)
-    shape = np.shape(contacts[2])
     is_of_others = len(shape) == 3 and shape[0] != k
     if (k and t not in (1, 2)) or tangents.shape != (t * k, v) or is_of_others:
         raise InvalidProblem(
             f"tangents must have shape (k, t, {v}) or (t k, {v}), t = 2 in space and 1 in the plane, the t of a "
             f"contact one after the other, k = {k} as of the normals; got {shape}"
         )
-    J: Any = sp.vstack(parts[1:], format="csr") if is_sparse else np.vstack(parts[1:])
-    tangent = k + np.arange(t * k).reshape(k, t)
-    order = np.concatenate([np.arange(k)[:, None], tangent], axis=1).ravel()
-    _check_directions(J[order], mass, 1 + t)
-    J = J[np.append(order, np.arange(order.size, order.size + p))]
-    inverse, of_bodies = inverse_by_components(mass), None
+    vstack: Any = partial(sp.vstack, format="csr") if is_sparse else np.vstack
+    order = np.column_stack([np.arange(k), k + np.arange(t * k).reshape(k, t)]).ravel()
+    J = vstack([normals, tangents])[order]
+    _check_directions(J, mass, 1 + t)
+    J, inverse, of_bodies = vstack([J, joints]), inverse_by_components(mass), None
     W = J @ inverse @ J.T
     if velocities.shape == (v,):
         of_bodies = checked_vector(velocities, "velocities", v)
         velocities = J @ of_bodies
-    elif velocities.shape != ((order.size + p,) if p else (k, 1 + t)):
-        rows = (
-            f"({order.size + p},), of contacts and equations"
-            if p
-            else f"({k}, {1 + t}), of the contacts"
-        )
+    elif velocities.shape != (shape := (order.size + p,) if p else (k, 1 + t)):
         raise InvalidProblem(
-            f"velocities must have shape ({v},), of the bodies, or {rows}, got "
-            f"{velocities.shape}: too {'few' if velocities.size < v else 'many'}"
+            f"velocities must have shape ({v},), of the bodies, or {shape}, of the contacts"
+            f"{' and equations' * bool(p)}, got {velocities.shape}: too "
+            f"{'few' if velocities.size < v else 'many'}"
         )
     return 0.5 * (W + W.T), velocities.ravel(), Bodies(mass, inverse, J, of_bodies, 1 + t), p
 
@@ -464,21 +456,19 @@ def inverse_by_components(mass: Any) -> Any:
         return _inverse(mass)
     from scipy.sparse.csgraph import connected_components  # most problems do not need it
 
-    count, component = connected_components(mass, directed=False)
-    order, sizes = np.argsort(component, kind="stable"), np.bincount(component, minlength=count)
-    firsts = np.cumsum(sizes) - sizes
-    place = np.empty(order.size, np.int64)
-    place[order] = np.arange(order.size) - np.repeat(firsts, sizes)
-    M, inverse = sp.coo_array(mass), [sp.csr_array(mass.shape)]
+    if (mass.diagonal() <= 0.0).any():
+        raise InvalidProblem(NOT_DEFINITE)
+    component = connected_components(mass, directed=False)[1]
+    sizes = np.bincount(component)[component]
+    order = np.lexsort((component, sizes))  # rows of a component one after the other
+    inverses: list[Any] = [sp.csr_array((0, 0))]
     for size in np.unique(sizes).tolist():
-        alike = np.flatnonzero(sizes == size)
-        block, inside = np.searchsorted(alike, component[M.row]), sizes[component[M.row]] == size
-        blocks = np.zeros((alike.size, size, size))
-        blocks[block[inside], place[M.row[inside]], place[M.col[inside]]] = M.data[inside]
-        rows = order[firsts[alike][:, None] + np.arange(size)]
-        where = np.repeat(rows, size, axis=1).ravel(), np.tile(rows, size).ravel()
-        inverse.append(sp.csr_array((_inverse(blocks).ravel(), where), shape=mass.shape))
-    return sp.csr_array(sum(inverse[1:], inverse[0]))
+        rows = order[sizes[order] == size]
+        part = sp.bsr_array(sp.csr_array(mass)[rows][:, rows], blocksize=(size, size))
+        part.data = _inverse(part.data)
+        inverses.append(part)
+    place = np.argsort(order)
+    return sp.block_diag(inverses, format="csr")[place][:, place]
 
 
 def _inverse(blocks: FloatArray) -> FloatArray:
@@ -500,13 +490,11 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
     """
     (k, v), diagonal = J.shape, mass.diagonal()
     k //= d
-    is_sparse = sp.issparse(mass)
-    counts = np.bincount(mass.indices, minlength=v) if is_sparse else np.count_nonzero(mass, axis=0)
-    alone = (counts == 1) & (diagonal != 0.0)
+    alone = ((mass != 0.0).sum(axis=0) == 1) & (diagonal != 0.0)
     windows = np.arange(max(v - d + 1, 0))[:, None] + np.arange(d)
     is_ball = (diagonal[windows] == diagonal[windows[:, :1]]) & alone[windows]
     windows = windows[is_ball.all(axis=1)]
-    if is_sparse:
+    if sp.issparse(mass):
         parts = sp.bsr_array(J[:, windows.ravel()], blocksize=(d, d))
         basis, contact = parts.data, np.repeat(np.arange(k), np.diff(parts.indptr))
     else:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import islice
+from itertools import islice, repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -188,8 +188,7 @@ class March(AnswerSequence[Result]):
     def z(self) -> Vector:
         """The solution of each kept step, shape (k, n)."""
         if self._stacked is None:
-            shape = len(self), -1 if len(self) else self.z0.size
-            self._stacked = read_only(np.array(self._z).reshape(shape))
+            self._stacked = read_only(np.reshape(self._z, (len(self), self.z0.size)))
             self._z = [*self._stacked]  # views
         return self._stacked
 
@@ -275,17 +274,19 @@ def take_steps(done: March, algorithm: Any, options: dict[str, Any], limit: floa
         try:
             stated = done.data.problem_at(problem, step)
             stated = stated.with_q(done.forcing[step] + propagator @ state)
-            limits = {} if limit == np.inf else {"max_seconds": max(limit - clock.read(), 0.0)}
+            call = {**options}
+            if limit < np.inf:
+                call["max_seconds"] = max(limit - clock.read(), 0.0)
             if is_lcp and first is not None:
-                within = parse_call("auto", {**options, **limits})[1]
+                within, watch = parse_call("auto", call)[1], call.get("callback")
                 near = checks.checked_start(stated, state)
-                watch = options.get("callback")
                 result = run_on(stated, None, within, near, Clock(), watch, first)
             elif is_lcp:
-                result = solve_lcp(stated, algorithm, z0=state, **{**options, **limits})
+                result = solve_lcp(stated, algorithm, z0=state, **call)
             else:  # z° is not passed as a start, because over cones Newton's steps begin at a start
-                start = {"z0": state} if (state != problem.nearest_to_zero).any() else {}
-                result = solve(stated, algorithm, **{**options, **limits, **start})
+                if (state != problem.nearest_to_zero).any():
+                    call["z0"] = state
+                result = solve(stated, algorithm, **call)
             done.all_solved = result.is_solved
             done.is_interrupted = result.status is Status.INTERRUPTED
             if is_lcp and algorithm == "auto" and result.is_solved and result.iterations:
@@ -345,38 +346,32 @@ class StepData:
         is_list = M_at is not None and not callable(M_at)
         if is_list:
             _check_matrices(M_at, "M_at", k)
-        passed = {name: values for name, values in bounds.items() if values is not None}
-        rows = {}
-        for name, values in passed.items():
+        rows = {name: values for name, values in bounds.items() if values is not None}
+        for name, values in rows.items():
             need = f"{name}_at must be an array of shape ({k}, {n}), a row per step ({name}= is for all steps)"
             rows[name] = checks.real_array(values, need)
             if rows[name].ndim == 2 and len(rows[name]) != k:
                 raise InvalidProblem(_wrong_count(f"{name}_at", len(rows[name]), k))
             if rows[name].shape != (k, n):
                 raise InvalidProblem(f"{need}, got shape {rows[name].shape}")
-        self.bounds: dict[str, Vector] = {name: np.empty((k, n)) for name in rows}
-        names: Any = tuple(f"{bound}_at" if bound in rows else bound for bound in BOUNDS)
-        for step in range(k if rows else 0):
-            low, high = (
-                rows[bound][step] if bound in rows else getattr(problem, bound) for bound in BOUNDS
-            )
+        table = np.empty((2, k if rows else 0, n))
+        names: Any = tuple(f"{name}_at" if name in rows else name for name in BOUNDS)
+        lower, upper = (rows.get(name, repeat(getattr(problem, name))) for name in BOUNDS)
+        for step, low, high in zip(range(table.shape[1]), lower, upper, strict=False):
             try:
-                pair = checks.checked_bounds(low, high, n, names=names)
+                table[:, step] = checks.checked_bounds(low, high, n, names=names)
             except InvalidProblem as error:
                 raise InvalidProblem(f"step {step}: {error}") from error
-            for name, values in zip(BOUNDS, pair, strict=True):
-                if name in rows:
-                    self.bounds[name][step] = values
+        self.bounds: Any = table if rows else None
         self._last: Any = None, None
         for step in range(k if is_list else 0):
             self._with_matrix(problem, step)
 
     def bounds_of(self, problem: LCP, steps: slice) -> tuple[Vector, Vector]:
-        """Return the bounds of some steps, shape (n,) for constant ones, else a row per step."""
-        lower, upper = (
-            self.bounds[name][steps] if name in self.bounds else getattr(problem, name)
-            for name in BOUNDS
-        )
+        """Return the bounds of some steps, shape (n,) if they are constant, else a row per step."""
+        if self.bounds is None:
+            return problem.lower, problem.upper
+        lower, upper = self.bounds[:, steps]
         return lower, upper
 
     def problem_at(self, problem: Any, step: int) -> Any:
@@ -384,8 +379,10 @@ class StepData:
         if self.functions is not None:
             problem = problem.with_function_of(self.functions(step), f"F_at of step {step}")
         problem = problem if self.matrices is None else self._with_matrix(problem, step)
-        rows = {name: bounds[step] for name, bounds in self.bounds.items()}
-        return problem.with_q(problem.q, **rows) if rows else problem
+        if self.bounds is None:
+            return problem
+        lower, upper = self.bounds[:, step]
+        return problem.with_q(problem.q, lower=lower, upper=upper)
 
     def _with_matrix(self, problem: LCP, step: int) -> LCP:
         """Return the problem with the matrix of a step; equal objects in a list share the facts about it."""
@@ -393,8 +390,7 @@ class StepData:
         M = self.matrices(step) if is_called else self.matrices[step]
         if is_called or M is not self._last[0]:  # a function may use one array again
             matrix = checks.rectangular_matrix(M, f"M_at of step {step}", problem.n, problem.n)
-            made = LCP(matrix, problem.q, lower=problem.lower, upper=problem.upper)
-            self._last = M, made
+            self._last = M, LCP(matrix, problem.q, lower=problem.lower, upper=problem.upper)
         stated: LCP = self._last[1]
         return stated
 
@@ -529,24 +525,23 @@ def march(
     >>> steps.z.ravel().round(4)
     array([0.7709, 0.6399, 0.6   ])
     """
-    of_states = lower, upper, z0
+    states = {"lower": lower, "upper": upper, "z0": z0}
     is_list = isinstance(problem, (list, tuple))
     are_many = is_list or _is_one_a_march(propagator) or _axes(forcing) == 3
     if not are_many and _axes(z0) < 2:
         _require_constant_bounds(forcing, lower=lower, upper=upper)
-    are_many = are_many or 2 in map(_axes, of_states)
+    are_many = are_many or 2 in map(_axes, states.values())
     problems: list[Any] = [*problem] if is_list else [problem]  # type: ignore[misc]
     if not problems:
         return []
     clock, limit = Clock(), Settings(max_seconds=max_seconds).max_seconds
-    named = zip((*BOUNDS, "z0"), of_states, strict=True)
-    states = {name: values for name, values in named if values is not None}
-    call = algorithm, options
+    states = {name: values for name, values in states.items() if values is not None}
     at = {"lower": lower_at, "upper": upper_at, "M_at": M_at, "F_at": F_at}
     for name in BOUNDS:
         if name in states and at[name] is not None:
             raise InvalidOption(f"{name} and {name}_at exclude each other; leave out {name}")
-    marches = _begin(problems, forcing, propagator, states, at, call, are_many=are_many)
+    data = forcing, propagator, states, at
+    marches = _begin(problems, *data, algorithm, options, are_many=are_many)
     every = 0 if keep == "last" else whole_number(keep, "keep", 1, ', or "last"')
     for k, run in enumerate(marches):
         run.keep, begun = every, clock.read()
@@ -590,12 +585,12 @@ def _begin(
     propagator: AnyMatrix,
     states: Any,
     at: dict[str, Any],
-    call: Any,
+    algorithm: Any,
+    options: dict[str, Any],
     *,
     are_many: bool,
 ) -> list[March]:
     """Return the marches before their first steps; raise an error for invalid data."""
-    algorithm, options = call
     if _axes(forcing):  # of an F for any number of unknowns
         m = np.shape(forcing)[-1]
         problems = [
@@ -628,7 +623,7 @@ def _begin(
     need = f"{shape}, n = {n}"
     forcings = checked_rows("forcing", forcing, need, lambda of: len(of) in axes and of[-1] == n)
     each = propagator if _is_one_a_march(propagator) else [propagator]
-    rows = [forcings] if forcings.ndim == 2 else list(forcings)
+    rows = [forcings] if forcings.ndim == 2 else [*forcings]
     propagators = [checked_propagator(C, n) for C in each]
     several = {"problem": problems, "forcing": rows, "propagator": propagators}
     for name, values in states.items():
@@ -639,13 +634,12 @@ def _begin(
     marches: list[March] = []
     for j in range(length_of_all(lengths)):
         parts = {name: part[min(j, len(part) - 1)] for name, part in several.items()}
-        stated, bounds = parts["problem"], {name: parts[name] for name in BOUNDS if name in parts}
-        stated = stated.with_q(stated.q, **bounds) if bounds else stated
-        state = (
-            checks.checked_vector(parts["z0"], "z0", n) if "z0" in parts else stated.nearest_to_zero
-        )
-        data = StepData(len(parts["forcing"]), n, problem=stated, **at)
-        marches.append(March(stated, parts["forcing"], parts["propagator"], state, data))
+        stated, force, C = (parts.pop(name) for name in ("problem", "forcing", "propagator"))
+        z0 = parts.pop("z0", None)
+        stated = stated.with_q(stated.q, **parts) if parts else stated
+        state = stated.nearest_to_zero if z0 is None else checks.checked_vector(z0, "z0", n)
+        data = StepData(len(force), n, problem=stated, **at)
+        marches.append(March(stated, force, C, state, data))
     return marches
 
 
@@ -808,7 +802,7 @@ class Steps:
         dM is one change for all steps, or a list of the changes of these steps. At the call, `before` is the change of
         the state before the first step; the last change is written to it.
         """
-        h = np.broadcast_to(df, self.z.shape) + (dC @ self.states[:-1].T).T
+        h = df + (dC @ self.states[:-1].T).T
         value = np.where(self.sides < 0, low, np.where(self.sides > 0, high, 0.0))
 
         def solve_alone(k: int, before: Vector) -> Vector:
@@ -1019,7 +1013,7 @@ class MarchDerivative:
         """
         n, steps = self.march.problem.n, len(self)
         dforcing = np.zeros(n) if dforcing is None else dforcing
-        rows = _rows(dforcing, "dforcing", steps, n, "all steps")
+        rows = np.broadcast_to(_rows(dforcing, "dforcing", steps, n, "all steps"), (steps, n))
         none = sp.csr_array((n, n))
         dM = none if dM is None else sp.csr_array(checks.rectangular_matrix(dM, "dM", n, n))
         dC = none if dpropagator is None else checked_propagator(dpropagator, n, "dpropagator")
@@ -1036,7 +1030,7 @@ class MarchDerivative:
         before = checks.change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():
-            df = rows[part.steps] if rows.ndim > 1 else rows
+            df = rows[part.steps]
             of_M = (
                 dM
                 if dM_at is None
@@ -1076,19 +1070,17 @@ class MarchDerivative:
                [-0.375  , -0.125  ]])
         """
         n, steps = self.march.problem.n, len(self)
-        rows = np.array(_rows(g, "g", steps, n, "the last solution only"))
+        values = _rows(g, "g", steps, n, "the last solution only")
+        rows = np.zeros((steps, n))
+        rows[slice(-1, None) if values.ndim == 1 else slice(None)] = values
         M = getattr(self.march.problem, "csr", sp.csr_array((n, n)))
         propagator = self.march.propagator
         after, of_bounds, forcing = np.zeros(n), np.zeros((2, steps, n)), np.empty((steps, n))
         of_M, of_C, each = np.zeros(M.nnz), np.zeros(propagator.nnz), list[Any]()
         data = self.march.data
         for part in self._parts(backwards=True):
-            g_part = np.zeros(part.z.shape)
-            if rows.ndim > 1:
-                g_part[:] = rows[part.steps]
-            elif part.steps.stop == steps:
-                g_part[-1] = rows
-            by_q = forcing[part.steps] = part.vjp(g_part, after, of_bounds[:, part.steps])
+            by_q = part.vjp(rows[part.steps], after, of_bounds[:, part.steps])
+            forcing[part.steps] = by_q
             if data.matrices is None:
                 of_M += sum_of_outer(M, by_q, part.z).data
             else:
@@ -1097,7 +1089,7 @@ class MarchDerivative:
                 )
                 each[:0] = [*map(outer_on_pattern, at, by_q, part.z)]
             of_C += sum_of_outer(propagator, by_q, part.states[:-1]).data
-        z0 = propagator.T @ after if steps else rows if rows.ndim == 1 else after
+        z0 = propagator.T @ after if steps else np.atleast_2d(values).sum(axis=0)
         by_M: Any = sp.csr_array((of_M, M.indices, M.indptr), shape=(n, n))
         by_M = by_M if data.matrices is None else each
         by_C = sp.csr_array((of_C, propagator.indices, propagator.indptr), shape=(n, n))

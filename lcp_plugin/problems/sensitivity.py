@@ -43,7 +43,7 @@ from ..solving.result import Result
 from ..systems.free_systems import CONSISTENT, FreeBlocks, FreeSystem, LinearizedSystem, products
 from ..systems.graph import outer_on_pattern
 from .batches.batch_run import BatchAnswers
-from .batches.instances import Group, Stacked, Worlds, stack_of
+from .batches.instances import Group, RightSides, Stacked, Worlds, stack_of
 from .batches.on_device import DeviceAnswers, launch
 from .batches.program_batch import ProgramBatch
 from .cones.data import Blocks
@@ -891,8 +891,10 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
         data: Any = ProgramData(example, arrays)
         z = np.concatenate([batch.x, batch.inequality, batch.equality], axis=1)
         return _derivative_of_program(data, z, batch)
-    if (stack := problems.least_squares()) is not None:
-        return _derivative_of_program(least_squares_data(stack, batch.x), batch.x, batch)
+    sides = problems if isinstance(problems, RightSides) else RightSides.of([*problems], None)
+    if sides is not None:
+        data = least_squares_data(sides.stack(slice(None)), batch.x)
+        return _derivative_of_program(data, batch.x, batch)
     raise InvalidOption(
         "the derivative of a batch takes problems of one size, and least squares by problem.with_vectors; "
         "otherwise write [derivative(answer) for answer in batch]"

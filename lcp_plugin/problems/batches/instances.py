@@ -101,9 +101,14 @@ class Instances:
     def start(self, k: int) -> Any:
         """Return the start of problem k, or None."""
 
-    def groups(self) -> Iterator[Group]:
-        """Yield the small LCPs, grouped by size."""
+    def groups(self, suits: Callable[[LCP], bool] = is_small) -> Iterator[Group]:
+        """Yield the LCPs for which `suits` is true, grouped by size."""
         return iter(())
+
+    def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
+        """Yield stacks of small problems."""
+        for group in self.groups(takes_rounds):
+            yield from group.stacks(tolerance)
 
     def path_stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
         """Yield the LCPs for which "lemke" is the compiled path: without starts, at most 128 unknowns."""
@@ -114,9 +119,6 @@ class Instances:
     def outer(self, left: Array, right: Array) -> Any:
         """Return products left_i right_j, shape (B, n, n)."""
         return left[:, :, np.newaxis] * right[:, np.newaxis]
-
-    def least_squares(self) -> BoundedLeastSquares | None:
-        """Return the problems as a stack if they are least squares that share A, weights and ridge."""
 
     def row(self, result: Any) -> Any:
         """Return the row of a result in the table of points."""
@@ -149,11 +151,6 @@ class Listed(Instances):
     def start(self, k: int) -> Any:
         """Return the start of problem k, or None."""
         return None if self.starts is None else self.starts[k]
-
-    def least_squares(self) -> BoundedLeastSquares | None:
-        """Return least squares problems that share A, weights and ridge as a stack; None for others."""
-        rows = RightSides.of(self.problems, None)
-        return None if rows is None else rows.least_squares()
 
     @property
     def points(self) -> list[Any]:
@@ -202,8 +199,7 @@ class Listed(Instances):
             vectors = (np.stack([getattr(item, name) for item in chosen]) for name in names)
             data = chosen[0].has_friction, chosen[0].starts, M, *vectors
             yield np.array(items), partial(_solve_cones, data, None, tolerance, has_time)
-        for group in self.groups(takes_rounds):
-            yield from group.stacks(tolerance)
+        yield from super().stacks(tolerance, has_time, threads)
 
 
 def stack_of(has_friction: bool, starts: Array, M: AnyMatrix, *vectors: Array) -> ConeStack:
@@ -218,14 +214,6 @@ def _solve_cones(data: Any, start: Array, tolerance: float, has_time: Callable[[
     begun = pattern.wide(start) if is_warm else stack.origin
     z, *others = solve_cone_stack(stack, begun, tolerance, has_time, is_warm=is_warm)
     return pattern.flat(z), *others
-
-
-def _stacks_of(base: BoundedLeastSquares, items: Array, stack: Array, tolerance: float) -> Stacks:
-    """Yield least squares problems that share the matrices of `base`, in stacks whose arrays stay in the cache."""
-    _, size = base.normal_equations, length_of_stack(base)  # shared by all stacks
-    for first in range(0, items.size if items.size >= LOOP_FROM and has_numba() else 0, size):
-        part = items[first : first + size]
-        yield part, partial(solve_least_squares_stack, stack(part), tolerance)
 
 
 def have_values(lower: Array, upper: Array) -> Any:
@@ -348,11 +336,6 @@ class Stacked(Rows):
         whole = Group(np.arange(self.count), *map(read_only, (M, *vectors, starts)))
         yield whole if items.size == self.count else whole.select(items)
 
-    def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
-        """Yield stacks of small problems."""
-        for group in self.groups(takes_rounds):
-            yield from group.stacks(tolerance)
-
 
 class RightSides(Rows):
     """One least squares problem with many vectors b, shape (B, m), bounds and l1, shapes (B, n) or (n,).
@@ -389,29 +372,26 @@ class RightSides(Rows):
             return self.problems[k]
         return self.base.with_vectors(*(self._row(name, k) for name in ("b", "lower", "upper")))
 
-    def least_squares(self) -> BoundedLeastSquares:
-        """Return all problems as a stack."""
-        return self.stack(slice(None))
-
     def stack(self, items: Array) -> BoundedLeastSquares:
         """Return these problems as a stack."""
         rows = (self.rows[name] for name in ("b", "lower", "upper", "l1"))
         return self.base.stack(*(array if len(array) == 1 else array[items] for array in rows))
 
     def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
-        """Yield stacks of small problems."""
-        if "z0" in self.rows or not suits_stack(self.stack(slice(None))):
+        """Yield stacks of small problems, whose arrays stay in the cache."""
+        items = self.valid
+        is_many = items.size >= LOOP_FROM and has_numba()
+        if "z0" in self.rows or not (is_many and suits_stack(self.stack(slice(None)))):
             return
-        yield from _stacks_of(self.base, self.valid, self.stack, tolerance)
+        _, size = self.base.normal_equations, length_of_stack(self.base)  # shared by all stacks
+        for first in range(0, items.size, size):
+            part = items[first : first + size]
+            yield part, partial(solve_least_squares_stack, self.stack(part), tolerance)
 
     def objectives(self, z: Array) -> Any:
         """Return the cost of each z, shape (B,)."""
-        values, size = np.empty(self.count), length_of_stack(self.base)
-        for first in range(0, self.count, size):
-            part = slice(first, first + size)
-            stack = self.stack(part)
-            values[part] = stack.cost(z[part], times(stack.A, z[part]) - stack.b)
-        return values
+        stack = self.stack(slice(None))
+        return stack.cost(z, times(stack.A, z) - stack.b)
 
 
 class Worlds(Instances):

@@ -33,7 +33,7 @@ from ..core.entries import residual_scales
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, FREE, HALF_OF_DIGITS, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
-from ..core.names import MOST_NAMES, format_count, listed
+from ..core.names import format_count, listed
 from ..core.problem_classes import foreign_function, refusal
 from ..core.settings import Status
 from ..proofs.bounds import ActiveRows, settled_rows
@@ -119,11 +119,10 @@ class BatchPart(LinearizedSystem):
         is_clear = kink | (lower == upper) | np.where(free, is_far, slack > HALF_OF_DIGITS * size)
         self.degenerate, self.free = kink, free & ~kink
         self.blocks = FreeBlocks(M, self.free)
-        freed = np.flatnonzero(kink.any(axis=1) & ~self.blocks.is_regular)
-        if freed.size:
-            others = FreeBlocks(M if len(M) == 1 else M[freed], (free | kink)[freed])
-            gains = freed[others.is_regular]
-            self.free[gains] |= kink[gains]
+        is_doubtful = kink.any(axis=1) & ~self.blocks.is_regular
+        if is_doubtful.any():
+            is_freed = is_doubtful & FreeBlocks(M, free | kink).is_regular
+            self.free |= kink & is_freed[:, np.newaxis]
             self.blocks = FreeBlocks(M, self.free)
         self.is_plain = is_exact & is_clear.all(axis=1)
         self.is_plain &= self.blocks.is_regular | self.blocks.is_singular
@@ -181,19 +180,7 @@ class BatchGradient:
         return self._matrix()
 
 
-class DerivativeSequence:
-    """Derivatives of the results of a `batch`; ``derivatives[k]`` is the derivative of result k."""
-
-    batch: Any
-
-    def __len__(self) -> int:
-        return len(self.batch)
-
-    def __getitem__(self, k: int) -> Any:
-        return derivative(self.batch[k])
-
-
-class ManyDerivatives(DerivativeSequence):
+class ManyDerivatives:
     """Derivatives of a batch; ``derivatives[k]`` is the derivative of result k.
 
     Small problems share stacked systems, other problems are treated individually.
@@ -220,11 +207,17 @@ class ManyDerivatives(DerivativeSequence):
             ended = f"{batch.item} {k} ended {status.name}: {status.value}"
             self.errors[k] = UnsuitableProblem(f"only a solution has a derivative, and {ended}")
 
+    def __len__(self) -> int:
+        return len(self.batch)
+
     def __getitem__(self, k: int) -> Any:
         k = item_number(k, len(self))
         if k not in self._each:
-            self._each[k] = super().__getitem__(k)
+            self._each[k] = self._derive(k)
         return self._each[k]
+
+    def _derive(self, k: int) -> Any:
+        return derivative(self.batch[k])
 
     @derived_property
     def _parts(self) -> Sequence[Any]:
@@ -486,12 +479,9 @@ class ConditionsBatchDerivative(BatchDerivative):
         """Return the derivatives that accept degenerate rows."""
         return ConditionsBatchDerivative(self.batch, self.data, is_strict=False)
 
-    def __getitem__(self, k: int) -> ConditionsDerivative:
-        if k not in self._each:
-            problem, z = self.batch.problems[k], self.batch.z[k]
-            derivative = ConditionsDerivative(problem, z, self.data, is_strict=self.is_strict)
-            self._each[k] = derivative
-        return self._each[k]
+    def _derive(self, k: int) -> ConditionsDerivative:
+        problem, z = self.batch.problems[k], self.batch.z[k]
+        return ConditionsDerivative(problem, z, self.data, is_strict=self.is_strict)
 
     @derived_property
     def _parts(self) -> list[BatchPart]:
@@ -517,7 +507,7 @@ class ConditionsBatchDerivative(BatchDerivative):
         return are_unique
 
 
-class ProgramBatchDerivative(DerivativeSequence, ProgramDerivative):
+class ProgramBatchDerivative(ProgramDerivative):
     """The derivatives of the solutions of a batch of programs, or of least squares problems.
 
     Item k is the :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative` of problem k; `jvp` and
@@ -528,9 +518,12 @@ class ProgramBatchDerivative(DerivativeSequence, ProgramDerivative):
         super().__init__(data, conditions)
         self.batch = batch
 
+    def __len__(self) -> int:
+        return len(self.batch)
+
     def __getitem__(self, k: int) -> ProgramDerivative:
-        derivative: ProgramDerivative = super().__getitem__(k)
-        return derivative if self.conditions.is_strict else derivative.one_sided()
+        item: ProgramDerivative = derivative(self.batch[k])
+        return item if self.conditions.is_strict else item.one_sided()
 
 
 class DeviceDerivative(ManyDerivatives):
@@ -577,14 +570,12 @@ class DeviceDerivative(ManyDerivatives):
         is_upper = xp.where(is_fixed, w < 0.0, z == upper)
         tables = by_q, xp.where(is_upper, 0.0, by_bound), xp.where(is_upper, by_bound, 0.0)
         for k in np.flatnonzero(~(xp.asnumpy(is_clear) & self._is_solved)).tolist():
-            weights, of_host = xp.asnumpy(rows[k]), np.full((3, z.shape[1]), np.nan)
+            weights, of_host = xp.asnumpy(rows[k]), np.zeros((3, z.shape[1]))
             try:
                 if weights.any():
-                    of_host[:] = [*self[k].vjp(weights)][:3]
-                else:
-                    of_host[:] = 0.0
+                    of_host[:] = self[k].vjp(weights)[:3]
             except LCPError as error:
-                self.errors[k] = error
+                self.errors[k], of_host[:] = error, np.nan
             for table, row in zip(tables, of_host, strict=True):
                 table[k] = xp.asarray(row)
         names = dict(zip(("q", "lower", "upper"), map(batch.library, tables), strict=True))
@@ -772,8 +763,7 @@ def one_sided(problem: LCP, rows: ActiveRows, h: Vector, moved: Vector) -> Vecto
     part = np.flatnonzero(rows.free | rows.degenerate)
     dz = np.where(rows.at_lower | rows.at_upper, moved, 0.0)
     M = problem.M
-    block = M[part][:, part] if sp.issparse(M) else M[np.ix_(part, part)]
-    small = LCP(block, (h + M @ dz)[part], lower=lower[part], upper=upper[part])
+    small = LCP(M[part][:, part], (h + M @ dz)[part], lower=lower[part], upper=upper[part])
     result = solve_lcp(small)
     if not result.is_solved:
         raise UnsuitableProblem(
@@ -896,7 +886,7 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
         data = least_squares_data(sides.stack(slice(None)), batch.x)
         return _derivative_of_program(data, batch.x, batch)
     raise InvalidOption(
-        "the derivative of a batch takes problems of one size, and least squares by problem.with_vectors; "
+        "the derivative of a batch takes problems of one size, and of least squares those by problem.with_vectors; "
         "otherwise write [derivative(answer) for answer in batch]"
     )
 
@@ -1007,11 +997,9 @@ class Derivative(LinearizedSystem):
         singular = words_on_singular(system) if system.is_singular else ""
         kink = ""
         if rows.size:
-            named = ", ".join(map(str, rows[:MOST_NAMES].tolist())) + ", …" * (
-                rows.size > MOST_NAMES
-            )
+            numbers = listed(map(str, rows.tolist()))
             kink = (
-                f"w = 0 at a bound in {format_count(rows.size, 'row')} ({named}): jvp is one-sided, and vjp the "
+                f"w = 0 at a bound in {format_count(rows.size, 'row')} ({numbers}): jvp is one-sided, and vjp the "
                 "gradient of one of the pieces that meet there"
             )
         return "; ".join(filter(None, (kink, singular, several)))

@@ -284,10 +284,9 @@ class LemkePath:
         sizes[q == 0.0] = sizes.min(where=q != 0.0, initial=sizes.max(initial=0.0))
         self.q = q + TIE_BREAK * sizes * tilts
         self.absolute, self.columns = np.abs(M), np.column_stack([M, np.zeros(n)])
-        real, whole, matrix = tableau.shapes(n)
-        self.real = np.zeros(real)
-        self.whole = np.zeros(whole, dtype=np.int64)
-        self.matrix = np.zeros(matrix)
+        self.real = np.zeros((5, n + 1))
+        self.whole = np.zeros((5, 2 * n + 1), dtype=np.int64)
+        self.matrix = np.zeros((n + 1, n + 1))
         self.real[tableau.WIDTH, :n] = upper
         self.basis = self.whole[tableau.BASIC, :n]
         self.others = self.whole[tableau.OTHER, : n + 1]

@@ -3,8 +3,7 @@
 The tableau expresses the n basic variables by the n + 1 others, so a pivot touches n (n + 1) numbers. Exactly one of
 z_i, w_i is basic for every row i but the *driven* row; SIDE is the place of z_i: AT_LOWER (w_i ≥ 0 basic), BETWEEN (z_i
 basic), AT_UPPER (w_i ≤ 0 basic). Bounds belong to variables. The caller perturbs q, so that no two rows block at once.
-Variables are numbered z_i = i, w_i = n + i, t = 2n. Vectors are rows of `real`, index vectors rows of `whole`
-(:func:`shapes`).
+Variables are numbered z_i = i, w_i = n + i, t = 2n. Vectors are rows of `real`, index vectors rows of `whole`.
 
 A few pivots are made at a time, and the caller renews the tableau (:func:`pivots`). Rows are divided by their largest
 entry.
@@ -18,51 +17,33 @@ from ...core.kernels.compilation import inline, kernel
 
 KEPT, WIDTH, LOW, HIGH, DISTANCE = np.arange(5)  # rows of `real`
 SIDE, BASIC, PLACE, OTHER, START = range(5)  # rows of `whole`
-AT_LOWER, BETWEEN, AT_UPPER, FIXED, NOT_STARTED = 0, 1, 2, 3, 4
-HELD = 8  # pivots whose products are added to a large tableau at once
+AT_LOWER, BETWEEN, AT_UPPER, NOT_STARTED = 0, 1, 2, 3
 TIE = 1e-12  # relative: ratios that differ by less are equal up to rounding
 OWN_BOUND, NOTHING = -1, -2
 GOING_ON, SOLVED, RAY, LOST, RETURNED = 0, 1, 2, 3, 4
 
 
-def shapes(n: int) -> tuple[tuple[int, int], ...]:
-    """Return the shapes of `real`, `whole` and `matrix`."""
-    return (5, n + 1), (5, 2 * n + 1), (n + 2 * HELD, n + 1)
-
-
 @kernel
-def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]  # noqa: PLR0912
+def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  # type: ignore[no-untyped-def]
     """Make up to `limit` pivots; return (outcome, driven variable, its value and direction, pivots made).
-
-    The tableau is the first n rows of `matrix` plus the products of the columns `factors` with `rows`, which follow:
-    the updates of the last few pivots. All updates are added together, so that a large tableau goes through memory only
-    once. The entries that a pivot needs are updated before.
 
     Parameters
     ----------
     real, whole, matrix : arrays
-        Rows KEPT, LOW, HIGH, WIDTH; rows BASIC, OTHER, PLACE, SIDE, START. `matrix` is the tableau. All but WIDTH and
-        START are updated.
+        Rows KEPT, LOW, HIGH, WIDTH; rows BASIC, OTHER, PLACE, SIDE, START. `matrix` is the tableau, and behind it one
+        row of workspace. All but WIDTH and START are updated.
     is_fresh : bool
         True if the tableau has just been computed: a first pivot of any size is then accepted.
     """
-    # A tableau of 64 rows stays in the cache.
-    most = HELD if n > 64 else 1
-    factors, rows = matrix[n : n + HELD], matrix[n + HELD : n + 2 * HELD]
-    made, held, outcome = 0, 0, GOING_ON
+    made, outcome = 0, GOING_ON
     while made < limit and outcome == GOING_ON:
         column, largest = whole[PLACE, driven] - n, 0.0
         for i in range(n):
-            for k in range(held):
-                matrix[i, column] += factors[k, i] * rows[k, column]
             largest = max(largest, abs(matrix[i, column]))
-        for k in range(held):
-            rows[k, column] = 0.0
         row, step = _blocking(real, whole, matrix, n, column, direction, value, driven)
         if row == NOTHING:
             outcome = RAY
             break
-        _bring_up_to_date(matrix, n, factors, rows, held, row)
         # A pivot so small is taken in a new tableau only.
         if row >= 0 and not (is_fresh and made == 0) and abs(matrix[row, column]) < 1e-9 * largest:
             outcome = LOST
@@ -72,15 +53,7 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
         )
         made += 1
         if row >= 0:
-            _hold(matrix, n, factors[held], rows[held], row, column)
-            held += 1
-        if held == most:
-            if most == HELD:
-                _add(matrix, n, factors, rows)
-            else:
-                for i in range(n):
-                    _bring_up_to_date(matrix, n, factors, rows, held, i)
-            held = 0
+            _exchange(matrix, n, matrix[n], row, column)
         entered = BETWEEN if driven < n else AT_LOWER if direction > 0.0 else AT_UPPER
         is_back = True
         for i in range(n):
@@ -89,52 +62,23 @@ def pivots(real, whole, matrix, n, driven, value, direction, is_fresh, limit):  
             outcome = SOLVED
         elif is_back:  # a path from an arbitrary active set may be a loop
             outcome = RETURNED
-    for i in range(n):
-        _bring_up_to_date(matrix, n, factors, rows, held, i)
     return outcome, driven, value, direction, made
 
 
 @inline
-def _bring_up_to_date(matrix, n, factors, rows, held, row):  # type: ignore[no-untyped-def]
-    """Add what is held back of a row to the tableau; OWN_BOUND is none."""
-    for k in range(held):
-        if row >= 0 and factors[k, row] != 0.0:
-            factor = factors[k, row]
-            for j in range(n + 1):
-                matrix[row, j] += factor * rows[k, j]
-            factors[k, row] = 0.0
-
-
-@inline
-def _hold(matrix, n, factor, held, row, column):  # type: ignore[no-untyped-def]
-    """Store the product that an exchange of `row` and `column` adds to the tableau, and clear both in the tableau."""
+def _exchange(matrix, n, pivot_row, row, column):  # type: ignore[no-untyped-def]
+    """Exchange the variables of `row` and `column` in the tableau; `pivot_row` is workspace."""
     p = matrix[row, column]
     for j in range(n + 1):
-        held[j] = matrix[row, j] / -p
+        pivot_row[j] = matrix[row, j] / -p
         matrix[row, j] = 0.0
-    held[column] = 1.0 / p
+    pivot_row[column], matrix[row, column] = 1.0 / p, 1.0
     for i in range(n):
-        factor[i] = matrix[i, column]
+        factor = matrix[i, column]
         matrix[i, column] = 0.0
-    factor[row] = 1.0
-
-
-@inline
-def _add(matrix, n, factors, rows):  # type: ignore[no-untyped-def]
-    """Add all that is held back to the tableau: HELD products at once."""
-    for i in range(n):
-        is_zero = True
-        for k in range(HELD):
-            is_zero &= factors[k, i] == 0.0
-        if is_zero:
-            continue
-        a, b, c, d = factors[0, i], factors[1, i], factors[2, i], factors[3, i]
-        e, f, g, h = factors[4, i], factors[5, i], factors[6, i], factors[7, i]
-        for j in range(n + 1):
-            first = (a * rows[0, j] + b * rows[1, j]) + (c * rows[2, j] + d * rows[3, j])
-            matrix[i, j] += first + (
-                (e * rows[4, j] + f * rows[5, j]) + (g * rows[6, j] + h * rows[7, j])
-            )
+        if factor != 0.0:
+            for j in range(n + 1):
+                matrix[i, j] += factor * pivot_row[j]
 
 
 @inline
@@ -153,16 +97,6 @@ def _move(real, whole, matrix, n, driven, value, direction, row, column, step): 
         whole[SIDE, driven] = AT_UPPER if direction > 0.0 else AT_LOWER
         return row, n + driven, 0.0, -direction
     real[KEPT, row] = value + direction * step
-    leaving = _swap(real, whole, n, row, column)
-    if leaving == 2 * n:
-        return leaving, driven, value, direction
-    driven, value, direction = _complement(real, whole, n, leaving, is_falling)
-    return leaving, driven, value, direction
-
-
-@inline
-def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
-    """Exchange the basic variable of `row` and the nonbasic variable of `column`; return the leaving variable."""
     leaving, entering = whole[BASIC, row], whole[OTHER, column]
     whole[BASIC, row], whole[OTHER, column] = entering, leaving
     whole[PLACE, entering], whole[PLACE, leaving] = row, n + column
@@ -172,18 +106,14 @@ def _swap(real, whole, n, row, column):  # type: ignore[no-untyped-def]
     else:
         is_above = entering == 2 * n or whole[SIDE, entering - n] == AT_LOWER
         real[LOW, row], real[HIGH, row] = 0.0 if is_above else -np.inf, np.inf if is_above else 0.0
-    return leaving
-
-
-@inline
-def _complement(real, whole, n, leaving, is_falling):  # type: ignore[no-untyped-def]
-    """Return the complement of a variable that left the basis, the value of the complement, and its direction."""
-    if leaving >= n:  # w_i reached 0: z_i leaves its bound
-        i = leaving - n
-        is_low = whole[SIDE, i] == AT_LOWER
-        return i, 0.0 if is_low else real[WIDTH, i], 1.0 if is_low else -1.0
-    whole[SIDE, leaving] = AT_LOWER if is_falling else AT_UPPER
-    return n + leaving, 0.0, 1.0 if is_falling else -1.0
+    if leaving == 2 * n:
+        return leaving, driven, value, direction
+    if leaving < n:
+        whole[SIDE, leaving] = AT_LOWER if is_falling else AT_UPPER
+        return leaving, n + leaving, 0.0, 1.0 if is_falling else -1.0
+    i = leaving - n  # w_i reached 0: z_i leaves its bound
+    is_low = whole[SIDE, i] == AT_LOWER
+    return leaving, i, 0.0 if is_low else real[WIDTH, i], 1.0 if is_low else -1.0
 
 
 @inline

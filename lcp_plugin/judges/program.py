@@ -81,9 +81,7 @@ class KKTErrors(NamedTuple):
         return np.maximum(self.primal * (PROGRAM_TOLERANCE / ROWS), self.gap)
 
     @classmethod
-    def of(
-        cls, program: JudgedProgram, x: Vector, y: Vector, tolerance: float = PROGRAM_TOLERANCE
-    ) -> KKTErrors:
+    def of(cls, program: JudgedProgram, x: Vector, y: Vector, tolerance: float) -> KKTErrors:
         """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
         errors, terms = cls(np.inf, np.inf), program.terms
         if terms.is_one_dense_component and tolerance:

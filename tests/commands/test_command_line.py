@@ -406,7 +406,7 @@ def test_ctrl_c_prints_the_best_so_far():
     """
     pty = pytest.importorskip("pty", reason="terminals are a thing of Unix")
     ours, theirs = pty.openpty()
-    command = "solve obstacle_2d:size=300 -a npgs --tolerance 1e-14 --out z.npz"
+    command = "solve obstacle_2d:size=600 -a npgs --tolerance 1e-14 --out z.npz"
     running = subprocess.Popen(
         [sys.executable, "-m", "lcp_plugin", *command.split()],
         stdout=subprocess.PIPE,

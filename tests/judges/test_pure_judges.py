@@ -110,7 +110,7 @@ def test_a_gradient_that_is_no_rounding_error_has_no_price_by_cancelling_terms()
     g = 2.0**-30
     program = QuadraticProgram(np.ones((3, 3)), [-g, 0, -g], lower=[-np.inf, -1e6, -np.inf])
     x = np.array([1.0, 0.0, -1.0 + g])
-    assert not KKTErrors.of(program.judged, x, np.zeros(0)).meet(1e-6)
+    assert not KKTErrors.of(program.judged, x, np.zeros(0), 1e-6).meet(1e-6)
 
 
 def test_a_sum_that_is_zero_by_rounding_is_no_least_squares_solution():

@@ -78,9 +78,10 @@ class Optimality:
 
     def is_worse_than_known(self, tolerance: float) -> bool:
         """Return whether x costs more than a known point, including the rounding of that point's cost."""
-        enclosures, radius, known = self.enclosures, self.misfit[1], self.enclosures.known
-        if _may_be_rounding(enclosures.problem, self.cost, radius, tolerance):
-            known = [*known, enclosures.unbounded_solution]
+        enclosures, problem = self.enclosures, self.enclosures.problem
+        known = [problem.nearest_to_zero]
+        if _may_be_rounding(problem, self.cost, self.misfit[1], tolerance):
+            known.append(enclosures.unbounded_solution)
         return any(_exceeds(self.cost, enclosures.cost_above(x), tolerance) for x in known)
 
     @derived_property

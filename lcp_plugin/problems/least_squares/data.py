@@ -410,12 +410,10 @@ class Enclosures:
     reference : float
         ‖AᵀWb‖∞ in units in which columns have about unit length. If AᵀWb is 0, of the gradient at the
         point of [lower, upper] nearest to 0; if that is 0 as well, that point is a solution.
-    known : list of ndarray, shape (n,)
-        Points within the bounds whose cost no solution exceeds.
     """
 
     def __init__(self, problem: BoundedLeastSquares) -> None:
-        self.problem, self.known = problem, [problem.nearest_to_zero]
+        self.problem = problem
 
     def cost_above(self, x: Vector) -> Any:
         """Return an upper bound of the cost of x."""

@@ -130,8 +130,6 @@ class LeastSquaresRun(Run):
         super().__init__(progress)
         self.problem, self.start = problem, start
         self.enclosures = Enclosures(problem)
-        if start is not None:
-            self.enclosures.known.append(start)
         self.aim = self.settings.tolerance
 
     @derived_property

@@ -545,7 +545,11 @@ class ProgramProofs:
                 if self.own_solution is None
                 else [multipliers, self.own_solution.multipliers]
             )
-            gaps = [KKTErrors.of(program.judged, x, y[:rows]).gap for y in points if y is not None]
+            gaps = [
+                KKTErrors.of(program.judged, x, y[:rows], tolerance).gap
+                for y in points
+                if y is not None
+            ]
             if (gap := min(gaps, default=math.inf)) <= tolerance:
                 reason = f"the stopping criterion holds: duality gap {gap:.2g}"
                 verdict = replace(verdict, verdict="proved", duality_gap=gap, reason=reason)

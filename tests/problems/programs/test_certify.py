@@ -555,3 +555,13 @@ def test_a_point_that_an_interior_point_method_leaves_next_to_its_bounds_is_prov
     program = QuadraticProgram(None, [1.0, 2.0], A=[[1.0, 1.0]], b=[1.0], lower=0.0)
     assert certify(program, [1.0 - off, off]).verdict == "proved"
     assert certify(program, [1.0 - 1e4 * off, 1e4 * off]).verdict == "disproved"
+
+
+def test_a_tolerance_below_the_default_is_met_by_the_sums_themselves():
+    """P of rank 1, units from 1e-4 to 1e4, tolerance=1e-11: auto's points are proved."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        f = rng.normal(size=3) * 10.0 ** rng.integers(-4, 5, 3)
+        x, G = rng.normal(size=3), rng.normal(size=(7, 3))
+        program = QuadraticProgram(np.outer(f, f), -f * (f @ x), G, G @ x + 0.5)
+        assert certify(program, solve(program).x, tolerance=1e-11).verdict == "proved"

@@ -177,7 +177,7 @@ def test_the_judge_refuses_what_is_far_from_optimal(name):
     """Wrong objectives with large multipliers, idle unknowns and slacks do not pass."""
     program, x, multipliers = FELL[name]
     y = np.array(multipliers[: program.constraints.right.size], np.float64)
-    errors = KKTErrors.of(program.judged, np.array(x, np.float64), y)
+    errors = KKTErrors.of(program.judged, np.array(x, np.float64), y, 1e-6)
     assert errors.largest > 1e-5, errors
 
 
@@ -238,7 +238,7 @@ def test_a_tiny_cost_decides_the_point_along_a_flat_curvature(end):
     result = solve(program)
     assert result.status is Status.SOLVED
     np.testing.assert_allclose(result.x, end, rtol=1e-12)
-    opposite = KKTErrors.of(program.judged, np.full(2, -end), np.zeros(0))
+    opposite = KKTErrors.of(program.judged, np.full(2, -end), np.zeros(0), 1e-6)
     assert not opposite.meet(1e-6)
 
 
@@ -448,7 +448,7 @@ def test_constructed_points_are_refused(name, kind):
     data, x, y = CONSTRUCTED[name]
     matrices = {key: kind(np.array(data[key], float)) for key in ("P", "G", "A") if key in data}
     program = QuadraticProgram(**{"P": None, **data, **matrices})
-    assert not KKTErrors.of(program.judged, np.array(x, float), np.array(y, float)).meet(1e-6)
+    assert not KKTErrors.of(program.judged, np.array(x, float), np.array(y, float), 1e-6).meet(1e-6)
 
 
 @pytest.mark.parametrize(
@@ -470,7 +470,7 @@ def test_inconsistent_rows_next_to_a_large_unknown_are_infeasible(lower, upper, 
 def test_documented_limits_of_the_test():
     """A row violated by 9e-10 of its terms passes, also a program within 1e-11 of a bounded one."""
     row = QuadraticProgram(np.diag([1.0, 0.0]), [0, 0], [[0, 1], [-1, -1e11]], [1, -1e11 - 50])
-    assert KKTErrors.of(row.judged, np.array([0, 1 + 9e-10]), np.zeros(2)).meet(1e-6)
+    assert KKTErrors.of(row.judged, np.array([0, 1 + 9e-10]), np.zeros(2), 1e-6).meet(1e-6)
     nearly = QuadraticProgram(None, [1, -(1 + 1e-11)], [[-1, 1]], [-1])
     assert solve(nearly).status is Status.SOLVED
 
@@ -478,8 +478,10 @@ def test_documented_limits_of_the_test():
 def test_an_objective_near_0_leaves_no_unknown_beyond_its_bound():
     """The row x₁ + x₂ ≥ 1 has a multiplier of 1; x₂ is 1e-15 below its bound, which costs x₁ a thousand optima."""
     program = QuadraticProgram(None, [1, 1e-18], [[-1, -1]], [-1], lower=0, upper=[10, 1])
-    assert not KKTErrors.of(program.judged, np.array([1e-15, 1 - 1e-15]), np.ones(1)).meet(1e-6)
-    assert KKTErrors.of(program.judged, np.array([0.0, 1.0]), np.ones(1)).meet(1e-6)
+    assert not KKTErrors.of(program.judged, np.array([1e-15, 1 - 1e-15]), np.ones(1), 1e-6).meet(
+        1e-6
+    )
+    assert KKTErrors.of(program.judged, np.array([0.0, 1.0]), np.ones(1), 1e-6).meet(1e-6)
 
 
 def test_an_exact_minimizer_is_optimal_although_products_cancel():
@@ -487,8 +489,8 @@ def test_an_exact_minimizer_is_optimal_although_products_cancel():
     v = np.array([1e6, 1.0, -1.0])
     program = QuadraticProgram(np.outer(v, v), [0, 0, 1], lower=[-10, -2e6, 0], upper=[10, 2e6, 1])
     none = np.zeros(0)
-    assert KKTErrors.of(program.judged, np.array([1, -1e6, 0.0]), none).meet(1e-6)
-    assert not KKTErrors.of(program.judged, np.array([1, -1e6, 1e-9]), none).meet(1e-6)
+    assert KKTErrors.of(program.judged, np.array([1, -1e6, 0.0]), none, 1e-6).meet(1e-6)
+    assert not KKTErrors.of(program.judged, np.array([1, -1e6, 1e-9]), none, 1e-6).meet(1e-6)
 
 
 @pytest.mark.parametrize("value", [1e160, 1e308, np.nan, np.inf])
@@ -496,7 +498,7 @@ def test_no_number_is_no_answer(value):
     """NaN, ∞ and overflowing values are rejected as x and as multipliers."""
     program = QuadraticProgram(np.eye(2), [-1, -2], [[1, 1]], [1])
     for x, y in (([value, 1.0], [1.0]), ([0.0, 1.0], [value])):
-        assert not KKTErrors.of(program.judged, np.array(x), np.array(y)).meet(1e-6)
+        assert not KKTErrors.of(program.judged, np.array(x), np.array(y), 1e-6).meet(1e-6)
 
 
 def test_plain_sums_pass_nothing_that_exact_ones_refuse(draws):
@@ -549,7 +551,7 @@ def test_multipliers_as_large_as_a_cost_that_forbids_excuse_no_gap():
     program = transport([[2.0, B, 8.0], [6.0, 6.0, B], [10.0, B, 1.0]], third, third)
     wrong = np.array([1.0, 0.0, 1.0, 0.0, 2.0, 0.0, 1.0, 0.0, 1.0]) / 6.0
     large = np.array([-9.993053386490377e32, 1.9986126077377203e33, -9.993053386490377e32])
-    assert not KKTErrors.of(program.judged, wrong, np.append(large, -large)).meet(1e-6)
+    assert not KKTErrors.of(program.judged, wrong, np.append(large, -large), 1e-6).meet(1e-6)
     result = solve(program)
     assert result.is_solved
     assert result.objective == pytest.approx(3.0)

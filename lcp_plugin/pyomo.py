@@ -227,9 +227,8 @@ def _results_of(answer: PyomoAnswer) -> Any:
     """Return Pyomo's account of an answer."""
     solution, content = answer.solution, answer.statement.content
     results = SolverResults()
-    is_violated = (
-        solution.result.is_solved and not solution.is_solved
-    )  # a condition next to the pairs
+    # A condition next to the pairs may be violated
+    is_violated = solution.result.is_solved and not solution.is_solved
     word = "other" if is_violated else STATUS_ELSEWHERE[solution.status][2]
     condition = TerminationCondition(word)
     results.solver.name, results.solver.message = NAME, solution.message

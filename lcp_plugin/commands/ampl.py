@@ -157,7 +157,5 @@ def _answer(content: NLContent, settings: dict[str, Any]) -> tuple[str, Any, Any
     proof = answer.result.proof
     has_words = proof is not None and proof is not answer.result  # which proves itself
     advice = [] if answer.is_solved else [str(proof) if has_words else answer.result.advice]
-    message = "\n".join(
-        [answer.message, *advice, *(f"warning: {warning.message}" for warning in warned)]
-    )
-    return message, answer.x, answer.duals, answer.code
+    advice += [f"warning: {warning.message}" for warning in warned]
+    return "\n".join([answer.message, *advice]), answer.x, answer.duals, answer.code

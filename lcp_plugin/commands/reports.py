@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable, Iterator
+from operator import attrgetter
 from typing import Any
 
 from .. import gallery
@@ -76,16 +77,12 @@ def print_names() -> None:
         "Algorithms over cones, and for contact with friction": {**METHODS},
     }
     for title, algorithms in lists.items():
-        rows = [
-            (name, algorithm.needs, algorithm.solves, algorithm.cost)
-            for name, algorithm in algorithms.items()
-        ]
+        facts = attrgetter("needs", "solves", "cost")
+        rows = [(name, *facts(algorithm)) for name, algorithm in algorithms.items()]
         terminal.print(_table(title, heads, rows))
     engines = {name: engine_class(name) for name in ENGINES}
-    rows = [
-        (name, algorithm.solves, algorithm.cost, algorithm.obeys)
-        for name, algorithm in engines.items()
-    ]
+    facts = attrgetter("solves", "cost", "obeys")
+    rows = [(name, *facts(engine)) for name, engine in engines.items()]
     heads = ("name", "solves", "costs", "options that act during a run")
     terminal.print(_table("External solvers, for convex programs", heads, rows))
     sources: dict[str, list[str]] = {}

@@ -153,12 +153,8 @@ def json_content(answer: Any) -> dict[str, Any]:
     """Return status, residuals and counts of a result, without vectors."""
     owners = [answer, getattr(answer, "certificate", None)]
     owners += [] if answer.has_no_solution else [getattr(answer, "solution", None)]
-    numbers = {
-        name: getattr(owner, name)
-        for owner in owners
-        for name in NUMBERS.split()
-        if hasattr(owner, name)
-    }
+    named = ((name, owner) for owner in owners for name in NUMBERS.split())
+    numbers = {name: getattr(owner, name) for name, owner in named if hasattr(owner, name)}
     return {
         "status": answer.status.name,
         "advice": answer.advice,

@@ -308,10 +308,8 @@ class ConvexForm:
         share, cost, rows = 0.5, scaled.q @ y, []
         if self.kind == GAP:
             is_bound = np.isfinite(ends)
-            a, b = (
-                cp.Variable(scaled.n, bounds=[0.0, np.where(has_bound, np.inf, 0.0)])
-                for has_bound in is_bound
-            )
+            largest = np.where(is_bound, np.inf, 0.0)
+            a, b = (cp.Variable(scaled.n, bounds=[0.0, end]) for end in largest)
             lower, upper = np.where(is_bound, ends, 0.0)
             share, cost = 1.0, cost - lower @ a + upper @ b
             rows = [scaled.M @ y + scaled.q == a - b]

@@ -356,12 +356,9 @@ def _draw_cones(axes: Any, answer: Any, frame: Frame | Scene) -> None:
 
 def _draw_residuals(axes: Any, result: BaseResult) -> None:
     """Draw how the residual of a recorded run fell with time."""
-    samples = [
-        (sample.seconds, sample.residual)
-        for sample in result.history
-        if sample.residual is not None
-    ]
-    seconds, residuals = np.reshape(samples, (-1, 2)).T
+    samples = [sample for sample in result.history if sample.residual is not None]
+    seconds = [sample.seconds for sample in samples]
+    residuals = np.array([sample.residual for sample in samples])
     # A residual of 0 is drawn at a tenth of the least number on its logarithmic axis
     edge = 0.1 * min([*residuals[residuals > 0.0], result.tolerance or 1.0])
     axes.semilogy(seconds, np.maximum(residuals, edge), ".-", markersize=4, color=FREE)

@@ -306,11 +306,8 @@ def methods_of(algorithms: Any) -> list[Method]:
     if isinstance(algorithms, str | Algorithm) or _is_pair(algorithms):
         algorithms = [algorithms]
     try:
-        named = (
-            [*algorithms.items()]
-            if isinstance(algorithms, Mapping)
-            else [(None, algorithm) for algorithm in [*algorithms]]
-        )
+        is_named = isinstance(algorithms, Mapping)
+        named = [*algorithms.items()] if is_named else [(None, part) for part in [*algorithms]]
     except TypeError:  # a sparse array only looks like a sequence
         raise InvalidOption(
             f'methods must be names or Algorithm objects, got {algorithms!r}; write ["psor"]'
@@ -327,10 +324,8 @@ def methods_of(algorithms: Any) -> list[Method]:
     return [*methods_by_label.values()]
 
 
-def _is_pair(algorithm: object) -> bool:
-    return (
-        isinstance(algorithm, tuple) and len(algorithm) == 2 and isinstance(algorithm[1], Mapping)
-    )
+def _is_pair(pair: object) -> bool:
+    return isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[1], Mapping)
 
 
 def _method(label: object, algorithm: Any) -> Method:
@@ -349,8 +344,7 @@ def _label(algorithm: str | Algorithm) -> str:
     """Return the name with the options that differ from the defaults."""
     if isinstance(algorithm, str):
         return algorithm
-    values = [(option, getattr(algorithm, option.name)) for option in fields(algorithm)]
-    changed = [
-        f"{option.name}={value}" for option, value in values if repr(value) != repr(option.default)
-    ]
-    return " ".join([algorithm.name, *changed])
+    defaults = {option.name: option.default for option in fields(algorithm)}
+    values = {name: getattr(algorithm, name) for name in defaults}
+    changed = (name for name in defaults if repr(values[name]) != repr(defaults[name]))
+    return " ".join([algorithm.name, *(f"{name}={values[name]}" for name in changed)])

@@ -363,11 +363,8 @@ def relative_error(z: Vector, exact: ExactPoint, unit: float | Vector) -> float:
     """
     units = [Fraction(value) for value in np.broadcast_to(unit, z.shape).tolist()]
     rows = [*zip(z.tolist(), exact, units, strict=True)]
-    error = max(
-        (abs(Fraction(value) - right) / unit_of_row for value, right, unit_of_row in rows),
-        default=Fraction(0),
-    )
-    largest = max((abs(right) / unit_of_row for _, right, unit_of_row in rows), default=Fraction(0))
+    error = max((abs(Fraction(value) - right) / scale for value, right, scale in rows), default=0)
+    largest = max((abs(right) / scale for _, right, scale in rows), default=0)
     if error >= largest * Fraction(sys.float_info.max):
         return np.inf if error else 0.0
     return float(error / largest)

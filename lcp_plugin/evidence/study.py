@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from itertools import product
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -362,14 +363,7 @@ def study(
         raise InvalidOption(f"references must be a list of names, got {references!r}")
     if references:
         references = [solver_name(name) for name in references]
-    jobs = [
-        (
-            Measurement(label, size, 0, 0, "", "", "", "", math.nan if is_paper else tolerance),
-            target,
-        )
-        for label, target in built.items()
-        for size in wanted
-    ]
+    jobs = product(built.items(), wanted)
     measure = partial(
         _measurements,
         methods=entrants,
@@ -384,7 +378,9 @@ def study(
     notes: dict[str, None] = {}
     is_complete = False
     try:
-        for blank, target in jobs:
+        for (label, target), size in jobs:
+            relative = math.nan if is_paper else tolerance
+            blank = Measurement(label, size, 0, 0, "", "", "", "", relative)
             for row in measure(blank, target):
                 if isinstance(row, str):
                     notes[row] = None
@@ -499,19 +495,15 @@ def _line(error: BaseException) -> str:
 # --- The problems ---------------------------------------------------------------------------------------------
 
 
-def _label_problems(requested: object) -> dict[str, Any]:
+def _label_problems(source: object) -> dict[str, Any]:
     """Return the problems, or functions that build them, by their labels."""
-    if isinstance(requested, Mapping):
-        return {str(label): _check_problem(problem) for label, problem in requested.items()}
-    if (
-        isinstance(requested, str | LCP | Scene | tuple)
-        or callable(requested)
-        or class_of(requested)
-    ):
-        requested = [requested]
-    problems = [*requested] if isinstance(requested, Iterable) else []
+    if isinstance(source, Mapping):
+        return {str(label): _check_problem(problem) for label, problem in source.items()}
+    if isinstance(source, str | LCP | Scene | tuple) or callable(source) or class_of(source):
+        source = [source]
+    problems = [*source] if isinstance(source, Iterable) else []
     if not problems:
-        raise InvalidOption(f"problems must be problems, functions or names, got {requested!r}")
+        raise InvalidOption(f"problems must be problems, functions or names, got {source!r}")
     labeled: dict[str, Any] = {}
     for k, problem in enumerate(problems, start=1):
         name = problem if isinstance(problem, str) else getattr(problem, "__name__", f"problem {k}")
@@ -553,9 +545,8 @@ def _build_problem(target: object, label: str, size: int | None) -> Scene:
     elif size is not None:
         raise InvalidOption(f"{label} is one problem; leave out sizes, or give a function")
     if isinstance(target, tuple) and 2 <= len(target) <= 4:
-        target = LCP(
-            target[0], target[1], **dict(zip(("lower", "upper"), target[2:], strict=False))
-        )
+        bounds = dict(zip(("lower", "upper"), target[2:], strict=False))
+        target = LCP(*target[:2], **bounds)
     if isinstance(target, LCP):
         return Scene(problem=target, name=label)
     if isinstance(target, Scene):

@@ -179,10 +179,8 @@ class Exchange:
         self._received = np.bincount(places[:, 0], minlength=comm.size)
         requested = np.split(places[self._order, 1], np.cumsum(self._received)[:-1])
         requests = comm.alltoall(requested)
-        self._sent, self._which = (
-            np.array([part.size for part in requests]),
-            np.concatenate(requests),
-        )
+        self._sent = np.array([part.size for part in requests])
+        self._which = np.concatenate(requests)
 
     def __call__(self, values: Vector) -> None:
         """Overwrite the copies, which follow the local values."""
@@ -293,7 +291,7 @@ class Halo(Ranks):
         if self.is_empty:
             return rows
         foreign = self._foreign_rows(self.ghosts, indptr, data, lambda places: columns[places])
-        return _appended(rows, foreign.counts, foreign.columns, foreign.values)
+        return _appended(rows, foreign)
 
     def overlapped(self, rows: Arrays, ghosts: Integers, further: Integers) -> tuple[Arrays, Halo]:
         """Return the local rows, then the rows of adjacent ghosts, and the halo of the columns.
@@ -341,9 +339,8 @@ class Halo(Ranks):
         order = np.lexsort((local, np.repeat(np.arange(near.size), foreign.counts)))
         owners = np.repeat(self.owners(near), foreign.counts)
         entries = np.stack([owners, foreign.places], axis=1)[order]
-        rows = _appended(
-            (indptr, indices, data), foreign.counts, local[order], foreign.values[order]
-        )
+        foreign = foreign._replace(columns=local[order], values=foreign.values[order])
+        rows = _appended((indptr, indices, data), foreign)
         return rows, Halo(self.comm, count, all_ghosts, data.size, entries, self.starts)
 
     def _foreign_rows(
@@ -387,12 +384,12 @@ class Halo(Ranks):
         return np.concatenate(self.comm.alltoall(sent))
 
 
-def _appended(rows: Arrays, counts: Integers, columns: Integers, values: Vector) -> Arrays:
+def _appended(rows: Arrays, foreign: ForeignRows) -> Arrays:
     indptr, indices, data = rows
     return (
-        np.concatenate([indptr, indptr[-1] + np.cumsum(counts, dtype=indptr.dtype)]),
-        np.concatenate([indices, columns.astype(indices.dtype)]),
-        np.concatenate([data, values]),
+        np.concatenate([indptr, indptr[-1] + np.cumsum(foreign.counts, dtype=indptr.dtype)]),
+        np.concatenate([indices, foreign.columns.astype(indices.dtype)]),
+        np.concatenate([data, foreign.values]),
     )
 
 

@@ -90,10 +90,8 @@ def _grid(matrix: Operator, halo: Halo, count: int, scales_rows: bool) -> Grid:
     split, inverse = pivots(first, kernels.INVERTIBLE)
     weight = np.zeros(count)
     if not (halo.is_empty or scales_rows):
-        rows = sp.csr_array(
-            (first.data, first.indices, first.indptr), (count, count + halo.foreign)
-        )
-        weight = pivot_weight(rows, halo, 1.0)
+        arrays, shape = (first.data, first.indices, first.indptr), (count, count + halo.foreign)
+        weight = pivot_weight(sp.csr_array(arrays, shape), halo, 1.0)
         inverse = np.where(inverse > 0.0, 1.0 / (1.0 / inverse + weight), 0.0)
     blocks = blocks_of(first.arrays, count, may_cut=halo.is_empty and not scales_rows)
     return Grid(matrix, split, blocks, read_only(inverse), halo, weight)

@@ -378,9 +378,8 @@ def measured_on_ranks(
     halo, z = problem.halo, problem.own_part(x, "x")
     halo.require_same("tolerance", tolerance, "give the same on every rank", InvalidOption)
     measure, reason = RowDataOnRanks(problem).measure_at(z, None, tolerance), ""
-    for i in np.flatnonzero((z < problem.lower) | (z > problem.upper))[
-        : not measure.passes
-    ].tolist():
+    outside = np.flatnonzero((z < problem.lower) | (z > problem.upper))
+    for i in outside[: not measure.passes].tolist():
         bound = problem.lower[i] if z[i] < problem.lower[i] else problem.upper[i]
         reason = outside_row(f"z[{halo.first + i}]", float(z[i]), float(bound)).text
     reason = next(filter(None, halo.comm.allgather(reason)), "")

@@ -49,10 +49,15 @@ variables: lcp-plugin solve stub.nl"""
 
 def run() -> None:
     """Entry point of the command."""
+    replace_unknown_letters()
+    sys.exit(main(sys.argv[1:], os.environ.get(VARIABLE, "")))
+
+
+def replace_unknown_letters() -> None:
+    """Print '?' for letters that a terminal without Unicode does not have."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")  # a terminal without Unicode shows '?'
-    sys.exit(main(sys.argv[1:], os.environ.get(VARIABLE, "")))
+            stream.reconfigure(errors="replace")
 
 
 def main(words: list[str], environment: str = "") -> int:

@@ -19,6 +19,7 @@ import lcp_plugin
 
 from .. import __version__
 from ..core.errors import LCPError
+from . import ampl
 
 __all__ = ["app", "run"]
 
@@ -103,12 +104,8 @@ def _drop_output() -> None:
 def run() -> None:
     """Entry point of the command; called as AMPL calls a solver, it is ``lcp-plugin-ampl``."""
     if "-AMPL" in sys.argv:
-        from .ampl import run as run_for_ampl
-
-        run_for_ampl()
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")  # a terminal without Unicode shows '?'
+        ampl.run()
+    ampl.replace_unknown_letters()
     app()
 
 

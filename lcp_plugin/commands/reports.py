@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from operator import attrgetter
 from typing import Any
 
@@ -14,26 +14,13 @@ from ..core.lcp import LCP
 from ..engines import ENGINES, engine_class
 from ..evidence.measurement import PAPER_MSOR
 from ..problems.cones.methods import METHODS
-from ..proofs.guarantees import Guarantee
 from ..proofs.verdicts import analyze, wrapped
 from ..solving.explanation import convergence_guarantee
 
-PAPER_VARIANTS: dict[str, dict[str, Any]] = {
-    **{
-        name: paper_options(name, None)
-        for name in ("npj", "npgs", "npsor", "npaor", "npsplitting", "mgs")
-    },
-    "msor": {"omega": paper_options("msor", PAPER_MSOR)["omega"]},
+_PAPER = ("npj", "npgs", "npsor", "npaor", "npsplitting", "mgs")
+PAPER_VARIANTS = {name: paper_options(name) for name in _PAPER} | {
+    "msor": {"omega": paper_options("msor", PAPER_MSOR)["omega"]}
 }
-
-
-def guarantees(problem: LCP) -> Iterator[tuple[str, Guarantee]]:
-    """Yield (title, guarantee) of auto, of every algorithm at its defaults, and of the paper's variants."""
-    for name in ("auto", *REGISTRY):
-        yield name, convergence_guarantee(problem, name)
-    for name, options in PAPER_VARIANTS.items():
-        shown = ", ".join(f"{key}={_short(value)}" for key, value in options.items())
-        yield f"{name}, {shown}", convergence_guarantee(problem, name, **options)
 
 
 def analysis(problem: LCP) -> str:
@@ -46,7 +33,10 @@ def analysis(problem: LCP) -> str:
     """
     lines = [str(analyze(problem)), "", f"{'algorithm':<25} {'verdict':<12} {'rate':<8} because"]
     first: dict[str, str] = {}
-    for title, guarantee in guarantees(problem):
+    variants: list[tuple[str, dict[str, Any]]] = [(name, {}) for name in ("auto", *REGISTRY)]
+    for name, options in (*variants, *PAPER_VARIANTS.items()):
+        title = ", ".join([name, *(f"{key}={_short(value)}" for key, value in options.items())])
+        guarantee = convergence_guarantee(problem, name, **options)
         rate = "" if guarantee.rate is None else _rate(guarantee.rate)
         because = guarantee.theorem + (f" → {guarantee.remedy}" if guarantee.remedy else "")
         named = f"as {first[because]}" if because in first else because

@@ -258,17 +258,12 @@ def check_outputs(target: str, plot: Path | None, out: Path | None = None) -> No
     if out is not None and out.suffix != ".npz":
         raise InvalidOption(f"--out writes an .npz file, got {out.name!r}")
     for path in filter(None, (plot, out)):
-        check_place(path)
+        if not path.absolute().parent.is_dir():
+            raise UnreadableFile(f"cannot write {path}: the folder {path.parent} does not exist")
+        if path.is_dir():
+            raise UnreadableFile(f"cannot write {path}: it is a folder")
         if path.exists() and Path(target).exists() and path.samefile(target):
             raise UnreadableFile(f"cannot write {path}: it is the problem; choose another name")
-
-
-def check_place(path: Path) -> None:
-    """Raise UnreadableFile if no file of that name can be written."""
-    if not path.absolute().parent.is_dir():
-        raise UnreadableFile(f"cannot write {path}: the folder {path.parent} does not exist")
-    if path.is_dir():
-        raise UnreadableFile(f"cannot write {path}: it is a folder")
 
 
 # --- Compilation ---------------------------------------------------------------------------------------------
@@ -284,9 +279,8 @@ def compile_everything() -> str:
             solve(problem, name, record=record, max_iterations=20)
     for problem in (sparse, dense):
         lcp_plugin.error_bound(problem, solve(problem).z)
-    steps = lcp_plugin.derivative(
-        lcp_plugin.march(sparse, np.zeros((2, sparse.n)), algorithm="banded")
-    )
+    march = lcp_plugin.march(sparse, np.zeros((2, sparse.n)), algorithm="banded")
+    steps = lcp_plugin.derivative(march)
     steps.vjp(np.ones(sparse.n))
     steps.jvp(dz0=np.ones(sparse.n))
     contact = FrictionalContact(2.0 * np.eye(6), [[-1.0, 3.0, 4.0], [-1.0, 0.1, 0.2]], 0.5)
@@ -300,14 +294,12 @@ def compile_everything() -> str:
     lcp_plugin.solve_batch([no_solution, no_solution], prove_infeasibility=False)
     for problem in (no_solution, LCP.from_game([[2, 0], [0, 1]], [[1, 0], [0, 2]])):
         solve(problem)
-    for data in (dense, lcp_plugin.QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])):
-        lcp_plugin.prepare(data).solve()
-    lcp_plugin.solve_batch([dense] * 64)  # as many as the compiled loop needs
+    convex = lcp_plugin.QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])
+    for instance in (dense, convex):
+        lcp_plugin.prepare(instance).solve()
+    for batch in ([dense] * 64, [contact, contact], [convex]):  # 64: for the compiled loop
+        lcp_plugin.solve_batch(batch)
     lcp_plugin.solve_batch(lcp_plugin.BoundedLeastSquares(dense.M, dense.q), np.ones((64, dense.n)))
-    lcp_plugin.solve_batch([contact, contact])
-    lcp_plugin.solve_batch(
-        [lcp_plugin.QuadraticProgram(np.eye(2), np.ones(2), [[1.0, 1.0]], [-3.0])]
-    )
     program = LCP.from_qp(np.eye(2), np.ones(2), A=[[1.0, 1.0]], b=[1.0])
     program.origin.recover(solve(program))
     return f"kernels compiled in {time.perf_counter() - began:.1f} s"

@@ -319,6 +319,8 @@ def _h_plus(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
 
 
 ExactPoint = tuple[Fraction, ...]
+#: Matrices with which every problem has exactly one solution.
+DEFAULT_MATRICES = h_plus_matrices() | positive_definite_matrices()
 DISTANCES = st.sampled_from([*range(1, LARGEST_ENTRY + 1), *(math.inf,) * LARGEST_ENTRY])
 INACTIVE, ACTIVE, DEGENERATE = range(3)
 #: Whether a row is at its lower and at its upper bound, and the sign of the slack in this case.
@@ -357,7 +359,7 @@ def lcps(
     >>> find(lcps(h_plus_matrices(1)), lambda problem: True, settings=quick).q
     array([0.])
     """
-    chosen, row = default_matrices() if matrices is None else matrices, complementary_rows(bounds)
+    chosen, row = DEFAULT_MATRICES if matrices is None else matrices, complementary_rows(bounds)
 
     @st.composite
     def problem(draw: st.DrawFn) -> LCP:
@@ -366,11 +368,6 @@ def lcps(
         return LCP(M, draw(vectors(M.shape[0], SIGNED)), lower=lower, upper=upper)
 
     return problem()
-
-
-def default_matrices() -> st.SearchStrategy[Any]:
-    """Return a strategy for matrices with which every problem has exactly one solution."""
-    return h_plus_matrices() | positive_definite_matrices()
 
 
 def solved_lcps(
@@ -417,7 +414,7 @@ def solved_lcps(
     >>> problem.M, problem.q, z
     (array([[1.]]), array([-1.]), (Fraction(1, 1),))
     """
-    chosen, row = default_matrices() if matrices is None else matrices, complementary_rows(bounds)
+    chosen, row = DEFAULT_MATRICES if matrices is None else matrices, complementary_rows(bounds)
 
     @st.composite
     def solved(draw: st.DrawFn) -> tuple[LCP, ExactPoint]:

@@ -138,10 +138,9 @@ def fresh(problem: LCP) -> LCP:
 
 
 def run(
-    problem: LCP,
+    scene: Scene,
     algorithm: str | Algorithm,
     measure: Measure,
-    z0: Vector | None,
     paper_tolerance: float = 0.0,
     **limits: Any,
 ) -> tuple[Result, list[tuple[float, ...]]]:
@@ -155,7 +154,7 @@ def run(
     KeyboardInterrupt
         After Ctrl-C, on which `solve` keeps the best iterate.
     """
-    samples: list[tuple[float, ...]] = []
+    problem, samples = fresh(scene.problem), list[tuple[float, ...]]()
     due, is_last = 0, False
 
     def record(sample: Sample, z: Vector) -> bool:
@@ -169,7 +168,7 @@ def run(
             samples.append((sample.iteration, sample.work, sample.seconds, *measure(z)))
         return is_last
 
-    result = solve(fresh(problem), algorithm, z0=z0, callback=record, **limits)
+    result = solve(problem, algorithm, z0=scene.start, callback=record, **limits)
     if is_last:
         return result, samples
     if result.status is Status.INTERRUPTED:
@@ -189,17 +188,18 @@ def measure_method(
     """
     solve(fresh(scene.problem), method.algorithm, z0=scene.start, max_iterations=3)
     limits |= {"polish": False}
-    result, first = run(scene.problem, method.algorithm, measure, scene.start, **limits)
-    every = [first] + [
-        run(scene.problem, method.algorithm, _unmeasured, scene.start, **limits)[1]
-        for _ in range(repeats - 1)
+    result, first = run(scene, method.algorithm, measure, **limits)
+    repetitions = [
+        run(scene, method.algorithm, _unmeasured, **limits)[1] for _ in range(1, repeats)
     ]
-    times = [{(sample[0], sample is run[-1]): sample[2] for sample in run} for run in every]
+    times = [
+        {(sample[0], sample is samples[-1]): sample[2] for sample in samples}
+        for samples in (first, *repetitions)
+    ]
     points = []
-    for sample in first:
-        place = (sample[0], sample is first[-1])
-        if all(place in run for run in times):
-            low, middle, high = np.percentile([run[place] for run in times], (25.0, 50.0, 75.0))
+    for place, sample in zip(times[0], first, strict=True):
+        if all(place in seconds for seconds in times):
+            low, middle, high = np.percentile([seconds[place] for seconds in times], (25, 50, 75))
             points.append((*sample[:2], middle, low, high, *sample[3:]))
     status = "SOLVED" if result.status is Status.INTERRUPTED else result.status.name
     return status, np.array(points)  # by the paper's rule
@@ -209,7 +209,7 @@ def measure_polish(
     scene: Scene, method: Method, measure: Measure, **limits: Any
 ) -> tuple[str, Vector] | None:
     """Return the status and the point of a run that ends with a polish; None if it makes none."""
-    result, _ = run(scene.problem, method.algorithm, _unmeasured, scene.start, **limits)
+    result, _ = run(scene, method.algorithm, _unmeasured, **limits)
     if not result.is_polished:
         return None
     point = (result.iterations, result.work, *[result.seconds] * 3, *measure(result.z))
@@ -236,7 +236,7 @@ def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
         exact = scene.exact
         kind, error = TRUE_ERROR, lambda z: float(np.abs(z - exact).max(initial=0.0))
     else:
-        error, reason = _error_bound(problem, scene.start, max_seconds)
+        error, reason = _error_bound(scene, max_seconds)
         kind = RESIDUAL if error is None else BOUND
 
     def measure(z: Vector) -> tuple[float, float]:
@@ -246,14 +246,13 @@ def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
     return kind, measure, reason
 
 
-def _error_bound(
-    problem: LCP, start: Vector | None, max_seconds: float
-) -> tuple[Callable[[Vector], float] | None, str]:
+def _error_bound(scene: Scene, max_seconds: float) -> tuple[Callable[[Vector], float] | None, str]:
+    problem = fresh(scene.problem)
     try:
         error_bound(problem, problem.nearest_to_zero, sharp=False)
     except UnsuitableMatrix as failure:
         return None, f"no bound of the error: {failure}"
-    result, _ = run(problem, "auto", _unmeasured, start, max_seconds=max_seconds)
+    result, _ = run(scene, "auto", _unmeasured, max_seconds=max_seconds)
     known = error_bound(problem, result.z)
     least, size = known.infinity, float(np.abs(result.z).max(initial=0.0))
     if known.near is not None:

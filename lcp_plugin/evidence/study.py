@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 import os
 import platform
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,7 +26,7 @@ from ..core.problem_classes import class_of, refusal
 from ..core.settings import Settings, whole_number
 from ..gallery import names as scene_names
 from ..gallery import parse
-from ..gallery.scene import Scene, builder_of
+from ..gallery.scene import SIZES, Scene, defaults_of
 from .cross_check import PLAIN, ConvexForm, solver_name
 from .drawing import check_format, draw_curve, draw_tolerance, look_of, panels, save
 from .measurement import (
@@ -229,8 +228,7 @@ class Study:
     __str__ = explain
 
 
-def _check_choice(name: str, choice: object, known: Iterable[str]) -> None:
-    known = [*known]
+def _check_choice(name: str, choice: object, known: Collection[str]) -> None:
     if not isinstance(choice, str) or choice not in known:
         raise InvalidOption(f"{name} must be one of {', '.join(known)}, got {choice!r}")
 
@@ -530,12 +528,11 @@ def _check_problem(problem: object) -> Any:
 
 def _build_by_name(text: str, size: int | None = None) -> Scene:
     name, _, settings = text.partition(":")
-    keys = inspect.signature(builder_of(name.strip())).parameters.keys()
     if size is None:
         return parse(text)
-    if not (key := [parameter for parameter in ("size", "n") if parameter in keys]):
+    if not (keys := SIZES & defaults_of(name.strip()).keys()):
         raise InvalidOption(f"{name!r} has neither size nor n; leave sizes out")
-    return parse(f"{text}{',' if settings else ':'}{key[0]}={size}")
+    return parse(f"{text}{',' if settings else ':'}{keys.pop()}={size}")
 
 
 def _build_problem(target: object, label: str, size: int | None) -> Scene:

@@ -73,12 +73,9 @@ def stencil_matrix(
     entries[..., len(shape)] = centre
 
     entries = entries.reshape(n, len(offsets))
-    present = entries != 0.0
-    index_type = np.int32 if entries.size < 2**31 else np.int64
-    columns = np.arange(n, dtype=index_type)[:, None] + np.array(offsets, dtype=index_type)
-    row_ends = np.zeros(n + 1, dtype=index_type)
-    np.cumsum(np.count_nonzero(present, axis=1), out=row_ends[1:])
-    return sp.csr_array((entries[present], columns[present], row_ends), shape=(n, n))
+    rows, legs = np.nonzero(entries)
+    columns = rows + np.array(offsets)[legs]
+    return sp.csr_array((entries[rows, legs], (rows, columns)), shape=(n, n))
 
 
 def balanced_matrix(shape: tuple[int, ...], legs: Legs) -> sp.csr_array:

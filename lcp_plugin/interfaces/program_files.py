@@ -349,7 +349,7 @@ def _cones(M: AnyMatrix, q: Array, cone_kinds: Any, cone_rows: Any, **ends: Arra
         bounds = [np.atleast_1d(ends[name])[rows] for name in ("lower", "upper") if is_box]
         if any(bound.shape != (size,) for bound in bounds):
             raise InvalidProblem("lower and upper must have an entry per row if there are boxes")
-        cones.append((CONES[kind], *bounds) if is_box else (CONES[kind], size))
+        cones.append((CONES[kind], *(bounds or [size])))
     return ConeProblem(M, q, cones)
 
 

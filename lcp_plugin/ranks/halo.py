@@ -65,7 +65,7 @@ class Ranks:
 
     def everywhere(self, is_so: Array) -> bool:
         """Return whether it is so on every rank, in every row of an array."""
-        return self.all_largest(float(not np.all(is_so)))[0] == 0.0
+        return not self.anywhere(not np.all(is_so))
 
     def anywhere(self, is_so: Array) -> bool:
         """Return whether a flag is true on at least one rank, in at least one entry."""

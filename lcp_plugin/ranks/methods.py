@@ -240,7 +240,7 @@ def _positive_diagonal(problem: RowsOnRanks) -> Vector:
 METHODS: dict[str, Callable[..., Iterates]] = {
     "multigrid": multigrid,
     "pgs": sweep,
-    "psor": lambda problem, z, relaxation=1.0: sweep(problem, z, relaxation),
+    "psor": sweep,
     "npsor": lambda problem, z, relaxation=1.7, momentum="auto": projected_type(
         problem, z, NPSOR(relaxation=relaxation, momentum=momentum)
     ),

@@ -720,16 +720,13 @@ def check_solution(
     residuals = exact_residuals(problem, z)
     at_start = max(exact_residuals(problem, problem.nearest_to_zero), default=0)
     allowed = Fraction(tolerance) * max(1, at_start) if math.isfinite(tolerance) else math.inf
-    worst = max(range(problem.n), key=residuals.__getitem__, default=None)
-    if worst is not None and residuals[worst] > allowed:
-        return _named(problem, z, w, worst, allowed)
+    if problem.n and max(residuals) > allowed:
+        return _named(problem, z, w, residuals.index(max(residuals)), allowed)
     if truth is None or not math.isfinite(error_tolerance) or is_exact_solution(problem, z):
         return ""
-    distance = max(
-        (abs(Fraction(value) - exact) for value, exact in zip(z.tolist(), truth, strict=True)),
-        default=0,
-    )
-    size = 1 + max(map(abs, truth), default=Fraction(0))
+    pairs = zip(z.tolist(), truth, strict=True)
+    distance = max(abs(Fraction(value) - exact) for value, exact in pairs)
+    size = 1 + max(map(abs, truth))
     if distance <= Fraction(error_tolerance) * size or not analyze(problem.M).is_p_matrix:
         return ""
     return f"z is far from the exact answer: by {float(distance):g}, though its residual is small"

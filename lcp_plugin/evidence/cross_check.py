@@ -180,7 +180,11 @@ def cross_validate(
         return CrossCheck("agree", "the problem has no unknowns", name, "", ours)
     convex, status = ConvexForm.of(problem), result.status.name
     is_claimed = result.is_solved or result.status is Status.PRECISION_LIMIT
-    is_false = is_claimed and not _keeps_claim(result, ours)
+    measured = ours.criterion.measure_at(
+        ours.z, ours.w, result.tolerance, absolute=result.absolute_tolerance
+    )
+    is_true = measured.passes if result.is_solved else ours.is_at_rounding_level
+    is_false = is_claimed and not is_true
     check = partial(CrossCheck, reference=name, ours=ours, seconds=seconds)
     if not convex.kind:
         outcome = "false" if is_false else "consistent with our residual"
@@ -218,14 +222,6 @@ def cross_validate(
             "them is wrong, or the two sides solved different problems",
         )
     return check("agree", "the residuals and the conditioning of M explain every difference")
-
-
-def _keeps_claim(result: Result, ours: Certificate) -> bool:
-    """Return whether the status is true for the certificate computed here."""
-    measured = ours.criterion.measure_at(
-        ours.z, ours.w, result.tolerance, absolute=result.absolute_tolerance
-    )
-    return bool(measured.passes if result.is_solved else ours.is_at_rounding_level)
 
 
 def _largest(values: Vector) -> float:

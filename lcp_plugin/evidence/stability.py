@@ -24,20 +24,11 @@ from ..core.entries import scale_by
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, did_you_mean
 from ..core.lcp import LCP
 from ..gallery.problems import balanced_matrix, stencil_matrix, stiff_cells, upwind
-from ..proofs.exact import (
-    exact_power_of_two,
-    exact_slack,
-    is_exact_solution,
-    rational_rows,
-    solved_nearby,
-)
+from ..proofs.exact import exact_slack, is_exact_solution, rational_rows, solved_nearby
 from ..solving.dispatch import solve
-from ..systems.equilibration import equilibrating_exponents
 from .measurement import Method, methods_of
 
 ExactPoint = tuple[Fraction, ...]
-
-ALIKE = (1.0, 1.0, 1.0)  # passes of rows and columns that bring largest entries near 1
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -328,22 +319,14 @@ def exact_answer(problem: LCP, guess: Any) -> ExactPoint:
     is_free = ~(at_lower | at_upper)
     ends = np.where(at_lower, lower, np.where(at_upper, upper, 0.0))
     z = [Fraction(end) for end in ends.tolist()]
-    right = [-w for w, free in zip(exact_slack(problem, z), is_free, strict=True) if free]
-    column = equilibrating_exponents(problem.csr, ALIKE).column
-    scales = [exact_power_of_two(int(exponent)) for exponent in column]
-    rows = [
-        {j: entry * scales[j] for j, entry in row.items() if is_free[j]}
-        for row, free in zip(rational_rows(problem.csr), is_free, strict=True)
-        if free
-    ]
-    change = solved_nearby(rows, right, [Fraction(0)] * problem.n, is_free.tolist())
-    if change is not None:
-        z = [value + by * scale for value, by, scale in zip(z, change, scales, strict=True)]
-    if change is None or not is_exact_solution(problem, z):
+    rows = [row for row, free in zip(rational_rows(problem.csr), is_free, strict=True) if free]
+    right = [-Fraction(value) for value in problem.q[is_free].tolist()]
+    exact = solved_nearby(rows, right, z, is_free.tolist())
+    if exact is None or not is_exact_solution(problem, exact):
         raise UnsuitableProblem(
             f"no exact answer of {problem!r} found near the guess; give one on the right bounds"
         )
-    return tuple(z)
+    return tuple(exact)
 
 
 def relative_error(z: Vector, exact: ExactPoint, unit: float | Vector) -> float:

@@ -183,9 +183,8 @@ class Study:
             If an argument does not exist, or if no run has a point to show.
         """
         _check_choice("against", against, ("seconds", "work", "iterations"))
-        points = ["polish", *(["reference"] if against == "seconds" else [])]
-        shown = [row for row in self.rows if len(row.points)]
-        shown = [row for row in shown if row.is_curve or row.family in points]
+        hidden = None if against == "seconds" else "reference"
+        shown = [row for row in self.rows if len(row.points) and row.family != hidden]
         if not shown:
             raise InvalidOption("no run has a result to draw; print() lists how each ended")
         labels = dict.fromkeys(row.method for row in shown)

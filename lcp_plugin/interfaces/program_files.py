@@ -446,11 +446,7 @@ def layout_of(source: Path) -> str:
         return "QuadraticProgram"
     if suffix in HDF5:
         return "FrictionalContact"
-    try:
-        is_file = source.is_file()
-    except OSError:  # a name that no file can have
-        is_file = False
-    if suffix != ARRAYS or not is_file:
+    if suffix != ARRAYS:
         return "LCP"
     names = {PARTS.get(name, name) for name in names_in(source)}
     if names & {"mu", "friction"} and names & {"W", "M"}:

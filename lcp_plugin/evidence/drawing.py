@@ -119,12 +119,13 @@ def panels(titles: Sequence[str], width: float | None = None) -> Iterator[list[A
         figure.set_size_inches(width, height + math.ceil(len(named) / count) * 0.17)
 
 
-def draw_curve(axes: Any, x: Any, y: Any, label: str, look: Mapping[str, Any], **more: Any) -> None:
-    """Draw a curve with some markers; ``is_solved=False`` ends it in a cross."""
-    is_solved = more.pop("is_solved", True)
+def draw_curve(
+    axes: Any, x: Any, y: Any, label: str, look: Mapping[str, Any], is_solved: bool
+) -> None:
+    """Draw a curve with some markers, which ends in a cross unless it is solved."""
     marks = np.unique(np.linspace(0, max(len(x) - 1, 0), 7).astype(int))
     label = label if is_solved else f"{label} ✕"
-    axes.plot(x, y, markevery=[*marks], label=label, zorder=3, **look, **more)
+    axes.plot(x, y, markevery=[*marks], label=label, zorder=3, **look)
     if not is_solved:
         axes.plot(x[-1:], y[-1:], "x", color=look["color"], markersize=6, zorder=5)
 
@@ -221,19 +222,19 @@ def _frame(answer: Any, shape: Any) -> Frame:
 
 def _plotted(answer: BaseResult, frame: Frame | Scene, axes: Any, new: Callable[..., Any]) -> Any:
     """Draw into `axes`, or into a new figure with a panel for the residual of a recorded run."""
-    run = answer if getattr(answer, "history", ()) else None
+    is_recorded = bool(getattr(answer, "history", ()))
     is_contact = isinstance(getattr(answer, "problem", None), FrictionalContact)
     draw_first = _draw_cones if is_contact and frame.grid is None else _draw_unknowns
     if axes is not None:
         draw_first(axes, answer, frame)
         return axes
     with styled():
-        count = 1 if run is None else 2
+        count = 1 + is_recorded
         figure = new(figsize=(count * PANEL_INCHES[0], PANEL_INCHES[1]), layout="constrained")
         every = figure.subplots(1, count, squeeze=False)[0]
         draw_first(every[0], answer, frame)
-        if run is not None:
-            _draw_residuals(every[1], run)
+        if is_recorded:
+            _draw_residuals(every[1], answer)
         steps = format_count(answer.iterations, "iteration")
         words = f"n = {len(answer.x)}: {answer.status.name} by {answer.algorithm} in {steps}"
         figure.suptitle(f"{frame.description}\n{words}".strip(), fontsize=10, x=0.01, ha="left")
@@ -302,8 +303,6 @@ def contact_level(answer: Certificate) -> Vector:
     level = np.full(problem.n, UNTOUCHED)
     for sign, bound in ((1.0, problem.lower), (-1.0, problem.upper)):
         known = np.isfinite(bound)
-        if not known.any():
-            continue
         force = sign * (M @ np.where(known, bound, z) + problem.q)
         touches, gap = known & (z == bound), sign * (z - np.where(known, bound, z))
         force = np.where(touches, np.maximum(force, sign * w), force)

@@ -257,7 +257,7 @@ def _draw_errors(axes: Any, rows: Sequence[Measurement], against: str, looks: An
             )
             axes.fill_betweenx(y, *ends, color=look["color"], alpha=0.10, linewidth=0, zorder=2)
         x = np.maximum(row.column(against), LEAST.get(against, 1.0))
-        draw_curve(axes, x, y, row.method, look, is_solved=row.is_solved)
+        draw_curve(axes, x, y, row.method, look, row.is_solved)
     for row in (row for row in rows if not row.is_curve):
         look = looks[row.method] | {"linestyle": "none", "markersize": 5}
         axes.plot([row.last(against)], [max(row.error, low)], label=row.method, zorder=5, **look)

@@ -141,11 +141,8 @@ def _side(argument: object, stated: Any) -> PairSide:
                 f"a bound of {stated.name} is {end}, which varies; state the difference: "
                 "complements(body - bound >= 0, …)"
             )
-    none = (-math.inf, math.inf)
-    low, high = (
-        side if end is None else core.value(end) for side, end in zip(none, ends, strict=True)
-    )
-    return PairSide(float(low), body, float(high))
+    low, high = infinite_if_absent(*ends)
+    return PairSide(low, body, high)
 
 
 def difference(first: Any, second: Any) -> Any:
@@ -453,8 +450,13 @@ class _Draft:
 
 def bounds_of(component: Any) -> tuple[float, float]:
     """Return the bounds of a variable or constraint."""
-    lower, upper = component.lb, component.ub
-    return -math.inf if lower is None else lower, math.inf if upper is None else upper
+    return infinite_if_absent(component.lb, component.ub)
+
+
+def infinite_if_absent(lower: Any, upper: Any) -> tuple[float, float]:
+    """Return the values of two bounds; ∓∞ for None."""
+    low = -math.inf if lower is None else float(core.value(lower))
+    return low, math.inf if upper is None else float(core.value(upper))
 
 
 # --- Answers -----------------------------------------------------------------------------------------------------

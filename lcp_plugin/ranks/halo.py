@@ -50,8 +50,7 @@ class Ranks:
 
     def largest(self, values: Array) -> float:
         """Return the largest of all ranks' values ≥ 0, arrays or one number each; a NaN stays."""
-        local = values.max(initial=0.0) if isinstance(values, np.ndarray) else values
-        return self.all_largest(float(local))[0]
+        return self.all_largest(float(np.max(values, initial=0.0)))[0]
 
     def all_largest(self, *values: float) -> tuple[float, ...]:
         """Return the largest of each of them."""
@@ -59,8 +58,6 @@ class Ranks:
 
     def total(self, value: float) -> float:
         """Return the sum of all ranks' values, in the order of the ranks."""
-        if self.size == 1:
-            return value
         return float(self.table(value).sum(axis=0)[0])
 
     def everywhere(self, is_so: Array) -> bool:

@@ -180,7 +180,7 @@ def projected_type(problem: RowsOnRanks, z: Vector, algorithm: ProjectedType) ->
     split, x = split_rows(M), halo.whole(z)
     yield x[: problem.own], 0.0
     lower, upper = map(read_only, bounds)
-    unit = step_unit(halo.largest(float(np.abs(problem.q * step).max(initial=0.0))))
+    unit = step_unit(halo.largest(np.abs(problem.q * step)))
     new, points = x.copy(), algorithm.extrapolations(x, lower, upper, halo.total)
     while True:
         halo.fetch(x)

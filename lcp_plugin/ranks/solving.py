@@ -127,9 +127,7 @@ def _square(problem: RowsOnRanks) -> Any:
     return sp.csr_array((rows.data, rows.indices, indptr), shape=(width, width))
 
 
-OF_RUN = {
-    *("tolerance", "absolute_tolerance", "max_iterations", "max_seconds", "verbose", "threads")
-}
+OF_RUN = {"tolerance", "absolute_tolerance", "max_iterations", "max_seconds", "verbose", "threads"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -310,15 +308,14 @@ class RunOnRanks(Run):
         problem, settings, halo = self.problem, self.settings, self.problem.halo
         parts, z0 = problem.gathered_problem(), problem.gathered(start)
         left = max(self.progress.max_seconds - self.progress.clock.read(), 0.0)
-        limits = {"max_seconds": None if left == math.inf else left, "threads": settings.threads}
-        names = "tolerance", "absolute_tolerance"
+        names = "tolerance", "absolute_tolerance", "threads"
+        options = {name: getattr(settings, name) for name in names}
+        options["max_seconds"] = None if left == math.inf else left
 
         def solve() -> tuple[Any, ...]:
             z = None if z0 is None or not np.isfinite(z0).all() else z0
             solver = resolve_name(f"lcp_plugin.{CLASSES['LCP'].solver}")
-            result = solver(
-                parts, z0=z, **limits, **{name: getattr(settings, name) for name in names}
-            )
+            result = solver(parts, z0=z, **options)
             return result.z, result.work, result.iterations, result.proof
 
         z, work, iterations, proof = halo.from_first(solve)
@@ -340,7 +337,7 @@ class RunOnRanks(Run):
 
     def end_of(self, stage: Stage, step: Step, measured: Measured) -> Status | None:
         """Return STALLED at rounding level, and if a residual is not finite."""
-        if measured is None or not (measured.is_limited or not math.isfinite(measured.residual)):
+        if measured is None or (math.isfinite(measured.residual) and not measured.is_limited):
             return None
         return Status.STALLED
 

@@ -52,7 +52,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
 from ...core.checks import AnyMatrix, BoolVector, Vector, derived_property, read_only
-from ...core.entries import IntVector, largest_in_rows, residual_scales, row_numbers
+from ...core.entries import IntVector, largest_in_rows, largest_products, residual_scales
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON, HALF_OF_DIGITS, LARGEST
 from ...core.lcp import LCP
@@ -495,23 +495,13 @@ def components_of_pattern(problem: NonlinearProblem, M: AnyMatrix) -> Any:
     if isinstance(M, np.ndarray):
         if np.logical_and.reduce(M[:1], axis=None):
             return None
-        key = (is_entry := M != 0.0).tobytes()
-        if key != problem._components[0]:
-            problem._components = key, _components_of_dense(is_entry)
-    elif (key := M.indptr.tobytes() + M.indices.tobytes()) != problem._components[0]:
+        key = (M != 0.0).tobytes()
+    else:
+        key = M.indptr.tobytes() + M.indices.tobytes()
+    if key != problem._components[0]:
         components = connected_components(Matrix(M))
         problem._components = key, None if components is None else components.labels
     return problem._components[1]
-
-
-def _components_of_dense(is_entry: BoolVector) -> Any:
-    """Return the connected component of each row of a small dense pattern; None if all rows are connected."""
-    is_entry = is_entry | is_entry.T | np.eye(len(is_entry), dtype=bool)
-    before, first = -1, np.argmax(is_entry, axis=1)  # the first row that is known to be connected
-    while np.not_equal(first, before).any():
-        before, first = first, np.where(is_entry, first, len(first)).min(axis=1)
-    _, labels = np.unique(first, return_inverse=True)
-    return labels if labels.any() else None
 
 
 def _newton_step(M: AnyMatrix, w: Vector, at: IntVector) -> tuple[Factor | None, Vector]:
@@ -519,15 +509,6 @@ def _newton_step(M: AnyMatrix, w: Vector, at: IntVector) -> tuple[Factor | None,
     block = M[at][:, at] if sp.issparse(M) else M[np.ix_(at, at)]
     factor = factorise(block)
     return factor, np.zeros(at.size) if factor is None else -factor.solve(w[at])
-
-
-def largest_in_columns(sizes: AnyMatrix, weights: Vector) -> Vector:
-    """Return max_i weights_i sizes_ij of each column."""
-    if not sp.issparse(sizes):
-        return np.asarray((sizes * weights[:, None]).max(0, initial=0.0))
-    largest = np.zeros(sizes.shape[1])
-    np.maximum.at(largest, sizes.indices, sizes.data * weights[row_numbers(sizes)])
-    return largest
 
 
 MOVES = 4.0 ** np.arange(-25, 1)  # shares of x, from some roundings to x itself
@@ -649,7 +630,8 @@ class LinearizedRows(RowData):
         rounding = 8.0 * EPSILON * self.terms
         level = np.divide(1.0, rounding, out=np.full(free.size, np.inf), where=rounding > 0.0)
         level = np.where(free, np.minimum(level, LARGEST), 0.0)
-        share = largest_in_columns(self.absolute, level) * np.abs(self.x)
+        columns = sp.csr_array(self.absolute.T) if sp.issparse(self.M) else self.absolute.T
+        share = largest_products(columns, level) * np.abs(self.x)
         is_flat = free & (share <= 1.0) & (self.x != self.start)
         if not is_flat.any():
             return is_flat
@@ -774,6 +756,12 @@ class Linearization:
         """The residuals r(x), signed, shape (n,)."""
         return self.data.residual(self.x, self.value)
 
+    @property
+    def violation(self) -> Vector:
+        """Violation of the sign of each F_i, in its unit, shape (n,)."""
+        x, w, problem = self.x, self.value, self.problem
+        return np.maximum(w * (x > problem.lower), -w * (x < problem.upper))
+
     @derived_property
     def certificate(self) -> Certificate:
         """The certificate of x as a solution of the linearization, which ``derivative`` and ``explain`` use."""
@@ -787,17 +775,15 @@ class Linearization:
     def measure(self, settings: Settings) -> Measured:
         """Return the measure of x by the stopping criterion."""
         if self._measured is None:
-            tolerance, absolute = settings.goal, settings.absolute_tolerance
-            measured = self.data.measure_at(self.x, self.value, tolerance, absolute=absolute)
-            self._measured = measured
+            limits = settings.goal, settings.absolute_tolerance
+            self._measured = self.data.measure_at(self.x, self.value, *limits)
         return self._measured
 
     @derived_property
     def least_residual(self) -> float:
         """A lower bound of the relative residual that costs little: relative to the largest T_i/d_i."""
         terms = self.data.terms / self.data.scale
-        size = np.maximum.reduce(np.abs(self.steps), initial=0.0)
-        return float(size / np.maximum.reduce(terms, initial=1e-300))
+        return float(np.abs(self.steps).max(initial=0.0) / terms.max(initial=1e-300))
 
     def is_small(self, settings: Settings) -> bool:
         """Return whether the relative residual is at most the tolerance."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -68,18 +69,14 @@ class JosephyNewton(Algorithm):
         self.limit: Vector | float = np.inf  # of |x|: farther unknowns have grown without limit
         self.work, self.step_name, self.length = 1.0, "start", 0.0
         self.recent: deque[Linearization] = deque([start], 1)
-        self._weights: Vector | None = None
 
-    @property
+    @cached_property
     def weights(self) -> Vector:
         """1/reference of the component of each row at the start; shape (1,) for one component."""
-        if self._weights is None:
-            self._weights = np.ones(1)
-            if self.first.data.labels is not None:
-                unit = self.first.data.references[1]
-                is_usable = (unit > 0.0) & np.isfinite(unit)
-                self._weights = 1.0 / np.where(is_usable, unit, 1.0)
-        return self._weights
+        if self.first.data.labels is None:
+            return np.ones(1)
+        unit = self.first.data.references[1]
+        return 1.0 / np.where((unit > 0.0) & np.isfinite(unit), unit, 1.0)
 
     def iterates(self, problem: Any, z0: Any) -> Iterator[Step]:
         """Yield the start, then the point of each step, until no step or restart helps."""
@@ -171,10 +168,8 @@ class JosephyNewton(Algorithm):
             return None
         if current.is_small(self.settings):  # rows in the far field fail
             point = self._at(measure_finished(row_data(current.lcp), current.x, self.tolerance).z)
-            if (
-                point.is_defined
-                and point.certificate.term_residual < current.certificate.term_residual
-            ):
+            before = current.certificate.term_residual
+            if point.is_defined and point.certificate.term_residual < before:
                 self.step_name = "finish"
                 return point
         if self.is_flat():  # a root without slope
@@ -241,9 +236,8 @@ class JosephyNewton(Algorithm):
 
     def phi(self, point: Linearization) -> Vector:
         """Return Φ with the row scales of the current linearization."""
-        return fischer_burmeister(
-            point.problem, point.x, point.value, row_scale(self.current)
-        ).value
+        scale = row_scale(self.current)
+        return fischer_burmeister(point.problem, point.x, point.value, scale).value
 
     def is_at_floor(self) -> bool:
         """Return whether only rounding in F keeps the current point from passing."""
@@ -256,9 +250,7 @@ class JosephyNewton(Algorithm):
         the violation falls.
         """
         if point.size is None:
-            problem, x, w = point.problem, point.x, point.value
-            violation = np.maximum(w * (x > problem.lower), -w * (x < problem.upper))
-            sizes = np.maximum(np.abs(point.steps), violation / self.first.data.scale)
+            sizes = np.maximum(np.abs(point.steps), point.violation / self.first.data.scale)
             point.size = float(np.maximum.reduce(self.weights * sizes, initial=0.0))
         return point.size
 

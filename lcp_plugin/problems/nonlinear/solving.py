@@ -124,10 +124,16 @@ def solve_nonlinear(
         words = " or ".join([", ".join(f'"{name}"' for name in SEARCHES), "None"])
         raise InvalidOption(f"search must be {words}, got {search!r}")
     restarts = whole_number(restarts, "restarts", 0)
-    start = _checked_start(problem, x0)
+    if x0 is None and problem.n is None:
+        raise InvalidOption(
+            "x0 is needed because the number of unknowns is not known; pass x0 (z0 in solve_batch)"
+        )
+    start = np.zeros(problem.n or 0)
+    if x0 is not None:
+        start = vector_option(x0, "x0", problem.n, may_be_number=True)
     problem = problem.counted(start.size)
     progress = Progress(problem, settings, callback)
-    start = read_only(np.clip(start, problem.lower, problem.upper))
+    start = np.clip(start, problem.lower, problem.upper)
     with threads_for(settings.threads):
         first, begun = begin_at(Linearization(problem, start))
         searches = tuple(SEARCHES) if search is None else (search,)
@@ -165,16 +171,6 @@ def begin_at(first: Linearization) -> tuple[Linearization, str]:
     return first, ""
 
 
-def _checked_start(problem: NonlinearProblem, x0: ArrayLike | None) -> Vector:
-    if x0 is None:
-        if problem.n is None:
-            raise InvalidOption(
-                "x0 is needed because the number of unknowns is not known; pass x0 (z0 in solve_batch)"
-            )
-        return np.zeros(problem.n)
-    return vector_option(x0, "x0", problem.n, may_be_number=True)
-
-
 WORDS = {
     Status.SOLVED: "the residual is within the tolerance, as measured on F",
     Status.PRECISION_LIMIT: "rounding in F, as estimated, explains the residual; next: accept z, or scale F",
@@ -184,10 +180,12 @@ WORDS = {
     Status.DIVERGED: "the residual left every reasonable range; next: try another start x0, or bounds near it",
     Status.MAX_ITERATIONS: "iteration limit reached; next: raise max_iterations, or continue from x0=result.z",
     Status.MAX_SECONDS: "time limit reached; next: raise max_seconds, or continue from x0=result.z",
-    Status.INTERRUPTED: Status.INTERRUPTED.value,
 }
 
 
+TANGENTS = (
+    "each iteration replaces F by its tangent at x and solves the linear problem that this gives"
+)
 GROWING = "the unknowns grow without limit, and F tends to 0: has it a solution? next: try another start x0, or bounds"
 
 
@@ -217,13 +215,8 @@ class NonlinearRun(Run):
 
     def keep(self, measured: Measured) -> None:
         """Keep a point that passes, or whose violation in the units of the start is the least."""
-        point, scale = measured.z, self.newton.first.data.scale
-        violation = np.maximum(
-            point.value * (point.x > point.problem.lower),
-            -point.value * (point.x < point.problem.upper),
-        )
-        size = float(np.maximum.reduce(self.newton.weights * violation / scale, initial=0.0))
-        super().keep(measured._replace(residual=size))
+        sizes = self.newton.weights * measured.z.violation / self.newton.first.data.scale
+        super().keep(measured._replace(residual=float(sizes.max(initial=0.0))))
 
     def _is_far(self, point: Linearization) -> bool:
         """Return whether an unknown is as large as at a point from which it grew."""
@@ -299,11 +292,6 @@ def criterion_at(problem: NonlinearProblem, x: Vector) -> tuple[RowData, Vector,
     return at.data, at.x, at.value, problem.names
 
 
-TANGENTS = (
-    "each iteration replaces F by its tangent at x and solves the linear problem that this gives"
-)
-
-
 @lru_cache(maxsize=16)
 def _drawn(n: int) -> tuple[Vector, Vector]:
     """Return the shares and signs of a random direction, shape (n,) each."""
@@ -319,8 +307,7 @@ def jacobian_warning(point: Linearization) -> str:
     point : Linearization
         The start. F is evaluated at two points along one random direction that leads into the bounds.
     """
-    x, problem = point.x, point.problem
-    M = point.M
+    x, M, problem = point.x, point.M, point.problem
     shares, signs = _drawn(x.size)
     size = np.maximum(np.abs(x), 1.0) * shares
     direction = size * signs
@@ -332,7 +319,7 @@ def jacobian_warning(point: Linearization) -> str:
         (problem.evaluate(near) - point.value) / step
         for near, step in zip(there, CHECKED, strict=True)
     ]
-    value = np.asarray(point.value)
+    value = point.value
     is_single = np.array_equal(value, value.astype(np.float32))  # the digits of F
     rounding = np.abs(value) * (2.0**-23 if is_single else 2.0**-52)
     wrong = np.minimum(

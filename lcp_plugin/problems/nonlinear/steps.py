@@ -126,13 +126,13 @@ def lcp_step(
     # A linearization needs no smaller residual than a tenth of the tolerance
     relative, enough = point.residual, FORCING
     if relative > 0.0:
-        enough = max(0.1 * tolerance / relative, SMALLEST_TOLERANCE)
+        enough = min(max(relative, 0.1 * tolerance / relative, SMALLEST_TOLERANCE), FORCING)
     try:
-        result = solve_within(problem, linear, min(max(relative, enough), FORCING))
+        result = solve_within(problem, linear, enough)
     except (UnsuitableMatrix, UnsuitableProblem):  # the algorithm does not take this problem
         if linear == "auto":
             raise
-        result = solve_within(problem, "auto", min(max(relative, enough), FORCING))
+        result = solve_within(problem, "auto", enough)
     return result.z if result.is_solved or result.residual <= 0.5 else None
 
 

@@ -42,7 +42,7 @@ from .no_minimum import (
 )
 from .program import QuadraticProgram, refuse_nonconvex
 from .result import QuadraticProgramResult
-from .solution import QPSolution, worst_constraints
+from .solution import QPSolution, bound_multipliers, worst_constraints
 from .solving import solve_program
 
 CLAIMS = ("optimal", "infeasible", "unbounded")
@@ -164,12 +164,8 @@ def certify(
             return _certify_other(problem, x, multipliers, claim, pairs, float(tolerance))
         if claim not in (None, *CLAIMS):
             raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
-        contradicts = (
-            claim == "infeasible"
-            and problem.is_convex is False
-            and (proof_of_contradiction(problem) is not None)
-        )
-        if not contradicts:
+        is_refused = claim != "infeasible" or problem.is_convex is not False
+        if is_refused or proof_of_contradiction(problem) is None:
             refuse_nonconvex(problem)
         # Proofs are not cached under a time limit, because they may be incomplete.
         convex = problem.folded.program
@@ -186,7 +182,8 @@ def certify(
                 moved = proofs.prove_answer(near, y, float(tolerance))
                 if moved.verdict == "proved":
                     verdict = replace(moved, violation=verdict.violation)
-            y = np.zeros(problem.constraints.rows) if y is None else y[: problem.constraints.rows]
+            rows = problem.constraints.rows
+            y = np.zeros(rows) if y is None else y[:rows]
             verdict = replace(verdict, rows=partial(worst_constraints, problem, point, y))
         rounding = "" if convex is problem else f", {WITHIN_ROUNDING}"
         verdict = replace(verdict, reason=f"{verdict.reason}{rounding}")
@@ -255,26 +252,23 @@ def certify_point(problem: Any, x: Vector, tolerance: float) -> Certification:
     x = checked_vector(x, "x", x.size)
     data, z, w, names = criterion(problem, x)
     near = x
-    for bound in map(
-        np.ravel, (data.lower, data.upper)
-    ):  # up to rounding errors of the bound itself
+    # Rounding errors of a bound do not count
+    for bound in map(np.ravel, (data.lower, data.upper)):
         near = np.where(np.abs(x - bound) < NEAREST * np.abs(bound), bound, near)
     if not np.array_equal(near, x):
         data, z, w, names = criterion(problem, near)
     measured = data.with_zeros(data.measure_at(z, w, tolerance), tolerance)
-    if np.all(
-        measured.passes
-    ):  # the point to which a run would move it must pass too: z_i may matter in other rows
+    # The point to which a run would move x must pass too, because z_i may matter in other rows
+    if np.all(measured.passes):
         near = data.snap_to_bounds(measured.z, measured.rows.w)
         if not np.array_equal(near, measured.z):
             again = data.measure_at(near, None, tolerance)
             measured = measured if np.all(again.passes) else again
     fails = bool(np.any(measured.by_row.fails(tolerance)))
     passes = not fails and bool(np.all(measured.passes))
-    residual, reason = float(np.max(measured.by_row.relative, initial=0.0)), ""
-    if not (passes or fails):
-        reason = NOT_BY_A_ROW
-    elif fails and (residual <= tolerance or ((z < data.lower) | (z > data.upper)).any()):
+    residual = float(np.max(measured.by_row.relative, initial=0.0))
+    reason = "" if passes or fails else NOT_BY_A_ROW
+    if fails and (residual <= tolerance or ((z < data.lower) | (z > data.upper)).any()):
         reason = worst_pairs(data, measured, names, tolerance, 1)[0].text
     violation = float(np.max(measured.rows.violation, initial=0.0))
     rows = partial(worst_pairs, data, measured, names, tolerance)
@@ -322,19 +316,16 @@ def _answer(program: QuadraticProgram, x: Any, multipliers: Any) -> tuple[Vector
     if multipliers is None:
         return x, None
     if isinstance(multipliers, QPSolution):
-        return x, checked_vector(
-            multipliers.multipliers, "multipliers", program.constraints.limit.size
-        )
+        size = program.constraints.limit.size
+        return x, checked_vector(multipliers.multipliers, "multipliers", size)
     if not isinstance(multipliers, (tuple, list)) or len(multipliers) != 2:
         raise InvalidProblem(
             "multipliers must be a pair, those of G and those of A, or a QPSolution; give (inequality, equality)"
         )
     inequality = checked_vector(multipliers[0], "inequality", program.h.size)
     equality = checked_vector(multipliers[1], "equality", program.b.size)
-    left = program.P @ x + program.c + program.G.T @ inequality + program.A.T @ equality
-    at_lower = np.where(np.isfinite(program.lower), np.maximum(left, 0.0), 0.0)
-    at_upper = np.where(np.isfinite(program.upper), np.maximum(-left, 0.0), 0.0)
-    return x, np.concatenate([inequality, equality, at_lower, at_upper])
+    gradient = program.P @ x + program.c + program.G.T @ inequality + program.A.T @ equality
+    return x, np.concatenate([inequality, equality, *bound_multipliers(program, gradient)])
 
 
 def _check_options(tolerance: Any, max_seconds: Any = None) -> None:
@@ -385,12 +376,9 @@ class Certification:
         return WorstRows() if self.rows is None else self.rows(count)
 
     def __str__(self) -> str:
-        numbers = (
-            f"{name} {value:.3g}"
-            for name in ("violation", "gap")
-            if (value := getattr(self, name)) is not None
-        )
-        return f"{self.claim}: {self.verdict} ({', '.join([*numbers, self.reason])})"
+        numbers = {"violation": self.violation, "gap": self.gap}
+        texts = [f"{name} {value:.3g}" for name, value in numbers.items() if value is not None]
+        return f"{self.claim}: {self.verdict} ({', '.join([*texts, self.reason])})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -466,15 +454,12 @@ class ProgramProofs:
         unproved = Certification(
             "unproved", claim, lower=_if_finite(lower), upper=_if_finite(upper), reason=NOTHING
         )
+        reason = ""
         if claim == "infeasible" and upper < math.inf:
-            return replace(unproved, verdict="disproved", reason="a feasible point is proved")
-        if claim == "unbounded" and lower > -np.inf:
-            return replace(
-                unproved,
-                verdict="disproved",
-                reason=f"no feasible x is below {lower + self.program.constant:.9g}",
-            )
-        return unproved
+            reason = "a feasible point is proved"
+        elif claim == "unbounded" and lower > -np.inf:
+            reason = f"no feasible x is below {lower + self.program.constant:.9g}"
+        return replace(unproved, verdict="disproved", reason=reason) if reason else unproved
 
     def on_bounds(self, x: Vector, tolerance: float) -> Vector:
         """Return x with each x_j on a bound if the move is negligible; x itself if the objective would change.
@@ -485,13 +470,10 @@ class ProgramProofs:
         program, solution = self.program, self.own_solution
         if solution is None:
             return x
-        terms, (m, *_) = program.matrices.terms, program.matrices.sizes
-        sizes = np.concatenate(
-            [
-                abs(terms.sparse_P) @ np.abs(x) + np.abs(program.c),
-                abs(terms.rows) @ np.abs(x) + np.abs(program.judged.d),
-            ]
-        )
+        terms, m = program.matrices.terms, program.h.size
+        of_gradient = abs(terms.sparse_P) @ np.abs(x) + np.abs(program.c)
+        of_rows = abs(terms.rows) @ np.abs(x) + np.abs(program.judged.d)
+        sizes = np.append(of_gradient, of_rows)
         y = solution.multipliers[: program.constraints.rows].copy()
         y[m:] = 1.0
         entries, moves = terms.gradient.tocoo(), np.full(program.n, np.inf)
@@ -531,25 +513,15 @@ class ProgramProofs:
                     size = max(size[0], least), max(size[1], least)
             upper = self.upper(*near)
             bounds = replace(bounds, lower=lower, upper=upper, size=size)
-            if (
-                bounds.violation_may_lower_objective()
-                and not replace(bounds, lower=self.own_lower).is_proved()
-            ):
+            by_solve = replace(bounds, lower=self.own_lower)
+            if bounds.violation_may_lower_objective() and not by_solve.is_proved():
                 bought = f"its violation of {violation.largest:.2g} may buy more than the tolerance"
                 complaint = complaint or bought
         verdict = bounds.certification(self, complaint)
         if verdict.verdict == "unproved" and not complaint and violation.is_met:
-            rows = program.constraints.rows
-            points = (
-                [multipliers]
-                if self.own_solution is None
-                else [multipliers, self.own_solution.multipliers]
-            )
-            gaps = [
-                KKTErrors.of(program.judged, x, y[:rows], tolerance).gap
-                for y in points
-                if y is not None
-            ]
+            rows, solved = program.constraints.rows, getattr(self.own_solution, "multipliers", None)
+            known = [y[:rows] for y in (multipliers, solved) if y is not None]
+            gaps = [KKTErrors.of(program.judged, x, y, tolerance).gap for y in known]
             if (gap := min(gaps, default=math.inf)) <= tolerance:
                 reason = f"the stopping criterion holds: duality gap {gap:.2g}"
                 verdict = replace(verdict, verdict="proved", duality_gap=gap, reason=reason)
@@ -590,17 +562,13 @@ class Violation:
         value, radius = compensated_product(matrix, x, -limit)
         size = np.where(rows.is_equality[finite], np.abs(value), value)
         least, largest = np.maximum(size - radius, 0.0), np.maximum(rows.excess(x)[finite], 0.0)
-        sides = np.where(np.isfinite(limit), np.abs(limit), 0.0)
-        allowed = tolerance * (abs(matrix) @ np.abs(x) + sides)
+        allowed = tolerance * (abs(matrix) @ np.abs(x) + np.abs(limit))
         if (largest > allowed).any():
             excused = excused_rows(program.judged, x)
             allowed = np.maximum(allowed, np.append(excused, np.zeros(2 * program.n))[finite])
-        return cls(
-            float(least.max(initial=0.0)) / OUTWARD,
-            float(largest.max(initial=0.0)),
-            bool((largest <= allowed).all()),
-            bool((least > allowed * OUTWARD).any()),
-        )
+        is_met, is_missed = (largest <= allowed).all(), (least > allowed * OUTWARD).any()
+        ends = float(least.max(initial=0.0)) / OUTWARD, float(largest.max(initial=0.0))
+        return cls(*ends, bool(is_met), bool(is_missed))
 
 
 def largest_terms(rows: Any, limit: Vector, x: Vector) -> Vector:
@@ -678,15 +646,9 @@ class ProvenBounds:
         if verdict == "proved" and complaint:
             verdict = "unproved"
             reason = f"{complaint}, though the objective is proved to be optimal"
-        return Certification(
-            verdict,
-            "optimal",
-            self.violation.largest,
-            _if_finite(self.lower),
-            _if_finite(self.upper),
-            _if_finite(self.gap),
-            reason=reason,
-        )
+        lower, upper, gap = map(_if_finite, (self.lower, self.upper, self.gap))
+        largest = self.violation.largest
+        return Certification(verdict, "optimal", largest, lower, upper, gap, reason=reason)
 
     def _no_minimum(self, proofs: ProgramProofs) -> str:
         """Return the disproof of every point, as text: the proof of the claim "infeasible", or a recession direction.

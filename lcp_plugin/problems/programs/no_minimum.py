@@ -80,11 +80,6 @@ class QPInfeasibility:
         )
 
     @property
-    def contradiction(self) -> Fraction:
-        """−dᵀ multipliers minus the largest effect of Cᵀ multipliers within the radius."""
-        return self._certificate.size
-
-    @property
     def radius(self) -> float:
         """Bound of ‖x‖∞ that the proof covers: ∞, or the radius that leaves half the contradiction."""
         return self._certificate.radius

@@ -14,7 +14,7 @@ from ...judges.worst_rows import WorstRows
 from ...solving.result import NEXT, BaseResult
 from .no_minimum import NoMinimum
 from .program import QuadraticProgram
-from .solution import QPSolution, worst_constraints
+from .solution import MULTIPLIERS, QPSolution, worst_constraints
 
 ADVICE = {
     Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
@@ -83,8 +83,7 @@ class QuadraticProgramResult(BaseResult):
     @property
     def duals(self) -> dict[str, Vector]:
         """The multipliers ``inequality``, ``equality``, ``lower``, ``upper``, with cvxpy's signs."""
-        names = "inequality", "equality", "lower", "upper"
-        return {name: getattr(self.solution, name) for name in names}
+        return {name: getattr(self.solution, name) for name in MULTIPLIERS}
 
     def _advice_of_status(self) -> str:
         happened, begins, to_do = super()._advice_of_status().partition(NEXT)

@@ -92,10 +92,8 @@ class QPSolution(MadeOnAccess):
         y = y.copy()
         np.maximum(y[:m], 0.0, out=y[:m])
         P, C = reduced.matrices.stacked
-        left = P @ x + reduced.c + C.T @ y
-        at_lower = np.where(np.isfinite(reduced.lower), np.maximum(left, 0.0), 0.0)
-        at_upper = np.where(np.isfinite(reduced.upper), np.maximum(-left, 0.0), 0.0)
-        every = folded.multipliers(np.concatenate([y, at_lower, at_upper]))
+        of_bounds = bound_multipliers(reduced, P @ x + reduced.c + C.T @ y)
+        every = folded.multipliers(np.concatenate([y, *of_bounds]))
         for k in np.flatnonzero(np.isinf(every))[:1].tolist():
             raise InvalidProblem(
                 f"the multiplier of {program.name(k)} is beyond the range of doubles, ±1.8e308; give that constraint, "
@@ -154,6 +152,7 @@ class QPSolution(MadeOnAccess):
         np.add.at(y, order, signs * np.concatenate([self.inequality, self.equality]))
         return y
 
+    @np.errstate(all="ignore")
     def residuals(self) -> ProgramResiduals:
         """Return the residuals that other packages print: absolute and relative, by largest components."""
         program, (P, C) = self.program, self.program.matrices.stacked
@@ -167,16 +166,11 @@ class QPSolution(MadeOnAccess):
         left, curved, linear = Px + program.c + Cy + z, float(x @ Px), float(program.c @ x)
         dual_value = -0.5 * curved - d @ y + lower @ self.lower - upper @ self.upper
         gap = abs(0.5 * curved + linear - float(dual_value))
-        sizes = (
-            _largest(rows, d, lower, upper),
-            _largest(Px, program.c, Cy, z),
-            max(abs(0.5 * curved + linear), abs(float(dual_value))),
-        )
-        absolute = primal, _largest(left), gap
-        relative = (
-            value / max(size, 2.0**-1000) for value, size in zip(absolute, sizes, strict=True)
-        )
-        return ProgramResiduals(*absolute, *relative)
+        values = max(abs(0.5 * curved + linear), abs(float(dual_value)))
+        sizes = [_largest(rows, d, lower, upper), _largest(Px, program.c, Cy, z), values]
+        absolute = np.array([primal, _largest(left), gap])
+        relative = absolute / np.maximum(sizes, 2.0**-1000)
+        return ProgramResiduals(*absolute.tolist(), *relative.tolist())
 
     def is_optimal(self, tolerance: float = PROGRAM_TOLERANCE) -> bool:
         """Return whether x is optimal for a convex program: `primal_residual` ≤ 1e-9 and `duality_gap` ≤ tolerance.
@@ -201,9 +195,8 @@ class QPSolution(MadeOnAccess):
         program = self.program
         slopes, sides = program.P @ self.x + program.c, (program.G, program.h, program.A, program.b)
         terms = abs(program.P) @ np.abs(self.x) + np.abs(program.c)
-        slopes = np.where(
-            np.abs(slopes) <= 1e-12 * terms, 0.0, slopes
-        )  # rounding, unbounded if x_j is free
+        # A slope at rounding level would be unbounded if x_j is free
+        slopes = np.where(np.abs(slopes) <= 1e-12 * terms, 0.0, slopes)
         size = np.abs(slopes).max(initial=0.0)
         if not 0.0 < size < np.inf:
             return float(size)
@@ -262,6 +255,13 @@ class ProgramResiduals(NamedTuple):
     relative_gap: float
 
 
+def bound_multipliers(program: QuadraticProgram, gradient: Vector) -> tuple[Vector, Vector]:
+    """Return the multipliers of the finite lower and upper bounds that balance a gradient of the Lagrangian."""
+    at_lower = np.where(np.isfinite(program.lower), np.maximum(gradient, 0.0), 0.0)
+    at_upper = np.where(np.isfinite(program.upper), np.maximum(-gradient, 0.0), 0.0)
+    return at_lower, at_upper
+
+
 def _largest(*vectors: Vector) -> float:
     """Return the largest |entry| of the vectors."""
     return max(float(np.abs(vector).max(initial=0.0)) for vector in vectors)
@@ -290,8 +290,6 @@ def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: in
             beyond = "≠" if rows.is_equality[k] else ">" if sign > 0.0 else "<"
             text = f"{program.name(k)} is violated{where if k < m else ''}: "
             text += f"{sign * value:.6g} {beyond} {sign * limit:.6g}"
-            size = max(float(terms[k]), abs(limit))
-            worst.append(
-                WorstRow(program.name(k), float(errors[k]), abs(float(excess[k])), size, text)
-            )
+            size, violation = max(float(terms[k]), abs(limit)), abs(float(excess[k]))
+            worst.append(WorstRow(program.name(k), float(errors[k]), violation, size, text))
     return WorstRows(worst)

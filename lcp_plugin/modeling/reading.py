@@ -74,12 +74,16 @@ def linearised(node: cp.Expression, arguments: list[Any], values: list[Any]) -> 
 
 def _by_jacobian(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     """Apply the derivatives that cvxpy gives, which are constant if the atom is affine."""
-    rows = {k: one for k, one in enumerate(arguments) if isinstance(one, Rows)}
+    rows = {k: argument for k, argument in enumerate(arguments) if isinstance(argument, Rows)}
     offsets, values = arguments.copy(), list(map(atoms.dense, arguments))
-    for k, one in rows.items():
-        offsets[k] = one.offset.reshape(one.shape, order="F")
-        values[k] = np.ones(one.shape)  # inside each domain; a power is not differentiated at zero
-    parts = [one.applied(_own_jacobian(node, k, values), node.shape) for k, one in rows.items()]
+    for k, argument in rows.items():
+        offsets[k] = argument.offset.reshape(argument.shape, order="F")
+        values[k] = np.ones(
+            argument.shape
+        )  # inside each domain; a power is not differentiated at zero
+    parts = [
+        argument.applied(_own_jacobian(node, k, values), node.shape) for k, argument in rows.items()
+    ]
     whole = added(parts, node.shape)
     offset = np.ravel(atoms.dense(atoms.constant_numeric(node, offsets)), order="F").astype(
         np.float64
@@ -161,7 +165,9 @@ AFFINE: dict[tuple[Any, ...], Rule] = {
 
 def _axes(node: cp.Expression) -> list[int]:
     count, axis = len(node.args[0].shape), getattr(node, "axis", None)
-    return list(range(count)) if axis is None else [one % count for one in np.atleast_1d(axis)]
+    return (
+        list(range(count)) if axis is None else [number % count for number in np.atleast_1d(axis)]
+    )
 
 
 def _elementary(function: Function) -> Rule:
@@ -193,7 +199,7 @@ def _reduced(node: cp.Expression) -> Indices:
     moved = np.moveaxis(
         np.arange(math.prod(shape)).reshape(shape, order="F"), axes, range(len(axes))
     )
-    return moved.reshape((math.prod(shape[one] for one in axes), -1), order="F")
+    return moved.reshape((math.prod(shape[axis] for axis in axes), -1), order="F")
 
 
 def _folded(compiler: Compiler, function: Function, terms: Rows, size: int) -> Rows:
@@ -257,7 +263,7 @@ def _quad_form(compiler: Compiler, node: cp.Expression, arguments: list[Any]) ->
 
 
 def _relative_entropy(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
-    both = [Rows.of(one).spread(node.shape) for one in arguments]
+    both = [Rows.of(argument).spread(node.shape) for argument in arguments]
     return compiler.emit(functions.RELATIVE_ENTROPY, *both)
 
 
@@ -268,7 +274,7 @@ SMOOTH: dict[Any, Rule] = {
     cp.log: _elementary(functions.LOG),
     cp.log1p: _elementary(functions.LOG1P),
     cp.logistic: _with_constant(functions.LOG_ADD_EXP, 0.0),
-    cp.entr: lambda *given: _with_constant(functions.RELATIVE_ENTROPY, 1.0)(*given).scaled(-1.0),
+    cp.entr: lambda *call: _with_constant(functions.RELATIVE_ENTROPY, 1.0)(*call).scaled(-1.0),
     cp.xexp: lambda compiler, _, u: compiler.emit(
         functions.PRODUCT, u[0], compiler.emit(functions.EXP, u[0])
     ),
@@ -324,7 +330,9 @@ def rewritten(root: cp.Expression, change: Callable[[Any], Any]) -> Any:
     """Return an expression with change(node) for each node, arguments first; nodes without changes stay."""
 
     def rule(node: cp.Expression, arguments: list[Any]) -> Any:
-        is_same = all(one is own for one, own in zip(arguments, node.args, strict=True))
+        is_same = all(
+            argument is stated for argument, stated in zip(arguments, node.args, strict=True)
+        )
         return change(node if is_same else node.copy(arguments))
 
     return folded(root, rule, {})
@@ -361,7 +369,7 @@ class Reader:
         self.compiler, self._takes_integers = Compiler(), takes_integers
         self._memo = {} if memo is None else memo
         self._held, self._has_sources = held, held is not None
-        self._known: Values = {key: found for key, (_, found) in self._memo.items()}
+        self._known: Values = {key: result for key, (_, result) in self._memo.items()}
         self._found: list[tuple[Any, Any]] = []  # results to be known also
         self._kept: list[Any] = []  # nodes, whose ids stay theirs while they are kept
         self._moving: set[int] = set()  # into which a parameter, or a function, enters
@@ -400,7 +408,7 @@ class Reader:
                         "it in other units"
                     )
                 self._remember(root, rows)
-                self._known.update((id(node), found) for node, found in self._found)
+                self._known.update((id(node), result) for node, result in self._found)
                 self._found = []
         return rows
 
@@ -421,7 +429,7 @@ class Reader:
         if result.shape != node.shape and result.size == node.size:
             result = replace(result, shape=node.shape)
         is_function = result.level > max(
-            [own.level for own in arguments if isinstance(own, Rows)], default=0
+            [rows.level for rows in arguments if isinstance(rows, Rows)], default=0
         )
         if is_function:
             result = result if result.is_source else self.compiler.emit(SAME, result)
@@ -429,8 +437,8 @@ class Reader:
             self._moving.add(key)
             self._known[key] = result
         if key in self._moving:
-            for part, own in zip(node.args, arguments, strict=True):
-                self._remember(part, own)
+            for part, argument in zip(node.args, arguments, strict=True):
+                self._remember(part, argument)
         return result
 
     def _remember(self, node: cp.Expression, result: Any) -> None:

@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
+from operator import is_
 from typing import Any, TypeAlias
 
 import cvxpy as cp
@@ -44,7 +45,7 @@ def affine_rule(kind: type) -> Rule | None:
 
 def rule_of(node: cp.Expression) -> Rule | None:
     """Return the rule for an atom that is not affine by its class; None if there is no rule."""
-    if node.is_atom_affine():
+    if node.is_atom_affine() and not isinstance(node, Power):
         return _by_jacobian
     return next((SMOOTH[kind] for kind in type(node).__mro__ if kind in SMOOTH), None)
 
@@ -73,22 +74,14 @@ def linearised(node: cp.Expression, arguments: list[Any], values: list[Any]) -> 
 
 
 def _by_jacobian(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
-    """Apply the derivatives that cvxpy gives, which are constant if the atom is affine."""
-    rows = {k: argument for k, argument in enumerate(arguments) if isinstance(argument, Rows)}
-    offsets, values = arguments.copy(), list(map(atoms.dense, arguments))
-    for k, argument in rows.items():
-        offsets[k] = argument.offset.reshape(argument.shape, order="F")
-        values[k] = np.ones(
-            argument.shape
-        )  # inside each domain; a power is not differentiated at zero
-    parts = [
-        argument.applied(_own_jacobian(node, k, values), node.shape) for k, argument in rows.items()
+    """Return the tangent of an affine atom, which is the atom, at the offsets of its arguments."""
+    offsets = [
+        argument.offset.reshape(argument.shape, order="F")
+        if isinstance(argument, Rows)
+        else argument
+        for argument in arguments
     ]
-    whole = added(parts, node.shape)
-    offset = np.ravel(atoms.dense(atoms.constant_numeric(node, offsets)), order="F").astype(
-        np.float64
-    )
-    return Rows(whole.blocks, offset, node.shape, whole.level)
+    return linearised(node, arguments, list(map(atoms.dense, offsets)))
 
 
 def _own_jacobian(node: cp.Expression, k: int, values: list[Any]) -> sp.csr_array:
@@ -330,10 +323,7 @@ def rewritten(root: cp.Expression, change: Callable[[Any], Any]) -> Any:
     """Return an expression with change(node) for each node, arguments first; nodes without changes stay."""
 
     def rule(node: cp.Expression, arguments: list[Any]) -> Any:
-        is_same = all(
-            argument is stated for argument, stated in zip(arguments, node.args, strict=True)
-        )
-        return change(node if is_same else node.copy(arguments))
+        return change(node if all(map(is_, arguments, node.args)) else node.copy(arguments))
 
     return folded(root, rule, {})
 
@@ -370,10 +360,8 @@ class Reader:
         self._memo = {} if memo is None else memo
         self._held, self._has_sources = held, held is not None
         self._known: Values = {key: result for key, (_, result) in self._memo.items()}
-        self._found: list[tuple[Any, Any]] = []  # results to be known also
         self._kept: list[Any] = []  # nodes, whose ids stay theirs while they are kept
         self._moving: set[int] = set()  # into which a parameter, or a function, enters
-        self._taken: set[int] = set()  # constants that were checked
 
     def hold(self, sources: Mapping[int, Any]) -> None:
         """Let nodes be sources, by key, below which nothing is read; a parameter that an atom holds raises an error."""
@@ -408,8 +396,6 @@ class Reader:
                         "it in other units"
                     )
                 self._remember(root, rows)
-                self._known.update((id(node), result) for node, result in self._found)
-                self._found = []
         return rows
 
     def _result(self, node: cp.Expression, arguments: list[Any]) -> Any:
@@ -428,10 +414,8 @@ class Reader:
             return result
         if result.shape != node.shape and result.size == node.size:
             result = replace(result, shape=node.shape)
-        is_function = result.level > max(
-            [rows.level for rows in arguments if isinstance(rows, Rows)], default=0
-        )
-        if is_function:
+        levels = [rows.level for rows in arguments if isinstance(rows, Rows)]
+        if result.level > max(levels, default=0):  # the atom is a function
             result = result if result.is_source else self.compiler.emit(SAME, result)
             self._kept.append(node)
             self._moving.add(key)
@@ -445,7 +429,7 @@ class Reader:
         """Keep results that do not depend on parameters and have all entries, for later readers."""
         if id(node) not in self._moving and result.shape == node.shape:
             self._memo[id(node)] = (node, result)
-            self._found.append((node, result))
+            self._known[id(node)] = result
 
     def _computed(self, node: cp.Expression, rule: Rule | None, arguments: list[Any]) -> Any:
         if isinstance(node, cp.Variable if self._held is None else cp.Parameter):
@@ -463,22 +447,18 @@ class Reader:
             return self._value(node, arguments)
         for part, argument in constants:
             self._take_constant(part, argument)
-        if rule is None:
-            rule = rule_of(node)
-            if rule is None and self._held is not None:
-                values = [atoms.dense(folded(part, self._value, {})) for part in node.args]
-                return linearised(node, arguments, values)
-            if rule is None:
-                raise refused(node)
-        return rule(self.compiler, node, arguments)
+        if (rule := rule or rule_of(node)) is not None:
+            return rule(self.compiler, node, arguments)
+        if self._held is None:
+            raise refused(node)
+        values = [atoms.dense(folded(part, self._value, {})) for part in node.args]
+        return linearised(node, arguments, values)
 
     def _value(self, node: cp.Expression, values: list[Any]) -> Any:
         """Return the value of a node without sources, or of any node if variables are held."""
         if node.args:
             return atoms.constant_numeric(node, values)
-        value = (
-            None if self._held is None or isinstance(node, cp.Constant) else self._held.get(node.id)
-        )
+        value = (self._held or {}).get(getattr(node, "id", 0))  # a constant has no id
         value = atoms.leaf_value(node) if value is None else value
         if value is None:
             raise UnsupportedModel(
@@ -488,9 +468,8 @@ class Reader:
 
     def _take_constant(self, node: cp.Expression, value: Any) -> None:
         """Raise an error for a constant that is not a finite real number."""
-        if id(node) in self._taken or id(node) in self._known:
+        if id(node) in self._known:
             return
-        self._taken.add(id(node))
         if np.iscomplexobj(value):
             raise UnsupportedModel(
                 f"{name_of(node)} is complex; write its real and imaginary parts as two expressions"

@@ -143,41 +143,41 @@ def _require_cones(sides: list[Side]) -> None:
         )
 
 
-def _side(given: object, which: str) -> Side:
-    if isinstance(given, Side):
-        return given
-    if isinstance(given, Inequality):
-        return Side(given.args[1] - given.args[0], "nonnegative", given)
-    if isinstance(given, NonNeg):
-        return Side(given.args[0], "nonnegative", given)
-    if isinstance(given, (Equality, Zero)):
-        return Side(given.expr, "zero", given)
-    if isinstance(given, cp.SOC):
-        expression = stacked(given)
-        return Side(expression, "cone", given, rows=expression.shape[0])
-    if isinstance(given, Constraint):
+def _side(stated: object, which: str) -> Side:
+    if isinstance(stated, Side):
+        return stated
+    if isinstance(stated, Inequality):
+        return Side(stated.args[1] - stated.args[0], "nonnegative", stated)
+    if isinstance(stated, NonNeg):
+        return Side(stated.args[0], "nonnegative", stated)
+    if isinstance(stated, (Equality, Zero)):
+        return Side(stated.expr, "zero", stated)
+    if isinstance(stated, cp.SOC):
+        expression = stacked(stated)
+        return Side(expression, "cone", stated, rows=expression.shape[0])
+    if isinstance(stated, Constraint):
         raise UnsupportedModel(
-            f"the {which} side of complements is {given!r}; it must be an inequality, an equality, cp.SOC(t, x) or an "
+            f"the {which} side of complements is {stated!r}; it must be an inequality, an equality, cp.SOC(t, x) or an "
             "expression"
         )
-    return Side(_expression(given, f"the {which} side of complements"), "value")
+    return Side(_expression(stated, f"the {which} side of complements"), "value")
 
 
-def _expression(given: object, what: str) -> Any:
+def _expression(stated: object, what: str) -> Any:
     """Return the argument as a cvxpy expression."""
-    if not isinstance(given, cp.Expression) and _kind(given) == "b":
+    if not isinstance(stated, cp.Expression) and _kind(stated) == "b":
         raise UnsupportedModel(
-            f"{what} holds Booleans, {given}: numbers were compared before this package saw them; write only "
+            f"{what} holds Booleans, {stated}: numbers were compared before this package saw them; write only "
             "the numbers, or cp.Constant(numbers) >= 0"
         )
     try:
-        expression = cp.Variable.cast_to_const(given)
+        expression = cp.Variable.cast_to_const(stated)
     except Exception as error:  # cvxpy may raise any error
-        raise UnsupportedModel(f"{what} is not a cvxpy expression: {given!r}") from error
-    if given is None or (
+        raise UnsupportedModel(f"{what} is not a cvxpy expression: {stated!r}") from error
+    if stated is None or (
         isinstance(expression, cp.Constant) and _kind(expression.value) not in "fiuc"
     ):
-        raise UnsupportedModel(f"{what} is not a cvxpy expression: {given!r}")
+        raise UnsupportedModel(f"{what} is not a cvxpy expression: {stated!r}")
     return expression
 
 
@@ -259,12 +259,12 @@ class Complements(Condition):
 
     def parameters(self) -> list[Any]:
         """Return the parameters of both sides, including parameters in the bounds of a box."""
-        found = {parameter.id: parameter for parameter in super().parameters()}
+        parameters = {parameter.id: parameter for parameter in super().parameters()}
         for side in (self.first, self.second):
             for bound in (side.lower, side.upper, side.friction):
                 if isinstance(bound, cp.Expression):
-                    found.update({parameter.id: parameter for parameter in bound.parameters()})
-        return list(found.values())
+                    parameters.update({parameter.id: parameter for parameter in bound.parameters()})
+        return list(parameters.values())
 
     @property
     def residual(self) -> Any:

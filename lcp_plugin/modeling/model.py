@@ -114,13 +114,18 @@ class ConePair:
     rows: int
     friction: Vector | None
 
-    def blocks(self, M: AnyMatrix, q: Vector) -> Blocks:
-        """Return the problem of M and q, shape (d k,), over these cones alone."""
-        if self.friction is None:
-            return ConeProblem(
-                M, q, [("second_order", self.rows)] * (self.columns.size // self.rows)
-            )
-        return FrictionalContact(M, q, self.friction, dimension=self.rows)
+
+def cone_problem(
+    M: AnyMatrix, q: Vector, pairs: Sequence[ConePair], box: Sequence[tuple[Any, ...]] = ()
+) -> Blocks:
+    """Return the problem of M and q over the cones of pairs, of which all or none have friction, after a box."""
+    friction = [pair.friction for pair in pairs if pair.friction is not None]
+    if friction:
+        return FrictionalContact(M, q, np.concatenate(friction), dimension=pairs[0].rows)
+    cones = [*box]
+    for pair in pairs:
+        cones += [("second_order", pair.rows)] * (pair.columns.size // pair.rows)
+    return ConeProblem(M, q, cones)
 
 
 def stacked(cone: cp.SOC) -> Any:
@@ -131,12 +136,12 @@ def stacked(cone: cp.SOC) -> Any:
     return cp.vstack([cp.reshape(t, (1, t.size), order="F"), x if cone.axis == 0 else x.T])
 
 
-def over_cones(found: SquareModel, pairs: Sequence[ConePair], name: Any) -> SquareModel:
+def over_cones(model: SquareModel, pairs: Sequence[ConePair], name: Any) -> SquareModel:
     """Return the problem over cones, the rows of other pairs and equations before the cones.
 
     Parameters
     ----------
-    found : SquareModel
+    model : SquareModel
         Model in which the unknowns of cones have no bounds.
     pairs : sequence of ConePair
     name : callable
@@ -147,46 +152,38 @@ def over_cones(found: SquareModel, pairs: Sequence[ConePair], name: Any) -> Squa
     UnsupportedModel
         If sides are not affine, or the model has friction and other conditions.
     """
-    rows = found.problem
-    if not isinstance(rows, LCP):
+    problem_rows = model.problem
+    if not isinstance(problem_rows, LCP):
         raise UnsupportedModel(
             "cones can be combined with affine sides only, and this model has nonlinear ones; write them as affine "
             "expressions, or solve the nonlinear part separately"
         )
-    kept = found.elimination.kept
-    place = np.full(found.elimination.offset.size, -1)
-    place[kept] = np.arange(kept.size)
-    own = place[np.concatenate([pair.columns for pair in pairs])]
-    others = np.setdiff1d(np.arange(kept.size), own)
-    order = np.concatenate([others, own])
-    M, q = rows.csr[order][:, order], rows.q[order]
-    with_friction = [pair.friction for pair in pairs if pair.friction is not None]
-    problem: Blocks
-    if not with_friction:
-        cones: list[tuple[Any, ...]] = (
-            [("box", rows.lower[others], rows.upper[others])] if others.size else []
-        )
-        for pair in pairs:
-            cones += [("second_order", pair.rows)] * (pair.columns.size // pair.rows)
-        problem = ConeProblem(M, q, cones)
-    elif others.size or len(with_friction) < len(pairs) or len({pair.rows for pair in pairs}) > 1:
-        what = [name(column) for column in kept[others][:5].tolist()]
-        what = what or ["cones of another kind"]
+    kept = model.elimination.kept
+    of_cones = np.searchsorted(kept, np.concatenate([pair.columns for pair in pairs]))
+    others = np.setdiff1d(np.arange(kept.size), of_cones)
+    order = np.concatenate([others, of_cones])
+    has_friction = [pair.friction is not None for pair in pairs]
+    is_mixed = others.size or not all(has_friction) or len({pair.rows for pair in pairs}) > 1
+    if any(has_friction) and is_mixed:
+        names = [name(column) for column in kept[others][:5].tolist()]
         raise UnsupportedModel(
-            f"a model with friction_cone has impulses as its only unknowns, and this one has also {', '.join(what)}; "
+            "a model with friction_cone has impulses as its only unknowns, and this one has also "
+            f"{', '.join(names or ['cones of another kind'])}; "
             "write the velocities as u = W @ r + b, or as a chain of definitions"
         )
-    else:
-        problem = FrictionalContact(M, q, np.concatenate(with_friction), dimension=pairs[0].rows)
-    expansion = found.elimination.expansion
+    box = [("box", problem_rows.lower[others], problem_rows.upper[others])] if others.size else []
+    problem = cone_problem(problem_rows.csr[order][:, order], problem_rows.q[order], pairs, box)
+    expansion = model.elimination.expansion
     if expansion is None:
         expansion = sp.eye_array(kept.size, format="csr")
-    elimination = replace(
-        found.elimination, kept=kept[order], expansion=sp.csr_array(expansion[:, order])
-    )
-    places, signs = found.places[order], found.signs[order]
+    expansion = sp.csr_array(expansion[:, order])
     return replace(
-        found, problem=problem, elimination=elimination, places=places, signs=signs, whole=None
+        model,
+        problem=problem,
+        elimination=replace(model.elimination, kept=kept[order], expansion=expansion),
+        places=model.places[order],
+        signs=model.signs[order],
+        whole=None,
     )
 
 
@@ -254,18 +251,18 @@ class Model:
         takes_integers: bool = False,
     ) -> None:
         self.reader = Reader(memo, takes_integers=takes_integers)
-        self.variables = list({v.id: v for one in stated for v in one.variables()}.values())
-        self.spans, size = spans_of({one.id: one for one in self.variables})
+        leaves = compat.by_id(variable for item in stated for variable in item.variables())
+        self.variables, (self.spans, size) = list(leaves.values()), spans_of(leaves)
         self.bounds: list[tuple[Indices, Any, Any, Any, Any]] = []
         #: Bounds that attributes of the variables state.
         self.declared = np.full(size, -np.inf), np.full(size, np.inf)
         for variable in self.variables:
-            own = self.spans[variable.id]
+            span = self.spans[variable.id]
             for end, bound in zip(self.declared, compat.attribute_bounds(variable), strict=True):
-                end[own] = np.ravel(np.broadcast_to(bound, variable.shape), order="F")
+                end[span] = np.ravel(np.broadcast_to(bound, variable.shape), order="F")
             if variable.attributes.get("bounds") is not None:
                 ends = compat.attribute_expressions(variable)
-                self.bounds.append((np.arange(size)[own], 1.0, None, *ends))
+                self.bounds.append((np.arange(size)[span], 1.0, None, *ends))
         lower, upper = (end.copy() for end in self.declared)
         first = {key: span.start for key, span in self.spans.items()}
         # No reference to the model, which is freed at once then: a cycle waits for the collector.
@@ -300,21 +297,23 @@ class Model:
 
     def add_pairs(self, pairs: Sequence[Pair]) -> None:
         """Read complementarities, first the pairs with only one side that can be the variable."""
-        order = sorted(pairs, key=lambda one: self._key(one.first)[:4] == self._key(one.second)[:4])
-        for remark in [one for pair in order for one in self._pair(pair, *self.sides(pair))]:
-            warn(remark)
+        order = sorted(
+            pairs, key=lambda pair: self._key(pair.first)[:4] == self._key(pair.second)[:4]
+        )
+        for pair in order:
+            self._pair(pair, *self.sides(pair))
 
     def sides(self, pair: Pair) -> list[Side]:
-        """Return the sides of a pair, first its variable: the side with bounds, of two the one that is unknowns."""
+        """Return the sides of a pair, first its variable: the side with bounds, of two such sides the unknowns."""
         return sorted((pair.first, pair.second), key=self._key)
 
     def _key(self, side: Side) -> tuple[bool, ...]:
         """Return a sort key of the sides of a pair; its natural variable comes first."""
-        columns, low, high = (found := self.read(side)).columns, found.low, found.high
+        columns, low, high = (read := self.read(side)).columns, read.low, read.high
         return (
             side.kind == "zero",
             side.kind not in ("box", "cone"),
-            not (np.isfinite(low) | np.isfinite(high)).any(),
+            not np.isfinite((low, high)).any(),
             columns is None,
             columns is not None and bool(self.statement.is_paired[columns].any()),
             columns is not None and bool(self.is_defined[columns].all()),
@@ -334,11 +333,11 @@ class Model:
             self._known[key] = ReadSide(rows, columns, weights, shift, low, high)
         return self._known[key]
 
-    def _pair(self, pair: Pair, side: Side, other: Side) -> list[str]:
-        """Let the first side be the unknowns of a pair; return warnings about other readings."""
+    def _pair(self, pair: Pair, side: Side, other: Side) -> None:
+        """Let the first side be the unknowns of a pair; warn of other readings."""
         if "cone" in (side.kind, other.kind):
             self._pair_cones(pair, side, other)
-            return []
+            return
         rows, columns, weights, shift, low, high = self.read(side)
         is_new = columns is None or bool(self.statement.is_paired[columns].any())
         if columns is not None and is_new:
@@ -348,11 +347,11 @@ class Model:
                 f"{side} is not a variable, and {other} has no sign; write {other} >= 0 or <= 0, or give one side a "
                 "variable of its own: y == side in the list, and y in its place in the pair"
             )
-        is_bounded, remarks = bool((np.isfinite(low) | np.isfinite(high)).any()), []
+        is_bounded = np.isfinite((low, high)).any()
         if other.kind == "zero" and is_bounded:
-            remarks.append(of_equality_between_bounds(pair, side))
+            warn_of_equality_between_bounds(pair, side)
         elif side.kind == other.kind == "value" and not is_bounded and not states_bounds(side):
-            remarks.append(
+            warn(
                 f"{side} has no bounds, so that complements({side}, F) means F == 0; declare the variable with "
                 "nonneg=True, or write F == 0 if you mean an equation"
             )
@@ -372,7 +371,7 @@ class Model:
         if other.kind == "nonnegative" and side.kind != "nonnegative":
             sign = sign_of_inequality(pair, low, high)
         elif other.kind == "value" and side.kind == "nonnegative":
-            sign = np.sign(scale) * np.sign(weights) * np.ones(low.size)  # F ≤ 0 at an upper bound
+            sign = sign * np.sign(weights)  # F ≤ 0 at an upper bound
         if side.kind != "value":
             stated = (side.lower, side.upper) if side.kind == "box" else (0.0, np.inf)
             self.bounds.append((columns, scale, expression, *stated))
@@ -381,7 +380,6 @@ class Model:
         rows, origin = self.read(other).rows, other.expression
         self.statement.complement(columns, rows, low, high, sign, origin, name)
         self._report(pair, (side, other), columns, sign, scale, offset, expression)
-        return remarks
 
     def _report(
         self, pair: Pair, sides: Any, columns: Indices, sign: Any = 1.0, *value: Any
@@ -389,31 +387,28 @@ class Model:
         """Report w for the pair and the variable's constraint, the variable for w's constraint."""
         shape = pair.first.expression.shape
         owners = pair, *(side.constraint for side in sides)
-        for constraint, given in zip(
-            owners, ((True, sign), (True, sign), (False, *value)), strict=True
-        ):
+        duals = (True, sign), (True, sign), (False, *value)
+        for constraint, dual in zip(owners, duals, strict=True):
             if constraint is not None:
                 # cvxpy reads the dual value of a cone column by column.
-                own = (columns.size,) if isinstance(constraint, cp.SOC) else shape
-                self.reports.append(DualReport(constraint, columns, own, *given))
+                dual_shape = (columns.size,) if isinstance(constraint, cp.SOC) else shape
+                self.reports.append(DualReport(constraint, columns, dual_shape, *dual))
 
     def _pair_cones(self, pair: Pair, cone: Side, other: Side) -> None:
         """K ∋ S ⟂ F ∈ K*: the unknowns are the side that is entries of variables, or new ones."""
         side, entries = cone, []
-        for one in (cone, other):
-            rows, columns, weights, shift, *_ = self.read(one)
+        for item in (cone, other):
+            rows, columns, weights, shift, *_ = self.read(item)
             if rows.level:
                 raise UnsupportedModel(
-                    f"{one} must be affine, as it is paired with a cone; give it a variable, or write it by affine "
+                    f"{item} must be affine, as it is paired with a cone; give it a variable, or write it by affine "
                     "expressions"
                 )
-            is_free = columns is not None and not (
-                shift.any()
-                or (weights != 1.0).any()
-                or self.statement.is_paired[columns].any()
-                or self.is_defined[columns].all()
+            is_plain = columns is not None and not shift.any() and (weights == 1.0).all()
+            is_taken = is_plain and (
+                self.statement.is_paired[columns].any() or self.is_defined[columns].all()
             )
-            entries.append(columns if is_free else None)
+            entries.append(columns if is_plain and not is_taken else None)
         if entries[0] is None and cone.friction is None and entries[1] is not None:
             side, other, entries = other, cone, entries[::-1]
         if (columns := entries[0]) is None:
@@ -431,7 +426,7 @@ class Model:
         """Drop t ≥ 0, which the cone implies; raise if entries of a cone have other bounds."""
         first, lower, upper = columns[:, 0], self.statement.lower, self.statement.upper
         lower[first] = np.where(lower[first] == 0.0, -np.inf, lower[first])
-        if (np.isfinite(lower[columns]) | np.isfinite(upper[columns])).any():
+        if np.isfinite((lower[columns], upper[columns])).any():
             raise UnsupportedModel(
                 f"{side} holds variables with bounds, which the pair of a cone does not state; drop the bounds, or "
                 "state them in another pair"
@@ -447,21 +442,21 @@ class Model:
             variable_of[self.spans[variable.id]] = k
         # All unknowns that name expressions count as one more variable.
         variable_of[variable_of < 0] = len(self.variables)
-        found = self.statement.square(variable_of)
+        square = self.statement.square(variable_of)
         if (remark := self.statement.repeated(at_least=3)) is not None:
             warn(remark)
         if self.cones:
-            found = over_cones(found, self.cones, self.statement.name_of)
+            square = over_cones(square, self.cones, self.statement.name_of)
         if self._equations:
-            ends = np.cumsum([one.rows.size for one in rows]).tolist()
+            ends = np.cumsum([row.rows.size for row in rows]).tolist()
             columns = np.full(ends[-1], -1, dtype=np.int64)
-            columns[found.elimination.rows] = found.elimination.columns
-            columns[columns < 0] = found.matched
+            columns[square.elimination.rows] = square.elimination.columns
+            columns[columns < 0] = square.matched
             parts = zip(np.split(columns, ends[:-1]), rows, strict=True)
-            own = [(part, one.rows.shape) for part, one in parts if one.slacks is None]
-            for constraint, (part, shape) in zip(self._equations, own, strict=True):
-                self.reports.append(DualReport(constraint, part, shape, False))
-        return found
+            equations = [part for part, row in parts if row.slacks is None]
+            for constraint, part in zip(self._equations, equations, strict=True):
+                self.reports.append(DualReport(constraint, part, constraint.shape, False))
+        return square
 
     @property
     def problem(self) -> Any:
@@ -508,25 +503,25 @@ class Model:
     def split(self, unknowns: Vector) -> dict[int, Any]:
         """Return a value for each variable, by id, in the variable's shape."""
         return {
-            one.id: unknowns[self.spans[one.id]].reshape(one.shape, order="F")
-            for one in self.variables
+            variable.id: unknowns[self.spans[variable.id]].reshape(variable.shape, order="F")
+            for variable in self.variables
         }
 
     @np.errstate(all="ignore")  # outside of a domain
     def present(self) -> Vector | None:
         """Return the present values of all unknowns; None if a variable has no value."""
-        if any(one.value is None for one in self.variables):
+        if any(variable.value is None for variable in self.variables):
             return None
         z = np.zeros(self.statement.lower.size)
-        for one in self.variables:
-            z[self.spans[one.id]] = compat.by_columns(one.value)
+        for variable in self.variables:
+            z[self.spans[variable.id]] = compat.by_columns(variable.value)
         for row in self.statement.rows:
             if row.slacks is not None:
                 z[row.slacks] = row.sign * compat.by_columns(row.origin.value)
         return z
 
     def write_back(
-        self, problem: cp.Problem, result: Any, found: tuple[Vector, Vector, float] | None
+        self, problem: cp.Problem, result: Any, point: tuple[Vector, Vector, float] | None
     ) -> None:
         """Give a cvxpy problem its status, values, dual values and statistics.
 
@@ -534,27 +529,24 @@ class Model:
         ----------
         problem : cvxpy.Problem
         result : Result or EquilibriumResult
-        found : tuple or None
+        point : tuple or None
             All unknowns, their slacks and the value of the objective; None if a proof excludes solutions.
         """
-        if found is not None:
+        if point is not None:
             result = replace(result, agents=tuple(self.agents))
         status, attributes = compat.CVXPY_STATUS[result.status], compat.statistics(result)
-        if found is None:
-            value = compat.sense_of(problem) * (
-                np.inf if status == settings.INFEASIBLE else -np.inf
-            )
+        if point is None:
+            worst = np.inf if status == settings.INFEASIBLE else -np.inf
+            value = compat.sense_of(problem) * worst
             problem.unpack(Solution(status, value, {}, {}, attributes))
-        else:
-            values = self.split(found[0])
-            own = {one.id: values[one.id] for one in problem.variables()}
-            problem.unpack(Solution(status, found[2], own, {}, attributes))
-        for report in self.reports:
-            if found is None:
+            for report in self.reports:
                 for variable in report.constraint.dual_variables:
                     variable.save_value(None)
-            else:
-                entries = (found[1] if report.is_slack else found[0])[report.columns]
+        else:
+            z, w, value = point
+            problem.unpack(Solution(status, value, self.split(z), {}, attributes))
+            for report in self.reports:
+                entries = (w if report.is_slack else z)[report.columns]
                 dual = report.scale * entries + report.shift
                 report.constraint.save_dual_value(dual.reshape(report.shape, order="F"))
         for agent in self.agents:
@@ -571,26 +563,26 @@ class Model:
         """
         square, stated = self.square, [*self.statement.pairs, *self.statement.rows]
         unknowns = square.elimination.expand(z)
-        below = compat.values_below([one.origin for one in stated])
-        values = [np.ravel(compat.dense_value(below[id(one.origin)]), order="F") for one in stated]
-        for k, one in enumerate(stated):
-            if one.slacks is not None:
-                values[k] = values[k] - unknowns[one.slacks]
+        below = compat.values_below([row.origin for row in stated])
+        values = [compat.by_columns(compat.dense_value(below[id(row.origin)])) for row in stated]
+        for k, row in enumerate(stated):
+            if row.slacks is not None:
+                values[k] = values[k] - unknowns[row.slacks]
         theirs = np.concatenate([*values, np.zeros(0)])
-        if (found := square.first_mismatch(z, w, theirs)) is None:
+        if (mismatch := square.first_mismatch(z, w, theirs)) is None:
             return None
-        row, expected = found
-        owner = np.searchsorted(np.cumsum([one.size for one in values]), row, side="right")
+        number, expected = mismatch
+        owner = np.searchsorted(np.cumsum([part.size for part in values]), number, side="right")
         less = " less its slack" if stated[owner].slacks is not None else ""
         return (
-            f"{compat.name_of(stated[owner].origin)}{less} is {theirs[row]:.9g} in one entry at the values of its "
+            f"{compat.name_of(stated[owner].origin)}{less} is {theirs[number]:.9g} in one entry at the values of its "
             f"variables, and {expected:.9g} was computed"
         )
 
 
 def spans_of(leaves: dict[int, Any]) -> tuple[dict[int, slice], int]:
     """Return the slice of each expression in their concatenation, and the number of entries."""
-    ends = np.cumsum([0, *(one.size for one in leaves.values())]).tolist()
+    ends = np.cumsum([0, *(leaf.size for leaf in leaves.values())]).tolist()
     return {key: slice(*pair) for key, pair in zip(leaves, pairwise(ends), strict=True)}, ends[-1]
 
 
@@ -603,7 +595,7 @@ def _name_of(variables: list[Any], spans: dict[int, slice], column: int) -> str:
 
 
 def friction_of(side: Side) -> Vector | None:
-    """Return the coefficients of the contacts of a side, None of one without friction."""
+    """Return the coefficients of the contacts of a side; None without friction."""
     if side.friction is None:
         return None
     contacts = np.zeros(side.expression.size // side.rows)
@@ -629,13 +621,13 @@ def states_bounds(side: Side) -> bool:
     )
 
 
-def of_equality_between_bounds(pair: Pair, side: Side) -> str:
-    """Return a note on an equality that holds only between bounds; raise for an inequality."""
+def warn_of_equality_between_bounds(pair: Pair, side: Side) -> None:
+    """Warn of an equality that holds only between bounds; raise for an inequality."""
     if side.kind != "value":
         raise UnsupportedModel(
             f"{pair!r} pairs an equality with an inequality; pair it with a variable"
         )
-    return (
+    warn(
         f"{pair!r} pairs an equality with a bounded variable: at a bound it need not hold, as in complements(x, F); "
         "write G == 0 in the list, outside the pair, where it always has to"
     )
@@ -646,13 +638,13 @@ def pair_residual(pair: Pair) -> Vector | None:
     model = Model([pair], takes_integers=True)
     side, other = model.sides(pair)
     with np.errstate(all="ignore"):  # outside of a domain
-        values = [one.expression.value for one in (side, other)]
+        values = [item.expression.value for item in (side, other)]
     if any(value is None for value in values):
         return None
     z, w = map(compat.by_columns, values)
     if side.kind == "cone":
         cones = ConePair(np.arange(z.size), side.rows, friction_of(side))
-        return np.abs(cones.blocks(np.eye(z.size), np.zeros(z.size)).residual(z, w))
+        return np.abs(cone_problem(np.eye(z.size), np.zeros(z.size), [cones]).residual(z, w))
     *_, weights, _, low, high = model.read(side)
     if other.kind == "nonnegative" and side.kind != "nonnegative":
         w = np.where(np.isfinite(high) & ~np.isfinite(low), -w, w)
@@ -663,8 +655,9 @@ def pair_residual(pair: Pair) -> Vector | None:
 
 def warn(remark: str) -> None:
     """Issue a ModelWarning at the user's call of this package, or of cvxpy."""
-    own = {__package__.partition(".")[0], cp.__name__, np.__name__}  # np.errstate wraps functions
+    # np.errstate wraps functions
+    packages = {__package__.partition(".")[0], cp.__name__, np.__name__}
     frame, level = inspect.currentframe(), 1
-    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in own:
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in packages:
         frame, level = frame.f_back, level + 1
     warnings.warn(remark, ModelWarning, stacklevel=level)

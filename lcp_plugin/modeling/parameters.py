@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.linalg import splu
 
-from ..core.checks import Vector, derived_property
+from ..core.checks import Vector, derived_property, fill
 from ..core.errors import InvalidOption, UnsuitableProblem, UnsupportedModel
 from ..core.lcp import LCP
 from ..expressions.rows import Program
@@ -32,8 +32,7 @@ from ..problems.parametric.tracing import trace_stated
 from ..problems.programs.program import QuadraticProgram
 from ..problems.sensitivity import derivative
 from ..solving.result import Result
-from . import _compat
-from ._compat import by_columns, expression_of, leaf_value, name_of
+from ._compat import by_columns, by_id, leaf_value, name_of, sense_of
 from .model import DualReport, Model, spans_of
 from .qp_solver import CompiledProblem
 from .reading import Reader, restricting_attribute
@@ -61,17 +60,16 @@ class ParametricRows:
     """
 
     def __init__(self, expressions: Iterable[Any], known: Changes) -> None:
-        reader, each = Reader(held=known), {id(one): one for one in expressions}
-        self._parameters = {p.id: p for one in each.values() for p in one.parameters()}
+        reader, roots = Reader(held=known), {id(root): root for root in expressions}
+        self._parameters = by_id(p for root in roots.values() for p in root.parameters())
         self._spans, n = spans_of(self._parameters)
         #: Slice of each expression among all entries, by its id.
-        self.spans, self.size = spans_of(each)
+        self.spans, self.size = spans_of(roots)
         starts = {key: span.start for key, span in self._spans.items()}
-        self._program = Program.of(
-            reader.compiler, [reader.rows(one) for one in each.values()], starts, n
-        )
+        rows = [reader.rows(root) for root in roots.values()]
+        self._program = Program.of(reader.compiler, rows, starts, n)
         self._at = self._vector(
-            {key: known.get(key, _compat.leaf_value(p)) for key, p in self._parameters.items()}
+            {key: known.get(key, leaf_value(p)) for key, p in self._parameters.items()}
         )
 
     def change(self, changes: Changes) -> Vector:
@@ -80,15 +78,17 @@ class ParametricRows:
 
     def gradient(self, gradient: Vector) -> Changes:
         """Return the gradients by parameters, by id, from the gradient by the expressions."""
-        found = self._finite(self._program.gradient(self._at, gradient))
+        gradients = self._finite(self._program.gradient(self._at, gradient))
         return {
-            key: found[self._spans[key]].reshape(p.shape, order="F")
-            for key, p in self._parameters.items()
+            key: gradients[self._spans[key]].reshape(parameter.shape, order="F")
+            for key, parameter in self._parameters.items()
         }
 
     def _vector(self, values: Changes) -> Vector:
-        parts = [values.get(key, np.zeros(one.size)) for key, one in self._parameters.items()]
-        return np.concatenate([*map(_compat.by_columns, parts), np.zeros(0)])
+        parts = [
+            values.get(key, np.zeros(parameter.size)) for key, parameter in self._parameters.items()
+        ]
+        return np.concatenate([*map(by_columns, parts), np.zeros(0)])
 
     @staticmethod
     def _finite(values: Any) -> Any:
@@ -116,7 +116,7 @@ class ModelDerivative:
         self._model, self._result, self._parameters = model, result, parameters
 
     def __repr__(self) -> str:
-        parameters = ", ".join(one.name() for one in self._parameters)
+        parameters = ", ".join(parameter.name() for parameter in self._parameters)
         return (
             f"ModelDerivative({len(self._model.variables)} variables by {parameters or 'nothing'})"
         )
@@ -124,8 +124,8 @@ class ModelDerivative:
     @property
     def is_unique(self) -> bool | None:
         """True if the derivative exists, so that jvp is linear; None if that is unknown (over cones)."""
-        found: bool | None = self._at.is_unique
-        return found
+        is_unique: bool | None = self._at.is_unique
+        return is_unique
 
     @property
     def advice(self) -> str:
@@ -147,28 +147,28 @@ class ModelDerivative:
         UnsupportedModel
             If a key is not a parameter of the model, or a change is not finite or has another shape.
         """
-        model, at = self._model, self._at
-        given = self._checked({**(changes or {}), **by_name}, self._parameters, "change")
-        changed = self._parametric.change(given)
-        rows, moved = changed[self._rows], np.zeros(model.square.elimination.offset.size)
+        model, at, elimination = self._model, self._at, self._model.square.elimination
+        of_parameters = self._checked({**(changes or {}), **by_name}, self._parameters, "change")
+        changed = self._parametric.change(of_parameters)
+        rows, moved = changed[self._rows], np.zeros(elimination.offset.size)
         if self._definitions is not None:
             matrix, defining, solved = self._definitions
-            moved[model.square.elimination.columns] = -solved(rows[defining], "N")
+            moved[elimination.columns] = -solved(rows[defining], "N")
             rows = rows + matrix @ moved
         h = model.square.signs * rows[self._left]
         dlower, dupper = np.split(self._bounds @ changed, 2)
         of_friction = {"dfriction": self._friction @ changed} if model.friction else {}
         dz = at.jvp(dq=h, dlower=dlower, dupper=dupper, **of_friction)
-        dw = model.square.elimination.expand_slack(at.dw(dz, dq=h))
-        du = moved + model.square.elimination.expand_change(dz)
+        dw = elimination.expand_slack(at.dw(dz, dq=h))
+        du = moved + elimination.expand_change(dz)
         values = model.split(du)
-        found = {variable: values[variable.id] for variable in model.variables}
+        changes_by_owner = {variable: values[variable.id] for variable in model.variables}
         for report in model.reports:
             change = report.scale * (dw if report.is_slack else du)[report.columns]
             if report.expression is not None:
                 change = change + changed[self._parametric.spans[id(report.expression)]]
-            found[report.constraint] = change.reshape(report.shape, order="F")
-        return found
+            changes_by_owner[report.constraint] = change.reshape(report.shape, order="F")
+        return changes_by_owner
 
     def vjp(self, gradients: Mapping[Any, Any]) -> dict[Any, Any]:
         """Return the gradient by each parameter of a function of the solution.
@@ -184,59 +184,53 @@ class ModelDerivative:
             If a key is neither a variable nor a constraint, or a gradient is not finite or has another shape.
         """
         model, total = self._model, np.zeros(self._parametric.size)
+        elimination = model.square.elimination
         owners = [*model.variables, *(report.constraint for report in model.reports)]
-        given = self._checked(gradients, owners, "gradient")
-        by_unknown, by_slack = np.zeros((2, model.square.elimination.offset.size))
+        by_owner = self._checked(gradients, owners, "gradient")
+        by_unknown, by_slack = np.zeros((2, elimination.offset.size))
         for variable in model.variables:
-            by_unknown[model.spans[variable.id]] = np.ravel(given.get(variable.id, 0.0), order="F")
+            by_unknown[model.spans[variable.id]] = by_owner.get(variable.id, 0.0)
         for report in model.reports:
-            if (own := given.get(report.constraint.id)) is not None:
-                own = np.ravel(own, order="F")
-                np.add.at(
-                    by_slack if report.is_slack else by_unknown, report.columns, report.scale * own
-                )
+            if (entries := by_owner.get(report.constraint.id)) is not None:
+                side = by_slack if report.is_slack else by_unknown
+                np.add.at(side, report.columns, report.scale * entries)
                 if report.expression is not None:
-                    total[self._parametric.spans[id(report.expression)]] += own
-        kept, expansion = model.square.elimination.kept, model.square.elimination.expansion
+                    total[self._parametric.spans[id(report.expression)]] += entries
+        kept, expansion = elimination.kept, elimination.expansion
         g = by_unknown[kept] if expansion is None else expansion.T @ by_unknown
         gradient = self._at.vjp(g, by_slack[kept])
         rows = np.zeros(self._rows.size)
         rows[self._left] = model.square.signs * gradient.q
         if self._definitions is not None:
             matrix, defining, solved = self._definitions
-            rows[defining] = -solved(
-                (by_unknown + matrix.T @ rows)[model.square.elimination.columns], "T"
-            )
+            rows[defining] = -solved((by_unknown + matrix.T @ rows)[elimination.columns], "T")
         np.add.at(total, self._rows, rows)
         total += self._bounds.T @ np.concatenate([gradient.lower, gradient.upper])
         if model.friction:
             total += self._friction.T @ gradient.friction
-        found = self._parametric.gradient(total)
-        return {one: found.get(one.id, np.zeros(one.shape)) for one in self._parameters}
+        by_parameter = self._parametric.gradient(total)
+        return {p: by_parameter.get(p.id, np.zeros(p.shape)) for p in self._parameters}
 
     @staticmethod
-    def _checked(given: Mapping[Any, Any], owners: list[Any], what: str) -> Changes:
-        """Return the arrays that a user gave, by the ids of their owners."""
-        found: Changes = {}
-        for owner, value in given.items():
-            if not any(owner is one for one in owners):
+    def _checked(stated: Mapping[Any, Any], owners: list[Any], what: str) -> Changes:
+        """Return the entries of the user's arrays, column by column, by the ids of their owners."""
+        arrays: Changes = {}
+        for owner, value in stated.items():
+            if not any(owner is known for known in owners):
                 instead = ", the objects and not their names" if isinstance(owner, str) else ""
                 raise UnsupportedModel(
-                    f"{_compat.name_of(owner)} has no {what} here; give one of "
-                    f"{', '.join(map(_compat.name_of, owners))}{instead}"
+                    f"{name_of(owner)} has no {what} here; give one of "
+                    f"{', '.join(map(name_of, owners))}{instead}"
                 )
             array = np.asarray(value)
-            if (
-                array.dtype.kind not in "fiu"
-                or array.shape != owner.shape
-                or not np.isfinite(array).all()
-            ):
+            is_real = array.dtype.kind in "fiu" and np.isfinite(array).all()
+            if not is_real or array.shape != owner.shape:
                 raise UnsupportedModel(
-                    f"the {what} of {_compat.name_of(owner)} must be finite real numbers of its shape {owner.shape}, "
+                    f"the {what} of {name_of(owner)} must be finite real numbers of its shape {owner.shape}, "
                     f"got {value!r}"
                 )
-            found[owner.id] = array.astype(np.float64)
-        return found
+            arrays[owner.id] = by_columns(array.astype(np.float64))
+        return arrays
 
     @derived_property
     def _at(self) -> Any:  # a Derivative, or a ConeDerivative
@@ -250,29 +244,28 @@ class ModelDerivative:
         stated = [part for _, _, *parts in model.bounds for part in parts]
         shifts = [report.expression for report in model.reports]
         known = model.values(self._at.z)
-        every = [*self._functions, *stated, *shifts, *(one for one, _ in model.friction)]
-        return ParametricRows([one for one in every if isinstance(one, cp.Expression)], known)
+        every = [*self._functions, *stated, *shifts, *(friction for friction, _ in model.friction)]
+        return ParametricRows([part for part in every if isinstance(part, cp.Expression)], known)
 
     @property
     def _functions(self) -> list[Any]:
         """The expressions of the model's rows: pairs first, then equations."""
         statement = self._model.statement
-        return [one.origin for one in (*statement.pairs, *statement.rows)]
+        return [row.origin for row in (*statement.pairs, *statement.rows)]
 
     @derived_property
     def _rows(self) -> NDArray[np.int64]:
         """The positions of the rows of pairs and equations among the parametric expressions."""
-        spans = [self._parametric.spans[id(one)] for one in self._functions]
-        return np.concatenate(
-            [*(np.arange(span.start, span.stop) for span in spans), np.zeros(0, dtype=np.int64)]
-        )
+        spans = [self._parametric.spans[id(function)] for function in self._functions]
+        rows: NDArray[np.int64] = np.r_[0:0, *spans]
+        return rows
 
     @derived_property
     def _left(self) -> NDArray[np.int64]:
         """The row of the model that each row of the LCP is, up to its sign."""
-        first = self._model.square.stored[0].shape[0]
-        rows = np.delete(np.arange(self._rows.size), first + self._model.square.elimination.rows)
-        return rows[self._model.square.places]
+        square = self._model.square
+        definitions = square.stored[0].shape[0] + square.elimination.rows
+        return np.delete(np.arange(self._rows.size), definitions)[square.places]
 
     @derived_property
     def _definitions(
@@ -295,26 +288,24 @@ class ModelDerivative:
             last[columns] = k
         parts = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))]
         for k, (columns, scale, expression, *ends) in enumerate(model.bounds):
-            own = np.flatnonzero(last[columns] == k)
-            weights = np.broadcast_to(scale, columns.size)[own]
+            entries = np.flatnonzero(last[columns] == k)
+            weights = np.broadcast_to(scale, columns.size)[entries]
             for is_end, bound in enumerate(ends):
                 is_upper = (weights > 0.0) == is_end
                 for part, sign in ((expression, -1.0), (bound, 1.0)):
                     if isinstance(part, cp.Expression):
-                        places = spans[id(part)].start + (own if part.size > 1 else 0 * own)
-                        parts.append((columns[own] + n * is_upper, places, sign / weights))
+                        places = spans[id(part)].start + (entries if part.size > 1 else 0 * entries)
+                        parts.append((columns[entries] + n * is_upper, places, sign / weights))
         rows, columns, data = (np.concatenate(part) for part in zip(*parts, strict=True))
-        matrix = sp.csr_array(
-            sp.coo_array((data, (rows, columns)), shape=(2 * n, self._parametric.size))
-        )
+        matrix = sp.csr_array((data, (rows, columns)), shape=(2 * n, self._parametric.size))
         return matrix[np.concatenate([kept, n + kept])]
 
     @derived_property
     def _friction(self) -> sp.csr_array:
         """The change of the coefficients of friction by the change of their expressions."""
         columns = [np.zeros(0, dtype=np.int64)]
-        for one, count in self._model.friction:
-            span = self._parametric.spans.get(id(one), slice(-1, 0))
+        for friction, count in self._model.friction:
+            span = self._parametric.spans.get(id(friction), slice(-1, 0))
             columns.append(span.start + np.arange(count) * (span.stop - span.start > 1))
         places = np.concatenate(columns)
         stated = np.flatnonzero(places >= 0)
@@ -360,15 +351,14 @@ def derivative_of(problem: cp.Problem) -> ModelDerivative:
 
 def _bounds_of(agent: Any, model: Model) -> Iterator[DualReport]:
     """Yield the dual values of constraints that bound decisions of an agent: −w/a if a x ≤ a u is active."""
-    conditions = agent.conditions
-    own = next(one for one in model.reports if one.constraint is conditions.stationarity)
-    duals = conditions.duals()
-    for one in conditions.bounds:
-        if one.rows is not None and isinstance(one.rows.kept, slice):
-            row, dual = one.rows.origin, by_columns(duals[one.rows.origin.id])
-            scale = np.where(dual != 0.0, -1.0 / one.weights, 0.0)
-            columns, shape = own.columns[one.places], expression_of(row).shape
-            yield DualReport(row, columns, shape, is_slack=True, scale=scale)
+    conditions, duals = agent.conditions, agent.conditions.duals()
+    columns_of = {report.constraint.id: report.columns for report in model.reports}
+    decisions = columns_of[conditions.stationarity.id]
+    for bound in conditions.bounds:
+        if bound.rows is not None and isinstance(bound.rows.kept, slice):
+            row = bound.rows.origin
+            scale = np.where(by_columns(duals[row.id]) != 0.0, -1.0 / bound.weights, 0.0)
+            yield DualReport(row, decisions[bound.places], row.shape, is_slack=True, scale=scale)
 
 
 def _is_solved_by(model: Model, result: Result) -> bool:
@@ -393,9 +383,9 @@ def differentiable_parameters(problem: cp.Problem) -> list[Any]:
     UnsupportedModel
         If one is an integer, a Boolean or complex, or has entries that are tied to each other.
     """
-    bounds = [end for one in problem.variables() for end in one.attributes.get("bounds") or ()]
+    bounds = [end for v in problem.variables() for end in v.attributes.get("bounds") or ()]
     owners = [problem, *(end for end in bounds if isinstance(end, cp.Expression))]
-    parameters = list({p.id: p for owner in owners for p in owner.parameters()}.values())
+    parameters = list(by_id(p for owner in owners for p in owner.parameters()).values())
     for parameter in parameters:
         if name := restricting_attribute(parameter):
             raise UnsupportedModel(
@@ -425,9 +415,7 @@ class ModelPath(Path):
     @classmethod
     def of(cls, path: Path, lines: Lines, back: Back, problem: cp.Problem) -> ModelPath:
         """Return a path with a map back to cvxpy's variables."""
-        made = cls.__new__(cls)
-        made.__dict__.update(path.__dict__, _lines=lines, _back=back, _problem=problem)
-        return made
+        return fill(cls.__new__(cls), **vars(path), _lines=lines, _back=back, _problem=problem)
 
     def at(self, theta: float, piece: Piece | None = None) -> PathPoint:
         """Return the point at θ; the objective has the constant and the sense of the cvxpy problem."""
@@ -435,17 +423,19 @@ class ModelPath(Path):
         if point.solution is not None:
             with moved_to(self._lines, float(theta)):
                 value = _program(self._problem)[0].objective(point.x)
-            point = replace(point, stated_objective=_compat.sense_of(self._problem) * value)
+            point = replace(point, stated_objective=sense_of(self._problem) * value)
         return point
 
     def value(self, variable: cp.Variable, theta: ArrayLike) -> Any:
         """Return the value of a variable at θ, in its shape; at k values of θ shape (k, *its shape)."""
-        found = [self._values(one) for one in np.ravel(np.asarray(theta, float)).tolist()]
-        if any(variable.id not in values for values in found):
+        points = [self._values(value) for value in np.ravel(np.asarray(theta, float)).tolist()]
+        if any(variable.id not in values for values in points):
             raise UnsupportedModel(
                 f"{name_of(variable)} is not a variable of the problem; pass one of its variables"
             )
-        return np.reshape([one[variable.id] for one in found], (*np.shape(theta), *variable.shape))
+        return np.reshape(
+            [values[variable.id] for values in points], (*np.shape(theta), *variable.shape)
+        )
 
     def _values(self, theta: float) -> dict[int, Any]:
         with moved_to(self._lines, theta):
@@ -469,18 +459,21 @@ def parameter_lines(problem: cp.Problem, along: object) -> Lines:
             )
         lines = {along: (np.zeros(along.shape), np.ones(along.shape))}
     elif isinstance(along, Mapping) and along and all(isinstance(p, cp.Parameter) for p in along):
-        if lacking := [one for one in along if one.value is None]:
+        if lacking := [parameter for parameter in along if parameter.value is None]:
             raise InvalidOption(
                 f"{name_of(lacking[0])} has no value, to which the direction is added; give it one"
             )
         steps = {p: np.broadcast_to(np.asarray(step, float), p.shape) for p, step in along.items()}
-        lines = {one: (np.array(leaf_value(one), float), step) for one, step in steps.items()}
+        lines = {
+            parameter: (np.array(leaf_value(parameter), float), step)
+            for parameter, step in steps.items()
+        }
     else:
         raise InvalidOption(
             f"along of a cvxpy problem is a Parameter, or {{parameter: direction}}, got {along!r}"
         )
-    known = {one.id for one in problem.parameters()}
-    if strange := [one for one in lines if one.id not in known]:
+    known = by_id(problem.parameters())
+    if strange := [parameter for parameter in lines if parameter.id not in known]:
         raise InvalidOption(
             f"{name_of(strange[0])} is not a parameter of the problem; pass one of its parameters"
         )
@@ -490,19 +483,19 @@ def parameter_lines(problem: cp.Problem, along: object) -> Lines:
 @contextmanager
 def moved_to(lines: Lines, theta: float) -> Iterator[None]:
     """Give the parameters their values at θ, and restore the previous values at the end."""
-    before = {one: one.value for one in lines}
+    before = {parameter: parameter.value for parameter in lines}
     try:
-        for one, (base, step) in lines.items():
+        for parameter, (base, step) in lines.items():
             try:
-                one.value = base + theta * step
+                parameter.value = base + theta * step
             except ValueError as error:
                 raise InvalidOption(
-                    f"{name_of(one)} does not accept its value at θ = {theta:.6g}: {error}"
+                    f"{name_of(parameter)} does not accept its value at θ = {theta:.6g}: {error}"
                 ) from error
         yield
     finally:
-        for one, value in before.items():
-            one.value = value
+        for parameter, value in before.items():
+            parameter.value = value
 
 
 def trace_model(
@@ -520,13 +513,12 @@ def trace_model(
     other = stop if stop != start else start + 1.0
     # A test point that no simple fraction hits
     values = (start, other, start + 0.3819660112501051 * (other - start))
-    found = []
+    problems = []
     for theta in values:
         with moved_to(lines, theta):
-            found.append(stated(problem))
-    (first, back), (last, _), (middle, _) = found
-    base, directions = _line(first, last, middle, values)
-    path = trace_stated(base, directions, start, stop, tolerance)
+            program, back = stated(problem)
+        problems.append(program)
+    path = trace_stated(*_line(problems, values), start, stop, tolerance)
     return ModelPath.of(path, lines, back, problem)
 
 
@@ -541,44 +533,38 @@ def _program(problem: cp.Problem) -> tuple[QuadraticProgram, Back]:
     return compiled.program, compiled.values
 
 
-def _line(
-    first: Any, last: Any, middle: Any, values: tuple[float, float, float]
-) -> tuple[Any, dict[str, Vector]]:
-    """Return the problem at θ = 0 and its vectors' directions; raise if they are not affine."""
-    kind = type(first)
+def _line(problems: list[Any], values: tuple[float, ...]) -> tuple[Any, dict[str, Vector]]:
+    """Return the problem at θ = 0 and its vectors' directions, from three values of θ; raise if they are not affine."""
+    first, kind = problems[0], type(problems[0])
     for name in MATRICES[kind]:
-        one = getattr(first, name)
-        for other in (last, middle):
-            if (
-                one.shape != getattr(other, name).shape
-                or abs(one - getattr(other, name)).sum() != 0.0
-            ):
-                remedy = "where it multiplies the quadratic term, divide the objective by it"
-                remedy = remedy if name == "P" else "let it multiply no variable of a constraint"
-                raise UnsupportedModel(
-                    f"the parameter enters the matrix {name} of the program that cvxpy compiles, so the path is not "
-                    f"piecewise affine; {remedy}"
-                )
+        matrix, *others = (getattr(problem, name) for problem in problems)
+        if any(matrix.shape != one.shape or abs(matrix - one).sum() != 0.0 for one in others):
+            remedy = "where it multiplies the quadratic term, divide the objective by it"
+            remedy = remedy if name == "P" else "let it multiply no variable of a constraint"
+            raise UnsupportedModel(
+                f"the parameter enters the matrix {name} of the program that cvxpy compiles, so the path is not "
+                f"piecewise affine; {remedy}"
+            )
     begin, end, between = values
     base, directions = {}, {}
     for name in VECTORS[kind]:
-        one, other, seen = (getattr(each, name) for each in (first, last, middle))
-        moves = np.isfinite(one) & np.isfinite(other) & np.isfinite(seen)
-        here, there, inside = (np.where(moves, part, 0.0) for part in (one, other, seen))
-        slope = (there - here) / (end - begin)
-        off = np.abs(here + (between - begin) * slope - inside)
-        is_fixed = (one == other) & (one == seen)
+        vectors = np.array([getattr(problem, name) for problem in problems])
+        moves = np.isfinite(vectors).all(axis=0)
+        at_begin, at_end, at_middle = np.where(moves, vectors, 0.0)
+        slope = (at_end - at_begin) / (end - begin)
+        deviation = np.abs(at_begin + (between - begin) * slope - at_middle)
+        is_fixed = (vectors == vectors[0]).all(axis=0)
         # A vector in between is off the line by more than rounding
-        if (off > 1e-9 * np.abs(inside).max(initial=0.0)).any() or not (moves | is_fixed).all():
+        is_bent = deviation > 1e-9 * np.abs(at_middle).max(initial=0.0)
+        if is_bent.any() or not (moves | is_fixed).all():
             raise UnsupportedModel(
                 f"{name} of the program that cvxpy compiles is not affine in the parameter between {begin:.6g} and "
                 f"{end:.6g}; make the nonlinear expression a parameter"
             )
-        base[name] = np.where(moves, here - begin * slope, one)
+        base[name] = np.where(moves, at_begin - begin * slope, vectors[0])
         if slope.any():
             directions[name] = slope
     if not directions:
-        directions = {VECTORS[kind][0]: np.zeros(base[VECTORS[kind][0]].size)}
-    if kind is LCP:
-        return first.with_q(base["q"], lower=base["lower"], upper=base["upper"]), directions
-    return first.with_vectors(**base), directions
+        name = VECTORS[kind][0]
+        directions = {name: np.zeros_like(base[name])}
+    return (first.with_q if kind is LCP else first.with_vectors)(**base), directions

@@ -15,19 +15,16 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ...core.checks import AnyMatrix, Array, Vector
+from ...core.checks import Array, Vector
 from ...core.deadline import is_over
 from ...core.kernels.floats import DATA_ROUNDING
 from ...core.lcp import LCP
 from ...core.matrix import fact
 from ...core.structure import equation_signs
-from ...core.tuning import DENSE_OPERATIONS, PIVOTS_FIRST_UP_TO, SPARSE_OPERATIONS
+from ...core.tuning import PIVOTS_FIRST_UP_TO
 from ...systems.equilibration import power_of_two
-from ...systems.factors import sparse_lu
-from ...systems.minimum_degree import factor_sizes
 from ..small import bimatrix_players
 from . import tableau
 
@@ -142,18 +139,16 @@ def _without_free_rows(
     is_free: NDArray[np.bool_],
 ) -> CanonicalBox:
     free, one_sided = np.flatnonzero(is_free), np.flatnonzero(~is_free & (upper == np.inf))
-    is_sparse = free.size > 64 and np.count_nonzero(M) < M.size // 10
-    sparse = sp.csr_array(M) if is_sparse else None
-    kept, empty = _independent(M, sparse, free), free[:0]
+    kept, empty = _independent(M, free), free[:0]
     choices = [(kept, empty), (empty, empty)] if free.size else [(empty, empty)]
     if kept.size < free.size:
-        choices.insert(0, _with_partners(M, sparse, kept, np.setdiff1d(free, kept), one_sided))
+        choices.insert(0, _with_partners(M, kept, np.setdiff1d(free, kept), one_sided))
     for gone, partners in choices:
         basic, stays = np.append(gone, partners), np.delete(np.arange(keep.size), gone)
         place, columns = np.searchsorted(stays, partners), np.column_stack([M[:, stays], q])
         # z and w of a partner's row change places
         columns[:, place], columns[partners, place] = 0.0, -1.0
-        solution = _solved(M, sparse, basic, columns[basic])
+        solution = _solved(M, basic, columns[basic])
         if solution is not None:
             break
     reduced = _product(M[np.ix_(stays, basic)], solution, columns[stays])
@@ -175,25 +170,21 @@ def _without_free_rows(
     )
 
 
-def _independent(M: FloatMatrix, sparse: AnyMatrix, free: IndexVector) -> IndexVector:
+def _independent(M: FloatMatrix, free: IndexVector) -> IndexVector:
     """Return the free rows whose pivots in a factorization of their block are not at rounding level."""
     if not free.size:
         return free
     from scipy.linalg import lapack
 
-    factor = _sparse_factor(sparse, free, shift=2.0**-52)  # SuperLU needs nonzero pivots
-    if factor is None:
-        pivots = np.abs(lapack.dgetrf(M[np.ix_(free, free)])[0].diagonal())
-    else:
-        pivots = np.abs(factor.U.diagonal())[factor.perm_c]
+    pivots = np.abs(lapack.dgetrf(M[np.ix_(free, free)])[0].diagonal())
     return np.asarray(free[pivots > max(1e-8 * pivots.max(), 2.0**-48)])
 
 
 def _with_partners(
-    M: FloatMatrix, sparse: AnyMatrix, kept: IndexVector, lost: IndexVector, one_sided: IndexVector
+    M: FloatMatrix, kept: IndexVector, lost: IndexVector, one_sided: IndexVector
 ) -> tuple[IndexVector, IndexVector]:
     """Return free rows, and as many other rows as may make their common block regular."""
-    solution = _solved(M, sparse, kept, M[np.ix_(kept, one_sided)])
+    solution = _solved(M, kept, M[np.ix_(kept, one_sided)])
     if solution is None or not (lost.size and one_sided.size):
         return kept, lost[:0]
     from scipy.linalg import qr
@@ -206,16 +197,10 @@ def _with_partners(
     return np.append(kept, lost[rows]), one_sided[order]
 
 
-def _solved(M: FloatMatrix, sparse: AnyMatrix, rows: IndexVector, right: FloatMatrix) -> Any:
+def _solved(M: FloatMatrix, rows: IndexVector, right: FloatMatrix) -> Any:
     """Return −block⁻¹ right for the block of these rows; None if it is ill-conditioned."""
     if not rows.size:
         return np.empty(right.shape)
-    factor = _sparse_factor(sparse, rows)
-    if factor is not None:
-        # a lower bound of the condition number
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], rows.size)
-        is_regular = np.abs(factor.solve(signs)).max() < 1e8
-        return factor.solve(-right) if is_regular else None
     from scipy.linalg import lapack
 
     block = M[np.ix_(rows, rows)]
@@ -223,19 +208,6 @@ def _solved(M: FloatMatrix, sparse: AnyMatrix, rows: IndexVector, right: FloatMa
     if info or not lapack.dgecon(factor, np.linalg.norm(block, 1))[0] > 1e-8:
         return None
     return np.asarray(lapack.dgetrs(factor, pivots, -right)[0], dtype=np.float64)
-
-
-def _sparse_factor(sparse: AnyMatrix, rows: IndexVector, shift: float = 0.0) -> Any:
-    """Return SuperLU's factor of a block + shift I; None if a dense factor is quicker, or if a pivot is zero."""
-    n = rows.size
-    if sparse is None:
-        return None
-    block = sparse[rows][:, rows] + shift * sp.eye_array(n)
-    most = n**3 / 1.5 / DENSE_OPERATIONS * SPARSE_OPERATIONS
-    try:
-        return sparse_lu(block) if factor_sizes(block, np.inf, most)[1] < np.inf else None
-    except RuntimeError:
-        return None
 
 
 @fact

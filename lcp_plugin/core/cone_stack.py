@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from .checks import Array, copy_without, read_only
+from .entries import clip
 from .kernels.compilation import helper, kernel
 from .kernels.floats import NEGLIGIBLE_DIAGONAL, NORMAL
 
@@ -270,7 +271,7 @@ class ConeStack:
         if self.pattern.has_rows:
             step, at = v[..., 0], z[..., 0]
             below, over = at - self.high, at - self.low
-            of_rows = np.minimum(np.maximum(step, below), over)
+            of_rows = clip(step, below, over)
             is_row = self.pattern.is_row
             R[..., 0] = np.where(is_row, of_rows, R[..., 0])
             is_free = (below < step) & (step < over)
@@ -288,7 +289,7 @@ class ConeStack:
         projection = np.where(is_inside[..., None], z, projection)
         projection = np.where((on_axis <= 0.0)[..., None], 0.0, projection)
         if self.pattern.has_rows:
-            clamped = np.minimum(np.maximum(normal, self.low), self.high)
+            clamped = clip(normal, self.low, self.high)
             projection[..., 0] = np.where(self.pattern.is_row, clamped, projection[..., 0])
         return projection
 

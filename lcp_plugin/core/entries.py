@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from .checks import AnyMatrix, Vector, assemble_csr
+from .checks import AnyMatrix, BoolVector, Vector, assemble_csr
 from .kernels.floats import NEGLIGIBLE_DIAGONAL
 
 
@@ -24,6 +24,26 @@ def largest_in_rows(M: AnyMatrix, sizes: Vector | None = None) -> Vector:
     if filled.size:
         largest[..., filled] = np.maximum.reduceat(sizes, M.indptr[filled], axis=-1)
     return largest
+
+
+def max_norm(x: Vector) -> float:
+    """Return ‖x‖∞, 0 of no entries; a NaN stays."""
+    return float(np.abs(x).max(initial=0.0))
+
+
+def clip(x: Any, lower: Vector, upper: Vector) -> Vector:
+    """Return mid(lower, upper, x), in half of the time of numpy's function for short vectors."""
+    return np.minimum(np.maximum(x, lower), upper)
+
+
+def unbounded(lower: Vector, upper: Vector) -> BoolVector:
+    """Return the mask of the unknowns without bounds, whose rows are equations."""
+    return (lower == -np.inf) & (upper == np.inf)
+
+
+def with_entries(M: AnyMatrix, entries: Vector) -> sp.csr_array:
+    """Return the CSR array with these entries on the pattern of M."""
+    return sp.csr_array((entries, M.indices, M.indptr), shape=M.shape)
 
 
 def count_entries(matrix: AnyMatrix) -> int:
@@ -75,8 +95,7 @@ def scale_matrix(M: AnyMatrix, exponents: Exponents | None) -> Any:
     row, column = (side.astype(np.int32) for side in exponents)
     if not sp.issparse(M):
         return times_power(M, row[:, None] + column)
-    data = times_power(M.data, row[row_numbers(M)] + column[M.indices])
-    return sp.csr_array((data, M.indices, M.indptr), shape=M.shape)
+    return with_entries(M, times_power(M.data, row[row_numbers(M)] + column[M.indices]))
 
 
 def scale_by(A: AnyMatrix, rows: Vector, columns: Vector) -> Any:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from . import checks
 from .checks import AnyMatrix, Vector, checked_bounds, checked_vector, read_only
+from .entries import clip
 from .errors import InvalidOption
 from .matrix import Matrix
 from .names import Names, checked_names, describe_lcp
@@ -153,8 +154,7 @@ class LCP:
     @cached_property
     def nearest_to_zero(self) -> Vector:
         """z°, the point of [lower, upper] nearest to 0, shape (n,)."""
-        # twice as quick as clip
-        return read_only(np.minimum(np.maximum(0.0, self.lower), self.upper))
+        return read_only(clip(0.0, self.lower, self.upper))
 
     def slack(self, z: ArrayLike) -> Vector:
         """Return w = M z + q, shape (n,).

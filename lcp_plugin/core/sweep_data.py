@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from .checks import Vector, read_only
-from .entries import row_numbers
+from .entries import row_numbers, with_entries
 from .matrix import Matrix, fact
 from .structure import ROUNDED
 
@@ -50,7 +50,7 @@ def triangle_sums(matrix: Matrix, v: Vector, part: Any = None) -> tuple[Vector, 
     M = matrix.csr if part is None else part
     rows = row_numbers(M)
     size = np.abs(M.data) * inverse_residual_scale(matrix)[rows]
-    triangle = sp.csr_array((size * (M.indices < rows), M.indices, M.indptr), shape=M.shape)
+    triangle = with_entries(M, size * (M.indices < rows))
     lower = triangle @ v
     triangle.data = size * (M.indices > rows)
     return lower, triangle @ v

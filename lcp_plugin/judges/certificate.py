@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import Vector, checked_vector, derived_property, fill, read_only, restore_state
+from ..core.entries import max_norm
 from ..core.errors import InvalidProblem
 from ..core.lcp import LCP
 from ..core.problem_classes import refusal
@@ -163,7 +164,7 @@ class Certificate:
     @derived_property
     def complementarity(self) -> float:
         """max_i of (z_i − lower_i) w_i⁺ and (upper_i − z_i) w_i⁻ over the finite bounds."""
-        return float(np.abs(np.maximum(*self.products)).max(initial=0.0))
+        return max_norm(np.maximum(*self.products))
 
     @derived_property
     def rounding_floor(self) -> Vector:

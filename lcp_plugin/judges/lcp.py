@@ -31,7 +31,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from ..core.checks import AnyMatrix, BoolVector, Vector
-from ..core.entries import largest_products
+from ..core.entries import clip, largest_products, max_norm
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import (
     DATA_ROUNDING,
@@ -176,7 +176,7 @@ class RowData:
 
     def __post_init__(self) -> None:
         if self.start is None:
-            self.start = np.minimum(np.maximum(0.0, self.lower), self.upper)
+            self.start = clip(0.0, self.lower, self.upper)
 
     @cached_property
     def _counts(self) -> Any:
@@ -370,17 +370,8 @@ class RowData:
         is_better = np.asarray(again.passes & ~np.asarray(measured.passes))
         if is_better.all() or not is_better.any():
             return again if is_better.all() else measured
-        better = is_better[..., np.newaxis]
-        pairs = (zip(again[k], measured[k], strict=True) for k in (4, 5))  # rows and by_row
-        rows, by_row = ([np.where(better, *both) for both in pair] for pair in pairs)
-        by_row[-1] = np.where(is_better, again.by_row.worst, measured.by_row.worst)
-        return Measured(
-            np.where(better, again.z, z),
-            np.where(is_better, again.residual, measured.residual),
-            measured.passes | again.passes,
-            rows=RowsAtPoint._make(rows),
-            by_row=RowResiduals._make(by_row),
-        )
+        mixed = np.where(is_better[..., np.newaxis], again.z, z)
+        return self.measure_at(mixed, None, tolerance, absolute)
 
     def measure_at(self, z: Vector, w: Any, tolerance: float, absolute: float = 0.0) -> Measured:
         """Measure z by the stopping criterion.
@@ -529,7 +520,7 @@ def scaled_residual(problem: LCP, z: Vector, w: Vector, scale: Vector | None = N
 
 def measured_residual(problem: LCP, z: Vector) -> float:
     """Return ‖r(z)‖∞ as computed in double precision, without a bound of its rounding error."""
-    return float(np.abs(scaled_residual(problem, z, problem.slack(z))).max(initial=0.0))
+    return max_norm(scaled_residual(problem, z, problem.slack(z)))
 
 
 def reference_residual(problem: LCP) -> float:
@@ -572,9 +563,7 @@ def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
     violation = np.maximum(w * is_above, -w * is_below)
     rounding = (2.0 * EPSILON * (z.size + 8)) * terms + SMALLEST**2
     largest_r, at_0 = (violation + rounding) / data.scale, data.q / data.scale
-    residual_at_0 = np.maximum.reduce(
-        np.abs(np.minimum(np.maximum(at_0, -data.upper), -data.lower))
-    )
+    residual_at_0 = np.maximum.reduce(np.abs(clip(at_0, -data.upper, -data.lower)))
     of_free = np.where(is_above & is_below, terms / data.scale, 0.0)
     gap = np.minimum(np.where(is_above, above, np.inf), np.where(is_below, below, np.inf))
     reference = min(residual_at_0, np.maximum.reduce(of_free))  # or less

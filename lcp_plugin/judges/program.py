@@ -37,7 +37,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..core.checks import AnyMatrix, Vector
-from ..core.entries import largest_in_rows, largest_products
+from ..core.entries import clip, largest_in_rows, largest_products
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import DATA_ROUNDING, UNIT
 from ..core.rounding import compensated_product
@@ -234,7 +234,7 @@ class PrimalDualPoint:
         is_limit = np.isfinite(d)
         d, y = (np.where(is_limit, side, 0.0) for side in (d, y))
         np.maximum(y[:m], 0.0, out=y[:m])
-        self.point, self.x = x, np.minimum(np.maximum(x, lower), upper)
+        self.point, self.x = x, clip(x, lower, upper)
         self.outside = np.abs(x - self.x)
         x, self.of_x, self.of_y, self.cost = self.x, np.abs(self.x), np.abs(y), np.abs(program.c)
         P, C, of_P, of_C, of_columns = self.terms.measured

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ..core.algorithm import Algorithm, Step
 from ..core.checks import Vector, read_only
+from ..core.entries import max_norm
 from ..core.errors import UnsuitableMatrix
 from ..core.kernels.compilation import helper, inline, kernel
 from ..core.lcp import LCP
@@ -148,7 +149,7 @@ def active_sets(problem: LCP, band: Bands, q: Vector, z0: Vector) -> Iterator[tu
         step, above, beyond = w / scale, z - lower, z - upper
         side = (beyond >= step).astype(np.int8)
         side[is_fixed | (above <= step)] = -1
-        return w, side, float(np.abs(np.clip(step, beyond, above)).max(initial=0.0))
+        return w, side, max_norm(np.clip(step, beyond, above))
 
     w, target, residual = measured(z0)
     yield z0, residual

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from ..core.algorithm import Algorithm, Step
 from ..core.checks import Array, Vector
 from ..core.deadline import require_seconds, seconds_left
-from ..core.entries import largest_in_rows, row_numbers
+from ..core.entries import largest_in_rows, max_norm, row_numbers, unbounded, with_entries
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
 from ..core.structure import equation_signs, is_nearly_symmetric
@@ -266,10 +266,7 @@ class ZeroSumGame(NamedTuple):
 
 
 def _largest(*parts: Any) -> float:
-    return max(
-        float(np.max(np.abs(part.data if sp.issparse(part) else part), initial=0.0))
-        for part in parts
-    )
+    return max(max_norm(part.data if sp.issparse(part) else part) for part in parts)
 
 
 def _stated(
@@ -311,10 +308,9 @@ def with_signed_equations(problem: LCP) -> LCP:
     """
     (units, data), M = skew_border(problem.matrix), problem.M
     if (units != 1.0).any():
-        csr = problem.csr
-        M = sp.csr_array((data, csr.indices, csr.indptr), csr.shape)
+        M = with_entries(problem.csr, data)
         M = M if sp.issparse(problem.M) else M.toarray()
-    units = units * equation_signs(M, (problem.lower == -np.inf) & (problem.upper == np.inf))
+    units = units * equation_signs(M, unbounded(problem.lower, problem.upper))
     if (units == 1.0).all():
         return problem
     bounds = {"lower": problem.lower, "upper": problem.upper}

@@ -18,6 +18,7 @@ import scipy.sparse as sp
 
 from ..core.algorithm import Algorithm, Step
 from ..core.checks import BoolVector, Vector
+from ..core.entries import max_norm
 from ..core.lcp import LCP
 from ..judges.lcp import measured_residual, scaled_residual
 from ..systems.factors import factor_operations, factorise
@@ -407,8 +408,8 @@ def _searched(state: NewtonState, phi: LinearizedPhi, reference: float) -> Linea
 
 
 def _newton_direction(state: NewtonState, phi: LinearizedPhi) -> Vector | None:
-    largest = float(np.max(np.abs(phi.value), initial=0.0))
-    shift = SHIFT * largest / (largest + float(np.max(np.abs(state.z), initial=0.0)) + 1e-300)
+    largest = max_norm(phi.value)
+    shift = SHIFT * largest / (largest + max_norm(state.z) + 1e-300)
     jacobian = phi_jacobian(state.problem, phi, min(shift, SHIFT))
     factor = factorise(jacobian, bandwidth=bandwidth(state.problem.matrix))
     if factor is None:

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from ..core.algorithm import PROJECTED_SPLITTING, IterationFacts, Step, check_choice
 from ..core.checks import Vector
+from ..core.entries import max_norm
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.matrix import Matrix, fact
@@ -65,12 +66,12 @@ class NPSplitting(ScaledByRows):
         factor = self._factorize(scaled + sp.diags_array(np.full(problem.n, 2.0)))
         entries = max(problem.nonzeros, 1)
         scale = inverse_residual_scale(problem.matrix)
-        unit = step_unit(np.abs(problem.q * scale).max(initial=0.0))
+        unit = step_unit(max_norm(problem.q * scale))
         work = (splitting.nnz + factor.nnz + problem.nonzeros) / entries
         points, z = self.extrapolations(z0, problem.lower, problem.upper), z0
         while True:
             w = problem.slack(z)
-            residual = float(np.max(np.abs(scaled_residual(problem, z, w)), initial=0.0))
+            residual = max_norm(scaled_residual(problem, z, w))
             natural = np.clip(step * w, z - problem.upper, z - problem.lower)
             yield Step(z, residual, work=work)
             new = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)

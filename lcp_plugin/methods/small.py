@@ -26,7 +26,7 @@ from numpy.linalg import LinAlgError
 
 from ..core.algorithm import Algorithm, Step
 from ..core.checks import AnyMatrix, BoolVector, Vector, read_only
-from ..core.entries import residual_scales
+from ..core.entries import clip, residual_scales, unbounded
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import FREE, HIGH, LOW, SMALLEST
 from ..core.kernels.small_lcps import INF, LOST, follow_paths, solve_active_sets
@@ -173,7 +173,7 @@ def normal(data: RowData, z: Vector) -> Vector:
     """Return points at the ends of linear solves, within their bounds, without values whose products underflow."""
     size = np.abs(z)
     least = SMALLEST * np.minimum(size.max(-1, keepdims=True, initial=0.0), 1.0)
-    return np.minimum(np.maximum(np.where(size > least, z, 0.0), data.lower), data.upper)
+    return clip(np.where(size > least, z, 0.0), data.lower, data.upper)
 
 
 def measure(data: RowData, z: Vector, tolerance: float) -> Measured:
@@ -206,7 +206,7 @@ def solve_stack(
     residual, iterations, is_solved : array, shape (B,)
         Relative residual; 0 if the point is the start, else 1; whether it is a solution.
     """
-    arrays = M, q, lower, upper, np.minimum(np.maximum(0.0, lower), upper)
+    arrays = M, q, lower, upper, clip(0.0, lower, upper)
     begun = arrays[4] if starts is None else starts
     z, items = np.array(begun), np.arange(len(q))
     residual = np.full(len(q), np.inf)
@@ -274,7 +274,7 @@ def path_points(
             is_low, is_high = step >= start - problem.lower, step <= start - problem.upper
             sides = np.where(is_low, LOW, FREE + is_high)[None]
             z, bound = _bounded_points(*arrays, sides, tolerance)
-        elif ((problem.lower == -np.inf) & (problem.upper == np.inf)).any():
+        elif unbounded(problem.lower, problem.upper).any():
             z, bound = _bounded_points(*arrays, _ends_of_paths(*arrays[:4]), tolerance)
         else:
             z, bound = np.empty((1, problem.n)), np.empty(1)
@@ -311,7 +311,7 @@ def _ends_of_paths(
     Free unknowns of a singular block become differences of two nonnegative ones.
     """
     n, sides = q.shape[1], np.full(q.shape, FREE)
-    free = (lower == -np.inf) & (upper == np.inf)
+    free = unbounded(lower, upper)
     if not free.any():
         table, numbers = np.empty((n + 9, n + 1)), np.empty((2, 2 * n + 1), np.int64)
         follow(M, q, lower, upper, tilts(n), label, table, numbers, sides)
@@ -398,18 +398,18 @@ def guess(data: RowData) -> Vector | None:
     """
     is_own = data.M.diagonal() == data.scale
     if not np.logical_and.reduce(is_own):
-        is_own |= (data.lower == -np.inf) & (data.upper == np.inf)
+        is_own |= unbounded(data.lower, data.upper)
         if not is_own.all():
             return None
     z: Vector = data.start
     pivot, half = 1.0 / RELAXATION + 3.0, z.size // 2
     for _ in range(SWEEPS):
         step = (data.M @ z + data.q) / data.scale
-        change = np.minimum(np.maximum(step, z - data.upper), z - data.lower) * (2.0 / pivot)
-        new = np.minimum(np.maximum(z - change, data.lower), data.upper)
+        change = clip(step, z - data.upper, z - data.lower) * (2.0 / pivot)
+        new = clip(z - change, data.lower, data.upper)
         more = data.M[half:, :half] @ (new[:half] - z[:half])
         change[half:] += more / (pivot * data.scale[half:])
-        z = np.minimum(np.maximum(z - change, data.lower), data.upper)
+        z = clip(z - change, data.lower, data.upper)
     return z
 
 

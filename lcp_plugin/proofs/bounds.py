@@ -63,7 +63,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector, checked_vector
 from ..core.deadline import is_over
-from ..core.entries import largest_products, scale_matrix
+from ..core.entries import largest_products, max_norm, scale_matrix
 from ..core.errors import InvalidOption, InvalidProblem, UnsuitableMatrix
 from ..core.kernels.floats import OUTWARD, TINY, UNDERFLOW, UNIT
 from ..core.lcp import LCP
@@ -314,7 +314,7 @@ def _settled(
             is_solved = bool(change.size) and GOAL * change.max(initial=0.0) <= allowed
             return (at, before, GOAL * change) if is_solved else None
         change, at = np.abs((following.high - at.high) + (following.low - at.low)), following
-        allowed = 1e-14 * np.abs(at.high).max(initial=0.0)  # all digits
+        allowed = 1e-14 * max_norm(at.high)  # all digits
         if steps.is_settled(at) and GOAL * change.max(initial=0.0) <= allowed:
             return at, steps.system, GOAL * change
     return (at, steps.system, GOAL * change) if change.max(initial=0.0) <= allowed else None
@@ -641,7 +641,7 @@ class BestBound:
         """Return the bound."""
         problem, y = self.at.problem, np.where(np.isnan(self.y), np.inf, self.y)
         residuals = scaled_residual(problem, self.at.high, self.at.w)
-        infinity, residual = (float(np.abs(values).max(initial=0.0)) for values in (y, residuals))
+        infinity, residual = max_norm(y), max_norm(residuals)
         largest = row_data(problem).largest
         relative = float(quotient_above(largest(y), largest(np.abs(self.z))).max())
         near = NearPoint(self.near.high, self.near.low, self.near_y)

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector
 from ..core.deadline import is_over, seconds_left
-from ..core.entries import row_numbers, scale_matrix
+from ..core.entries import max_norm, row_numbers, scale_matrix
 from ..core.kernels.floats import DATA_ROUNDING
 from ..engines.linear_program import highs
 from ..systems.equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, power_of_two
@@ -354,7 +354,7 @@ class FarkasProgram:
     def polished(self, answer: Any) -> Vector:
         """Return the answer's y, shape (m,), with the equalities that a proof needs met to rounding."""
         y = self.vector(answer.x)
-        return self._polished(y / (np.abs(y).max(initial=0.0) or 1.0))
+        return self._polished(y / (max_norm(y) or 1.0))
 
     def _tried(self, answer: Any) -> Iterator[Multipliers]:
         """Yield vectors near the answer, then near another that leaves slack."""
@@ -389,16 +389,16 @@ class FarkasProgram:
 
         First with corrected signs and without negligible entries, then rounded, then from an exact and a rounded solve.
         """
-        y = np.where(np.abs(y) <= 1e-14 * np.abs(y).max(initial=0.0), 0.0, y)
+        y = np.where(np.abs(y) <= 1e-14 * max_norm(y), 0.0, y)
         asked = self.constraints
         y = np.clip(
             y, np.where(asked.needs_fall, -np.inf, 0.0), np.where(asked.needs_rise, np.inf, 0.0)
         )
         if not y.any():
             return
-        y = y / np.abs(y).max()
+        y = y / max_norm(y)
         unscaled = y * self.rows
-        yield unscaled / np.abs(unscaled).max()
+        yield unscaled / max_norm(unscaled)
         # Multipliers of stated models are often integers.
         for unit in (1.0, np.abs(y[np.abs(y) > NO_MULTIPLIER]).min()):
             yield np.rint(y / unit) * self.rows

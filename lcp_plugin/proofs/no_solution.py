@@ -26,6 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Array, Vector, derived_property
+from ..core.entries import with_entries
 from ..core.kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE
 from ..core.lcp import LCP
 from ..core.names import Names, describe_radius
@@ -100,7 +101,7 @@ def is_at_rest(P: AnyMatrix, direction: Any) -> bool:
     if not P[moving].count_nonzero() or product.sum() > MEAN_ROUNDING * terms.sum():
         return False
     root = np.sqrt(np.abs(P.diagonal()))
-    pattern = sp.csr_array((np.ones(P.nnz), P.indices, P.indptr), shape=P.shape)
+    pattern = with_entries(P, np.ones(P.nnz))
     return bool((product <= ROW_ROUNDING * root * (pattern @ (root * np.abs(d)))).all())
 
 

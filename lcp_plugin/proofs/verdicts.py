@@ -42,7 +42,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Vector, read_only
-from ..core.entries import largest_in_rows, row_numbers
+from ..core.entries import largest_in_rows, max_norm, row_numbers, with_entries
 from ..core.errors import InvalidProblem
 from ..core.kernels.floats import TINY, UNIT
 from ..core.matrix import Matrix, fact
@@ -283,7 +283,7 @@ def irreducible(matrix: Matrix) -> Verdict:
     from scipy.sparse.csgraph import connected_components  # slow to import
 
     M = matrix.csr  # the routine drops explicit zeros of floats, and only the pattern counts
-    pattern = sp.csr_array((np.ones(M.nnz), M.indices, M.indptr), shape=M.shape)
+    pattern = with_entries(M, np.ones(M.nnz))
     count, _ = connected_components(pattern, directed=True, connection="strong")
     if count <= 1:
         return Verdict(True, "the graph of M is strongly connected")
@@ -392,9 +392,7 @@ def _nonpositive_diagonal(matrix: Matrix) -> Verdict | None:
 def nonpositive_pair(matrix: Matrix) -> Verdict | None:
     """Return the verdict by i < j with m_ii m_jj − m_ij m_ji ≤ 0, for a positive diagonal; None without such a pair."""
     M = matrix.csr
-    even = sp.csr_array(
-        (M.data / matrix.diagonal[row_numbers(M)], M.indices, M.indptr), shape=M.shape
-    )
+    even = with_entries(M, M.data / matrix.diagonal[row_numbers(M)])
     ratios = sp.coo_array(sp.triu(even.multiply(even.T.tocsr()), 1))
     suspicious = np.flatnonzero(ratios.data > 1.0 - 8.0 * UNIT)
     likeliest = suspicious[np.argsort(-ratios.data[suspicious], kind="stable")][:2_000]
@@ -427,8 +425,7 @@ def _has_dominant_symmetric_part(matrix: Matrix) -> bool:
     # Each entry of the symmetric part was rounded once, subnormal ones absolutely; the margin must survive that.
     part = sp.csr_array(sparse_symmetric_part(matrix))
     outward = np.where(row_numbers(part) == part.indices, 1.0 - 4.0 * UNIT, 1.0 + 4.0 * UNIT)
-    wider = sp.csr_array((part.data * outward, part.indices, part.indptr), shape=part.shape)
-    margin = positive_margin(wider, np.ones(matrix.n))
+    margin = positive_margin(with_entries(part, part.data * outward), np.ones(matrix.n))
     return margin is not None and bool((margin > 2.0 * TINY * matrix.n).all())
 
 
@@ -437,9 +434,7 @@ def _is_well_rounded(matrix: Matrix) -> bool:
     if symmetric(matrix).value:
         return True
     diagonal, entries = matrix.diagonal[matrix.diagonal > 0.0], matrix.csr.data
-    return bool(
-        (diagonal >= 2.0**-960).all() and np.abs(entries).max(initial=0.0) < LARGEST_SUMMAND
-    )
+    return bool((diagonal >= 2.0**-960).all() and max_norm(entries) < LARGEST_SUMMAND)
 
 
 def _too_large(matrix: Matrix) -> str:

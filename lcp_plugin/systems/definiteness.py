@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Vector
-from ..core.entries import count_entries, row_numbers, scale_by
+from ..core.entries import count_entries, max_norm, row_numbers, scale_by
 from ..core.kernels.floats import EPSILON
 from ..core.tuning import FULL_CHOLESKY_UP_TO
 from .factors import PositiveFactor, factor_fits, positive_factor, positive_triangle
@@ -126,7 +126,7 @@ def symmetric_part(M: AnyMatrix) -> Any:
     """
     entries = M.data if sp.issparse(M) else M
     transposed = M.T.tocsr() if sp.issparse(M) else M.T
-    if np.abs(entries).max(initial=0.0) < LARGEST_SUMMAND:
+    if max_norm(entries) < LARGEST_SUMMAND:
         return (M + transposed) * 0.5
     return M * 0.5 + transposed * 0.5
 

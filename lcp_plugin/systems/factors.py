@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from ..core.checks import DENSE_ABOVE_DENSITY, AnyMatrix, Vector, read_only
 from ..core.deadline import enforced_seconds_left, require_seconds
-from ..core.entries import largest_in_rows, row_numbers
+from ..core.entries import largest_in_rows, row_numbers, with_entries
 from ..core.matrix import Matrix, fact
 from ..core.tuning import DENSE_OPERATIONS, FACTOR_OPERATIONS_UP_TO, SPARSE_OPERATIONS
 from .equilibration import power_of_two
@@ -201,7 +201,7 @@ def _suits_one_order(matrix: sp.csr_array) -> bool:
     """
     if not bool((np.abs(matrix.diagonal()) >= SYMMETRIC_PIVOT * largest_in_rows(matrix)).all()):
         return False
-    pattern = sp.csr_array((np.ones(matrix.nnz), matrix.indices, matrix.indptr), shape=matrix.shape)
+    pattern = with_entries(matrix, np.ones(matrix.nnz))
     # If most entries have a mirror entry, A is ordered as A + Aᵀ.
     return bool(pattern.multiply(pattern.T).nnz >= 0.8 * matrix.nnz)
 

@@ -24,7 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector
-from ..core.entries import Exponents, scale_matrix, times_power
+from ..core.entries import Exponents, max_norm, scale_matrix, times_power
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.matrix import Matrix, fact
 from ..core.structure import is_nearly_symmetric
@@ -523,4 +523,4 @@ def _transposed(matrix: Matrix) -> Matrix:
 def _relative(left: Vector, size: Vector) -> float:
     """Return the largest |left_i|/size_i, 0/0 = 0."""
     shares = np.divide(left, size, out=np.zeros(left.size), where=left != 0.0)
-    return float(np.max(np.abs(shares), initial=0.0))
+    return max_norm(shares)

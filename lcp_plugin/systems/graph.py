@@ -15,7 +15,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Vector, read_only
-from ..core.entries import Exponents, IntVector, row_numbers, scale_matrix, times_power
+from ..core.entries import (
+    Exponents,
+    IntVector,
+    row_numbers,
+    scale_matrix,
+    times_power,
+    with_entries,
+)
 from ..core.matrix import Matrix, fact
 from ..core.rounding import compensated_product, lower_end, upper_end
 from ..core.structure import ROUNDED, mismatch
@@ -31,8 +38,7 @@ if TYPE_CHECKING:
 def comparison_of(M: AnyMatrix) -> sp.csr_array:
     """Return ⟨M⟩ for a CSR array, or for rows of an array whose first columns belong to these rows."""
     magnitudes = np.abs(M.data)
-    signed = np.where(row_numbers(M) == M.indices, magnitudes, -magnitudes)
-    return sp.csr_array((signed, M.indices, M.indptr), shape=M.shape)
+    return with_entries(M, np.where(row_numbers(M) == M.indices, magnitudes, -magnitudes))
 
 
 def comparison_product(M: AnyMatrix, v: Vector) -> tuple[Vector, Vector]:
@@ -93,8 +99,7 @@ def outer_on_pattern(matrix: Matrix, left: Vector, right: Vector) -> sp.csr_arra
 
 def sum_of_outer(A: sp.csr_array, left: Vector, right: Vector) -> sp.csr_array:
     """Return Σ_k left_ki right_kj on the sparsity pattern of A; shapes (k, m) and (k, n)."""
-    data = np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices])
-    return sp.csr_array((data, A.indices, A.indptr), shape=A.shape)
+    return with_entries(A, np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices]))
 
 
 def block_rows(labels: IntVector, count: int) -> list[IntVector]:

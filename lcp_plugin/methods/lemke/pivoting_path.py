@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import Array, Vector
 from ...core.deadline import is_over
+from ...core.entries import max_norm, unbounded
 from ...core.kernels.floats import DATA_ROUNDING
 from ...core.lcp import LCP
 from ...core.matrix import fact
@@ -93,7 +94,7 @@ def canonical_box(problem: LCP) -> CanonicalBox:
     """
     M = problem.matrix.toarray()
     row_scale = 1 - np.frexp(problem.matrix.row_largest)[1]
-    is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
+    is_free = unbounded(problem.lower, problem.upper)
     sign = np.where((problem.lower == -np.inf) & ~is_free, -1.0, 1.0)
     base = np.where(is_free, 0.0, np.where(sign > 0.0, problem.lower, problem.upper))
     # The scale of a row may take its q to the exponent 1000.
@@ -121,7 +122,7 @@ def _equilibrated(M: FloatMatrix) -> tuple[FloatMatrix, IndexVector, IndexVector
     for _ in range(8):
         change = -np.frexp(np.abs(M).max(axis=0, initial=0.0))[1]
         # Columns whose sizes differ by less stay.
-        if np.abs(change).max(initial=0) <= 10:
+        if max_norm(change) <= 10:
             break
         M, column = np.ldexp(M, change), column + change
         change = 1 - np.frexp(np.abs(M).max(axis=1, initial=0.0))[1]
@@ -163,7 +164,7 @@ def _without_free_rows(
         q, upper = np.append(q, -q[split]), np.append(upper, upper[split])
         rows, step = np.append(rows, rows[split]), np.append(step, -step[split])
         elimination = np.hstack([elimination, -elimination[:, split]])
-    size = power_of_two(np.abs(q).max(initial=0.0))
+    size = power_of_two(max_norm(q))
     elimination = elimination * (unit[keep[basic]] * size)[:, None]
     return CanonicalBox(
         M, q / size, upper / size, offset, rows, step * size, keep[basic], elimination
@@ -326,7 +327,7 @@ class LemkePath:
         A ray or an unreliable small pivot is tested again with a new tableau.
         """
         outcome = self._run(limit)
-        if outcome == tableau.RAY and self.t <= 2.0**-40 * np.abs(self.q).max(initial=0.0):
+        if outcome == tableau.RAY and self.t <= 2.0**-40 * max_norm(self.q):
             return tableau.SOLVED  # t is at rounding level
         if outcome in (tableau.SOLVED, tableau.RETURNED):
             return outcome
@@ -358,9 +359,7 @@ class LemkePath:
             return False
         low, high = self.real[tableau.LOW, : self.n], self.real[tableau.HIGH, : self.n]
         outside = np.maximum(low - self.values, self.values - high)
-        return bool(
-            np.all(outside <= FEASIBLE * max(1.0, float(np.abs(self.values).max(initial=0.0))))
-        )
+        return bool((outside <= FEASIBLE * max(1.0, max_norm(self.values))).all())
 
     def _renew(self) -> bool:
         """Compute tableau and basic values from the data; False if the basis is singular to working precision."""
@@ -440,7 +439,7 @@ class LemkePath:
         of_others[is_slack] = error[rows]
         self.values += self.tableau @ of_others  # the columns of w are columns of −B⁻¹
         self.values[outer] -= error[slack_rows]
-        return float(np.max(np.abs(error) / np.maximum(size, 1e-300), initial=0.0))
+        return max_norm(error / np.maximum(size, 1e-300))
 
     # --- reading ----------------------------------------------------------------------------------------
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector
+from ...core.entries import unbounded
 from ...core.errors import InvalidProblem, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.problem_classes import refusal
@@ -247,7 +248,7 @@ def has_few_active_sets(problem: LCP) -> bool:
 
 def _choices(problem: LCP) -> int:
     """Return the number of rows with more than one branch."""
-    is_free = (problem.lower == -np.inf) & (problem.upper == np.inf)
+    is_free = unbounded(problem.lower, problem.upper)
     return int(np.count_nonzero(~is_free & (problem.lower < problem.upper)))
 
 

@@ -158,7 +158,6 @@ class ComparisonMatrix:
         self.exponents: Exponents | None = scaling_exponents(M, self.is_symmetric)
         self.matrix = scale_matrix(comparison_of(M), self.exponents)
         self.diagonal: Vector = self.matrix.diagonal()
-        self._multigrid_failed = False
 
     @cached_property
     def hierarchy(self) -> Hierarchy:
@@ -182,27 +181,20 @@ class ComparisonMatrix:
         ‖residual‖₂/‖rhs‖₂ if the solution is iterative.
         """
         # Below, a sparse LU is as fast as a hierarchy.
-        if rhs.size > 5_000 and not self._multigrid_failed:
-            x = self.iterated(rhs, tolerance)
-            if x is not None:
-                return x
-            self._multigrid_failed = True
-        return None if self.direct_solver is None else _finite(np.asarray(self.direct_solver(rhs)))
-
-    def iterated(self, rhs: Vector, tolerance: float) -> Vector | None:
-        """Return x with ‖rhs − matrix x‖₂ ≤ tolerance ‖rhs‖₂ by Krylov steps, or None within a number of them."""
-        correction = KrylovCorrection(Truncation(self.hierarchy), rhs.copy(), self.is_symmetric)
-        goal = tolerance * np.linalg.norm(correction.residual)
-        for _ in range(60):
-            if not np.linalg.norm(correction.residual) > goal or not correction.step():
-                break
-        is_near = np.linalg.norm(correction.residual) <= goal
-        return _finite(correction.solution) if is_near else None
+        if rhs.size > 5_000:
+            correction = KrylovCorrection(Truncation(self.hierarchy), rhs.copy(), self.is_symmetric)
+            goal = tolerance * np.linalg.norm(correction.residual)
+            for _ in range(60):
+                if not np.linalg.norm(correction.residual) > goal or not correction.step():
+                    break
+            if (
+                np.linalg.norm(correction.residual) <= goal
+                and np.isfinite(correction.solution).all()
+            ):
+                return correction.solution
+        x = None if self.direct_solver is None else np.asarray(self.direct_solver(rhs))
+        return x if x is not None and np.isfinite(x).all() else None
 
     def to_caller(self, x: Vector) -> Vector:
         """Return the unscaled vector for a vector x of the scaled matrix, shape (n,)."""
         return times_power(x, None if self.exponents is None else self.exponents.column)
-
-
-def _finite(x: Vector) -> Vector | None:
-    return x if np.isfinite(x).all() else None

@@ -64,8 +64,6 @@ def assert_same(left: np.ndarray, right: np.ndarray) -> None:
     assert_allclose(left, right, rtol=0.0, atol=1e-12 * abs(left).max())
 
 
-# --- Families ----------------------------------------------------------------------------------------------
-
 # --- The paper's own formulation, and its misprints --------------------------------------------------------
 
 
@@ -112,13 +110,7 @@ def test_the_residual_of_a_step_is_the_residual_of_its_certificate(name):
             assert step.residual == pytest.approx(exact, rel=1e-11)
 
 
-# --- Bai's formulation -------------------------------------------------------------------------------------
-
-
 # --- Bounds and shifts -------------------------------------------------------------------------------------
-
-
-# --- Scaling -----------------------------------------------------------------------------------------------
 
 
 # --- Order of the rows -------------------------------------------------------------------------------------

@@ -231,6 +231,3 @@ def test_compiled_code_needs_no_place_on_disk(cache, read_only_package, tmp_path
     assert Path(where).is_relative_to(read_only_package)
     assert splits == "0 3"
     assert z == (["[2.5 0. ]"] if cache == "full disk" else [])
-
-
-# --- Many at once ---------------------------------------------------------------------------------------------------

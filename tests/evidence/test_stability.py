@@ -106,9 +106,6 @@ def test_the_edge_of_the_number_range_is_never_silent(name, options, case):
         assert result.z / abs(problem.q[0]) == pytest.approx([0.25, 0.0], abs=1e-7)
 
 
-# --- Right-hand sides --------------------------------------------------------------------------------------
-
-
 # --- Tolerances --------------------------------------------------------------------------------------------
 
 

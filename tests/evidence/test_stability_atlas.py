@@ -149,6 +149,3 @@ def test_powers_of_two_change_no_bit(name):
                     what,
                     power,
                 )
-
-
-# --- defects that the atlas found ------------------------------------------------------------------------------------

@@ -332,9 +332,6 @@ def test_the_judge_measures_the_distance_where_the_residual_is_small():
     assert assert_solves(careless, error_tolerance=np.inf, max_examples=30, **inactive) == 30
 
 
-# --- Shrinking --------------------------------------------------------------------------------------------
-
-
 # --- Errors -----------------------------------------------------------------------------------------------
 
 

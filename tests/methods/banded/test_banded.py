@@ -156,9 +156,3 @@ def test_other_bands_take_rounds(make, below, above, boxes):
         assert result.is_solved or result.certificate.is_at_rounding_level
         assert np.abs(result.z - z).max() <= 1e-6 * max(1.0, np.abs(z).max())
         assert result.iterations <= 200
-
-
-# --- All rounds at once ---------------------------------------------------------------------------------------
-
-
-# --- Marches in time ------------------------------------------------------------------------------------------

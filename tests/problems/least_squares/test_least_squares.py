@@ -137,9 +137,6 @@ def test_conditions_hold_on_random_problems(m, n, seed, share):
     assert ((result.active_mask == 1) == ((x == upper) & (x > lower))).all()
 
 
-# --- other programs' answers --------------------------------------------------------------------------------
-
-
 # --- ranks below full -----------------------------------------------------------------------------------------
 
 

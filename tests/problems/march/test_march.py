@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -399,15 +400,10 @@ def test_a_march_takes_what_a_solve_takes():
     """Options, a callback, an error measure and a limit in seconds have the meaning of `solve`."""
     scene = membranes.american_put(size=31, steps=4)
     forcing, heard = np.broadcast_to(scene.problem.q, (4, scene.problem.n)), []
-    plain = march(scene.problem, forcing, z0=scene.problem.lower)
-    watched = march(
-        scene.problem,
-        forcing,
-        z0=scene.problem.lower,
-        algorithm="psor",
-        relaxation=1.2,
-        record=True,
-        callback=lambda sample, z: heard.append(sample.iteration),
+    priced = partial(march, scene.problem, forcing, z0=scene.problem.lower)
+    plain, psor = priced(), partial(priced, algorithm="psor")
+    watched = psor(
+        relaxation=1.2, record=True, callback=lambda sample, z: heard.append(sample.iteration)
     )
     assert watched.all_solved
     assert len(watched) == 4
@@ -416,14 +412,7 @@ def test_a_march_takes_what_a_solve_takes():
     )
     for ours, theirs in zip(watched.z, plain.z, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-6)
-    late = march(
-        scene.problem,
-        forcing,
-        z0=scene.problem.lower,
-        algorithm="psor",
-        tolerance=0.0,
-        max_seconds=0.0,
-    )
+    late = psor(tolerance=0.0, max_seconds=0.0)
     assert [result.status for result in late] == [Status.MAX_SECONDS]
     with pytest.raises(InvalidOption, match="has no option 'relaxaton'; did you mean 'relaxation'"):
         march(scene.problem, forcing, algorithm="psor", relaxaton=1.2)

@@ -13,10 +13,8 @@ References
 J. Hu, J. E. Mitchell, J.-S. Pang, K. P. Bennett, G. Kunapuli, *On the global solution of linear programs with linear
 complementarity constraints*, SIAM Journal on Optimization 19 (2008), doi:10.1137/07068463x.
 
-Early solutions: from the values of a start, and by local descent over neighboring complementarity pieces.
-
-A solution belongs to at least one piece. The minimizer of a piece is not worse than any solution in the piece, so a
-start only needs to determine branches. If pairs are degenerate at the minimizer, a neighboring piece may be better.
+Early solutions follow from the values of a start, and from points of relaxations. A solution belongs to at least one
+piece. The minimizer of a piece is not worse than any solution in the piece, so a start only determines branches.
 """
 
 from __future__ import annotations
@@ -34,11 +32,9 @@ from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, UnsupportedModel
 from ...core.settings import Status, checked_tolerance
 from ..programs.no_minimum import QPUnboundedness, known_proof
-from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
+from .equilibrium_program import Cases, EquilibriumProgram, branches
 from .relaxations import ENDS, EquilibriumResult, ExternalBound, Node, Relaxations
 from .scip import minimize_or_none
-
-OPTIONS = ("tolerance", "max_nodes", "max_seconds", "callback", "verbose", "x0", "prove")
 
 
 @np.errstate(all="ignore")
@@ -118,8 +114,8 @@ def minimize_over_solutions(
     limit = math.inf if max_seconds is None else float(max_seconds)
     if start is not None:  # the result is not worse than the start
         search.start = start
-        with time_limit(max(limit, 1.0)):  # seconds, for the descent
-            search.descend_from(start)
+        with time_limit(max(limit, 1.0)):  # seconds, for its piece
+            search.solve_nearest_piece(start)
     with time_limit(limit):
         if verbose:
             print(f"{'nodes':>8} {'value':>17} {'bound':>17} {'gap':>9} {'seconds':>9}", flush=True)
@@ -155,7 +151,7 @@ class BranchAndBound:
         self.problem, self.tolerance, self.max_nodes = problem, tolerance, max_nodes
         self.relaxations = Relaxations(problem, tolerance)
         self.best: Node | None = None
-        self._known: dict[bytes, Node] = {}
+        self._solved_pieces: set[bytes] = set()
         self.start: Vector | None = None
         self.outside: ExternalBound | None = None
         self._outside_value = math.inf  # of SCIP's point, until it is confirmed
@@ -199,9 +195,8 @@ class BranchAndBound:
     @property
     def cutoff(self) -> float:
         """The least bound that closes a node."""
-        value = self.best_value
         # A node is closed if its bound is this close to the best value
-        return value - 0.5 * self.allowed if value < math.inf else math.inf
+        return self.best_value - 0.5 * self.allowed
 
     @property
     def allowed(self) -> float:
@@ -251,23 +246,21 @@ class BranchAndBound:
         self.tree.append(root)
         self._is_infeasible = root.bound == math.inf
         if root.point is not None:
-            self.descend_from(root.point)
+            self.solve_nearest_piece(root.point)
 
     def _try_decisions(self) -> None:
         """Look for a first point: the pairs solved at the start, at the bounds and at the relaxation's decision."""
         program = self.problem.program
         nearest = np.clip(0.0, program.lower, program.upper)
         ends = [np.where(np.isfinite(end), end, nearest) for end in (program.lower, program.upper)]
-        begin = [] if self.start is None else [self.start]
         if self.problem.has_convex_relaxation and not self.tree:
             self._root()
-        begin += [node.point for node in self.tree[:1] if node.point is not None]
-        for x in (*begin, *ends):
+        for x in (self.start, *(root.point for root in self.tree[:1]), *ends):
             if is_over() or self.best is not None:
                 return
-            answer = self.problem.answer(self.relaxations.projected(x))
-            if answer is not None:
-                self.descend_from(answer)
+            point = None if x is None else self.problem.answer(self.relaxations.projected(x))
+            if point is not None:
+                self.solve_nearest_piece(point)
 
     def _ask(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
         """Run a global solver and store its result; return the status of a limit, or None."""
@@ -283,7 +276,7 @@ class BranchAndBound:
         self.nodes, self._outside_value = before + result.nodes, math.inf
         self.outside = ExternalBound(result.status, result.bound)
         if result.x is not None:
-            self.descend_from(result.x)
+            self.solve_nearest_piece(result.x)
         if self.best_value < result.bound - self.allowed:  # a better point refutes the bound
             self.outside = ExternalBound(result.status, -math.inf)
         return ENDS.get(result.status)
@@ -322,21 +315,15 @@ class BranchAndBound:
         assert node.point is not None
         pair = self._pair(node)
         if pair < 0:  # complementary
-            self.descend_from(node.point, node.cases)
+            self.solve_nearest_piece(node.point, node.cases)
             if node.bound >= self.cutoff:
                 return
             if node.is_piece:
                 self._settle(node)
                 return
-            pair = int(np.argmax(case_counts(node.cases)))
+            pair = int(np.argmax(np.bitwise_count(node.cases)))
         self.nodes += 1
-        children = []
-        for case in CASES:
-            if node.cases[pair] & case:
-                cases = node.cases.copy()
-                cases[pair] = case
-                child = self.relaxations.node(cases, node)
-                children.append(child)
+        children = [self.relaxations.node(cases, node) for cases in branches(node.cases, pair)]
         children.sort(key=lambda child: child.bound)
         self.tree += children
         node.pair = pair  # last, because Ctrl-C may come between any two lines and the leaves must cover all pieces
@@ -357,10 +344,8 @@ class BranchAndBound:
         violations = self.problem.violations(x)
         # Such a pair counts as complementary
         is_wrong = violations > 1e-9 * (1.0 + np.abs(x[self.problem.first]))
-        wrong = np.flatnonzero((case_counts(node.cases) > 1) & is_wrong)
-        if not wrong.size:
-            return -1
-        return int(wrong[np.argmax(violations[wrong])])
+        is_wrong &= np.bitwise_count(node.cases) > 1
+        return int(np.argmax(np.where(is_wrong, violations, 0.0))) if is_wrong.any() else -1
 
     def _settle(self, piece: Node) -> None:
         """Close a piece that is not solved to its bound: it is unbounded below or undecided."""
@@ -368,57 +353,23 @@ class BranchAndBound:
         proof = None if program is None else known_proof(program)
         if isinstance(proof, QPUnboundedness):
             self.descent = piece.cases, proof
-        self._is_stuck = self._is_stuck or piece.bound < self.cutoff
+        self._is_stuck |= piece.bound < self.cutoff
         self._close(piece)
 
-    def offer(self, cases: Cases, near: Vector | None = None) -> Node:
-        """Solve the piece with one branch per pair, keep it if it is the best, and return it.
+    def solve_nearest_piece(self, x: Vector, cases: Cases | None = None) -> None:
+        """Solve the piece of the open branches nearest to x, and keep its solution if it is the best.
 
-        A piece that is not convex, or has integers, is solved near a point.
+        A piece that is not convex, or has integers, is solved near x.
         """
+        cases = self.problem.nearest(x, self.problem.all_cases if cases is None else cases)
         is_local = not self.problem.is_provable
-        key = cases.tobytes() + (near.tobytes() if is_local and near is not None else b"")
-        if key not in self._known:
-            if is_local and near is not None:
-                piece = self.relaxations.local_node(cases, near)
-            else:
-                piece = self.relaxations.solved_node(cases)
-            self._known[key] = piece
+        key = cases.tobytes() + x.tobytes() * is_local
+        if key not in self._solved_pieces:
+            solve = self.relaxations
+            piece = solve.local_node(cases, x) if is_local else solve.solved_node(cases)
+            self._solved_pieces.add(key)
             if piece.value < self.best_value:
                 self.best = piece
-        return self._known[key]
-
-    def descend_from(self, x: Vector, cases: Cases | None = None) -> None:
-        """Descend from the branches nearest to x, each step to a piece of smaller value.
-
-        Each step takes other branches for pairs that are degenerate (z at a bound and w = 0) at the solution of the
-        piece. It first changes all these pairs, and then one pair after the other.
-        """
-        cases = self.problem.all_cases if cases is None else cases
-        piece: Node | None = self.offer(self.problem.nearest(x, cases), x)
-        while piece is not None:
-            piece = self._better_neighbour(piece)
-
-    def _better_neighbour(self, piece: Node) -> Node | None:
-        if piece.value == math.inf:
-            return None
-        assert piece.point is not None
-        # All further branches to which the point belongs
-        size = 1.0 + float(np.abs(piece.point).max(initial=0.0))
-        rows, pairs = np.nonzero(self.problem.distances(piece.point) <= 1e-7 * size)
-        others = self.problem.all_cases & ~piece.cases
-        branches = ((int(i), CASES[k]) for k, i in zip(rows, pairs, strict=True))
-        promising = [(i, case) for i, case in branches if case & others[i]]
-        for chosen in [promising] * (len(promising) > 1) + [[branch] for branch in promising[:50]]:
-            if is_over():
-                return None
-            cases = piece.cases.copy()
-            for i, case in chosen:
-                cases[i] = case
-            neighbour = self.offer(cases, piece.point)
-            if neighbour.value < piece.value - 1e-9 * (1.0 + abs(piece.value)):
-                return neighbour
-        return None
 
     def _result(self, ended: Status | None) -> EquilibriumResult:
         best, value = self.best, self.best_value
@@ -432,15 +383,14 @@ class BranchAndBound:
         if self.descent is not None:
             status, best, bound_by = Status.UNBOUNDED, None, None
             lower = value = -math.inf
-        elif best is not None and (value == lower or value - lower <= self.allowed):
+        elif best is not None and value - lower <= self.allowed:
             status = Status.SOLVED
         elif ended is not None:
             status = ended
-        else:
-            is_excluded = best is None and lower == math.inf and not self._is_stuck
+        elif best is not None or lower < math.inf or self._is_stuck:
             status = Status.STALLED
-            if is_excluded:
-                status = Status.INFEASIBLE if self._is_infeasible else Status.NO_SOLUTION
+        else:
+            status = Status.INFEASIBLE if self._is_infeasible else Status.NO_SOLUTION
         is_own = self.outside is None or self.tree
         by = ["SCIP"] * (self.outside is not None) + ["branch and bound"] * bool(is_own)
         point = None if best is None else best.point

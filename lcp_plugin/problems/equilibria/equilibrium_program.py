@@ -27,14 +27,14 @@ Cases = NDArray[np.uint8]
 # Branches of a pair: z at its lower bound and w ≥ 0, or w = 0, or z at its upper bound and w ≤ 0.
 LOWER, BETWEEN, UPPER = 1, 2, 4
 CASES = (LOWER, BETWEEN, UPPER)
-_COUNTS = np.array([0, 1, 1, 2, 1, 2, 2, 3])
 # A share of `size_of_data`: at the tolerance 1e-6 ten times the rounding error of SCIP, 1e-9
 LEAST_SHARE = 1e-2
 
 
-def case_counts(cases: Cases) -> Indices:
-    """Return the number of open branches of each pair."""
-    return _COUNTS[cases]
+def branches(cases: Cases, pair: int) -> list[Cases]:
+    """Return the cases of the children of a node: one open branch of the pair each."""
+    is_pair = np.arange(cases.size) == pair
+    return [np.where(is_pair, np.uint8(case), cases) for case in CASES if cases[pair] & case]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,15 +114,14 @@ class EquilibriumProgram:
                     f"{name} must be a list of {k} variables, got dtype {index.dtype} and shape {index.shape}; give "
                     "for each pair the index of z in first, the index of w in second; integers lists integer variables"
                 )
-            if index.size and not (index.min() >= 0 and index.max() < n):
+            if (outside := index[(index < 0) | (index >= n)]).size:
                 raise InvalidProblem(
-                    f"{name} must number variables from 0 to {n - 1}, got {index[(index < 0) | (index >= n)][0]}"
+                    f"{name} must number variables from 0 to {n - 1}, got {outside[0]}"
                 )
             checks.fill(self, **{name: index.astype(np.int64)})
-        program, k = self.program, self.first.size
-        low = program.lower[self.first] if self.lower is None else self.lower
-        high = program.upper[self.first] if self.upper is None else self.upper
-        lower, upper = checked_bounds(low, high, k)
+        low = self.program.lower[self.first] if self.lower is None else self.lower
+        high = self.program.upper[self.first] if self.upper is None else self.upper
+        lower, upper = checked_bounds(low, high, self.first.size)
         checks.fill(self, lower=lower, upper=upper)
 
     @classmethod
@@ -174,9 +173,9 @@ class EquilibriumProgram:
         start = start[A.data[start] * A.data[start + 1] != 0.0]
         tied = set(map(frozenset, zip(A.indices[start], A.indices[start + 1], strict=True)))
         pairs = map(frozenset, zip(self.first, self.second, strict=True))
-        has_own = np.array([pair not in tied for pair in pairs], bool)
+        is_separate = np.array([pair not in tied for pair in pairs], bool)
         ends = (self.lower, self.upper)
-        lower, upper = (np.isfinite(end) & (has_own | (end != 0.0)) for end in ends)
+        lower, upper = (np.isfinite(end) & (is_separate | (end != 0.0)) for end in ends)
         return (BETWEEN + LOWER * lower + UPPER * upper).astype(np.uint8)
 
     def bounds(self, cases: Cases) -> tuple[Vector, Vector]:
@@ -359,9 +358,8 @@ class EquilibriumProgram:
         ]
         if self.smooth is not None:
             value, slopes = self.smooth.map.value(x), abs(self.smooth.map.jacobian(x))
-            both = (self.smooth.lower, self.smooth.upper)
-            ends = [np.where(np.isfinite(end), np.abs(end), 0.0) for end in both]
-            terms = np.maximum(*ends) + np.abs(value[1:]) + (slopes @ np.abs(x))[1:]
+            ends = np.nan_to_num(np.abs([self.smooth.lower, self.smooth.upper]), posinf=0.0)
+            terms = ends.max(axis=0) + np.abs(value[1:]) + (slopes @ np.abs(x))[1:]
             missed = np.maximum(self.smooth.lower - value[1:], value[1:] - self.smooth.upper)
             violations.append(missed / np.where(terms > 0.0, terms, 1.0))
             violations.append(np.where(np.isfinite(value), 0.0, np.inf))

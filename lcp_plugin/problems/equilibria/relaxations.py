@@ -24,16 +24,14 @@ from ...core.entries import largest_in_rows
 from ...core.errors import UnsupportedModel
 from ...core.kernels.floats import NORMAL
 from ...core.settings import Status
-from ...engines import engine_class, is_installed
 from ...proofs.bounds import Curvature, constrained_curvature
 from ...solving.result import BaseResult
-from ..programs.engine_points import run_engine, unscaled
 from ..programs.no_minimum import QPInfeasibility, QPUnboundedness, prove_infeasible
 from ..programs.program import QuadraticProgram
 from ..programs.solution import QPSolution
 from ..programs.solving import solve_program
 from ..programs.value_bounds import DualBounds, implied_box
-from .equilibrium_program import CASES, Cases, EquilibriumProgram, case_counts
+from .equilibrium_program import Cases, EquilibriumProgram, branches
 
 FEASIBLE = 1e-7  # largest violation of a row by a solution, relative to its terms
 PENALTY = 2.0**6  # of the largest entry of P, for rows whose largest entry is 1
@@ -72,7 +70,7 @@ class Node:
     @property
     def is_piece(self) -> bool:
         """True if every pair has exactly one open branch."""
-        return bool((case_counts(self.cases) == 1).all())
+        return bool((np.bitwise_count(self.cases) == 1).all())
 
 
 class Relaxations:
@@ -110,12 +108,6 @@ class Relaxations:
             # A bound this close to the value is not repaired
             enough = node.value - 0.1 * self.tolerance * size
             node.bound = self.bound(program, node.dual, enough)
-            # A vertex has more zeros than multipliers to repair them by
-            if node.bound == -math.inf and is_installed("clarabel"):
-                clarabel = engine_class("clarabel")()
-                inside = run_engine(program, clarabel, self.tolerance, unscaled).solution
-                dual = inside.x, np.concatenate([inside.inequality, inside.equality])
-                node.bound, node.dual = self.bound(program, dual, enough), dual
         if parent is not None and parent.bound > node.bound:
             node.bound, node.dual = parent.bound, parent.dual
         return node
@@ -127,9 +119,8 @@ class Relaxations:
         if program is None:
             node.bound = math.inf
             return node
-        solution = _solution_of(program)
-        solutions = [solution]
-        if not solution.is_optimal():
+        solutions = [_solution_of(program)]
+        if not solutions[0].is_optimal():
             proof = prove_infeasible(program)
             if proof is not None and proof.is_exact and proof.excludes(self.tolerance):
                 node.bound, node.proof = math.inf, proof
@@ -151,9 +142,8 @@ class Relaxations:
         other = np.clip(np.where(is_tiny, 0.0, x), program.lower, program.upper)
         if np.array_equal(other, x):
             return x
-        excess = self.problem.excess_of_rows
-        misses, misses_less = (excess(candidate).max(initial=0.0) for candidate in (x, other))
-        return other if misses_less < misses else x
+        excess, rounded = (self.problem.excess_of_rows(point) for point in (x, other))
+        return other if rounded.max(initial=0.0) < excess.max(initial=0.0) else x
 
     def bound(self, program: QuadraticProgram, dual: tuple[Vector, Vector], enough: float) -> float:
         """Return a lower bound of the program's objective that the point and the multipliers prove."""
@@ -392,7 +382,7 @@ class EquilibriumResult(BaseResult):
             return False
         cases, proof = self.descent
         is_open = cases & self.problem.all_cases == cases
-        is_piece = bool(((case_counts(cases) == 1) & is_open).all())
+        is_piece = bool(((np.bitwise_count(cases) == 1) & is_open).all())
         program = relaxations.program(cases)
         is_proved = program is not None and _is_same(proof.program, program) and proof.verify()
         return is_piece and is_proved
@@ -407,19 +397,14 @@ class EquilibriumResult(BaseResult):
             return False
         for node in self.tree:
             if node.pair >= 0:
-                wanted = [case for case in CASES if node.cases[node.pair] & case]
-                below = children.get(id(node), [])
-                undecided = [np.delete(child.cases, node.pair) for child in below]
-                is_same = all(
-                    np.array_equal(cases, np.delete(node.cases, node.pair)) for cases in undecided
-                )
-                if not is_same or sorted(int(child.cases[node.pair]) for child in below) != wanted:
+                below = sorted(child.cases.tolist() for child in children.get(id(node), []))
+                if below != [cases.tolist() for cases in branches(node.cases, node.pair)]:
                     return False
         return True
 
     def _leaf_holds(self, leaf: Node, relaxations: Relaxations) -> bool:
         program = relaxations.program(leaf.cases)
-        if program is None or self.lower_bound == -math.inf:
+        if program is None:
             return True
         if leaf.proof is not None:
             proof = leaf.proof

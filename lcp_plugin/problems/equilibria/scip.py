@@ -35,7 +35,7 @@ from ...core.deadline import seconds_left
 from ...core.entries import entries_of_row
 from ...core.errors import UnsupportedModel
 from ...expressions.rows import Program
-from ..programs.program import QuadraticProgram
+from ...systems.equilibration import power_of_two
 from .equilibrium_program import LOWER, UPPER, EquilibriumProgram
 from .relaxations import ENDS, FEASIBLE
 
@@ -155,7 +155,9 @@ class _Model:
 
         self.scip, self.problem, self.model, self.ends = pyscipopt, problem, pyscipopt.Model(), ends
         self.error: BaseException | None = None
-        self.unit = 1.0 if problem.smooth is not None else _power_below(problem.program)
+        costs = np.append(problem.program.c, sp.csr_array(problem.program.P).data)
+        unit = 0.5 * float(power_of_two(np.abs(costs).max(initial=0.0)))
+        self.unit = unit if problem.smooth is None else 1.0
         self.model.hideOutput()
         lower, upper = problem.bounds(problem.all_cases)
         kinds = np.full(lower.size, "C")
@@ -360,10 +362,3 @@ class _Model:
                 "local search"
             )
         return forms[name](*u)
-
-
-def _power_below(program: QuadraticProgram) -> float:
-    """Return the power of two below the largest entry of c and P, or 1 if all are 0."""
-    costs = program.c, sp.csr_array(program.P).data
-    largest = max(float(np.abs(cost).max(initial=0.0)) for cost in costs)
-    return math.ldexp(1.0, math.frexp(largest)[1] - 1) if largest > 0.0 else 1.0

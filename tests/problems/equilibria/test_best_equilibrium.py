@@ -151,7 +151,7 @@ NO_CLAIM = {
 
 def test_a_search_that_ends_before_it_finds_a_point_keeps_the_values(monkeypatch):
     """The status is user_limit, variables keep what they hold, and a bound of (y − x)² + x² + 1 is one."""
-    monkeypatch.setattr(BranchAndBound, "descend_from", lambda self, x, cases=None: None)
+    monkeypatch.setattr(BranchAndBound, "solve_nearest_piece", lambda self, x, cases=None: None)
     monkeypatch.setitem(sys.modules, "pyscipopt", None)
     x, y = cp.Variable(value=7.0), cp.Variable(value=-3.0)
     pair = complements(x >= 0, y - x - 1 >= 0)

@@ -60,11 +60,9 @@ def take_step(
     stack: ConeStack, scale: Cones, x: Cones, y: Cones
 ) -> tuple[Cones, Cones, float] | None:
     """Return the next x and y, and the entries that the factorization processed; None if no step is possible."""
-    cones, X, Y = ~stack.pattern.is_row, *(point[~stack.pattern.is_row] for point in (x, y))
-    scaling, root = nesterov_todd_scaling(X, Y)
-    eye = np.eye(stack.m)
-    H = np.zeros((stack.k, stack.m, stack.m))
-    H[cones] = scaling
+    cones, eye = ~stack.pattern.is_row, np.eye(stack.m)
+    X, Y, H = x[cones], y[cones], np.zeros((stack.k, stack.m, stack.m))
+    H[cones], root = nesterov_todd_scaling(X, Y)
     G = np.tile(eye, (stack.k, 1, 1))
     G[:, 0, 1:] -= scale[:, :1] * y[:, 1:] / np.maximum(length(y[:, 1:]), NORMAL)[:, None]
     left = apply(G, scale * y) - stack.slack((x / scale)[None])[0]
@@ -83,24 +81,24 @@ def take_step(
             dx = factors.solve((share * left + apply(G, scale * c))[None])[0] * scale
             return dx, c - apply(H, dx)
 
+        def reach(dx: Cones, dy: Cones) -> float:
+            """Return the step length to the boundary of the cones."""
+            return min(longest(X, dx[cones]), longest(Y, dy[cones]))
+
         dx, dy = direction(-Y)
-        t = min(1.0, longest(X, dx[cones]), longest(Y, dy[cones]))
+        t = min(1.0, reach(dx, dy))
         mean = float((x * y).sum()) / max(len(X), 1)
         after = float(((x + t * dx) * (y + t * dy)).sum()) / max(len(X), 1)
         at, moved = apply(root, X), apply(root, dx[cones])
         right = product(moved, at + moved) - product(at, at)
         right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3) if mean else 0.0
         dx, dy = direction(apply(root, quotient(right, at)))
-        t = TO_THE_BOUNDARY * min(longest(X, dx[cones]), longest(Y, dy[cones]))
+        t = TO_THE_BOUNDARY * reach(dx, dy)
         for sigma in CENTRED if t < SHORT else ():
             right = -product(at, at)
             right[:, 0] += sigma * mean
             centring = direction(apply(root, quotient(right, at)), 1.0 - sigma)
-            ends = (
-                longest(*pair)
-                for pair in zip((X, Y), (change[cones] for change in centring), strict=True)
-            )
-            further = TO_THE_BOUNDARY * min(ends)
+            further = TO_THE_BOUNDARY * reach(*centring)
             if further > t:
                 (dx, dy), t = centring, further
     except np.linalg.LinAlgError:

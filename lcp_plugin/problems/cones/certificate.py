@@ -71,7 +71,9 @@ class ConeCertificate:
     def __init__(
         self, problem: Blocks, z: Vector, tolerance: float, measured: Measured | None = None
     ) -> None:
-        self.problem, self.z, self.tolerance, self._measured = problem, z, tolerance, measured
+        self.problem, self.z, self.tolerance = problem, z, tolerance
+        if measured is not None:
+            self.measured = measured
 
     @derived_property
     def criterion(self) -> ConeRows:
@@ -81,12 +83,8 @@ class ConeCertificate:
     @derived_property
     def measured(self) -> Measured:
         """The measure of z."""
-        if self._measured is not None:
-            return self._measured
-        pattern = self.criterion.stack.pattern
-        return self.criterion.measure_at(
-            self.z if pattern.is_sparse else self.z[None], None, self.tolerance
-        )
+        z = self.z if self.criterion.stack.pattern.is_sparse else self.z[None]
+        return self.criterion.measure_at(z, None, self.tolerance)
 
     @derived_property
     def w(self) -> Vector:
@@ -164,12 +162,12 @@ class ContactInfeasibility:
     @derived_property
     def _farkas(self) -> FarkasCertificate:
         """The certificate of w ≥ 0 for any z, without cones."""
-        problem, (no, all_) = self.problem, (np.zeros(self.problem.n), np.ones(self.problem.n))
-        bounds = -np.inf * all_, np.inf * all_
-        rows, all_true = problem.rows, all_ > 0
-        anything = LinearConstraints(rows.csr, rows.q, all_true, all_true, *bounds, all_, (no, no))
+        rows, all_rows = self.problem.rows, np.ones(self.problem.n, np.bool_)
+        ones = all_rows.astype(np.float64)
+        signs, bounds, errors = (all_rows, all_rows), (-np.inf * ones, np.inf * ones), 0.0 * ones
+        constraints = LinearConstraints(rows.csr, rows.q, *signs, *bounds, ones, (errors, errors))
         y = {int(i): Fraction(float(self.y[i])) for i in np.flatnonzero(self.y)}
-        return FarkasCertificate(anything, y)
+        return FarkasCertificate(constraints, y)
 
     def _is_in_cones(self, x: Array, *, is_dual: bool) -> bool:
         """Return whether x, in exact numbers, is in the cones: of the y that are allowed, or of the −Mᵀy."""
@@ -283,7 +281,7 @@ def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
 
 
 def without_pull(problem: Blocks, y: Vector) -> Vector:
-    """Return y near y with Mᵀy = 0 to rounding, without its entries at rounding level."""
+    """Return a vector near y with Mᵀy = 0 to rounding, without the entries of y at rounding level."""
     used = np.flatnonzero(np.abs(y) > 1e-6)  # Clarabel's points reach 0 to about 1e-8
     # A least squares problem of a second
     columns = problem.rows.csr[used].toarray().T if used.size <= 1000 else np.zeros((0, 0))

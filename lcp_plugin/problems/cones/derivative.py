@@ -111,14 +111,14 @@ class StackDerivative(LinearizedSystem):
     def by_friction(self) -> Array:
         """R_μ, shape (B, n), not 0 on the boundary of cones."""
         stack, (z, w), mu = self.stack, self.point, self.stack.mu
-        case, x, tangent, _ = self.projection[1:]
-        x, tangent = x / self.stack.d[..., None], tangent / self.stack.d
         if not stack.has_friction:
-            return np.zeros(self.stack.pattern.flat(z).shape)
-        slip = length(w[..., 1:])
-        radius = (x[..., 0] - mu * slip / stack.d + mu * tangent) / (1.0 + mu * mu)
+            return np.zeros(stack.pattern.flat(z).shape)
+        case, x, tangent, _ = self.projection[1:]
+        x, tangent = x / stack.d[..., None], tangent / stack.d
+        speed = length(w[..., 1:])
+        radius = (x[..., 0] - mu * speed / stack.d + mu * tangent) / (1.0 + mu * mu)
         change = (tangent - 2.0 * mu * radius) / (1.0 + mu * mu)
-        rows = slip[..., None] * self.by_w[..., 0]
+        rows = speed[..., None] * self.by_w[..., 0]
         rows[..., 0] -= change
         rows[..., 1:] -= ((radius + mu * change) / tangent)[..., None] * x[..., 1:]
         return stack.pattern.flat(np.where((case == ON)[..., None], rows, 0.0))
@@ -141,15 +141,13 @@ class StackDerivative(LinearizedSystem):
     def _solve_free(self, right: Array, *, transposed: bool = False) -> Array:
         x, rows = np.zeros(right.shape), self.is_free[0][self.stack.pattern.of_row]
         if rows.any():
-            x[0, rows] = self._solved(right[0, rows], transposed=transposed)
-        return x
-
-    def _solved(self, right: Vector, *, transposed: bool) -> Any:
-        x = self.system.least_solution(right, transposed=transposed)
-        if x is None:
-            raise UnsuitableProblem(
-                "more than 500 rows have several answers for one motion; add a small compliance to the diagonal of W"
-            )
+            solution = self.system.least_solution(right[0, rows], transposed=transposed)
+            if solution is None:
+                raise UnsuitableProblem(
+                    "more than 500 rows have several answers for one motion; add a small compliance "
+                    "to the diagonal of W"
+                )
+            x[0, rows] = solution
         return x
 
 

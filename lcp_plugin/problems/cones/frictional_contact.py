@@ -76,11 +76,11 @@ class FrictionalContactBatch:
         time_step: float | None = None,
         equations: int = 0,
     ) -> None:
-        need = "b must have shape (B, d k) or (B, k, d), d = 3 in space and 2 in the plane"
         self.equations = p = contact.checked_count(equations)
+        shapes = f"(B, d k + {p})" if p else "(B, d k) or (B, k, d)"
+        need = f"b must have shape {shapes}, d = 3 in space and 2 in the plane"
         offsets = real_array(b, need)
-        if offsets.ndim not in (2, 3) or (p and offsets.ndim == 3):
-            need = need.replace(" or (B, k, d)", f" + {p}" if p else " or (B, k, d)")
+        if offsets.ndim != 2 and (p or offsets.ndim != 3):
             raise InvalidProblem(f"{need}, got shape {offsets.shape}")
         if offsets.ndim == 3:
             dimension, offsets = offsets.shape[2], offsets.reshape(len(offsets), -1)
@@ -100,19 +100,18 @@ class FrictionalContactBatch:
         if gaps is not None or time_step is not None:
             offsets = offsets.copy()
             offsets[:, : n - p : d] += contact.closing_speeds(gaps, time_step, k, count)
-        shapes = (matrices, (count, n, n)), (offsets, (count, n)), (mu, (count, k))
-        wide = (np.broadcast_to(*pair) for pair in shapes)
-        arrays = [np.ascontiguousarray(array, np.float64) for array in wide]
+        arrays = (matrices, (count, n, n)), (offsets, (count, n)), (mu, (count, k))
+        matrices, offsets, mu = (np.ascontiguousarray(np.broadcast_to(*pair)) for pair in arrays)
         is_there = np.arange(k) < self.contacts[:, np.newaxis]
         if not is_there.all():
             is_row = np.pad(np.repeat(is_there, d, axis=1), ((0, 0), (0, p)), constant_values=True)
             is_entry = is_row[:, :, np.newaxis] & is_row[:, np.newaxis]
-            absent: Any = ((is_entry, np.eye(n)), (is_row, 1.0), (is_there, 0.0))
-            arrays = [
-                np.where(has, array, other)
-                for array, (has, other) in zip(arrays, absent, strict=True)
-            ]
-        self.W, self.b, self.friction = map(checks.read_only, arrays)
+            matrices, offsets = (
+                np.where(is_entry, matrices, np.eye(n)),
+                np.where(is_row, offsets, 1.0),
+            )
+            mu = np.where(is_there, mu, 0.0)
+        self.W, self.b, self.friction = map(checks.read_only, (matrices, offsets, mu))
         contact.warn_of_much_friction(np.where(np.isfinite(self.friction), self.friction, 0.0), 3)
         with np.errstate(all="ignore"):
             difference = np.abs(self.W - self.W.swapaxes(1, 2)).max((1, 2), initial=0.0)
@@ -253,7 +252,8 @@ class FrictionalContact(Blocks):
             is_sparse = any(map(sp.issparse, W))
             statement = contact.contacts_of_bodies(W, velocities, equations)
             W, velocities, self.bodies, equations = statement
-            W = W if is_sparse or not sp.issparse(W) else W.toarray()
+            if sp.issparse(W) and not is_sparse:
+                W = W.toarray()
             dimension = self.bodies.dimension if dimension is None else dimension
         self.equations = p = contact.checked_count(equations)
         if velocities.ndim not in (1, 2):
@@ -297,8 +297,8 @@ class FrictionalContact(Blocks):
         return self.slope[: self.slope.size - self.equations]
 
     def _shape(self) -> dict[str, Any]:
-        equations = {"equations": np.array(self.equations)} if self.equations else {}
-        return {"mu": self.friction, **equations}
+        shape = {"mu": self.friction, "equations": np.array(self.equations)}
+        return shape if self.equations else {"mu": self.friction}
 
     def __repr__(self) -> str:
         count, where = self.friction.size, "space" if self.dimension == 3 else "the plane"

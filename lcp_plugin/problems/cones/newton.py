@@ -35,11 +35,10 @@ def newton_steps(
 
     Steps use a nonmonotone line search on ‖R‖₂. A problem whose residual is at most `goal` is left out.
     """
-    instances, here, at = np.arange(stack.B), stack, z
-    residual = here.measure(at)
+    instances, at, residual = np.arange(stack.B), z, stack.measure(z)
     yield instances, at, residual.largest, 1.0
-    norms, widest = np.repeat(residual.norm[:, None], RECENT, 1), np.full(here.B, PROXIMAL)
-    best, since, least = residual.norm.copy(), np.zeros(here.B, np.int64), accuracy_of(stack)[0]
+    norms, widest = np.repeat(residual.norm[:, None], RECENT, 1), np.full(stack.B, PROXIMAL)
+    best, since, least = residual.norm.copy(), np.zeros(stack.B, np.int64), accuracy_of(stack)[0]
     for count in range(steps):
         # Points without a gain; each halving is a point
         going = np.isfinite(residual.norm) & (residual.largest > goal) & (since < 60)
@@ -48,29 +47,29 @@ def newton_steps(
         if not going.all():
             kept = (instances, at, norms, widest, best, since)
             instances, at, norms, widest, best, since = (array[going] for array in kept)
-            here, residual = here.take(going), NaturalMap(*(array[going] for array in residual))
-        by_z, by_w = here.derivative(*residual[1:6])
+            stack, residual = stack.take(going), NaturalMap(*(array[going] for array in residual))
+        by_z, by_w = stack.derivative(*residual[1:6])
         epsilon = np.maximum(np.minimum(widest, 0.1 * residual.largest), least)
         step = None
         while step is None and epsilon.min() <= 1.0:
             try:
-                shift = (epsilon[:, None] * here.d)[..., None, None]
-                factors = factorize_blocks(here, by_z + shift * by_w, by_w)
+                shift = (epsilon[:, None] * stack.d)[..., None, None]
+                factors = factorize_blocks(stack, by_z + shift * by_w, by_w)
                 step = factors.solve(-residual.R)
             except np.linalg.LinAlgError:
                 epsilon = np.maximum(HARDER * epsilon, LEAST_PROXIMAL)
         if step is None:
             return
-        t, allowed, before, start = np.ones(here.B), norms.max(1), residual.norm, at
+        t, allowed, before, start = np.ones(stack.B), norms.max(1), residual.norm, at
         at = start + step
-        residual = here.measure(at)
+        residual = stack.measure(at)
         for _ in range(HALVINGS):
             is_short = ~(residual.norm <= (1.0 - DECREASE * t) * allowed)
             if not is_short.any():
                 break
             t[is_short] *= 0.5
             at[is_short] = (start + t[:, None, None] * step)[is_short]
-            shorter = here.take(is_short).measure(at[is_short])
+            shorter = stack.take(is_short).measure(at[is_short])
             for whole, part in zip(residual, shorter, strict=True):
                 whole[is_short] = part
         is_poor = (t < 1.0) | (residual.norm >= before)
@@ -80,7 +79,8 @@ def newton_steps(
         tried = 1 - np.log2(t).astype(np.int64)  # each halving costs as much as a step
         since = np.where(residual.norm < NEWTON_GAIN * best, 0, since + tried)
         best = np.minimum(best, residual.norm)
-        yield instances, at, residual.largest, 2.0 + factors.entries / max(here.pattern.nonzeros, 1)
+        work = 2.0 + factors.entries / max(stack.pattern.nonzeros, 1)
+        yield instances, at, residual.largest, work
 
 
 def accuracy_of(stack: ConeStack) -> tuple[float, float]:

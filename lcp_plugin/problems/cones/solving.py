@@ -164,8 +164,8 @@ def solve_cone_stack(
         iterations[left] += count // SWEEPS_PER_STEP
         best, least = swept[left], np.full(left.size, np.inf)
         goal = CLOSER * tolerance
-        for number, step in enumerate(newton.newton_steps(open_stack, best, steps, goal)):
-            instances, at, sizes, _ = step
+        points = newton.newton_steps(open_stack, best, steps, goal)
+        for number, (instances, at, sizes, _) in enumerate(points):
             is_better = sizes < least[instances]
             best[instances[is_better]] = at[is_better]
             least[instances[is_better]] = sizes[is_better]
@@ -459,17 +459,16 @@ class ConeResult(Result):
 
     def _remarks(self) -> list[str]:
         lines = [str(self.infeasibility)] if self.infeasibility is not None else []
-        is_contact = isinstance(self.problem, FrictionalContact)
-        return lines + (self._contacts_in_words() if is_contact else [])
-
-    def _contacts_in_words(self) -> list[str]:
-        motion, problem = self.motion, self.problem
+        problem = self.problem
+        if not isinstance(problem, FrictionalContact):
+            return lines
+        motion = self.motion
         slides = motion.touches & ~motion.sticks
-        lines = [
+        lines.append(
             f"{format_count(problem.friction.size, 'contact')}: {int((~motion.touches).sum())} open, "
             f"{int(motion.sticks.sum())} stick, {int(slides.sum())} slide; friction and impact take "
             f"{self.certificate.lost_energy + 0.0:.4g} J in SI units"  # type: ignore[attr-defined]
-        ]
+        )
         asymmetry = float(abs(problem.W - problem.W.T).max()) if problem.n else 0.0
         # Of the largest entry of W: tolerated difference from its transpose
         if asymmetry > DATA_ROUNDING * float(abs(problem.W).max() if problem.n else 0.0):

@@ -185,12 +185,12 @@ class BranchAndBound:
     @property
     def lower_bound(self) -> float:
         """Lower bound of the objective over all solutions."""
-        current = [] if self._current is None else [self._current.bound]
-        waiting = [*(bound for bound, _, _ in self._open[:1]), *current]
-        of_tree = min([self._closed_at, *waiting]) if self.tree else -math.inf
-        return min(
-            self.value, max(of_tree, -math.inf if self.outside is None else self.outside.bound)
-        )
+        open_nodes = [node for *_, node in self._open[:1]]
+        if self._current is not None:
+            open_nodes.append(self._current)
+        bound = min([self._closed_at, *(node.bound for node in open_nodes)])
+        outside = -math.inf if self.outside is None else self.outside.bound
+        return min(self.value, max(bound if self.tree else -math.inf, outside))
 
     @property
     def cutoff(self) -> float:

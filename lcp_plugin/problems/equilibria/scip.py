@@ -149,7 +149,7 @@ class _Model:
     """
 
     def __init__(
-        self, problem: EquilibriumProgram, ends: Watcher | None, far: float = math.inf
+        self, problem: EquilibriumProgram, ends: Watcher | None, far: float = SCIP_INFINITY
     ) -> None:
         import pyscipopt
 
@@ -166,11 +166,7 @@ class _Model:
         redundant = problem.redundant_unknowns()
         lower[redundant] = upper[redundant] = 0.0
         self.x = [
-            self.model.addVar(
-                lb=None if low <= -SCIP_INFINITY else low,
-                ub=None if high >= SCIP_INFINITY else high,
-                vtype=kind,
-            )
+            self.model.addVar(lb=low, ub=high, vtype=kind)
             for low, high, kind in zip(lower.tolist(), upper.tolist(), kinds.tolist(), strict=True)
         ]
 
@@ -305,11 +301,11 @@ class _Model:
 
     def _sums(self, matrix: AnyMatrix, quantities: list[Any], offset: Vector) -> list[Any]:
         """Return each row times the quantities, plus the offset."""
-        rows, sums = sp.csr_array(matrix), []
-        for k, shift in enumerate(offset.tolist()):
-            pairs = zip(*entries_of_row(rows, k), strict=True)
-            sums.append(self.scip.quicksum(a * quantities[j] for j, a in pairs) + shift)
-        return sums
+        rows, total = sp.csr_array(matrix), self.scip.quicksum
+        return [
+            total(a * quantities[j] for j, a in zip(*entries_of_row(rows, k), strict=True)) + shift
+            for k, shift in enumerate(offset.tolist())
+        ]
 
     def _results(self, program: Program) -> list[Any]:
         """Return the results of a program of expressions."""

@@ -70,8 +70,12 @@ class Optimality:
     def of(cls, enclosures: Enclosures, x: Vector, *, tolerance: float = np.inf) -> Optimality:
         """Return the optimality of x on the unscaled data; dual points are tried until one meets the tolerance."""
         misfit = enclosures.residual(x)
-        judged = cls(enclosures, x, misfit, 1.0)
-        judged.residual = _least_gap(judged, tolerance)
+        judged, residual = cls(enclosures, x, misfit, 1.0), enclosures.explained(x, misfit)
+        for y, slope in _dual_points(judged):
+            gap = float(_relative_gap(enclosures.problem, x, residual, y, slope))
+            judged.residual = min(judged.residual, gap)
+            if judged.residual <= tolerance:
+                break
         if judged.is_worse_than_known(tolerance):
             judged.residual = 1.0
         return judged
@@ -160,17 +164,6 @@ def measure_stack(
     least = enclosures.cost_above(np.broadcast_to(problem.nearest_to_zero, x.shape))
     is_solved = (value <= tolerance) & ~_exceeds(cost, least, tolerance)
     return value, is_solved & ~_may_be_rounding(problem, cost, residual[1], tolerance)
-
-
-def _least_gap(judged: Optimality, tolerance: float) -> float:
-    """Return the least relative gap of the dual points, at most 1; the first that meets the tolerance is enough."""
-    enclosures, x, least = judged.enclosures, judged.x, 1.0
-    residual = enclosures.explained(x, judged.misfit)
-    for y, slope in _dual_points(judged):
-        least = min(least, float(_relative_gap(enclosures.problem, x, residual, y, slope)))
-        if least <= tolerance:
-            break
-    return least
 
 
 def _dual_points(judged: Optimality) -> Iterator[tuple[Vector, Ball]]:

@@ -154,11 +154,9 @@ class BoundedLeastSquares:
         self._check_range("b", b, "b, lower and upper")
         bounds = self.lower, self.upper
         if lower is not None or upper is not None:
-            user_bounds = (
-                bounds[0] if lower is None else lower,
-                bounds[1] if upper is None else upper,
+            bounds = checks.checked_bounds(
+                self.lower if lower is None else lower, self.upper if upper is None else upper, n
             )
-            bounds = checks.checked_bounds(*user_bounds, n)
         return self.stack(b, *bounds, self.l1 if l1 is None else _checked_penalty(l1, n))
 
     def stack(self, b: Vector, lower: Vector, upper: Vector, l1: Vector) -> BoundedLeastSquares:
@@ -216,11 +214,11 @@ class BoundedLeastSquares:
 
     def product(self, x: Vector) -> Vector:
         """Return A x."""
-        return _vector(self.A @ x)
+        return np.asarray(self.A @ x)
 
     def apply_transpose(self, y: Vector) -> Vector:
         """Return Aᵀy."""
-        return _vector(self.A.T @ y)
+        return np.asarray(self.A.T @ y)
 
     def apply_weights(self, y: Vector) -> Vector:
         """Return weights · y."""
@@ -385,10 +383,6 @@ def _checked(A: AnyMatrix) -> Any:
     return matrix if is_kept else read_only(np.array(matrix, order="C"))
 
 
-def _vector(values: Array) -> Vector:
-    return np.asarray(values, dtype=np.float64).reshape(-1)
-
-
 Ball = tuple[Vector, Vector]
 """Values and radii: the exact values lie within."""
 
@@ -476,11 +470,10 @@ class Enclosures:
         self, B: Any, sizes: Any, v: Vector, radius: Vector, less: Any, terms: int
     ) -> Ball:
         """Return B v − less for a v known up to radius, with |B| = sizes and so many terms in a row of B."""
-        size = times(sizes, np.abs(v)) + np.abs(less)
         unsure = OUTWARD * times(sizes, radius) if radius.size else 0.0
-        size = size + unsure if radius.size else size
+        size = times(sizes, np.abs(v)) + np.abs(less) + unsure
         rounding = gamma(2 * terms + 8) * OUTWARD * size + (2 * terms + 8) * TINY * (size > 0.0)
-        return times(B, v) - less, rounding + unsure if radius.size else rounding
+        return times(B, v) - less, rounding + unsure
 
     @cached_property
     def reference(self) -> float:

@@ -87,8 +87,9 @@ def solve_least_squares(
     settings, clock = Settings(**options) if options else DEFAULT, Clock()
     is_bare = x0 is None and callback is None and not options.keys() - {"tolerance"}
     if is_bare and engines.is_for_nnls(problem):
-        optimality = _by_nnls(problem, settings.tolerance)
-        if optimality.passes:
+        point = engines.nnls_point(problem)
+        optimality = Optimality.of(Enclosures(problem), point, tolerance=settings.tolerance)
+        if optimality.residual <= settings.tolerance:
             make = partial(_first_result, optimality, settings.tolerance, clock.read())
             return LeastSquaresResult.of_known(
                 make, x=read_only(optimality.x), status=Status.SOLVED
@@ -100,14 +101,6 @@ def solve_least_squares(
     if settings.verbose:
         say(f"{result.status.name}: {result.advice}")
     return result
-
-
-def _by_nnls(problem: BoundedLeastSquares, tolerance: float) -> Optimality:
-    """Return the certified point of nnls."""
-    point = engines.nnls_point(problem)
-    optimality = Optimality.of(Enclosures(problem), point, tolerance=tolerance)
-    optimality.passes = optimality.residual <= tolerance
-    return optimality
 
 
 def _first_result(optimality: Optimality, tolerance: float, seconds: float) -> LeastSquaresResult:
@@ -167,8 +160,8 @@ class LeastSquaresRun(Run):
     def certify(self, x: Vector, tolerance: float | None = None) -> Optimality:
         """Return the certified point of an x within the bounds; dual points are tried until one meets the tolerance."""
         goal = self.settings.tolerance
-        enough = goal if tolerance is None else tolerance
-        optimality = Optimality.of(self.enclosures, x, tolerance=enough)
+        tolerance = goal if tolerance is None else tolerance
+        optimality = Optimality.of(self.enclosures, x, tolerance=tolerance)
         optimality.passes = optimality.residual <= goal
         return optimality
 
@@ -234,7 +227,7 @@ class LeastSquaresRun(Run):
         yield self._projected(most)
 
     def _nnls_step(self) -> Iterator[Step]:
-        optimality = _by_nnls(self.problem, self.settings.tolerance)
+        optimality = self.certify(engines.nnls_point(self.problem))
         yield Step(optimality.x, iterations=1, measured=optimality)
 
     def _size_at(self, point: engines.FacePoint) -> float:
@@ -245,9 +238,9 @@ class LeastSquaresRun(Run):
 
     def residual_of(self, step: Step) -> float | None:
         """Return the measure of a step for a sample."""
-        is_start = step.residual == math.inf
-        point = engines.FacePoint(self.problem.scaled, self.nearest) if is_start else None
-        return super().residual_of(step) if point is None else self._size_at(point)
+        if step.residual == math.inf:  # of the start
+            return self._size_at(engines.FacePoint(self.problem.scaled, self.nearest))
+        return super().residual_of(step)
 
     def _projected(self, most: int) -> Stage:
         because = "products with A and Aᵀ"

@@ -29,6 +29,7 @@ A strategy for convex quadratic programs with exact solutions.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import lru_cache, wraps
@@ -321,6 +322,7 @@ def _h_plus(draw: st.DrawFn, n: int, values: Numbers) -> Matrix:
 ExactPoint = tuple[Fraction, ...]
 #: Matrices with which every problem has exactly one solution.
 DEFAULT_MATRICES = h_plus_matrices() | positive_definite_matrices()
+DEFAULT_HESSIANS = positive_definite_matrices() | positive_semidefinite_matrices()
 DISTANCES = st.sampled_from([*range(1, LARGEST_ENTRY + 1), *(math.inf,) * LARGEST_ENTRY])
 INACTIVE, ACTIVE, DEGENERATE = range(3)
 #: Whether a row is at its lower and at its upper bound, and the sign of the slack in this case.
@@ -527,22 +529,14 @@ def exact_offset(matrix: AnyMatrix, z: Vector, w: Vector) -> Vector:
     M = sp.csr_array(matrix)
     products = exact_slack(LCP(M, np.zeros(z.size)), z)
     exact = [Fraction(left) - product for left, product in zip(w.tolist(), products, strict=True)]
-    wrong = next((i for i, value in enumerate(exact) if not is_double(value)), None)
-    if wrong is not None:
-        sizes = abs(M.data[M.indptr[wrong] : M.indptr[wrong + 1]])
-        raise InvalidProblem(
-            f"q = w − M z is not free of rounding in row {wrong} of M, whose entries lie between "
-            f"{sizes.min(initial=np.inf):g} and {sizes.max(initial=0.0):g} in size; draw short entries of one size"
-        )
+    for i, value in enumerate(exact):
+        if abs(value) > sys.float_info.max or Fraction(float(value)) != value:
+            sizes = abs(M.data[M.indptr[i] : M.indptr[i + 1]])
+            raise InvalidProblem(
+                f"q = w − M z is not free of rounding in row {i} of M, whose entries lie between "
+                f"{sizes.min(initial=np.inf):g} and {sizes.max(initial=0.0):g} in size; draw short entries of one size"
+            )
     return np.array(exact, dtype=np.float64)
-
-
-def is_double(exact: Fraction) -> bool:
-    """Return whether a double equals the fraction."""
-    try:
-        return Fraction(float(exact)) == exact
-    except OverflowError:
-        return False
 
 
 def fractions_of(values: Array) -> tuple[Fraction, ...]:
@@ -809,9 +803,7 @@ def convex_qps(
     >>> answer.x, answer.objective
     ((Fraction(0, 1),), Fraction(0, 1))
     """
-    hessians = matrices
-    if hessians is None:
-        hessians = positive_definite_matrices() | positive_semidefinite_matrices()
+    hessians = DEFAULT_HESSIANS if matrices is None else matrices
     inequality_count, equality_count = sizes(inequalities), sizes(equalities)
     variable, pair = complementary_rows(bounds, otherwise_free=True), complementary_rows()
 

@@ -355,30 +355,28 @@ def study(
     is_paper = stopping == "paper"
     tolerance = (1e-5 if is_paper else 1e-8) if tolerance is None else tolerance
     Settings(tolerance=tolerance, max_seconds=max_seconds)
-    entrants, built, wanted = methods_of(methods), _label_problems(problems), _checked_sizes(sizes)
+    entrants, targets = methods_of(methods), _label_problems(problems)
+    listed = [*sizes] if isinstance(sizes, Iterable) else [sizes]
+    if sizes is not None:
+        listed = [whole_number(size, "each of sizes", 1, ", as [100, 400]") for size in listed]
     if not isinstance(references, list | tuple):
         raise InvalidOption(f"references must be a list of names, got {references!r}")
     if references:
         references = [solver_name(name) for name in references]
-    jobs = product(built.items(), wanted)
-    measure = partial(
-        _measurements,
-        methods=entrants,
-        references=references,
-        repeats=repeats,
-        has_polish=polish and not is_paper,
-        max_seconds=max_seconds,
-        tolerance=0.0 if is_paper else tolerance,
-        paper_tolerance=tolerance if is_paper else 0.0,
-    )
+    has_polish = polish and not is_paper
+    # A run by the paper's rule has its own test in place of the relative residual
+    stop, relative = ("paper_tolerance", math.nan) if is_paper else ("tolerance", tolerance)
+    limits = {"tolerance": 0.0, "max_seconds": max_seconds, stop: tolerance}
     rows: list[Measurement] = []
     notes: dict[str, None] = {}
     is_complete = False
     try:
-        for (label, target), size in jobs:
-            relative = math.nan if is_paper else tolerance
+        for (label, target), size in product(targets.items(), listed or [None]):
             blank = Measurement(label, size, 0, 0, "", "", "", "", relative)
-            for row in measure(blank, target):
+            measured = _measurements(
+                blank, target, entrants, references, repeats, has_polish, **limits
+            )
+            for row in measured:
                 if isinstance(row, str):
                     notes[row] = None
                 else:
@@ -550,13 +548,6 @@ def _build_problem(target: object, label: str, size: int | None) -> Scene:
     raise InvalidOption(
         f"{label} is not an LCP, a test problem or (M, q), got {type(target).__name__}"
     )
-
-
-def _checked_sizes(sizes: object) -> list[int | None]:
-    if sizes is None:
-        return [None]
-    listed = [*sizes] if isinstance(sizes, Iterable) else [sizes]
-    return [whole_number(size, "each of sizes", 1, ", as [100, 400]") for size in listed] or [None]
 
 
 def machine() -> str:

@@ -174,8 +174,8 @@ def _entries(
                 f'the line "{" ".join(words)}" in {section} has a name without a number'
             )
         for name, text in zip(words[start::2], words[start + 1 :: 2], strict=True):
-            j = names[name] if name in names else names.find(name, section, words)
-            key, value = (i, j), _number_in(text, words, section)
+            key = i, names.find(name, section, words)
+            value = _number_in(text, words, section)
             key = (max(key), min(key)) if section == "QUADOBJ" else key
             if key in entries:
                 repeated = repeated or " ".join(sorted([name, *words[: columns is not None]]))

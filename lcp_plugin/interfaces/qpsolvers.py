@@ -92,7 +92,10 @@ def solve_problem(
     started = time.perf_counter()
     try:
         program = _program(problem)
-        built, guess = time.perf_counter(), _start(initvals, program)
+        built = time.perf_counter()
+        start = None if initvals is None else vector_option(initvals, "initvals", program.n)
+        # A start would cost steps in a program with rows
+        guess = None if program.constraints.rows else start
         result = solve_program(program, z0=guess, verbose=verbose, **options)
     except (errors.InvalidOption, errors.UnknownAlgorithm) as error:
         raise ParamError(str(error)) from error
@@ -123,9 +126,3 @@ def _program(problem: Problem) -> QuadraticProgram:
         for bound, name, default in ((lower, "lb", -np.inf), (upper, "ub", np.inf))
     )
     return QuadraticProgram(P, q, G, h, A, b, below, above)
-
-
-def _start(initvals: Any, program: QuadraticProgram) -> Any:
-    """Return the start if the program has only bounds: with rows, a start would cost steps."""
-    start = None if initvals is None else vector_option(initvals, "initvals", program.n)
-    return None if program.constraints.rows else start

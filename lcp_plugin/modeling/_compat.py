@@ -117,11 +117,11 @@ def constant_numeric(node: cp.Expression, values: list[Any]) -> Any:
     elif isinstance(node, DIVISION) and uniform(values[1]):
         value = values[0] / uniform(values[1])
     elif stack is not None and len(node.shape) == 2:
-        value = stack([one if sp.issparse(one) else np.atleast_2d(one) for one in values])
+        value = stack([part if sp.issparse(part) else np.atleast_2d(part) for part in values])
     elif isinstance(node, SELECTION):
         # Sparse arrays of scipy 1.12 do not give single rows; sparse matrices do.
-        value = node.numeric([sp.csr_matrix(one) for one in values])
-    elif isinstance(node, KEEP_SPARSE) and all(one.ndim <= 2 for one in values):
+        value = node.numeric([sp.csr_matrix(part) for part in values])
+    elif isinstance(node, KEEP_SPARSE) and all(part.ndim <= 2 for part in values):
         value = node.numeric(values)
     else:
         value = node.numeric(list(map(dense, values)))
@@ -175,7 +175,7 @@ def row_of(stated: Any, k: int, constraint: Any = None, number: int | None = Non
     label = getattr(constraint, "label", None)
     name = label or name_of(stated)
     if not label and number is not None and NUMBERS.search(name):
-        name = f"{UNLABELED} {number} ({listed(one.name() for one in constraint.variables())})"
+        name = f"{UNLABELED} {number} ({listed(variable.name() for variable in constraint.variables())})"
     return name + (_place(stated, k, "[{}]" if label else ", entry {}") if stated.size > 1 else "")
 
 
@@ -197,9 +197,9 @@ def attribute_bounds(variable: cp.Variable) -> tuple[Any, Any]:
     attributes = variable.attributes
     lower: Any = 0.0 if attributes.get("nonneg") or attributes.get("pos") else -np.inf
     upper: Any = 0.0 if attributes.get("nonpos") or attributes.get("neg") else np.inf
-    given = attributes.get("bounds")
-    if given is not None:
-        low, high = (bound_value(bound, variable) for bound in given)
+    stated = attributes.get("bounds")
+    if stated is not None:
+        low, high = (bound_value(bound, variable) for bound in stated)
         lower, upper = np.maximum(lower, low), np.minimum(upper, high)
     return normalize_bounds(lower, upper)
 

@@ -106,12 +106,12 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
             algorithm = options.pop("algorithm", "auto")
             known = {name: options.pop(name) for name in ("sense", "names") if name in options}
             program = quadratic_program(data, cache).replaced(**known)
-            found = solve_program(program, algorithm, verbose=bool(verbose), **options)
-            if guess is not None and options["z0"] is guess and found.z is not None:
-                found = replace(found, begun=BEGUN)
+            result = solve_program(program, algorithm, verbose=bool(verbose), **options)
+            if guess is not None and options["z0"] is guess and result.z is not None:
+                result = replace(result, begun=BEGUN)
         # An external solver leaves no z: no complementarity problem was made.
-        cache[self.name()] = found.z
-        return found, verbose
+        cache[self.name()] = result.z
+        return result, verbose
 
     def invert(self, answer: Any, inverse_data: Any) -> Solution:
         """Return cvxpy's solution: status by the residuals of the quadratic program, values, duals."""
@@ -154,18 +154,21 @@ def quadratic_program(data: Any, cache: Any) -> QuadraticProgram:
     If the program in the cache has the same matrices, its factorization and scaling are shared.
     """
     rows = n, m, p = [int(data[key]) for key in ("n_var", "n_ineq", "n_eq")]
-    given = [
+    matrices = [
         sp.csc_array((size, n)) if data[key] is None else data[key]
         for size, key in zip(rows, MATRIX_KEYS, strict=True)
     ]
     q, g, b = data[settings.Q], data[settings.G], data[settings.B]
     constant = float(data[settings.OFFSET])
-    key = [[one.indptr.tobytes(), one.indices.tobytes(), one.data.tobytes()] for one in given]
+    key = [
+        [matrix.indptr.tobytes(), matrix.indices.tobytes(), matrix.data.tobytes()]
+        for matrix in matrices
+    ]
     kept, before = cache.get(PROGRAM, ([], None))
     if key == kept:
         return before.with_vectors(q, g, b, constant=constant)
-    is_small = may_be_small(n, m + p, (one.nnz for one in given))
-    P, F, A = map(as_array, given) if is_small else given
+    is_small = may_be_small(n, m + p, (matrix.nnz for matrix in matrices))
+    P, F, A = map(as_array, matrices) if is_small else matrices
     program = QuadraticProgram(P, q, G=F, h=g, A=A, b=b, constant=constant)
     cache[PROGRAM] = key, program
     return program
@@ -203,10 +206,10 @@ class Entries(NamedTuple):
                 leaf = known[0].get(variable.id, leaf)
                 if variable.id in known[0] and leaf.size != variable.size:
                     counted = {leaf.id: 1.0 + np.arange(leaf.size).reshape(leaf.shape, order="F")}
-                    found = reduction.invert(
+                    original = reduction.invert(
                         Solution(settings.OPTIMAL, 0.0, counted, {}, {}), known
                     )
-                    numbers = found.primal_vars[variable.id]
+                    numbers = original.primal_vars[variable.id]
         if leaf.id not in columns and variable.size:
             raise UnsupportedModel(
                 f"cvxpy made a program in which {variable.name()} is not found again; use plain variables"
@@ -255,7 +258,10 @@ class CompiledProblem:
         except (SolverError, DCPError) as error:
             raise UnsupportedModel(str(error)) from error
         columns = data[settings.PARAM_PROB].var_id_to_col
-        entries = {one.id: Entries.of(one, columns, chain, inverse) for one in problem.variables()}
+        entries = {
+            variable.id: Entries.of(variable, columns, chain, inverse)
+            for variable in problem.variables()
+        }
         program = quadratic_program(data, {}).replaced(names=_names_of(problem, data, entries))
         if is_folded:
             program = program.folded.reduced.replaced(constant=program.constant)
@@ -263,7 +269,7 @@ class CompiledProblem:
 
     def values(self, x: Vector) -> dict[int, Any]:
         """Return the value of each variable by its id."""
-        return {key: one.taken(x) for key, one in self.entries.items()}
+        return {key: item.taken(x) for key, item in self.entries.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,21 +298,26 @@ def _names_of(problem: cp.Problem, data: Any, entries: dict[int, Entries]) -> Na
     A row that cvxpy adds, as for abs(x) <= 1, has no name.
     """
     stated = data[settings.PARAM_PROB].constraints
-    numbers = {one.id: k for k, one in enumerate(problem.constraints)}
-    owner = {one.id: partial(row_of, one, number=numbers[one.id]) for one in problem.constraints}
+    numbers = {constraint.id: k for k, constraint in enumerate(problem.constraints)}
+    owner = {
+        constraint.id: partial(row_of, constraint, number=numbers[constraint.id])
+        for constraint in problem.constraints
+    }
     rows: list[tuple[int, Any]] = []
     for kind in (False, True):  # rows of G, then of A
         rows += [
-            (one.size, owner.get(one.id)) for one in stated if isinstance(one, EQUATIONS) is kind
+            (constraint.size, owner.get(constraint.id))
+            for constraint in stated
+            if isinstance(constraint, EQUATIONS) is kind
         ]
-    places = [(one, entries[one.id].places) for one in problem.variables()]
+    places = [(variable, entries[variable.id].places) for variable in problem.variables()]
     count = sum(size for size, _ in rows)
     return Names(partial(name_of_row, rows, range(count)), partial(_unknown_name, places))
 
 
 def _unknown_name(places: list[tuple[Any, Indices]], column: int) -> str:
-    for variable, own in places:
-        if (at := np.flatnonzero(own == column)).size:
+    for variable, entries in places:
+        if (at := np.flatnonzero(entries == column)).size:
             return entry_of(variable, int(at[0]))
     return ""
 
@@ -324,13 +335,15 @@ def certify_problem(problem: cp.Problem, tolerance: float) -> Certification:
     _check(problem)
     compiled = CompiledProblem.of(problem)
     if problem.status in CLAIMED:
-        found = certify(compiled.program, claim=CLAIMED[problem.status], tolerance=tolerance)
+        certification = certify(
+            compiled.program, claim=CLAIMED[problem.status], tolerance=tolerance
+        )
     else:
-        found = certify(compiled.program, _point(problem, compiled), tolerance=tolerance)
-    lower, upper = found.lower, found.upper
+        certification = certify(compiled.program, _point(problem, compiled), tolerance=tolerance)
+    lower, upper = certification.lower, certification.upper
     if sense_of(problem) < 0.0:
         lower, upper = (None if upper is None else -upper), (None if lower is None else -lower)
-    return replace(found, lower=lower, upper=upper)
+    return replace(certification, lower=lower, upper=upper)
 
 
 def _check(problem: cp.Problem) -> None:
@@ -371,8 +384,8 @@ def _point(problem: cp.Problem, compiled: CompiledProblem) -> Vector:
     x, entries = np.zeros(compiled.program.n), compiled.entries.values()
     for variable in problem.variables():
         compiled.entries[variable.id].put_into(x, leaf_value(variable))
-    own = [one.places[one.signs != 0.0] for one in entries]
-    added = np.setdiff1d(np.arange(x.size), np.concatenate(own))
+    of_variables = [item.places[item.signs != 0.0] for item in entries]
+    added = np.setdiff1d(np.arange(x.size), np.concatenate(of_variables))
     if added.size:
         x[added] = solve_program(_rest(compiled.program, x, added)).x
     return x
@@ -380,12 +393,12 @@ def _point(problem: cp.Problem, compiled: CompiledProblem) -> Vector:
 
 def _rest(program: QuadraticProgram, x: Vector, columns: Indices) -> QuadraticProgram:
     """Return the program of some columns, the others being as in x; without the rows that hold only these."""
-    P, own = sp.csr_array(program.P)[columns], list[Any]()
+    P, remaining = sp.csr_array(program.P)[columns], list[Any]()
     for matrix, right in ((program.G, program.h), (program.A, program.b)):
         rows = sp.csr_array(matrix)
         kept = np.flatnonzero(np.diff(sp.csr_array(rows[:, columns]).indptr))
-        own += [rows[kept][:, columns], right[kept] - rows[kept] @ x]
+        remaining += [rows[kept][:, columns], right[kept] - rows[kept] @ x]
     lower, upper = program.lower[columns], program.upper[columns]
     c = program.c[columns] + P @ x
-    G, h, A, b = own
+    G, h, A, b = remaining
     return QuadraticProgram(P[:, columns], c, G, h, A, b, lower=lower, upper=upper)

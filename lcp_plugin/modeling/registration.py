@@ -58,15 +58,15 @@ def build(constraints: list[Any], memo: dict[Any, Any] | None = None) -> Model:
     UnsupportedModel
         The message names the unsuitable constraint or variable, and the remedy.
     """
-    numbers = {one.id: k for k, one in enumerate(constraints)}
+    numbers = {constraint.id: k for k, constraint in enumerate(constraints)}
     constraints, agents = without_agents(constraints)
-    equations = [one for one in constraints if isinstance(one, EQUATIONS)]
-    pairs = [one for one in constraints if isinstance(one, Complements)]
-    for one in constraints:
-        if not isinstance(one, (*EQUATIONS, Complements)):
+    equations = [constraint for constraint in constraints if isinstance(constraint, EQUATIONS)]
+    pairs = [constraint for constraint in constraints if isinstance(constraint, Complements)]
+    for constraint in constraints:
+        if not isinstance(constraint, (*EQUATIONS, Complements)):
             raise NotSquare(
-                f"the constraint {one} does not belong to a complementarity; make it part of a pair, as in "
-                f"complements({one}, F >= 0)"
+                f"the constraint {constraint} does not belong to a complementarity; make it part of a pair, as in "
+                f"complements({constraint}, F >= 0)"
             )
     model = Model(constraints, memo)
     model.agents, model.numbers = agents, numbers
@@ -220,13 +220,13 @@ def _square(problem: cp.Problem, warm_start: bool, options: dict[str, Any]) -> A
         model.refuse_violated_bounds(result.z)
     if options["verbose"]:
         settings.LOGGER.info(result.explain())
-    status, found = CVXPY_STATUS[result.status], None
+    status, point = CVXPY_STATUS[result.status], None
     if status == settings.SOLVER_ERROR:
         raise SolverError(f"{result.status.name}: {result.advice}")
     if status != settings.INFEASIBLE:
-        found = elimination.expand(result.z), elimination.expand_slack(result.w), 0.0
-    model.write_back(problem, result, found)
-    if found is not None and (wrong := model.consistency_error(result.z, result.w)):
+        point = elimination.expand(result.z), elimination.expand_slack(result.w), 0.0
+    model.write_back(problem, result, point)
+    if point is not None and (wrong := model.consistency_error(result.z, result.w)):
         warnings.warn(
             f"cvxpy evaluates the model at the solution to other values: {wrong}; check the solution, or write the "
             "expression in another way",
@@ -257,7 +257,9 @@ def _best(problem: cp.Problem, warm_start: bool, options: dict[str, Any]) -> Any
 
 
 def _has_cones(problem: cp.Problem) -> bool:
-    pairs = [one for one in problem.constraints if isinstance(one, Complements)]
+    pairs = [
+        constraint for constraint in problem.constraints if isinstance(constraint, Complements)
+    ]
     return any(side.kind == "cone" for pair in pairs for side in (pair.first, pair.second))
 
 

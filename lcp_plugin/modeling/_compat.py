@@ -103,7 +103,6 @@ def leaf_value(leaf: Any) -> Any:
 
 def constant_numeric(node: cp.Expression, values: list[Any]) -> Any:
     """Return the value of an atom of constants in the atom's shape; a sparse 2-D value stays sparse, as CSC."""
-    stack = next((stack for kind, stack in STACKS.items() if isinstance(node, kind)), None)
     if isinstance(node, BROADCAST):
         value = np.broadcast_to(dense(values[0]), node.shape)
     elif not any(map(sp.issparse, values)):
@@ -116,8 +115,10 @@ def constant_numeric(node: cp.Expression, values: list[Any]) -> Any:
         value = values[0].diagonal(node.k)
     elif isinstance(node, DIVISION) and uniform(values[1]):
         value = values[0] / uniform(values[1])
-    elif stack is not None and len(node.shape) == 2:
-        value = stack([part if sp.issparse(part) else np.atleast_2d(part) for part in values])
+    elif type(node) in STACKS and len(node.shape) == 2:
+        value = STACKS[type(node)](
+            [part if sp.issparse(part) else np.atleast_2d(part) for part in values]
+        )
     elif isinstance(node, SELECTION):
         # Sparse arrays of scipy 1.12 do not give single rows; sparse matrices do.
         value = node.numeric([sp.csr_matrix(part) for part in values])
@@ -133,7 +134,7 @@ def constant_numeric(node: cp.Expression, values: list[Any]) -> Any:
             f"{name_of(node)} has the shape {node.shape}, but its value has {array.shape}: this release of cvxpy "
             "misjudges it; write it in another way"
         )
-    return array if array.shape == node.shape else array.reshape(node.shape, order="F")
+    return array.reshape(node.shape, order="F")
 
 
 def dense(value: Any) -> Any:
@@ -286,17 +287,6 @@ def why_not(problem: cp.Problem) -> list[str]:
             f"the objective {name_of(problem.objective.args[0])} is not quadratic or piecewise linear"
         )
     return reasons
-
-
-def refusal(problem: cp.Problem) -> UnsolvableModel | None:
-    """Return an error with the reasons why a problem is not a quadratic program, or None."""
-    if not (reasons := why_not(problem)):
-        return None
-    return UnsolvableModel(
-        'QPSolver and method="LCP" support convex quadratic programs, and problems that cvxpy compiles to them; '
-        f"here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL "
-        "or cp.HIGHS"
-    )
 
 
 def sense_of(problem: cp.Problem) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from operator import is_
 from typing import Any
 
 import cvxpy as cp
@@ -13,6 +15,7 @@ from cvxpy.constraints.zero import Equality, Zero
 from ..core.checks import fill
 from ..core.errors import UnsupportedModel
 from ..problems.cones.frictional_contact import dimension_of
+from ._compat import by_id
 from .model import Side, pair_residual, stacked
 
 REMEDY = 'solve it with problem.solve(method="LCP")'
@@ -170,13 +173,12 @@ def _expression(stated: object, what: str) -> Any:
             f"{what} holds Booleans, {stated}: numbers were compared before this package saw them; write only "
             "the numbers, or cp.Constant(numbers) >= 0"
         )
-    try:
-        expression = cp.Variable.cast_to_const(stated)
-    except Exception as error:  # cvxpy may raise any error
-        raise UnsupportedModel(f"{what} is not a cvxpy expression: {stated!r}") from error
-    if stated is None or (
-        isinstance(expression, cp.Constant) and _kind(expression.value) not in "fiuc"
-    ):
+    expression = None
+    if stated is not None:
+        with suppress(Exception):  # cvxpy may raise any error
+            expression = cp.Variable.cast_to_const(stated)
+    is_constant = isinstance(expression, cp.Constant)
+    if expression is None or (is_constant and _kind(expression.value) not in "fiuc"):
         raise UnsupportedModel(f"{what} is not a cvxpy expression: {stated!r}")
     return expression
 
@@ -223,9 +225,7 @@ class Condition(Constraint):  # type: ignore[misc]
 
     def copy(self, args: list[Any] | None = None, id_objects: object = None) -> Condition:
         """Return a copy with the same parts; raise UnsupportedModel for other arguments."""
-        if args is not None and any(
-            mine is not theirs for mine, theirs in zip(self.args, args, strict=True)
-        ):
+        if args is not None and not all(map(is_, self.args, args)):
             raise UnsupportedModel(f"cvxpy cannot transform {self!r}; {REMEDY}")
         twin: Condition = fill(type(self).__new__(type(self)), **vars(self))
         twin._construct_dual_variables(self.args)
@@ -259,12 +259,10 @@ class Complements(Condition):
 
     def parameters(self) -> list[Any]:
         """Return the parameters of both sides, including parameters in the bounds of a box."""
-        parameters = {parameter.id: parameter for parameter in super().parameters()}
-        for side in (self.first, self.second):
-            for bound in (side.lower, side.upper, side.friction):
-                if isinstance(bound, cp.Expression):
-                    parameters.update({parameter.id: parameter for parameter in bound.parameters()})
-        return list(parameters.values())
+        sides = self.first, self.second
+        bounds = [bound for side in sides for bound in (side.lower, side.upper, side.friction)]
+        owners = [super(), *(bound for bound in bounds if isinstance(bound, cp.Expression))]
+        return list(by_id(p for owner in owners for p in owner.parameters()).values())
 
     @property
     def residual(self) -> Any:

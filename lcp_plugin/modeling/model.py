@@ -653,11 +653,11 @@ def pair_residual(pair: Pair) -> Vector | None:
     return np.abs(np.minimum(np.maximum(w, z - high), z - low))
 
 
-def warn(remark: str) -> None:
-    """Issue a ModelWarning at the user's call of this package, or of cvxpy."""
+def warn(remark: str, category: type[Warning] = ModelWarning) -> None:
+    """Issue a warning at the user's call of this package, or of cvxpy."""
     # np.errstate wraps functions
     packages = {__package__.partition(".")[0], cp.__name__, np.__name__}
     frame, level = inspect.currentframe(), 1
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in packages:
         frame, level = frame.f_back, level + 1
-    warnings.warn(remark, ModelWarning, stacklevel=level)
+    warnings.warn(remark, category, stacklevel=level)

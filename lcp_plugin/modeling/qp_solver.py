@@ -36,6 +36,7 @@ from ..problems.statement import name_of_row
 from ._compat import (
     CVXPY_STATUS,
     EQUATIONS,
+    by_columns,
     dense_value,
     entry_of,
     leaf_value,
@@ -131,13 +132,10 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
     def _duals(self, qp: QPSolution, inverse_data: Any) -> dict[Any, Any]:
         """Return the multipliers by the ids of constraints."""
         duals: dict[Any, Any] = {}
-        for values, constraints in (
-            (qp.equality, self.EQ_CONSTR),
-            (qp.inequality, self.NEQ_CONSTR),
-        ):
-            duals |= utilities.get_dual_values(
-                values, utilities.extract_dual_value, inverse_data[constraints]
-            )
+        parts = (qp.equality, self.EQ_CONSTR), (qp.inequality, self.NEQ_CONSTR)
+        for values, key in parts:
+            extract = utilities.extract_dual_value
+            duals |= utilities.get_dual_values(values, extract, inverse_data[key])
         return duals
 
 
@@ -206,15 +204,13 @@ class Entries(NamedTuple):
                 leaf = known[0].get(variable.id, leaf)
                 if variable.id in known[0] and leaf.size != variable.size:
                     counted = {leaf.id: 1.0 + np.arange(leaf.size).reshape(leaf.shape, order="F")}
-                    original = reduction.invert(
-                        Solution(settings.OPTIMAL, 0.0, counted, {}, {}), known
-                    )
-                    numbers = original.primal_vars[variable.id]
+                    reduced = Solution(settings.OPTIMAL, 0.0, counted, {}, {})
+                    numbers = reduction.invert(reduced, known).primal_vars[variable.id]
         if leaf.id not in columns and variable.size:
             raise UnsupportedModel(
                 f"cvxpy made a program in which {variable.name()} is not found again; use plain variables"
             )
-        flat = np.rint(np.ravel(np.broadcast_to(dense_value(numbers), variable.shape), order="F"))
+        flat = np.rint(by_columns(np.broadcast_to(dense_value(numbers), variable.shape)))
         places = np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + columns.get(leaf.id, 0)
         return cls(places, np.sign(flat), variable.shape)
 
@@ -225,7 +221,7 @@ class Entries(NamedTuple):
     def put_into(self, unknowns: Vector, value: Any) -> None:
         """Set the unknowns so that they give the value."""
         is_used = self.signs != 0.0
-        flat = self.signs * np.ravel(dense_value(value), order="F")
+        flat = self.signs * by_columns(dense_value(value))
         unknowns[self.places[is_used]] = flat[is_used]
 
 
@@ -297,19 +293,12 @@ def _names_of(problem: cp.Problem, data: Any, entries: dict[int, Entries]) -> Na
 
     A row that cvxpy adds, as for abs(x) <= 1, has no name.
     """
-    stated = data[settings.PARAM_PROB].constraints
-    numbers = {constraint.id: k for k, constraint in enumerate(problem.constraints)}
-    owner = {
-        constraint.id: partial(row_of, constraint, number=numbers[constraint.id])
-        for constraint in problem.constraints
-    }
-    rows: list[tuple[int, Any]] = []
-    for kind in (False, True):  # rows of G, then of A
-        rows += [
-            (constraint.size, owner.get(constraint.id))
-            for constraint in stated
-            if isinstance(constraint, EQUATIONS) is kind
-        ]
+    constraints = enumerate(problem.constraints)
+    names = {row.id: partial(row_of, row, number=k) for k, row in constraints}
+    # rows of G, then of A
+    compiled = data[settings.PARAM_PROB].constraints
+    compiled = sorted(compiled, key=lambda constraint: isinstance(constraint, EQUATIONS))
+    rows: list[Any] = [(constraint.size, names.get(constraint.id)) for constraint in compiled]
     places = [(variable, entries[variable.id].places) for variable in problem.variables()]
     count = sum(size for size, _ in rows)
     return Names(partial(name_of_row, rows, range(count)), partial(_unknown_name, places))
@@ -334,15 +323,13 @@ def certify_problem(problem: cp.Problem, tolerance: float) -> Certification:
     """Return the proved properties of the values and the status of a cvxpy problem."""
     _check(problem)
     compiled = CompiledProblem.of(problem)
-    if problem.status in CLAIMED:
-        certification = certify(
-            compiled.program, claim=CLAIMED[problem.status], tolerance=tolerance
-        )
-    else:
-        certification = certify(compiled.program, _point(problem, compiled), tolerance=tolerance)
+    claim = CLAIMED.get(problem.status)
+    point = _point(problem, compiled) if claim is None else None
+    certification = certify(compiled.program, point, claim=claim, tolerance=tolerance)
+    if sense_of(problem) > 0.0:
+        return certification
     lower, upper = certification.lower, certification.upper
-    if sense_of(problem) < 0.0:
-        lower, upper = (None if upper is None else -upper), (None if lower is None else -lower)
+    lower, upper = (None if upper is None else -upper), (None if lower is None else -lower)
     return replace(certification, lower=lower, upper=upper)
 
 
@@ -393,12 +380,12 @@ def _point(problem: cp.Problem, compiled: CompiledProblem) -> Vector:
 
 def _rest(program: QuadraticProgram, x: Vector, columns: Indices) -> QuadraticProgram:
     """Return the program of some columns, the others being as in x; without the rows that hold only these."""
-    P, remaining = sp.csr_array(program.P)[columns], list[Any]()
+    P, rows = sp.csr_array(program.P)[columns], list[Any]()
     for matrix, right in ((program.G, program.h), (program.A, program.b)):
-        rows = sp.csr_array(matrix)
-        kept = np.flatnonzero(np.diff(sp.csr_array(rows[:, columns]).indptr))
-        remaining += [rows[kept][:, columns], right[kept] - rows[kept] @ x]
+        part = sp.csr_array(sp.csr_array(matrix)[:, columns])
+        kept = np.flatnonzero(np.diff(part.indptr))
+        rows += [part[kept], (right - matrix @ x)[kept]]
     lower, upper = program.lower[columns], program.upper[columns]
     c = program.c[columns] + P @ x
-    G, h, A, b = remaining
+    G, h, A, b = rows
     return QuadraticProgram(P[:, columns], c, G, h, A, b, lower=lower, upper=upper)

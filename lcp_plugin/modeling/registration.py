@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 import weakref
 from typing import Any
 
@@ -11,16 +10,24 @@ import numpy as np
 from cvxpy import settings
 from cvxpy.error import DCPError, SolverError
 
-from ..core.errors import InvalidProblem, ModelWarning, NotSquare, UnsupportedModel
+from ..core.errors import InvalidProblem, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
 from ..core.names import Names
 from ..problems.programs.certification import Certification, certify_point, with_side_conditions
 from ..problems.statement import MissingPair, solve_from
-from ._compat import CVXPY_STATUS, EQUATIONS, name_of, refusal, sense_of, solver_errors
+from ._compat import (
+    CVXPY_STATUS,
+    EQUATIONS,
+    UnsolvableModel,
+    name_of,
+    sense_of,
+    solver_errors,
+    why_not,
+)
 from .agents import without_agents
 from .best_equilibrium import solve_for_the_best
 from .constraint import Complements, Condition, box, complements
-from .model import Model
+from .model import Model, warn
 from .qp_solver import NamesOnDemand, QPSolver, certify_problem
 
 FLAGS = "gp qcp nlp requires_grad"  # of cvxpy's solve
@@ -189,7 +196,7 @@ def solve_model(
             except UnsupportedModel:
                 raise error from None
             if isinstance(error, MissingPair):
-                warnings.warn(f"{problem.status}: {error}", ModelWarning, stacklevel=4)
+                warn(f"{problem.status}: {error}")
             return value
 
 
@@ -227,18 +234,13 @@ def _square(problem: cp.Problem, warm_start: bool, options: dict[str, Any]) -> A
         point = elimination.expand(result.z), elimination.expand_slack(result.w), 0.0
     model.write_back(problem, result, point)
     if point is not None and (wrong := model.consistency_error(result.z, result.w)):
-        warnings.warn(
+        warn(
             f"cvxpy evaluates the model at the solution to other values: {wrong}; check the solution, or write the "
-            "expression in another way",
-            ModelWarning,
-            stacklevel=4,
+            "expression in another way"
         )
     if status in settings.INACCURATE:
-        warnings.warn(
-            f"the solution may be inaccurate ({result.status.name}): {result.advice}",
-            UserWarning,
-            stacklevel=4,
-        )
+        remark = f"the solution may be inaccurate ({result.status.name}): {result.advice}"
+        warn(remark, UserWarning)
     return problem.value
 
 
@@ -257,10 +259,8 @@ def _best(problem: cp.Problem, warm_start: bool, options: dict[str, Any]) -> Any
 
 
 def _has_cones(problem: cp.Problem) -> bool:
-    pairs = [
-        constraint for constraint in problem.constraints if isinstance(constraint, Complements)
-    ]
-    return any(side.kind == "cone" for pair in pairs for side in (pair.first, pair.second))
+    pairs = (pair for pair in problem.constraints if isinstance(pair, Complements))
+    return any("cone" in (pair.first.kind, pair.second.kind) for pair in pairs)
 
 
 def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
@@ -281,6 +281,10 @@ def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict
             raise DCPError(f"{error}\n{NOT_BY_RULES}") from error
         raise
     except SolverError as error:
-        if (refused := refusal(problem)) is None:
+        if not (reasons := why_not(problem)):
             raise
-        raise refused from error
+        raise UnsolvableModel(
+            'QPSolver and method="LCP" support convex quadratic programs, and problems that cvxpy compiles to them; '
+            f"here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL "
+            "or cp.HIGHS"
+        ) from error

@@ -65,11 +65,7 @@ class Certificate:
         """
         if not isinstance(problem, LCP):
             raise InvalidProblem(refusal("Certificate.of", problem))
-        if type(z) is not np.ndarray or z.dtype != np.float64 or z.shape != (problem.n,):
-            z = checked_vector(z, "z", problem.n, is_finite=False)
-        else:
-            z = read_only(z.copy())
-        return cls(problem, z)
+        return cls(problem, checked_vector(z, "z", problem.n, is_finite=False))
 
     @classmethod
     def at(cls, problem: LCP, z: Vector, **known: Any) -> Certificate:

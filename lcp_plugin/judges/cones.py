@@ -103,21 +103,16 @@ class ConeRows(RowData):
         at = super().rows(z, w)
         if not self.has_cones:
             return at
-        stack, x, terms = self.stack, self.wide(z), self.norm(at.terms)
-        violation = self._with_laws(at.violation, stack.d * self._sizes_of_laws(x, self.wide(at.w)))
-        is_free = x.any(-1)
+        stack, terms = self.stack, self.norm(at.terms)
+        x, slack = self.wide(z), self.wide(at.w)
         if stack.has_friction:
+            sizes, _ = _of_coulomb(stack, x, slack, 0.0 * slack)
             is_free = length(x[..., 1:]) < stack.mu * x[..., 0]
+        else:
+            sizes, is_free = length(stack.residual(x, slack)[0]), x.any(-1)
+        violation = self._with_laws(at.violation, stack.d * sizes)
         is_active = self._with_laws(at.is_active, is_free) | (violation > NEGLIGIBLE * terms)
         return at._replace(terms=terms, violation=violation, is_active=is_active)
-
-    def _sizes_of_laws(self, x: Array, w: Array) -> Array:
-        """Return the residuals of cones and disks as computed, shape (B, k)."""
-        stack = self.stack
-        if not stack.has_friction:
-            return length(stack.residual(x, w)[0])
-        d = stack.d[..., None]
-        return _of_coulomb(stack.mu * x[..., 0], x[..., 1:], w[..., 1:] / d, 0.0 * stack.d)[0]
 
     def residual_ends(
         self, z: Vector, w: Vector, rounding: Any = None, scale: Any = None
@@ -127,13 +122,8 @@ class ConeRows(RowData):
         if not self.has_cones:
             return low, high
         rounding = np.zeros(w.shape) if rounding is None else rounding
-        stack, (x, g, error) = self.stack, map(self.wide, (z, w, rounding))
-        if stack.has_friction:
-            d = stack.d[..., None]
-            steps = x[..., 1:], g[..., 1:] / d, length(error[..., 1:] / d)
-            size, error = _of_coulomb(stack.mu * x[..., 0], *steps)
-        else:
-            size, error = _of_cones(stack, x, g, error)
+        bounds_of = _of_coulomb if self.stack.has_friction else _of_cones
+        size, error = bounds_of(self.stack, *map(self.wide, (z, w, rounding)))
         is_known = np.isfinite(size + error)
         low = self._with_laws(low, np.where(is_known, np.maximum(size - error, 0.0), 0.0))
         return low, self._with_laws(high, np.where(is_known, size + error, np.inf))
@@ -159,11 +149,13 @@ class ConeRows(RowData):
         return np.where(self.is_cone, self.flat(moved), z)
 
 
-def _of_coulomb(radius: Array, z: Array, step: Array, error: Array) -> tuple[Array, Array]:
-    """Return the residuals ‖z_T − P(z_T − step)‖ of Coulomb's law, shape (B, k), and bounds of their errors.
+def _of_coulomb(stack: ConeStack, z: Array, w: Array, error: Array) -> tuple[Array, Array]:
+    """Return the residuals ‖z_T − P(z_T − w_T/d)‖ of Coulomb's law, shape (B, k), and bounds of their errors.
 
-    The step is within `error`. Beyond the disk P divides errors by the distance from the axis.
+    The slack is within w ± `error`. Beyond the disk P divides errors by the distance from the axis.
     """
+    d, radius, z = stack.d[..., None], stack.mu * z[..., 0], z[..., 1:]
+    step, error = w[..., 1:] / d, length(error[..., 1:] / d)
     beyond = z - step
     tangent = length(beyond)
     is_beyond, least = tangent > radius, tangent - error

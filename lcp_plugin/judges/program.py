@@ -282,7 +282,7 @@ class PrimalDualPoint:
         """Return the gap of each component."""
         x, of_x, sums = self.x, self.of_x, self._sums
         below, above = x - self.program.lower, self.program.upper - x
-        y = self.needed_y(np.minimum(below, above))
+        y = self.needed_y
         curved = np.maximum(np.abs(sums(x, self.product)) - sums(of_x, self.lost), 0.0)
         size = np.abs(sums(self.program.c, x)) + curved
         # Without costs, the terms of P x take their place
@@ -309,23 +309,17 @@ class PrimalDualPoint:
         gap += self._largest(np.where(is_far, r * way, 0.0))
         return np.where(size < np.inf, gap / size, np.nan)
 
-    def needed_y(self, way: Vector) -> Vector:
-        """Return sizes of the multipliers: each at most balances P x + c at an unknown that is off its bounds.
+    @property
+    def needed_y(self) -> Vector:
+        """Sizes of the multipliers: each at most balances P x + c at an unknown that is off its bounds.
 
-        `way` is the distance to the nearest bound. An unknown at rounding level of its component is at its bound.
+        An unknown at rounding level of its component is at its bound.
         """
         pull = np.abs(self.product + self.program.c) - self.lost
-        at_bound = way <= self._of_unknowns(DATA_ROUNDING * self._largest(self.of_x))
-        parts, most = self.terms.components, self._largest(np.where(at_bound, 0.0, pull))
-        if parts.number > 1:
-            most = most[parts.of_row]
-        return np.minimum(self.of_y, most / self.terms.row_sizes)
-
-    @property
-    def row_weight(self) -> float:
-        """Terms of all rows with the multipliers y'."""
         way = np.minimum(self.x - self.program.lower, self.program.upper - self.x)
-        return float(self.needed_y(way) @ self.row_terms)
+        at_bound = way <= self._of_unknowns(DATA_ROUNDING * self._largest(self.of_x))
+        most = self._largest(np.where(at_bound, 0.0, pull))[self.terms.components.of_row]
+        return np.minimum(self.of_y, most / self.terms.row_sizes)
 
     def _sums(self, a: Vector, b: Vector, of_rows: Any = 0.0, other: Any = 0.0) -> Vector:
         """Return the sums of the products a_j b_j over each component, and of products of its rows."""
@@ -340,14 +334,11 @@ class PrimalDualPoint:
 
     def _of_unknowns(self, values: Vector) -> Vector:
         """Return the value of each unknown's component."""
-        parts = self.terms.components
-        return values if parts.number == 1 else values[parts.of_unknown]
+        return values[self.terms.components.of_unknown]
 
     def _largest(self, sizes: Vector) -> Vector:
         """Return the largest size in each component."""
         parts = self.terms.components
-        if parts.number == 1:
-            return np.array([sizes.max(initial=0.0)])
         most = np.zeros(parts.number)
         np.maximum.at(most, parts.of_unknown, sizes)
         return most
@@ -355,7 +346,8 @@ class PrimalDualPoint:
 
 def least_size(program: JudgedProgram, x: Vector, y: Vector) -> float:
     """Return the size that a value at x has at least, 1e-6 of the rows' terms with the multipliers y."""
-    return LEAST_SIZE * PrimalDualPoint(program, x, y, is_exact=True).row_weight
+    point = PrimalDualPoint(program, x, y, is_exact=True)
+    return LEAST_SIZE * float(point.needed_y @ point.row_terms)
 
 
 def excused_rows(program: JudgedProgram, x: Vector) -> Vector:

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple, Protocol
 
 import cvxpy as cp
 import numpy as np
-import scipy.sparse as sp
 from cvxpy import settings
 from cvxpy.problems.problem import SolverStats
 from cvxpy.reductions.solution import Solution
@@ -173,17 +172,13 @@ def over_cones(model: SquareModel, pairs: Sequence[ConePair], name: Any) -> Squa
         )
     box = [("box", problem_rows.lower[others], problem_rows.upper[others])] if others.size else []
     problem = cone_problem(problem_rows.csr[order][:, order], problem_rows.q[order], pairs, box)
-    expansion = model.elimination.expansion
-    if expansion is None:
-        expansion = sp.eye_array(kept.size, format="csr")
-    expansion = sp.csr_array(expansion[:, order])
+    expansion = model.elimination.expansion[:, order]
     return replace(
         model,
         problem=problem,
         elimination=replace(model.elimination, kept=kept[order], expansion=expansion),
         places=model.places[order],
         signs=model.signs[order],
-        whole=None,
     )
 
 

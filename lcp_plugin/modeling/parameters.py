@@ -196,9 +196,8 @@ class ModelDerivative:
                 np.add.at(side, report.columns, report.scale * entries)
                 if report.expression is not None:
                     total[self._parametric.spans[id(report.expression)]] += entries
-        kept, expansion = elimination.kept, elimination.expansion
-        g = by_unknown[kept] if expansion is None else expansion.T @ by_unknown
-        gradient = self._at.vjp(g, by_slack[kept])
+        g = elimination.expansion.T @ by_unknown
+        gradient = self._at.vjp(g, by_slack[elimination.kept])
         rows = np.zeros(self._rows.size)
         rows[self._left] = model.square.signs * gradient.q
         if self._definitions is not None:
@@ -273,7 +272,7 @@ class ModelDerivative:
     ) -> tuple[sp.csr_array, NDArray[np.int64], Callable[[Vector, str], Vector]] | None:
         """Rows of the model, including definitions, and solves with these and their transpose."""
         elimination, (first, second) = self._model.square.elimination, self._model.square.stored
-        if elimination.expansion is None:
+        if not elimination.rows.size:
             return None
         solved = splu(sp.csc_array(second[elimination.rows][:, elimination.columns])).solve
         return sp.csr_array(sp.vstack([first, second])), first.shape[0] + elimination.rows, solved

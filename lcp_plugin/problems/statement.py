@@ -56,32 +56,29 @@ class Elimination:
     ----------
     kept : ndarray of int
         The unknowns that are left.
-    expansion : CSR array, shape (all unknowns, unknowns left), or None
-        None if nothing is defined: all unknowns are left.
+    expansion : CSR array, shape (all unknowns, unknowns left)
     offset : ndarray, shape (all unknowns,)
     rows, columns : ndarray of int
         Rows of the equations, and the unknown that each of them defined.
     """
 
     kept: NDArray[np.int64]
-    expansion: sp.csr_array | None
+    expansion: sp.csr_array
     offset: Vector
     rows: NDArray[np.int64]
     columns: NDArray[np.int64]
 
     def expand(self, z: Vector) -> Vector:
         """Return all unknowns."""
-        return z if self.expansion is None else self.expansion @ z + self.offset
+        return np.asarray(self.expansion @ z + self.offset)
 
     def terms(self, z: Vector) -> Vector:
         """Return the sum of the sizes of the terms of each unknown."""
-        if self.expansion is None:
-            return np.abs(z)
         return np.asarray(abs(self.expansion) @ np.abs(z) + np.abs(self.offset))
 
     def expand_change(self, dz: Vector) -> Vector:
         """Return the change of all unknowns."""
-        return dz if self.expansion is None else self.expansion @ dz
+        return np.asarray(self.expansion @ dz)
 
     def expand_slack(self, w: Vector) -> Vector:
         """Return w with 0 for the unknowns that belong to an equation."""
@@ -119,7 +116,7 @@ def eliminate_definitions(
     would fill the matrices.
     """
     n = is_free.size
-    back: sp.csr_array | None = None
+    expansion = sp.eye_array(n, format="csr")
     offset, is_open, remaining = np.zeros(n), is_free.copy(), np.ones(owner.size, dtype=bool)
     limit = 4 * (equations[0].nnz + functions[0].nnz) + 10 * n  # times the entries there were
     used: list[tuple[Indices, Indices]] = [(np.zeros(0, dtype=np.int64),) * 2]
@@ -135,24 +132,16 @@ def eliminate_definitions(
         if sum(matrix.nnz for matrix, _ in changed) > limit:
             continue
         equations, functions = changed
-        offset = offset + (shift if back is None else back @ shift)
-        back = substitution if back is None else back @ substitution
+        offset, expansion = offset + expansion @ shift, expansion @ substitution
         remaining[rows] = is_open[columns] = False
         used.append((rows, columns))
     defining, defined = (np.concatenate(part) for part in zip(*used, strict=True))
     kept = np.delete(np.arange(n), defined)
-    if back is None:
-        return Elimination(kept, None, offset, defining, defined), equations, functions
-    place = np.zeros(n, dtype=np.int64)
-    place[kept] = np.arange(kept.size)
-    expansion, rows, others = (  # no entries are in columns of defined unknowns
-        sp.csr_array(
-            (part.data, place[part.indices], part.indptr), shape=(part.shape[0], kept.size)
-        )
-        for part in (back, equations[0][remaining], functions[0])
-    )
-    elimination = Elimination(kept, expansion, offset, defining, defined)
-    return elimination, (rows, equations[1][remaining]), (others, functions[1])
+    if defined.size:
+        equations = equations[0][remaining][:, kept], equations[1][remaining]
+        functions = functions[0][:, kept], functions[1]
+    elimination = Elimination(kept, expansion[:, kept], offset, defining, defined)
+    return elimination, equations, functions
 
 
 def put_in(matrix: sp.csr_array, offset: Vector, columns: Indices) -> tuple[sp.csr_array, Vector]:
@@ -322,8 +311,8 @@ class SquareModel:
         Unknown matched with each equation that is not a definition, in order.
     dropped : ndarray of int
         Unknowns with bounds that no pair states or implies: the problem does not have them.
-    whole : callable or None
-        Returns the model of all unknowns, without an elimination; None if there is nothing to eliminate.
+    whole : callable
+        Returns the model of all unknowns, without an elimination.
     """
 
     problem: Any
@@ -333,15 +322,14 @@ class SquareModel:
     signs: Vector
     matched: Indices
     dropped: Indices
-    whole: Callable[[], SquareModel] | None = None
+    whole: Callable[[], SquareModel]
 
     def proved(self, result: Result) -> Result:
         """Return the result with a proof for the data of the model, because a substitution rounds products.
 
         INFEASIBLE becomes PRECISION_LIMIT without such a proof.
         """
-        is_infeasible = result.status is Status.INFEASIBLE
-        if self.whole is None or self.elimination.expansion is None or not is_infeasible:
+        if result.status is not Status.INFEASIBLE or not self.elimination.rows.size:
             return result
         proof = find_infeasibility(self.whole().problem)
         if proof is None or not proof.excludes(result.tolerance, result.absolute_tolerance):
@@ -521,72 +509,64 @@ class Statement:
         A nonlinear model keeps all unknowns, also unknowns that an equation defines, because a substitution would fill
         its sparse matrices.
         """
-        free = np.flatnonzero(~self.is_paired)
-        sizes = (
-            sum(part.rows.size for part in self.pairs),
-            sum(part.rows.size for part in self.rows),
-        )
+        free, n = np.flatnonzero(~self.is_paired), self.lower.size
+        functions = [part.rows for part in self.pairs]
+        equations = [replace(part.rows, offset=part.rows.offset - part.low) for part in self.rows]
+        groups = functions, equations
+        sizes = [sum(rows.size for rows in group) for group in groups]
         if free.size != sizes[1]:
             raise self._not_square(free, sizes[1])
         lower, upper = self._bounds_of_pairs()
         bounded = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
         dropped = self._dropped(free) if bounded.any() else free[:0]
         lower[free], upper[free] = -np.inf, np.inf
-        columns, signs = _stacked(self.pairs, "z", "sign")
-        columns, n, program, whole = columns.astype(np.int64), self.lower.size, None, None
-        functions = [part.rows for part in self.pairs]
-        equations = [replace(part.rows, offset=part.rows.offset - part.low) for part in self.rows]
-        nothing = np.zeros(0, dtype=np.int64)
-        elimination = Elimination(np.arange(n), None, np.zeros(n), nothing, nothing)
-        stored = sp.csr_array((sizes[0], n)), sp.csr_array((sizes[1], n))
+        paired, signs = _stacked(self.pairs, "z", "sign")
+        program = None
+        owner = np.repeat(np.arange(len(equations)), [rows.size for rows in equations])
         if any(rows.level for rows in (*functions, *equations)):
             program = Program.of(self.compiler, [*functions, *equations], self.first, n)
+            (M, q), (E, e) = ((sp.csr_array((size, n)), np.zeros(size)) for size in sizes)
         else:
-            (M, q), (E, e) = (assembled(rows, self.first, n) for rows in (functions, equations))
-            stored = M, E
-            if equations and eliminates:
-                owner = np.repeat(np.arange(len(equations)), [rows.size for rows in equations])
-                elimination, (E, e), (M, q) = eliminate_definitions(
-                    (E, e), (M, q), owner, ~self.is_paired, variable_of
-                )
-                whole = partial(self.square, variable_of, eliminates=False)
+            (M, q), (E, e) = (assembled(rows, self.first, n) for rows in groups)
+        stored = M, E
+        if program is not None or not eliminates:
+            owner[:] = -1
+        elimination, (E, e), (M, q) = eliminate_definitions(
+            (E, e), (M, q), owner, ~self.is_paired, variable_of
+        )
         kept = elimination.kept
-        place = np.zeros(self.lower.size, dtype=np.int64)
-        place[kept] = np.arange(kept.size)
-        columns, free = place[columns], np.flatnonzero(~self.is_paired[kept])
+        columns: Any = np.searchsorted(kept, paired)
+        free = np.flatnonzero(~self.is_paired[kept])
         if free.size:
             if program is not None:
                 derivative = _filled(program.jacobian(_generic_point(lower, upper)))
-                matrices = derivative[: sizes[0]], derivative[sizes[0] :]
-            else:
-                matrices = M, E
-            signed = sp.csr_array(sp.diags_array(signs) @ matrices[0])
-            order, turned = matched_for_monotony(matrices[1], signed, columns, free)
+                M, E = derivative[: sizes[0]], derivative[sizes[0] :]
+            signed = sp.csr_array(sp.diags_array(signs) @ M)
+            order, turned = matched_for_monotony(E, signed, columns, free)
             free = free[order]
             columns, signs = np.concatenate([columns, free]), np.concatenate([signs, turned])
         places = np.argsort(columns, kind="stable")
         signs = signs[places]
         numbers = np.delete(np.arange(sum(sizes)), sizes[0] + elimination.rows)[places]
-        data: dict[str, Any] = {
-            "lower": lower[kept],
-            "upper": upper[kept],
-            "names": self._names([*self.pairs, *self.rows], numbers, kept),
-        }
+        names = self._names([*self.pairs, *self.rows], numbers, kept)
+        low, high = lower[kept], upper[kept]
         problem: LCP | NonlinearProblem
         if program is None:
-            problem = LCP(*_arranged(M, q, E, e, places, signs), **data)
+            M, q = _arranged(M, q, E, e, places, signs)
+            problem = LCP(M, q, lower=low, upper=high, names=names)
         else:
             program = program.rearranged(places, signs)
-            problem = NonlinearProblem(program.value, program.jacobian, **data)
+            problem = NonlinearProblem(program.value, program.jacobian, low, high, names=names)
             problem.affine_part = partial(self._affine_part, lower, upper)
+        whole = partial(self.square, variable_of, eliminates=False)
         return SquareModel(problem, elimination, stored, places, signs, kept[free], dropped, whole)
 
     def _affine_part(self, lower: Vector, upper: Vector) -> QuadraticProgram:
         """Return the program of affine rows within the bounds of pairs, without an objective."""
         pairs = [part for part in self.pairs if not part.rows.level]
-        stated = pairs + [part for part in self.rows if not part.rows.level]
-        rows = [part.rows.scaled(part.sign) for part in pairs]
-        rows += [part.rows for part in stated[len(pairs) :]]
+        others = [part for part in self.rows if not part.rows.level]
+        rows, stated = [part.rows.scaled(part.sign) for part in pairs], [*pairs, *others]
+        rows += [part.rows for part in others]
         A, shift = assembled(rows, self.first, self.lower.size)
         low, high = _stacked(stated, "low", "high")
         is_pair = np.arange(low.size) < sum(part.rows.size for part in pairs)

@@ -25,7 +25,7 @@ from ..methods.lemke import Lemke
 from ..methods.small import LOOP_UP_TO, arrays_of_one, follow_one, has_numba, is_small, tilts
 from ..solving.dispatch import parse_call, solver_with
 from ..solving.lcp_solver import is_bare
-from ..solving.result import BaseResult, Result, StageRecord
+from ..solving.result import Result, StageRecord
 from .cones.frictional_contact import FrictionalContact
 from .cones.solving import solve_quickly
 from .programs.program import QuadraticProgram, refuse_nonconvex
@@ -34,7 +34,6 @@ from .programs.solution import QPSolution
 from .programs.solving import CERTAIN_ROWS, FAR
 
 P = TypeVar("P")
-R = TypeVar("R", bound=BaseResult)
 
 
 class PreparedProblem(Generic[P]):
@@ -52,7 +51,7 @@ class PreparedProblem(Generic[P]):
     def __init__(self, problem: P, algorithm: Any, options: dict[str, Any]) -> None:
         self.problem = problem
         self.last: Any = None
-        self._known = {self.start, *self.data.split()}
+        self._known = [self.start, *self.data.split()]
         self._solve_fully = solver_with(problem, algorithm, dict(options), "prepare")
 
     def solve(self, *, warm: bool = False, **data: Any) -> Any:
@@ -70,8 +69,8 @@ class PreparedProblem(Generic[P]):
         InvalidProblem, InvalidOption
             As the constructor of the problem and :func:`lcp_plugin.solve`.
         """
-        if unknown := data.keys() - self._known:
-            name, known = min(unknown), [self.start, *self.data.split()]
+        if unknown := data.keys() - set(self._known):
+            name, known = min(unknown), self._known
             raise InvalidOption(
                 f"step.solve takes no {name}{did_you_mean(name, known)}; it takes {known}"
             )
@@ -108,15 +107,10 @@ class PreparedLCP(PreparedProblem[LCP]):
             self._arrays = arrays_of_one(problem)
 
     def _changed(self, q: Any = None, M: Any = None, lower: Any = None, upper: Any = None) -> LCP:
-        base = self.problem
-        q = base.q if q is None else q
+        base = self.problem.with_q(self.problem.q if q is None else q, lower=lower, upper=upper)
         if M is None:
-            return base.with_q(q, lower=lower, upper=upper)
-        lower, upper = (
-            base.lower if lower is None else lower,
-            base.upper if upper is None else upper,
-        )
-        return LCP(M, q, lower=lower, upper=upper, names=base.names)
+            return base
+        return LCP(M, base.q, lower=base.lower, upper=base.upper, names=base.names)
 
     def _solve_quickly(
         self, q: Any = None, M: AnyMatrix = None, lower: Any = None, upper: Any = None
@@ -172,17 +166,12 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         refuse_nonconvex(problem)
         self._tolerance = Settings(tolerance=options.get("tolerance", PROGRAM_TOLERANCE)).tolerance
         self._arrays: Any = None
-        facts, terms = problem.matrices, problem.matrices.terms
+        base, terms = problem.matrices, problem.matrices.terms
         is_daqp = isinstance(algorithm, str) and algorithm in ("auto", "daqp")
         is_suited = is_daqp and not options.keys() - {"tolerance"} and has_numba()
-        if (
-            is_suited
-            and facts.of_daqp
-            and (facts.counts > 1).all()
-            and terms.is_one_dense_component
-        ):
+        if is_suited and base.of_daqp and (base.counts > 1).all() and terms.is_one_dense_component:
             vectors = {name: getattr(problem, name) for name in self.data.split()}
-            self._arrays = facts.of_daqp, (terms.P, terms.C, terms.sizes), vectors
+            self._arrays = base.of_daqp, (terms.P, terms.C, terms.sizes), vectors
 
     def _solve_quickly(self, *_: Any, **data: Any) -> Any:
         """Return daqp's point if the compiled test accepts it, and nothing hints at a program without a minimum."""
@@ -190,9 +179,9 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             return None
         began, ((P, C, kinds), terms, vectors) = perf_counter(), self._arrays
         every = [_copy_of(data.get(name), vectors[name]) for name in vectors]
-        c, h, b, lower, upper = every
-        if c is None or h is None or b is None or lower is None or upper is None:
+        if any(vector is None for vector in every):
             return None
+        c, h, b, lower, upper = every
         d, m = np.concatenate((h, b)), h.size
         if not d @ d < INFINITE_LIMIT**2:  # NaN in other data does not pass the test
             return None

@@ -74,10 +74,8 @@ def variational(
     """
     function = F[0] if isinstance(F, (list, tuple)) and F else F
     if (stated := foreign_function("variational", function)) is not None:
-        has_bounds = (
-            np.ndim(lower) or np.ndim(upper) or np.isfinite(np.array([lower, upper], float)).any()
-        )
-        if any(data is not None for data in (G, h, A, b)) or has_bounds:
+        has_bounds = np.isfinite(lower).any() or np.isfinite(upper).any()
+        if has_bounds or any(data is not None for data in (G, h, A, b)):
             raise InvalidProblem(
                 "F is an expression of cvxpy; write its set as constraints=[G @ x <= h, x >= lower, …]"
             )
@@ -94,11 +92,10 @@ def variational(
             f"F must be (M, q), (function, jacobian) or a function, got {type(F).__name__}; for F(x) = M x + q write "
             "variational((M, q), …)"
         )
+    rows = G, h, A, b, lower, upper
     if not callable(first):
         pair = LCP(first, second)
-        origin = QPOrigin(
-            QuadraticProgram(None, 0.0 * pair.q, G, h, A, b, lower, upper), F=pair.slack
-        )
+        origin = QPOrigin(QuadraticProgram(None, np.zeros(pair.n), *rows), F=pair.slack)
         reduced = origin.reduced
         matrices = ProgramMatrices(pair.M, reduced.G, reduced.A)
         vectors = (getattr(reduced, name) for name in VECTORS[1:])
@@ -109,9 +106,7 @@ def variational(
         raise InvalidProblem(
             "the number of unknowns is not known; pass a bound as an array, lower=np.full(n, -np.inf)"
         )
-    return _nonlinear(
-        first, second, QuadraticProgram(None, np.zeros(sizes[0]), G, h, A, b, lower, upper)
-    )
+    return _nonlinear(first, second, QuadraticProgram(None, np.zeros(sizes[0]), *rows))
 
 
 def _nonlinear(F: Any, jacobian: Any, program: QuadraticProgram) -> NonlinearProblem:
@@ -131,8 +126,7 @@ def _nonlinear(F: Any, jacobian: Any, program: QuadraticProgram) -> NonlinearPro
             inside.derivative(z[:n])  # raises
         return sp.block_array([[slope, C.T], [-C, None]], format="csr") if C.shape[0] else slope
 
-    problem = NonlinearProblem(
-        value, slopes, linear.lower, linear.upper, names=Names(origin.row_name)
-    )
+    bounds, names = (linear.lower, linear.upper), Names(origin.row_name)
+    problem = NonlinearProblem(value, slopes, *bounds, names=names)
     problem.origin, problem.affine_part = origin, lambda: program
     return problem

@@ -55,8 +55,8 @@ class BatchRun:
         self.threads = checked_threads(options.get("threads"))
         self.options = {name: options[name] for name in options.keys() - {"max_seconds", "threads"}}
         self.errors, self.z = {**problems.errors}, problems.points
-        for k in self.errors if isinstance(self.z, np.ndarray) else ():
-            self.z[k] = np.nan
+        if isinstance(self.z, np.ndarray):
+            self.z[[*self.errors]] = np.nan
         self.status, self.residual = np.full(count, None), np.full(count, np.nan)
         self.iterations, self.is_open = np.zeros(count, np.int64), np.ones(count, np.bool_)
         self.is_open[[*self.errors]] = False
@@ -142,15 +142,11 @@ class BatchRun:
 
     def _solve(self, k: int) -> Any:
         """Return the result of problem k, or its error."""
-        is_limited = self.settings.max_seconds < math.inf
-        limit = {"max_seconds": max(self.seconds_left, 0.0)} if is_limited else {}
+        options = {**self.options}
+        if self.settings.max_seconds < math.inf:
+            options["max_seconds"] = max(self.seconds_left, 0.0)
         try:
-            problem = self.problems[k]
-        except LCPError as error:
-            return error
-        try:
-            options = {**self.options, **limit}
-            return solve_one(problem, self.problems.start(k), self.algorithm, options)
+            return solve_one(self.problems[k], self.problems.start(k), self.algorithm, options)
         except Exception as error:
             is_of_call = isinstance(error, (InvalidOption, UnknownAlgorithm))
             if is_of_call or not isinstance(error, LCPError):
@@ -173,7 +169,7 @@ class BatchRun:
         elif isinstance(result, Result):
             self.residual[k] = result.certificate.relative_residual
         self.status[k], self.iterations[k] = result.status, result.iterations
-        self.is_interrupted |= getattr(result, "status", None) is Status.INTERRUPTED
+        self.is_interrupted |= result.status is Status.INTERRUPTED
 
     def _set_point(self, k: int, x: Array) -> None:
         if isinstance(self.z, np.ndarray):

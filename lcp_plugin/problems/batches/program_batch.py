@@ -72,31 +72,23 @@ class ProgramBatch(Instances):
         example : QuadraticProgram
             Program of the same shape.
         """
-        good, facts = (
-            [item for item in programs if isinstance(item, QuadraticProgram)],
-            example.matrices,
-        )
-        is_shared = all(item.matrices is facts for item in good)
-        m, p, n, _ = facts.sizes
-        if any(item.matrices.sizes != facts.sizes for item in good):
+        sizes = m, p, n, _ = example.matrices.sizes
+        stated = [example if isinstance(item, LCPError) else item for item in programs]
+        shared = example if all(item.matrices is example.matrices for item in stated) else None
+        if any(item.matrices.sizes != sizes for item in stated):
             return None
-        if not (is_shared or may_be_small(n, m + p, [n * (n + m + p)])):
+        if shared is None and not may_be_small(n, m + p, [n * (n + m + p)]):
             return None
-        # The vectors of an invalid program are NaN.
-        none = {name: np.full(getattr(example, name).size, np.nan) for name in VECTORS}
-        vectors = {
-            name: np.stack([getattr(item, name, missing) for item in programs])
-            for name, missing in none.items()
-        }
-        constant = np.array([getattr(item, "constant", np.nan) for item in programs])
-        matrices: Any = (getattr(example, name) for name in "PGA")
-        if not is_shared:
-            stated = [example if isinstance(item, LCPError) else item for item in programs]
+        vectors = {name: np.stack([getattr(item, name) for item in stated]) for name in VECTORS}
+        constant = np.array([item.constant for item in stated])
+        is_invalid = [isinstance(item, LCPError) for item in programs]
+        for rows in (*vectors.values(), constant):
+            rows[is_invalid] = np.nan
+        P, G, A = example.P, example.G, example.A
+        if shared is None:
             stacks = ([as_array(getattr(item, name)) for item in stated] for name in "PGA")
-            matrices = map(np.array, stacks)
-        P, G, A = matrices
-        shared = example if is_shared else None
-        return cls(len(programs), facts.sizes, P, G, A, vectors, constant, shared, programs)
+            P, G, A = map(np.array, stacks)
+        return cls(len(programs), sizes, P, G, A, vectors, constant, shared, programs)
 
     @classmethod
     def with_costs(cls, program: QuadraticProgram, c: ArrayLike) -> ProgramBatch:
@@ -109,8 +101,9 @@ class ProgramBatch(Instances):
         """
         vectors = {name: getattr(program, name)[np.newaxis] for name in VECTORS}
         vectors["c"] = rows_of_a_batch(c, "c", program.n)
-        P, G, A, constant = program.P, program.G, program.A, np.array(program.constant)
-        return cls(len(vectors["c"]), program.matrices.sizes, P, G, A, vectors, constant, program)
+        count, constant = len(vectors["c"]), np.array(program.constant)
+        matrices = program.P, program.G, program.A
+        return cls(count, program.matrices.sizes, *matrices, vectors, constant, program)
 
     @property
     def n(self) -> int:
@@ -241,10 +234,8 @@ def solve_programs(
     (count, n), wanted = c.shape, np.flatnonzero(may)
     signed, steps = np.full((count, n + d.shape[1]), np.nan), np.zeros(count, np.int64)
     x: Array = np.full((count, n), np.nan)
-    has_P, (hessians, matrices, costs) = (
-        P.any(),
-        (np.array(array, order="C") for array in (P, C, c)),
-    )
+    hessians, matrices, costs = (np.array(array, order="C") for array in (P, C, c))
+    has_P = P.any()
     kinds, settings = kinds_of_rows(n, m, d.shape[1] - m), DAQP.defaults | PROXIMAL
     above, below = ends_of_rows(d, m, lower, upper)
     for k in wanted.tolist():
@@ -256,12 +247,11 @@ def solve_programs(
     at_lower = np.maximum(-signed[:, :n], 0.0) * np.isfinite(lower)
     at_upper = np.maximum(signed[:, :n], 0.0) * np.isfinite(upper)
     x = np.clip(x, lower, upper)
-    pairs = [(P[k % len(P)], C[k % len(C)]) for k in range(count if len(P) + len(C) > 2 else 1)]
-    terms = [ProgramTerms(*pair, m) for pair in pairs]
+    terms = [ProgramTerms(*pair, m) for pair in zip(P, C, strict=True)]
     measure = dense_errors if wanted.size >= LOOP_FROM and has_numba() else MEASURE_IN_PYTHON
     measured = np.full((count, 2), np.inf)
     for k in wanted[np.isfinite(x[wanted]).all(1)].tolist():
-        if (term := terms[k % len(pairs)]).is_one_dense_component:
+        if (term := terms[k % len(terms)]).is_one_dense_component:
             vectors = c[k], d[k], m, lower[k], upper[k]
             measured[k] = measure(term.P, term.C, term.sizes, *vectors, x[k], y[k], 1.0)
     errors = KKTErrors(*measured.T)

@@ -594,8 +594,7 @@ def _begin(
     if _axes(forcing):  # of an F for any number of unknowns
         m = np.shape(forcing)[-1]
         problems = [
-            problem.with_size(m) if getattr(problem, "n", 0) is None else problem
-            for problem in problems
+            item.with_size(m) if getattr(item, "n", 0) is None else item for item in problems
         ]
     n = getattr(problems[0], "n", 0)
     changing = {*states} - {"z0"} | {name for name, values in at.items() if values is not None}
@@ -795,9 +794,9 @@ class Steps:
         return np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain else self.at(k).degenerate
 
     def jvp(
-        self, dM: AnyMatrix, df: Vector, dC: AnyMatrix, low: Vector, high: Vector, before: Vector
+        self, dM: AnyMatrix, dC: AnyMatrix, df: Vector, low: Vector, high: Vector, before: Vector
     ) -> Vector:
-        """Return the changes of the solutions for changes of M, forcing, propagator and bounds, a row per step.
+        """Return the changes of the solutions for changes of M, propagator, forcing and bounds, a row per step.
 
         dM is one change for all steps, or a list of the changes of these steps. At the call, `before` is the change of
         the state before the first step; the last change is written to it.
@@ -1012,31 +1011,23 @@ class MarchDerivative:
                [0.15625, 0.09375]])
         """
         n, steps = self.march.problem.n, len(self)
-        dforcing = np.zeros(n) if dforcing is None else dforcing
-        rows = np.broadcast_to(_rows(dforcing, "dforcing", steps, n, "all steps"), (steps, n))
+        rows = _rows(dforcing, "dforcing", steps, n)
         none = sp.csr_array((n, n))
         dM = none if dM is None else sp.csr_array(checks.rectangular_matrix(dM, "dM", n, n))
         dC = none if dpropagator is None else checked_propagator(dpropagator, n, "dpropagator")
-        bounds = {"dlower": (dlower, dlower_at), "dupper": (dupper, dupper_at)}
-        low, high = (
-            np.broadcast_to(
-                checks.change_of_vector(shared, name, n, may_be_number=True), (steps, n)
-            )
-            + (0.0 if at_steps is None else _rows(at_steps, f"{name}_at", steps, n, "all steps"))
-            for name, (shared, at_steps) in bounds.items()
-        )
+        low = checks.change_of_vector(dlower, "dlower", n, may_be_number=True)
+        high = checks.change_of_vector(dupper, "dupper", n, may_be_number=True)
+        low = low + _rows(dlower_at, "dlower_at", steps, n)
+        high = high + _rows(dupper_at, "dupper_at", steps, n)
         if dM_at is not None and not callable(dM_at):
             _check_matrices(dM_at, "dM_at", steps)
         before = checks.change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():
-            df = rows[part.steps]
-            of_M = (
-                dM
-                if dM_at is None
-                else [dM + self._change(dM_at, k) for k in range(steps)[part.steps]]
-            )
-            changes = part.jvp(of_M, df, dC, low[part.steps], high[part.steps], before)
+            of_M, at = dM, part.steps
+            if dM_at is not None:
+                of_M = [dM + self._change(dM_at, k) for k in range(steps)[at]]
+            changes = part.jvp(of_M, dC, rows[at], low[at], high[at], before)
             if not only_last:
                 dz[part.steps] = changes
         return before if only_last else dz
@@ -1070,23 +1061,22 @@ class MarchDerivative:
                [-0.375  , -0.125  ]])
         """
         n, steps = self.march.problem.n, len(self)
-        values = _rows(g, "g", steps, n, "the last solution only")
+        need = f"({steps}, {n}), or ({n},) for the last solution only"
+        values = checked_rows("g", g, need, ((steps, n), (n,)).__contains__)
         rows = np.zeros((steps, n))
         rows[slice(-1, None) if values.ndim == 1 else slice(None)] = values
-        M = getattr(self.march.problem, "csr", sp.csr_array((n, n)))
+        problem, data = self.march.problem, self.march.data
+        M = getattr(problem, "csr", sp.csr_array((n, n)))
         propagator = self.march.propagator
         after, of_bounds, forcing = np.zeros(n), np.zeros((2, steps, n)), np.empty((steps, n))
         of_M, of_C, each = np.zeros(M.nnz), np.zeros(propagator.nnz), list[Any]()
-        data = self.march.data
         for part in self._parts(backwards=True):
             by_q = part.vjp(rows[part.steps], after, of_bounds[:, part.steps])
             forcing[part.steps] = by_q
             if data.matrices is None:
                 of_M += sum_of_outer(M, by_q, part.z).data
             else:
-                at = (
-                    data.problem_at(self.march.problem, k).matrix for k in range(steps)[part.steps]
-                )
+                at = (data.problem_at(problem, k).matrix for k in range(steps)[part.steps])
                 each[:0] = [*map(outer_on_pattern, at, by_q, part.z)]
             of_C += sum_of_outer(propagator, by_q, part.states[:-1]).data
         z0 = propagator.T @ after if steps else np.atleast_2d(values).sum(axis=0)
@@ -1122,13 +1112,15 @@ class MarchDerivative:
         """The band of the transposed matrices."""
         if self.band is None:
             return None
-        M, C = (
-            sp.csr_array(matrix.T) for matrix in (self.march.problem.csr, self.march.propagator)
-        )
+        M, C = (sp.csr_array(part.T) for part in (self.march.problem.csr, self.march.propagator))
         return Band.of(Matrix(M), C)
 
 
-def _rows(values: ArrayLike, name: str, steps: int, n: int, use: str) -> Vector:
-    """Return a row per step, or one row if one vector is passed."""
-    shapes = (steps, n), (n,)
-    return checked_rows(name, values, f"({steps}, {n}), or ({n},) for {use}", shapes.__contains__)
+def _rows(values: Array, name: str, steps: int, n: int) -> Vector:
+    """Return a row per step; a vector is the row of all steps, None means 0."""
+    values, need = (
+        np.zeros(n) if values is None else values,
+        f"({steps}, {n}), or ({n},) for all steps",
+    )
+    rows = checked_rows(name, values, need, ((steps, n), (n,)).__contains__)
+    return np.broadcast_to(rows, (steps, n))

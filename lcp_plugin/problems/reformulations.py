@@ -67,17 +67,14 @@ class Equilibrium:
     @cached_property
     def payoffs(self) -> tuple[float, ...]:
         """Expected payoff of each player, xᵀA y and xᵀB y of two."""
-        return tuple(
-            float(x @ values) for x, values in zip(self.strategies, self._by_action, strict=True)
-        )
+        pairs = zip(self.strategies, self._by_action, strict=True)
+        return tuple(float(x @ by_action) for x, by_action in pairs)
 
     @cached_property
     def regret(self) -> float:
         """The most that a player gains by a change of mind, in the unit of the payoffs; 0 in an equilibrium."""
-        best = map(np.max, self._by_action)
-        return max(
-            0.0, *(float(reply - payoff) for reply, payoff in zip(best, self.payoffs, strict=True))
-        )
+        pairs = zip(self._by_action, self.payoffs, strict=True)
+        return max(0.0, *(float(by_action.max() - payoff) for by_action, payoff in pairs))
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,9 +113,8 @@ class BatchPart(LinearizedSystem):
         is_far = distance > HALF_OF_DIGITS * size
         if (diagonal == 0.0).any():
             seen = np.fmax.reduce(sizes / size[:, :, np.newaxis], axis=1)
-            is_far = np.where(
-                (diagonal == 0.0) & (seen > 0.0), within * seen > HALF_OF_DIGITS, is_far
-            )
+            is_seen = (diagonal == 0.0) & (seen > 0.0)
+            is_far = np.where(is_seen, within * seen > HALF_OF_DIGITS, is_far)
         is_clear = kink | (lower == upper) | np.where(free, is_far, slack > HALF_OF_DIGITS * size)
         self.degenerate, self.free = kink, free & ~kink
         self.blocks = FreeBlocks(M, self.free)
@@ -305,9 +304,8 @@ class ManyDerivatives:
             return part.changes(*(rows[part.items] for rows in changes.values()))
 
         def change_of(k: int) -> Any:
-            return [
-                self[k].jvp(**{name: rows[k, there[name][k]] for name, rows in changes.items()})
-            ]
+            of_item = {name: rows[k, there[name][k]] for name, rows in changes.items()}
+            return [self[k].jvp(**of_item)]
 
         self._fill([dz], changes_of, change_of)
         return dz
@@ -563,9 +561,8 @@ class DeviceDerivative(ManyDerivatives):
         arrays = M.swapaxes(1, 2), rows, zeros, sides
         launch(batch.gpu, "solve_free_rows", arrays, (), (by_q,))
         is_clear = (is_fixed | (distance > HALF_OF_DIGITS * terms)).all(axis=1)
-        is_clear &= HALF_OF_DIGITS * abs(by_q).max(axis=1) * largest.max(axis=1) <= abs(rows).max(
-            axis=1
-        )
+        terms_of_q = abs(by_q).max(axis=1) * largest.max(axis=1)
+        is_clear &= HALF_OF_DIGITS * terms_of_q <= abs(rows).max(axis=1)
         by_bound = xp.where(free, 0.0, rows + (by_q[:, None] @ M)[:, 0])
         is_upper = xp.where(is_fixed, w < 0.0, z == upper)
         tables = by_q, xp.where(is_upper, 0.0, by_bound), xp.where(is_upper, by_bound, 0.0)

@@ -125,10 +125,7 @@ def eliminate_definitions(
         if not rows.size:
             continue
         substitution, shift = put_in(equations[0][rows], equations[1][rows], columns)
-        changed = [
-            (matrix @ substitution, constant + matrix @ shift)
-            for matrix, constant in (equations, functions)
-        ]
+        changed = [(A @ substitution, b + A @ shift) for A, b in (equations, functions)]
         if sum(matrix.nnz for matrix, _ in changed) > limit:
             continue
         equations, functions = changed
@@ -387,9 +384,8 @@ class SquareModel:
         terms[order] += np.concatenate([matrix @ at for matrix in sizes])
         allowed = 1e-9 * terms  # relative to the terms of a row
         # Terms may be rounding errors of larger unknowns
-        allowed[order] += (
-            DATA_ROUNDING * largest * np.concatenate([matrix.sum(1) for matrix in sizes])
-        )
+        sums = np.concatenate([matrix.sum(axis=1) for matrix in sizes])
+        allowed[order] += DATA_ROUNDING * largest * sums
         is_wrong = np.isfinite(expected) & ~(np.abs(values - expected) <= allowed)
         wrong = np.flatnonzero(is_wrong)
         return (int(wrong[0]), float(expected[wrong[0]])) if wrong.size else None
@@ -668,9 +664,7 @@ class Statement:
         beyond = np.maximum(self.lower - unknowns, unknowns - self.upper)[columns]
         violated = []
         for k in columns[~(beyond <= allowed * (1.0 + np.abs(unknowns[columns])))].tolist():
-            value, lower, upper = (
-                float(values[k]) for values in (unknowns, self.lower, self.upper)
-            )
+            value, lower, upper = map(float, (unknowns[k], self.lower[k], self.upper[k]))
             violated.append(outside_row(self.name_of(k), value, lower if value < lower else upper))
         return violated
 
@@ -678,17 +672,16 @@ class Statement:
 
     def best(self, goal: Rows, sign: float = 1.0) -> EquilibriumProgram:
         """Return the program: minimize sign · goal."""
-        seconds = [self._value_of(pair) for pair in self.pairs]
+        seconds = [np.zeros(0), *map(self._value_of, self.pairs)]
         n, goal = self.lower.size, goal.scaled(sign)
         quadratic, smooth = self.quadratic(goal), None
         linear = [part for part in self.rows if not part.rows.level]
         bent = [part for part in self.rows if part.rows.level]
         if bent or quadratic is None:
-            nothing = Rows({}, np.zeros(1), (1,))
-            results = [goal if quadratic is None else nothing, *(part.rows for part in bent)]
-            smooth = SmoothPart(
-                Program.of(self.compiler, results, self.first, n), *_stacked(bent, "low", "high")
-            )
+            objective = goal if quadratic is None else Rows({}, np.zeros(1), (1,))
+            results = [objective, *(part.rows for part in bent)]
+            functions_of = Program.of(self.compiler, results, self.first, n)
+            smooth = SmoothPart(functions_of, *_stacked(bent, "low", "high"))
         P, c, constant = quadratic or (sp.csr_array((n, n)), np.zeros(n), 0.0)
         A, shift = assembled([part.rows for part in linear], self.first, n)
         low, high = (ends - shift for ends in _stacked(linear, "low", "high"))
@@ -697,15 +690,8 @@ class Statement:
         program = QuadraticProgram.from_ranges(P, c, A, low, high, *bounds, constant, names)
         program = program.replaced(sense=sign)
         first, low, high = _stacked(self.pairs, "z", "low", "high")
-        return EquilibriumProgram(
-            program,
-            first.astype(np.int64),
-            np.concatenate([*seconds, np.zeros(0)]).astype(np.int64),
-            low,
-            high,
-            self.integers,
-            smooth,
-        )
+        pairs = first.astype(np.int64), np.concatenate(seconds).astype(np.int64), low, high
+        return EquilibriumProgram(program, *pairs, self.integers, smooth)
 
     def _value_of(self, pair: StatedRows) -> Indices:
         """Return the unknowns that are w of a pair."""
@@ -772,9 +758,8 @@ def name_of_row(
 
 def _stacked(stated: list[StatedRows], *names: str) -> list[Vector]:
     """Return these attributes of all rows, concatenated."""
-    return [
-        np.concatenate([*(getattr(part, name) for part in stated), np.zeros(0)]) for name in names
-    ]
+    columns = ([getattr(part, name) for part in stated] for name in names)
+    return [np.concatenate([*column, np.zeros(0)]) for column in columns]
 
 
 def _generic_point(lower: Vector, upper: Vector) -> Vector:

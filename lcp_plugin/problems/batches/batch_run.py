@@ -325,8 +325,6 @@ class BatchAnswers(AnswerSequence[Any]):
         try:
             return function(self.problems)
         except AttributeError as error:
-            tables = ", ".join(
-                table for table in BatchAnswers.__annotations__ if hasattr(self, table)
-            )
-            words = f"BatchAnswers of these problems has no {name}; its arrays include {tables}"
+            tables = [table for table in BatchAnswers.__annotations__ if hasattr(self, table)]
+            words = f"BatchAnswers of these problems has no {name}; its arrays include {', '.join(tables)}"
             raise AttributeError(words) from error

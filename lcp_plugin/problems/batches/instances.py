@@ -71,9 +71,7 @@ class Group(NamedTuple):
         """Return these vectors of all problems, each of shape (k, n)."""
         shape = self.items.size, self.M.shape[1]
         arrays = (getattr(self, name) for name in names)
-        return [
-            array if array.shape == shape else np.broadcast_to(array, shape) for array in arrays
-        ]
+        return [rows if rows.shape == shape else np.broadcast_to(rows, shape) for rows in arrays]
 
     def stacks(self, tolerance: float, *, is_path: bool = False) -> Stacks:
         """Yield stacks of at most 5 to 10 ms, eight or more in a large batch: each thread has a part.
@@ -348,9 +346,8 @@ class RightSides(Rows):
     ) -> None:
         self.base, self.problems = problem, problems
         named = {name: getattr(problem, name) for name in ("b", "lower", "upper", "l1")}
-        named |= {
-            name: values for name, values in {**vectors, "z0": z0}.items() if values is not None
-        }
+        vectors["z0"] = z0
+        named |= {name: values for name, values in vectors.items() if values is not None}
         sizes = {"b": problem.shape[0]}
         rows = {name: (values, sizes.get(name, problem.shape[1])) for name, values in named.items()}
         super().__init__(rows, {})

@@ -179,6 +179,7 @@ def over_cones(model: SquareModel, pairs: Sequence[ConePair], name: Any) -> Squa
         elimination=replace(model.elimination, kept=kept[order], expansion=expansion),
         places=model.places[order],
         signs=model.signs[order],
+        whole=None,
     )
 
 

@@ -308,8 +308,8 @@ class SquareModel:
         Unknown matched with each equation that is not a definition, in order.
     dropped : ndarray of int
         Unknowns with bounds that no pair states or implies: the problem does not have them.
-    whole : callable
-        Returns the model of all unknowns, without an elimination.
+    whole : callable or None
+        Returns the model of all unknowns, without an elimination; None over cones.
     """
 
     problem: Any
@@ -319,14 +319,15 @@ class SquareModel:
     signs: Vector
     matched: Indices
     dropped: Indices
-    whole: Callable[[], SquareModel]
+    whole: Callable[[], SquareModel] | None
 
     def proved(self, result: Result) -> Result:
         """Return the result with a proof for the data of the model, because a substitution rounds products.
 
         INFEASIBLE becomes PRECISION_LIMIT without such a proof.
         """
-        if result.status is not Status.INFEASIBLE or not self.elimination.rows.size:
+        is_infeasible = result.status is Status.INFEASIBLE
+        if self.whole is None or not self.elimination.rows.size or not is_infeasible:
             return result
         proof = find_infeasibility(self.whole().problem)
         if proof is None or not proof.excludes(result.tolerance, result.absolute_tolerance):

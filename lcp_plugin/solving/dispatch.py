@@ -30,13 +30,11 @@ def solver_with(
     name = class_of(problem)
     if name not in classes_of(function):
         raise InvalidOption(refusal(function, problem))
-    if not isinstance(algorithm, str):
-        if isinstance(algorithm, (np.ndarray, list, tuple)):
-            raise UnknownAlgorithm(
-                f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…"
-            )
-        options["algorithm"] = algorithm
-    elif algorithm != "auto":
+    if isinstance(algorithm, (np.ndarray, list, tuple)):
+        raise UnknownAlgorithm(
+            f"algorithm must be a name or an object, got {algorithm!r}; a start is z0=…"
+        )
+    if not isinstance(algorithm, str) or algorithm != "auto":
         options["algorithm"] = algorithm
     if callable(callback := options.get("callback")):  # it keeps the caller's floating-point state
         options["callback"] = np.errstate(**np.geterr())(callback)
@@ -74,14 +72,10 @@ def parse_call(
     """Return the method (None for auto) and the settings of a call; `arguments` may contain z0 and callback."""
     if not arguments:
         return method_of(algorithm, arguments), DEFAULT
-    settings = Settings(
-        **{
-            name: value
-            for name, value in arguments.items()
-            if name in OF_SOLVE and name not in BESIDE
-        }
-    )
-    options = {name: value for name, value in arguments.items() if name not in OF_SOLVE}
+    items = arguments.items()
+    of_solve = {name: value for name, value in items if name in OF_SOLVE and name not in BESIDE}
+    settings = Settings(**of_solve)
+    options = {name: value for name, value in items if name not in OF_SOLVE}
     return method_of(algorithm, options), settings
 
 

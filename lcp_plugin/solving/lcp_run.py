@@ -35,8 +35,6 @@ from .plan import plan
 from .result import NEXT, Callback, Result
 from .run import FAILED, Progress, Run, Stage
 
-WITHOUT_END = (Status.STALLED, Status.DIVERGED)
-
 
 class LCPRun(Run):
     """Run of an LCP.
@@ -194,8 +192,7 @@ class LCPRun(Run):
             return Status.PRECISION_LIMIT
         is_watched = algorithm.is_monotone or algorithm.is_watched
         if is_watched and stage.is_stalled(self.problem.n, self.goal, left):
-            too_few = self.is_guaranteed
-            return Status.MAX_ITERATIONS if too_few else Status.STALLED
+            return Status.MAX_ITERATIONS if self.is_guaranteed else Status.STALLED
         return None
 
     def end_of_stage(self, stage: Stage, end: Status) -> Status:
@@ -241,11 +238,10 @@ class LCPRun(Run):
 
     def _advice(self, reason: Status, status: Status) -> str:
         """Return the advice of the status."""
-        happened, begins, next_step = advice_of_run(
-            self.problem, self.chosen, self.settings, status
-        ).partition("; ")
-        has_ended = reason is Status.STALLED and self.chosen is not None
-        if status is Status.STALLED and has_ended and self.progress.stages[-1].has_ended:
+        advice = advice_of_run(self.problem, self.chosen, self.settings, status)
+        happened, begins, next_step = advice.partition("; ")
+        is_stalled = status is reason is Status.STALLED and self.chosen is not None
+        if is_stalled and self.progress.stages[-1].has_ended:
             steps = format_count(max(self.progress.iteration, 0), "step")
             happened = f"iterates ended after {steps}"
         if status is Status.MAX_ITERATIONS and self.progress.end is None:  # it is not reached
@@ -335,7 +331,7 @@ def advice_of_run(
     if status in LIMITS:
         begin = NEXT if chosen is None else f'{NEXT}try algorithm="auto", or '
         return status.value.replace(NEXT, begin) + ", or continue from z0=result.z"
-    if status not in WITHOUT_END:
+    if status not in FAILED:
         return status.value
     tried = "auto has tried all methods that suit this matrix; next: try another start z0"
     end = tried if chosen is None else 'next: try algorithm="auto"'

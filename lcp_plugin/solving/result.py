@@ -220,9 +220,8 @@ class BaseResult(MadeOnAccess, Outcome):
 
     def _effort(self) -> str:
         """Return the name of the algorithm, its iterations and seconds."""
-        return (
-            f"{self.algorithm}: {format_count(self.iterations, 'iteration')}, {self.seconds:.3g} s"
-        )
+        count = format_count(self.iterations, "iteration")
+        return f"{self.algorithm}: {count}, {self.seconds:.3g} s"
 
     def require_solved(self) -> Self:
         """Return this result, or raise NotConverged if the status is not SOLVED.
@@ -413,11 +412,8 @@ class Result(BaseResult):
         return [*filter(None, lines)]
 
     def _effort(self) -> str:
-        matrix = self.certificate.criterion.matrix
-        return (
-            f"{self.algorithm}: {format_count(self.iterations, 'iteration')}, {self.seconds:.3g} s (set-up "
-            f"{self.setup_seconds:.3g} s), the work of {self.work:.1f} products of {matrix} with a vector"
-        )
+        work = f"{self.work:.1f} products of {self.certificate.criterion.matrix} with a vector"
+        return f"{super()._effort()} (set-up {self.setup_seconds:.3g} s), the work of {work}"
 
     def describe_accuracy(self) -> str:
         """Return the relative residual next to the tolerance, or the proof that no solution exists."""

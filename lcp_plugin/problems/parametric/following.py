@@ -173,9 +173,8 @@ class Motion(NamedTuple):
             moving = np.flatnonzero(rate < -self.slow)
             speed = -rate[moving]
             ahead = np.maximum(gap[0, moving], 0.0) / speed
-            reached = min(
-                reached, float((ahead + self.rounding[moving] / speed).min(initial=np.inf))
-            )
+            latest = ahead + self.rounding[moving] / speed
+            reached = min(reached, float(latest.min(initial=np.inf)))
             candidates.append((moving, ahead, speed, way))
         if reached == np.inf:
             return np.inf, None

@@ -114,13 +114,12 @@ class PathPoint(Outcome):
     @cached_property
     def objective(self) -> float | None:
         """Objective at x."""
+        problem = self.problem
         if self.stated_objective is not None:
             return self.stated_objective
-        if isinstance(self.problem, BoundedLeastSquares):
-            return float(self.problem.cost(self.x, self.problem.product(self.x) - self.problem.b))
-        return (
-            None if self.solution is None else self.problem.sense * float(self.solution.objective)
-        )
+        if isinstance(problem, BoundedLeastSquares):
+            return float(problem.cost(self.x, problem.product(self.x) - problem.b))
+        return None if self.solution is None else problem.sense * float(self.solution.objective)
 
     @derived_property
     def status(self) -> Status:
@@ -298,9 +297,8 @@ class Path(Outcome):
         """Return a summary of the path in a few lines."""
         inner = self.breakpoints[1:-1]
         shown = ", ".join(f"{value:.6g}" for value in inner[:BREAKPOINTS_SHOWN])
-        more = (
-            f", and {inner.size - BREAKPOINTS_SHOWN} more" if inner.size > BREAKPOINTS_SHOWN else ""
-        )
+        hidden = inner.size - BREAKPOINTS_SHOWN
+        more = f", and {hidden} more" if hidden > 0 else ""
         count, reached = format_count(len(self.pieces), "piece"), f"{self.reached:.9g}"
         is_smooth = isinstance(self.problem, NonlinearProblem)
         shape = "smooth" if is_smooth else "affine"

@@ -240,8 +240,8 @@ class Line:
             x = solve(problem, x0=z, tolerance=self.tolerance, restarts=0).x
             return PathPoint(theta, problem, x, self.tolerance)
         lower, upper, case = problem.lower, problem.upper, case[: problem.lower.size]
-        sides, ends = [case == -1, case == 1, case == 2], [lower, upper, np.zeros(lower.size)]
-        held = np.select(sides, ends, z[: lower.size])
+        masks, ends = [case == -1, case == 1, case == 2], [lower, upper, np.zeros(lower.size)]
+        held = np.select(masks, ends, z[: lower.size])
         x = read_only(np.clip(held, lower, upper))
         if isinstance(problem, BoundedLeastSquares) and "b" in self.directions:
             x = self._with_digits_of_b(problem, x, np.flatnonzero(case == 0))
@@ -249,10 +249,10 @@ class Line:
             return PathPoint(theta, problem, x, self.tolerance)
         y, m = z[x.size :], problem.h.size
         y = np.append(np.maximum(y[:m], 0.0), y[m:])
-        left = problem.P @ x + problem.c + problem.matrices.terms.rows.T @ y
-        at_lower = np.where(x == problem.lower, np.maximum(left, 0.0), 0.0)
-        at_upper = np.where(x == problem.upper, np.maximum(-left, 0.0), 0.0)
-        solution = QPSolution.of_rows(problem, x, np.concatenate([y, at_lower, at_upper]))
+        slope = problem.P @ x + problem.c + problem.matrices.terms.rows.T @ y
+        sides = (lower, slope), (upper, -slope)
+        of_bounds = [np.where(x == end, np.maximum(pull, 0.0), 0.0) for end, pull in sides]
+        solution = QPSolution.of_rows(problem, x, np.concatenate([y, *of_bounds]))
         return PathPoint(theta, problem, x, self.tolerance, solution)
 
     def _with_digits_of_b(self, problem: BoundedLeastSquares, x: Vector, free: Any) -> Vector:

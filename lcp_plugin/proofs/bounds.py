@@ -148,21 +148,11 @@ class RowInequality:
 
     def image(self, y: Vector) -> Vector:
         """Return Φ(y), shape (n,); (w + |B|y)/d as y + (w − ⟨M⟩y)/d."""
-        moved = sum_above(self.slack, _minus_comparison(self.problem, y))
+        value, radius = comparison_product(self.problem.csr, y)
+        moved = sum_above(self.slack, sum_above(-value, radius))
         solved = sum_above(y, quotient_above(moved, self.problem.diagonal))
         image = np.maximum(self.beyond, np.minimum(self.within, solved)).max(axis=0)
         return np.where(np.isnan(image), np.inf, np.maximum(image, 0.0))
-
-
-def distance_above(high: Vector, low: Vector, z: Vector) -> Vector:
-    """Return an upper bound of |z − (high + low)|, shape (n,)."""
-    return np.asarray(sum_above(sum_above(SIGNS * z, -SIGNS * high), -SIGNS * low).max(axis=0))
-
-
-def _minus_comparison(problem: LCP, y: Vector) -> Vector:
-    """Return an upper bound of −⟨M⟩y."""
-    value, radius = comparison_product(problem.matrix.csr, y)
-    return sum_above(-value, radius)
 
 
 class NearPoint(NamedTuple):
@@ -171,6 +161,23 @@ class NearPoint(NamedTuple):
     high: Vector
     low: Vector
     y: Vector
+
+    def distance(self, z: Vector) -> Vector:
+        """Return an upper bound of |z − ẑ|, shape (n,)."""
+        signed = sum_above(sum_above(SIGNS * z, -SIGNS * self.high), -SIGNS * self.low)
+        return np.asarray(signed.max(axis=0))
+
+    def bound_at(self, z: Vector) -> Vector:
+        """Return a bound of |z − z*|, shape (n,)."""
+        bound = sum_above(self.distance(z), self.y)
+        return np.where(np.isnan(bound), np.inf, bound)
+
+    def is_sharp(self, z: Vector, bound: Vector) -> bool:
+        """Return whether the error of z is proved to be nearly as large as its bound."""
+        # Possible improvement, relative to a lower bound of the error
+        enough = 0.05 if z.size <= CHEAP_UP_TO else 0.5
+        error = (self.distance(z) - self.y).max(initial=0.0)
+        return bool(bound.max(initial=0.0) <= (1.0 + enough) * error)
 
 
 class ActiveSetSteps:
@@ -544,10 +551,7 @@ class ErrorBound:
         >>> bool(0.999e-3 <= bound.carried_to(np.array([2.5 + 1e-3, 0.0])).max() <= 1.001e-3)
         True
         """
-        if (near := self.near) is None:
-            return np.full(z.shape, np.inf)
-        bound = sum_above(distance_above(near.high, near.low, z), near.y)
-        return np.where(np.isnan(bound), np.inf, bound)
+        return np.full(z.shape, np.inf) if self.near is None else self.near.bound_at(z)
 
     def __str__(self) -> str:
         return f"‖z − z*‖∞ ≤ {self.infinity:.3e}, relative {self.relative:.3e} ({self.method})"
@@ -603,71 +607,40 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
         raise UnsuitableMatrix(NO_PROOF)
     method = "2-norm, λ_min" if isinstance(family, EigenvalueBound) else "v-certificate"
     if np.isfinite(z).all():
-        at = RowInequality.at(problem, z)
-        best = BestBound(z, at, bound_of_error(at, family), method)
+        at, largest = RowInequality.at(problem, z), row_data(problem).largest
+        y = first = bound_of_error(at, family)
+        near = NearPoint(z, at.low, y)
         if sharp:
-            _sharpen(best, family)
-        bound = best.result()
+            y, near = _sharpened(at, y, family)
+            method = "reference point" if max_norm(y) < max_norm(first) else method
+        y = np.where(np.isnan(y), np.inf, y)
+        relative = float(quotient_above(largest(y), largest(np.abs(z))).max())
+        residual = max_norm(scaled_residual(problem, z, at.w))
+        bound = ErrorBound(y, max_norm(y), relative, method, residual, near)
     else:
         bound = ErrorBound(np.full(problem.n, np.inf), np.inf, np.inf, method)
     return replace(bound, seconds=time.perf_counter() - began)
 
 
-class BestBound:
-    """The best bound so far, and the point near z at which most is known of z*."""
-
-    def __init__(self, z: Vector, at: RowInequality, y: Vector, method: str) -> None:
-        self.z, self.at, self.y, self.method = z, at, y, method
-        self.near, self.near_y = at, y
-
-    def go_to(self, near: RowInequality, y: Vector) -> None:
-        """Set the reference point and the bound y of its error; keep the least bound per row."""
-        self.near, self.near_y = near, y
-        by_way_of_it = sum_above(distance_above(near.high, near.low, self.z), y)
-        if by_way_of_it.max(initial=0.0) < self.y.max(initial=0.0):
-            self.method = "reference point"
-        self.y = np.minimum(self.y, by_way_of_it)
-
-    @property
-    def is_sharp(self) -> bool:
-        """True if the error is proved to be nearly as large as its bound."""
-        # Possible improvement, relative to a lower bound of the error
-        enough = 0.05 if self.z.size <= CHEAP_UP_TO else 0.5
-        distance = distance_above(self.near.high, self.near.low, self.z)
-        error = float((distance - self.near_y).max(initial=0.0))
-        return float(self.y.max(initial=0.0)) <= (1.0 + enough) * error
-
-    def result(self) -> ErrorBound:
-        """Return the bound."""
-        problem, y = self.at.problem, np.where(np.isnan(self.y), np.inf, self.y)
-        residuals = scaled_residual(problem, self.at.high, self.at.w)
-        infinity, residual = max_norm(y), max_norm(residuals)
-        largest = row_data(problem).largest
-        relative = float(quotient_above(largest(y), largest(np.abs(self.z))).max())
-        near = NearPoint(self.near.high, self.near.low, self.near_y)
-        return ErrorBound(y, infinity, relative, self.method, residual, near)
-
-
-def _sharpen(best: BestBound, family: Family) -> None:
-    """Go to points nearer to the solution as long as that lowers the bound."""
-    problem = best.at.problem
-    steps = ActiveSetSteps(problem)
-    point = best.at
+def _sharpened(at: RowInequality, y: Vector, family: Family) -> tuple[Vector, NearPoint]:
+    """Return a bound of the error of `at`, and a point nearer to z*; steps go on as long as they lower the bound."""
+    steps, point, near = ActiveSetSteps(at.problem), at, NearPoint(at.high, at.low, y)
+    is_large = y.size > CHEAP_UP_TO
     for _ in range(12):  # each takes two digits off the bound, and a third of a linear solve
-        following = steps.next_point(point)
-        if following is None:
-            return
-        point, y = following, bound_of_error(following, family)
-        y = np.minimum(y, point.image(y))
-        before = float(best.near_y.max(initial=0.0))
-        if not float(y.max(initial=0.0)) < 0.5 * before:
-            # A step of the active-set method may lead astray before it leads home.
-            if problem.n > CHEAP_UP_TO or before == 0.0 or best.is_sharp:
-                return
-            continue
-        best.go_to(point, y)
-        if best.is_sharp and problem.n > CHEAP_UP_TO:
-            return
+        if (following := steps.next_point(point)) is None:
+            break
+        point, bound = following, bound_of_error(following, family)
+        bound = np.minimum(bound, point.image(bound))
+        before = near.y.max(initial=0.0)
+        if bound.max(initial=0.0) < 0.5 * before:
+            near = NearPoint(point.high, point.low, bound)
+            y = np.minimum(y, near.bound_at(at.high))
+            if is_large and near.is_sharp(at.high, y):
+                break
+        # A step of the active-set method may lead astray before it leads home.
+        elif is_large or before == 0.0 or near.is_sharp(at.high, y):
+            break
+    return y, near
 
 
 UNKNOWN = "P could not be shown to be positive semidefinite"
@@ -768,11 +741,8 @@ def constrained_curvature(P: AnyMatrix, A: AnyMatrix) -> Curvature:
     # the squares underflow
     if size_of_A == 0.0 or size_of_P / size_of_A == np.inf:
         return of_P
-    penalty = (
-        float(np.exp2(np.round(np.log2(size_of_P / size_of_A))))
-        if size_of_P / size_of_A > 0.0
-        else 1.0
-    )
+    ratio = size_of_P / size_of_A
+    penalty = float(np.exp2(np.round(np.log2(ratio)))) if ratio > 0.0 else 1.0
     form = sp.csr_array(P + penalty * square)
     form = sp.csr_array((form + form.T) * 0.5)
     if not np.isfinite(form.data).all():

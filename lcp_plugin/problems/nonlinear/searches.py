@@ -132,6 +132,8 @@ class JosephyNewton(Algorithm):
     def snap(self, point: Linearization) -> Linearization:
         """Return the point with x° in the components that F(x°) solves, and that x has come near."""
         origin, data = point.origin, point.data
+        if self.first is origin:  # the way has no length
+            return point
         left, way = (data.largest(np.abs(x - origin.x)) for x in (point.x, self.first.x))
         is_near = left <= 1e-4 * way
         if not np.logical_or.reduce(is_near):

@@ -121,9 +121,8 @@ def dirichlet_terms(
     layer[inside] = 0.0
     terms = np.zeros_like(layer[inside])
     for axis in range(field.ndim):
-        before, after = list(inside), list(inside)
-        before[axis], after[axis] = slice(None, -2), slice(2, None)
-        terms += below[axis] * layer[tuple(before)] + above[axis] * layer[tuple(after)]
+        before, after = np.roll(layer, 1, axis)[inside], np.roll(layer, -1, axis)[inside]
+        terms += below[axis] * before + above[axis] * after
     return terms.ravel()
 
 

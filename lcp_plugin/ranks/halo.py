@@ -225,7 +225,6 @@ class Halo(Ranks):
         places = np.stack([owners, ghosts - self.starts[owners]], axis=1)
         self._values = Exchange(self.comm, count, places)
         self._entries = None if entries is None else Exchange(self.comm, own_entries, entries)
-        self._flags = np.empty(count + self.foreign)
 
     def owners(self, indices: Integers) -> Integers:
         """Return the rank that owns each index."""
@@ -256,10 +255,7 @@ class Halo(Ranks):
 
     def fetch_flags(self, flags: NDArray[Any]) -> None:
         """Do as `fetch` does with flags."""
-        if not self.is_empty:
-            self._flags[: self.own] = flags[: self.own]
-            self.fetch(self._flags)
-            flags[self.own :] = self._flags[self.own :] > 0.0
+        flags[self.own :] = self.whole(flags[: self.own])[self.own :] > 0.0
 
     # --- a coarser grid ----------------------------------------------------------------------------------
 
@@ -270,16 +266,14 @@ class Halo(Ranks):
     def local(self, columns: Integers, ghosts: Integers) -> Integers:
         """Return local indices: local unknowns from 0 on, then ghosts in order, 0 for others."""
         local = (columns - self.first).astype(np.int32)
-        at = np.flatnonzero((local < 0) | (local >= self.own))
-        if not at.size:
-            return local
-        foreign = columns[at]
-        local[at] = 0
+        is_foreign = self.is_foreign(columns)
+        foreign = columns[is_foreign]
+        local[is_foreign] = 0
         if ghosts.size:
             order = np.argsort(ghosts, kind="stable")
-            ascending = ghosts[order]
-            place = np.minimum(np.searchsorted(ascending, foreign), ghosts.size - 1)
-            local[at] = np.where(ascending[place] == foreign, self.own + order[place], 0)
+            place = np.searchsorted(ghosts, foreign, sorter=order)
+            place = order[np.minimum(place, ghosts.size - 1)]
+            local[is_foreign] = np.where(ghosts[place] == foreign, self.own + place, 0)
         return local
 
     def with_foreign_rows(self, rows: Arrays) -> Arrays:
@@ -367,11 +361,10 @@ class Halo(Ranks):
             places = _ranges(indptr[rows].astype(np.int64), counts)
             replies.append((counts, columns(places).astype(np.int64), data[places], places))
         parts = [np.concatenate(part) for part in zip(*self.comm.alltoall(replies), strict=True)]
-        counts = np.empty(wanted.size, np.int64)
-        counts[order] = parts[0]
-        begins = np.empty(wanted.size, np.int64)
-        begins[order] = np.cumsum(parts[0]) - parts[0]
-        take = _ranges(begins, counts)
+        place_of = np.argsort(order)
+        begins = np.cumsum(parts[0]) - parts[0]
+        counts = parts[0][place_of]
+        take = _ranges(begins[place_of], counts)
         return ForeignRows(counts, parts[1][take], parts[2][take], parts[3][take])
 
     def _dependents(self, rows: Integers, met: Integers) -> Integers:

@@ -86,7 +86,8 @@ def read_target(target: str) -> Target:
         program = load_program(target)
         return Target(program, names=program.names.unknowns)
     if path.suffix.lower() == ".nl":
-        return Target(read_nl(target))
+        model = read_nl(target)
+        return Target(model, names=model.names())
     return Target(load_problem(target))
 
 
@@ -117,7 +118,6 @@ def run(
     if hasattr(source.problem, "content"):  # an .nl file
         solution = source.problem.solve(algorithm, **options, **settings)
         answer, x, lines = solution.result, solution.x, [solution.message]
-        source = source._replace(names=source.problem.names())
         arrays = {} if x is None else {"x": x, "duals": solution.duals}
         objective = solution.objective
     else:
@@ -125,9 +125,10 @@ def run(
         x, lines = answer.x, _certificate_lines(source, answer)
         arrays = _arrays(answer)
         objective = answer.objective
-    content: dict[str, Any] = {} if objective is None else {"objective": objective}
     if as_json:
-        content = json_content(answer) | content
+        content = json_content(answer)
+        if objective is not None:
+            content["objective"] = objective
         finite = {
             name: None if isinstance(value, float) and not np.isfinite(value) else value
             for name, value in content.items()

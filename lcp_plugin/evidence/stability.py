@@ -134,12 +134,8 @@ def stiffness() -> Iterator[StressCase]:
     for contrast in (1e4, 1e12):
         yield mostly_free(f"contrast={contrast:g}", _island(contrast))
         yield mostly_free(f"contrast={1 / contrast:g}", _island(1.0 / contrast))
-    winds = (
-        (1e2, 0.6, ""),
-        (1e6, 0.6, ""),
-        (1e12, 0.6, ""),
-        (1e12, 0.6 + np.pi, ", against the sweep"),
-    )
+    winds = [(peclet, 0.6, "") for peclet in (1e2, 1e6, 1e12)]
+    winds.append((1e12, 0.6 + np.pi, ", against the sweep"))
     for peclet, angle, words in winds:
         # upwind convection by a unit wind with diffusion 1/peclet a mesh width
         M = balanced_matrix((SIDE, SIDE), upwind(1.0 / peclet, (np.cos(angle), np.sin(angle))))
@@ -274,18 +270,9 @@ def cancellation() -> Iterator[StressCase]:
         )
 
 
+CASES = stiffness, scaling, singularity, degeneracy, far_starts, sizes, number_range, cancellation
 FAMILIES: dict[str, Callable[[], Iterator[StressCase]]] = {
-    family.__name__.replace("_", " "): family
-    for family in (
-        stiffness,
-        scaling,
-        singularity,
-        degeneracy,
-        far_starts,
-        sizes,
-        number_range,
-        cancellation,
-    )
+    family.__name__.replace("_", " "): family for family in CASES
 }
 
 

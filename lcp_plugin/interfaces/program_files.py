@@ -108,8 +108,9 @@ def read_mps(source: Path, remarks: list[str]) -> Read:
     P = sign * (triangle + triangle.T - sp.diags_array(triangle.diagonal()) + whole)
     b, width = _row(right, 0.0, m), _row(ranges, np.nan, m)
     reach = np.where(np.isnan(width), np.inf, np.abs(width))
-    low = np.where((kinds == "L") | ((kinds == "E") & (width < 0.0)), b - reach, b)
-    high = np.where((kinds == "G") | ((kinds == "E") & (width > 0.0)), b + reach, b)
+    # An equation has an interval on the side of its range's sign
+    span = np.select([kinds == "L", kinds == "G"], [-reach, reach], np.nan_to_num(width))
+    low, high = b + np.minimum(span, 0.0), b + np.maximum(span, 0.0)
     first, is_row = np.flatnonzero(kinds == "N")[:1], kinds != "N"
     limits = low[is_row], high[is_row], _row(lower, 0.0, n), _row(upper, np.inf, n)
     c, constant = sign * A[first].sum(axis=0), 0.0 - sign * b[first].sum()

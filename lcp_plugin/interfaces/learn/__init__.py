@@ -61,6 +61,7 @@ import scipy.sparse as sp
 
 from ...core.checks import Array
 from ...core.errors import InvalidProblem, LCPError, NotConverged, UnsupportedModel
+from ...core.names import listed
 from ...problems.batches.batch import solve_batch
 from ...problems.batches.batch_run import BatchAnswers
 from ...problems.batches.program_batch import ProgramBatch, programs_for
@@ -356,10 +357,8 @@ def _first(
     errors: dict[int, LCPError], axes: tuple[int, ...], kind: type[LCPError], alone: str = ""
 ) -> LCPError:
     """Return an error that reports the first failed problem and the numbers of the others."""
-    places = {k: tuple(map(int, np.unravel_index(k, axes))) for k in sorted(errors)}
-    first, *others = places
-    named = ", ".join(str(places[k]) for k in others[:5]) + " …" * bool(others[5:])
-    also = f", nor for {named}" if others else ""
-    where = f"problem {places[first]} of the batch" if axes else "the problem"
+    first, *others = (tuple(map(int, np.unravel_index(k, axes))) for k in sorted(errors))
+    also = f", nor for {listed(map(str, others), 5)}" if others else ""
+    where = f"problem {first} of the batch" if axes else "the problem"
     result = f" (with result = solve({alone}) of its numbers; mask=True skips it)" if alone else ""
-    return kind(f"the layer found no solution for {where}{also}: {errors[first]}{result}")
+    return kind(f"the layer found no solution for {where}{also}: {errors[min(errors)]}{result}")

@@ -7,8 +7,6 @@ where an entry ought to be 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -31,29 +29,13 @@ def triangular_form(matrix: Matrix) -> str | None:
     return "upper" if (rows <= M.indices).all() else None
 
 
-@dataclass(frozen=True, eq=False)
-class Components:
-    """The connected components of a matrix that has several.
-
-    Attributes
-    ----------
-    labels : array of int, shape (n,)
-        Numbers of components, from 0 on.
-    count : int
-        Number of components.
-    """
-
-    labels: IntVector
-    count: int
-
-
 @fact
-def connected_components(matrix: Matrix) -> Components | None:
-    """Return the connected components of the graph of M; None if there is only one component.
+def connected_components(matrix: Matrix) -> IntVector | None:
+    """Return the number of each row's connected component in the graph of M, from 0 on; None if M is connected.
 
     Examples
     --------
-    >>> connected_components(Matrix([[2.0, 0.0, 1.0], [0.0, 3.0, 0.0], [0.0, 0.0, 2.0]])).labels
+    >>> connected_components(Matrix([[2.0, 0.0, 1.0], [0.0, 3.0, 0.0], [0.0, 0.0, 2.0]]))
     array([0, 1, 0])
     >>> connected_components(Matrix([[2.0, 1.0], [0.0, 2.0]])) is None
     True
@@ -72,7 +54,7 @@ def connected_components(matrix: Matrix) -> Components | None:
     from scipy.sparse.csgraph import connected_components as labeled
 
     count, labels = labeled(matrix.csr, directed=False)
-    return Components(read_only(labels.astype(np.int64)), int(count)) if count > 1 else None
+    return read_only(labels.astype(np.int64)) if count > 1 else None
 
 
 def mismatch(M: AnyMatrix, size: Vector, tolerance: float) -> tuple[float, tuple[int, int] | None]:

@@ -486,7 +486,6 @@ def row_data(problem: LCP) -> RowData:
     >>> data.snap_to_bounds(np.array([2.5, 1e-9]), np.array([0.0, 3.5]))
     array([2.5, 0. ])
     """
-    several = connected_components(problem.matrix)
     return RowData(
         problem.matrix.array,
         absolute(problem.matrix),
@@ -494,7 +493,7 @@ def row_data(problem: LCP) -> RowData:
         problem.lower,
         problem.upper,
         problem.matrix.residual_scale,
-        None if several is None else several.labels,
+        connected_components(problem.matrix),
         problem.nearest_to_zero,
     )
 

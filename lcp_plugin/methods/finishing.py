@@ -18,18 +18,13 @@ from ..systems.free_systems import FreeSystem
 
 
 def measure_finished(data: RowData, z: Any, tolerance: float, absolute: float = 0.0) -> Measured:
-    """Return the measure of z, snapped, with its small rows finished if it is a single point.
+    """Return the measure of z, snapped; of a single point after solves of the rows that fail next to their terms.
 
     Parameters and result as of :meth:`.RowData.measure_at`.
     """
     measured = data.measure(z, tolerance, absolute)
     if measured.z.ndim > 1 or measured.passes or measured.residual > tolerance:
         return measured
-    return _finished(data, measured, tolerance, absolute)
-
-
-def _finished(data: RowData, measured: Measured, tolerance: float, absolute: float) -> Measured:
-    """Return the measure after solves of the rows that fail next to their terms, or `measured` if that fails too."""
     z, lower, upper = np.array(measured.z), data.lower, data.upper
     matrix, again, joined = Matrix(data.M), measured, np.zeros(z.shape, np.bool_)
     most, system = 500.0 * matrix.nonzeros, None  # a factorization may take 500 passes over M

@@ -433,7 +433,7 @@ class ProjectedCycles:
             for step in range(most):
                 if not correction.step():
                     break
-                correction.apply_within(origin, fine.lower, fine.upper, local)
+                np.clip(origin + correction.solution, fine.lower, fine.upper, out=local)
                 left = correction.largest()
                 if left <= gain * begun or step == most - 1:
                     break

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
-from hashlib import blake2b
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -78,9 +77,8 @@ def is_near(problem: LCP, z: Vector) -> bool:
 
 
 def signature(at_lower: BoolVector, at_upper: BoolVector) -> bytes:
-    """Return a short key of an active set, for the detection of cycles."""
-    packed = np.packbits(at_lower).tobytes() + np.packbits(at_upper).tobytes()
-    return blake2b(packed, digest_size=16).digest()
+    """Return a key of an active set, for the detection of cycles."""
+    return np.packbits([at_lower, at_upper]).tobytes()
 
 
 def solve_active_set(

@@ -63,7 +63,12 @@ class NPSplitting(ScaledByRows):
         splitting = self._matrix(problem)
         step = self.row_scaling(problem)
         scaled = sp.diags_array(step) @ (splitting + sp.diags_array(problem.diagonal))
-        factor = self._factorize(scaled + sp.diags_array(np.full(problem.n, 2.0)))
+        try:
+            factor = sparse_lu(scaled + sp.diags_array(np.full(problem.n, 2.0)))
+        except RuntimeError as error:
+            raise UnsuitableMatrix(
+                f'npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting, or algorithm="auto"'
+            ) from error
         entries = max(problem.nonzeros, 1)
         scale = inverse_residual_scale(problem.matrix)
         unit = step_unit(max_norm(problem.q * scale))
@@ -114,14 +119,6 @@ class NPSplitting(ScaledByRows):
             return LCP(self.splitting, np.zeros(problem.n)).csr
         except InvalidProblem as error:
             raise InvalidOption(f"{need}: {error}") from error
-
-    def _factorize(self, matrix: sp.csr_array) -> Any:
-        try:
-            return sparse_lu(matrix)
-        except RuntimeError as error:
-            raise UnsuitableMatrix(
-                f'npsplitting: S(𝓜 + D) + 2I is singular ({error}); choose another splitting, or algorithm="auto"'
-            ) from error
 
 
 @fact

@@ -81,21 +81,14 @@ def first_candidate(problem: LCP, z0: Vector, tolerance: float) -> Any:
     is_warm = z0 is not data.start
     if is_warm and (data.is_at_start.any() or measure(data, z0, tolerance).passes):
         return None
-    label, measured, entries = first_measured(data, z0, tolerance)
-    if not measured.passes or (measured.rows is not None and data.is_at_start.any()):
-        return None
-    rows = measured.rows if problem.matrix.is_dense else None  # of the stored M
-    return measured.z, rows, label, entries / max(problem.matrix.nonzeros, 1)
-
-
-def first_measured(data: RowData, z0: Vector, tolerance: float) -> tuple[str, Measured, float]:
-    """Return the first of :func:`candidates`, measured; without its rows if the sufficient test decides."""
     label, z, entries = next(candidates(data, z0))
-    z = normal(data, z)
-    bound = bound_residual(data, z, tolerance)
-    if bound < math.inf:
-        return label, Measured(z, bound, passes=True), entries
-    return label, measure_finished(data, z, tolerance), entries
+    z, rows = normal(data, z), None
+    if bound_residual(data, z, tolerance) == math.inf:  # the sufficient test does not decide
+        measured = measure_finished(data, z, tolerance)
+        if not measured.passes or data.is_at_start.any():
+            return None
+        z, rows = measured.z, measured.rows if problem.matrix.is_dense else None  # of the stored M
+    return z, rows, label, entries / max(problem.matrix.nonzeros, 1)
 
 
 def first_path_point(problem: LCP, tolerance: float) -> Any:

@@ -441,8 +441,8 @@ def two_norm_bound(at: RowInequality, eigenvalue: EigenvalueBound) -> Vector:
     spread, spread_radius = compensated_product(abs(transpose), width, width * inverse_step)
     size = sum_above(sum_above(np.abs(value), radius), sum_above(spread, spread_radius))
     size = sum_above(size, 4.0 * TINY)  # products may have underflowed
-    several, even = connected_components(problem.matrix), product_above(eigenvalue.scale, size)
-    labels = np.zeros(problem.n, np.int64) if several is None else several.labels
+    labels, even = connected_components(problem.matrix), product_above(eigenvalue.scale, size)
+    labels = np.zeros(problem.n, np.int64) if labels is None else labels
     norm = norms_above(even, labels)[labels]
     bound = product_above(eigenvalue.scale, quotient_above(norm, np.float64(eigenvalue.value)))
     return np.where(np.isnan(bound), np.inf, bound)
@@ -623,7 +623,7 @@ def error_bound(problem: LCP, z: ArrayLike, *, sharp: bool = True) -> ErrorBound
 
 
 def _sharpened(at: RowInequality, y: Vector, family: Family) -> tuple[Vector, NearPoint]:
-    """Return a bound of the error of `at`, and a point nearer to z*; steps go on as long as they lower the bound."""
+    """Return a bound of the error of `at`, and a point nearer to z*; steps follow while they lower the bound."""
     steps, point, near = ActiveSetSteps(at.problem), at, NearPoint(at.high, at.low, y)
     is_large = y.size > CHEAP_UP_TO
     for _ in range(12):  # each takes two digits off the bound, and a third of a linear solve
@@ -704,8 +704,7 @@ def curvature(P: AnyMatrix) -> Curvature:
     if (weights < 0.0).any():
         i = int(weights.argmin())
         return Curvature(np.full(weights.size, -np.inf), f"P[{i}, {i}] = {weights[i]:g}")
-    count, labels = connected_components(rows, directed=False)
-    for block in block_rows(labels, count):
+    for block in block_rows(connected_components(rows, directed=False)[1]):
         part: Any = -np.inf
         if block.size == 1:
             continue

@@ -55,7 +55,6 @@ from ..core.checks import Vector, read_only
 from ..core.errors import UnsuitableMatrix, UnsuitableProblem
 from ..core.kernels.floats import EPSILON, TINY, UNDERFLOW
 from ..core.lcp import LCP
-from ..core.matrix import Matrix, fact
 from ..core.sweep_data import inverse_residual_scale, triangle_sums, unit_triangle_sums
 from ..core.tuning import CHEAP_UP_TO
 from .verdicts import analyze, comparison_certificate, h_plus
@@ -139,7 +138,8 @@ def contraction(facts: IterationFacts, problem: LCP, v: Vector) -> Contraction |
     has_splitting = facts.family == PROJECTED_SPLITTING
     if has_splitting and not facts.is_part_of_matrix:
         return None  # (𝓜 + 2I + D)⁻¹ may be of any signs
-    sums, terms = triangle_sums(problem.matrix, v), longest_row(problem.matrix)
+    sums = triangle_sums(problem.matrix, v)
+    terms = int(np.diff(problem.csr.indptr).max(initial=0))
     if has_splitting:
         all_of_m, taken = np.add(*sums), np.add(*triangle_sums(problem.matrix, v, facts.splitting))
         sums = taken, np.maximum(all_of_m - taken, 0.0) + all_of_m * (terms * EPSILON)
@@ -194,12 +194,6 @@ def gaps(bound: RowBound, v: Vector, sums: tuple[Vector, Vector], terms: int) ->
     usable = (scale > 0.0) & np.isfinite(scale) & (v > 0.0) & np.isfinite(v)
     smallest = smallest - 4.0 * EPSILON * np.abs(smallest)
     return np.where(usable & ~np.isnan(smallest), np.minimum(smallest, 1.0), -np.inf)
-
-
-@fact
-def longest_row(matrix: Matrix) -> int:
-    """Return the largest number of entries in a row."""
-    return int(np.diff(matrix.csr.indptr).max(initial=0))
 
 
 PAPER = "Kumar, Deepmala, Das"
@@ -388,7 +382,10 @@ def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
     theorem = _positive_definite(problem, facts)
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
-    return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=_remedy(problem))
+    remedy = 'no theorem covers this M; algorithm="auto" tries several methods'
+    if h_plus(problem.matrix).value or _is_positive_definite(problem):
+        remedy = 'algorithm="psor" converges on this M'
+    return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=remedy)
 
 
 def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
@@ -442,10 +439,3 @@ def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
     if facts.family == PROJECTED_RELAXATION:
         return "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
     return "M is not proven to be an H₊-matrix"
-
-
-def _remedy(problem: LCP) -> str:
-    """Return the algorithm that has a guarantee on this matrix, or the advice to use auto."""
-    if h_plus(problem.matrix).value or _is_positive_definite(problem):
-        return 'algorithm="psor" converges on this M'
-    return 'no theorem covers this M; algorithm="auto" tries several methods'

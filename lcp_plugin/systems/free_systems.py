@@ -307,7 +307,8 @@ class FreeSystem:
         by = Exponents(*np.zeros((2, self.rows.size), np.int64))
         if self._is_badly_scaled:
             by = equilibrating_exponents(sp.csr_array(self.block), EQUILIBRATING_PASSES)
-        block = scale_matrix(self._dense_block, by)
+        dense = self.block.toarray() if sp.issparse(self.block) else self.block
+        block = scale_matrix(dense, by)
         return block, pseudo_inverses(block[np.newaxis])[0][0], by
 
     @cached_property
@@ -376,10 +377,6 @@ class FreeSystem:
     def _is_badly_scaled(self) -> bool:
         # Residual scales that differ by more are equilibrated before a factorization.
         return bool(self._scale.size and self._scale.max() > 1e4 * self._scale.min())
-
-    @property
-    def _dense_block(self) -> Any:
-        return self.block.toarray() if sp.issparse(self.block) else self.block
 
     @cached_property
     def _sizes(self) -> Any:

@@ -102,10 +102,10 @@ def sum_of_outer(A: sp.csr_array, left: Vector, right: Vector) -> sp.csr_array:
     return with_entries(A, np.einsum("kp,kp->p", left[:, row_numbers(A)], right[:, A.indices]))
 
 
-def block_rows(labels: IntVector, count: int) -> list[IntVector]:
+def block_rows(labels: IntVector) -> list[IntVector]:
     """Return the row numbers of each block, in order of the labels."""
     order = np.argsort(labels, kind="stable")
-    return np.split(order, np.cumsum(np.bincount(labels, minlength=count))[:-1])
+    return np.split(order, np.cumsum(np.bincount(labels))[:-1])
 
 
 @fact

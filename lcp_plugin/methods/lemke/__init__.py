@@ -227,10 +227,10 @@ def _components_that_fit(problem: LCP) -> list[NDArray[np.intp]]:
 
 def rows_of_components(problem: LCP) -> list[NDArray[np.intp]]:
     """Return the rows of each connected component of M, in the order of their first rows."""
-    several = connected_components(problem.matrix)
-    if several is None:
+    labels = connected_components(problem.matrix)
+    if labels is None:
         return [np.arange(problem.n)] if problem.n else []
-    return block_rows(several.labels, several.count)
+    return block_rows(labels)
 
 
 def _is_good(problem: LCP, z: Vector) -> bool:

@@ -134,12 +134,27 @@ def explore(
     problem: LCP, effort: Effort, *, first_only: bool = True
 ) -> Iterator[list[Solution] | NoSolution | None]:
     """Yield None after each case, then the result of `search`; `effort` counts the work."""
-    _require_small(problem)
+    if not isinstance(problem, LCP):
+        raise InvalidProblem(refusal("all_solutions", problem))
+    if not is_searchable(problem):
+        raise UnsuitableProblem(
+            f"the exhaustive search takes at most {LARGEST_CHOICES} rows that leave a choice and n ≤ {MOST_SEARCHED}, "
+            f"got {_choices(problem)} and n = {problem.n}; solve(problem) looks for one solution"
+        )
     explorer = Explorer(problem, effort, first_only=first_only)
     for _ in explorer.run():
         yield None
     if explorer.faces:
-        yield [_solution(problem, face) for face in _maximal(explorer.faces)]
+        yield [
+            Solution(
+                tuple(face.point),
+                tuple(exact_slack(problem, face.point)),
+                face.pattern,
+                face.dimension,
+                problem,
+            )
+            for face in _maximal(explorer.faces)
+        ]
     elif not first_only:
         # A search for all solutions skips pieces contained in others; the proof must not.
         yield from explore(problem, effort)
@@ -208,16 +223,6 @@ def _maximal(faces: Sequence[Face]) -> list[Face]:
     return sorted(kept, key=lambda face: (face.point, face.pattern))
 
 
-def _solution(problem: LCP, face: Face) -> Solution:
-    return Solution(
-        tuple(face.point),
-        tuple(exact_slack(problem, face.point)),
-        face.pattern,
-        face.dimension,
-        problem,
-    )
-
-
 def _in_doubles(values: Sequence[Fraction], name: str) -> Vector:
     """Return the values rounded one by one; raise an error that names the first value beyond the largest double."""
     rounded = np.zeros(len(values))
@@ -250,16 +255,6 @@ def _choices(problem: LCP) -> int:
     """Return the number of rows with more than one branch."""
     is_free = unbounded(problem.lower, problem.upper)
     return int(np.count_nonzero(~is_free & (problem.lower < problem.upper)))
-
-
-def _require_small(problem: LCP) -> None:
-    if not isinstance(problem, LCP):
-        raise InvalidProblem(refusal("all_solutions", problem))
-    if not is_searchable(problem):
-        raise UnsuitableProblem(
-            f"the exhaustive search takes at most {LARGEST_CHOICES} rows that leave a choice and n ≤ {MOST_SEARCHED}, "
-            f"got {_choices(problem)} and n = {problem.n}; solve(problem) looks for one solution"
-        )
 
 
 MOST_PRODUCTS = 300 * QUANTUM  # some seconds

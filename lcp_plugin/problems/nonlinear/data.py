@@ -499,8 +499,7 @@ def components_of_pattern(problem: NonlinearProblem, M: AnyMatrix) -> Any:
     else:
         key = M.indptr.tobytes() + M.indices.tobytes()
     if key != problem._components[0]:
-        components = connected_components(Matrix(M))
-        problem._components = key, None if components is None else components.labels
+        problem._components = key, connected_components(Matrix(M))
     return problem._components[1]
 
 

@@ -278,10 +278,6 @@ class KrylovCorrection:
         self._sum = np.zeros(residual.size)
         self.directions: list[tuple[Vector, Vector, float]] = []
 
-    def apply_within(self, origin: Vector, lower: Vector, upper: Vector, z: Vector) -> None:
-        """Overwrite z by mid(lower, upper, origin + c)."""
-        np.clip(origin + self.solution, lower, upper, out=z)
-
     @property
     def solution(self) -> Vector:
         """The approximate c, shape (n,)."""

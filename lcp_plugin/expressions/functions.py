@@ -85,9 +85,7 @@ ATAN = Function("atan", 1, np.arctan, lambda u: (1.0 / (1.0 + u**2),))
 ASINH = Function("asinh", 1, np.arcsinh, lambda u: (1.0 / np.hypot(1.0, u),))
 ACOSH = Function("acosh", 1, np.arccosh, lambda u: (1.0 / np.sqrt((u - 1.0) * (u + 1.0)),))
 ATANH = Function("atanh", 1, np.arctanh, lambda u: (1.0 / ((1.0 - u) * (1.0 + u)),))
-FUNCTIONS = {
-    function.name: function for function in [*globals().values()] if isinstance(function, Function)
-}
+FUNCTIONS = {item.name: item for item in [*globals().values()] if isinstance(item, Function)}
 
 
 def _named(name: str) -> Function:

@@ -121,10 +121,14 @@ class Rows:
         return self.applied(operator, shape)
 
 
+def entry_numbers(shape: tuple[int, ...]) -> Indices:
+    """Return an array of a shape that holds the numbers of its entries, column by column."""
+    return np.arange(math.prod(shape)).reshape(shape, order="F")
+
+
 def entries_behind(shape: tuple[int, ...], source: tuple[int, ...]) -> Indices:
     """Return the number of the source's entry that each entry is after broadcasting to a shape."""
-    numbers = np.arange(math.prod(source)).reshape(source, order="F")
-    return np.broadcast_to(numbers, shape).ravel(order="F")
+    return np.broadcast_to(entry_numbers(source), shape).ravel(order="F")
 
 
 def added(parts: Iterable[Any], shape: tuple[int, ...]) -> Rows:
@@ -159,14 +163,9 @@ def stacked(parts: Sequence[Rows]) -> Rows:
 def _placed(parts: list[tuple[sp.csr_array, int, int]], shape: tuple[int, int]) -> sp.csr_array:
     """Return the sum of matrices, each with its first row and column in the sum."""
     if len(parts) == 1 and parts[0][0].shape[0] == shape[0]:
-        matrix, _, column = parts[0]
-        return sp.csr_array(
-            (matrix.data, matrix.indices + column, matrix.indptr), shape=shape, copy=True
-        )
-    entries = [
-        (matrix.data, row + row_numbers(matrix), column + matrix.indices)
-        for matrix, row, column in parts
-    ]
+        A, _, column = parts[0]
+        return sp.csr_array((A.data, A.indices + column, A.indptr), shape=shape, copy=True)
+    entries = [(A.data, row + row_numbers(A), column + A.indices) for A, row, column in parts]
     nothing = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     data, rows, columns = map(np.concatenate, zip(nothing, *entries, strict=True))
     return sp.csr_array((data, (rows, columns)), shape=shape)
@@ -204,9 +203,8 @@ def as_matrix(block: Block, size: int) -> sp.csr_array:
     """Return a block of that many rows as CSR."""
     if not isinstance(block, float):
         return block
-    return sp.csr_array(
-        (np.full(size, block), np.arange(size), np.arange(size + 1)), shape=(size, size)
-    )
+    entries = np.full(size, block), np.arange(size), np.arange(size + 1)
+    return sp.csr_array(entries, shape=(size, size))
 
 
 def uniform(value: Any) -> Any:
@@ -320,9 +318,7 @@ def _meeting(left: tuple[int, ...], right: tuple[int, ...]) -> tuple[Indices, In
     second = (*right, 1) if len(right) == 1 else right
     batch = np.broadcast_shapes(first[:-2], second[:-2])
     entry = (*batch, first[-2], second[-1])
-    at_left, at_right, target = (
-        np.arange(math.prod(shape)).reshape(shape, order="F") for shape in (first, second, entry)
-    )
+    at_left, at_right, target = map(entry_numbers, (first, second, entry))
     both = np.broadcast_arrays(
         at_left[..., np.newaxis], at_right[..., np.newaxis, :, :], target[..., np.newaxis, :]
     )
@@ -439,11 +435,6 @@ class Program:
             combinations = tuple(_combination(rows, numbers, count) for rows in both)
             levels.append(Level(combinations, _spans(level_groups)))
         return cls(n, levels, _combination(results, numbers, count))
-
-    @property
-    def size(self) -> int:
-        """The number of results."""
-        return int(self.result.offset.size)
 
     def rearranged(self, places: Indices, signs: Vector) -> Program:
         """Return the program whose result k is signs[k] times the result places[k] of this one."""

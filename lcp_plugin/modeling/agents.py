@@ -450,10 +450,8 @@ class Convexity:
             rows = self.model.reader.rows(term).spread(shape)
         except UnsupportedModel:
             return None
-        numbers = np.arange(rows.size)[:, np.newaxis]
-        quadratics: list[Any] = [
-            self.model.statement.quadratic(rows.taken(number)) for number in numbers
-        ]
+        parts = [rows.taken(number) for number in np.arange(rows.size)[:, np.newaxis]]
+        quadratics: list[Any] = list(map(self.model.statement.quadratic, parts))
         return None if None in quadratics else [P[columns][:, columns] for P, *_ in quadratics]
 
 

@@ -255,7 +255,7 @@ class Model:
         for variable in self.variables:
             span = self.spans[variable.id]
             for end, bound in zip(self.declared, compat.attribute_bounds(variable), strict=True):
-                end[span] = np.ravel(np.broadcast_to(bound, variable.shape), order="F")
+                end[span] = compat.by_columns(np.broadcast_to(bound, variable.shape))
             if variable.attributes.get("bounds") is not None:
                 ends = compat.attribute_expressions(variable)
                 self.bounds.append((np.arange(size)[span], 1.0, None, *ends))
@@ -325,7 +325,7 @@ class Model:
                 ends = [weights * end[columns] for end in self.declared]
                 low, high = np.minimum(*ends), np.maximum(*ends)
             else:
-                low, high = (np.ravel(bound, order="F") for bound in side.bounds())
+                low, high = map(compat.by_columns, side.bounds())
             self._known[key] = ReadSide(rows, columns, weights, shift, low, high)
         return self._known[key]
 

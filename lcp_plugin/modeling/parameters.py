@@ -85,9 +85,7 @@ class ParametricRows:
         }
 
     def _vector(self, values: Changes) -> Vector:
-        parts = [
-            values.get(key, np.zeros(parameter.size)) for key, parameter in self._parameters.items()
-        ]
+        parts = [values.get(key, np.zeros(p.size)) for key, p in self._parameters.items()]
         return np.concatenate([*map(by_columns, parts), np.zeros(0)])
 
     @staticmethod
@@ -116,10 +114,8 @@ class ModelDerivative:
         self._model, self._result, self._parameters = model, result, parameters
 
     def __repr__(self) -> str:
-        parameters = ", ".join(parameter.name() for parameter in self._parameters)
-        return (
-            f"ModelDerivative({len(self._model.variables)} variables by {parameters or 'nothing'})"
-        )
+        names = ", ".join(parameter.name() for parameter in self._parameters) or "nothing"
+        return f"ModelDerivative({len(self._model.variables)} variables by {names})"
 
     @property
     def is_unique(self) -> bool | None:
@@ -432,9 +428,8 @@ class ModelPath(Path):
             raise UnsupportedModel(
                 f"{name_of(variable)} is not a variable of the problem; pass one of its variables"
             )
-        return np.reshape(
-            [values[variable.id] for values in points], (*np.shape(theta), *variable.shape)
-        )
+        shape = (*np.shape(theta), *variable.shape)
+        return np.reshape([values[variable.id] for values in points], shape)
 
     def _values(self, theta: float) -> dict[int, Any]:
         with moved_to(self._lines, theta):
@@ -463,10 +458,7 @@ def parameter_lines(problem: cp.Problem, along: object) -> Lines:
                 f"{name_of(lacking[0])} has no value, to which the direction is added; give it one"
             )
         steps = {p: np.broadcast_to(np.asarray(step, float), p.shape) for p, step in along.items()}
-        lines = {
-            parameter: (np.array(leaf_value(parameter), float), step)
-            for parameter, step in steps.items()
-        }
+        lines = {p: (np.array(leaf_value(p), float), step) for p, step in steps.items()}
     else:
         raise InvalidOption(
             f"along of a cvxpy problem is a Parameter, or {{parameter: direction}}, got {along!r}"

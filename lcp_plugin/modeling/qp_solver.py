@@ -25,7 +25,7 @@ from cvxpy.reductions.solvers.qp_solvers.qp_solver import QpSolver
 from ..core.checks import Vector
 from ..core.errors import InvalidProblem, UnsupportedModel
 from ..core.names import Names
-from ..expressions.rows import Indices
+from ..expressions.rows import Indices, entry_numbers
 from ..problems.programs.certification import Certification, certify
 from ..problems.programs.no_minimum import QPInfeasibility
 from ..problems.programs.program import QuadraticProgram
@@ -158,10 +158,7 @@ def quadratic_program(data: Any, cache: Any) -> QuadraticProgram:
     ]
     q, g, b = data[settings.Q], data[settings.G], data[settings.B]
     constant = float(data[settings.OFFSET])
-    key = [
-        [matrix.indptr.tobytes(), matrix.indices.tobytes(), matrix.data.tobytes()]
-        for matrix in matrices
-    ]
+    key = [[array.tobytes() for array in (M.indptr, M.indices, M.data)] for M in matrices]
     kept, before = cache.get(PROGRAM, ([], None))
     if key == kept:
         return before.with_vectors(q, g, b, constant=constant)
@@ -196,14 +193,14 @@ class Entries(NamedTuple):
 
         cvxpy's own inversion would project the numbers onto the variable's bounds.
         """
-        numbers = 1.0 + np.arange(variable.size).reshape(variable.shape, order="F")
+        numbers = 1.0 + entry_numbers(variable.shape)
         leaf = variable
         for reduction, known in zip(chain.reductions, inverse, strict=False):
             if isinstance(known, tuple) and known and isinstance(known[0], dict):
                 # CvxAttr2Constr's variable instead of one with attributes.
                 leaf = known[0].get(variable.id, leaf)
                 if variable.id in known[0] and leaf.size != variable.size:
-                    counted = {leaf.id: 1.0 + np.arange(leaf.size).reshape(leaf.shape, order="F")}
+                    counted = {leaf.id: 1.0 + entry_numbers(leaf.shape)}
                     reduced = Solution(settings.OPTIMAL, 0.0, counted, {}, {})
                     numbers = reduction.invert(reduced, known).primal_vars[variable.id]
         if leaf.id not in columns and variable.size:
@@ -254,10 +251,7 @@ class CompiledProblem:
         except (SolverError, DCPError) as error:
             raise UnsupportedModel(str(error)) from error
         columns = data[settings.PARAM_PROB].var_id_to_col
-        entries = {
-            variable.id: Entries.of(variable, columns, chain, inverse)
-            for variable in problem.variables()
-        }
+        entries = {v.id: Entries.of(v, columns, chain, inverse) for v in problem.variables()}
         program = quadratic_program(data, {}).replaced(names=_names_of(problem, data, entries))
         if is_folded:
             program = program.folded.reduced.replaced(constant=program.constant)
@@ -311,12 +305,8 @@ def _unknown_name(places: list[tuple[Any, Indices]], column: int) -> str:
     return ""
 
 
-CLAIMED = {
-    settings.INFEASIBLE: "infeasible",
-    settings.INFEASIBLE_INACCURATE: "infeasible",
-    settings.UNBOUNDED: "unbounded",
-    settings.UNBOUNDED_INACCURATE: "unbounded",
-}
+CLAIMED = dict.fromkeys((settings.INFEASIBLE, settings.INFEASIBLE_INACCURATE), "infeasible")
+CLAIMED |= dict.fromkeys((settings.UNBOUNDED, settings.UNBOUNDED_INACCURATE), "unbounded")
 
 
 def certify_problem(problem: cp.Problem, tolerance: float) -> Certification:

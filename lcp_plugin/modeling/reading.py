@@ -30,7 +30,16 @@ from cvxpy.expressions.expression import Expression
 from ..core.errors import UnsupportedModel
 from ..expressions import functions
 from ..expressions.functions import SAME, Function
-from ..expressions.rows import Compiler, Indices, Rows, added, as_matrix, entries_behind, stacked
+from ..expressions.rows import (
+    Compiler,
+    Indices,
+    Rows,
+    added,
+    as_matrix,
+    entries_behind,
+    entry_numbers,
+    stacked,
+)
 from . import _compat as atoms
 from ._compat import name_of, postorder
 
@@ -75,13 +84,11 @@ def linearised(node: cp.Expression, arguments: list[Any], values: list[Any]) -> 
 
 def _by_jacobian(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Rows:
     """Return the tangent of an affine atom, which is the atom, at the offsets of its arguments."""
-    offsets = [
-        argument.offset.reshape(argument.shape, order="F")
-        if isinstance(argument, Rows)
-        else argument
-        for argument in arguments
+    values = [
+        part.offset.reshape(part.shape, order="F") if isinstance(part, Rows) else atoms.dense(part)
+        for part in arguments
     ]
-    return linearised(node, arguments, list(map(atoms.dense, offsets)))
+    return linearised(node, arguments, values)
 
 
 def _own_jacobian(node: cp.Expression, k: int, values: list[Any]) -> sp.csr_array:
@@ -129,10 +136,8 @@ def _gathered(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> 
         return replace(parts[0], shape=node.shape)
     ends = np.cumsum([part.size for part in parts])
     # 0 stands for an entry of nothing: padding.
-    numbers = [
-        np.arange(end - part.size + 1.0, end + 1.0).reshape(part.shape, order="F")
-        for part, end in zip(parts, ends, strict=True)
-    ]
+    starts = [1.0, *(ends[:-1] + 1.0)]
+    numbers = [entry_numbers(part.shape) + start for part, start in zip(parts, starts, strict=True)]
     moved = atoms.dense(atoms.constant_numeric(node, numbers))
     return stacked(parts).taken(moved.ravel(order="F").astype(np.int64) - 1, node.shape)
 
@@ -158,9 +163,7 @@ AFFINE: dict[tuple[Any, ...], Rule] = {
 
 def _axes(node: cp.Expression) -> list[int]:
     count, axis = len(node.args[0].shape), getattr(node, "axis", None)
-    return (
-        list(range(count)) if axis is None else [number % count for number in np.atleast_1d(axis)]
-    )
+    return [k % count for k in (range(count) if axis is None else np.atleast_1d(axis).tolist())]
 
 
 def _elementary(function: Function) -> Rule:
@@ -189,9 +192,7 @@ def _power(compiler: Compiler, node: cp.Expression, arguments: list[Any]) -> Row
 def _reduced(node: cp.Expression) -> Indices:
     """Return the entries of each result, along the node's axis: shape (entries, results)."""
     shape, axes = node.args[0].shape, _axes(node)
-    moved = np.moveaxis(
-        np.arange(math.prod(shape)).reshape(shape, order="F"), axes, range(len(axes))
-    )
+    moved = np.moveaxis(entry_numbers(shape), axes, range(len(axes)))
     return moved.reshape((math.prod(shape[axis] for axis in axes), -1), order="F")
 
 

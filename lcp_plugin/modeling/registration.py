@@ -266,16 +266,10 @@ def _has_cones(problem: cp.Problem) -> bool:
 def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:
     """Solve a quadratic program."""
     names = NamesOnDemand(problem)
+    options |= {"solver": QPSolver, "warm_start": warm_start, "verbose": verbose}
+    options |= {"sense": sense_of(problem), "names": Names(names.row, names.unknown)}
     try:
-        return cp.Problem._solve(
-            problem,
-            solver=QPSolver,
-            warm_start=warm_start,
-            verbose=verbose,
-            sense=sense_of(problem),
-            names=Names(names.row, names.unknown),
-            **options,
-        )
+        return cp.Problem._solve(problem, **options)
     except DCPError as error:
         if problem.objective.args[0].is_quadratic():
             raise DCPError(f"{error}\n{NOT_BY_RULES}") from error

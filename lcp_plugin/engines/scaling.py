@@ -72,15 +72,11 @@ class ScaledProgram(NamedTuple):
 
 def scale_program(program: ProgramData, units: Vector) -> ScaledProgram:
     """Return the scaled program: x in these units, largest coefficient of each row from 1 to 2, costs about 1."""
-    sizes = (
-        largest_in_rows(product)
-        for product in (scale_by(A, np.ones(A.shape[0]), units) for A in (program.G, program.A))
-    )
-    rows = 1.0 / _power_below(np.concatenate(list(sizes)))
+    scaled = [scale_by(A, np.ones(A.shape[0]), units) for A in (program.G, program.A)]
+    rows = 1.0 / _power_below(np.concatenate([largest_in_rows(A) for A in scaled]))
     costs = np.append(np.abs(program.c * units), largest_in_rows(scale_by(program.P, units, units)))
-    return ScaledProgram.from_units(
-        program, units, rows, float(1.0 / _power_below(costs.max(initial=0.0)))
-    )
+    objective = float(1.0 / _power_below(costs.max(initial=0.0)))
+    return ScaledProgram.from_units(program, units, rows, objective)
 
 
 def _power_below(sizes: Array) -> Any:

@@ -286,11 +286,9 @@ class Progress:
         records: list[StageRecord] = []
         for stage in self.stages:
             parts = stage.parts or [(stage.algorithm.name, stage.iterations, stage.work)]
-            becauses = [stage.because, *[""] * (len(parts) - 1)]
-            records += [
-                StageRecord(name, because, iterations, work)
-                for because, (name, iterations, work) in zip(becauses, parts, strict=True)
-            ]
+            first = len(records)
+            records += [StageRecord(name, "", steps, work) for name, steps, work in parts]
+            records[first] = records[first]._replace(because=stage.because)
             records[-1] = records[-1]._replace(remark=stage.remark)
         return tuple(records)
 

@@ -85,7 +85,7 @@ class Constraints:
         The largest right-hand side takes the place of coefficients in a row that has none. An inconsistency at rounding
         level, relative to all unscaled coefficients, is attributed to rounded data.
         """
-        limits = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
+        limits = self._limit_sizes
         inverse = largest_in_rows(self.matrix, 1.0 / np.abs(self.matrix.data))
         has_entry, largest = inverse > 0.0, float(limits[: self.rows].max(initial=0.0))
         smallest = np.divide(1.0, inverse, where=has_entry, out=np.full(inverse.size, largest))
@@ -100,8 +100,11 @@ class Constraints:
     @cached_property
     def unit(self) -> Vector:
         """Largest |coefficient| of each row plus its |right-hand side|: weight in searches for a certificate."""
-        right = np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
-        return self.coefficient_sizes + right
+        return self.coefficient_sizes + self._limit_sizes
+
+    @property
+    def _limit_sizes(self) -> Vector:
+        return np.where(np.isfinite(self.limit), np.abs(self.limit), 0.0)
 
     @cached_property
     def as_rows(self) -> LinearConstraints:

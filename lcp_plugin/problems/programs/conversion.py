@@ -105,10 +105,8 @@ def condition_vectors(c: Any, h: Any, b: Any, lower: Any, upper: Any) -> tuple[A
     is_limit = np.isfinite(h)
     q = np.concatenate([c, np.where(is_limit, h, 0.0), b], axis=-1)
     below = np.concatenate([lower, np.zeros(h.shape), np.full(b.shape, -np.inf)], axis=-1)
-    above = np.concatenate(
-        [upper, np.where(is_limit, np.inf, 0.0), np.full(b.shape, np.inf)], axis=-1
-    )
-    return q, below, above
+    ends = [upper, np.where(is_limit, np.inf, 0.0), np.full(b.shape, np.inf)]
+    return q, below, np.concatenate(ends, axis=-1)
 
 
 def qp_from_lcp(problem: LCP) -> QuadraticProgram:
@@ -282,9 +280,7 @@ class QPOrigin:
             elif status is Status.SOLVED or status in PROVEN:
                 is_near = errors.nearly_meet(tolerance)
                 status = Status.PRECISION_LIMIT if is_near else Status.STALLED
-        begun = "solve(problem.origin.program) solves the program itself"
-        begun = "" if status is Status.SOLVED or self.F is not None else begun
         fields = {name: getattr(answer, name, none) for name, none in UNKNOWN_RUN.items()}
-        return QuadraticProgramResult(
-            solution, proof, status=status, tolerance=tolerance, begun=begun, **fields
-        )
+        if status is not Status.SOLVED and self.F is None:
+            fields["begun"] = "solve(problem.origin.program) solves the program itself"
+        return QuadraticProgramResult(solution, proof, status=status, tolerance=tolerance, **fields)

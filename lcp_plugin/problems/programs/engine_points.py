@@ -234,11 +234,11 @@ def _without_noise(values: Vector) -> Vector:
 
 def _statements(reduced: QuadraticProgram, scale: Scaling) -> Iterator[scaling.ScaledProgram]:
     """Yield the program as scaled for an attempt; first without very large right-hand sides, if it has some."""
-    (P, G, A), one = reduced.matrices.arrays, reduced
-    stated = ProgramData(P, one.c, G, one.h, A, one.b, one.lower, one.upper)
+    (P, G, A), bounds = reduced.matrices.arrays, (reduced.lower, reduced.upper)
+    stated = ProgramData(P, reduced.c, G, reduced.h, A, reduced.b, *bounds)
     allowed = scaling.without_forbidden(stated)
     for data in (stated,) if allowed is stated else (allowed, stated):
-        yield from scale(data, one.matrices)
+        yield from scale(data, reduced.matrices)
 
 
 def _check_options(engine: Engine) -> None:

@@ -611,28 +611,27 @@ def _points_inside(program: QuadraticProgram, unit: Vector) -> tuple[Fractions, 
     limit, finite = constraints.limit, constraints.finite
     is_row, is_equality = np.arange(limit.size) < constraints.rows, constraints.is_equality
     matrix = constraints.matrix @ sp.diags_array(unit)
-    sides = sp.hstack(
-        [matrix, np.where(is_row & np.isfinite(limit), limit, 0.0)[:, None]], format="csr"
-    )
+    right = np.where(is_row & np.isfinite(limit), limit, 0.0)
+    sides = sp.hstack([matrix, right[:, None]], format="csr")
     exponents = equilibrating_exponents(sides, (1.0,), 900).row  # largest entries near 1
-    scale = np.where(
-        is_row,
-        np.ldexp(1.0, exponents),
-        1.0 / np.concatenate([np.ones(constraints.rows), unit, unit]),
-    )
+    of_rows = np.ldexp(1.0, exponents[: constraints.rows])
+    scale = np.concatenate([of_rows, 1.0 / unit, 1.0 / unit])
     equal, most = finite[is_equality[finite]], finite[~is_equality[finite]]
-    is_fixed = np.tile(program.lower == program.upper, 2)
-    margin = ~np.concatenate([np.zeros(constraints.rows, dtype=bool), is_fixed])
+    is_fixed = np.append(
+        is_equality[: constraints.rows], np.tile(program.lower == program.upper, 2)
+    )
 
-    def scaled(rows: NDArray[np.intp], inside: Any) -> Any:
+    def scaled(rows: NDArray[np.intp]) -> Any:
+        """Return the scaled rows, with the column of the slack."""
+        inside = np.where(is_fixed[rows], 0.0, 1.0)
         return sp.hstack([sp.diags_array(scale[rows]) @ matrix[rows], inside[:, None]])
 
     answer = farkas.linear_program(
         np.append(np.zeros(n), -1.0),
-        scaled(equal, np.zeros(equal.size)),
+        scaled(equal),
         (scale * limit)[equal],
         np.repeat([[-np.inf, 0.0], [np.inf, 1.0]], [n, 1], axis=1),
-        (scaled(most, margin[most].astype(np.float64)), (scale * limit)[most]),
+        (scaled(most), (scale * limit)[most]),
     )
     if answer is None:
         return ()

@@ -485,31 +485,25 @@ class FoldedRows:
         stays = ~(holds & (matrices.counts == 0) | (right == np.inf))
         stays[rows[~contradicts[columns]]] = False
         left = np.flatnonzero(stays)
-        folded = program
+        folded, m = program, program.h.size
         if left.size < right.size:
-            folded = program.with_matrices(
-                matrices.of_rows(left),
-                program.c,
-                program.h[left[left < program.h.size]],
-                right[left[left >= program.h.size]],
-                lower,
-                upper,
-            )
+            h, b = right[left[left < m]], right[left[left >= m]]
+            kept = matrices.of_rows(left)
+            folded = program.with_matrices(kept, program.c, h, b, lower, upper)
         return cls(program, folded, left, lower_row, upper_row, coefficient)
 
     def multipliers(self, reduced: Any) -> Any:
         """Return the multipliers of all constraints, doubles or Fractions; rows get the multipliers of their bounds."""
         if self.reduced is self.program:
             return reduced
-        rows, *bounds = np.split(reduced, [self.left.size, self.left.size + self.program.n])
+        of_rows, *bounds = np.split(reduced, [self.left.size, self.left.size + self.program.n])
         every = np.zeros(self.coefficient.size, dtype=reduced.dtype)
-        every[self.left] = rows
+        every[self.left] = of_rows
         of_bounds = []
         for owner, share, sign in ((self.lower_row, bounds[0], -1), (self.upper_row, bounds[1], 1)):
             moved = np.flatnonzero((owner != NO_ROW) & (share != 0))
-            every[owner[moved]] += (
-                sign * share[moved] / like(self.coefficient[owner[moved]], reduced)
-            )
+            rows = owner[moved]
+            every[rows] += sign * share[moved] / like(self.coefficient[rows], reduced)
             of_bounds.append(np.where(owner == NO_ROW, share, 0))
         return np.concatenate([every, *of_bounds])
 

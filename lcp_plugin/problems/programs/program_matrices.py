@@ -112,9 +112,8 @@ class ProgramMatrices:
     def _equilibrate(self, units: Vector, rows: Vector, passes: int) -> tuple[Vector, Vector]:
         of_P, of_C, of_columns = self.terms.measured[2:]
         for _ in range(passes):
-            most = units * np.maximum(
-                largest_products(of_P, units), largest_products(of_columns, rows)
-            )
+            in_P, in_C = largest_products(of_P, units), largest_products(of_columns, rows)
+            most = units * np.maximum(in_P, in_C)
             units, rows = units / roots(most), rows / roots(rows * largest_products(of_C, units))
         return units, rows
 

@@ -51,9 +51,7 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     is_residual = (d > 0.0) & (in_A == 1) & (in_G == 0) & (c == 0.0) & is_free
     is_size = (d == 0.0) & (in_A == 0) & (in_G == 2) & (c > 0.0) & is_free
     columns = np.flatnonzero(~(is_residual | is_size))
-    of_residuals, at = (
-        np.flatnonzero(mask[matrix.indices]) for mask, matrix in ((is_residual, A), (is_size, G))
-    )
+    of_residuals, at = np.flatnonzero(is_residual[A.indices]), np.flatnonzero(is_size[G.indices])
     if (
         not columns.size
         or (not at.size and program.matrices.is_small)  # daqp is as quick
@@ -87,10 +85,9 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
         return None
     bounds = program.lower[columns], program.upper[columns]
     penalties: dict[str, Any] = {"ridge": d[columns[0]] / unit, "l1": l1[columns] / unit}
+    penalties["weights"] = None if is_even else weights
     try:
-        problem = BoundedLeastSquares(
-            rows, b, *bounds, weights=None if is_even else weights, **penalties
-        )
+        problem = BoundedLeastSquares(rows, b, *bounds, **penalties)
     except LCPError:  # squares are out of the range of doubles
         return None
 

@@ -173,8 +173,8 @@ class Contacts:
     @property
     def lower(self) -> FloatArray:
         """Lower bounds of the unknowns, −∞ of the impulses of equations."""
-        of_contacts = np.zeros(self.friction.size * (len(self.edges) + 2))
-        return np.append(of_contacts, np.full(self.equations.size, -np.inf))
+        count = self.friction.size * (len(self.edges) + 2)
+        return np.repeat([0.0, -np.inf], [count, self.equations.size])
 
     def recover(self, answer: Any) -> ContactMotion:
         """Return the impulses and velocities that an answer of the complementarity problem stands for.
@@ -197,21 +197,18 @@ class Contacts:
             raise InvalidProblem(f"{need}, got {z.shape}")
         contacts = np.column_stack([z[:k], z[k : k * (1 + m)].reshape(k, m) @ self.edges])
         impulses = np.append(contacts, z[n - p :])
-        b, bodies = self._velocities_of(answer), self.bodies
-        is_same = b is self.velocities
-        b = np.append(b, self.equations) if is_same else b
-        after = bodies.velocities_after(impulses) if bodies is not None and is_same else None
+        b, after = np.append(self.velocities, self.equations), None
+        if (
+            isinstance(answer, Result)
+            and (problem := answer.certificate.problem).origin is not self
+        ):
+            edges = problem.q[k : k * (1 + m)].reshape(k, m)
+            tangential = edges @ np.linalg.pinv(self.edges).T
+            contacts = np.column_stack([problem.q[:k] - self.closing, tangential])
+            b = np.append(contacts, problem.q[n - p :])
+        elif self.bodies is not None:
+            after = self.bodies.velocities_after(impulses)
         return motion_of(impulses, self.W @ impulses + b, b, 1 + t, p, after)
-
-    def _velocities_of(self, answer: Any) -> FloatArray:
-        """Return the velocities without impulses, of the problem that a Result answers where that has another q."""
-        problem = answer.certificate.problem if isinstance(answer, Result) else None
-        if problem is None or problem.origin is self:
-            return self.velocities
-        k, q, along_edges = self.friction.size, problem.q, np.linalg.pinv(self.edges)
-        tangential = q[k : k * (1 + len(self.edges))].reshape(k, -1) @ along_edges.T
-        contacts = np.column_stack([q[:k] - self.closing, tangential])
-        return np.append(contacts, q[q.size - self.equations.size :])
 
 
 def contact_data(

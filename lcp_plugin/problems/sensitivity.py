@@ -135,10 +135,7 @@ class BatchPart(LinearizedSystem):
 
     def gradients(self, g: Array, by_w: Array) -> list[Any]:
         """Return the gradients by q, lower and upper, of least norm if blocks are singular."""
-        g, by_w = np.broadcast_to(g, self.free.shape), np.where(self.free, 0.0, by_w)
-        by_q, by_bound, _ = self.adjoint(g, by_w)
-        of_sides = (self.is_upper != side for side in (False, True))
-        return [by_q, *(np.where(self.free | other, 0.0, by_bound) for other in of_sides)]
+        return gradients_by_data(self, g, by_w, self.free, self.is_upper)
 
     def _product(self, x: Array, *, transposed: bool = False) -> Any:
         return products(self.group.M.swapaxes(1, 2) if transposed else self.group.M, x)
@@ -148,6 +145,15 @@ class BatchPart(LinearizedSystem):
         if not transposed:
             x[self.blocks.is_singular] = np.nan
         return x
+
+
+def gradients_by_data(
+    system: LinearizedSystem, g: Array, by_w: Array, free: Array, is_upper: Array
+) -> list[Any]:
+    """Return the gradients by q, lower and upper of a function with the gradients g by z and by_w by w."""
+    # w stays 0 in free rows, and its part would cancel only up to rounding
+    by_q, by_bound, _ = system.adjoint(g, np.where(free, 0.0, by_w))
+    return [by_q, *(np.where(free | (is_upper != side), 0.0, by_bound) for side in (False, True))]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -300,14 +306,12 @@ class ManyDerivatives:
         there = {name: self._is_there(name) for name in changes}
         dz = np.full(changes["dq"].shape, np.nan)
 
-        def changes_of(part: Any) -> Any:
-            return part.changes(*(rows[part.items] for rows in changes.values()))
-
-        def change_of(k: int) -> Any:
+        def alone(k: int) -> Any:
             of_item = {name: rows[k, there[name][k]] for name, rows in changes.items()}
             return [self[k].jvp(**of_item)]
 
-        self._fill([dz], changes_of, change_of)
+        tables = changes.values()
+        self._fill([dz], lambda part: part.changes(*(rows[part.items] for rows in tables)), alone)
         return dz
 
     def vjp(self, g: Any, gw: Any = None) -> BatchGradient:
@@ -345,10 +349,7 @@ class ManyDerivatives:
             gradient = self[k].vjp(by_z[k, there[k]], by_w[k, there[k]])  # its M comes later
             return [getattr(gradient, name) for name in self.names]
 
-        def of_part(part: Any) -> Any:
-            return part.gradients(by_z[part.items], by_w[part.items])
-
-        self._fill(tables, of_part, alone)
+        self._fill(tables, lambda part: part.gradients(by_z[part.items], by_w[part.items]), alone)
         weights = [rows for rows in (g, gw) if rows is not None]
         does_depend = sum(np.any(rows, axis=-1) for rows in weights) + np.zeros(len(self))
         for table in tables:
@@ -364,9 +365,10 @@ class ManyDerivatives:
     def _checked(self, values: object, name: str, is_there: Any) -> Any:
         """Return an array like `is_there`, 0 for absent entries; one row applies to all."""
         shape, row_shape = is_there.shape, is_there.shape[1:]
-        letters = {"dM": "n, n", "dfriction": "k"}.get(name, "n")
-        row_need = f"({letters})" if len(row_shape) > 1 else f"({letters},)"
-        need = f"{name} must have shape (B, {letters}) or {row_need}, here {shape} or {row_shape}"
+        row = {"dM": "n, n", "dfriction": "k,"}.get(name, "n,")
+        need = (
+            f"{name} must have shape (B, {row.strip(',')}) or ({row}), here {shape} or {row_shape}"
+        )
         array = checks.real_array(values, need)
         if array.shape not in (shape, row_shape, () if name in NUMBERS else row_shape):
             raise InvalidProblem(f"{need}, got shape {array.shape}")
@@ -1068,12 +1070,8 @@ class Derivative(LinearizedSystem):
         """
         problem, n = self.problem, self.problem.n
         g, by_w = checks.checked_vector(g, "g", n), checks.change_of_vector(gw, "gw", n)
-        rows, free = self._rows, self.free
-        # w stays 0 in free rows, and its part would cancel only up to rounding
-        by_w = np.where(free, 0.0, by_w)
-        by_q, by_bound, _ = self.adjoint(g, by_w)
-        is_side = (free | (rows.is_upper != is_upper) for is_upper in (False, True))
-        lower, upper = (np.where(is_other, 0.0, by_bound) for is_other in is_side)
+        sides = self.free, self._rows.is_upper
+        by_q, lower, upper = gradients_by_data(self, g, by_w, *sides)
         return Gradient(by_q, lower, upper, outer_on_pattern(problem.matrix, by_q, self.z))
 
     def _change(self, dM: AnyMatrix, dq: ArrayLike | None) -> Vector:

@@ -374,7 +374,7 @@ class Model:
         number = self.numbers.get(pair.id)
         name = partial(compat.row_of, other.expression, constraint=pair, number=number)
         rows, origin = self.read(other).rows, other.expression
-        self.statement.complement(columns, rows, low, high, sign, origin, name)
+        self.statement.complement(columns, rows, low, high, sign, origin=origin, name=name)
         self._report(pair, (side, other), columns, sign, scale, offset, expression)
 
     def _report(
@@ -412,7 +412,7 @@ class Model:
         else:
             self._drop_cone_bounds(side, columns.reshape(-1, cone.rows))
         rows = self.read(other).rows
-        self.statement.complement(columns, rows, -np.inf, np.inf, 1.0, other.expression)
+        self.statement.complement(columns, rows, -np.inf, np.inf, origin=other.expression)
         self._report(pair, (side, other), columns)
         self.cones.append(ConePair(columns, cone.rows, friction_of(cone)))
         if cone.friction is not None:

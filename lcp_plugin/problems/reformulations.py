@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..core.checks import AnyMatrix, Vector, checked_answer, rectangular_matrix
 from ..core.errors import InvalidProblem, NotConverged
 from ..core.lcp import LCP
+from .programs.program_matrices import as_array
 
 FloatMatrix = NDArray[np.float64]
 
@@ -162,13 +163,13 @@ def lcp_from_bimatrix_game(A: AnyMatrix, B: AnyMatrix = None) -> LCP:
         raise InvalidProblem(
             f"B is missing: a game is A and B, or has players, or is {{(0, 1): …, (1, 0): …}}, got {got} alone"
         )
-    row_payoffs = _dense(rectangular_matrix(A, "A", None, None))
+    row_payoffs = as_array(rectangular_matrix(A, "A", None, None))
     m, k = row_payoffs.shape
     if not m or not k:
         raise InvalidProblem(
             f"A must have at least one row and one column, got shape {row_payoffs.shape}"
         )
-    column_payoffs = _dense(rectangular_matrix(B, "B", m, k))
+    column_payoffs = as_array(rectangular_matrix(B, "B", m, k))
     M = np.zeros((m + k, m + k))
     M[:m, m:] = _costs(row_payoffs, axis=0)
     M[m:, :m] = _costs(column_payoffs, axis=1).T
@@ -189,7 +190,7 @@ def _lcp_from_pairs(pairs: Mapping[Any, Any]) -> LCP:
             raise InvalidProblem(
                 f"the keys of a game are pairs of players (i, j), i ≠ j, got {pair!r}; write {{(0, 1): …, (1, 0): …}}"
             )
-        game[pair] = _dense(rectangular_matrix(values, f"game[{pair}]", None, None))
+        game[pair] = as_array(rectangular_matrix(values, f"game[{pair}]", None, None))
         for player, size in zip(pair, game[pair].shape, strict=True):
             if not size or sizes.setdefault(player, size) != size:
                 raise InvalidProblem(
@@ -244,7 +245,3 @@ def _costs(payoffs: FloatMatrix, axis: int) -> FloatMatrix:
     # Costs do not overflow
     unit = max(min(most, 2.0**3 * least), 2.0**-900)  # no difference is lost
     return 1.0 + missed / unit
-
-
-def _dense(matrix: AnyMatrix) -> FloatMatrix:
-    return matrix if isinstance(matrix, np.ndarray) else np.asarray(matrix.toarray())

@@ -880,7 +880,7 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
         data: Any = ProgramData(example, arrays)
         z = np.concatenate([batch.x, batch.inequality, batch.equality], axis=1)
         return _derivative_of_program(data, z, batch)
-    sides = problems if isinstance(problems, RightSides) else RightSides.of([*problems], None)
+    sides = problems if isinstance(problems, RightSides) else RightSides.of([*problems])
     if sides is not None:
         data = least_squares_data(sides.stack(slice(None)), batch.x)
         return _derivative_of_program(data, batch.x, batch)

@@ -439,19 +439,12 @@ class Statement:
         self.rows.append(StatedRows(rows, zero + low, zero + high, origin, name=name))
 
     def complement(
-        self,
-        z: Indices,
-        w: Rows,
-        low: Array,
-        high: Array,
-        sign: Any = 1.0,
-        origin: Any = None,
-        name: Any = None,
+        self, z: Indices, w: Rows, low: Array, high: Array, sign: Any = 1.0, **facts: Any
     ) -> None:
-        """Let sign · w complement the unknowns z between low and high."""
+        """Let sign · w complement the unknowns z between low and high; facts are the origin and the name."""
         zero = np.zeros(z.size)
         self.is_paired[z] = True
-        self.pairs.append(StatedRows(w, zero + low, zero + high, origin, zero + sign, z, name=name))
+        self.pairs.append(StatedRows(w, zero + low, zero + high, sign=zero + sign, z=z, **facts))
 
     def entries(self, rows: Rows) -> tuple[Indices, Vector, Vector] | None:
         """Return columns, weights and constants of rows weights · distinct unknowns + constants, or None."""
@@ -473,7 +466,7 @@ class Statement:
         self.first[key] = first
         self.lower, self.upper = np.append(self.lower, -free), np.append(self.upper, free)
         self.is_paired = np.append(self.is_paired, np.zeros(rows.size, dtype=bool))
-        rows = rows.scaled(sign) if np.any(np.asarray(sign) != 1.0) else rows
+        rows = rows.scaled(sign)
         rows = Rows({**rows.blocks, key: -1.0}, rows.offset, (rows.size,), rows.level)
         self.rows.append(StatedRows(rows, zero, zero, origin, sign, None, columns))
         return columns

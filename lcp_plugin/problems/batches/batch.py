@@ -163,7 +163,7 @@ def _problems_of(M: AnyMatrix, q: Array, lower: Array, upper: Array, z0: Array) 
         return Worlds(M, z0)
     if isinstance(M, BoundedLeastSquares) and q is not None:
         _refuse_algorithm(q)
-        return RightSides(M, z0, b=q, lower=lower, upper=upper)
+        return RightSides(M, b=q, lower=lower, upper=upper, z0=z0)
     if (name := class_of(M)) is not None and not (isinstance(M, LCP) and q is not None):
         usage = f"solve_batch({CLASSES[name].batch})"
         raise InvalidProblem(f"solve_batch needs many problems, got one {name}; write {usage}")
@@ -173,7 +173,7 @@ def _problems_of(M: AnyMatrix, q: Array, lower: Array, upper: Array, z0: Array) 
                 wrong = refusal("solve_batch", item)
                 raise InvalidProblem(f"item {k} of the batch: {wrong}; write LCP(M, q)")
         _refuse_data("these problems", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
-        return (RightSides.of(M, z0) if z0 is None and len(M) else None) or Listed(M, z0)
+        return (RightSides.of(M) if z0 is None else None) or Listed(M, z0)
     held = M if isinstance(M, LCP) else None
     lower = (0.0 if held is None else held.lower) if lower is None else lower
     upper = (np.inf if held is None else held.upper) if upper is None else upper

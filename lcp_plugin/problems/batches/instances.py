@@ -224,16 +224,20 @@ class Rows(Instances):
 
     Parameters
     ----------
-    named : dict of (array, int)
-        Each vector, and its length; shape (B, n), or (n,) for all, a bound may be a number.
+    vectors : dict of arrays
+        Shape (B, n), or (n,) for all, a bound may be a number; None is left out.
+    n, m : int
+        Length of the vectors, and of b.
     counts : dict of int
         Numbers of other arrays with an axis for the problems.
     """
 
-    def __init__(self, named: dict[str, tuple[Any, int]], counts: dict[str, int]) -> None:
-        rows = {name: rows_of_a_batch(values, name, n) for name, (values, n) in named.items()}
+    def __init__(self, vectors: dict[str, Any], n: int, m: int, counts: dict[str, int]) -> None:
+        vectors = {name: values for name, values in vectors.items() if values is not None}
+        sizes = {name: m if name == "b" else n for name in vectors}
+        rows = {name: rows_of_a_batch(vectors[name], name, size) for name, size in sizes.items()}
         rows["lower"], rows["upper"] = normalize_bounds(rows["lower"], rows["upper"])
-        several = {name: len(array) for name, array in rows.items() if np.ndim(named[name][0]) == 2}
+        several = {name: len(rows[name]) for name in rows if np.ndim(vectors[name]) == 2}
         self.rows, self.count = rows, length_of_all(several | counts)
         if "z0" in rows and not np.isfinite(rows["z0"]).all():
             raise InvalidOption("z0 must be finite, got NaN or infinite entries")
@@ -290,9 +294,8 @@ class Stacked(Rows):
             raise InvalidProblem(f"M must have shape (B, n, n), or (n, n), got {self.M.shape}")
         if q is None:
             raise InvalidProblem("q is missing: an array of shape (B, n), or (n,) for all")
-        named = {"q": q, "lower": lower, "upper": upper} | ({} if z0 is None else {"z0": z0})
         counts = {"M": len(self.M)} if self.M.ndim == 3 else {}
-        super().__init__({name: (values, n) for name, values in named.items()}, counts)
+        super().__init__({"q": q, "lower": lower, "upper": upper, "z0": z0}, n, 0, counts)
         self.base, self.is_cold = shared, z0 is None
         if shared is None and self.M.ndim == 2:
             self.base = LCP(self.M, np.zeros(n))
@@ -341,20 +344,16 @@ class RightSides(Rows):
     `problems`, if they exist already, are the items.
     """
 
-    def __init__(
-        self, problem: BoundedLeastSquares, z0: Array, problems: Any = None, **vectors: Array
-    ) -> None:
-        self.base, self.problems = problem, problems
-        named = {name: getattr(problem, name) for name in ("b", "lower", "upper", "l1")}
-        vectors["z0"] = z0
-        named |= {name: values for name, values in vectors.items() if values is not None}
-        sizes = {"b": problem.shape[0]}
-        rows = {name: (values, sizes.get(name, problem.shape[1])) for name, values in named.items()}
-        super().__init__(rows, {})
+    def __init__(self, problem: BoundedLeastSquares, problems: Any = None, **vectors: Any) -> None:
+        self.base, self.problems, (m, n) = problem, problems, problem.shape
+        for name in ("b", "lower", "upper", "l1"):
+            if vectors.get(name) is None:
+                vectors[name] = getattr(problem, name)
+        super().__init__(vectors, n, m, {})
         self._find_errors(problem.is_in_range(self.rows["b"]))
 
     @classmethod
-    def of(cls, problems: Sequence[Any], z0: Array) -> RightSides | None:
+    def of(cls, problems: Sequence[Any]) -> RightSides | None:
         """Return least squares problems that share A, weights and ridge; None for others."""
         if not all(isinstance(item, BoundedLeastSquares) for item in problems):
             return None
@@ -362,7 +361,7 @@ class RightSides(Rows):
             return None
         names = "b", "lower", "upper", "l1"
         vectors = {name: np.array([getattr(item, name) for item in problems]) for name in names}
-        return cls(problems[0], z0, problems, **vectors)
+        return cls(problems[0], problems, **vectors)
 
     def __getitem__(self, k: int) -> BoundedLeastSquares:
         if self.problems is not None:

@@ -540,8 +540,8 @@ def march(
     for name in BOUNDS:
         if name in states and at[name] is not None:
             raise InvalidOption(f"{name} and {name}_at exclude each other; leave out {name}")
-    data = forcing, propagator, states, at
-    marches = _begin(problems, *data, algorithm, options, are_many=are_many)
+    arrays = {"forcing": forcing, "propagator": propagator, **states}
+    marches = _begin(problems, arrays, at, algorithm, options, are_many=are_many)
     every = 0 if keep == "last" else whole_number(keep, "keep", 1, ', or "last"')
     for k, run in enumerate(marches):
         run.keep, begun = every, clock.read()
@@ -580,24 +580,17 @@ def _axes(values: Array) -> int:
 
 
 def _begin(
-    problems: list[Any],
-    forcing: Array,
-    propagator: AnyMatrix,
-    states: Any,
-    at: dict[str, Any],
-    algorithm: Any,
-    options: dict[str, Any],
-    *,
-    are_many: bool,
+    problems: list[Any], arrays: Any, at: Any, algorithm: Any, options: Any, *, are_many: bool
 ) -> list[March]:
     """Return the marches before their first steps; raise an error for invalid data."""
+    forcing, propagator = arrays.pop("forcing"), arrays.pop("propagator")
     if _axes(forcing):  # of an F for any number of unknowns
         m = np.shape(forcing)[-1]
         problems = [
             item.with_size(m) if getattr(item, "n", 0) is None else item for item in problems
         ]
     n = getattr(problems[0], "n", 0)
-    changing = {*states} - {"z0"} | {name for name, values in at.items() if values is not None}
+    changing = {*arrays} - {"z0"} | {name for name, values in at.items() if values is not None}
     for j, problem in enumerate(problems):
         if class_of(problem) not in classes_of("march"):
             raise InvalidOption(refusal("march", problem))
@@ -625,12 +618,12 @@ def _begin(
     rows = [forcings] if forcings.ndim == 2 else [*forcings]
     propagators = [checked_propagator(C, n) for C in each]
     several = {"problem": problems, "forcing": rows, "propagator": propagators}
-    for name, values in states.items():
+    for name, values in arrays.items():
         several[name] = rows_of_a_batch(values, name, n) if are_many else [values]
     if isinstance(problems[0], LCP):
         parse_call(algorithm, options)
     lengths = {name: len(data) for name, data in several.items() if len(data) != 1}
-    marches: list[March] = []
+    marches = []
     for j in range(length_of_all(lengths)):
         parts = {name: part[min(j, len(part) - 1)] for name, part in several.items()}
         stated, force, C = (parts.pop(name) for name in ("problem", "forcing", "propagator"))
@@ -754,9 +747,9 @@ class Steps:
             above, below = z - lower, upper - z
             nearest = np.minimum(above, below) * scale
             is_negligible = (nearest < MAY_UNDERFLOW) & (np.abs(w) < MAY_UNDERFLOW)
-            side = np.where(above * scale <= w, -1, np.where(-below * scale >= w, 1, 0))
-            side = np.where(is_negligible, np.where(above <= below, -1, 1), side)
-            side = np.where(lower == upper, np.where(w < 0.0, 1, -1), side)
+            rules = lower == upper, is_negligible, above * scale <= w, -below * scale >= w
+            signs = np.where(w < 0.0, 1, -1), np.where(above <= below, -1, 1), -1, 1
+            side = np.select(rules, signs)
             if is_last:
                 break
             before = side

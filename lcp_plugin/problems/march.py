@@ -787,24 +787,22 @@ class Steps:
         return np.flatnonzero(np.abs(self.sides[k]) > 1) if self.is_plain else self.at(k).degenerate
 
     def jvp(
-        self, dM: AnyMatrix, dC: AnyMatrix, df: Vector, low: Vector, high: Vector, before: Vector
+        self, dM: list[Any], dC: AnyMatrix, df: Vector, low: Vector, high: Vector, before: Vector
     ) -> Vector:
         """Return the changes of the solutions for changes of M, propagator, forcing and bounds, a row per step.
 
-        dM is one change for all steps, or a list of the changes of these steps. At the call, `before` is the change of
-        the state before the first step; the last change is written to it.
+        At the call, `before` is the change of the state before the first step; the last change is written to it.
         """
         h = df + (dC @ self.states[:-1].T).T
         value = np.where(self.sides < 0, low, np.where(self.sides > 0, high, 0.0))
 
         def solve_alone(k: int, before: Vector) -> Vector:
             alone = self.at(k)
-            change = dM[k] if is_list else dM
-            dq = h[k] + self.march.propagator @ before + change @ alone.z
+            dq = h[k] + self.march.propagator @ before + dM[k] @ alone.z
             return alone.jvp(dq=dq, dlower=low[k], dupper=high[k])
 
-        is_list, forwards = isinstance(dM, list), np.arange(len(self))
-        right = h if is_list else h + (dM @ self.z.T).T
+        forwards = np.arange(len(self))
+        right = h + np.array([change @ z for change, z in zip(dM, self.z, strict=True)])
         dz, _ = self._follow(self.whole.band, forwards, value, right, before, solve_alone)
         before[:] = dz[-1]
         return dz
@@ -1017,7 +1015,7 @@ class MarchDerivative:
         before = checks.change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():
-            of_M, at = dM, part.steps
+            of_M, at = [dM] * len(part), part.steps
             if dM_at is not None:
                 of_M = [dM + self._change(dM_at, k) for k in range(steps)[at]]
             changes = part.jvp(of_M, dC, rows[at], low[at], high[at], before)

@@ -577,12 +577,11 @@ class DeviceDerivative(ManyDerivatives):
                 self.errors[k], of_host[:] = error, np.nan
             for table, row in zip(tables, of_host, strict=True):
                 table[k] = xp.asarray(row)
-        names = dict(zip(("q", "lower", "upper"), map(batch.library, tables), strict=True))
 
         def by_M() -> Any:
             return batch.library(by_q.T @ z if len(M) == 1 else by_q[:, :, None] * z[:, None])
 
-        return BatchGradient(by_M, **names)
+        return BatchGradient(by_M, *map(batch.library, tables))
 
 
 INSTANCES_TOGETHER = 512  # instances whose arrays fit into the cache

@@ -128,10 +128,9 @@ def solve_batch(
         hint = "; pass starts as z0, one for each problem" if unknown[0] == "x0" else hint
         raise InvalidOption(f"solve_batch has no option {unknown[0]!r}{hint}")
     overrides = {name: value for name, value in options.items() if value is not None}
-    if overrides:
-        Settings(**overrides)  # options are checked before the data
+    Settings(**overrides)  # options are checked before the data
     for name in ("absolute_tolerance", "prove_infeasibility"):  # which some classes lack
-        if name in overrides and overrides[name] == DEFAULTS[name]:
+        if overrides.get(name) == DEFAULTS[name]:
             del overrides[name]
     if any(map(is_on_gpu, (M, q, lower, upper))):
         if not (z0 is callback is None and algorithm == "auto"):
@@ -174,10 +173,8 @@ def _problems_of(M: AnyMatrix, q: Array, lower: Array, upper: Array, z0: Array) 
                 raise InvalidProblem(f"item {k} of the batch: {wrong}; write LCP(M, q)")
         _refuse_data("these problems", "problem.with_q(q, lower=…, upper=…)", q, lower, upper)
         return (RightSides.of(M) if z0 is None else None) or Listed(M, z0)
-    held = M if isinstance(M, LCP) else None
-    lower = (0.0 if held is None else held.lower) if lower is None else lower
-    upper = (np.inf if held is None else held.upper) if upper is None else upper
-    return Stacked(M, q, lower, upper, z0)
+    low, high = (M.lower, M.upper) if isinstance(M, LCP) else (0.0, np.inf)
+    return Stacked(M, q, low if lower is None else lower, high if upper is None else upper, z0)
 
 
 def _programs_of(M: AnyMatrix, q: Any, lower: Any, upper: Any, z0: Any) -> ProgramBatch | None:

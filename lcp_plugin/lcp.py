@@ -122,8 +122,8 @@ def from_contacts(
     InvalidProblem
         As `contact_data`.
     """
-    how: Any = {"gaps": gaps, "time_step": time_step, "equations": equations}
-    contact_problem = contact_data(contacts, friction, velocities, directions, **how)
+    options: Any = {"gaps": gaps, "time_step": time_step, "equations": equations}
+    contact_problem = contact_data(contacts, friction, velocities, directions, **options)
     return LCP(*contact_problem.arrays, lower=contact_problem.lower).with_origin(contact_problem)
 
 

@@ -99,17 +99,17 @@ def panels(titles: Sequence[str], width: float | None = None) -> Iterator[list[A
     height = rows * 0.78 * width / columns
     with styled(JOURNAL):
         figure = require_matplotlib()(figsize=(width, height), layout="constrained")
-        every = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes, title in zip(every, titles, strict=False):
+        all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes, title in zip(all_axes, titles, strict=False):
             axes.set_title(textwrap.fill(title, int(13 * width / columns)))
-        for axes in every[len(titles) :]:
+        for axes in all_axes[len(titles) :]:
             axes.set_axis_off()
-        yield [*every[: len(titles)]]
-        for axes in every[: len(titles)]:  # letters along two thirds of a panel's height
+        yield [*all_axes[: len(titles)]]
+        for axes in all_axes[: len(titles)]:  # letters along two thirds of a panel's height
             lines = textwrap.fill(axes.get_ylabel(), max(int(0.67 * height / rows / LETTER), 10))
             axes.set_ylabel(lines)
         named: dict[str, Any] = {}
-        for axes in every:
+        for axes in all_axes:
             handles, labels = axes.get_legend_handles_labels()
             named |= dict(zip(labels, handles, strict=True))
         # Inches of a line and its space
@@ -231,14 +231,14 @@ def _plotted(answer: BaseResult, frame: Frame | Scene, axes: Any, new: Callable[
     with styled():
         count = 1 + is_recorded
         figure = new(figsize=(count * PANEL_INCHES[0], PANEL_INCHES[1]), layout="constrained")
-        every = figure.subplots(1, count, squeeze=False)[0]
-        draw_first(every[0], answer, frame)
+        all_axes = figure.subplots(1, count, squeeze=False)[0]
+        draw_first(all_axes[0], answer, frame)
         if is_recorded:
-            _draw_residuals(every[1], answer)
+            _draw_residuals(all_axes[1], answer)
         steps = format_count(answer.iterations, "iteration")
         words = f"n = {len(answer.x)}: {answer.status.name} by {answer.algorithm} in {steps}"
         figure.suptitle(f"{frame.description}\n{words}".strip(), fontsize=10, x=0.01, ha="left")
-    return every[0]
+    return all_axes[0]
 
 
 def _bounds(answer: object) -> tuple[Vector, Vector]:
@@ -343,9 +343,10 @@ def _draw_cones(axes: Any, answer: Any, frame: Frame | Scene) -> None:
         axes.plot(np.cos(angle), np.sin(angle), color="#7A7A7A", linewidth=1.0)
         axes.set_aspect("equal")
     slides = motion.touches & ~motion.sticks
-    for chosen, look, word in ((motion.sticks, "o", "stick"), (slides, "^", "slide")):
-        label, color = f"{np.count_nonzero(chosen)} {word}", FREE if word == "stick" else ACTIVE
-        axes.scatter(*shares[chosen].T, s=12.0, color=color, marker=look, label=label)
+    states = ((motion.sticks, "o", "stick", FREE), (slides, "^", "slide", ACTIVE))
+    for chosen, marker, word, color in states:
+        label = f"{np.count_nonzero(chosen)} {word}"
+        axes.scatter(*shares[chosen].T, s=12.0, color=color, marker=marker, label=label)
     axes.scatter([], [], label=f"{(~motion.touches).sum()} open")
     axes.legend(loc="upper center", ncols=3)
     unit = "tangential impulse ÷ $\\mu\\,r_N$"
@@ -387,11 +388,10 @@ def plot_path(path: ParametricPath, *, axes: Any = None) -> Any:
     if not path.pieces:
         raise UnsuitableProblem(f"the path has no pieces to draw: {path.explain()}")
     points = max(200 // len(path), 2)  # smooth segments are curves
-    places = ((piece, np.linspace(piece.begin, piece.end, points)) for piece in path.pieces)
-    ends = [(at, piece.x_at(at)) for piece, every in places for at in every]
-    theta, every = map(np.array, zip(*ends, strict=True))
-    n, order = every.shape[1], np.argsort(-np.ptp(every, axis=0), kind="stable")
-    chosen = np.sort(order[:40])
+    pieces = [(piece, np.linspace(piece.begin, piece.end, points)) for piece in path.pieces]
+    theta = np.concatenate([parameters for _, parameters in pieces])
+    x = np.array([piece.x_at(at) for piece, parameters in pieces for at in parameters])
+    chosen = np.sort(np.argsort(-np.ptp(x, axis=0), kind="stable")[:40])
     if axes is None:
         import matplotlib.pyplot as plt
 
@@ -400,8 +400,9 @@ def plot_path(path: ParametricPath, *, axes: Any = None) -> Any:
     for value in path.breakpoints if len(path) <= 60 else ():  # that are drawn as lines
         axes.axvline(value, color="#dddddd", linewidth=0.7, zorder=0)
     for j in chosen:
-        axes.plot(theta, every[:, j], linewidth=1.4, label=f"x[{j}]")
+        axes.plot(theta, x[:, j], linewidth=1.4, label=f"x[{j}]")
     if chosen.size <= 10:  # unknowns that a legend names
         axes.legend(fontsize=7.5, loc="best")
-    axes.set(xlabel="parameter", ylabel="x" if chosen.size == n else f"x, {chosen.size} of {n}")
+    n, count = x.shape[1], chosen.size
+    axes.set(xlabel="parameter", ylabel="x" if count == n else f"x, {count} of {n}")
     return axes

@@ -157,10 +157,9 @@ def _island(contrast: float) -> sp.csr_array:
 def scaling() -> Iterator[StressCase]:
     """Yield M and q in units of 1e±150, and rows and columns from 1e±8 to 1e±100."""
     base = half_active("", grid(4, 5.0))
-    for of_M in (1e-150, 1.0, 1e150):
-        for of_q in (1e-150, 1.0, 1e150):
-            if of_M != 1.0 or of_q != 1.0:
-                yield rescaled(f"M × {of_M:g}, q × {of_q:g}", base, of_q, of_M / of_q)
+    for of_M, of_q in product((1e-150, 1.0, 1e150), repeat=2):
+        if of_M != 1.0 or of_q != 1.0:
+            yield rescaled(f"M × {of_M:g}, q × {of_q:g}", base, of_q, of_M / of_q)
     n = base.problem.n
     for power in (8, 30, 100):
         up_and_down = 10.0 ** np.resize([power, -power, 0, power / 2], n)

@@ -194,15 +194,15 @@ class Study:
             re.sub(r"([:,])", r"\1 ", problem) + ("" if size is None else f", n = {rows[0].n}")
             for (problem, size), rows in groups.items()
         ]
-        with panels(titles, width) as every:
-            for axes, rows in zip(every, groups.values(), strict=True):
+        with panels(titles, width) as all_axes:
+            for axes, rows in zip(all_axes, groups.values(), strict=True):
                 drawn = [row for row in rows if row in shown]
                 if drawn:
                     _draw_errors(axes, drawn, against, looks)
                 else:
                     words = "no result: print() lists the reasons"
                     axes.text(0.5, 0.5, words, ha="center", transform=axes.transAxes)
-        return every[0].figure
+        return all_axes[0].figure
 
     def save(self, path: str | PathLike[str], against: str = "seconds") -> None:
         """Write the plot into a file with the ending .png, .pdf or .svg.

@@ -175,7 +175,7 @@ class ResultOnRanks(BaseResult):
         """The relative residual."""
         return self.certificate.relative_residual
 
-    def plot(self, **how: Any) -> Any:
+    def plot(self, **options: Any) -> Any:
         """Raise UnsuitableProblem, because a rank has only a part of the unknowns.
 
         Raises
@@ -275,10 +275,10 @@ class ProgressOnRanks(Progress):
         else:
             self.limit()
 
-    def report(self, *values: Any, **how: Any) -> bool:
+    def report(self, *values: Any, **options: Any) -> bool:
         """Print a line on rank 0, and call back; return whether a callback of any rank returned True."""
         report = super().report
-        return self.halo.anywhere(self.halo.together(lambda: report(*values, **how)))
+        return self.halo.anywhere(self.halo.together(lambda: report(*values, **options)))
 
 
 class RunOnRanks(Run):

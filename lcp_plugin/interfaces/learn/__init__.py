@@ -338,8 +338,8 @@ class ContactLayer(Layer):
         of_problem = {name: options.pop(name) for name in names}
         b = stacked(b, axes, b.shape[-1:])
         friction = stacked(friction, axes, friction.shape[-1:]) if friction.ndim else friction
-        worlds = FrictionalContact.worlds(matrices(W, axes), b, friction, **of_problem)
-        return solve_batch(worlds, **options)
+        problem = FrictionalContact.worlds(matrices(W, axes), b, friction, **of_problem)
+        return solve_batch(problem, **options)
 
 
 def stacked(array: Array, axes: tuple[int, ...], shape: tuple[int, ...]) -> Any:

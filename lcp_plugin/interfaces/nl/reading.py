@@ -655,8 +655,8 @@ class _Reader:
             (10, header.defined, len(trees["V"]), "defined variables"),
         ):
             if announced != count:
-                said = f"{announced} {what} are announced, {count} are there"
-                raise NLSyntaxError(header.places[line], said)
+                fault = f"{announced} {what} are announced, {count} are there"
+                raise NLSyntaxError(header.places[line], fault)
 
     def _matrix(self, letter: str, height: int, width: int) -> sp.csr_array:
         """Return linear terms as a CSR array; raise if a row has an index twice."""

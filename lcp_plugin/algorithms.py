@@ -157,9 +157,8 @@ def paper_options(name: str, relaxation: float | None = None) -> dict[str, Any]:
     ({'momentum': None, 'scaling': None, 'relaxation': 1.7}, {'omega': 0.5})
     """
     if name.startswith("np"):
-        return {"momentum": None, "scaling": None} | (
-            {"relaxation": relaxation} if relaxation else {}
-        )
+        weights = {"relaxation": relaxation} if relaxation else {}
+        return {"momentum": None, "scaling": None} | weights
     if name == "msor" and relaxation:
         return {"relaxation": relaxation, "omega": 1.0 / (2.0 * relaxation**2)}
     if name not in ("mgs", "msor"):

@@ -818,9 +818,7 @@ def convex_qps(
         c = exact_offset(P, x, reduced - G.T @ multiplier - A.T @ equality)
         # ½xᵀP x + cᵀx = ½xᵀ((P x + c) + c)
         terms = zip(fractions_of(x), exact_slack(LCP(P, c), x), fractions_of(c), strict=True)
-        least = sum(
-            (value * (gradient + linear) / 2 for value, gradient, linear in terms), Fraction(0)
-        )
+        least = sum((value * (slope + linear) / 2 for value, slope, linear in terms), Fraction(0))
         program = QuadraticProgram(P, c, G, G @ x + gap, A, A @ x, lower, upper)
         answers = (x, multiplier, equality, np.maximum(reduced, 0.0), np.maximum(-reduced, 0.0))
         return program, QPAnswer._make([*map(fractions_of, answers), least])

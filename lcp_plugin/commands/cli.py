@@ -217,11 +217,9 @@ def compare(
 
     check_outputs(target, plot)
     source = read_lcp(target, "lcp-plugin compare")
-    limits = _given(tolerance=tolerance, max_seconds=max_seconds)
+    options = _given(tolerance=tolerance, max_seconds=max_seconds, repeats=repeats)
     problem = source.test_problem or source.problem
-    study = lcp_plugin.error_against_time(
-        problem, algorithm, reference or (), repeats=repeats, **limits
-    )
+    study = lcp_plugin.error_against_time(problem, algorithm, reference or (), **options)
     typer.echo(study.explain())
     if plot is not None:
         study.save(plot)

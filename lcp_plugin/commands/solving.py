@@ -166,15 +166,13 @@ def json_content(answer: Any) -> dict[str, Any]:
     }
 
 
-def _solved(
-    source: Target, algorithm: str, options: dict[str, Any], settings: dict[str, Any]
-) -> Any:
+def _solved(source: Target, method: str, options: dict[str, Any], settings: dict[str, Any]) -> Any:
     """Return the result of the problem from the start of its test problem, with progress on a terminal."""
     problem, scene = source.problem, source.test_problem
     start = {} if scene is None or scene.start is None else {"z0": scene.start}
-    chosen: Any = algorithm
-    if isinstance(problem, ConeProblem | FrictionalContact) and algorithm in METHODS:
-        chosen, options = made(METHODS[algorithm], algorithm, options), {}
+    chosen: Any = method
+    if isinstance(problem, ConeProblem | FrictionalContact) and method in METHODS:
+        chosen, options = made(METHODS[method], method, options), {}
     options = options | settings
     with progress_on_terminal() as show:
         if show is not None and isinstance(problem, LCP):
@@ -221,9 +219,8 @@ def _certificate_lines(source: Target, answer: Any) -> list[str]:
 
 def _arrays(answer: object) -> dict[str, Any]:
     """Return the vectors of an answer: z and w, or x and the multipliers of a program."""
-    names = (
-        ("z", "w") if hasattr(answer, "certificate") and not hasattr(answer, "duals") else ("x",)
-    )
+    has_slack = hasattr(answer, "certificate") and not hasattr(answer, "duals")
+    names = ("z", "w") if has_slack else ("x",)
     arrays = {name: getattr(answer, name) for name in names} | dict(getattr(answer, "duals", {}))
     return {name: array for name, array in arrays.items() if array is not None}
 

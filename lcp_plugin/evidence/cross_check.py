@@ -180,9 +180,8 @@ def cross_validate(
         return CrossCheck("agree", "the problem has no unknowns", name, "", ours)
     convex, status = ConvexForm.of(problem), result.status.name
     is_claimed = result.is_solved or result.status is Status.PRECISION_LIMIT
-    measured = ours.criterion.measure_at(
-        ours.z, ours.w, result.tolerance, absolute=result.absolute_tolerance
-    )
+    measure = partial(ours.criterion.measure_at, ours.z, ours.w)
+    measured = measure(result.tolerance, absolute=result.absolute_tolerance)
     is_true = measured.passes if result.is_solved else ours.is_at_rounding_level
     is_false = is_claimed and not is_true
     check = partial(CrossCheck, reference=name, ours=ours, seconds=seconds)
@@ -203,17 +202,16 @@ def cross_validate(
     theirs = polish(Certificate.of(problem, z))
     facts = convex.compare(ours, theirs)
     check = partial(check, theirs=theirs, reference_seconds=took, **facts)
-    residuals = (
-        f"relative residuals {ours.relative_residual:.1e} and {theirs.relative_residual:.1e}"
-    )
+    residual, reached = ours.relative_residual, theirs.relative_residual
+    residuals = f"relative residuals {residual:.1e} and {reached:.1e}"
     # An interior point need not meet the test of every row: z next to a bound leaves a small w_i unchanged.
-    if not theirs.relative_residual <= ACCURATE_TOLERANCE:
+    if not reached <= ACCURATE_TOLERANCE:
         reason = f"the solution of {name} does not reach {ACCURATE_TOLERANCE:.0e}: {residuals}"
         return check("not comparable", reason)
     if is_false or not np.isfinite(ours.z).all():
         return check("mismatch", f"our status {status} is false, {name} is accurate: {residuals}")
     enough = 1e-3 if is_claimed else ACCURATE_TOLERANCE
-    if not ours.criterion.measure_at(ours.z, ours.w, enough).passes:
+    if not measure(enough).passes:
         return check("not comparable", f"our solution is not accurate, {status}: {residuals}")
     if not facts["disagreement"] <= facts["allowance"]:
         return check(

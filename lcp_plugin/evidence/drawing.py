@@ -119,9 +119,7 @@ def panels(titles: Sequence[str], width: float | None = None) -> Iterator[list[A
         figure.set_size_inches(width, height + math.ceil(len(named) / count) * 0.17)
 
 
-def draw_curve(
-    axes: Any, x: Any, y: Any, label: str, look: Mapping[str, Any], is_solved: bool
-) -> None:
+def draw_curve(axes: Any, x: Any, y: Any, label: str, look: Any, is_solved: bool) -> None:
     """Draw a curve with some markers, which ends in a cross unless it is solved."""
     marks = np.unique(np.linspace(0, max(len(x) - 1, 0), 7).astype(int))
     label = label if is_solved else f"{label} ✕"
@@ -258,10 +256,8 @@ def _draw_unknowns(axes: Any, answer: Any, frame: Frame | Scene) -> None:
             level = contact_level(answer.certificate)
         _draw_map(axes, x.reshape(grid), active.reshape(grid), level.reshape(grid), frame)
         return
-    for chosen, color in ((~active, FREE), (active, ACTIVE)):
-        axes.plot(
-            np.flatnonzero(chosen), x[chosen], ".", color=color, markersize=4.0, rasterized=True
-        )
+    for rows, color in ((~active, FREE), (active, ACTIVE)):
+        axes.plot(np.flatnonzero(rows), x[rows], ".", color=color, markersize=4.0, rasterized=True)
     if active.any():
         axes.set_title(f"orange: {frame.active_means}", color=ACTIVE, fontsize=8.5)
     axes.set(xlabel="index", ylabel=frame.unknown)

@@ -189,12 +189,10 @@ def measure_method(
     solve(fresh(scene.problem), method.algorithm, z0=scene.start, max_iterations=3)
     limits |= {"polish": False}
     result, first = run(scene, method.algorithm, measure, **limits)
-    repetitions = [
-        run(scene, method.algorithm, _unmeasured, **limits)[1] for _ in range(1, repeats)
-    ]
+    repeated = [run(scene, method.algorithm, _unmeasured, **limits)[1] for _ in range(1, repeats)]
     times = [
         {(sample[0], sample is samples[-1]): sample[2] for sample in samples}
-        for samples in (first, *repetitions)
+        for samples in (first, *repeated)
     ]
     points = []
     for place, sample in zip(times[0], first, strict=True):
@@ -255,10 +253,8 @@ def _error_bound(scene: Scene, max_seconds: float) -> tuple[Callable[[Vector], f
     result, _ = run(scene, "auto", _unmeasured, max_seconds=max_seconds)
     known = error_bound(problem, result.z)
     least, size = known.infinity, float(np.abs(result.z).max(initial=0.0))
-    if known.near is not None:
-        least, size = (
-            float(np.abs(part).max(initial=0.0)) for part in (known.near.y, known.near.high)
-        )
+    if (near := known.near) is not None:
+        least, size = (float(np.abs(part).max(initial=0.0)) for part in (near.y, near.high))
     if least > 0.0 and not least < size:
         return None, f"no bound of the error: it is {least:.1e} for a solution of size {size:.1e}"
     return (lambda z: float(known.carried_to(z).max(initial=0.0))), ""

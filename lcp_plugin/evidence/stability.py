@@ -115,9 +115,8 @@ def rescaled(stress: str, case: StressCase, row: object, column: object) -> Stre
     # One multiplication after another: the product of the two factors may overflow although the entry does not.
     scaled = LCP(scale_by(problem.csr, row, column), problem.q * row)
     unit = 1.0 / column
-    return replace(
-        case, stress=stress, problem=scaled, near=np.asarray(case.near) * unit, unit=unit
-    )
+    near = np.asarray(case.near) * unit
+    return replace(case, stress=stress, problem=scaled, near=near, unit=unit)
 
 
 SIDE = 10  # unknowns in each direction of the grids
@@ -202,9 +201,8 @@ def degeneracy() -> Iterator[StressCase]:
     none, start = np.zeros(z.size), np.arange(float(z.size))
     yield planted("every row degenerate", M, none, none, start=start)
     yield planted("nearly degenerate, w = 1e-14", M, z, 1e-14 * w)
-    yield planted(
-        "nearly degenerate, z = 1e-14", M, np.where(np.arange(z.size) % 5 == 0, 1e-14 * z, z), w
-    )
+    small = np.where(np.arange(z.size) % 5 == 0, 1e-14 * z, z)
+    yield planted("nearly degenerate, z = 1e-14", M, small, w)
     square = LCP(M, half_active("", M, degenerate=1.0).problem.q, upper=z.max())
     yield StressCase(stress="degenerate at both bounds of a box", problem=square, near=z)
 
@@ -243,9 +241,8 @@ def number_range() -> Iterator[StressCase]:
     ):
         yield StressCase(stress=stress, problem=LCP(M * of_M, q * of_q), near=near)
     start = np.full(M.shape[0], 1e200)
-    yield StressCase(
-        stress="w overflows at the start", problem=LCP(M * 1e200, q * 1e200), near=z, start=start
-    )
+    problem = LCP(M * 1e200, q * 1e200)
+    yield StressCase(stress="w overflows at the start", problem=problem, near=z, start=start)
 
 
 def cancellation() -> Iterator[StressCase]:
@@ -264,9 +261,8 @@ def cancellation() -> Iterator[StressCase]:
     for power in (4, 12):
         large = 10.0**power
         cyclic = np.array([[1.0, large, -large], [0.0, 1.0, large], [0.0, 0.0, 1.0]])
-        yield planted(
-            f"terms of 1e{power} cancel in M z", cyclic, np.array([1.0, 2.0, 2.0]), np.zeros(3)
-        )
+        z = np.array([1.0, 2.0, 2.0])
+        yield planted(f"terms of 1e{power} cancel in M z", cyclic, z, np.zeros(3))
 
 
 CASES = stiffness, scaling, singularity, degeneracy, far_starts, sizes, number_range, cancellation
@@ -398,9 +394,8 @@ class Atlas:
     @property
     def misleading(self) -> tuple[Cell, ...]:
         """The cells that are SOLVED with an error of more than a thousandth, because M is ill-conditioned."""
-        return tuple(
-            cell for cell in self.cells if cell.status == "SOLVED" and cell.true_error > 1e-3
-        )
+        solved = (cell for cell in self.cells if cell.status == "SOLVED")
+        return tuple(cell for cell in solved if cell.true_error > 1e-3)
 
     def explain(self) -> str:
         """Return the counts, then a line for each cell that is not SOLVED, and for each misleading cell."""

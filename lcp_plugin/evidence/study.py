@@ -138,9 +138,8 @@ class Study:
         for row in self.rows:
             if row.method == method and problem in (None, row.problem) and size in (None, row.size):
                 return row
-        raise InvalidOption(
-            f"no row of {method!r}{did_you_mean(method, [row.method for row in self.rows])}"
-        )
+        hint = did_you_mean(method, [row.method for row in self.rows])
+        raise InvalidOption(f"no row of {method!r}{hint}")
 
     def _groups(self, key: Callable[[Measurement], Any]) -> dict[Any, list[Measurement]]:
         groups: dict[Any, list[Measurement]] = {}
@@ -243,20 +242,18 @@ def _cell(row: Measurement, name: str) -> Any:
 def _draw_errors(axes: Any, rows: Sequence[Measurement], against: str, looks: Any) -> None:
     """Draw error curves of one problem with quartiles of seconds; references and polishes are single points."""
     kind = rows[0].error_kind
-    axes.set(
-        xscale="log", yscale="log", xlabel=VALUES[against], ylabel=ERROR_LABELS.get(kind, kind)
-    )
+    axes.loglog()
+    axes.set(xlabel=VALUES[against], ylabel=ERROR_LABELS.get(kind, kind))
     runs = [row for row in rows if row.is_curve]
     low, high = _range(runs or rows)
+    least = LEAST.get(against, 1.0)
     for row in runs:
         y = np.clip(np.nan_to_num(row.column("error"), nan=high, posinf=high), low, high)
         look = looks[row.method]
         if against == "seconds":
-            ends = (
-                np.maximum(row.column(f"seconds_{end}"), LEAST[against]) for end in ("low", "high")
-            )
+            ends = (np.maximum(row.column(f"seconds_{end}"), least) for end in ("low", "high"))
             axes.fill_betweenx(y, *ends, color=look["color"], alpha=0.10, linewidth=0, zorder=2)
-        x = np.maximum(row.column(against), LEAST.get(against, 1.0))
+        x = np.maximum(row.column(against), least)
         draw_curve(axes, x, y, row.method, look, row.is_solved)
     for row in (row for row in rows if not row.is_curve):
         look = looks[row.method] | {"linestyle": "none", "markersize": 5}
@@ -363,7 +360,7 @@ def study(
         raise InvalidOption(f"references must be a list of names, got {references!r}")
     if references:
         references = [solver_name(name) for name in references]
-    has_polish = polish and not is_paper
+    polish = polish and not is_paper
     # A run by the paper's rule has its own test in place of the relative residual
     stop, relative = ("paper_tolerance", math.nan) if is_paper else ("tolerance", tolerance)
     limits = {"tolerance": 0.0, "max_seconds": max_seconds, stop: tolerance}
@@ -373,9 +370,7 @@ def study(
     try:
         for (label, target), size in product(targets.items(), listed or [None]):
             blank = Measurement(label, size, 0, 0, "", "", "", "", relative)
-            measured = _measurements(
-                blank, target, entrants, references, repeats, has_polish, **limits
-            )
+            measured = _measurements(blank, target, entrants, references, repeats, polish, **limits)
             for row in measured:
                 if isinstance(row, str):
                     notes[row] = None
@@ -516,9 +511,8 @@ def _check_problem(problem: object) -> Any:
                 f"unknown test problem {problem!r}{hint}; a file: load_problem(path)"
             )
         return partial(_build_by_name, problem)
-    if isinstance(problem, LCP | Scene | tuple) or (
-        callable(problem) and class_of(problem) is None
-    ):
+    is_function = callable(problem) and class_of(problem) is None
+    if isinstance(problem, LCP | Scene | tuple) or is_function:
         return problem
     raise InvalidOption(f"{refusal('study', problem)}; or a test problem, (M, q) or a function")
 
@@ -545,9 +539,8 @@ def _build_problem(target: object, label: str, size: int | None) -> Scene:
         return Scene(problem=target, name=label)
     if isinstance(target, Scene):
         return target
-    raise InvalidOption(
-        f"{label} is not an LCP, a test problem or (M, q), got {type(target).__name__}"
-    )
+    kind = type(target).__name__
+    raise InvalidOption(f"{label} is not an LCP, a test problem or (M, q), got {kind}")
 
 
 def machine() -> str:

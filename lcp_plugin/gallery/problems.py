@@ -94,9 +94,8 @@ def stiff_cells(cells: Field) -> Legs:
 
 def upwind(diffusion: float, wind: Sequence[Coefficient]) -> Legs:
     """Return the legs of −diffusion Δu + wind·∇u by first-order upwind differences, on a mesh of width 1."""
-    return [-(diffusion + np.maximum(b, 0.0)) for b in wind], [
-        -(diffusion + np.maximum(-b, 0.0)) for b in wind
-    ]
+    below = [-(diffusion + np.maximum(b, 0.0)) for b in wind]
+    return below, [-(diffusion + np.maximum(-b, 0.0)) for b in wind]
 
 
 def dirichlet_terms(

@@ -142,7 +142,7 @@ def scene_builder(builder: Builder) -> Builder:
     InvalidOption
         When the returned function is called with a value that its signature does not allow.
     """
-    name, summary = builder.__name__, inspect.cleandoc(builder.__doc__ or "").partition("\n")[0]
+    name, summary = builder.__name__, _summary(builder)
 
     @functools.wraps(builder)
     def checked(**values: Any) -> Scene:
@@ -202,12 +202,12 @@ def describe() -> list[Description]:
     >>> describe()[0].parameters["n"]
     10000
     """
-    return [
-        Description(
-            name, inspect.cleandoc(_SCENES[name].__doc__ or "").split("\n")[0], defaults_of(name)
-        )
-        for name in names()
-    ]
+    return [Description(name, _summary(_SCENES[name]), defaults_of(name)) for name in names()]
+
+
+def _summary(builder: Builder) -> str:
+    """Return the first line of the docstring."""
+    return inspect.cleandoc(builder.__doc__ or "").partition("\n")[0]
 
 
 def build(name: str, /, **parameters: Any) -> Scene:
@@ -261,7 +261,6 @@ def parse(text: str) -> Scene:
 def builder_of(name: str) -> Builder:
     """Return the function that builds the test problem of that name."""
     if not isinstance(name, str) or name not in _SCENES:
-        raise InvalidOption(
-            f"unknown test problem {name!r}{did_you_mean(name, _SCENES, is_listed=True)}"
-        )
+        hint = did_you_mean(name, _SCENES, is_listed=True)
+        raise InvalidOption(f"unknown test problem {name!r}{hint}")
     return _SCENES[name]

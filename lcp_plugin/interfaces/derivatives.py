@@ -144,10 +144,8 @@ def from_casadi(
     def jacobian(x: Vector) -> sp.csc_array:
         return sp.csc_array((entries(x).full().ravel(), rows, ends), shape=slopes.shape)
 
-    problem = NonlinearProblem(
-        lambda x: value(x).full().ravel(), jacobian, lower, upper, names=names
-    )
-    return problem.with_size(x.shape[0])
+    model = NonlinearProblem(lambda x: value(x).full().ravel(), jacobian, lower, upper, names=names)
+    return model.with_size(x.shape[0])
 
 
 def _imported(package: str, name: str) -> Any:

@@ -155,9 +155,8 @@ def _number_in(text: str, words: list[str], section: str) -> float:
     except ValueError:
         value = np.nan
     if np.isnan(value) or (np.isinf(value) and section not in ("RANGES", "BOUNDS")):
-        raise InvalidProblem(
-            f'{text} of the line "{" ".join(words)}" in {section} is not a finite number'
-        )
+        line = " ".join(words)
+        raise InvalidProblem(f'{text} of the line "{line}" in {section} is not a finite number')
     return value
 
 
@@ -171,9 +170,8 @@ def _entries(
         start = len(words) % 2 if columns is None else 1
         i = 0 if columns is None else columns.find(words[0], section, words)
         if (len(words) - start) % 2:
-            raise InvalidProblem(
-                f'the line "{" ".join(words)}" in {section} has a name without a number'
-            )
+            line = " ".join(words)
+            raise InvalidProblem(f'the line "{line}" in {section} has a name without a number')
         for name, text in zip(words[start::2], words[start + 1 :: 2], strict=True):
             key = i, names.find(name, section, words)
             value = _number_in(text, words, section)
@@ -354,20 +352,18 @@ def _cones(M: AnyMatrix, q: Array, cone_kinds: Any, cone_rows: Any, **ends: Arra
     return ConeProblem(M, q, cones)
 
 
-def _program(
-    c: Any, P: Any = None, l: Any = None, u: Any = None, **others: Any
-) -> QuadraticProgram:
+def _program(c: Any, P: Any = None, l: Any = None, u: Any = None, **data: Any) -> QuadraticProgram:
     P = sp.csr_array((c.size, c.size)) if P is None else _symmetric(P)
     if l is None and u is None:
-        return QuadraticProgram(P, c, **others)
-    if "A" not in others:
+        return QuadraticProgram(P, c, **data)
+    if "A" not in data:
         raise InvalidProblem(
             "it holds l or u, the limits of A x, and no A; bounds of x are lower and upper"
         )
-    if rows := sorted(others.keys() & {"G", "h", "b"}):
+    if rows := sorted(data.keys() & {"G", "h", "b"}):
         raise InvalidProblem(f"{', '.join(rows)} and l, u state rows; l, u are the limits of all")
     limits = -np.inf if l is None else l, np.inf if u is None else u
-    return QuadraticProgram.from_ranges(P, c, others.pop("A"), *limits, **others)
+    return QuadraticProgram.from_ranges(P, c, data.pop("A"), *limits, **data)
 
 
 def _symmetric(P: AnyMatrix) -> Any:

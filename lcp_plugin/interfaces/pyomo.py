@@ -257,9 +257,8 @@ def statement_of(model: Any, pairs: list[Any] | None = None) -> PyomoStatement:
         Naming the component that is not taken.
     """
     if not (hasattr(model, "block_data_objects") and hasattr(model, "is_constructed")):
-        raise UnsupportedModel(
-            f"a Pyomo model or block is needed, got {type(model).__name__}; solve a model"
-        )
+        kind = type(model).__name__
+        raise UnsupportedModel(f"a Pyomo model or block is needed, got {kind}; solve a model")
     if not model.is_constructed():
         raise UnsupportedModel(
             "the model is abstract and holds no data yet; solve model.create_instance(…)"
@@ -277,9 +276,8 @@ def statement_of(model: Any, pairs: list[Any] | None = None) -> PyomoStatement:
     if has_pairs:
         objectives = [objective for objective in objectives if not cannot_vary(objective.expr)]
     if len(objectives) > 1:
-        raise UnsupportedModel(
-            f"the model has {len(objectives)} active objectives; deactivate all but one"
-        )
+        count = len(objectives)
+        raise UnsupportedModel(f"the model has {count} active objectives; deactivate all but one")
     is_whole = any(not variable.is_continuous() for variable in active(core.Var))
     draft = _Draft(constraints, objectives, is_search=bool(objectives) or is_whole)
     draft.pair(conditions, sides)
@@ -382,9 +380,8 @@ class _Draft:
                 "no active constraint, objective or complementarity has a free variable"
             )
         names = [self.named.get(variable) or variable.name for variable in variables]
-        row_names = [
-            row if isinstance(row, str) else getattr(row, "stated", row).name for row in rows
-        ]
+        stated = (getattr(row, "stated", row) for row in rows)
+        row_names = [getattr(component, "name", component) for component in stated]
         content = replace(content, names=names, row_names=row_names)
         if has_pairs:
             content = self._paired(content, variables, rows)
@@ -579,9 +576,7 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
                 f"{variable.name} is paired with {other.name} and with {row.name}; a variable has one row"
             )
     rows = families_of(row for row in constraints if row not in partners)
-    families = families_of(
-        unknown for unknown in variables_of(constraints) if unknown not in owners
-    )
+    families = families_of(column for column in variables_of(constraints) if column not in owners)
     variables = [family for family in families if not all(part.fixed for part in family.values())]
     while choices := [*_choices(rows, variables)]:
         family, matches = min(choices, key=lambda choice: len(choice[1]) != 1)

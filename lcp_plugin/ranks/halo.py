@@ -322,9 +322,8 @@ class Halo(Ranks):
             return columns
 
         foreign = self._foreign_rows(near, indptr, data, global_columns)
-        far = np.setdiff1d(
-            np.concatenate([foreign.columns[self.is_foreign(foreign.columns)], further]), near
-        )
+        outside = foreign.columns[self.is_foreign(foreign.columns)]
+        far = np.setdiff1d(np.concatenate([outside, further]), near)
         all_ghosts = np.concatenate([near, far])
         local = self.local(foreign.columns, all_ghosts)
         order = np.lexsort((local, np.repeat(np.arange(near.size), foreign.counts)))

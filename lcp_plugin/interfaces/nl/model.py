@@ -509,9 +509,8 @@ class FileStatement:
         if self.inequalities.size:
             return False
         unknowns = np.flatnonzero(np.isnan(self.known))
-        is_free = np.isneginf(self.content.lower[unknowns]) & np.isposinf(
-            self.content.upper[unknowns]
-        )
+        lower, upper = self.content.lower[unknowns], self.content.upper[unknowns]
+        is_free = np.isneginf(lower) & np.isposinf(upper)
         return bool(is_free.all()) and unknowns.size == self.equations.size > 0
 
     def has_objective(self) -> bool:

@@ -48,9 +48,8 @@ class _Form:
 
     def fail(self, what: str) -> NoReturn:
         """Raise NLSyntaxError at the last item read."""
-        raise NLSyntaxError(
-            self.at, what if self.at < len(self.data) else "the file ends within a segment"
-        )
+        is_end = self.at >= len(self.data)
+        raise NLSyntaxError(self.at, "the file ends within a segment" if is_end else what)
 
 
 class TextFormReader(_Form):
@@ -315,9 +314,7 @@ def _row_in(names: Sequence[str] | None, part: Indices, k: int) -> str:
 
 ENDING = ".nl"
 #: How many numbers follow the letter of a segment; a name follows in S.
-HEADS = {
-    letter: count for count, all in enumerate(("br", "CLkKxd", "OGJS", "VF")) for letter in all
-}
+HEADS = {letter: k for k, group in enumerate(("br", "CLkKxd", "OGJS", "VF")) for letter in group}
 SKIPPED = {"k": "i", "K": "i", "d": "id", "S": "ii"}  # entries of columns, multipliers, suffixes
 #: The numbers behind a letter in bytes: of a number, and of the kind of a bound.
 NUMBERS = {"n": "d", "l": "i", "s": "h"}
@@ -429,27 +426,24 @@ def _options(text: bytes) -> tuple[tuple[int, ...], float | None]:
     except ValueError:
         count = -1
     if not 0 <= count <= MOST_OPTIONS:
-        raise NLSyntaxError(
-            0, f"its letter is followed by up to {MOST_OPTIONS} integers, and how many"
-        )
+        what = f"its letter is followed by up to {MOST_OPTIONS} integers, and how many"
+        raise NLSyntaxError(0, what)
     return (count, *options, *[0] * (count - len(options))), tolerance
 
 
-def _read_head_line(
-    header: SimpleNamespace, number: int, names: str, line: bytes, length: int
-) -> None:
+def _read_head_line(header: SimpleNamespace, k: int, names: str, line: bytes, length: int) -> None:
     """Take in the numbers of a line, zeros for those that may be missing; so many bytes follow the head."""
     needed, *called = names.split()
     words = line.split(b"#")[0].split()[: len(called)]
     is_whole = b"".join(words).isdigit() and max(map(len, words)) <= 18
     if len(words) < int(needed) or not is_whole:
         what = f"{needed} integers or more are needed: {' '.join(called)}"
-        raise NLSyntaxError(header.places[number], what)
+        raise NLSyntaxError(header.places[k], what)
     numbers = [int(word) for word in words] + [0] * (len(called) - len(words))
     for name, value in zip(called, numbers, strict=True):
         if name[-1] == "*" and value > length:  # before anything is allocated
             what = f"{value} {name[:-1]} are announced, and {length} bytes follow"
-            raise NLSyntaxError(header.places[number], what)
+            raise NLSyntaxError(header.places[k], what)
         setattr(header, name.rstrip("*"), value)
 
 

@@ -384,7 +384,6 @@ def _named(words: str) -> dict[str, tuple[str, ...]]:
 class Layout(NamedTuple):
     """Names in a file of each argument of a problem class, and its required arguments."""
 
-    kind: type
     build: Callable[..., Any]
     names: dict[str, tuple[str, ...]]
     needed: tuple[str, ...]
@@ -399,33 +398,29 @@ OF_LCP = (
     "an LCP file holds M (or its CSR arrays data, indices, indptr, shape), q and, if wanted, lower and upper (or lb, "
     'ub): numpy.savez("p.npz", M=M, q=q)'
 )
-LAYOUTS = {
-    "LCP": Layout(LCP, _lcp, _named("M q lower=lower,lb,l upper=upper,ub,u"), ("M", "q"), OF_LCP),
-    "FrictionalContact": Layout(
-        FrictionalContact,
+LAYOUTS: dict[type, Layout] = {
+    LCP: Layout(_lcp, _named("M q lower=lower,lb,l upper=upper,ub,u"), ("M", "q"), OF_LCP),
+    FrictionalContact: Layout(
         _contact,
         _named("W=W,M b=b,q friction=mu,friction contacts dimension equations"),
         ("W", "b", "friction"),
         "a FrictionalContact holds W (or the CSR arrays data, indices, indptr, shape), b (or q), mu (or friction); "
         "many worlds have an axis in front, and contacts if these differ in size",
     ),
-    "ConeProblem": Layout(
-        ConeProblem,
+    ConeProblem: Layout(
         _cones,
         _named("M q cone_kinds cone_rows lower upper"),
         ("M", "q", "cone_kinds", "cone_rows"),
         "a ConeProblem holds M (or its CSR arrays data, indices, indptr, shape), q, cone_kinds (0 free, 1 nonnegative, "
         "2 box, 3 second order), cone_rows, and lower, upper if there are boxes",
     ),
-    "QuadraticProgram": Layout(
-        QuadraticProgram,
+    QuadraticProgram: Layout(
         _program,
         _named("P c=c,q A l u G h b lower=lower,lb upper=upper,ub constant=r"),
         ("c",),
         OF_PROGRAM,
     ),
-    "BoundedLeastSquares": Layout(
-        BoundedLeastSquares,
+    BoundedLeastSquares: Layout(
         BoundedLeastSquares,
         _named("A b lower=lower,lb upper=upper,ub weights ridge l1"),
         ("A", "b"),
@@ -436,30 +431,30 @@ LAYOUTS = {
 NUMBERS = {"lower", "upper", "l", "u", "l1", "ridge", "constant", "dimension", "equations"}
 
 
-def layout_of(source: Path) -> str:
-    """Return the layout that the ending of a file and the names in it suggest; "LCP" in doubt."""
+def class_of_file(source: Path) -> type:
+    """Return the problem class that the ending of a file and the names in it suggest; LCP in doubt."""
     suffix = source.suffix.lower()
     if suffix in MPS:
-        return "QuadraticProgram"
+        return QuadraticProgram
     if suffix in HDF5:
-        return "FrictionalContact"
+        return FrictionalContact
     if suffix != ARRAYS:
-        return "LCP"
+        return LCP
     names = {PARTS.get(name, name) for name in names_in(source)}
     if names & {"mu", "friction"} and names & {"W", "M"}:
-        return "FrictionalContact"
+        return FrictionalContact
     if "cone_kinds" in names:
-        return "ConeProblem"
+        return ConeProblem
     if "P" not in names and "M" in names:
-        return "LCP"
+        return LCP
     if names & {"P", "c"} or {"A", "q"} <= names:
-        return "QuadraticProgram"
-    return "BoundedLeastSquares" if {"A", "b"} <= names else "LCP"
+        return QuadraticProgram
+    return BoundedLeastSquares if {"A", "b"} <= names else LCP
 
 
-def _built(source: Path, layout: str, arrays: Mapping[str, Any]) -> Any:
+def _built(source: Path, kind: type, arrays: Mapping[str, Any]) -> Any:
     """Return the problem of the arrays of a file."""
-    kind, build, names, needed, text = LAYOUTS[layout]
+    build, names, needed, text = LAYOUTS[kind]
     content: Arrays = {}
     for argument, choices in names.items():
         present = [name for name in choices if name in arrays]
@@ -488,28 +483,27 @@ def _stated(source: Path, kind: type, build: Callable[[], Any]) -> Any:
 
 def _read(source: Path, needed: type | None = None) -> Any:
     """Return the problem of a file."""
-    layout, suffix = layout_of(source), source.suffix.lower()
+    kind, suffix = class_of_file(source), source.suffix.lower()
     if suffix == NL:
         return lcp_in_nl(source)
     if suffix not in (ARRAYS, MARKET, *MPS, *HDF5):
         raise UnreadableFile(
             f"cannot read {source}: expected an .npz, .nl, .qps, .mps, .lp, .h5 or .mtx file; {OF_LCP}"
         )
-    kind = LAYOUTS[layout].kind
     if needed not in (None, kind):
         holds, is_not = with_article(kind.__name__), with_article(needed.__name__)
         raise UnreadableFile(
             f"{source} holds {holds}, not {is_not}: lcp_plugin.load_problem(path) reads it, `lcp-plugin solve` takes "
-            f"it; {LAYOUTS[needed.__name__].text}"
+            f"it; {LAYOUTS[needed].text}"
         )
     if suffix in MPS:
         return _from_mps(source)
     if suffix in HDF5:
         return load_fclib(source)
     if suffix == MARKET:
-        return _built(source, layout, market_arrays(source))
-    wanted = {name for names in LAYOUTS[layout].names.values() for name in names}
-    return _built(source, layout, arrays_in(source, wanted))
+        return _built(source, kind, market_arrays(source))
+    wanted = {name for names in LAYOUTS[kind].names.values() for name in names}
+    return _built(source, kind, arrays_in(source, wanted))
 
 
 def load_lcp(path: str | PathLike[str]) -> LCP:

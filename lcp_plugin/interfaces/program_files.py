@@ -91,8 +91,8 @@ def read_mps(source: Path, remarks: list[str]) -> Read:
             lines, lambda line: [*filter(None, (line[field].strip() for field in fields))]
         )
     sense = [words[-1].upper()[:3] for words in sections["OBJSENSE"]] or ["MIN"]
-    kinds = np.array([words[0].upper() for words in sections["ROWS"]], dtype=np.str_)
-    if strange := {*kinds.tolist()} - {*"NLGE"} or {*sense} - {"MIN", "MAX"}:
+    row_types = np.array([words[0].upper() for words in sections["ROWS"]], dtype=np.str_)
+    if strange := {*row_types.tolist()} - {*"NLGE"} or {*sense} - {"MIN", "MAX"}:
         raise InvalidProblem(f"{strange.pop()} is not a row N, L, G, E or a sense MIN, MAX")
     rows = NumberOf("ROWS", (words[-1] for words in sections["ROWS"]), remarks)
     names = (name for name, _ in groupby(words[0] for words in sections["COLUMNS"]))
@@ -104,14 +104,14 @@ def read_mps(source: Path, remarks: list[str]) -> Read:
     products = [_entries(sections, name, columns, columns) for name in ("QUADOBJ", "QMATRIX")]
     n, m, sign = len(columns), len(rows), -1.0 if sense[-1] == "MAX" else 1.0
     A = _matrix(entries, (n, m)).T.tocsr()
-    triangle, whole = (_matrix(entries_of_section, (n, n)) for entries_of_section in products)
+    triangle, whole = (_matrix(part, (n, n)) for part in products)
     P = sign * (triangle + triangle.T - sp.diags_array(triangle.diagonal()) + whole)
     b, width = _row(right, 0.0, m), _row(ranges, np.nan, m)
     reach = np.where(np.isnan(width), np.inf, np.abs(width))
     # An equation has an interval on the side of its range's sign
-    span = np.select([kinds == "L", kinds == "G"], [-reach, reach], np.nan_to_num(width))
+    span = np.select([row_types == "L", row_types == "G"], [-reach, reach], np.nan_to_num(width))
     low, high = b + np.minimum(span, 0.0), b + np.maximum(span, 0.0)
-    first, is_row = np.flatnonzero(kinds == "N")[:1], kinds != "N"
+    first, is_row = np.flatnonzero(row_types == "N")[:1], row_types != "N"
     limits = low[is_row], high[is_row], _row(lower, 0.0, n), _row(upper, np.inf, n)
     c, constant = sign * A[first].sum(axis=0), 0.0 - sign * b[first].sum()
     both = Names([name for name, k in rows.items() if is_row[k]], [*columns])
@@ -272,12 +272,13 @@ def load_fclib(source: Path) -> FrictionalContact:
             raise UnreadableFile(f"{source}: {error}; {LAYOUT}") from error
 
 
-def _vector(group: Any, name: str, kind: type = float) -> Any:
+def _vector(group: Any, name: str, number_type: type = float) -> Any:
     """Return an array of numbers as a vector."""
     values = np.ravel(group[name][()])
-    if values.dtype.kind not in ("iu" if kind is int else "iuf"):
-        raise TypeError(f"{group.name}/{name} holds {values.dtype} in place of {kind.__name__}")
-    return values.astype(np.int64 if kind is int else np.float64)
+    if values.dtype.kind not in ("iu" if number_type is int else "iuf"):
+        needed = number_type.__name__
+        raise TypeError(f"{group.name}/{name} holds {values.dtype} in place of {needed}")
+    return values.astype(np.int64 if number_type is int else np.float64)
 
 
 def _read_matrix(group: Any, rows: int, columns: int) -> sp.csr_array:
@@ -452,9 +453,9 @@ def class_of_file(source: Path) -> type:
     return BoundedLeastSquares if {"A", "b"} <= names else LCP
 
 
-def _built(source: Path, kind: type, arrays: Mapping[str, Any]) -> Any:
+def _built(source: Path, problem_class: type, arrays: Mapping[str, Any]) -> Any:
     """Return the problem of the arrays of a file."""
-    build, names, needed, text = LAYOUTS[kind]
+    build, names, needed, text = LAYOUTS[problem_class]
     content: Arrays = {}
     for argument, choices in names.items():
         present = [name for name in choices if name in arrays]
@@ -467,10 +468,10 @@ def _built(source: Path, kind: type, arrays: Mapping[str, Any]) -> Any:
             content[argument] = array.item() if argument in NUMBERS and array.size == 1 else array
     if missing := [names[argument][0] for argument in needed if argument not in content]:
         raise UnreadableFile(f"{source} lacks the keys {missing}; {text}")
-    return _stated(source, kind, lambda: build(**content))
+    return _stated(source, problem_class, lambda: build(**content))
 
 
-def _stated(source: Path, kind: type, build: Callable[[], Any]) -> Any:
+def _stated(source: Path, problem_class: type, build: Callable[[], Any]) -> Any:
     try:
         return build()
     except MemoryError as error:
@@ -478,20 +479,20 @@ def _stated(source: Path, kind: type, build: Callable[[], Any]) -> Any:
             f"{source} states a problem too large for the memory ({error})"
         ) from error
     except (InvalidProblem, ValueError, LookupError, TypeError) as error:
-        raise UnreadableFile(f"{source} states no {kind.__name__}: {error}") from error
+        raise UnreadableFile(f"{source} states no {problem_class.__name__}: {error}") from error
 
 
 def _read(source: Path, needed: type | None = None) -> Any:
     """Return the problem of a file."""
-    kind, suffix = class_of_file(source), source.suffix.lower()
+    problem_class, suffix = class_of_file(source), source.suffix.lower()
     if suffix == NL:
         return lcp_in_nl(source)
     if suffix not in (ARRAYS, MARKET, *MPS, *HDF5):
         raise UnreadableFile(
             f"cannot read {source}: expected an .npz, .nl, .qps, .mps, .lp, .h5 or .mtx file; {OF_LCP}"
         )
-    if needed not in (None, kind):
-        holds, is_not = with_article(kind.__name__), with_article(needed.__name__)
+    if needed not in (None, problem_class):
+        holds, is_not = with_article(problem_class.__name__), with_article(needed.__name__)
         raise UnreadableFile(
             f"{source} holds {holds}, not {is_not}: lcp_plugin.load_problem(path) reads it, `lcp-plugin solve` takes "
             f"it; {LAYOUTS[needed].text}"
@@ -501,9 +502,9 @@ def _read(source: Path, needed: type | None = None) -> Any:
     if suffix in HDF5:
         return load_fclib(source)
     if suffix == MARKET:
-        return _built(source, kind, market_arrays(source))
-    wanted = {name for names in LAYOUTS[kind].names.values() for name in names}
-    return _built(source, kind, arrays_in(source, wanted))
+        return _built(source, problem_class, market_arrays(source))
+    wanted = {name for names in LAYOUTS[problem_class].names.values() for name in names}
+    return _built(source, problem_class, arrays_in(source, wanted))
 
 
 def load_lcp(path: str | PathLike[str]) -> LCP:
@@ -600,7 +601,8 @@ def read_lp(source: Path, remarks: list[str]) -> Read:
     P = _symmetric(matrix(hessian, n)) if hessian.dim_ else sp.csr_array((n, n))
     limits = linear.row_lower_, linear.row_upper_, linear.col_lower_, linear.col_upper_
     parts = sign * P, sign * np.array(linear.col_cost_), matrix(linear.a_matrix_, linear.num_row_)
-    kinds = zip(linear.col_names_, linear.integrality_, strict=False)
-    integers = [name for name, kind in kinds if kind != highspy.HighsVarType.kContinuous]
+    column_types = zip(linear.col_names_, linear.integrality_, strict=False)
+    continuous = highspy.HighsVarType.kContinuous
+    integers = [name for name, column_type in column_types if column_type != continuous]
     names = Names(linear.row_names_ or None, linear.col_names_ or None)
     return sign, names, integers, (*parts, *limits, sign * linear.offset_ + 0.0)

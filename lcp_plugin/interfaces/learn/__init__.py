@@ -95,11 +95,10 @@ class Layer(ABC):
     @classmethod
     def problem_shapes(cls, *shapes: tuple[int, ...]) -> list[tuple[int, ...]]:
         """Return the shapes of the arrays of one problem, from the shapes of arrays with batch axes."""
-        shapes_of_one = (
+        return [
             shape[-2:] if k in cls.matrices_at else shapes[1 if k in cls.bounds_at else k][-1:]
             for k, shape in enumerate(shapes)
-        )
-        return [*shapes_of_one]
+        ]
 
     @abstractmethod
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: object) -> BatchAnswers:
@@ -268,14 +267,14 @@ class QPLayer(Layer):
         """Return the batch axes; the error names the array that does not fit."""
         names, n = PROGRAM_ARRAYS, (*(shapes[0][-1:] or shapes[1][-1:]), "n")[0]
         m, p = (shapes[k][-2] if len(shapes[k]) > 1 else name for k, name in ((2, "m"), (4, "p")))
-        shapes_of_one: Array = (n, n), (n,), (m, n), (m,), (p, n), (p,), (n,), (n,)
+        needed_shapes: Array = (n, n), (n,), (m, n), (m,), (p, n), (p,), (n,), (n,)
         fronts = []
-        for name, shape, wanted in zip(names, shapes, shapes_of_one, strict=True):
+        for name, shape, needed in zip(names, shapes, needed_shapes, strict=True):
             is_number = name in ("lower", "upper") and shape[-1:] in ((), (1,))
-            if shape[-len(wanted) :] != wanted and not is_number:
-                need = "(…, " + ", ".join(map(str, wanted)) + ")"
+            if shape[-len(needed) :] != needed and not is_number:
+                need = "(…, " + ", ".join(map(str, needed)) + ")"
                 raise InvalidProblem(f"{name} must have shape {need}, got {shape}")
-            fronts.append(shape[: -len(wanted)])
+            fronts.append(shape[: -len(needed)])
         try:
             return np.broadcast_shapes(*fronts)
         except ValueError:

@@ -5,20 +5,16 @@ min ½ Σ d_i s_i² + ½ ridge ‖x‖² + Σ c_j t_j  subject to  A x + a ∘ s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import Vector
-from ...core.deadline import seconds_left
 from ...core.entries import row_numbers
 from ...core.errors import LCPError
-from ...core.settings import Status
 from ..least_squares.data import BoundedLeastSquares
-from ..least_squares.engines import FacePoint, minimize_on_face
-from ..least_squares.solving import solve_least_squares
 from .program_matrices import FULL_UP_TO
 
 if TYPE_CHECKING:
@@ -108,18 +104,3 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
         return every, np.concatenate([inequality, equality])
 
     return problem, outward
-
-
-def solutions(
-    problem: BoundedLeastSquares, options: dict[str, Any]
-) -> Iterator[tuple[Vector, Any]]:
-    """Yield x of a solution, then the minimum on its face, with the result of a run with these options."""
-    if np.isfinite(left := seconds_left()):
-        options = {**options, "max_seconds": left}
-    result = solve_least_squares(problem, **options)
-    if result.status is Status.INTERRUPTED:  # it also ends the run around this one
-        raise KeyboardInterrupt
-    yield result.x, result
-    scaled = problem.scaled
-    near = FacePoint(scaled, scaled.from_caller(result.x))
-    yield scaled.to_caller(minimize_on_face(near, *scaled.rows(is_dense=True)).x), result

@@ -24,11 +24,12 @@ from ...solving.dispatch import parse_call
 from ...solving.lcp_solver import solve_lcp
 from ...solving.result import Sample, StageRecord
 from ...solving.run import Named, Progress, Run, Stage, say
+from ..least_squares.solving import solve_least_squares
 from .conversion import optimality_conditions
 from .engine_points import NO_MINIMUM, ProgramPoint, Scaling, attempts, nearest, run_engine
 from .no_minimum import NoMinimum, QPUnboundedness, known_proof, numbers, proof_of_contradiction
 from .program import QuadraticProgram, refuse_nonconvex
-from .regression import Outward, regression_of, solutions
+from .regression import Outward, regression_of
 from .result import ADVICE, QuadraticProgramResult
 from .solution import QPSolution
 
@@ -262,14 +263,17 @@ class ProgramRun(Run):
         yield Step(point.solution.x, iterations=point.iterations, measured=point)
 
     def _regression_steps(self, problem: Any, outward: Outward) -> Iterator[Step]:
-        """Yield the start and the points of the least squares problem."""
+        """Yield the start and the solution of the least squares problem."""
         yield Step(nearest(self.program)[0], iterations=0)
-        names = self.options.keys() & {"max_iterations"}
-        options = {"tolerance": self.settings.tolerance} | {key: self.options[key] for key in names}
-        for z, by in solutions(problem, options):
-            solution = QPSolution.from_reduced(self.program, *outward(z))
-            point = ProgramPoint.of(solution, self.settings.tolerance, by.algorithm, by.iterations)
-            yield Step(solution.x, iterations=by.iterations, measured=point)
+        tolerance, left = self.settings.tolerance, seconds_left()
+        options: dict[str, Any] = {"max_iterations": self.options.get("max_iterations")}
+        options["max_seconds"] = None if left == math.inf else left
+        result = solve_least_squares(problem, tolerance=tolerance, **options)
+        if result.status is Status.INTERRUPTED:  # it also ends the run around this one
+            raise KeyboardInterrupt
+        solution = QPSolution.from_reduced(self.program, *outward(result.x))
+        point = ProgramPoint.of(solution, tolerance, result.algorithm, result.iterations)
+        yield Step(solution.x, iterations=result.iterations, measured=point)
 
     def lcp_stage(self, *run: Any) -> Stage:
         """Return a stage with a run on the complementarity problem of the program; see `_lcp_steps`."""

@@ -111,8 +111,7 @@ class Rows:
             else operator @ block
             for key, block in self.blocks.items()
         }
-        offset = operator @ self.offset if self.offset.any() else np.zeros(operator.shape[0])
-        return Rows(blocks, offset, shape, self.level)
+        return Rows(blocks, operator @ self.offset, shape, self.level)
 
     def summed(self, targets: Indices, shape: tuple[int, ...] = ()) -> Rows:
         """Return sums of rows: row k is added to the sum with the number targets[k]."""
@@ -166,8 +165,9 @@ def _placed(parts: list[tuple[sp.csr_array, int, int]], shape: tuple[int, int]) 
         A, _, column = parts[0]
         return sp.csr_array((A.data, A.indices + column, A.indptr), shape=shape, copy=True)
     entries = [(A.data, row + row_numbers(A), column + A.indices) for A, row, column in parts]
-    nothing = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    data, rows, columns = map(np.concatenate, zip(nothing, *entries, strict=True))
+    if not entries:
+        return sp.csr_array(shape)
+    data, rows, columns = map(np.concatenate, zip(*entries, strict=True))
     return sp.csr_array((data, (rows, columns)), shape=shape)
 
 

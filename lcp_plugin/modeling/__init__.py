@@ -97,10 +97,10 @@ make by itself, ``best.dual_value`` has the dual values of the program's constra
 >>> from lcp_plugin import optimal
 >>> x, y = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
 >>> firms = [
-...     optimal(cp.Problem(cp.Maximize(cp.multiply(10 - x - y, own) - own)), over=[own]) for own in (x, y)
+...     optimal(cp.Problem(cp.Maximize(cp.multiply(9 - x - y, sold))), over=[sold]) for sold in (x, y)
 ... ]
 >>> _ = cp.Problem(cp.Minimize(0), firms).solve(method="LCP")
->>> round(float(x.value), 6), round(float(y.value), 6), max(one.gap() for one in firms) <= 1e-6
+>>> round(float(x.value), 6), round(float(y.value), 6), max(firm.gap() for firm in firms) <= 1e-6
 (3.0, 3.0, True)
 
 **Variational inequalities.** ``variational(F, over=[x], constraints=[…])``, in the place of an agent, states that
@@ -134,11 +134,11 @@ parameters. ``jvp`` maps changes of parameters to changes of variables and dual 
 >>> pair = complements(x >= 0, rate**2 * x - load >= 0)
 >>> problem = cp.Problem(cp.Minimize(0), [pair])
 >>> _ = problem.solve(method="LCP")
->>> found = lcp_plugin.derivative(problem)
->>> gradients = found.vjp({x: [1.0, 1.0]})  # x = (load / rate², 0)
+>>> derivative = lcp_plugin.derivative(problem)
+>>> gradients = derivative.vjp({x: [1.0, 1.0]})  # x = (load / rate², 0)
 >>> gradients[load], float(gradients[rate])
 (array([0.25, 0.  ]), -1.5)
->>> changes = found.jvp({rate: 0.01})
+>>> changes = derivative.jvp({rate: 0.01})
 >>> changes[x].round(12), changes[pair].round(12)
 (array([-0.015,  0.   ]), array([0., 0.]))
 

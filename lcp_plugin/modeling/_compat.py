@@ -270,7 +270,7 @@ def why_not(problem: cp.Problem) -> list[str]:
     reasons = []
     for variable in problem.variables():
         for attribute in ("boolean", "integer", "PSD", "NSD", "hermitian"):
-            if np.size(variable.attributes[attribute]) and np.any(variable.attributes[attribute]):
+            if np.any(variable.attributes[attribute]):
                 reasons.append(f"variable {variable.name()} is {attribute}")
         if variable.is_complex():
             reasons.append(

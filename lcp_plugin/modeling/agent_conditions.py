@@ -383,12 +383,12 @@ class AgentProgram:
         stated, (count, ends) = [*self._of_attributes, *self.bounds], self._read_ends
         for bound in stated[count:]:
             if not isinstance(bound.end, cp.Expression):
-                values = np.broadcast_to(bound.end, bound.weights.shape)
-                for is_side, extreme, end in (
-                    (bound.weights < 0.0, np.maximum, ends[0]),
-                    (bound.weights > 0.0, np.minimum, ends[1]),
-                ):
-                    extreme.at(end, bound.places[is_side], values[is_side])
+                values, is_upper = (
+                    np.broadcast_to(bound.end, bound.weights.shape),
+                    bound.weights > 0.0,
+                )
+                np.maximum.at(ends[0], bound.places[~is_upper], values[~is_upper])
+                np.minimum.at(ends[1], bound.places[is_upper], values[is_upper])
         self._read_ends = len(stated), ends
         if is_numeric:
             return ends

@@ -402,7 +402,7 @@ class Reader:
     def _result(self, node: cp.Expression, arguments: list[Any]) -> Any:
         key, rule = id(node), affine_rule(type(node))  # type: ignore[arg-type]
         below = list(map(id, node.args))
-        hidden = hidden_parameters(node) if node.args and rule is None else []
+        hidden = hidden_parameters(node) if rule is None else []
         if hidden and self._has_sources:
             raise UnsupportedModel(
                 f"{name_of(node)} holds the parameter {hidden[0].name()} where no derivative reaches it; write it with "

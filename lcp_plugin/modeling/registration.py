@@ -88,9 +88,8 @@ _memos: weakref.WeakKeyDictionary[Any, dict[int, tuple[Any, Any]]] = weakref.Wea
 def build_from(problem: cp.Problem) -> Model:
     """Return the model of a cvxpy problem; parts that depend on no parameter are cached for the next call."""
     if not isinstance(problem, cp.Problem):
-        kind = type(problem).__name__
         raise UnsupportedModel(
-            f"a cvxpy problem is needed, got {kind}; write cp.Problem(cp.Minimize(0), […])"
+            f"a cvxpy problem is needed, got {type(problem).__name__}; write cp.Problem(cp.Minimize(0), […])"
         )
     if not problem.objective.args[0].is_constant():
         raise UnsupportedModel(
@@ -128,8 +127,7 @@ def stated_in_cvxpy(problem: LCP) -> Any:
     if problem.n == 0:  # cvxpy 1.8 has no empty variables
         return cp.Problem(cp.Minimize(0))
     z = cp.Variable(problem.n, name="z")
-    F = problem.csr @ z + problem.q
-    pair = complements(box(z, problem.lower, problem.upper), F)
+    pair = complements(box(z, problem.lower, problem.upper), problem.csr @ z + problem.q)
     return cp.Problem(cp.Minimize(0), [pair])
 
 

@@ -312,7 +312,7 @@ class Compiler:
         return rows.applied(operator, shape)
 
 
-def _meeting(left: tuple[int, ...], right: tuple[int, ...]) -> tuple[Indices, Indices, Indices]:
+def _meeting(left: tuple[int, ...], right: tuple[int, ...]) -> tuple[Indices, ...]:
     """Return the factors of a matrix product: rows of the left, rows of the right, and the entry that they add to."""
     first = (1, *left) if len(left) == 1 else left
     second = (*right, 1) if len(right) == 1 else right
@@ -322,8 +322,7 @@ def _meeting(left: tuple[int, ...], right: tuple[int, ...]) -> tuple[Indices, In
     both = np.broadcast_arrays(
         at_left[..., np.newaxis], at_right[..., np.newaxis, :, :], target[..., np.newaxis, :]
     )
-    of_left, of_right, targets = (numbers.ravel() for numbers in both)
-    return of_left, of_right, targets
+    return tuple(numbers.ravel() for numbers in both)
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,10 +339,9 @@ class Combination:
     matrix: sp.csr_array
     offset: Vector
 
-    def __call__(self, quantities: Vector) -> Vector:
+    def __call__(self, quantities: Vector) -> Any:
         """Return the combinations of these quantities."""
-        values: Vector = self.matrix @ quantities + self.offset
-        return values
+        return self.matrix @ quantities + self.offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -462,9 +460,8 @@ class Program:
         """Return F′(x)ᵀ by_result without the Jacobian."""
         with np.errstate(all="ignore"):
             arguments, total = self._swept(x)[1], self.result.matrix.T @ by_result
-            for level, span, values in zip(
-                self.levels[::-1], self._spans[::-1], arguments[::-1], strict=True
-            ):
+            levels = list(zip(self.levels, self._spans, arguments, strict=True))
+            for level, span, values in reversed(levels):
                 for slope, argument in zip(level.derivatives(values), level.arguments, strict=True):
                     total += argument.matrix.T @ (slope * total[span][: slope.size])
             return total[: self.n]

@@ -142,9 +142,14 @@ def dense(value: Any) -> Any:
     return value.toarray() if sp.issparse(value) else value
 
 
+def stored_entries(value: Any) -> Any:
+    """Return the stored entries of a sparse array, and all entries of another value, as a vector."""
+    return np.ravel(value.data if sp.issparse(value) else value)
+
+
 def by_columns(value: object) -> Any:
-    """Return all entries of a value as a vector, column by column."""
-    return np.ravel(dense(value), order="F")
+    """Return the real parts of all entries of a value as a vector, column by column."""
+    return np.ravel(dense_value(value), order="F")
 
 
 class UnsolvableModel(UnsupportedModel, SolverError):  # type: ignore[misc]

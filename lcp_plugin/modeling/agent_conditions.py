@@ -31,6 +31,7 @@ from ._compat import (
     name_of,
     postorder,
     sense_of,
+    stored_entries,
 )
 from .constraint import Complements, box
 from .model import Side, spans_of
@@ -140,9 +141,8 @@ class StandardRows(NamedTuple):
         if not expression.size:
             return []
         for leaf in (*expression.constants(), *expression.parameters()):
-            if leaf.value is not None and not np.isfinite(_entries(leaf.value)).all():
-                is_parameter = isinstance(leaf, cp.Parameter)
-                named = f"the parameter {leaf.name()} of " if is_parameter else ""
+            if leaf.value is not None and not np.isfinite(stored_entries(leaf.value)).all():
+                named = f"the parameter {leaf.name()} of " if isinstance(leaf, cp.Parameter) else ""
                 raise UnsupportedModel(
                     f"{named}{name_of(constraint)} in an agent's program is not finite; only a constant side of an "
                     "inequality may be infinite, if the inequality then holds: repair the data, or leave it out"
@@ -157,10 +157,6 @@ class StandardRows(NamedTuple):
         entries = np.zeros(self.origin.size)
         entries[self.kept] = by_columns(values)
         return entries.reshape(self.origin.shape, order="F")
-
-
-def _entries(value: Any) -> Any:
-    return value.data if sp.issparse(value) else value
 
 
 class AgentProgram:

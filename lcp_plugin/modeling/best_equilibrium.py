@@ -140,7 +140,7 @@ def possible_gain(agent: Any) -> float | None:
     A constraint that the present point violates may be violated by the same amount.
     """
     smooth, sense = agent.conditions, compat.sense_of(agent.program)
-    values = {variable.id: cp.Constant(variable.value) for variable in agent.program.variables()}
+    values = {v.id: cp.Constant(v.value) for v in agent.program.variables()}
     change = with_data(smooth.entries, values)
     rows = [row for item in agent.program.constraints for row in StandardRows.of(item)]
     stated = {row.origin.id: row.expression for row in rows}

@@ -305,7 +305,7 @@ class Model:
 
     def _key(self, side: Side) -> tuple[bool, ...]:
         """Return a sort key of the sides of a pair; its natural variable comes first."""
-        columns, low, high = (read := self.read(side)).columns, read.low, read.high
+        _, columns, _, _, low, high = self.read(side)
         return (
             side.kind == "zero",
             side.kind not in ("box", "cone"),
@@ -560,7 +560,7 @@ class Model:
         square, stated = self.square, [*self.statement.pairs, *self.statement.rows]
         unknowns = square.elimination.expand(z)
         below = compat.values_below([row.origin for row in stated])
-        values = [compat.by_columns(compat.dense_value(below[id(row.origin)])) for row in stated]
+        values = [compat.by_columns(below[id(row.origin)]) for row in stated]
         for k, row in enumerate(stated):
             if row.slacks is not None:
                 values[k] = values[k] - unknowns[row.slacks]

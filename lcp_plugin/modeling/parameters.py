@@ -281,7 +281,7 @@ class ModelDerivative:
         last = np.zeros(n, dtype=np.int64)
         for k, (columns, *_) in enumerate(model.bounds):
             last[columns] = k
-        parts = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))]
+        parts: list[Any] = [(np.zeros(0, dtype=np.int64),) * 3]
         for k, (columns, scale, expression, *ends) in enumerate(model.bounds):
             entries = np.flatnonzero(last[columns] == k)
             weights = np.broadcast_to(scale, columns.size)[entries]

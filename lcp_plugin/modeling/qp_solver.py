@@ -37,7 +37,6 @@ from ._compat import (
     CVXPY_STATUS,
     EQUATIONS,
     by_columns,
-    dense_value,
     entry_of,
     leaf_value,
     row_of,
@@ -207,7 +206,7 @@ class Entries(NamedTuple):
             raise UnsupportedModel(
                 f"cvxpy made a program in which {variable.name()} is not found again; use plain variables"
             )
-        flat = np.rint(by_columns(np.broadcast_to(dense_value(numbers), variable.shape)))
+        flat = np.rint(by_columns(np.broadcast_to(numbers, variable.shape)))
         places = np.maximum(np.abs(flat).astype(np.int64) - 1, 0) + columns.get(leaf.id, 0)
         return cls(places, np.sign(flat), variable.shape)
 
@@ -218,7 +217,7 @@ class Entries(NamedTuple):
     def put_into(self, unknowns: Vector, value: Any) -> None:
         """Set the unknowns so that they give the value."""
         is_used = self.signs != 0.0
-        flat = self.signs * by_columns(dense_value(value))
+        flat = self.signs * by_columns(value)
         unknowns[self.places[is_used]] = flat[is_used]
 
 
@@ -349,7 +348,7 @@ def _check(problem: cp.Problem) -> None:
         return
     for variable in problem.variables():
         value = leaf_value(variable)
-        if value is None or not np.isfinite(dense_value(value)).all():
+        if value is None or not np.isfinite(by_columns(value)).all():
             what = "no value" if value is None else "a value that is not finite"
             raise InvalidProblem(
                 f"variable {variable.name()} has {what}; solve the problem again, or set it"

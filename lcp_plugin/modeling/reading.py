@@ -99,10 +99,9 @@ def _own_jacobian(node: cp.Expression, k: int, values: list[Any]) -> sp.csr_arra
     try:
         stand_in = node
         if not node.args[k].variables():
-            constants = [cp.Constant(value) for value in values]
-            stand_in = node.copy(
-                [*constants[:k], cp.Variable(node.args[k].shape), *constants[k + 1 :]]
-            )
+            stand_ins: list[Any] = [cp.Constant(value) for value in values]
+            stand_ins[k] = cp.Variable(node.args[k].shape)
+            stand_in = node.copy(stand_ins)
         jacobian = stand_in._grad(values)[k]
         if jacobian is None:
             raise ValueError("outside its domain, or an atom without a derivative")
@@ -475,11 +474,10 @@ class Reader:
             raise UnsupportedModel(
                 f"{name_of(node)} is complex; write its real and imaginary parts as two expressions"
             )
-        entries = value.data if sp.issparse(value) else value
-        if not np.isfinite(entries).all():
-            wrong = np.ravel(entries)[~np.isfinite(np.ravel(entries))][0]
+        entries = atoms.stored_entries(value)
+        if (wrong := entries[~np.isfinite(entries)]).size:
             raise UnsupportedModel(
-                f"constants must be finite, but {name_of(node)} holds {wrong}; repair that entry"
+                f"constants must be finite, but {name_of(node)} holds {wrong[0]}; repair that entry"
             )
 
 

@@ -24,7 +24,6 @@ from .newton import accuracy_of, factorize_blocks
 Cones = NDArray[np.float64]  # shape (k, d)
 
 TO_THE_BOUNDARY = 0.9  # share of the way to the boundary of the cones that a step goes
-SHORT, CENTRED = 0.1, (0.5, 0.9)  # after a shorter step a centering step is tried, with these σ
 
 
 def central_path(stack: ConeStack, z: Vector, share: float) -> Iterator[tuple[Any, float]]:
@@ -74,33 +73,22 @@ def take_step(
     try:
         factors = factorize_blocks(stack, by_z[None], np.broadcast_to(eye, by_z.shape)[None])
 
-        def direction(of_cones: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
-            """Return dx, dy with H dx + dy = c that remove a share of the residual."""
+        def direction(of_cones: Cones) -> tuple[Cones, Cones]:
+            """Return dx, dy with H dx + dy = c that remove the residual."""
             c = np.zeros_like(x)
             c[cones] = of_cones
-            dx = factors.solve((share * left + apply(G, scale * c))[None])[0] * scale
+            dx = factors.solve((left + apply(G, scale * c))[None])[0] * scale
             return dx, c - apply(H, dx)
 
-        def reach(dx: Cones, dy: Cones) -> float:
-            """Return the step length to the boundary of the cones."""
-            return min(longest(X, dx[cones]), longest(Y, dy[cones]))
-
         dx, dy = direction(-Y)
-        t = min(1.0, reach(dx, dy))
+        t = min(1.0, longest(X, dx[cones]), longest(Y, dy[cones]))
         mean = float((x * y).sum()) / max(len(X), 1)
         after = float(((x + t * dx) * (y + t * dy)).sum()) / max(len(X), 1)
         at, moved = apply(root, X), apply(root, dx[cones])
         right = product(moved, at + moved) - product(at, at)
         right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3) if mean else 0.0
         dx, dy = direction(apply(root, quotient(right, at)))
-        t = TO_THE_BOUNDARY * reach(dx, dy)
-        for sigma in CENTRED if t < SHORT else ():
-            right = -product(at, at)
-            right[:, 0] += sigma * mean
-            centring = direction(apply(root, quotient(right, at)), 1.0 - sigma)
-            further = TO_THE_BOUNDARY * reach(*centring)
-            if further > t:
-                (dx, dy), t = centring, further
+        t = TO_THE_BOUNDARY * min(longest(X, dx[cones]), longest(Y, dy[cones]))
     except np.linalg.LinAlgError:
         return None
     return x + min(1.0, t) * dx, y + min(1.0, t) * dy, factors.entries

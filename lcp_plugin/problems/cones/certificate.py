@@ -215,8 +215,7 @@ class ContactInfeasibility:
         pulled, wide, rows = problem.rows.csr.T @ self.y, stack.pattern.wide, ConeRows(stack)
         of_y, of_pull = (length(wide(vector[None]))[0] for vector in (self.y, pulled))
         weights = np.sqrt(1.0 + problem.slope**2) * stack.d[0] * of_y + of_pull
-        of_rows = np.broadcast_to(rows.references[0], rows.q.shape).reshape(-1)
-        references = np.maximum.reduceat(of_rows, problem.starts[:-1])
+        references = rows.of_blocks(np.broadcast_to(rows.references[0], rows.q.shape))[0]
         shares = np.where(weights > 0.0, weights * references, 0.0)
         value = self._farkas.plain if self.is_exact else self._farkas.size
         # Less, for the rounding error of the sums

@@ -115,9 +115,8 @@ def stack_of(problem: Any) -> ConeStack:
             if sp.issparse(M) and problem.n <= (FEW if problem.bodies else 300):
                 M = M.toarray()
             pattern = Pattern(M[None] if isinstance(M, np.ndarray) else M, problem.starts)
-            bodies = problem.bodies
-            has_many = bodies is not None and pattern.n > FEW
-            facts["stack"] = pattern, Arms(bodies, pattern) if has_many else None
+            has_arms = problem.bodies is not None and pattern.n > FEW
+            facts["stack"] = pattern, Arms(problem.bodies, pattern) if has_arms else None
         pattern, arms = facts["stack"]
         arrays = (
             vector[None] for vector in (problem.q, problem.slope, problem.lower, problem.upper)

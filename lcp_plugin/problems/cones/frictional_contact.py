@@ -266,11 +266,10 @@ class FrictionalContact(Blocks):
                     f"b has {velocities.shape[1]} columns and dimension is {dimension}"
                 )
             dimension = velocities.shape[1]
-        offset = checks.checked_vector(velocities.ravel(), "b", None)
+        offset = checks.checked_vector(velocities.ravel(), "b", None).copy()
         friction = real_array(friction, "friction must be a number, or one per contact")
         d = dimension_of(dimension, friction.shape, offset.size - p)
         k = (offset.size - p) // d
-        offset = offset.copy()
         offset[: d * k : d] += contact.closing_speeds(gaps, time_step, k)
         mu = contact.checked_friction(friction, k, f"one per contact of {d} rows")
         contact.warn_of_much_friction(mu, 3)

@@ -109,13 +109,12 @@ def minimize_over_solutions(
             raise InvalidOption(f"{name} must be a number ≥ 0, got {limit!r}")
     if prove and not problem.is_provable:
         _refuse_proof(problem)
-    start = None if x0 is None else vector_option(x0, "x0", problem.program.n)
     search = BranchAndBound(problem, float(tolerance), math.inf if max_nodes is None else max_nodes)
     limit = math.inf if max_seconds is None else float(max_seconds)
-    if start is not None:  # the result is not worse than the start
-        search.start = start
+    if x0 is not None:  # the result is not worse than the start
+        search.start = vector_option(x0, "x0", problem.program.n)
         with time_limit(max(limit, 1.0)):  # seconds, for its piece
-            search.solve_nearest_piece(start)
+            search.solve_nearest_piece(search.start)
     with time_limit(limit):
         if verbose:
             print(f"{'nodes':>8} {'value':>17} {'bound':>17} {'gap':>9} {'seconds':>9}", flush=True)

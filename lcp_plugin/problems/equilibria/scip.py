@@ -250,7 +250,7 @@ class _Model:
             self._constrain(self._sums(matrix, self.x, np.zeros(low.size)), low, high)
         constant = np.array([program.constant / self.unit])
         goal = self._sums(program.c[None] / self.unit, self.x, constant)[0]
-        P = sp.coo_array(sp.csr_array(program.P))
+        P = sp.coo_array(program.P)
         entries = zip(P.row.tolist(), P.col.tolist(), P.data.tolist(), strict=True)
         bent = [0.5 * a / self.unit * self.x[i] * self.x[j] for i, j, a in entries]
         if smooth is not None:

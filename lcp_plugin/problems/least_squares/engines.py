@@ -24,7 +24,6 @@ constrained optimization*, SIAM J. Optim. 17 (2006), doi:10.1137/050635225.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Generator, Iterator
 from functools import cached_property
@@ -325,15 +324,13 @@ def is_for_nnls(problem: BoundedLeastSquares) -> bool:
 
 
 def nnls_point(problem: BoundedLeastSquares) -> Vector:
-    """Return the solution by nnls, without weights in the user's own scaling; NaN if nnls fails."""
-    if problem.weights is not None:
+    """Return the solution by nnls, unscaled without weights and ridge; NaN if nnls fails."""
+    if problem.weights is not None or problem.ridge > 0.0:
         scaled = problem.scaled
         return scaled.to_caller(_solve_by_nnls(scaled, *scaled.rows(is_dense=True)))
-    A, b, n = problem.A.toarray() if problem.is_sparse else problem.A, problem.b, problem.shape[1]
-    if problem.ridge > 0.0:
-        A = np.vstack([A, math.sqrt(problem.ridge) * np.eye(n)])
-        b = np.append(b, np.zeros(n))
-    return _solve_by_nnls(problem, A, b)
+    return _solve_by_nnls(
+        problem, problem.A.toarray() if problem.is_sparse else problem.A, problem.b
+    )
 
 
 def _solve_by_nnls(problem: Any, A: Vector, b: Vector) -> Vector:

@@ -90,24 +90,17 @@ def solve_least_squares(
         point = engines.nnls_point(problem)
         optimality = Optimality.of(Enclosures(problem), point, tolerance=settings.tolerance)
         if optimality.residual <= settings.tolerance:
-            make = partial(_first_result, optimality, settings.tolerance, clock.read())
-            return LeastSquaresResult.of_known(
-                make, x=read_only(optimality.x), status=Status.SOLVED
-            )
+            run = {"iterations": 1, "seconds": clock.read(), "tolerance": settings.tolerance}
+            run |= {"algorithm": NNLS[0], "stages": (StageRecord(*NNLS, 1, 1.0),)}
+            make = partial(LeastSquaresResult.at, optimality, status=Status.SOLVED, **run)
+            return LeastSquaresResult.of_known(make, x=read_only(point), status=Status.SOLVED)
     progress = Progress(problem, settings, callback, clock)
     start = None if x0 is None else problem.checked_start(x0)
-    run = LeastSquaresRun(problem, progress, start)
-    result: LeastSquaresResult = run.solve(run.plan())
+    search = LeastSquaresRun(problem, progress, start)
+    result: LeastSquaresResult = search.solve(search.plan())
     if settings.verbose:
         say(f"{result.status.name}: {result.advice}")
     return result
-
-
-def _first_result(optimality: Optimality, tolerance: float, seconds: float) -> LeastSquaresResult:
-    """Return the result of a run that ends with the first point of nnls."""
-    run = {"status": Status.SOLVED, "iterations": 1, "seconds": seconds, "tolerance": tolerance}
-    stages = (StageRecord(*NNLS, 1, 1.0),)
-    return LeastSquaresResult.at(optimality, algorithm=NNLS[0], stages=stages, **run)
 
 
 class LeastSquaresRun(Run):
@@ -206,7 +199,7 @@ class LeastSquaresRun(Run):
 
     def plan(self) -> Iterator[Stage]:
         """Yield nnls for plain data; for a large A projected steps that cost about as much as PIQP; then engines."""
-        problem, most = self.problem, self.settings.max_iterations
+        problem = self.problem
         if self.start is None and engines.is_for_nnls(problem):
             yield Stage(Named(NNLS[0]), NNLS[1], steps=self._nnls_step())
         is_at_rest = not engines.FacePoint(problem.scaled, self.nearest).natural_residual.any()
@@ -224,7 +217,7 @@ class LeastSquaresRun(Run):
             yield Stage(Named("external solvers"), "A is factorized", steps=steps)
             if has_piqp():
                 return
-        yield self._projected(most)
+        yield self._projected(self.settings.max_iterations)
 
     def _nnls_step(self) -> Iterator[Step]:
         optimality = self.certify(engines.nnls_point(self.problem))

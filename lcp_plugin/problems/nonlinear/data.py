@@ -246,7 +246,6 @@ class NonlinearProblem:
     def _set_bounds(self, n: int) -> None:
         self.lower, self.upper = checks.checked_bounds(*self._bounds, n)
         self.names = checked_names(self._user_names, n, n, are_pairs=True)
-        self._differences: Differences | None = None
         self.q = np.zeros(n)
         self._components: tuple[bytes, Any] = b"", None
 
@@ -277,14 +276,13 @@ class NonlinearProblem:
         q : array, shape (n,)
         lower, upper : number or array, shape (n,), optional
         """
-        n = self.lower.size
-        if self.jacobian is None and self._differences is None:  # colored once for all q
-            self._differences = Differences.on(self.pattern, n)
+        if self.jacobian is None:
+            _ = self.differences  # colored once for all q
         shifted = copy(self)
         shifted.F = lambda x: self.value(x) + q
         lower = self.lower if lower is None else lower
         upper = self.upper if upper is None else upper
-        shifted.lower, shifted.upper = checks.checked_bounds(lower, upper, n)
+        shifted.lower, shifted.upper = checks.checked_bounds(lower, upper, self.lower.size)
         return shifted
 
     def with_function_of(self, other: Any, name: str) -> NonlinearProblem:
@@ -365,12 +363,14 @@ class NonlinearProblem:
             returned = self.jacobian(x)
             is_array = type(returned) is np.ndarray or not sp.issparse(returned)
             return returned if is_array else sp.csr_array(returned), "jacobian(x)"
-        problem = self.with_size(x.size)
-        if problem._differences is None:
-            problem._differences = Differences.on(self.pattern, x.size)
-        value = self.value(x) if value is None else value
-        derivative = problem._differences.at(self.evaluate, x, value, problem.lower, problem.upper)
+        sized, value = self.with_size(x.size), self.value(x) if value is None else value
+        derivative = sized.differences.at(self.evaluate, x, value, sized.lower, sized.upper)
         return derivative, "the derivative of F by differences"
+
+    @cached_property
+    def differences(self) -> Differences:
+        """The differences that compute F′ on the pattern."""
+        return Differences.on(self.pattern, self.lower.size)
 
     @np.errstate(all="ignore")
     def linearize(self, x: ArrayLike, value: Vector | None = None) -> LCP:
@@ -402,12 +402,8 @@ class NonlinearProblem:
         room = np.minimum(x - self.lower, self.upper - x)
         step = LONG_STEP * np.maximum(np.abs(x), 1.0)
         step = np.where(room > 0.0, np.minimum(step, room), step)
-        differences = self._differences or Differences.on(self.pattern, x.size)
-        above, below = (
-            differences.at(self.evaluate, x, value, self.lower, self.upper, way)
-            for way in (step, -step)
-        )
-        return 0.5 * (above + below)
+        data = self.evaluate, x, value, self.lower, self.upper
+        return 0.5 * (self.differences.at(*data, step) + self.differences.at(*data, -step))
 
     def slopes(self, x: Vector, value: Vector) -> Any:
         """Return F′(x) as :meth:`linearize` uses it."""

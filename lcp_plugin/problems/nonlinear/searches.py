@@ -12,6 +12,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import chain
 from typing import Any, ClassVar
 
 import numpy as np
@@ -81,18 +82,14 @@ class JosephyNewton(Algorithm):
     def iterates(self, problem: Any, z0: Any) -> Iterator[Step]:
         """Yield the start, then the point of each step, until no step or restart helps."""
         yield self.step()
-        for search in self.searches:
-            yield from self.steps_from(self.first, search)
-            if self.is_at_floor() or is_over():
-                return
         random = np.random.default_rng(0)
-        for k in range(self.restarts if self.first.x.size <= CHEAP_UP_TO else 0):
-            start = self.other_start(k, random)
-            if start is None:
-                continue
+        restarts = range(self.restarts if self.first.x.size <= CHEAP_UP_TO else 0)
+        others = filter(None, (self.other_start(k, random) for k in restarts))
+        for k, start in enumerate(chain([self.first], others)):
             for search in self.searches:
-                self.current, self.step_name, self.length = start, "restart", 0.0
-                yield self.step()
+                if k > 0:
+                    self.current, self.step_name, self.length = start, "restart", 0.0
+                    yield self.step()
                 yield from self.steps_from(start, search)
                 if self.is_at_floor() or is_over():
                     return

@@ -396,13 +396,9 @@ def without_none(values: object, name: str) -> Any:
     return values
 
 
-def checked_right_side(
-    values: object, name: str, length: int | None, *, may_be_number: bool = False
-) -> Vector:
+def checked_right_side(values: object, name: str, length: int | None, **how: Any) -> Vector:
     """Return the right-hand side h of inequalities G x ≤ h; 1e20 and beyond becomes ∞: no constraint."""
-    right = checked_vector(
-        values, name, length, allow_plus_infinity=True, may_be_number=may_be_number
-    )
+    right = checked_vector(values, name, length, allow_plus_infinity=True, **how)
     says_something = right < INFINITE_LIMIT
     return right if says_something.all() else read_only(np.where(says_something, right, np.inf))
 

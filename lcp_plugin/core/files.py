@@ -97,9 +97,8 @@ def read_matrix_market(source: Path) -> Any:
         if wrong := NO_NUMBER.search(content):  # scipy reads 1,5 and 1x as 1
             raise ValueError(f"{wrong[1].decode(errors='replace')!r} is not a number")
         if not rows * columns:
-            return (
-                sp.coo_array((rows, columns)) if form == "coordinate" else np.zeros((rows, columns))
-            )
+            shape = rows, columns
+            return sp.coo_array(shape) if form == "coordinate" else np.zeros(shape)
         matrix = mmread(source, spmatrix=False)
     return sp.coo_array(matrix) if sp.issparse(matrix) else np.asarray(matrix, dtype=np.float64)
 
@@ -221,10 +220,8 @@ def arrays_in(source: Path, wanted: Collection[str]) -> dict[str, Any]:
 
 def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
     """Return the wanted arrays of the file; any fault of the file raises UnreadableFile."""
-    with _archive(source) as archive:
-        parts = [
-            one for one in archive.zip.infolist() if one.filename.removesuffix(".npy") in wanted
-        ]
+    with _archive(source) as npz:
+        parts = [one for one in npz.zip.infolist() if one.filename.removesuffix(".npy") in wanted]
         packed, size = sum(one.compress_size for one in parts), sum(one.file_size for one in parts)
         # Sparse arrays of a problem shrink about tenfold, a matrix of zeros 1000-fold.
         if size > max(LARGE_UNPACKED, 100 * packed):
@@ -232,7 +229,7 @@ def read_npz(source: Path, wanted: Collection[str]) -> Mapping[str, Any]:
                 f"cannot read {source}: its {packed} bytes unpack to {size}, almost all of them repetitions; save "
                 "a sparse matrix as the arrays data, indices, indptr and shape"
             )
-        return {key: archive[key] for key in archive.files if key in wanted}
+        return {key: npz[key] for key in npz.files if key in wanted}
 
 
 @contextmanager

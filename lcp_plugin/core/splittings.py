@@ -258,11 +258,9 @@ class ScaledByRows(Algorithm):
         if self.scaling is None:
             return np.ones(problem.q.size)
         factors = self.automatic_factors(problem) if self.scaling == "auto" else self.scaling_factor
-        inverse = inverse_residual_scale(problem.matrix)
-        if problem.matrix.residual_scale is not problem.matrix.diagonal:
-            inverse = np.where(
-                has_positive_diagonal(problem.matrix), 1.0 / problem.matrix.diagonal, inverse
-            )
+        matrix, inverse = problem.matrix, inverse_residual_scale(problem.matrix)
+        if matrix.residual_scale is not matrix.diagonal:
+            inverse = np.where(has_positive_diagonal(matrix), 1.0 / matrix.diagonal, inverse)
         return np.minimum(factors * inverse, np.finfo(np.float64).max)
 
     def finish(self, problem: LCP, z: Vector) -> Vector:
@@ -310,15 +308,11 @@ class ProjectedType(ScaledByRows, Splitting):
         alpha, beta = self.weights()
         step = self.row_scaling(problem)
         pivot = self._inverse_pivot(problem, step * problem.matrix.diagonal, alpha)
-        inverse_scale = inverse_residual_scale(problem.matrix)
-        rows = np.column_stack(
-            [problem.q, problem.lower, problem.upper, inverse_scale, step, pivot]
-        )
+        inverse = inverse_residual_scale(problem.matrix)
+        rows = np.column_stack([problem.q, problem.lower, problem.upper, inverse, step, pivot])
         points = self.extrapolations(z0, problem.lower, problem.upper)
-        unit = step_unit(np.abs(problem.q * inverse_scale).max(initial=0.0))
-        yield from self.swept(
-            problem, splitting_sweep, rows, (beta / alpha, True, unit), z0, points=points
-        )
+        weights = beta / alpha, True, step_unit(np.abs(problem.q * inverse).max(initial=0.0))
+        yield from self.swept(problem, splitting_sweep, rows, weights, z0, points=points)
 
     def facts(self, problem: LCP) -> IterationFacts:
         """Return α, β, S and the sweep; raise UnsuitableMatrix if a pivot is not positive."""

@@ -85,9 +85,7 @@ def automatic_factors(matrix: Matrix, coupling: float, sweep: str) -> Vector:
     for θ = 1/(1 − ℓ − u). On the gallery larger θ than 2 lost again where the rows are far from equal.
     """
     lower, upper = unit_triangle_sums(matrix)
-    updated = (
-        lower if sweep == "forward" else upper if sweep == "backward" else np.maximum(lower, upper)
-    )
+    updated = {"forward": lower, "backward": upper, "symmetric": np.maximum(lower, upper)}[sweep]
     return balanced_factors(matrix, abs(coupling), updated, (lower, upper))
 
 

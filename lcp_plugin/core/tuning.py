@@ -19,9 +19,8 @@ DENSE_OPERATIONS, SPARSE_OPERATIONS = (2e10, 1e9)
 # Σ count² over the columns of a Cholesky factor L: 5 to 10 seconds, a 3-D grid of 37³
 FACTOR_OPERATIONS_UP_TO = 2e10
 PIVOTED_UP_TO = 6000  # rows whose dense inverse or factorization is kept: 0.3 GB
-CHEAP_UP_TO = (
-    1000  # unknowns for which dense work, or another factorization, takes less than a second or two
-)
+# unknowns for which dense work, or another factorization, takes less than a second or two
+CHEAP_UP_TO = 1000
 
 # Inside methods.
 SHARED_FROM = 65_536  # rows of one pass, for each thread: .1 to .2 ms of work, several times the start of a thread

@@ -349,9 +349,8 @@ class RowData:
 
     def measure(self, z: Vector, tolerance: float, absolute: float = 0.0) -> Measured:
         """Measure the snapped z; if it fails, with zeros for rounding errors. Parameters and result of `measure_at`."""
-        measured = self.with_zeros(
-            self.measure_at(*self.snap(z), tolerance, absolute), tolerance, absolute
-        )
+        measured = self.measure_at(*self.snap(z), tolerance, absolute)
+        measured = self.with_zeros(measured, tolerance, absolute)
         return measured._replace(is_limited=self.are_limited(measured, tolerance))
 
     def with_zeros(self, measured: Measured, tolerance: float, absolute: float = 0.0) -> Measured:

@@ -185,10 +185,9 @@ class ProgramTerms:
     @cached_property
     def is_one_dense_component(self) -> bool:
         """True if :func:`dense_errors` measures programs with these matrices."""
-        is_small = isinstance(self.P, np.ndarray) and 0 < self.C.shape[1] <= 400 >= self.C.shape[0]
-        return is_small and bool(
-            (self.counts == self.C.shape[1]).any() or self.components.number == 1
-        )
+        m, n = self.C.shape
+        is_small = isinstance(self.P, np.ndarray) and 0 < n <= 400 >= m
+        return is_small and bool((self.counts == n).any() or self.components.number == 1)
 
     @cached_property
     def measured(self) -> tuple[Any, Any, Any, Any, Any]:

@@ -79,9 +79,7 @@ def worst_pairs(
     if (sharp := data.sharp_product(measured.z)) is not None:
         at = data.rows(measured.z, sharp[0])
     is_cone = getattr(data, "is_cone", False)  # such rows have no bounds
-    lower, upper = (
-        np.ravel(np.where(is_cone, math.nan, bound)) for bound in (data.lower, data.upper)
-    )
+    lower, upper = (np.ravel(np.where(is_cone, np.nan, x)) for x in (data.lower, data.upper))
     z, w, terms, violation, relative, term_residual = (
         np.broadcast_to(np.ravel(values), (n,))
         for values in (measured.z, at.w, at.terms, at.violation, by_row.relative, by_row.terms)

@@ -352,9 +352,8 @@ def _find_contacts(bands, q, sign, value, is_held, is_free, stops, blocks):  # t
         while top > 0 and after > -np.inf:
             k = stops[top]
             a, d, c = -bands[0, k], bands[1, k], -bands[2, k]
-            if is_held[k] or not blocks[top, 6] < c * (
-                block[0] + block[1] * left + block[2] * after
-            ):
+            part = c * (block[0] + block[1] * left + block[2] * after)
+            if is_held[k] or not blocks[top, 6] < part:
                 break
             is_free[k] = True
             kept = blocks[top]

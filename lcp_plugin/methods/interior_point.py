@@ -168,9 +168,7 @@ class MonotoneProgram:
             P, c, R, q[y], lower[kept][y], upper[kept][y], lower[kept[x]], upper[kept[x]]
         )
         size = float(power_of_two(_largest(statement.c, statement.h, statement.b)))
-        vectors = {
-            name: getattr(statement, name) / size for name in ("c", "h", "b", "lower", "upper")
-        }
+        vectors = {k: getattr(statement, k) / size for k in ("c", "h", "b", "lower", "upper")}
         return cls(problem, statement._replace(**vectors), size, kept[x], multipliers, anchor)
 
     def answer(self, engine: Engine) -> tuple[Vector, int]:
@@ -178,8 +176,8 @@ class MonotoneProgram:
 
         The engine sees x in a unit in which costs are as large as coefficients.
         """
-        program = self.statement
-        z = np.where(self.problem.lower == self.problem.upper, self.problem.lower, 0.0)
+        program, problem, rows = self.statement, self.problem, self.multipliers
+        z = np.where(problem.lower == problem.upper, problem.lower, 0.0)
         if not self.unknowns.size:
             return z, 0
         sizes = _largest(program.c, program.h, program.b), _largest(program.P, program.G, program.A)
@@ -187,16 +185,14 @@ class MonotoneProgram:
         prepared = with_sides_about_one(scale_program(program, np.full(program.c.size, unit)))
         point = prepared.outward(engine.answer(prepared.statement, SolverLimits(seconds_left())))
         z[self.unknowns] = point.x[: self.unknowns.size] * self.size
-        if self.multipliers.size:
-            lower, upper = (
-                getattr(self.problem, name)[self.multipliers] for name in ("lower", "upper")
-            )
-            is_equation, y = ~np.isfinite(lower) & ~np.isfinite(upper), np.empty(lower.size)
+        if rows.size:
+            lower, upper, y = problem.lower[rows], problem.upper[rows], np.empty(rows.size)
+            is_equation = unbounded(lower, upper)
             y[is_equation] = point.y[program.h.size :]
             sign = np.where(np.isfinite(lower), 1.0, -1.0)[~is_equation]
             y[~is_equation] = sign * point.y[: program.h.size]
-            z[self.multipliers] = self.anchor[self.multipliers] + y * self.size
-        return np.clip(z, self.problem.lower, self.problem.upper), point.iterations
+            z[rows] = self.anchor[rows] + y * self.size
+        return np.clip(z, problem.lower, problem.upper), point.iterations
 
 
 class ZeroSumGame(NamedTuple):

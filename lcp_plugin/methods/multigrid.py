@@ -277,11 +277,8 @@ class Safeguard:
         self.products += 1
         step = z - accepted
         terms = problem.diagonal * np.maximum(np.abs(z), np.abs(accepted)) + np.abs(problem.q)
-        return (
-            0.5 * dot(step, slack + self._slack),
-            8.0 * EPSILON * dot(np.abs(step), terms),
-            slack,
-        )
+        noise = 8.0 * EPSILON * dot(np.abs(step), terms)
+        return 0.5 * dot(step, slack + self._slack), noise, slack
 
 
 class GridProblem:
@@ -299,10 +296,9 @@ class GridProblem:
 
     def sweep(self, z: Vector, backward: bool, relaxation: float = 1.0) -> None:
         """Overwrite z, shape (width,), by one projected sweep."""
-        self.grid.halo.fetch(z)
-        kernels.projected_sweep(
-            self.grid.rows, self.grid.blocks, self.vectors, relaxation, backward, z
-        )
+        grid = self.grid
+        grid.halo.fetch(z)
+        kernels.projected_sweep(grid.rows, grid.blocks, self.vectors, relaxation, backward, z)
 
 
 COARSEST_SWEEPS = 50  # of the coarsest grid, which has few rows

@@ -71,9 +71,8 @@ def classify(problem: LCP, z: Vector, w: Vector) -> tuple[BoolVector, BoolVector
 def is_near(problem: LCP, z: Vector) -> bool:
     """Return whether the residual of z is at most a tenth of the residual of the default start."""
     # The active set of such a near start is likely the active set of the solution.
-    return bool(
-        measured_residual(problem, z) <= 0.1 * measured_residual(problem, problem.nearest_to_zero)
-    )
+    start = measured_residual(problem, problem.nearest_to_zero)
+    return measured_residual(problem, z) <= 0.1 * start
 
 
 def signature(at_lower: BoolVector, at_upper: BoolVector) -> bytes:

@@ -80,11 +80,8 @@ class NPSplitting(ScaledByRows):
             natural = np.clip(step * w, z - problem.upper, z - problem.lower)
             yield Step(z, residual, work=work)
             new = np.clip(z - factor.solve(2.0 * natural), problem.lower, problem.upper)
-            z = (
-                new
-                if points is None
-                else points.send((new, z, float((((new - z) * unit) ** 2).sum())))[0]
-            )
+            squares = float((((new - z) * unit) ** 2).sum())
+            z = new if points is None else points.send((new, z, squares))[0]
             work = (factor.nnz + problem.nonzeros) / entries
 
     def facts(self, problem: LCP) -> IterationFacts:

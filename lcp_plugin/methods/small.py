@@ -50,9 +50,8 @@ RELAXATION, SWEEPS = 1.7, 2  # of NPSOR
 ROUNDS, IDLE = 12, 2  # most active-set iterations; most of them in a row without fewer changes
 FOLLOW_IN_PYTHON = follow_paths.function
 LOOP_FROM, LOOP_UP_TO = 32, 128  # problems, unknowns; fewer problems do not wait for a compilation
-PYTHON_UP_TO = (
-    10  # unknowns: the path of one problem takes .2 ms in Python, numba is imported in .6 s
-)
+# unknowns: the path of one problem takes .2 ms in Python, numba is imported in .6 s
+PYTHON_UP_TO = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,13 +148,6 @@ def _components(sizes: Vector) -> Any:
     from scipy.sparse.csgraph import connected_components
 
     count, n = sizes.shape[:2]
-    graph: Any = ((sizes + sizes.swapaxes(1, 2)) > 0.0) * 1.0
-    reached, before = graph[:, 0], 0
-    while np.count_nonzero(reached) > before:
-        before = int(np.count_nonzero(reached))
-        reached = reached + times(graph, reached) > 0.0
-    if before == count * n:
-        return None
     k, i, j = sizes.nonzero()
     links = coo_array((np.ones(k.size), (k * n + i, k * n + j)), shape=(count * n, count * n))
     labels = connected_components(links, directed=False)[1].reshape(count, n)
@@ -240,11 +232,8 @@ def _bounded_points(
 def follow_one(M, q, lower, upper, start, tilts, tolerance, z, bound):  # type: ignore[no-untyped-def]
     """Write the end of the path of one problem, without free unknowns, and the bound of its residual, ∞ if in doubt."""
     n = q.shape[1]
-    T, numbers, sides = (
-        np.empty((n + 9, n + 1)),
-        np.empty((2, 2 * n + 1), np.int64),
-        np.empty((1, n), np.int64),
-    )
+    T, numbers = np.empty((n + 9, n + 1)), np.empty((2, 2 * n + 1), np.int64)
+    sides = np.empty((1, n), np.int64)
     follow_paths(M, q, lower, upper, tilts, -1, T, numbers, sides)
     solve_active_sets(M, q, lower, upper, sides, T, numbers[0], z)
     bound[0] = INF

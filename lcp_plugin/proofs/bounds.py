@@ -480,9 +480,7 @@ def _proven_bound(even: Any) -> float | None:
         shifted = part - shift * identity
         factor = positive_factor(shifted)
         if factor is not None:
-            rounding = _rounding(shifted, factor) + 2.0 * UNIT * (
-                float(part.diagonal().max()) + shift
-            )
+            rounding = _rounding(shifted, factor) + 2.0 * UNIT * (part.diagonal().max() + shift)
             value = (shift - rounding - entry_rounding) / OUTWARD
             if value > 0.0:
                 return float(value)
@@ -734,9 +732,7 @@ def constrained_curvature(P: AnyMatrix, A: AnyMatrix) -> Curvature:
     if rank + rows.shape[0] < of_P.weights.size:
         return of_P
     square = sp.csr_array(rows.T @ rows)
-    size_of_P, size_of_A = (
-        float(np.max(matrix.diagonal(), initial=0.0)) for matrix in (sp.csr_array(P), square)
-    )
+    size_of_P, size_of_A = (float(np.max(X.diagonal(), initial=0.0)) for X in (P, square))
     # the squares underflow
     if size_of_A == 0.0 or size_of_P / size_of_A == np.inf:
         return of_P

@@ -121,9 +121,8 @@ class Conflict:
         right = [-Fraction(float(self.rows.q[i])) for i in members]
         size = sum((self.multipliers[i] * d for i, d in zip(members, right, strict=True)), ZERO)
         right[k] -= size / self.multipliers[members[k]]
-        return solved_nearby(
-            rational_rows(self.rows.matrix[members]), right, [ZERO] * n, [True] * n
-        )
+        rows = rational_rows(self.rows.matrix[members])
+        return solved_nearby(rows, right, [ZERO] * n, [True] * n)
 
     def verify(self) -> bool:
         """Return whether the multipliers and the points prove that the members conflict irreducibly; exact."""

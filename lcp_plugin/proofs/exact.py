@@ -186,11 +186,9 @@ def products(rows: Sequence[Row], vector: Sequence[Fraction]) -> Iterator[Fracti
     """Yield Σ_j row_j vector_j of each row; in integers, as fractions would look for common divisors at every term."""
     numerators, denominator = common_denominator(vector)
     for row in rows:
-        used = [(entry, numerators[j]) for j, entry in row.items() if numerators[j]]
-        common = math.lcm(*(entry.denominator for entry, _ in used))
-        total = sum(
-            entry.numerator * (common // entry.denominator) * factor for entry, factor in used
-        )
+        terms = [(a, numerators[j]) for j, a in row.items() if numerators[j]]
+        common = math.lcm(*(a.denominator for a, _ in terms))
+        total = sum(a.numerator * (common // a.denominator) * x for a, x in terms)
         yield Fraction(total, common * denominator) if total else ZERO
 
 
@@ -263,10 +261,8 @@ def slack_bounds(problem: LCP) -> tuple[Vector, Vector]:
 
     0 ≤ w_i if z_i has no upper bound, w_i ≤ 0 if z_i has no lower bound; a box permits both signs.
     """
-    return (
-        np.where(problem.upper == np.inf, 0.0, -np.inf),
-        np.where(problem.lower == -np.inf, 0.0, np.inf),
-    )
+    lowest = np.where(problem.upper == np.inf, 0.0, -np.inf)
+    return lowest, np.where(problem.lower == -np.inf, 0.0, np.inf)
 
 
 EXACT_SIZE = 10  # rows; minors of doubles are long numbers
@@ -530,18 +526,16 @@ def solved_nearby(
     Equations that share no such entry are solved apart, each lot by p-adic lifting on a largest nonsingular block of
     the entries that may change, largest ones first.
     """
-    residual = [
-        value - product for product, value in zip(products(rows, guess), right, strict=True)
-    ]
-    if not any(residual):
+    gaps = [value - product for product, value in zip(products(rows, guess), right, strict=True)]
+    if not any(gaps):
         return list(guess)
     movable = [{j: entry for j, entry in row.items() if is_movable[j]} for row in rows]
-    if any(value and not row for row, value in zip(movable, residual, strict=True)):
+    if any(value and not row for row, value in zip(movable, gaps, strict=True)):
         return None
     solution = list(guess)
     for lot in independent_rows(movable):
-        if any(residual[i] for i in lot):
-            change = _by_largest_block([movable[i] for i in lot], [residual[i] for i in lot], guess)
+        if any(gaps[i] for i in lot):
+            change = _by_largest_block([movable[i] for i in lot], [gaps[i] for i in lot], guess)
             if change is None:
                 return None
             for j, value in change.items():

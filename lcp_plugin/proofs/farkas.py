@@ -391,9 +391,8 @@ class FarkasProgram:
         """
         y = np.where(np.abs(y) <= 1e-14 * max_norm(y), 0.0, y)
         asked = self.constraints
-        y = np.clip(
-            y, np.where(asked.needs_fall, -np.inf, 0.0), np.where(asked.needs_rise, np.inf, 0.0)
-        )
+        y = np.where(asked.needs_fall, y, np.maximum(y, 0.0))
+        y = np.where(asked.needs_rise, y, np.minimum(y, 0.0))
         if not y.any():
             return
         y = y / max_norm(y)

@@ -321,12 +321,8 @@ def theorem_4_1(M: FloatMatrix, splitting: FloatMatrix) -> tuple[float, Vector] 
     except np.linalg.LinAlgError:
         return None
     sizes = np.abs(splitting) + np.abs(M) + identity + np.abs(D)
-    right = (
-        np.abs(splitting - M + identity + D)
-        + np.abs(M - identity)
-        + 16.0 * EPSILON * sizes
-        + 8.0 * TINY
-    )
+    right = np.abs(splitting - M + identity + D) + np.abs(M - identity)
+    right = right + 16.0 * EPSILON * sizes + 8.0 * TINY
     uncertain = np.abs(P) + np.abs(splitting) + np.abs(D)
     error = np.abs(identity - P @ X) + unit * ((uncertain + TINY) @ np.abs(X) + identity) + n * TINY
     spread = float(error.sum(axis=1).max(initial=0.0))
@@ -398,9 +394,8 @@ def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
         return None
     certificate = comparison_certificate(problem.matrix)
     v = np.ones(problem.n) if certificate is None else certificate.v
-    return contraction(facts, problem, v) or contraction(
-        facts, problem, 1.0 + 0.5 * v / v.max(initial=0.0)
-    )
+    nearly_equal = 1.0 + 0.5 * v / v.max(initial=0.0)
+    return contraction(facts, problem, v) or contraction(facts, problem, nearly_equal)
 
 
 def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
@@ -408,9 +403,8 @@ def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
     if facts.family != PROJECTED_RELAXATION:
         return None
     omega, beta = numbers(facts)
-    sums = np.add(*unit_triangle_sums(problem.matrix)) / (
-        problem.diagonal * inverse_residual_scale(problem.matrix)
-    )
+    scaled_diagonal = problem.diagonal * inverse_residual_scale(problem.matrix)
+    sums = np.add(*unit_triangle_sums(problem.matrix)) / scaled_diagonal
     largest_sum = float(np.max(sums, initial=0.0)) * (1.0 + 1e-12)  # above ℓ + u for v = 1
     if facts.relaxation is None:
         theorem = AUTOMATIC.format("symmetric positive definite")

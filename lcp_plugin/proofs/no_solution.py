@@ -248,9 +248,8 @@ def margins_of(problem: LCP, path: Mapping[int, str], certificate: FarkasCertifi
     reference = np.broadcast_to(most, (problem.n,))
     relative = sum((share * Fraction(float(reference[i])) for i, share in shares), ZERO)
     absolute = sum((share for _, share in shares), ZERO)
-    margins = (
-        rounded_down(certificate.size / unit if unit else None) for unit in (relative, absolute)
-    )
+    size = certificate.size
+    margins = (rounded_down(size / unit if unit else None) for unit in (relative, absolute))
     return next(margins), next(margins)
 
 
@@ -347,12 +346,9 @@ class Infeasibility(NoSolutionProof):
             (nothing, nothing),
         )
         y = {i: value * int(signs[i]) for i, value in self._used.items()}
-        bounded = {
-            j: value
-            for j, value in self._certificate.product.items()
-            if j not in self._certificate.left
-        }
-        y |= {n + j + (value > 0) * n: abs(value) for j, value in bounded.items()}
+        for j, value in self._certificate.product.items():
+            if j not in self._certificate.left:
+                y[n + j + (value > 0) * n] = abs(value)
         return find_conflict(rows, self._name_of_condition, y)
 
     def _name_of_condition(self, k: int) -> str:
@@ -376,10 +372,8 @@ class Infeasibility(NoSolutionProof):
             return f"nothing holds {moved}: along them M d = 0 and qᵀd < 0, and no bound is in the way; {how}"
         rows = list(self._used)
         name = problem.names.row
-        named = ", ".join(f"{self.y[i]:.4g} × {name(i)}" for i in rows[:4]) + (
-            ", …" if len(rows) > 4 else ""
-        )
-        combined = f"{len(rows)} rows are inconsistent ({named})"
+        named = ", ".join(f"{self.y[i]:.4g} × {name(i)}" for i in rows[:4])
+        combined = f"{len(rows)} rows are inconsistent ({named}{', …' * (len(rows) > 4)})"
         if len(rows) == 1:
             combined = f"{name(rows[0])} contradicts its bounds"
         return f"no z within its bounds gives w the signs it needs: {combined}; {how}"
@@ -445,9 +439,8 @@ def contradictory_row(problem: LCP) -> Infeasibility | None:
     >>> print(contradictory_row(LCP([[-1, 0], [0, 1]], [-1, 2])))
     no z within its bounds gives w the signs it needs: row 0 contradicts its bounds; proof: exact
     """
-    rows = np.flatnonzero(
-        (np.isinf(problem.upper) | np.isinf(problem.lower)) & ~(problem.diagonal > 0.0)
-    )
+    is_open = np.isinf(problem.upper) | np.isinf(problem.lower)
+    rows = np.flatnonzero(is_open & ~(problem.diagonal > 0.0))
     if not rows.size:
         return None
     suspects = piece_of(problem, {}, rows).contradictory_rows()
@@ -520,6 +513,4 @@ class NoSolution(NoSolutionProof):
         while stack:
             case, path = stack.pop()
             yield case, path
-            stack.extend(
-                (branch, path | {case.row: choice}) for choice, branch in case.branches.items()
-            )
+            stack += [(branch, path | {case.row: name}) for name, branch in case.branches.items()]

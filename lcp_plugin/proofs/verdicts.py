@@ -127,9 +127,8 @@ def h_verdict(matrix: Matrix) -> HVerdict:
         return HVerdict(False, f"M[{zeros[0]}, {zeros[0]}] = 0")
     ones = read_only(np.ones(matrix.n))
     if (margin := positive_margin(M, ones)) is not None:
-        return HVerdict(
-            True, "v = 1: every row sum of ⟨M⟩ is positive", HCertificate(ones, read_only(margin))
-        )
+        certificate = HCertificate(ones, read_only(margin))
+        return HVerdict(True, "v = 1: every row sum of ⟨M⟩ is positive", certificate)
     if is_nonpositive(M, ones):
         return HVerdict(False, "y = 1: no row sum of ⟨M⟩ is positive")
     system, weights = ComparisonMatrix(M), ones
@@ -606,9 +605,8 @@ def matrix_of(M: AnyMatrix) -> Matrix:
 
 def wrapped(title: str, text: str) -> list[str]:
     """Return the text next to its title, in lines of at most 100 columns."""
-    return textwrap.wrap(text, 100, initial_indent=title, subsequent_indent=" " * len(title)) or [
-        title.rstrip()
-    ]
+    lines = textwrap.wrap(text, 100, initial_indent=title, subsequent_indent=" " * len(title))
+    return lines or [title.rstrip()]
 
 
 @fact

@@ -40,8 +40,6 @@ class Factor:
 
     Attributes
     ----------
-    kind : str
-        "Cholesky", "LU", "banded LU" or "sparse LU".
     solve, solve_transposed : callable
         right ↦ x with A x = right, or Aᵀx = right, shape (n,); not finite if A is singular.
     work : float
@@ -50,7 +48,6 @@ class Factor:
         Multiplications that one solve takes.
     """
 
-    kind: str
     solve: Callable[[Any], Any]
     solve_transposed: Callable[[Any], Any]
     work: float
@@ -128,7 +125,7 @@ def cholesky(matrix: Vector) -> Factor | None:
     def solve(right: Vector) -> Any:
         return lapack().dpotrs(factor, right, lower=1)[0]
 
-    return Factor("Cholesky", solve, solve, n**3 / 6.0, float(n * n))
+    return Factor(solve, solve, n**3 / 6.0, float(n * n))
 
 
 def dense_lu(matrix: Vector) -> Factor | None:
@@ -139,7 +136,7 @@ def dense_lu(matrix: Vector) -> Factor | None:
     """
     n = matrix.shape[0]
     if n == 0:
-        return Factor("LU", np.copy, np.copy, 0.0, 0.0)
+        return Factor(np.copy, np.copy, 0.0, 0.0)
     require_seconds(n**3 / 1.5 / DENSE_OPERATIONS)
     factor, pivots, info = lapack().dgetrf(matrix.T)
     if info != 0:
@@ -148,7 +145,7 @@ def dense_lu(matrix: Vector) -> Factor | None:
     def solver(trans: int) -> Callable[[Any], Any]:
         return lambda right: lapack().dgetrs(factor, pivots, right, trans=trans)[0]
 
-    return Factor("LU", solver(1), solver(0), n**3 / 3.0, float(n * n))
+    return Factor(solver(1), solver(0), n**3 / 3.0, float(n * n))
 
 
 def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
@@ -163,13 +160,8 @@ def _banded_lu(matrix: sp.csr_array, below: int, above: int) -> Factor | None:
     def solver(trans: int) -> Callable[[Any], Any]:
         return lambda right: lapack().dgbtrs(factor, below, above, right, pivots, trans=trans)[0]
 
-    return Factor(
-        "banded LU",
-        solver(0),
-        solver(1),
-        float(n * below * (below + above + 1)),
-        float(n * (2 * below + above + 1)),
-    )
+    work = float(n * below * (below + above + 1))
+    return Factor(solver(0), solver(1), work, float(n * (2 * below + above + 1)))
 
 
 def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
@@ -191,7 +183,7 @@ def _sparse_lu(matrix: sp.csr_array, is_symmetric: bool) -> Factor | None:
     columns_of_lower = np.diff(factor.L.indptr).astype(np.float64)
     rows_of_upper = np.bincount(factor.U.indices, minlength=factor.shape[0])
     work = float(columns_of_lower @ rows_of_upper)
-    return Factor("sparse LU", solver("T"), solver("N"), work, float(factor.nnz))
+    return Factor(solver("T"), solver("N"), work, float(factor.nnz))
 
 
 def _suits_one_order(matrix: sp.csr_array) -> bool:
@@ -238,7 +230,7 @@ def sparse_lu(matrix: AnyMatrix, **options: Any) -> Any:
     return splu(matrix, **options)
 
 
-def diagonal_pivot_factor(matrix: AnyMatrix) -> Any | None:
+def diagonal_pivot_factor(matrix: AnyMatrix) -> Any:
     """Return SuperLU's factorization with diagonal pivots, in one order for rows and columns; None if singular.
 
     That order is a preference: a pivot of 0 is exchanged; callers that need it compare `perm_r` with `perm_c`.
@@ -260,11 +252,8 @@ def positive_factor(matrix: AnyMatrix) -> PositiveFactor | None:
         dense = cholesky(matrix)
         return None if dense is None else PositiveFactor(dense.solve, matrix.shape[0])
     factor = diagonal_pivot_factor(matrix)
-    if (
-        factor is None
-        or not np.array_equal(factor.perm_r, factor.perm_c)
-        or not (factor.U.diagonal() > 0.0).all()
-    ):
+    is_on_diagonal = factor is not None and np.array_equal(factor.perm_r, factor.perm_c)
+    if not (is_on_diagonal and (factor.U.diagonal() > 0.0).all()):
         return None
     return PositiveFactor(factor.solve, int(np.bincount(factor.L.indices).max()), factor)
 
@@ -272,10 +261,8 @@ def positive_factor(matrix: AnyMatrix) -> PositiveFactor | None:
 def factor_fits(matrix: AnyMatrix) -> bool:
     """Return whether a factorization of a CSR or CSC array ends in reasonable time, by the counts of its columns."""
     # On few rows any fill is cheap.
-    return (
-        matrix.shape[0] <= 1_000
-        or factor_sizes(matrix, LARGEST_FILL, FACTOR_OPERATIONS_UP_TO)[0] < np.inf
-    )
+    limits = LARGEST_FILL, FACTOR_OPERATIONS_UP_TO
+    return matrix.shape[0] <= 1_000 or factor_sizes(matrix, *limits)[0] < np.inf
 
 
 @fact
@@ -326,11 +313,6 @@ def bands(matrix: Matrix) -> Bands | None:
         below = above = 1
     entries = np.zeros((below + above + 1, matrix.n))
     entries[offsets + below, rows] = M.data
-    is_z = (
-        below == above == 1
-        and not bool((entries[::2] > 0.0).any())
-        and bool((entries[1] > 0.0).all())
-    )
-    return Bands(
-        read_only(entries), below, read_only(1.0 / power_of_two(matrix.residual_scale, 1000)), is_z
-    )
+    is_z = below == above == 1 and (entries[::2] <= 0.0).all() and (entries[1] > 0.0).all()
+    weights = read_only(1.0 / power_of_two(matrix.residual_scale, 1000))
+    return Bands(read_only(entries), below, weights, bool(is_z))

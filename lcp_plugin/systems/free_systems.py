@@ -40,17 +40,14 @@ from .hierarchy.truncation import KrylovCorrection, Truncation
 class LinearizedSystem:
     """The system at a solution, or at as many as there are rows: vectors have shape (n,) or (k, n) throughout."""
 
-    def _product(self, x: Vector, *, transposed: bool = False) -> Any:
-        """Return M x, or Mᵀx."""
-        raise NotImplementedError
+    _product: Any  # M x, or Mᵀx if `transposed`
+    _solve_free: (
+        Any  # the x with J_FF x = right_F, or of the transposed system, 0 in the other rows
+    )
 
     def _by_slack(self, x: Vector, *, transposed: bool = False) -> Any:
         """Return R_w x, or R_wᵀx; only the free rows are used."""
         return x
-
-    def _solve_free(self, right: Vector, *, transposed: bool = False) -> Any:
-        """Return the solution of J_FF x = right_F, or of the transposed system, 0 in the other rows."""
-        raise NotImplementedError
 
     @np.errstate(all="ignore")
     def tangent(self, h: Vector, held: Array = None, more: Any = 0.0) -> Any:
@@ -257,9 +254,8 @@ class FreeSystem:
         factor = self._factor
         if factor is None:
             return None
-        return self._extended(
-            self._refined(factor, right[self.rows], REFINEMENTS, transposed=transposed)
-        )
+        x = self._refined(factor, right[self.rows], REFINEMENTS, transposed=transposed)
+        return self._extended(x)
 
     def least_solution(self, right: Vector, *, transposed: bool = False) -> Vector | None:
         """Return x as `solve`, of least norm if the block is singular; None if no pseudo-inverse is available."""
@@ -428,11 +424,8 @@ class FreeSystem:
         x = factor.solve(np.random.default_rng(0).standard_normal(scale.size) * scale)
         self.work += factor.solve_work
         # decides most blocks without a product
-        at_most = self.matrix.row_largest[self.rows] * np.abs(x).sum()
-        return not bool(
-            (at_most <= SINGULAR * scale).all()
-            or (self._sizes @ np.abs(x) <= SINGULAR * scale).all()
-        )
+        at_most, limit = self.matrix.row_largest[self.rows] * np.abs(x).sum(), SINGULAR * scale
+        return not bool((at_most <= limit).all() or (self._sizes @ np.abs(x) <= limit).all())
 
     def _refined(
         self,

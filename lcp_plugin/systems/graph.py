@@ -113,13 +113,12 @@ def row_excess_signs(matrix: Matrix) -> IntVector:
     """Exact signs of |m_ii| − Σ_j≠i |m_ij|, shape (n,)."""
     M, ones = matrix.csr, np.ones(matrix.n)
     value, radius = comparison_product(M, ones)
-    signs = np.where(
-        lower_end(value, radius) > 0.0, 1, np.where(upper_end(value, radius) < 0.0, -1, 0)
-    )
+    is_negative = upper_end(value, radius) < 0.0
+    signs = (lower_end(value, radius) > 0.0).astype(np.int64) - is_negative
     for row in np.flatnonzero((signs == 0) & (radius > 0.0)):
         exact = exact_comparison_row(M, ones, int(row))
         signs[row] = (exact > 0) - (exact < 0)
-    return read_only(signs.astype(np.int64))
+    return read_only(signs)
 
 
 @fact
@@ -187,13 +186,13 @@ class ComparisonMatrix:
             for _ in range(60):
                 if not np.linalg.norm(correction.residual) > goal or not correction.step():
                     break
-            if (
-                np.linalg.norm(correction.residual) <= goal
-                and np.isfinite(correction.solution).all()
-            ):
-                return correction.solution
-        x = None if self.direct_solver is None else np.asarray(self.direct_solver(rhs))
-        return x if x is not None and np.isfinite(x).all() else None
+            x = correction.solution
+            if np.linalg.norm(correction.residual) <= goal and np.isfinite(x).all():
+                return x
+        if self.direct_solver is None:
+            return None
+        x = np.asarray(self.direct_solver(rhs))
+        return x if np.isfinite(x).all() else None
 
     def to_caller(self, x: Vector) -> Vector:
         """Return the unscaled vector for a vector x of the scaled matrix, shape (n,)."""

@@ -40,9 +40,8 @@ def factor_sizes(
     (199.0, 397.0)
     """
     n = matrix.shape[0]
-    pattern = sp.csr_array(
-        (np.ones(matrix.indices.size, np.int8), matrix.indices, matrix.indptr), shape=(n, n)
-    )
+    ones = np.ones(matrix.indices.size, np.int8)
+    pattern = sp.csr_array((ones, matrix.indices, matrix.indptr), shape=(n, n))
     pattern = sp.csr_array(pattern + pattern.T)
     pattern.setdiag(0)
     pattern.eliminate_zeros()
@@ -59,9 +58,8 @@ def factor_sizes(
         size = lists.size + others.size + min(most_touched, others.size**2) + 1
         workspace = np.empty(size, np.int64)
         workspace[: lists.size] = lists
-        counts = minimum_degree(
-            begins, workspace, float(last), most_entries, most_operations, most_touched
-        )
+        limits = most_entries, most_operations, most_touched
+        counts = minimum_degree(begins, workspace, float(last), *limits)
         if counts[2] <= most_touched:
             ends = np.arange(1.0, last + 1.0)
             entries, work = counts[0] + float(ends.sum()), counts[1] + float(ends @ ends)
@@ -142,9 +140,8 @@ def minimum_degree(begins, workspace, last, most_entries, most_operations, most_
             for k in range(begin[i], begin[i] + elements[i]):
                 e = workspace[k]
                 if not is_gone[e]:
-                    outside[e] = (outside[e] if outside[e] >= base else base + degree[e]) - weight[
-                        i
-                    ]
+                    start_of = outside[e] if outside[e] >= base else base + degree[e]
+                    outside[e] = start_of - weight[i]
         # Remove the members of the new element from the lists of its neighbors.
         for m in range(start, free):
             i = workspace[m]

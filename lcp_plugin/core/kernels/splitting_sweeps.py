@@ -74,9 +74,8 @@ def splitting_sweep(  # type: ignore[no-untyped-def]
         if r > largest or r != r or zi != zi:
             largest = r + zi if zi != zi else r
         drive = 2.0 * residual_of_row(w * s, zi, low, high) if projected else w * s
-        value = clamp(
-            (zi - (drive + coupling * s * c) * inverse) - nearest_weight * nearest_change, low, high
-        )
+        moved = (zi - (drive + coupling * s * c) * inverse) - nearest_weight * nearest_change
+        value = clamp(moved, low, high)
         new[i] = value
         near = value - zi
         squares += (near * unit) * (near * unit)
@@ -166,9 +165,6 @@ def modulus_sweep(  # type: ignore[no-untyped-def]
         if r > largest or r != r or slack != slack:
             largest = r if slack == slack else slack
         z[i] = rows[i, 1] + positive
-        new[i] = (
-            xi
-            - (2.0 * relaxation * (w - rows[i, 3] * (positive - xi)) + acceleration * c)
-            * rows[i, 4]
-        )
+        drive = 2.0 * relaxation * (w - rows[i, 3] * (positive - xi))
+        new[i] = xi - (drive + acceleration * c) * rows[i, 4]
     return largest, 0.0

@@ -94,9 +94,8 @@ class Lemke(Algorithm):
             component = problem
             if rows.size < problem.n:
                 M = sp.csr_array(problem.csr[rows][:, rows])
-                component = LCP(
-                    M, problem.q[rows], lower=problem.lower[rows], upper=problem.upper[rows]
-                )
+                bounds = {"lower": problem.lower[rows], "upper": problem.upper[rows]}
+                component = LCP(M, problem.q[rows], **bounds)
             for end, touched in self._paths(component, z[rows]):
                 z[rows] = np.clip(end, component.lower, component.upper)
                 yield Step(z, work=touched / entries, is_settling=True)

@@ -165,10 +165,9 @@ def _without_free_rows(
         rows, step = np.append(rows, rows[split]), np.append(step, -step[split])
         elimination = np.hstack([elimination, -elimination[:, split]])
     size = power_of_two(max_norm(q))
-    elimination = elimination * (unit[keep[basic]] * size)[:, None]
-    return CanonicalBox(
-        M, q / size, upper / size, offset, rows, step * size, keep[basic], elimination
-    )
+    q, upper, step, gone = q / size, upper / size, step * size, keep[basic]
+    elimination = elimination * (unit[gone] * size)[:, None]
+    return CanonicalBox(M, q, upper, offset, rows, step, gone, elimination)
 
 
 def _independent(M: FloatMatrix, free: IndexVector) -> IndexVector:
@@ -231,9 +230,8 @@ FloatMatrix = NDArray[np.float64]
 ACCURATE = 1e-12  # relative residual of the basis up to which no new factorization is needed
 # relative to each |q|, and to the smallest nonzero |q| where q is 0: no two rows block at once
 TIE_BREAK = 2.0**-48
-FEASIBLE = (
-    1e-7  # of the largest basic variable: largest violation of the bounds of a basic variable
-)
+# of the largest basic variable: largest violation of the bounds of a basic variable
+FEASIBLE = 1e-7
 
 
 class LemkePath:
@@ -283,9 +281,8 @@ class LemkePath:
             return False
         level = np.where(covering > 0.0, -q / covering, -np.inf)
         basis, side = n + np.arange(n), np.full(n, tableau.AT_LOWER)
-        return self.start_at_vertex(
-            covering, basis, side, 2 * n, -1.0, level=max(0.0, float(level.max()))
-        )
+        t = max(0.0, float(level.max()))
+        return self.start_at_vertex(covering, basis, side, 2 * n, -1.0, level=t)
 
     def start_in_cell(self, side: Array, z: Vector, w: Vector) -> bool:
         """Start at t = 1 from a complementary pair with the r that makes it exact; return False if it is singular."""

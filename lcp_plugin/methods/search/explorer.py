@@ -15,6 +15,7 @@ from ...proofs.no_solution import FIXED, LOWER, SLACKLESS, UPPER, Case, row_choi
 from .simplex import Bound, Effort, ExactSimplex
 
 Point = tuple[Fraction, ...]
+Target = tuple[str, Bound, Bound]  # a choice, and the bounds of its basic variable
 
 
 @dataclass(frozen=True)
@@ -114,11 +115,7 @@ class Explorer:
             if low is None and high is None:
                 continue
             i, d = x % n, simplex.denominator
-            targets: list[tuple[str, Bound, Bound]] = [
-                (LOWER, 0, None),
-                (SLACKLESS, 0, 0),
-                (UPPER, None, 0),
-            ]
+            targets: list[Target] = [(LOWER, 0, None), (SLACKLESS, 0, 0), (UPPER, None, 0)]
             if x < n:
                 (bottom, top) = self.root_bounds[x]
                 targets = [(LOWER, bottom, bottom), (UPPER, top, top)]
@@ -238,11 +235,9 @@ def extreme_points(problem: LCP, pattern: Sequence[str]) -> Iterator[Point]:
         if len(explorer.choices[i]) > 1:
             explorer.choose(i, choice)
     if simplex.infeasibility_proof() is None:
-        bounds = [
-            (x, at) for x in range(2 * problem.n) for at in set(simplex.bounds(x)) if at is not None
-        ]
-        known = set()
-        for point in _corners(simplex, sorted(bounds), 0):
+        ends = ((x, at) for x in range(2 * problem.n) for at in set(simplex.bounds(x)))
+        bounds, known = sorted((x, at) for x, at in ends if at is not None), set()
+        for point in _corners(simplex, bounds, 0):
             if point not in known:
                 known.add(point)
                 yield point

@@ -132,10 +132,8 @@ class ExactSimplex:
         for entry, x in zip(self.rows[row], self.nonbasic, strict=False):
             if not entry:
                 continue
-            ends = [
-                None if bound is None else entry * (bound - self.value[x])
-                for bound in self.bounds(x)
-            ]
+            value = self.value[x]
+            ends = [None if end is None else entry * (end - value) for end in self.bounds(x)]
             down, up = ends if entry > 0 else ends[::-1]
             low = None if low is None or down is None else low + down
             high = None if high is None or up is None else high + up
@@ -299,9 +297,7 @@ def _integer_bounds(sides: Sides) -> tuple[Fraction, list[list[Bound]]]:
     both = np.concatenate(sides)
     is_finite = np.isfinite(both)
     whole, exponent = integers(np.where(is_finite, both, 0.0))
-    bounds = [
-        number if finite else None for number, finite in zip(whole, is_finite.tolist(), strict=True)
-    ]
+    bounds = [k if finite else None for k, finite in zip(whole, is_finite.tolist(), strict=True)]
     n = sides[0].size
     return exact_power_of_two(exponent), [bounds[:n], bounds[n:]]
 

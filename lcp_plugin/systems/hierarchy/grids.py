@@ -164,13 +164,12 @@ def blocks_of(matrix: Arrays, rows: int, *, may_cut: bool) -> RowBlocks:
     indptr, indices, _ = matrix
     count, reach = 0, 0
     if may_cut and rows >= 4 * SMALLEST_BLOCK:  # two blocks of either color
-        row = np.arange(rows)
-        reach = int(
-            max(
-                (row - indices[indptr[:rows]]).max(),
-                (indices[indptr[1 : rows + 1] - 1] - row).max(),
-            )
+        row, first, last = (
+            np.arange(rows),
+            indices[indptr[:rows]],
+            indices[indptr[1 : rows + 1] - 1],
         )
+        reach = int(max((row - first).max(), (last - row).max()))
         # A block has four times as many rows as a row reaches far: little is done twice at the seams.
         count = min(16, rows // max(SMALLEST_BLOCK, 4 * reach)) // 2 * 2
     if count < 4:

@@ -102,9 +102,8 @@ def build_hierarchy(
         grid = grid_of(coarse, may_cut=not scales_rows)
         grids.append(grid)
         transfers.append(Transfer(prolongation, restriction, is_coarse))
-    return Hierarchy(
-        tuple(grids), tuple(transfers), work + products, is_helpful=True, has_jumps=has_jumps
-    )
+    work += products
+    return Hierarchy(tuple(grids), tuple(transfers), work, is_helpful=True, has_jumps=has_jumps)
 
 
 @fact
@@ -177,10 +176,8 @@ def _interpolation_in_numpy(
     diagonal = M.diagonal() + sp.csr_array(M - sp.diags_array(M.diagonal())).maximum(0).sum(axis=1)
     coupling = sp.csr_array((-M).maximum(0))
     strong = coupling.copy()
-    is_strong = coupling.data >= strength * np.repeat(
-        largest_in_rows(coupling), np.diff(coupling.indptr)
-    )
-    strong.data *= is_strong
+    limit = strength * largest_in_rows(coupling)
+    strong.data *= coupling.data >= np.repeat(limit, np.diff(coupling.indptr))
     strong.eliminate_zeros()
     graph = sp.csr_array(strong[:n, :n] + strong[:n, :n].T)
     # As Ruge and Stüben: first the unknowns on which many depend; the random share decides ties.

@@ -136,9 +136,7 @@ class Truncation:
 
     def __init__(self, hierarchy: Any) -> None:
         self.transfers: tuple[Transfer, ...] = hierarchy.transfers
-        self.grids = [
-            TruncatedGrid(grid, is_finest=not k) for k, grid in enumerate(hierarchy.grids)
-        ]
+        self.grids = [TruncatedGrid(g, is_finest=not k) for k, g in enumerate(hierarchy.grids)]
         self.halo, self.top = self.grids[0].grid.halo, 0
         self.work = 0.0
 
@@ -246,9 +244,8 @@ class Truncation:
     def _solve_coarsest(self, level: TruncatedGrid) -> None:
         for sweep in range(CLOSING_SWEEPS):
             level.grid.halo.fetch(level.x)
-            kernels.sweep(
-                level.rows, level.grid.blocks, level.inverse, sweep % 2 == 0, level.b, level.x
-            )
+            backward, blocks = sweep % 2 == 0, level.grid.blocks
+            kernels.sweep(level.rows, blocks, level.inverse, backward, level.b, level.x)
         self.work += CLOSING_SWEEPS * level.values.size
 
 

@@ -65,7 +65,7 @@ NONSMOOTH = (
     *(Pnorm, cp.sum_largest),
 )
 #: Atoms with a graph of inequalities, and the functions of (atom, arguments) that return value and inequalities.
-KINKS = {kind: graph for kind, graph in CANON_METHODS.items() if kind is not cp.cumsum}
+KINKS = {atom: graph for atom, graph in CANON_METHODS.items() if atom is not cp.cumsum}
 
 
 def by_id(objects: Iterable[Any]) -> dict[int, Any]:

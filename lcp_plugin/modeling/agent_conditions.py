@@ -265,8 +265,8 @@ class AgentProgram:
                 multiplier.value = np.zeros(multiplier.shape)  # a start for the run
             weighted.append((rows, vector_of(multiplier)))
             first = box(multiplier, -np.inf if standard.is_equation else 0.0, np.inf)
-            kind = "value" if standard.is_equation else "nonnegative"
-            second = Side(-standard.expression, kind, standard.origin)
+            form = "value" if standard.is_equation else "nonnegative"
+            second = Side(-standard.expression, form, standard.origin)
             self.rows[standard.origin.id] = Complements(first, second), multiplier
         first = box(self.decisions, *self._ends())
         gradient = self._gradient(weighted)

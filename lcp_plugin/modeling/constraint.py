@@ -116,16 +116,16 @@ def complements(first: object, second: object) -> Complements:
     array([2.5, 0. ])
     """
     sides = [_side(first, "first"), _side(second, "second")]
-    kinds = {side.kind for side in sides}
-    if kinds == {"zero"}:
+    forms = {side.form for side in sides}
+    if forms == {"zero"}:
         raise UnsupportedModel(
             "complements got two equalities; write two constraints, or pair one with a variable"
         )
-    if "box" in kinds and kinds <= {"box", "zero"}:
+    if "box" in forms and forms <= {"box", "zero"}:
         raise UnsupportedModel(
             "complements(box(x, l, u), F) needs an expression F as its other side"
         )
-    if "cone" in kinds:
+    if "cone" in forms:
         _require_cones(sides)
     if sides[0].expression.shape != sides[1].expression.shape:
         raise UnsupportedModel(
@@ -137,9 +137,9 @@ def complements(first: object, second: object) -> Complements:
 
 def _require_cones(sides: list[Side]) -> None:
     """Raise if one side is a cone, and the other is neither a cone like it nor an expression."""
-    others = [side for side in sides if side.kind != "cone"]
+    others = [side for side in sides if side.form != "cone"]
     is_law = not others and any(side.friction is not None for side in sides)
-    if is_law or any(side.kind != "value" for side in others):
+    if is_law or any(side.form != "value" for side in others):
         raise UnsupportedModel(
             f"one side of complements is a cone, and the other is {(others or sides)[-1]}; it must be an expression F, "
             "or a cone like it, the row of t first; friction_cone needs the velocities u"
@@ -168,7 +168,7 @@ def _side(stated: object, which: str) -> Side:
 
 def _expression(stated: object, what: str) -> Any:
     """Return the argument as a cvxpy expression."""
-    if not isinstance(stated, cp.Expression) and _kind(stated) == "b":
+    if not isinstance(stated, cp.Expression) and _dtype_letter(stated) == "b":
         raise UnsupportedModel(
             f"{what} holds Booleans, {stated}: numbers were compared before this package saw them; write only "
             "the numbers, or cp.Constant(numbers) >= 0"
@@ -178,12 +178,12 @@ def _expression(stated: object, what: str) -> Any:
         with suppress(Exception):  # cvxpy may raise any error
             expression = cp.Variable.cast_to_const(stated)
     is_constant = isinstance(expression, cp.Constant)
-    if expression is None or (is_constant and _kind(expression.value) not in "fiuc"):
+    if expression is None or (is_constant and _dtype_letter(expression.value) not in "fiuc"):
         raise UnsupportedModel(f"{what} is not a cvxpy expression: {stated!r}")
     return expression
 
 
-def _kind(values: object) -> str:
+def _dtype_letter(values: object) -> str:
     """Return numpy's letter for the type of an array or array-like; "O" if it is neither."""
     try:
         return values.dtype.kind if hasattr(values, "dtype") else np.asarray(values).dtype.kind

@@ -39,7 +39,7 @@ class Side:
     ----------
     expression : cvxpy expression
         In the form "box" a variable, or a part of a variable.
-    kind : str
+    form : str
         "nonnegative" (expression ≥ 0), "box" (lower ≤ expression ≤ upper), "zero" (expression = 0) or "value" (an
         expression whose bounds, if any, are its variable's bounds), "cone" (each column of expression in a cone).
     constraint : cvxpy constraint or None
@@ -53,7 +53,7 @@ class Side:
     """
 
     expression: cp.Expression
-    kind: str
+    form: str
     constraint: Any = None
     lower: Any = None
     upper: Any = None
@@ -63,20 +63,20 @@ class Side:
     def __str__(self) -> str:
         if self.constraint is not None:
             return str(self.constraint)
-        if self.kind == "box":
+        if self.form == "box":
             return f"box({self.expression}, {self.lower}, {self.upper})"
-        if self.kind == "cone":
+        if self.form == "cone":
             return f"friction_cone({self.expression}, {self.friction})"
         return str(self.expression)
 
     def bounds(self) -> tuple[Any, Any]:
         """Return the bounds in the side's own shape: of a box, of an inequality, or of the variable's attributes."""
         shape, lower, upper = self.expression.shape, -np.inf, np.inf  # type: Any, Any, Any
-        if self.kind == "box":
+        if self.form == "box":
             lower, upper = normalize_bounds(
                 compat.bound_value(self.lower, self), compat.bound_value(self.upper, self)
             )
-        elif self.kind == "nonnegative":
+        elif self.form == "nonnegative":
             lower = 0.0
         elif isinstance(self.expression, cp.Variable):
             lower, upper = compat.attribute_bounds(self.expression)
@@ -307,8 +307,8 @@ class Model:
         """Return a sort key of the sides of a pair; its natural variable comes first."""
         _, columns, _, _, low, high = self.read(side)
         return (
-            side.kind == "zero",
-            side.kind not in ("box", "cone"),
+            side.form == "zero",
+            side.form not in ("box", "cone"),
             not np.isfinite((low, high)).any(),
             columns is None,
             columns is not None and bool(self.statement.is_paired[columns].any()),
@@ -321,7 +321,7 @@ class Model:
         if (key := id(side)) not in self._known:  # one expression may have two boxes
             rows = self.reader.rows(side.expression)
             columns, weights, shift = self.statement.entries(rows) or (None, 1.0, 0.0)
-            if side.kind == "value" and columns is not None and not np.any(shift):
+            if side.form == "value" and columns is not None and not np.any(shift):
                 ends = [weights * end[columns] for end in self.declared]
                 low, high = np.minimum(*ends), np.maximum(*ends)
             else:
@@ -331,22 +331,22 @@ class Model:
 
     def _pair(self, pair: Pair, side: Side, other: Side) -> None:
         """Let the first side be the unknowns of a pair; warn of other readings."""
-        if "cone" in (side.kind, other.kind):
+        if "cone" in (side.form, other.form):
             self._pair_cones(pair, side, other)
             return
         rows, columns, weights, shift, low, high = self.read(side)
         is_new = columns is None or bool(self.statement.is_paired[columns].any())
         if columns is not None and is_new:
             self.statement.repeat(columns)
-        if columns is None and other.kind == "value" and side.kind in ("nonnegative", "value"):
+        if columns is None and other.form == "value" and side.form in ("nonnegative", "value"):
             raise UnsupportedModel(
                 f"{side} is not a variable, and {other} has no sign; write {other} >= 0 or <= 0, or give one side a "
                 "variable of its own: y == side in the list, and y in its place in the pair"
             )
         is_bounded = np.isfinite((low, high)).any()
-        if other.kind == "zero" and is_bounded:
+        if other.form == "zero" and is_bounded:
             warn_of_equality_between_bounds(pair, side)
-        elif side.kind == other.kind == "value" and not is_bounded and not states_bounds(side):
+        elif side.form == other.form == "value" and not is_bounded and not states_bounds(side):
             warn(
                 f"{side} has no bounds, so that complements({side}, F) means F == 0; declare the variable with "
                 "nonneg=True, or write F == 0 if you mean an equation"
@@ -364,12 +364,12 @@ class Model:
                 f"{side} has a lower bound above its upper bound, or beyond the largest double"
             )
         sign = np.sign(scale) * np.ones(low.size)
-        if other.kind == "nonnegative" and side.kind != "nonnegative":
+        if other.form == "nonnegative" and side.form != "nonnegative":
             sign = sign_of_inequality(pair, low, high)
-        elif other.kind == "value" and side.kind == "nonnegative":
+        elif other.form == "value" and side.form == "nonnegative":
             sign = sign * np.sign(weights)  # F ≤ 0 at an upper bound
-        if side.kind != "value":
-            stated = (side.lower, side.upper) if side.kind == "box" else (0.0, np.inf)
+        if side.form != "value":
+            stated = (side.lower, side.upper) if side.form == "box" else (0.0, np.inf)
             self.bounds.append((columns, scale, expression, *stated))
         number = self.numbers.get(pair.id)
         name = partial(compat.row_of, other.expression, constraint=pair, number=number)
@@ -619,7 +619,7 @@ def states_bounds(side: Side) -> bool:
 
 def warn_of_equality_between_bounds(pair: Pair, side: Side) -> None:
     """Warn of an equality that holds only between bounds; raise for an inequality."""
-    if side.kind != "value":
+    if side.form != "value":
         raise UnsupportedModel(
             f"{pair!r} pairs an equality with an inequality; pair it with a variable"
         )
@@ -638,13 +638,13 @@ def pair_residual(pair: Pair) -> Vector | None:
     if any(value is None for value in values):
         return None
     z, w = map(compat.by_columns, values)
-    if side.kind == "cone":
+    if side.form == "cone":
         cones = ConePair(np.arange(z.size), side.rows, friction_of(side))
         return np.abs(cone_problem(np.eye(z.size), np.zeros(z.size), [cones]).residual(z, w))
     *_, weights, _, low, high = model.read(side)
-    if other.kind == "nonnegative" and side.kind != "nonnegative":
+    if other.form == "nonnegative" and side.form != "nonnegative":
         w = np.where(np.isfinite(high) & ~np.isfinite(low), -w, w)
-    elif other.kind == "value" and side.kind == "nonnegative":
+    elif other.form == "value" and side.form == "nonnegative":
         w = np.sign(weights) * w
     return np.abs(np.minimum(np.maximum(w, z - high), z - low))
 

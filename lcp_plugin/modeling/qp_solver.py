@@ -363,11 +363,11 @@ def _point(problem: cp.Problem, compiled: CompiledProblem) -> Vector:
     of_variables = [item.places[item.signs != 0.0] for item in entries]
     added = np.setdiff1d(np.arange(x.size), np.concatenate(of_variables))
     if added.size:
-        x[added] = solve_program(_rest(compiled.program, x, added)).x
+        x[added] = solve_program(_program_of_columns(compiled.program, x, added)).x
     return x
 
 
-def _rest(program: QuadraticProgram, x: Vector, columns: Indices) -> QuadraticProgram:
+def _program_of_columns(program: QuadraticProgram, x: Vector, columns: Indices) -> QuadraticProgram:
     """Return the program of some columns, the others being as in x; without the rows that hold only these."""
     P, rows = sp.csr_array(program.P)[columns], list[Any]()
     for matrix, right in ((program.G, program.h), (program.A, program.b)):

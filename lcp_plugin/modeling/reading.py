@@ -47,16 +47,16 @@ Rule: TypeAlias = Callable[[Compiler, Any, list[Any]], Rows]
 
 
 @cache
-def affine_rule(kind: type) -> Rule | None:
+def affine_rule(atom: type) -> Rule | None:
     """Return the rule of a class of affine atoms; cached, because cvxpy's classes are slow."""
-    return next((rule for classes, rule in AFFINE.items() if issubclass(kind, classes)), None)
+    return next((rule for classes, rule in AFFINE.items() if issubclass(atom, classes)), None)
 
 
 def rule_of(node: cp.Expression) -> Rule | None:
     """Return the rule for an atom that is not affine by its class; None if there is no rule."""
     if node.is_atom_affine() and not isinstance(node, Power):
         return _by_jacobian
-    return next((SMOOTH[kind] for kind in type(node).__mro__ if kind in SMOOTH), None)
+    return next((SMOOTH[atom] for atom in type(node).__mro__ if atom in SMOOTH), None)
 
 
 def refused(node: cp.Expression) -> UnsupportedModel:
@@ -78,7 +78,7 @@ def linearised(node: cp.Expression, arguments: list[Any], values: list[Any]) -> 
     for k, (argument, value) in enumerate(zip(arguments, values, strict=True)):
         if isinstance(argument, Rows):
             change = added([argument, -value], argument.shape)
-            parts.append(change.applied(_own_jacobian(node, k, values), node.shape))
+            parts.append(change.applied(_cvxpy_jacobian(node, k, values), node.shape))
     return added(parts, node.shape)
 
 
@@ -91,7 +91,7 @@ def _by_jacobian(compiler: Compiler, node: cp.Expression, arguments: list[Any]) 
     return linearised(node, arguments, values)
 
 
-def _own_jacobian(node: cp.Expression, k: int, values: list[Any]) -> sp.csr_array:
+def _cvxpy_jacobian(node: cp.Expression, k: int, values: list[Any]) -> sp.csr_array:
     """Return cvxpy's own derivative of an atom by argument k.
 
     cvxpy's affine atoms take parameters for constants, with gradient zero: a variable replaces them here.

@@ -258,7 +258,7 @@ def _best(problem: cp.Problem, warm_start: bool, options: dict[str, Any]) -> Any
 
 def _has_cones(problem: cp.Problem) -> bool:
     pairs = (pair for pair in problem.constraints if isinstance(pair, Complements))
-    return any("cone" in (pair.first.kind, pair.second.kind) for pair in pairs)
+    return any("cone" in (pair.first.form, pair.second.form) for pair in pairs)
 
 
 def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict[str, Any]) -> Any:

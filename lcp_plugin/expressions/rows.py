@@ -194,7 +194,7 @@ def assembled(
 
 
 def is_definition(block: sp.csr_array) -> bool:
-    """Return whether each row of a source's block has one entry, in a column of its own."""
+    """Return whether each row of a source's block has one entry, and no two rows share a column."""
     has_single_entries = bool((np.diff(block.indptr) == 1).all())
     return has_single_entries and np.unique(block.indices).size == block.nnz
 

@@ -52,7 +52,7 @@ BROADCAST = (Promote, cp.broadcast_to)
 TRANSPOSE = (transpose,)
 STACKS: dict[Any, Any] = {Hstack: sp.hstack, Vstack: sp.vstack}
 SELECTION = (index, special_index, Wrap)
-#: Atoms whose own numeric takes sparse arrays and gives sparse arrays, or few numbers.
+#: Atoms whose numeric accepts sparse arrays and returns sparse arrays, or few numbers.
 KEEP_SPARSE: tuple[Any, ...] = (*SUM, *NEGATIVE, *MATRIX_PRODUCT, *ENTRY_SUM)
 
 #: Atoms whose every entry is an entry of an argument, or zero.
@@ -190,7 +190,7 @@ def _place(stated: Any, k: int, form: str) -> str:
 
 
 def name_of(expression: cp.Expression) -> str:
-    """Return the expression as cvxpy prints it, in one line, not too long."""
+    """Return cvxpy's text of an expression in one line, of at most LONGEST_NAME characters."""
     try:
         text = WHOLE_SUM.sub(r"sum(\1)", " ".join(str(expression).split()))
     except RecursionError:
@@ -211,7 +211,7 @@ def attribute_bounds(variable: cp.Variable) -> tuple[Any, Any]:
 
 
 def attribute_expressions(variable: cp.Variable) -> tuple[Any, Any]:
-    """Return the bounds of a variable with the attribute "bounds" as they were stated; parameters may be in them."""
+    """Return the stated bounds of a variable with the attribute "bounds", which may hold parameters."""
     attributes, (lower, upper) = variable.attributes, variable.attributes["bounds"]
     lower = cp.maximum(0.0, lower) if attributes.get("nonneg") or attributes.get("pos") else lower
     upper = cp.minimum(0.0, upper) if attributes.get("nonpos") or attributes.get("neg") else upper
@@ -219,7 +219,7 @@ def attribute_expressions(variable: cp.Variable) -> tuple[Any, Any]:
 
 
 def bound_value(bound: Any, owner: object) -> Any:
-    """Return the user's bound as a float64 array; raise if it is not one."""
+    """Return the user's bound as a float64 array; raise if it is not a number or an array of numbers."""
     is_expression = isinstance(bound, cp.Expression)
     if is_expression and (bound.variables() or bound.value is None):
         what = "contains a variable" if bound.variables() else "has no value"

@@ -1,6 +1,6 @@
 """optimal(program, over=…): the optimality conditions of an agent's program, as a constraint that cvxpy accepts.
 
-Checks of agents: each decision belongs to one of them, and programs and shared constraints are convex.
+Checks of agents: each decision belongs to one agent, and programs and shared constraints are convex.
 """
 
 from __future__ import annotations
@@ -145,13 +145,13 @@ def _agent(program: Any, over: object, shared: object, check: str, F: object = N
 
 
 def _listed(argument: object, cls: type) -> list[Any] | None:
-    """Return one object of a type, or several, as a list; None if it is something else."""
+    """Return one object of a type, or several, as a list; None for other objects."""
     items = [argument] if isinstance(argument, cls) or not np.iterable(argument) else list(argument)
     return items if all(isinstance(item, cls) for item in items) else None
 
 
 def entries_of(expression: cp.Expression) -> tuple[Any, Indices]:
-    """Return the variable and the entries that a decision consists of; raise if it is something else."""
+    """Return the variable and the entries of a decision; raise if the expression is not a decision."""
     reader = Reader(takes_integers=True)
     rows, variables = reader.rows(expression), expression.variables()
     if len(variables) == 1 and not rows.level and not rows.offset.any():
@@ -405,7 +405,7 @@ class Convexity:
     def hold(self, row: StandardRows, entries: Sequence[Any]) -> bool:
         """Return whether an expression is convex, of an equation affine, in entries of variables.
 
-        By cvxpy's rules, term by term, with the others as parameters; or quadratic terms have a semidefinite Hessian.
+        By cvxpy's rules, term by term, with all other variables as parameters; or by a semidefinite Hessian.
         """
         change = with_data(entries, self.data)
         held = rewritten(row.expression, change)

@@ -2,7 +2,7 @@
 
 The objective and the rows are smooth, of any curvature; an absolute value becomes a pair.
 
-The gain that an agent of an equilibrium could make by a change of its own decisions only.
+The gain that an agent of an equilibrium could make by a change of only its decisions.
 """
 
 from __future__ import annotations
@@ -201,8 +201,8 @@ def _fee(agent: Any) -> tuple[Any, list[Any]]:
 def _best_value(problem: cp.Problem) -> tuple[float, str]:
     """Return the minimum of a program without kinks, or NaN and the reason.
 
-    A QuadraticProgram is solved here, another program by cvxpy's rules of convexity by cvxpy's solver, and the rest by
-    SCIP.
+    This package solves a QuadraticProgram, cvxpy's solver another program that follows cvxpy's rules of convexity, and
+    SCIP a program of any other class.
     """
     program, _ = stated_program(problem, problem.constraints)
     is_quadratic = program.smooth is None and program.program.matrices.is_nearly_semidefinite

@@ -70,7 +70,7 @@ class Side:
         return str(self.expression)
 
     def bounds(self) -> tuple[Any, Any]:
-        """Return the bounds in the side's own shape: of a box, of an inequality, or of the variable's attributes."""
+        """Return the bounds of a box, of an inequality or of the variable's attributes, in the shape of the side."""
         shape, lower, upper = self.expression.shape, -np.inf, np.inf  # type: Any, Any, Any
         if self.form == "box":
             lower, upper = normalize_bounds(
@@ -261,7 +261,7 @@ class Model:
                 self.bounds.append((np.arange(size)[span], 1.0, None, *ends))
         lower, upper = (end.copy() for end in self.declared)
         first = {key: span.start for key, span in self.spans.items()}
-        # No reference to the model, which is freed at once then: a cycle waits for the collector.
+        # Without a reference to the model, which is freed at once: a cycle would wait for the collector.
         name = partial(_name_of, self.variables, self.spans)
         self.statement = Statement(self.reader.compiler, first, lower, upper, name)
         self.statement.other_way = ", or list them in over=[…] of an agent"
@@ -280,7 +280,7 @@ class Model:
     def add_equations(self, constraints: Sequence[Any]) -> None:
         """Read equalities, before the pairs: defined variables should not be paired."""
         for constraint in constraints:
-            # Always the same expression object, so that the memo finds it again.
+            # The same expression object in every call, so that the memo has its rows.
             rows = self.reader.rows(constraint.expr)
             number = self.numbers.get(constraint.id)
             name = partial(compat.row_of, constraint, number=number)
@@ -493,7 +493,7 @@ class Model:
     # --- from the solution to cvxpy ---
 
     def values(self, z: Vector) -> dict[int, Any]:
-        """Return the value of each variable by its id, in its own shape."""
+        """Return the value of each variable by its id, in the variable's shape."""
         return self.split(self.square.elimination.expand(z))
 
     def split(self, unknowns: Vector) -> dict[int, Any]:
@@ -599,7 +599,7 @@ def friction_of(side: Side) -> Vector | None:
 
 
 def sign_of_inequality(pair: Pair, low: Vector, high: Vector) -> Vector:
-    """Return the sign of w for a stated G ≥ 0: w = G at a lower bound, −G at an upper one; nothing else agrees."""
+    """Return the sign of w for a stated G ≥ 0: w = G at a lower bound, and w = −G at an upper bound."""
     has_low, has_high = np.isfinite(low), np.isfinite(high)
     if (has_low == has_high).any():
         raise UnsupportedModel(
@@ -610,7 +610,7 @@ def sign_of_inequality(pair: Pair, low: Vector, high: Vector) -> Vector:
 
 
 def states_bounds(side: Side) -> bool:
-    """Return whether some variable below the side has bounds, be they infinite."""
+    """Return whether some variable below the side has bounds, finite or infinite."""
     names = ("nonneg", "nonpos", "pos", "neg", "bounds")
     return any(
         variable.attributes.get(name) for variable in side.expression.variables() for name in names

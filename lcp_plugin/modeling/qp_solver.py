@@ -82,7 +82,7 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
         return "LCP"
 
     def import_solver(self) -> None:
-        """Do nothing: it is here."""
+        """Do nothing: the solver is part of this package."""
 
     def cite(self, data: Any) -> str:
         """Return the reference of the methods."""
@@ -190,7 +190,7 @@ class Entries(NamedTuple):
     def of(cls, variable: Any, columns: dict[int, int], chain: Any, inverse: Any) -> Entries:
         """Return the entries of a user's variable.
 
-        cvxpy's own inversion would project the numbers onto the variable's bounds.
+        cvxpy's inversion would project the numbers onto the variable's bounds.
         """
         numbers = 1.0 + entry_numbers(variable.shape)
         leaf = variable
@@ -356,7 +356,7 @@ def _check(problem: cp.Problem) -> None:
 
 
 def _point(problem: cp.Problem, compiled: CompiledProblem) -> Vector:
-    """Return the program's x of the user's values; auxiliary variables are optimized with these fixed."""
+    """Return the program's x of the user's values; auxiliary variables are optimized with these values fixed."""
     x, entries = np.zeros(compiled.program.n), compiled.entries.values()
     for variable in problem.variables():
         compiled.entries[variable.id].put_into(x, leaf_value(variable))
@@ -368,7 +368,7 @@ def _point(problem: cp.Problem, compiled: CompiledProblem) -> Vector:
 
 
 def _program_of_columns(program: QuadraticProgram, x: Vector, columns: Indices) -> QuadraticProgram:
-    """Return the program of some columns, the others being as in x; without the rows that hold only these."""
+    """Return the program of some columns with all other columns fixed at x, without rows of only fixed columns."""
     P, rows = sp.csr_array(program.P)[columns], list[Any]()
     for matrix, right in ((program.G, program.h), (program.A, program.b)):
         part = sp.csr_array(sp.csr_array(matrix)[:, columns])

@@ -92,7 +92,7 @@ def _by_jacobian(compiler: Compiler, node: cp.Expression, arguments: list[Any]) 
 
 
 def _cvxpy_jacobian(node: cp.Expression, k: int, values: list[Any]) -> sp.csr_array:
-    """Return cvxpy's own derivative of an atom by argument k.
+    """Return cvxpy's derivative of an atom by argument k.
 
     cvxpy's affine atoms take parameters for constants, with gradient zero: a variable replaces them here.
     """
@@ -198,7 +198,7 @@ def _reduced(node: cp.Expression) -> Indices:
 def _folded(compiler: Compiler, function: Function, terms: Rows, size: int) -> Rows:
     """Return a function of two arguments of all terms, in pairs of pairs.
 
-    `size` results are made at once: the terms at one position of all are consecutive.
+    `size` results are computed at once: their terms at one position are consecutive.
     """
     left: list[Rows] = []
     count = terms.size // max(size, 1)
@@ -337,7 +337,7 @@ class Reader:
         Results that do not depend on parameters; give the same dict to the next reader.
     held : dict, optional
         From the ids of variables and parameters to their values. Then the parameters are the sources, and an atom
-        whose own rule is not known is replaced by its tangent there. Without it the variables are.
+        without a rule is replaced by its tangent there. Without `held` the variables are the sources.
     takes_integers : bool
         Whether variables may be integers.
 
@@ -360,8 +360,8 @@ class Reader:
         self._memo = {} if memo is None else memo
         self._held, self._has_sources = held, held is not None
         self._known: Values = {key: result for key, (_, result) in self._memo.items()}
-        self._kept: list[Any] = []  # nodes, whose ids stay theirs while they are kept
-        self._moving: set[int] = set()  # into which a parameter, or a function, enters
+        self._kept: list[Any] = []  # nodes that must live: the id of a freed node is used again
+        self._moving: set[int] = set()  # ids of nodes that depend on a parameter or a function
 
     def hold(self, sources: Mapping[int, Any]) -> None:
         """Let nodes be sources, by key, below which nothing is read; a parameter that an atom holds raises an error."""

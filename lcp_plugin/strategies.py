@@ -50,7 +50,7 @@ except ImportError:
         "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
     ) from None
 
-from .core.checks import AnyMatrix, Array, Vector
+from .core.checks import AnyMatrix, Array, Vector, checked_vector
 from .core.errors import InvalidOption, InvalidProblem
 from .core.lcp import LCP
 from .core.settings import whole_number
@@ -700,16 +700,9 @@ def check_solution(
     ''
     """
     try:
-        z = np.asarray(point)
-    except Exception:  # a pair (z, info), or an object that rejects the conversion
-        z = np.array(None)
-    if z.shape != (problem.n,) or z.dtype.kind not in "biuf":
-        return (
-            f"z must be {problem.n} real numbers in an array of shape ({problem.n},), got {point!r}"
-        )
-    z = z.astype(np.float64)
-    if not np.isfinite(z).all():
-        return "z is not finite"
+        z = checked_vector(point, "z", problem.n)
+    except InvalidProblem as error:
+        return str(error)
     w = exact_slack(problem, z)
     residuals = exact_residuals(problem, z)
     at_start = max(exact_residuals(problem, problem.nearest_to_zero), default=0)
@@ -729,10 +722,11 @@ def check_solution(
 def _named(problem: LCP, z: Vector, w: list[Fraction], i: int, allowed: object) -> str:
     """Return the name of the condition that row i violates; a z within `allowed` of a bound is at it."""
     low, high, value = problem.lower[i], problem.upper[i], z[i]
-    for name, bound, excess in (("lower", low, low - value), ("upper", high, value - high)):
-        if excess > allowed:
+    sides = (("lower", low, value - low), ("upper", high, high - value))
+    for name, bound, gap in sides:
+        if -gap > allowed:
             return f"z is outside its bounds: z[{i}] = {value:g}, but {name}[{i}] = {bound:g}"
-    for name, bound, gap in (("lower", low, value - low), ("upper", high, high - value)):
+    for name, bound, gap in sides:
         if gap <= allowed:
             place = f"z[{i}] = {value:g} is at its {name} bound {bound:g}"
             return f"w has the wrong sign: w[{i}] = {float(w[i]):g}, but {place}"

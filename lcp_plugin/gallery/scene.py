@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..core.checks import Vector, fill, read_only
+from ..core.checks import Vector, checked_vector, fill
 from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
 from ..core.settings import parse_options
@@ -77,11 +77,8 @@ class Scene:
 
     def __post_init__(self) -> None:
         for fact in ("exact", "continuum", "start"):
-            values = getattr(self, fact)
-            if values is not None:
-                if values.shape != (self.problem.q.size,):
-                    raise InvalidProblem(f"{fact} must have shape ({self.n},), got {values.shape}")
-                fill(self, **{fact: read_only(values)})
+            if (values := getattr(self, fact)) is not None:
+                fill(self, **{fact: checked_vector(values, fact, self.n)})
         if self.coordinates is not None and self.grid is None:
             fill(self, grid=tuple(axis.size for axis in self.coordinates))
         if self.grid is not None and math.prod(self.grid) != self.n:

@@ -283,8 +283,8 @@ def exact_diagonal(
 @pytest.mark.parametrize(
     ("spoil", "complaint"),
     [
-        (lambda z: z * np.nan, "z is not finite"),
-        (lambda z: np.append(z, 0.0), "real numbers in an array of shape"),
+        (lambda z: z * np.nan, "z must be finite"),
+        (lambda z: np.append(z, 0.0), "z must be a vector of length 1, got shape"),
         (lambda z: z - 2.0, r"z is outside its bounds: z\[0\] = -1, but lower\[0\] = 0"),
         (
             lambda z: z * 0.0,

@@ -87,14 +87,14 @@ class SideConditions:
         lower = np.append(content.row_lower[inner], content.lower[self.bounded])
         upper = np.append(content.row_upper[inner], content.upper[self.bounded])
         excesses = np.nan_to_num(excess(values, lower, upper, changes), nan=np.inf, posinf=np.inf)
-        order = np.argsort(-excesses, kind="stable")
         bounds = np.where(values < lower, lower, upper)
-        return [
+        worst = [
             outside_row(names[k], float(values[k]), float(bounds[k]))._replace(
                 residual=float(excesses[k])
             )
-            for k in order[excesses[order] > tolerance].tolist()
+            for k in np.flatnonzero(excesses > tolerance).tolist()
         ]
+        return sorted(worst, key=lambda row: -row.residual)
 
 
 def excess(body: Any, lower: Vector, upper: Vector, changes: Any) -> Any:

@@ -50,7 +50,7 @@ except ImportError:
         "lcp_plugin.strategies needs hypothesis; install it with: pip install hypothesis (or lcp_plugin[test])"
     ) from None
 
-from .core.checks import AnyMatrix, Array, Vector, checked_vector
+from .core.checks import AnyMatrix, Array, Vector, checked_vector, is_number
 from .core.errors import InvalidOption, InvalidProblem
 from .core.lcp import LCP
 from .core.settings import whole_number
@@ -94,7 +94,7 @@ def sizes(size: Sizes, smallest: int = 0) -> st.SearchStrategy[int]:
 
 def entries(density: float) -> Numbers:
     """Return integers up to 9 in absolute value of which the share `density` is nonzero."""
-    if not isinstance(density, (int, float, np.integer, np.floating)) or not 0.0 <= density <= 1.0:
+    if not (is_number(density) and 0.0 <= density <= 1.0):
         raise InvalidOption(f"density must lie in [0, 1], got {density!r}")
     values = 2 * LARGEST_ENTRY
     if density * 1e6 < values:

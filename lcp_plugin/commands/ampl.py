@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from .. import __version__
 from ..core.errors import InvalidOption, LCPError, did_you_mean
-from ..core.settings import Settings, parse_options
+from ..core.settings import Settings, parse_options, whole_number
 
 if TYPE_CHECKING:
     from ..interfaces.nl.reading import NLContent
@@ -124,10 +124,9 @@ def _solve(words: list[str], environment: str) -> int:
         raise InvalidOption(f"no stub is given; call {NAME} stub -AMPL, where stub.nl is the model")
     is_ampl = bool(arguments) and arguments[0] == "-AMPL"
     settings = assigned(environment) | assigned(" ".join(arguments[is_ampl:]))
-    levels = {name: settings.pop(name, 0) for name in LEVELS}
-    for name, level in levels.items():
-        if not isinstance(level, int) or level < 0:
-            raise InvalidOption(f"{name} must be an integer ≥ 0, got {level!r}; {KEYWORDS[name]}")
+    levels = {
+        name: whole_number(settings.pop(name, 0), name, 0, f", {KEYWORDS[name]}") for name in LEVELS
+    }
     settings |= {"verbose": True} if levels["outlev"] else {}
     settings |= {"prove": True} if levels["prove"] else {}
     if levels["version"]:

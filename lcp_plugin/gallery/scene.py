@@ -5,14 +5,13 @@ from __future__ import annotations
 import functools
 import inspect
 import math
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..core.checks import Vector, checked_vector, fill
+from ..core.checks import Vector, checked_vector, fill, is_number
 from ..core.errors import InvalidOption, InvalidProblem, did_you_mean
 from ..core.lcp import LCP
 from ..core.settings import parse_options
@@ -157,18 +156,16 @@ def scene_builder(builder: Builder) -> Builder:
 
 def _checked(name: str, key: str, value: Any, default: Any) -> Any:
     """Return the value as a plain Python object of the default's type, or raise InvalidOption."""
-    kind, least = type(default), 1 if key in SIZES else 0
-    kinds: dict[Any, Any] = {
-        bool: (bool | np.bool_, "true or false"),
-        int: (int | np.integer, f"an integer ≥ {least}"),
-        float: (float | int | np.number, "a finite number"),
+    is_flag, least = isinstance(value, bool | np.bool_), 1 if key in SIZES else 0
+    is_integer = isinstance(value, int | np.integer) and is_number(value)
+    requirements = {
+        bool: (is_flag, "true or false"),
+        int: (is_integer and value >= least, f"an integer ≥ {least}"),
+        float: (is_number(value) and math.isfinite(value), "a finite number"),
     }
-    types, needs = kinds[kind]
-    is_right = isinstance(value, types) and (kind is bool or not isinstance(value, bool))
-    if is_right and kind in (int, float):
-        is_right = (least if kind is int else -sys.float_info.max) <= value <= sys.float_info.max
+    is_right, needs = requirements[type(default)]
     if is_right:
-        return kind(value)
+        return type(default)(value)
     raise InvalidOption(
         f"test problem {name!r}: {key} must be {needs}, as {default!r}, got {value!r}"
     )

@@ -222,7 +222,8 @@ def cross_validate(
     return check("agree", "the residuals and the conditioning of M explain every difference")
 
 
-def _largest(values: Vector) -> float:
+def largest(values: Vector) -> float:
+    """Return the largest absolute value, 0 if there is none."""
     return float(np.max(np.abs(values), initial=0.0))
 
 
@@ -283,7 +284,7 @@ class ConvexForm:
             what = "a diagonal entry is negative"
             what = what if is_negative else f"a pivot is negative at shift {shift:.1e}"
             return cls("", f"{matrix} indefinite: {what}", lcp, root)
-        unit = _largest(np.append(c, root * lcp.nearest_to_zero)) or 1.0
+        unit = largest(np.append(c, root * lcp.nearest_to_zero)) or 1.0
         lower, upper = (root * bound / unit for bound in (lcp.lower, lcp.upper))
         problem = LCP(A, c / unit, lower=lower, upper=upper)
         kind = PLAIN if place is None else GAP
@@ -302,8 +303,8 @@ class ConvexForm:
         share, cost, rows = 0.5, scaled.q @ y, []
         if self.kind == GAP:
             is_bound = np.isfinite(ends)
-            largest = np.where(is_bound, np.inf, 0.0)
-            a, b = (cp.Variable(scaled.n, bounds=[0.0, end]) for end in largest)
+            highest = np.where(is_bound, np.inf, 0.0)
+            a, b = (cp.Variable(scaled.n, bounds=[0.0, end]) for end in highest)
             lower, upper = np.where(is_bound, ends, 0.0)
             share, cost = 1.0, cost - lower @ a + upper @ b
             rows = [scaled.M @ y + scaled.q == a - b]
@@ -330,8 +331,8 @@ class ConvexForm:
         if self.kind == PLAIN:  # a difference of squares, without cancellation
             gap = float(0.5 * (ours.z - theirs.z) @ (ours.w + theirs.w))
         return {
-            "difference_z": _largest(ours.z - theirs.z),
-            "difference_w": _largest(ours.w - theirs.w),
+            "difference_z": largest(ours.z - theirs.z),
+            "difference_w": largest(ours.w - theirs.w),
             "objective_gap": gap,
             "disagreement": max(float(step @ rise), 0.0) / (sizes or 1.0),
             "allowance": sum(map(self._residual, ys, ws)),

@@ -24,6 +24,7 @@ from ..judges.certificate import Certificate
 from ..proofs.bounds import error_bound
 from ..solving.dispatch import method_of, solve
 from ..solving.result import Result, Sample
+from .cross_check import largest
 
 TRUE_ERROR, BOUND, RESIDUAL = "true error", "rigorous bound", "residual"
 POINT = ("iteration", "work", "seconds", "seconds_low", "seconds_high", "error", "residual")
@@ -232,7 +233,7 @@ def error_measure(scene: Scene, max_seconds: float) -> tuple[str, Measure, str]:
     error: Callable[[Vector], float] | None = None
     if scene.exact is not None:
         exact = scene.exact
-        kind, error = TRUE_ERROR, lambda z: float(np.abs(z - exact).max(initial=0.0))
+        kind, error = TRUE_ERROR, lambda z: largest(z - exact)
     else:
         error, reason = _error_bound(scene, max_seconds)
         kind = RESIDUAL if error is None else BOUND
@@ -252,12 +253,12 @@ def _error_bound(scene: Scene, max_seconds: float) -> tuple[Callable[[Vector], f
         return None, f"no bound of the error: {failure}"
     result, _ = run(scene, "auto", _unmeasured, max_seconds=max_seconds)
     known = error_bound(problem, result.z)
-    least, size = known.infinity, float(np.abs(result.z).max(initial=0.0))
+    least, size = known.infinity, largest(result.z)
     if (near := known.near) is not None:
-        least, size = (float(np.abs(part).max(initial=0.0)) for part in (near.y, near.high))
+        least, size = largest(near.y), largest(near.high)
     if least > 0.0 and not least < size:
         return None, f"no bound of the error: it is {least:.1e} for a solution of size {size:.1e}"
-    return (lambda z: float(known.carried_to(z).max(initial=0.0))), ""
+    return (lambda z: largest(known.carried_to(z))), ""
 
 
 # --- The methods ------------------------------------------------------------------------------------------------

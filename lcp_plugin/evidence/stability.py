@@ -453,12 +453,15 @@ def stability_atlas(
     for name in families:
         if not isinstance(name, str) or name not in FAMILIES:
             raise InvalidOption(f"unknown stress {name!r}{did_you_mean(str(name), FAMILIES)}")
-    cases = [(family, case) for family in families for case in FAMILIES[family]()]
-    if quick:
-        cases = [(family, case) for family, case in cases if case.problem.n <= 2500]
     limit = 5_000 if quick else 50_000
-    runs = product(cases, entrants)
-    return Atlas(tuple(_cell(family, case, method, limit) for (family, case), method in runs))
+    cells = [
+        _cell(family, case, method, limit)
+        for family in families
+        for case in FAMILIES[family]()
+        if not quick or case.problem.n <= 2500
+        for method in entrants
+    ]
+    return Atlas(tuple(cells))
 
 
 def _cell(family: str, case: StressCase, method: Method, limit: int) -> Cell:

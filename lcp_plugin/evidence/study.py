@@ -94,8 +94,8 @@ class Table:
 
     def to_markdown(self) -> str:
         """Return the table as Markdown, numbers to the right."""
-        columns = [[row[k] for row in self.rows] for k in range(len(self.columns))]
-        has_number = [any(isinstance(cell, int | float) for cell in column) for column in columns]
+        columns = range(len(self.columns))
+        has_number = [any(isinstance(row[k], int | float) for row in self.rows) for k in columns]
         marks = ["---:" if is_number else ":---" for is_number in has_number]
         texts = ([*map(_text_of, row)] for row in self.rows)
         lines = [f"| {' | '.join(cells)} |" for cells in (self.columns, *texts)]

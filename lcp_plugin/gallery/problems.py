@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.checks import Vector
 from ..core.lcp import LCP
+from ..core.settings import whole_number
 from .scene import Scene, require, scene_builder
 
 Field = NDArray[np.float64]
@@ -238,10 +239,9 @@ def binomial_put(
     >>> round(float(price), 2)
     6.09
     """
-    for name, value in (("volatility", volatility), ("maturity", maturity), ("steps", steps)):
+    whole_number(steps, "binomial_put: steps", 1, ", as 1000")
+    for name, value in (("volatility", volatility), ("maturity", maturity)):
         require(value > 0, f"binomial_put: {name} must be positive, got {value}")
-    is_whole = isinstance(steps, (int, np.integer))
-    require(is_whole, f"binomial_put: steps must be an integer ≥ 1, as 1000, got {steps!r}")
     time_step = maturity / steps
     up, growth = math.exp(volatility * math.sqrt(time_step)), math.exp(rate * time_step)
     probability = (growth - 1.0 / up) / (up - 1.0 / up)

@@ -477,19 +477,21 @@ def infeasible_lcps(
         if np.isfinite(lower[pivot]) and np.isfinite(upper[pivot]):  # a box needs no sign of w
             upper[pivot] = math.inf
         below, above = np.isinf(lower), np.isinf(upper)
+        is_free = below & above
         # y ≥ 0 if w ≥ 0 is needed, ≤ 0 if w ≤ 0 is needed; 0 in boxes, ±1 in the pivot's row.
         y = draw(vectors(n, st.integers(0, 3)))
         y[pivot] = 1.0
-        y *= np.where(below & above, draw(vectors(n, SIGNS)), above * 1.0 - below)
+        y *= np.where(is_free, draw(vectors(n, SIGNS)), above * 1.0 - below)
         # Mᵀy ≤ 0 if z can rise indefinitely, ≥ 0 if it can fall, = 0 if z is free
         drawn = draw(vectors(n, SIGNED))
         product = np.where(above, -abs(drawn), np.where(below, abs(drawn), drawn))
-        product[below & above] = 0.0
+        product[is_free] = 0.0
         q, surplus = draw(vectors(n, SIGNED)), draw(POSITIVE)
         M = draw(blocks(n, n, SIGNED))
         M[pivot] = 0.0
         M[pivot] = y[pivot] * (product - y @ M)
-        highest = float(np.where(product > 0, upper, lower)[product != 0] @ product[product != 0])
+        used = product != 0
+        highest = float(np.where(product > 0, upper, lower)[used] @ product[used])
         q[pivot] = 0.0
         q[pivot] = y[pivot] * (-highest - y @ q - surplus)
         problem = LCP(M, q, lower=lower, upper=upper)

@@ -213,8 +213,7 @@ class LCPLayer(Layer):
     @classmethod
     def of(cls, convert: Convert, M: Array, q: Array, bounds: Array, **options: Any) -> LayerCall:
         """Return the layer and its arrays."""
-        data = {"q": q, "lower": bounds[0], "upper": bounds[1]}
-        q, lower, upper = (convert(values, name) for name, values in data.items())
+        q, lower, upper = convert(q, "q"), convert(bounds[0], "lower"), convert(bounds[1], "upper")
         for name, bound in (("lower", lower), ("upper", upper)):
             if tuple(bound.shape[-1:]) not in ((), (1,), tuple(q.shape[-1:])):
                 need = f"a number or have the length of q, {q.shape[-1]}"

@@ -532,11 +532,10 @@ class _Reader:
             if not math.isfinite(value):
                 source.fail("a number is not finite")
             return kind, value, 0
+        (number,) = source.behind("i")
         if kind is Token.VARIABLE:
-            (number,) = source.behind("i")
             self._require_below(number, variables, "a variable that is allowed here")
             return kind, number, 0
-        (number,) = source.behind("i")
         if number not in ARITY:
             source.fail("this operator number is unknown")
         count = ARITY[number]

@@ -203,8 +203,7 @@ def attribute_bounds(variable: cp.Variable) -> tuple[Any, Any]:
     attributes = variable.attributes
     lower: Any = 0.0 if attributes.get("nonneg") or attributes.get("pos") else -np.inf
     upper: Any = 0.0 if attributes.get("nonpos") or attributes.get("neg") else np.inf
-    stated = attributes.get("bounds")
-    if stated is not None:
+    if (stated := attributes.get("bounds")) is not None:
         low, high = (bound_value(bound, variable) for bound in stated)
         lower, upper = np.maximum(lower, low), np.minimum(upper, high)
     return normalize_bounds(lower, upper)

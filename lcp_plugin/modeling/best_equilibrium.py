@@ -100,8 +100,8 @@ def solve_for_the_best(
     model.agents = stated[1]
     if warm_start and "x0" not in options:
         start = model.present()
-        is_start = start is not None and np.isfinite(start).all()
-        options = {**options, "x0": _with_multipliers(program, model, start) if is_start else None}
+        if start is not None and np.isfinite(start).all():
+            options = options | {"x0": _with_multipliers(program, model, start)}
     result = solve(program, **options)
     if options["verbose"]:
         settings.LOGGER.info(result.explain())

@@ -205,12 +205,13 @@ def certify_model(problem: cp.Problem, tolerance: float, _pairs: object = None) 
     model = build_from(problem)
     if (z := model.present()) is None:
         raise InvalidProblem("a variable has no value; solve the problem, or set the values first")
+    name_of = model.statement.name_of
     for k in np.flatnonzero(~np.isfinite(z))[:1].tolist():
-        name = model.statement.name_of(k)
-        raise InvalidProblem(f"the value of {name} must be finite, got {z[k]}; set another value")
-    name_of, dropped = model.statement.name_of, model.square.dropped
+        raise InvalidProblem(
+            f"the value of {name_of(k)} must be finite, got {z[k]}; set another value"
+        )
     stated, point, violated = model.square.at_values(z, tolerance, name_of)
-    violated += model.statement.violated_bounds(z, dropped, tolerance)
+    violated += model.statement.violated_bounds(z, model.square.dropped, tolerance)
     return with_side_conditions(certify_point(stated, point, tolerance), violated)
 
 

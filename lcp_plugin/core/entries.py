@@ -36,6 +36,11 @@ def clip(x: Any, lower: Vector, upper: Vector) -> Vector:
     return np.minimum(np.maximum(x, lower), upper)
 
 
+def or_one(sizes: Vector) -> Vector:
+    """Return the sizes with 1 in place of 0."""
+    return np.where(sizes > 0.0, sizes, 1.0)
+
+
 def unbounded(lower: Vector, upper: Vector) -> BoolVector:
     """Return the mask of the unknowns without bounds, whose rows are equations."""
     return (lower == -np.inf) & (upper == np.inf)

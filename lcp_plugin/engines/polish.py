@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import AnyMatrix, Vector
-from ..core.entries import largest_in_rows
+from ..core.entries import largest_in_rows, or_one
 from ..core.rounding import compensated_product
 from .engine import EngineAnswer, ProgramData
 
@@ -101,14 +101,12 @@ def shifted_solver(P: AnyMatrix, C: AnyMatrix, shift: float) -> Callable[[Vector
 
         K = np.block([[P, C.T], [C, np.zeros((m, m))]])
         size = np.abs(K).max(axis=0)
-        factor, pivots, info = lapack.dgetrf(
-            K + np.diag(shift * signs * np.where(size > 0.0, size, 1.0))
-        )
+        factor, pivots, info = lapack.dgetrf(K + np.diag(shift * signs * or_one(size)))
         return None if info else lambda right: lapack.dgetrs(factor, pivots, right)[0]
     below = sp.csr_array((C.data, C.indices, C.indptr), shape=(m, n + m))
     K = sp.vstack([sp.hstack([P, sp.csr_array(C.T)], "csr"), below], format="csr")
     size = largest_in_rows(K)
-    shifted = sp.triu(K) + sp.diags_array(shift * signs * np.where(size > 0.0, size, 1.0))
+    shifted = sp.triu(K) + sp.diags_array(shift * signs * or_one(size))
     factorize: Callable[[Any], Any]
     try:
         from qdldl import Solver

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..core.algorithm import Algorithm
 from ..core.checks import Vector
+from ..core.entries import max_norm, or_one
 from ..core.errors import InvalidOption, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.names import Names, listed
@@ -90,7 +91,7 @@ def _stiffness(solution: Certificate, work: float) -> str:
 def _nearness_to_singular(solution: Certificate) -> str:
     """Return the warning that M is nearly singular on the free rows, so that z may have a large error, or ""."""
     problem, z, w = solution.problem, solution.z, solution.w
-    residual, size = solution.scaled_residual, float(np.abs(z).max(initial=0.0))
+    residual, size = solution.scaled_residual, max_norm(z)
     error = estimated_error(problem, z, w, residual)
     if error is None or not error > 1e-2 * size:  # part of ‖z‖∞
         return ""
@@ -185,7 +186,7 @@ def likely_mistake(problem: LCP, z: Vector, w: Vector) -> str:
         return ""
     block = M[free][:, free].toarray()
     lengths = np.linalg.norm(block, axis=1, keepdims=True)
-    left, values, _ = np.linalg.svd(block / np.where(lengths > 0.0, lengths, 1.0))
+    left, values, _ = np.linalg.svd(block / or_one(lengths))
     part = np.abs(left[:, -1]) >= 0.1 * np.abs(left[:, -1]).max()  # rows with less are not named
     if values[-1] > 1e-6 * values[0] or part.sum() == 1:  # derivatives may be differences
         return ""

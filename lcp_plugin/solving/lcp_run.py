@@ -13,6 +13,7 @@ import numpy as np
 from ..core.algorithm import Algorithm, Step
 from ..core.checks import Vector, read_only
 from ..core.deadline import Clock
+from ..core.entries import max_norm
 from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem
 from ..core.kernels.floats import DATA_ROUNDING
 from ..core.kernels.threads import threads_for
@@ -295,7 +296,7 @@ class LCPRun(Run):
             return False
         point, problem = self.measured(z), self.problem
         certificate = Certificate.at(problem, point.z, rows=point.rows)
-        rounding = DATA_ROUNDING * float(np.abs(problem.q).max(initial=0.0))
+        rounding = DATA_ROUNDING * max_norm(problem.q)
         is_large = certificate.natural_residual > rounding
         if is_large and certificate.term_residual > self.settings.goal:
             return False  # small relative to a coefficient that may be inactive

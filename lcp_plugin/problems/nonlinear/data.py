@@ -52,7 +52,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
 from ...core.checks import AnyMatrix, BoolVector, Vector, derived_property, read_only
-from ...core.entries import IntVector, largest_in_rows, largest_products, residual_scales
+from ...core.entries import IntVector, largest_in_rows, largest_products, max_norm, residual_scales
 from ...core.errors import InvalidProblem
 from ...core.kernels.floats import EPSILON, HALF_OF_DIGITS, LARGEST
 from ...core.lcp import LCP
@@ -611,7 +611,7 @@ class LinearizedRows(RowData):
                 break
             there = x.copy()
             there[at] += np.where(moves_on, reach * step, 0.0)
-            there = np.minimum(np.maximum(there, self.lower), self.upper)
+            there = np.clip(there, self.lower, self.upper)
             way, back = (there - x)[at], factor.solve(self.problem.value(there)[at])
             if reach == 1.0:
                 moves_on &= ~(np.abs(back) <= np.abs(step) / 3.0)
@@ -778,7 +778,7 @@ class Linearization:
     def least_residual(self) -> float:
         """A lower bound of the relative residual that costs little: relative to the largest T_i/d_i."""
         terms = self.data.terms / self.data.scale
-        return float(np.abs(self.steps).max(initial=0.0) / terms.max(initial=1e-300))
+        return max_norm(self.steps) / float(terms.max(initial=1e-300))
 
     def is_small(self, settings: Settings) -> bool:
         """Return whether the relative residual is at most the tolerance."""

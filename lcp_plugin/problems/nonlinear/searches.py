@@ -20,6 +20,7 @@ import numpy as np
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector
 from ...core.deadline import is_over
+from ...core.entries import max_norm
 from ...core.kernels.floats import NEGLIGIBLE, NEGLIGIBLE_DIAGONAL
 from ...core.settings import Settings
 from ...core.tuning import CHEAP_UP_TO
@@ -193,7 +194,7 @@ class JosephyNewton(Algorithm):
         """Return the target if it has less than half of the current residual, in the current scale."""
         current, point = self.current, self._at(target.x)
         there = current.data.residual(point.x, point.value)
-        size, before = (np.abs(self.weights * steps).max() for steps in (there, current.steps))
+        size, before = (max_norm(self.weights * steps) for steps in (there, current.steps))
         return point if size < 0.5 * before and point.is_defined else None
 
     def search(self, target: Target) -> Linearization | None:
@@ -250,7 +251,7 @@ class JosephyNewton(Algorithm):
         """
         if point.size is None:
             sizes = np.maximum(np.abs(point.steps), point.violation / self.first.data.scale)
-            point.size = float(np.maximum.reduce(self.weights * sizes, initial=0.0))
+            point.size = max_norm(self.weights * sizes)
         return point.size
 
     def progress(self, point: Linearization) -> float:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from ...core.algorithm import Algorithm, Step
 from ...core.checks import Vector, read_only, vector_option
+from ...core.entries import max_norm
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.threads import threads_for
 from ...core.names import Names
@@ -216,7 +217,7 @@ class NonlinearRun(Run):
     def keep(self, measured: Measured) -> None:
         """Keep a point that passes, or whose violation in the units of the start is the least."""
         sizes = self.newton.weights * measured.z.violation / self.newton.first.data.scale
-        super().keep(measured._replace(residual=float(sizes.max(initial=0.0))))
+        super().keep(measured._replace(residual=max_norm(sizes)))
 
     def _is_far(self, point: Linearization) -> bool:
         """Return whether an unknown is as large as at a point from which it grew."""

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from ...core.algorithm import Algorithm
 from ...core.checks import AnyMatrix, Vector
 from ...core.deadline import Clock, is_over, seconds_left
-from ...core.entries import largest_in_rows
+from ...core.entries import clip, largest_in_rows, max_norm
 from ...core.errors import UnsuitableMatrix, UnsuitableProblem
 from ...core.kernels.floats import FREE, LARGEST, LOW, NEGLIGIBLE
 from ...core.lcp import LCP
@@ -79,16 +79,14 @@ def targets(point: Linearization, linear: str | Algorithm, tolerance: float) -> 
     if linear == "auto" and not is_small(point) and point.x.size <= ACTIVE_SETS_UP_TO:
         for shift in (0.0, min(1.0, max(point.residual, 1e-8)), 1.0):
             yield from _active_set_targets(point, shift)
-        phi, H = phi_and_jacobian(point)
-        if (step := solve_shifted(H, 0.0, -phi)) is not None:
+        if (step := _semismooth_step(point)) is not None:
             yield Target("semismooth", moved(point, step), (1.0,), 0.5)
     for shift in (0.0, *SHIFTS):
         if (target := lcp_step(point, linear, tolerance, shift)) is not None:
             yield Target("proximal" if shift else "Newton", moved(point, target), HALVINGS)
-        if step is None and not shift and is_small(point):
-            phi, H = phi_and_jacobian(point)
-            step = solve_shifted(H, 0.0, -phi)
-        if step is not None and not shift:
+        if not shift and is_small(point):
+            step = _semismooth_step(point)
+        if not shift and step is not None:
             yield Target("semismooth", moved(point, step), HALVINGS)
     phi, H = phi_and_jacobian(point)
     gradient, size = H.T @ phi, math.sqrt(phi @ phi / max(phi.size, 1))
@@ -108,7 +106,7 @@ def moved(point: Linearization, step: Vector) -> Vector:
     x, lower, upper = point.x, point.problem.lower, point.problem.upper
     target = np.where(step <= lower - x, lower, x + step)
     target = np.where(step >= upper - x, upper, target)
-    return np.minimum(np.maximum(target, lower), upper)
+    return clip(target, lower, upper)
 
 
 def lcp_step(
@@ -142,14 +140,12 @@ def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector
     The active set of 0 is tried first; d is returned at once if that is the active set of d.
     """
     step = w / scale
-    most = 0.5 * np.maximum.reduce(
-        np.abs(np.minimum(np.maximum(step, -upper), -lower)), initial=0.0
-    )
+    most = 0.5 * max_norm(clip(step, -upper, -lower))
     side = np.where(step >= -lower, LOW, FREE + (step <= -upper))
     d = solve_small_active_set(M, w, lower, upper, side)
     above, below, step = d - lower, d - upper, (M @ d + w) / scale
     if np.logical_and.reduce(np.where(step >= above, LOW, FREE + (step <= below)) == side):
-        left = np.abs(np.minimum(np.maximum(step, below), above))
+        left = np.abs(clip(step, below, above))
         is_right = (left <= NEGLIGIBLE * most) & (above >= 0.0) & (below <= 0.0)
         if np.logical_and.reduce(is_right):
             return d
@@ -168,8 +164,8 @@ def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector
             yield step
 
     for step in tried():
-        inside = np.minimum(np.maximum(step, lower), upper)
-        size = np.maximum.reduce(np.abs(data.residual(inside, M @ inside + w)), initial=0.0)
+        inside = clip(step, lower, upper)
+        size = max_norm(data.residual(inside, M @ inside + w))
         if size <= least:  # NaN fails
             best, least = inside, size
         if size <= NEGLIGIBLE * most:
@@ -187,13 +183,12 @@ def _active_set_targets(point: Linearization, shift: float) -> Iterator[Target]:
             return
         now = classify(problem, solution.z, problem.slack(solution.z))
         is_last = all(map(np.array_equal, before, now))
-        lengths, share = (
-            (HALVINGS, 1.0) if is_last and not shift else ((1.0,), 0.8 if shift == 1.0 else 0.5)
-        )
-        if is_last or not shift:
-            yield Target(
-                "proximal" if shift else "active set", moved(point, solution.z), lengths, share
-            )
+        target = moved(point, solution.z)
+        if not shift:
+            lengths = HALVINGS if is_last else (1.0,)
+            yield Target("active set", target, lengths, 1.0 if is_last else 0.5)
+        elif is_last:
+            yield Target("proximal", target, (1.0,), 0.8 if shift == 1.0 else 0.5)
         if is_last:
             return
         before = now
@@ -224,6 +219,11 @@ def phi_and_jacobian(point: Linearization) -> tuple[Vector, Any]:
     H = point.M * rows[:, None]
     H[np.diag_indices_from(H)] += phi.by_z
     return phi.value, H
+
+
+def _semismooth_step(point: Linearization) -> Vector | None:
+    phi, H = phi_and_jacobian(point)
+    return solve_shifted(H, 0.0, -phi)
 
 
 def row_scale(point: Linearization) -> Vector:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.checks import Vector, checked_vector, is_number, read_only
 from ...core.deadline import Clock
+from ...core.entries import max_norm
 from ...core.errors import InvalidOption, UnsuitableProblem, did_you_mean
 from ...core.lcp import LCP
 from ...core.problem_classes import class_of, classes_of, foreign_function, refusal
@@ -257,7 +258,7 @@ class Line:
 
     def _with_digits_of_b(self, problem: BoundedLeastSquares, x: Vector, free: Any) -> Vector:
         """Return x, solved again on its free entries if b is small compared with its values at start and stop."""
-        if not 0.0 < np.abs(problem.b).max(initial=0.0) < 1e-2 * np.abs(self.ends("b")).max():
+        if not 0.0 < max_norm(problem.b) < 1e-2 * np.abs(self.ends("b")).max():
             return x
         A, residual = problem.weighted_matrix[:, free], problem.product(x) - problem.b
         slope = problem.apply_transpose(problem.apply_weights(residual)) + problem.ridge * x
@@ -436,7 +437,7 @@ class _Trace:
             piece = Piece(begin, self.line.theta(end), z[:n], slope[:n], case, z, slope)
         self.reached = end
         before = path.pieces[-1].z_at(piece.begin) if path.pieces else piece.z0
-        change, size = (np.abs(vector).max(initial=0.0) for vector in (before - piece.z0, before))
+        change, size = (max_norm(vector) for vector in (before - piece.z0, before))
         # The solution moves no farther over the shortest of these distances
         if change > 1e-4 * (1.0 + size):
             # All solutions of a monotone problem are one convex set.

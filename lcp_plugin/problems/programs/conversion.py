@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import Vector, checked_answer
+from ...core.entries import unbounded
 from ...core.errors import InvalidProblem, UnsuitableMatrix, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.names import Names
@@ -162,7 +163,7 @@ def qp_from_lcp(problem: LCP) -> QuadraticProgram:
             "M is not symmetric, and its symmetric part could not be shown to be positive semidefinite: the gap "
             "program would not be convex; solve the problem itself"
         )
-    has_upper, is_free = np.isfinite(upper), (lower == -np.inf) & (upper == np.inf)
+    has_upper, is_free = np.isfinite(upper), unbounded(lower, upper)
     anchor = np.where(np.isfinite(lower), lower, np.where(has_upper, upper, 0.0))
     # G z ≤ h means w ≥ 0, or w ≤ 0 if only an upper bound exists
     sign = np.where(has_upper, 1.0, -1.0)[~is_free]
@@ -270,7 +271,7 @@ class QPOrigin:
                 balance = -(self.reduced.matrices.terms.columns @ z[n:])
                 rounding = 1e-12 * answer.certificate.rows.terms[:n]
                 is_zero = np.abs(program.c - balance) <= rounding
-                is_zero &= (program.lower == -np.inf) & (program.upper == np.inf)
+                is_zero &= unbounded(program.lower, program.upper)
                 program = program.with_vectors(c=np.where(is_zero, balance, program.c))
             solution = QPSolution.from_reduced(program, z[:n], z[n:])
             errors = solution.errors_for(tolerance)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.checks import Vector
 from ...core.deadline import is_over, seconds_left
+from ...core.entries import clip
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...engines import engine_class, is_installed, scaling
 from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
@@ -185,7 +186,7 @@ def run_engine(
         is_cheap = is_small or point.iterations >= POLISH_FROM
         for near, is_polished in candidates(scaled.statement, point, rounds):
             back = scaled.outward(near)
-            x, y = np.minimum(np.maximum(back.x, reduced.lower), reduced.upper), back.y
+            x, y = clip(back.x, reduced.lower, reduced.upper), back.y
             measures = KKTErrors.of(reduced.judged, x, y, tolerance)
             is_good = bool(measures.meet(tolerance))
             if (is_good, -measures.largest) > (passes, -errors.largest):

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import AnyMatrix, Vector
+from ...core.entries import or_one, with_entries
 
 FIT_TO = 1e-3  # of the right-hand side: enough for powers of two
 
@@ -44,8 +45,7 @@ def _bordered(P: AnyMatrix, C: AnyMatrix) -> Callable[[Vector], Vector]:
 def _pattern_and_logarithms(M: AnyMatrix) -> Any:
     """Return matrices with 1, and with log₂ |entry|, in the place of each entry."""
     if sp.issparse(M):
-        values = np.ones(M.nnz), np.log2(np.abs(M.data))
-        return [sp.csr_array((entries, M.indices, M.indptr), M.shape) for entries in values]
+        return with_entries(M, np.ones(M.nnz)), with_entries(M, np.log2(np.abs(M.data)))
     is_entry = M != 0.0
     return is_entry.astype(np.float64), np.log2(np.abs(M), where=is_entry, out=np.zeros(M.shape))
 
@@ -76,8 +76,3 @@ def _powers(exponents: Vector) -> Vector:
     """Return 2 to the rounded exponents, within the range of doubles; 1 for NaN."""
     known = np.where(np.isnan(exponents), 0.0, exponents)
     return np.ldexp(1.0, np.rint(np.minimum(np.maximum(known, -1000.0), 1000.0)).astype(np.intc))
-
-
-def or_one(sizes: Vector) -> Vector:
-    """Return the sizes with 1 instead of 0."""
-    return np.where(sizes > 0.0, sizes, 1.0)

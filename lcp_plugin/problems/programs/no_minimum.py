@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import AnyMatrix, Vector, derived_property
 from ...core.deadline import is_over
-from ...core.entries import largest_in_rows, largest_products
+from ...core.entries import largest_in_rows, largest_products, max_norm, or_one
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ...core.names import describe_radius, grouped, listed
 from ...core.settings import Status
@@ -43,7 +43,6 @@ from ...proofs.no_solution import is_at_rest, is_minimizer_beyond_radius, moved_
 from ...systems.definiteness import is_positive_definite
 from ...systems.equilibration import equilibrating_exponents
 from .constraints import Constraints, sums_and_terms
-from .fitted_units import or_one
 from .program import FoldedRows, QuadraticProgram
 
 MET = 1e-8  # residual of a row, in units of the data, that is attributed to rounding
@@ -478,7 +477,7 @@ def with_bounds(program: QuadraticProgram, y: dict[int, Fraction]) -> QPInfeasib
 
 def balance_multipliers(program: QuadraticProgram, y: Vector) -> Vector:
     """Return multipliers of the rows, without noise, moved so that the sums which a bound does not take up cancel."""
-    y = np.where(np.abs(y) > 1e-9 * np.abs(y).max(initial=0.0), y, 0.0)
+    y = np.where(np.abs(y) > 1e-9 * max_norm(y), y, 0.0)
     used, rows = np.flatnonzero(y), program.matrices.terms.rows
     sums, terms = sums_and_terms(rows, y)
     is_open = np.isinf(program.lower) | np.isinf(program.upper)
@@ -586,7 +585,7 @@ def _independent_rows(P: sp.csr_array) -> NDArray[np.intp]:
         return filled
     dense = P[filled][:, filled].toarray()
     root = np.sqrt(np.maximum(dense.diagonal(), 0.0))
-    scale = 1.0 / np.where(root > 0.0, root, 1.0)
+    scale = 1.0 / or_one(root)
     R, order = qr(scale[:, None] * dense * scale, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(R))
     rank = int(np.count_nonzero(diagonal > filled.size * 8 * EPSILON * diagonal.max(initial=0.0)))

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ...core import checks
 from ...core.checks import AnyMatrix
-from ...core.entries import largest_in_rows
+from ...core.entries import largest_in_rows, max_norm
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kernels.floats import EPSILON
 from ...core.names import Names, checked_names, listed
@@ -480,7 +480,7 @@ class FoldedRows:
         upper = np.where(contradicts, program.upper, upper)
         lower_row[contradicts] = upper_row[contradicts] = NO_ROW
 
-        rounding = ROWS * NOISE * float(np.abs(right[right < np.inf]).max(initial=0.0))
+        rounding = ROWS * NOISE * max_norm(right[right < np.inf])
         holds = np.where(is_equality, np.abs(right) <= rounding, right >= -rounding)
         stays = ~(holds & (matrices.counts == 0) | (right == np.inf))
         stays[rows[~contradicts[columns]]] = False

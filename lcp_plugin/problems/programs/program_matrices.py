@@ -13,14 +13,14 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...core.checks import DENSE_ABOVE_DENSITY, DENSE_UP_TO_SIZE, Vector, freeze_csr, read_only
-from ...core.entries import count_entries, largest_in_rows, largest_products
+from ...core.entries import count_entries, largest_in_rows, largest_products, or_one
 from ...core.matrix import Matrix
 from ...engines import is_installed
 from ...engines.solvers import kinds_of_rows
 from ...judges.program import BLUR, Indices, ProgramTerms
 from ...systems.definiteness import factorised, is_diagonal, is_semidefinite_to_rounding, scaled_to
 from ...systems.minimum_degree import factor_sizes
-from .fitted_units import fitted_units, or_one, roots
+from .fitted_units import fitted_units, roots
 
 ROUNDING_OF_ENTRIES = 2.0 ** np.arange(-48.0, -23.0, 4.0)  # from double to single precision
 # Unknowns and rows of a program that dense arithmetic takes in place of sparse matrices

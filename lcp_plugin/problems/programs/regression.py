@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.checks import Vector
-from ...core.entries import row_numbers
+from ...core.entries import max_norm, row_numbers, unbounded
 from ...core.errors import LCPError
 from ..least_squares.data import BoundedLeastSquares
 from .program_matrices import FULL_UP_TO
@@ -41,7 +41,7 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     c, b, n, p = program.c, program.b, program.n, program.b.size
     if not 0 < p <= (of_P := program.matrices.entries[0]) <= n:
         return None
-    d, is_free = program.P.diagonal(), np.isneginf(program.lower) & np.isposinf(program.upper)
+    d, is_free = program.P.diagonal(), unbounded(program.lower, program.upper)
     A, G = sp.csr_array(program.A), sp.csr_array(program.G)
     in_A, in_G = (np.bincount(matrix.indices, minlength=n) for matrix in (A, G))
     is_residual = (d > 0.0) & (in_A == 1) & (in_G == 0) & (c == 0.0) & is_free
@@ -77,7 +77,7 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     inner = ~is_residual[A.indices]
     rows[row_numbers(A)[inner], place[A.indices[inner]]] = A.data[inner]
     # Below, residuals and hence multipliers are differences of rounded numbers
-    if l1.any() and l1.max() < 1e-6 * unit * np.abs(rows.T @ b).max(initial=0.0):
+    if l1.any() and l1.max() < 1e-6 * unit * max_norm(rows.T @ b):
         return None
     bounds = program.lower[columns], program.upper[columns]
     penalties: dict[str, Any] = {"ridge": d[columns[0]] / unit, "l1": l1[columns] / unit}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.checks import Vector
+from ...core.entries import max_norm
 from ...core.names import describe_radius, three_digits_below
 from ...core.settings import Status
 from ...judges.program import ROWS
@@ -109,7 +110,7 @@ class QuadraticProgramResult(BaseResult):
 
     def _is_vertex(self) -> bool:
         """Return whether active rows and bounds determine x; True also if this is not computed, for many rows."""
-        program, size = self.program, ROWS * np.abs(self.x).max(initial=0.0)
+        program, size = self.program, ROWS * max_norm(self.x)
         is_free = (self.x > program.lower + size) & (self.x < program.upper - size)
         rows, limit = program.matrices.terms.rows, np.append(program.h, program.b)
         terms = abs(rows) @ np.abs(self.x) + np.abs(limit)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...core.checks import MadeOnAccess, Vector, checked_vector, derived_property, fill, read_only
-from ...core.entries import largest_products
+from ...core.entries import largest_products, max_norm
 from ...core.errors import InvalidProblem
 from ...core.settings import checked_tolerance
 from ...engines.linear_program import highs
@@ -167,8 +167,9 @@ class QPSolution(MadeOnAccess):
         dual_value = -0.5 * curved - d @ y + lower @ self.lower - upper @ self.upper
         gap = abs(0.5 * curved + linear - float(dual_value))
         values = max(abs(0.5 * curved + linear), abs(float(dual_value)))
-        sizes = [_largest(rows, d, lower, upper), _largest(Px, program.c, Cy, z), values]
-        absolute = np.array([primal, _largest(left), gap])
+        terms = (rows, d, lower, upper), (Px, program.c, Cy, z)
+        sizes = [*(max(map(max_norm, vectors)) for vectors in terms), values]
+        absolute = np.array([primal, max_norm(left), gap])
         relative = absolute / np.maximum(sizes, 2.0**-1000)
         return ProgramResiduals(*absolute.tolist(), *relative.tolist())
 
@@ -197,7 +198,7 @@ class QPSolution(MadeOnAccess):
         terms = abs(program.P) @ np.abs(self.x) + np.abs(program.c)
         # A slope at rounding level would be unbounded if x_j is free
         slopes = np.where(np.abs(slopes) <= 1e-12 * terms, 0.0, slopes)
-        size = np.abs(slopes).max(initial=0.0)
+        size = max_norm(slopes)
         if not 0.0 < size < np.inf:
             return float(size)
         optimum = highs(slopes / size, *sides, (program.lower, program.upper))
@@ -260,11 +261,6 @@ def bound_multipliers(program: QuadraticProgram, gradient: Vector) -> tuple[Vect
     at_lower = np.where(np.isfinite(program.lower), np.maximum(gradient, 0.0), 0.0)
     at_upper = np.where(np.isfinite(program.upper), np.maximum(-gradient, 0.0), 0.0)
     return at_lower, at_upper
-
-
-def _largest(*vectors: Vector) -> float:
-    """Return the largest |entry| of the vectors."""
-    return max(float(np.abs(vector).max(initial=0.0)) for vector in vectors)
 
 
 def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: int) -> WorstRows:

@@ -11,6 +11,7 @@ import numpy as np
 from ...core.algorithm import Step
 from ...core.checks import Vector, vector_option
 from ...core.deadline import Clock, is_over, seconds_left, time_limit
+from ...core.entries import clip, max_norm
 from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, UnsupportedModel
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
 from ...core.tuning import LINEAR_PROGRAM_UP_TO
@@ -131,7 +132,7 @@ def _by_daqp(
         return None
     ends = ends_of_rows(judged.d, reduced.h.size, lower, upper)
     x, y, _, steps = call_daqp(*layout, c.copy(), *ends, DAQP.defaults)
-    x, y = np.minimum(np.maximum(x, lower), upper), y[x.size :]
+    x, y = clip(x, lower, upper), y[x.size :]
     errors = KKTErrors.of(judged, x, y, tolerance)
     is_sharp = errors.meet(tolerance) and errors.gap <= SHARP * (x.size + y.size)
     if not is_sharp or is_in_doubt(program, errors, x):
@@ -146,7 +147,7 @@ def _by_daqp(
 
 def is_in_doubt(program: QuadraticProgram, errors: KKTErrors, x: Vector) -> bool:
     """Return whether a program may be infeasible or unbounded although x, which violates rows or is far, passes."""
-    size, is_violated = np.abs(x).max(initial=0.0), bool(errors.primal > CERTAIN_ROWS)
+    size, is_violated = max_norm(x), bool(errors.primal > CERTAIN_ROWS)
     if is_violated or size <= FAR:
         return is_violated
     limits = np.abs(program.constraints.limit)

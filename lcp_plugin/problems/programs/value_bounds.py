@@ -33,7 +33,7 @@ import scipy.sparse as sp
 
 from ...core.checks import BoolVector, Vector
 from ...core.deadline import is_over
-from ...core.entries import largest_in_rows, row_numbers
+from ...core.entries import largest_in_rows, max_norm, or_one, row_numbers
 from ...core.kernels.floats import OUTWARD, UNDERFLOW
 from ...core.rounding import compensated_pair, compensated_product, gamma, lower_end, upper_end
 from ...proofs.bounds import Curvature
@@ -139,7 +139,7 @@ class DualBounds:
         ends = (s_high, below), (s_low, below), (-s_high, above), (-s_low, above)
         corners = np.max([product_above(*end) for end in ends], axis=0)
         largest = np.maximum(np.abs(s_low), np.abs(s_high))
-        bent = np.where(weights > 0.0, weights, 1.0)
+        bent = or_one(weights)
         vertex = quotient_above(product_above(largest, largest), 2.0 * bent)
         reach = np.maximum(np.abs(below), np.abs(above))
         sagging = sum_above(corners, product_above(-0.5 * weights, product_above(reach, reach)))
@@ -153,7 +153,7 @@ class DualBounds:
         is_free = needs_rise & needs_fall
         sign = np.where(needs_rise, 1.0, -1.0)
         columns = sp.csr_array(self.program.matrices.terms.rows.T)
-        largest = largest_in_rows(columns) * np.abs(at.y).max(initial=0.0)
+        largest = largest_in_rows(columns) * max_norm(at.y)
         for _ in range(4):  # a repair of some components may break other components
             v, s, size = self._slopes(at)
             size = np.maximum(size, largest)
@@ -345,7 +345,7 @@ def _move_off(program: QuadraticProgram, x: Vector, slack: float) -> Vector:
     rows, x = program.constraints, np.clip(x, program.lower, program.upper)
     value, right = rows.matrix @ x - rows.limit, np.where(np.isfinite(rows.limit), rows.limit, 0.0)
     # Estimates of the largest terms, which only guide the search
-    size = np.abs(right) + largest_in_rows(rows.matrix) * np.abs(x).max(initial=0.0)
+    size = np.abs(right) + largest_in_rows(rows.matrix) * max_norm(x)
     tight = np.flatnonzero((rows.is_equality | (value >= -1e-9 * size))[: rows.rows])
     free = np.flatnonzero((x > program.lower) & (x < program.upper))
     change = np.where(rows.is_equality, -value, np.minimum(-value - slack * size, 0.0))[tight]

@@ -35,7 +35,10 @@ class ComponentsOnRanks:
     def __init__(self, problem: RowsOnRanks) -> None:
         self.halo = halo = problem.halo
         size = problem.own
-        count, local = csgraph.connected_components(_square(problem), directed=False)
+        rows, width = problem.rows, problem.rows.shape[1]
+        indptr = np.pad(rows.indptr, (0, width - size), "edge")  # the rows of ghosts are empty
+        square = sp.csr_array((rows.data, rows.indices, indptr), shape=(width, width))
+        count, local = csgraph.connected_components(square, directed=False)
         counts = halo.comm.allgather(count)
         names, total = local + sum(counts[: halo.rank]), sum(counts)
         theirs = halo.whole(names[:size].astype(np.float64))[size:].astype(np.int64)
@@ -118,13 +121,6 @@ class RowDataOnRanks(RowData):
     def largest_products(self, x: Vector) -> Vector:
         """Return max_j |m_ij| x_j of each row, x ≥ 0."""
         return largest_products(self.absolute.rows, self.problem.halo.whole(x))
-
-
-def _square(problem: RowsOnRanks) -> Any:
-    """Return the local rows followed by empty rows for the ghosts."""
-    rows, width = problem.rows, problem.rows.shape[1]
-    indptr = np.pad(rows.indptr, (0, width - problem.own), "edge")
-    return sp.csr_array((rows.data, rows.indices, indptr), shape=(width, width))
 
 
 OF_RUN = {"tolerance", "absolute_tolerance", "max_iterations", "max_seconds", "verbose", "threads"}

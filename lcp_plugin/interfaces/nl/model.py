@@ -233,8 +233,7 @@ class ComplementarityModel(NLModel):
                 if (other := self._another(options, result)) is not None:
                     why = f"; {wrong}" if other.result.has_no_solution else ""
                     return replace(other, message=other.message + why)
-                wrong += ", and no other solution was found"
-            status, words = (Status.STALLED, wrong) if wrong else (status, words)
+                status, words = Status.STALLED, f"{wrong}, and no other solution was found"
         message = self._message(words, result.residual, result.iterations)
         return NLAnswer(x, duals, status, message, result, None)
 
@@ -452,12 +451,11 @@ class FileStatement:
         low, high = content.row_lower, content.row_upper
         self._check_crossed(content.variable, content.lower, content.upper)
         self._check_crossed(content.row, low, high)
-        is_pair = content.partners >= 0
-        self.pairs = np.flatnonzero(is_pair)
-        self.equations = np.flatnonzero(~is_pair & (low == high))
-        is_bounded = np.isfinite(low) | np.isfinite(high)
-        self.inequalities = np.flatnonzero(~is_pair & (low != high) & is_bounded)
-        self.has_no_bounds = ~is_pair & ~is_bounded
+        self.pairs = np.flatnonzero(content.partners >= 0)
+        is_row, is_bounded = content.partners < 0, np.isfinite(low) | np.isfinite(high)
+        self.equations = np.flatnonzero(is_row & (low == high))
+        self.inequalities = np.flatnonzero(is_row & (low != high) & is_bounded)
+        self.has_no_bounds = is_row & ~is_bounded
         self.is_paired = np.zeros(self.n, dtype=bool)
         self.is_paired[content.partners[self.pairs]] = True
         self.known = self._known(self.has_no_bounds)

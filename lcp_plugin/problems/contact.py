@@ -313,8 +313,7 @@ def contact_data(
 
 def checked_count(equations: Any) -> int:
     """Return the number of equations, which are the last rows."""
-    is_whole = isinstance(equations, (int, np.integer)) and not isinstance(equations, bool)
-    if not is_whole or equations < 0:
+    if np.ndim(equations) or equations is True or equations not in range(2**31):
         got = f"an array of shape {np.shape(equations)}" if np.ndim(equations) else repr(equations)
         raise InvalidProblem(
             f"equations must be the number p of equations, the last rows of W, got {got}; rows for the velocities of "
@@ -517,8 +516,7 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
 
 def _edges(tangents: int, directions: int) -> FloatArray:
     """Return the edges of a pyramid, shape (m, t), as pairs d, −d: the second half is minus the first."""
-    is_count = isinstance(directions, (int, np.integer)) and not isinstance(directions, bool)
-    if not is_count or directions < 4 or directions % 2:
+    if np.ndim(directions) or directions not in range(4, 2**31, 2):
         raise InvalidProblem(
             f"directions must be an even number ≥ 4, got {directions!r}; leave directions out in the plane"
         )

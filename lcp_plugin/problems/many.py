@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from operator import index
-from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
+from typing import Any, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,11 +40,7 @@ class AnswerSequence(Sequence[T]):
 
     item = "problem"
     seconds: float
-    if TYPE_CHECKING:
-
-        @property
-        def status(self) -> Any:
-            """SOLVED, or the reason why a problem is not solved."""
+    status: Any
 
     def at(self, k: int) -> T:
         """Return item k."""
@@ -77,29 +73,27 @@ class AnswerSequence(Sequence[T]):
     @property
     def advice(self) -> str:
         """Meaning of the status of the first item that is not SOLVED, in one sentence."""
-        shown = self._format_item()
-        if shown < 0 or self.all_solved:
+        if self.all_solved or not len(self):
             return Status.SOLVED.value
-        return f"{self.item} {shown}: {self._describe(shown, lambda item: str(getattr(item, 'advice', item)))}"
+        k, item = self._first_unsolved()
+        return f"{self.item} {k}: {getattr(item, 'advice', item)}"
 
     def explain(self) -> str:
         """Return the number of items per status, and a summary of the first unsolved item."""
-        shown = self._format_item()
         lines = [f"{format_count(len(self), self.item)}: {self.counts()}; {self.seconds:.3g} s"]
-        if shown >= 0:
-            lines.append(f"{self.item} {shown}: {self._describe(shown, str)}")
+        if len(self):
+            k, item = self._first_unsolved()
+            lines.append(f"{self.item} {k}: {item}")
         return "\n".join(lines)
 
-    def _format_item(self) -> int:
+    def _first_unsolved(self) -> tuple[int, Any]:
+        """Return the number and the result, or the error, of the first item that is not SOLVED; else of the last."""
         unsolved = (k for k, status in enumerate(self.status) if status is not Status.SOLVED)
-        return next(unsolved, len(self) - 1)
-
-    def _describe(self, k: int, words: Callable[[T], str]) -> str:
-        """Return a text on item k, or its error message."""
+        k = next(unsolved, len(self) - 1)
         try:
-            return words(self.at(k))
+            return k, self.at(k)
         except LCPError as error:
-            return f"no {self.item}: {error}"
+            return k, f"no {self.item}: {error}"
 
     def require_solved(self) -> Self:
         """Return this sequence, or raise NotConverged if some item is not solved.

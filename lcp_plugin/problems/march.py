@@ -83,8 +83,7 @@ class BandSteps:
 
     def __init__(self, done: March, band: Bands, settings: Settings) -> None:
         self.done, self.band, self.propagate = done, band, propagation(done.propagator)
-        self.tolerance, self.absolute = settings.tolerance, abs(done.problem.csr)
-        self.most = settings.max_iterations
+        self.settings, self.absolute = settings, abs(done.problem.csr)
         self.none = read_only(np.zeros(done.problem.n, np.bool_))
 
     def solve(self, block: slice, state: Vector) -> tuple[Vector, Vector]:
@@ -109,7 +108,7 @@ class BandSteps:
             state = Z[k] = z
         bounds = self.done.data.bounds_of(problem, slice(block.start, block.start + len(Q)))
         data = RowData(problem.csr, self.absolute, Q, *bounds, problem.residual_scale)
-        measured = measure_finished(data, Z, self.tolerance)
+        measured = measure_finished(data, Z, self.settings.tolerance)
         passes, moves = measured.passes, (measured.z != Z).any(axis=1)
         count = len(Q) if passes.all() else int(np.argmin(passes))
         if moves[:count].any():  # later steps were computed from the point before it was moved
@@ -125,9 +124,10 @@ class BandSteps:
             x = solve_one_sided(self.band.entries, q, side, value, self.none)[0]
             return None if x is None else np.clip(x, lower, upper)
         reference = next(active_sets(problem, self.band, q, problem.nearest_to_zero))[1]
-        goal = 0.5 * self.tolerance * reference
+        goal = 0.5 * self.settings.tolerance * reference
         rounds = active_sets(problem, self.band, q, np.clip(state, lower, upper))
-        return next((z for z, residual in islice(rounds, self.most) if residual <= goal), None)
+        rounds = islice(rounds, self.settings.max_iterations)
+        return next((z for z, residual in rounds if residual <= goal), None)
 
 
 StepDerivative = Any  # Derivative of sensitivity.py, which imports this file
@@ -724,9 +724,10 @@ class Steps:
         march, count = whole.march, len(states) - 1
         self.steps = slice(first, first + count)
         self.q = march.forcing[self.steps] + (march.propagator @ states[:-1].T).T
-        if (settled := whole.settled.get(first)) is None:
-            settled = whole.settled[first] = self._settle(whole.band)
-        self.z, (self.sides, self.is_plain) = settled[0].copy(), settled[1:]
+        if first not in whole.settled:
+            whole.settled[first] = self._settle(whole.band)
+        z, self.sides, self.is_plain = whole.settled[first]
+        self.z = z.copy()
 
     def __len__(self) -> int:
         return len(self.states) - 1

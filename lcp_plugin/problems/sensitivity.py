@@ -207,7 +207,7 @@ class ManyDerivatives:
         self._each: dict[int, Any] = {}
         self.errors: dict[int, LCPError] = {**batch.errors}
         self._is_solved = np.asarray(batch.status == Status.SOLVED, np.bool_)
-        for k in sorted({*np.flatnonzero(~self._is_solved).tolist()} - set(self.errors)):
+        for k in sorted({*np.flatnonzero(~self._is_solved).tolist()} - self.errors.keys()):
             status = batch.status[k]
             ended = f"{batch.item} {k} ended {status.name}: {status.value}"
             self.errors[k] = UnsuitableProblem(f"only a solution has a derivative, and {ended}")
@@ -725,10 +725,9 @@ def words_on_singular(system: FreeSystem) -> str:
     inverse = system.pseudo_inverse
     if inverse is None:
         return SINGULAR
-    same, rank = system.determined_slack, round(float(np.trace(inverse @ system.block)))
-    is_same = same is not None and bool(same.all())
+    rank = round(float(np.trace(inverse @ system.block)))
     several = f"M has rank {rank} on the {system.rows.size} free rows: z is one of several"
-    alike = "the same" if is_same else "not the same"
+    alike = "the same" if np.all(system.determined_slack) else "not the same"
     return f"{several} solutions, w {alike} for all of them, and this the derivative of the least change"
 
 

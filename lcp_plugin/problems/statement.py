@@ -171,18 +171,15 @@ def _pivots(
     part = equations[rows]
     part.eliminate_zeros()
     place = row_numbers(part).astype(np.int64)
-    largest = largest_in_rows(part)
     variables = variable_of[part.indices]
-    _, pair, count = np.unique(
-        place * (variable_of.max() + 1) + variables, return_inverse=True, return_counts=True
-    )
+    code = place * (variable_of.max() + 1) + variables
+    _, pair, count = np.unique(code, return_inverse=True, return_counts=True)
     times = np.bincount(part.indices, minlength=is_open.size)
     fits = is_open[part.indices] & (times[part.indices] == 1) & (count[pair] == 1)
-    fits &= np.abs(part.data) >= 1e-8 * largest[place]  # relative to the largest entry of its row
+    fits &= np.abs(part.data) >= 1e-8 * largest_in_rows(part)[place]  # of its row
     if not fits.any():
         return rows[:0], rows[:0]
-    counts = np.bincount(variables[fits])
-    fits &= variables == np.argmax(counts)
+    fits &= variables == np.argmax(np.bincount(variables[fits]))
     return rows[place[fits]], part.indices[fits].astype(np.int64)
 
 
@@ -190,21 +187,17 @@ def matching(block: sp.csr_array) -> Indices:
     """Return for each equation the unknown it goes with: large entries on the diagonal where that is possible."""
     from scipy.sparse.csgraph import maximum_bipartite_matching, min_weight_full_bipartite_matching
 
-    size = block.shape[0]
-    rows = row_numbers(block)
-    magnitude, largest = np.abs(block.data), largest_in_rows(block)
+    rows, largest = row_numbers(block), largest_in_rows(block)
     # Costs must be positive; a hint of the distance from the diagonal settles ties in natural order.
-    cost = 1.0 + np.log(largest[rows] / magnitude) + 1e-9 * np.abs(rows - block.indices)
+    cost = 1.0 + np.log(largest[rows] / np.abs(block.data)) + 1e-9 * np.abs(rows - block.indices)
     index, pointer = block.indices.astype(np.int32), block.indptr.astype(np.int32)
     pattern = sp.csr_matrix((cost, index, pointer), shape=block.shape)
     try:
         return np.asarray(min_weight_full_bipartite_matching(pattern)[1], dtype=np.int64)
     except ValueError:  # no full matching: the diagonal will have gaps
-        matched = np.asarray(
-            maximum_bipartite_matching(pattern, perm_type="column"), dtype=np.int64
-        )
-        missing = np.flatnonzero(matched < 0)
-        matched[missing] = np.setdiff1d(np.arange(size), matched[matched >= 0])
+        pairs = maximum_bipartite_matching(pattern, perm_type="column")
+        matched = np.asarray(pairs, dtype=np.int64)
+        matched[matched < 0] = np.setdiff1d(np.arange(matched.size), matched)
         return matched
 
 
@@ -387,8 +380,8 @@ class SquareModel:
         # Terms may be rounding errors of larger unknowns
         sums = np.concatenate([matrix.sum(axis=1) for matrix in sizes])
         allowed[order] += DATA_ROUNDING * largest * sums
-        is_wrong = np.isfinite(expected) & ~(np.abs(values - expected) <= allowed)
-        wrong = np.flatnonzero(is_wrong)
+        is_near = np.abs(values - expected) <= allowed
+        wrong = np.flatnonzero(np.isfinite(expected) & ~is_near)
         return (int(wrong[0]), float(expected[wrong[0]])) if wrong.size else None
 
 

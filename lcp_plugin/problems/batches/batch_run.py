@@ -221,7 +221,6 @@ class BatchRun:
             z = np.full((len(z), *(sizes or {0})), np.nan)
             for k, row in enumerate(self.z):
                 z[k, : len(row)] = row
-        z = read_only(z) if isinstance(z, np.ndarray) else z
         return {"x": z, "z": z, "relative_residual": self.residual, "iterations": iterations}
 
     def objectives(self) -> Any:

@@ -904,13 +904,12 @@ class MarchDerivative:
                 f"keep={march.keep or 'last'} dropped steps that the derivative of a march needs; leave out keep"
             )
         if not (march.all_solved and len(march) == len(march.forcing)):
-            last = len(march) - 1
-            is_last = march[last].is_solved
-            ended = "was the last one taken" if is_last else f"ended {march[last].status.name}"
-            why = march.error or ended
+            last = march[-1]
+            ended = "was the last one taken" if last.is_solved else f"ended {last.status.name}"
             raise UnsuitableProblem(
                 f"only a march solved to its end has a derivative; it took {len(march)} of {len(march.forcing)} steps, "
-                f"and step {last} {why}; take derivative(march[k]) of single steps, or march along fewer of them"
+                f"and step {len(march) - 1} {march.error or ended}; take derivative(march[k]) of single steps, "
+                "or march along fewer of them"
             )
         self.march, self.derivative_at = march, each
         self.before: StepDerivative | None = None  # of the last step

@@ -151,9 +151,7 @@ def _copy_of(values: object, prepared: Vector) -> Any:
         return None
     if values.shape != prepared.shape[-values.ndim :] or values.size != prepared.size:
         return None
-    made = np.array(values, order="C").reshape(prepared.shape)
-    made.flags.writeable = False
-    return made
+    return read_only(np.array(values, order="C").reshape(prepared.shape))
 
 
 class PreparedProgram(PreparedProblem[QuadraticProgram]):

@@ -230,12 +230,12 @@ class ManyDerivatives:
         raise NotImplementedError
 
     @derived_property
-    def _left(self) -> list[int]:
+    def _unstacked(self) -> list[int]:
         """Solved items without a derivative in any stack."""
-        is_left = self._is_solved.copy()
+        is_unstacked = self._is_solved.copy()
         for part in self._parts:
-            is_left[part.items[part.is_plain]] = False
-        return np.flatnonzero(is_left).tolist()
+            is_unstacked[part.items[part.is_plain]] = False
+        return np.flatnonzero(is_unstacked).tolist()
 
     def _fill(self, rows: Any, of_part: Callable[[Any], Any], of_one: Callable[[int], Any]) -> None:
         """Write the rows of items with a derivative; some are treated individually.
@@ -243,7 +243,7 @@ class ManyDerivatives:
         These are the items outside of all stacks, and items with NaN in the first row of their stack. Errors are
         stored in `errors`.
         """
-        alone = [*self._left]
+        alone = [*self._unstacked]
         for part in self._parts:
             answers = of_part(part)
             is_done = part.is_plain & ~np.isnan(answers[0]).any(axis=1)
@@ -503,7 +503,7 @@ class ConditionsBatchDerivative(BatchDerivative):
         are_unique = np.zeros(len(self), np.bool_)
         for part in self._parts:
             are_unique[part.items] = part.is_plain & ~part.degenerate.any(axis=1)
-        are_unique[self._left] = [self[k].is_unique for k in self._left]
+        are_unique[self._unstacked] = [self[k].is_unique for k in self._unstacked]
         return are_unique
 
 
@@ -857,8 +857,7 @@ def derivative(result: Any) -> Any:
         return _derivative_of_program(program_data(result.program), z)
     if isinstance(result, LeastSquaresResult):
         return _derivative_of_program(least_squares_data(result.problem, result.x), result.x)
-    certificate = result.certificate
-    return Derivative(certificate.problem, result.z, result.w)
+    return Derivative(result.certificate.problem, result.z, result.w)
 
 
 def _derivative_of_batch(batch: BatchAnswers) -> Any:

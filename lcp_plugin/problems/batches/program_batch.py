@@ -165,7 +165,7 @@ class ProgramBatch(Instances):
         # Entries per evaluation of the criterion
         size = max(min(2**18 // entries, -(-count // share)), 1)
         for first in range(0, count, size):
-            part = slice(first, min(first + size, count))
+            part = slice(first, first + size)
             parts = [array[part] if len(array) > 1 else array for array in data]
             items = np.arange(count)[part]
             yield items, partial(solve_programs, parts, m, may[part], tolerance)

@@ -416,8 +416,8 @@ def contacts_of_bodies(
     if joints.shape[1] != v:
         raise InvalidProblem(f"equations must have shape (p, {v}), got {joints.shape}")
     t = tangents.shape[0] // max(k, 1)
-    is_of_others = len(shape) == 3 and shape[0] != k
-    if (k and t not in (1, 2)) or tangents.shape != (t * k, v) or is_of_others:
+    has_other_contacts = len(shape) == 3 and shape[0] != k
+    if (k and t not in (1, 2)) or tangents.shape != (t * k, v) or has_other_contacts:
         raise InvalidProblem(
             f"tangents must have shape (k, t, {v}) or (t k, {v}), t = 2 in space and 1 in the plane, the t of a "
             f"contact one after the other, k = {k} as of the normals; got {shape}"

@@ -525,11 +525,16 @@ def march(
     >>> steps.z.ravel().round(4)
     array([0.7709, 0.6399, 0.6   ])
     """
-    states = {"lower": lower, "upper": upper, "z0": z0}
+    states: dict[str, Any] = {"lower": lower, "upper": upper, "z0": z0}
     is_list = isinstance(problem, (list, tuple))
     are_many = is_list or _is_one_a_march(propagator) or _axes(forcing) == 3
-    if not are_many and _axes(z0) < 2:
-        _require_constant_bounds(forcing, lower=lower, upper=upper)
+    count = np.shape(forcing)[0] if _axes(forcing) == 2 else 0
+    for name in BOUNDS if not are_many and _axes(z0) < 2 else ():
+        if _axes(states[name]) == 2 and len(states[name]) == count > 1:
+            raise InvalidProblem(
+                f"{name} has {count} rows, and forcing has {count} steps: write {name}_at={name} for bounds of the "
+                f"steps; for {count} = k marches with bounds each write np.broadcast_to(forcing, (k, k, n))"
+            )
     are_many = are_many or 2 in map(_axes, states.values())
     problems: list[Any] = [*problem] if is_list else [problem]  # type: ignore[misc]
     if not problems:
@@ -558,17 +563,6 @@ def march(
                 later.all_solved = not len(later.forcing)
             break
     return marches if are_many else marches[0]
-
-
-def _require_constant_bounds(forcing: ArrayLike, **bounds: ArrayLike | None) -> None:
-    """Raise InvalidProblem if the rows of bounds may be steps as well as marches."""
-    for name, values in bounds.items():
-        if _axes(values) == _axes(forcing) == 2 and len(values) == len(forcing) > 1:  # type: ignore[arg-type]
-            k = len(forcing)  # type: ignore[arg-type]
-            raise InvalidProblem(
-                f"{name} has {k} rows, and forcing has {k} steps: write {name}_at={name} for bounds of the steps; "
-                f"for {k} marches with bounds of their own write np.broadcast_to(forcing, (k, k, n))"
-            )
 
 
 def _axes(values: Array) -> int:
@@ -765,7 +759,7 @@ class Steps:
         size *= EPSILON * (np.diff(band.M.indptr) + 1)
         near, slight = size + LEFT * change * scale, size + LEFT * (band.size @ change.T).T
         is_clear = (nearest > CLEAR * near) | (np.abs(w) > CLEAR * slight) | (lower == upper)
-        is_kink = is_negligible | ((nearest <= size) & (np.abs(w) <= size) & ~is_clear)
+        is_kink = is_negligible | ((np.maximum(nearest, np.abs(w)) <= size) & ~is_clear)
         kinks = np.where(below < above, KINK, -KINK)
         sides = np.where(is_kink & (lower != upper), kinks, side).astype(np.int8)
         return z, sides, bool(((side == before) & (is_clear | is_kink)).all())

@@ -165,8 +165,9 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         self._tolerance = Settings(tolerance=options.get("tolerance", PROGRAM_TOLERANCE)).tolerance
         self._arrays: Any = None
         base, terms = problem.matrices, problem.matrices.terms
-        is_daqp = isinstance(algorithm, str) and algorithm in ("auto", "daqp")
-        is_suited = is_daqp and not options.keys() - {"tolerance"} and has_numba()
+        is_suited = (
+            algorithm in ("auto", "daqp") and not options.keys() - {"tolerance"} and has_numba()
+        )
         if is_suited and base.of_daqp and (base.counts > 1).all() and terms.is_one_dense_component:
             vectors = {name: getattr(problem, name) for name in self.data.split()}
             self._arrays = base.of_daqp, (terms.P, terms.C, terms.sizes), vectors
@@ -210,10 +211,8 @@ class PreparedContact(PreparedProblem[FrictionalContact]):
 
     def __init__(self, problem: FrictionalContact, algorithm: Any, options: dict[str, Any]) -> None:
         super().__init__(problem, algorithm, options)
-        is_auto = isinstance(algorithm, str) and algorithm == "auto"
-        self._settings: Settings | None = None
-        if is_auto and not options.keys() - {"tolerance"}:
-            self._settings = Settings(**options)
+        is_quick = algorithm == "auto" and not options.keys() - {"tolerance"}
+        self._settings = Settings(**options) if is_quick else None
 
     def _solve_quickly(self, *_: Any, **data: Any) -> Any:
         """Return the point of quick sweeps if the sufficient test accepts it."""

@@ -108,7 +108,7 @@ class BatchPart(LinearizedSystem):
         is_nearer = free & (upper - z < z - lower)
         self.is_upper = np.where(lower == upper, w < 0.0, at_upper | is_nearer)
         is_sized = diagonal >= 2.0**-10 * largest
-        kink = (slack <= terms * size) & (distance <= terms * size) & is_sized & (lower < upper)
+        kink = (np.maximum(slack, distance) <= terms * size) & is_sized & (lower < upper)
         # a multiplier has no diagonal entry: the rows that it enters have its unit
         is_far = distance > HALF_OF_DIGITS * size
         if (diagonal == 0.0).any():

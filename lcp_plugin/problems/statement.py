@@ -563,7 +563,7 @@ class Statement:
     def _names(self, stated: list[StatedRows], rows: Numbers, kept: Numbers) -> Names:
         """Return the names of a problem with some of the stated rows and of the unknowns."""
         named = [(part.rows.size, part.name) for part in stated]
-        unknown = partial(_name_of_unknown, self.name, self._named, kept)
+        unknown = partial(name_of_row, [(self._named, self.name)], kept)
         return Names(partial(name_of_row, named, rows), unknown)
 
     def _not_square(self, free: Indices, equations: int) -> UnsupportedModel:
@@ -726,15 +726,10 @@ class Statement:
         return rows
 
 
-def _name_of_unknown(name: Callable[[int], str], count: int, kept: Numbers, i: int) -> str:
-    """Return the name of unknown i of a problem; nothing for an unknown that stands for an expression."""
-    return name(int(kept[i])) if kept[i] < count else ""
-
-
 def name_of_row(
     stated: list[tuple[int, Callable[[int], str] | None]], rows: Numbers, i: int
 ) -> str:
-    """Return the name of row i of a problem, by the sizes and names of what was stated; nothing if it has none."""
+    """Return the name of row or unknown i of a problem, by the counts and names of stated parts; "" without a name."""
     k = int(rows[i])
     for size, name in stated:
         if k < size:

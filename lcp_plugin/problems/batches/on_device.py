@@ -7,6 +7,7 @@ the sufficient test does not accept is copied to the host, and solved there as i
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from typing import Any, NamedTuple
 from warnings import catch_warnings
@@ -174,7 +175,7 @@ class DeviceAnswers(AnswerSequence[Any]):
         launch(self.gpu, "solve_each", arrays, shared, at, lambda: clock.read() <= limit)
         residual = xp.asnumpy(xp.where(have_values(low, high), bound, np.inf))
         self.status, self.errors = np.full(count, Status.SOLVED), dict[int, LCPError]()
-        self._others: tuple[dict[int, int], Any] = {}, ()
+        self._others: dict[int, Callable[[], Any]] = {}  # results of problems solved on the host
         self.iterations = xp.asnumpy((z != start).any(axis=1)).astype(int)
         rest = np.flatnonzero(residual == np.inf)
         if rest.size:
@@ -187,7 +188,7 @@ class DeviceAnswers(AnswerSequence[Any]):
             self.status[rest], residual[rest] = answers.status, answers.relative_residual
             self.iterations[rest] = answers.iterations
             self.errors = {int(rest[k]): error for k, error in answers.errors.items()}
-            self._others = dict(zip(rest.tolist(), range(rest.size), strict=True)), answers
+            self._others = {k: partial(answers.at, i) for i, k in enumerate(rest.tolist())}
         self.relative_residual, self.points, self.seconds = residual, z, clock.read()
         self.x = self.z = self.library(z)
 
@@ -196,9 +197,8 @@ class DeviceAnswers(AnswerSequence[Any]):
 
     def at(self, k: int) -> Any:
         """Return result k, or raise the error of its problem."""
-        places, answers = self._others
-        if k in places:
-            return answers[places[k]]
+        if k in self._others:
+            return self._others[k]()
         M, q, lower, upper = self.data.on_host(self.gpu[0], k)
         stage = StageRecord("rounds", "one of a batch on a GPU", int(self.iterations[k]), 0.0)
         z = read_only(self.gpu[0].asnumpy(self.points[k]))

@@ -22,8 +22,7 @@ from .factors import Factors, factorize_matrix
 PROXIMAL, LEAST_PROXIMAL = 1e-3, 1e-12  # of d
 LEAST_OF_BODIES = 1e-8  # the system of the velocities contains 1/ε
 EXACT_OF_BODIES = 2.0**-36  # 1/ε enlarges rounding errors by so much
-HARDER, EASIER = 100.0, 0.01  # times ε: for a singular system, and after a full step without GAIN
-RECENT = 5  # a step may rise to the largest of so many residuals
+RECENT, EASIER = 5, 0.01  # residuals whose largest a step may reach; times ε after a full step without GAIN
 HALVINGS, DECREASE = 14, 1e-4
 NEWTON_GAIN, EXACT = 0.9, 2.0**-46  # a relative residual at rounding level of the linear systems
 
@@ -50,15 +49,11 @@ def newton_steps(
             stack, residual = stack.take(going), NaturalMap(*(array[going] for array in residual))
         by_z, by_w = stack.derivative(*residual[1:6])
         epsilon = np.maximum(np.minimum(widest, 0.1 * residual.largest), least)
-        step = None
-        while step is None and epsilon.min() <= 1.0:
-            try:
-                shift = (epsilon[:, None] * stack.d)[..., None, None]
-                factors = factorize_blocks(stack, by_z + shift * by_w, by_w)
-                step = factors.solve(-residual.R)
-            except np.linalg.LinAlgError:
-                epsilon = np.maximum(HARDER * epsilon, LEAST_PROXIMAL)
-        if step is None:
+        shift = (epsilon[:, None] * stack.d)[..., None, None]
+        try:
+            factors = factorize_blocks(stack, by_z + shift * by_w, by_w)
+            step = factors.solve(-residual.R)
+        except np.linalg.LinAlgError:
             return
         t, allowed, before, start = np.ones(stack.B), norms.max(1), residual.norm, at
         at = start + step

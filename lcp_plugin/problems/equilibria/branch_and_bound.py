@@ -225,13 +225,11 @@ class BranchAndBound:
         if engine is None:
             return None
         ended = self._ask(engine, ends)
-        is_closed = (
-            self.best_value < math.inf and self.best_value - self.lower_bound <= self.allowed
-        )
+        is_closed = self.best_value - self.lower_bound <= self.allowed
         if ended is not None or (is_closed and not prove):
             return ended
-        is_said_infeasible = self.outside is not None and self.outside.status == "infeasible"
-        if is_provable or (self.problem.is_convex and is_said_infeasible):  # integers or not
+        seems_infeasible = self.outside is not None and self.outside.status == "infeasible"
+        if is_provable or (self.problem.is_convex and seems_infeasible):  # integers or not
             # A proof of SCIP's status may be too expensive
             return self._search(ends, math.inf if prove else 2000)
         # SCIP's bound of an objective of 0 has a rounding error.
@@ -285,14 +283,14 @@ class BranchAndBound:
         if not self.tree:
             self._root()
         last = self.nodes + most
-        while self.nodes < last and self.descent is None and self._next() is not None:
+        while self.nodes < last and self.descent is None and (node := self._next()) is not None:
             if self.nodes >= self.max_nodes:
                 return Status.MAX_ITERATIONS
             if is_over():
                 return Status.MAX_SECONDS
             if ends():
                 return Status.INTERRUPTED
-            self._branch()
+            self._branch(node)
         return None
 
     def _next(self) -> Node | None:
@@ -308,11 +306,9 @@ class BranchAndBound:
     def _close(self, node: Node) -> None:
         self._closed_at, self._current = min(self._closed_at, node.bound), None
 
-    def _branch(self) -> None:
-        node = self._current
-        assert node is not None
+    def _branch(self, node: Node) -> None:
         assert node.point is not None
-        pair = self._pair(node)
+        pair = self._pair(node.cases, node.point)
         if pair < 0:  # complementary
             self.solve_nearest_piece(node.point, node.cases)
             if node.bound >= self.cutoff:
@@ -327,23 +323,20 @@ class BranchAndBound:
         self.tree += children
         node.pair = pair  # last, because Ctrl-C may come between any two lines and the leaves must cover all pieces
         self._current = None
-        dives = children[0].bound < self.cutoff and children[0].point is not None
         for k, child in enumerate(children):
             if child.bound >= self.cutoff:
-                self._close(child)
-            elif k or not dives:
+                self._closed_at = min(self._closed_at, child.bound)
+            elif k or child.point is None:
                 heapq.heappush(self._open, (child.bound, len(self.tree) - k, child))
-        if dives:
-            self._current = children[0]
+            else:
+                self._current = child
 
-    def _pair(self, node: Node) -> int:
-        """Return the pair to branch on; −1 if the relaxation's point violates no undecided pair."""
-        x = node.point
-        assert x is not None
+    def _pair(self, cases: Cases, x: Vector) -> int:
+        """Return the pair to branch on; −1 if the relaxation's point x violates no undecided pair."""
         violations = self.problem.violations(x)
         # Such a pair counts as complementary
         is_wrong = violations > 1e-9 * (1.0 + np.abs(x[self.problem.first]))
-        is_wrong &= np.bitwise_count(node.cases) > 1
+        is_wrong &= np.bitwise_count(cases) > 1
         return int(np.argmax(np.where(is_wrong, violations, 0.0))) if is_wrong.any() else -1
 
     def _settle(self, piece: Node) -> None:

@@ -146,11 +146,13 @@ class Relaxations:
         return other if rounded.max(initial=0.0) < excess.max(initial=0.0) else x
 
     def bound(self, program: QuadraticProgram, dual: tuple[Vector, Vector], enough: float) -> float:
-        """Return a lower bound of the program's objective that the point and the multipliers prove."""
+        """Return a lower bound of the program's objective that the point and the multipliers prove.
+
+        Bounds that the constraints imply hold for every feasible x. If they cross the bounds of the program, no x is
+        feasible, and every number is a bound.
+        """
         curvature, (low, high) = self._facts
         box = np.maximum(low, program.lower), np.minimum(high, program.upper)
-        if (box[0] > box[1]).any():
-            box = program.lower, program.upper
         offset = self.problem.program.constant
         bound = DualBounds(program, curvature, box).best(*dual, enough - offset)
         return math.nextafter(bound + offset, -math.inf) if offset else bound
@@ -217,20 +219,21 @@ class Relaxations:
         program, smooth = self.problem.program, self.problem.smooth
         rows = [sp.csr_array(program.G), sp.csr_array(program.A)]
         low, high = [np.full(program.h.size, -np.inf), program.b], [program.h, program.b]
+        gradient = program.P @ x + program.c
+        if smooth is not None:
+            slopes = sp.csr_array(smooth.map.jacobian(x))
+            gradient = gradient + slopes[[0]].toarray()[0]
+            shift = slopes[1:] @ x - smooth.map.value(x)[1:]
+            if not np.isfinite(shift).all():
+                return None
+            rows.append(slopes[1:])
+            low.append(smooth.lower + shift)
+            high.append(smooth.upper + shift)
         P, c = sp.eye_array(x.size, format="csr"), -x
         if is_feasible and self.problem.has_convex_relaxation:
             P, c = program.P, program.c
         elif is_feasible:
-            P, c = sp.csr_array((x.size, x.size)), program.P @ x + program.c
-            c = c if smooth is None else c + sp.csr_array(smooth.map.jacobian(x))[[0]].toarray()[0]
-        if smooth is not None:
-            slopes = sp.csr_array(smooth.map.jacobian(x))[1:]
-            shift = slopes @ x - smooth.map.value(x)[1:]
-            if not np.isfinite(shift).all():
-                return None
-            rows.append(slopes)
-            low.append(smooth.lower + shift)
-            high.append(smooth.upper + shift)
+            P, c = sp.csr_array(P.shape), gradient
         A, ends = sp.vstack(rows, format="csr"), (np.concatenate(low), np.concatenate(high))
         return QuadraticProgram.from_ranges(P, c, A, *ends, lower, upper)
 
@@ -436,8 +439,8 @@ class EquilibriumResult(BaseResult):
             proof = "; prove=True asks for a proof" if self.problem.is_provable else ""
             return f"x is a solution, measured here; no better one by more than the tolerance: {BY_SCIP}{proof}"
         if self.status is Status.STALLED and self.outside is not None:
-            said = f"SCIP, in floating point, reports {self.outside.status}, which could not be confirmed"
-            return f"{said}: nothing is proved; next: bound the variables, or rescale the data"
+            report = f"SCIP, in floating point, reports {self.outside.status}, which could not be confirmed"
+            return f"{report}: nothing is proved; next: bound the variables, or rescale the data"
         if self.status is Status.STALLED and not self.problem.is_provable:
             return (
                 "an objective that is not convex, smooth rows and integers need SCIP, which is not installed, or does "

@@ -126,8 +126,6 @@ def minimize(
     within = within._replace(nodes=within.nodes + result.nodes)
     if within.x is None:
         within = within._replace(x=result.x, value=result.value)
-    if within.status.startswith(FAILED) and not is_unbounded:
-        return within
     is_far = within.x is not None and np.abs(within.x).max(initial=0.0) > BOX * (1.0 - BOX_MARGIN)
     is_deep = within.value <= -SCIP_INFINITY * (1.0 - BOX_MARGIN)
     if is_unbounded or is_far or is_deep:

@@ -58,7 +58,7 @@ class EngineStatus(Enum):
     GAVE_UP = "gave up"
 
 
-class EngineAnswer(NamedTuple):
+class EnginePoint(NamedTuple):
     """Final point x of an engine, multipliers y of the rows of G and A, the number of steps, and the reported status.
 
     P x + c + [Gᵀ Aᵀ] y is 0, except for unknowns at a bound; multipliers of G are ≥ 0.
@@ -67,7 +67,7 @@ class EngineAnswer(NamedTuple):
     x: Vector
     y: Vector
     iterations: int
-    says: EngineStatus
+    reported: EngineStatus
 
 
 class Engine(ABC):
@@ -114,5 +114,5 @@ class Engine(ABC):
         return {**self.defaults, **self.options}
 
     @abstractmethod
-    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+    def solve(self, program: ProgramData, limits: SolverLimits) -> EnginePoint:
         """Return the final point of the engine."""

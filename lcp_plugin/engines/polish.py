@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from ..core.checks import AnyMatrix, Vector
 from ..core.entries import largest_in_rows, or_one
 from ..core.rounding import compensated_product
-from .engine import EngineAnswer, ProgramData
+from .engine import EnginePoint, ProgramData
 
 ROUNDS = 2  # over both shifts
 # With 2⁻⁵⁰, rounding errors left a gap of 4e-5 in an optimal control problem of 18 009 unknowns; with 2⁻⁴², 5e-7.
@@ -30,8 +30,8 @@ SHIFTS = 2.0**-26, 2.0**-42  # δ relative to the largest entry of its row
 
 
 def polish_steps(
-    program: ProgramData, point: EngineAnswer, rounds: int = ROUNDS
-) -> Iterator[EngineAnswer]:
+    program: ProgramData, point: EnginePoint, rounds: int = ROUNDS
+) -> Iterator[EnginePoint]:
     """Yield the point after Newton's step on min(multiplier, slack) = 0, and again with a smaller δ.
 
     Each round begins at the last point. The polish ends when an active set repeats or its system is singular.
@@ -40,14 +40,14 @@ def polish_steps(
     ----------
     program : ProgramData
         Rows must be of one size, because slacks are compared with multipliers.
-    point : EngineAnswer
+    point : EnginePoint
         Finite.
 
     Examples
     --------
     >>> none = np.zeros((0, 1)), np.zeros(0)
     >>> program = ProgramData(np.eye(1), np.array([-3.0]), *none, *none, np.array([0.0]), np.array([2.0]))
-    >>> polished, *_ = polish_steps(program, EngineAnswer(np.array([1.99]), np.zeros(0), 0, None))
+    >>> polished, *_ = polish_steps(program, EnginePoint(np.array([1.99]), np.zeros(0), 0, None))
     >>> polished.x
     array([2.])
     """

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.checks import Array, Vector
 from ..core.entries import largest_in_rows, scale_by
-from .engine import EngineAnswer, ProgramData
+from .engine import EnginePoint, ProgramData
 
 FORBIDDING = 1e14  # times the lower quartile of all costs: larger costs forbid x_j off its bound
 MODEST = 2.0**-30  # costs between this and its inverse are left unchanged
@@ -65,7 +65,7 @@ class ScaledProgram(NamedTuple):
         statement = self.statement._replace(P=P / unit, c=c / unit)
         return self._replace(statement=statement, objective=self.objective / unit)
 
-    def outward(self, point: EngineAnswer) -> EngineAnswer:
+    def outward(self, point: EnginePoint) -> EnginePoint:
         """Return the unscaled point."""
         return point._replace(x=point.x * self.units, y=point.y * (self.rows / self.objective))
 

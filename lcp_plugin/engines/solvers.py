@@ -11,10 +11,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.checks import Array, Vector
-from .engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
+from .engine import Engine, EnginePoint, EngineStatus, ProgramData, SolverLimits
 from .linear_program import highs
 
-DAQP_SAYS = {
+DAQP_STATUS = {
     1: EngineStatus.OPTIMAL,
     2: EngineStatus.OPTIMAL,
     -1: EngineStatus.INFEASIBLE,
@@ -43,7 +43,7 @@ class DAQP(Engine):
     ends_on_active_set: ClassVar[bool] = True
     defaults: ClassVar = {"primal_tol": 1e-9, "iter_limit": 1000}
 
-    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+    def solve(self, program: ProgramData, limits: SolverLimits) -> EnginePoint:
         """Return daqp's point."""
         P, G, A = program.P, program.G, program.A
         if not isinstance(P, np.ndarray):
@@ -55,7 +55,7 @@ class DAQP(Engine):
         limit = {} if limits.seconds == math.inf else {"time_limit": limits.seconds}
         x, y, flag, steps = call_daqp(*arrays, program.c.copy(), *ends, self.settings | limit)
         y = np.append(np.maximum(y[n : n + m], 0.0), y[n + m :])
-        return EngineAnswer(x, y, steps, DAQP_SAYS.get(flag, EngineStatus.GAVE_UP))
+        return EnginePoint(x, y, steps, DAQP_STATUS.get(flag, EngineStatus.GAVE_UP))
 
 
 def kinds_of_rows(n: int, m: int, p: int) -> Any:
@@ -87,7 +87,7 @@ def call_daqp(
     return np.asarray(x), np.asarray(info["lam"]), flag, info["iterations"]
 
 
-PIQP_SAYS = {
+PIQP_STATUS = {
     1: EngineStatus.OPTIMAL,
     -1: EngineStatus.STOPPED,
     -2: EngineStatus.INFEASIBLE,
@@ -114,7 +114,7 @@ class PIQP(Engine):
     )
     defaults: ClassVar = {"eps_abs": 1e-9, "eps_rel": 1e-10, "max_iter": 250}
 
-    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+    def solve(self, program: ProgramData, limits: SolverLimits) -> EnginePoint:
         """Return PIQP's point."""
         import piqp
 
@@ -146,19 +146,19 @@ class PIQP(Engine):
         if code == -10:  # invalid settings
             # Of no step, for instance: the vectors of the result are uninitialized
             x = np.clip(0.0, program.lower, program.upper)
-            return EngineAnswer(x, np.zeros(m + p), 0, EngineStatus.GAVE_UP)
-        says = PIQP_SAYS.get(code, EngineStatus.GAVE_UP)
+            return EnginePoint(x, np.zeros(m + p), 0, EngineStatus.GAVE_UP)
+        reported = PIQP_STATUS.get(code, EngineStatus.GAVE_UP)
         y = np.zeros(m + p)
         y[:m][is_limit], y[m:] = result.z_u, result.y
-        steps = 0 if says is EngineStatus.GAVE_UP else int(result.info.iter)
-        return EngineAnswer(np.array(result.x), y, steps, says)
+        steps = 0 if reported is EngineStatus.GAVE_UP else int(result.info.iter)
+        return EnginePoint(np.array(result.x), y, steps, reported)
 
 
 def _to_csc(A: Array) -> Any:
     return sp.csc_matrix(A) if sp.issparse(A) else np.asfortranarray(A)
 
 
-CLARABEL_SAYS = {
+CLARABEL_STATUS = {
     "Solved": EngineStatus.OPTIMAL,
     "AlmostSolved": EngineStatus.OPTIMAL,
     "PrimalInfeasible": EngineStatus.INFEASIBLE,
@@ -188,7 +188,7 @@ class Clarabel(Engine):
     )
     defaults: ClassVar = {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9}
 
-    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+    def solve(self, program: ProgramData, limits: SolverLimits) -> EnginePoint:
         """Return Clarabel's point: equalities in the zero cone, rows and finite bounds in the nonnegative cone."""
         import clarabel
 
@@ -215,11 +215,11 @@ class Clarabel(Engine):
         ).solve()
         y, z = np.zeros(m + p), np.array(solution.z)
         y[rows], y[m:] = z[p : p + rows.size], z[:p]
-        says = CLARABEL_SAYS.get(str(solution.status), EngineStatus.GAVE_UP)
-        return EngineAnswer(np.array(solution.x), y, int(solution.iterations), says)
+        reported = CLARABEL_STATUS.get(str(solution.status), EngineStatus.GAVE_UP)
+        return EnginePoint(np.array(solution.x), y, int(solution.iterations), reported)
 
 
-HIGHS_SAYS = {
+HIGHS_STATUS = {
     0: EngineStatus.OPTIMAL,
     1: EngineStatus.STOPPED,
     2: EngineStatus.INFEASIBLE,
@@ -248,7 +248,7 @@ class HiGHS(Engine):
     is_for_linear_alone: ClassVar[bool] = True
     defaults: ClassVar = {"primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}
 
-    def answer(self, program: ProgramData, limits: SolverLimits) -> EngineAnswer:
+    def solve(self, program: ProgramData, limits: SolverLimits) -> EnginePoint:
         """Return the vertex that HiGHS ends at."""
         from scipy.optimize import OptimizeWarning
 
@@ -268,8 +268,8 @@ class HiGHS(Engine):
                 **options,
             )
         y = np.zeros(program.h.size + program.b.size)
-        says = HIGHS_SAYS.get(result.status, EngineStatus.GAVE_UP)
+        reported = HIGHS_STATUS.get(result.status, EngineStatus.GAVE_UP)
         if result.x is None:
-            return EngineAnswer(np.zeros(program.c.size), y, int(result.nit), says)
+            return EnginePoint(np.zeros(program.c.size), y, int(result.nit), reported)
         y[: rows.size][rows], y[rows.size :] = -result.ineqlin.marginals, -result.eqlin.marginals
-        return EngineAnswer(result.x, y, int(result.nit), says)
+        return EnginePoint(result.x, y, int(result.nit), reported)

@@ -183,7 +183,7 @@ class MonotoneProgram:
         sizes = _largest(program.c, program.h, program.b), _largest(program.P, program.G, program.A)
         unit = power_of_two(sizes[0] / sizes[1]) if min(sizes) > 0.0 else 1.0
         prepared = with_sides_about_one(scale_program(program, np.full(program.c.size, unit)))
-        point = prepared.outward(engine.answer(prepared.statement, SolverLimits(seconds_left())))
+        point = prepared.outward(engine.solve(prepared.statement, SolverLimits(seconds_left())))
         z[self.unknowns] = point.x[: self.unknowns.size] * self.size
         if rows.size:
             lower, upper, y = problem.lower[rows], problem.upper[rows], np.empty(rows.size)
@@ -255,7 +255,7 @@ class ZeroSumGame(NamedTuple):
             np.append(np.zeros(m), -np.inf),
             np.full(m + 1, np.inf),
         )
-        point = engine.answer(statement, SolverLimits(seconds_left()))
+        point = engine.solve(statement, SolverLimits(seconds_left()))
         x, y, z = np.maximum(point.x[:m], 0.0), np.maximum(point.y[:k], 0.0), np.empty(m + k)
         z[self.is_row], z[~self.is_row] = x / (x @ self.L @ y), y / (x @ self.K @ y)
         return z, point.iterations

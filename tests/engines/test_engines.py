@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 
 from lcp_plugin import InvalidOption, QuadraticProgram, Status, UnsuitableProblem, solve
 from lcp_plugin.engines import ENGINES, engine_class
-from lcp_plugin.engines.engine import Engine, EngineAnswer, EngineStatus
+from lcp_plugin.engines.engine import Engine, EnginePoint, EngineStatus
 from lcp_plugin.problems.programs.engine_points import attempts, run_engine, unscaled
 
 INF = np.inf
@@ -212,9 +212,9 @@ def test_an_engine_that_answers_nonsense_is_not_believed():
         name, solves, cost, reference = "liar", "nothing", "nothing", "nobody"
         value = 1.0
 
-        def answer(self, program, limits):
+        def solve(self, program, limits):
             n, m, p = program.c.size, program.h.size, program.b.size
-            return EngineAnswer(np.full(n, self.value), np.zeros(m + p), 1, EngineStatus.OPTIMAL)
+            return EnginePoint(np.full(n, self.value), np.zeros(m + p), 1, EngineStatus.OPTIMAL)
 
     program = QuadraticProgram(None, [-1, -1, 2], [[1, 2, 3]], [6], lower=0, upper=5)
     assert not solve(program, Liar()).is_solved

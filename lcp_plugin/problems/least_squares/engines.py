@@ -37,7 +37,7 @@ from ...core.deadline import seconds_left
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON
 from ...core.tuning import DENSE_OPERATIONS, SPARSE_OPERATIONS
 from ...engines import engine_class, is_installed
-from ...engines.engine import EngineAnswer, ProgramData, SolverLimits
+from ...engines.engine import EnginePoint, ProgramData, SolverLimits
 from ...engines.polish import polish_steps
 from ...systems.minimum_degree import factor_sizes
 from .data import BoundedLeastSquares, ScaledLeastSquares, clip, shortest_solution
@@ -432,11 +432,11 @@ class Split(NamedTuple):
         return self.join_parts(start + sign * z)
 
 
-def _answer(*statement: Any) -> tuple[ProgramData, EngineAnswer]:
+def _answer(*statement: Any) -> tuple[ProgramData, EnginePoint]:
     """Return the program, and PIQP's point at a tolerance at which a small l1 counts."""
     program = ProgramData(*statement)
     engine = engine_class("piqp")(eps_abs=1e-13, eps_rel=1e-13)
-    return program, engine.answer(program, SolverLimits(seconds_left()))
+    return program, engine.solve(program, SolverLimits(seconds_left()))
 
 
 def minimize_on_face(point: FacePoint, A: Vector, b: Vector) -> FacePoint:

@@ -14,7 +14,7 @@ from ...core.deadline import is_over, seconds_left
 from ...core.entries import clip
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...engines import engine_class, is_installed, scaling
-from ...engines.engine import Engine, EngineAnswer, EngineStatus, ProgramData, SolverLimits
+from ...engines.engine import Engine, EnginePoint, EngineStatus, ProgramData, SolverLimits
 from ...engines.polish import ROUNDS, polish_steps
 from ...judges.program import SHARP, KKTErrors
 from .program import QuadraticProgram
@@ -86,7 +86,7 @@ class ProgramPoint(NamedTuple):
         Two measures of the solution.
     passes : bool
         Whether the measures meet the tolerance.
-    says : EngineStatus
+    reported : EngineStatus
         Status that the engine reports for its last point.
     name : str
     iterations : int
@@ -97,7 +97,7 @@ class ProgramPoint(NamedTuple):
     solution: QPSolution
     errors: KKTErrors
     passes: bool
-    says: EngineStatus = EngineStatus.GAVE_UP
+    reported: EngineStatus = EngineStatus.GAVE_UP
     name: str = ""
     iterations: int = 0
     is_limited: bool = False
@@ -172,16 +172,16 @@ def run_engine(
             f'{engine.name} solves {engine.solves}, but P has nonzeros; take "piqp", or give P = None'
         )
     reduced = program.folded.reduced
-    best, iterations, says = None, 0, EngineStatus.GAVE_UP
+    best, iterations, reported = None, 0, EngineStatus.GAVE_UP
     errors, passes = KKTErrors(np.inf, np.inf), False
     for scaled in _statements(reduced, scale):
         try:
-            point = engine.answer(scaled.statement, SolverLimits(seconds_left(), is_verbose))
+            point = engine.solve(scaled.statement, SolverLimits(seconds_left(), is_verbose))
         except Exception:  # an external solver may raise any error for an option
             _check_options(engine)
             raise
-        iterations, says = iterations + point.iterations, point.says
-        rounds = 0 if says in NO_MINIMUM else ROUNDS
+        iterations, reported = iterations + point.iterations, point.reported
+        rounds = 0 if reported in NO_MINIMUM else ROUNDS
         is_small, sharp = reduced.matrices.is_small, SHARP * sum(reduced.matrices.stacked[1].shape)
         is_cheap = is_small or point.iterations >= POLISH_FROM
         for near, is_polished in candidates(scaled.statement, point, rounds):
@@ -198,7 +198,7 @@ def run_engine(
         if passes or is_over():
             break
     solution = QPSolution.from_reduced(program, *(best or nearest(program)))
-    return ProgramPoint(solution, errors, passes, says, engine.name, iterations)
+    return ProgramPoint(solution, errors, passes, reported, engine.name, iterations)
 
 
 def nearest(program: QuadraticProgram) -> tuple[Vector, Vector]:
@@ -213,8 +213,8 @@ def nearest(program: QuadraticProgram) -> tuple[Vector, Vector]:
 
 
 def candidates(
-    statement: ProgramData, point: EngineAnswer, rounds: int
-) -> Iterator[tuple[EngineAnswer, bool]]:
+    statement: ProgramData, point: EnginePoint, rounds: int
+) -> Iterator[tuple[EnginePoint, bool]]:
     """Yield points that may be the solution near a point, and whether they are polished.
 
     The point and its polished points are each followed by the same point with noise set to 0.
@@ -247,7 +247,7 @@ def _check_options(engine: Engine) -> None:
     none = np.zeros((0, 1)), np.zeros(0)
     problem = ProgramData(np.zeros((1, 1)), np.ones(1), *none, *none, np.zeros(1), np.ones(1))
     try:
-        engine.answer(problem, SolverLimits())
+        engine.solve(problem, SolverLimits())
     except Exception as error:
         tolerances = TOLERANCES.get(engine.name, ())
         asked = {name: value for name, value in engine.options.items() if name not in tolerances}

@@ -216,7 +216,7 @@ class ProgramRun(Run):
             solution = QPSolution.from_reduced(self.program, *nearest(self.program))
             point = ProgramPoint.of(solution, self.settings.tolerance, "costs")
             if not point.passes:
-                point = point._replace(says=EngineStatus.UNBOUNDED)
+                point = point._replace(reported=EngineStatus.UNBOUNDED)
             vertex = Step(solution.x, iterations=0, measured=point)
             yield Stage(Named("costs"), "boxes", steps=[vertex])
         is_lcp_first = not rows and matrices.has_curvature and not matrices.is_small
@@ -239,10 +239,10 @@ class ProgramRun(Run):
         is_wanted, before = self.settings.prove_infeasibility, None
         for stage in plan:
             yield stage
-            says = None if self.latest is None else self.latest.says
-            if not is_wanted and says in NO_MINIMUM and says is before:
+            reported = None if self.latest is None else self.latest.reported
+            if not is_wanted and reported in NO_MINIMUM and reported is before:
                 return
-            before = says
+            before = reported
         if is_wanted and self._is_short:
             self._search_proof()
 
@@ -335,7 +335,7 @@ class ProgramRun(Run):
             return end
         # If rows are violated, a proof of infeasibility is searched first
         may_fail = is_in_doubt(self.program, point.errors, point.solution.x)
-        if (point.passes and may_fail and self._is_short) or point.says in NO_MINIMUM:
+        if (point.passes and may_fail and self._is_short) or point.reported in NO_MINIMUM:
             self._search_proof()
         return end if self.proof is None else Status.NO_SOLUTION
 
@@ -347,7 +347,7 @@ class ProgramRun(Run):
     def _search_proof(self) -> None:
         """Keep the proof that the program has no solution, or the proof that shows this except for rounding."""
         latest, y = self.latest, None
-        if latest is not None and latest.says is EngineStatus.INFEASIBLE and not self._is_short:
+        if latest is not None and latest.reported is EngineStatus.INFEASIBLE and not self._is_short:
             y = np.concatenate([latest.solution.inequality, latest.solution.equality])
         proof = known_proof(self.program, y)
         if proof is not None and proof.excludes(self.settings.tolerance):
@@ -362,7 +362,7 @@ class ProgramRun(Run):
         status = super().status(end)
         if status is not Status.STALLED:
             return status
-        is_short = self.latest is not None and self.latest.says is EngineStatus.STOPPED
+        is_short = self.latest is not None and self.latest.reported is EngineStatus.STOPPED
         if is_short and "max_iterations" in self.options:
             return Status.MAX_ITERATIONS
         is_near = self._is_nearly_optimal or self.doubtful is not None

@@ -45,16 +45,9 @@ class fact(Generic[T, *Ts]):  # noqa: N801 - a decorator
         key, facts = (self, *args), matrix._facts
         if key not in facts:
             owner = getattr(matrix, "matrix", matrix)  # of a problem
-            with owner._lock:
-                if key not in facts and owner._is_computing:  # another fact needs this one
+            with owner._lock, np.errstate(all="ignore"):  # an overflow shows in the value
+                if key not in facts:
                     facts[key] = self._compute(matrix, *args)
-                elif key not in facts:
-                    owner._is_computing = True
-                    try:
-                        with np.errstate(all="ignore"):  # an overflow shows in the value
-                            facts[key] = self._compute(matrix, *args)
-                    finally:
-                        owner._is_computing = False
         value: T = facts[key]
         return value
 
@@ -98,7 +91,7 @@ class Matrix:
         self.n: int = self.array.shape[0]
         self.is_dense = isinstance(self.array, np.ndarray)
         self._facts: dict[Hashable, Any] = {}
-        self._lock, self._is_computing = threading.RLock(), False
+        self._lock = threading.RLock()
 
     @cached_property
     def csr(self) -> sp.csr_array:

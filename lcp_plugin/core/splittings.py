@@ -54,6 +54,7 @@ from .algorithm import (
     require_positive_diagonal,
 )
 from .checks import Vector
+from .entries import max_norm
 from .errors import InvalidOption, UnsuitableMatrix
 from .kernels import splitting_sweeps as kernels
 from .kernels.splitting_sweeps import extrapolate, relaxation_sweep, splitting_sweep
@@ -311,7 +312,7 @@ class ProjectedType(ScaledByRows, Splitting):
         inverse = inverse_residual_scale(problem.matrix)
         rows = np.column_stack([problem.q, problem.lower, problem.upper, inverse, step, pivot])
         points = self.extrapolations(z0, problem.lower, problem.upper)
-        weights = beta / alpha, True, step_unit(np.abs(problem.q * inverse).max(initial=0.0))
+        weights = beta / alpha, True, step_unit(max_norm(problem.q * inverse))
         yield from self.swept(problem, splitting_sweep, rows, weights, z0, points=points)
 
     def facts(self, problem: LCP) -> IterationFacts:

@@ -214,12 +214,15 @@ class RowData:
         return self.references[1] == 0.0
 
     @cached_property
+    def slack_at_start(self) -> Vector:
+        """The |w_i(z°)|, 0 for a slack at rounding level."""
+        w = np.abs(self.rows_at_start.w)
+        return np.where(w > NEGLIGIBLE * self.rows_at_start.terms, w, 0.0)
+
+    @cached_property
     def largest_slack_at_start(self) -> Any:
         """The largest |w_i(z°)|/d_i in the component of each row, slacks at rounding level left out."""
-        at = self.rows_at_start
-        return self.largest(
-            np.where(np.abs(at.w) > NEGLIGIBLE * at.terms, np.abs(at.w), 0.0) / self.scale
-        )
+        return self.largest(self.slack_at_start / self.scale)
 
     @cached_property
     def sizes(self) -> Any:
@@ -231,9 +234,7 @@ class RowData:
     @cached_property
     def demand(self) -> Vector:
         """Demand of each row: a_i in the docstring of this module."""
-        at = self.rows_at_start
-        w = np.abs(at.w)
-        w = np.where(w > NEGLIGIBLE * at.terms, w, 0.0)
+        w = self.slack_at_start
         return np.maximum(w, self.largest_products(w / self.scale))
 
     # --- operations that a class of problems may replace ----------------------------------------------------

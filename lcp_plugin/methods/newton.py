@@ -360,8 +360,7 @@ def _phi(a: Vector, b: Vector) -> tuple[Vector, Vector, Vector]:
     sum_ = a + b
     value = np.where(sum_ > 0.0, 2.0 * a * b / np.where(sum_ > 0.0, sum_ + root, 1.0), sum_ - root)
     safe = np.where(root > 0.0, root, 1.0)
-    by_a = np.where(root > 0.0, 1.0 - a / safe, 1.0 - np.sqrt(0.5))
-    by_b = np.where(root > 0.0, 1.0 - b / safe, 1.0 - np.sqrt(0.5))
+    by_a, by_b = (1.0 - np.where(root > 0.0, x / safe, np.sqrt(0.5)) for x in (a, b))
     return value, by_a, by_b
 
 

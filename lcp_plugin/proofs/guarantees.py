@@ -83,7 +83,9 @@ class RowBound(NamedTuple):
 
 def row_bound(facts: IterationFacts, problem: LCP) -> RowBound:
     """Return the bound of one sweep; L is the already updated part (for 𝓜: its entries)."""
-    (alpha, beta), (theta, weight) = numbers(facts), scaled(facts, problem)
+    (alpha, beta), diagonal = numbers(facts), problem.diagonal
+    scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
+    theta, weight = scaling * diagonal, scaling / inverse_residual_scale(problem.matrix)
     if facts.family == PROJECTED_SPLITTING:
         held = RowCase(np.minimum(2.0, 4.0 * theta + 2.0), 2.0 * weight, 0.0)
         between = RowCase(2.0 * theta, 2.0 * weight, 2.0 * weight)
@@ -94,7 +96,6 @@ def row_bound(facts: IterationFacts, problem: LCP) -> RowBound:
         at_one = np.minimum(2.0 * theta, 2.0 * over + 4.0)
         between = RowCase(at_one, (abs(2.0 - g) + abs(g)) * weight, 2.0 * weight)
         return RowBound(over + theta + 2.0, abs(g) * weight, (held, between))
-    diagonal = problem.diagonal
     per_diagonal = 1.0 / (diagonal * inverse_residual_scale(problem.matrix))
     free, feedback = min(alpha, 2.0 - alpha), abs(beta) * per_diagonal
     if facts.family == PROJECTED_RELAXATION:
@@ -105,12 +106,6 @@ def row_bound(facts: IterationFacts, problem: LCP) -> RowBound:
     kept = free + alpha * np.minimum(1.0, 2.0 * omega - 1.0)
     case = RowCase(kept, lower, 2.0 * alpha * per_diagonal)
     return RowBound(alpha * omega + 1.0, feedback, (case,))
-
-
-def scaled(facts: IterationFacts, problem: LCP) -> tuple[Vector, Vector]:
-    """Return (θ, s divided by the row scaling of the triangle sums), one entry per row."""
-    scaling = np.ones(problem.n) if facts.scaling is None else facts.scaling
-    return scaling * problem.diagonal, scaling / inverse_residual_scale(problem.matrix)
 
 
 def numbers(facts: IterationFacts) -> tuple[float, float]:

@@ -293,8 +293,9 @@ class Infeasibility(NoSolutionProof):
 
     def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:
         """Return whether no z could be SOLVED; empty rows fail the componentwise test unless q_i is rounding."""
-        if super().excludes(tolerance, absolute_tolerance) or absolute_tolerance:
-            return super().excludes(tolerance, absolute_tolerance)
+        is_excluded = super().excludes(tolerance, absolute_tolerance)
+        if is_excluded or absolute_tolerance:
+            return is_excluded
         used, sizes = list(self._used), np.abs(self.problem.q)
         is_empty = not np.diff(self.problem.csr.indptr)[used].any()
         return is_empty and bool((sizes[used] > DATA_ROUNDING * sizes.max()).all()) and self.exact

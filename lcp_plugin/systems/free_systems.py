@@ -290,12 +290,8 @@ class FreeSystem:
         if (inverse := self.pseudo_inverse) is not None:
             attempts.append(start + inverse @ (right - self.block @ start))
         finite = [x for x in attempts if np.isfinite(x).all()]
-
-        def error(x: Vector) -> float:
-            return _relative(right - self.block @ x, self._scale)
-
-        best = min(finite, key=error, default=None)
-        return None if best is None else self._extended(best)
+        errors = [_relative(right - self.block @ x, self._scale) for x in finite]
+        return self._extended(finite[np.argmin(errors)]) if finite else None
 
     @cached_property
     def _equilibrated_inverse(self) -> tuple[Any, Any, Exponents]:

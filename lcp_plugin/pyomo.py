@@ -43,7 +43,7 @@ convex or not: SCIP searches if it is installed (``pip install '.[global]'``). W
 - A pair whose variable is fixed, for example the price of a numeraire, is checked in the same way.
 - **Square models**: ``solve(model, pairs="match")`` reads constraints and bounded variables as GAMS reads the pairs
   ``market.price``, without ``Complementarity``. Constraints belong to the variables with the same indices, and
-  ``pairs=ComponentMap({m.market: m.price})`` states pairs that indices leave open. An equation is body − right-hand
+  ``pairs=ComponentMap({m.market: m.price})`` states pairs that indices do not decide. An equation is body − right-hand
   side ≥ 0 at a lower bound, ≤ 0 at an upper bound, and 0 between. An inequality is its slack, ≥ 0 if the variable is at
   its lower bound, as in ``pyomo.mpec``. Equations of variables without bounds need no pair. ``dual`` gets these rows.
 - Rejected with an error: disjunctions, functions that are not smooth or that SCIP does not have; without

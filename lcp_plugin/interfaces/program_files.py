@@ -406,7 +406,7 @@ LAYOUTS: dict[type, Layout] = {
         _named("W=W,M b=b,q friction=mu,friction contacts dimension equations"),
         ("W", "b", "friction"),
         "a FrictionalContact holds W (or the CSR arrays data, indices, indptr, shape), b (or q), mu (or friction); "
-        "many worlds have an axis in front, and contacts if these differ in size",
+        "a batch has an axis in front, and contacts if its instances differ in size",
     ),
     ConeProblem: Layout(
         _cones,
@@ -525,7 +525,7 @@ def load_problem(path: str | PathLike[str]) -> Any:
     path : str or Path
         ``.qps``, ``.mps`` and ``.lp`` state programs; highspy reads .lp. ``.npz`` with M and q states an LCP; with P,
         q, A, l, u, or the arrays of a QuadraticProgram by their names, a program; with A, b and no more than bounds,
-        weights, ridge and l1, a BoundedLeastSquares; with mu and a matrix a FrictionalContact, of many worlds if W has
+        weights, ridge and l1, a BoundedLeastSquares; with mu and a matrix a FrictionalContact, a batch if W has
         three axes; with cone_kinds a ConeProblem. No P means a linear program, r is a constant. A sparse M is data,
         indices, indptr, shape (CSR); a sparse P, A or G is P_data, P_indices, P_indptr, P_shape (CSC), of P all or one
         triangle. Never pickle. ``.h5`` and ``.hdf5`` of fclib state a FrictionalContact; h5py reads them. A Matrix

@@ -115,7 +115,7 @@ def sides_of(stated: Any) -> list[PairSide]:
     if any(equations):
         if bounds[equations.index(True) - 1]:
             raise UnsupportedModel(
-                f"{stated.name} has an equation on one side and a bound on the other; if F = 0 only where x > 0, "
+                f"{stated.name} has an equation on one side and a bound on the other; if F = 0 holds only for x > 0, "
                 "write complements(x >= 0, F >= 0); if F is always 0, write a Constraint and bound the variable"
             )
     elif sum(bounds) != 2:

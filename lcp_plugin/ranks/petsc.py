@@ -129,7 +129,7 @@ class RowsOnPETSc(RowsOnRanks):
         InvalidProblem
             On every rank, if A is not such a matrix.
         """
-        # The ranges of all ranks: each rank refuses the same matrices.
+        # The ranges of all ranks: each rank rejects the same matrices.
         if not hasattr(A, "getValuesCSR") or not np.array_equal(
             A.getOwnershipRanges(), A.getOwnershipRangesColumn()
         ):

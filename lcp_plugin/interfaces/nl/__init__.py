@@ -29,8 +29,8 @@ ComplementarityModel(LCP(n=2, nonzeros=4, bounds 0 ≤ z))
 **Supported:** ``+ - * / ^ sqrt exp log log10 sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh``, sums,
 defined variables, ranges, fixed variables, a start. **Rejected,** with an error that names the row: piecewise rows,
 ``abs min max if`` and other functions that are not smooth. Without
-complementarities also integers, objectives that are not convex quadratic, and nonlinear rows, unless there is no
-objective and there are as many equations as unknowns. With an objective also ``atan asin acos``, which SCIP lacks.
+complementarities also integers, objectives that are not convex quadratic, and nonlinear rows, except systems of as many
+equations as unknowns without an objective. With an objective also ``atan asin acos``, which SCIP lacks.
 `read_content` raises UnsupportedModel for logical constraints and external functions; ``lcp-plugin-ampl`` then writes
 no ``.sol`` file.
 

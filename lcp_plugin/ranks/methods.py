@@ -13,6 +13,8 @@ once, with larger pivots if M is symmetric.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -269,13 +271,7 @@ def chain(
     if not isinstance(algorithm, str) or algorithm not in methods:
         raise UnknownAlgorithm(f"{algorithm!r} cannot run on ranks; use auto, {', '.join(methods)}")
     method = methods[algorithm]
-
-    def with_options(problem: RowsOnRanks, z: Vector) -> Iterates:
-        try:
-            return method(problem, z, **options)
-        except InvalidOption:
-            raise
-        except TypeError:
-            raise InvalidOption(f"{algorithm} has no such options: {sorted(options)}") from None
-
-    return [(algorithm, with_options)]
+    _, _, *known = signature(method).parameters
+    if unknown := options.keys() - {*known}:
+        raise InvalidOption(f"{algorithm} has no such options: {sorted(unknown)}")
+    return [(algorithm, partial(method, **options))]

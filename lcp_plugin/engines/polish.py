@@ -52,37 +52,38 @@ def polish_steps(
     array([2.])
     """
     lower, upper, m = program.lower, program.upper, program.h.size
-    both = program.G, program.A
-    rows = sp.vstack(both, "csr") if sp.issparse(program.G) else np.vstack(both)
+    matrices = program.G, program.A
+    rows = sp.vstack(matrices, "csr") if sp.issparse(program.G) else np.vstack(matrices)
     right, transposed, known = np.concatenate([program.h, program.b]), rows.T, set[bytes]()
     of_gradient = sp.csr_array(sp.hstack([program.P, transposed])) if sp.issparse(rows) else None
     x, y = np.clip(point.x, lower, upper), point.y
     for _ in range(rounds):
-        pull = -(program.P @ x + program.c + transposed @ y)
-        at_lower = (-pull > x - lower) | (lower == upper)
-        at_upper = (pull > upper - x) & ~at_lower
-        acts = y > right - rows @ x
-        acts[m:] = True
-        active_set = np.concatenate([at_lower, at_upper, acts]).tobytes()
+        descent = -(program.P @ x + program.c + transposed @ y)
+        at_lower = (-descent > x - lower) | (lower == upper)
+        at_upper = (descent > upper - x) & ~at_lower
+        is_active = y > right - rows @ x
+        is_active[m:] = True
+        active_set = np.concatenate([at_lower, at_upper, is_active]).tobytes()
         if active_set in known:
             return
         known.add(active_set)
         free = np.flatnonzero(~(at_lower | at_upper))
-        of_rows = np.flatnonzero(acts)
-        x, y = np.where(at_lower, lower, np.where(at_upper, upper, x)), np.where(acts, y, 0.0)
-        blocks = program.P[free][:, free], rows[of_rows][:, free]
+        active = np.flatnonzero(is_active)
+        x, y = np.where(at_lower, lower, np.where(at_upper, upper, x)), np.where(is_active, y, 0.0)
+        blocks = program.P[free][:, free], rows[active][:, free]
         for shift in SHIFTS:
             if (solve := shifted_solver(*blocks, shift)) is None:
                 return
-            for left in reversed(range(15)):  # steps with one factorization
+            for steps_left in reversed(range(15)):  # steps with one factorization
                 gradient = program.P @ x + program.c + transposed @ y
-                if of_gradient is not None and not left:  # rounding of long sums is not random
+                # Rounding errors of long sums are not random
+                if of_gradient is not None and not steps_left:
                     gradient = compensated_product(of_gradient, np.append(x, y), program.c)[0]
-                step = solve(np.concatenate([-gradient[free], (right - rows @ x)[of_rows]]))
+                step = solve(np.concatenate([-gradient[free], (right - rows @ x)[active]]))
                 if not np.isfinite(step).all():
                     return
                 x[free] += step[: free.size]
-                y[of_rows] += step[free.size :]
+                y[active] += step[free.size :]
             signed = np.append(np.maximum(y[:m], 0.0), y[m:])
             yield point._replace(x=np.clip(x, lower, upper), y=signed)
 

@@ -42,14 +42,14 @@ class ScaledProgram(NamedTuple):
         cls, program: ProgramData, units: Vector, rows: Vector, objective: float = 1.0
     ) -> ScaledProgram:
         """Return the program scaled by these powers of two."""
-        of_G, of_A = np.split(rows, [program.h.size])
+        factors_G, factors_A = np.split(rows, [program.h.size])
         statement = ProgramData(
             scale_by(program.P, units * objective, units),
             program.c * units * objective,
-            scale_by(program.G, of_G, units),
-            program.h * of_G,
-            scale_by(program.A, of_A, units),
-            program.b * of_A,
+            scale_by(program.G, factors_G, units),
+            program.h * factors_G,
+            scale_by(program.A, factors_A, units),
+            program.b * factors_A,
             program.lower / units,
             program.upper / units,
         )

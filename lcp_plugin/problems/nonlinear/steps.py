@@ -145,8 +145,8 @@ def small_step(M: Vector, w: Vector, lower: Vector, upper: Vector, scale: Vector
     d = solve_small_active_set(M, w, lower, upper, side)
     above, below, step = d - lower, d - upper, (M @ d + w) / scale
     if np.logical_and.reduce(np.where(step >= above, LOW, FREE + (step <= below)) == side):
-        left = np.abs(clip(step, below, above))
-        is_right = (left <= NEGLIGIBLE * most) & (above >= 0.0) & (below <= 0.0)
+        residual = np.abs(clip(step, below, above))
+        is_right = (residual <= NEGLIGIBLE * most) & (above >= 0.0) & (below <= 0.0)
         if np.logical_and.reduce(is_right):
             return d
     best, least, zero = None, most, np.zeros(w.size)

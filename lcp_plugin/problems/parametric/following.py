@@ -299,7 +299,7 @@ def _solve_block(block: Vector, right: Vector, sizes: Vector, near: Vector) -> V
     missing = right - there @ block.T
     nearest = there + np.linalg.lstsq(block, missing.T, rcond=1e-12)[0].T
     terms = np.abs(right) + sizes * np.abs(nearest).sum(axis=1, keepdims=True)
-    left = np.abs(right - nearest @ block.T)
+    residual = np.abs(right - nearest @ block.T)
     return (
-        nearest if (left <= 1e-9 * terms).all() else None
+        nearest if (residual <= 1e-9 * terms).all() else None
     )  # largest residual of a singular system

@@ -155,13 +155,14 @@ def certify(
         problem.halo.together(lambda: _check_point(problem, *claimed))
         return _solved(*problem.measured(getattr(x, "x", x), float(tolerance)))
     _check_options(tolerance, max_seconds)
+    tolerance = float(tolerance)
     with time_limit(math.inf if max_seconds is None else float(max_seconds)):
         if isinstance(problem, QuadraticProgramResult) and x is None:
             problem, x = problem.program, problem
         if isinstance(x, QuadraticProgramResult) and claim is None and x.has_no_solution:
             claim = str(x.status.name).lower()
         if not isinstance(problem, QuadraticProgram):
-            return _certify_other(problem, x, multipliers, claim, pairs, float(tolerance))
+            return _certify_other(problem, x, multipliers, claim, pairs, tolerance)
         if claim not in (None, *CLAIMS):
             raise InvalidOption(f"claim={claim!r} is not offered{did_you_mean(claim, CLAIMS)}")
         is_refused = claim != "infeasible" or problem.is_convex is not False
@@ -171,15 +172,13 @@ def certify(
         convex = problem.folded.program
         proofs = ProgramProofs.of(convex) if max_seconds is None else ProgramProofs(convex)
         if claim in ("infeasible", "unbounded"):
-            verdict = proofs.prove_claim(str(claim), float(tolerance))
+            verdict = proofs.prove_claim(str(claim), tolerance)
         else:
-            point, y = _answer(problem, x, multipliers)
-            verdict = proofs.prove_answer(point, y, float(tolerance))
-            near = (
-                point if verdict.verdict == "proved" else proofs.on_bounds(point, float(tolerance))
-            )
+            point, y = claimed_point(problem, x, multipliers)
+            verdict = proofs.prove_point(point, y, tolerance)
+            near = point if verdict.verdict == "proved" else proofs.on_bounds(point, tolerance)
             if not np.array_equal(near, point):
-                moved = proofs.prove_answer(near, y, float(tolerance))
+                moved = proofs.prove_point(near, y, tolerance)
                 if moved.verdict == "proved":
                     verdict = replace(moved, violation=verdict.violation)
             rows = problem.constraints.rows
@@ -302,7 +301,9 @@ def _solved(
     return Certification(verdict, "solved", max(0.0, violation), reason=reason, rows=rows)
 
 
-def _answer(program: QuadraticProgram, x: Any, multipliers: Any) -> tuple[Vector, Vector | None]:
+def claimed_point(
+    program: QuadraticProgram, x: Any, multipliers: Any
+) -> tuple[Vector, Vector | None]:
     """Return x, and multipliers of all constraints; for a pair, bounds get the remaining gradient."""
     if x is None:
         raise InvalidProblem(
@@ -487,9 +488,7 @@ class ProgramProofs:
         size = max(size_of_objective(program, x)[0], least_size(program.judged, x, y))
         return near if change <= tolerance * size else x
 
-    def prove_answer(
-        self, x: Vector, multipliers: Vector | None, tolerance: float
-    ) -> Certification:
+    def prove_point(self, x: Vector, multipliers: Vector | None, tolerance: float) -> Certification:
         """Return the verdict on a point and its multipliers of all constraints."""
         program, value = self.program, value_bounds.objective_bounds(self.program, x)
         violation, size = Violation.of(program, x, tolerance), size_of_objective(program, x)
@@ -692,11 +691,11 @@ def multiplier_error(
     rows, most = program.constraints, 10.0 * tolerance  # errors of multipliers
     columns = sp.csr_array(rows.matrix.T)
     wrong = np.where(rows.is_equality, 0.0, np.maximum(-y, 0.0))
-    left = np.abs(program.P @ x + program.c + columns @ y) + abs(columns) @ wrong
+    residual = np.abs(program.P @ x + program.c + columns @ y) + abs(columns) @ wrong
     terms = largest_terms(columns, largest_terms(program.matrices.terms.sparse_P, program.c, x), y)
-    if not (left <= most * terms).all():
-        j = int((left - most * terms).argmax())
-        return f"the multipliers leave {left[j]:.3g} of the gradient in component {j}"
+    if not (residual <= most * terms).all():
+        j = int((residual - most * terms).argmax())
+        return f"the multipliers leave {residual[j]:.3g} of the gradient in component {j}"
     slack = np.where(rows.is_equality, 0.0, np.maximum(rows.limit - rows.matrix @ x, 0.0))
     price = np.where(y != 0.0, np.abs(y) * slack, 0.0)
     row_terms = np.abs(y) * largest_terms(rows.matrix, rows.limit, x)

@@ -163,13 +163,13 @@ class QPSolution(MadeOnAccess):
             np.where(np.isfinite(value), value, 0.0) for value in (program.lower, program.upper, d)
         )
         primal = float(np.maximum(program.constraints.excess(x), 0.0).max(initial=0.0))
-        left, curved, linear = Px + program.c + Cy + z, float(x @ Px), float(program.c @ x)
+        gradient, curved, linear = Px + program.c + Cy + z, float(x @ Px), float(program.c @ x)
         dual_value = -0.5 * curved - d @ y + lower @ self.lower - upper @ self.upper
         gap = abs(0.5 * curved + linear - float(dual_value))
         values = max(abs(0.5 * curved + linear), abs(float(dual_value)))
         terms = (rows, d, lower, upper), (Px, program.c, Cy, z)
         sizes = [*(max(map(max_norm, vectors)) for vectors in terms), values]
-        absolute = np.array([primal, max_norm(left), gap])
+        absolute = np.array([primal, max_norm(gradient), gap])
         relative = absolute / np.maximum(sizes, 2.0**-1000)
         return ProgramResiduals(*absolute.tolist(), *relative.tolist())
 

@@ -402,9 +402,9 @@ def distance_of_equations(program: QuadraticProgram, x: Vector, excess: Vector) 
         R = np.linalg.inv(product)
     except np.linalg.LinAlgError:
         return None
-    left = np.abs(np.eye(p) - R @ product) + gamma(p + 3) * (np.abs(R) @ np.abs(product) + 1.0)
-    left += gamma(n + 3) * (np.abs(R) @ sizes) + UNDERFLOW * (1.0 + np.abs(R).sum())
-    alpha = float(left.sum(axis=1).max(initial=0.0)) * OUTWARD
+    error = np.abs(np.eye(p) - R @ product) + gamma(p + 3) * (np.abs(R) @ np.abs(product) + 1.0)
+    error += gamma(n + 3) * (np.abs(R) @ sizes) + UNDERFLOW * (1.0 + np.abs(R).sum())
+    alpha = float(error.sum(axis=1).max(initial=0.0)) * OUTWARD
     if not alpha <= 0.5:
         return None
     largest = float((np.abs(R) @ r).max(initial=0.0)) * OUTWARD / (1.0 - alpha) + UNDERFLOW

@@ -41,7 +41,7 @@ from ..methods.newton import classify, solve_active_set
 from ..problems.programs.program import asymmetry_of
 from ..solving.dispatch import solve
 from ..solving.result import Result
-from ..systems.definiteness import factorised, symmetric_part
+from ..systems.definiteness import factorized, symmetric_part
 
 Verdict = Literal["agree", "mismatch", "not comparable"]
 
@@ -280,7 +280,7 @@ class ConvexForm:
         # Skew entries above 1 leave their rounding behind when the symmetric part cancels them.
         shift = 4.0 * (lcp.n + 2) * EPSILON * max(1.0, float(abs(A).max()))
         is_negative = (lcp.diagonal < 0.0).any()
-        if is_negative or factorised(symmetric_part(A), shift) is None:
+        if is_negative or factorized(symmetric_part(A), shift) is None:
             what = "a diagonal entry is negative"
             what = what if is_negative else f"a pivot is negative at shift {shift:.1e}"
             return cls("", f"{matrix} indefinite: {what}", lcp, root)

@@ -20,7 +20,7 @@ from ..core.checks import BoolVector, Vector
 from ..core.entries import max_norm
 from ..core.lcp import LCP
 from ..judges.lcp import measured_residual, scaled_residual
-from ..systems.factors import factor_operations, factorise
+from ..systems.factors import factor_operations, factorize
 from ..systems.free_systems import FreeSystem
 from ..systems.graph import bandwidth
 
@@ -407,7 +407,7 @@ def _newton_direction(state: NewtonState, phi: LinearizedPhi) -> Vector | None:
     largest = max_norm(phi.value)
     shift = SHIFT * largest / (largest + max_norm(state.z) + 1e-300)
     jacobian = phi_jacobian(state.problem, phi, min(shift, SHIFT))
-    factor = factorise(jacobian, bandwidth=bandwidth(state.problem.matrix))
+    factor = factorize(jacobian, bandwidth=bandwidth(state.problem.matrix))
     if factor is None:
         return None
     state.work += (factor.work + factor.solve_work) / state.entries

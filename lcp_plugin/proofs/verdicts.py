@@ -303,7 +303,7 @@ def positive_definite(matrix: Matrix) -> Verdict:
     if early is not None:
         return early
     what = "M" if symmetric(matrix).value else "the symmetric part of M"
-    if not can_factorise(matrix):
+    if not can_factorize(matrix):
         return Verdict(None, _too_large(matrix))
     value = is_positive_definite(symmetric_part_of(matrix)) if _is_well_rounded(matrix) else None
     if value is None and matrix.n <= EXACT_SIZE:
@@ -329,7 +329,7 @@ def positive_semidefinite(matrix: Matrix) -> Verdict:
     definite = positive_definite(matrix)
     if definite.value:
         return Verdict(True, "λ_min > 0: positive definite")
-    if not can_factorise(matrix):
+    if not can_factorize(matrix):
         return Verdict(None, _too_large(matrix))
     part = symmetric_part_of(matrix)
     value = is_semidefinite_to_rounding(part) if _is_well_rounded(matrix) else None
@@ -457,7 +457,7 @@ def symmetric_part_of(matrix: Matrix) -> Any:
 
 
 @fact
-def can_factorise(matrix: Matrix) -> bool:
+def can_factorize(matrix: Matrix) -> bool:
     """Return whether a factorization of the symmetric part is predicted to fit."""
     return factor_fits(sparse_symmetric_part(matrix))
 

@@ -71,7 +71,7 @@ def is_semidefinite_to_rounding(P: AnyMatrix) -> bool | None:
     if shift > LARGEST_SHIFT:
         return None
     unit = scaled_to(P, 1.0 / np.sqrt(np.where(diagonal == 0.0, 1.0, diagonal)))
-    return None if unit is None else factorised(unit, shift) is not None
+    return None if unit is None else factorized(unit, shift) is not None
 
 
 def is_positive_definite(P: AnyMatrix) -> bool | None:
@@ -84,7 +84,7 @@ def is_positive_definite(P: AnyMatrix) -> bool | None:
 
     Notes
     -----
-    True: the matrix scaled to a unit diagonal, less the margin, factorises. False: plus the margin, it does not. The
+    True: the matrix scaled to a unit diagonal, less the margin, factorizes. False: plus the margin, it does not. The
     margin n (k + 4) 2⁻⁵² is more than twice the backward error n γ_{k+1}, u = 2⁻⁵³; the rest covers the rounding of
     the scaling and of P, which change the 2-norm by less than 4 n u.
 
@@ -105,12 +105,13 @@ def is_positive_definite(P: AnyMatrix) -> bool | None:
     if is_diagonal(P):
         return True
     n, unit = diagonal.size, scaled_to(P, 1.0 / np.sqrt(diagonal))
-    factor = None if unit is None else factorised(unit, 0.0)
+    factor = None if unit is None else factorized(unit, 0.0)
     if factor is not None:
-        return True if factorised(unit, -_margin(n, factor.terms)) is not None else None
+        return True if factorized(unit, -_margin(n, factor.terms)) is not None else None
     shift = _margin(n, n)
-    is_indefinite = unit is not None and shift <= LARGEST_SHIFT and factorised(unit, shift) is None
-    return False if is_indefinite else None
+    if unit is None or shift > LARGEST_SHIFT:
+        return None
+    return False if factorized(unit, shift) is None else None
 
 
 def symmetric_part(M: AnyMatrix) -> Any:
@@ -158,7 +159,7 @@ def scaled_to(P: AnyMatrix, scale: Vector) -> Any:
     return scaled if np.isfinite(scaled.data).all() else None
 
 
-def factorised(unit: Any, shift: float) -> PositiveFactor | None:
+def factorized(unit: Any, shift: float) -> PositiveFactor | None:
     """Return a factorization of unit + shift·I with positive pivots, or None if there is none.
 
     Parameters

@@ -1,6 +1,6 @@
 """Factors of square matrices: Cholesky and LU, dense and banded by LAPACK, sparse by SuperLU.
 
-Use :func:`factorise` for any factorization, :func:`diagonal_pivot_factor` for pivots on the diagonal, as for
+Use :func:`factorize` for any factorization, :func:`diagonal_pivot_factor` for pivots on the diagonal, as for
 M-matrices, and :func:`positive_factor` for positive pivots, which prove a symmetric matrix definite.
 :func:`factor_fits` predicts whether a factorization ends in reasonable time. No factorization is started if its
 predicted end is after the time limit of the run. Ctrl-C acts after the current factorization. :func:`bands` returns the
@@ -66,7 +66,7 @@ class PositiveFactor:
     superlu: Any = None
 
 
-def factorise(
+def factorize(
     matrix: AnyMatrix, *, is_symmetric: bool = False, bandwidth: tuple[int, int] | None = None
 ) -> Factor | None:
     """Return a factor of a square matrix, or None if a pivot is exactly zero or the entries overflow.

@@ -30,7 +30,7 @@ from ..core.matrix import Matrix, fact
 from ..core.structure import is_nearly_symmetric
 from ..core.tuning import DIRECT_UP_TO
 from .equilibration import EQUILIBRATING_PASSES, equilibrating_exponents, unit_diagonal
-from .factors import BANDED_UP_TO, Factor, factor_fits, factorise
+from .factors import BANDED_UP_TO, Factor, factor_fits, factorize
 from .graph import bandwidth
 from .hierarchy.kernels import dot
 from .hierarchy.levels import COARSEST, hierarchy_of
@@ -384,7 +384,7 @@ class FreeSystem:
         by = None
         if self._is_badly_scaled:
             by, is_symmetric = self._exponents(block)
-        factor = factorise(scale_matrix(block, by), is_symmetric=is_symmetric, bandwidth=band)
+        factor = factorize(scale_matrix(block, by), is_symmetric=is_symmetric, bandwidth=band)
         self.work += 0.0 if factor is None else factor.work
         if factor is None or by is None:
             return factor

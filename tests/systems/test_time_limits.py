@@ -43,18 +43,18 @@ def test_no_sparse_factorization_starts_that_would_end_after_the_limit(name, mon
 
 
 @pytest.mark.quick(1)
-@pytest.mark.parametrize("factorise", [
-    factors.cholesky, factors.dense_lu, lambda M: factors.factorise(sp.csr_array(M), bandwidth=(60, 4)),
+@pytest.mark.parametrize("factorize", [
+    factors.cholesky, factors.dense_lu, lambda M: factors.factorize(sp.csr_array(M), bandwidth=(60, 4)),
 ])  # fmt: skip
-def test_no_factorization_starts_that_would_end_after_the_limit(factorise):
+def test_no_factorization_starts_that_would_end_after_the_limit(factorize):
     """Where no time is left every factorization says so; with time, or where the limit is not enforced, it is made."""
     M = np.eye(2000)
     with time_limit(1e-4, is_enforced=True), pytest.raises(OutOfTimeError):
-        factorise(M)
+        factorize(M)
     with time_limit(1e-4):
-        assert factorise(M) is not None
+        assert factorize(M) is not None
     with time_limit(1000.0, is_enforced=True):
-        assert factorise(M) is not None
+        assert factorize(M) is not None
 
 
 def test_no_hierarchy_is_built_after_the_limit():

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...core.cone_stack import ConeStack, Pattern
-from ...systems.factors import factorise
+from ...systems.factors import factorize
 
 LAPACK_UP_TO = 600  # unknowns of a dense system
 FEW = 60  # unknowns: up to here the system of the bodies does not pay
@@ -32,7 +32,7 @@ def factorize_matrix(J: Any) -> Factors:
     """
     if sp.issparse(J) and J.shape[0] <= 150:  # a small sparse system is solved as dense
         J = J.toarray()
-    if (factor := factorise(J)) is None:
+    if (factor := factorize(J)) is None:
         raise np.linalg.LinAlgError
 
     def solve(right: Any) -> Any:

@@ -65,7 +65,7 @@ from ...core.tuning import CHEAP_UP_TO
 from ...judges.certificate import PRECISE, Certificate
 from ...judges.lcp import Measured, RowData, RowsAtPoint
 from ...methods.small import SMALL_SPARSE
-from ...systems.factors import Factor, factorise
+from ...systems.factors import Factor, factorize
 
 SMALLEST_TOLERANCE = 1e-14  # relative residuals below it are rounding
 STEEPER = 60  # slopes 4^k that are tried in a row with an infinite slope
@@ -502,7 +502,7 @@ def components_of_pattern(problem: NonlinearProblem, M: AnyMatrix) -> Any:
 def _newton_step(M: AnyMatrix, w: Vector, at: IntVector) -> tuple[Factor | None, Vector]:
     """Return the factor of the block of M in some rows, and the Newton step there; None and 0 if it is singular."""
     block = M[at][:, at] if sp.issparse(M) else M[np.ix_(at, at)]
-    factor = factorise(block)
+    factor = factorize(block)
     return factor, np.zeros(at.size) if factor is None else -factor.solve(w[at])
 
 

@@ -39,7 +39,7 @@ from ...solving.lcp_run import LCPRun
 from ...solving.plan import plan
 from ...solving.result import Result
 from ...solving.run import Stage
-from ...systems.factors import factorise
+from ...systems.factors import factorize
 from .data import SMALLEST_TOLERANCE, Linearization
 
 HALVINGS = tuple(0.5**k for k in range(30))  # step lengths of Newton steps
@@ -241,7 +241,7 @@ def solve_shifted(matrix: AnyMatrix, shift: float, right: Vector) -> Vector | No
     n = right.size
     is_sparse = sp.issparse(matrix)
     shifted = matrix + shift * (sp.eye_array(n, format="csr") if is_sparse else np.eye(n))
-    factor = factorise(sp.csr_array(shifted) if is_sparse else shifted, is_symmetric=shift > 0.0)
+    factor = factorize(sp.csr_array(shifted) if is_sparse else shifted, is_symmetric=shift > 0.0)
     step = None if factor is None else factor.solve(right)
     return step if step is not None and np.isfinite(step).all() else None
 

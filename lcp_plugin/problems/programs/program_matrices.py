@@ -18,7 +18,7 @@ from ...core.matrix import Matrix
 from ...engines import is_installed
 from ...engines.solvers import kinds_of_rows
 from ...judges.program import BLUR, Indices, ProgramTerms
-from ...systems.definiteness import factorised, is_diagonal, is_semidefinite_to_rounding, scaled_to
+from ...systems.definiteness import factorized, is_diagonal, is_semidefinite_to_rounding, scaled_to
 from ...systems.minimum_degree import factor_sizes
 from .fitted_units import fitted_units, roots
 
@@ -183,12 +183,12 @@ class ProgramMatrices:
         if unit is None:
             return P
         shifts = n * ROUNDING_OF_ENTRIES
-        if factorised(unit, shifts[-1]) is None:
+        if factorized(unit, shifts[-1]) is None:
             return None
         if self.is_semidefinite is None:
             return P
         shift = shifts[
-            bisect_left(shifts, True, key=lambda delta: factorised(unit, delta) is not None)
+            bisect_left(shifts, True, key=lambda delta: factorized(unit, delta) is not None)
         ]
         shifted = P + diagonal(shift * d - least)
         return freeze_csr(shifted) if sp.issparse(P) else read_only(shifted)

@@ -44,7 +44,7 @@ class TruncatedGrid:
         self.x, self.residual = np.zeros(grid.width), np.zeros(grid.width)
         self.b = np.zeros(n)
         self._factor: Factor | None = None
-        self._is_factorised = False
+        self._is_factorized = False
 
     def factor(self) -> tuple[Factor | None, float]:
         """Return the factorization of the free block (identity elsewhere) and the work; None if singular or too large.
@@ -53,7 +53,7 @@ class TruncatedGrid:
         """
         n = self.grid.n
         # A factorization is as fast as sweeps over a few thousand entries; no rank has all rows.
-        if self._is_factorised or n > 150 or self.grid.weight is not None:
+        if self._is_factorized or n > 150 or self.grid.weight is not None:
             return self._factor, 0.0
         dense = self.grid.dense(self.values)
         is_fixed = self.inverse == 0.0
@@ -63,12 +63,12 @@ class TruncatedGrid:
         diagonal = dense.diagonal().copy()
         if n and (np.abs(lapack().dgetrf(dense)[0].diagonal()) <= SINGULAR_PIVOT * diagonal).any():
             np.fill_diagonal(dense, (1.0 + REGULARIZING) * diagonal)
-        self._factor, self._is_factorised = dense_lu(dense), True
+        self._factor, self._is_factorized = dense_lu(dense), True
         return self._factor, n**3 / 3.0
 
     def forget_factor(self) -> None:
         """Drop the factorization, because values or free unknowns have changed."""
-        self._factor, self._is_factorised = None, False
+        self._factor, self._is_factorized = None, False
 
     def release(self) -> float:
         """Make all unknowns free; return the matrix entries touched."""

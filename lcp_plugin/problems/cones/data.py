@@ -125,7 +125,7 @@ class Blocks:
         rows = blocks[self.block_of_row]
         M, lower, upper = self.rows.csr[rows][:, rows], self.lower[rows], self.upper[rows]
         part_rows = LCP(M, self.q[rows], lower=lower, upper=upper)
-        starts = np.concatenate([[0], np.cumsum(self.sizes[blocks])])
+        starts = np.cumsum(np.append(0, self.sizes[blocks]))
         part = Blocks(part_rows, starts, self.slope[blocks], has_friction=self.has_friction)
         if self.bodies is not None:
             part.bodies = self.bodies._replace(rows=self.bodies.rows[rows])
@@ -189,7 +189,7 @@ class ConeProblem(Blocks):
         rows = LCP(M, q)
         sizes, lower, upper, self.cones = _blocks(cones, rows.n)
         rows = rows.with_q(rows.q, lower=lower, upper=upper)
-        starts = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)]).astype(np.int64)
+        starts = np.cumsum([0, *sizes], dtype=np.int64)
         slope = (np.asarray(sizes) > 1).astype(np.float64)
         super().__init__(rows, starts, slope, has_friction=False)
 

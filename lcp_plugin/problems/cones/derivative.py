@@ -80,14 +80,11 @@ class StackDerivative(LinearizedSystem):
     @derived_property
     def degenerate(self) -> Array:
         """Blocks on the boundary of two modes, up to rounding error, shape (B, k)."""
-        stack, shift = self.stack, self._rounding
-        cases = stack.residual(self.z, self.w)[1]
-        differs = np.zeros(cases.shape, np.bool_)
-        for sign in (-1.0, 1.0):
-            moved = self.z.copy()
-            moved[..., 0] += sign * shift
-            differs |= stack.residual(moved, self.w)[1] != cases
-        return differs
+        shift = np.zeros_like(self.z)
+        shift[..., 0] = self._rounding
+        points = self.z - shift, self.z, self.z + shift
+        below, modes, above = (self.stack.residual(z, self.w)[1] for z in points)
+        return (below != modes) | (above != modes)
 
     @derived_property
     def _rounding(self) -> Array:

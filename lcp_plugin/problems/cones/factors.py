@@ -88,11 +88,11 @@ class Arms:
         local = (arms @ KJ).ravel()
         entries = np.bincount(self.flat, np.concatenate([local, self.mass.data]), self.pattern.size)
         if v <= LAPACK_UP_TO:
-            inverse = factorize_matrix(entries.reshape(v, v))
+            matrix = entries.reshape(v, v)
         else:
             indptr = np.searchsorted(self.pattern, np.arange(v + 1) * np.int64(v))
-            entries = sp.csr_array((entries, self.pattern % v, indptr), shape=(v, v))
-            inverse = factorize_matrix(entries)
+            matrix = sp.csr_array((entries, self.pattern % v, indptr), shape=(v, v))
+        inverse = factorize_matrix(matrix)
         KJ, at = KJ[free], columns[free]
 
         def solve(right: Any) -> Any:

@@ -112,7 +112,7 @@ class FrictionalContactBatch:
             )
             mu = np.where(is_there, mu, 0.0)
         self.W, self.b, self.friction = map(checks.read_only, (matrices, offsets, mu))
-        contact.warn_of_much_friction(np.where(np.isfinite(self.friction), self.friction, 0.0), 3)
+        contact.warn_of_much_friction(np.nan_to_num(self.friction, posinf=0.0), 3)
         with np.errstate(all="ignore"):
             difference = np.abs(self.W - self.W.swapaxes(1, 2)).max((1, 2), initial=0.0)
             largest = np.abs(self.W).max((1, 2), initial=0.0)

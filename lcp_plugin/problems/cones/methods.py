@@ -32,16 +32,11 @@ SPREADS = 1.0, 8.0
 
 
 def sweep_points(
-    stack: ConeStack,
-    z: Vector,
-    count: float,
-    goal: float,
-    *,
-    each: int = SWEEPS_PER_STEP,
-    patience: float = np.inf,
+    stack: ConeStack, z: Vector, count: float, goal: float, each: int = SWEEPS_PER_STEP
 ) -> Points:
-    """Yield the points after every `each` of `count` sweeps, until the residual no longer falls."""
+    """Yield the points after every `each` of `count` sweeps; if `count` is ∞, until the residual no longer falls."""
     least, since, steps = np.inf, 0, 0
+    patience = STANDSTILL if count == np.inf else np.inf
     while steps * each < count and since <= max(patience, SLOW * steps) and least > goal:
         z, _ = sweep_blocks(stack, z, each, STOP * goal)
         residual = stack.relative_residual(z)
@@ -123,7 +118,7 @@ class ConeNSGS(ConeAlgorithm):
 
     def points(self, problem: Blocks, stack: ConeStack, z: Vector, goal: float) -> Points:
         """Yield a point every few sweeps."""
-        return sweep_points(stack, z, np.inf, goal, each=self.sweeps, patience=STANDSTILL)
+        return sweep_points(stack, z, np.inf, goal, self.sweeps)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -208,12 +208,7 @@ class ConeRun(Run):
     """
 
     def __init__(
-        self,
-        problem: Blocks,
-        progress: Progress,
-        z: Vector | None,
-        chosen: Any = "auto",
-        place: Any = None,
+        self, problem: Blocks, progress: Progress, z: Vector | None, chosen: Any, place: Any = None
     ) -> None:
         super().__init__(progress)
         self.problem, self.chosen, self.stack = problem, chosen, stack_of(problem)

@@ -268,8 +268,7 @@ class BranchAndBound:
             self.outside = ExternalBound("", bound)
             return ends()
 
-        limits = {"tolerance": self.tolerance, "max_nodes": self.max_nodes}
-        result = engine(self.problem, **limits, ends=report_progress)
+        result = engine(self.problem, self.tolerance, self.max_nodes, report_progress)
         self.nodes, self._outside_value = before + result.nodes, math.inf
         self.outside = ExternalBound(result.status, result.bound)
         if result.x is not None:

@@ -268,9 +268,10 @@ class EquilibriumProgram:
 
         problem = NonlinearProblem(F, jacobian, self.lower, self.upper)
         # The point of an early end may pass as well.
-        options: dict[str, Any] = {"prove_infeasibility": False, "max_iterations": 30}
         try:
-            answer = solve_nonlinear(problem, x[z], check_jacobian=False, **options)
+            answer = solve_nonlinear(
+                problem, x[z], check_jacobian=False, prove_infeasibility=False, max_iterations=30
+            )
         except LCPError:  # the functions are not defined at the start
             return None
         point[z], point[w] = answer.z, answer.w
@@ -351,28 +352,22 @@ class EquilibriumProgram:
 
     def excess(self, x: Vector) -> float:
         """Return the largest violation at x: rows relative to their terms, pairs and integers absolute."""
-        violations = [
-            self.excess_of_rows(x),
-            self.violations(x),
-            np.abs(x - np.rint(x))[self.integers],
-        ]
+        excess = [self.excess_of_rows(x), self.violations(x), np.abs(x - np.rint(x))[self.integers]]
         if self.smooth is not None:
             value, slopes = self.smooth.map.value(x), abs(self.smooth.map.jacobian(x))
             ends = np.nan_to_num(np.abs([self.smooth.lower, self.smooth.upper]), posinf=0.0)
             terms = ends.max(axis=0) + np.abs(value[1:]) + (slopes @ np.abs(x))[1:]
             missed = np.maximum(self.smooth.lower - value[1:], value[1:] - self.smooth.upper)
-            violations.append(missed / np.where(terms > 0.0, terms, 1.0))
-            violations.append(np.where(np.isfinite(value), 0.0, np.inf))
-        worst = max(float(measure.max(initial=0.0)) for measure in violations)
+            excess.append(missed / np.where(terms > 0.0, terms, 1.0))
+            excess.append(np.where(np.isfinite(value), 0.0, np.inf))
+        worst = float(np.concatenate(excess).max(initial=0.0))
         return math.inf if math.isnan(worst) else worst
 
     def excess_of_rows(self, x: Vector) -> Vector:
         """Return the violation of each row at x relative to its terms d_i and c_ij x_j."""
         rows = self.program.constraints
-        sizes, missed = (
-            largest_in_rows(sp.csr_array(rows.matrix.multiply(np.abs(x)))),
-            rows.excess(x),
-        )
+        missed = rows.excess(x)
+        sizes = largest_in_rows(sp.csr_array(rows.matrix.multiply(np.abs(x))))
         sizes = np.where(np.diff(rows.matrix.indptr) > 0, sizes, rows.own_sizes)
         terms = np.maximum(np.nan_to_num(np.abs(rows.limit), posinf=0.0), sizes)
         return np.where(missed > 0.0, missed / np.where(terms > 0.0, terms, 1.0), 0.0)

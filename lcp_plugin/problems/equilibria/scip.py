@@ -79,7 +79,6 @@ def minimize_or_none() -> Callable[..., ScipResult] | None:
 
 def minimize(
     problem: EquilibriumProgram,
-    *,
     tolerance: float = 1e-6,
     max_nodes: float = math.inf,
     ends: Watcher | None = None,
@@ -171,8 +170,7 @@ class _Model:
     @property
     def root_is_unbounded(self) -> bool:
         """True if the first relaxation may be unbounded; its bound is ∞ after a first point."""
-        lower, upper = self.problem.bounds(self.problem.all_cases)
-        has_bounds = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
+        has_bounds = bool(np.isfinite(self.problem.bounds(self.problem.all_cases)).all())
         is_infinite = abs(self.model.getDualboundRoot()) >= SCIP_INFINITY
         return not has_bounds and self.model.getNTotalNodes() > 1 and is_infinite
 
@@ -320,7 +318,7 @@ class _Model:
             ]
             shared = uses[len(quantities) : len(quantities) + len(values)] > 1
             pairs = zip(values, shared, strict=True)
-            quantities += [self._named(part) if twice else part for part, twice in pairs]
+            quantities += [self._named(value) if twice else value for value, twice in pairs]
         return self._sums(program.result.matrix, quantities, program.result.offset)
 
     def _applied(self, name: str, *u: Any) -> Any:

@@ -87,8 +87,8 @@ class BoundedLeastSquares:
         self.b = checks.checked_vector(b, "b", m, need=need)
         self.lower, self.upper = checks.checked_bounds(lower, upper, n)
         self.weights = None if weights is None else checks.checked_vector(weights, "weights", m)
-        if self.weights is not None and (self.weights < 0.0).any():
-            i = int(np.flatnonzero(self.weights < 0.0)[0])
+        if self.weights is not None and self.weights.min(initial=0.0) < 0.0:
+            i = int(np.argmax(self.weights < 0.0))
             raise InvalidProblem(
                 f"weights must be ≥ 0, but weights[{i}] = {self.weights[i]}; 0 leaves a row out"
             )
@@ -102,9 +102,8 @@ class BoundedLeastSquares:
     def __repr__(self) -> str:
         kind = "dense" if self.is_dense else "sparse"
         penalty = ", l1" if self.l1.any() else ""
-        return (
-            f"BoundedLeastSquares({self.shape[0]} rows, {self.shape[1]} columns, {kind}{penalty})"
-        )
+        m, n = self.shape
+        return f"BoundedLeastSquares({m} rows, {n} columns, {kind}{penalty})"
 
     def _check_range(self, name: str, entries: Array, what: str) -> None:
         """Raise InvalidProblem if squares of the largest entries, or of √weights, leave the range of doubles."""
@@ -301,9 +300,8 @@ class ScaledLeastSquares:
         self.problem, self.n = problem, problem.shape[1]
         self._root, self.columns = problem.root_weights, problem.column_scales
         sizes = self._root * problem.b * problem.has_terms, self.columns * problem.nearest_to_zero
-        self.size = float(
-            power_of_two(max(float(np.abs(v).max(initial=0.0)) for v in sizes), LARGEST_SCALE)
-        )
+        largest = np.abs(np.concatenate(sizes)).max(initial=0.0)
+        self.size = float(power_of_two(largest, LARGEST_SCALE))
         self.lower, self.upper = self.from_caller(problem.lower), self.from_caller(problem.upper)
         self.b = self._root * problem.b / self.size
         self.ridge = problem.ridge / self.columns / self.columns
@@ -313,7 +311,7 @@ class ScaledLeastSquares:
         self.has_no_corner = not (problem.bounds_per_column.any() or self.l1.any())
         self.has_kink = (self.l1 > 0.0) & (self.lower < 0.0) & (self.upper > 0.0)
         self.whole = self
-        self.nearest_to_zero = np.clip(np.zeros(self.n), self.lower, self.upper)
+        self.nearest_to_zero = np.clip(0.0, self.lower, self.upper)
 
     def orthant(self, x: Vector, slope: Vector) -> ScaledLeastSquares:
         """Return the orthant problem: each column on the side of 0 of x, or in the descent direction if x is 0."""

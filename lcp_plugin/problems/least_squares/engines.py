@@ -117,9 +117,8 @@ class FacePoint:
     @property
     def noise(self) -> float:
         """Size of a gradient that may be only rounding."""
-        return SLOPE_ROUNDING * float(
-            sum(map(np.linalg.norm, (self.residual, self.x, self.problem.b)))
-        )
+        norms = map(np.linalg.norm, (self.residual, self.x, self.problem.b))
+        return SLOPE_ROUNDING * float(sum(norms))
 
     def curvature(self, direction: Vector, product: Vector) -> float:
         """Return dᵀ(AᵀA + ridge)d for a direction d and A d."""
@@ -396,17 +395,11 @@ class Split(NamedTuple):
     def solve_residual_form(self, b: Vector) -> Iterator[Vector]:
         """Yield PIQP's x for min ½‖r‖² + slopesᵀz with E z − r = b, polished and as returned."""
         m, k = self.E.shape
+        P = sp.diags_array(np.repeat([0.0, 1.0], [k, m]), format="csr")
         E = sp.csr_array(sp.hstack([self.E, -sp.eye_array(m)]))
-        program, answer = _answer(
-            sp.diags_array(np.repeat([0.0, 1.0], [k, m]), format="csr"),
-            np.append(self.slopes, np.zeros(m)),
-            sp.csr_array((0, k + m)),
-            np.zeros(0),
-            E,
-            b,
-            np.append(self.lower, np.full(m, -np.inf)),
-            np.append(self.upper, np.full(m, np.inf)),
-        )
+        none, free = (sp.csr_array((0, k + m)), np.zeros(0)), np.full(m, np.inf)
+        bounds = np.append(self.lower, -free), np.append(self.upper, free)
+        program, answer = _answer(P, np.append(self.slopes, np.zeros(m)), *none, E, b, *bounds)
         if np.isfinite(answer.x).all():
             for point in (*polish_steps(program, answer), answer):
                 yield self.join_parts(point.x[:k])
@@ -419,13 +412,10 @@ class Split(NamedTuple):
         start = np.where(has_lower, self.lower, np.where(has_upper, self.upper, 0.0))
         unit = min(float(np.max(self.slopes, initial=0.0)), 1.0) or 1.0  # y is as small as slopes
         rows, right, m = -(self.E * sign).T, sign * self.slopes / unit, b.size
-        answer = _answer(
-            unit * np.eye(m),
-            b - self.E @ start,
-            *(rows[is_bounded], right[is_bounded]),
-            *(rows[~is_bounded], right[~is_bounded]),
-            *(np.full(m, -np.inf), np.full(m, np.inf)),
-        )[1]
+        free, cost = np.full(m, np.inf), b - self.E @ start
+        inequalities = rows[is_bounded], right[is_bounded]
+        equations = rows[~is_bounded], right[~is_bounded]
+        answer = _answer(unit * np.eye(m), cost, *inequalities, *equations, -free, free)[1]
         z = np.zeros(sign.size)
         z[is_bounded], z[~is_bounded] = np.split(answer.y, [np.count_nonzero(is_bounded)])
         z = np.where(is_bounded & (z <= right - rows @ answer.x), 0.0, z)

@@ -66,8 +66,7 @@ def check_format(path: Path) -> None:
 
 
 def save(figure: Any, path: Path) -> None:
-    """Write the figure, whole or not at all."""
-    check_format(path)
+    """Write the figure, whole or not at all; the format has been checked."""
     kind = path.suffix[1:].lower()
     with styled():  # matplotlib chooses the font when it writes the file
         write_whole({path: lambda file: figure.savefig(file, dpi=150, format=kind)})

@@ -9,7 +9,7 @@ from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 import scipy.sparse as sp
@@ -581,8 +581,7 @@ def square_pairs(constraints: list[Any], pairs: Any) -> list[tuple[Any, Any]]:
     while choices := [*_choices(rows, variables)]:
         family, matches = min(choices, key=lambda choice: len(choice[1]) != 1)
         if len(matches) != 1:
-            _require_row_of_each(variables, rows)
-            raise UnsupportedModel(_why_open(family, matches))
+            _refuse_match(family, matches, variables, rows)
         family_rows, members = matches[0]
         matched += [(row, members[key]) for key, row in family_rows.items()]
         rows = [family for family in rows if family is not family_rows]
@@ -651,24 +650,27 @@ def _choices(rows: list[Family], variables: list[Family]) -> Iterator[tuple[Fami
             yield variable, [(row, variable) for row in rows if _may_belong(row, variable)]
 
 
-def _require_row_of_each(variables: list[Family], rows: list[Family]) -> None:
-    """Raise UnsupportedModel if no constraints have the indices of a variable with bounds."""
-    for key, variable in (pair for family in variables for pair in family.items()):
+def _refuse_match(
+    family: Family,
+    matches: list[tuple[Family, Family]],
+    variables: list[Family],
+    rows: list[Family],
+) -> NoReturn:
+    """Raise UnsupportedModel, naming a variable without a row, or a family with no match or several."""
+    for key, variable in (pair for members in variables for pair in members.items()):
         if _has_bounds(variable) and not any(key in row for row in rows):
             raise UnsupportedModel(
                 f"{variable.name} has bounds, and no other constraint has its indices; write its row, or state its pair"
             )
-
-
-def _why_open(family: Family, matches: list[tuple[Family, Family]]) -> str:
-    """Return why a family has no match, or several, and the remedy."""
     name = _name(family)
-    if others := [_name(rows if variables is family else variables) for rows, variables in matches]:
-        return (
+    if others := [_name(first if second is family else second) for first, second in matches]:
+        raise UnsupportedModel(
             f"{name} may belong to {listed(others)}; state which: pairs=ComponentMap({{model.market: "
             "model.price}), with the constraint first"
         )
-    return f"{name} has no partner with the same indices (for an inequality, a variable with bounds); state its pairs"
+    raise UnsupportedModel(
+        f"{name} has no partner with the same indices (for an inequality, a variable with bounds); state its pairs"
+    )
 
 
 def _name(family: Family) -> str:

@@ -89,6 +89,7 @@ class Layer(ABC):
 
     matrices_at: ClassVar[tuple[int, ...]] = (0,)  # places of the matrices among the arrays
     bounds_at: ClassVar[tuple[int, ...]] = ()  # places of vectors of the length of the second array
+    takes_start: ClassVar[bool] = True
     alone: ClassVar[str]  # the problem of an instance, as `solve` takes it
     names: ClassVar[tuple[str, ...]]  # of the gradients by all arrays
 
@@ -151,7 +152,8 @@ class Layer(ABC):
         """
         self.data, self.axes = data, self.axes_of(*(array.shape for array in data))
         n = data[1].shape[-1]
-        start = {} if z0 is None else {"z0": stacked(z0, self.axes, (n,))}
+        has_start = self.takes_start and z0 is not None
+        start = {"z0": stacked(z0, self.axes, (n,))} if has_start else {}
         answers = self._solved(self.axes, data, self.options | start)
         self.derivative: Any = self._differentiated(answers)
         errors = self.derivative.errors
@@ -236,8 +238,7 @@ class LCPLayer(Layer):
 class QPLayer(Layer):
     """Quadratic programs as a function of P, c, G, h, A, b, lower and upper; P by its symmetric part."""
 
-    matrices_at = 0, 2, 4
-    bounds_at = 6, 7
+    matrices_at, bounds_at, takes_start = (0, 2, 4), (6, 7), False
     alone, names = "QuadraticProgram(P, c, G, h, A, b, lower, upper)", PROGRAM_ARRAYS
 
     @classmethod
@@ -279,10 +280,6 @@ class QPLayer(Layer):
         except ValueError:
             received = ", ".join(map("{} {}".format, names, shapes))
             raise InvalidProblem(f"the axes in front must broadcast, got {received}") from None
-
-    def solve(self, *data: Any, z0: Array = None) -> tuple[Any, Any]:
-        """Return the solutions, and which are solved; a program takes no start."""
-        return super().solve(*data)
 
     def _solved(self, axes: tuple[int, ...], data: Sequence[Any], options: Any) -> BatchAnswers:
         arrays = 0.5 * (data[0] + data[0].swapaxes(-1, -2)), data[2], data[4]

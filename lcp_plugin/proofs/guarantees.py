@@ -373,10 +373,18 @@ def _full(problem: LCP, facts: IterationFacts) -> Guarantee:
     theorem = _positive_definite(problem, facts)
     if theorem is not None:
         return Guarantee(GUARANTEED, theorem)
+    is_h_plus = h_plus(problem.matrix).value
+    missing = "M is not proven to be an H₊-matrix"
+    if facts.family == PROJECTED_SPLITTING and problem.n > CHEAP_UP_TO:
+        missing = f"Theorem 4.1's ρ(T) is not computed for n > {CHEAP_UP_TO}"
+    elif is_h_plus:
+        missing = "M is an H₊-matrix, but no theorem covers these options (or only by less than rounding error)"
+    elif facts.family == PROJECTED_RELAXATION:
+        missing = "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
     remedy = 'no theorem covers this M; algorithm="auto" tries several methods'
-    if h_plus(problem.matrix).value or _is_positive_definite(problem):
+    if is_h_plus or _is_positive_definite(problem):
         remedy = 'algorithm="psor" converges on this M'
-    return Guarantee(NOT_COVERED, _nothing_known(problem, facts), remedy=remedy)
+    return Guarantee(NOT_COVERED, missing, remedy=remedy)
 
 
 def _row_proof(problem: LCP, facts: IterationFacts) -> Contraction | None:
@@ -418,13 +426,3 @@ def _positive_definite(problem: LCP, facts: IterationFacts) -> str | None:
 def _is_positive_definite(problem: LCP) -> bool:
     report = analyze(problem)
     return bool(report.is_symmetric and report.is_positive_definite)
-
-
-def _nothing_known(problem: LCP, facts: IterationFacts) -> str:
-    if facts.family == PROJECTED_SPLITTING and problem.n > CHEAP_UP_TO:
-        return f"Theorem 4.1's ρ(T) is not computed for n > {CHEAP_UP_TO}"
-    if h_plus(problem.matrix).value:
-        return "M is an H₊-matrix, but no theorem covers these options (or only by less than rounding error)"
-    if facts.family == PROJECTED_RELAXATION:
-        return "M is proven neither to be an H₊-matrix nor to be symmetric positive definite"
-    return "M is not proven to be an H₊-matrix"

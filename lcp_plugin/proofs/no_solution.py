@@ -39,17 +39,16 @@ from .farkas import DECISIVE, WIDE, FarkasCertificate, FarkasProgram, LinearCons
 
 # Relative to the terms of P d, averaged over its rows; to √(p_ii p_jj) |d_j| in each row. More is data (a weak spring).
 MEAN_ROUNDING, ROW_ROUNDING = 8.0 * EPSILON, 256.0 * EPSILON
-NAMELESS = Names()
 
 
-def moved_unknowns(d: Any, names: Names = NAMELESS) -> str:
+def moved_unknowns(d: Any, names: Names) -> str:
     """Return a text with the unknowns that move along a direction, except for negligible movements.
 
     Examples
     --------
-    >>> moved_unknowns([0, 1, 1]), moved_unknowns([1, 0] * 6)
+    >>> moved_unknowns([0, 1, 1], Names()), moved_unknowns([1, 0] * 6, Names())
     ('unknowns 1, 2', 'unknowns 0, 2, 4, 6, … (6 of 12)')
-    >>> moved_unknowns([0, -2])
+    >>> moved_unknowns([0, -2], Names())
     'unknown 1'
     """
     sizes = np.abs(np.array([float(value) for value in d]))

@@ -42,15 +42,12 @@ def directions_of_solutions(problem: LCP, rows: ActiveRows) -> Array | None:
     part = np.flatnonzero(rows.free | rows.degenerate)
     if part.size > LEAST_SQUARES_UP_TO:
         return None
-    M, directions = problem.matrix.csr, np.zeros((problem.n, 0))
-    block = M[part][:, part].toarray()
+    block = problem.csr[part][:, part].toarray()
     is_degenerate = rows.degenerate[part]
     stated = block[~is_degenerate]
     if is_degenerate.any():
         stated = np.vstack([stated, block + block.T])
     basis = _null_space(stated)
-    if not basis.shape[1]:
-        return directions
     sign = np.where(rows.is_upper[part], -1.0, 1.0)[is_degenerate, np.newaxis]
     cone = np.vstack([sign * basis[is_degenerate], sign * (block @ basis)[is_degenerate]])
     basis = basis @ _span(cone)

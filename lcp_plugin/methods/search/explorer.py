@@ -187,13 +187,11 @@ class Explorer:
         point = simplex.point()
         before = [simplex.bounds(x) for x in range(2 * self.n)]
         is_point = simplex.release_fixed() == 0
-        tight = []
-        for i, choice in enumerate(complete):
-            tight.append(self._tight(i, choice, is_point))
+        tight = tuple(self._tight(i, choice, is_point) for i, choice in enumerate(complete))
         dimension = simplex.release_fixed()
         for x, bounds in enumerate(before):
             simplex.set_bounds(x, *bounds)
-        self.faces.append(Face(complete, tuple(tight), point, dimension))
+        self.faces.append(Face(complete, tight, point, dimension))
 
     def _tight(self, i: int, choice: str, is_point: bool) -> frozenset[str]:
         """Return the choices of row i that hold at every point of the face, and fix their variables."""

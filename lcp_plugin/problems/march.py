@@ -580,9 +580,7 @@ def _begin(
     forcing, propagator = arrays.pop("forcing"), arrays.pop("propagator")
     if _axes(forcing):  # of an F for any number of unknowns
         m = np.shape(forcing)[-1]
-        problems = [
-            item.with_size(m) if getattr(item, "n", 0) is None else item for item in problems
-        ]
+        problems = [one.with_size(m) if getattr(one, "n", 0) is None else one for one in problems]
     n = getattr(problems[0], "n", 0)
     changing = {*arrays} - {"z0"} | {name for name, values in at.items() if values is not None}
     for j, problem in enumerate(problems):
@@ -629,13 +627,10 @@ def _begin(
     return marches
 
 
-def _is_one_a_march(propagator: object) -> bool:
+def _is_one_a_march(propagator: Array) -> bool:
     """Return whether the argument is a sequence of propagators: sparse arrays, or a batch axis."""
-    if sp.issparse(propagator) or checks.is_number(propagator):
-        return False
-    if isinstance(propagator, (list, tuple)) and any(map(sp.issparse, propagator)):
-        return True
-    return _axes(propagator) in (1, 3)  # numbers, or matrices
+    is_list = isinstance(propagator, (list, tuple)) and any(map(sp.issparse, propagator))
+    return is_list or _axes(propagator) in (1, 3)  # numbers, or matrices
 
 
 LEFT = 2.0**-20  # relative to the last change: bound of the remaining error
@@ -1103,9 +1098,8 @@ class MarchDerivative:
 
 def _rows(values: Array, name: str, steps: int, n: int) -> Vector:
     """Return a row per step; a vector is the row of all steps, None means 0."""
-    values, need = (
-        np.zeros(n) if values is None else values,
-        f"({steps}, {n}), or ({n},) for all steps",
-    )
+    if values is None:
+        return np.broadcast_to(0.0, (steps, n))
+    need = f"({steps}, {n}), or ({n},) for all steps"
     rows = checked_rows(name, values, need, ((steps, n), (n,)).__contains__)
     return np.broadcast_to(rows, (steps, n))

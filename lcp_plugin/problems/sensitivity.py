@@ -43,7 +43,7 @@ from ..solving.result import Result
 from ..systems.free_systems import CONSISTENT, FreeBlocks, FreeSystem, LinearizedSystem, products
 from ..systems.graph import outer_on_pattern
 from .batches.batch_run import BatchAnswers
-from .batches.instances import Group, RightSides, Stacked, Worlds, stack_of
+from .batches.instances import ContactInstances, Group, RightSides, Stacked, stack_of
 from .batches.on_device import DeviceAnswers, launch
 from .batches.program_batch import ProgramBatch
 from .cones.data import Blocks
@@ -366,9 +366,8 @@ class ManyDerivatives:
         """Return an array like `is_there`, 0 for absent entries; one row applies to all."""
         shape, row_shape = is_there.shape, is_there.shape[1:]
         row = {"dM": "n, n", "dfriction": "k,"}.get(name, "n,")
-        need = (
-            f"{name} must have shape (B, {row.strip(',')}) or ({row}), here {shape} or {row_shape}"
-        )
+        shapes = f"(B, {row.strip(',')}) or ({row}), here {shape} or {row_shape}"
+        need = f"{name} must have shape {shapes}"
         array = checks.real_array(values, need)
         if array.shape not in (shape, row_shape, () if name in NUMBERS else row_shape):
             raise InvalidProblem(f"{need}, got shape {array.shape}")
@@ -587,7 +586,7 @@ class DeviceDerivative(ManyDerivatives):
 INSTANCES_TOGETHER = 512  # instances whose arrays fit into the cache
 
 
-class _Together(StackDerivative):
+class ContactPart(StackDerivative):
     """Derivatives of some instances, with an inverse of each system."""
 
     def __init__(self, stack: ConeStack, z: Array, items: Array, is_solved: Array) -> None:
@@ -663,24 +662,24 @@ class ContactBatchDerivative(ManyDerivatives):
     names = "q", "friction"
 
     @property
-    def worlds(self) -> Any:
+    def instances(self) -> Any:
         """The FrictionalContactBatch."""
-        return self.batch.problems.worlds
+        return self.batch.problems.instances
 
     @derived_property
-    def _parts(self) -> list[_Together]:
+    def _parts(self) -> list[ContactPart]:
         """Derivatives of the instances, in groups."""
-        worlds, z, is_solved = self.worlds, self.batch.z, self._is_solved[:, np.newaxis]
+        instances, z, is_solved = self.instances, self.batch.z, self._is_solved[:, np.newaxis]
         parts: list[Any] = [None] * max(-(-len(self) // INSTANCES_TOGETHER), 1)
 
         def derive(first: int, end: int) -> None:
             for k in range(first, end):
                 part = slice(k * INSTANCES_TOGETHER, (k + 1) * INSTANCES_TOGETHER)
-                W = np.where(is_solved[part, :, np.newaxis], worlds.W[part], np.eye(worlds.n))
-                data = worlds.b, z, worlds.friction
+                W = np.where(is_solved[part, :, np.newaxis], instances.W[part], np.eye(instances.n))
+                data = instances.b, z, instances.friction
                 b, at, mu = (np.where(is_solved[part], rows[part], 0.0) for rows in data)
                 stack = stack_of(*self.batch.problems.data(W, b, mu))
-                parts[k] = _Together(stack, at, np.arange(len(self))[part], self._is_solved[part])
+                parts[k] = ContactPart(stack, at, np.arange(len(self))[part], self._is_solved[part])
 
         run_in_chunks(derive, len(parts), self.batch.threads)
         return parts
@@ -706,15 +705,16 @@ class ContactBatchDerivative(ManyDerivatives):
 
     def dw(self, dz: ArrayLike, *, dq: Any = None, dM: AnyMatrix = None) -> Any:
         """Return the changes of the velocities w = W z + b for changes dz of z, shape (B, n)."""
-        dw = products(self.worlds.W, self._rows(dz, "dz")) + self._changed(dM, dq)
+        dw = products(self.instances.W, self._rows(dz, "dz")) + self._changed(dM, dq)
         dw[[*self.errors]] = np.nan
         return dw
 
     def _is_there(self, name: str) -> Any:
         """Return the mask of the rows, or contacts, of solved instances."""
-        worlds, is_mu = self.worlds, name.endswith("friction")
-        counts = np.where(self._is_solved, worlds.contacts if is_mu else worlds.sizes, 0)
-        return np.arange(worlds.friction.shape[1] if is_mu else worlds.n) < counts[:, np.newaxis]
+        instances, is_mu = self.instances, name.endswith("friction")
+        size = instances.friction.shape[1] if is_mu else instances.n
+        counts = np.where(self._is_solved, instances.contacts if is_mu else instances.sizes, 0)
+        return np.arange(size) < counts[:, np.newaxis]
 
 
 SINGULAR = "M is singular on the free rows, too many for a generalised inverse; regularise M"
@@ -862,7 +862,7 @@ def derivative(result: Any) -> Any:
 
 def _derivative_of_batch(batch: BatchAnswers) -> Any:
     problems = batch.problems
-    if isinstance(problems, Worlds):
+    if isinstance(problems, ContactInstances):
         return ContactBatchDerivative(batch)
     if problems.are_lcps and isinstance(batch.z, np.ndarray):
         return BatchDerivative(batch)

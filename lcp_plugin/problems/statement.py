@@ -514,9 +514,8 @@ class Statement:
         stored = M, E
         if program is not None or not eliminates:
             owner[:] = -1
-        elimination, (E, e), (M, q) = eliminate_definitions(
-            (E, e), (M, q), owner, ~self.is_paired, variable_of
-        )
+        facts = owner, ~self.is_paired, variable_of
+        elimination, (E, e), (M, q) = eliminate_definitions((E, e), (M, q), *facts)
         kept = elimination.kept
         columns: Any = np.searchsorted(kept, paired)
         free = np.flatnonzero(~self.is_paired[kept])
@@ -554,9 +553,8 @@ class Statement:
         low, high = _stacked(stated, "low", "high")
         is_pair = np.arange(low.size) < sum(part.rows.size for part in pairs)
         ends = np.where(np.isfinite(high), -np.inf, 0.0), np.where(np.isfinite(low), np.inf, 0.0)
-        low, high = (
-            np.where(is_pair, *both) - shift for both in zip(ends, (low, high), strict=True)
-        )
+        sides = zip(ends, (low, high), strict=True)
+        low, high = (np.where(is_pair, *both) - shift for both in sides)
         names, c = self._names(stated, range(low.size), range(lower.size)), np.zeros(lower.size)
         return QuadraticProgram.from_ranges(None, c, A, low, high, lower, upper, names=names)
 
@@ -718,10 +716,8 @@ class Statement:
             if groups[-1 - key][1] is functions.SAME
         ]:
             blocks = {key: block for key, block in rows.blocks.items() if key not in names}
-            named = [
-                groups[-1 - key][2][0].applied(as_matrix(rows.blocks[key], rows.size), rows.shape)
-                for key in names
-            ]
+            weights = [(key, as_matrix(rows.blocks[key], rows.size)) for key in names]
+            named = [groups[-1 - key][2][0].applied(A, rows.shape) for key, A in weights]
             rows = added([replace(rows, blocks=blocks), *named], rows.shape)
         return rows
 

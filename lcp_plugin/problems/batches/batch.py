@@ -22,7 +22,7 @@ from ..least_squares.data import BoundedLeastSquares
 from ..prepared import PreparedProblem
 from ..programs.program import QuadraticProgram, refuse_nonconvex
 from .batch_run import BatchAnswers, BatchRun
-from .instances import Listed, RightSides, Stacked, Worlds
+from .instances import ContactInstances, Listed, RightSides, Stacked
 from .on_device import DeviceAnswers, is_on_gpu
 from .program_batch import ProgramBatch, programs_for
 
@@ -159,7 +159,7 @@ def _problems_of(M: AnyMatrix, q: Array, lower: Array, upper: Array, z0: Array) 
     """Return the checked problems of a batch that is not of programs of one shape."""
     if isinstance(M, FrictionalContactBatch):
         _refuse_data("contacts", "FrictionalContact.worlds(W, b, friction)", q, lower, upper)
-        return Worlds(M, z0)
+        return ContactInstances(M, z0)
     if isinstance(M, BoundedLeastSquares) and q is not None:
         _refuse_algorithm(q)
         return RightSides(M, b=q, lower=lower, upper=upper, z0=z0)

@@ -103,7 +103,7 @@ class BatchRun:
         problems, settings = self.problems, self.settings
         if self.algorithm not in problems.stacked_by or settings.absolute_tolerance:
             return
-        is_path = self.algorithm == "lemke" and not isinstance(problems, ProgramBatch)
+        is_path = self.algorithm == "lemke"
         if settings.max_iterations < (1 if is_path else problems.fewest_iterations):
             return
         stacks_of = problems.path_stacks if is_path else problems.stacks

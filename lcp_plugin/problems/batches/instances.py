@@ -390,7 +390,7 @@ class RightSides(Rows):
         return stack.cost(z, times(stack.A, z) - stack.b)
 
 
-class Worlds(Instances):
+class ContactInstances(Instances):
     """Contact problems in arrays, and their starts.
 
     Parameters
@@ -402,7 +402,7 @@ class Worlds(Instances):
     item = "world"
 
     def __init__(self, contacts: FrictionalContactBatch, z0: ArrayLike | None) -> None:
-        self.worlds, self.is_warm, self.errors = contacts, z0 is not None, contacts.errors
+        self.instances, self.is_warm, self.errors = contacts, z0 is not None, contacts.errors
         shape, n = contacts.b.shape, contacts.n
         need = f"z0 must have shape ({len(contacts)}, {n}) or ({n},)"
         starts = real_array(np.zeros(n) if z0 is None else z0, need)
@@ -417,35 +417,35 @@ class Worlds(Instances):
         return self.starts.copy()
 
     def __len__(self) -> int:
-        return len(self.worlds)
+        return len(self.instances)
 
     def __getitem__(self, k: int) -> FrictionalContact:
-        return self.worlds[k]
+        return self.instances[k]
 
     def start(self, k: int) -> Any:
         """Return the start of instance k, or None."""
-        return self.starts[k, : self.worlds.sizes[k]] if self.is_warm else None
+        return self.starts[k, : self.instances.sizes[k]] if self.is_warm else None
 
     def slacks(self, z: Array) -> Any:
         """Return velocities after the impulses, shape (B, n)."""
-        return np.einsum("bij,bj->bi", self.worlds.W, z) + self.worlds.b
+        return np.einsum("bij,bj->bi", self.instances.W, z) + self.instances.b
 
     def data(self, W: AnyMatrix, b: Array, friction: Array) -> tuple[Any, ...]:
         """Return the arguments of `stack_of` for instances with these data."""
-        d, n, p = self.worlds.dimension, self.worlds.n, self.worlds.equations
+        d, n, p = self.instances.dimension, self.instances.n, self.instances.equations
         starts, none = np.r_[: n - p : d, n - p : n + 1], np.full((1, n), np.inf)
         return True, starts, W, b, np.pad(friction, ((0, 0), (0, p))), -none, none
 
     def motion(self, z: Array, w: Array) -> Any:
         """Return impulses and velocities contact by contact."""
-        return motion_of(z, w, self.worlds.b, self.worlds.dimension, self.worlds.equations)
+        return motion_of(z, w, self.instances.b, self.instances.dimension, self.instances.equations)
 
     def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
         """Yield stacks of small instances."""
-        worlds = self.worlds
-        for first in range(0, len(self) if 0 < worlds.n <= CONES_UP_TO else 0, TOGETHER):
+        instances = self.instances
+        for first in range(0, len(self) if 0 < instances.n <= CONES_UP_TO else 0, TOGETHER):
             part = slice(first, first + TOGETHER)
-            data = self.data(worlds.W[part], worlds.b[part], worlds.friction[part])
+            data = self.data(instances.W[part], instances.b[part], instances.friction[part])
             start = self.starts[part] if self.is_warm else None
             solve_some = partial(_solve_cones, data, start, tolerance, has_time)
             yield np.arange(len(self))[part], solve_some

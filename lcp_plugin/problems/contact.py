@@ -150,8 +150,7 @@ class Contacts:
         (m, t), k, p = self.edges.shape, self.friction.size, self.equations.size
         each = np.vstack([np.eye(1, 1 + t), np.column_stack([np.zeros(m), self.edges])])
         # contact by contact; normals come first in M
-        order = np.arange(k * (1 + m)).reshape(k, 1 + m)
-        order = np.concatenate([order[:, 0], order[:, 1:].ravel()])
+        order = np.argsort(np.arange(k * (1 + m)) % (1 + m) > 0, kind="stable")
 
         def by_edges(x: FloatArray) -> FloatArray:
             """Return rows of normals and edges in place of normals and tangents."""
@@ -401,9 +400,9 @@ def contacts_of_bodies(
                 "write a single row as [[…]]"
             )
         equations = np.zeros((0, np.shape(mass)[-1]))
-    values = {"the mass matrix": mass, "normals": normals, "tangents": tangents}
-    values["equations"] = equations
-    parts = [rectangular_matrix(part, name, None, None) for name, part in values.items()]
+    names = "the mass matrix", "normals", "tangents", "equations"
+    values = zip((mass, normals, tangents, equations), names, strict=True)
+    parts = [rectangular_matrix(*value, None, None) for value in values]
     # Velocities of bodies whose dense matrices stay dense
     is_sparse = any(map(sp.issparse, parts)) or parts[0].shape[0] > 300
     mass, normals, tangents, joints = map(sp.csr_array, parts) if is_sparse else parts
@@ -492,11 +491,11 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
     windows = windows[is_ball.all(axis=1)]
     if sp.issparse(mass):
         parts = sp.bsr_array(J[:, windows.ravel()], blocksize=(d, d))
-        basis, contact = parts.data, np.repeat(np.arange(k), np.diff(parts.indptr))
+        basis, counts = parts.data, np.diff(parts.indptr)
     else:
         basis = J[:, windows].reshape(k, d, len(windows), d).swapaxes(1, 2).reshape(-1, d, d)
-        contact = np.repeat(np.arange(k), len(windows))
-    products = basis @ np.swapaxes(basis, 1, 2)
+        counts = len(windows)
+    contact, products = np.repeat(np.arange(k), counts), basis @ np.swapaxes(basis, 1, 2)
     lengths = np.sqrt(np.einsum("kii->ki", products)) + np.finfo(float).tiny
     are = np.linalg.det(products / lengths[:, :, None] / lengths[:, None]) > UNIT_LENGTH
     are |= np.abs(lengths[:, 0] - 1.0) < UNIT_LENGTH

@@ -726,9 +726,11 @@ def words_on_singular(system: FreeSystem) -> str:
     if inverse is None:
         return SINGULAR
     rank = round(float(np.trace(inverse @ system.block)))
-    several = f"M has rank {rank} on the {system.rows.size} free rows: z is one of several"
     alike = "the same" if np.all(system.determined_slack) else "not the same"
-    return f"{several} solutions, w {alike} for all of them, and this the derivative of the least change"
+    return (
+        f"M has rank {rank} on the {system.rows.size} free rows: z is one of several solutions, w {alike} for all of "
+        "them, and this the derivative of the least change"
+    )
 
 
 def solution(system: FreeSystem, right: Vector, *, transposed: bool = False) -> Vector:

@@ -458,7 +458,7 @@ class Statement:
         key, columns = 2**62 + first, np.arange(first, first + rows.size)
         self.first[key] = first
         self.lower, self.upper = np.append(self.lower, -free), np.append(self.upper, free)
-        self.is_paired = np.append(self.is_paired, np.zeros(rows.size, dtype=bool))
+        self.is_paired = np.append(self.is_paired, zero > 0.0)
         rows = rows.scaled(sign)
         rows = Rows({**rows.blocks, key: -1.0}, rows.offset, (rows.size,), rows.level)
         self.rows.append(StatedRows(rows, zero, zero, origin, sign, None, columns))

@@ -50,7 +50,6 @@ class BatchRun:
 
     def __init__(self, problems: Any, algorithm: Any, options: dict[str, Any]) -> None:
         self.problems, self.algorithm, count = problems, algorithm, len(problems)
-        self.item = problems.item
         self.settings = Settings(**options) if options else DEFAULT
         self.threads = checked_threads(options.get("threads"))
         self.options = {name: options[name] for name in options.keys() - {"max_seconds", "threads"}}
@@ -289,7 +288,7 @@ class BatchAnswers(AnswerSequence[Any]):
     residual: Array
 
     def __init__(self, run: BatchRun) -> None:
-        self._run, self.item = run, run.item
+        self._run, self.item = run, run.problems.item
         self.errors, self.problems, self.threads = run.errors, run.problems, run.threads
         for name, table in {"status": run.status, "seconds": run.seconds, **run.tables()}.items():
             if isinstance(table, np.ndarray):

@@ -130,7 +130,7 @@ def run_in_chunks(work: Callable[[int, int], None], count: int, threads: int) ->
 def rows_of_a_batch(values: ArrayLike, name: str, n: int) -> Any:
     """Return the values as an array of shape (B, n), or (1, n) if all problems share them."""
     is_bound = name in ("lower", "upper")
-    size = {"h": "m", "b": "p"}.get(name, "n")
+    size = "m" if name == "b" else "n"
     need = f"{name} must have shape (B, {size}) or ({size},), {size} = {n}{', or be a number' if is_bound else ''}"
     array = real_array(without_none(values, name) if is_bound else values, need)
     if array.ndim == 0 and is_bound:

@@ -947,7 +947,7 @@ class MarchDerivative:
         dupper: Array = None,
         dlower_at: Array = None,
         dupper_at: Array = None,
-        dM_at: object = None,
+        dM_at: Any = None,
         only_last: bool = False,
     ) -> Vector:
         """Return the changes dz of the solutions for changes of the data; one-sided at a kink.
@@ -993,7 +993,7 @@ class MarchDerivative:
         n, steps = self.march.problem.n, len(self)
         rows = _rows(dforcing, "dforcing", steps, n)
         none = sp.csr_array((n, n))
-        dM = none if dM is None else sp.csr_array(checks.rectangular_matrix(dM, "dM", n, n))
+        dM = none if dM is None else checks.rectangular_matrix(dM, "dM", n, n)
         dC = none if dpropagator is None else checked_propagator(dpropagator, n, "dpropagator")
         low = checks.change_of_vector(dlower, "dlower", n, may_be_number=True)
         high = checks.change_of_vector(dupper, "dupper", n, may_be_number=True)
@@ -1001,12 +1001,18 @@ class MarchDerivative:
         high = high + _rows(dupper_at, "dupper_at", steps, n)
         if dM_at is not None and not callable(dM_at):
             _check_matrices(dM_at, "dM_at", steps)
+
+        def change_of_M(k: int) -> Any:
+            if dM_at is None:
+                return dM
+            change = dM_at(k) if callable(dM_at) else dM_at[k]
+            return dM + checks.rectangular_matrix(change, f"dM_at of step {k}", n, n)
+
         before = checks.change_of_vector(dz0, "dz0", n).copy()
         dz = np.empty((0 if only_last else steps, n))
         for part in self._parts():
-            of_M, at = [dM] * len(part), part.steps
-            if dM_at is not None:
-                of_M = [dM + self._change(dM_at, k) for k in range(steps)[at]]
+            at = part.steps
+            of_M = [*map(change_of_M, range(steps)[at])]
             changes = part.jvp(of_M, dC, rows[at], low[at], high[at], before)
             if not only_last:
                 dz[part.steps] = changes
@@ -1065,11 +1071,6 @@ class MarchDerivative:
         by_C = sp.csr_array((of_C, propagator.indices, propagator.indptr), shape=(n, n))
         lower, upper = of_bounds.sum(axis=1)
         return MarchGradient(z0, lower, upper, by_M, by_C, forcing, of_bounds[0], of_bounds[1])
-
-    def _change(self, dM_at: Any, k: int) -> sp.csr_array:
-        """Return the change of the matrix of step k."""
-        n, change = self.march.problem.n, dM_at(k) if callable(dM_at) else dM_at[k]
-        return sp.csr_array(checks.rectangular_matrix(change, f"dM_at of step {k}", n, n))
 
     def _parts(self, *, backwards: bool = False) -> Iterator[Steps]:
         """Yield the steps in blocks, with their classified rows."""

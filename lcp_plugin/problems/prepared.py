@@ -100,7 +100,7 @@ class PreparedLCP(PreparedProblem[LCP]):
     def __init__(self, problem: LCP, algorithm: Any, options: dict[str, Any]) -> None:
         super().__init__(problem, algorithm, options)
         self._method, self._settings = parse_call(algorithm, dict(options))
-        is_path = "z0" not in options and (self._method is None or self._method == Lemke())
+        is_path = "z0" not in options and self._method in (None, Lemke())
         is_short = is_path and is_bare(self._settings, options.get("callback"))
         self._arrays: Any = None
         if is_short and is_small(problem) and problem.n <= LOOP_UP_TO and has_numba():
@@ -199,9 +199,9 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         return QPSolution.from_reduced(self.problem.with_vectors(*data), x, y)
 
     def _record(self, seconds: float) -> QuadraticProgramResult:
-        named = {"algorithm": "auto: daqp", "iterations": 1, "tolerance": self._tolerance}
-        named |= {"seconds": seconds, "stages": (StageRecord("daqp", "prepared", 1, 0.0),)}
-        return QuadraticProgramResult.of_known(None, **named)
+        run = {"iterations": 1, "tolerance": self._tolerance, "seconds": seconds}
+        stages = (StageRecord("daqp", "prepared", 1, 0.0),)
+        return QuadraticProgramResult.of_known(None, algorithm="auto: daqp", stages=stages, **run)
 
 
 class PreparedContact(PreparedProblem[FrictionalContact]):

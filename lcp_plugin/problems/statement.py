@@ -119,7 +119,7 @@ def eliminate_definitions(
     expansion = sp.eye_array(n, format="csr")
     offset, is_open, remaining = np.zeros(n), is_free.copy(), np.ones(owner.size, dtype=bool)
     limit = 4 * (equations[0].nnz + functions[0].nnz) + 10 * n  # times the entries there were
-    used: list[tuple[Indices, Indices]] = [(np.zeros(0, dtype=np.int64),) * 2]
+    defining = defined = np.zeros(0, dtype=np.int64)
     for number in range(min(int(owner.max(initial=-1)) + 1, 500)):
         rows, columns = _pivots(equations[0], np.flatnonzero(owner == number), is_open, variable_of)
         if not rows.size:
@@ -131,8 +131,7 @@ def eliminate_definitions(
         equations, functions = changed
         offset, expansion = offset + expansion @ shift, expansion @ substitution
         remaining[rows] = is_open[columns] = False
-        used.append((rows, columns))
-    defining, defined = (np.concatenate(part) for part in zip(*used, strict=True))
+        defining, defined = np.append(defining, rows), np.append(defined, columns)
     kept = np.delete(np.arange(n), defined)
     if defined.size:
         equations = equations[0][remaining][:, kept], equations[1][remaining]
@@ -497,11 +496,11 @@ class Statement:
         equations = [replace(part.rows, offset=part.rows.offset - part.low) for part in self.rows]
         groups = functions, equations
         sizes = [sum(rows.size for rows in group) for group in groups]
+        has_bounds = np.isfinite([self.lower[free], self.upper[free]]).any()
         if free.size != sizes[1]:
-            raise self._not_square(free, sizes[1])
+            raise self._not_square(free, sizes[1], has_bounds)
         lower, upper = self._bounds_of_pairs()
-        bounded = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
-        dropped = self._dropped(free) if bounded.any() else free[:0]
+        dropped = self._dropped(free) if has_bounds else free[:0]
         lower[free], upper[free] = -np.inf, np.inf
         paired, signs = _stacked(self.pairs, "z", "sign")
         program = None
@@ -564,11 +563,11 @@ class Statement:
         unknown = partial(name_of_row, [(self._named, self.name)], kept)
         return Names(partial(name_of_row, named, rows), unknown)
 
-    def _not_square(self, free: Indices, equations: int) -> UnsupportedModel:
+    def _not_square(self, free: Indices, equations: int, has_bounds: Any) -> UnsupportedModel:
         """Return the error that there are not as many equations as unknowns without a pair."""
         of_pairs = sum(part.rows.size for part in self.rows if part.slacks is not None)
         counted = f", {of_pairs} of them from pairs of two expressions" if of_pairs else ""
-        names = [name for column in free[:MOST_NAMES].tolist() if (name := self.name_of(column))]
+        names = [*filter(None, map(self.name_of, free[:MOST_NAMES].tolist()))]
         names += ["…"] * (free.size > MOST_NAMES)
         way_out = ""
         if equations > free.size and (reason := self._fixing_equation() or self.repeated()):
@@ -580,8 +579,7 @@ class Statement:
             )
         elif names:
             way_out = f"; give these a pair or an equation{self.other_way}"
-        has_bounds = np.isfinite(self.lower[free]) | np.isfinite(self.upper[free])
-        return (MissingPair if free.size > equations and has_bounds.any() else UnsupportedModel)(
+        return (MissingPair if free.size > equations and has_bounds else UnsupportedModel)(
             f"the model has {format_count(equations, 'equation')}{counted} and "
             f"{format_count(free.size, 'unknown')} without a complementarity ({', '.join(names) or 'none'}); it needs "
             f"as many equations as such unknowns{way_out}"
@@ -604,7 +602,8 @@ class Statement:
                 continue
             matrix, offset = assembled([part.rows], self.first, self.lower.size)
             for row in np.flatnonzero(np.diff(matrix.indptr) == 1).tolist():
-                column, weight = matrix.indices[matrix.indptr[row]], matrix.data[matrix.indptr[row]]
+                k = matrix.indptr[row]
+                column, weight = matrix.indices[k], matrix.data[k]
                 if self.is_paired[column] and weight:
                     value = f"{(part.low[row] - offset[row]) / weight + 0.0:.9g}"
                     name = self.name_of(int(column))

@@ -122,11 +122,11 @@ def solve_batch(
     """
     if isinstance(M, PreparedProblem):
         M = M.problem
-    if unknown := [name for name in options if name not in BatchOptions.__annotations__]:
-        known = ("lower", "upper", "z0", "algorithm", "callback")
-        hint = did_you_mean(unknown[0], (*known, *BatchOptions.__annotations__))
-        hint = "; pass starts as z0, one for each problem" if unknown[0] == "x0" else hint
-        raise InvalidOption(f"solve_batch has no option {unknown[0]!r}{hint}")
+    for name in sorted(options.keys() - BatchOptions.__annotations__.keys()):
+        known = ("lower", "upper", "z0", "algorithm", "callback", *BatchOptions.__annotations__)
+        hint = "; pass starts as z0, one for each problem"
+        hint = hint if name == "x0" else did_you_mean(name, known)
+        raise InvalidOption(f"solve_batch has no option {name!r}{hint}")
     overrides = {name: value for name, value in options.items() if value is not None}
     Settings(**overrides)  # options are checked before the data
     for name in ("absolute_tolerance", "prove_infeasibility"):  # which some classes lack

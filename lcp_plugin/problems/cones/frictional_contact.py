@@ -218,7 +218,7 @@ class FrictionalContact(Blocks):
     the impulses of the previous step, ``solve(FrictionalContact(W, b, friction), z0=r)``, with 0 for new contacts; for
     steps with one W use :func:`lcp_plugin.march`. :func:`lcp_plugin.load_problem` reads fclib's files.
 
-    :meth:`worlds` builds a batch of problems from arrays.
+    ``FrictionalContact.worlds`` builds a batch of problems from arrays.
 
     Examples
     --------

@@ -84,10 +84,10 @@ def take_step(
         t = min(1.0, longest(X, dx[cones]), longest(Y, dy[cones]))
         mean = float((x * y).sum()) / max(len(X), 1)
         after = float(((x + t * dx) * (y + t * dy)).sum()) / max(len(X), 1)
-        at, moved = apply(root, X), apply(root, dx[cones])
-        right = product(moved, at + moved) - product(at, at)
+        root_x, root_dx = apply(root, X), apply(root, dx[cones])
+        right = product(root_dx, root_x + root_dx) - product(root_x, root_x)
         right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3) if mean else 0.0
-        dx, dy = direction(apply(root, quotient(right, at)))
+        dx, dy = direction(apply(root, quotient(right, root_x)))
         t = TO_THE_BOUNDARY * min(longest(X, dx[cones]), longest(Y, dy[cones]))
     except np.linalg.LinAlgError:
         return None

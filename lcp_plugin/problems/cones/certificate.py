@@ -30,7 +30,7 @@ import scipy.sparse as sp
 
 from ...core.checks import Array, Vector, derived_property, read_only
 from ...core.cone_stack import length
-from ...core.names import Names, describe_radius
+from ...core.names import Names, describe_radius, listed
 from ...core.settings import Status
 from ...core.structure import is_nearly_symmetric
 from ...judges.cones import ConeRows
@@ -227,11 +227,10 @@ class ContactInfeasibility:
 
     def __str__(self) -> str:
         blocks = np.unique(self.problem.block_of_row[self.y != 0.0])
-        rest = f" and {blocks.size - 5} more" if blocks.size > 5 else ""
-        named = ", ".join(map(str, blocks[:5])) + rest
+        names = listed(map(str, blocks), 5)
         points = describe_radius(self.radius, "z") or "all z"
         by = f"{self.margin:.1e} of the reference at the least"
-        return f"blocks {named}: a sum of their slacks is negative for {points}, by {by}"
+        return f"blocks {names}: a sum of their slacks is negative for {points}, by {by}"
 
 
 def kind_of_row(problem: Blocks, row: int) -> tuple[bool, bool]:
@@ -260,7 +259,7 @@ def infeasibility_proof(problem: Blocks) -> ContactInfeasibility | None:
     where = np.concatenate(places)
     if not where.size:
         return None
-    # Clarabel's tolerances are absolute; a certificate does not depend on the unit of W and q, nor on that of z
+    # Clarabel's tolerances are absolute; a certificate does not depend on the unit of W and q, nor on the unit of z
     M, q = problem.rows.csr[where], problem.q[where]
     scale, size = power_of_two(np.abs(M.data).max(initial=0.0)), power_of_two(np.abs(q).max())
     all_rows = sp.vstack([rows, -M / scale])

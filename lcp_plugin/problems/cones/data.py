@@ -234,26 +234,26 @@ def _blocks(cones: object, n: int) -> tuple[list[int], Vector, Vector, tuple[Any
     sizes: list[int] = []
     lower, upper = [np.empty(0)], [np.empty(0)]
     for number, cone in enumerate(cones):
-        kind, *arguments = cone if isinstance(cone, (tuple, list)) and cone else (cone,)
-        rows, wrong = arguments[0] if arguments else 0, ""
+        name, *arguments = cone if isinstance(cone, (tuple, list)) and cone else (cone,)
+        rows, fault = arguments[0] if arguments else 0, ""
         if isinstance(cone, str):
-            wrong = f'is a text; write a list of tuples, such as cones=[("nonnegative", {n})]'
-        elif not isinstance(kind, str) or kind not in CONES:
-            wrong = f"is not a cone{did_you_mean(kind, CONES)}"
-        elif len(arguments) != (2 if kind == "box" else 1):
-            wrong = f"has {len(arguments)} numbers behind its name"
-        elif kind == "box":
+            fault = f'is a text; write a list of tuples, such as cones=[("nonnegative", {n})]'
+        elif not isinstance(name, str) or name not in CONES:
+            fault = f"is not a cone{did_you_mean(name, CONES)}"
+        elif len(arguments) != (2 if name == "box" else 1):
+            fault = f"has {len(arguments)} numbers behind its name"
+        elif name == "box":
             low, high = _box(arguments, f"cones[{number}]")
             rows = low.size
         elif not is_number(rows) or not 0 <= rows < np.inf or rows != int(rows):
-            wrong = "must name an integer of rows ≥ 0"
+            fault = "must name an integer of rows ≥ 0"
         else:
             rows = int(rows)
-            is_half = kind == "nonnegative" or (kind == "second_order" and rows == 1)
+            is_half = name == "nonnegative" or (name == "second_order" and rows == 1)
             low, high = np.full(rows, 0.0 if is_half else -np.inf), np.full(rows, np.inf)
-        if wrong:
-            raise InvalidProblem(f"cones[{number}] = {cone!r} {wrong}; {NEED_CONES}")
-        sizes += [rows] if kind == "second_order" and rows > 1 else [1] * rows
+        if fault:
+            raise InvalidProblem(f"cones[{number}] = {cone!r} {fault}; {NEED_CONES}")
+        sizes += [rows] if name == "second_order" and rows > 1 else [1] * rows
         lower.append(low)
         upper.append(high)
     if (total := sum(sizes)) != n:
@@ -263,7 +263,7 @@ def _blocks(cones: object, n: int) -> tuple[list[int], Vector, Vector, tuple[Any
 
 
 def minimizers(problem: Blocks, z: Vector) -> Iterator[Vector]:
-    """Yield the minimizers of convex programs, each with the terms that depend on z fixed at the last one.
+    """Yield the minimizers of convex programs, each with the terms that depend on z fixed at the last minimizer.
 
     None if Clarabel is not installed.
     """
@@ -271,11 +271,11 @@ def minimizers(problem: Blocks, z: Vector) -> Iterator[Vector]:
         return
     M = sp.csc_array(problem.rows.csr)
     symmetric = sp.csc_array(0.5 * (M + M.T))
-    rest, P, first = sp.csr_array(M - symmetric), sp.triu(symmetric), problem.starts[:-1]
+    skew, P, first = sp.csr_array(M - symmetric), sp.triu(symmetric), problem.starts[:-1]
     rows, limits, cones = conic_rows(problem)
-    is_final, stack = not (problem.has_friction or rest.count_nonzero()), stack_of(problem)
+    is_final, stack = not (problem.has_friction or skew.count_nonzero()), stack_of(problem)
     while True:
-        q = problem.q + rest @ z
+        q = problem.q + skew @ z
         if problem.has_friction:
             w = problem.slack(z)
             w[first] = 0.0

@@ -1,6 +1,6 @@
 """Derivative of solutions over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0.
 
-The derivative is computed as in :mod:`lcp_plugin.systems.free_systems` with the generalised derivatives of Newton's
+The derivative is computed as in :mod:`lcp_plugin.systems.free_systems` with the generalized derivatives of Newton's
 steps, and R_μ dμ. If several impulses give the same motion, dz is the change of least norm, and dw is the same for
 all. If a block is on the boundary of two modes, dz is one-sided: it uses the elements of the piece into which dz
 and dw lead.
@@ -58,7 +58,7 @@ class StackDerivative(LinearizedSystem):
         self.take_element_at(self.z, self.w)
 
     def take_element_at(self, z: Array, w: Array) -> None:
-        """Select the generalised derivative at z and w, the solution or a point nearby.
+        """Select the generalized derivative at z and w, the solution or a point nearby.
 
         w is set to 0 for sticking contacts, because gradients by least norm would depend on the direction of its
         rounding error.
@@ -226,8 +226,8 @@ class ConeDerivative:
 
         def change(of: StackDerivative) -> Vector:
             """Return dz with the selected generalized derivative."""
-            held = self._by_bound(self._holds(of), low, high)[None]
-            return of.tangent(self._moved(dq, dM)[None], held, of.by_friction * slopes)[0]
+            of_bounds = self._by_bound(self._holds(of), low, high)[None]
+            return of.tangent(self._moved(dq, dM)[None], of_bounds, of.by_friction * slopes)[0]
 
         dz, is_there = change(self._of), (self.z <= problem.lower, self.z >= problem.upper)
         of_bound = self._by_bound(is_there, low, high)

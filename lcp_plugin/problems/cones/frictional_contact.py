@@ -188,7 +188,7 @@ class FrictionalContact(Blocks):
         used unchanged. Or bodies, as for :meth:`lcp_plugin.LCP.from_contacts`; if one of the arrays is sparse,
         W is sparse, and the tangents of all contacts are one matrix, (t k, v), t = d − 1, contact by contact.
     b : array, shape (d k,) or (k, d), or (v,) with a mass matrix
-        Velocities at the end of the step without contact impulses, in m/s; with a mass matrix those of the bodies.
+        Velocities at the end of the step without contact impulses, in m/s; with a mass matrix velocities of the bodies.
     friction : number or array, shape (k,)
         Coefficients μ ≥ 0.
     gaps, time_step : optional
@@ -200,7 +200,7 @@ class FrictionalContact(Blocks):
         Dependent equations are allowed.
     dimension : int, optional
         d, if the shapes of b and `friction` do not determine it; 3 by default if the number of rows is a multiple of 3,
-        with a ModelWarning if it is one of 2 also.
+        with a ModelWarning if it is a multiple of 2 also.
 
     Raises
     ------

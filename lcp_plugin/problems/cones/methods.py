@@ -95,7 +95,7 @@ class ConeAlgorithm:
 
 @dataclass(frozen=True, kw_only=True)
 class ConeNSGS(ConeAlgorithm):
-    """Nonsmooth Gauss–Seidel: blocks are solved one after the other.
+    """Nonsmooth Gauss–Seidel: blocks are solved in order.
 
     A contact in space is solved exactly (open, stick, or the angle of sliding), any other cone by projections.
 
@@ -143,7 +143,7 @@ class ConeInteriorPoint(ConeAlgorithm):
     name = "interior_point"
     needs = "contacts with friction, and enough memory for a factorization"
     solves = "observed: also where many contacts make the same motion"
-    cost = "one factor of all blocks a step, some 15 to 40 of them"
+    cost = "one factor of all blocks a step, about 15 to 40 of them"
     reference = "Acary, Armand, Nguyen, Shpakovych 2024, doi:10.1080/10556788.2023.2296438"
 
     def points(self, problem: Blocks, stack: ConeStack, z: Vector, goal: float) -> Points:
@@ -165,7 +165,7 @@ class FixedPoint(ConeAlgorithm):
     name = "fixed_point"
     needs = "a symmetric part of M that is positive semidefinite"
     solves = "cones without friction, M symmetric positive semidefinite"
-    cost = "one conic program, some ten to thirty factors"
+    cost = "one conic program, about ten to thirty factors"
     reference = "Acary, Cadoux, Lemaréchal, Malick 2011, doi:10.1002/zamm.201000073"
 
     def points(self, problem: Blocks, stack: ConeStack, z: Vector, goal: float) -> Points:

@@ -37,8 +37,8 @@ def newton_steps(
 
     Steps use a nonmonotone line search on ‖R‖₂. A problem whose residual is at most `goal` is left out.
     """
-    instances, at, residual = np.arange(stack.B), z, stack.measure(z)
-    yield instances, at, residual.largest, 1.0
+    instances, points, residual = np.arange(stack.B), z, stack.measure(z)
+    yield instances, points, residual.largest, 1.0
     norms, widest = np.repeat(residual.norm[:, None], RECENT, 1), np.full(stack.B, PROXIMAL)
     best, since, least = residual.norm.copy(), np.zeros(stack.B, np.int64), accuracy_of(stack)[0]
     for count in range(steps):
@@ -47,8 +47,8 @@ def newton_steps(
         if not going.any():
             return
         if not going.all():
-            kept = (instances, at, norms, widest, best, since)
-            instances, at, norms, widest, best, since = (array[going] for array in kept)
+            kept = (instances, points, norms, widest, best, since)
+            instances, points, norms, widest, best, since = (array[going] for array in kept)
             stack, residual = stack.take(going), NaturalMap(*(array[going] for array in residual))
         by_z, by_w = stack.derivative(*residual[1:6])
         epsilon = np.maximum(np.minimum(widest, 0.1 * residual.largest), least)
@@ -58,16 +58,16 @@ def newton_steps(
             step = factors.solve(-residual.R)
         except np.linalg.LinAlgError:
             return
-        t, allowed, before, start = np.ones(stack.B), norms.max(1), residual.norm, at
-        at = start + step
-        residual = stack.measure(at)
+        t, allowed, before, start = np.ones(stack.B), norms.max(1), residual.norm, points
+        points = start + step
+        residual = stack.measure(points)
         for _ in range(HALVINGS):
             is_short = ~(residual.norm <= (1.0 - DECREASE * t) * allowed)
             if not is_short.any():
                 break
             t[is_short] *= 0.5
-            at[is_short] = (start + t[:, None, None] * step)[is_short]
-            shorter = stack.take(is_short).measure(at[is_short])
+            points[is_short] = (start + t[:, None, None] * step)[is_short]
+            shorter = stack.take(is_short).measure(points[is_short])
             for whole, part in zip(residual, shorter, strict=True):
                 whole[is_short] = part
         is_poor = (t < 1.0) | (residual.norm >= before)
@@ -78,7 +78,7 @@ def newton_steps(
         since = np.where(residual.norm < NEWTON_GAIN * best, 0, since + tried)
         best = np.minimum(best, residual.norm)
         work = 2.0 + factors.entries / max(stack.pattern.nonzeros, 1)
-        yield instances, at, residual.largest, work
+        yield instances, points, residual.largest, work
 
 
 def accuracy_of(stack: ConeStack) -> tuple[float, float]:
@@ -137,11 +137,11 @@ def factorize_blocks(stack: ConeStack, mixed: Any, by_w: Array) -> Factors:
 
     def solve(right: Vector) -> Any:
         # of open blocks s is the right-hand side
-        held = np.where(free[:, None], 0.0, right)
+        of_open = np.where(free[:, None], 0.0, right)
         known = right[0]
-        if held.any():
-            known = known - (by_w[0] @ pattern.times(held)[0][..., None])[..., 0]
-        s = pattern.flat(held)
+        if of_open.any():
+            known = known - (by_w[0] @ pattern.times(of_open)[0][..., None])[..., 0]
+        s = pattern.flat(of_open)
         s[0, rows] = inverse.solve(pattern.flat(known[None])[0, rows])
         return pattern.wide(s)
 

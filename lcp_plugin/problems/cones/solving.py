@@ -118,11 +118,11 @@ def _record(
     """Return the other fields of the result of :func:`solve_quickly`."""
     tolerance, iterations = settings.tolerance, -(-count // SWEEPS_PER_STEP)
     because = SWEPT if count else NOTHING_TO_DO
-    named = {"certificate": ConeCertificate(problem, z, tolerance), "algorithm": "auto: nsgs"}
-    named |= {"iterations": iterations, "work": count + 1.0, "tolerance": tolerance}
-    named |= {"seconds": seconds, "setup_seconds": 0.0}
-    named["stages"] = (StageRecord("nsgs", because, iterations, count + 1.0),)
-    return ConeResult.of_known(None, **named)
+    fields = {"certificate": ConeCertificate(problem, z, tolerance), "algorithm": "auto: nsgs"}
+    fields |= {"iterations": iterations, "work": count + 1.0, "tolerance": tolerance}
+    fields |= {"seconds": seconds, "setup_seconds": 0.0}
+    fields["stages"] = (StageRecord("nsgs", because, iterations, count + 1.0),)
+    return ConeResult.of_known(None, **fields)
 
 
 def is_swept_first(problem: Blocks) -> bool:
@@ -164,10 +164,10 @@ def solve_cone_stack(
         iterations[left] += count // SWEEPS_PER_STEP
         best, least = swept[left], np.full(left.size, np.inf)
         goal = CLOSER * tolerance
-        points = newton.newton_steps(open_stack, best, steps, goal)
-        for number, (instances, at, sizes, _) in enumerate(points):
+        steps_of_newton = newton.newton_steps(open_stack, best, steps, goal)
+        for number, (instances, points, sizes, _) in enumerate(steps_of_newton):
             is_better = sizes < least[instances]
-            best[instances[is_better]] = at[is_better]
+            best[instances[is_better]] = points[is_better]
             least[instances[is_better]] = sizes[is_better]
             iterations[left[instances]] += number > 0
             if not has_time():
@@ -185,7 +185,7 @@ def solve_cone_stack(
 class ConeRun(Run):
     """Run on a problem or component: the best point of the methods is measured at the ends of stages.
 
-    It is one class because it specializes the methods of `Run` for two problem classes.
+    This is a single class because it specializes the methods of `Run` for two problem classes.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ class ConeRun(Run):
         return ConeRows(self.stack)
 
     def measure(self, stage: Stage, step: Step) -> Measured | None:
-        """Return a point with the residual of its method; None if the best one is at rounding level."""
+        """Return a point with the residual of its method; None if the best point is at rounding level."""
         if step.measured is not None:
             return step.measured
         if step.residual is None or self.residual <= newton.EXACT:
@@ -275,11 +275,11 @@ class ConeRun(Run):
         self.measure_best()
         name = ", ".join(dict.fromkeys(stage.name for stage in self.progress.records()))
         name = f"auto: {name}" if isinstance(self.chosen, str) else self.chosen.name
-        named = {"algorithm": name, "infeasibility": self.proof, "_advice": WORDS}
+        fields = {"algorithm": name, "infeasibility": self.proof, "problem": self.problem}
         z = read_only(self.stack.pattern.flat(self.best.z)[0].copy())
         measured = None if self.best.rows is None else self.best
-        at = ConeCertificate(self.problem, z, self.tolerance, measured)
-        return self.result_at(at, self.status(end), ConeResult, problem=self.problem, **named)
+        certificate = ConeCertificate(self.problem, z, self.tolerance, measured)
+        return self.result_at(certificate, self.status(end), ConeResult, _advice=WORDS, **fields)
 
     # --- the plan -----------------------------------------------------------------------------------------
 
@@ -339,9 +339,9 @@ class ConeRun(Run):
             z, count, bound = sweep_contacts(self.problem, start, self.tolerance)
             iterations = -(-count // SWEEPS_PER_STEP)
             if bound < np.inf and iterations <= most - max(self.progress.iteration, 0):
-                at = stack.pattern.wide(z[np.newaxis])
-                point = Measured(at, bound, passes=True)
-                step = Step(at, measured=point, work=count + 1.0, iterations=iterations)
+                points = stack.pattern.wide(z[np.newaxis])
+                point = Measured(points, bound, passes=True)
+                step = Step(points, measured=point, work=count + 1.0, iterations=iterations)
                 yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))
             self.unseen = float(count)
         if self.is_warm or stack.is_answered.all():
@@ -465,7 +465,7 @@ class ConeResult(Result):
             f"{self.certificate.lost_energy + 0.0:.4g} J in SI units"  # type: ignore[attr-defined]
         )
         asymmetry = float(abs(problem.W - problem.W.T).max()) if problem.n else 0.0
-        # Of the largest entry of W: tolerated difference from its transpose
+        # Rounded data: W may differ from its transpose by this part of its largest entry
         if asymmetry > DATA_ROUNDING * float(abs(problem.W).max() if problem.n else 0.0):
             lines.append(f"W is not symmetric, by up to {asymmetry:.1e}; it was used unchanged")
         return lines

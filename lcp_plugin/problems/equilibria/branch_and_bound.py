@@ -224,7 +224,7 @@ class BranchAndBound:
             self._try_decisions()
         if engine is None:
             return None
-        ended = self._ask(engine, ends)
+        ended = self._run_scip(engine, ends)
         is_closed = self.best_value - self.lower_bound <= self.allowed
         if ended is not None or (is_closed and not prove):
             return ended
@@ -259,7 +259,7 @@ class BranchAndBound:
             if point is not None:
                 self.solve_nearest_piece(point)
 
-    def _ask(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
+    def _run_scip(self, engine: Callable[..., Any], ends: Callable[[], bool]) -> Status | None:
         """Run a global solver and store its result; return the status of a limit, or None."""
         before = self.nodes
 
@@ -386,6 +386,6 @@ class BranchAndBound:
         by = ["SCIP"] * (self.outside is not None) + ["branch and bound"] * bool(is_own)
         point = None if best is None else best.point
         outcome = point, value, lower, bound_by, self.relaxations.solved, tuple(self.tree)
-        named: Any = {"status": status, "algorithm": ", ".join(by), "tolerance": self.tolerance}
-        named |= {"iterations": self.nodes, "seconds": self.clock.read()}
-        return EquilibriumResult(self.problem, *outcome, self.descent, self.outside, **named)
+        fields: Any = {"status": status, "algorithm": ", ".join(by), "tolerance": self.tolerance}
+        fields |= {"iterations": self.nodes, "seconds": self.clock.read()}
+        return EquilibriumResult(self.problem, *outcome, self.descent, self.outside, **fields)

@@ -356,11 +356,11 @@ class EquilibriumResult(BaseResult):
 
         The checks use only the data. A bound by SCIP is not proved, and the result is then False.
         """
-        if self.bound_by == "SCIP" or not self._x_holds():
+        if self.bound_by == "SCIP" or not self._is_x_valid():
             return False
         relaxations = Relaxations(self.problem, self.tolerance)
         if self.status is Status.UNBOUNDED:
-            return self.lower_bound == -math.inf and self._falls(relaxations)
+            return self.lower_bound == -math.inf and self._is_descent_valid(relaxations)
         holds = True
         if self.status is Status.SOLVED:
             holds = self.x is not None and self.gap <= self.tolerance
@@ -372,14 +372,14 @@ class EquilibriumResult(BaseResult):
         leaves = (node for node in self.tree if node.pair < 0)
         return self._tree_covers() and all(self._leaf_holds(leaf, relaxations) for leaf in leaves)
 
-    def _x_holds(self) -> bool:
+    def _is_x_valid(self) -> bool:
         if self.x is None:
             return self.value == (-math.inf if self.status is Status.UNBOUNDED else math.inf)
         is_exact = bool((self.problem.violations(self.x) == 0.0).all())
         is_feasible = is_exact and self.problem.excess(self.x) <= FEASIBLE
         return is_feasible and self.problem.objective(self.x) <= self.value
 
-    def _falls(self, relaxations: Relaxations) -> bool:
+    def _is_descent_valid(self, relaxations: Relaxations) -> bool:
         """Return whether the proof of unboundedness is valid for a piece of this problem."""
         if self.descent is None:
             return False

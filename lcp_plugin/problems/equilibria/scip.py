@@ -39,9 +39,12 @@ from ...systems.equilibration import power_of_two
 from .equilibrium_program import LOWER, UPPER, EquilibriumProgram
 from .relaxations import ENDS, FEASIBLE
 
-SCIP_INFINITY = 1e20  # what is farther is infinite for SCIP, seconds as well
+SCIP_INFINITY = 1e20  # larger numbers are infinite for SCIP, also seconds
 SHARE = 0.25  # of the requested gap
-BOX, BOX_MARGIN = 1e6, 1e-3  # a box for unbounded relaxations, and what is near it, relatively
+BOX, BOX_MARGIN = (
+    1e6,
+    1e-3,
+)  # box for unbounded relaxations; relative distance at which a point is at its edge
 FAILED = "SCIP:"  # start of SCIP's error messages
 
 Watcher = Callable[[float, float, int], bool]
@@ -121,15 +124,15 @@ def minimize(
     if result.status in ENDS:  # SCIP may not know bounds of children that were cut off
         return result._replace(bound=-math.inf)
     left = max(max_nodes - result.nodes, 0)
-    within = _Model(problem, ends, BOX).solved(tolerance, left, FEASIBLE)
-    within = within._replace(nodes=within.nodes + result.nodes)
-    if within.x is None:
-        within = within._replace(x=result.x, value=result.value)
-    is_far = within.x is not None and np.abs(within.x).max(initial=0.0) > BOX * (1.0 - BOX_MARGIN)
-    is_deep = within.value <= -SCIP_INFINITY * (1.0 - BOX_MARGIN)
+    in_box = _Model(problem, ends, BOX).solved(tolerance, left, FEASIBLE)
+    in_box = in_box._replace(nodes=in_box.nodes + result.nodes)
+    if in_box.x is None:
+        in_box = in_box._replace(x=result.x, value=result.value)
+    is_far = in_box.x is not None and np.abs(in_box.x).max(initial=0.0) > BOX * (1.0 - BOX_MARGIN)
+    is_deep = in_box.value <= -SCIP_INFINITY * (1.0 - BOX_MARGIN)
     if is_unbounded or is_far or is_deep:
-        return within._replace(status="unbounded", bound=-math.inf)
-    return within
+        return in_box._replace(status="unbounded", bound=-math.inf)
+    return in_box
 
 
 class _Model:
@@ -157,14 +160,14 @@ class _Model:
         self.unit = unit if problem.smooth is None else 1.0
         self.model.hideOutput()
         lower, upper = problem.bounds(problem.all_cases)
-        kinds = np.full(lower.size, "C")
-        kinds[problem.integers] = "I"
+        codes = np.full(lower.size, "C")
+        codes[problem.integers] = "I"
         lower, upper = np.maximum(lower, -far), np.minimum(upper, far)
         redundant = problem.redundant_unknowns()
         lower[redundant] = upper[redundant] = 0.0
         self.x = [
-            self.model.addVar(lb=low, ub=high, vtype=kind)
-            for low, high, kind in zip(lower.tolist(), upper.tolist(), kinds.tolist(), strict=True)
+            self.model.addVar(lb=low, ub=high, vtype=code)
+            for low, high, code in zip(lower.tolist(), upper.tolist(), codes.tolist(), strict=True)
         ]
 
     @property
@@ -214,7 +217,7 @@ class _Model:
         return value if self.model.getNSols() else math.inf, bound, int(self.model.getNTotalNodes())
 
     def _watch_nodes(self) -> None:
-        """Let SCIP ask after each node whether the search ends; its C code would swallow what is raised."""
+        """Check after each node of SCIP whether the search ends; the C code of SCIP would swallow exceptions."""
         search, solved = self, self.scip.SCIP_EVENTTYPE.NODESOLVED  # type: ignore[attr-defined]
 
         class Nodes(self.scip.Eventhdlr):  # type: ignore[misc, name-defined]
@@ -233,7 +236,7 @@ class _Model:
                 if is_over:
                     self.model.interruptSolve()
 
-        self.model.includeEventhdlr(Nodes(), "lcp_plugin", "asks whether the search ends")
+        self.model.includeEventhdlr(Nodes(), "lcp_plugin", "checks whether the search ends")
 
     # --- the statement ---
 
@@ -245,10 +248,10 @@ class _Model:
         ):
             self._constrain(self._sums(matrix, self.x, np.zeros(low.size)), low, high)
         constant = np.array([program.constant / self.unit])
-        goal = self._sums(program.c[None] / self.unit, self.x, constant)[0]
+        objective = self._sums(program.c[None] / self.unit, self.x, constant)[0]
         P = sp.coo_array(program.P)
         entries = zip(P.row.tolist(), P.col.tolist(), P.data.tolist(), strict=True)
-        bent = [0.5 * a / self.unit * self.x[i] * self.x[j] for i, j, a in entries]
+        nonlinear_terms = [0.5 * a / self.unit * self.x[i] * self.x[j] for i, j, a in entries]
         if smooth is not None:
             if not isinstance(smooth.map, Program):
                 raise UnsupportedModel(
@@ -256,13 +259,13 @@ class _Model:
                     "has no terms; state the model in cvxpy, Pyomo or AMPL"
                 )
             term, *rows = self._results(smooth.map)
-            bent.append(term)
+            nonlinear_terms.append(term)
             self._constrain(rows, smooth.lower, smooth.upper)
-        if bent:
-            height = self.model.addVar(lb=None)
-            self.model.addCons(self.scip.quicksum(bent) <= height)
-            goal = goal + height
-        self.model.setObjective(goal, "minimize")
+        if nonlinear_terms:
+            epigraph = self.model.addVar(lb=None)
+            self.model.addCons(self.scip.quicksum(nonlinear_terms) <= epigraph)
+            objective = objective + epigraph
+        self.model.setObjective(objective, "minimize")
         for i, cases in enumerate(self.problem.all_cases.tolist()):
             self._pair(i, cases)
 

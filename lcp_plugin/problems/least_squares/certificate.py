@@ -70,15 +70,15 @@ class Optimality:
     def of(cls, enclosures: Enclosures, x: Vector, *, tolerance: float = np.inf) -> Optimality:
         """Return the optimality of x on the unscaled data; dual points are tried until one meets the tolerance."""
         misfit = enclosures.residual(x)
-        judged, residual = cls(enclosures, x, misfit, 1.0), enclosures.explained(x, misfit)
-        for y, slope in _dual_points(judged):
+        optimality, residual = cls(enclosures, x, misfit, 1.0), enclosures.explained(x, misfit)
+        for y, slope in _dual_points(optimality):
             gap = float(_relative_gap(enclosures.problem, x, residual, y, slope))
-            judged.residual = min(judged.residual, gap)
-            if judged.residual <= tolerance:
+            optimality.residual = min(optimality.residual, gap)
+            if optimality.residual <= tolerance:
                 break
-        if judged.is_worse_than_known(tolerance):
-            judged.residual = 1.0
-        return judged
+        if optimality.is_worse_than_known(tolerance):
+            optimality.residual = 1.0
+        return optimality
 
     def is_worse_than_known(self, tolerance: float) -> bool:
         """Return whether x costs more than a known point, including the rounding of that point's cost."""
@@ -166,10 +166,10 @@ def measure_stack(
     return value, is_solved & ~_may_be_rounding(problem, cost, residual[1], tolerance)
 
 
-def _dual_points(judged: Optimality) -> Iterator[tuple[Vector, Ball]]:
+def _dual_points(optimality: Optimality) -> Iterator[tuple[Vector, Ball]]:
     """Yield dual points y with their s, the cheapest first: each also shrunk, and with 0 for rounding errors."""
-    enclosures, x, radius = judged.enclosures, judged.x, judged.misfit[1]
-    for y in _orthogonal_residuals(judged):
+    enclosures, x, radius = optimality.enclosures, optimality.x, optimality.misfit[1]
+    for y in _orthogonal_residuals(optimality):
         without_rounding = np.where(np.abs(y) > radius, y, 0.0)  # their multipliers are exactly 0
         for dual in (y, without_rounding)[: 1 + (np.abs(y) <= radius).any()]:
             slope = enclosures.gradient_at(x, dual)
@@ -179,12 +179,12 @@ def _dual_points(judged: Optimality) -> Iterator[tuple[Vector, Ball]]:
                 yield share * dual, enclosures.gradient_at(x, share * dual)
 
 
-def _orthogonal_residuals(judged: Optimality) -> Iterator[Vector]:
+def _orthogonal_residuals(optimality: Optimality) -> Iterator[Vector]:
     """Yield the residual, then its part that is orthogonal to the free columns."""
-    problem, x, r = judged.enclosures.problem, judged.x, judged.misfit[0]
+    problem, x, r = optimality.enclosures.problem, optimality.x, optimality.misfit[0]
     yield r
     free = (problem.lower < x) & (x < problem.upper) & ((x != 0.0) | (problem.l1 == 0.0))
-    slope = judged.enclosures.gradient_at(x, r)[0] + np.copysign(problem.l1, x)
+    slope = optimality.enclosures.gradient_at(x, r)[0] + np.copysign(problem.l1, x)
     yield r - _push(problem, np.where(free, slope / problem.column_scales, 0.0), free, 1e-8)
 
 

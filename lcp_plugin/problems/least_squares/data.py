@@ -332,8 +332,8 @@ class ScaledLeastSquares:
         """Return the unscaled x, exactly at a bound if the scaled x is at this bound."""
         lower = np.where(self.has_kink & (self.lower == 0.0), 0.0, self.problem.lower)
         upper = np.where(self.has_kink & (self.upper == 0.0), 0.0, self.problem.upper)
-        there = np.clip(x * (self.size / self.columns), lower, upper)
-        return np.where(x <= self.lower, lower, np.where(x >= self.upper, upper, there))
+        unscaled = np.clip(x * (self.size / self.columns), lower, upper)
+        return np.where(x <= self.lower, lower, np.where(x >= self.upper, upper, unscaled))
 
     def product(self, x: Vector) -> Vector:
         """Return A x."""
@@ -426,7 +426,7 @@ class Enclosures:
 
     @cached_property
     def most_rounding(self) -> Vector:
-        """Rounding errors of A x − b that the data explain, shape (…, m): of terms up to 2²⁰ times those at x°.
+        """Rounding errors of A x − b that the data explain, shape (…, m): of terms up to 2²⁰ times the terms at x°.
 
         The terms of rows are compared in units of the rows of A, with columns of unit length.
         """

@@ -115,7 +115,7 @@ class FacePoint:
         return float(np.abs(self.natural_residual).max(initial=0.0))
 
     @property
-    def noise(self) -> float:
+    def gradient_rounding(self) -> float:
         """Size of a gradient that may be only rounding."""
         norms = map(np.linalg.norm, (self.residual, self.x, self.problem.b))
         return SLOPE_ROUNDING * float(sum(norms))
@@ -161,9 +161,9 @@ def projected_steps(start: FacePoint) -> Iterator[FacePoint]:
             yield point
             pull = point.pull_across
             # A smaller residual in the orthant is not worth a step
-            if pull > point.noise and 0.1 * pull > point.residual_in_orthant:
+            if pull > point.gradient_rounding and 0.1 * pull > point.residual_in_orthant:
                 break
-        if not point.pull_across > max(point.noise, point.residual_in_orthant):
+        if not point.pull_across > max(point.gradient_rounding, point.residual_in_orthant):
             return
 
 
@@ -383,7 +383,7 @@ class Split(NamedTuple):
         return x
 
     def solve_normal_equations(self, b: Vector) -> Vector:
-        """Return PIQP's x for min ½ zᵀEᵀE z + (slopes − Eᵀb)ᵀz, at bounds if multipliers say so."""
+        """Return PIQP's x for min ½ zᵀEᵀE z + (slopes − Eᵀb)ᵀz, at the bounds that the multipliers show."""
         E, k = self.E, self.slopes.size
         none = np.zeros((0, k)), np.zeros(0)
         cost = self.slopes - E.T @ b
@@ -443,7 +443,7 @@ def minimize_on_face(point: FacePoint, A: Vector, b: Vector) -> FacePoint:
         orthant = point.problem.whole.orthant(point.x, point.slope)
         point = FacePoint(orthant, point.x, point.residual)
         pull = np.where(is_filled, np.abs(point.pull), 0.0)
-        pulled = pull > point.noise
+        pulled = pull > point.gradient_rounding
         for released in (pulled, pulled & (pull == pull.max(initial=0.0))):
             free = np.flatnonzero(is_filled & (point.is_free | released))
             face = free.tobytes() + orthant.linear[free].tobytes()

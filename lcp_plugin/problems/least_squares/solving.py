@@ -138,7 +138,7 @@ class LeastSquaresRun(Run):
             yield step
 
     def measure(self, stage: Stage, step: Step) -> Optimality | None:
-        """Return the certified point of a step; None for a projected step that is not much nearer than the last one."""
+        """Return the certified point of a step; None for a projected step not much nearer than the last step."""
         if step.measured is not None:
             return step.measured
         if step.residual is None:
@@ -159,7 +159,7 @@ class LeastSquaresRun(Run):
         return optimality
 
     def keep(self, optimality: Optimality) -> None:
-        """Keep a point that passes, or whose gap is smaller than the best one, then its cost."""
+        """Keep a point that passes, or whose gap, then cost, is less than the best point has."""
         if (
             optimality.passes
             or self.best is None
@@ -322,17 +322,17 @@ class LeastSquaresResult(BaseResult):
     problem: BoundedLeastSquares
 
     @classmethod
-    def at(cls, judged: Optimality, **run: Any) -> LeastSquaresResult:
+    def at(cls, measured: Optimality, **run: Any) -> LeastSquaresResult:
         """Return the result at a measured point, with the fields of the run."""
-        problem, x = judged.enclosures.problem, judged.x
+        problem, x = measured.enclosures.problem, measured.x
         mask = (x >= problem.upper).astype(np.int_)
         mask[x <= problem.lower] = -1
-        residual = read_only(judged.sharp_residual)
+        residual = read_only(measured.sharp_residual)
         return cls(
             x=read_only(x),
             cost=float(problem.cost(x, residual)),
             fun=residual,
-            optimality=judged.residual,
+            optimality=measured.residual,
             active_mask=read_only(mask),
             problem=problem,
             **run,

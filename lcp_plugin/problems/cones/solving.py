@@ -185,7 +185,7 @@ def solve_cone_stack(
 class ConeRun(Run):
     """Run on a problem or component: the best point of the methods is measured at the ends of stages.
 
-    This is a single class because it specializes the methods of `Run` for two problem classes.
+    It is one class because it specializes the methods of `Run` for two problem classes.
 
     Parameters
     ----------

@@ -825,7 +825,7 @@ def derivative(result: Any) -> Any:
     --------
     >>> from lcp_plugin import LCP, solve
     >>> slope = derivative(solve(LCP([[2, 1], [1, 2]], [-5, 1])))
-    >>> slope.jvp(dq=[1, 0]), found.is_unique
+    >>> slope.jvp(dq=[1, 0]), slope.is_unique
     (array([-0.5,  0. ]), True)
     >>> gradient = slope.vjp([1, 1])
     >>> gradient.q, gradient.lower

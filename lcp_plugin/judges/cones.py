@@ -55,7 +55,7 @@ class ConeRows(RowData):
         labels = None if labels is None else self._by_rows(labels)
         M = pattern.M
         super().__init__(M, abs(M), self.flat(stack.q), lower, upper, scale, labels)
-        self.start = np.broadcast_to(self.start, self.q.shape)
+        self.origin = np.broadcast_to(self.origin, self.q.shape)
 
     def _by_rows(self, x: Array) -> Array:
         """Return values of blocks in each of their rows, (B, n), or (n,) if M is sparse."""

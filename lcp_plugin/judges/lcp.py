@@ -96,7 +96,7 @@ class RowResiduals(NamedTuple):
         A lower bound of ref_P, of the component of each row; it may have the shape (…, 1).
     relative : array
         The quotients of `high` and `reference`, 0 for 0/0 and within an absolute tolerance.
-    terms : array
+    componentwise : array
         The least tolerance at which the row passes the componentwise test, 0 within an absolute tolerance.
     worst : float, or array of shape (…)
         The largest of `relative`.
@@ -106,12 +106,12 @@ class RowResiduals(NamedTuple):
     high: Any
     reference: Any
     relative: Any
-    terms: Any
+    componentwise: Any
     worst: Any
 
     def fails(self, tolerance: float) -> Any:
         """Return the rows that do not pass the criterion at a tolerance, bool."""
-        return ~((self.relative <= tolerance) & (self.terms <= tolerance))
+        return ~((self.relative <= tolerance) & (self.componentwise <= tolerance))
 
 
 class Measured(NamedTuple):
@@ -159,7 +159,7 @@ class RowData:
         `scale` is d.
     labels : array of int, shape (n,) or (B, n), or None
         Connected component of each row, all different in a stack; None if each problem is connected.
-    start : array, shape (n,) or (B, n), optional
+    origin : array, shape (n,) or (B, n), optional
         z°, if it is computed already.
     """
 
@@ -170,13 +170,13 @@ class RowData:
     upper: Vector
     scale: Vector
     labels: Any = None
-    start: Any = None
+    origin: Any = None
 
     matrix: ClassVar[str] = "M"  # its name in results
 
     def __post_init__(self) -> None:
-        if self.start is None:
-            self.start = clip(0.0, self.lower, self.upper)
+        if self.origin is None:
+            self.origin = clip(0.0, self.lower, self.upper)
 
     @cached_property
     def _counts(self) -> Any:
@@ -187,14 +187,14 @@ class RowData:
     # --- the point z° ---------------------------------------------------------------------------------------
 
     @cached_property
-    def rows_at_start(self) -> RowsAtPoint:
+    def rows_at_origin(self) -> RowsAtPoint:
         """Values of all rows at z°."""
-        return self.rows(self.start)
+        return self.rows(self.origin)
 
     @cached_property
     def references(self) -> VectorEnds:
         """Bounds of ‖r_P(z°)‖∞ in the component of each row; the lower end is NaN if it is infinite."""
-        z, at = self.start, self.rows_at_start
+        z, at = self.origin, self.rows_at_origin
         ends = self.residual_ends(z, at.w, at.rounding)
         is_zero = self.is_rounding(at.w, at.rounding, at.terms, np.inf)
         least, most = (self.largest(np.where(is_zero, 0.0, end)) for end in ends)
@@ -209,32 +209,32 @@ class RowData:
         return np.where(most < np.inf, least, np.nan), most
 
     @cached_property
-    def is_at_start(self) -> Any:
+    def is_solved_at_origin(self) -> Any:
         """Mask of the rows whose component z° solves."""
         return self.references[1] == 0.0
 
     @cached_property
-    def slack_at_start(self) -> Vector:
+    def slack_at_origin(self) -> Vector:
         """The |w_i(z°)|, 0 for a slack at rounding level."""
-        w = np.abs(self.rows_at_start.w)
-        return np.where(w > NEGLIGIBLE * self.rows_at_start.terms, w, 0.0)
+        w = np.abs(self.rows_at_origin.w)
+        return np.where(w > NEGLIGIBLE * self.rows_at_origin.terms, w, 0.0)
 
     @cached_property
-    def largest_slack_at_start(self) -> Any:
+    def largest_slack_at_origin(self) -> Any:
         """The largest |w_i(z°)|/d_i in the component of each row, slacks at rounding level left out."""
-        return self.largest(self.slack_at_start / self.scale)
+        return self.largest(self.slack_at_origin / self.scale)
 
     @cached_property
     def sizes(self) -> Any:
         """Terms of each row that the data explain: S_i in the docstring of this module."""
         reference = self.references[1]
         reach = self.scale * np.where(np.isfinite(reference), reference, 0.0)
-        return self.rows_at_start.terms + RAN_AWAY * reach
+        return self.rows_at_origin.terms + RAN_AWAY * reach
 
     @cached_property
     def demand(self) -> Vector:
         """Demand of each row: a_i in the docstring of this module."""
-        w = self.slack_at_start
+        w = self.slack_at_origin
         return np.maximum(w, self.largest_products(w / self.scale))
 
     # --- operations that a class of problems may replace ----------------------------------------------------
@@ -339,11 +339,11 @@ class RowData:
         if self.labels is None:
             residual = residual.max(-1, keepdims=True, initial=0.0)
         relative = divide_nonnegative(residual, self.references[1])
-        return float(np.where(self.is_at_start, 0.0, relative).max(initial=0.0))
+        return float(np.where(self.is_solved_at_origin, 0.0, relative).max(initial=0.0))
 
     def snap(self, z: Vector) -> tuple[Vector, Vector | None]:
         """Return z, moved to near bounds, or to z° in components that it solves; and its slack if it did not move."""
-        z = np.where(self.is_at_start, self.start, z)
+        z = np.where(self.is_solved_at_origin, self.origin, z)
         w = times(self.M, z) + self.q
         moved = self.snap_to_bounds(z, w)
         return moved, None if self.anywhere(moved != z) else w
@@ -391,7 +391,7 @@ class RowData:
         at = self.rows(z, w)
         residuals = self.residuals_at(z, at, tolerance, absolute)
         passes = np.less_equal(residuals.worst, tolerance)
-        passes = passes & np.less_equal(self.worst(residuals.terms), tolerance)
+        passes = passes & np.less_equal(self.worst(residuals.componentwise), tolerance)
         return Measured(z, residuals.worst, passes, False, at, residuals)
 
     def are_limited(self, measured: Measured, tolerance: float) -> Any:
@@ -401,7 +401,7 @@ class RowData:
         rows = measured.by_row
         fails = rows.fails(tolerance)
         is_rounding = find_rounding_rows(rows[:2], self.rounding_floor(measured.rows.terms))
-        is_rounding &= (rows.relative <= GAINED) | self.is_at_start
+        is_rounding &= (rows.relative <= GAINED) | self.is_solved_at_origin
         is_limited = np.not_equal(self.worst(fails), 0.0)
         return is_limited & np.equal(self.worst(fails & ~is_rounding), 0.0)
 
@@ -413,10 +413,10 @@ class RowData:
         may_be_active = at.is_active | ((np.abs(at.w) <= at.rounding) & (self.lower < self.upper))
         rounding = 1.0 - (self._counts + 8) * EPSILON
         of_active = np.where(may_be_active, at.terms / self.scale * rounding, 0.0)
-        of_start = self.references[0]
-        if self.anywhere(of_start == 0.0):  # z° solves the component
-            of_start = np.where(of_start == 0.0, self.largest_slack_at_start, of_start)
-        reference = np.minimum(of_start, self.largest(of_active))
+        of_origin = self.references[0]
+        if self.anywhere(of_origin == 0.0):  # z° solves the component
+            of_origin = np.where(of_origin == 0.0, self.largest_slack_at_origin, of_origin)
+        reference = np.minimum(of_origin, self.largest(of_active))
         w, rounding, terms = at.w, at.rounding, self.term_residuals(at)
         for is_sharp in (False, True):
             low, high = self.residual_ends(z, w, rounding)
@@ -554,7 +554,7 @@ def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
     :func:`bound_residuals` proves it for stacks; it takes half of the time. Here M is connected and z° = 0, so
     w(z°) = q exactly. The factors .999 and 1.001 cover the rounding of the last lines.
     """
-    if data.labels is not None or data.start.any():
+    if data.labels is not None or data.origin.any():
         return math.inf
     w, terms = data.M @ z + data.q, data.absolute @ np.abs(z) + np.abs(data.q)
     above, below = z - data.lower, data.upper - z

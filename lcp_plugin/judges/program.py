@@ -160,12 +160,12 @@ class ProgramTerms:
     @cached_property
     def sizes(self) -> tuple[Any, Any, Vector]:
         """The sizes that :func:`dense_errors` takes."""
-        return self.measured[2], self.measured[3], self.row_sizes
+        return self.entry_sizes[2], self.entry_sizes[3], self.row_sizes
 
     @cached_property
     def row_sizes(self) -> Vector:
         """Largest |entry| of each row of C; 1 for a row without entries."""
-        sizes = largest_products(self.measured[3], np.ones(self.P.shape[0]))
+        sizes = largest_products(self.entry_sizes[3], np.ones(self.P.shape[0]))
         return np.where(sizes > 0.0, sizes, 1.0)
 
     @cached_property
@@ -190,7 +190,7 @@ class ProgramTerms:
         return is_small and bool((self.counts == n).any() or self.components.number == 1)
 
     @cached_property
-    def measured(self) -> tuple[Any, Any, Any, Any, Any]:
+    def entry_sizes(self) -> tuple[Any, Any, Any, Any, Any]:
         """P and C = [G; A], and the sizes of the entries of P, C and Cᵀ: all dense or all CSR arrays."""
         P, C, of_C = self.P, self.C, abs(self.C)
         return P, C, abs(P), of_C, sp.csr_array(of_C.T) if sp.issparse(P) else of_C.T
@@ -236,7 +236,7 @@ class PrimalDualPoint:
         self.point, self.x = x, clip(x, lower, upper)
         self.outside = np.abs(x - self.x)
         x, self.of_x, self.of_y, self.cost = self.x, np.abs(self.x), np.abs(y), np.abs(program.c)
-        P, C, of_P, of_C, of_columns = self.terms.measured
+        P, C, of_P, of_C, of_columns = self.terms.entry_sizes
         self.limits, self.bend = np.abs(d), of_P @ self.of_x
         self.row_terms = of_C @ self.of_x + self.limits
         if is_exact:
@@ -273,7 +273,7 @@ class PrimalDualPoint:
         """Violation of each row that counts as rounding: of its unknowns in other rows, or of the right-hand sides."""
         columns, all_terms = self.terms.columns, self.terms
         terms = self.row_terms[columns.indices] / np.abs(columns.data)
-        reached = largest_products(all_terms.measured[3], largest_in_rows(columns, terms))
+        reached = largest_products(all_terms.entry_sizes[3], largest_in_rows(columns, terms))
         sides = np.where(all_terms.counts == 0, self.limits.max(initial=0.0), 0.0)
         return np.maximum(ROUNDED_ELSEWHERE * reached, ROWS * NOISE * sides)
 
@@ -296,7 +296,7 @@ class PrimalDualPoint:
         is_rounding = (self.cost == 0.0) & (np.abs(self.left) <= (in_P + 3.0) * UNIT * self.bend)
         bend = np.where(is_rounding, self.bend, bend)
         price = np.maximum(np.abs(self.product) - self.lost, bend) + self.cost
-        price += self.terms.measured[4] @ y
+        price += self.terms.entry_sizes[4] @ y
         left = np.abs(self.left)
         r, distance = left + self.doubt, np.where(self.left > 0.0, below, above)
         if (left <= self.doubt).any():  # either direction may reduce the objective

@@ -82,7 +82,14 @@ def worst_pairs(
     lower, upper = (np.ravel(np.where(is_cone, np.nan, x)) for x in (data.lower, data.upper))
     z, w, terms, violation, relative, term_residual = (
         np.broadcast_to(np.ravel(values), (n,))
-        for values in (measured.z, at.w, at.terms, at.violation, by_row.relative, by_row.terms)
+        for values in (
+            measured.z,
+            at.w,
+            at.terms,
+            at.violation,
+            by_row.relative,
+            by_row.componentwise,
+        )
     )
     least = np.maximum(np.where(violation == 0.0, 0.0, relative), term_residual)
     least = np.where(np.isnan(least), math.inf, least)

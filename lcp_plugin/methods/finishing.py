@@ -29,7 +29,7 @@ def measure_finished(data: RowData, z: Any, tolerance: float, absolute: float = 
     matrix, again, joined = Matrix(data.M), measured, np.zeros(z.shape, np.bool_)
     most, system = 500.0 * matrix.nonzeros, None  # a factorization may take 500 passes over M
     for k in range(5):  # rounds of linear solves
-        fails, sizes = again.by_row.terms > tolerance, again.rows.terms / data.scale
+        fails, sizes = again.by_row.componentwise > tolerance, again.rows.terms / data.scale
         before = joined
         # Rows join whose size is at most 2⁸ times that of the rows before
         joined = joined | (sizes <= 256.0**k * data.largest(fails * sizes))

@@ -77,14 +77,14 @@ def first_candidate(problem: LCP, z0: Vector, tolerance: float) -> Any:
     The result is also None if z0 or z° is a solution already, because a step is then superfluous.
     """
     data = dense_data(problem)
-    is_warm = z0 is not data.start
-    if is_warm and (data.is_at_start.any() or measure(data, z0, tolerance).passes):
+    is_warm = z0 is not data.origin
+    if is_warm and (data.is_solved_at_origin.any() or measure(data, z0, tolerance).passes):
         return None
     label, z, entries = next(candidates(data, z0))
     z, rows = normal(data, z), None
     if bound_residual(data, z, tolerance) == math.inf:  # the sufficient test does not decide
         measured = measure_finished(data, z, tolerance)
-        if not measured.passes or data.is_at_start.any():
+        if not measured.passes or data.is_solved_at_origin.any():
             return None
         z, rows = measured.z, measured.rows if problem.matrix.is_dense else None  # of the stored M
     return z, rows, label, entries / max(problem.matrix.nonzeros, 1)
@@ -118,7 +118,7 @@ def dense_data(problem: LCP) -> RowData:
     data = row_data(problem)
     if not problem.matrix.is_dense:
         M, bounds = data.M.toarray(), (data.lower, data.upper)
-        rows = data.scale, data.labels, data.start
+        rows = data.scale, data.labels, data.origin
         data = RowData(M, np.abs(M), data.q, *bounds, *rows)
     return data
 
@@ -383,7 +383,7 @@ def guess(data: RowData) -> Vector | None:
         is_own |= unbounded(data.lower, data.upper)
         if not is_own.all():
             return None
-    z: Vector = data.start
+    z: Vector = data.origin
     pivot, half = 1.0 / RELAXATION + 3.0, z.size // 2
     for _ in range(SWEEPS):
         step = (data.M @ z + data.q) / data.scale
@@ -414,7 +414,7 @@ def solve_active_set(M: Vector, q: Vector, lower: Any, upper: Vector, side: Any)
 def candidates(data: RowData, z0: Vector) -> Iterator[tuple[str, Vector, float]]:
     """Yield candidate solutions of one problem, each with its method and the number of entries touched."""
     entries = float(z0.size**3)
-    is_cold = z0 is data.start or bool((z0 == data.start).all())
+    is_cold = z0 is data.origin or bool((z0 == data.origin).all())
     first = guess(data) if is_cold else z0  # a start names an active set
     if first is not None:
         yield "rounds", rounds(data, first), entries
@@ -432,7 +432,7 @@ def candidates(data: RowData, z0: Vector) -> Iterator[tuple[str, Vector, float]]
         if np.isfinite(z).all():
             yield "rounds", rounds(data, z), entries
     if first is None:
-        yield "rounds", rounds(data, data.start), entries
+        yield "rounds", rounds(data, data.origin), entries
 
 
 def rounds(data: RowData, z: Vector) -> Vector:

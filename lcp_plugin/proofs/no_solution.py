@@ -186,7 +186,7 @@ class NoSolutionProof:
         The weights .1, .2 and −.3 of a network, for example, have a sum of 6e-17.
         """
         data = row_data(self.problem)
-        sizes = data.rows(data.start).terms / data.scale
+        sizes = data.rows(data.origin).terms / data.scale
         return self.absolute_margin <= NEGLIGIBLE * min(float(sizes.max(initial=0.0)), LARGEST)
 
     def excludes(self, tolerance: float, absolute_tolerance: float = 0.0) -> bool:

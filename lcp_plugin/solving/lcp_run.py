@@ -77,7 +77,7 @@ class LCPRun(Run):
         super().__init__(Progress(problem, settings, callback, clock))
         self.data = data = row_data(problem)
         references = np.broadcast_to(data.references[1], (problem.n,))
-        is_open = np.broadcast_to(~data.is_at_start, (problem.n,))
+        is_open = np.broadcast_to(~data.is_solved_at_origin, (problem.n,))
         self.reference = float(references.max(initial=0.0, where=is_open))
         self.is_uniform = bool(
             is_open.all() and (self.reference <= (1.0 + 1e-9) * references).all()
@@ -85,10 +85,10 @@ class LCPRun(Run):
         smallest = float(references.min(initial=math.inf, where=references > 0.0))
         self.goal = float(max(settings.goal, settings.absolute_tolerance / smallest))
         # At a start far beyond the data every residual is at rounding level; a start nearer than z° is used
-        if start is not data.start and (data.rows(start).terms > data.sizes).any():
-            start = start if self.measured(start).residual < 1.0 else data.start
+        if start is not data.origin and (data.rows(start).terms > data.sizes).any():
+            start = start if self.measured(start).residual < 1.0 else data.origin
         # No point but z° can be measured in components that z° solves.
-        self.start, self.start_residual = np.where(is_open, start, data.start), math.inf
+        self.start, self.start_residual = np.where(is_open, start, data.origin), math.inf
         self.unmeasured: Vector | None = None  # the latest iterate
         self.is_polished = False
         self._failed_at, self._next_test = math.inf, 0  # residual and iteration

@@ -105,7 +105,7 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
     direct, cycles = _direct_passes(problem), _cycle_passes(problem)
 
     def is_trial_over(stage: Stage) -> bool:
-        if stage.iterations == 1 and cycles < math.inf:
+        if stage.iterations == 1 and cycles < math.inf:  # squared: one sweep is a weak forecast
             return fewest_sweeps(problem, stage, goal) > PATIENCE**2 * cycles
         if stage.iterations < 3:
             return False
@@ -124,7 +124,7 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
         yield Stage(SWEEPING["psor"], "sweeps with automatic relaxation", is_too_slow)
     if cycles < math.inf:
 
-        def is_no_grid(stage: Stage) -> bool:
+        def is_factorization_cheaper(stage: Stage) -> bool:
             is_asked = stage.iterations % ASKED_EVERY == 0
             if not is_asked or stage.work <= 270.0:
                 return False
@@ -132,7 +132,7 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
             return needed > (passes := factor_passes(problem)) and stage.work > 0.5 * passes
 
         why = "a sparse M with many rows: work in proportion to them"
-        yield Stage(SWEEPING["multigrid"], why, is_no_grid)
+        yield Stage(SWEEPING["multigrid"], why, is_factorization_cheaper)
         if factor_passes(problem) == math.inf:
             yield Stage(SWEEPING["psor"], "a factorization of M is predicted to be too large")
 

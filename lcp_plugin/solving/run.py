@@ -64,7 +64,7 @@ class Stage:
         Label, iterations and work, if the algorithm labels its steps.
     remark : str
         A clause for the advice.
-    has_ended, settles : bool
+    has_ended, has_changed_parameter : bool
         Whether the method had no further step; whether it has changed a parameter.
     is_reported : bool
         True for a run that reports its steps itself.
@@ -84,7 +84,7 @@ class Stage:
     parts: list[tuple[str, int, float]] = field(default_factory=list)
     remark: str = ""
     has_ended: bool = False
-    settles: bool = False
+    has_changed_parameter: bool = False
     is_reported: bool = False
     _best: float = math.inf
     _fall: tuple[int, float] = (0, math.inf)
@@ -163,7 +163,7 @@ class Stage:
         last_step, last = self.residuals[-1]
         if last <= goal:
             return 0.0
-        since = 0 if self.settles else last_step // 2
+        since = 0 if self.has_changed_parameter else last_step // 2
         first_step, first = next(entry for entry in self.residuals if entry[0] >= since)
         if last_step == first_step or not (goal > 0.0 and 0.0 < last < first):
             return math.inf
@@ -227,7 +227,7 @@ class Progress:
         stage.z, stage.remark = step.z, step.remark or stage.remark
         stage.iterations, stage.work = stage.iterations + iterations, stage.work + step.work
         if step.is_settling:
-            stage.settles, stage.window = True, None
+            stage.has_changed_parameter, stage.window = True, None
         if label := step.label or (stage.algorithm.name if stage.parts else ""):
             is_same = bool(stage.parts) and stage.parts[-1][0] == label
             _, before, spent = stage.parts.pop() if is_same else ("", 0, 0.0)

@@ -100,7 +100,7 @@ class ConeCertificate:
     @property
     def term_residual(self) -> float:
         """The least tolerance at which every law passes the componentwise test."""
-        return float(self.measured.by_row.terms.max(initial=0.0))
+        return float(self.measured.by_row.componentwise.max(initial=0.0))
 
     @property
     def worst_index(self) -> int:

@@ -524,7 +524,7 @@ class LinearizedRows(RowData):
         self.problem = problem = point.problem
         self.M, self.x, self.value, self.q = point.M, point.x, point.value, point.q
         self.lower, self.upper, self.scale = problem.lower, problem.upper, point.scale
-        self.origin_point, self.start = point.origin, point.origin.x
+        self.origin_point, self.origin = point.origin, point.origin.x
         self.__post_init__()
 
     @cached_property
@@ -543,20 +543,20 @@ class LinearizedRows(RowData):
         return RowData.references.func(self)  # type: ignore[attr-defined]
 
     @cached_property
-    def is_at_start(self) -> Any:
+    def is_solved_at_origin(self) -> Any:
         """Mask of the rows whose component of the linearization z° solves."""
         return self._linear_references[1] == 0.0
 
     @cached_property
     def references(self) -> tuple[Vector, Vector]:
         """References as the docstring of this module defines them."""
-        origin, distance = self.origin_point.value, self.largest(np.abs(self.x - self.start))
-        distance = np.maximum(distance, self.largest_slack_at_start)
-        residual = np.abs(self.residual(self.start, origin))
+        origin, distance = self.origin_point.value, self.largest(np.abs(self.x - self.origin))
+        distance = np.maximum(distance, self.largest_slack_at_origin)
+        residual = np.abs(self.residual(self.origin, origin))
         of_value = self.largest(np.where(np.isfinite(origin), residual, np.inf))
         of_value = np.where(of_value > 0.0, of_value, np.inf)
         least, most = (
-            np.minimum(np.where(self.is_at_start, distance, end), of_value)
+            np.minimum(np.where(self.is_solved_at_origin, distance, end), of_value)
             for end in self._linear_references
         )
         return least, most
@@ -627,10 +627,10 @@ class LinearizedRows(RowData):
         level = np.where(free, np.minimum(level, LARGEST), 0.0)
         columns = sp.csr_array(self.absolute.T) if sp.issparse(self.M) else self.absolute.T
         share = largest_products(columns, level) * np.abs(self.x)
-        is_flat = free & (share <= 1.0) & (self.x != self.start)
+        is_flat = free & (share <= 1.0) & (self.x != self.origin)
         if not is_flat.any():
             return is_flat
-        way = np.where(is_flat, self.x - self.start, 0.0)
+        way = np.where(is_flat, self.x - self.origin, 0.0)
         near, far = (
             np.where(free, self.problem.value(self.x - part * way) - self.value, 0.0)
             for part in (2.0**-10, 1.0)

@@ -258,5 +258,7 @@ class JosephyNewton(Algorithm):
         """Return the measure that must fall: the size, and then the componentwise test."""
         size = self.size_of(point)
         if point.is_small(self.settings):
-            size *= min(1.0, float(point.measure(self.settings).by_row.terms.max(initial=0.0)))
+            size *= min(
+                1.0, float(point.measure(self.settings).by_row.componentwise.max(initial=0.0))
+            )
         return size

@@ -1,15 +1,18 @@
 """Convex quadratic and linear programs, and their conversion to linear complementarity problems and back.
 
-``solve(QuadraticProgram(…))`` always runs `solving.solve_program`. In order, until one step decides:
+``solve(QuadraticProgram(…))`` runs `solving.solve_program`. By default daqp alone first tries a small program; its
+point is returned if it passes far below the tolerance. Otherwise `ProgramRun.all_stages` yields, until a stage decides:
 
-1. External solvers, in the order of `engine_points.ATTEMPTS`: rows of one variable become bounds
+1. costs only; the complementarity problem (`conversion`) of a large program with bounds only; least squares
+   (`regression`);
+2. external solvers, in the order of `engine_points.ATTEMPTS`: rows of one variable become bounds
    (`program.FoldedRows`), the program is scaled (`engines.scaling`), first with unknowns fixed that a huge cost
    forbids; the point, without noise and polished (`engines.polish`), is tested (`judges.program`). If the solver
-   reports infeasible or unbounded, `no_minimum` searches for a proof.
-2. A run on the complementarity problem (`conversion`), if the program is small; as the first step, if the program is
-   large and has bounds only.
-3. A proof of infeasibility or unboundedness; otherwise PRECISION_LIMIT or STALLED with the two measures of the best
-   point.
+   reports infeasible or unbounded, `no_minimum` searches for a proof;
+3. the complementarity problem of a small program.
+
+If none decides, `no_minimum` searches for a proof; without one, the status is PRECISION_LIMIT or STALLED, with the two
+measures of the best point.
 
 | file | what is in it |
 |---|---|

@@ -64,7 +64,7 @@ ATTEMPTS: tuple[tuple[str, float | None, int | None, Scaling], ...] = (
 )
 # With much fill, a step of PIQP takes up to 10 s, and nothing interrupts it. HiGHS pivots; Clarabel's factorization is
 # up to 20 times as fast then.
-WITH_FILL = "highs", "clarabel", "daqp", "piqp"
+ORDER_WITH_FILL = "highs", "clarabel", "daqp", "piqp"
 # steps of an external solver: a polish, of two factorizations, takes a tenth of its time
 POLISH_FROM = 20
 TOLERANCES = MappingProxyType(
@@ -132,7 +132,7 @@ def attempts(program: QuadraticProgram, engine: Any = None) -> Iterator[tuple[En
     """
     matrices, ladder = program.matrices, ATTEMPTS
     if engine is None and program.folded.reduced.matrices.fills_in:
-        ladder = tuple(sorted(ATTEMPTS, key=lambda attempt: WITH_FILL.index(attempt[0])))
+        ladder = tuple(sorted(ATTEMPTS, key=lambda attempt: ORDER_WITH_FILL.index(attempt[0])))
     for name, tolerance, steps, scale in ladder:
         length = matrices.entries[0] / max(program.n, 1) if name == "piqp" else 0.0
         # Longer sums have larger rounding errors, below which PIQP takes all its steps

@@ -110,7 +110,7 @@ class ProgramMatrices:
         return self._equilibrate(np.ones(n), np.ones(m), 10)
 
     def _equilibrate(self, units: Vector, rows: Vector, passes: int) -> tuple[Vector, Vector]:
-        of_P, of_C, of_columns = self.terms.measured[2:]
+        of_P, of_C, of_columns = self.terms.entry_sizes[2:]
         for _ in range(passes):
             in_P, in_C = largest_products(of_P, units), largest_products(of_columns, rows)
             most = units * np.maximum(in_P, in_C)

@@ -122,7 +122,7 @@ def test_a_point_that_the_quick_test_of_one_problem_accepts_passes_the_criterion
                 assert found.passes
                 assert found.residual <= bound
                 assert np.array_equal(found.z, z)
-                assert not data.is_at_start.any()
+                assert not data.is_solved_at_origin.any()
     assert accepted > 100
 
 

@@ -310,9 +310,14 @@ def contact_data(
     return Contacts(W, mu, b.reshape(k, d), edges, closing, bodies, of_equations)
 
 
+def _is_whole(value: Any) -> bool:
+    """Return whether the value is a whole number, and not a truth value."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
 def checked_count(equations: Any) -> int:
     """Return the number of equations, which are the last rows."""
-    if np.ndim(equations) or equations is True or equations not in range(2**31):
+    if not _is_whole(equations) or equations < 0:
         got = f"an array of shape {np.shape(equations)}" if np.ndim(equations) else repr(equations)
         raise InvalidProblem(
             f"equations must be the number p of equations, the last rows of W, got {got}; rows for the velocities of "
@@ -515,7 +520,7 @@ def _check_directions(J: Any, mass: Any, d: int) -> None:
 
 def _edges(tangents: int, directions: int) -> FloatArray:
     """Return the edges of a pyramid, shape (m, t), as pairs d, −d: the second half is minus the first."""
-    if np.ndim(directions) or directions not in range(4, 2**31, 2):
+    if not _is_whole(directions) or directions < 4 or directions % 2:
         raise InvalidProblem(
             f"directions must be an even number ≥ 4, got {directions!r}; leave directions out in the plane"
         )

@@ -217,6 +217,7 @@ def test_a_batch_is_its_instances_with_derivatives_and_a_file(contacts, tmp_path
             "mass matrix, normals",
         ),
         (lambda: FrictionalContact(np.eye(4), np.zeros(4), 0.5, equations=-1), "last rows of W"),
+        (lambda: FrictionalContact(np.eye(4), np.zeros(4), 0.5, equations=1.5), "last rows of W"),
         (
             lambda: FrictionalContact((np.eye(2), [[0, 1]], [[1, 0]]), [0, 0], 0.5, equations=1),
             r"single row as \[\[…\]\]",

@@ -24,6 +24,7 @@ from .newton import accuracy_of, factorize_blocks
 Cones = NDArray[np.float64]  # shape (k, d)
 
 TO_THE_BOUNDARY = 0.9  # share of the way to the boundary of the cones that a step goes
+SHORT, CENTERED = 0.1, (0.5, 0.9)  # after a shorter step a centering step is tried, with these σ
 
 
 def central_path(stack: ConeStack, z: Vector, share: float) -> Iterator[tuple[Any, float]]:
@@ -73,22 +74,33 @@ def take_step(
     try:
         factors = factorize_blocks(stack, by_z[None], np.broadcast_to(eye, by_z.shape)[None])
 
-        def direction(of_cones: Cones) -> tuple[Cones, Cones]:
-            """Return dx, dy with H dx + dy = c that remove the residual."""
+        def direction(of_cones: Cones, share: float = 1.0) -> tuple[Cones, Cones]:
+            """Return dx, dy with H dx + dy = c that remove a share of the residual."""
             c = np.zeros_like(x)
             c[cones] = of_cones
-            dx = factors.solve((left + apply(G, scale * c))[None])[0] * scale
+            dx = factors.solve((share * left + apply(G, scale * c))[None])[0] * scale
             return dx, c - apply(H, dx)
 
+        def reach(dx: Cones, dy: Cones) -> float:
+            """Return the step length to the boundary of the cones."""
+            return min(longest(X, dx[cones]), longest(Y, dy[cones]))
+
         dx, dy = direction(-Y)
-        t = min(1.0, longest(X, dx[cones]), longest(Y, dy[cones]))
+        t = min(1.0, reach(dx, dy))
         mean = float((x * y).sum()) / max(len(X), 1)
         after = float(((x + t * dx) * (y + t * dy)).sum()) / max(len(X), 1)
         root_x, root_dx = apply(root, X), apply(root, dx[cones])
         right = product(root_dx, root_x + root_dx) - product(root_x, root_x)
         right[:, 0] += mean * min(1.0, max(after / mean, 0.0) ** 3) if mean else 0.0
         dx, dy = direction(apply(root, quotient(right, root_x)))
-        t = TO_THE_BOUNDARY * min(longest(X, dx[cones]), longest(Y, dy[cones]))
+        t = TO_THE_BOUNDARY * reach(dx, dy)
+        for sigma in CENTERED if t < SHORT else ():
+            right = -product(root_x, root_x)
+            right[:, 0] += sigma * mean
+            centering = direction(apply(root, quotient(right, root_x)), 1.0 - sigma)
+            further = TO_THE_BOUNDARY * reach(*centering)
+            if further > t:
+                (dx, dy), t = centering, further
     except np.linalg.LinAlgError:
         return None
     return x + min(1.0, t) * dx, y + min(1.0, t) * dy, factors.entries

@@ -311,7 +311,7 @@ def contact_data(
 
 
 def _is_whole(value: Any) -> bool:
-    """Return whether the value is a whole number, and not a truth value."""
+    """Return whether the value is an integer and not a bool."""
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 

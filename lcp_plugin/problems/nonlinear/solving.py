@@ -1,13 +1,14 @@
 """solve_nonlinear(): Josephy–Newton in the common loop, measured by the criterion of LCPs.
 
-The searches of :mod:`lcp_plugin.problems.nonlinear.searches` propose the points.
+The searches of :mod:`lcp_plugin.problems.nonlinear.searches` propose the points. The first full Newton steps of a small
+dense problem are taken without the loop, unless they are watched.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -138,17 +139,22 @@ def solve_nonlinear(
     with threads_for(settings.threads):
         first, begun = begin_at(Linearization(problem, start))
         searches = tuple(SEARCHES) if search is None else (search,)
-        has_doubts = check_jacobian and problem.jacobian is not None
-        newton = JosephyNewton(first, algorithm, settings, searches, restarts)
-        run = NonlinearRun(newton, progress, has_doubts=has_doubts)
+        has_doubts, result = check_jacobian and problem.jacobian is not None, None
+        make = partial(JosephyNewton, first, algorithm, settings, searches, restarts)
+        run = NonlinearRun(make(), progress, has_doubts=has_doubts)
         try:
             if has_doubts:
                 begun = "; ".join(filter(None, (begun, jacobian_warning(first))))
-            steps = newton.iterates(problem, first.x)
-            end = run.follow_all([Stage(newton, TANGENTS, steps=steps)])
+            if searches[0] == "monotone" and not progress.is_watched:
+                result = run.leap(begun)
+            if result is None:
+                passed, run.newton = run.newton.passed, make()
+                newton, run.newton.passed = run.newton, passed
+                stage = Stage(newton, TANGENTS, steps=newton.iterates(problem, first.x))
+                end = run.follow_all([stage])
         except KeyboardInterrupt:
             end = Status.INTERRUPTED
-        return replace(run.result(end), begun=begun)
+        return replace(run.result(end), begun=begun) if result is None else result
 
 
 def begin_at(first: Linearization) -> tuple[Linearization, str]:
@@ -204,6 +210,25 @@ class NonlinearRun(Run):
     def __init__(self, newton: JosephyNewton, progress: Progress, *, has_doubts: bool) -> None:
         super().__init__(progress)
         self.newton, self.has_doubts = newton, has_doubts
+
+    def leap(self, begun: str) -> Result | None:
+        """Return the result if a few Newton steps lead to a point that passes; its record is made on access."""
+        newton, progress = self.newton, self.progress
+        setup, limit = progress.clock.read(), self.settings.max_seconds
+        point, count = newton.full_steps(lambda: progress.clock.read() >= limit)
+        if point is None or not self._passes(point := self._snap(point)):
+            return None
+        stage = Stage(newton, TANGENTS, iterations=count, work=count + 1.0)
+        progress.stages, progress.iteration, progress.work = [stage], count, stage.work
+        self.best = Measured(point, 0.0, True)
+        now: dict[str, Any] = {"begun": begun, "evaluations": Evaluations(*point.problem.counts)}
+        now |= {"_asked": newton, "_advice": WORDS, "z": point.x, "status": Status.SOLVED}
+        seconds = {"seconds": progress.clock.read(), "setup_seconds": setup}
+        return Result.of_known(partial(self._record, now | seconds), **now)
+
+    def _record(self, known: dict[str, Any]) -> Result:
+        """Return the result of :meth:`leap` with all fields."""
+        return replace(self.result(Status.SOLVED), **known)
 
     def measure(self, stage: Stage, step: Step) -> Measured:
         """Return the linearization at the point of a step; if its residual is small, at bounds that are near."""

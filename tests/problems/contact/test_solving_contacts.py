@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from inputs.contact_families import FAMILIES, falling, planted
 
-from lcp_plugin import LCP, InvalidProblem, solve
+from lcp_plugin import LCP, FrictionalContact, InvalidProblem, solve
 from lcp_plugin.problems.contact import Contacts, contact_data
 
 SIZES = st.sampled_from([(1, 1), (2, 1), (4, 2), (6, 1), (8, 4)])
@@ -56,3 +56,10 @@ def test_an_answer_of_another_length_is_refused():
     data = falling(2, 1, 1.0, np.random.default_rng(0))
     with pytest.raises(InvalidProblem, match=r"z must have shape \(12,\)"):
         data.recover(np.zeros(11))
+
+
+def test_three_contacts_with_much_friction_are_solved():
+    """A W of rank 6 with μ of 1 and 5, whose central path comes near the boundary, is SOLVED."""
+    rng = np.random.default_rng(3811)
+    H, b = rng.normal(size=(9, 6)), rng.normal(size=9)
+    solve(FrictionalContact(H @ H.T, b, rng.choice([1.0, 5.0], 3))).require_solved()

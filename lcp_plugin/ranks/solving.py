@@ -347,7 +347,7 @@ class RunOnRanks(Run):
         common = self.common_fields(self.status(end))
         rows, worst = best.by_row, data.worst
         relative = worst(divide_nonnegative(rows.high, rows.reference))
-        sizes = worst(rows.high), relative, worst(rows.terms)
+        sizes = worst(rows.high), relative, worst(rows.componentwise)
         return ResultOnRanks(
             z=read_only(best.z),
             w=read_only(best.rows.w),

@@ -46,7 +46,6 @@ _HOME = {
         "core.lcp": "LCP",
         "core.settings": "Status",
         "evidence.cross_check": "cross_validate",
-        "evidence.stability": "stability_atlas",
         "evidence.study": "error_against_time study",
         "interfaces.program_files": "load_problem",
         "methods.search": "all_solutions",

@@ -1,10 +1,9 @@
-"""Evidence: error against time, studies, cross-validation, stability, plots.
+"""Evidence: error against time, studies, cross-validation, plots.
 
 `error_against_time(problem)` measures several methods, and convex solvers as references, on one problem. The result can
 be printed, or saved as a plot. `study` does this on families of problems of several sizes: a row
 is a measurement; tables and curves are functions of rows. `cross_validate` compares a solution
-with a result of a convex solver. `stability_atlas` has status, residual and true error of each algorithm on stiff and
-extreme problems.
+with a result of a convex solver.
 `lcp-plugin compare` is the first of these.
 
 Other packages. No package is best at everything.

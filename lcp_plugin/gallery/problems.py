@@ -19,7 +19,6 @@ from .scene import Scene, require, scene_builder
 
 Field = NDArray[np.float64]
 Coefficient = float | Field
-Legs = tuple[list[Coefficient], list[Coefficient]]  # below and above, one coefficient per axis
 
 
 def nodes(low: float, high: float, size: int) -> Vector:
@@ -77,26 +76,6 @@ def stencil_matrix(
     rows, legs = np.nonzero(entries)
     columns = rows + np.array(offsets)[legs]
     return sp.csr_array((entries[rows, legs], (rows, columns)), shape=(n, n))
-
-
-def balanced_matrix(shape: tuple[int, ...], legs: Legs) -> sp.csr_array:
-    """Return the stencil whose centre balances its legs exactly: −∇·(k∇u) + b·∇u."""
-    below, above = legs
-    return stencil_matrix(shape, -sum(below) - sum(above), below, above)
-
-
-def stiff_cells(cells: Field) -> Legs:
-    """Return the legs of −∇·(k∇u), k on each cell of the mesh; an edge takes the mean of its two cells."""
-    # edges along the first axis have the shape (size + 1, size)
-    across = (cells[:, :-1] + cells[:, 1:]) / 2.0
-    along = (cells[:-1, :] + cells[1:, :]) / 2.0
-    return [-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]
-
-
-def upwind(diffusion: float, wind: Sequence[Coefficient]) -> Legs:
-    """Return the legs of −diffusion Δu + wind·∇u by first-order upwind differences, on a mesh of width 1."""
-    below = [-(diffusion + np.maximum(b, 0.0)) for b in wind]
-    return below, [-(diffusion + np.maximum(-b, 0.0)) for b in wind]
 
 
 def dirichlet_terms(

@@ -35,7 +35,6 @@ from lcp_plugin import (
     gallery,
     solve,
     solve_batch,
-    stability_atlas,
 )
 from lcp_plugin.algorithms import REGISTRY, algorithm_class
 from lcp_plugin.evidence.study import Study
@@ -384,8 +383,6 @@ TAKE: dict[str, Callable[[LCP, Any], object]] = {
     "error_against_time references": lambda p, wrong: error_against_time(p, ["psor"], wrong),
     "cross_validate reference": lambda p, wrong: cross_validate(p, reference=wrong),
     "cross_validate algorithm": lambda p, wrong: cross_validate(p, algorithm=wrong),
-    "stability_atlas algorithms": lambda p, wrong: stability_atlas(wrong, ["sizes"]),
-    "stability_atlas stresses": lambda p, wrong: stability_atlas(["psor"], wrong),
     "gallery parse": lambda p, wrong: gallery.parse(wrong),
     "gallery build": lambda p, wrong: gallery.build(wrong),
     "study against": lambda p, wrong: Study(()).plot(against=wrong),

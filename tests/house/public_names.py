@@ -18,7 +18,6 @@ ELSEWHERE = {
     "evidence.measurement": "Measurement",
     "evidence.drawing": "draw",
     "evidence.study": "Table",
-    "evidence.stability": "Atlas Cell",
     "modeling.constraint": "Complements Side",
     "modeling.registration": "solve_model",
     "methods.search": "Solution",

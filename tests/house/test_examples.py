@@ -33,6 +33,7 @@ error_against_time | with the same [1-9]\d* hottest points a linear solve differ
 paper_accelerated | the same free unknowns differ by # | 1e-05
 paper_study | a loop in NumPy takes as many sweeps up to # | 1
 paper_tables | the number of iterations differs in # of 48 cells | 0
+stability_atlas | warning of numpy ended # of | 0
 add_an_algorithm | the largest error on random problems with exact answers is # | 1e-06
 model_predictive_control | plans differ from a conic solver's by # m/s² | 0.0001
 model_predictive_control | where no limit acts, inputs differ from −K x by # m/s² | 1e-12

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
+from stability_atlas import balanced_matrix, stiff_cells, upwind
 
 from lcp_plugin import LCP, gallery
 from lcp_plugin.core.settings import parse_options
@@ -17,14 +18,11 @@ from lcp_plugin.gallery import Scene
 from lcp_plugin.gallery.problems import (
     CONE_BEGINS,
     Field,
-    balanced_matrix,
     dirichlet_terms,
     interior,
     nodes,
     sphere_obstacle,
     stencil_matrix,
-    stiff_cells,
-    upwind,
 )
 
 CONTACT_RADIUS = 0.7892441190408083  # the root r* in (0, 1) of 2 r² − r³/2 = 1

@@ -10,10 +10,10 @@ import pytest
 import scipy.sparse as sp
 from inputs import membranes
 from inputs.planted import planted_lcp
+from stability_atlas import balanced_matrix
 
 from lcp_plugin import LCP, Result, Status, gallery, solve
 from lcp_plugin.algorithms import Multigrid
-from lcp_plugin.gallery.problems import balanced_matrix
 from lcp_plugin.systems.hierarchy.levels import hierarchy_of
 from lcp_plugin.systems.hierarchy.truncation import Truncation
 

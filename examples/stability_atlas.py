@@ -1,6 +1,12 @@
-"""stability_atlas(): each algorithm on stiff, badly scaled, nearly singular or extreme problems of exact solutions."""
+"""Which algorithm solves what: status and true error on stiff, badly scaled, nearly singular and extreme problems.
 
-from __future__ import annotations
+The solution z* of each problem is known in fractions. A run counts as SOLVED, unsolved, refused or failed; within a run
+every warning of numpy is an error, so that no overflow is silent. A small residual can hide a large error if M is
+ill-conditioned: the printed table lists these runs.
+
+    python examples/stability_atlas.py                            # a minute: auto, npsor, newton
+    python examples/stability_atlas.py mgs psor lemke --families scaling --families sizes
+"""
 
 import math
 import sys
@@ -11,23 +17,23 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, partial
 from itertools import product
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
+import typer
 
-from ..algorithms import REGISTRY
-from ..core.algorithm import Algorithm
-from ..core.checks import Array, Vector
-from ..core.entries import scale_by
-from ..core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, did_you_mean
-from ..core.lcp import LCP
-from ..gallery.problems import balanced_matrix, stencil_matrix, stiff_cells, upwind
-from ..proofs.exact import exact_slack, is_exact_solution, rational_rows, solved_nearby
-from ..solving.dispatch import solve
-from .measurement import Method, methods_of
+from lcp_plugin import LCP, UnsuitableMatrix, UnsuitableProblem, solve
+from lcp_plugin.algorithms import REGISTRY
+from lcp_plugin.core.checks import Array, Vector
+from lcp_plugin.core.entries import scale_by
+from lcp_plugin.gallery.problems import Coefficient, Field, stencil_matrix
+from lcp_plugin.proofs.exact import exact_slack, is_exact_solution, rational_rows, solved_nearby
 
+Legs = tuple[list[Coefficient], list[Coefficient]]  # below and above, one coefficient per axis
 ExactPoint = tuple[Fraction, ...]
 
 
@@ -58,6 +64,26 @@ class StressCase:
     def exact(self) -> ExactPoint | None:
         """z* in fractions, verified exactly; None without `near`."""
         return None if self.near is None else exact_answer(self.problem, self.near)
+
+
+def balanced_matrix(shape: tuple[int, ...], legs: Legs) -> sp.csr_array:
+    """Return the stencil whose centre balances its legs exactly: −∇·(k∇u) + b·∇u."""
+    below, above = legs
+    return stencil_matrix(shape, -sum(below) - sum(above), below, above)
+
+
+def stiff_cells(cells: Field) -> Legs:
+    """Return the legs of −∇·(k∇u), k on each cell of the mesh; an edge takes the mean of its two cells."""
+    # edges along the first axis have the shape (size + 1, size)
+    across = (cells[:, :-1] + cells[:, 1:]) / 2.0
+    along = (cells[:-1, :] + cells[1:, :]) / 2.0
+    return [-across[:-1], -along[:, :-1]], [-across[1:], -along[:, 1:]]
+
+
+def upwind(diffusion: float, wind: Sequence[Coefficient]) -> Legs:
+    """Return the legs of −diffusion Δu + wind·∇u by first-order upwind differences, on a mesh of width 1."""
+    below = [-(diffusion + np.maximum(b, 0.0)) for b in wind]
+    return below, [-(diffusion + np.maximum(-b, 0.0)) for b in wind]
 
 
 def grid(
@@ -374,102 +400,13 @@ class Cell:
         )
 
 
-@dataclass(frozen=True)
-class Atlas:
-    """Status, residual and true error of each algorithm on each difficult problem.
-
-    Attributes
-    ----------
-    cells : tuple of Cell
-        One per algorithm and stress.
-    """
-
-    cells: tuple[Cell, ...]
-
-    @property
-    def unsolved(self) -> tuple[Cell, ...]:
-        """The cells with any status but SOLVED."""
-        return tuple(cell for cell in self.cells if cell.status != "SOLVED")
-
-    @property
-    def misleading(self) -> tuple[Cell, ...]:
-        """The cells that are SOLVED with an error of more than a thousandth, because M is ill-conditioned."""
-        solved = (cell for cell in self.cells if cell.status == "SOLVED")
-        return tuple(cell for cell in solved if cell.true_error > 1e-3)
-
-    def explain(self) -> str:
-        """Return the counts, then a line for each cell that is not SOLVED, and for each misleading cell."""
-        counts = Counter(cell.status for cell in self.cells).most_common()
-        summary = ", ".join(f"{count} {status}" for status, count in counts)
-        lines = [f"{len(self.cells)} cells: {summary}", *map(str, self.unsolved)]
-        lines += [f"a small residual hides the error: {cell}" for cell in self.misleading]
-        return "\n".join(lines)
-
-    __str__ = explain
-
-
-def stability_atlas(
-    algorithms: Iterable[str | Algorithm] | None = None,
-    stresses: Iterable[str] | None = None,
-    *,
-    quick: bool = False,
-) -> Atlas:
-    """Return status, residual and true error of each algorithm on each kind of difficult data.
-
-    Parameters
-    ----------
-    algorithms : iterable of str and Algorithm, optional
-        As the methods of :func:`lcp_plugin.evidence.study.study`; all registered names and "auto" by default.
-    stresses : iterable of str, optional
-        Families: "stiffness", "scaling", "singularity", "degeneracy", "far starts", "sizes", "number range" and
-        "cancellation". All by default.
-    quick : bool
-        Fewer iterations, without the problem of 10 000 unknowns.
-
-    Returns
-    -------
-    Atlas
-        Table, the same for the same call, because no clock is read.
-
-    Raises
-    ------
-    UnknownAlgorithm, InvalidOption
-        If a name does not exist.
-
-    Notes
-    -----
-    Within a run every warning of NumPy is an error, so that no overflow is silent.
-
-    Examples
-    --------
-    >>> atlas = stability_atlas(["psor"], ["far starts"])
-    >>> [cell.status for cell in atlas.cells]
-    ['SOLVED', 'SOLVED', 'SOLVED']
-    """
-    entrants = methods_of(["auto", *REGISTRY] if algorithms is None else algorithms)
-    if not isinstance(stresses, list | tuple | None):
-        raise InvalidOption(f"stresses must be a list of names, got {stresses!r}")
-    families = [*FAMILIES] if stresses is None else [*stresses]
-    for name in families:
-        if not isinstance(name, str) or name not in FAMILIES:
-            raise InvalidOption(f"unknown stress {name!r}{did_you_mean(str(name), FAMILIES)}")
-    limit = 5_000 if quick else 50_000
-    cells = [
-        _cell(family, case, method, limit)
-        for family in families
-        for case in FAMILIES[family]()
-        if not quick or case.problem.n <= 2500
-        for method in entrants
-    ]
-    return Atlas(tuple(cells))
-
-
-def _cell(family: str, case: StressCase, method: Method, limit: int) -> Cell:
-    head = (method.label, case.stress, family)
+def cell_of(family: str, case: StressCase, algorithm: str, most: int) -> Cell:
+    """Return the cell of one run of at most so many iterations."""
+    head = (algorithm, case.stress, family)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            result = solve(case.problem, method.algorithm, z0=case.start, max_iterations=limit)
+            result = solve(case.problem, algorithm, z0=case.start, max_iterations=most)
     except (UnsuitableMatrix, UnsuitableProblem) as refusal:
         return Cell(*head, "REFUSED", note=str(refusal))
     except Exception as failure:  # the atlas shows every exception of a run
@@ -478,3 +415,69 @@ def _cell(family: str, case: StressCase, method: Method, limit: int) -> Cell:
     if case.exact is not None and np.isfinite(result.z).all():
         error = relative_error(result.z, case.exact, case.unit)
     return Cell(*head, result.status.name, result.certificate.relative_residual, error)
+
+
+def stability_atlas(
+    algorithms: Iterable[str], families: Iterable[str] = tuple(FAMILIES), most: int = 5_000
+) -> list[Cell]:
+    """Return status, residual and true error of each algorithm on each problem of at most 2500 unknowns."""
+    cases = [(family, case) for family in families for case in FAMILIES[family]()]
+    return [
+        cell_of(family, case, algorithm, most)
+        for family, case in cases
+        if case.problem.n <= 2500
+        for algorithm in algorithms
+    ]
+
+
+def is_misleading(cell: Cell) -> bool:
+    """Return whether a run is SOLVED with an error of more than a thousandth, because M is ill-conditioned."""
+    return cell.status == "SOLVED" and cell.true_error > 1e-3
+
+
+def explain(cells: list[Cell]) -> str:
+    """Return the counts, then a line for each run that is not SOLVED, and for each run with a hidden error."""
+    counts = Counter(cell.status for cell in cells).most_common()
+    lines = [f"{len(cells)} runs: " + ", ".join(f"{count} {status}" for status, count in counts)]
+    lines += [str(cell) for cell in cells if cell.status != "SOLVED"]
+    lines += [f"a small residual hides the error: {cell}" for cell in cells if is_misleading(cell)]
+    return "\n".join(lines)
+
+
+def draw(cells: list[Cell], path: Path) -> None:
+    """Save a picture: the solved share of each family of problems, an algorithm a column."""
+    algorithms = list(dict.fromkeys(cell.algorithm for cell in cells))
+    families = list(dict.fromkeys(cell.family for cell in cells))
+    figure, axes = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    for i, j in product(range(len(families)), range(len(algorithms))):
+        runs = [c for c in cells if (c.family, c.algorithm) == (families[i], algorithms[j])]
+        solved = sum(cell.status == "SOLVED" for cell in runs)
+        axes.text(j, i, f"{solved} of {len(runs)}", ha="center", va="center")
+        share = solved / len(runs)
+        axes.add_patch(plt.Rectangle((j - 0.5, i - 0.5), 1, 1, color="#0072B2", alpha=0.6 * share))
+    axes.set(xlim=(-0.5, len(algorithms) - 0.5), ylim=(len(families) - 0.5, -0.5))
+    axes.set_xticks(range(len(algorithms)), algorithms)
+    axes.set_yticks(range(len(families)), families)
+    axes.grid(visible=False)
+    axes.set_title("Difficult problems that end SOLVED")
+    figure.savefig(path, dpi=150)
+
+
+def main(
+    algorithms: Annotated[list[str], typer.Argument()] = ["auto", "npsor", "newton"],  # noqa: B006
+    families: Annotated[list[str], typer.Option()] = [*FAMILIES],  # noqa: B006
+    out: Path = Path(),
+) -> None:
+    """Print the runs that are not SOLVED, or whose small residual hides a large error; save the picture."""
+    if unknown := (set(algorithms) - {"auto", *REGISTRY}) | (set(families) - set(FAMILIES)):
+        known = ", ".join(["auto", *REGISTRY, *FAMILIES])
+        raise typer.BadParameter(f"{', '.join(unknown)} is unknown; known are {known}")
+    cells = stability_atlas(algorithms, families)
+    print(explain(cells))
+    failed = sum(cell.status == "ERROR" for cell in cells)
+    print(f"check: an exception or a warning of numpy ended {failed} of {len(cells)} runs")
+    draw(cells, out / "stability_atlas.png")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -26,9 +26,8 @@ from PIL import Image
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 # in examples/manual: the problem, its code and picture, a validation and the time, on one screen
-TRADES = ("options", "contact", "equilibria", "obstacle", "data", "control", "algorithms")
+TRADES = ("first_model", "options", "contact", "equilibria", "data", "control", "algorithms")
 GUIDES = (
-    "first_model",
     *TRADES,
     *(
         "agents",
@@ -42,7 +41,7 @@ GUIDES = (
         "stalled",
         "coming_from",
     ),
-    *("paper", "write_a_method", "test_your_solver"),
+    "paper",
 )
 NOTEBOOKS = EXAMPLES / "notebooks"
 NAMES = (

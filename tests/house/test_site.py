@@ -48,5 +48,6 @@ def test_scripts_and_help_pages_are_not_empty(site):
     readme = (site / "README.html").read_text(encoding="utf-8")
     assert 'href="scripts/american_put.html"' in readme
     assert 'class="k">def' in (site / "scripts" / "american_put.html").read_text(encoding="utf-8")
-    for part in (site / "manual" / "subjects.html").read_text(encoding="utf-8").split("<h2>")[1:]:
+    page = (site / "manual" / "reference.html").read_text(encoding="utf-8")
+    for part in page.partition("<h2>Topics")[2].split("<h3>")[1:]:
         assert "<p>" in part

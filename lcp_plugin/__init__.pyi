@@ -15,7 +15,6 @@ from .core.errors import UnsuitableProblem as UnsuitableProblem
 from .core.errors import UnsupportedModel as UnsupportedModel
 from .core.settings import Status as Status
 from .evidence.cross_check import cross_validate as cross_validate
-from .evidence.stability import stability_atlas as stability_atlas
 from .evidence.study import error_against_time as error_against_time
 from .evidence.study import study as study
 from .interfaces.program_files import load_problem as load_problem

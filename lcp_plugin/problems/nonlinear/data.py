@@ -279,7 +279,8 @@ class NonlinearProblem:
         if self.jacobian is None:
             _ = self.differences  # colored once for all q
         shifted = copy(self)
-        shifted.F = lambda x: self.value(x) + q
+        # a proof belongs to the data of which it was made
+        shifted.F, shifted.affine_part = lambda x: self.value(x) + q, None
         lower = self.lower if lower is None else lower
         upper = self.upper if upper is None else upper
         shifted.lower, shifted.upper = checks.checked_bounds(lower, upper, self.lower.size)

@@ -185,3 +185,15 @@ def test_bounds_next_to_an_expression_of_cvxpy_are_refused():
     x = cp.Variable(2)
     with pytest.raises(InvalidProblem, match="x >= lower"):
         variational(x - [-1, 2], over=[x], lower=0, upper=1)
+
+
+def test_a_shifted_problem_does_not_inherit_the_proof_of_its_old_rows():
+    """x₀ + x₁ ≤ −1 is infeasible for x ≥ 0, and x₀ + x₁ ≤ 4, where q shifts it, is not: x = (0.5, 0) is in the set."""
+
+    def rugged(x):
+        first = 1e3 * np.sign(x[0] - 0.5) * abs(x[0] - 0.5) ** 0.1 + 50 * x[1] * np.sin(30 * x[0])
+        return np.array([first, x[1] - 0.3 + 40 * np.cos(20 * x[1] + x[0])])
+
+    problem = variational(rugged, G=[[1.0, 1]], h=[-1.0], lower=0)
+    assert solve(problem, restarts=0).status is Status.INFEASIBLE
+    assert solve(problem.with_q([0.0, 0, 5]), restarts=0).proof is None

@@ -108,6 +108,20 @@ class Bodies(NamedTuple):
     velocities: FloatArray | None
     dimension: int
 
+    def moving(self, velocities: FloatArray, p: int) -> tuple[FloatArray, Bodies]:
+        """Return the velocities of all rows, and the bodies with theirs; of bodies, or of contacts and p equations."""
+        (rows, v), d = self.rows.shape, self.dimension
+        if velocities.shape == (v,):
+            of_bodies = checked_vector(velocities, "velocities", v)
+            return self.rows @ of_bodies, self._replace(velocities=of_bodies)
+        if velocities.shape != (shape := (rows,) if p else (rows // d, d)):
+            raise InvalidProblem(
+                f"velocities must have shape ({v},), of the bodies, or {shape}, of the contacts"
+                f"{' and equations' * bool(p)}, got {velocities.shape}: too "
+                f"{'few' if velocities.size < v else 'many'}"
+            )
+        return velocities.ravel(), self._replace(velocities=None)
+
     def velocities_after(self, impulses: FloatArray) -> FloatArray | None:
         """Return the velocities after impulses of all rows; None without the velocities before."""
         if self.velocities is None:
@@ -430,18 +444,10 @@ def contacts_of_bodies(
     order = np.column_stack([np.arange(k), k + np.arange(t * k).reshape(k, t)]).ravel()
     J = vstack([normals, tangents])[order]
     _check_directions(J, mass, 1 + t)
-    J, inverse, of_bodies = vstack([J, joints]), inverse_by_components(mass), None
+    J, inverse = vstack([J, joints]), inverse_by_components(mass)
     W = J @ inverse @ J.T
-    if velocities.shape == (v,):
-        of_bodies = checked_vector(velocities, "velocities", v)
-        velocities = J @ of_bodies
-    elif velocities.shape != (shape := (order.size + p,) if p else (k, 1 + t)):
-        raise InvalidProblem(
-            f"velocities must have shape ({v},), of the bodies, or {shape}, of the contacts"
-            f"{' and equations' * bool(p)}, got {velocities.shape}: too "
-            f"{'few' if velocities.size < v else 'many'}"
-        )
-    return 0.5 * (W + W.T), velocities.ravel(), Bodies(mass, inverse, J, of_bodies, 1 + t), p
+    velocities, bodies = Bodies(mass, inverse, J, None, 1 + t).moving(velocities, p)
+    return 0.5 * (W + W.T), velocities, bodies, p
 
 
 def inverse_by_components(mass: Any) -> Any:

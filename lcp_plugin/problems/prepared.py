@@ -7,7 +7,6 @@ implies the criterion. If the test does not decide, or if options watch or limit
 from __future__ import annotations
 
 import math
-from copy import copy
 from functools import partial
 from time import perf_counter
 from typing import Any, Generic, TypeVar
@@ -131,13 +130,14 @@ class PreparedLCP(PreparedProblem[LCP]):
         if not bound[0] < math.inf:
             return None
         z = read_only(z[0])
-        data = b[0], None if M is None else A[0], low[0], high[0]
+        has_data = any(each is not None for each in (q, M, lower, upper))
+        data = (b[0], None if M is None else A[0], low[0], high[0]) if has_data else ()
         make = partial(self._record, data, z, perf_counter() - began)
         return Result.of_known(make, z=z, status=Status.SOLVED, _asked=self._method)
 
     def _record(self, data: Any, z: Vector, seconds: float) -> Result:
         """Return the result of the short way with all fields."""
-        problem = self._changed(*data)
+        problem = self._changed(*data) if data else self.problem
         work = 0.0 if (z == problem.nearest_to_zero).all() else float(problem.n)
         stage = StageRecord("lemke", "prepared", int(work > 0.0), work)
         return Result.at(problem, z, stage, self._settings, seconds, chosen=self._method)
@@ -219,15 +219,6 @@ class PreparedContact(PreparedProblem[FrictionalContact]):
         if self._settings is None:
             return None
         return solve_quickly(self._changed(**data) if data else self.problem, self._settings)
-
-    def _changed(self, b: Any = None, W: AnyMatrix = None) -> FrictionalContact:
-        problem = self.problem
-        if W is not None:
-            shape = {"dimension": problem.dimension, "equations": problem.equations}
-            return FrictionalContact(W, problem.b if b is None else b, problem.friction, **shape)
-        problem = copy(problem)
-        problem.rows = problem.rows.with_q(np.ravel(b))
-        return problem
 
 
 class PreparedLeastSquares(PreparedProblem[Any]):

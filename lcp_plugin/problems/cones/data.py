@@ -136,7 +136,7 @@ class Blocks:
         other = copy(self)
         vector = np.ravel(real_array(q, f"{self.offset} must be a vector"))
         vector = checked_vector(vector, self.offset, self.n)
-        other.rows = self.rows.with_q(vector, lower=self.lower, upper=self.upper)
+        other.rows = self.rows.with_q(vector)
         if self.bodies is not None:  # b does not determine their velocities
             other.bodies = self.bodies._replace(velocities=None)
         return other

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from copy import copy
 from os import PathLike
 from typing import Any
 
@@ -266,19 +267,35 @@ class FrictionalContact(Blocks):
                     f"b has {velocities.shape[1]} columns and dimension is {dimension}"
                 )
             dimension = velocities.shape[1]
-        offset = checks.checked_vector(velocities.ravel(), "b", None).copy()
+        offset = checks.checked_vector(velocities.ravel(), "b", None)
         friction = real_array(friction, "friction must be a number, or one per contact")
         d = dimension_of(dimension, friction.shape, offset.size - p)
         k = (offset.size - p) // d
-        offset[: d * k : d] += contact.closing_speeds(gaps, time_step, k)
+        self._closing = np.zeros(offset.size)
+        self._closing[: d * k : d] = contact.closing_speeds(gaps, time_step, k)
         mu = contact.checked_friction(friction, k, f"one per contact of {d} rows")
         contact.warn_of_much_friction(mu, 3)
         W = checks.rectangular_matrix(W, "W", offset.size, offset.size, is_copied=False)
         contact.check_symmetric(W, "W", NEARLY_SYMMETRIC)
-        rows = LCP(W, offset, lower=-np.inf, upper=np.inf)
+        rows = LCP(W, offset + self._closing, lower=-np.inf, upper=np.inf)
         starts = np.append(np.arange(0, d * k, d), np.arange(d * k, offset.size + 1))
         super().__init__(rows, starts, np.append(mu, np.zeros(p)), has_friction=True)
         self.dimension = d
+
+    def with_vectors(self, b: ArrayLike | None = None, W: AnyMatrix = None) -> FrictionalContact:
+        """Return the problem with another b, in any form that the constructor takes, or another array W; gaps stay."""
+        other = copy(self)
+        if b is not None:
+            velocities = real_array(b, "b must be an array of velocities")
+            if self.bodies is not None:
+                velocities, other.bodies = self.bodies.moving(velocities, self.equations)
+            offset = checks.checked_vector(velocities.ravel(), "b", self.n)
+            other.rows = self.rows.with_q(offset + self._closing)
+        if W is None:
+            return other
+        W = checks.rectangular_matrix(W, "W", self.n, self.n)  # bodies would read b anew
+        shape = {"dimension": self.dimension, "equations": self.equations}
+        return FrictionalContact(W, other.b, self.friction, **shape)
 
     @property
     def W(self) -> Any:

@@ -116,6 +116,44 @@ def test_a_prepared_published_program_has_the_status_of_solve(name):
     assert prepare(program).solve().status is solve(program).status
 
 
+BLOCK = 2.0 * np.eye(2), [[0.0, 1]], [[1.0, 0]]  # mass matrix, normals, tangents
+HINGED = np.eye(3), [[0.0, 1, 0]], [[1.0, 0, 0]]  # its third velocity is that of a joint
+
+
+@pytest.mark.parametrize(
+    ("W", "b", "shape"),
+    [
+        (np.eye(3), [[-1.0, 0.3, 0.4]], {"gaps": 0.05, "time_step": 0.1}),
+        (BLOCK, [0.3, -2.0], {"gaps": [0.01], "time_step": 0.01}),
+        (BLOCK, [[-2.0, 0.3]], {}),
+        (HINGED, [0.3, -2.0, 1.0], {"equations": [[0.0, 1, 1]]}),
+        (np.eye(3), [-1.0, 0.3, 1.0], {"equations": 1, "dimension": 2}),
+    ],
+)
+def test_velocities_of_a_prepared_contact_are_read_as_by_the_constructor(W, b, shape):
+    """Gaps stay, and velocities of bodies are velocities of bodies, also of the result; so for b = None."""
+    right = solve(FrictionalContact(W, b, 0.5, **shape))
+    first = np.zeros_like(b)
+    step = prepare(FrictionalContact(W, first, 0.5, **shape))
+    motion = step.solve(b=b).motion
+    np.testing.assert_array_equal(step.last.z, right.z)
+    np.testing.assert_equal(motion.body_velocities, right.motion.body_velocities)
+    np.testing.assert_array_equal(step.solve(b=None).z, step.solve(b=first).z)
+    other = 2.0 * step.problem.W
+    now = prepare(FrictionalContact(W, b, 0.5, **shape)).solve(W=other)
+    np.testing.assert_array_equal(step.solve(b=b, W=other).z, now.z)
+    with pytest.raises(InvalidProblem, match="W must"):
+        step.solve(W=BLOCK)
+
+
+def test_a_prepared_lcp_of_bodies_has_their_velocities():
+    """They are the velocities of the problem itself, as long as no data are passed."""
+    problem = LCP.from_contacts(BLOCK, 0.5, [0.3, -2.0])
+    now, right = prepare(problem).solve(), solve(problem)
+    velocities = [problem.origin.recover(each).body_velocities for each in (now, right)]
+    np.testing.assert_allclose(*velocities)
+
+
 @pytest.mark.parametrize("family", CONTACTS)
 def test_prepared_contacts_between_bodies_have_the_status_of_solve(family, draws):
     """Exact cones and pyramids, masses apart by up to 100, from one step to the next."""

@@ -109,6 +109,13 @@ def test_verify_sees_a_variable_beyond_the_bounds_of_its_pair():
     assert not replace(result, x=np.array([1.0, -7.0, 0.0])).verify()
 
 
+def test_verify_sees_a_gap_above_the_tolerance():
+    """A bound of 0 is valid for a minimum of 1, and proves no optimum: the gap is its whole value."""
+    result = solve(ending(Status.SOLVED), prove=True)
+    assert (result.status, result.value, result.verify()) == (Status.SOLVED, 1.0, True)
+    assert not replace(result, lower_bound=0.0).verify()
+
+
 ENDS = {  # bounds of x beside 0 ≤ x ⟂ x − 1 ≥ 0, cost of x, lower bound of y, whose cost is 1
     Status.SOLVED: (-np.inf, 2.0, 1.0, 0.0),
     Status.INFEASIBLE: (-np.inf, 0.5, 1.0, 0.0),

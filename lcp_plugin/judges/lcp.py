@@ -5,20 +5,24 @@ max_j |m_ij|, and r_i = z_i − mid(lower_i, upper_i, z_i − w_i/d_i), z is SOL
 graph of M and in each row i
 
     1. ‖r_P(z)‖∞ ≤ max(tolerance · ref_P, absolute tolerance),
-    2. v_i = d_i |r_i| ≤ max(2⁻⁴² T_i, min(tolerance^(3/4) T_i, tolerance^(1/4) a_i)).
+    2. v_i = d_i |r_i| ≤ max(2⁻⁴² T_i, min(tolerance^(3/4) T_i, tolerance^(1/4) a_i)), or |r_i| ≤ 2⁻¹⁰⁴ ‖r_P(z°)‖∞ if
+       the row is idle.
 
 - v_i is the smaller of the changes of z_i and w_i that make the pair complementary, in the unit of w_i.
 - ref_P is the smaller of ‖r_P(z°)‖∞, or the largest |w_k(z°)|/d_k if that is 0, and the largest T_k/d_k of the rows of
   P that are violated or off their bounds; z° is the point of the bounds nearest to 0.
 - a_i = max(|w_i(z°)|, max_j |m_ij w_j(z°)|/d_j), left out if it is 0, is the demand of the row and its neighbors.
 - A slack at the rounding level of its row counts as 0: |w_i| ≤ 8 ε min(T_i, S_i), S_i = T_i(z°) + 2²⁰ d_i ‖r_P(z°)‖∞,
-  so that a z that ran away does not make every slack rounding.
+  so that a z that ran away does not make every slack rounding. A w_i also counts as 0 if |w_i| and |w_i|/d_i are below
+  the smallest normal double.
+- An idle row has entries, and w_i(z°) = 0: other rows determine its z_i, as in the far field of a price, where z_i
+  underflows. 2⁻¹⁰⁴ is ε².
 
 Rounding errors are included in test 1. A row whose demand is below 2⁻⁴² of its terms is noise, and violations below the
-smallest normal double pass: these are the limits. Test 2 is omitted in rows with |r_i| ≤ absolute tolerance. A run
-moves each z_i to a bound that is nearer than the step −w_i/d_i, and z to z° in components that z° solves; then the run
-measures and returns the moved point. ``certify`` measures the user's point by the same function. A residual is not
-an error: ``help("lcp_plugin.proofs")``.
+smallest normal double pass test 2: these are the limits. Test 2 is omitted in rows with |r_i| ≤ absolute tolerance.
+A run moves each z_i to a bound that is nearer than the step −w_i/d_i, and z to z° in components that z° solves; then
+the run measures and returns the moved point. ``certify`` measures the user's point by the same function. A residual is
+not an error: ``help("lcp_plugin.proofs")``.
 """
 
 from __future__ import annotations
@@ -54,6 +58,9 @@ VectorEnds = tuple[Vector, Vector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row
 DEMAND_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
 NEAREST = 8.0 * EPSILON  # of the terms of a row: rounding of them explains such a slack
+IDLE_ROUNDING = (
+    2.0**-104
+)  # ε², of the reference: residuals of idle rows below it are at rounding level
 RAN_AWAY = 2.0**20  # times the reference: the terms of a larger z are not explained by the data
 GAINED = 0.1  # of the reference: a larger residual is not limited by rounding
 SET_TO_BOUND = 2.0**-50  # of the largest z: a smaller distance from a bound is at rounding level
@@ -227,9 +234,19 @@ class RowData:
     @cached_property
     def sizes(self) -> Any:
         """Terms of each row that the data explain: S_i in the docstring of this module."""
+        return self.rows_at_origin.terms + RAN_AWAY * self._changes_at_origin
+
+    @cached_property
+    def _changes_at_origin(self) -> Any:
+        """d_i ‖r_P(z°)‖∞ of each row, 0 if it is infinite."""
         reference = self.references[1]
-        reach = self.scale * np.where(np.isfinite(reference), reference, 0.0)
-        return self.rows_at_origin.terms + RAN_AWAY * reach
+        return self.scale * np.where(np.isfinite(reference), reference, 0.0)
+
+    @cached_property
+    def least_violation(self) -> Vector:
+        """Violation of each row that passes next to any terms: of rounding in idle rows, or below normal doubles."""
+        is_idle = (self.norm(self.slack_at_origin) == 0.0) & (self._counts > 0)
+        return np.maximum(np.where(is_idle, IDLE_ROUNDING * self._changes_at_origin, 0.0), NORMAL)
 
     @cached_property
     def demand(self) -> Vector:
@@ -291,7 +308,8 @@ class RowData:
     def is_rounding(self, w: Vector, rounding: Vector, terms: Vector, sizes: Any) -> Any:
         """Return the rows whose slack is at their rounding level, w within `rounding` if z ran away, bool."""
         size = self.norm(w) + np.where(terms > sizes, self.norm(rounding), 0.0)
-        return size <= NEAREST * np.minimum(terms, sizes)
+        least = NORMAL * np.minimum(self.scale, 1.0)
+        return size <= np.maximum(NEAREST * np.minimum(terms, sizes), least)
 
     def residual_ends(
         self, z: Vector, w: Vector, rounding: Vector | None = None, scale: Vector | None = None
@@ -444,7 +462,7 @@ class RowData:
     def term_residuals(self, at: RowsAtPoint) -> Vector:
         """Return the least tolerance at which each row passes test 2; ∞ passes at none."""
         violation = at.violation
-        is_open = ~(violation <= np.maximum(NEGLIGIBLE * at.terms, NORMAL))
+        is_open = ~(violation <= np.maximum(NEGLIGIBLE * at.terms, self.least_violation))
         if not self.anywhere(is_open):
             return np.zeros(violation.shape)
         demand = self.demand

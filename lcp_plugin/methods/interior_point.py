@@ -91,7 +91,7 @@ class InteriorPoint(Algorithm):
             if not np.isfinite(z).all():
                 return
             # Complementarity pieces near a point of an engine; one of a start
-            cases = _cases(problem, z, 5)
+            cases = _cases(problem, z, 20)
             sharp = next(cases, Step(z))
             sharp.work += steps * (1.0 + operations / max(problem.nonzeros, 1))
             sharp.remark = f"{engine.name} took {steps} steps"

@@ -167,7 +167,7 @@ class NewtonState:
         if not np.array_equal(inside, z):
             residual = np.abs(scaled_residual(self.problem, inside, self.slack(inside)))
         size = float(np.max(residual, initial=0.0))
-        if size < self.best or not self._solved:
+        if size <= self.best or not self._solved:
             self.best, self.best_z = size, inside
 
     @property

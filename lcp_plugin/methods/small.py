@@ -42,7 +42,6 @@ from ..judges.lcp import (
     times,
 )
 from .banded import banded_passes
-from .finishing import measure_finished
 
 GUESSED = "small: a few sweeps guess the active set"
 SMALL_DENSE, SMALL_SPARSE = 256, 128  # unknowns
@@ -83,7 +82,7 @@ def first_candidate(problem: LCP, z0: Vector, tolerance: float) -> Any:
     label, z, entries = next(candidates(data, z0))
     z, rows = normal(data, z), None
     if bound_residual(data, z, tolerance) == math.inf:  # the sufficient test does not decide
-        measured = measure_finished(data, z, tolerance)
+        measured = data.measure(z, tolerance)
         if not measured.passes or data.is_solved_at_origin.any():
             return None
         z, rows = measured.z, measured.rows if problem.matrix.is_dense else None  # of the stored M
@@ -94,7 +93,7 @@ def first_path_point(problem: LCP, tolerance: float) -> Any:
     """Return the end of Lemke's compiled path, None, its method and its work, 0 at z°; None unless it is a solution."""
     for z, bound in path_points(problem, tolerance):
         if bound == math.inf:
-            measured = measure_finished(row_data(problem), z, tolerance)
+            measured = row_data(problem).measure(z, tolerance)
             if not measured.passes:
                 return None
             z = measured.z  # noqa: PLW2901
@@ -163,7 +162,7 @@ def normal(data: RowData, z: Vector) -> Vector:
 
 def measure(data: RowData, z: Vector, tolerance: float) -> Measured:
     """Measure points at the ends of linear solves."""
-    return measure_finished(data, normal(data, z), tolerance)
+    return data.measure(normal(data, z), tolerance)
 
 
 def suits_loop(count: int, n: int) -> bool:

@@ -47,7 +47,6 @@ from ..core.settings import OF_SOLVE, Settings, Status, whole_number
 from ..core.structure import connected_components
 from ..judges.lcp import RowData
 from ..methods.banded import Banded, active_sets, held_entries, solve_held, solve_one_sided
-from ..methods.finishing import measure_finished
 from ..solving.dispatch import options_of, parse_call, solve
 from ..solving.lcp_run import run_on
 from ..solving.lcp_solver import solve_lcp
@@ -108,7 +107,7 @@ class BandSteps:
             state = Z[k] = z
         bounds = self.done.data.bounds_of(problem, slice(block.start, block.start + len(Q)))
         data = RowData(problem.csr, self.absolute, Q, *bounds, problem.residual_scale)
-        measured = measure_finished(data, Z, self.settings.tolerance)
+        measured = data.measure(Z, self.settings.tolerance)
         passes, moves = measured.passes, (measured.z != Z).any(axis=1)
         count = len(Q) if passes.all() else int(np.argmin(passes))
         if moves[:count].any():  # later steps were computed from the point before it was moved

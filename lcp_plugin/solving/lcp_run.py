@@ -29,7 +29,6 @@ from ..judges.lcp import (
     rounding_of_data,
     row_data,
 )
-from ..methods.finishing import measure_finished
 from ..methods.newton import polish_active_set
 from ..proofs.guarantees import guarantee_of
 from .plan import plan
@@ -154,7 +153,7 @@ class LCPRun(Run):
     def measured(self, z: Vector) -> Measured:
         """Return the measure of z, moved to near bounds, with its small rows finished."""
         settings = self.settings
-        point = measure_finished(self.data, z, settings.goal, settings.absolute_tolerance)
+        point = self.data.measure(z, settings.goal, settings.absolute_tolerance)
         return point._replace(residual=float(point.residual))
 
     def keep(self, point: Measured) -> None:

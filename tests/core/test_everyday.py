@@ -270,3 +270,42 @@ def test_a_problem_of_the_largest_numbers_is_solved():
     """Terms that overflow when they are added do not refuse z = 1."""
     result = solve(LCP(np.diag([1e308, 1e308]), [-1e308, -1e308]), max_seconds=1.0)
     np.testing.assert_array_equal(result.require_solved().z, 1.0)
+
+
+@pytest.mark.parametrize("correlation", [0.6, 0.3])
+@pytest.mark.parametrize("algorithm", ["auto", "psor", "newton", "multigrid", "interior_point"])
+def test_a_put_on_two_assets_is_priced_to_its_far_field(algorithm, correlation):
+    """Far from the strike the values fall below 1e-90, and no method computes all of their digits."""
+    for nodes in (15, 31):
+        problem = everyday.put_on_two_assets(nodes, (0.15, 0.35), correlation)
+        z = solve(problem, algorithm, max_seconds=5.0).require_solved().z
+        slack, above = problem.slack(z), z - problem.lower
+        np.testing.assert_allclose(np.minimum(above, slack), 0.0, atol=1e-8)
+        np.testing.assert_allclose(np.minimum(above, abs(slack)), 0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("q", [-5e-324, -1e-323, -1e-310])
+@pytest.mark.parametrize("diagonal", [9.99, 3.0, 1.0])
+def test_a_load_below_the_normal_doubles_is_zero(diagonal, q):
+    """The result is 0 or a denormal z, but no failure and no search."""
+    result = solve(LCP([[diagonal]], [q])).require_solved()
+    assert 0.0 <= result.z[0] <= 1e-310
+
+
+def test_a_denormal_load_in_small_units_is_no_zero():
+    """Only z = 10 solves 1e-310 z ≥ 1e-309."""
+    assert solve(LCP([[1e-310]], [-1e-309])).require_solved().z[0] == pytest.approx(10.0)
+
+
+def test_a_march_decays_to_nothing():
+    """Each step divides z_0 by −2, beyond the smallest double."""
+    problem = LCP(np.diag([2.0, 3.0]), [0.0, 0.0], lower=[-np.inf, 0.0])
+    run = march(problem, np.zeros((1100, 2)), propagator=-1.0, z0=[1.0, 1.0])
+    assert len(run) == 1100
+    assert run[-1].require_solved().z[0] == 0.0
+
+
+def test_a_contact_below_the_normal_doubles_is_at_rest():
+    """An approach velocity of 1e-310 gives an impulse of at most 1e-310."""
+    result = solve(FrictionalContact(np.eye(3), np.array([-1.0, 0.1, 0.2]) * 1e-310, 0.5))
+    assert np.linalg.norm(result.require_solved().x) <= 2e-310

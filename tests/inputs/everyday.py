@@ -135,3 +135,19 @@ def zero_bound_models(rng: Generator) -> Iterator[tuple[int, float]]:
     """Yield numbers of quarters and shocks of a New Keynesian model."""
     while True:
         yield int(rng.integers(3, 13)), -0.01 * float(rng.integers(1, 6))
+
+
+def put_on_two_assets(nodes: int, volatilities: tuple[float, float], correlation: float) -> LCP:
+    """Return a step in time of an American put on the mean of two assets, on a wide grid of logarithms."""
+    a, b = volatilities
+    rate, step, width, h = 0.03, 0.02, 4.0, 1.0 / (nodes + 1)
+    near = np.ones(nodes - 1)
+    D = sp.diags_array([-near, near], offsets=[-1, 1]) / (2.0 * h * width)
+    D2 = sp.diags_array([near, -2.0 * np.ones(nodes), near], offsets=[-1, 0, 1]) / (h * width) ** 2
+    one = sp.eye_array(nodes)
+    L = sp.kron(0.5 * a**2 * D2 + (rate - 0.5 * a**2) * D, one)
+    L += sp.kron(one, 0.5 * b**2 * D2 + (rate - 0.5 * b**2) * D)
+    L += correlation * a * b * sp.kron(D, D) - rate * sp.eye_array(nodes**2)
+    prices = np.exp(width * (np.linspace(h, 1.0 - h, nodes) - 0.5))
+    payoff = np.maximum(1.0 - 0.5 * (prices[:, np.newaxis] + prices), 0.0).ravel()
+    return LCP(sp.csr_array(sp.eye_array(nodes**2) - step * L), -payoff, lower=payoff)

@@ -25,7 +25,6 @@ from ...core.kernels.floats import NEGLIGIBLE, NEGLIGIBLE_DIAGONAL
 from ...core.settings import Settings
 from ...core.tuning import CHEAP_UP_TO
 from ...judges.lcp import row_data
-from ...methods.finishing import measure_finished
 from ...methods.newton import fischer_burmeister
 from .data import SMALLEST_TOLERANCE, Linearization
 from .steps import Target, is_small, moved, row_scale, small_step, targets
@@ -238,7 +237,7 @@ class JosephyNewton(Algorithm):
         if not current.steps.any():
             return None
         if current.is_small(self.settings):  # rows in the far field fail
-            point = self._at(measure_finished(row_data(current.lcp), current.x, self.tolerance).z)
+            point = self._at(row_data(current.lcp).measure(current.x, self.tolerance).z)
             before = current.certificate.term_residual
             if point.is_defined and point.certificate.term_residual < before:
                 self.step_name = "finish"

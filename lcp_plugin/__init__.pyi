@@ -34,6 +34,8 @@ from .problems.least_squares.data import BoundedLeastSquares as BoundedLeastSqua
 from .problems.march import march as march
 from .problems.nonlinear.data import NonlinearProblem as NonlinearProblem
 from .problems.parametric.tracing import trace as trace
+from .problems.portable import check_proof as check_proof
+from .problems.portable import exact as exact
 from .problems.prepared import prepare as prepare
 from .problems.programs.certification import certify as certify
 from .problems.programs.program import QuadraticProgram as QuadraticProgram

@@ -30,6 +30,7 @@ from ..core.entries import with_entries
 from ..core.kernels.floats import DATA_ROUNDING, EPSILON, LARGEST, NEGLIGIBLE
 from ..core.lcp import LCP
 from ..core.names import Names, describe_radius
+from ..core.problem_classes import Door
 from ..core.settings import Status
 from ..core.structure import is_nearly_symmetric
 from ..judges.lcp import reference_residual, row_data
@@ -139,6 +140,7 @@ class NoSolutionProof:
 
     problem: LCP
     status: ClassVar[Status] = Status.NO_SOLUTION  # the proved status
+    save = Door()
 
     @property
     def radius(self) -> float:

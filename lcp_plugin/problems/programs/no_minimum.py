@@ -22,6 +22,7 @@ from ...core.deadline import is_over
 from ...core.entries import largest_in_rows, largest_products, max_norm, or_one
 from ...core.kernels.floats import DATA_ROUNDING, EPSILON, TINY
 from ...core.names import describe_radius, grouped, listed
+from ...core.problem_classes import Door
 from ...core.settings import Status
 from ...engines.polish import shifted_solver
 from ...judges.program import PROGRAM_TOLERANCE, ROWS
@@ -66,6 +67,7 @@ class QPInfeasibility:
 
     program: QuadraticProgram = field(repr=False)
     status: ClassVar[Status] = Status.INFEASIBLE
+    save = Door()
     multipliers: tuple[Fraction, ...]
 
     def verify(self) -> bool:
@@ -158,6 +160,7 @@ class QPUnboundedness:
 
     program: QuadraticProgram = field(repr=False)
     status: ClassVar[Status] = Status.UNBOUNDED
+    save = Door()
     point: tuple[Fraction, ...]
     direction: tuple[Fraction, ...]
 

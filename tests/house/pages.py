@@ -29,19 +29,9 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 TRADES = ("first_model", "options", "contact", "equilibria", "data", "control", "algorithms")
 GUIDES = (
     *TRADES,
-    *(
-        "agents",
-        "scenarios",
-        "solved",
-        "nonlinear",
-        "what_is_proved",
-        "layers",
-        "many_machines",
-        "ways_in",
-        "stalled",
-        "coming_from",
-    ),
-    "paper",
+    *("agents", "traffic", "relays", "nonlinear", "nonlinear_obstacles", "quadratic_programs"),
+    *("layers", "many_machines", "instead_of_path", "which_package", "browser", "stalled"),
+    *("solved", "what_is_proved", "paper"),
 )
 NOTEBOOKS = EXAMPLES / "notebooks"
 NAMES = (

@@ -9,16 +9,14 @@ from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from traceback import walk_tb
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from .checks import Array, Vector
 from .errors import InvalidOption, LCPError, UnreadableFile
-
-if TYPE_CHECKING:
-    from .lcp import LCP
+from .lcp import LCP
 
 NUMBERS = ("real", "double", "integer", "unsigned-integer")
 SYMMETRIES = ("general", "symmetric", "skew-symmetric")
@@ -106,7 +104,7 @@ def read_matrix_market(source: Path) -> Any:
 def market_arrays(source: Path) -> dict[str, Any]:
     """Return M of a Matrix Market file, and q, lower, upper of the files of these names next to it."""
     arrays = {"M": read_matrix_market(source)}
-    for name in VECTORS:
+    for name in LCP.vector_names:
         if (file := source.with_name(f"{name}.mtx")).exists() or name == "q":
             values = read_matrix_market(file)
             # before a sparse array becomes dense
@@ -117,7 +115,6 @@ def market_arrays(source: Path) -> dict[str, Any]:
 
 
 MATRIX_KEYS = ("data", "indices", "indptr", "shape")
-VECTORS = ("q", "lower", "upper")
 #: Names of the parts of sparse matrices: of M in CSR without a prefix, of P, A and G in CSC.
 PARTS = {key: "M" for key in MATRIX_KEYS} | {f"{M}_{key}": M for M in "PAG" for key in MATRIX_KEYS}
 LARGE_UNPACKED = 2**30  # bytes
@@ -126,7 +123,7 @@ LARGE_UNPACKED = 2**30  # bytes
 def save(problem: LCP, path: str | PathLike[str]) -> None:
     """Write the problem to a ``.npz`` file."""
     M = {name: getattr(problem.csr, name) for name in MATRIX_KEYS}
-    save_arrays(path, M | {name: getattr(problem, name) for name in VECTORS}, "an LCP")
+    save_arrays(path, M | {name: getattr(problem, name) for name in LCP.vector_names}, "an LCP")
 
 
 def save_arrays(path: str | PathLike[str], arrays: Mapping[str, Any], what: str) -> None:

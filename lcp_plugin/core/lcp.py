@@ -15,12 +15,13 @@ from .entries import clip
 from .errors import InvalidOption
 from .matrix import Matrix
 from .names import Names, checked_names, describe_lcp
+from .problem import Problem
 from .problem_classes import Door
 
 DATA = "matrix", "n", "q", "lower", "upper", "names", "origin"
 
 
-class LCP:
+class LCP(Problem):
     """Find z with lower ≤ z ≤ upper and w = M z + q complementary to it.
 
     For every row i: w_i ≥ 0 if z_i = lower_i, w_i = 0 if lower_i < z_i < upper_i, and w_i ≤ 0

@@ -391,8 +391,6 @@ def differentiable_parameters(problem: cp.Problem) -> list[Any]:
     return parameters
 
 
-VECTORS = {LCP: ("q", "lower", "upper"), QuadraticProgram: ("c", "h", "b", "lower", "upper")}
-MATRICES = {LCP: ("M",), QuadraticProgram: ("P", "G", "A")}
 Back = Callable[[Any], dict[int, Any]]
 Lines = dict[cp.Parameter, tuple[Vector, Vector]]
 
@@ -526,8 +524,8 @@ def _program(problem: cp.Problem) -> tuple[QuadraticProgram, Back]:
 
 def _line(problems: list[Any], values: tuple[float, ...]) -> tuple[Any, dict[str, Vector]]:
     """Return the problem at θ = 0 and its vectors' directions, from three values of θ; raise if they are not affine."""
-    first, problem_class = problems[0], type(problems[0])
-    for name in MATRICES[problem_class]:
+    first = problems[0]
+    for name in first.matrix_names:
         matrix, *others = (getattr(problem, name) for problem in problems)
         if any(matrix.shape != one.shape or abs(matrix - one).sum() != 0.0 for one in others):
             remedy = "where it multiplies the quadratic term, divide the objective by it"
@@ -538,7 +536,7 @@ def _line(problems: list[Any], values: tuple[float, ...]) -> tuple[Any, dict[str
             )
     begin, end, between = values
     base, directions = {}, {}
-    for name in VECTORS[problem_class]:
+    for name in first.vector_names:
         vectors = np.array([getattr(problem, name) for problem in problems])
         moves = np.isfinite(vectors).all(axis=0)
         at_begin, at_end, at_middle = np.where(moves, vectors, 0.0)
@@ -556,6 +554,6 @@ def _line(problems: list[Any], values: tuple[float, ...]) -> tuple[Any, dict[str
         if slope.any():
             directions[name] = slope
     if not directions:
-        name = VECTORS[problem_class][0]
+        name = first.vector_names[0]
         directions = {name: np.zeros_like(base[name])}
-    return (first.with_q if problem_class is LCP else first.with_vectors)(**base), directions
+    return first.with_vectors(**base), directions

@@ -870,11 +870,11 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
         return BatchDerivative(batch)
     if isinstance(problems, ProgramBatch):
         valid = (problems[k] for k in range(len(batch)) if k not in batch.errors)
-        example = problems.shared or next(valid, None)
+        example = problems.base or next(valid, None)
         if example is None:
             raise batch.errors[0]
         arrays = {name: getattr(problems, name) for name in "PGA"}
-        for name, rows in problems.vectors.items():
+        for name, rows in problems.rows.items():
             arrays[name] = np.broadcast_to(rows, (len(batch), rows.shape[1]))
         data: Any = ProgramData(example, arrays)
         z = np.concatenate([batch.x, batch.inequality, batch.equality], axis=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import tracemalloc
 import warnings
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tools.refusals import assert_refused, refusals
 
-from lcp_plugin import LCP, Certificate, QuadraticProgram, solve
+from lcp_plugin import (
+    LCP,
+    BoundedLeastSquares,
+    Certificate,
+    NonlinearProblem,
+    QuadraticProgram,
+    solve,
+)
 
 A = np.array(
     [[4.0, -1.0, 0.0, 0.0], [0.0, 5.0, -2.0, 0.0], [0.0, 0.0, 6.0, 0.0], [-3.0, 0.0, 0.0, 0.5]]
@@ -296,3 +304,31 @@ def test_equal_bounds_of_a_problem_cannot_be_changed():
     """Short equal bounds are shared by problems: nobody can make those of all problems writable."""
     with pytest.raises(ValueError, match="WRITEABLE"):
         LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]).lower.flags.writeable = True
+
+
+# --- the table of data --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        LCP([[2.0]], [1.0]),
+        QuadraticProgram([[2.0]], [1.0], [[1.0]], [3.0], [[1.0]], [0.5]),
+        BoundedLeastSquares([[1.0]], [1.0], weights=[2.0], ridge=0.5, l1=[0.1]),
+        NonlinearProblem(lambda x: x, lower=np.zeros(1)),
+    ],
+    ids=lambda problem: type(problem).__name__,
+)
+def test_the_named_data_are_arguments_attributes_and_changes(problem):
+    """Each name is an argument of the class and an attribute; with_vectors takes the vectors, the bounds last."""
+    arguments = signature(type(problem)).parameters
+    names = (*problem.matrix_names, *problem.vector_names)
+    assert {*names} - {*arguments} <= ({"q"} if isinstance(problem, NonlinearProblem) else set())
+    assert problem.vector_names[-2:] == ("lower", "upper")
+    for name in problem.vector_names:
+        moved = problem.with_vectors(**{name: getattr(problem, name) + 1.0})
+        assert type(moved) is type(problem)
+        if name != "q":
+            assert getattr(moved, name).tolist() == [getattr(problem, name)[0] + 1.0]
+    same = problem.with_vectors(lower=problem.lower)
+    assert solve(same).x.tolist() == solve(problem).x.tolist()

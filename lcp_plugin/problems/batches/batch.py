@@ -146,8 +146,8 @@ def solve_batch(
         overrides.setdefault("tolerance", PROGRAM_TOLERANCE)
         if not (isinstance(algorithm, str) and algorithm in ENGINES):
             method_of(algorithm, {})
-        if programs.shared is not None:
-            refuse_nonconvex(programs.shared)
+        if programs.base is not None:
+            refuse_nonconvex(programs.base)
         return BatchRun(programs, algorithm, overrides).run(callback)
     stated = _problems_of(M, q, lower, upper, z0)
     if stated.are_lcps:

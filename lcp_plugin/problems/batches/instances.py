@@ -178,8 +178,7 @@ class Listed(Instances):
             chosen = [self.problems[k] for k in items]
             is_shared = all(item.matrix is chosen[0].matrix for item in chosen)
             M = np.array([item.matrix.toarray() for item in chosen[: 1 if is_shared else None]])
-            names = ("q", "lower", "upper")
-            vectors = (np.array([getattr(item, name) for item in chosen]) for name in names)
+            vectors = vectors_of(chosen, LCP.vector_names).values()
             yield Group(np.array(items), *map(read_only, (M, *vectors, np.empty((1, 0)))))
 
     def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
@@ -193,11 +192,15 @@ class Listed(Instances):
         for items in alike.values():
             chosen = [self.problems[k] for k in items]
             M = np.stack([item.rows.matrix.toarray() for item in chosen])
-            names = ("q", "slope", "lower", "upper")
-            vectors = (np.stack([getattr(item, name) for item in chosen]) for name in names)
+            vectors = vectors_of(chosen, ("q", "slope", "lower", "upper")).values()
             data = chosen[0].has_friction, chosen[0].starts, M, *vectors
             yield np.array(items), partial(_solve_cones, data, None, tolerance, has_time)
         yield from super().stacks(tolerance, has_time, threads)
+
+
+def vectors_of(problems: Sequence[Any], names: tuple[str, ...]) -> dict[str, Any]:
+    """Return these vectors of problems of one shape, each of shape (B, size)."""
+    return {name: np.array([getattr(item, name) for item in problems]) for name in names}
 
 
 def stack_of(has_friction: bool, starts: Array, M: AnyMatrix, *vectors: Array) -> ConeStack:
@@ -222,6 +225,8 @@ def have_values(lower: Array, upper: Array) -> Any:
 class Rows(Instances):
     """Problems with one matrix, or with a stack of matrices, in arrays with an axis for the problems.
 
+    `base` has the matrix of all. `problems`, if they exist already, are the items, or their errors.
+
     Parameters
     ----------
     vectors : dict of arrays
@@ -231,6 +236,9 @@ class Rows(Instances):
     counts : dict of int
         Numbers of other arrays with an axis for the problems.
     """
+
+    base: Any = None
+    problems: Sequence[Any] | None = None
 
     def __init__(self, vectors: dict[str, Any], n: int, m: int, counts: dict[str, int]) -> None:
         vectors = {name: values for name, values in vectors.items() if values is not None}
@@ -257,8 +265,13 @@ class Rows(Instances):
         return self.count
 
     def __getitem__(self, k: int) -> Any:
-        """Return problem k."""
-        raise NotImplementedError
+        """Return problem k, or raise its error."""
+        if self.problems is None:
+            names = self.base.vector_names
+            return self.base.with_vectors(**{name: self._row(name, k) for name in names})
+        if isinstance(item := self.problems[k], LCPError):
+            raise item
+        return item
 
     @property
     def valid(self) -> Any:
@@ -305,11 +318,11 @@ class Stacked(Rows):
                 is_good = is_good & np.isfinite(self.M.sum(axis=(1, 2)))
         self._find_errors(is_good)
 
-    def __getitem__(self, k: int) -> LCP:
-        q, lower, upper = (self._row(name, k) for name in ("q", "lower", "upper"))
+    def __getitem__(self, k: int) -> Any:
+        """Return problem k, or raise its error."""
         if self.base is not None:
-            return self.base.with_q(q, lower=lower, upper=upper)
-        return LCP(self.M[k], q, lower=lower, upper=upper)
+            return super().__getitem__(k)
+        return LCP(self.M[k], **{name: self._row(name, k) for name in LCP.vector_names})
 
     def slacks(self, z: Array) -> Any:
         """Return M z + q of each problem, shape (B, n)."""
@@ -330,7 +343,7 @@ class Stacked(Rows):
         if not is_suited or not items.size:
             return
         M = np.ascontiguousarray(self.M) if self.base is None else self.base.matrix.toarray()[None]
-        vectors = [self.rows[name] for name in ("q", "lower", "upper")]
+        vectors = [self.rows[name] for name in LCP.vector_names]
         starts = np.empty((1, 0))
         if "z0" in self.rows:
             starts = np.clip(self.rows["z0"], self.rows["lower"], self.rows["upper"])
@@ -346,7 +359,7 @@ class RightSides(Rows):
 
     def __init__(self, problem: BoundedLeastSquares, problems: Any = None, **vectors: Any) -> None:
         self.base, self.problems, (m, n) = problem, problems, problem.shape
-        for name in ("b", "lower", "upper", "l1"):
+        for name in problem.vector_names:
             if vectors.get(name) is None:
                 vectors[name] = getattr(problem, name)
         super().__init__(vectors, n, m, {})
@@ -359,19 +372,13 @@ class RightSides(Rows):
             return None
         if len({(id(item.A), id(item.weights), item.ridge) for item in problems}) != 1:
             return None
-        names = "b", "lower", "upper", "l1"
-        vectors = {name: np.array([getattr(item, name) for item in problems]) for name in names}
-        return cls(problems[0], problems, **vectors)
-
-    def __getitem__(self, k: int) -> BoundedLeastSquares:
-        if self.problems is not None:
-            return self.problems[k]
-        return self.base.with_vectors(*(self._row(name, k) for name in ("b", "lower", "upper")))
+        return cls(problems[0], problems, **vectors_of(problems, problems[0].vector_names))
 
     def stack(self, items: Array) -> BoundedLeastSquares:
         """Return these problems as a stack."""
-        rows = (self.rows[name] for name in ("b", "lower", "upper", "l1"))
-        return self.base.stack(*(array if len(array) == 1 else array[items] for array in rows))
+        rows = {name: self.rows[name] for name in self.base.vector_names}
+        parts = {name: row if len(row) == 1 else row[items] for name, row in rows.items()}
+        return self.base.stack(**parts)
 
     def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
         """Yield stacks of small problems, whose arrays stay in the cache."""

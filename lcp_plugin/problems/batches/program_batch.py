@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -21,43 +20,43 @@ from ...methods.small import LOOP_FROM, has_numba
 from ..many import rows_of_a_batch
 from ..programs.program import CANCELS, VECTORS, QuadraticProgram
 from ..programs.program_matrices import as_array, may_be_small
-from .instances import Instances, Stacks, have_values
+from .instances import Rows, Stacks, have_values, vectors_of
 
 ENGINE = "daqp"
 PROXIMAL = {"eta_prox": 1e-13, "eps_prox": -1e-3}  # for singular P, because no polish follows
 EIGENVALUE_ROUNDING = 4.0 * EPSILON  # of eigenvalues, relative to the largest and per unknown
 
 
-@dataclass(frozen=True, eq=False)
-class ProgramBatch(Instances):
+class ProgramBatch(Rows):
     """Programs of one shape, as arrays with an axis for them; one row of a table has x and all multipliers.
 
-    Attributes
+    Parameters
     ----------
-    count : int
-    sizes : tuple of int
-        m, p, n, n.
-    P, G, A : arrays, shapes (B, n, n), (B, m, n) and (B, p, n), or without B: the same for all
-    vectors : dict
+    example : QuadraticProgram
+        Program of the shape of all.
+    rows : dict
         c, h, b, lower and upper of shapes (B, size), or (1, size) for all.
     constant : array, shape (B,) or ()
-    shared : QuadraticProgram or None
-        A program with the matrices of all.
-    programs : sequence or None
-        The programs, or their errors.
+    matrices : list of arrays, shapes (B, n, n), (B, m, n) and (B, p, n), optional
+        P, G and A; by default the matrices of `example` for all.
+    problems : sequence, optional
+        Programs, or their errors.
     """
 
-    count: int
-    sizes: tuple[int, int, int, int]
-    P: AnyMatrix
-    G: AnyMatrix
-    A: AnyMatrix
-    vectors: dict[str, Any]
-    constant: Any
-    shared: QuadraticProgram | None = None
-    programs: Sequence[QuadraticProgram | LCPError] | None = None
-
     item, stacked_by, fewest_iterations = "program", ("auto", ENGINE), 0
+
+    def __init__(
+        self,
+        example: QuadraticProgram,
+        rows: Any,
+        constant: Any,
+        matrices: Any = None,
+        problems: Any = None,
+    ) -> None:
+        self.base = example if matrices is None else None
+        self.P, self.G, self.A = matrices or (example.P, example.G, example.A)
+        self.rows, self.constant, self.problems = rows, constant, problems
+        self.count, self.sizes = len(rows["c"]), example.matrices.sizes
 
     @classmethod
     def of(
@@ -72,23 +71,20 @@ class ProgramBatch(Instances):
         example : QuadraticProgram
             Program of the same shape.
         """
-        sizes = m, p, n, _ = example.matrices.sizes
+        m, p, n, _ = sizes = example.matrices.sizes
         stated = [example if isinstance(item, LCPError) else item for item in programs]
-        shared = example if all(item.matrices is example.matrices for item in stated) else None
+        is_shared = all(item.matrices is example.matrices for item in stated)
         if any(item.matrices.sizes != sizes for item in stated):
             return None
-        if shared is None and not may_be_small(n, m + p, [n * (n + m + p)]):
+        if not (is_shared or may_be_small(n, m + p, [n * (n + m + p)])):
             return None
-        vectors = {name: np.stack([getattr(item, name) for item in stated]) for name in VECTORS}
-        constant = np.array([item.constant for item in stated])
+        rows = vectors_of(stated, (*VECTORS, "constant"))
         is_invalid = [isinstance(item, LCPError) for item in programs]
-        for rows in (*vectors.values(), constant):
-            rows[is_invalid] = np.nan
-        P, G, A = example.P, example.G, example.A
-        if shared is None:
-            stacks = ([as_array(getattr(item, name)) for item in stated] for name in "PGA")
-            P, G, A = map(np.array, stacks)
-        return cls(len(programs), sizes, P, G, A, vectors, constant, shared, programs)
+        for row in rows.values():
+            row[is_invalid] = np.nan
+        stacks = ([as_array(getattr(item, name)) for item in stated] for name in "PGA")
+        matrices = None if is_shared else [*map(np.array, stacks)]
+        return cls(example, rows, rows.pop("constant"), matrices, programs)
 
     @classmethod
     def with_costs(cls, program: QuadraticProgram, c: ArrayLike) -> ProgramBatch:
@@ -99,11 +95,8 @@ class ProgramBatch(Instances):
         InvalidProblem
             If the shape does not fit.
         """
-        vectors = {name: getattr(program, name)[np.newaxis] for name in VECTORS}
-        vectors["c"] = rows_of_a_batch(c, "c", program.n)
-        count, constant = len(vectors["c"]), np.array(program.constant)
-        matrices = program.P, program.G, program.A
-        return cls(count, program.matrices.sizes, *matrices, vectors, constant, program)
+        rows = vectors_of([program], VECTORS)
+        return cls(program, rows | {"c": rows_of_a_batch(c, "c", program.n)}, program.constant)
 
     @property
     def n(self) -> int:
@@ -115,7 +108,7 @@ class ProgramBatch(Instances):
         """The points of [lower, upper] nearest to 0, with multipliers NaN, shape (B, m + p + 3 n)."""
         m, p, n, _ = self.sizes
         points = np.full((self.count, m + p + 3 * n), np.nan)
-        points[:, :n] = np.clip(0.0, self.vectors["lower"], self.vectors["upper"])
+        points[:, :n] = np.clip(0.0, self.rows["lower"], self.rows["upper"])
         return points
 
     def row(self, result: Any) -> Any:
@@ -128,7 +121,7 @@ class ProgramBatch(Instances):
 
         Matrices are of shape (B or 1, …), vectors (B, …), C-contiguous and read-only.
         """
-        shapes = ((rows, (self.count, rows.shape[1])) for rows in self.vectors.values())
+        shapes = ((rows, (self.count, rows.shape[1])) for rows in self.rows.values())
         c, h, b, lower, upper = (np.broadcast_to(*row) for row in shapes)
         P, G, A = map(_stack, (self.P, self.G, self.A))
         data = P, c, np.concatenate([G, A], 1), np.concatenate([h, b], 1), lower, upper
@@ -137,21 +130,10 @@ class ProgramBatch(Instances):
     @property
     def may_be_stated(self) -> BoolVector:
         """Mask of the valid programs, shape (B,), as far as vectors show."""
-        c, h, b, lower, upper = self.vectors.values()
+        c, h, b, lower, upper = self.rows.values()
         is_finite = np.isfinite(c).all(axis=1) & np.isfinite(b).all(axis=1)
         is_stated = is_finite & (h > -np.inf).all(axis=1) & have_values(lower, upper)
         return np.broadcast_to(is_stated, self.count)
-
-    def __len__(self) -> int:
-        return self.count
-
-    def __getitem__(self, k: int) -> QuadraticProgram:
-        if self.programs is None:
-            assert self.shared is not None
-            return self.shared.with_vectors(self.vectors["c"][k])
-        if isinstance(program := self.programs[k], LCPError):
-            raise program
-        return program
 
     def stacks(self, tolerance: float, has_time: object, threads: int) -> Stacks:
         """Yield small programs in blocks, some for each thread."""
@@ -179,7 +161,7 @@ class ProgramBatch(Instances):
 
     def objectives(self, z: Array) -> Any:
         """Return ½ xᵀP x + cᵀx + constant of each program."""
-        P, c, x = self.P, self.vectors["c"], z[:, : self.n]
+        P, c, x = self.P, self.rows["c"], z[:, : self.n]
 
         def values_of(P: AnyMatrix, c: Array, x: Array) -> Any:
             Px = (P @ x.T).T if sp.issparse(P) else np.matmul(P, x[:, :, np.newaxis])[:, :, 0]
@@ -189,7 +171,7 @@ class ProgramBatch(Instances):
         values = values + self.constant
         for i in np.flatnonzero(x.shape[1] * EPSILON * terms > CANCELS * np.abs(values)).tolist():
             values[i] = self[i].objective(x[i])  # where terms cancel
-        senses = [getattr(item, "sense", 1.0) for item in self.programs or (self.shared,)]
+        senses = [getattr(item, "sense", 1.0) for item in self.problems or (self.base,)]
         return np.array(senses) * values
 
 

@@ -17,6 +17,7 @@ from ...core import checks
 from ...core.checks import AnyMatrix, Array, BoolVector, Vector, read_only
 from ...core.errors import InvalidOption, InvalidProblem
 from ...core.kernels.floats import EPSILON, OUTWARD, TINY
+from ...core.problem import Problem
 from ...core.rounding import compensated_product, gamma
 from ...judges.lcp import RAN_AWAY
 from ...systems.equilibration import power_of_two
@@ -27,7 +28,7 @@ SQUARED_RANGE = 1e-130, 1e145  # of a largest entry: squares, also of rounding e
 OF_BOUNDS = "nearest_to_zero", "bounds_per_column"  # properties that depend on them
 
 
-class BoundedLeastSquares:
+class BoundedLeastSquares(Problem):
     """Minimize ½ Σ weights_i (A x − b)_i² + ½ ridge ‖x‖² + Σ l1_j |x_j| over lower ≤ x ≤ upper.
 
     With l1 > 0 and ``lower=-inf`` it is the lasso, with an additional ridge the elastic net.
@@ -63,6 +64,8 @@ class BoundedLeastSquares:
     is_sparse, is_dense : bool
         Whether A is a sparse array, or an ndarray.
     """
+
+    matrix_names, vector_names = ("A", "weights", "ridge"), ("b", "l1", "lower", "upper")
 
     def __init__(
         self,
@@ -124,7 +127,7 @@ class BoundedLeastSquares:
     def _largest_root(self) -> float:
         return 1.0 if self.weights is None else max(1.0, float(self.root_weights.max(initial=0.0)))
 
-    def with_vectors(
+    def with_vectors(  # type: ignore[override]
         self,
         b: ArrayLike | None = None,
         lower: ArrayLike | None = None,

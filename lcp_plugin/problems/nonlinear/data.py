@@ -58,6 +58,7 @@ from ...core.kernels.floats import EPSILON, HALF_OF_DIGITS, LARGEST
 from ...core.lcp import LCP
 from ...core.matrix import Matrix
 from ...core.names import checked_names
+from ...core.problem import Problem
 from ...core.problem_classes import Door
 from ...core.settings import Settings
 from ...core.structure import connected_components
@@ -168,7 +169,7 @@ class Evaluations(NamedTuple):
     undefined: int
 
 
-class NonlinearProblem:
+class NonlinearProblem(Problem):
     """Find x with lower ≤ x ≤ upper and F(x) complementary to it.
 
     For every row i: F_i(x) ≥ 0 if x_i = lower_i, F_i(x) = 0 if lower_i < x_i < upper_i, and F_i(x) ≤ 0 if x_i =
@@ -215,6 +216,8 @@ class NonlinearProblem:
     #: Calls of F, derivatives, and calls without a finite value, if a run counts them.
     counts: Any = None
     from_jax, from_casadi = Door(is_static=True), Door(is_static=True)
+
+    matrix_names = ()
 
     def __init__(
         self,

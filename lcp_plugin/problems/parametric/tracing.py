@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -149,7 +149,7 @@ class Line:
     def __init__(self, problem: Any, along: Any, start: float, stop: float, tolerance: Any) -> None:
         if (name := class_of(problem)) not in classes_of("trace"):
             raise InvalidOption(refusal("trace", problem))
-        self.family = FAMILIES[name]
+        self.conditions = CONDITIONS[name]
         is_program = isinstance(problem, QuadraticProgram)
         usual = PROGRAM_TOLERANCE if is_program else DEFAULTS["tolerance"]
         self.tolerance = Settings(tolerance=usual if tolerance is None else tolerance).tolerance
@@ -168,8 +168,8 @@ class Line:
 
     def _check_change(self, name: str, change: Any) -> Vector:
         """Return the change of a vector for θ + 1, shape (size,)."""
-        class_name, names = type(self.problem).__name__, self.family.vectors
-        if name in self.family.matrices:
+        class_name, names = type(self.problem).__name__, self.problem.vector_names
+        if name in self.problem.matrix_names:
             raise InvalidOption(
                 f"vectors of {class_name} may move, not {name}: the solution is not piecewise affine in {name}; "
                 "solve_batch takes a list of problems. If θ multiplies P, divide the objective by it and move c"
@@ -226,8 +226,6 @@ class Line:
             moved["lower"] = np.minimum(moved["lower"], self.problem.upper)
         if "l1" in moved:
             moved["l1"] = np.maximum(moved["l1"], 0.0)
-        if isinstance(self.problem, (LCP, NonlinearProblem)):
-            return self.problem.with_q(moved.pop("q", self.problem.q), **moved)
         return self.problem.with_vectors(**moved)
 
     def theta(self, t: float) -> float:
@@ -280,24 +278,6 @@ class Line:
 # --- Problem classes ----------------------------------------------------------------------------------------------
 
 
-class Family(NamedTuple):
-    """The vectors of a problem class that may move, and its complementarity problem.
-
-    Attributes
-    ----------
-    vectors : tuple of str
-        The bounds are the last two.
-    matrices : tuple of str
-        Data that may not move.
-    conditions : callable
-        ``conditions(line)``: the complementarity problem from start to stop; None if it is nonlinear.
-    """
-
-    vectors: tuple[str, ...]
-    matrices: tuple[str, ...]
-    conditions: Callable[[Line], Any]
-
-
 def _matrix_conditions(line: Line) -> MonotoneGraphs:
     """Return an LCP, or the optimality conditions of a convex program."""
     stated = line.problem
@@ -308,7 +288,7 @@ def _matrix_conditions(line: Line) -> MonotoneGraphs:
         raise UnsuitableProblem(
             f"trace takes up to {PIVOTED_UP_TO} rows, got {stated.n}; solve_batch(problem, Q) solves at given values"
         )
-    *rows, lower, upper = map(line.slope, line.family.vectors)
+    *rows, lower, upper = map(line.slope, line.problem.vector_names)
     zeros = np.zeros(stated.n - lower.size)  # bounds of multipliers
     slopes = np.concatenate(rows), np.append(lower, zeros), np.append(upper, zeros)
     values = stated.q, stated.lower, stated.upper
@@ -331,20 +311,19 @@ def _penalty_conditions(line: Line) -> MonotoneGraphs:
         raise UnsuitableProblem(
             f"a bound of x[{j}], which has a penalty, changes its sign on the way; trace up to there, then on"
         )
-    names = line.family.vectors
+    names = line.problem.vector_names
     b, penalty, low, high = (line.pair(getattr(problem, name), line.slope(name)) for name in names)
     q = -np.array([problem.apply_transpose(problem.apply_weights(part)) for part in b])
     q += np.where(has_kink, 0.0, np.where(is_negative, -penalty, penalty))
     return MonotoneGraphs.of_least_squares(problem, q, low, high, np.where(has_kink, penalty, 0.0))
 
 
-FAMILIES = {
-    "LCP": Family(("q", *BOUNDS), ("M",), _matrix_conditions),
-    "NonlinearProblem": Family(("q", *BOUNDS), (), lambda line: None),
-    "QuadraticProgram": Family(("c", "h", "b", *BOUNDS), ("P", "G", "A"), _matrix_conditions),
-    "BoundedLeastSquares": Family(
-        ("b", "l1", *BOUNDS), ("A", "weights", "ridge"), _penalty_conditions
-    ),
+#: The complementarity problem of a line from start to stop, by problem class; None if it is nonlinear.
+CONDITIONS: dict[str, Callable[[Line], Any]] = {
+    "LCP": _matrix_conditions,
+    "NonlinearProblem": lambda line: None,
+    "QuadraticProgram": _matrix_conditions,
+    "BoundedLeastSquares": _penalty_conditions,
 }
 
 
@@ -355,7 +334,7 @@ class _Trace:
     """A path during the trace: t = |θ − start| goes from 0 to `end`, at stop or at crossing bounds."""
 
     def __init__(self, line: Line) -> None:
-        self.line, self.path, self.problem = line, Path(line), line.family.conditions(line)
+        self.line, self.path, self.problem = line, Path(line), line.conditions(line)
         self.span = abs(line.stop - line.start)
         share, self.path.crossed = line.find_crossing()
         self.end, self.reached = self.span * share, 0.0

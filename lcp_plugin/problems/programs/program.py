@@ -18,6 +18,7 @@ from ...core.entries import largest_in_rows, max_norm
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.kernels.floats import EPSILON
 from ...core.names import Names, checked_names, listed
+from ...core.problem import Problem
 from ...core.rounding import compensated_pair, compensated_product
 from ...core.structure import mismatch
 from ...judges.program import NOISE, ROWS, Indices, JudgedProgram
@@ -25,13 +26,11 @@ from ...proofs.exact import like
 from .constraints import Constraints
 from .program_matrices import ProgramMatrices, as_array
 
-VECTORS = "c", "h", "b", "lower", "upper"
-KEPT = *VECTORS, "constant", "sense", "asymmetry", "ranges", "names"
 CANCELS = 1e-9  # of the objective: more rounding is worth an exact sum
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class QuadraticProgram:
+class QuadraticProgram(Problem):
     """Minimize ½ xᵀP x + cᵀx + constant subject to G x ≤ h, A x = b, lower ≤ x ≤ upper; checked, read-only data.
 
     It is one class because its constructors, its changes and its reductions all write the same data.
@@ -82,6 +81,8 @@ class QuadraticProgram:
     -4.5
     """
 
+    matrix_names, vector_names = ("P", "G", "A"), ("c", "h", "b", "lower", "upper")
+
     P: AnyMatrix
     c: checks.Vector
     G: AnyMatrix
@@ -118,7 +119,7 @@ class QuadraticProgram:
         rows, limits = _checked_rows(G, h, "G", "h", n, checks.checked_right_side)
         equations, right = _checked_rows(A, b, "A", "b", n, checks.checked_vector)
         below, above = checks.checked_bounds(lower, upper, n)
-        vectors = zip(VECTORS, (vector, limits, right, below, above), strict=True)
+        vectors = zip(self.vector_names, (vector, limits, right, below, above), strict=True)
         data = dict(vectors) | {"asymmetry": asymmetry, "constant": checked_constant(constant)}
         names = checked_names(names, limits.size + right.size, n)
         self._keep(ProgramMatrices(P, rows, equations), names=names, **data)
@@ -215,7 +216,7 @@ class QuadraticProgram:
         """Proofs that were searched for; see :func:`lcp_plugin.problems.programs.no_minimum.known_proof`."""
         return {}
 
-    def with_vectors(
+    def with_vectors(  # type: ignore[override]
         self,
         c: ArrayLike | None = None,
         h: ArrayLike | None = None,
@@ -259,7 +260,8 @@ class QuadraticProgram:
 
     def replaced(self, matrices: ProgramMatrices | None = None, **data: Any) -> QuadraticProgram:
         """Return the program with other data, which are not checked."""
-        kept = {name: getattr(self, name) for name in KEPT}
+        names = *self.vector_names, "constant", "sense", "asymmetry", "ranges", "names"
+        kept = {name: getattr(self, name) for name in names}
         return object.__new__(type(self))._keep(matrices or self.matrices, **(kept | data))
 
     def name(self, k: int) -> str:
@@ -282,7 +284,9 @@ class QuadraticProgram:
     @classmethod
     def with_matrices(cls, matrices: ProgramMatrices, *vectors: checks.Vector) -> QuadraticProgram:
         """Return the program of these matrices and of c, h, b, lower and upper, which are not checked."""
-        return object.__new__(cls)._keep(matrices, **dict(zip(VECTORS, vectors, strict=True)))
+        return object.__new__(cls)._keep(
+            matrices, **dict(zip(cls.vector_names, vectors, strict=True))
+        )
 
     def _keep(self, matrices: ProgramMatrices, **data: Any) -> Self:
         """Write checked data into this new program."""
@@ -320,6 +324,9 @@ class QuadraticProgram:
         return {attribute.name: getattr(self, attribute.name) for attribute in fields(self)}
 
     __setstate__ = checks.restore_state
+
+
+VECTORS = QuadraticProgram.vector_names
 
 
 def checked_constant(constant: Any) -> float:

@@ -173,13 +173,12 @@ class Algorithm(ABC):
             Before the first step; the message names the unsuitable row.
         """
 
-    def named_iterates(self, problem: LCP, z0: Vector, tolerance: float) -> Iterator[Step]:
-        """Yield the steps of a run whose caller chose this algorithm; "auto" calls `iterates`."""
-        return self.iterates(problem, z0)
+    def first_points(self, problem: LCP, z0: Vector, tolerance: float) -> Iterator[Step] | None:
+        """Return the points of a first attempt that is complete by itself, before `iterates`; None without one.
 
-    def is_compiled_for(self, problem: LCP) -> bool:
-        """Return whether the first point of `named_iterates` after the start is the end of Lemke's compiled path."""
-        return False
+        A run takes them if the caller chose this algorithm, or if "auto" begins with it.
+        """
+        return None
 
     def finish(self, problem: LCP, z: Vector) -> Vector:
         """Return z after a last clean-up; the driver keeps it only if its certificate is no worse."""

@@ -111,6 +111,11 @@ class Settings:
                 fill(self, **{name: check(value, name)})
 
     @property
+    def is_watched(self) -> bool:
+        """Whether the run is recorded or printed."""
+        return bool(self.record or self.verbose)
+
+    @property
     def goal(self) -> float:
         """Required ratio of residual to reference."""
         return float(self.tolerance or (NOTHING if self.absolute_tolerance else 0.0))

@@ -568,26 +568,35 @@ def divide_nonnegative(numerators: Any, denominators: Any) -> Any:
 def bound_residual(data: RowData, z: Vector, tolerance: float) -> float:
     """Return an upper bound of the relative residual of z, within its bounds; ∞ if the test does not decide.
 
-    A finite bound shows that z° = 0 is not a solution, and that the criterion accepts z as
-    :func:`bound_residuals` proves it for stacks; it takes half of the time. Here M is connected and z° = 0, so
-    w(z°) = q exactly. The factors .999 and 1.001 cover the rounding of the last lines.
+    A finite bound shows that the criterion accepts z, as :func:`bound_residuals` proves it for stacks; it takes half of
+    the time. The factors .999 and 1.001 cover the rounding of the last lines.
     """
-    if data.labels is not None or data.origin.any():
-        return math.inf
-    w, terms = data.M @ z + data.q, data.absolute @ np.abs(z) + np.abs(data.q)
+    origin, size = data.origin, np.abs(z)
+    products, at_0, rounding_at_0 = data.absolute @ size, data.q, 0.0
+    w, terms = data.M @ z + data.q, products + np.abs(data.q)
+    margin = 2.0 * EPSILON * (z.size + 8)
+    if origin.any():
+        at_0 = data.M @ origin + data.q
+        terms_at_0 = data.absolute @ np.abs(origin) + np.abs(data.q)
+        rounding_at_0 = (margin * terms_at_0 + SMALLEST**2) / data.scale
     above, below = z - data.lower, data.upper - z
     is_above, is_below = above > 0.0, below > 0.0
     violation = np.maximum(w * is_above, -w * is_below)
-    rounding = (2.0 * EPSILON * (z.size + 8)) * terms + SMALLEST**2
-    largest_r, at_0 = (violation + rounding) / data.scale, data.q / data.scale
-    residual_at_0 = np.maximum.reduce(np.abs(clip(at_0, -data.upper, -data.lower)))
+    rounding = np.where(products > 0.0, margin * terms + SMALLEST**2, 0.0)
+    residual = (violation + rounding) / data.scale
+    step_at_0 = np.abs(clip(at_0 / data.scale, origin - data.upper, origin - data.lower))
     of_free = np.where(is_above & is_below, terms / data.scale, 0.0)
+    top: Any = np.maximum.reduce if data.labels is None else data.largest
     gap = np.minimum(np.where(is_above, above, np.inf), np.where(is_below, below, np.inf))
-    reference = min(residual_at_0, np.maximum.reduce(of_free))  # or less
-    is_right = (largest_r < 0.999 * gap) & (violation <= 0.5 * NEGLIGIBLE * terms)
-    bound = float(1.001 * np.maximum.reduce(largest_r) / reference)
-    is_small = residual_at_0 < np.inf and bound <= 0.5 * tolerance
-    return bound if is_small and np.logical_and.reduce(is_right) else math.inf
+    largest, first = top(residual), top(step_at_0 - rounding_at_0)
+    reference = np.minimum(first, top(of_free))  # or less
+    is_right = (residual < 0.999 * gap) & (violation <= 0.5 * NEGLIGIBLE * terms)
+    is_right &= (first > 0.0) | (top(np.abs(z - origin)) == 0.0)
+    is_right &= (1.001 * largest <= 0.5 * tolerance * reference) & (terms < np.inf)
+    if not np.logical_and.reduce(is_right):
+        return math.inf
+    bounds = np.where(largest > 0.0, 1.001 * largest / reference, 0.0)
+    return float(np.maximum.reduce(bounds, axis=None, initial=0.0))
 
 
 @kernel
@@ -597,7 +606,7 @@ def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  #
     z is moved into the bounds; noise near a bound is set to it if that helps. `start` is z°. The test implies the
     criterion, because
 
-    - all rows are in one component, so that the maxima over all rows are its ‖r‖∞ and its reference;
+    - the maxima over the rows of a component are its ‖r‖∞ and its reference;
     - the computed w, T and w(z°) are within `rounding`, which is at least twice the criterion's own bound, so that
       their values by another order of summation stay within the limits here;
     - −w_i/d_i does not reach a bound, rounding included, so that the criterion does not move z;
@@ -605,25 +614,31 @@ def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  #
     - each |w_i| that counts, at least v_i, is at most 2⁻⁴³ T_i, half of what test 2 allows at any tolerance.
     """
     n = q.shape[1]
-    moved, seen = rows[0], rows[1]
-    margin, reached = 4.0 * (n + 8), 0.0
+    moved, label, first, counts, high, away = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    margin = 4.0 * (n + 8)
     for k in range(q.shape[0]):
         m, residual[k], size, shift = k % M.shape[0], INF, 0.0, 0.0
         for i in range(n):
-            seen[i] = 0.0
             size = max(size, abs(z[k, i]))
             shift = max(shift, abs(start[k, i]))
-        if k < M.shape[0]:
-            seen[0], reached, before = 1.0, 1.0, 0.0
-            while before < reached < n:
-                before = reached
-                for i in range(n):
-                    if seen[i] == 1.0:
-                        seen[i] = 2.0
-                        for j in range(n):
-                            if seen[j] == 0.0 and (M[m, i, j] != 0.0 or M[m, j, i] != 0.0):
-                                seen[j] = 1.0
-                                reached += 1.0
+        if (
+            k < M.shape[0]
+        ):  # a component has the number of its first row; rows of `number + n` are not searched yet
+            for i in range(n):
+                label[i] = -1.0
+            for number in range(n):
+                has_grown = label[number] < 0.0
+                if has_grown:
+                    label[number] = number + n
+                while has_grown:
+                    has_grown = False
+                    for i in range(n):
+                        if label[i] == number + n:
+                            label[i] = number
+                            for j in range(n):
+                                if label[j] < 0.0 and (M[m, i, j] != 0.0 or M[m, j, i] != 0.0):
+                                    label[j] = number + n
+                                    has_grown = True
         for attempt in range(2):
             for i in range(n):
                 x = z[k, i] if abs(z[k, i]) > SMALLEST * min(size, 1.0) else 0.0
@@ -631,10 +646,10 @@ def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  #
                     x = lower[k, i]
                 elif upper[k, i] - x <= attempt * SET_TO_BOUND * size:
                     x = upper[k, i]
-                moved[i] = x
-            first, counts, high, away, is_right = 0.0, 0.0, 0.0, 0.0, reached == n
+                moved[i], first[i], counts[i], high[i], away[i] = x, 0.0, 0.0, 0.0, 0.0
+            is_right, largest_relative = True, 0.0
             for i in range(n):
-                w, w0, largest = q[k, i], q[k, i], 0.0
+                c, w, w0, largest = int(label[i]), q[k, i], q[k, i], 0.0
                 terms, terms0 = abs(w), abs(w)
                 for j in range(n):
                     product = M[m, i, j] * moved[j]
@@ -655,22 +670,27 @@ def bound_residuals(M, q, lower, upper, start, tolerance, rows, z, residual):  #
                 up, down = w if above > 0.0 else -INF, -w if below > 0.0 else -INF
                 wrong = max(up, down, 0.0)
                 r = max(min(up, d * above), min(down, d * below), 0.0)
-                high = max(high, (r + rounding) / d)
+                high[c] = max(high[c], (r + rounding) / d)
                 if wrong > 0.0 or min(above, below) > 0.0:
-                    counts = max(counts, terms / d)
+                    counts[c] = max(counts[c], terms / d)
                 is_right &= (
                     wrong <= 2.0**-43 * terms < INF
                     and (down + rounding < d * below * (1.0 - 1e-9) or below == 0.0)
                     and (up + rounding < d * above * (1.0 - 1e-9) or above == 0.0)
                 )
                 below, above = upper[k, i] - start[k, i], start[k, i] - lower[k, i]
-                first = max(first, abs(min(max(w0 / d, -below), above)) - rounding0 / d)
-                away = max(away, abs(start[k, i] - moved[i]))
-            limit = min(first, counts) * (1.0 - margin * EPSILON)
-            is_right &= high <= 0.5 * tolerance * limit and (first > 0.0 or away == 0.0)
+                first[c] = max(first[c], abs(min(max(w0 / d, -below), above)) - rounding0 / d)
+                away[c] = max(away[c], abs(start[k, i] - moved[i]))
+            for c in range(n):
+                limit = min(first[c], counts[c]) * (1.0 - margin * EPSILON)
+                is_right &= high[c] <= 0.5 * tolerance * limit and (
+                    first[c] > 0.0 or away[c] == 0.0
+                )
+                if is_right and high[c] > 0.0:
+                    largest_relative = max(largest_relative, high[c] / limit)
             if is_right or attempt == 0:
                 for i in range(n):
                     z[k, i] = moved[i]
             if is_right:
-                residual[k] = high / limit if high > 0.0 else 0.0
+                residual[k] = largest_relative
                 break

@@ -31,8 +31,11 @@ from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import FREE, HIGH, LOW, SMALLEST
 from ..core.kernels.small_lcps import INF, LOST, follow_paths, solve_active_sets
 from ..core.lcp import LCP
+from ..core.matrix import fact
+from ..core.settings import Settings
 from ..core.structure import equation_signs
 from ..judges.lcp import (
+    NEAREST,
     SET_TO_BOUND,
     Measured,
     RowData,
@@ -61,45 +64,43 @@ class Rounds(Algorithm):
     is_monotone: ClassVar[bool] = False
     ends_on_active_set: ClassVar[bool] = True
 
+    def first_points(self, problem: LCP, z0: Vector, tolerance: float) -> Iterator[Step] | None:
+        """Return the points at which the rounds end, and the ends of the paths, if the problem is small."""
+        return self._points(problem, z0) if takes_rounds(problem) and not problem.is_kkt else None
+
     def iterates(self, problem: LCP, z0: Vector) -> Iterator[Step]:
-        """Yield the start, the point at which the rounds end, and the ends of the paths."""
+        """Yield the start; `first_points` has all points."""
         yield Step(z0, work=0.0)
+
+    def _points(self, problem: LCP, z0: Vector) -> Iterator[Step]:
         data, unit = dense_data(problem), max(problem.nonzeros, 1)
         for label, z, entries in candidates(data, z0):
             if np.isfinite(z).all():
-                yield Step(data.snap(normal(data, z))[0], work=entries / unit, label=label)
+                yield Step(normal(data, z), work=entries / unit, label=label)
 
 
-def first_candidate(problem: LCP, z0: Vector, tolerance: float) -> Any:
-    """Return the first point of :func:`candidates`, its rows, method and work; None unless the point is a solution.
-
-    The result is also None if z0 or z° is a solution already, because a step is then superfluous.
-    """
+def measure_small(problem: LCP, z: Vector, settings: Settings) -> Measured:
+    """Return the measure of a point of a small problem; without its rows if the sufficient test accepts it."""
     data = dense_data(problem)
-    is_warm = z0 is not data.origin
-    if is_warm and (data.is_solved_at_origin.any() or measure(data, z0, tolerance).passes):
-        return None
-    label, z, entries = next(candidates(data, z0))
-    z, rows = normal(data, z), None
-    if bound_residual(data, z, tolerance) == math.inf:  # the sufficient test does not decide
-        measured = data.measure(z, tolerance)
-        if not measured.passes or data.is_solved_at_origin.any():
-            return None
-        z, rows = measured.z, measured.rows if problem.matrix.is_dense else None  # of the stored M
-    return z, rows, label, entries / max(problem.matrix.nonzeros, 1)
+    if (bound := bound_residual(data, z, settings.tolerance)) < math.inf:
+        return Measured(z, bound, passes=True)
+    measured = data.measure(z, settings.goal, settings.absolute_tolerance)
+    # The rows of a sparse M are measured on the stored M
+    return measured if problem.is_dense else measured._replace(rows=None, by_row=None)
 
 
-def first_path_point(problem: LCP, tolerance: float) -> Any:
-    """Return the end of Lemke's compiled path, None, its method and its work, 0 at z°; None unless it is a solution."""
-    for z, bound in path_points(problem, tolerance):
-        if bound == math.inf:
-            measured = row_data(problem).measure(z, tolerance)
-            if not measured.passes:
-                return None
-            z = measured.z  # noqa: PLW2901
-        is_start = (z == problem.nearest_to_zero).all()
-        return z, None, "lemke", 0.0 if is_start else float(problem.n)
-    return None
+def fails_surely(problem: LCP, z: Vector, settings: Settings) -> bool:
+    """Return whether a quick test shows that the criterion does not accept z; of a connected problem only."""
+    data, tolerance = dense_data(problem), settings.goal
+    if data.labels is not None or data.origin.any():
+        return False
+    w, terms = data.M @ z + data.q, data.absolute @ np.abs(z) + np.abs(data.q)
+    step = np.where(np.abs(w) <= 2.0 * NEAREST * terms, 0.0, w / data.scale)
+    size = np.maximum.reduce(np.abs(clip(step, z - data.upper, z - data.lower)))
+    at_0 = np.maximum.reduce(np.abs(clip(data.q / data.scale, -data.upper, -data.lower)))
+    return bool(
+        at_0 > 0.0 and math.inf > size > 2.0 * max(tolerance * at_0, settings.absolute_tolerance)
+    )
 
 
 def is_small(problem: LCP) -> bool:
@@ -112,6 +113,7 @@ def takes_rounds(problem: LCP) -> bool:
     return is_small(problem) and (problem.is_dense or banded_passes(problem.matrix) > 10)
 
 
+@fact
 def dense_data(problem: LCP) -> RowData:
     """Return the data of the criterion of a problem, M dense."""
     data = row_data(problem)
@@ -221,7 +223,7 @@ def _bounded_points(
     """Return the points of active sets and bounds of their residuals, by kernels; NaN and ∞ if a system is singular."""
     (count, n), z = q.shape, active_set_points(M, q, lower, upper, sides)
     is_lost, bound = np.isnan(z[:, 0]), np.empty(count)
-    bound_residuals(M, q, lower, upper, start, float(tolerance), np.empty((2, n)), z, bound)
+    bound_residuals(M, q, lower, upper, start, float(tolerance), np.empty((6, n)), z, bound)
     if is_lost.any():
         z[is_lost, 0], bound[is_lost] = np.nan, np.inf
     return z, bound
@@ -229,24 +231,27 @@ def _bounded_points(
 
 @kernel
 def follow_one(M, q, lower, upper, start, tilts, tolerance, z, bound):  # type: ignore[no-untyped-def]
-    """Write the end of the path of one problem, without free unknowns, and the bound of its residual, ∞ if in doubt."""
+    """Write the end of the path of one problem, without free unknowns, and the bound of its residual, ∞ if in doubt.
+
+    A z that the sufficient test accepts stays; NaN if there is none.
+    """
     n = q.shape[1]
     T, numbers = np.empty((n + 9, n + 1)), np.empty((2, 2 * n + 1), np.int64)
     sides = np.empty((1, n), np.int64)
-    follow_paths(M, q, lower, upper, tilts, -1, T, numbers, sides)
-    solve_active_sets(M, q, lower, upper, sides, T, numbers[0], z)
     bound[0] = INF
     if z[0, 0] == z[0, 0]:
         bound_residuals(M, q, lower, upper, start, tolerance, T, z, bound)
+    if bound[0] == INF:
+        follow_paths(M, q, lower, upper, tilts, -1, T, numbers, sides)
+        solve_active_sets(M, q, lower, upper, sides, T, numbers[0], z)
+        if z[0, 0] == z[0, 0]:
+            bound_residuals(M, q, lower, upper, start, tolerance, T, z, bound)
 
 
-def path_points(
-    problem: LCP, tolerance: float, z0: Vector | None = None
-) -> Iterator[tuple[Vector, float]]:
-    """Yield the point of the active set of z0 and the end of Lemke's compiled path, with bounds of their residuals.
+def path_steps(problem: LCP, tolerance: float, z0: Vector | None = None) -> Iterator[Step]:
+    """Yield the point of the active set of z0 if the quick test accepts it, and the end of Lemke's compiled path.
 
-    A stack of one: the compiled loop has the same bits. A bound of ∞ means that the sufficient test does not
-    decide. Points that do not exist are left out.
+    A stack of one: the compiled loop has the same bits. A path on a ray is left out.
     """
     arrays = arrays_of_one(problem)
     for start in (None,) if z0 is None else (z0, None):
@@ -258,10 +263,12 @@ def path_points(
         elif unbounded(problem.lower, problem.upper).any():
             z, bound = _bounded_points(*arrays, _ends_of_paths(*arrays[:4]), tolerance)
         else:
-            z, bound = np.empty((1, problem.n)), np.empty(1)
+            z, bound = np.full((1, problem.n), np.nan), np.empty(1)
             follow_one(*arrays, tilts(problem.n), tolerance, z, bound)
-        if math.isfinite(z[0, 0]):
-            yield read_only(z[0]), float(bound[0])
+        x, is_certain = read_only(z[0]), bool(bound[0] < math.inf)
+        measured = Measured(x, float(bound[0]), passes=True) if is_certain else None
+        if is_certain or (start is None and math.isfinite(x[0])):
+            yield Step(x, work=float(problem.n), is_settling=True, measured=measured)
 
 
 def arrays_of_one(problem: LCP) -> tuple[Vector, Vector, Vector, Vector, Vector]:

@@ -45,7 +45,7 @@ from ..core.matrix import Matrix
 from ..core.problem_classes import class_of, classes_of, refusal, with_article
 from ..core.settings import OF_SOLVE, Settings, Status, whole_number
 from ..core.structure import connected_components
-from ..judges.lcp import RowData
+from ..judges.lcp import Measured, RowData
 from ..methods.banded import Banded, active_sets, held_entries, solve_held, solve_one_sided
 from ..solving.dispatch import options_of, parse_call, solve
 from ..solving.lcp_run import run_on
@@ -259,7 +259,8 @@ def take_steps_on_band(done: March, algorithm: Any, options: dict[str, Any], lim
 def _result_at(problem_of: Callable[[], LCP], q: Vector, z: Vector, settings: Settings) -> Result:
     """Return the result of a step on a band, which is measured already."""
     stage = StageRecord(Banded.name, "M is a narrow band: many steps in one loop", 1, 1.0)
-    return Result.at(problem_of().with_q(q), z, stage, settings)
+    point = Measured(z, 0.0, passes=True)
+    return Result.of(problem_of().with_q(q), point, [stage], settings)
 
 
 def take_steps(done: March, algorithm: Any, options: dict[str, Any], limit: float) -> None:

@@ -13,18 +13,27 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from ..core.checks import INFINITE_LIMIT, AnyMatrix, Vector, checked_bounds, read_only
+from ..core.checks import (
+    DOUBLE,
+    INFINITE_LIMIT,
+    Vector,
+    checked_bounds,
+    checked_start,
+    checked_vector,
+    read_only,
+)
+from ..core.entries import clip, unbounded
 from ..core.errors import InvalidOption, did_you_mean
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of
 from ..core.settings import Settings, Status
 from ..engines.solvers import DAQP, call_daqp, ends_of_rows
+from ..judges.lcp import Measured
 from ..judges.program import PROGRAM_TOLERANCE, SAFETY, dense_errors
 from ..methods.lemke import Lemke
 from ..methods.small import LOOP_UP_TO, arrays_of_one, follow_one, has_numba, is_small, tilts
 from ..solving.dispatch import parse_call, solver_with
-from ..solving.lcp_solver import is_bare
-from ..solving.result import Result, StageRecord
+from ..solving.result import NOTHING_TO_DO, Result, StageRecord
 from .cones.frictional_contact import FrictionalContact
 from .cones.solving import solve_quickly
 from .programs.program import QuadraticProgram, refuse_nonconvex
@@ -74,10 +83,10 @@ class PreparedProblem(Generic[P]):
                 f"step.solve takes no {name}{did_you_mean(name, known)}; it takes {known}"
             )
         start = data.pop(self.start, None)
-        result = None if warm or start is not None else self._solve_quickly(**data)
+        if start is None and warm and self.last is not None:
+            start = self.last.x
+        result = self._solve_quickly(start, **data)
         if result is None:
-            if start is None and warm and self.last is not None:
-                start = self.last.x
             how = {} if start is None else {self.start: start}
             result = self._solve_fully(self._changed(**data) if data else self.problem, **how)
         self.last = result
@@ -87,7 +96,7 @@ class PreparedProblem(Generic[P]):
         """Return the problem with other data."""
         return self.problem.with_vectors(*data, **named)  # type: ignore[attr-defined]
 
-    def _solve_quickly(self, *data: Any, **named: Any) -> Any:
+    def _solve_quickly(self, start: Any, *data: Any, **named: Any) -> Any:
         """Return the result of the short way, or None."""
 
 
@@ -99,10 +108,13 @@ class PreparedLCP(PreparedProblem[LCP]):
     def __init__(self, problem: LCP, algorithm: Any, options: dict[str, Any]) -> None:
         super().__init__(problem, algorithm, options)
         self._method, self._settings = parse_call(algorithm, dict(options))
-        is_path = "z0" not in options and self._method in (None, Lemke())
-        is_short = is_path and is_bare(self._settings, options.get("callback"))
+        settings, is_free = self._settings, unbounded(problem.lower, problem.upper).any()
+        is_path = "z0" not in options and self._method in (None, Lemke()) and has_numba()
+        is_watched = settings.is_watched or options.get("callback") is not None
+        has_time = settings.max_iterations and settings.max_seconds > 0.0
         self._arrays: Any = None
-        if is_short and is_small(problem) and problem.n <= LOOP_UP_TO and has_numba():
+        is_short = is_path and has_time and not (is_watched or is_free)
+        if is_short and is_small(problem) and problem.n <= LOOP_UP_TO:
             self._arrays = arrays_of_one(problem)
 
     def _changed(self, q: Any = None, M: Any = None, lower: Any = None, upper: Any = None) -> LCP:
@@ -111,36 +123,58 @@ class PreparedLCP(PreparedProblem[LCP]):
             return base
         return LCP(M, base.q, lower=base.lower, upper=base.upper, names=base.names)
 
-    def _solve_quickly(
-        self, q: Any = None, M: AnyMatrix = None, lower: Any = None, upper: Any = None
-    ) -> Any:
-        """Return the end of Lemke's path if the sufficient test accepts it; NaN and infinities do not pass."""
+    def _solve_quickly(self, start: Any, *_: Any, **data: Any) -> Any:
+        """Return the start or the end of Lemke's path if the quick test accepts it; NaN and infinities do not pass."""
         if self._arrays is None:
             return None
-        began, (A, b, low, high, start) = perf_counter(), self._arrays
-        b, A = _copy_of(q, b), _copy_of(M, A)
+        began, (A, b, low, high, nearest), n = perf_counter(), self._arrays, self.problem.n
+        q, M, lower, upper = (data.get(name) for name in ("q", "M", "lower", "upper"))
+        if q is not None:
+            b = copied(q, "q", n)[np.newaxis]
+        if M is not None:
+            M = M if is_plain(M, n, n) else self._changed(q, M).matrix.toarray()
+            A = copied(M, "M", n, n)[np.newaxis]
         if lower is not None or upper is not None:
             bounds = low[0] if lower is None else lower, high[0] if upper is None else upper
-            low, high = (row[np.newaxis] for row in checked_bounds(*bounds, self.problem.n))
-            start = read_only(np.minimum(np.maximum(0.0, low), high))
-        if b is None or A is None:
-            return None
-        z, bound = np.empty(b.shape), np.empty(1)
-        follow_one(A, b, low, high, start, tilts(b.size), self._settings.tolerance, z, bound)
+            low, high = (row[np.newaxis] for row in checked_bounds(*bounds, n))
+            nearest = read_only(clip(0.0, low, high))
+        z, bound, near = np.full((1, n), np.nan), np.empty(1), nearest[0]
+        if start is not None:
+            is_right = is_plain(start, n) and start @ start < math.inf
+            z[0] = near = start.copy() if is_right else checked_start(self.problem, start)
+        follow_one(A, b, low, high, nearest, tilts(n), self._settings.tolerance, z, bound)
         if not bound[0] < math.inf:
             return None
-        z = read_only(z[0])
-        has_data = any(each is not None for each in (q, M, lower, upper))
-        data = (b[0], None if M is None else A[0], low[0], high[0]) if has_data else ()
-        make = partial(self._record, data, z, perf_counter() - began)
+        z, known = read_only(z[0]), tuple[Any, ...]()
+        if any(each is not None for each in (q, M, lower, upper)):
+            known = b[0], None if M is None else A[0], low[0], high[0]
+        make = partial(self._record, known, near, z, perf_counter() - began)
         return Result.of_known(make, z=z, status=Status.SOLVED, _asked=self._method)
 
-    def _record(self, data: Any, z: Vector, seconds: float) -> Result:
+    def _record(self, data: Any, near: Vector, z: Vector, seconds: float) -> Result:
         """Return the result of the short way with all fields."""
         problem = self._changed(*data) if data else self.problem
-        work = 0.0 if (z == problem.nearest_to_zero).all() else float(problem.n)
-        stage = StageRecord("lemke", "prepared", int(work > 0.0), work)
-        return Result.at(problem, z, stage, self._settings, seconds, chosen=self._method)
+        is_start = (z == near).all()
+        work, because = (0.0, NOTHING_TO_DO) if is_start else (float(problem.n), "prepared")
+        stage, point = StageRecord("lemke", because, int(work > 0.0), work), Measured(z, 0.0, True)
+        return Result.of(problem, point, [stage], self._settings, seconds, self._method)
+
+
+def is_plain(values: object, *shape: int) -> bool:
+    """Return whether the values are an array of doubles of this shape."""
+    return type(values) is np.ndarray and values.dtype == DOUBLE and values.shape == shape
+
+
+def copied(values: Any, name: str, *shape: int) -> Vector:
+    """Return a read-only copy; other values than doubles of this shape are checked and converted to a vector.
+
+    NaN and infinities in doubles stay, and do not pass the test of the short way.
+    """
+    return (
+        read_only(np.array(values, order="C"))
+        if is_plain(values, *shape)
+        else checked_vector(values, name, *shape)
+    )
 
 
 def _copy_of(values: object, prepared: Vector) -> Any:
@@ -172,9 +206,9 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             vectors = {name: getattr(problem, name) for name in self.data.split()}
             self._arrays = base.of_daqp, (terms.P, terms.C, terms.sizes), vectors
 
-    def _solve_quickly(self, *_: Any, **data: Any) -> Any:
+    def _solve_quickly(self, start: Any, *_: Any, **data: Any) -> Any:
         """Return daqp's point if the compiled test accepts it, and nothing hints at a program without a minimum."""
-        if self._arrays is None:
+        if self._arrays is None or start is not None:
             return None
         began, ((P, C, kinds), terms, vectors) = perf_counter(), self._arrays
         every = [_copy_of(data.get(name), vectors[name]) for name in vectors]
@@ -214,9 +248,9 @@ class PreparedContact(PreparedProblem[FrictionalContact]):
         is_quick = algorithm == "auto" and not options.keys() - {"tolerance"}
         self._settings = Settings(**options) if is_quick else None
 
-    def _solve_quickly(self, *_: Any, **data: Any) -> Any:
+    def _solve_quickly(self, start: Any, *_: Any, **data: Any) -> Any:
         """Return the point of quick sweeps if the sufficient test accepts it."""
-        if self._settings is None:
+        if self._settings is None or start is not None:
             return None
         return solve_quickly(self._changed(**data) if data else self.problem, self._settings)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cached_property
-from itertools import chain
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -30,9 +30,10 @@ from ..judges.lcp import (
     row_data,
 )
 from ..methods.newton import polish_active_set
+from ..methods.small import Rounds
 from ..proofs.guarantees import guarantee_of
 from .plan import plan
-from .result import NEXT, Callback, Result
+from .result import NEXT, Callback, Result, name_of_run
 from .run import FAILED, Progress, Run, Stage
 
 
@@ -106,13 +107,16 @@ class LCPRun(Run):
         return self.start if self.best is None else self.best.z
 
     def steps_of(self, stage: Stage) -> Iterator[Step]:
-        """Yield the steps; none if a method of auto does not take this problem."""
+        """Yield the start, the first points, and further steps; none if a method of auto does not take this problem."""
         try:
-            inputs, chosen = (self.problem, self.z.copy()), self.chosen
-            if chosen is not None and stage.algorithm is chosen:
-                yield from chosen.named_iterates(*inputs, self.settings.tolerance)
-            else:
-                yield from stage.algorithm.iterates(*inputs)
+            algorithm: Algorithm = stage.algorithm
+            inputs = self.problem, self.z.copy()
+            steps, first = algorithm.iterates(*inputs), stage.steps
+            yield from islice(steps, 1)
+            if not first and (algorithm is self.chosen or isinstance(algorithm, Rounds)):
+                first = algorithm.first_points(*inputs, self.settings.tolerance) or ()
+            yield from first
+            yield from steps
         except (UnsuitableMatrix, UnsuitableProblem):
             if stage.algorithm is self.chosen or stage.iterations > 0:
                 raise
@@ -123,6 +127,9 @@ class LCPRun(Run):
         After a failure, only a fifth more steps are tested.
         """
         progress, self.unmeasured = self.progress, step.z
+        if step.measured is not None:
+            stage.record(step.measured.residual)
+            return step.measured if step.measured.passes else step.measured._replace(z=step.z)
         if np.shape(step.z) != (self.problem.n,):
             raise InvalidOption(
                 f"{stage.algorithm.name}.iterates must yield Step(z), z of shape ({self.problem.n},), got shape "
@@ -224,12 +231,10 @@ class LCPRun(Run):
         # If one of several algorithms diverged, the best z need not have.
         is_chain = end is Status.DIVERGED and len(self.progress.stages) > 1
         status = self.status(Status.STALLED if is_chain else end)
-        name = "auto" if self.chosen is None else self.chosen.name
-        chain = [stage.name for stage in self.progress.records()]
         return self.result_at(
             Certificate.at(self.problem, read_only(point.z), rows=point.rows),
             status,
-            algorithm=name if chain in ([], [name]) else f"{name}: {', '.join(chain)}",
+            algorithm=name_of_run(self.progress.records(), self.chosen),
             infeasibility=self.proof,
             is_polished=self.is_polished,
             _asked=self.chosen,
@@ -351,7 +356,7 @@ def run_on(
     start: Vector,
     clock: Clock,
     callback: Callback | None = None,
-    first: Stage | None = None,
+    first: Stage | Iterator[Step] | None = None,
 ) -> Result:
     """Return the result of a run with a method, or with auto for None.
 
@@ -361,11 +366,14 @@ def run_on(
         Within the bounds.
     clock : Clock
         Running.
-    first : Stage, optional
-        Stage before the stages of the plan.
+    first : Stage or iterator of Step, optional
+        Stage before the stages of the plan, or the steps of `Algorithm.first_points` of its first stage.
     """
     proofs = settings.prove_infeasibility
     with threads_for(settings.threads):
         run = LCPRun(problem, method, settings, callback, clock, start)
         stages = plan(problem, method, run.goal, prove_infeasibility=proofs)
+        if isinstance(first, Iterator):
+            steps, first = first, next(stages)
+            first.steps = steps
         return run.solve(stages if first is None else chain([first], stages))

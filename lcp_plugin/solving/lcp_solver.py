@@ -1,21 +1,25 @@
-"""The solver for LCPs: a small problem is tried in one pass, any other follows a plan in a run."""
+"""The solver for LCPs: the first steps of a small problem, which a run takes over if none of their points passes."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from itertools import chain, groupby
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.algorithm import Algorithm
-from ..core.checks import checked_start, read_only
+from ..core.algorithm import Algorithm, Step
+from ..core.checks import Vector, checked_start
 from ..core.deadline import Clock
 from ..core.lcp import LCP
 from ..core.settings import Settings
-from ..methods.small import GUESSED, first_candidate, first_path_point, takes_rounds
+from ..methods.small import GUESSED, Rounds, fails_surely, measure_small
 from .dispatch import parse_call
 from .result import NOTHING_TO_DO, Callback, Result, StageRecord
+
+ROUNDS = Rounds()
 
 
 @np.errstate(all="ignore")
@@ -41,26 +45,59 @@ def solve_lcp(
     """
     clock = Clock()
     method, settings = parse_call(algorithm, options)
-    start = problem.nearest_to_zero if z0 is None else checked_start(problem, z0)
-    if is_bare(settings, callback):
-        candidate = None
-        if method is not None:
-            if z0 is None and method.is_compiled_for(problem):
-                candidate = first_path_point(problem, settings.tolerance)
-        elif not problem.is_kkt and takes_rounds(problem):
-            candidate = first_candidate(problem, start, settings.tolerance)
-        if candidate is not None:
-            z, rows, label, work = candidate
-            reason = GUESSED if method is None else "" if work else NOTHING_TO_DO
-            stage = StageRecord(label, reason, int(work > 0.0), work)
-            return Result.at(problem, read_only(z), stage, settings, clock.read(), rows, method)
+    start = checked_start(problem, z0)
+    first = (ROUNDS if method is None else method).first_points(problem, start, settings.tolerance)
+    if first is not None:
+        first = measured_steps(problem, first, start, settings)
+        if callback is None and not settings.is_watched:
+            taken: list[Step] = []
+            while len(taken) < settings.max_iterations and clock.read() < settings.max_seconds:
+                if (step := next(first, None)) is None:
+                    break
+                taken.append(step)
+                if (point := step.measured).passes:
+                    stages = records_of(taken, method)
+                    return Result.of(problem, point, stages, settings, clock.read(), method)
+                if point.is_limited or not point.residual < math.inf:  # a run ends here
+                    break
+            first = chain(taken, first)
     from .lcp_run import run_on  # with all methods, which a small problem does without
 
-    return run_on(problem, method, settings, start, clock, callback)
+    return run_on(problem, method, settings, start, clock, callback, first)
 
 
-def is_bare(settings: Settings, callback: Any) -> bool:
-    """Return whether nothing watches or limits a run, and the tolerance is relative."""
-    is_watched = settings.record or settings.verbose or callback is not None
-    is_limited = settings.max_seconds < math.inf or not settings.max_iterations
-    return not (is_watched or is_limited or settings.absolute_tolerance)
+def measured_steps(
+    problem: LCP, steps: Iterator[Step], start: Vector, settings: Settings
+) -> Iterator[Step]:
+    """Yield the first steps with their measures; only the start if it passes.
+
+    The start z° is measured only if the quick test does not accept the first point.
+    """
+    is_cold = start is problem.nearest_to_zero
+    if not (is_cold or fails_surely(problem, start, settings)):
+        measured = measure_small(problem, start, settings)
+        if measured.passes:
+            yield Step(measured.z, work=0.0, iterations=0, measured=measured)
+            return
+    for step in steps:
+        point = step.measured = step.measured or measure_small(problem, step.z, settings)
+        if is_cold and point.passes and (point.z == start).all():  # no iteration was needed
+            step = Step(point.z, work=0.0, iterations=0, measured=point)  # noqa: PLW2901
+        yield step
+
+
+def records_of(steps: list[Step], method: Algorithm | None) -> tuple[StageRecord, ...]:
+    """Return the records of first steps, one for steps in a row with one label."""
+    records = []
+    for label, group in groupby(steps, lambda step: step.label):
+        parts = [*group]
+        work, iterations = (
+            sum(step.work for step in parts),
+            sum(step.iterations != 0 for step in parts),
+        )
+        records.append(StageRecord(label or (method or ROUNDS).name, "", iterations, work))
+    because = "" if method else GUESSED
+    records[0] = records[0]._replace(
+        because=because if steps[-1].iterations != 0 else NOTHING_TO_DO
+    )
+    return tuple(records)

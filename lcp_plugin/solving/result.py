@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from ..core.algorithm import Algorithm
-from ..core.checks import MadeOnAccess, Vector, restore_state
+from ..core.checks import MadeOnAccess, Vector, read_only, restore_state
 from ..core.errors import NotConverged, UnsuitableMatrix
 from ..core.lcp import LCP
 from ..core.names import format_count, remark_on_labels
 from ..core.problem_classes import Door
 from ..core.settings import PROVEN, Settings, Status
 from ..judges.certificate import Certificate
-from ..judges.lcp import RowData, RowsAtPoint, row_data
+from ..judges.lcp import Measured, RowData, row_data
 from ..judges.worst_rows import SHOWN, WorstRows, worst_pairs
 
 if TYPE_CHECKING:
@@ -37,6 +37,12 @@ class StageRecord(NamedTuple):
     iterations: int
     work: float
     remark: str = ""
+
+
+def name_of_run(stages: Sequence[StageRecord], chosen: Algorithm | None) -> str:
+    """Return the name of the algorithm of a result: of the call, and the methods that ran if they are others."""
+    name, chain = "auto" if chosen is None else chosen.name, [stage.name for stage in stages]
+    return name if chain in ([], [name]) else f"{name}: {', '.join(chain)}"
 
 
 @dataclass(frozen=True)
@@ -305,14 +311,13 @@ class Result(BaseResult):
     _advice: Mapping[Status, str] = field(default_factory=dict, kw_only=True)  # type: ignore[misc]
 
     @classmethod
-    def at(
+    def of(
         cls,
         problem: LCP,
-        z: Vector,
-        stage: StageRecord,
+        point: Measured,
+        stages: Sequence[StageRecord],
         settings: Settings,
         seconds: float = 0.0,
-        rows: RowsAtPoint | None = None,
         chosen: Algorithm | None = None,
     ) -> Result:
         """Return the result at a point that is measured as SOLVED, without another solve or measurement.
@@ -320,18 +325,17 @@ class Result(BaseResult):
         Parameters
         ----------
         problem : LCP
-        z : ndarray, shape (n,)
-            Read-only.
-        stage : StageRecord
-            The method of "auto" that found z, with its iterations and work.
+        point : Measured
+            Its rows, if it has some, are measured on :func:`~lcp_plugin.judges.lcp.row_data`.
+        stages : sequence of StageRecord
+            The methods that ran.
         settings : Settings
         seconds : float
             Seconds of the computation of z.
-        rows : RowsAtPoint, optional
-            The values of the rows at z, measured on :func:`~lcp_plugin.judges.lcp.row_data`.
         chosen : Algorithm, optional
             The algorithm of the call; None for "auto".
         """
+        z, rows = read_only(point.z), point.rows
         if rows is None and not problem.matrix.is_dense:  # the caller may overwrite a sparse M
             rows = row_data(problem).rows(z)
         return cls.of_known(
@@ -339,14 +343,14 @@ class Result(BaseResult):
             z=z,
             status=Status.SOLVED,
             certificate=Certificate.at(problem, z, rows=rows),
-            algorithm=stage.name if chosen else f"auto: {stage.name}",
-            iterations=stage.iterations,
-            work=stage.work,
+            algorithm=name_of_run(stages, chosen),
+            iterations=sum(stage.iterations for stage in stages),
+            work=sum(stage.work for stage in stages),
             seconds=seconds,
             setup_seconds=0.0,
             tolerance=settings.tolerance,
             absolute_tolerance=settings.absolute_tolerance,
-            stages=(stage,),
+            stages=tuple(stages),
             _asked=chosen,
         )
 

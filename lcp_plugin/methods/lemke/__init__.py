@@ -21,7 +21,7 @@ from ...core.tuning import PIVOTED_UP_TO
 from ...judges.certificate import Certificate
 from ...systems.graph import block_rows
 from ..newton import classify, is_near, solve_active_set
-from ..small import LOOP_UP_TO, has_numba, path_points
+from ..small import LOOP_UP_TO, has_numba, path_steps
 from .pivoting_path import CanonicalBox, LemkePath, canonical_box, starts
 from .tableau import AT_LOWER, AT_UPPER, BETWEEN, GOING_ON, RAY, SOLVED
 
@@ -100,20 +100,13 @@ class Lemke(Algorithm):
                 z[rows] = np.clip(end, component.lower, component.upper)
                 yield Step(z, work=touched / entries, is_settling=True)
 
-    def named_iterates(self, problem: LCP, z0: Vector, tolerance: float) -> Iterator[Step]:
-        """Yield the start, the points of the compiled path where it suits, then the steps of `iterates`."""
-        steps = self.iterates(problem, z0)
-        yield next(steps)
-        if self.is_compiled_for(problem):
-            is_cold = np.array_equal(z0, problem.nearest_to_zero)
-            for z, _ in path_points(problem, tolerance, None if is_cold else z0):
-                yield Step(z, work=float(problem.n), is_settling=True)
-        yield from steps
-
-    def is_compiled_for(self, problem: LCP) -> bool:
-        """Return whether compiled kernels follow the first path: on at most 128 unknowns, unless options are set."""
+    def first_points(self, problem: LCP, z0: Vector, tolerance: float) -> Iterator[Step] | None:
+        """Return the points of the compiled path on at most 128 unknowns, unless options are set."""
         is_default = self.max_pivots is None and self.restarts is None
-        return is_default and 0 < problem.n <= LOOP_UP_TO and has_numba()
+        if not (is_default and 0 < problem.n <= LOOP_UP_TO and has_numba()):
+            return None
+        is_cold = z0 is problem.nearest_to_zero or np.array_equal(z0, problem.nearest_to_zero)
+        return path_steps(problem, tolerance, None if is_cold else z0)
 
     def theorem(self, problem: LCP, report: Any) -> str | None:
         """Return the reason that no path from r > 0 can end on a ray: M is a P-matrix, or all bounds are finite."""

@@ -17,6 +17,7 @@ from ...core.deadline import Clock
 from ...core.errors import InvalidOption, LCPError, UnknownAlgorithm
 from ...core.lcp import LCP
 from ...core.settings import DEFAULT, Settings, Status, checked_callback, checked_threads
+from ...judges.lcp import Measured
 from ...methods.small import LOOP_UP_TO
 from ...solving.dispatch import method_of, solve
 from ...solving.result import BaseResult, Result, StageRecord
@@ -203,8 +204,8 @@ class BatchRun:
             chosen = method_of(self.algorithm, {})
             name = "rounds" if chosen is None else chosen.name
             stage = StageRecord(name, "one of a stack of small problems", iterations, 0.0)
-            z = read_only(z[: problem.n])
-            return Result.at(problem, z, stage, settings, share, chosen=chosen)
+            measured = Measured(z[: problem.n], self.residual[k], passes=True)
+            return Result.of(problem, measured, [stage], settings, share, chosen)
         result = solve_one(problem, z[: problem.n], self.algorithm, self.options)
         stage = StageRecord("nsgs", "one of a stack over the same cones", iterations, iterations)
         named = {"iterations": iterations, "work": iterations + 1.0, "stages": (stage,)}

@@ -19,6 +19,7 @@ from ...core.deadline import Clock, pause_for_compilation
 from ...core.errors import InvalidProblem, LCPError, UnsuitableProblem
 from ...core.lcp import LCP
 from ...core.settings import Settings, Status
+from ...judges.lcp import Measured
 from ...methods.small import tilts
 from ...solving.result import Result, StageRecord
 from ..many import AnswerSequence
@@ -203,7 +204,8 @@ class DeviceAnswers(AnswerSequence[Any]):
         stage = StageRecord("rounds", "one of a batch on a GPU", int(self.iterations[k]), 0.0)
         z = read_only(self.gpu[0].asnumpy(self.points[k]))
         share = self.seconds / len(self)
-        return Result.at(LCP(M, q, lower=lower, upper=upper), z, stage, self.settings, share)
+        point = Measured(z, 0.0, passes=True)
+        return Result.of(LCP(M, q, lower=lower, upper=upper), point, [stage], self.settings, share)
 
     @property
     def w(self) -> Any:

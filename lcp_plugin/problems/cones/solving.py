@@ -23,7 +23,6 @@ from ...judges.cones import ConeRows
 from ...judges.lcp import Measured
 from ...judges.worst_rows import WorstRows
 from ...methods.search import ExhaustiveSearch, is_searchable
-from ...solving.lcp_solver import is_bare
 from ...solving.result import NOTHING_TO_DO, Callback, Result, StageRecord
 from ...solving.run import FAILED, Progress, Run, Stage
 from ..contact import ContactMotion, motion_of
@@ -88,7 +87,9 @@ def solve_cones(
         For a wrong option.
     """
     settings, chosen = Settings(**options) if options else DEFAULT, _checked_algorithm(algorithm)
-    is_short = chosen == "auto" and z0 is None and is_bare(settings, callback)
+    is_watched = settings.is_watched or callback is not None
+    is_limited = settings.max_seconds < np.inf or settings.absolute_tolerance
+    is_short = chosen == "auto" and z0 is None and not (is_watched or is_limited)
     quick_result = solve_quickly(problem, settings) if is_short else None
     if quick_result is not None:
         return quick_result

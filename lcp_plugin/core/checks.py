@@ -157,8 +157,13 @@ def rectangular_matrix(
     InvalidProblem
         For another shape, for numbers that are not real or not finite, for corrupt sparse arrays.
     """
-    m, n = "any" if rows is None else rows, "any" if columns is None else columns
-    need = f"{name} must be a real matrix of shape ({m}, {n})"
+    sizes = [f"{k} {what}" for k, what in ((rows, "rows"), (columns, "columns")) if k is not None]
+    of = (
+        f" of shape ({rows}, {columns})"
+        if len(sizes) == 2
+        else "".join(f" with {k}" for k in sizes)
+    )
+    need = f"{name} must be a real matrix{of}"
     is_sparse = not isinstance(values, np.ndarray) and sp.issparse(values)
     if is_sparse:
         check_kind(values.dtype, need)
@@ -254,6 +259,11 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
         raise InvalidProblem(
             f"{need}, got no rectangular array ({error}); check its rows"
         ) from error
+    if array.dtype == np.object_ and hasattr(values, "iloc"):  # of pandas
+        dtypes = values.dtypes.items() if values.ndim > 1 else [(values.name, values.dtype)]
+        for column, dtype in dtypes:
+            check_kind(dtype, f"{need}; column {column!r} has others")
+        array = values.to_numpy(np.float64, na_value=np.nan)
     if array.dtype == np.float64:
         return array
     check_kind(array.dtype, need)
@@ -293,10 +303,11 @@ def checked_vector(
     vector = real_array(values, need)
     if may_be_number and vector.ndim == 0 and length in (None, 1):
         vector = vector.reshape(1)
+    shape = vector.shape
+    if len(shape) == 2 and 1 in shape:  # a column, or np.matrix
+        vector = vector.reshape(-1)
     if vector.ndim != 1 or length not in (None, vector.size):
-        raise InvalidProblem(
-            f"{need}, got shape {vector.shape}{_hint_at_vector(vector, name, length)}"
-        )
+        raise InvalidProblem(f"{need}, got shape {shape}{_hint_at_vector(vector, name, length)}")
     is_valid = np.isfinite(vector)
     if is_finite and not np.logical_and.reduce(is_valid):
         is_valid |= (allow_plus_infinity & (vector == np.inf)) | (allow_nan & np.isnan(vector))
@@ -310,9 +321,7 @@ def checked_vector(
 
 
 def _hint_at_vector(array: Vector, name: str, length: int | None) -> str:
-    """Return the next step for a number, a row, a column, or a vector of another length."""
-    if array.ndim == 2 and 1 in array.shape and length in (None, array.size):
-        return f"; write np.ravel({name})"
+    """Return the next step for a number, or a vector of another length."""
     if length is None:
         return ""
     if array.ndim == 0:
@@ -373,6 +382,8 @@ def checked_bound(values: object, name: str, n: int) -> Vector:
     """Return a bound as a vector of length n; a number stands for all, ±∞ for none, NaN is rejected."""
     need = f"{name} must be a number or a vector of length {n}"
     array = real_array(without_none(values, name), need)
+    if array.shape in ((n, 1), (1, n)):
+        array = array.reshape(n)
     if array.shape not in ((), (n,)):
         raise InvalidProblem(f"{need}, got shape {array.shape}{_hint_at_vector(array, name, n)}")
     is_nan = np.isnan(array)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -99,7 +99,7 @@ def checked_names(
 
     Parameters
     ----------
-    labels : list or tuple of str, pair of them, Names or None
+    labels : sequence of str, pair of them, Names or None
     rows, unknowns : int or None
         Numbers of names that are needed; None if they are not known yet.
     are_pairs : bool
@@ -119,29 +119,35 @@ def checked_names(
     """
     if labels is None or isinstance(labels, Names):
         return labels or Names()
-    if _are_names(labels):
-        both = Names(labels if are_pairs else None, labels)
-    elif _is_list(labels) and len(labels) == 2 and all(k is None or _are_names(k) for k in labels):
-        both = Names(*labels)
+    given = _listed(labels)
+    if _are_names(given) and not isinstance(labels, str):
+        both = Names(given if are_pairs else None, given)
+    elif len(given) == 2 and all(
+        k is None or (_are_names(_listed(k)) and not isinstance(k, str)) for k in given
+    ):
+        both = Names(*(k if k is None else _listed(k) for k in given))
     else:
         raise InvalidProblem(
             "names must be a list of strings, or a pair of lists, of the rows and of the unknowns, "
             f"got {labels!r:.60}; write names=[str(name) for name in …]"
         )
     for what, names, count in (("rows", both.rows, rows), ("unknowns", both.unknowns, unknowns)):
-        if isinstance(names, (list, tuple)) and count is not None and len(names) != count:
+        if isinstance(names, list) and count is not None and len(names) != count:
             raise InvalidProblem(
                 f"names has {len(names)} names of {what}, and the problem has {count}; give one name each"
             )
     return both
 
 
-def _is_list(values: Any) -> bool:
-    return isinstance(values, (list, tuple))
+def _listed(values: Any) -> list[Any]:
+    """Return a list, tuple, array or index of names as a list, anything else as its only entry."""
+    is_sequence = hasattr(values, "__getitem__") and hasattr(values, "__len__")
+    is_other = isinstance(values, (str, bytes, Mapping)) or getattr(values, "ndim", 1) == 0
+    return [*values] if is_sequence and not is_other else [values]
 
 
-def _are_names(values: Any) -> bool:
-    return _is_list(values) and all(isinstance(name, str) for name in values)
+def _are_names(values: list[Any]) -> bool:
+    return all(isinstance(name, str) for name in values)
 
 
 def format_count(count: int, what: str) -> str:

@@ -320,7 +320,6 @@ fit(A * 1j, B) → InvalidProblem: A must be a real matrix.*complex entries
 fit(np.full((3, 2), np.nan), B) → InvalidProblem: A must be finite, but A\[0, 0\] = nan
 fit(None, B) → InvalidProblem: A must be a real matrix.*got None
 fit(A, [1.0, 2.0]) → InvalidProblem: b must be a vector of length 3, an entry per row of A, got shape \(2,\): 1 too few
-fit(A, [[1.0], [2.0], [3.0]]) → InvalidProblem: write np\.ravel\(b\)
 fit(A, [[1.0, 2.0], [3.0], [4.0]]) → InvalidProblem: got no rectangular array
 fit(A, np.ones((3, 4))) → InvalidProblem: for many right-hand sides: solve_batch\(.*got shape \(3, 4\)
 fit(np.ones((3, 4)), B, (0, 1)) → InvalidProblem: lower must be a number or a vector of length 4, got shape \(2,\)

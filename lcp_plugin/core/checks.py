@@ -494,4 +494,5 @@ def checked_start(problem: Any, z0: ArrayLike | None) -> Vector:
     n = problem.n
     need = f"z0 must be a finite vector of length {n} (M is {n}×{n})"
     start = vector_option(z0, "z0", n, may_be_number=n == 1, need=need)
-    return np.clip(start, problem.lower, problem.upper)
+    clipped: Vector = np.minimum(np.maximum(start, problem.lower), problem.upper)
+    return clipped

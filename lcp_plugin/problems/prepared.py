@@ -35,7 +35,6 @@ from ..methods.small import LOOP_UP_TO, arrays_of_one, follow_one, has_numba, is
 from ..solving.dispatch import parse_call, solver_with
 from ..solving.result import NOTHING_TO_DO, Result, StageRecord
 from .cones.frictional_contact import FrictionalContact
-from .cones.solving import solve_quickly
 from .programs.program import QuadraticProgram, refuse_nonconvex
 from .programs.result import QuadraticProgramResult
 from .programs.solution import QPSolution
@@ -242,17 +241,6 @@ class PreparedContact(PreparedProblem[FrictionalContact]):
     """Solver of contact problems that differ from the prepared problem in b or W."""
 
     data, start = "b W", "z0"
-
-    def __init__(self, problem: FrictionalContact, algorithm: Any, options: dict[str, Any]) -> None:
-        super().__init__(problem, algorithm, options)
-        is_quick = algorithm == "auto" and not options.keys() - {"tolerance"}
-        self._settings = Settings(**options) if is_quick else None
-
-    def _solve_quickly(self, start: Any, *_: Any, **data: Any) -> Any:
-        """Return the point of quick sweeps if the sufficient test accepts it."""
-        if self._settings is None or start is not None:
-            return None
-        return solve_quickly(self._changed(**data) if data else self.problem, self._settings)
 
 
 class PreparedLeastSquares(PreparedProblem[Any]):

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from functools import partial
-from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike
 from ...core.algorithm import Step
 from ...core.checks import Array, Vector, checked_start, derived_property, read_only
 from ...core.cone_stack import ConeStack
+from ...core.deadline import Clock
 from ...core.errors import InvalidOption, UnknownAlgorithm, did_you_mean
 from ...core.kernels.floats import DATA_ROUNDING
 from ...core.kernels.threads import threads_for
@@ -87,48 +87,71 @@ def solve_cones(
         For a wrong option.
     """
     settings, chosen = Settings(**options) if options else DEFAULT, _checked_algorithm(algorithm)
-    is_watched = settings.is_watched or callback is not None
-    is_limited = settings.max_seconds < np.inf or settings.absolute_tolerance
-    is_short = chosen == "auto" and z0 is None and not (is_watched or is_limited)
-    quick_result = solve_quickly(problem, settings) if is_short else None
-    if quick_result is not None:
-        return quick_result
-    progress = Progress(problem, settings, callback)
+    clock, start, swept = Clock(), None, None
+    if z0 is not None:
+        start = projected_on_cones(problem, checked_start(problem, z0))
+    is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
+    if chosen == "auto" and callback is None and not (settings.is_watched or is_limited):
+        swept = first_sweeps(problem, start, settings.tolerance)
+        if swept is not None and swept.is_solved(settings):
+            make = partial(swept.record, problem, settings, clock.read())
+            return ConeResult.of_known(make, z=swept.z, status=Status.SOLVED, problem=problem)
+    progress = Progress(problem, settings, callback, clock)
     with threads_for(settings.threads):
-        run = ConeRun(problem, progress, None if z0 is None else checked_start(problem, z0), chosen)
+        run = ConeRun(problem, progress, start, chosen, swept=swept)
         result: ConeResult = run.solve(run.plan())
     return result
 
 
-def solve_quickly(problem: Blocks, settings: Settings) -> ConeResult | None:
-    """Return the result of a small contact problem whose sweeps reach a point that a sufficient test accepts."""
-    if not is_swept_first(problem):
+class Swept(NamedTuple):
+    """Point of a small contact problem after sweeps, their number and the bound of its residual, ∞ if in doubt."""
+
+    z: Vector
+    sweeps: int
+    bound: float
+
+    @property
+    def iterations(self) -> int:
+        """The number of iterations."""
+        return -(-self.sweeps // SWEEPS_PER_STEP)
+
+    def is_solved(self, settings: Settings) -> bool:
+        """Return whether the quick test accepts the point, within the limit of iterations."""
+        return self.bound < np.inf and self.iterations <= settings.max_iterations
+
+    def record(self, problem: Blocks, settings: Settings, seconds: float) -> ConeResult:
+        """Return the result with all fields."""
+        tolerance, work = settings.tolerance, self.sweeps + 1.0
+        because = SWEPT if self.sweeps else NOTHING_TO_DO
+        fields = {"certificate": ConeCertificate(problem, self.z, tolerance), "work": work}
+        fields |= {"iterations": self.iterations, "tolerance": tolerance, "seconds": seconds}
+        fields |= {"algorithm": "auto: nsgs", "setup_seconds": 0.0}
+        fields |= {"absolute_tolerance": settings.absolute_tolerance}
+        fields["stages"] = (StageRecord("nsgs", because, self.iterations, work),)
+        return ConeResult.of_known(None, **fields)
+
+
+def first_sweeps(problem: Blocks, start: Vector | None, tolerance: float) -> Swept | None:
+    """Return the end of quick sweeps from a start in the cones; None for other problems than small contact problems."""
+    if not (problem.has_friction and 0 < problem.n <= FEW):
         return None
-    began = perf_counter()
-    z, count, bound = sweep_contacts(problem, np.zeros(problem.n), settings.tolerance)
-    if not bound < np.inf or count > SWEEPS_PER_STEP * settings.max_iterations:
-        return None
-    z, seconds = read_only(z), perf_counter() - began
-    make = partial(_record, problem, z, count, settings, seconds)
-    return ConeResult.of_known(make, z=z, status=Status.SOLVED, problem=problem)
+    z, count, bound = sweep_contacts(
+        problem, np.zeros(problem.n) if start is None else start, tolerance
+    )
+    return Swept(read_only(z), count, bound)
 
 
-def _record(
-    problem: Blocks, z: Vector, count: int, settings: Settings, seconds: float
-) -> ConeResult:
-    """Return the other fields of the result of :func:`solve_quickly`."""
-    tolerance, iterations = settings.tolerance, -(-count // SWEEPS_PER_STEP)
-    because = SWEPT if count else NOTHING_TO_DO
-    fields = {"certificate": ConeCertificate(problem, z, tolerance), "algorithm": "auto: nsgs"}
-    fields |= {"iterations": iterations, "work": count + 1.0, "tolerance": tolerance}
-    fields |= {"seconds": seconds, "setup_seconds": 0.0}
-    fields["stages"] = (StageRecord("nsgs", because, iterations, count + 1.0),)
-    return ConeResult.of_known(None, **fields)
-
-
-def is_swept_first(problem: Blocks) -> bool:
-    """Return whether auto begins with sweeps and a sufficient test."""
-    return problem.has_friction and 0 < problem.n <= FEW
+def projected_on_cones(problem: Blocks, z: Vector) -> Vector:
+    """Return the nearest point of the cones; most starts are in the cones already."""
+    if z.size:
+        first, squares = problem.starts[:-1], z * z
+        squares[first] = 0.0
+        tangents = np.sqrt(np.add.reduceat(squares, first))
+        is_inside = tangents <= problem.slope * z[first] * (1.0 + 2.0**-50)
+        if np.logical_and.reduce(is_inside | (problem.sizes == 1)):
+            return z
+    stack = stack_of(problem)
+    return read_only(stack.pattern.flat(stack.project(stack.pattern.wide(z[None])))[0])
 
 
 def _checked_algorithm(algorithm: object) -> str | ConeAlgorithm:
@@ -199,6 +222,8 @@ class ConeRun(Run):
         "auto" or a method.
     place : tuple, optional
         Point of the entire problem, the rows of the component and its share of the entries, if `problem` is one.
+    swept : Swept, optional
+        The first sweeps, if they ended without a solution.
 
     Attributes
     ----------
@@ -209,9 +234,16 @@ class ConeRun(Run):
     """
 
     def __init__(
-        self, problem: Blocks, progress: Progress, z: Vector | None, chosen: Any, place: Any = None
+        self,
+        problem: Blocks,
+        progress: Progress,
+        z: Vector | None,
+        chosen: Any,
+        place: Any = None,
+        swept: Swept | None = None,
     ) -> None:
         super().__init__(progress)
+        self.swept = swept
         self.problem, self.chosen, self.stack = problem, chosen, stack_of(problem)
         stack = self.stack
         self.place = place or (np.empty(problem.n), slice(None), 1.0)
@@ -335,16 +367,17 @@ class ConeRun(Run):
     def _first_points(self) -> Iterator[Stage]:
         """Yield the point of a small contact problem after quick sweeps if it passes, or the start if that passes."""
         stack, most = self.stack, self.settings.max_iterations
-        if is_swept_first(self.problem):
-            start = stack.pattern.flat(self.start)[0]
-            z, count, bound = sweep_contacts(self.problem, start, self.tolerance)
-            iterations = -(-count // SWEEPS_PER_STEP)
+        swept = self.swept or first_sweeps(
+            self.problem, stack.pattern.flat(self.start)[0], self.tolerance
+        )
+        if swept is not None:
+            iterations, bound = swept.iterations, swept.bound
             if bound < np.inf and iterations <= most - max(self.progress.iteration, 0):
-                points = stack.pattern.wide(z[np.newaxis])
+                points = stack.pattern.wide(swept.z[np.newaxis])
                 point = Measured(points, bound, passes=True)
-                step = Step(points, measured=point, work=count + 1.0, iterations=iterations)
+                step = Step(points, measured=point, work=swept.sweeps + 1.0, iterations=iterations)
                 yield Stage(methods.ConeNSGS(), SWEPT, steps=(step,))
-            self.unseen = float(count)
+            self.unseen = float(swept.sweeps)
         if self.is_warm or stack.is_answered.all():
             residual = stack.relative_residual(self.start)
             if residual <= self.reached:

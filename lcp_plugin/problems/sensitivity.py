@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,7 +54,7 @@ from .cones.solving import ConeResult
 from .least_squares.solving import LeastSquaresResult
 from .many import item_number, run_in_chunks
 from .march import March, MarchDerivative
-from .programs.derivative import ProgramData, ProgramDerivative, least_squares_data, program_data
+from .programs.derivative import ProgramArrays, ProgramDerivative, least_squares_data, program_data
 from .programs.result import QuadraticProgramResult
 
 STEPS = 6  # active-set iterations; from a solved problem 1 or 2 classify all rows
@@ -213,7 +214,7 @@ class ManyDerivatives:
             self.errors[k] = UnsuitableProblem(f"only a solution has a derivative, and {ended}")
 
     def __len__(self) -> int:
-        return len(self.batch)
+        return len(self.batch.status)
 
     def __getitem__(self, k: int) -> Any:
         k = item_number(k, len(self))
@@ -449,28 +450,18 @@ class BatchDerivative(ManyDerivatives):
         return [BatchPart(group, z[group.items], is_solved[group.items]) for group in groups]
 
 
-class Conditions:
-    """Optimality conditions of a batch of programs: LCPs, with their solutions z and the status of the programs."""
-
-    def __init__(self, batch: BatchAnswers, problems: Stacked, z: Any) -> None:
-        self.problems, self.z, self.item, self.status = problems, z, batch.item, batch.status
-        self.errors = {**problems.errors, **batch.errors}
-
-    def __len__(self) -> int:
-        return len(self.z)
-
-
 class ConditionsBatchDerivative(BatchDerivative):
     """Derivatives of the conditions of a batch, with the errors of :class:`ConditionsDerivative`.
 
     Parameters
     ----------
-    batch : Conditions
+    batch : SimpleNamespace
+        LCPs as `problems`, their solutions z, and item, status and errors of the batch.
     data, is_strict
         As of :class:`ConditionsDerivative`.
     """
 
-    def __init__(self, batch: Conditions, data: Any, *, is_strict: bool = True) -> None:
+    def __init__(self, batch: Any, data: Any, *, is_strict: bool = True) -> None:
         super().__init__(batch)
         self.data, self.is_strict = data, is_strict
 
@@ -876,7 +867,7 @@ def _derivative_of_batch(batch: BatchAnswers) -> Any:
         arrays = {name: getattr(problems, name) for name in "PGA"}
         for name, rows in problems.rows.items():
             arrays[name] = np.broadcast_to(rows, (len(batch), rows.shape[1]))
-        data: Any = ProgramData(example, arrays)
+        data: Any = ProgramArrays(example, arrays)
         z = np.concatenate([batch.x, batch.inequality, batch.equality], axis=1)
         return _derivative_of_program(data, z, batch)
     sides = problems if isinstance(problems, RightSides) else RightSides.of([*problems])
@@ -894,7 +885,8 @@ def _derivative_of_program(data: Any, z: Any, batch: Any = None) -> ProgramDeriv
     problem = data.problem(partial(Stacked, z0=None))
     if batch is None:
         return ProgramDerivative(data, ConditionsDerivative(problem, z, data))
-    conditions = Conditions(batch, problem, z)
+    facts = {"item": batch.item, "status": batch.status, "errors": problem.errors | batch.errors}
+    conditions = SimpleNamespace(problems=problem, z=z, **facts)
     return ProgramBatchDerivative(data, ConditionsBatchDerivative(conditions, data), batch)
 
 
@@ -1101,7 +1093,7 @@ class ConditionsDerivative(Derivative):
     ----------
     problem : LCP
     z : array, shape (n,)
-    data : ProgramData or LeastSquaresData
+    data : ProgramArrays or LeastSquaresData
         The first unknowns are x, the others multipliers.
     is_strict : bool
         Whether degenerate rows raise an error as well.

@@ -87,7 +87,7 @@ def outer_products(matrix: AnyMatrix, *pairs: tuple[Vector, Vector]) -> Any:
     return sum_of_outer(matrix, left, right) if sp.issparse(matrix) else left.T @ right
 
 
-class ProgramData:
+class ProgramArrays:
     """Data of a program, or of a batch with an axis in front, and their map to the data of the LCP.
 
     Parameters
@@ -95,14 +95,12 @@ class ProgramData:
     program : QuadraticProgram
         The program, or a program of the shape of all.
     data : dict
-        P, G, A, c, h, b, lower and upper.
+        P, G, A, c, h, b, lower and upper, in this order.
     """
 
     def __init__(self, program: QuadraticProgram, data: dict[str, Any]) -> None:
-        m, p, n, _ = program.matrices.sizes
-        self.program, self.data, self.ends = program, data, (n, n + m)
-        of_vectors = {"c": (n,), "h": (m,), "b": (p,), "lower": (n,), "upper": (n,)}
-        self.shapes = {"P": (n, n), "G": (m, n), "A": (p, n), **of_vectors}
+        self.program, self.data, self.ends = program, data, (program.n, program.n + program.h.size)
+        self.shapes = {name: getattr(program, name).shape for name in data}
 
     def problem(self, stack: Callable[..., Any]) -> Any:
         """Return the conditions as an LCP, or by `stack` as a batch of LCPs."""
@@ -162,16 +160,15 @@ class LeastSquaresData:
     Parameters
     ----------
     data : dict
-        A, b, lower, upper, l1, weights and ridge.
+        A, b, lower, upper, l1, weights and ridge, in this order.
     x : array, shape (n,) or (B, n)
         The solution, which determines the signs of the penalties.
     """
 
     def __init__(self, data: dict[str, Any], x: Vector) -> None:
-        self.data, (m, n) = data, data["A"].shape[-2:]
-        self.ends = (n,)
-        of_n = {name: (n,) for name in ("lower", "upper", "l1")}
-        self.shapes = {"A": (m, n), "b": (m,), **of_n, "weights": (m,), "ridge": ()}
+        self.data, self.ends = data, data["A"].shape[-1:]
+        self.shapes = {name: np.shape(data[name])[-1:] for name in data}
+        self.shapes["A"] = data["A"].shape
         weighted = data["weights"] * self._residual(x)
         slope = multiply(data["A"], weighted, transposed=True) + data["ridge"] * x
         lower, upper = data["lower"], data["upper"]
@@ -239,7 +236,7 @@ class ProgramDerivative:
 
     Parameters
     ----------
-    data : ProgramData or LeastSquaresData
+    data : ProgramArrays or LeastSquaresData
     conditions : ConditionsDerivative or ConditionsBatchDerivative
         The derivative of the LCP of the conditions.
 
@@ -379,14 +376,13 @@ class ProgramDerivative:
         return array
 
 
-def program_data(program: QuadraticProgram) -> ProgramData:
+def program_data(program: QuadraticProgram) -> ProgramArrays:
     """Return the data of a single program."""
-    return ProgramData(program, {name: getattr(program, name) for name in (*"PGA", *VECTORS)})
+    return ProgramArrays(program, {name: getattr(program, name) for name in (*"PGA", *VECTORS)})
 
 
 def least_squares_data(problem: BoundedLeastSquares, x: Vector) -> LeastSquaresData:
     """Return the data of one least squares problem, or of a stack that shares A."""
     weights = problem.weights if problem.weights is not None else np.ones(problem.shape[0])
-    names = ("A", "b", "lower", "upper", "l1", "ridge")
-    data = {name: getattr(problem, name) for name in names}
-    return LeastSquaresData(data | {"weights": weights}, x)
+    data = {name: getattr(problem, name) for name in ("A", "b", "lower", "upper", "l1")}
+    return LeastSquaresData(data | {"weights": weights, "ridge": problem.ridge}, x)

@@ -85,22 +85,43 @@ def solve_least_squares(
     (array([1.5, 0. ]), 0.75, array([ 0, -1]), 'SOLVED')
     """
     settings, clock = Settings(**options) if options else DEFAULT, Clock()
-    is_bare = x0 is None and callback is None and not options.keys() - {"tolerance"}
-    if is_bare and engines.is_for_nnls(problem):
-        point = engines.nnls_point(problem)
-        optimality = Optimality.of(Enclosures(problem), point, tolerance=settings.tolerance)
-        if optimality.residual <= settings.tolerance:
-            run = {"iterations": 1, "seconds": clock.read(), "tolerance": settings.tolerance}
-            run |= {"algorithm": NNLS[0], "stages": (StageRecord(*NNLS, 1, 1.0),)}
-            make = partial(LeastSquaresResult.at, optimality, status=Status.SOLVED, **run)
-            return LeastSquaresResult.of_known(make, x=read_only(point), status=Status.SOLVED)
-    progress = Progress(problem, settings, callback, clock)
     start = None if x0 is None else problem.checked_start(x0)
-    search = LeastSquaresRun(problem, progress, start)
+    is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
+    first = None
+    if callback is None and not (settings.is_watched or is_limited):
+        first = first_point(problem, start, settings.tolerance)
+        if first is not None and first.passes:
+            name, because = NNLS if first.x is not start else (START, "")
+            steps = int(first.x is not start)
+            run = {"iterations": steps, "seconds": clock.read(), "tolerance": settings.tolerance}
+            run |= {"algorithm": name, "stages": (StageRecord(name, because, 1, 1.0),) * steps}
+            make = partial(LeastSquaresResult.at, first, status=Status.SOLVED, **run)
+            return LeastSquaresResult.of_known(make, x=read_only(first.x), status=Status.SOLVED)
+    progress = Progress(problem, settings, callback, clock)
+    search = LeastSquaresRun(problem, progress, start, first)
     result: LeastSquaresResult = search.solve(search.plan())
     if settings.verbose:
         say(f"{result.status.name}: {result.advice}")
     return result
+
+
+def first_point(
+    problem: BoundedLeastSquares, start: Vector | None, tolerance: float
+) -> Optimality | None:
+    """Return the measured solution by nnls, or the start if it also passes; None if nnls does not suit the problem."""
+    if not engines.is_for_nnls(problem):
+        return None
+    enclosures, x = Enclosures(problem), engines.nnls_point(problem)
+    optimality = Optimality.of(enclosures, x, tolerance=tolerance)
+    optimality.passes = optimality.residual <= tolerance
+    if optimality.passes and start is not None:
+        least = problem.cost(x, problem.A @ x - problem.b)
+        # A start that costs clearly more does not pass
+        if problem.cost(start, problem.A @ start - problem.b) <= (1.0 + 4.0 * tolerance) * least:
+            at_start = Optimality.of(enclosures, start, tolerance=tolerance)
+            at_start.passes = at_start.residual <= tolerance
+            return at_start if at_start.passes else optimality
+    return optimality
 
 
 class LeastSquaresRun(Run):
@@ -111,10 +132,14 @@ class LeastSquaresRun(Run):
     """
 
     def __init__(
-        self, problem: BoundedLeastSquares, progress: Progress, start: Vector | None
+        self,
+        problem: BoundedLeastSquares,
+        progress: Progress,
+        start: Vector | None,
+        first: Optimality | None = None,
     ) -> None:
         super().__init__(progress)
-        self.problem, self.start = problem, start
+        self.problem, self.start, self.first = problem, start, first
         self.enclosures = Enclosures(problem)
         self.aim = self.settings.tolerance
 
@@ -200,11 +225,14 @@ class LeastSquaresRun(Run):
     def plan(self) -> Iterator[Stage]:
         """Yield nnls for plain data; for a large A projected steps that cost about as much as PIQP; then engines."""
         problem = self.problem
-        if self.start is None and engines.is_for_nnls(problem):
-            yield Stage(Named(NNLS[0]), NNLS[1], steps=self._nnls_step())
         is_at_rest = not engines.FacePoint(problem.scaled, self.nearest).natural_residual.any()
-        if self.start is not None or is_at_rest:
-            yield Stage(Named(START), steps=[Step(self.nearest, work=0.0, iterations=0)])
+        begin = Stage(Named(START), steps=[Step(self.nearest, work=0.0, iterations=0)])
+        if self.start is not None:
+            yield begin
+        if engines.is_for_nnls(problem):
+            yield Stage(Named(NNLS[0]), NNLS[1], steps=self._nnls_step())
+        if self.start is None and is_at_rest:
+            yield begin
         # PIQP takes as long as so many projected steps
         # The same on a large sparse A
         few = 300 if problem.is_sparse else math.ceil(0.05 * min(problem.shape))
@@ -220,7 +248,7 @@ class LeastSquaresRun(Run):
         yield self._projected(self.settings.max_iterations)
 
     def _nnls_step(self) -> Iterator[Step]:
-        optimality = self.certify(engines.nnls_point(self.problem))
+        optimality = self.first or self.certify(engines.nnls_point(self.problem))
         yield Step(optimality.x, iterations=1, measured=optimality)
 
     def _size_at(self, point: engines.FacePoint) -> float:

@@ -16,12 +16,17 @@ T_i = Σ_j |c_ij x_j| + |d_i| and K = 1000, it requires
 So no feasible point is better by more than the tolerance if its unknowns differ by at most K |x_j| and by moves that
 cost together at most K times the objective; at t times these moves, the gain is at most t times the tolerance. If c_j =
 0 and r_j is at the rounding level of P x, |P| |x| takes the place of |P x| in price_j; if all costs of a component are
-0, in price_j and in the size. Sums are plain,
-with bounds of rounding errors. If these do not decide, sums are computed without rounding, and a violation of at most
-2⁻⁴⁷ |c_ij| T_k/|c_kj| is allowed: it is the rounding of x_j in another row k.
+0, in price_j and in the size. Multipliers of a component where P x + c = 0 are 0: no point is better. Sums are plain,
+with bounds of rounding errors; if these do not decide, sums are computed without rounding.
 
-Limits: a coefficient of 1e11 in another row may make a violation of 9e-10 expensive. If coefficients of one column span
-1e12, a row may be violated by more, but x_j only by its rounding. A program may be unbounded although a program within
+Each row is measured by itself. Two kinds of noise count as 0:
+
+- an x_j of at most 2⁻⁴² of the largest unknown of its component: a point that fails is also tested with these zeros;
+- the side d_i of a row whose terms c_ij x_j are all 0, if |d_i| is at most 8 ε max_j |c_ij| max_j |x_j| of its
+  component. In the gap it costs what any of its unknowns costs: |y_i| is at least the largest price_j/|c_ij|.
+
+Limits: a coefficient of 1e11 in another row may make a violation of 9e-10 expensive. A program may be unbounded
+although a program within
 1e-10 of it has a minimum. An objective below 1e-12 of the terms of the rows, weighted with their multipliers, or below
 1e-14 of its terms, counts as 0. Costs beyond 2^1000 overflow.
 """
@@ -39,7 +44,7 @@ from numpy.typing import NDArray
 from ..core.checks import AnyMatrix, Vector
 from ..core.entries import clip, largest_in_rows, largest_products
 from ..core.kernels.compilation import kernel
-from ..core.kernels.floats import DATA_ROUNDING, UNIT
+from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE, UNIT
 from ..core.rounding import compensated_product
 
 Indices = NDArray[np.intp]
@@ -47,7 +52,7 @@ Indices = NDArray[np.intp]
 PROGRAM_TOLERANCE = 1e-6  # of the gap, by default
 ROWS = 1e-9  # of the rows, at every tolerance
 NEARLY = (1e-6, 1e-3)  # rows and gap: a point beyond is not even inaccurately optimal
-NOISE = 1e-5  # of the coefficients of a row: ROWS of this on the right counts as a rounded 0
+NOISE = 1e-5  # of the coefficients of a row: ROWS of this contradicts nothing
 BLUR = 8.0 * UNIT  # of the terms of a sum: error of the data
 CANCELLED = 1e-8  # share of the objective's terms to which they may cancel
 LEAST_SIZE = 1e-6  # of the rows' terms with their multipliers
@@ -57,8 +62,6 @@ SHARP = 32.0 * MOVES * UNIT  # per unknown and row: below this gap, plain sums s
 SAFETY = 5.0  # times the bounds of rounding errors, in the compiled test
 INF = float("inf")
 LEAST_PRICE = 2.0**-1000  # quotients by it are finite
-# of terms in the other rows of an unknown: rounding of this unknown
-ROUNDED_ELSEWHERE = 64.0 * UNIT
 
 
 class KKTErrors(NamedTuple):
@@ -83,6 +86,21 @@ class KKTErrors(NamedTuple):
     @classmethod
     def of(cls, program: JudgedProgram, x: Vector, y: Vector, tolerance: float) -> KKTErrors:
         """Return the errors of x and multipliers y of G and A; bounds of them if these meet the tolerance already."""
+        return cls.with_point(program, x, y, tolerance)[0]
+
+    @classmethod
+    def with_point(
+        cls, program: JudgedProgram, x: Vector, y: Vector, tolerance: float
+    ) -> tuple[KKTErrors, Vector]:
+        """Return the errors and x; if only x with zeros at rounding level meets the tolerance, both of that point."""
+        errors = cls._at(program, x, y, tolerance)
+        if not errors.meet(tolerance) and (near := with_zeros(program, x)) is not x:
+            again = cls._at(program, near, y, tolerance)
+            return (again, near) if again.meet(tolerance) else (errors, x)
+        return errors, x
+
+    @classmethod
+    def _at(cls, program: JudgedProgram, x: Vector, y: Vector, tolerance: float) -> KKTErrors:
         errors, terms = cls(np.inf, np.inf), program.terms
         if terms.is_one_dense_component and tolerance:
             data = program.c, program.d, terms.m, program.lower, program.upper, x, y
@@ -235,19 +253,24 @@ class PrimalDualPoint:
         np.maximum(y[:m], 0.0, out=y[:m])
         self.point, self.x = x, clip(x, lower, upper)
         self.outside = np.abs(x - self.x)
-        x, self.of_x, self.of_y, self.cost = self.x, np.abs(self.x), np.abs(y), np.abs(program.c)
+        x, self.of_x, self.cost = self.x, np.abs(self.x), np.abs(program.c)
         P, C, of_P, of_C, of_columns = self.terms.entry_sizes
+        in_rows, in_P, in_columns = self.terms.summands
         self.limits, self.bend = np.abs(d), of_P @ self.of_x
         self.row_terms = of_C @ self.of_x + self.limits
         if is_exact:
             self.product, self.lost = compensated_product(self.terms.sparse_P, x)
+        else:
+            self.product, self.lost = P @ x, (in_P + 3.0) * UNIT * self.bend
+        slopes = self._largest(np.abs(self.product + program.c))
+        y = np.where(slopes[self.terms.components.of_row] > 0.0, y, 0.0)
+        self.of_y = np.abs(y)
+        if is_exact:
             both = np.concatenate([x, y])
             self.left, self.doubt = compensated_product(self.terms.gradient, both, program.c)
             self.excess, self.row_doubt = compensated_product(self.terms.rows, x, -d)
         else:
-            in_rows, in_P, in_columns = self.terms.summands
             terms = self.bend + self.cost + of_columns @ self.of_y
-            self.product, self.lost = P @ x, (in_P + 3.0) * UNIT * self.bend
             self.left = self.product + program.c + C.T @ y
             self.doubt = (in_P + in_columns + 3.0) * UNIT * terms
             self.excess, self.row_doubt = C @ x - d, (in_rows + 3.0) * UNIT * self.row_terms
@@ -256,26 +279,28 @@ class PrimalDualPoint:
             self.excess[~is_limit] = -np.inf
 
     def row_errors(self) -> Vector:
-        """Return the error of each row and of each bound; rounding in rows is tolerated if sums are exact."""
-        m, sizes, of_bounds = self.terms.m, self.row_terms, self.outside
-        over = self.missed.copy()
-        np.maximum(self.excess[:m] + self.row_doubt[:m], 0.0, out=over[:m])
+        """Return the error of each row and of each bound; sides at rounding level count as 0 if sums are exact."""
+        over, sizes, of_bounds = self.violation, self.row_terms, self.outside
         if self.is_exact and (over > ROWS * sizes).any():
-            sizes = np.maximum(sizes, self.excused / ROWS)
+            sizes = np.maximum(sizes, self.noise / ROWS)
         if of_bounds.any():
             lower, upper = self.program.lower, self.program.upper
             bound = np.where(self.x == lower, np.abs(lower), np.abs(upper))
             of_bounds = ratio(of_bounds, np.maximum(bound, np.abs(self.point)))
         return np.concatenate([ratio(over, sizes), of_bounds])
 
-    @property
-    def excused(self) -> Vector:
-        """Violation of each row that counts as rounding: of its unknowns in other rows, or of the right-hand sides."""
-        columns, all_terms = self.terms.columns, self.terms
-        terms = self.row_terms[columns.indices] / np.abs(columns.data)
-        reached = largest_products(all_terms.entry_sizes[3], largest_in_rows(columns, terms))
-        sides = np.where(all_terms.counts == 0, self.limits.max(initial=0.0), 0.0)
-        return np.maximum(ROUNDED_ELSEWHERE * reached, ROWS * NOISE * sides)
+    @cached_property
+    def violation(self) -> Vector:
+        """Upper bound of the violation of each row, shape (m + p,)."""
+        m, over = self.terms.m, self.missed.copy()
+        np.maximum(self.excess[:m] + self.row_doubt[:m], 0.0, out=over[:m])
+        return over
+
+    @cached_property
+    def noise(self) -> Vector:
+        """Size below which the side of a row counts as 0, shape (m + p,); 0 unless all its terms c_ij x_j are 0."""
+        most = BLUR * self.terms.row_sizes * self._largest(self.of_x)[self.terms.components.of_row]
+        return np.where((self.row_terms == self.limits) & (self.limits <= most), most, 0.0)
 
     def gaps(self) -> Vector:
         """Return the gap of each component."""
@@ -304,7 +329,12 @@ class PrimalDualPoint:
         way = self._of_unknowns(MOVES * size) / np.maximum(price, LEAST_PRICE)
         is_far = distance > way
         reach = np.where(is_far, np.minimum(distance, MOVES * of_x), distance)
-        gap = sums(r, np.where(r == 0.0, 0.0, reach), self.of_y, self.missed)
+        cost = self.of_y
+        if self.is_exact and (is_noise := (self.violation > 0.0) & (self.noise > 0.0)).any():
+            rows = self.terms.rows
+            by_unknowns = largest_in_rows(rows, price[rows.indices] / np.abs(rows.data))
+            cost = np.where(is_noise, np.maximum(cost, by_unknowns), cost)
+        gap = sums(r, np.where(r == 0.0, 0.0, reach), cost, self.missed)
         gap += self._largest(np.where(is_far, r * way, 0.0))
         return np.where(size < np.inf, gap / size, np.nan)
 
@@ -349,10 +379,19 @@ def least_size(program: JudgedProgram, x: Vector, y: Vector) -> float:
     return LEAST_SIZE * float(point.needed_y @ point.row_terms)
 
 
-def excused_rows(program: JudgedProgram, x: Vector) -> Vector:
-    """Return the violation of each row that counts as rounding at x."""
-    none = np.zeros(program.d.size)
-    return PrimalDualPoint(program, x, none, is_exact=False).excused
+def noise_of_sides(program: JudgedProgram, x: Vector) -> Vector:
+    """Return the size below which the side of each row counts as 0 at x."""
+    return PrimalDualPoint(program, x, np.zeros(program.d.size), is_exact=False).noise
+
+
+def with_zeros(program: JudgedProgram, x: Vector) -> Vector:
+    """Return x with 0 for unknowns at rounding level of the largest of their component; x itself if there are none."""
+    parts, sizes = program.terms.components, np.abs(x)
+    largest = np.zeros(parts.number)
+    np.maximum.at(largest, parts.of_unknown, sizes)
+    is_noise = (sizes <= NEGLIGIBLE * largest[parts.of_unknown]) & (x != 0.0)
+    is_noise &= (program.lower <= 0.0) & (program.upper >= 0.0)
+    return np.where(is_noise, 0.0, x) if is_noise.any() else x
 
 
 def ratio(errors: Vector, sizes: Vector) -> Vector:
@@ -389,8 +428,11 @@ def dense_errors(P, C, sizes, c, d, m, lower, upper, point, multipliers, safety)
     x, is_limit = np.minimum(np.maximum(point, lower), upper), d < INF
     y, d = np.where(is_limit, multipliers, 0.0), np.where(is_limit, d, 0.0)
     y[:m] = np.maximum(y[:m], 0.0)
-    of_x, of_y, cost, product = np.abs(x), np.abs(y), np.abs(c), P @ x
+    of_x, cost, product = np.abs(x), np.abs(c), P @ x
     terms, bend, excess, slopes = of_C @ of_x + np.abs(d), of_P @ of_x, C @ x - d, product + c
+    if not slopes.any():
+        y[:] = 0.0
+    of_y = np.abs(y)
     rounding, lost = unit * (n + 3.0) * terms, unit * (n + 3.0) * bend
     missed = np.abs(excess) + rounding
     over = missed.copy()

@@ -641,6 +641,39 @@ def linear_case(rng: Generator) -> Outcome:
     return program_case(rng, linear=True)
 
 
+def noisy_rows(rng: Generator, least: float = -9.0) -> list[Any]:
+    """Return a linear program with 10⁻¹⁷ … 10^least in 60 % of the places of its rows."""
+    n, m = int(rng.integers(3, 10)), int(rng.integers(1, 4))
+    G, c = rng.normal(size=(m, n)), rng.normal(size=n)
+    noise = rng.choice([-1, 1], G.shape) * 10.0 ** rng.uniform(-17, least, G.shape)
+    G = np.where(rng.random(G.shape) < 0.6, noise, G)
+    h = G @ rng.normal(size=n) + rng.random(m) * (rng.random(m) < 0.5)
+    none, far = np.zeros((0, n)), np.full(n, 10.0)
+    return [None, c, G, h, none, np.zeros(0), -far, far]
+
+
+def noisy_case(rng: Generator) -> Outcome:
+    data = noisy_rows(rng)
+    result = lp.solve(lp.QuadraticProgram(*data), max_seconds=SECONDS)
+    return judged_program(
+        data, result.status.name, result.x, result.duals, np.inf, shown(data, "noise")
+    )
+
+
+def units_case(rng: Generator) -> Outcome:
+    """Noisy rows with one unknown in units of 1e-6 … 1e-15; the judge takes all unknowns in units of 1."""
+    data = noisy_rows(rng, -11.0)
+    _, c, G, h, A, b, lower, upper = data
+    units = np.ones(len(c))
+    units[rng.integers(0, len(c))] = 10.0 ** rng.uniform(-15, -6)
+    stated = lp.QuadraticProgram(None, c / units, G / units, h, A, b, lower * units, upper * units)
+    result = lp.solve(stated, max_seconds=SECONDS)
+    duals = {name: np.array(value) for name, value in result.duals.items()}
+    duals["lower"], duals["upper"] = duals["lower"] * units, duals["upper"] * units
+    text = shown(data, f"units {units.tolist()}")
+    return judged_program(data, result.status.name, result.x / units, duals, np.inf, text)
+
+
 # --- Complementarity ----------------------------------------------------------------------------------------------
 
 
@@ -664,6 +697,8 @@ KINDS: dict[str, Callable[[Generator], Outcome]] = {
     "lcp": lcp_case,
     "program": program_case,
     "linear": linear_case,
+    "noisy rows": noisy_case,
+    "units": units_case,
 }
 
 

@@ -27,7 +27,7 @@ from ...core.problem_classes import CLASSES, class_of, foreign_function, refusal
 from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance, whole_number
 from ...judges.lcp import NEAREST
-from ...judges.program import KKTErrors, excused_rows, least_size
+from ...judges.program import KKTErrors, least_size, noise_of_sides, with_zeros
 from ...judges.worst_rows import WorstRow, WorstRows, worst_pairs
 from ...proofs.bounds import constrained_curvature
 from ...proofs.exact import sum_above
@@ -70,8 +70,9 @@ def certify(
     """Return the proved facts about a point of a problem, from any solver, and its worst rows.
 
     For a complementarity problem, "proved" means that the stopping criterion of SOLVED holds at x, which is not moved.
-    The other paragraphs are about convex quadratic and linear programs. There an x_j is moved to a bound if no row and
-    no gradient notices the move (1e-6 of their terms at the default tolerance).
+    The other paragraphs are about convex quadratic and linear programs. An x_j is moved to a bound or to a row
+    with one entry if no row and no gradient notices the move (1e-6 of their terms at the default tolerance), and to 0
+    below 2⁻⁴² of the largest unknown of its component.
     ``certify(…).worst(5)`` lists the rows that fail by most.
 
     Parameters
@@ -92,9 +93,9 @@ def certify(
     tolerance : float
         "proved" means that x has the optimal value f* and is feasible: |f(x) − f*| ≤ tolerance · (Σ|c_j x_j|
         + |xᵀP x|), or 10⁻⁸ · tolerance of the rows' terms with their multipliers if that is more, and each c·x ≤ d or
-        = d holds to tolerance · (|d| + Σ|c_j x_j|), or to rounding of its unknowns in other rows. If all terms
-        of the objective are 0 the comparison is exact. If bounds of f* do not decide, the stopping criterion of
-        programs does, with the multipliers. x may still be far from the minimizer if the objective is flat.
+        = d holds to tolerance · (|d| + Σ|c_j x_j|). If all terms of the objective are 0 the comparison is exact. If
+        bounds of f* do not decide, the stopping criterion of programs does, with the multipliers. x may still be far
+        from the minimizer if the objective is flat.
         "infeasible" is proved if every x violates a constraint by more than the tolerance,
         in the unit of the constraint, so that no x can be proved to be optimal.
     max_seconds : float, optional
@@ -176,10 +177,12 @@ def certify(
         else:
             point, y = claimed_point(problem, x, multipliers)
             verdict = proofs.prove_point(point, y, tolerance)
-            near = point if verdict.verdict == "proved" else proofs.on_bounds(point, tolerance)
-            if not np.array_equal(near, point):
-                moved = proofs.prove_point(near, y, tolerance)
-                if moved.verdict == "proved":
+            for move in (proofs.on_bounds, proofs.with_zeros):
+                near = point if verdict.verdict == "proved" else move(point, tolerance)
+                if np.array_equal(near, point):
+                    continue
+                moved, is_noise = proofs.prove_point(near, y, tolerance), move == proofs.with_zeros
+                if moved.verdict == "proved" or (is_noise and moved.verdict == "unproved"):
                     verdict = replace(moved, violation=verdict.violation)
             rows = problem.constraints.rows
             y = np.zeros(rows) if y is None else y[:rows]
@@ -468,14 +471,14 @@ class ProgramProofs:
         Interior-point methods end at 1e-9 for a bound of 0, others at −1e-17. No gradient, no equality, and no row
         with a multiplier may change by more than the tolerance times its terms.
         """
-        program, solution = self.program, self.own_solution
+        program, solution = self.program.folded.reduced, self.own_solution
         if solution is None:
             return x
         terms, m = program.matrices.terms, program.h.size
         of_gradient = abs(terms.sparse_P) @ np.abs(x) + np.abs(program.c)
         of_rows = abs(terms.rows) @ np.abs(x) + np.abs(program.judged.d)
         sizes = np.append(of_gradient, of_rows)
-        y = solution.multipliers[: program.constraints.rows].copy()
+        y = solution.reduced_y
         y[m:] = 1.0
         entries, moves = terms.gradient.tocoo(), np.full(program.n, np.inf)
         counts = np.append(np.ones(program.n), y)[entries.col] > 0.0
@@ -487,6 +490,10 @@ class ProgramProofs:
         change = np.abs(program.c + program.P @ near) @ np.abs(near - x)
         size = max(size_of_objective(program, x)[0], least_size(program.judged, x, y))
         return near if change <= tolerance * size else x
+
+    def with_zeros(self, x: Vector, tolerance: float) -> Vector:
+        """Return x with 0 for unknowns at rounding level of the largest of their component, as in the criterion."""
+        return with_zeros(self.program.folded.reduced.judged, x)
 
     def prove_point(self, x: Vector, multipliers: Vector | None, tolerance: float) -> Certification:
         """Return the verdict on a point and its multipliers of all constraints."""
@@ -518,9 +525,9 @@ class ProgramProofs:
                 complaint = complaint or bought
         verdict = bounds.certification(self, complaint)
         if verdict.verdict == "unproved" and not complaint and violation.is_met:
-            rows, solved = program.constraints.rows, getattr(self.own_solution, "multipliers", None)
-            known = [y[:rows] for y in (multipliers, solved) if y is not None]
-            gaps = [KKTErrors.of(program.judged, x, y, tolerance).gap for y in known]
+            solved, folded = getattr(self.own_solution, "multipliers", None), program.folded
+            known = [y[folded.left] for y in (multipliers, solved) if y is not None]
+            gaps = [KKTErrors.of(folded.reduced.judged, x, y, tolerance).gap for y in known]
             if (gap := min(gaps, default=math.inf)) <= tolerance:
                 reason = f"the stopping criterion holds: duality gap {gap:.2g}"
                 verdict = replace(verdict, verdict="proved", duality_gap=gap, reason=reason)
@@ -554,8 +561,9 @@ class Violation:
 
     @classmethod
     def of(cls, program: QuadraticProgram, x: Vector, tolerance: float) -> Violation:
-        """Return the violation at x, relative to the terms of each row; rounding is tolerated as in the criterion."""
-        rows = program.constraints
+        """Return the violation at x, relative to the terms of each row; a row with one entry is a bound."""
+        reduced = program.folded.reduced
+        rows = reduced.constraints
         finite = rows.finite
         matrix, limit = rows.matrix[finite], rows.limit[finite]
         value, radius = compensated_product(matrix, x, -limit)
@@ -563,8 +571,8 @@ class Violation:
         least, largest = np.maximum(size - radius, 0.0), np.maximum(rows.excess(x)[finite], 0.0)
         allowed = tolerance * (abs(matrix) @ np.abs(x) + np.abs(limit))
         if (largest > allowed).any():
-            excused = excused_rows(program.judged, x)
-            allowed = np.maximum(allowed, np.append(excused, np.zeros(2 * program.n))[finite])
+            noise = np.append(noise_of_sides(reduced.judged, x), np.zeros(2 * program.n))
+            allowed = np.maximum(allowed, noise[finite])
         is_met, is_missed = (largest <= allowed).all(), (least > allowed * OUTWARD).any()
         ends = float(least.max(initial=0.0)) / OUTWARD, float(largest.max(initial=0.0))
         return cls(*ends, bool(is_met), bool(is_missed))

@@ -187,7 +187,7 @@ def run_engine(
         for near, is_polished in candidates(scaled.statement, point, rounds):
             back = scaled.outward(near)
             x, y = clip(back.x, reduced.lower, reduced.upper), back.y
-            measures = KKTErrors.of(reduced.judged, x, y, tolerance)
+            measures, x = KKTErrors.with_point(reduced.judged, x, y, tolerance)
             is_good = bool(measures.meet(tolerance))
             if (is_good, -measures.largest) > (passes, -errors.largest):
                 best, errors, passes = (x, y), measures, is_good
@@ -217,13 +217,13 @@ def candidates(
 ) -> Iterator[tuple[EnginePoint, bool]]:
     """Yield points that may be the solution near a point, and whether they are polished.
 
-    The point and its polished points are each followed by the same point with noise set to 0.
+    Before the point and each polished point comes the same point with noise set to 0.
     """
     for near in chain([point], polish_steps(statement, point, rounds)):
-        yield near, near is not point
         clean = near._replace(x=_without_noise(near.x), y=_without_noise(near.y))
         if not (np.array_equal(clean.x, near.x) and np.array_equal(clean.y, near.y)):
             yield clean, near is not point
+        yield near, near is not point
 
 
 def _without_noise(values: Vector) -> Vector:

@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike
 
 from ...core import checks
 from ...core.checks import AnyMatrix
-from ...core.entries import largest_in_rows, max_norm
+from ...core.entries import largest_in_rows
 from ...core.errors import InvalidProblem, UnsupportedModel
-from ...core.kernels.floats import EPSILON
+from ...core.kernels.floats import EPSILON, UNIT
 from ...core.names import Names, checked_names, listed
 from ...core.problem import Problem
 from ...core.rounding import compensated_pair, compensated_product
 from ...core.structure import mismatch
-from ...judges.program import NOISE, ROWS, Indices, JudgedProgram
+from ...judges.program import Indices, JudgedProgram
 from ...proofs.exact import like
 from .constraints import Constraints
 from .program_matrices import ProgramMatrices, as_array
@@ -432,8 +432,9 @@ NO_ROW = -1  # no row gives the bound
 class FoldedRows:
     """The program's bounds and rows with singleton, empty and unlimited rows gone.
 
-    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 to rounding and g x ≤ ∞ are dropped. An infeasible row,
-    0 ≤ −1 or singleton rows with inconsistent bounds, remains a row, so that the solver detects the inconsistency.
+    A row g x_j ≤ h or a x_j = b becomes a bound; 0 ≤ h, 0 = 0 and g x ≤ ∞ are dropped. 0 = 1e-16 is 0 = 0 if 1e-16 is
+    one rounding error of the smallest other right-hand side. An infeasible row, 0 ≤ −1 or singleton rows with
+    inconsistent bounds, remains a row, so that the solver detects the inconsistency.
 
     Attributes
     ----------
@@ -487,7 +488,8 @@ class FoldedRows:
         upper = np.where(contradicts, program.upper, upper)
         lower_row[contradicts] = upper_row[contradicts] = NO_ROW
 
-        rounding = ROWS * NOISE * max_norm(right[right < np.inf])
+        others = np.abs(right[(matrices.counts > 0) & (right < np.inf) & (right != 0.0)])
+        rounding = UNIT * others.min() if others.size else 0.0
         holds = np.where(is_equality, np.abs(right) <= rounding, right >= -rounding)
         stays = ~(holds & (matrices.counts == 0) | (right == np.inf))
         stays[rows[~contradicts[columns]]] = False

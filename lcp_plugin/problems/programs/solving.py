@@ -133,7 +133,7 @@ def _by_daqp(
     ends = ends_of_rows(judged.d, reduced.h.size, lower, upper)
     x, y, _, steps = call_daqp(*layout, c.copy(), *ends, DAQP.defaults)
     x, y = clip(x, lower, upper), y[x.size :]
-    errors = KKTErrors.of(judged, x, y, tolerance)
+    errors, x = KKTErrors.with_point(judged, x, y, tolerance)
     is_sharp = errors.meet(tolerance) and errors.gap <= SHARP * (x.size + y.size)
     if not is_sharp or is_in_doubt(program, errors, x):
         return None

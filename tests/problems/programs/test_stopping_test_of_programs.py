@@ -451,6 +451,69 @@ def test_constructed_points_are_refused(name, kind):
     assert not KKTErrors.of(program.judged, np.array(x, float), np.array(y, float), 1e-6).meet(1e-6)
 
 
+# --- Noise ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("k", [1e8, 1e15])
+def test_a_coefficient_of_noise_excuses_no_violation(k):
+    """x₀ ≥ 1/2 is a row with −1e-16 x₁ in it, and −1e-16 x₀ stands next to x₂/k: .5 is the right x₀."""
+    G = [[-2, -1e-16, 0], [-1e-16, 0, 1 / k]]
+    program = QuadraticProgram(None, [1, -1, 0], G, [-1, 3], lower=0, upper=[5, 5, 2 * k])
+    result = solve(program)
+    assert result.status is Status.SOLVED
+    np.testing.assert_allclose(result.x[:2], [0.5, 5.0], rtol=1e-9)
+    assert certify(result).verdict == "proved"
+    assert certify(program, [0.0, 5.0, 2 * k]).verdict == "disproved"
+
+
+@pytest.mark.parametrize(("side", "far"), [(1.0, 1e15), (0.01, 1e12)])
+def test_a_large_side_excuses_no_row_without_entries(side, far):
+    """0 x = 1 next to x₁ + x₂ ≤ 1e15 is neither SOLVED nor proved."""
+    program = QuadraticProgram(np.eye(2), [1, 1], [[1, 1]], [far], [[0, 0]], [side])
+    assert not solve(program).is_solved
+    assert certify(program, [-1.0, -1.0]).verdict == "disproved"
+
+
+@pytest.mark.parametrize(("side", "is_right"), [(-1e-16, True), (-1e-9, False)])
+def test_a_side_of_noise_is_0(side, is_right):
+    """x₁ + x₂ = −1e-16 with x ≥ 0 says x₁ = x₂ = 0, as data with subtracted origins state it; −1e-9 contradicts."""
+    A, b = [[1.0, 1.0, 0.0], [1.0, 0.0, 1.0]], [side, 1.0]
+    program = QuadraticProgram(np.eye(3), [1.0, 1.0, 1.0], A=A, b=b, lower=0)
+    result = solve(program)
+    assert result.is_solved is is_right
+    assert (certify(program, [0.0, 0.0, 1.0]).verdict == "proved") is is_right
+
+
+def test_a_side_of_noise_that_an_expensive_unknown_must_meet_is_a_demand():
+    """x₁ ≥ 1e-15 as a row costs 1 of 101 at a price of 1e15, although 1e-15 is noise next to x₂ = 100."""
+    G, h = [[-1.0, 0.0, -1.0], [-1.0, -1.0, 0.0]], [-1e-15, -100.0]
+    program = QuadraticProgram(None, [1e15, 1.0, 1e15], G, h, lower=0)
+    assert solve(program).objective == pytest.approx(101.0)
+    for y in ([0.0, 1.0], [1e15, 1.0]):
+        assert not KKTErrors.of(program.judged, np.array([0.0, 100, 0]), np.array(y), 1e-6).meet(
+            1e-6
+        )
+
+
+@pytest.mark.parametrize("x", [[2e-17, 1, 1e-17, 0, 1e-17], [2e-15, 1, 1.3e-15, 0, 1e-15]])
+def test_a_body_at_rest_with_noise_is_proved(x):
+    """Unknowns below 2⁻⁴² of the largest count as 0: the optimum is 0, and noise in three rows has no larger term."""
+    A = [[0, 1, 0, 0, 0], [-0.5, 0, 1, 0, 0], [0, 0, -1, 0, 1]]
+    G = [[1, -1, 0, 0, 0], [-1, -1, 0, 0, 0]]
+    program = QuadraticProgram(np.diag([0, 0, 0, 0, 1.0]), np.zeros(5), G, [0, 0], A, [1, 0, 0])
+    assert certify(program, x).verdict == "proved"
+    assert certify(program, np.array(x) * 1e12 + [0, 1 - 1e12, 0, 0, 0]).verdict == "disproved"
+
+
+@pytest.mark.parametrize("row", [[[-1.0, 0.0]], np.zeros((0, 2))], ids=["row", "bound"])
+def test_a_row_with_one_entry_is_a_bound_in_certify(row):
+    """x₁ = −1.5e-16 is proved where x₁ ≥ 0 is a row, as where it is a bound, and x₁ = −1e-3 is not."""
+    lower = [-np.inf if len(row) else 0.0, -np.inf]
+    program = QuadraticProgram(np.eye(2), [1.0, -1.0], row, np.zeros(len(row)), lower=lower)
+    assert certify(program, [-1.5e-16, 1.0]).verdict == "proved"
+    assert certify(program, [-1e-3, 1.0]).verdict == "disproved"
+
+
 @pytest.mark.parametrize(
     ("lower", "upper", "row"),
     [(1e14, 1e14, []), (1e14, np.inf, []), (-np.inf, np.inf, [[0.0, 0.0, -1.0]])],
@@ -485,12 +548,13 @@ def test_an_objective_near_0_leaves_no_unknown_beyond_its_bound():
 
 
 def test_an_exact_minimizer_is_optimal_although_products_cancel():
-    """P x = 0 is the sum of terms of 1e12; the optimum of x₃ is 0."""
+    """P x = 0 is the sum of terms of 1e12; the optimum of x₃ is 0, and 1e-9 next to 1e6 counts as 0."""
     v = np.array([1e6, 1.0, -1.0])
     program = QuadraticProgram(np.outer(v, v), [0, 0, 1], lower=[-10, -2e6, 0], upper=[10, 2e6, 1])
     none = np.zeros(0)
     assert KKTErrors.of(program.judged, np.array([1, -1e6, 0.0]), none, 1e-6).meet(1e-6)
-    assert not KKTErrors.of(program.judged, np.array([1, -1e6, 1e-9]), none, 1e-6).meet(1e-6)
+    assert KKTErrors.of(program.judged, np.array([1, -1e6, 1e-9]), none, 1e-6).meet(1e-6)
+    assert not KKTErrors.of(program.judged, np.array([1, -1e6, 1e-6]), none, 1e-6).meet(1e-6)
 
 
 @pytest.mark.parametrize("value", [1e160, 1e308, np.nan, np.inf])

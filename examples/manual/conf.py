@@ -100,11 +100,10 @@ def split_table(app, docname: str, source: list[str]) -> None:
     table, after = table.split("\n\n", 1)
     sections = []
     for row in table.splitlines()[2:]:
-        name, title, update, needs, proved, cost, options = row[2:-2].split(" | ")
+        name, title, update, needs, proved, options = row[2:-2].split(" | ")
         facts = {
             "Needs": needs,
             "Proved to converge on": proved,
-            "Cost per iteration": cost,
             "Options": options,
         }
         lines = [f"- {key}: {fact}" for key, fact in facts.items() if fact.strip("|– ")]

@@ -101,11 +101,7 @@ def split_table(app, docname: str, source: list[str]) -> None:
     sections = []
     for row in table.splitlines()[2:]:
         name, title, update, needs, proved, options = row[2:-2].split(" | ")
-        facts = {
-            "Needs": needs,
-            "Proved to converge on": proved,
-            "Options": options,
-        }
+        facts = {"Needs": needs, "Proved to converge on": proved, "Options": options}
         lines = [f"- {key}: {fact}" for key, fact in facts.items() if fact.strip("|– ")]
         sections.append("\n".join([f"### {name}: {title}", "", f"    {update}", "", *lines, ""]))
     source[0] = before + "\n".join(sections) + "\n" + after

@@ -368,14 +368,14 @@ def require_known_changes(unnamed: Any, changes: Iterable[str], known: Sequence[
 
 
 def checked_answer(answer: object, n: int) -> Vector:
-    """Return z, shape (n,), of a result, or of an array instead of a result.
+    """Return the best z, shape (n,), of a result, or of an array instead of a result.
 
     Raises
     ------
     InvalidProblem
         If it is not a finite vector of that length.
     """
-    return checked_vector(getattr(answer, "z", answer), "z", n)
+    return checked_vector(getattr(getattr(answer, "certificate", answer), "z", answer), "z", n)
 
 
 def checked_bound(values: object, name: str, n: int) -> Vector:

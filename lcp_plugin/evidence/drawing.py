@@ -180,7 +180,7 @@ def plot_answer(answer: BaseResult, *, axes: Any = None, shape: Sequence[int] | 
     require_matplotlib()
     if not isinstance(answer, BaseResult):
         raise InvalidOption(f"plot_answer needs an answer of solve, got {type(answer).__name__}")
-    if answer.x is None:
+    if answer.x is None or answer.has_no_solution:
         raise UnsuitableProblem(f"the result has no x to draw: {answer.status.name}")
     from matplotlib import pyplot
 

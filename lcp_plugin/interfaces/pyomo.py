@@ -28,7 +28,6 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from ..core.errors import InvalidOption, InvalidProblem, UnsupportedModel
 from ..core.names import MOST_NAMES, format_count, listed
-from ..core.settings import Status
 from ..problems.programs.certification import Certification
 from .nl.model import NLAnswer, ProgramModel, certify_values, model_of, values_and_slopes
 from .nl.reading import NLContent, read_content
@@ -470,8 +469,7 @@ class PyomoAnswer:
     @property
     def has_point(self) -> bool:
         """True if there is something to load."""
-        no_point = Status.INFEASIBLE, Status.NO_SOLUTION
-        return self.solution.x is not None and self.solution.status not in no_point
+        return self.solution.x is not None
 
     @cached_property
     def values(self) -> ComponentMap:

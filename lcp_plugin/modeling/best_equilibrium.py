@@ -110,7 +110,7 @@ def solve_for_the_best(
         problem._solver_stats = SolverStats.from_dict(compat.statistics(result), "LCP")
         return None
     point = None
-    if result.x is not None:
+    if not result.has_no_solution:
         slacks = np.zeros(result.x.size)
         slacks[program.first] = result.x[program.second]
         point = result.x, slacks, float(compat.sense_of(problem) * result.value)

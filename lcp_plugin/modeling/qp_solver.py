@@ -107,10 +107,9 @@ class _LCPQuadraticSolver(QpSolver):  # type: ignore[misc]
             known = {name: options.pop(name) for name in ("sense", "names") if name in options}
             program = quadratic_program(data, cache).replaced(**known)
             result = solve_program(program, algorithm, verbose=bool(verbose), **options)
-            if guess is not None and options["z0"] is guess and result.z is not None:
+            if guess is not None and options["z0"] is guess and not result.has_no_solution:
                 result = replace(result, begun=BEGUN)
-        # An external solver leaves no z: no complementarity problem was made.
-        cache[self.name()] = result.z
+        cache[self.name()] = None if result.has_no_solution else result.z
         return result, verbose
 
     def invert(self, answer: Any, inverse_data: Any) -> Solution:

@@ -82,7 +82,7 @@ class PreparedProblem(Generic[P]):
                 f"step.solve takes no {name}{did_you_mean(name, known)}; it takes {known}"
             )
         start = data.pop(self.start, None)
-        if start is None and warm and self.last is not None:
+        if start is None and warm and not getattr(self.last, "has_no_solution", True):
             start = self.last.x
         result = self._solve_quickly(start, **data)
         if result is None:

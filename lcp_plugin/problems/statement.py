@@ -323,7 +323,7 @@ class SquareModel:
             return result
         proof = find_infeasibility(self.whole().problem)
         if proof is None or not proof.excludes(result.tolerance, result.absolute_tolerance):
-            return replace(result, status=Status.PRECISION_LIMIT)
+            return replace(result, status=Status.PRECISION_LIMIT, z=result.certificate.z)
         return replace(result, infeasibility=proof)
 
     def numbers(self, count: int) -> Indices:

@@ -19,7 +19,7 @@ from ..core.errors import InvalidOption, UnsuitableProblem
 from ..core.kernels.threads import threads_for
 from ..core.problem_classes import CLASSES
 from ..core.rounding import compensated_product
-from ..core.settings import Settings, Status, checked_callback
+from ..core.settings import PROVEN, Settings, Status, checked_callback
 from ..judges.lcp import Measured, RowData, VectorEnds, divide_nonnegative
 from ..judges.worst_rows import outside_row
 from ..solving.result import BaseResult, Sample
@@ -348,9 +348,10 @@ class RunOnRanks(Run):
         rows, worst = best.by_row, data.worst
         relative = worst(divide_nonnegative(rows.high, rows.reference))
         sizes = worst(rows.high), relative, worst(rows.componentwise)
+        excluded = np.nan if common["status"] in PROVEN else 0.0
         return ResultOnRanks(
-            z=read_only(best.z),
-            w=read_only(best.rows.w),
+            z=read_only(best.z + excluded),
+            w=read_only(best.rows.w + excluded),
             n=self.problem.n,
             certificate=CertificateOnRanks(best.z, best.rows.w, *sizes),
             algorithm=" → ".join(stage.algorithm.name for stage in progress.stages),

@@ -102,7 +102,8 @@ class BaseResult(MadeOnAccess, Outcome):
     status : Status
         SOLVED, or the reason for termination; the class of the result documents the stopping criterion.
     x : ndarray, shape (n,), or None
-        The solution (z of a complementarity problem), or the best iterate; None without a point.
+        The solution (z of a complementarity problem), or the best iterate; None without a point. All vectors of a
+        result with a proof that no solution exists are NaN.
     objective : float or None
         Objective value at x; None if the problem has no objective.
     algorithm : str
@@ -269,11 +270,11 @@ class Result(BaseResult):
     Attributes
     ----------
     z : ndarray, shape (n,)
-        The best iterate, read-only; `x` is z.
+        The best iterate, read-only; `x` is z. NaN with a proof that no solution exists, and so is w.
     status : Status
         Derived from the certificate; if the certificate does not pass, the reason for termination.
     certificate : Certificate
-        All residuals of z on the caller's data.
+        All residuals of the best iterate on the caller's data.
     algorithm : str
         Name of the algorithm; for ``auto`` the chain of methods that ran.
     iterations, work, seconds, setup_seconds
@@ -383,7 +384,7 @@ class Result(BaseResult):
     @cached_property
     def w(self) -> Vector:
         """The slack M z + q, shape (n,), read-only; computed on first access."""
-        return self.certificate.w
+        return self.z if self.has_no_solution else self.certificate.w
 
     @property
     def x(self) -> Vector:

@@ -19,7 +19,7 @@ from ..core.checks import Vector, read_only
 from ..core.deadline import Clock, OutOfTimeError, time_limit
 from ..core.errors import InvalidOption
 from ..core.lcp import LCP
-from ..core.settings import LIMITS, Settings, Status, checked_callback
+from ..core.settings import LIMITS, PROVEN, Settings, Status, checked_callback
 from ..proofs.verdicts import classes_in_words, sign_remark
 from .result import NOTHING_TO_DO, Callback, Result, Sample, StageRecord
 
@@ -378,8 +378,9 @@ class Run:
         if status is Status.SOLVED and progress.iteration <= 0 and self.best is not None:
             stages = (stage._replace(because=NOTHING_TO_DO) for stage in common["stages"])
             common["stages"] = tuple(stages)
+        z = certificate.z
         result = result_class(
-            z=certificate.z,
+            z=read_only(z + math.nan) if status in PROVEN else z,
             certificate=certificate,
             absolute_tolerance=self.settings.absolute_tolerance,
             work=progress.work,

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ... import __version__
-from ...core.checks import BoolVector, Vector, normalize_bounds
+from ...core.checks import BoolVector, Vector, fill, normalize_bounds
 from ...core.errors import InvalidProblem, UnsupportedModel
 from ...core.lcp import LCP
 from ...core.names import format_count
@@ -113,7 +113,7 @@ class NLAnswer(Outcome):
     Attributes
     ----------
     x : ndarray, shape (n,), or None
-        None if a search found no solution.
+        None if a search found no solution, or a proof shows that none exists.
     duals : ndarray, shape (m,), or None
         For a complementarity row the value w. For a row of a program the derivative of the objective by the row's
         right-hand side, the convention of AMPL. 0 for the other rows of a complementarity problem.
@@ -130,6 +130,11 @@ class NLAnswer(Outcome):
     message: str
     result: Any = field(repr=False)
     objective: float | None
+
+    def __post_init__(self) -> None:
+        """Keep no vector next to a proof that no solution exists."""
+        if self.has_no_solution:
+            fill(self, x=None, duals=None)
 
     @property
     def code(self) -> int:
@@ -338,7 +343,7 @@ class EquilibriumModel(NLModel):
             options["max_nodes"] = options.pop("max_iterations")
         result = solve(self.problem, algorithm, **{"x0": self.start_or_none(), **options})
         x, duals, objective, status = None, None, None, result.status
-        if result.x is not None:
+        if result.objective is not None:
             x = self.variables(result.x[: self.unknowns.size])
             duals = np.zeros(self.content.row_lower.size)
             duals[self.pairs] = result.x[self.columns]

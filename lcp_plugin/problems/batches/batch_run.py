@@ -313,7 +313,11 @@ class BatchAnswers(AnswerSequence[Any]):
     @cached_property
     def w(self) -> Any:
         """M z + q of each problem, like z; velocities of contacts, 1 for absent contacts."""
-        return self._compute("w", lambda problems: problems.slacks(self.z))
+        w = self._compute("w", lambda problems: problems.slacks(self.z))
+        for k, result in self._run.results.items():
+            if result.has_no_solution:
+                w[k] = math.nan * w[k]
+        return w
 
     @property
     def motion(self) -> Any:

@@ -489,7 +489,7 @@ class ConeResult(Result):
     def _remarks(self) -> list[str]:
         lines = [str(self.infeasibility)] if self.infeasibility is not None else []
         problem = self.problem
-        if not isinstance(problem, FrictionalContact):
+        if self.has_no_solution or not isinstance(problem, FrictionalContact):
             return lines
         motion = self.motion
         slides = motion.touches & ~motion.sticks

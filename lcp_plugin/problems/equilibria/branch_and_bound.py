@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from ...core.checks import Vector, is_number, vector_option
 from ...core.deadline import Clock, is_over, time_limit
 from ...core.errors import InvalidOption, UnsupportedModel
-from ...core.settings import Status, checked_tolerance
+from ...core.settings import PROVEN, Status, checked_tolerance
 from ..programs.no_minimum import QPUnboundedness, known_proof
 from .equilibrium_program import Cases, EquilibriumProgram, branches
 from .relaxations import ENDS, EquilibriumResult, ExternalBound, Node, Relaxations
@@ -385,6 +385,8 @@ class BranchAndBound:
         is_own = self.outside is None or self.tree
         by = ["SCIP"] * (self.outside is not None) + ["branch and bound"] * bool(is_own)
         point = None if best is None else best.point
+        if status in PROVEN:
+            point = np.full(self.problem.program.n, np.nan)
         outcome = point, value, lower, bound_by, self.relaxations.solved, tuple(self.tree)
         fields: Any = {"status": status, "algorithm": ", ".join(by), "tolerance": self.tolerance}
         fields |= {"iterations": self.nodes, "seconds": self.clock.read()}

@@ -302,8 +302,8 @@ class EquilibriumResult(BaseResult):
         the search. STALLED: some piece was neither solved nor proved infeasible, or no bound of the objective is
         known.
     x : ndarray, shape (n,), or None
-        The best solution. In every pair one side is exactly at its bound, or exactly zero. The violation of every row
-        is at most 1e-7 of its terms.
+        The best solution; NaN with a proof that none exists. In every pair one side is exactly at its bound, or exactly
+        zero. The violation of every row is at most 1e-7 of its terms.
     value : float
         Objective at x; ∞ without an x, −∞ if the objective is unbounded.
     lower_bound : float
@@ -366,14 +366,14 @@ class EquilibriumResult(BaseResult):
             holds = self.x is not None and self.gap <= self.tolerance
         elif self.has_no_solution:
             is_covered = self.status is Status.NO_SOLUTION or len(self.tree) == 1
-            holds = self.x is None and self.lower_bound == math.inf and is_covered
+            holds = self.lower_bound == math.inf and is_covered
         if not holds or self.lower_bound == -math.inf:  # a bound of −∞ needs no proof
             return holds
         leaves = (node for node in self.tree if node.pair < 0)
         return self._tree_covers() and all(self._leaf_holds(leaf, relaxations) for leaf in leaves)
 
     def _is_x_valid(self) -> bool:
-        if self.x is None:
+        if self.x is None or np.isnan(self.x).all():
             return self.value == (-math.inf if self.status is Status.UNBOUNDED else math.inf)
         is_exact = bool((self.problem.violations(self.x) == 0.0).all())
         is_feasible = is_exact and self.problem.excess(self.x) <= FEASIBLE
@@ -421,7 +421,7 @@ class EquilibriumResult(BaseResult):
     @property
     def objective(self) -> float | None:
         """The value in the sense of the program, or None without an x."""
-        return None if self.x is None else self.problem.program.sense * self.value
+        return None if math.isinf(self.value) else self.problem.program.sense * self.value
 
     @property
     def proof(self) -> EquilibriumResult | None:

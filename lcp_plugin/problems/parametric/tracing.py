@@ -370,7 +370,7 @@ class _Trace:
             near = {"x0": pieces[-1].z_at(self.line.theta(t))} if is_smooth and pieces else {}
             result = self.path.beyond = solve(stated, tolerance=self.line.tolerance, **near)
             self.path.starts += 1
-            if result.has_no_solution or result.x is None or (is_smooth and not result.is_solved):
+            if result.has_no_solution or (is_smooth and not result.is_solved):
                 return None
             follower: Any = SmoothFollower(self.line, t, result.x) if is_smooth else None
             if not is_smooth:

@@ -262,7 +262,7 @@ class QPOrigin:
         if getattr(answer, "has_no_solution", False):
             proof = accepted_proof(self.program)
         if proof is not None:
-            solution, status = QPSolution.without_multipliers(program, z[:n]), proof.status
+            solution, status = QPSolution.none(program), proof.status
         else:
             # an inequality that is solved by the criterion of its problem is
             is_solved = self.F is not None and getattr(answer, "is_solved", False)

@@ -68,13 +68,13 @@ class QuadraticProgramResult(BaseResult):
 
     @property
     def x(self) -> Vector:
-        """Minimizer, or the best point found, shape (n,)."""
+        """Minimizer, or the best point found, shape (n,); NaN if the program is proved infeasible or unbounded."""
         return self.solution.x
 
     @property
-    def z(self) -> Vector | None:
-        """X and the multipliers of the rows that are not bounds: a start for a further run; None with a proof."""
-        return None if self.proof is not None else np.concatenate([self.x, self.solution.reduced_y])
+    def z(self) -> Vector:
+        """X and the multipliers of the rows that are not bounds: a start for a further run."""
+        return np.concatenate([self.x, self.solution.reduced_y])
 
     @property
     def objective(self) -> float | None:

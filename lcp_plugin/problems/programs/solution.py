@@ -42,8 +42,8 @@ class QPSolution(MadeOnAccess):
     equality : ndarray, shape (rows of A,)
         Multipliers of A x − b = 0, of either sign.
     lower, upper : ndarray, shape (n,)
-        Multipliers of lower ≤ x and x ≤ upper; 0 for an infinite bound. All multipliers are NaN if the result has a
-        proof that no solution exists.
+        Multipliers of lower ≤ x and x ≤ upper; 0 for an infinite bound. x and all multipliers are NaN if the result
+        has a proof that no solution exists.
 
     Notes
     -----
@@ -108,9 +108,10 @@ class QPSolution(MadeOnAccess):
         return cls.of_known(make, program=program, x=x)
 
     @classmethod
-    def without_multipliers(cls, program: QuadraticProgram, x: Vector) -> QPSolution:
-        """Return a solution with NaN multipliers, for a result with a proof."""
-        return cls.of_rows(program, x, np.full(program.constraints.limit.size, np.nan))
+    def none(cls, program: QuadraticProgram) -> QPSolution:
+        """Return NaN for x and the multipliers, for a result with a proof that no solution exists."""
+        x, y = (np.full(size, np.nan) for size in (program.n, program.constraints.limit.size))
+        return cls.of_rows(program, x, y)
 
     @derived_property
     def objective(self) -> float:
@@ -223,12 +224,11 @@ class QPSolution(MadeOnAccess):
         return self.multipliers[:rows][self.program.folded.left]
 
     def __str__(self) -> str:
+        if np.isnan(self.x).any():
+            return "no solution: a proof came instead"
         lines = [f"{'objective':<16} {self.objective:.9g}"]
         for name, meaning in MEANINGS.items():
-            if not np.isnan(value := getattr(self, name)):
-                lines.append(f"{name.replace('_', ' '):<16} {value:.3e}  {meaning}")
-        if np.isnan(self.multipliers).any():
-            lines.append("no multipliers: a proof came instead")
+            lines.append(f"{name.replace('_', ' '):<16} {getattr(self, name):.3e}  {meaning}")
         return "\n".join(lines)
 
 

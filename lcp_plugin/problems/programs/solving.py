@@ -382,12 +382,12 @@ class ProgramRun(Run):
             begun = [stage.algorithm.name for stage in self.progress.stages]
             name = begun[-1] if begun else ""
             best = ProgramPoint(solution, KKTErrors(np.inf, np.inf), passes=False, name=name)
-        proof, solution, x = self.proof or self.doubtful, best.solution, best.solution.x
-        if isinstance(proof, QPUnboundedness) and (proof is self.proof or is_rounding):
-            x = np.clip(numbers(proof.point), program.lower, program.upper)
-            solution = QPSolution.from_reduced(program, x, nearest(program)[1])
+        solution = best.solution
         if self.proof is not None:
-            solution = QPSolution.without_multipliers(program, x)
+            solution = QPSolution.none(program)
+        elif isinstance(self.doubtful, QPUnboundedness) and is_rounding:
+            x = np.clip(numbers(self.doubtful.point), program.lower, program.upper)
+            solution = QPSolution.from_reduced(program, x, nearest(program)[1])
         if self.settings.verbose:
             say(
                 f"{status.name}: {ADVICE.get(status, status.value) if self.proof is None else self.proof}"

@@ -209,7 +209,7 @@ def test_a_row_with_a_tiny_coefficient_is_judged_by_its_own_terms():
     assert problem.excess_of_rows(np.array([0.0, 0.0, 0.0, 1e10])).max() > 0.1
     result = solve(problem, max_seconds=20)
     assert not result.is_solved
-    assert result.x is None
+    assert result.x is None or np.isnan(result.x).all()
 
 
 @pytest.mark.quick(1)

@@ -46,6 +46,7 @@ option_greeks | delta differs from the tree's by #,  | 0.0001
 option_greeks | vega by #,  | 0.0001
 option_greeks | rho by #, relatively | 0.0001
 option_greeks | backwards they are the same at the money to # | 1e-08
+heston | published prices differ by at most # | 0.002
 calibration | all quotes are met to #, relatively | 1e-08
 calibration | differ from the known ones by at most # percentage points | 0.1
 calibration | vega differs from a central difference by at most #, relatively | 0.002
@@ -62,6 +63,8 @@ self_heating | which differs from the integral by # | 0.0001
 network_tolls | the income of an integer program differs by #; | 0.0001
 network_tolls | tolls lower by a millionth earn less by #, relatively | 1e-05
 carbon_price | no price of the grid is better by more than # | 1e-06
+two_leaders | the taxes by hand by # | 0.001
+two_leaders | no region gains more than #, as proved | 1e-07
 monopolist_over_fringe | the income differs from the formula's 12.5 by # | 1e-06
 yes_or_no_investment | welfare differs from the best of all sixteen by # | 1e-06
 cheapest_bolts | the same lift up to # mm | 1e-08

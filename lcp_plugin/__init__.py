@@ -26,8 +26,10 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from importlib.util import find_spec
+from types import FunctionType
 from typing import Any
 
+from .core.errors import public
 from .core.problem_classes import DOORS
 
 __version__ = "0.1.0"
@@ -114,7 +116,13 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(message, name=name, obj=sys.modules[__name__])  # Python adds a guess
     home = _HOME[name]
     module = import_module(f"{__name__}.{home}")
-    globals()[name] = value = module if home == name else getattr(module, name)
+    value = module if home == name else getattr(module, name)
+    if isinstance(value, FunctionType):
+        value = public(value)
+        setattr(module, name, value)  # for pickles
+    elif isinstance(value, type) and isinstance(value.__init__, FunctionType):
+        value.__init__ = public(value.__init__)  # type: ignore[misc]
+    globals()[name] = value
     return value
 
 

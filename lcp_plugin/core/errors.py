@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+import inspect
+from collections.abc import Callable, Collection, Iterable
 from difflib import get_close_matches
+from functools import wraps
+from typing import Any, TypeVar
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 LONG_LIST = 20  # names or values: of a longer list only some are printed, or none next to a guess
 
@@ -18,6 +23,43 @@ class InvalidProblem(LCPError, ValueError):
 
 class InvalidOption(LCPError, TypeError):
     """An option does not exist, or its value cannot be used."""
+
+
+def public(function: Function) -> Function:
+    """Decorate a function: a call with other arguments raises InvalidOption, with the call that is possible."""
+
+    @wraps(function)
+    def called(*args: Any, **named: Any) -> Any:
+        try:
+            return function(*args, **named)
+        except TypeError as error:
+            if error.__traceback__ is None or error.__traceback__.tb_next is not None:
+                raise  # not by this call itself
+        raise InvalidOption(_wrong_call(function, args, named))
+
+    return called  # type: ignore[return-value]
+
+
+def _wrong_call(function: Callable[..., Any], args: Any, named: Any) -> str:
+    """Return the message for arguments that a function does not take."""
+    signature, wrong = inspect.signature(function), ""
+    try:
+        signature.bind(*args, **named)
+    except TypeError as error:
+        wrong = str(error)
+    forms = {"KEYWORD_ONLY": "{}=…", "VAR_POSITIONAL": "*{}", "VAR_KEYWORD": "**{}"}
+    known = {
+        name: forms.get(one.kind.name, "{}").format(name)
+        for name, one in signature.parameters.items()
+        if name != "self"
+    }
+    name = function.__qualname__.removesuffix(".__init__")
+    hints = (
+        did_you_mean(k, known)
+        for k in named
+        if k not in known and "did you" in did_you_mean(k, known)
+    )
+    return f"{name}: {wrong}{next(hints, '')}; write {name}({', '.join(known.values())})"
 
 
 class UnsuitableMatrix(LCPError, ValueError):

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from . import checks
 from .checks import AnyMatrix, Vector, checked_bounds, checked_vector, read_only
 from .entries import clip
-from .errors import InvalidOption
 from .matrix import Matrix
 from .names import Names, checked_names, describe_lcp
 from .problem import Problem
@@ -77,13 +76,11 @@ class LCP(Problem):
         self,
         M: AnyMatrix,
         q: ArrayLike,
-        *_bounds: ArrayLike,
+        *,
         lower: ArrayLike = 0.0,
         upper: ArrayLike = np.inf,
         names: Any = None,
     ) -> None:
-        if _bounds:
-            raise InvalidOption("bounds are passed by name; write LCP(M, q, lower=l, upper=u)")
         matrix = M if isinstance(M, Matrix) else Matrix(M)
         n = matrix.n
         q, (lower, upper) = _checked_q(q, n), checked_bounds(lower, upper, n)

@@ -12,6 +12,8 @@ from operator import attrgetter
 from types import MethodType
 from typing import Any, NamedTuple
 
+from .errors import public
+
 #: Options of every run with iterations.
 WATCHED = "tolerance max_seconds max_iterations record threads verbose"
 
@@ -117,6 +119,8 @@ def refusal(function: str, argument: object) -> str:
             step = "; write [derivative(result) for result in results]"
     elif function == "solve":
         step = "; for a matrix M and a vector q write solve(LCP(M, q))"
+        if type(argument).__name__.endswith("Batch"):
+            step = "; write solve_batch(…)"
     return f"{function} needs {needs}, got {type(argument).__name__}{step}"
 
 
@@ -169,4 +173,4 @@ def foreign_function(name: str, model: Any) -> Callable[..., Any] | None:
 def _function(name: str) -> Callable[..., Any]:
     module, _, path = DOORS[name].partition(":")
     function: Callable[..., Any] = attrgetter(path)(import_module(f"lcp_plugin.{module}"))
-    return function
+    return public(function)

@@ -38,6 +38,9 @@ from ..problems.statement import STATUS_ELSEWHERE
 LONGEST_NAME = 80  # characters of a constraint in a message
 # in a text of cvxpy: an array of numbers, or an end that is cut
 NUMBERS = re.compile(r"\[ *-?\d+\.|…$")
+ATOMS = re.compile(
+    r"(?:Promote|reshape)\((\w[\w.]*), \([\d, ]*\)(?:, F)?\)|(Power|Pnorm)Approx"
+)  # private
 WHOLE_SUM = re.compile(r"Sum\(([^(),]*), None, False\)")  # cvxpy's text of sum(x)
 
 
@@ -178,6 +181,8 @@ def row_of(stated: Any, k: int, constraint: Any = None, number: int | None = Non
     A text with arrays of numbers is replaced by the number of the constraint and its variables.
     """
     constraint = stated if constraint is None else constraint
+    if (name_of_row := getattr(constraint, "name_of_row", None)) is not None:  # of an agent
+        return name_of_row(k)
     label = getattr(constraint, "label", None)
     name = label or name_of(stated)
     if not label and number is not None and NUMBERS.search(name):
@@ -193,6 +198,7 @@ def name_of(expression: cp.Expression) -> str:
     """Return cvxpy's text of an expression in one line, of at most LONGEST_NAME characters."""
     try:
         text = WHOLE_SUM.sub(r"sum(\1)", " ".join(str(expression).split()))
+        text = ATOMS.sub(r"\1\2", text)
     except RecursionError:
         text = f"a deep {type(expression).__name__}"
     return text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 1]}…"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import cvxpy as cp
@@ -27,9 +27,11 @@ from ._compat import (
     by_columns,
     by_id,
     dense,
+    entry_of,
     expression_of,
     name_of,
     postorder,
+    row_of,
     sense_of,
     stored_entries,
 )
@@ -42,6 +44,15 @@ def _huber(node: cp.Expression, arguments: list[Any]) -> tuple[Any, list[Any]]:
     """Return min (x − s)² + 2 M |s| over s, which is huber(x, M), and its inequalities."""
     s, t = cp.Variable(node.shape), cp.Variable(node.shape)
     return cp.square(arguments[0] - s) + 2 * node.M * t, [s <= t, -s <= t]
+
+
+def _name_of_optimality(entries: list[Any], k: int) -> str:
+    """Return the name of the row of decision k: optimality of output[0]."""
+    for variable, columns in entries:
+        if k < columns.size:
+            return f"optimality of {entry_of(variable, columns[k])}"
+        k -= columns.size
+    return ""
 
 
 #: Atoms with kinks, and functions that return their epigraphs: a value, and inequalities.
@@ -254,7 +265,9 @@ class AgentProgram:
             self._add_bound(*row)  # may imply other conditions
         inside = [row for condition in self.domain for row in self._inside(condition)]
         for standard, rows in others + [row for row in inside if self._simple(*row) is None]:
-            multiplier = cp.Variable(standard.expression.shape)
+            stated = partial(row_of, standard.expression, constraint=standard.origin)
+            name = f"multiplier of {getattr(standard.origin, 'label', None) or name_of(standard.origin)}"
+            multiplier = cp.Variable(standard.expression.shape, name=name)
             if standard.origin.id in self.agent.shared:
                 if standard.expression.size < standard.origin.size:
                     raise UnsupportedModel(
@@ -267,11 +280,14 @@ class AgentProgram:
             first = box(multiplier, -np.inf if standard.is_equation else 0.0, np.inf)
             form = "value" if standard.is_equation else "nonnegative"
             second = Side(-standard.expression, form, standard.origin)
-            self.rows[standard.origin.id] = Complements(first, second), multiplier
+            pair = Complements(first, second)
+            pair.name_of_row = stated
+            self.rows[standard.origin.id] = pair, multiplier
         first = box(self.decisions, *self._ends())
         gradient = self._gradient(weighted)
         gradient = gradient if self.F is None else self.F + gradient
         self.stationarity = Complements(first, Side(gradient, "value"))
+        self.stationarity.name_of_row = partial(_name_of_optimality, self.entries)
 
     def _add_bound(self, standard: StandardRows, rows: Rows) -> bool:
         """Store rows that only bound decisions; return whether they do."""

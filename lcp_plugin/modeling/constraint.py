@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from operator import is_
 from typing import Any
@@ -235,6 +236,8 @@ class Condition(Constraint):  # type: ignore[misc]
 class Complements(Condition):
     """Two sides that complement each other; see :func:`complements`.
 
+    `name_of_row` is None, or a function that names the row of an entry, of an agent's conditions.
+
     ``dual_value`` is the value of the side that is not a variable (w); of two expressions, the value of the second.
     After a solve, the inequality that bounds the variable has the same dual value. The dual value of the other
     inequality is the variable, as after a quadratic program. For a cone, ``dual_value`` has t in its first row.
@@ -246,6 +249,8 @@ class Complements(Condition):
     constr_id : int, optional
         cvxpy's number of the constraint; a new one by default.
     """
+
+    name_of_row: Callable[[int], str] | None = None
 
     def __init__(self, first: Side, second: Side, constr_id: int | None = None) -> None:
         self.first, self.second = first, second

@@ -24,6 +24,7 @@ from scipy.sparse.linalg import splu
 from ..core.checks import Vector, derived_property, fill
 from ..core.errors import InvalidOption, UnsuitableProblem, UnsupportedModel
 from ..core.lcp import LCP
+from ..core.names import listed
 from ..expressions.rows import Program
 from ..problems.cones.data import Blocks
 from ..problems.nonlinear.data import NonlinearProblem
@@ -136,7 +137,7 @@ class ModelDerivative:
         changes : dict
             Change of a parameter, in its shape; parameters that are missing do not change.
         **by_name
-            None: parameters of cvxpy need not have different names.
+            Changes by the names of parameters; the last of several with one name counts.
 
         Raises
         ------
@@ -210,12 +211,12 @@ class ModelDerivative:
     def _checked(stated: Mapping[Any, Any], owners: list[Any], what: str) -> Changes:
         """Return the entries of the user's arrays, column by column, by the ids of their owners."""
         arrays: Changes = {}
-        for owner, value in stated.items():
+        named = {name_of(owner): owner for owner in owners}
+        for key, value in stated.items():
+            owner = named.get(key, key) if isinstance(key, str) else key
             if not any(owner is known for known in owners):
-                instead = ", the objects and not their names" if isinstance(owner, str) else ""
                 raise UnsupportedModel(
-                    f"{name_of(owner)} has no {what} here; give one of "
-                    f"{', '.join(map(name_of, owners))}{instead}"
+                    f"{name_of(owner)} has no {what} here; give one of {', '.join(named)}"
                 )
             array = np.asarray(value)
             is_real = array.dtype.kind in "fiu" and np.isfinite(array).all()
@@ -419,8 +420,14 @@ class ModelPath(Path):
             point = replace(point, stated_objective=sense_of(self._problem) * value)
         return point
 
-    def value(self, variable: cp.Variable, theta: ArrayLike) -> Any:
-        """Return the value of a variable at θ, in its shape; at k values of θ shape (k, *its shape)."""
+    def value(self, variable: cp.Variable | str, theta: ArrayLike) -> Any:
+        """Return the value of a variable, or of its name, at θ in its shape; at k values of θ shape (k, *shape)."""
+        named = {v.name(): v for v in self._problem.variables()}
+        variable = named.get(variable, variable) if isinstance(variable, str) else variable
+        if not isinstance(variable, cp.Variable):
+            raise UnsupportedModel(
+                f"{variable!r} is not a variable of the problem; give one of {listed(named)}"
+            )
         points = [self._values(value) for value in np.ravel(np.asarray(theta, float)).tolist()]
         if any(variable.id not in values for values in points):
             raise UnsupportedModel(

@@ -12,7 +12,7 @@ from cvxpy.error import DCPError, SolverError
 
 from ..core.errors import InvalidProblem, NotSquare, UnsupportedModel
 from ..core.lcp import LCP
-from ..core.names import Names
+from ..core.names import Names, listed
 from ..problems.programs.certification import Certification, certify_point, with_side_conditions
 from ..problems.statement import MissingPair, solve_from
 from ._compat import (
@@ -24,7 +24,7 @@ from ._compat import (
     solver_errors,
     why_not,
 )
-from .agents import without_agents
+from .agents import Optimal, without_agents
 from .best_equilibrium import solve_for_the_best
 from .constraint import Complements, Condition, box, complements
 from .model import Model, warn
@@ -40,7 +40,7 @@ NOT_BY_RULES = (
 
 
 def is_complementarity_problem(problem: cp.Problem) -> bool:
-    """Return whether a cvxpy problem has a complementarity among its constraints.
+    """Return whether a cvxpy problem has a complementarity among its constraints, or states smooth equations only.
 
     Parameters
     ----------
@@ -52,8 +52,13 @@ def is_complementarity_problem(problem: cp.Problem) -> bool:
     >>> is_complementarity_problem(cp.Problem(cp.Minimize(0)))
     False
     """
-    return isinstance(problem, cp.Problem) and any(
-        isinstance(c, Condition) for c in problem.constraints
+    if not isinstance(problem, cp.Problem):
+        return False
+    constraints, goal = problem.constraints, problem.objective.args[0]
+    return any(isinstance(c, Condition) for c in constraints) or (
+        goal.is_constant()
+        and all(isinstance(c, EQUATIONS) for c in constraints)
+        and not all(c.is_dcp() for c in constraints)
     )
 
 
@@ -193,9 +198,30 @@ def solve_model(
                 value = _best(problem, warm_start, options)
             except UnsupportedModel:
                 raise error from None
+            loose = listed(_undetermined(problem.constraints))
             if isinstance(error, MissingPair):
                 warn(f"{problem.status}: {error}")
+            elif loose:
+                warn(
+                    f"{problem.status}: no pair, equation or agent determines {loose}, so that the value is arbitrary; "
+                    "if it is the price of an inequality, write complements(inequality, price)"
+                )
             return value
+
+
+def _undetermined(constraints: list[Any]) -> list[str]:
+    """Return the names of the variables that are in no equation, no decision of an agent and no variable of a pair."""
+    known: set[int] = set()
+    for constraint in constraints:
+        sides = [constraint] if isinstance(constraint, EQUATIONS) else []
+        if isinstance(constraint, Optimal):
+            sides = [variable for variable, _ in constraint.entries]
+        if isinstance(constraint, Complements):
+            sides = [side.expression for side in (constraint.first, constraint.second)]
+            sides = [side for side in sides if isinstance(side, cp.Variable)] or sides
+        known.update(variable.id for side in sides for variable in side.variables())
+    found = {v.id: v.name() for constraint in constraints for v in constraint.variables()}
+    return [name for key, name in found.items() if key not in known]
 
 
 def certify_model(problem: cp.Problem, tolerance: float, _pairs: object = None) -> Certification:
@@ -270,7 +296,8 @@ def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict
     try:
         return cp.Problem._solve(problem, **options)
     except DCPError as error:
-        if problem.objective.args[0].is_quadratic():
+        goal = problem.objective.args[0]
+        if goal.is_quadratic() and not goal.is_constant():
             raise DCPError(f"{error}\n{NOT_BY_RULES}") from error
         raise
     except SolverError as error:
@@ -279,5 +306,6 @@ def _program(problem: cp.Problem, warm_start: bool, verbose: bool, options: dict
         raise UnsolvableModel(
             'QPSolver and method="LCP" support convex quadratic programs, and problems that cvxpy compiles to them; '
             f"here {'; '.join(reasons)}. Choose a solver for cones or integers, as solver=cp.CLARABEL "
-            "or cp.HIGHS"
+            "or cp.HIGHS; or solve the optimality conditions of a smooth convex program, cp.Problem(cp.Minimize(0), "
+            "[lcp_plugin.optimal(problem, over=problem.variables())])"
         ) from error

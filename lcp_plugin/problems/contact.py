@@ -410,6 +410,10 @@ def contacts_of_bodies(
         )
     mass, normals, tangents = contacts
     shape = np.shape(tangents)
+    if np.ndim(mass) < 2:
+        raise InvalidProblem(
+            f"the mass matrix must be square, got shape {np.shape(mass)}; of masses it is np.diag(masses)"
+        )
     if len(shape) == 3:
         tangents = np.reshape(tangents, (-1, shape[2]))
     if np.ndim(equations) < 2:

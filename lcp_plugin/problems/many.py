@@ -67,7 +67,7 @@ class AnswerSequence(Sequence[T]):
 
     def counts(self) -> str:
         """Return the number of items per status, as text."""
-        counted = Counter(getattr(status, "name", f"no {self.item}") for status in self.status)
+        counted = Counter(getattr(status, "name", "invalid") for status in self.status)
         return ", ".join(f"{count} {name}" for name, count in counted.most_common()) or "none"
 
     @property

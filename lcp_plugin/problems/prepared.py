@@ -23,7 +23,7 @@ from ..core.checks import (
     read_only,
 )
 from ..core.entries import clip, unbounded
-from ..core.errors import InvalidOption, did_you_mean
+from ..core.errors import InvalidOption, did_you_mean, public
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of
 from ..core.settings import Settings, Status
@@ -61,6 +61,7 @@ class PreparedProblem(Generic[P]):
         self._known = [self.start, *self.data.split()]
         self._solve_fully = solver_with(problem, algorithm, dict(options), "prepare")
 
+    @public
     def solve(self, *, warm: bool = False, **data: Any) -> Any:
         """Return the result of the problem with these data; data that are not passed are the prepared problem's.
 
@@ -78,9 +79,8 @@ class PreparedProblem(Generic[P]):
         """
         if unknown := data.keys() - set(self._known):
             name, known = min(unknown), self._known
-            raise InvalidOption(
-                f"step.solve takes no {name}{did_you_mean(name, known)}; it takes {known}"
-            )
+            hint = "; the linear term is called c" if name == "q" and "c" in known else ""
+            raise InvalidOption(f"step.solve takes no {name}{hint or did_you_mean(name, known)}")
         start = data.pop(self.start, None)
         if start is None and warm and not getattr(self.last, "has_no_solution", True):
             start = self.last.x

@@ -658,6 +658,11 @@ class ContactBatchDerivative(ManyDerivatives):
         return self.batch.problems.instances
 
     @derived_property
+    def is_unique(self) -> list[bool | None]:
+        """Uniqueness of each derivative: False at degenerate blocks or if z is not unique, else None (not proved)."""
+        return [self[k].is_unique if self._is_solved[k] else False for k in range(len(self))]
+
+    @derived_property
     def _parts(self) -> list[ContactPart]:
         """Derivatives of the instances, in groups."""
         instances, z, is_solved = self.instances, self.batch.z, self._is_solved[:, np.newaxis]

@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ..core.algorithm import Algorithm
 from ..core.checks import Vector
 from ..core.entries import max_norm, or_one
 from ..core.errors import InvalidOption, UnsuitableMatrix
 from ..core.lcp import LCP
-from ..core.names import Names, listed
+from ..core.names import listed
 from ..core.problem_classes import refusal
 from ..core.settings import LIMITS, PROVEN, Status
 from ..core.splittings import PSOR
@@ -31,7 +30,6 @@ from ..proofs.uniqueness import directions_of_solutions, moving
 from ..systems.free_systems import CONSISTENT, LEAST_SQUARES_UP_TO, FreeSystem
 from .dispatch import method_of
 
-Numbers = NDArray[np.intp]
 INDEX = re.compile(r"(\[[^\[\]]*\]|, entry .*)$")  # of a row of a constraint
 READ_BOUND = "; result.error_bound is a bound of it, where M allows one"
 
@@ -115,46 +113,32 @@ def likely_mistake_of(last: Certificate, status: Status) -> str:
 
 
 def reversed_row(problem: LCP, *, is_linearized: bool = False) -> str:
-    """Return the row, or the rows of one constraint, with the signs of their unknowns' columns, if only these; or "".
+    """Return the row, or the rows of one constraint, with the signs of the unknown's column; "" if there is none.
 
-    For a linear problem, also the row of the only negative diagonal entry.
+    A row with a sign has M_ii = 0 and M_ij M_ji > 0 for all its terms, and no row j is such a row. For a linear problem
+    also the row of the only negative diagonal entry.
     """
-    M, names, negative = problem.matrix.csr, problem.names, np.flatnonzero(problem.diagonal < 0.0)
+    M, names, diagonal = problem.matrix.csr, problem.names, problem.diagonal
+    negative = np.flatnonzero(diagonal < 0.0)
     if negative.size == 1 < problem.n and not is_linearized:
         return f"the sign of {names.pair(negative[0])[0]} may be wrong: only its diagonal entry is negative"
-    products = sp.coo_array((M - sp.diags_array(M.diagonal())).multiply(M.T))
-    is_equal = products.data > 0.0
-    equal = np.bincount(products.row[is_equal], minlength=problem.n)
-    alone = np.flatnonzero(2 * equal == is_equal.sum())[:1]
-    for block in (alone, *_blocks(names, equal)):
-        inside = np.zeros(problem.n, np.bool_)
-        inside[block] = True
-        crosses = inside[products.row] != inside[products.col]
-        is_likely = np.array_equal(crosses, is_equal) and 2 < is_equal.sum() < products.nnz
-        if is_likely and (block.size > 1 or M[block[0], block[0]] <= 0.0):
-            break
-    else:
+    products = sp.csr_array((M - sp.diags_array(diagonal)).multiply(M.T))
+    terms, equal = (np.asarray(entries.sum(1)) for entries in (products != 0.0, products > 0.0))
+    has_sign = np.isfinite(problem.lower) != np.isfinite(problem.upper)
+    is_suspect = (diagonal == 0.0) & (terms == equal) & (terms > 1) & has_sign
+    is_suspect &= (products != 0.0) @ is_suspect == 0  # both, as in a game
+    if not is_suspect.any():
         return ""
-    if block.size > 1:
-        name = INDEX.sub("", names.row(block[0]))
-        return (
-            f"the sign of {name} may be wrong, in all {block.size} rows: with the other sign they have, as all others, "
-            "the opposite signs of the terms of their unknowns in other rows"
-        )
-    row, unknown = names.pair(block[0])
+    first = int(np.argmax(is_suspect))
+    row, unknown = names.pair(first)
+    name = INDEX.sub("", names.row(first))
+    same = [i for i in range(problem.n) if INDEX.sub("", names.row(i)) == name]
+    if len(same) > 1 and is_suspect[same].all():
+        row, unknown = f"{name}, in all {len(same)} rows,", "their unknowns"
     return (
-        f"the sign of {row} may be wrong: its terms have the signs of the terms of {unknown} in other rows, where all "
-        "others have opposite signs"
+        f"the sign of {row} may be wrong: its terms have the signs of the terms of {unknown} in other rows; in the "
+        "conditions of a market or of a program they have opposite signs"
     )
-
-
-def _blocks(names: Names, equal: Numbers) -> list[Numbers]:
-    """Return the rows of each constraint with several rows, at most 30, by their names without the index."""
-    rows_by_name: dict[str, list[int]] = {}
-    for i in range(equal.size if equal.any() else 0):
-        rows_by_name.setdefault(INDEX.sub("", names.row(i)), []).append(i)
-    blocks = [np.array(rows) for rows in rows_by_name.values() if len(rows) > 1]
-    return [rows for rows in blocks if equal[rows].all()][:30]  # constraints whose sign is tried
 
 
 def likely_mistake(problem: LCP, z: Vector, w: Vector) -> str:

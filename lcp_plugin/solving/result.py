@@ -13,7 +13,7 @@ from ..core.algorithm import Algorithm
 from ..core.checks import MadeOnAccess, Vector, read_only, restore_state
 from ..core.errors import NotConverged, UnsuitableMatrix
 from ..core.lcp import LCP
-from ..core.names import format_count, remark_on_labels
+from ..core.names import Names, format_count, remark_on_labels
 from ..core.problem_classes import Door
 from ..core.settings import PROVEN, Settings, Status
 from ..judges.certificate import Certificate
@@ -171,6 +171,14 @@ class BaseResult(MadeOnAccess, Outcome):
     def _farkas_proof(self) -> Any:
         """The proof whose conflict is the conflict of this result."""
         return self.proof
+
+    @property
+    def named(self) -> dict[str, float]:
+        """Values of x by the names of the unknowns, "z[0]" without a name."""
+        certificate = getattr(self, "certificate", None)
+        problem = getattr(self, "program", None) or getattr(certificate, "problem", None)
+        names = getattr(problem, "names", Names())
+        return {names.unknown(j): value for j, value in enumerate(self.x.tolist())}
 
     @property
     def advice(self) -> str:

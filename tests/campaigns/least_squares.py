@@ -58,7 +58,9 @@ def bounded_least_squares(
     **options: Any,
 ) -> LeastSquaresResult:
     """Solve a problem, stated by its data, with the options of a run."""
-    problem = BoundedLeastSquares(A, b, lower, upper, weights=weights, ridge=ridge, l1=l1)
+    problem = BoundedLeastSquares(
+        A, b, lower=lower, upper=upper, weights=weights, ridge=ridge, l1=l1
+    )
     return solve_least_squares(problem, **options)
 
 

@@ -51,11 +51,13 @@ def calls(size: float) -> Calls:
     A, b, P = scaled(plain, size), scaled(right, size), scaled(plain.T @ plain, size)
     c, opposite = A[0].copy(), np.stack([A[0], -A[0]])
     return {
-        "least squares": lambda: solve(BoundedLeastSquares(A, b, 0.0)),
-        "least squares, small A": lambda: solve(BoundedLeastSquares(plain, b, 0.0)),
-        "least squares, small b": lambda: solve(BoundedLeastSquares(A, right, 0.0)),
+        "least squares": lambda: solve(BoundedLeastSquares(A, b, lower=0.0)),
+        "least squares, small A": lambda: solve(BoundedLeastSquares(plain, b, lower=0.0)),
+        "least squares, small b": lambda: solve(BoundedLeastSquares(A, right, lower=0.0)),
         "lasso": lambda: solve(BoundedLeastSquares(A, b, l1=size)),
-        "sparse least squares": lambda: solve(BoundedLeastSquares(sp.csr_array(A), b, 0.0, 1.0)),
+        "sparse least squares": lambda: solve(
+            BoundedLeastSquares(sp.csr_array(A), b, lower=0.0, upper=1.0)
+        ),
         "LCP": lambda: solve(LCP(P, c)).explain(),
         "npsor": lambda: solve(LCP(sp.csr_array(P), c), "npsor"),
         "lemke": lambda: solve(LCP(P, c), "lemke"),
@@ -109,7 +111,7 @@ def calls(size: float) -> Calls:
         LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0]),
         QuadraticProgram(np.eye(2), [-1.0, 1.0], A=[[1.0, 1.0]], b=[1.0]),
         NonlinearProblem(lambda x: x + x**3 - 1.0, lower=np.zeros(2)),
-        BoundedLeastSquares(np.eye(2), [1.0, -1.0], 0.0),
+        BoundedLeastSquares(np.eye(2), [1.0, -1.0], lower=0.0),
         ConeProblem(np.eye(3), [-1.0, 2.0, 0.0], [("second_order", 3)]),
     ],
     ids=lambda problem: type(problem).__name__,

@@ -115,7 +115,7 @@ def test_a_gradient_that_is_no_rounding_error_has_no_price_by_cancelling_terms()
 
 def test_a_sum_that_is_zero_by_rounding_is_no_least_squares_solution():
     """30 x₁ + 20 x₂ + 2 is 0 in double precision at x of 8e14, and 0.75 exactly."""
-    problem = BoundedLeastSquares([[30.0, 20.0]], [-2.0], [0, -np.inf], np.inf)
+    problem = BoundedLeastSquares([[30.0, 20.0]], [-2.0], lower=[0, -np.inf], upper=np.inf)
     found = solve(problem, x0=[554700196225229.1, -832050294337843.8])
     assert not found.is_solved or np.abs(found.x).max() < 1e9
 
@@ -144,7 +144,7 @@ def test_a_component_without_data_has_no_scale():
 def test_least_squares_solved_at_the_start_are_recorded():
     """AᵀWb is 0 up to rounding: the record has no reference to divide by."""
     A = [[-0.1], [-0.2], [-0.1], [0.3], [0.1]]
-    problem = BoundedLeastSquares(A, [3, -3, 1, -1, 1], -np.inf, np.inf)
+    problem = BoundedLeastSquares(A, [3, -3, 1, -1, 1], lower=-np.inf, upper=np.inf)
     assert solve(problem, record=True).is_solved
 
 

@@ -225,6 +225,7 @@ def test_models_beyond_complementarity_are_refused(call, words):
     assert_refused(call, words, {**globals(), "x": cp.Variable(3)}, UnsupportedModel)
 
 
+@pytest.mark.filterwarnings("ignore:.*no pair, equation or agent determines")
 @pytest.mark.parametrize("goal", [lambda x: 0, lambda x: 0 * cp.sum(x)])
 def test_rows_and_bounds_without_a_pair_are_taken_with_any_objective(goal):
     """Rows and bounds without a pair start the search; LCP.from_cvxpy raises an error."""
@@ -698,7 +699,7 @@ def market(signs: dict[str, Any]) -> cp.Problem:
     [
         ({}, ""),
         ({"capacity": [1.0, -1.0]}, "the sign of capacity[1] may be wrong: its terms"),
-        ({"capacity": -1.0}, "the sign of capacity may be wrong, in all 2 rows"),
+        ({"capacity": -1.0}, "the sign of capacity, in all 2 rows, may be wrong"),
         ({"profit": -1.0}, ""),  # and so would capacity and balance be
     ],
     ids=["right", "one row", "a constraint", "ambiguous"],

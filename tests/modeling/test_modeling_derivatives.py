@@ -392,12 +392,8 @@ def test_gradients_and_changes_of_another_shape_are_refused(given_gradient):
         found.jvp({q: given_gradient})
     with pytest.raises(UnsupportedModel, match="y has no gradient here; give one of x"):
         found.vjp({cp.Variable(name="y"): 1.0})
-    with pytest.raises(
-        UnsupportedModel, match=r"q has no change here.*the objects and not their n"
-    ):
-        found.jvp({"q": 1.0})
-    with pytest.raises(UnsupportedModel, match="q has no change here"):
-        found.jvp(q=1.0)
+    with pytest.raises(UnsupportedModel, match="r has no change here; give one of"):
+        found.jvp(r=1.0)
 
 
 def test_what_has_no_solution_has_no_derivative():

@@ -177,7 +177,7 @@ def our_lsq_linear(A: Any, b: Any, bounds: Any = (-np.inf, np.inf), **_: Any) ->
     from scipy.optimize import OptimizeResult
 
     lower, upper = (bounds.lb, bounds.ub) if hasattr(bounds, "lb") else bounds
-    found = solve(BoundedLeastSquares(A, b, lower, upper))
+    found = solve(BoundedLeastSquares(A, b, lower=lower, upper=upper))
     fun = np.ravel(A @ found.x) - b
     mask = np.where(found.x == lower, -1, np.where(found.x == upper, 1, 0))
     return OptimizeResult(

@@ -10,7 +10,7 @@ try:
     import torch
 except ImportError:
     raise ImportError(
-        "lcp_plugin.interfaces.learn.torch needs PyTorch; install it with: pip install torch (or lcp_plugin[torch])"
+        "lcp_plugin.interfaces.learn.torch needs PyTorch; install it with: pip install torch"
     ) from None
 
 from ...core.checks import AnyMatrix, Array, real_array

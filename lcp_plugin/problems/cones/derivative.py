@@ -1,9 +1,9 @@
 """Derivative of solutions over cones by q, M, bounds and friction, from R(z; M, q, μ) = 0.
 
 The derivative is computed as in :mod:`lcp_plugin.systems.free_systems` with the generalized derivatives of Newton's
-steps, and R_μ dμ. If several impulses give the same motion, dz is the change of least norm, and dw is the same for
-all. If a block is on the boundary of two modes, dz is one-sided: it uses the elements of the piece into which dz
-and dw lead.
+steps, and R_μ dμ. If several impulses solve the problem, dz is the change of least norm, and dw belongs to it: the
+motions may differ also, as of a box that slides and spins on four corners. If a block is on the boundary of two modes,
+dz is one-sided: it uses the elements of the piece into which dz and dw lead.
 """
 
 from __future__ import annotations

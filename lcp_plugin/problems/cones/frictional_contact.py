@@ -83,17 +83,20 @@ class FrictionalContactBatch:
         offsets = real_array(b, need)
         if offsets.ndim != 2 and (p or offsets.ndim != 3):
             raise InvalidProblem(f"{need}, got shape {offsets.shape}")
+        if offsets.ndim == 3 and offsets.shape[2] == 1:  # columns
+            offsets = offsets[:, :, 0]
         if offsets.ndim == 3:
             dimension, offsets = offsets.shape[2], offsets.reshape(len(offsets), -1)
         count, n = offsets.shape
         mu = real_array(friction, "friction must be a number, or have shape (k,) or (B, k)")
-        self.dimension = d = dimension_of(dimension, mu.shape[-1:], n - p)
+        is_column = mu.shape == (count, 1) and n - p > 3
+        self.dimension = d = dimension_of(dimension, () if is_column else mu.shape[-1:], n - p)
         k, matrices = (n - p) // d, real_array(W, f"W must have shape (B, {n}, {n}), {n} as b has")
         if matrices.shape not in ((n, n), (count, n, n)):
             raise InvalidProblem(
                 f"W must have shape (B, {n}, {n}), B = {count} and {n} as b has, got {matrices.shape}"
             )
-        if mu.shape not in ((), (k,), (count, k)):
+        if mu.shape not in ((), (k,), (count, 1), (count, k)):
             raise InvalidProblem(
                 f"friction must be a number, or have shape ({k},) or (B, {k}), B = {count}, got {mu.shape}"
             )
@@ -257,7 +260,11 @@ class FrictionalContact(Blocks):
                 W = W.toarray()
             dimension = self.bodies.dimension if dimension is None else dimension
         self.equations = p = contact.checked_count(equations)
-        if velocities.ndim not in (1, 2):
+        shape = np.shape(W)
+        is_batch = (
+            velocities.ndim == 2 and shape == (velocities.shape[1],) * 2 != (velocities.size,) * 2
+        )
+        if velocities.ndim not in (1, 2) or is_batch:
             raise InvalidProblem(
                 f"{need}, got shape {velocities.shape}; for many problems use FrictionalContact.worlds"
             )

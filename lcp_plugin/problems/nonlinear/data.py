@@ -242,7 +242,11 @@ class NonlinearProblem(Problem):
         sizes += [] if self.pattern is None else [self.pattern.shape[:1]]
         self.n: int | None = sizes[0][0] if sizes else None
         checked_names(names, self.n, self.n, are_pairs=True)
-        self._bounds, self._user_names = (lower, upper), names
+        bounds: Any = lower, upper  # numbers stay numbers until F gives the size
+        self._bounds: tuple[Any, Any] = bounds
+        self.lower: Vector = bounds[0]
+        self.upper: Vector = bounds[1]
+        self._user_names = names
         if self.n is not None:
             self._set_bounds(self.n)
 

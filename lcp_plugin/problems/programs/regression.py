@@ -79,11 +79,11 @@ def regression_of(program: QuadraticProgram) -> tuple[BoundedLeastSquares, Outwa
     # Below, residuals and hence multipliers are differences of rounded numbers
     if l1.any() and l1.max() < 1e-6 * unit * max_norm(rows.T @ b):
         return None
-    bounds = program.lower[columns], program.upper[columns]
-    penalties: dict[str, Any] = {"ridge": d[columns[0]] / unit, "l1": l1[columns] / unit}
-    penalties["weights"] = None if is_even else weights
+    data: dict[str, Any] = {"lower": program.lower[columns], "upper": program.upper[columns]}
+    data |= {"ridge": d[columns[0]] / unit, "l1": l1[columns] / unit}
+    data["weights"] = None if is_even else weights
     try:
-        problem = BoundedLeastSquares(rows, b, *bounds, **penalties)
+        problem = BoundedLeastSquares(rows, b, **data)
     except LCPError:  # squares are out of the range of doubles
         return None
 

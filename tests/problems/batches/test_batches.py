@@ -96,7 +96,7 @@ def test_a_bad_problem_costs_that_one_alone():
             batch[k]
     assert np.isnan(batch.w[1]).all()
     assert "3 SOLVED" in repr(batch)
-    assert "4 no problem" in repr(batch)
+    assert "4 invalid" in repr(batch)
 
 
 @refusals(r"""

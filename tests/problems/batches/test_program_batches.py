@@ -107,7 +107,7 @@ def test_a_bad_program_costs_that_one_alone():
     for k in (0, *range(5, 12)):
         assert answers.x[k].tobytes() == before.x[k].tobytes()
     assert "8 SOLVED" in repr(answers)
-    assert "4 no program" in repr(answers)
+    assert "4 invalid" in repr(answers)
 
 
 def test_programs_without_a_minimum_come_with_a_proof():

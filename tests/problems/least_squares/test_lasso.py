@@ -166,7 +166,7 @@ def test_a_tiny_penalty_on_an_exact_fit_has_the_cost_of_basis_pursuit(n, seed, l
     A = rng.standard_normal((n, 2 * n))
     b = A @ (rng.standard_normal(2 * n) * (rng.random(2 * n) < 0.1))
     least = linprog(np.ones(4 * n), A_eq=np.hstack([A, -A]), b_eq=b, bounds=(0, None)).fun
-    result = solve(BoundedLeastSquares(A, b, -INF, l1=l1))
+    result = solve(BoundedLeastSquares(A, b, lower=-INF, l1=l1))
     assert result.is_solved or l1 < 1e-9
     assert result.cost == pytest.approx(l1 * least, rel=1e-6)
 

@@ -210,7 +210,9 @@ def test_penalties_within_bounds_weights_and_a_ridge():
     upper = np.array([INF, 0.5, INF, 0.0, INF, 1.0])
     weights, change = rng.random(25), np.array([1.0, 1, 1, 1, 0, 2])
     for matrix in (A, sp.csr_array(A)):
-        problem = BoundedLeastSquares(matrix, b, lower, upper, weights=weights, ridge=0.3)
+        problem = BoundedLeastSquares(
+            matrix, b, lower=lower, upper=upper, weights=weights, ridge=0.3
+        )
         path = trace(problem, {"l1": change}, 20.0, 0.0).require_solved()
         for theta in (15.0, 5.0, 1.0, 0.1, 0.0):
             answer = solve(problem.with_vectors(l1=theta * change)).require_solved()
@@ -458,7 +460,7 @@ def test_a_path_goes_through_data_that_are_0():
     assert path.at(-0.999).x[0] == pytest.approx(1e-3, rel=1e-12)
     for seed in range(5):
         rng = np.random.default_rng(seed)
-        fit = BoundedLeastSquares(rng.normal(size=(4, 4)), np.zeros(4), -np.inf)
+        fit = BoundedLeastSquares(rng.normal(size=(4, 4)), np.zeros(4), lower=-np.inf)
         exact = trace(fit, {"b": rng.normal(size=4)}, 2, -2).require_solved()
         for theta in (1e-3, 1e-6):
             assert exact.at(theta).status is Status.SOLVED

@@ -240,7 +240,7 @@ def test_a_batch_of_least_squares_with_starts_has_the_derivatives_of_its_problem
 def test_least_squares_name_their_parts():
     """A penalty whose gradient it just balances is refused."""
     with pytest.raises(UnsuitableProblem, match=r"kink here: l1.0. active"):
-        derivative(solve(BoundedLeastSquares(np.eye(2), [1.0, 3.0], -np.inf, l1=1.0))).vjp(
+        derivative(solve(BoundedLeastSquares(np.eye(2), [1.0, 3.0], lower=-np.inf, l1=1.0))).vjp(
             [1.0, 1.0]
         )
 
@@ -297,15 +297,15 @@ def test_a_derivative_by_a_parameter_at_its_own_limit_is_the_one_sided_differenc
         A, b, change = rng.normal(size=(6, 3)), rng.normal(size=6), 1e-6
         data = {"l1": np.zeros(3), "weights": np.array([0.0, 1, 1, 1, 1, 2]), "ridge": 0.0}
         moved = data | {name: data[name] + change} if name in data else data
-        result = solve(BoundedLeastSquares(A, b, lower, **data))
-        other = solve(BoundedLeastSquares(A, b, lower, **moved)).require_solved()
+        result = solve(BoundedLeastSquares(A, b, lower=lower, **data))
+        other = solve(BoundedLeastSquares(A, b, lower=lower, **moved)).require_solved()
         found, d = derivative(result), {name: np.ones(np.shape(data.get(name, b[:3])))}
         agree(found, (other.x - result.x) / change, d, 1e-4)
 
 
 def test_a_penalty_that_begins_at_an_unknown_that_is_0_is_a_kink():
     """By l1 = 0 of an x that is 0 no derivative exists; by all other data it does."""
-    found = derivative(solve(BoundedLeastSquares(np.eye(2), [-1.0, 0.0], -np.inf)))
+    found = derivative(solve(BoundedLeastSquares(np.eye(2), [-1.0, 0.0], lower=-np.inf)))
     np.testing.assert_allclose(found.jvp(dl1=[1.0, 0.0], db=[0.0, 1.0]), [1.0, 1.0])
     with pytest.raises(UnsuitableProblem, match="kink by l1"):
         found.jvp(dl1=1.0)

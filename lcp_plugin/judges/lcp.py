@@ -58,9 +58,7 @@ VectorEnds = tuple[Vector, Vector]  # lower and upper bounds
 POWER = 0.75  # of the tolerance, next to the terms of a row
 DEMAND_POWER = 0.25  # of the tolerance, next to the demand a_i of a row
 NEAREST = 8.0 * EPSILON  # of the terms of a row: rounding of them explains such a slack
-IDLE_ROUNDING = (
-    2.0**-104
-)  # ε², of the reference: residuals of idle rows below it are at rounding level
+IDLE_ROUNDING = 2.0**-104  # ε², of the reference: no residual of an idle row is measured finer
 RAN_AWAY = 2.0**20  # times the reference: the terms of a larger z are not explained by the data
 GAINED = 0.1  # of the reference: a larger residual is not limited by rounding
 SET_TO_BOUND = 2.0**-50  # of the largest z: a smaller distance from a bound is at rounding level

@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from ..core.algorithm import Algorithm, Step
 from ..core.checks import BoolVector, Vector
 from ..core.entries import max_norm
+from ..core.kernels.floats import EPSILON
 from ..core.lcp import LCP
 from ..judges.lcp import measured_residual, scaled_residual
 from ..systems.factors import factor_operations, factorize
@@ -46,12 +47,13 @@ class ActiveSetSolution(NamedTuple):
 
 
 def classify(problem: LCP, z: Vector, w: Vector) -> tuple[BoolVector, BoolVector]:
-    """Return (at_lower, at_upper), the bounds that z − w/d reaches or passes, d the residual scale, shape (n,) each.
+    """Return (at_lower, at_upper), the bounds that z − w/d passes, d the residual scale, shape (n,) each.
 
     Parameters
     ----------
     z, w : ndarray, shape (n,)
-        A row with equal bounds is at its lower bound.
+        A row with equal bounds is at its lower bound. A row at a bound with w = 0 is free: its z may arrive from other
+        rows, and then an active set would take one row per linear solve.
 
     Examples
     --------
@@ -62,8 +64,8 @@ def classify(problem: LCP, z: Vector, w: Vector) -> tuple[BoolVector, BoolVector
     """
     step = w / problem.residual_scale
     # z − step ≤ lower, written so that a small step is not lost next to a large z.
-    at_lower = z - problem.lower <= step
-    at_upper = (problem.upper - z <= -step) & ~at_lower
+    at_lower = z - problem.lower < step
+    at_upper = (problem.upper - z < -step) & ~at_lower
     is_fixed = problem.lower == problem.upper
     return at_lower | is_fixed, at_upper & ~is_fixed
 
@@ -160,14 +162,17 @@ class NewtonState:
         self.move(z)
 
     def move(self, z: Vector) -> None:
-        """Move to z; store its projection if the residual is the best so far."""
+        """Move to z; store its projection if the residual is the best so far, or at rounding level.
+
+        Small unknowns become right last, when the largest residual is at rounding level already.
+        """
         self.z, self.w = z, self.slack(z)
         self.residual: Vector = np.abs(scaled_residual(self.problem, z, self.w))
         inside, residual = np.clip(z, self.problem.lower, self.problem.upper), self.residual
         if not np.array_equal(inside, z):
             residual = np.abs(scaled_residual(self.problem, inside, self.slack(inside)))
         size = float(np.max(residual, initial=0.0))
-        if size <= self.best or not self._solved:
+        if size <= max(self.best, EPSILON * max_norm(inside)) or not self._solved:
             self.best, self.best_z = size, inside
 
     @property

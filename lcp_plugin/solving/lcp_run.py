@@ -158,7 +158,7 @@ class LCPRun(Run):
         return point
 
     def measured(self, z: Vector) -> Measured:
-        """Return the measure of z, moved to near bounds, with its small rows finished."""
+        """Return the measure of z, moved to near bounds."""
         settings = self.settings
         point = self.data.measure(z, settings.goal, settings.absolute_tolerance)
         return point._replace(residual=float(point.residual))

@@ -110,7 +110,8 @@ def _sweeping_stages(problem: LCP, goal: float) -> Iterator[Stage]:
         if stage.iterations < 3:
             return False
         needed, best = stage.steps_to_go(goal), min(_psor_passes(0.0), direct)
-        return needed > best and stage.work + needed > PATIENCE * best
+        is_near = 0.0 < needed <= best  # 0: the residual is small, but the componentwise test fails
+        return not is_near and stage.work + needed > PATIENCE * best
 
     def is_too_slow(stage: Stage) -> bool:
         if stage.iterations < 40 or stage.iterations % ASKED_EVERY:

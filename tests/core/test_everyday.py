@@ -272,11 +272,11 @@ def test_a_problem_of_the_largest_numbers_is_solved():
     np.testing.assert_array_equal(result.require_solved().z, 1.0)
 
 
-@pytest.mark.parametrize("correlation", [0.6, 0.3])
+@pytest.mark.parametrize("correlation", [0.6, 0.3, -0.5])
 @pytest.mark.parametrize("algorithm", ["auto", "psor", "newton", "multigrid", "interior_point"])
 def test_a_put_on_two_assets_is_priced_to_its_far_field(algorithm, correlation):
     """Far from the strike the values fall below 1e-90, and no method computes all of their digits."""
-    for nodes in (15, 31):
+    for nodes in (31, 41):
         problem = everyday.put_on_two_assets(nodes, (0.15, 0.35), correlation)
         z = solve(problem, algorithm, max_seconds=5.0).require_solved().z
         slack, above = problem.slack(z), z - problem.lower
@@ -309,3 +309,13 @@ def test_a_contact_below_the_normal_doubles_is_at_rest():
     """An approach velocity of 1e-310 gives an impulse of at most 1e-310."""
     result = solve(FrictionalContact(np.eye(3), np.array([-1.0, 0.1, 0.2]) * 1e-310, 0.5))
     assert np.linalg.norm(result.require_solved().x) <= 2e-310
+
+
+@pytest.mark.parametrize("correlation", [0.6, 0.3])
+def test_a_nonlinear_far_field_is_right_after_a_few_steps(correlation):
+    """A point that passes is accepted although its largest residual, rounding error, is no smaller."""
+    put = everyday.put_on_two_assets(21, (0.1, 0.4), correlation)
+    M, q = put.csr, put.q
+    problem = NonlinearProblem(lambda x: M @ x + q, lambda x: M, lower=put.lower)
+    x = solve(problem, max_iterations=12).require_solved().x
+    np.testing.assert_allclose(x, solve(put).require_solved().z, atol=1e-12)

@@ -24,7 +24,6 @@ from ...core.entries import max_norm
 from ...core.kernels.floats import NEGLIGIBLE, NEGLIGIBLE_DIAGONAL
 from ...core.settings import Settings
 from ...core.tuning import CHEAP_UP_TO
-from ...judges.lcp import row_data
 from ...methods.newton import fischer_burmeister
 from .data import SMALLEST_TOLERANCE, Linearization
 from .steps import Target, is_small, moved, row_scale, small_step, targets
@@ -236,12 +235,6 @@ class JosephyNewton(Algorithm):
         current = self.current
         if not current.steps.any():
             return None
-        if current.is_small(self.settings):  # rows in the far field fail
-            point = self._at(row_data(current.lcp).measure(current.x, self.tolerance).z)
-            before = current.certificate.term_residual
-            if point.is_defined and point.certificate.term_residual < before:
-                self.step_name = "finish"
-                return point
         if self.is_flat():  # a root without slope
             sizes = np.abs(current.x)
             is_zero = sizes <= NEGLIGIBLE_DIAGONAL * sizes.max()
@@ -281,6 +274,8 @@ class JosephyNewton(Algorithm):
             tried += 1
             # ∞ gains nothing on ∞
             is_better = self._merit(point) < (1.0 - 1e-4 * length) * worst
+            # far from a source the last digits become right, and the largest residual remains
+            is_better |= point.is_defined and point.passes(self.settings)
             is_lenient = is_newton and length == 1.0 and len(self.recent) > 1
             if not (is_better or is_lenient) or not point.is_defined:
                 continue

@@ -239,6 +239,7 @@ class Rows(Instances):
 
     base: Any = None
     problems: Sequence[Any] | None = None
+    changing: tuple[str, ...] = ()  # vectors that differ from the vectors of `base`; () if all may
 
     def __init__(self, vectors: dict[str, Any], n: int, m: int, counts: dict[str, int]) -> None:
         vectors = {name: values for name, values in vectors.items() if values is not None}
@@ -267,7 +268,7 @@ class Rows(Instances):
     def __getitem__(self, k: int) -> Any:
         """Return problem k, or raise its error."""
         if self.problems is None:
-            names = self.base.vector_names
+            names = self.changing or self.base.vector_names
             return self.base.with_vectors(**{name: self._row(name, k) for name in names})
         if isinstance(item := self.problems[k], LCPError):
             raise item

@@ -43,7 +43,7 @@ class ProgramBatch(Rows):
         Programs, or their errors.
     """
 
-    item, stacked_by, fewest_iterations = "program", ("auto", ENGINE), 0
+    item, stacked_by, fewest_iterations, changing = "program", ("auto", ENGINE), 0, ("c",)
 
     def __init__(
         self,

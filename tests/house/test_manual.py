@@ -4,7 +4,9 @@ import contextlib
 import io
 import json
 import multiprocessing
+import os
 import re
+import sys
 import textwrap
 from importlib.util import find_spec
 
@@ -40,8 +42,10 @@ def spawned():
 @pytest.mark.quick(1)
 @pytest.mark.usefixtures("spawned")
 @pytest.mark.parametrize("name", GUIDES)
-def test_the_code_of_a_guide_prints_what_stands_below_it(name):
+def test_the_code_of_a_guide_prints_what_stands_below_it(name, monkeypatch, tmp_path):
     """Its blocks run one after the other; a script for ranks is the one that tests/distributed runs."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    monkeypatch.chdir(tmp_path)  # a page writes files
     namespace = {"__name__": "__main__"}
     blocks = BLOCK.findall(guide(name))
     assert blocks

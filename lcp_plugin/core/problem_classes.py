@@ -30,7 +30,9 @@ class ProblemClass(NamedTuple):
     options : str
         Options that the solver passes on to Settings; "" if it names all in its signature.
     criterion : str
-        Module and function that return the data of the stopping criterion at a point, if `certify` measures it.
+        Module and function that return the data of the stopping criterion at a point, for rows of pairs.
+    verdict : str
+        Module and function that return the fields of the verdict on a point, for other classes.
     batch : str
         Arguments with which one problem makes a batch.
     """
@@ -39,6 +41,7 @@ class ProblemClass(NamedTuple):
     functions: str = ""
     options: str = ""
     criterion: str = ""
+    verdict: str = ""
     batch: str = "[problem]"
 
 
@@ -67,12 +70,15 @@ CLASSES = {
         batch="program, C",
     ),
     "EquilibriumProgram": ProblemClass(
-        "problems.equilibria.branch_and_bound:minimize_over_solutions"
+        "problems.equilibria.branch_and_bound:minimize_over_solutions",
+        "certify",
+        verdict="problems.equilibria.certificate:verdict_at",
     ),
     "BoundedLeastSquares": ProblemClass(
         "problems.least_squares.solving:solve_least_squares",
-        "prepare trace derivative",
+        "prepare trace derivative certify",
         WATCHED,
+        verdict="problems.least_squares.solving:verdict_at",
         batch="problem, B",
     ),
     "ConeProblem": CONES,

@@ -37,8 +37,10 @@ import scipy.sparse as sp
 
 from ...core.checks import AnyMatrix, Array, BoolVector, Vector, derived_property
 from ...core.deadline import OutOfTimeError, enforced_seconds_left
+from ...core.entries import max_norm
 from ...core.kernels.floats import OUTWARD, TINY
 from ...core.rounding import compensated_product
+from ...judges.worst_rows import WorstRow, WorstRows, outside_row
 from .data import Ball, BoundedLeastSquares, Enclosures, clip, shortest_solution
 from .engines import is_within_reach
 
@@ -86,7 +88,7 @@ class Optimality:
         known = [problem.nearest_to_zero]
         if _may_be_rounding(problem, self.cost, self.misfit[1], tolerance):
             known.append(enclosures.unbounded_solution)
-        return any(_exceeds(self.cost, enclosures.cost_above(x), tolerance) for x in known)
+        return any(exceeds(self.cost, enclosures.cost_above(x), tolerance) for x in known)
 
     @derived_property
     def cost(self) -> float:
@@ -122,7 +124,7 @@ def _may_be_rounding(problem: BoundedLeastSquares, cost: Array, radius: Vector, 
     return problem.is_small & (0.5 * np.vecdot(problem.apply_weights(radius), radius) > tol * cost)
 
 
-def _exceeds(cost: Array, known: Any, tolerance: float) -> Any:
+def exceeds(cost: Array, known: Any, tolerance: float) -> Any:
     """Return whether a cost exceeds an upper bound of the least by more than the tolerance, or is NaN."""
     return np.logical_not(cost <= OUTWARD * (1.0 + tolerance) * known)
 
@@ -162,7 +164,7 @@ def measure_stack(
         value = np.where(more < value, more, value)
     cost = problem.cost(x, residual[0])
     least = enclosures.cost_above(np.broadcast_to(problem.nearest_to_zero, x.shape))
-    is_solved = (value <= tolerance) & ~_exceeds(cost, least, tolerance)
+    is_solved = (value <= tolerance) & ~exceeds(cost, least, tolerance)
     return value, is_solved & ~_may_be_rounding(problem, cost, residual[1], tolerance)
 
 
@@ -207,8 +209,19 @@ def _relative_gap(
     problem: BoundedLeastSquares, x: Vector, residual: Ball, y: Vector, slope: Ball
 ) -> Any:
     """Return gap(x, y) relative to the cost of y, apart from rounding, for s in `slope`; shape (B,) for a stack."""
-    l1, (s, radius) = problem.l1, slope
     off = np.maximum(np.abs(residual[0] - y) - residual[1], 0.0)
+    linear = falls(problem, x, slope)
+    gap = 0.5 * np.vecdot(problem.apply_weights(off), off) + linear.sum(-1)
+    gap = np.where(gap < np.inf, OUTWARD**3 * gap + TINY * (gap > 0.0), np.inf)
+    y = np.where(problem.has_terms, y, 0.0)  # no x changes the cost of the other rows
+    squares = np.vecdot(problem.apply_weights(y), y) + problem.ridge * np.vecdot(x, x)
+    cost = 0.5 * squares + np.vecdot(problem.l1, np.abs(x))
+    return np.where(gap == 0.0, 0.0, OUTWARD * gap / cost)
+
+
+def falls(problem: BoundedLeastSquares, x: Vector, slope: Ball) -> Vector:
+    """Return by how much the cost may fall at most in each column, for the s in `slope`, apart from its rounding."""
+    l1, (s, radius) = problem.l1, slope
     near, far = x - problem.lower, problem.upper - x
     linear, least = _fall(s - radius, near) + _fall(-s - radius, far), np.abs(s)
     if l1.any():  # x and z split at 0
@@ -226,13 +239,34 @@ def _relative_gap(
         steep = least - radius
         steepest = 0.5 * steep * (steep / problem.ridge) + TINY
         linear = np.where(linear > 0.0, np.minimum(linear, steepest), linear)
-    linear = linear + 0.0 * (s + radius)  # NaN if an entry is not finite
-    gap = 0.5 * np.vecdot(problem.apply_weights(off), off) + linear.sum(-1)
-    gap = np.where(gap < np.inf, OUTWARD**3 * gap + TINY * (gap > 0.0), np.inf)
-    y = np.where(problem.has_terms, y, 0.0)  # no x changes the cost of the other rows
-    squares = np.vecdot(problem.apply_weights(y), y) + problem.ridge * np.vecdot(x, x)
-    cost = 0.5 * squares + np.vecdot(l1, np.abs(x))
-    return np.where(gap == 0.0, 0.0, OUTWARD * gap / cost)
+    return linear + 0.0 * (s + radius)  # NaN if an entry is not finite
+
+
+def onto_bounds(problem: BoundedLeastSquares, x: Vector, tolerance: float) -> tuple[Vector, Array]:
+    """Return x within the bounds, and the columns in which x is farther beyond them than tolerated, the worst first."""
+    near, scales = clip(x, problem.lower, problem.upper), problem.column_scales
+    moves = np.abs(x - near) * scales
+    return near, np.argsort(-moves)[: np.count_nonzero(moves > tolerance * max_norm(x * scales))]
+
+
+def worst_columns(
+    problem: BoundedLeastSquares, x: Vector, tolerance: float, count: int
+) -> WorstRows:
+    """Return the columns with x_j beyond a bound, else those whose slope may lower the cost by most."""
+    (near, beyond), scales = onto_bounds(problem, x, tolerance), problem.column_scales
+    if beyond.size:
+        return WorstRows(outside_row(f"x[{j}]", x[j], near[j]) for j in beyond[:count].tolist())
+    at = Optimality.of(Enclosures(problem), near, tolerance=tolerance)
+    if at.residual <= tolerance:
+        return WorstRows()
+    s, radius = at.enclosures.gradient(near, at.misfit)
+    fall, worst = falls(problem, near, (s, radius)), []
+    for j in np.lexsort((-np.abs(s) / scales, -fall))[:count].tolist():
+        most = f"may lower the cost by {fall[j]:.3g}" if fall[j] < np.inf else "must be 0"
+        text = f"x[{j}] = {x[j]:.6g}: the slope of the cost is {s[j]:.3g}, and {most}"
+        share = float(fall[j] / at.cost) if at.cost > 0.0 else np.inf
+        worst.append(WorstRow(f"x[{j}]", share, abs(float(s[j])), float(radius[j]), text))
+    return WorstRows(row for row in worst if row.residual > 0.0)
 
 
 def _fall(slant: Vector, slack: Vector) -> Vector:

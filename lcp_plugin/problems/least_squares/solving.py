@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.algorithm import Step
-from ...core.checks import BoolVector, Vector, derived_property, read_only
-from ...core.deadline import Clock, OutOfTimeError, is_over
+from ...core.checks import BoolVector, Vector, checked_vector, derived_property, read_only
+from ...core.deadline import Clock, OutOfTimeError, is_over, seconds_left
+from ...core.entries import max_norm
 from ...core.kernels.floats import FREE, HIGH, LOW
 from ...core.settings import DEFAULT, Settings, Status
 from ...engines import has_piqp
@@ -24,7 +25,7 @@ from ...methods.small import SMALL_DENSE, active_set_points, solve_stack
 from ...solving.result import BaseResult, Callback, StageRecord
 from ...solving.run import CUT_SHORT, FAILED, Named, Progress, Run, Stage, say
 from . import engines
-from .certificate import Optimality, measure_stack
+from .certificate import Optimality, exceeds, measure_stack, onto_bounds, worst_columns
 from .data import BoundedLeastSquares, Enclosures, clip, times
 
 NNLS = "nnls", "one bound per column"  # a stage and its reason
@@ -381,6 +382,32 @@ class LeastSquaresResult(BaseResult):
         return (
             f"optimality {self.optimality:.1e}, tolerance {self.tolerance:g}; cost {self.cost:.9g}"
         )
+
+
+@np.errstate(all="ignore")
+def verdict_at(problem: BoundedLeastSquares, x: Any, tolerance: float) -> dict[str, Any]:
+    """Return the fields of the verdict on x: proved if SOLVED, disproved if the point of a run costs less.
+
+    An x_j beyond a bound counts as on it, up to the tolerance times the largest x_k, in units of columns of length 1.
+    """
+    x = checked_vector(getattr(x, "x", x), "x", problem.shape[1])
+    near, beyond = onto_bounds(problem, x, tolerance)
+    rows = partial(worst_columns, problem, x, tolerance)
+    fields = {"claim": "optimal", "violation": max_norm(x - near), "rows": rows}
+    at = Optimality.of(Enclosures(problem), near, tolerance=tolerance)
+    if not (worst := rows(1)):
+        reason = f"the cost exceeds the minimum by at most {at.residual:.2g} of it, up to rounding of the data"
+        return fields | {"verdict": "proved", "reason": reason}
+    limit: Any = {} if (left := seconds_left()) == math.inf else {"max_seconds": left}
+    found = solve_least_squares(problem, **limit)
+    value, radius = at.misfit
+    least = problem.cost(near, np.maximum(np.abs(value) - radius, 0.0))
+    upper = float(at.enclosures.cost_above(found.x))
+    is_worse, reason = exceeds(least, upper, tolerance), worst[0].text
+    if is_worse and not beyond.size:
+        reason = f"another point costs {upper:.9g}, and this one {at.cost:.9g}; {reason}"
+    verdict = "disproved" if beyond.size or is_worse else "unproved"
+    return fields | {"verdict": verdict, "reason": reason, "upper": upper}
 
 
 def suits_stack(problem: BoundedLeastSquares) -> bool:

@@ -69,7 +69,11 @@ def certify(
 ) -> Certification:
     """Return the proved facts about a point of a problem, from any solver, and its worst rows.
 
-    For a complementarity problem, "proved" means that the stopping criterion of SOLVED holds at x, which is not moved.
+    For a complementarity problem, "proved" means that the stopping criterion of SOLVED holds at x, which is not moved;
+    so for least squares, whose x_j may be beyond a bound by the tolerance of the largest x_k. For an EquilibriumProgram
+    x satisfies the rows and pairs, and its objective is within the tolerance of a proved bound: of a result with a
+    proof, or of a search of 100 nodes.
+
     The other paragraphs are about convex quadratic and linear programs. An x_j is moved to a bound or to a row
     with one entry if no row and no gradient notices the move (1e-6 of their terms at the default tolerance), and to 0
     below 2⁻⁴² of the largest unknown of its component.
@@ -78,8 +82,8 @@ def certify(
     Parameters
     ----------
     problem : problem, cvxpy.Problem or Pyomo model
-        A QuadraticProgram, LCP, NonlinearProblem, ConeProblem or FrictionalContact; or a model, at the present values
-        of its variables: its equations and all bounds are also tested. It is not modified.
+        Of any problem class, such as LCP or QuadraticProgram; or a model, at the present values of its variables: its
+        equations and all bounds are also tested. It is not modified.
     x : array, shape (n,), result or QPSolution, optional
         The point of a problem of arrays; ``certify(result)`` is ``certify(result.program, result)``.
     multipliers : pair of arrays or QPSolution, optional
@@ -203,8 +207,11 @@ def _certify_other(
 ) -> Certification:
     """Return the verdict on a point of a problem of pairs, or on the values of a model."""
     name = class_of(problem)
-    if name is not None and CLASSES[name].criterion:
+    row = None if name is None else CLASSES[name]
+    if row is not None and (row.criterion or row.verdict):
         _check_point(problem, x, multipliers, claim, tolerance)
+        if row.verdict:
+            return Certification(**resolve_name(f"lcp_plugin.{row.verdict}")(problem, x, tolerance))
         x = x.x if isinstance(x, BaseResult) else x
         return certify_point(problem, checked_vector(x, "x", problem.n), tolerance)
     if name is not None or isinstance(problem, (BaseResult, QPSolution)):

@@ -18,6 +18,7 @@ from lcp_plugin import (
     QuadraticProgram,
     Status,
     box,
+    certify,
     complements,
     optimal,
     solve,
@@ -44,6 +45,8 @@ def test_published_optima_are_found_and_proved(name):
         abs(problem.value - published.optimum) <= 1e-6 * abs(published.optimum) + published.accuracy
     )
     assert result.verify()
+    assert certify(result.problem, result).verdict == "proved"
+    assert certify(result.problem, result.x).verdict == "proved"
 
 
 @pytest.mark.parametrize(("bounds", "wanted"), [((-9, 1), 8.0), ((1, 9), 20.0), ((2, 4), 26.0)])

@@ -189,7 +189,9 @@ def require_finite(array: NDArray[np.float64], name: str) -> None:
 
 
 def _not_finite(name: str, place: object, value: object, need: str = "finite") -> InvalidProblem:
-    return InvalidProblem(f"{name} must be {need}, but {name}[{place}] = {value}; repair it")
+    return InvalidProblem(
+        f"{name} must be {need}, but {name}{f'[{place}]' * (place != '')} = {value}; repair it"
+    )
 
 
 def canonical_csr(M: AnyMatrix, name: str, *, is_copied: bool = False) -> sp.csr_array:
@@ -262,7 +264,7 @@ def real_array(values: Any, need: str) -> NDArray[np.float64]:
     if array.dtype == np.object_ and hasattr(values, "iloc"):  # of pandas
         dtypes = values.dtypes.items() if values.ndim > 1 else [(values.name, values.dtype)]
         for column, dtype in dtypes:
-            check_kind(dtype, f"{need}; column {column!r} has others")
+            check_kind(dtype, need if column is None else f"{need}; column {column!r} has others")
         array = values.to_numpy(np.float64, na_value=np.nan)
     if array.dtype == np.float64:
         return array

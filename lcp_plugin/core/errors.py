@@ -25,41 +25,38 @@ class InvalidOption(LCPError, TypeError):
     """An option does not exist, or its value cannot be used."""
 
 
-def public(function: Function) -> Function:
+def public(function: Function, name: str = "") -> Function:
     """Decorate a function: a call with other arguments raises InvalidOption, with the call that is possible."""
+    name = name or function.__qualname__.removesuffix(".__init__")
 
     @wraps(function)
     def called(*args: Any, **named: Any) -> Any:
         try:
             return function(*args, **named)
-        except TypeError as error:
-            if error.__traceback__ is None or error.__traceback__.tb_next is not None:
-                raise  # not by this call itself
-        raise InvalidOption(_wrong_call(function, args, named))
+        except TypeError:
+            signature = inspect.signature(function)
+            try:
+                signature.bind(*args, **named)
+            except TypeError as wrong:
+                raise InvalidOption(_wrong_call(name, signature, named, wrong)) from None
+            raise  # by the function itself
 
     return called  # type: ignore[return-value]
 
 
-def _wrong_call(function: Callable[..., Any], args: Any, named: Any) -> str:
-    """Return the message for arguments that a function does not take."""
-    signature, wrong = inspect.signature(function), ""
-    try:
-        signature.bind(*args, **named)
-    except TypeError as error:
-        wrong = str(error)
+def _wrong_call(
+    name: str, signature: inspect.Signature, named: Iterable[str], wrong: object
+) -> str:
+    """Return the message for arguments that a function does not take: Python's words, and the possible call."""
     forms = {"KEYWORD_ONLY": "{}=…", "VAR_POSITIONAL": "*{}", "VAR_KEYWORD": "**{}"}
     known = {
-        name: forms.get(one.kind.name, "{}").format(name)
-        for name, one in signature.parameters.items()
-        if name != "self"
+        key: forms.get(one.kind.name, "{}").format(key)
+        for key, one in signature.parameters.items()
+        if key != "self"
     }
-    name = function.__qualname__.removesuffix(".__init__")
-    hints = (
-        did_you_mean(k, known)
-        for k in named
-        if k not in known and "did you" in did_you_mean(k, known)
-    )
-    return f"{name}: {wrong}{next(hints, '')}; write {name}({', '.join(known.values())})"
+    hints = (did_you_mean(key, known) for key in named if key not in known)
+    hint = next((hint for hint in hints if "did you" in hint), "")
+    return f"{name}: {wrong}{hint}; write {name}({', '.join(known.values())})"
 
 
 class UnsuitableMatrix(LCPError, ValueError):

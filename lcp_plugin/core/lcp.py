@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from . import checks
 from .checks import AnyMatrix, Vector, checked_bounds, checked_vector, read_only
 from .entries import clip
+from .errors import public
 from .matrix import Matrix
 from .names import Names, checked_names, describe_lcp
 from .problem import Problem
@@ -174,6 +175,7 @@ class LCP(Problem):
         w += self.q
         return w
 
+    @public
     def with_q(
         self, q: ArrayLike, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None
     ) -> LCP:

@@ -179,4 +179,4 @@ def foreign_function(name: str, model: Any) -> Callable[..., Any] | None:
 def _function(name: str) -> Callable[..., Any]:
     module, _, path = DOORS[name].partition(":")
     function: Callable[..., Any] = attrgetter(path)(import_module(f"lcp_plugin.{module}"))
-    return public(function)
+    return public(function, name.partition(" ")[0])

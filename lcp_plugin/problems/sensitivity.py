@@ -31,7 +31,7 @@ from ..core import checks
 from ..core.checks import AnyMatrix, Array, BoolVector, Vector, derived_property
 from ..core.cone_stack import ConeStack
 from ..core.entries import residual_scales
-from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem
+from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem, public
 from ..core.kernels.floats import EPSILON, FREE, HALF_OF_DIGITS, LOW, NEGLIGIBLE_DIAGONAL
 from ..core.lcp import LCP
 from ..core.names import format_count, listed
@@ -1044,6 +1044,7 @@ class Derivative(LinearizedSystem):
         dz = checks.checked_vector(dz, "dz", self.problem.n)
         return self._product(dz) + self._change(dM, dq)
 
+    @public
     def vjp(self, g: ArrayLike, gw: ArrayLike | None = None) -> Gradient:
         """Return the gradients of a function L(z, w) by q, the bounds and the entries of M.
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core import checks
 from ...core.checks import AnyMatrix, Vector, real_array
-from ...core.errors import InvalidProblem, LCPError, ModelWarning
+from ...core.errors import InvalidProblem, LCPError, ModelWarning, public
 from ...core.files import save_arrays
 from ...core.lcp import LCP
 from ...core.names import format_count
@@ -65,6 +65,7 @@ class FrictionalContactBatch:
     ([[1.0, -0.3, -0.4], [1.0, -0.3, 0.0]], [False, True])
     """
 
+    @public
     def __init__(
         self,
         W: AnyMatrix,
@@ -260,7 +261,7 @@ class FrictionalContact(Blocks):
                 W = W.toarray()
             dimension = self.bodies.dimension if dimension is None else dimension
         self.equations = p = contact.checked_count(equations)
-        shape = np.shape(W)
+        shape = getattr(W, "shape", ())
         is_batch = (
             velocities.ndim == 2 and shape == (velocities.shape[1],) * 2 != (velocities.size,) * 2
         )
@@ -268,6 +269,8 @@ class FrictionalContact(Blocks):
             raise InvalidProblem(
                 f"{need}, got shape {velocities.shape}; for many problems use FrictionalContact.worlds"
             )
+        if velocities.ndim == 2 and velocities.shape[1] == 1:  # a column
+            velocities = velocities[:, 0]
         if velocities.ndim == 2:
             if dimension not in (None, velocities.shape[1]):
                 raise InvalidProblem(

@@ -601,19 +601,23 @@ def points_inside(program: QuadraticProgram) -> tuple[Fractions, ...]:
     Unknowns are measured in the user's units, then in fitted units.
     """
     points: tuple[Fractions, ...] = ()
-    for unit in (np.ones(program.n), program.matrices.fit[0]):
-        points = _points_inside(program, unit) or points
+    one, fit = np.ones(program.n), program.matrices.fit[0]
+    # A row whose side is far from its coefficients is equilibrated without its side
+    for unit, has_sides in ((one, True), (fit, True), (one, False)):
+        points = _points_inside(program, unit, has_sides) or points
         if len(points) > 1:
             break
     return points
 
 
-def _points_inside(program: QuadraticProgram, unit: Vector) -> tuple[Fractions, ...]:
+def _points_inside(
+    program: QuadraticProgram, unit: Vector, has_sides: bool
+) -> tuple[Fractions, ...]:
     constraints, n = program.constraints, program.n
     limit, finite = constraints.limit, constraints.finite
     is_row, is_equality = np.arange(limit.size) < constraints.rows, constraints.is_equality
     matrix = constraints.matrix @ sp.diags_array(unit)
-    right = np.where(is_row & np.isfinite(limit), limit, 0.0)
+    right = np.where(is_row & np.isfinite(limit) & has_sides, limit, 0.0)
     sides = sp.hstack([matrix, right[:, None]], format="csr")
     exponents = equilibrating_exponents(sides, (1.0,), 900).row  # largest entries near 1
     of_rows = np.ldexp(1.0, exponents[: constraints.rows])

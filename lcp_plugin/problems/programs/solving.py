@@ -30,7 +30,7 @@ from .conversion import optimality_conditions
 from .engine_points import NO_MINIMUM, ProgramPoint, Scaling, attempts, nearest, run_engine
 from .no_minimum import NoMinimum, QPUnboundedness, known_proof, numbers, proof_of_contradiction
 from .program import QuadraticProgram, refuse_nonconvex
-from .regression import Outward, regression_of
+from .regression import Outward, points_near, regression_of
 from .result import ADVICE, QuadraticProgramResult
 from .solution import QPSolution
 
@@ -264,7 +264,7 @@ class ProgramRun(Run):
         yield Step(point.solution.x, iterations=point.iterations, measured=point)
 
     def _regression_steps(self, problem: Any, outward: Outward) -> Iterator[Step]:
-        """Yield the start and the solution of the least squares problem."""
+        """Yield the start, the solution of the least squares problem, and the minimum on its face."""
         yield Step(nearest(self.program)[0], iterations=0)
         tolerance, left = self.settings.tolerance, seconds_left()
         options: dict[str, Any] = {"max_iterations": self.options.get("max_iterations")}
@@ -272,9 +272,10 @@ class ProgramRun(Run):
         result = solve_least_squares(problem, tolerance=tolerance, **options)
         if result.status is Status.INTERRUPTED:  # it also ends the run around this one
             raise KeyboardInterrupt
-        solution = QPSolution.from_reduced(self.program, *outward(result.x))
-        point = ProgramPoint.of(solution, tolerance, result.algorithm, result.iterations)
-        yield Step(solution.x, iterations=result.iterations, measured=point)
+        for x in points_near(problem, result.x):
+            solution = QPSolution.from_reduced(self.program, *outward(x))
+            point = ProgramPoint.of(solution, tolerance, result.algorithm, result.iterations)
+            yield Step(solution.x, iterations=result.iterations, measured=point)
 
     def lcp_stage(self, *run: Any) -> Stage:
         """Return a stage with a run on the complementarity problem of the program; see `_lcp_steps`."""

@@ -13,6 +13,10 @@ T_i = Σ_j |c_ij x_j| + |d_i| and K = 1000, it requires
   the last term counts.
 - y'_i is |y_i|, at most the largest |P x + c|_j of unknowns off their bounds, divided by the largest |c_ij|.
 
+If this sum fails, unknowns F off their bounds with p_jj > 0 and r_j at the rounding level of its terms count with
+½ r_FᵀP_FF⁻¹ r_F, the largest gain of their moves, if P_FF less n (n + 3) ε of its diagonal has a Cholesky factor. The
+other r_j are then those after the step −P_FF⁻¹ r_F.
+
 So no feasible point is better by more than the tolerance if its unknowns differ by at most K |x_j| and by moves that
 cost together at most K times the objective; at t times these moves, the gain is at most t times the tolerance. If c_j =
 0 and r_j is at the rounding level of P x, |P| |x| takes the place of |P x| in price_j; if all costs of a component are
@@ -110,8 +114,10 @@ class KKTErrors(NamedTuple):
         if np.isfinite(x).all() and np.isfinite(y).all():
             for is_exact in (True,) if terms.is_one_dense_component else (False, True):
                 point = PrimalDualPoint(program, x, y, is_exact=is_exact)
-                both = point.row_errors().max(initial=0.0), point.gaps().max(initial=0.0)
-                errors = cls(*(np.inf if np.isnan(error) else float(error) for error in both))
+                both = point.row_errors(), point.gaps(tolerance or SHARP)
+                errors = cls(
+                    *(float(np.nan_to_num(error.max(initial=0.0), nan=np.inf)) for error in both)
+                )
                 if errors.meet(tolerance):
                     break
         return errors
@@ -207,6 +213,12 @@ class ProgramTerms:
         is_small = isinstance(self.P, np.ndarray) and 0 < n <= 400 >= m
         return is_small and bool((self.counts == n).any() or self.components.number == 1)
 
+    def needed_multipliers(self, slopes: Vector, y: Vector) -> Vector:
+        """Return y with 0 in components where the slopes P x + c are 0: no point is better there."""
+        largest = np.zeros(self.components.number)
+        np.maximum.at(largest, self.components.of_unknown, np.abs(slopes))
+        return np.where(largest[self.components.of_row] > 0.0, y, 0.0)
+
     @cached_property
     def entry_sizes(self) -> tuple[Any, Any, Any, Any, Any]:
         """P and C = [G; A], and the sizes of the entries of P, C and Cᵀ: all dense or all CSR arrays."""
@@ -262,17 +274,16 @@ class PrimalDualPoint:
             self.product, self.lost = compensated_product(self.terms.sparse_P, x)
         else:
             self.product, self.lost = P @ x, (in_P + 3.0) * UNIT * self.bend
-        slopes = self._largest(np.abs(self.product + program.c))
-        y = np.where(slopes[self.terms.components.of_row] > 0.0, y, 0.0)
+        y = self.terms.needed_multipliers(self.product + program.c, y)
         self.of_y = np.abs(y)
+        terms = self.bend + self.cost + of_columns @ self.of_y
+        self.rounding = (in_P + in_columns + 3.0) * UNIT * terms
         if is_exact:
             both = np.concatenate([x, y])
             self.left, self.doubt = compensated_product(self.terms.gradient, both, program.c)
             self.excess, self.row_doubt = compensated_product(self.terms.rows, x, -d)
         else:
-            terms = self.bend + self.cost + of_columns @ self.of_y
-            self.left = self.product + program.c + C.T @ y
-            self.doubt = (in_P + in_columns + 3.0) * UNIT * terms
+            self.left, self.doubt = self.product + program.c + C.T @ y, self.rounding
             self.excess, self.row_doubt = C @ x - d, (in_rows + 3.0) * UNIT * self.row_terms
         self.missed = np.abs(self.excess) + self.row_doubt
         if not is_limit.all():
@@ -302,10 +313,9 @@ class PrimalDualPoint:
         most = BLUR * self.terms.row_sizes * self._largest(self.of_x)[self.terms.components.of_row]
         return np.where((self.row_terms == self.limits) & (self.limits <= most), most, 0.0)
 
-    def gaps(self) -> Vector:
-        """Return the gap of each component."""
+    def gaps(self, tolerance: float = PROGRAM_TOLERANCE) -> Vector:
+        """Return the gap of each component; curvature counts if a gap is above the tolerance."""
         x, of_x, sums = self.x, self.of_x, self._sums
-        below, above = x - self.program.lower, self.program.upper - x
         y = self.needed_y
         curved = np.maximum(np.abs(sums(x, self.product)) - sums(of_x, self.lost), 0.0)
         size = np.abs(sums(self.program.c, x)) + curved
@@ -322,21 +332,47 @@ class PrimalDualPoint:
         bend = np.where(is_rounding, self.bend, bend)
         price = np.maximum(np.abs(self.product) - self.lost, bend) + self.cost
         price += self.terms.entry_sizes[4] @ y
-        left = np.abs(self.left)
-        r, distance = left + self.doubt, np.where(self.left > 0.0, below, above)
-        if (left <= self.doubt).any():  # either direction may reduce the objective
-            distance = np.where(left <= self.doubt, np.maximum(below, above), distance)
-        way = self._of_unknowns(MOVES * size) / np.maximum(price, LEAST_PRICE)
-        is_far = distance > way
-        reach = np.where(is_far, np.minimum(distance, MOVES * of_x), distance)
-        cost = self.of_y
+        costs = self.of_y
         if self.is_exact and (is_noise := (self.violation > 0.0) & (self.noise > 0.0)).any():
             rows = self.terms.rows
             by_unknowns = largest_in_rows(rows, price[rows.indices] / np.abs(rows.data))
-            cost = np.where(is_noise, np.maximum(cost, by_unknowns), cost)
-        gap = sums(r, np.where(r == 0.0, 0.0, reach), cost, self.missed)
-        gap += self._largest(np.where(is_far, r * way, 0.0))
+            costs = np.where(is_noise, np.maximum(costs, by_unknowns), costs)
+        of_rows = sums(of_x, 0.0 * of_x, costs, self.missed)
+        way = self._of_unknowns(MOVES * size) / np.maximum(price, LEAST_PRICE)
+        gap = of_rows + self._gain(self.left, np.abs(self.left) + self.doubt, way)
+        if self.is_exact and (gap > tolerance * size).any():
+            gap = np.minimum(gap, of_rows + self._curved_gain(way))
         return np.where(size < np.inf, gap / size, np.nan)
+
+    def _gain(self, left: Vector, r: Vector, way: Vector) -> Vector:
+        """Return a bound of the gain of moves against a gradient in each component, without curvature; r is |left|."""
+        below, above = self.x - self.program.lower, self.program.upper - self.x
+        distance = np.where(left > 0.0, below, above)
+        # Either direction may reduce the objective
+        distance = np.where(np.abs(left) <= self.doubt, np.maximum(below, above), distance)
+        is_far = distance > way
+        reach = np.where(is_far, np.minimum(distance, MOVES * self.of_x), distance)
+        gain = self._sums(r, np.where(r == 0.0, 0.0, reach))
+        return gain + self._largest(np.where(is_far, r * way, 0.0))
+
+    def _curved_gain(self, way: Vector) -> Any:
+        """Return the gain with ½ rᵀP⁻¹r for unknowns off their bounds whose r is at rounding level.
+
+        They are at the minimum over their values as far as doubles show. Other unknowns move after their step.
+        """
+        d, x, P = self.terms.P.diagonal(), self.x, self.terms.P
+        is_curved = (x > self.program.lower) & (x < self.program.upper) & (d > 0.0)
+        curved = np.flatnonzero(is_curved & (np.abs(self.left) <= self.rounding))
+        r = (self.left + np.copysign(self.doubt, self.left))[curved]
+        step = curved_step(P[curved][:, curved], r) if curved.size else None
+        if step is None:
+            return np.inf
+        move, gain = np.zeros(x.size), np.zeros(x.size)
+        move[curved], gain[curved] = step, 0.5 * r
+        left = self.left - P @ move
+        others = np.abs(left) + self.doubt
+        others[curved] = 0.0
+        return self._sums(gain, move) + self._gain(left, others, way)
 
     @property
     def needed_y(self) -> Vector:
@@ -379,11 +415,6 @@ def least_size(program: JudgedProgram, x: Vector, y: Vector) -> float:
     return LEAST_SIZE * float(point.needed_y @ point.row_terms)
 
 
-def noise_of_sides(program: JudgedProgram, x: Vector) -> Vector:
-    """Return the size below which the side of each row counts as 0 at x."""
-    return PrimalDualPoint(program, x, np.zeros(program.d.size), is_exact=False).noise
-
-
 def with_zeros(program: JudgedProgram, x: Vector) -> Vector:
     """Return x with 0 for unknowns at rounding level of the largest of their component; x itself if there are none."""
     parts, sizes = program.terms.components, np.abs(x)
@@ -392,6 +423,27 @@ def with_zeros(program: JudgedProgram, x: Vector) -> Vector:
     is_noise = (sizes <= NEGLIGIBLE * largest[parts.of_unknown]) & (x != 0.0)
     is_noise &= (program.lower <= 0.0) & (program.upper >= 0.0)
     return np.where(is_noise, 0.0, x) if is_noise.any() else x
+
+
+def curved_step(P: AnyMatrix, r: Vector) -> Any:
+    """Return (P − δ)⁻¹ r, where δ = n (n + 3) ε diag P covers the rounding of a factor; None if P − δ has no factor."""
+    shift = r.size * (r.size + 3.0) * 2.0 * UNIT * P.diagonal()
+    if not sp.issparse(P):
+        from scipy.linalg import lapack
+
+        *_, step, info = lapack.dposv(P - np.diag(shift), r)
+        return None if info else step
+    from scipy.sparse.linalg import splu
+
+    options = {
+        "permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True},
+    }  # fmt: skip
+    try:
+        factor = splu(sp.csc_array(P - sp.diags_array(shift)), **options)
+    except RuntimeError:  # a pivot of 0, or no memory
+        return None
+    is_symmetric = np.array_equal(factor.perm_r, factor.perm_c)
+    return factor.solve(r) if is_symmetric and (factor.U.diagonal() > 0.0).all() else None
 
 
 def ratio(errors: Vector, sizes: Vector) -> Vector:

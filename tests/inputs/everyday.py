@@ -151,3 +151,35 @@ def put_on_two_assets(nodes: int, volatilities: tuple[float, float], correlation
     prices = np.exp(width * (np.linspace(h, 1.0 - h, nodes) - 0.5))
     payoff = np.maximum(1.0 - 0.5 * (prices[:, np.newaxis] + prices), 0.0).ravel()
     return LCP(sp.csr_array(sp.eye_array(nodes**2) - step * L), -payoff, lower=payoff)
+
+
+def standing(steps: int, feet: int, states: int, rng: Generator) -> tuple[Any, ...]:
+    """Return P, c, G, h, A and b of a body that stands still over some steps: forces without costs, the optimum is 0.
+
+    The unknowns of a step are `states` positions and velocities, which have costs, and a tangential and a normal force
+    of each foot. Gravity acts on the first coordinate; arms of the feet, in the other coordinates, sum to 0.
+    """
+    half, forces, dt, gravity = states // 2, 2 * feet, 0.05, 9.81
+    arms = np.round(rng.normal(size=(half, forces)), 1)
+    arms[0] = np.tile([0.0, 1.0], feet)
+    normal = arms[1:, 1::2]
+    normal -= np.round(normal.mean(axis=1, keepdims=True), 12)
+    arms[1:, 1::2] = normal
+    step = np.block([[np.eye(half), dt * np.eye(half)], [np.zeros((half, half)), np.eye(half)]])
+    push = np.vstack([0.5 * dt * dt * arms, dt * arms])
+    fall = gravity * np.concatenate([0.5 * dt * dt * np.eye(half)[0], dt * np.eye(half)[0]])
+    size = states + forces
+    A, b = np.zeros((steps * states, steps * size)), np.tile(fall, steps)
+    for k in range(steps):
+        rows = slice(k * states, (k + 1) * states)
+        A[rows, k * size : k * size + states] = -np.eye(states)
+        A[rows, k * size + states : (k + 1) * size] = push
+        if k:
+            A[rows, (k - 1) * size : (k - 1) * size + states] = step
+    cone = np.zeros((2 * feet, size))
+    for foot in range(feet):
+        at = states + 2 * foot
+        cone[2 * foot : 2 * foot + 2, at : at + 2] = [[1.0, -0.5], [-1.0, -0.5]]
+    weights = np.concatenate([rng.integers(1, 20, states) / 10, np.zeros(forces)])
+    G = np.kron(np.eye(steps), cone)
+    return np.diag(np.tile(weights, steps)), np.zeros(steps * size), G, np.zeros(len(G)), A, b

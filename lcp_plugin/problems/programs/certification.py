@@ -24,10 +24,9 @@ from ...core.entries import largest_products
 from ...core.errors import InvalidOption, InvalidProblem, LCPError, did_you_mean
 from ...core.kernels.floats import LARGEST, OUTWARD
 from ...core.problem_classes import CLASSES, class_of, foreign_function, refusal
-from ...core.rounding import compensated_product
 from ...core.settings import checked_tolerance, whole_number
 from ...judges.lcp import NEAREST
-from ...judges.program import KKTErrors, least_size, noise_of_sides, with_zeros
+from ...judges.program import KKTErrors, PrimalDualPoint, least_size, with_zeros
 from ...judges.worst_rows import WorstRow, WorstRows, worst_pairs
 from ...proofs.bounds import constrained_curvature
 from ...proofs.exact import sum_above
@@ -531,13 +530,18 @@ class ProgramProofs:
                 bought = f"its violation of {violation.largest:.2g} may buy more than the tolerance"
                 complaint = complaint or bought
         verdict = bounds.certification(self, complaint)
-        if verdict.verdict == "unproved" and not complaint and violation.is_met:
+        # An objective of 0 below every feasible one, by a violation of rounding: the criterion decides
+        is_below = size[1] == 0.0 and bounds.lower > bounds.value[1]
+        is_open = (verdict.verdict == "unproved" and not complaint) or is_below
+        if is_open and violation.is_met:
             solved, folded = getattr(self.own_solution, "multipliers", None), program.folded
             known = [y[folded.left] for y in (multipliers, solved) if y is not None]
-            gaps = [KKTErrors.of(folded.reduced.judged, x, y, tolerance).gap for y in known]
+            errors = [KKTErrors.of(folded.reduced.judged, x, y, tolerance) for y in known]
+            gaps = [error.gap for error in errors if not is_below or error.meet(tolerance)]
             if (gap := min(gaps, default=math.inf)) <= tolerance:
-                reason = f"the stopping criterion holds: duality gap {gap:.2g}"
-                verdict = replace(verdict, verdict="proved", duality_gap=gap, reason=reason)
+                reason = complaint or f"the stopping criterion holds: duality gap {gap:.2g}"
+                name = "unproved" if complaint else "proved"
+                verdict = replace(verdict, verdict=name, duality_gap=gap, reason=reason)
         return verdict
 
 
@@ -551,38 +555,28 @@ def size_of_objective(program: QuadraticProgram, x: Vector) -> tuple[float, floa
 
 @dataclass(frozen=True)
 class Violation:
-    """Enclosure of the largest violation of the constraints at a point x.
+    """Violation of the constraints at a point x.
 
     Attributes
     ----------
-    least, largest : float
-        Doubles below and above the largest violation of a constraint, in the unit of that constraint.
+    largest : float
+        A double above the largest violation of a constraint, in the unit of that constraint.
     is_met, is_missed : bool
         True if it is proved that all constraints hold to the tolerance, and that some constraint does not.
     """
 
-    least: float
     largest: float
     is_met: bool
     is_missed: bool
 
     @classmethod
     def of(cls, program: QuadraticProgram, x: Vector, tolerance: float) -> Violation:
-        """Return the violation at x, relative to the terms of each row; a row with one entry is a bound."""
-        reduced = program.folded.reduced
-        rows = reduced.constraints
-        finite = rows.finite
-        matrix, limit = rows.matrix[finite], rows.limit[finite]
-        value, radius = compensated_product(matrix, x, -limit)
-        size = np.where(rows.is_equality[finite], np.abs(value), value)
-        least, largest = np.maximum(size - radius, 0.0), np.maximum(rows.excess(x)[finite], 0.0)
-        allowed = tolerance * (abs(matrix) @ np.abs(x) + np.abs(limit))
-        if (largest > allowed).any():
-            noise = np.append(noise_of_sides(reduced.judged, x), np.zeros(2 * program.n))
-            allowed = np.maximum(allowed, noise[finite])
-        is_met, is_missed = (largest <= allowed).all(), (least > allowed * OUTWARD).any()
-        ends = float(least.max(initial=0.0)) / OUTWARD, float(largest.max(initial=0.0))
-        return cls(*ends, bool(is_met), bool(is_missed))
+        """Return the violation at x; constraints hold as in the criterion, relative to their terms."""
+        judged = program.folded.reduced.judged
+        errors = PrimalDualPoint(judged, x, np.zeros(judged.d.size), is_exact=True).row_errors()
+        largest = float(np.maximum(program.constraints.excess(x), 0.0).max(initial=0.0))
+        is_missed = bool((errors > tolerance * OUTWARD**2).any())
+        return cls(largest, bool((errors <= tolerance).all()), is_missed)
 
 
 def largest_terms(rows: Any, limit: Vector, x: Vector) -> Vector:
@@ -630,7 +624,7 @@ class ProvenBounds:
         (below, above), allowed = self.value, self.tolerance * self.size[1] * OUTWARD
         least, shift = self.lower, self.constant
         if self.violation.is_missed:
-            return f"a constraint is violated by {self.violation.least:.3g}"
+            return f"a constraint is violated by {self.violation.largest:.3g}"
         if float(sum_above(self.upper, allowed)) < below:
             return f"a feasible point has the objective {self.upper + shift:.9g}, below {below + shift:.9g}"
         if least > float(sum_above(above, allowed)):

@@ -92,7 +92,9 @@ class QPSolution(MadeOnAccess):
         y = y.copy()
         np.maximum(y[:m], 0.0, out=y[:m])
         P, C = reduced.matrices.stacked
-        of_bounds = bound_multipliers(reduced, P @ x + reduced.c + C.T @ y)
+        slopes = P @ x + reduced.c
+        y = reduced.matrices.terms.needed_multipliers(slopes, y)
+        of_bounds = bound_multipliers(reduced, slopes + C.T @ y)
         every = folded.multipliers(np.concatenate([y, *of_bounds]))
         for k in np.flatnonzero(np.isinf(every))[:1].tolist():
             raise InvalidProblem(

@@ -19,7 +19,7 @@ If no theorem guarantees termination, newton has 20 steps and lemke a budget of 
 methods. If the diagonal is negative throughout, newton is omitted for n > 5000. If a factorization is too large by the
 counts of its columns, newton and interior_point are omitted, except for programs. A row that is inconsistent with its
 bounds puts `feasibility` first (n ≤ 5000). lemke takes n ≤ 6000; beyond, psor comes at the end. `search` enumerates
-the active sets in exact arithmetic (n ≤ 60, at most 24 rows that leave a choice), up to a counted number of operations.
+the active sets in exact arithmetic (n ≤ 60, at most 24 rows with several pieces), up to a counted number of operations.
 If M + Mᵀ is not PSD and at most 4096 active sets exist (n ≤ 24), `search` comes first: it closes most of them by a few
 tableaus.
 """

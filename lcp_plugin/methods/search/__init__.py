@@ -109,7 +109,7 @@ def search(
     Raises
     ------
     UnsuitableProblem
-        If more than 24 rows leave a choice, or n exceeds 60.
+        If more than 24 rows have several complementarity pieces, or n exceeds 60.
 
     Examples
     --------
@@ -138,7 +138,7 @@ def explore(
         raise InvalidProblem(refusal("all_solutions", problem))
     if not is_searchable(problem):
         raise UnsuitableProblem(
-            f"the exhaustive search takes at most {LARGEST_CHOICES} rows that leave a choice and n ≤ {MOST_SEARCHED}, "
+            f"the search takes at most {LARGEST_CHOICES} rows with several pieces and n ≤ {MOST_SEARCHED}, "
             f"got {_choices(problem)} and n = {problem.n}; solve(problem) looks for one solution"
         )
     explorer = Explorer(problem, effort, first_only=first_only)
@@ -169,7 +169,7 @@ def all_solutions(problem: LCP, *, max_nodes: int = DEFAULT_NODES) -> list[Solut
     Parameters
     ----------
     problem : LCP
-        At most 24 rows that leave a choice, n at most 60.
+        At most 24 rows with several complementarity pieces, n at most 60.
     max_nodes : int
         Limit of the number of complementarity pieces.
 
@@ -280,7 +280,7 @@ class FeasibilityCheck(Algorithm):
 class ExhaustiveSearch(Algorithm):
     """Branch and bound over z_i = bound, w_i = 0 in exact arithmetic (Cottle, Pang, Stone, §1.3).
 
-    n ≤ 60, at most 24 rows that leave a choice. A step is at most 50 cases, each an exact linear program.
+    n ≤ 60, at most 24 rows with several pieces. A step is at most 50 cases, each an exact linear program.
     """
 
     name: ClassVar[str] = "search"

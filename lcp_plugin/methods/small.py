@@ -195,25 +195,26 @@ def solve_stack(
     arrays = M, q, lower, upper, clip(0.0, lower, upper)
     begun = arrays[4] if starts is None else starts
     z, items = np.array(begun), np.arange(len(q))
-    residual = np.full(len(q), np.inf)
-    for attempt in range(0 if starts is not None else ROUNDS, ROUNDS + 1):
+    residual, is_solved = np.full(len(q), np.inf), np.zeros(len(q), np.bool_)
+    for attempt in range(0 if starts is not None else ROUNDS, ROUNDS + 3):
         if not items.size:
             break
         A, b, low, high, begin = _select(arrays, items)
-        if attempt < ROUNDS:
+        if attempt == ROUNDS:
+            side = _ends_of_paths(A, b, low, high)
+        else:
             scale = residual_scales(A.diagonal(axis1=-2, axis2=-1), np.abs(A).max(-1, initial=0.0))
             step = (times(A, z[items]) + b) / scale
-            side = np.where(step >= z[items] - low, LOW, FREE + (step <= z[items] - high))
-        else:
-            side = _ends_of_paths(A, b, low, high)
+            side = np.where(step > z[items] - low, LOW, FREE + (step < z[items] - high))
         x, bound = _bounded_points(A, b, low, high, begin, side, tolerance)
-        z[items], residual[items] = x, bound
+        z[items], residual[items], is_solved[items] = x, bound, bound < np.inf
         items = items[bound == np.inf]
-    is_solved = residual < np.inf
-    doubt = items[np.isfinite(z[items, 0])]
-    if doubt.size:
-        measured = measure(stack_of(*_select((M, q, lower, upper), doubt)), z[doubt], tolerance)
-        z[doubt], residual[doubt], is_solved[doubt] = measured[:3]
+        items = items[np.isfinite(z[items, 0])] if attempt >= ROUNDS else items
+        if attempt >= ROUNDS and items.size:
+            data = stack_of(*_select((M, q, lower, upper), items))
+            measured = measure(data, z[items], tolerance)
+            z[items], residual[items], is_solved[items] = measured[:3]
+            items = items[~measured.passes]  # the path left out what is below its perturbation
     return z, residual, (z != begun).any(1).astype(int), is_solved
 
 
@@ -402,18 +403,17 @@ def guess(data: RowData) -> Vector | None:
 
 
 def solve_active_set(M: Vector, q: Vector, lower: Any, upper: Vector, side: Any) -> Vector:
-    """Return z, z_i at the bound that `side` names, w_i = 0 if FREE; NaN if the linear system is singular."""
+    """Return z, z_i at the bound that `side` names, w_i = 0 if FREE; by least squares if that system is singular."""
     free = (side == FREE).nonzero()[0]
     z: Vector = np.where(side == HIGH, upper, lower)
+    if free.size == 0:
+        return z
+    z[free] = 0.0
+    block, right = M[free[:, None], free], -(M @ z + q)[free]
     try:
-        if free.size == z.size:
-            z[:] = np.linalg.solve(M, -q)
-        elif free.size:
-            z[free] = 0.0
-            right = -(M @ z + q)[free]
-            z[free] = np.linalg.solve(M[free[:, None], free], right)
+        z[free] = np.linalg.solve(block, right)
     except LinAlgError:
-        z[free] = np.nan
+        z[free] = np.linalg.lstsq(block, right)[0]
     return z
 
 

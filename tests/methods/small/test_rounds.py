@@ -13,7 +13,7 @@ from oracles.truth import ExactData
 from lcp_plugin import LCP, Status, solve, solve_batch
 from lcp_plugin.core.checks import read_only
 from lcp_plugin.judges.lcp import bound_residual, row_data
-from lcp_plugin.methods.small import dense_data
+from lcp_plugin.methods.small import FREE, dense_data, solve_active_set, solve_stack
 
 INF = np.inf
 
@@ -167,6 +167,26 @@ def test_the_far_field_of_a_batch_is_solved_to_its_terms():
     w, terms = batch.z @ M.T + q, batch.z @ np.abs(M).T + np.abs(q)
     assert (np.abs(w) <= 1e-6 * terms).all()
     assert (batch.z > 0.0).all()
+
+
+def test_the_far_field_of_a_stack_is_solved_in_the_stack():
+    """After the path, which leaves out what is below its perturbation, idle rows are free."""
+    n, count = 60, 40
+    M = 2.0 * np.eye(n) - 0.5 * (np.eye(n, k=1) + np.eye(n, k=-1))
+    q = np.zeros((count, n))
+    q[:, 0] = -1.0 - np.arange(count) / count
+    z, _, _, is_solved = solve_stack(M[None], q, 0.0 * q, 0.0 * q + np.inf, tolerance=1e-8)
+    assert is_solved.all()
+    np.testing.assert_allclose(z, np.linalg.solve(M, -q.T).T, rtol=1e-9, atol=1e-30)
+
+
+def test_a_singular_consistent_active_set_has_its_least_solution():
+    """Of a network with every balance stated, one potential is superfluous."""
+    M = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    z = solve_active_set(
+        M, np.array([-1.0, 1.0]), np.zeros(2), np.full(2, np.inf), np.full(2, FREE)
+    )
+    np.testing.assert_allclose(z, [0.5, -0.5])
 
 
 @pytest.mark.parametrize("family", FAMILIES)

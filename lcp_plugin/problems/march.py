@@ -482,8 +482,8 @@ def march(
     Each step starts from the solution of the previous step, and has its own certificate. On narrow bands, for which
     `auto` uses `banded`, a step is one banded solve or a few, and many steps are certified at once. Otherwise `auto`
     chooses in the first two steps; later steps start with the method that finished the step before. If few rows have
-    a bound, as in contact, the others are eliminated by one factorization for all steps, if that is cheaper. A march of 1000
-    steps and 10⁴ unknowns takes 80 MB; for longer ones set `keep`.
+    a bound, as in contact, the others are eliminated by one factorization for all steps, if that is cheaper. A march
+    of 1000 steps and 10⁴ unknowns takes 80 MB; for longer ones set `keep`.
 
     A θ-scheme for B ż + A z = f, (B + θ Δt A) z = (B − (1 − θ) Δt A) z_before + Δt f, has M = B + θ Δt A, the
     propagator (1 − θ) Δt A − B and the forcing −Δt f. Crank–Nicolson, θ = ½, is of order 2 after data with a kink only

@@ -44,14 +44,9 @@ def connected_components(matrix: Matrix) -> IntVector | None:
     # Rows are connected if each but the first has an entry left of its diagonal, in a dense M also an entry above it.
     if n < 2 or (matrix.is_dense and M[0].all()):
         return None
-    if matrix.is_dense and n <= 64:  # in a sixth of the time of scipy's function
-        reach, count = ((M != 0.0) | (M.T != 0.0)).astype(np.float32), 0
-        reach.flat[:: n + 1] = 1.0
-        while count < (now := int(np.count_nonzero(reach))):
-            count, reach = now, np.minimum(reach @ reach, 1.0)
-        first = reach.argmax(axis=1)  # row of each component
-        numbers = np.cumsum(first == np.arange(n)) - 1
-        return read_only(numbers[first]) if first.any() else None
+    if matrix.is_dense and n <= 64:  # rows up to which products are quicker than scipy's search
+        labels = components_of_links((M != 0.0) | (M.T != 0.0))
+        return read_only(labels) if labels.any() else None
     if matrix.is_dense:
         is_filled = np.tril((M != 0.0) | (M.T != 0.0), -1).any(axis=1)[1:].all()
     else:
@@ -63,6 +58,18 @@ def connected_components(matrix: Matrix) -> IntVector | None:
 
     count, labels = labeled(matrix.csr, directed=False)
     return read_only(labels.astype(np.int64)) if count > 1 else None
+
+
+def components_of_links(links: BoolVector) -> IntVector:
+    """Return the number of each row's component, from 0 on; in a sixth of the time of scipy's function for 10 rows."""
+    n, count = len(links), 0
+    reach = links.astype(np.float32)
+    reach.flat[:: n + 1] = 1.0
+    while count < (now := int(np.count_nonzero(reach))):
+        count, reach = now, np.minimum(reach @ reach, 1.0)
+    first = reach.argmax(axis=1)  # row of each component
+    numbers: IntVector = (np.cumsum(first == np.arange(n)) - 1)[first]
+    return numbers
 
 
 def mismatch(M: AnyMatrix, size: Vector, tolerance: float) -> tuple[float, tuple[int, int] | None]:

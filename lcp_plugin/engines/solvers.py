@@ -53,8 +53,14 @@ class DAQP(Engine):
         right = np.append(program.h, program.b)
         ends = ends_of_rows(right, m, program.lower, program.upper)
         limit = {} if limits.seconds == math.inf else {"time_limit": limits.seconds}
-        x, y, flag, steps = call_daqp(*arrays, program.c.copy(), *ends, self.settings | limit)
-        y = np.append(np.maximum(y[n : n + m], 0.0), y[n + m :])
+        return self.end_of(m, *arrays, program.c.copy(), *ends, self.settings | limit)
+
+    @staticmethod
+    def end_of(m: int, *call: Any) -> EnginePoint:
+        """Return the end of daqp's run on arrays, as :func:`call_daqp` takes them, with m inequalities."""
+        x, y, flag, steps = call_daqp(*call)
+        y = y[x.size :].copy()
+        np.maximum(y[:m], 0.0, out=y[:m])
         return EnginePoint(x, y, steps, DAQP_STATUS.get(flag, EngineStatus.GAVE_UP))
 
 

@@ -38,7 +38,7 @@ although a program within
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,6 +50,7 @@ from ..core.entries import clip, largest_in_rows, largest_products
 from ..core.kernels.compilation import kernel
 from ..core.kernels.floats import DATA_ROUNDING, NEGLIGIBLE, UNIT
 from ..core.rounding import compensated_product
+from ..core.structure import components_of_links
 
 Indices = NDArray[np.intp]
 
@@ -106,6 +107,10 @@ class KKTErrors(NamedTuple):
     @classmethod
     def _at(cls, program: JudgedProgram, x: Vector, y: Vector, tolerance: float) -> KKTErrors:
         errors, terms = cls(np.inf, np.inf), program.terms
+        if terms.is_dense and tolerance:
+            errors = sharp_errors(program, x, y)
+            if errors.meet(tolerance) and errors.gap <= SHARP * (x.size + y.size):
+                return errors
         if terms.is_one_dense_component and tolerance:
             data = program.c, program.d, terms.m, program.lower, program.upper, x, y
             errors = cls(*map(float, MEASURE_IN_PYTHON(terms.P, terms.C, terms.sizes, *data, 1.0)))
@@ -199,6 +204,12 @@ class ProgramTerms:
         (m, n), is_sparse = C.shape, sp.issparse(P)
         if not n or (self.counts == n).any() or (entries_of_rows(P) == n).any():
             return ProgramComponents(np.zeros(n, np.intp), np.zeros(m, np.intp), min(n + m, 1))
+        if not is_sparse and n <= 64:  # rows up to which products are quicker than scipy's search
+            link, alone = (C != 0.0).astype(np.float32), self.counts == 0
+            part = components_of_links((P != 0.0) | (P.T != 0.0) | (link.T @ link > 0.0))
+            count = int(part.max()) + 1
+            of_row = np.where(alone, count + np.cumsum(alone) - 1, part[link.argmax(axis=1)])
+            return ProgramComponents(part, of_row, count + int(np.count_nonzero(alone)))
         from scipy.sparse.csgraph import connected_components
 
         rows = sp.csr_array(sp.vstack([P, C]) if is_sparse else np.vstack([P, C]))
@@ -207,11 +218,22 @@ class ProgramTerms:
         return ProgramComponents(part[:n], part[n:], count)
 
     @cached_property
+    def is_dense(self) -> bool:
+        """True if :func:`sharp_errors` measures programs with these matrices."""
+        m, n = self.C.shape
+        return isinstance(self.P, np.ndarray) and 0 < n <= 400 >= m
+
+    @cached_property
     def is_one_dense_component(self) -> bool:
         """True if :func:`dense_errors` measures programs with these matrices."""
-        m, n = self.C.shape
-        is_small = isinstance(self.P, np.ndarray) and 0 < n <= 400 >= m
-        return is_small and bool((self.counts == n).any() or self.components.number == 1)
+        n = self.C.shape[1]
+        return self.is_dense and bool((self.counts == n).any() or self.components.number == 1)
+
+    @cached_property
+    def both(self) -> tuple[Vector, Vector]:
+        """[P; C] and the sizes of its entries, dense."""
+        both = np.vstack([self.P, self.C])
+        return both, np.abs(both)
 
     def needed_multipliers(self, slopes: Vector, y: Vector) -> Vector:
         """Return y with 0 in components where the slopes P x + c are 0: no point is better there."""
@@ -454,6 +476,51 @@ def ratio(errors: Vector, sizes: Vector) -> Vector:
 def entries_of_rows(matrix: AnyMatrix) -> Indices:
     """Return the number of nonzeros of each row."""
     return np.diff(matrix.indptr) if sp.issparse(matrix) else np.count_nonzero(matrix, axis=1)
+
+
+def sharp_errors(program: JudgedProgram, x: Vector, y: Vector) -> KKTErrors:
+    """Return upper bounds of the two measures of a point of a dense program, by few plain sums; ∞ where costs vanish.
+
+    A reach is at most a way and K |x_j|, a way at most K size / price, and further terms only raise sizes and prices.
+    """
+    terms, c, d, m = program.terms, program.c, program.d, program.terms.m
+    n, rows, (both, of_both) = x.size, y.size, terms.both
+    if not (x @ x < INF and y @ y < INF):
+        return KKTErrors(INF, INF)
+    point, x = x, clip(x, program.lower, program.upper)
+    is_limit = d < INF
+    d, y = np.where(is_limit, d, 0.0), np.where(is_limit, y, 0.0)
+    np.maximum(y[:m], 0.0, out=y[:m])
+    of_x, of_y, cost = np.abs(x), np.abs(y), np.abs(c)
+    values, sizes = both @ x, of_both @ of_x
+    product, bend, row_terms = values[:n], sizes[:n], sizes[n:] + np.abs(d)
+    lost, rounding = (n + 3.0) * UNIT * bend, (n + 3.0) * UNIT * row_terms
+    price = np.abs(product) - lost + cost
+    if not np.minimum.reduce(price) > 0.0:
+        return KKTErrors(INF, INF)
+    excess = values[n:] - d
+    missed = np.abs(excess) + rounding
+    over = missed.copy()
+    np.maximum(excess[:m] + rounding[:m], 0.0, out=over[:m])
+    over = np.where(is_limit, over / np.maximum(row_terms, LEAST_PRICE), 0.0)
+    primal = np.maximum.reduce(over, initial=0.0)
+    if (outside := np.abs(point - x)).any():
+        outside /= np.maximum(np.maximum(of_x, np.abs(point)), LEAST_PRICE)
+        primal = max(primal, outside.max())
+    C, of_C = terms.C, of_both[n:]
+    r = np.abs(product + c + y @ C) + (n + rows + 3.0) * UNIT * (bend + cost + of_y @ of_C)
+    size: Any
+    if (parts := terms.components).number == 1:
+        size = abs(float(c @ x)) + max(abs(float(x @ product)) - float(of_x @ lost), 0.0)
+        gap = (MOVES * (r @ of_x) + of_y @ missed) / size + 2.1 * MOVES * np.add.reduce(r / price)
+    else:
+        of_part = partial(np.bincount, parts.of_unknown, minlength=parts.number)
+        size = np.abs(of_part(c * x)) + np.maximum(
+            np.abs(of_part(x * product)) - of_part(of_x * lost), 0.0
+        )
+        most = of_part(MOVES * r * of_x) + np.bincount(parts.of_row, of_y * missed, parts.number)
+        gap = np.maximum.reduce(most / size + of_part(2.1 * MOVES * r / price))
+    return KKTErrors(float(primal), float(gap) if gap < INF else INF)
 
 
 @kernel

@@ -26,10 +26,10 @@ from ..core.entries import clip, unbounded
 from ..core.errors import InvalidOption, did_you_mean, public
 from ..core.lcp import LCP
 from ..core.problem_classes import class_of
-from ..core.settings import Settings, Status
+from ..core.settings import DEFAULTS, Settings, Status
 from ..engines.solvers import DAQP, call_daqp, ends_of_rows
 from ..judges.lcp import Measured
-from ..judges.program import PROGRAM_TOLERANCE, SAFETY, dense_errors
+from ..judges.program import PROGRAM_TOLERANCE, JudgedProgram, sharp_errors
 from ..methods.lemke import Lemke
 from ..methods.small import LOOP_UP_TO, arrays_of_one, follow_one, has_numba, is_small, tilts
 from ..solving.dispatch import parse_call, solver_with
@@ -176,53 +176,59 @@ def copied(values: Any, name: str, *shape: int) -> Vector:
     )
 
 
-def _copy_of(values: object, prepared: Vector) -> Any:
-    """Return a read-only copy of doubles of the prepared shape, the prepared ones for None; None for other values."""
-    if values is None:
-        return prepared
-    if type(values) is not np.ndarray or values.dtype != np.float64:
-        return None
-    if values.shape != prepared.shape[-values.ndim :] or values.size != prepared.size:
-        return None
-    return read_only(np.array(values, order="C").reshape(prepared.shape))
-
-
 class PreparedProgram(PreparedProblem[QuadraticProgram]):
-    """Solver of programs that differ from the prepared problem in vectors."""
+    """Solver of programs that differ from the prepared problem in vectors or matrices."""
 
-    data, start = "c h b lower upper", "z0"
+    data, start = "c h b lower upper P G A", "z0"
 
     def __init__(self, problem: QuadraticProgram, algorithm: Any, options: dict[str, Any]) -> None:
         super().__init__(problem, algorithm, options)
         refuse_nonconvex(problem)
-        self._tolerance = Settings(tolerance=options.get("tolerance", PROGRAM_TOLERANCE)).tolerance
-        self._arrays: Any = None
-        base, terms = problem.matrices, problem.matrices.terms
-        is_suited = (
-            algorithm in ("auto", "daqp") and not options.keys() - {"tolerance"} and has_numba()
+        limits = {name: value for name, value in options.items() if name in DEFAULTS}
+        settings = Settings(**{"tolerance": PROGRAM_TOLERANCE, **limits})
+        self._tolerance, self._arrays = settings.tolerance, None
+        base, is_watched = (
+            problem.matrices,
+            settings.is_watched or options.get("callback") is not None,
         )
-        if is_suited and base.of_daqp and (base.counts > 1).all() and terms.is_one_dense_component:
-            vectors = {name: getattr(problem, name) for name in self.data.split()}
-            self._arrays = base.of_daqp, (terms.P, terms.C, terms.sizes), vectors
+        has_time = (
+            settings.max_iterations >= DAQP.defaults["iter_limit"] and settings.max_seconds > 0.0
+        )
+        is_suited = algorithm in ("auto", "daqp") and has_time and not is_watched
+        if is_suited and base.of_daqp and (base.counts > 1).all() and base.terms.is_dense:
+            vectors = {name: getattr(problem, name) for name in problem.vector_names}
+            self._arrays = base.of_daqp, vectors
+
+    def _changed(self, P: Any = None, G: Any = None, A: Any = None, **vectors: Any) -> Any:
+        problem, given = self.problem, {"P": P, "G": G, "A": A}
+        matrices = {name: value for name, value in given.items() if value is not None}
+        if not matrices:
+            return problem.with_vectors(**vectors)
+        names = *problem.matrix_names, *problem.vector_names, "constant", "names"
+        data = {name: getattr(problem, name) for name in names} | matrices
+        known = {name: value for name, value in vectors.items() if value is not None}
+        return QuadraticProgram(**(data | known))
 
     def _solve_quickly(self, start: Any, *_: Any, **data: Any) -> Any:
-        """Return daqp's point if the compiled test accepts it, and nothing hints at a program without a minimum."""
-        if self._arrays is None or start is not None:
+        """Return daqp's point if plain sums accept it, and nothing hints at a program without a minimum."""
+        if self._arrays is None or not data.keys().isdisjoint(self.problem.matrix_names):
             return None
-        began, ((P, C, kinds), terms, vectors) = perf_counter(), self._arrays
-        every = [_copy_of(data.get(name), vectors[name]) for name in vectors]
-        if any(vector is None for vector in every):
-            return None
-        c, h, b, lower, upper = every
+        began, ((P, C, kinds), vectors) = perf_counter(), self._arrays
+        if all(is_plain(value, *vectors[name].shape) for name, value in data.items()):
+            copies = {name: read_only(value.copy()) for name, value in data.items()}
+        else:  # the constructor converts and checks other data
+            changed = self.problem.with_vectors(**data)
+            copies = {name: getattr(changed, name) for name in data}
+        c, h, b, lower, upper = every = [*(vectors | copies).values()]
         d, m = np.concatenate((h, b)), h.size
         if not d @ d < INFINITE_LIMIT**2:  # NaN in other data does not pass the test
             return None
         ends = ends_of_rows(d, m, lower, upper)
         x, y = call_daqp(P, C, kinds, c.copy(), *ends, DAQP.defaults)[:2]
-        x, y = np.minimum(np.maximum(x, lower), upper), y[x.size :]
-        primal, gap = dense_errors(*terms, c, read_only(d), m, lower, upper, x, y, SAFETY)
-        is_certain = primal <= CERTAIN_ROWS and x @ x <= FAR**2
-        if not (is_certain and gap <= 0.5 * self._tolerance):
+        x, y = clip(x, lower, upper), y[x.size :]
+        errors = sharp_errors(JudgedProgram(self.problem.matrices.terms, c, d, lower, upper), x, y)
+        is_certain = errors.primal <= CERTAIN_ROWS and x @ x <= FAR**2
+        if not (is_certain and errors.gap <= 0.5 * self._tolerance):
             return None
         solution = QPSolution.of_known(partial(self._solution, every, x, y), x=read_only(x))
         make = partial(self._record, perf_counter() - began)
@@ -276,9 +282,9 @@ def prepare(problem: Any, algorithm: Any = "auto", **options: Any) -> PreparedPr
     -------
     PreparedProblem
         Of an LCP with ``solve(q=, M=, lower=, upper=, z0=)``; of a program with ``solve(c=, h=, b=, lower=, upper=,
-        z0=)``; of a contact problem with ``solve(b=, W=, z0=)``; of least squares with ``solve(b=, lower=, upper=,
-        x0=)``; of a nonlinear problem, of which F may read data that you change, with ``solve(x0=)``. With
-        ``warm=True``, a solve starts from the last result.
+        P=, G=, A=, z0=)``; of a contact problem with ``solve(b=, W=, z0=)``; of least squares with ``solve(b=,
+        lower=, upper=, x0=)``; of a nonlinear problem, of which F may read data that you change, with
+        ``solve(x0=)``. With ``warm=True``, a solve starts from the last result.
 
     Raises
     ------

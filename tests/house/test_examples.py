@@ -130,5 +130,7 @@ def test_the_command_draws_the_picture_of_the_readme(tmp_path, monkeypatch):
 def test_every_example_is_tested_and_in_the_readme():
     """The directory, the table above and the README list the same examples, in the same order."""
     readme = EXAMPLES.joinpath("README.md").read_text(encoding="utf-8")
-    assert sorted(file.stem for file in EXAMPLES.glob("*.py")) == sorted([*NAMES, "check_proof", "mujoco_step"])
+    assert sorted(file.stem for file in EXAMPLES.glob("*.py")) == sorted(
+        [*NAMES, "check_proof", "mujoco_step"]
+    )
     assert re.findall(r"^\| `(\w+)\.py`", readme, re.M) == NAMES

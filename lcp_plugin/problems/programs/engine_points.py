@@ -161,8 +161,11 @@ def run_engine(
     scale: Scaling,
     *,
     is_verbose: bool = False,
+    end: EnginePoint | None = None,
 ) -> ProgramPoint:
     """Return the best of the measured points of an engine: plain, without noise, and polished where that is cheap.
+
+    An `end` is the engine's on the reduced program, if it ran already.
 
     Raises
     ------
@@ -178,7 +181,9 @@ def run_engine(
     errors, passes = KKTErrors(np.inf, np.inf), False
     for scaled in _statements(reduced, scale):
         try:
-            point = engine.solve(scaled.statement, SolverLimits(seconds_left(), is_verbose))
+            if end is None or not is_of(scaled.statement, reduced):
+                end = engine.solve(scaled.statement, SolverLimits(seconds_left(), is_verbose))
+            point, end = end, None
         except Exception:  # an external solver may raise any error for an option
             _check_options(engine)
             raise
@@ -201,6 +206,11 @@ def run_engine(
             break
     solution = QPSolution.from_reduced(program, *(best or nearest(program)))
     return ProgramPoint(solution, errors, passes, reported, engine.name, iterations)
+
+
+def is_of(data: ProgramData, reduced: QuadraticProgram) -> bool:
+    """Return whether the vectors of the data are the vectors of a program, and not scaled."""
+    return all(getattr(data, name) is getattr(reduced, name) for name in reduced.vector_names)
 
 
 def nearest(program: QuadraticProgram) -> tuple[Vector, Vector]:

@@ -16,8 +16,8 @@ from ...core.errors import InvalidOption, UnsuitableMatrix, UnsuitableProblem, U
 from ...core.settings import DEFAULTS, OF_SOLVE, Settings, Status
 from ...core.tuning import LINEAR_PROGRAM_UP_TO
 from ...engines import ENGINES, has_piqp, installed_engine
-from ...engines.engine import Engine, EngineStatus
-from ...engines.solvers import DAQP, call_daqp, ends_of_rows
+from ...engines.engine import Engine, EnginePoint, EngineStatus
+from ...engines.solvers import DAQP, ends_of_rows
 from ...judges.program import PROGRAM_TOLERANCE, SHARP, KKTErrors
 from ...methods.interior_point import InteriorPoint
 from ...methods.small import LOOP_UP_TO
@@ -73,10 +73,6 @@ def solve_program(
         Same conditions as for `solve`.
     """
     clock = Clock()
-    is_auto = isinstance(algorithm, str) and algorithm == "auto" and not options
-    is_plain = is_auto and type(tolerance) is float and 0.0 < tolerance < 1.0
-    if is_plain and (result := _by_daqp(program, tolerance, clock)) is not None:
-        return result
     solve_options = {name: options.pop(name) for name in OF_SOLVE if name in options}
     for name in ("absolute_tolerance", "polish"):
         if name in solve_options and solve_options.pop(name) not in (None, DEFAULTS[name]):
@@ -96,7 +92,13 @@ def solve_program(
         {**({} if engine else options), "tolerance": tolerance, **solve_options},
     )[1]
     name = algorithm if isinstance(algorithm, str) else algorithm.name
-    run = ProgramRun(program, name, settings, solve_options, callback, clock, start)
+    is_limited = not settings.max_iterations or settings.max_seconds <= 0.0
+    end = None
+    if name == "auto" and callback is None and not (settings.is_watched or is_limited):
+        end, result = first_point(program, settings, clock)
+        if result is not None:
+            return result
+    run = ProgramRun(program, name, settings, solve_options, callback, clock, start, end)
     if engine is not None:
         plan = run.engine_stages(engine)
     elif name == "auto":
@@ -116,33 +118,39 @@ def solve_program(
     return run.solve(run.with_proof(plan))
 
 
-def _by_daqp(
-    program: QuadraticProgram, tolerance: float, clock: Clock
-) -> QuadraticProgramResult | None:
-    """Return daqp's point of a small program if a run of auto would end with this point; None for any other program."""
+def first_point(
+    program: QuadraticProgram, settings: Settings, clock: Clock
+) -> tuple[EnginePoint | None, QuadraticProgramResult | None]:
+    """Return daqp's end on a small program, and the result if a run of auto would end with this point.
+
+    A run takes the end as that of its first stage.
+    """
     matrices = program.matrices
     if not matrices.is_small or sum(matrices.sizes[:3]) > LOOP_UP_TO:  # a run costs less than daqp
-        return None
+        return None, None
     reduced = program.folded.reduced
     if (layout := reduced.matrices.of_daqp) is None:
-        return None
+        return None, None
     c, judged, lower, upper = reduced.c, reduced.judged, reduced.lower, reduced.upper
     is_modest = 1e-12 < c @ c + np.vdot(layout[0], layout[0]) < 1e18  # `with_modest_costs` keeps it
     if not is_modest or (reduced.b.size and regression_of(reduced) is not None):
-        return None
-    ends = ends_of_rows(judged.d, reduced.h.size, lower, upper)
-    x, y, _, steps = call_daqp(*layout, c.copy(), *ends, DAQP.defaults)
-    x, y = clip(x, lower, upper), y[x.size :]
-    errors, x = KKTErrors.with_point(judged, x, y, tolerance)
+        return None, None
+    options = DAQP.defaults
+    if settings.max_iterations < options["iter_limit"]:
+        options = {**options, "iter_limit": settings.max_iterations}
+    m, tolerance = reduced.h.size, settings.tolerance
+    end = DAQP.end_of(m, *layout, c.copy(), *ends_of_rows(judged.d, m, lower, upper), options)
+    x, y = clip(end.x, lower, upper), end.y
+    errors = KKTErrors.of(judged, x, y, tolerance)
     is_sharp = errors.meet(tolerance) and errors.gap <= SHARP * (x.size + y.size)
     if not is_sharp or is_in_doubt(program, errors, x):
-        return None
+        return end, None
     # Multipliers of a point that passes overflow only if coefficients divide them
     make = QPSolution.on_access if reduced is program else QPSolution.from_reduced
-    fields = {"algorithm": "auto: daqp", "iterations": steps, "tolerance": tolerance}
-    stages = (StageRecord(DAQP.name, DAQP.solves, steps, 2.0),)  # of two points
+    fields = {"algorithm": "auto: daqp", "iterations": end.iterations, "tolerance": tolerance}
+    stages = (StageRecord(DAQP.name, DAQP.solves, end.iterations, 2.0),)  # of two points
     fields |= {"seconds": clock.read(), "stages": stages, "status": Status.SOLVED}
-    return QuadraticProgramResult.of_known(None, **fields, solution=make(program, x, y))
+    return end, QuadraticProgramResult.of_known(None, **fields, solution=make(program, x, y))
 
 
 def is_in_doubt(program: QuadraticProgram, errors: KKTErrors, x: Vector) -> bool:
@@ -186,6 +194,8 @@ class ProgramRun(Run):
     Attributes
     ----------
     best : ProgramPoint or None
+    end_of_daqp : EnginePoint or None
+        The end of daqp's run on the reduced program, if it ran already.
     doubtful : QPInfeasibility or QPUnboundedness or None
         A proof that excludes no solution.
     """
@@ -201,8 +211,10 @@ class ProgramRun(Run):
         callback: Any,
         clock: Clock,
         start: Vector | None,
+        end: EnginePoint | None = None,
     ) -> None:
         super().__init__(ProgramProgress(program, settings, callback, clock))
+        self.end_of_daqp = end
         self.program, self.name, self.options, self.start = program, name, options, start
         self.doubtful: NoMinimum | None = None
 
@@ -259,7 +271,12 @@ class ProgramRun(Run):
         """Yield the start and the point of an external solver."""
         yield Step(nearest(self.program)[0], iterations=0)
         point = run_engine(
-            self.program, engine, self.settings.tolerance, scale, is_verbose=self.settings.verbose
+            self.program,
+            engine,
+            self.settings.tolerance,
+            scale,
+            is_verbose=self.settings.verbose,
+            end=self.end_of_daqp if engine.name == DAQP.name else None,
         )
         yield Step(point.solution.x, iterations=point.iterations, measured=point)
 

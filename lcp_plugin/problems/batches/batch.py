@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import EllipsisType
 from typing import Any, Unpack, cast
 
 import numpy as np
@@ -32,8 +33,8 @@ def solve_batch(
     M: AnyMatrix,
     q: Array = None,
     *,
-    lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None,
+    lower: ArrayLike | EllipsisType | None = ...,
+    upper: ArrayLike | EllipsisType | None = ...,
     z0: ArrayLike | None = None,
     algorithm: str | Algorithm = "auto",
     callback: object = None,
@@ -57,7 +58,8 @@ def solve_batch(
     q : array, shape (B, n) or (n,)
         For one QuadraticProgram the vectors c, shape (B, n), or the mappings; for one BoundedLeastSquares the vectors
         b, shape (B, m).
-    lower, upper : scalar or array, shape (n,) or (B, n)
+    lower, upper : scalar or array, shape (n,) or (B, n), or None
+        None means no bound, as in `LCP`; by default the bounds of the LCP, or 0 and ∞.
     z0 : array, shape (B, n) or (n,), optional
         Warm starts; for a list of problems a list of vectors or None.
     algorithm : str or Algorithm
@@ -132,6 +134,8 @@ def solve_batch(
     for name in ("absolute_tolerance", "prove_infeasibility"):  # which some classes lack
         if overrides.get(name) == DEFAULTS[name]:
             del overrides[name]
+    pairs = (lower, -np.inf), (upper, np.inf)
+    lower, upper = (None if x is ... else none if x is None else x for x, none in pairs)
     if any(map(is_on_gpu, (M, q, lower, upper))):
         if not (z0 is callback is None and algorithm == "auto"):
             raise InvalidOption(

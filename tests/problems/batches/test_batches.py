@@ -241,3 +241,13 @@ def test_objectives_of_a_batch_and_of_a_path_have_the_sense_of_their_programs():
     assert solve_batch([program, program]).objective == pytest.approx(5.0)
     assert solve_batch(program, [[-2.0, -4], [-1, 0]]).objective == pytest.approx([5.0, 0.25])
     assert trace(program, {"c": [1.0, 0]}, 0, 1).at(0.5).objective == pytest.approx(4.5625)
+
+
+def test_none_as_a_bound_of_a_batch_is_no_bound():
+    """As in LCP(M, q, lower=None); without the argument the bounds are 0 and ∞, or those of the problem."""
+    M, q = np.array([[2.0, 1.0], [1.0, 2.0]]), [[1.0, -5.0]]
+    free = np.linalg.solve(M, -np.array(q[0]))
+    for matrices in (M[np.newaxis], M, LCP(M, q[0])):
+        np.testing.assert_allclose(solve_batch(matrices, q, lower=None).z[0], free)
+        np.testing.assert_allclose(solve_batch(matrices, q).z[0], [0.0, 2.5])
+        np.testing.assert_allclose(solve_batch(matrices, q, upper=None).z[0], [0.0, 2.5])

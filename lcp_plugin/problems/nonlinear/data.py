@@ -23,7 +23,8 @@ Two clauses are added, because the linearization is not F, and because F(x) is n
   rows off their bounds: |t_j| is at most |s_j|/3. At a simple root it is far less, at a double root 0.25 |s_j|, at a
   triple root 0.3 |s_j|; if F tends to 0 as x diverges it is 1/e and more, with any offset of x_j. Steps below half of
   the digits of x_j, and steps that rounding errors of F make, do not count. Rounding errors made s_j if the Newton step
-  from x + 16 s, x + 256 s or x + 4096 s leads back by half of the way: there F is linear, and x is next to its root.
+  from 4096 times the larger of |s_j| and |t_j| leads back by half of the way: there F is linear, and x is next to its
+  root. :func:`moves_on` takes two further values of F at most.
   Without a jacobian, F′(x) is then computed by central differences with longer steps, which see weak slopes.
   Nor may x_j alone reduce Σ (F_i/d_i)² most by an outward step above x_j/64, nor may rounding hide that F depends
   on x_j. Three such points end a run from a start.
@@ -516,6 +517,7 @@ def _newton_step(M: AnyMatrix, w: Vector, at: IntVector) -> tuple[Factor | None,
 
 MOVES = 4.0 ** np.arange(-25, 1)  # shares of x, from some roundings to x itself
 SAMPLES = 5  # of the rounding error of each F_i
+FAR_STEPS = 4096.0  # at which Newton's step leads back if rounding errors made it
 
 
 class LinearizedRows(RowData):
@@ -529,7 +531,7 @@ class LinearizedRows(RowData):
     matrix = "F′"
 
     def __init__(self, point: Linearization) -> None:
-        self.problem = problem = point.problem
+        self.point, self.problem = point, (problem := point.problem)
         self.M, self.x, self.value, self.q = point.M, point.x, point.value, point.q
         self.lower, self.upper, self.scale = problem.lower, problem.upper, point.scale
         self.origin_point, self.origin = point.origin, point.origin.x
@@ -585,67 +587,8 @@ class LinearizedRows(RowData):
         is_lost = (at.is_active & (limit > 0.0) & (EPSILON * at.terms > limit)).any()
         passes = measured.passes and not is_lost
         if passes and (absolute == 0.0 or (measured.by_row.high > absolute).any()):
-            passes = not self.growing.any()
+            passes = not moves_on(self.point).any()
         return measured._replace(passes=passes)
-
-    @derived_property
-    def growing(self) -> BoolVector:
-        """Mask of the unknowns that move on, as the docstring of this module defines them."""
-        x, n = self.x, self.x.size
-        step, sizes = self.value / self.scale, np.abs(x)
-        free = (step < x - self.lower) & (
-            step > x - self.upper
-        )  # other unknowns are at a bound, or nearly
-        largest, at = self.largest(sizes), np.flatnonzero(free)
-        least = HALF_OF_DIGITS * np.maximum(sizes, HALF_OF_DIGITS * largest)
-        w, is_small = np.where(free, self.value, 0.0), n <= CHEAP_UP_TO
-        single = np.zeros(n) if is_small and not w.any() else self._single_steps(free)
-        moves = free & (single * np.sign(x) > 2.0**-6 * np.maximum(sizes, 2.0**-10 * largest))
-        moves |= self._is_flat(free)
-        if not w.any() or not (is_small or (np.abs(single) > least).any()):
-            return moves
-        factor, step = _newton_step(self.M, w, at)
-        if self.problem.jacobian is None and (factor is None or (np.abs(step) > least[at]).any()):
-            slopes = self.problem.central_differences(x, self.value)
-            factor, step = _newton_step(slopes, w, at)
-        if factor is None or (np.abs(step) <= least[at]).all():
-            return moves
-        signs, rounding = np.random.default_rng(0).choice([-1.0, 1.0], n), EPSILON * self.terms
-
-        lost = np.abs(factor.solve((signs * rounding)[at]))
-        moves_on = ~(np.abs(step) <= np.maximum(least[at], lost))
-        for reach in (1.0, 16.0, 256.0, 4096.0):  # further if noise is many steps
-            if not moves_on.any():
-                break
-            there = x.copy()
-            there[at] += np.where(moves_on, reach * step, 0.0)
-            there = np.clip(there, self.lower, self.upper)
-            way, back = (there - x)[at], factor.solve(self.problem.value(there)[at])
-            if reach == 1.0:
-                moves_on &= ~(np.abs(back) <= np.abs(step) / 3.0)
-            else:
-                moves_on &= ~((way * back >= 0.5 * way**2) & (way != 0.0))
-        moves[at] |= moves_on
-        return moves
-
-    def _is_flat(self, free: BoolVector) -> BoolVector:
-        """Return the free unknowns on which F depends at z°, and near x not beyond rounding."""
-        rounding = 8.0 * EPSILON * self.terms
-        level = np.divide(1.0, rounding, out=np.full(free.size, np.inf), where=rounding > 0.0)
-        level = np.where(free, np.minimum(level, LARGEST), 0.0)
-        columns = sp.csr_array(self.absolute.T) if sp.issparse(self.M) else self.absolute.T
-        share = largest_products(columns, level) * np.abs(self.x)
-        is_flat = free & (share <= 1.0) & (self.x != self.origin)
-        if not is_flat.any():
-            return is_flat
-        way = np.where(is_flat, self.x - self.origin, 0.0)
-        near, far = (
-            np.where(free, self.problem.value(self.x - part * way) - self.value, 0.0)
-            for part in (2.0**-10, 1.0)
-        )
-        if (np.abs(near) > rounding).any():  # differences of F miss the slope
-            return is_flat & (self.value @ near > 16.0 * (near @ near))
-        return is_flat & (np.abs(far) > rounding).any()
 
     @cached_property
     def terms(self) -> Vector:
@@ -653,7 +596,16 @@ class LinearizedRows(RowData):
         terms: Vector = self.absolute @ np.abs(self.x) + np.abs(self.q)
         return terms
 
-    def _single_steps(self, free: BoolVector) -> Vector:
+    def flat_unknowns(self, free: BoolVector) -> BoolVector:
+        """Return the free unknowns off z° on which the linearization depends by rounding errors at most."""
+        rounding = 8.0 * EPSILON * self.terms
+        level = np.divide(1.0, rounding, out=np.full(free.size, np.inf), where=rounding > 0.0)
+        level = np.where(free, np.minimum(level, LARGEST), 0.0)
+        columns = sp.csr_array(self.absolute.T) if sp.issparse(self.M) else self.absolute.T
+        share = largest_products(columns, level) * np.abs(self.x)
+        return free & (share <= 1.0) & (self.x != self.origin)
+
+    def single_steps(self, free: BoolVector) -> Vector:
         """Return the change of each x_j that minimizes Σ (F_i/d_i)² of the free rows if no other unknown changes."""
         weights = np.where(free, 1.0, 0.0) / self.scale
         products, squares = self.M.T @ (weights**2 * self.value), (self.absolute**2).T @ weights**2
@@ -700,6 +652,7 @@ class Linearization:
         self.problem, self.x = problem, read_only(x.copy())
         self.value = problem.evaluate(self.x)
         self._measured: Measured | None = None
+        self._moves: BoolVector | None = None
         self.size: float | None = None  # in the units of a run
 
     def at(self, x: Vector) -> Linearization:
@@ -803,7 +756,7 @@ class Linearization:
         if not self.is_small(settings) or self.measure(settings).passes:
             return False
         fails = self.measure(settings).by_row.fails(settings.goal)
-        return not fails.any() and bool(self.data.growing.any())
+        return not fails.any() and bool(moves_on(self).any())
 
     def is_limited(self, settings: Settings) -> bool:
         """Return whether x fails only because of rounding, estimated by further values of F."""
@@ -813,3 +766,63 @@ class Linearization:
     def residual(self) -> float:
         """The relative residual of x."""
         return float(self.data.residuals_at(self.x, self.rows, PRECISE).worst)
+
+
+def moves_on(point: Linearization) -> BoolVector:
+    """Return the unknowns of x that move on, as the docstring of this module defines them, shape (n,).
+
+    F is evaluated at two further points at most and, without a jacobian, for one F′(x) by central differences. The
+    point keeps the mask.
+    """
+    if point._moves is None:
+        point._moves = _moving_unknowns(point.data)
+    return point._moves
+
+
+def _moving_unknowns(rows: LinearizedRows) -> BoolVector:
+    problem, x, n = rows.problem, rows.x, rows.x.size
+    step, sizes = rows.value / rows.scale, np.abs(x)
+    free = (step < x - rows.lower) & (step > x - rows.upper)  # others are at a bound, or nearly
+    largest, at = rows.largest(sizes), np.flatnonzero(free)
+    least = HALF_OF_DIGITS * np.maximum(sizes, HALF_OF_DIGITS * largest)
+    w, is_small = np.where(free, rows.value, 0.0), n <= CHEAP_UP_TO
+    single = np.zeros(n) if is_small and not w.any() else rows.single_steps(free)
+    moves = free & (single * np.sign(x) > 2.0**-6 * np.maximum(sizes, 2.0**-10 * largest))
+    if (flat := rows.flat_unknowns(free)).any():
+        moves |= _depends_on(rows, flat, free)
+    if not w.any() or not (is_small or (np.abs(single) > least).any()):
+        return moves
+    factor, step = _newton_step(rows.M, w, at)
+    if problem.jacobian is None and (factor is None or (np.abs(step) > least[at]).any()):
+        factor, step = _newton_step(problem.central_differences(x, rows.value), w, at)
+    if factor is None or (np.abs(step) <= least[at]).all():
+        return moves
+    signs, rounding = np.random.default_rng(0).choice([-1.0, 1.0], n), EPSILON * rows.terms
+    lost = np.abs(factor.solve((signs * rounding)[at]))
+    is_open, reach = ~(np.abs(step) <= np.maximum(least[at], lost)), np.abs(step)
+    for is_second in () if flat.any() else (False, True):  # flat unknowns took both values
+        if not is_open.any():
+            break
+        there = x.copy()
+        there[at] += np.where(is_open, np.copysign(reach, step), 0.0)
+        there = np.clip(there, rows.lower, rows.upper)
+        way, back = (there - x)[at], factor.solve(problem.value(there)[at])
+        if is_second:  # rounding errors made the step if a far point leads back
+            is_open &= ~((way * back >= 0.5 * way**2) & (way != 0.0))
+        else:
+            is_open &= ~(np.abs(back) <= reach / 3.0)
+            reach = FAR_STEPS * np.maximum(reach, np.abs(back))
+    moves[at] |= is_open
+    return moves
+
+
+def _depends_on(rows: LinearizedRows, flat: BoolVector, free: BoolVector) -> BoolVector:
+    """Return the flat unknowns on which F depends at z°, and near x not beyond rounding, by two values of F."""
+    way, rounding = np.where(flat, rows.x - rows.origin, 0.0), 8.0 * EPSILON * rows.terms
+    near, far = (
+        np.where(free, rows.problem.value(rows.x - part * way) - rows.value, 0.0)
+        for part in (2.0**-10, 1.0)
+    )
+    if (np.abs(near) > rounding).any():  # differences of F miss the slope
+        return flat & (rows.value @ near > 16.0 * (near @ near))
+    return flat & (np.abs(far) > rounding).any()

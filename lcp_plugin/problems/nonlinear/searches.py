@@ -25,7 +25,7 @@ from ...core.kernels.floats import NEGLIGIBLE, NEGLIGIBLE_DIAGONAL
 from ...core.settings import Settings
 from ...core.tuning import CHEAP_UP_TO
 from ...methods.newton import fischer_burmeister
-from .data import SMALLEST_TOLERANCE, Linearization
+from .data import SMALLEST_TOLERANCE, Linearization, moves_on
 from .steps import Target, is_small, moved, row_scale, small_step, targets
 
 SEARCHES = {"monotone": 1, "nonmonotone": 4}  # points with whose worst merit a step is compared
@@ -123,7 +123,7 @@ class JosephyNewton(Algorithm):
                 return
             grown = grown + 1 if following.is_endless(self.settings) else 0
             if grown == 3:  # points that would pass if no unknown moved on
-                end = np.where(following.data.growing, np.abs(following.x), np.inf)
+                end = np.where(moves_on(following), np.abs(following.x), np.inf)
                 self.limit = np.minimum(self.limit, end)
                 return
 

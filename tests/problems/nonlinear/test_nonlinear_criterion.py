@@ -14,7 +14,7 @@ from inputs.constructed_points import CONSTRUCTED
 from nonlinear_families import KINDS, planted
 
 from lcp_plugin import LCP, NonlinearProblem, Status, certify, solve
-from lcp_plugin.problems.nonlinear.data import Linearization
+from lcp_plugin.problems.nonlinear.data import Linearization, moves_on
 
 
 def test_an_idle_row_is_no_reference_for_a_curved_one():
@@ -155,7 +155,7 @@ def test_a_manufactured_solution_is_not_taken_for_a_point_on_its_way(kind):
         )
         x = one.x / unit * (1 + 1e-15 * rng.integers(-1, 2, one.x.size))
         point = Linearization(problem, np.clip(x, problem.lower, problem.upper))
-        assert not point.data.growing.any()
+        assert not moves_on(point).any()
 
 
 TAILS: dict[str, Any] = {
@@ -247,3 +247,26 @@ def test_contradictory_rows_that_rounding_makes_zero_are_not_solved(size):
         lambda x: np.array([x[0] - (x[1] + 1.0), x[0] - (x[1] - 1.0)]), lower=[-np.inf, -np.inf]
     )
     assert solve(problem, x0=[size, size]).status is not Status.SOLVED
+
+
+@pytest.mark.parametrize("has_jacobian", [True, False])
+def test_moving_unknowns_take_two_further_values_of_f_at_most(has_jacobian):
+    """Beyond a Jacobian by central differences, at points that move on, right ones and flat ones."""
+    problems = [(F, np.array([1.0, 19.0])) for F in ENDLESS.values()]
+    problems += [(lambda x: np.exp(-x), np.array([800.0])), (lambda x: x - 1e-17, np.array([1e5]))]
+    problems += [(lambda x: 1.0 - np.exp(-x) - 1e-12, np.array([1e-12 * (1 + 1e-4)]))]
+    problems += [(lambda x: (x - 1) ** 2 + 1e-9, np.array([1.0 + 1e-4]))]
+    most = 0
+    for F, x in problems:
+        points: list[Any] = []
+        given = (lambda x, F=F: np.diag(F(x + 1e-3) - F(x)) / 1e-3) if has_jacobian else None
+        counted = lambda x, F=F, points=points: (points.append(x), F(x))[1]  # noqa: E731
+        point = Linearization(NonlinearProblem(counted, given, lower=np.zeros(x.size)), x)
+        _ = point.data.references, point.q
+        before = len(points)
+        moves_on(point)
+        limit = 2 if has_jacobian else 2 + 2 * x.size
+        assert len(points) - before <= limit
+        most = max(most, len(points) - before)
+        assert moves_on(point) is moves_on(point)
+    assert most >= 2

@@ -13,6 +13,7 @@ import typer
 from PIL import Image
 
 from lcp_plugin import LCP, gallery, march, solve
+from lcp_plugin.evidence.drawing import contact_level
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from stack_of_blocks import BLOCKS, GRAVITY, INERTIA, contact_problem, draw, tower
@@ -48,7 +49,11 @@ def exercise_boundary(axes: plt.Axes) -> None:
     q[:, 0] = below * payoff[0]
     path = march(LCP(M, q[0], lower=lower), q, propagator=-1.0, z0=lower)
     steps = [step.require_solved() for step in path]
-    boundary = [100.0, *(spot[(step.z == lower) & (lower > 0)].max() for step in steps)]
+    boundary = [100.0]
+    for step in steps:  # between two nodes, where the level is 0
+        level = contact_level(step.certificate)
+        i = int(np.flatnonzero((step.z == lower) & (lower > 0)).max())
+        boundary.append(np.interp(0.0, level[i : i + 2], spot[i : i + 2]))
     years = np.linspace(1, 0, count + 1)
     axes.plot(years, boundary, color="#D55E00", linewidth=1.8)
     axes.fill_between(

@@ -10,16 +10,18 @@ import math
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ..core.checks import Array, Vector
-from ..core.entries import largest_in_rows
+from ..core.entries import largest_in_rows, row_numbers
 from ..core.errors import InvalidOption, LCPError, UnsuitableProblem
 from ..core.files import write_whole
-from ..core.names import format_count
+from ..core.matrix import Matrix
+from ..core.names import Names, format_count
 from ..gallery.scene import Scene
 from ..judges.certificate import Certificate
 from ..problems.cones.frictional_contact import FrictionalContact
@@ -144,7 +146,7 @@ class Frame(NamedTuple):
     axis_labels: tuple[str, ...] = ()
     unknown: str = "x"
     coordinates: Sequence[Any] | None = None
-    active_means: str = "at a bound"
+    active_means: str = "unknowns at a bound"
     description: str = ""
 
 
@@ -161,8 +163,8 @@ def plot_answer(answer: BaseResult, *, axes: Any = None, shape: Sequence[int] | 
     axes : Axes, optional
         To draw the first panel into; by default the axes of a new figure of pyplot.
     shape : sequence of int, optional
-        Shape of the grid of the unknowns, as in ``z.reshape(shape)``. With more than two axes the middle slice is
-        drawn.
+        Shape of the grid of the unknowns, as in ``z.reshape(shape)``; by default the grid whose neighbors M couples, if
+        there is one. With more than two axes the middle slice is drawn.
 
     Raises
     ------
@@ -205,6 +207,7 @@ def draw(answer: BaseResult, path: Path, test_problem: Scene | None = None) -> N
 def _frame(answer: Any, shape: Any) -> Frame:
     """Return the letter of the unknowns, and the grid of that shape; raise InvalidOption if it does not fit."""
     unknown, n = "z" if isinstance(answer, Result) else "x", len(answer.x)
+    shape = _grid_of(answer) if shape is None else shape
     if shape is None:
         return Frame(unknown=unknown)
     try:
@@ -215,6 +218,23 @@ def _frame(answer: Any, shape: Any) -> Frame:
         ) from error
     more = (f"axis {k}" for k in range(len(sizes) - len(LABELS)))
     return Frame(sizes, (*more, *LABELS[-len(sizes) :]), unknown)
+
+
+def _grid_of(answer: Any) -> tuple[int, ...] | None:
+    """Return the shape of the grid if M couples neighbors of a grid in the plane or in space only; else None."""
+    M = getattr(getattr(getattr(answer, "certificate", None), "problem", None), "matrix", None)
+    if not isinstance(M, Matrix):
+        return None
+    rows, columns = row_numbers(M.csr), M.csr.indices
+    steps = np.unique(np.abs(columns - rows))[1:].tolist()
+    if len(steps) not in (2, 3) or steps[0] != 1 or steps[1] == 2:
+        return None
+    ends = [*steps, len(answer.x)]
+    is_even = all(b % a == 0 for a, b in pairwise(ends))
+    is_cut = all(
+        (rows // b == columns // b)[np.abs(columns - rows) == a].all() for a, b in pairwise(ends)
+    )
+    return tuple(b // a for a, b in pairwise(ends))[::-1] if is_even and is_cut else None
 
 
 def _plotted(answer: BaseResult, frame: Frame | Scene, axes: Any, new: Callable[..., Any]) -> Any:
@@ -246,6 +266,8 @@ def _bounds(answer: object) -> tuple[Vector, Vector]:
 
 
 def _draw_unknowns(axes: Any, answer: Any, frame: Frame | Scene) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     x, (lower, upper) = np.asarray(answer.x), _bounds(answer)
     active = (x <= lower) | (x >= upper)
     grid = frame.grid
@@ -260,6 +282,11 @@ def _draw_unknowns(axes: Any, answer: Any, frame: Frame | Scene) -> None:
     if active.any():
         axes.set_title(f"orange: {frame.active_means}", color=ACTIVE, fontsize=8.5)
     axes.set(xlabel="index", ylabel=frame.unknown)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    names = [*getattr(answer, "named", ())]
+    if 0 < len(names) <= 20 and not names[0].endswith("[0]"):
+        axes.set_xticks(range(len(names)), names, rotation=45, ha="right")
+        axes.set_xlabel("")
 
 
 def contact_level(answer: Certificate) -> Vector:
@@ -395,8 +422,9 @@ def plot_path(path: ParametricPath, *, axes: Any = None) -> Any:
             _, axes = plt.subplots(figsize=(7.2, 4.0), layout="constrained")
     for value in path.breakpoints if len(path) <= 60 else ():  # that are drawn as lines
         axes.axvline(value, color="#dddddd", linewidth=0.7, zorder=0)
-    for j in chosen:
-        axes.plot(theta, x[:, j], linewidth=1.4, label=f"x[{j}]")
+    names = getattr(path.at(float(theta[0])).problem, "names", Names())
+    for j in chosen.tolist():
+        axes.plot(theta, x[:, j], linewidth=1.4, label=names.unknown(j, "x[{}]"))
     if chosen.size <= 10:  # unknowns that a legend names
         axes.legend(fontsize=7.5, loc="best")
     n, count = x.shape[1], chosen.size

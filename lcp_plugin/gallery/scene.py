@@ -72,7 +72,7 @@ class Scene:
     coordinates: tuple[Vector, ...] | None = None
     axis_labels: tuple[str, ...] = ()
     unknown: str = "z"
-    active_means: str = "at a bound"
+    active_means: str = "unknowns at a bound"
 
     def __post_init__(self) -> None:
         for fact in ("exact", "continuum", "start"):

@@ -21,6 +21,7 @@ from lcp_plugin import (
     UnsuitableProblem,
     gallery,
     solve,
+    trace,
 )
 from lcp_plugin.evidence.drawing import plot_answer
 
@@ -93,6 +94,24 @@ def test_a_grid_shows_a_map():
     ):
         with pytest.raises(InvalidOption, match=words):
             result.plot(shape=shape)
+
+
+def test_a_grid_is_found_and_indices_and_names_are_labels():
+    """A matrix that couples neighbors of a grid makes a map; a dense one does not; ticks are whole numbers or names."""
+    result = solve(gallery.obstacle_2d(size=12).problem)
+    assert result.plot().get_xlabel() == "column"
+    np.testing.assert_array_equal(
+        result.plot().collections[0].get_array().reshape(12, 12), result.z.reshape(12, 12)
+    )
+    string = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(9, 9))
+    for M in (string, np.ones((9, 9)) + np.eye(9)):
+        assert solve(LCP(M, -np.ones(9))).plot().get_xlabel() == "index"
+    axes = solve(LCP(np.eye(3), [-1.0, 0.5, -1.0])).plot()
+    assert all(float(tick).is_integer() for tick in axes.get_xticks())
+    named = solve(LCP([[2.0, 1.0], [1.0, 2.0]], [-5.0, 1.0], names=["coal", "steel"]))
+    assert [label.get_text() for label in named.plot().get_xticklabels()] == ["coal", "steel"]
+    path = trace(named.certificate.problem, {"q": [1.0, -1.0]}, 0.0, 4.0).plot()
+    assert [text.get_text() for text in path.get_legend().get_texts()] == ["coal", "steel"]
 
 
 def test_what_cannot_be_drawn_is_refused_in_words():

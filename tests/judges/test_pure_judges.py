@@ -183,6 +183,16 @@ def test_a_program_is_infeasible_also_next_to_large_ones_in_a_batch():
     assert solve_batch([bad, big] * 20).status[0] is Status.INFEASIBLE
 
 
+@pytest.mark.parametrize("lower", [-np.inf, 0.0])
+def test_columns_that_are_dependent_up_to_decimals_are_solved(lower):
+    """The fourth column is a sum of the others, rounded to 12 decimals: |x| is 1e11, which the data explain."""
+    for seed in range(60300, 60310):
+        rng = np.random.default_rng(seed)
+        A, b = np.round(rng.normal(size=(20, 3)), 1), np.round(rng.normal(size=20), 1)
+        B = np.column_stack([A, np.round(A @ rng.normal(size=3), 12)])
+        assert solve(BoundedLeastSquares(B, b, lower=lower)).is_solved
+
+
 def test_a_start_far_away_changes_no_status():
     """At a z that ran away along a null direction every residual is rounding; the problem stays INFEASIBLE."""
     problem = LCP([[1.0, -2], [-2, 4]], [7.0, -16])

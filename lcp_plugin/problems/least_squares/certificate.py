@@ -17,9 +17,10 @@ column without bounds requires |s_j| ≤ l1_j then, which y = θ r has for some 
 ‖x‖² + Σ l1 |x|, without rows of A that have no entries, and rounding of the data is tolerated**: in row i, r_i − y_i up
 to ρ_i = γ min((|A||x| + |b|)_i, S_i), and in column j, s_j up to τ_j = γ (|A|ᵀW|y| + ridge |x|)_j, γ = 4 u (terms + 4).
 S_i is 2²⁰ times the largest term at the point of the box nearest to 0, in the unit of row i, so that an x that ran away
-does not make every residual rounding. So x is optimal to the tolerance for entries of A and b that differ from the data
-by at most this relative rounding, as for solutions of lstsq and nnls. A residual at rounding level in each row (y = 0)
-is a cost of 0.
+does not make every residual rounding; of a small A, 4 times the terms at the shortest solution without bounds if that
+is more, as for nearly dependent columns. So x is optimal to the tolerance for entries of A and b that differ from the
+data by at most this relative rounding, as for solutions of lstsq and nnls. A residual at rounding level in each row (y
+= 0) is a cost of 0.
 **A point that costs more than a known point is not SOLVED.** The known points are the point of the box nearest to 0,
 rounding of its residual included, and the projected solution of lstsq, if A is small and rounding exceeds tolerance.
 All comparisons are made in the unit of a row, of a column, or of the cost: units of rows (with weights ÷ their squares)

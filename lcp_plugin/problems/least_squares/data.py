@@ -418,9 +418,12 @@ class Enclosures:
     @cached_property
     def unbounded_solution(self) -> Vector:
         """Shortest solution without bounds and l1, projected onto the bounds."""
+        return clip(self._shortest, self.problem.lower, self.problem.upper)
+
+    @cached_property
+    def _shortest(self) -> Vector:
         scaled = self.problem.scaled
-        x = shortest_solution(*scaled.rows(is_dense=True))
-        return scaled.to_caller(clip(x, scaled.lower, scaled.upper))
+        return scaled.to_caller(shortest_solution(*scaled.rows(is_dense=True)))
 
     def residual(self, x: Vector) -> Ball:
         """Return A x − b."""
@@ -440,10 +443,12 @@ class Enclosures:
 
     def explained(self, x: Vector, residual: Ball) -> Ball:
         """Return A x − b with its rounding errors as far as the data explain them; sharply if x ran away."""
-        value, radius = residual
-        if x.ndim == 1 and (radius > self.most_rounding).any():
+        (value, radius), most = residual, self.most_rounding
+        if x.ndim == 1 and (radius > most).any():
             value = compensated_product(sp.csr_array(self.problem.A), x, -self.problem.b)[0]
-        return value, np.minimum(radius, self.most_rounding)
+            if self.problem.is_small:  # nearly dependent columns have such solutions
+                most = np.maximum(most, 4.0 * self.residual(self._shortest)[1])
+        return value, np.minimum(radius, most)
 
     def gradient(self, x: Vector, residual: Ball) -> Ball:
         """Return AᵀW(A x − b) + ridge x."""

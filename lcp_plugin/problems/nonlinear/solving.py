@@ -333,32 +333,26 @@ def jacobian_warning(point: Linearization) -> str:
     point : Linearization
         The start. F is evaluated at two points along one random direction that leads into the bounds.
     """
-    x, M, problem = point.x, point.M, point.problem
+    x, M, problem, value = point.x, point.M, point.problem, point.value
     shares, signs = _drawn(x.size)
-    size = np.maximum(np.abs(x), 1.0) * shares
-    direction = size * signs
-    direction = np.where(x - problem.lower < CHECKED[1] * size, size, direction)
-    direction = np.where(problem.upper - x < CHECKED[1] * size, -size, direction)
-    slope, terms = M @ direction, abs(M) @ size
-    there = [read_only(x + step * direction) for step in CHECKED]
-    quotients = [
-        (problem.evaluate(near) - point.value) / step
-        for near, step in zip(there, CHECKED, strict=True)
-    ]
-    value = point.value
     is_single = np.array_equal(value, value.astype(np.float32))  # the digits of F
     rounding = np.abs(value) * (2.0**-23 if is_single else 2.0**-52)
-    wrong = np.minimum(
-        *(
-            np.abs(quotient - slope) / (terms + np.abs(quotient) + rounding / step)
-            for quotient, step in zip(quotients, CHECKED, strict=True)
-        )
-    )
+    found, errors = [], []
+    # The unit of x_j is 1, then |x_j|
+    for step, unit in zip(CHECKED, (np.maximum(np.abs(x), 1.0), np.abs(x)), strict=True):
+        size = np.where(unit > 0.0, unit, 1.0) * shares
+        direction = np.where(x - problem.lower < CHECKED[1] * size, size, size * signs)
+        direction = np.where(problem.upper - x < CHECKED[1] * size, -size, direction)
+        slope, terms = M @ direction, abs(M) @ size
+        quotient = (problem.evaluate(read_only(x + step * direction)) - value) / step
+        found.append((slope, quotient))
+        errors.append(np.abs(quotient - slope) / (terms + np.abs(quotient) + rounding / step))
+    wrong, (slope, quotient) = np.minimum(*errors), found[0]
     wrong = np.where(np.isfinite(wrong), wrong, 0.0)
     if not wrong.max(initial=0.0) > 0.1:
         return ""
     i = int(np.argmax(wrong))
     return (
         f"jacobian disagrees with F at the start: along one direction {problem.names.row(i)} of jacobian(x0) gives "
-        f"{slope[i]:.6g}, and differences of F give {quotients[0][i]:.6g}; correct it, or leave it out"
+        f"{slope[i]:.6g}, and differences of F give {quotient[i]:.6g}; correct it, or leave it out"
     )

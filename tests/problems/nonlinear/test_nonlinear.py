@@ -662,3 +662,14 @@ def test_a_watched_run_takes_the_same_steps() -> None:
         assert (quiet.status, quiet.z.tobytes()) == (watched.status, watched.z.tobytes())
         for name in ("iterations", "work", "evaluations", "stages", "begun", "advice", "residual"):
             assert getattr(quiet, name) == getattr(watched, name), name
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e-6, 1.0])
+def test_a_right_jacobian_is_trusted_where_unknowns_are_small(unit):
+    """(x/D)³ + x/D = 2 has the root D: the steps that check the jacobian there have the size of x."""
+    problem = NonlinearProblem(
+        lambda x: (x / unit) ** 3 + x / unit - 2,
+        lambda x: np.diag(3 * (x / unit) ** 2 + 1) / unit,
+        lower=np.zeros(1),
+    )
+    np.testing.assert_allclose(solve(problem).require_solved().z, unit)

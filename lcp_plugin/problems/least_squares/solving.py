@@ -49,7 +49,7 @@ def solve_least_squares(
     problem : BoundedLeastSquares
     x0 : array, shape (n,), or a number for n = 1, optional
         Start, projected onto the bounds; by default the point of [lower, upper] nearest to 0. Only projected steps use
-        it, but x0 is the result if it is optimal, and no point that costs more is SOLVED.
+        it, but x0 is the result if it is optimal.
     tolerance : float
         SOLVED means that cost exceeds the minimum by at most tolerance · cost, apart from rounding of the data: see
         `optimality` of :class:`LeastSquaresResult`.

@@ -377,7 +377,7 @@ class PrimalDualPoint:
         gain = self._sums(r, np.where(r == 0.0, 0.0, reach))
         return gain + self._largest(np.where(is_far, r * way, 0.0))
 
-    def _curved_gain(self, way: Vector) -> Any:
+    def _curved_gain(self, way: Vector) -> Vector | float:
         """Return the gain with ½ rᵀP⁻¹r for unknowns off their bounds whose r is at rounding level.
 
         They are at the minimum over their values as far as doubles show. Other unknowns move after their step.
@@ -447,7 +447,7 @@ def with_zeros(program: JudgedProgram, x: Vector) -> Vector:
     return np.where(is_noise, 0.0, x) if is_noise.any() else x
 
 
-def curved_step(P: AnyMatrix, r: Vector) -> Any:
+def curved_step(P: AnyMatrix, r: Vector) -> Vector | None:
     """Return (P − δ)⁻¹ r, where δ = n (n + 3) ε diag P covers the rounding of a factor; None if P − δ has no factor."""
     shift = r.size * (r.size + 3.0) * 2.0 * UNIT * P.diagonal()
     if not sp.issparse(P):

@@ -67,8 +67,6 @@ ATTEMPTS: tuple[tuple[str, float | None, int | None, Scaling], ...] = (
 ORDER_WITH_FILL = "highs", "clarabel", "daqp", "piqp"
 # steps of an external solver: a polish, of two factorizations, takes a tenth of its time
 POLISH_FROM = 20
-# times the gap of plain sums: a point that passes is polished above it. daqp ends at 1 to 3.5 times
-NEARLY_SHARP = 4.0
 TOLERANCES = MappingProxyType(
     {
         "piqp": ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
@@ -198,7 +196,7 @@ def run_engine(
             is_good = bool(measures.meet(tolerance))
             if (is_good, -measures.largest) > (passes, -errors.largest):
                 best, errors, passes = (x, y), measures, is_good
-            enough = sharp / 64.0 if is_polished else NEARLY_SHARP * sharp
+            enough = sharp / 64.0 if is_polished else 4.0 * sharp  # daqp ends at 1 to 3.5 times
             is_best = not is_cheap or (is_polished and not is_small) or errors.gap <= enough
             if is_over() or (passes and is_best):
                 break

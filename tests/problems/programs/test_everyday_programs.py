@@ -97,6 +97,20 @@ def test_curvature_covers_no_unknown_at_a_bound_and_no_cost_without_curvature():
     np.testing.assert_allclose(point.x, [1, 0, 1])
 
 
+def test_a_cost_next_to_a_flat_curvature_is_solved():
+    """Where c_j = 0 and r_j is a rounding error, terms of P x that cancel price a move: 26 of 60 were refused."""
+    for k in range(0, 60, 4):
+        rng = np.random.default_rng((5, k))
+        n = int(rng.integers(2, 30))
+        rank = int(rng.integers(1, n))
+        B, c = rng.normal(size=(rank, n)), np.zeros(n)
+        A = rng.normal(size=(int(rng.integers(0, n - rank + 1)), n))
+        c[0], lower, upper = rng.normal(), np.where(rng.random(n) < 0.4, -1.0, -np.inf), np.ones(n)
+        lower[0], upper[1:] = -1.0, np.inf
+        b = rng.normal(size=len(A))
+        assert solve(QuadraticProgram(B.T @ B, c, A=A, b=b, lower=lower, upper=upper)).is_solved
+
+
 # --- An optimum of 0 --------------------------------------------------------------------------------------------------
 
 

@@ -65,8 +65,6 @@ ATTEMPTS: tuple[tuple[str, float | None, int | None, Scaling], ...] = (
 # With much fill, a step of PIQP takes up to 10 s, and nothing interrupts it. HiGHS pivots; Clarabel's factorization is
 # up to 20 times as fast then.
 ORDER_WITH_FILL = "highs", "clarabel", "daqp", "piqp"
-# steps of an external solver: a polish, of two factorizations, takes a tenth of its time
-POLISH_FROM = 20
 TOLERANCES = MappingProxyType(
     {
         "piqp": ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
@@ -188,7 +186,7 @@ def run_engine(
         iterations, reported = iterations + point.iterations, point.reported
         rounds = 0 if reported in NO_MINIMUM else ROUNDS
         is_small, sharp = reduced.matrices.is_small, SHARP * sum(reduced.matrices.stacked[1].shape)
-        is_cheap = is_small or point.iterations >= POLISH_FROM
+        is_cheap = is_small or point.iterations >= 20  # two factorizations take a tenth of its time
         for near, is_polished in candidates(scaled.statement, point, rounds):
             back = scaled.outward(near)
             x, y = clip(back.x, reduced.lower, reduced.upper), back.y
@@ -231,7 +229,9 @@ def candidates(
     of the bounds nearest to 0, because an optimum of 0 has no largest unknown next to which noise is small.
     """
     origin = point._replace(x=np.clip(0.0, statement.lower, statement.upper))
-    for near in chain([point, origin], polish_steps(statement, point, rounds)):
+    has_origin = not statement.b.any() and (statement.h >= 0.0).all()
+    begin = [point, origin] if has_origin else [point]
+    for near in chain(begin, polish_steps(statement, point, rounds)):
         clean = near._replace(x=_without_noise(near.x), y=_without_noise(near.y))
         is_polished = near is not point and near is not origin
         if not (np.array_equal(clean.x, near.x) and np.array_equal(clean.y, near.y)):

@@ -141,7 +141,7 @@ def first_point(
     m, tolerance = reduced.h.size, settings.tolerance
     end = DAQP.end_of(m, *layout, c.copy(), *ends_of_rows(judged.d, m, lower, upper), options)
     x, y = clip(end.x, lower, upper), end.y
-    errors = KKTErrors.of(judged, x, y, tolerance)
+    errors, x = KKTErrors.with_point(judged, x, y, tolerance)
     is_sharp = errors.meet(tolerance) and errors.gap <= SHARP * (x.size + y.size)
     if not is_sharp or is_in_doubt(program, errors, x):
         return end, None

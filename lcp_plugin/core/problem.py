@@ -10,12 +10,24 @@ class Problem:
 
     Attributes
     ----------
-    matrix_names, vector_names : tuple of str
+    matrix_names, vector_names, other_names : tuple of str
         Names of arguments and attributes; the bounds are the last two vectors.
+    start_name : str
+        Name of a start in `solve`.
     """
 
     matrix_names: ClassVar[tuple[str, ...]] = ("M",)
     vector_names: ClassVar[tuple[str, ...]] = ("q", "lower", "upper")
+    other_names: ClassVar[tuple[str, ...]] = ("names",)
+    start_name: ClassVar[str] = "z0"
+
+    def with_data(self, **data: Any) -> Any:
+        """Return the problem with other data by name, the present ones for None; as `with_vectors` without matrices."""
+        given = {name: value for name, value in data.items() if value is not None}
+        if given.keys().isdisjoint(self.matrix_names):
+            return self.with_vectors(**given)
+        names = *self.matrix_names, *self.vector_names, *self.other_names
+        return type(self)(**({name: getattr(self, name) for name in names} | given))
 
     def with_vectors(self, **vectors: Any) -> Any:
         """Return the problem with other vectors by name, the present ones by default; it shares all facts about M."""

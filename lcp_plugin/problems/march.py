@@ -390,7 +390,7 @@ class StepData:
         M = self.matrices(step) if is_called else self.matrices[step]
         if is_called or M is not self._last[0]:  # a function may use one array again
             matrix = checks.rectangular_matrix(M, f"M_at of step {step}", problem.n, problem.n)
-            self._last = M, LCP(matrix, problem.q, lower=problem.lower, upper=problem.upper)
+            self._last = M, problem.with_data(M=matrix)
         stated: LCP = self._last[1]
         return stated
 

@@ -34,7 +34,6 @@ from ..methods.lemke import Lemke
 from ..methods.small import LOOP_UP_TO, arrays_of_one, follow_one, has_numba, is_small, tilts
 from ..solving.dispatch import parse_call, solver_with
 from ..solving.result import NOTHING_TO_DO, Result, StageRecord
-from .cones.frictional_contact import FrictionalContact
 from .programs.program import QuadraticProgram, refuse_nonconvex
 from .programs.result import QuadraticProgramResult
 from .programs.solution import QPSolution
@@ -52,13 +51,11 @@ class PreparedProblem(Generic[P]):
     last : result of the latest call, or None
     """
 
-    data = ""  # names of the data that a call may pass
-    start = "x0"
-
     def __init__(self, problem: P, algorithm: Any, options: dict[str, Any]) -> None:
         self.problem = problem
         self.last: Any = None
-        self._known = [self.start, *self.data.split()]
+        stated: Any = problem
+        self._known = [stated.start_name, *stated.vector_names, *stated.matrix_names]
         self._solve_fully = solver_with(problem, algorithm, dict(options), "prepare")
 
     @public
@@ -81,28 +78,24 @@ class PreparedProblem(Generic[P]):
             name, known = min(unknown), self._known
             hint = "; the linear term is called c" if name == "q" and "c" in known else ""
             raise InvalidOption(f"step.solve takes no {name}{hint or did_you_mean(name, known)}")
-        start = data.pop(self.start, None)
+        problem: Any = self.problem
+        start = data.pop(problem.start_name, None)
         if start is None and warm and not getattr(self.last, "has_no_solution", True):
             start = self.last.x
         result = self._solve_quickly(start, **data)
         if result is None:
-            how = {} if start is None else {self.start: start}
-            result = self._solve_fully(self._changed(**data) if data else self.problem, **how)
+            how = {} if start is None else {problem.start_name: start}
+            changed = problem.with_data(**data) if data else problem
+            result = self._solve_fully(changed, **how)
         self.last = result
         return result
 
-    def _changed(self, *data: Any, **named: Any) -> Any:
-        """Return the problem with other data."""
-        return self.problem.with_vectors(*data, **named)  # type: ignore[attr-defined]
-
-    def _solve_quickly(self, start: Any, *data: Any, **named: Any) -> Any:
+    def _solve_quickly(self, start: Any, **data: Any) -> Any:
         """Return the result of the short way, or None."""
 
 
 class PreparedLCP(PreparedProblem[LCP]):
     """Solver of LCPs that differ from the prepared problem in q, M or bounds."""
-
-    data, start = "q M lower upper", "z0"
 
     def __init__(self, problem: LCP, algorithm: Any, options: dict[str, Any]) -> None:
         super().__init__(problem, algorithm, options)
@@ -116,13 +109,7 @@ class PreparedLCP(PreparedProblem[LCP]):
         if is_short and is_small(problem) and problem.n <= LOOP_UP_TO:
             self._arrays = arrays_of_one(problem)
 
-    def _changed(self, q: Any = None, M: Any = None, lower: Any = None, upper: Any = None) -> LCP:
-        base = self.problem.with_q(self.problem.q if q is None else q, lower=lower, upper=upper)
-        if M is None:
-            return base
-        return LCP(M, base.q, lower=base.lower, upper=base.upper, names=base.names)
-
-    def _solve_quickly(self, start: Any, *_: Any, **data: Any) -> Any:
+    def _solve_quickly(self, start: Any, **data: Any) -> Any:
         """Return the start or the end of Lemke's path if the quick test accepts it; NaN and infinities do not pass."""
         if self._arrays is None:
             return None
@@ -131,7 +118,7 @@ class PreparedLCP(PreparedProblem[LCP]):
         if q is not None:
             b = copied(q, "q", n)[np.newaxis]
         if M is not None:
-            M = M if is_plain(M, n, n) else self._changed(q, M).matrix.toarray()
+            M = M if is_plain(M, n, n) else self.problem.with_data(q=q, M=M).matrix.toarray()
             A = copied(M, "M", n, n)[np.newaxis]
         if lower is not None or upper is not None:
             bounds = low[0] if lower is None else lower, high[0] if upper is None else upper
@@ -144,15 +131,16 @@ class PreparedLCP(PreparedProblem[LCP]):
         follow_one(A, b, low, high, nearest, tilts(n), self._settings.tolerance, z, bound)
         if not bound[0] < math.inf:
             return None
-        z, known = read_only(z[0]), tuple[Any, ...]()
+        z, known = read_only(z[0]), dict[str, Any]()
         if any(each is not None for each in (q, M, lower, upper)):
-            known = b[0], None if M is None else A[0], low[0], high[0]
+            known = {"q": b[0], "lower": low[0], "upper": high[0]}
+            known |= {} if M is None else {"M": A[0]}
         make = partial(self._record, known, near, z, perf_counter() - began)
         return Result.of_known(make, z=z, status=Status.SOLVED, _asked=self._method)
 
     def _record(self, data: Any, near: Vector, z: Vector, seconds: float) -> Result:
         """Return the result of the short way with all fields."""
-        problem = self._changed(*data) if data else self.problem
+        problem = self.problem.with_data(**data) if data else self.problem
         is_start = (z == near).all()
         work, because = (0.0, NOTHING_TO_DO) if is_start else (float(problem.n), "prepared")
         stage, point = StageRecord("lemke", because, int(work > 0.0), work), Measured(z, 0.0, True)
@@ -179,8 +167,6 @@ def copied(values: Any, name: str, *shape: int) -> Vector:
 class PreparedProgram(PreparedProblem[QuadraticProgram]):
     """Solver of programs that differ from the prepared problem in vectors or matrices."""
 
-    data, start = "c h b lower upper P G A", "z0"
-
     def __init__(self, problem: QuadraticProgram, algorithm: Any, options: dict[str, Any]) -> None:
         super().__init__(problem, algorithm, options)
         refuse_nonconvex(problem)
@@ -199,17 +185,7 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
             vectors = {name: getattr(problem, name) for name in problem.vector_names}
             self._arrays = base.of_daqp, vectors
 
-    def _changed(self, P: Any = None, G: Any = None, A: Any = None, **vectors: Any) -> Any:
-        problem, given = self.problem, {"P": P, "G": G, "A": A}
-        matrices = {name: value for name, value in given.items() if value is not None}
-        if not matrices:
-            return problem.with_vectors(**vectors)
-        names = *problem.matrix_names, *problem.vector_names, "constant", "names"
-        data = {name: getattr(problem, name) for name in names} | matrices
-        known = {name: value for name, value in vectors.items() if value is not None}
-        return QuadraticProgram(**(data | known))
-
-    def _solve_quickly(self, start: Any, *_: Any, **data: Any) -> Any:
+    def _solve_quickly(self, start: Any, **data: Any) -> Any:
         """Return daqp's point if plain sums accept it, and nothing hints at a program without a minimum."""
         if self._arrays is None or not data.keys().isdisjoint(self.problem.matrix_names):
             return None
@@ -243,23 +219,9 @@ class PreparedProgram(PreparedProblem[QuadraticProgram]):
         return QuadraticProgramResult.of_known(None, algorithm="auto: daqp", stages=stages, **run)
 
 
-class PreparedContact(PreparedProblem[FrictionalContact]):
-    """Solver of contact problems that differ from the prepared problem in b or W."""
-
-    data, start = "b W", "z0"
-
-
-class PreparedLeastSquares(PreparedProblem[Any]):
-    """Solver of least squares problems that differ from the prepared problem in vectors."""
-
-    data = "b lower upper"
-
-
 PREPARED: dict[str | None, type[PreparedProblem[Any]]] = {
     "LCP": PreparedLCP,
     "QuadraticProgram": PreparedProgram,
-    "FrictionalContact": PreparedContact,
-    "BoundedLeastSquares": PreparedLeastSquares,
 }
 
 
@@ -281,10 +243,11 @@ def prepare(problem: Any, algorithm: Any = "auto", **options: Any) -> PreparedPr
     Returns
     -------
     PreparedProblem
-        Of an LCP with ``solve(q=, M=, lower=, upper=, z0=)``; of a program with ``solve(c=, h=, b=, lower=, upper=,
-        P=, G=, A=, z0=)``; of a contact problem with ``solve(b=, W=, z0=)``; of least squares with ``solve(b=,
-        lower=, upper=, x0=)``; of a nonlinear problem, of which F may read data that you change, with
-        ``solve(x0=)``. With ``warm=True``, a solve starts from the last result.
+        Of an LCP with ``solve(q=, lower=, upper=, M=, z0=)``; of a program with ``solve(c=, h=, b=, lower=, upper=,
+        P=, G=, A=, z0=)``; of a contact problem with ``solve(b=, W=, z0=)``; of least squares with ``solve(b=, l1=,
+        lower=, upper=, A=, weights=, ridge=, x0=)``; of a nonlinear problem, of which F may read data that you
+        change, with ``solve(q=, lower=, upper=, x0=)``, q added to F. With ``warm=True``, a solve starts from the
+        last result.
 
     Raises
     ------

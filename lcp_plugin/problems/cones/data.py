@@ -35,6 +35,7 @@ from ...core.errors import InvalidProblem, did_you_mean
 from ...core.files import MATRIX_KEYS, save_arrays
 from ...core.lcp import LCP
 from ...core.names import format_count
+from ...core.problem import Problem
 from .factors import stack_of
 
 CONES = ("free", "nonnegative", "box", "second_order")
@@ -45,7 +46,7 @@ NEED_CONES = (
 Starts = NDArray[np.int64]
 
 
-class Blocks:
+class Blocks(Problem):
     """Common data of both problems: M, q, and the blocks of rows.
 
     Attributes

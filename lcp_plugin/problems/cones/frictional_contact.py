@@ -236,6 +236,7 @@ class FrictionalContact(Blocks):
 
     """
 
+    matrix_names, vector_names = ("W",), ("b",)
     offset = "b"
     bodies: Bodies | None = None
     worlds = FrictionalContactBatch
@@ -292,7 +293,9 @@ class FrictionalContact(Blocks):
         super().__init__(rows, starts, np.append(mu, np.zeros(p)), has_friction=True)
         self.dimension = d
 
-    def with_vectors(self, b: ArrayLike | None = None, W: AnyMatrix = None) -> FrictionalContact:
+    def with_data(  # type: ignore[override]
+        self, b: ArrayLike | None = None, W: AnyMatrix = None
+    ) -> FrictionalContact:
         """Return the problem with another b, in any form that the constructor takes, or another array W; gaps stay."""
         other = copy(self)
         if b is not None:

@@ -66,6 +66,7 @@ class BoundedLeastSquares(Problem):
     """
 
     matrix_names, vector_names = ("A", "weights", "ridge"), ("b", "l1", "lower", "upper")
+    other_names, start_name = (), "x0"
 
     def __init__(
         self,

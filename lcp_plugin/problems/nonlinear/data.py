@@ -218,7 +218,7 @@ class NonlinearProblem(Problem):
     counts: Any = None
     from_jax, from_casadi = Door(is_static=True), Door(is_static=True)
 
-    matrix_names = ()
+    matrix_names, start_name = (), "x0"
 
     def __init__(
         self,

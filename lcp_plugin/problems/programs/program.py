@@ -82,6 +82,7 @@ class QuadraticProgram(Problem):
     """
 
     matrix_names, vector_names = ("P", "G", "A"), ("c", "h", "b", "lower", "upper")
+    other_names = "constant", "names"
 
     P: AnyMatrix
     c: checks.Vector

@@ -332,3 +332,23 @@ def test_a_step_with_other_matrices_has_the_result_of_solve():
         whole = solve(QuadraticProgram(P, c, G, h, A, b, low, high))
         assert found.status is whole.status
         assert np.array_equal(found.x, whole.x, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("problem", "data"),
+    [
+        (NonlinearProblem(lambda x: x + x**3, lower=np.zeros(2)), {"q": np.array([-2.0, 1.0])}),
+        (BoundedLeastSquares(np.eye(2), [3.0, 1.0]), {"l1": [1.0, 2.0]}),
+        (BoundedLeastSquares(np.eye(2), [3.0, 1.0]), {"A": [[2.0, 0.0], [0.0, 1.0]], "ridge": 1.0}),
+        (QuadraticProgram(np.eye(2), [-1.0, -4.0], [[1.0, 1.0]], [2.0]), {"P": 2.0 * np.eye(2)}),
+        (LCP(np.eye(2), [-1.0, 1.0], names=["a", "b"]), {"M": [[2.0, 0.0], [0.0, 1.0]]}),
+        (FrictionalContact(np.eye(3), [-1.0, 3.0, 4.0], 0.5), {"W": 2.0 * np.eye(3)}),
+    ],
+    ids=lambda part: "-".join(part) if isinstance(part, dict) else type(part).__name__,
+)
+def test_a_prepared_solver_takes_all_data_of_the_table(problem, data):
+    """Vectors and matrices by name give the solution of the problem with these data."""
+    step = prepare(problem)
+    expected = solve(problem.with_data(**data)).require_solved().x
+    assert step.solve(**data).require_solved().x.tolist() == pytest.approx(expected.tolist())
+    assert not np.allclose(expected, solve(problem).x)

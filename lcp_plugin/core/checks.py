@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import InvalidOption, InvalidProblem, did_you_mean
 
 Vector = NDArray[np.float64]
-Array = Any  # of numpy, of a stack of problems, or on a GPU
+Array = Any  # of numpy, of a stack of problems, or of JAX
 AnyMatrix = Any  # ndarray or CSR array, for which scipy has no types
 T = TypeVar("T")
 Method = TypeVar("Method", bound=Callable[..., Any])

@@ -32,7 +32,7 @@ from ..core.checks import AnyMatrix, Array, BoolVector, Vector, derived_property
 from ..core.cone_stack import ConeStack
 from ..core.entries import residual_scales
 from ..core.errors import InvalidOption, InvalidProblem, LCPError, UnsuitableProblem, public
-from ..core.kernels.floats import EPSILON, FREE, HALF_OF_DIGITS, LOW, NEGLIGIBLE_DIAGONAL
+from ..core.kernels.floats import EPSILON, HALF_OF_DIGITS
 from ..core.lcp import LCP
 from ..core.names import format_count, listed
 from ..core.problem_classes import foreign_function, refusal
@@ -45,7 +45,6 @@ from ..systems.free_systems import CONSISTENT, FreeBlocks, FreeSystem, Linearize
 from ..systems.graph import outer_on_pattern
 from .batches.batch_run import BatchAnswers
 from .batches.instances import ContactInstances, Group, RightSides, Stacked, stack_of
-from .batches.on_device import DeviceAnswers, launch
 from .batches.program_batch import ProgramBatch
 from .cones.data import Blocks
 from .cones.derivative import ConeDerivative, StackDerivative
@@ -516,64 +515,6 @@ class ProgramBatchDerivative(ProgramDerivative):
         return item if self.conditions.is_strict else item.one_sided()
 
 
-class DeviceDerivative(ManyDerivatives):
-    """The gradients of a batch in arrays on a GPU, computed there; ``derivatives[k]`` is the derivative of result k.
-
-    Parameters
-    ----------
-    batch : DeviceAnswers
-
-    Attributes
-    ----------
-    errors : dict
-        Error of each problem without a derivative; its rows are NaN.
-    """
-
-    def vjp(self, g: Any) -> BatchGradient:  # type: ignore[override]
-        """Return the gradients of functions L_k(z_k) by q, lower, upper and M, in the library of q.
-
-        One thread solves the adjoint system of one problem. A problem near a kink, or whose system may be singular, is
-        passed to its Derivative on the host.
-
-        Parameters
-        ----------
-        g : array, shape (B, n) or (n,)
-            ∂L/∂z, on the GPU.
-        """
-        batch, z = self.batch, self.batch.points
-        (xp, _), (M, q, lower, upper), sizes = batch.gpu, batch.data, abs(batch.data.M)
-        rows = xp.broadcast_to(xp.asarray(g).astype(float), z.shape)
-        w, terms = batch.data.slacks(z), (sizes @ abs(z)[:, :, None])[:, :, 0] + abs(q)
-        diagonal, largest = M.diagonal(axis1=1, axis2=2), sizes.max(axis=2)
-        is_usable = (diagonal > 0.0) & (diagonal >= NEGLIGIBLE_DIAGONAL * largest)
-        scale = xp.where(is_usable, diagonal, largest)
-        free, is_fixed = (z > lower) & (z < upper), lower == upper
-        distance = xp.where(free, xp.minimum(z - lower, upper - z) * scale, abs(w))
-        by_q, zeros, sides = xp.zeros(z.shape), xp.zeros(z.shape), xp.where(free, FREE, LOW)
-        arrays = M.swapaxes(1, 2), rows, zeros, sides
-        launch(batch.gpu, "solve_free_rows", arrays, (), (by_q,))
-        is_clear = (is_fixed | (distance > HALF_OF_DIGITS * terms)).all(axis=1)
-        terms_of_q = abs(by_q).max(axis=1) * largest.max(axis=1)
-        is_clear &= HALF_OF_DIGITS * terms_of_q <= abs(rows).max(axis=1)
-        by_bound = xp.where(free, 0.0, rows + (by_q[:, None] @ M)[:, 0])
-        is_upper = xp.where(is_fixed, w < 0.0, z == upper)
-        tables = by_q, xp.where(is_upper, 0.0, by_bound), xp.where(is_upper, by_bound, 0.0)
-        for k in np.flatnonzero(~(xp.asnumpy(is_clear) & self._is_solved)).tolist():
-            weights, of_host = xp.asnumpy(rows[k]), np.zeros((3, z.shape[1]))
-            try:
-                if weights.any():
-                    of_host[:] = self[k].vjp(weights)[:3]
-            except LCPError as error:
-                self.errors[k], of_host[:] = error, np.nan
-            for table, row in zip(tables, of_host, strict=True):
-                table[k] = xp.asarray(row)
-
-        def by_M() -> Any:
-            return batch.library(by_q.T @ z if len(M) == 1 else by_q[:, :, None] * z[:, None])
-
-        return BatchGradient(by_M, *map(batch.library, tables))
-
-
 INSTANCES_TOGETHER = 512  # instances whose arrays fit into the cache
 
 
@@ -806,7 +747,7 @@ def derivative(result: Any) -> Any:
 
     Returns
     -------
-    Derivative or BatchDerivative or DeviceDerivative or ContactBatchDerivative or MarchDerivative or ProgramDerivative
+    Derivative or BatchDerivative or ContactBatchDerivative or MarchDerivative or ProgramDerivative
         All quantities are computed on first access. ``errors`` of a batch derivative lists the problems without one.
 
     Raises
@@ -832,8 +773,6 @@ def derivative(result: Any) -> Any:
     """
     if isinstance(result, BatchAnswers):
         return _derivative_of_batch(result)
-    if isinstance(result, DeviceAnswers):
-        return DeviceDerivative(result)
     if isinstance(result, March):
         if isinstance(result.problem, Blocks):
             raise InvalidOption(

@@ -1,6 +1,7 @@
 """Layers for PyTorch and JAX: z(M, q, lower, upper) with exact gradients, batched.
 
-Install the extra ``[torch]`` or ``[jax]``. The layers run on the CPU. The CPU build of PyTorch is sufficient.
+Install the extra ``[torch]`` or ``[jax]``. The layers run on the CPU; in JAX, within ``jit`` and ``vmap``, small LCPs
+and quadratic programs stay on their device (``solve_lcp``). The CPU build of PyTorch is sufficient.
 
 In PyTorch::
 
@@ -36,8 +37,8 @@ derivative raises an error. If the block of M on the free rows is singular, they
 :class:`lcp_plugin.problems.sensitivity.Derivative` describes.
 
 **Transformations.** Gradients go backward: in JAX ``grad``, ``vjp``, ``jacrev``, also under ``jit`` and ``vmap``, whose
-axis becomes a batch axis; in PyTorch ``backward()``, ``torch.func.grad`` and ``torch.func.vjp``. For forward mode
-use :meth:`BatchDerivative.jvp` in numpy.
+axis becomes a batch axis; in PyTorch ``backward()``, ``torch.func.grad`` and ``torch.func.vjp``. Forward mode
+exists for small problems within ``jit``, and in numpy as :meth:`BatchDerivative.jvp`.
 
 **Quadratic programs.** ``qp_layer(P, c, G, h, A, b)`` returns x of min ½ xᵀP x + cᵀx, G x ≤ h, A x = b, with the
 gradients of :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative`; arguments as in qpth and OptNet.
@@ -45,7 +46,7 @@ gradients of :class:`~lcp_plugin.problems.programs.derivative.ProgramDerivative`
 **Contact with friction.** ``contact_layer(W, b, friction)`` returns the impulses of a batch, with the gradients of
 :class:`~lcp_plugin.problems.sensitivity.ContactBatchDerivative`.
 
-**Double precision**, on the CPU: single precision raises an error, because a certificate of rounded data certifies
+**Double precision**: single precision raises an error, because a certificate of rounded data certifies
 another problem. Convert before and after the layer (``q.double()``, ``z.float()``); gradients pass through that.
 """
 

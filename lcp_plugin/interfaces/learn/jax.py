@@ -18,17 +18,32 @@ except ImportError:
     ) from None
 
 import jax.numpy as jnp
+from scipy.sparse import issparse
 
 from ...core.checks import AnyMatrix, Array, check_kind, real_array
-from ...core.errors import InvalidProblem
+from ...core.errors import InvalidOption, InvalidProblem
+from ...core.kernels.floats import EPSILON, NORMAL
+from ...methods.small import LOOP_UP_TO
+from ...methods.small_lcps_in_jax import solve_lcp
 from ..derivatives import require_double
 from . import ContactLayer, Layer, LayerCall, LCPLayer, QPLayer
 
-__all__ = ["contact_layer", "lcp_layer", "qp_layer"]
+__all__ = ["contact_layer", "lcp_layer", "qp_layer", "solve_lcp"]
+
+Statement = Callable[
+    ..., tuple[Any, ...]
+]  # of arrays: M, q and bounds of LCPs, and which of them are suitable
 
 
 def lcp_layer(
-    M: Any, q: Any, lower: Array = 0.0, upper: Array = np.inf, *, mask: bool = False, **options: Any
+    M: Any,
+    q: Any,
+    lower: Array = 0.0,
+    upper: Array = np.inf,
+    *,
+    mask: bool = False,
+    fallback: str | None = None,
+    **options: Any,
 ) -> Any:
     """Return the solutions z of LCPs, differentiable by M, q, lower and upper.
 
@@ -42,6 +57,9 @@ def lcp_layer(
     mask : bool
         If True, return the pair (z, is_solved). An instance that is not solved then has z = 0 and the gradient 0,
         instead of an error for the entire batch.
+    fallback : "host", optional
+        Within ``jit`` and ``vmap``, :func:`solve_lcp` solves LCPs with at most 128 unknowns on their device, without a
+        callback; an instance that it does not solve is NaN without `mask`. "host" solves such a batch on the host.
     **options
         ``algorithm``, ``tolerance``, ``max_seconds``, … of :func:`lcp_plugin.solve_batch`.
 
@@ -63,7 +81,8 @@ def lcp_layer(
     Notes
     -----
     Gradients go backward: ``jax.grad``, ``jax.vjp``, ``jax.jacrev``, also under ``jit`` and ``vmap``; a mapped axis
-    becomes a batch axis.
+    becomes a batch axis. Within ``jit``, small problems have forward derivatives also, and second ones. An option other
+    than ``tolerance`` is one of the host, where all problems are then solved.
 
     Examples
     --------
@@ -75,7 +94,8 @@ def lcp_layer(
     [[-0.5, 0.0], [0.0, -0.5]]
     """
     require_double(jax, "lcp_layer")
-    return _broadcast_solution(LCPLayer.of(_array, M, q, (lower, upper), mask=mask, **options))
+    call = LCPLayer.of(_array, M, q, (lower, upper), mask=mask, **options)
+    return _broadcast_solution(call, None if issparse(M) else _lcp, fallback)
 
 
 def qp_layer(
@@ -89,6 +109,7 @@ def qp_layer(
     upper: Array = np.inf,
     *,
     mask: bool = False,
+    fallback: str | None = None,
     **options: Any,
 ) -> Any:
     """Return the solutions x of quadratic programs, differentiable by all data.
@@ -100,8 +121,8 @@ def qp_layer(
         batch axes; all arguments broadcast. Float64. Only the symmetric part of P matters; it must be positive
         semidefinite. None as P is a linear program.
     lower, upper : array, shape (…, n), or number
-    mask : bool
-        As in `lcp_layer`.
+    mask, fallback
+        As in `lcp_layer`; an x with its multipliers is a solution of the LCP of the optimality conditions.
     **options
         ``algorithm``, ``tolerance``, ``max_seconds``, ``threads`` of :func:`lcp_plugin.solve_batch`.
 
@@ -134,7 +155,9 @@ def qp_layer(
     """
     require_double(jax, "qp_layer")
     data = dict(P=P, c=c, G=G, h=h, A=A, b=b, lower=lower, upper=upper)
-    return _broadcast_solution(QPLayer.of(_array, data, mask=mask, **options))
+    return _broadcast_solution(
+        QPLayer.of(_array, data, mask=mask, **options), _conditions, fallback
+    )
 
 
 def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **options: Any) -> Any:
@@ -177,22 +200,64 @@ def contact_layer(W: Any, b: Any, friction: Any, *, mask: bool = False, **option
     return _broadcast_solution(ContactLayer.of(_array, W, b, friction, mask=mask, **options))
 
 
-def _broadcast_solution(call: LayerCall) -> Any:
+def _broadcast_solution(
+    call: LayerCall, statement: Statement | None = None, fallback: str | None = None
+) -> Any:
     """Return the solutions, with a mask if the layer has one; `vmap` needs arrays with all batch axes."""
+    if fallback not in (None, "host"):
+        raise InvalidOption(f'fallback must be "host" or None, got {fallback!r}')
     layer, data = call
     shapes = [array.shape for array in data]
     axes = layer.axes_of(*shapes)
-    wide = (
+    wide = tuple(
         array.reshape(*(1 for _ in axes), *shape)  # one matrix for all
         if len(shape) == 2 and math.prod(array.shape[:-2]) == 1
         else jnp.broadcast_to(array, (*axes, *shape))
         for array, shape in zip(data, layer.problem_shapes(*shapes), strict=True)
     )
-    solution = _solution(layer, tuple(wide))
+    # Under `grad` alone the arrays have values; within `jit` or `vmap` they have none
+    has_no_values = any(isinstance(jax.lax.stop_gradient(x), jax.core.Tracer) for x in data)
+    if statement is not None and has_no_values and not layer.options.keys() - {"tolerance"}:
+        *lcp, is_suitable = statement(*wide)
+        if 0 < lcp[1].shape[-1] <= LOOP_UP_TO:
+            z, is_solved = solve_lcp(*lcp, **layer.options)
+            z, is_solved = z[..., : wide[1].shape[-1]], is_solved & is_suitable
+            if fallback == "host":
+                on_host = partial(_solution, layer)
+                z, is_solved = jax.lax.cond(
+                    is_solved.all(), lambda _: (z, is_solved), on_host, wide
+                )
+            z = jnp.where(is_solved[..., None], z, 0.0 if layer.mask else jnp.nan)
+            return (z, is_solved) if layer.mask else z
+    solution = _solution(layer, wide)
     return solution if layer.mask else solution[0]
 
 
-def _called(function: Callable[..., Any], like: Any, *data: Any) -> Any:
+def _lcp(*data: Array) -> tuple[Any, ...]:
+    return *data, True
+
+
+def _conditions(
+    P: Array, c: Array, G: Array, h: Array, A: Array, b: Array, lower: Array, upper: Array
+) -> Any:
+    """Return the optimality conditions of programs, as LCPs in x and the multipliers, and which programs are convex."""
+    axes, n = c.shape[:-1], c.shape[-1]
+    C = jnp.concatenate([jnp.broadcast_to(rows, (*axes, *rows.shape[-2:])) for rows in (G, A)], -2)
+    P = jnp.broadcast_to(0.5 * (P + P.swapaxes(-1, -2)), (*axes, n, n))
+    M = jnp.zeros((*axes, n + C.shape[-2], n + C.shape[-2]))
+    M = M.at[..., :n, :n].set(P).at[..., :n, n:].set(C.swapaxes(-1, -2)).at[..., n:, :n].set(-C)
+    fixed = jax.lax.stop_gradient(P)
+    noise = n * EPSILON * abs(fixed).max((-1, -2), keepdims=True) + NORMAL
+    is_convex = jnp.isfinite(jnp.linalg.cholesky(fixed + noise * jnp.eye(n))).all((-1, -2))
+    zero, far = jnp.zeros_like(h), jnp.full_like(b, np.inf)
+    lower, upper = (
+        jnp.concatenate([lower, zero, -far], -1),
+        jnp.concatenate([upper, zero + np.inf, far], -1),
+    )
+    return M, jnp.concatenate([c, h, b], -1), lower, upper, is_convex
+
+
+def _called(function: Callable[..., Any], like: Array, *data: Array) -> Any:
     """Call a numpy function; vmap adds a leading axis to all arrays."""
     return jax.pure_callback(
         lambda *data: function(*map(np.asarray, data)), like, *data, vmap_method="broadcast_all"

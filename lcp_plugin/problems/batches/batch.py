@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import EllipsisType
-from typing import Any, Unpack, cast
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,7 @@ from ..prepared import PreparedProblem
 from ..programs.program import QuadraticProgram, refuse_nonconvex
 from .batch_run import BatchAnswers, BatchRun
 from .instances import ContactInstances, Listed, RightSides, Stacked
-from .on_device import DeviceAnswers, is_on_gpu
+from .jax_arrays import is_of_device, solve_on_device
 from .program_batch import ProgramBatch, programs_for
 
 
@@ -53,8 +53,8 @@ def solve_batch(
         LCPs of one size with at most 128 unknowns are solved in a compiled loop if there are 32, or by "lemke" any
         number; small problems over the same cones and programs of one shape as stacks; others individually. Arrays
         of shape (B, n, n) are not copied: do not change their entries while you use the result.
-        Arrays of PyTorch, CuPy or JAX on a GPU of NVIDIA stay there: M and q, n at most 70, and bounds. Each thread of
-        the GPU solves one problem; problems whose points a sufficient test does not accept are solved on the host.
+        Arrays of JAX, and of PyTorch and CuPy on a GPU, stay on their device: LCPs with n at most 128. JAX solves
+        them; problems whose points a sufficient test does not accept are solved on the host.
     q : array, shape (B, n) or (n,)
         For one QuadraticProgram the vectors c, shape (B, n), or the mappings; for one BoundedLeastSquares the vectors
         b, shape (B, m).
@@ -77,12 +77,12 @@ def solve_batch(
 
     Returns
     -------
-    BatchAnswers or DeviceAnswers
+    BatchAnswers
         Arrays x, status, objective and iterations with one row per problem, and ``explain()``; a sequence of the
         results of :func:`lcp_plugin.solve`. Accessing an invalid problem raises its error. Each problem has its own
         certificate; a program is tested as in
         :class:`~lcp_plugin.problems.programs.result.QuadraticProgramResult`. A NaN or an infeasible problem does not
-        affect the others. After Ctrl-C the remaining problems are INTERRUPTED. For arrays on a GPU, x and w are there.
+        affect the others. After Ctrl-C the remaining problems are INTERRUPTED. x and w are on the device of M.
 
     Raises
     ------
@@ -136,13 +136,10 @@ def solve_batch(
             del overrides[name]
     pairs = (lower, -np.inf), (upper, np.inf)
     lower, upper = (None if x is ... else none if x is None else x for x, none in pairs)
-    if any(map(is_on_gpu, (M, q, lower, upper))):
-        if not (z0 is callback is None and algorithm == "auto"):
-            raise InvalidOption(
-                "arrays on a GPU take no z0, callback or algorithm; leave them out, or copy the arrays"
-            )
+    if any(map(is_of_device, (M, q))):
+        method_of(algorithm, {})
         bounds = 0.0 if lower is None else lower, np.inf if upper is None else upper
-        return cast(BatchAnswers, DeviceAnswers(M, q, *bounds, overrides))
+        return solve_on_device((M, q, *bounds, z0), algorithm, overrides, callback)
     programs = _programs_of(M, q, lower, upper, z0)
     if programs is not None:
         if z0 is not None or "absolute_tolerance" in overrides:

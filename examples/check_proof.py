@@ -67,7 +67,7 @@ def is_proved(text: str) -> bool:
         for k, bound, slope in ((len(q) + i, low, 1), (2 * len(q) + i, high, -1)):
             if bound is not None:
                 rows[k], signs[k] = ([[i, slope]], -slope * bound), ">="
-    if "point" in data:
+    if "point" in data and "M" not in data:
         return is_ray(rows, signs, data["P"], data["c"], data["point"], data["direction"])
     if "y" in data:
         return is_excluded(rows, signs, data["y"], data["radius"])

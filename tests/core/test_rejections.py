@@ -115,7 +115,7 @@ LCP(M, q, upper=[1.0, NAN, 1.0]) → InvalidProblem: upper must not hold NaN.*up
 LCP(M, q, lower=[0.0, 2.0, 0.0], upper=1.0)
     → InvalidProblem: lower ≤ upper.*lower\[1\] = 2.0 and upper\[1\] = 1.0; swap
 LCP(M, q, lower=-INF, upper=-INF) → InvalidProblem: lower ≤ upper.*upper\[0\] = -inf
-LCP(M, q, 0.0, 1.0) → InvalidOption: LCP\(M, q, lower=l, upper=u\)
+LCP(M, q, 0.0, 1.0) → InvalidOption: LCP\(M, q, lower=…, upper=…
 solve(plain, "psr") → UnknownAlgorithm: unknown algorithm 'psr'; did you mean 'psor'\?
 solve(plain, "gurobi") → UnknownAlgorithm: unknown algorithm 'gurobi'.*known
 solve(plain, "piqp") → UnknownAlgorithm: piqp is an engine.*solve\(problem\.to_qp\(\), 'piqp'

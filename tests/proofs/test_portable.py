@@ -128,6 +128,9 @@ def test_a_forged_proof_with_its_own_checksum_is_refused(name, tmp_path):
         for left_out in branches:
             kept = {piece: node for piece, node in branches.items() if piece != left_out}
             assert not is_accepted(tree={**content["tree"], "branches": kept})
+    if "M" in content:  # a ray along any direction, of an objective of the forger's
+        with pytest.raises(KeyError):
+            is_accepted(y=None, tree=None, P=[], c=[], point=[], direction=[])
     if "M" not in content:  # a tree over rows without pairs
         assert not is_accepted(tree={"row": 0, "branches": {}}, y=None, point=None)
 

@@ -152,7 +152,9 @@ def sweep_small(starts, W, b, mu, tolerance, most, z):  # type: ignore[no-untype
     moved to the limit of the sweeps if their changes fall by one ratio (Aitken's extrapolation). Returns the number of
     sweeps and the bound of :func:`bound_contacts`.
     """
-    n, k, m = b.size, mu.size, max(np.diff(starts).max(), 3)
+    n, k, m = b.size, mu.size, 3
+    for c in range(k):  # np.diff would compile for 4 s
+        m = max(m, starts[c + 1] - starts[c])
     blocks, d, labels = np.zeros((k, m, m)), np.zeros(k), np.zeros(k, np.int64)
     entries = np.arange(n + 1) * n, np.arange(n * n) % n, W.ravel()
     read_blocks_of_problem(starts, *entries, blocks, d, labels)

@@ -194,13 +194,20 @@ class Lemke(Algorithm):
         if dependent.any():
             lower = np.where(dependent, 0.0, component.lower)
             vertex = LCP(component.matrix, component.q, lower=lower, upper=component.upper)
-        refined = solve_active_set(vertex, at_lower | dependent, at_upper)
-        if refined is not None:
+        is_right, at_lower = False, at_lower | dependent
+        for _ in range(
+            1 + bool(bounded.all())
+        ):  # the path leaves out what is below its perturbation
+            refined = solve_active_set(vertex, at_lower, at_upper)
+            if refined is None:
+                break
             polished = np.clip(refined.z, component.lower, component.upper)
             # The run ends here if the point of the only component passes.
             yield polished, path.touched() + refined.work * max(component.nonzeros, 1)
-            if _is_good(component, polished):
-                return True
+            is_right = _is_good(component, polished)
+            at_lower, at_upper = classify(component, polished, component.slack(polished))
+        if is_right:
+            return True
         yield z, path.touched()
         return _is_good(component, z)
 

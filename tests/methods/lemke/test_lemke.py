@@ -290,3 +290,12 @@ def test_each_label_of_a_game_has_a_path_to_an_equilibrium():
             assert start(path)
             assert path.advance(100) == SOLVED
             assert Certificate.of(problem, box.recover(path.z)).relative_residual <= 1e-10
+
+
+def test_the_far_field_of_a_chain_is_solved():
+    """The path leaves out what is below its perturbation; a second active set has it."""
+    n = 60
+    M = 2.0 * np.eye(n) - 0.5 * (np.eye(n, k=1) + np.eye(n, k=-1))
+    problem = LCP(sp.csr_array(M), -np.eye(n)[0])
+    z = solve(problem, Lemke(restarts=0)).require_solved().z
+    np.testing.assert_allclose(z, np.linalg.solve(M, np.eye(n)[0]), rtol=1e-9, atol=1e-30)

@@ -54,9 +54,9 @@ class PreparedProblem(Generic[P]):
     def __init__(self, problem: P, algorithm: Any, options: dict[str, Any]) -> None:
         self.problem = problem
         self.last: Any = None
+        self._solve_fully = solver_with(problem, algorithm, dict(options), "prepare")  # checks the class
         stated: Any = problem
         self._known = [stated.start_name, *stated.vector_names, *stated.matrix_names]
-        self._solve_fully = solver_with(problem, algorithm, dict(options), "prepare")
 
     @public
     def solve(self, *, warm: bool = False, **data: Any) -> Any:

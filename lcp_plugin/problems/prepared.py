@@ -54,7 +54,7 @@ class PreparedProblem(Generic[P]):
     def __init__(self, problem: P, algorithm: Any, options: dict[str, Any]) -> None:
         self.problem = problem
         self.last: Any = None
-        self._solve_fully = solver_with(problem, algorithm, dict(options), "prepare")  # checks the class
+        self._solve_fully = solver_with(problem, algorithm, dict(options), "prepare")
         stated: Any = problem
         self._known = [stated.start_name, *stated.vector_names, *stated.matrix_names]
 

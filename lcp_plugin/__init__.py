@@ -120,7 +120,7 @@ def __getattr__(name: str) -> Any:
     if isinstance(value, FunctionType):
         value = public(value)
         setattr(module, name, value)  # for pickles
-    elif isinstance(value, type) and "__init__" in vars(value):  # not the __init__ of Enum
+    elif isinstance(value, type) and value.__init__.__qualname__ == f"{name}.__init__":  # its own
         value.__init__ = public(value.__init__)  # type: ignore[misc]
     globals()[name] = value
     return value

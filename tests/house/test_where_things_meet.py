@@ -106,10 +106,11 @@ KINDS = {
         "lcp-plugin solve",
     ),
     "EquilibriumProgram": (
-        *("solve", "solve_batch", "pickle", "cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
+        *("solve", "solve_batch", "certify", "pickle"),
+        *("cvxpy", "Pyomo", "AMPL", "lcp-plugin solve"),
     ),
     "BoundedLeastSquares": (
-        *("solve", "solve_batch", "prepare", "trace", "derivative", "pickle"),
+        *("solve", "solve_batch", "prepare", "trace", "derivative", "certify", "pickle"),
         *LANGUAGES,
         "lcp-plugin solve",
     ),
@@ -226,9 +227,13 @@ def by_derivative(sample: Sample, folder: Path) -> None:
 
 def by_certify(sample: Sample, folder: Path) -> None:
     answer = solved(sample)
-    if sample.kind != "QuadraticProgram":
+    if sample.kind in ("EquilibriumProgram", "BoundedLeastSquares"):
+        if answer.is_solved:
+            assert certify(sample.problem, answer.x).verdict == "proved"
+    elif sample.kind != "QuadraticProgram":
         verdict = "proved" if answer.is_solved else "disproved"
-        assert certify(sample.problem, answer.z).verdict == verdict
+        z = answer.certificate.z if answer.has_no_solution else answer.z
+        assert certify(sample.problem, z).verdict == verdict
     elif answer.is_solved:
         for given in (answer.x, answer.solution, answer):
             assert certify(sample.problem, given).verdict == "proved"

@@ -61,6 +61,11 @@ class DeviceProblems(Stacked):
             array if is_jax else self.jax.dlpack.from_dlpack(array), float
         )
 
+    def slacks(self, z: Array) -> Any:
+        """Return M z + q of each problem on the host, shape (B, n), in double precision without x64 also."""
+        with self.double():
+            return super().slacks(np.asarray(self.on_device(z)))
+
     def stacks(self, tolerance: float, has_time: Callable[[], bool], threads: int) -> Stacks:
         """Yield parts of the batch that the device solves."""
         if "z0" in self.rows or not 0 < self.n <= LOOP_UP_TO:

@@ -193,6 +193,13 @@ def test_solve_batch_of_jax_arrays_returns_jax_arrays(monkeypatch):
     assert found.errors.keys() == {5}
 
 
+def test_slacks_of_single_precision_arrays_are_double():
+    """Without x64 in JAX, w = M z + q is computed from doubles: 1e-9 next to 1 is not lost."""
+    jax.config.update("jax_enable_x64", False)
+    found = solve_batch(jnp.eye(2), np.array([[-1.0, 1.0 + 1e-9]]))
+    np.testing.assert_allclose(found.w, [[0.0, 1.0 + 1e-9]], rtol=0, atol=1e-15)
+
+
 @pytest.mark.parametrize(
     ("use", "error", "words"),
     [

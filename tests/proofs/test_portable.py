@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from hypothesis import strategies as st
 
 from lcp_plugin import (
     LCP,
+    InvalidOption,
     QuadraticProgram,
     Status,
     UnreadableFile,
@@ -234,3 +236,56 @@ def test_the_statuses_of_the_table():
         Status.NO_SOLUTION,
         Status.UNBOUNDED,
     }
+
+
+FORGED: dict[str, tuple[LCP, str]] = {
+    "a split at a row that does not exist": (
+        LCP([[1.0]], [-1.0]),
+        '"tree": {"row": 999, "branches": {}}',
+    ),
+    "a split at a bound": (
+        LCP([[1.0]], [-0.5], upper=1.0),
+        '"tree": {"row": 1, "branches": {"zero": {"y": [[0, 1]]}, "lower": {"y": [[0, 1]]}}}',
+    ),
+    "a negative radius": (LCP([[1.0]], [-1.0]), '"y": [[0, 1]], "radius": {"0x": "-5"}'),
+    "an underflow": (LCP([[1e-100]], [-1.0]), '"y": [[0, 1e-300]], "radius": null'),
+    "not a number": (LCP([[1.0]], [-1.0]), '"y": [[0, NaN]], "radius": null'),
+    "other data next to the true ones": (
+        LCP([[1.0]], [-1.0]),
+        '"point": [0], "rows": [], "signs": [], "y": [], "radius": null',
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_a_forged_proof_about_the_true_data_is_refused(name, tmp_path):
+    """Each problem has a solution, so that no file with its data and a right checksum is a proof."""
+    problem, proof = FORGED[name]
+    assert solve(problem).is_solved
+    ours = exact(solve(problem))
+    ours.save(tmp_path / "true.json")
+    data = (tmp_path / "true.json").read_text().partition(', "z"')[0]
+    head = f"{data}, {proof}"
+    forged = tmp_path / "p.json"
+    forged.write_text(f'{head}, "checksum": {checker.checksum(head)}}}\n')
+    with suppress(UnreadableFile):  # a number that is none
+        assert not check_proof(forged, problem)
+    assert said(forged).startswith("no")
+
+
+@pytest.mark.parametrize("text", ["", "{bad", "{}", "[]"])
+def test_a_file_that_is_no_proof_is_answered_in_a_line(text, tmp_path):
+    """The script says no, without a traceback."""
+    (tmp_path / "p.json").write_text(text)
+    assert said(tmp_path / "p.json").startswith("no")
+
+
+def test_an_exact_solution_of_a_program_is_accepted_for_the_program(tmp_path):
+    """The file states the optimality conditions of the program; another class is refused with its name."""
+    program = QuadraticProgram(2 * np.eye(2), [-2.0, -4.0], G=[[1.0, 1.0]], h=[2.0])
+    path = tmp_path / "p.json"
+    exact(solve(program)).save(path)
+    assert check_proof(path, program)
+    assert not check_proof(path, QuadraticProgram(2 * np.eye(2), [-2.0, -4.0], [[1.0, 1.0]], [3.0]))
+    with pytest.raises(InvalidOption, match="got str"):
+        check_proof(path, "text")

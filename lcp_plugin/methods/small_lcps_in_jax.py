@@ -17,6 +17,7 @@ import numpy as np
 from ..core.checks import INFINITE_LIMIT, Array
 from ..core.errors import InvalidProblem
 from ..core.kernels.floats import FREE, HIGH, LOW, NEGLIGIBLE_DIAGONAL, SMALLEST_PIVOT
+from ..core.settings import checked_tolerance
 from .small import LOOP_UP_TO, tilts
 
 INF = jnp.inf
@@ -192,12 +193,17 @@ class _Rows(NamedTuple):
         return jnp.maximum(jnp.maximum(bottom, -top), 0.0), jnp.maximum(-bottom, top)
 
 
-def _has_subnormal(x: Array) -> Any:
-    """Return the problems with a number that is not 0 but below the normal ones, which devices take for 0."""
+def _is_extreme(x: Array) -> Any:
+    """Return the problems with a finite number below 2⁻³⁴⁰ or above 2³⁴⁰ that is not 0; 2⁻⁴² in single precision.
+
+    Products and quotients of three such numbers may underflow, and devices take subnormal numbers for 0.
+    """
     info, kind = jnp.finfo(x.dtype), jnp.int64 if x.dtype == np.float64 else jnp.int32
     size = jax.lax.bitcast_convert_type(x, kind) & jnp.iinfo(kind).max
-    least = np.asarray(info.tiny).view(np.dtype(kind))
-    return ((size > 0) & (size < least)).reshape(-1, x.shape[-1]).any(0)
+    power = 2.0 ** (info.minexp // 3)
+    least, most, infinite = np.array([power, 1.0 / power, INF], x.dtype).view(np.dtype(kind))
+    is_extreme = (size > 0) & (size < least) | (size > most) & (size < infinite)
+    return is_extreme.reshape(-1, x.shape[-1]).any(0)
 
 
 def _parts(M: Array) -> Any:
@@ -236,7 +242,7 @@ def _accepted(
     criterion of :mod:`lcp_plugin.judges.lcp` in double precision, because
 
     - w computed in any order, here or in double precision, is within `rounding` of w as computed here, and r is
-      monotone in w, so that the ends here enclose the ends there; a problem with subnormal data is not accepted;
+      monotone in w, so that the ends here enclose the ends there; a problem with extreme data is not accepted;
     - each `high` is at most .9 tolerance times `limit`, a lower bound of the reference up to 1e-4 if the criterion does
       not find r_i = 0: it then counts the terms of row i, and the terms of free rows of the component always; a slack
       at z° below the least normal number counts as 0;
@@ -278,7 +284,7 @@ def _accepted(
     is_right = is_small & stays & (at.terms < INF) & (residual <= 0.9 * tolerance)
     is_right &= (lower <= upper) & (lower < INF) & (upper > -INF)
     is_right = is_right.all(0)
-    is_right &= ~(_has_subnormal(M) | _has_subnormal(jnp.concatenate([q, lower, upper])))
+    is_right &= ~(_is_extreme(M) | _is_extreme(jnp.concatenate([q, lower, upper])))
     return z, jnp.where(is_right, residual.max(0, initial=0.0), INF)
 
 
@@ -397,6 +403,8 @@ def solve_lcp(
     ------
     InvalidProblem
         If shapes do not fit together, or n is larger.
+    InvalidOption
+        If the tolerance is not between 0 and 1.
 
     Notes
     -----
@@ -416,6 +424,8 @@ def solve_lcp(
     """
     M, q, lower, upper = checked_arrays(M, q, lower, upper)
     axes, n, dtype = q.shape[:-1], q.shape[-1], q.dtype
+    if isinstance(tolerance, (int, float)):
+        checked_tolerance(tolerance, may_be_zero=False)
     tolerance = TOLERANCES[dtype.itemsize] if tolerance is None else tolerance
     vectors = (array.reshape(-1, n) for array in (q, lower, upper))
     z, _, residual = _solution(M.reshape(-1, n, n), *vectors, tolerance)

@@ -193,6 +193,14 @@ def test_solve_batch_of_jax_arrays_returns_jax_arrays(monkeypatch):
     assert found.errors.keys() == {5}
 
 
+def test_extreme_data_are_not_decided():
+    """If q / m underflows, z = 0 would pass; a tolerance of 1 or more is refused."""
+    for M, q, dtype in ((2e30, -1e-300, np.float64), (2e30, -3e-30, np.float32)):
+        assert not solve_lcp(jnp.array([[M]], dtype), jnp.array([q], dtype))[1]
+    with pytest.raises(InvalidOption, match="less than 1"):
+        solve_lcp(jnp.eye(1), jnp.ones(1), tolerance=2.0)
+
+
 def test_slacks_of_single_precision_arrays_are_double():
     """Without x64 in JAX, w = M z + q is computed from doubles: 1e-9 next to 1 is not lost."""
     jax.config.update("jax_enable_x64", False)

@@ -275,8 +275,8 @@ class PrimalDualPoint:
         C x − d, and a bound of its rounding error.
     left, doubt, product, lost : array, shape (n,)
         r and P x, with bounds of their rounding errors.
-    row_terms, bend : array, shapes (m + p,) and (n,)
-        Σ_j |c_ij x_j| + |d_i|, and |P| |x|.
+    row_terms, bend, slope_terms : array, shapes (m + p,), (n,) and (n,)
+        Σ_j |c_ij x_j| + |d_i|, |P| |x|, and the sizes of the terms of r.
     """
 
     def __init__(self, program: JudgedProgram, x: Vector, y: Vector, *, is_exact: bool) -> None:
@@ -298,8 +298,8 @@ class PrimalDualPoint:
             self.product, self.lost = P @ x, (in_P + 3.0) * UNIT * self.bend
         y = self.terms.needed_multipliers(self.product + program.c, y)
         self.of_y = np.abs(y)
-        terms = self.bend + self.cost + of_columns @ self.of_y
-        self.rounding = (in_P + in_columns + 3.0) * UNIT * terms
+        self.slope_terms = self.bend + self.cost + of_columns @ self.of_y
+        self.rounding = (in_P + in_columns + 3.0) * UNIT * self.slope_terms
         if is_exact:
             both = np.concatenate([x, y])
             self.left, self.doubt = compensated_product(self.terms.gradient, both, program.c)
@@ -337,6 +337,21 @@ class PrimalDualPoint:
 
     def gaps(self, tolerance: float = PROGRAM_TOLERANCE) -> Vector:
         """Return the gap of each component; curvature counts if a gap is above the tolerance."""
+        size, way, costs = self._scales()
+        of_rows = self._sums(self.of_x, 0.0 * self.of_x, costs, self.missed)
+        gap = of_rows + self._gain(self.left, np.abs(self.left) + self.doubt, way)
+        if self.is_exact and (gap > tolerance * size).any():
+            gap = np.minimum(gap, of_rows + self._curved_gain(way))
+        return np.where(size < np.inf, gap / size, np.nan)
+
+    def shares(self) -> Vector:
+        """Return the part of the gap that each unknown's gradient r_j causes, without curvature, shape (n,)."""
+        size, way, _ = self._scales()
+        near, far = self._gains(self.left, np.abs(self.left) + self.doubt, way)
+        return (near + far) / self._of_unknowns(size)
+
+    def _scales(self) -> tuple[Vector, Vector, Vector]:
+        """Return the size of each component, the longest move of each unknown, and the cost of each row."""
         x, of_x, sums = self.x, self.of_x, self._sums
         y = self.needed_y
         curved = np.maximum(np.abs(sums(x, self.product)) - sums(of_x, self.lost), 0.0)
@@ -359,23 +374,23 @@ class PrimalDualPoint:
             rows = self.terms.rows
             by_unknowns = largest_in_rows(rows, price[rows.indices] / np.abs(rows.data))
             costs = np.where(is_noise, np.maximum(costs, by_unknowns), costs)
-        of_rows = sums(of_x, 0.0 * of_x, costs, self.missed)
         way = self._of_unknowns(MOVES * size) / np.maximum(price, LEAST_PRICE)
-        gap = of_rows + self._gain(self.left, np.abs(self.left) + self.doubt, way)
-        if self.is_exact and (gap > tolerance * size).any():
-            gap = np.minimum(gap, of_rows + self._curved_gain(way))
-        return np.where(size < np.inf, gap / size, np.nan)
+        return size, way, costs
 
     def _gain(self, left: Vector, r: Vector, way: Vector) -> Vector:
         """Return a bound of the gain of moves against a gradient in each component, without curvature; r is |left|."""
+        near, far = self._gains(left, r, way)
+        return self._sums(near, np.ones(near.size)) + self._largest(far)
+
+    def _gains(self, left: Vector, r: Vector, way: Vector) -> tuple[Vector, Vector]:
+        """Return the gains of each unknown: of moves that add up, and of moves of which one is as long as `way`."""
         below, above = self.x - self.program.lower, self.program.upper - self.x
         distance = np.where(left > 0.0, below, above)
         # Either direction may reduce the objective
         distance = np.where(np.abs(left) <= self.doubt, np.maximum(below, above), distance)
         is_far = distance > way
         reach = np.where(is_far, np.minimum(distance, MOVES * self.of_x), distance)
-        gain = self._sums(r, np.where(r == 0.0, 0.0, reach))
-        return gain + self._largest(np.where(is_far, r * way, 0.0))
+        return r * np.where(r == 0.0, 0.0, reach), np.where(is_far, r * way, 0.0)
 
     def _curved_gain(self, way: Vector) -> Vector | float:
         """Return the gain with ½ rᵀP⁻¹r for unknowns off their bounds whose r is at rounding level.

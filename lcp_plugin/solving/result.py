@@ -206,7 +206,8 @@ class BaseResult(MadeOnAccess, Outcome):
             course += [f"  {stage.name}: {stage.because}" for stage in stages if stage.because]
         total = sum(stage.work for stage in stages) or 1.0
         course += [
-            f"  {stage.name}, {format_count(stage.iterations, 'iteration')}, {stage.work / total:.0%} of the work"
+            f"  {stage.name}, {format_count(stage.iterations, 'iteration')}"
+            + (f", {stage.work / total:.0%} of the work" if stage.work else "")
             + (stage.because and f": {stage.because}")
             for stage in (stages if len(stages) > 1 else ())
         ]

@@ -81,7 +81,7 @@ def test_rows_are_those_that_fail_in_fractions(seed, kind):
     """The table has the rows that fail in exact sums, with their exact violation, the worst first."""
     problem, point, wrong = drawn(kind, seed)
     found = certify(problem, point)
-    rows = found.worst(99)
+    rows = [row for row in found.worst(99) if " to the gap" not in row.text]
     sizes = sorted(float(size) for size in wrong.values() if size > 0)
     assert sorted(row.violation for row in rows) == pytest.approx(sizes)
     if kind != "cvxpy":
@@ -103,7 +103,7 @@ def test_every_class_names_its_worst_row():
     assert certify(cone, [1, 1, 0]).verdict == "proved"
     assert "in a cone" in str(certify(cone, [1, 0.5, 0]).worst(1))
     program = QuadraticProgram(np.eye(2), [-2, -4], [[1, 1]], [2], names=[["cap"], ["x", "y"]])
-    assert str(certify(program, [0.5, 1.6]).worst()) == "cap is violated: 2.1 > 2 (terms 2)"
+    assert str(certify(program, [0.5, 1.6]).worst(1)) == "cap is violated: 2.1 > 2 (terms 2)"
     price = cp.Variable(2, name="price", nonneg=True, value=[1.0, 1.0])
     excess = np.array([[2.0, 1.0], [1.0, 2.0]]) @ price - np.array([3.0, 5.0])
     model = cp.Problem(cp.Minimize(0), [complements(price, excess)])
@@ -196,7 +196,7 @@ def test_a_negative_diagonal_entry_is_named_and_a_rounding_error_is_no_unit():
 def test_rows_of_a_program_are_measured_with_x_on_its_bounds(row, x, lines):
     """The values in the text are those that the criterion compares."""
     program = QuadraticProgram(np.eye(2), [0, 0], [row], [1], lower=0)
-    assert [one.text for one in certify(program, x).worst(5)] == lines
+    assert [one.text for one in certify(program, x).worst(len(lines))] == lines
 
 
 def fallen(kind: str) -> tuple[Any, list[float]]:

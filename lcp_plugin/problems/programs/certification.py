@@ -189,7 +189,9 @@ def certify(
                     verdict = replace(moved, violation=verdict.violation)
             rows = problem.constraints.rows
             y = np.zeros(rows) if y is None else y[:rows]
-            verdict = replace(verdict, rows=partial(worst_constraints, problem, point, y))
+            verdict = replace(
+                verdict, rows=partial(worst_constraints, problem, point, y, tolerance)
+            )
         rounding = "" if convex is problem else f", {WITHIN_ROUNDING}"
         verdict = replace(verdict, reason=f"{verdict.reason}{rounding}")
         if problem.constant == 0.0:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...core.checks import Vector
-from ...core.deadline import is_over, seconds_left
+from ...core.deadline import Clock, is_over, seconds_left
 from ...core.entries import clip
 from ...core.errors import InvalidOption, UnsuitableProblem
 from ...engines import engine_class, is_installed, scaling
@@ -90,6 +90,10 @@ class ProgramPoint(NamedTuple):
     iterations : int
     is_limited : bool
         False: a later engine may have a better point.
+    scaling : str
+        Scaling of the data for the engine.
+    seconds : float
+        Wall-clock seconds of the engine and of the measures.
     """
 
     solution: QPSolution
@@ -99,6 +103,16 @@ class ProgramPoint(NamedTuple):
     name: str = ""
     iterations: int = 0
     is_limited: bool = False
+    scaling: str = ""
+    seconds: float = 0.0
+
+    def describe(self) -> str:
+        """Return the scaling, both measures, the engine's own status and the seconds, as text."""
+        scale = self.scaling.replace("_", " ")
+        measures = f"rows {self.errors.primal:.1e}, gap {self.errors.gap:.1e}"
+        return (
+            f"scaling: {scale}; {measures}; it reports {self.reported.value}; {self.seconds:.3g} s"
+        )
 
     @classmethod
     def of(
@@ -172,7 +186,7 @@ def run_engine(
         raise UnsuitableProblem(
             f'{engine.name} solves {engine.solves}, but P has nonzeros; take "piqp", or give P = None'
         )
-    reduced = program.folded.reduced
+    reduced, clock = program.folded.reduced, Clock()
     best, iterations, reported = None, 0, EngineStatus.GAVE_UP
     errors, passes = KKTErrors(np.inf, np.inf), False
     for scaled in _statements(reduced, scale):
@@ -201,7 +215,8 @@ def run_engine(
         if passes or is_over():
             break
     solution = QPSolution.from_reduced(program, *(best or nearest(program)))
-    return ProgramPoint(solution, errors, passes, reported, engine.name, iterations)
+    found = ProgramPoint(solution, errors, passes, reported, engine.name, iterations)
+    return found._replace(scaling=getattr(scale, "__name__", ""), seconds=clock.read())
 
 
 def is_of(data: ProgramData, reduced: QuadraticProgram) -> bool:

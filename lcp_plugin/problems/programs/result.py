@@ -10,16 +10,19 @@ from ...core.checks import Vector
 from ...core.entries import max_norm
 from ...core.names import describe_radius, three_digits_below
 from ...core.settings import Status
-from ...judges.program import ROWS
+from ...judges.program import ROWS, SHARP
 from ...judges.worst_rows import WorstRows
 from ...solving.result import NEXT, BaseResult
 from .no_minimum import NoMinimum
 from .program import QuadraticProgram
 from .solution import MULTIPLIERS, QPSolution, worst_constraints
 
+FAR_APART = (
+    1e8  # ratio of coefficients, above which a sum loses half of the digits of its small terms
+)
 ADVICE = {
     Status.SOLVED: "x is optimal within the tolerance, as measured on your data",
-    Status.PRECISION_LIMIT: "the residuals are small, but not within the tolerance; next: rescale the data",
+    Status.PRECISION_LIMIT: "the residuals are small, but not within the tolerance",
     Status.INFEASIBLE: "no x satisfies all constraints; next: print(result.conflict), which of them conflict",
     Status.STALLED: (
         "no point passes the test, and no proof of infeasibility or unboundedness was found or requested; "
@@ -88,9 +91,31 @@ class QuadraticProgramResult(BaseResult):
 
     def _advice_of_status(self) -> str:
         happened, begins, to_do = super()._advice_of_status().partition(NEXT)
-        if self.status is Status.PRECISION_LIMIT and self.doubtful is not None:
-            happened = self.doubtful.doubt
+        if self.status is Status.PRECISION_LIMIT:
+            begins, to_do = NEXT, self._way_to_precision()
+            if self.doubtful is not None:
+                happened = self.doubtful.doubt
+            elif self.tolerance < self._rounding_level:
+                happened = f"the tolerance {self.tolerance:.0e} is below the rounding level {self._rounding_level:.0e}"
         return happened + begins + to_do
+
+    @property
+    def _rounding_level(self) -> float:
+        """Gap below which plain sums of the program do not measure."""
+        return SHARP * sum(self.program.matrices.terms.C.shape)
+
+    def _way_to_precision(self) -> str:
+        """Return the next step for a point that nearly passes: scaling only if the sizes of coefficients differ."""
+        terms = self.program.matrices.terms
+        sizes = np.abs(np.concatenate([terms.rows.data, terms.sparse_P.data, self.program.c]))
+        sizes = sizes[sizes > 0.0]
+        if sizes.size and sizes.max() > FAR_APART * sizes.min():
+            return (
+                f"rescale the data, whose coefficients are {sizes.min():.0e} to {sizes.max():.0e}"
+            )
+        if self.solution.primal_residual > ROWS:
+            return "print(certify(program, result).worst()), which rows fail"
+        return f"set a tolerance above {max(self.solution.duality_gap, self._rounding_level):.0e}"
 
     def _clauses(self) -> list[str]:
         """Return doubts: larger x that a proof does not exclude, a program that is not convex, an x inside a face."""
@@ -124,7 +149,7 @@ class QuadraticProgramResult(BaseResult):
 
     def _worst(self, count: int) -> WorstRows:
         y = np.concatenate([self.solution.inequality, self.solution.equality])
-        return worst_constraints(self.program, self.x, y, count)
+        return worst_constraints(self.program, self.x, y, self.tolerance, count)
 
     def describe_accuracy(self) -> str:
         """Return the two measures and their tolerances, or the proof of infeasibility or unboundedness, as text."""

@@ -265,10 +265,13 @@ def bound_multipliers(program: QuadraticProgram, gradient: Vector) -> tuple[Vect
     return at_lower, at_upper
 
 
-def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: int) -> WorstRows:
-    """Return the constraints that x violates by most, relative to their terms; y are multipliers of G and A.
+def worst_constraints(
+    program: QuadraticProgram, x: Vector, y: Vector, tolerance: float, count: int
+) -> WorstRows:
+    """Return the constraints that x violates by most, relative to their terms, then unknowns that add to the gap.
 
-    Rows of G and A are measured, as by the criterion, with each x_j outside its bounds put on the nearer bound.
+    y are multipliers of G and A. An unknown is shown if it adds more than the tolerance. Rows of G and A are measured,
+    as by the criterion, with each x_j outside its bounds put on the nearer bound.
     """
     point, rows = PrimalDualPoint(program.judged, x, y, is_exact=True), program.constraints
     errors, m = point.row_errors(), rows.rows
@@ -290,4 +293,12 @@ def worst_constraints(program: QuadraticProgram, x: Vector, y: Vector, count: in
             text += f"{sign * value:.6g} {beyond} {sign * limit:.6g}"
             size, violation = max(float(terms[k]), abs(limit)), abs(float(excess[k]))
             worst.append(WorstRow(program.name(k), float(errors[k]), violation, size, text))
+    shares = point.shares()
+    for j in np.argsort(-shares, kind="stable")[: count - len(worst)].tolist():
+        if shares[j] > tolerance:
+            name, r = program.names.unknown(j, f"x[{j}]"), float(point.left[j])
+            text = f"{name} = {x[j]:.6g} adds {shares[j]:.1e} to the gap: its gradient with the multipliers is {r:.3g}"
+            worst.append(
+                WorstRow(name, float(shares[j]), abs(r), float(point.slope_terms[j]), text)
+            )
     return WorstRows(worst)

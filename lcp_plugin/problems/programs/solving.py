@@ -148,7 +148,7 @@ def first_point(
     # Multipliers of a point that passes overflow only if coefficients divide them
     make = QPSolution.on_access if reduced is program else QPSolution.from_reduced
     fields = {"algorithm": "auto: daqp", "iterations": end.iterations, "tolerance": tolerance}
-    stages = (StageRecord(DAQP.name, DAQP.solves, end.iterations, 2.0),)  # of two points
+    stages = (StageRecord(DAQP.name, DAQP.solves, end.iterations, 0.0),)
     fields |= {"seconds": clock.read(), "stages": stages, "status": Status.SOLVED}
     return end, QuadraticProgramResult.of_known(None, **fields, solution=make(program, x, y))
 
@@ -229,7 +229,7 @@ class ProgramRun(Run):
             point = ProgramPoint.of(solution, self.settings.tolerance, "costs")
             if not point.passes:
                 point = point._replace(reported=EngineStatus.UNBOUNDED)
-            vertex = Step(solution.x, iterations=0, measured=point)
+            vertex = Step(solution.x, iterations=0, measured=point, work=0.0)
             yield Stage(Named("costs"), "boxes", steps=[vertex])
         is_lcp_first = not rows and matrices.has_curvature and not matrices.is_small
         if is_lcp_first:
@@ -269,7 +269,7 @@ class ProgramRun(Run):
 
     def _engine_steps(self, engine: Engine, scale: Scaling) -> Iterator[Step]:
         """Yield the start and the point of an external solver."""
-        yield Step(nearest(self.program)[0], iterations=0)
+        yield Step(nearest(self.program)[0], iterations=0, work=0.0)
         point = run_engine(
             self.program,
             engine,
@@ -278,11 +278,11 @@ class ProgramRun(Run):
             is_verbose=self.settings.verbose,
             end=self.end_of_daqp if engine.name == DAQP.name else None,
         )
-        yield Step(point.solution.x, iterations=point.iterations, measured=point)
+        yield Step(point.solution.x, iterations=point.iterations, measured=point, work=0.0)
 
     def _regression_steps(self, problem: Any, outward: Outward) -> Iterator[Step]:
         """Yield the start, the solution of the least squares problem, and the minimum on its face."""
-        yield Step(nearest(self.program)[0], iterations=0)
+        yield Step(nearest(self.program)[0], iterations=0, work=0.0)
         tolerance, left = self.settings.tolerance, seconds_left()
         options: dict[str, Any] = {"max_iterations": self.options.get("max_iterations")}
         options["max_seconds"] = None if left == math.inf else left
@@ -292,7 +292,7 @@ class ProgramRun(Run):
         for x in points_near(problem, result.x):
             solution = QPSolution.from_reduced(self.program, *outward(x))
             point = ProgramPoint.of(solution, tolerance, result.algorithm, result.iterations)
-            yield Step(solution.x, iterations=result.iterations, measured=point)
+            yield Step(solution.x, iterations=result.iterations, measured=point, work=0.0)
 
     def lcp_stage(self, *run: Any) -> Stage:
         """Return a stage with a run on the complementarity problem of the program; see `_lcp_steps`."""
@@ -342,13 +342,16 @@ class ProgramRun(Run):
             progress.end = progress.end or Status.MAX_ITERATIONS
         elif result.status is Status.MAX_SECONDS:
             progress.end = progress.end or Status.MAX_SECONDS
-        yield Step(solution.x, iterations=result.iterations, measured=point, label=result.algorithm)
+        steps, name = result.iterations, result.algorithm
+        yield Step(solution.x, iterations=steps, measured=point, work=0.0, label=name)
 
     # --- Selection of the result -------------------------------------------------------------------------------------
 
     def end_of_stage(self, stage: Stage, end: Status) -> Status:
         """Return the reason, or NO_SOLUTION if a proof exists; some points start a search."""
         point = self.latest
+        if point is not None and point.scaling and not point.passes:
+            stage.because = point.describe()
         if point is None or not self.settings.prove_infeasibility:
             return end
         # If rows are violated, a proof of infeasibility is searched first

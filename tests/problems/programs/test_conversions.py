@@ -267,7 +267,7 @@ QP([[1, 1], [0, 1]], [1, 2]) → InvalidProblem: P\[0, 1\] = 1.0 and P\[1, 0\] =
 QP([[1e+20, 0, 0], [0, 1, 0.5], [0, 0.4, 1]], [1, 2, 3]) → InvalidProblem: P must be symmetric
 QP(EYE * 1j, [1, 2]) → InvalidProblem: complex
 QP([[1, 0], [0, np.nan]], [1, 2]) → InvalidProblem: P\[1, 1\] = nan
-QP(EYE, [[1, 2]]) → InvalidProblem: c must be a vector.*shape \(1, 2\)
+QP(EYE, [[1, 2], [3, 4]]) → InvalidProblem: c must be a vector.*shape \(2, 2\)
 QP(np.eye(4), [1, 2, 3, 4], np.ones((4, 3)), [1, 2, 3]) → InvalidProblem: got shape \(4, 3\); did you mean G.T\?
 LCP.from_qp(EYE, [1, 2], A=sp.csr_array(np.ones((2, 3))), b=[1, 2, 3])
     → InvalidProblem: got shape \(2, 3\); did you mean A.T\?

@@ -331,9 +331,10 @@ class PrimalDualPoint:
 
     @cached_property
     def noise(self) -> Vector:
-        """Size below which the side of a row counts as 0, shape (m + p,); 0 unless all its terms c_ij x_j are 0."""
+        """Size below which the side of a row counts as 0, shape (m + p,); 0 unless it has terms, which are all 0."""
         most = BLUR * self.terms.row_sizes * self._largest(self.of_x)[self.terms.components.of_row]
-        return np.where((self.row_terms == self.limits) & (self.limits <= most), most, 0.0)
+        is_noise = (self.row_terms == self.limits) & (self.limits <= most) & (self.terms.counts > 0)
+        return np.where(is_noise, most, 0.0)
 
     def gaps(self, tolerance: float = PROGRAM_TOLERANCE) -> Vector:
         """Return the gap of each component; curvature counts if a gap is above the tolerance."""

@@ -12,6 +12,7 @@ from lcp_plugin import (
     FrictionalContact,
     QuadraticProgram,
     Status,
+    certify,
     prepare,
     solve,
     solve_batch,
@@ -77,3 +78,18 @@ def test_a_nonlinear_inequality_over_an_empty_set_has_no_point():
     assert result.status is Status.INFEASIBLE
     assert np.isnan([result.z, result.w]).all()
     assert problem.origin.recover(result).status is Status.INFEASIBLE
+
+
+def test_the_best_point_of_an_infeasible_lcp_is_certified():
+    """certify(problem, result) measures the best point, which is no solution."""
+    problem = LCP([[-1.0]], [-1.0])
+    assert certify(problem, solve(problem)).verdict == "disproved"
+
+
+def test_a_program_whose_pairs_have_no_solution_keeps_a_point():
+    """Equations that differ by 1e-9: the conditions of optimality are infeasible, the program is nearly feasible."""
+    rows, sides = [[-0.3, 0.2], [0.3, -0.2]], [0.37, -0.37 - 1e-9]
+    program = QuadraticProgram([[9, -3], [-3, 1]], [-0.26, 1.4], rows, sides)
+    result = solve(program, "lemke")
+    assert np.isfinite(result.x).all()
+    assert result.status.name in result.explain()

@@ -213,7 +213,8 @@ def _certify_other(
         _check_point(problem, x, multipliers, claim, tolerance)
         if row.verdict:
             return Certification(**resolve_name(f"lcp_plugin.{row.verdict}")(problem, x, tolerance))
-        x = x.x if isinstance(x, BaseResult) else x
+        if isinstance(x, BaseResult):  # without a solution, of the best point
+            x = getattr(x, "certificate", x).z if x.has_no_solution else x.x
         return certify_point(problem, checked_vector(x, "x", problem.n), tolerance)
     if name is not None or isinstance(problem, (BaseResult, QPSolution)):
         raise InvalidProblem(refusal("certify", problem))

@@ -335,7 +335,8 @@ class ProgramRun(Run):
             stated = "a program's conditions of optimality, whose M has a zero on the diagonal for each of its rows"
             raise UnsupportedModel(f"{refusal} (M is that of {stated})") from refusal
         progress.samples += result.history
-        z = result.z if passing is None else passing
+        found = result.certificate.z if result.has_no_solution else result.z
+        z = found if passing is None else passing
         solution = QPSolution.from_reduced(self.program, z[:n], z[n:])
         point = ProgramPoint.of(solution, tolerance, result.algorithm, result.iterations)
         if result.status is Status.MAX_ITERATIONS and "max_iterations" in self.options:
